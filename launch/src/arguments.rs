@@ -15,7 +15,7 @@ use rustix::fs::Access;
 use sampler::LanesOrigin;
 use source::{Playback, PlaybackOptions};
 use toml::Value;
-use wire::StageId;
+use wire::{StageId, WorldOrigin};
 
 use crate::failure::Failure;
 use crate::options::{Setting, StageOptions, absolute, text, warn};
@@ -50,6 +50,10 @@ pub struct SceneArguments {
     /// was published if not given
     #[arg(long, value_name = "HZ", requires = "played")]
     fps: Option<FrameRate>,
+    /// World frame's origin in the frame of recording, detections and map, in metres, such as 458000,5428000: it is
+    /// subtracted from all positions, and files of forecasts have the recording's own frame again
+    #[arg(long, value_name = "X,Y", allow_hyphen_values = true)]
+    pub origin: Option<WorldOrigin>,
     /// Number of agents of the generated intersection (played without a recording), 32 if not given
     #[arg(long, value_name = "N", conflicts_with = "played")]
     agents: Option<u32>,
@@ -71,6 +75,10 @@ pub struct ReadArguments {
     /// was published if not given
     #[arg(long, value_name = "HZ")]
     pub fps: Option<FrameRate>,
+    /// World frame's origin in the recordings' own frame, in metres, such as 458000,5428000: it is subtracted from all
+    /// positions
+    #[arg(long, value_name = "X,Y", allow_hyphen_values = true)]
+    pub origin: Option<WorldOrigin>,
 }
 
 /// Options of the tracker.
@@ -222,15 +230,16 @@ impl SceneArguments {
 
 impl ReadArguments {
     /// What is known of the recordings.
-    pub const fn options(&self) -> OpenOptions {
-        OpenOptions { format: self.format, fps: self.fps }
+    pub fn options(&self) -> OpenOptions {
+        OpenOptions { format: self.format, fps: self.fps, origin: self.origin.unwrap_or_default() }
     }
 
     /// These arguments as they are written on a command line, each after a space.
     pub fn written(&self) -> String {
         let format = self.format.map(|format| format!(" --format {format}"));
         let fps = self.fps.map(|fps| format!(" --fps {fps}"));
-        [format, fps].into_iter().flatten().collect()
+        let origin = self.origin.map(|origin| format!(" --origin {origin}"));
+        [format, fps, origin].into_iter().flatten().collect()
     }
 
     /// Reads a recording, and warns of what is probably wrong with it.
@@ -312,9 +321,9 @@ impl ModelArguments {
         [weights, map, lanes, origin].into_iter().flatten().collect()
     }
 
-    /// Reads the map of lanes of the command line, if there is one.
-    pub fn open_lanes(&self) -> Result<Option<LaneMap>, Failure> {
-        let coordinates = self.lanes_origin.unwrap_or_default();
+    /// Reads the map of lanes of the command line, if there is one; `origin` is that of the recording.
+    pub fn open_lanes(&self, origin: WorldOrigin) -> Result<Option<LaneMap>, Failure> {
+        let coordinates = LanesOrigin::coordinates(self.lanes_origin.map(LanesOrigin), origin);
         self.lanes.as_ref().map(|path| open_lanes(path, coordinates)).transpose()
     }
 
@@ -339,7 +348,8 @@ impl PlaybackArguments {
         let options = self.options()?;
         let sampler = options.read(&sampler::STAGE)?;
         check_memory(&sampler, &weights)?;
-        check_lanes(&sampler)?;
+        let origin = self.read.origin.unwrap_or_default();
+        check_lanes(&sampler, origin)?;
         if self.seed.is_some() {
             note_unused_seed(&sampler, weights.config());
         }
@@ -348,7 +358,7 @@ impl PlaybackArguments {
         if let Some(report) = &self.report {
             check_place(report)?;
         }
-        let recording = source::recording(&source, seed)?;
+        let recording = source::recording(&source, origin, seed)?;
         warn_of_doubts(&recording);
         // Before frames are merged: then the lines are those of the files.
         let input = input_of(&recording);
@@ -359,6 +369,7 @@ impl PlaybackArguments {
             lockstep: true,
             seed,
             weights: weights_path,
+            origin_m: origin.position_m(),
             stages: options.stage_runs(),
             ..Run::default()
         };
@@ -374,6 +385,7 @@ impl PlaybackArguments {
             recording: None,
             format: self.read.format,
             fps: self.read.fps,
+            origin: None,
             agents: None,
             seed: self.seed,
             ticks: self.ticks,
@@ -443,9 +455,9 @@ pub fn open_lanes(path: &Path, coordinates: Coordinates) -> Result<LaneMap, Fail
 ///
 /// # Errors
 /// As [`open_lanes`].
-pub fn check_lanes(options: &sampler::Options) -> Result<(), Failure> {
+pub fn check_lanes(options: &sampler::Options, origin: WorldOrigin) -> Result<(), Failure> {
     let Some(path) = &options.lanes else { return Ok(()) };
-    let coordinates = LanesOrigin::coordinates(options.lanes_origin);
+    let coordinates = LanesOrigin::coordinates(options.lanes_origin, origin);
     open_lanes(&absolute(path)?, coordinates).map(|_| ())
 }
 

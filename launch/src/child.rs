@@ -119,6 +119,7 @@ impl Child {
             .env("STGDAT_PREFIX", &run.prefix)
             .env("STGDAT_ROOT", &run.root)
             .env("STGDAT_INTERVAL_NS", run.interval_ns.to_string())
+            .env("STGDAT_ORIGIN", run.origin().to_string())
             .env_remove(STANDBY_VARIABLE)
             .envs(standby.map(|socket| (STANDBY_VARIABLE, socket)))
             .envs(kernels::forced().map(|isa| (kernels::VARIABLE, isa.key())))

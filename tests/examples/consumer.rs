@@ -1,8 +1,9 @@
 //! A reader such as a planner: prints the forecasts of a run, tick by tick.
 //! `consumer --run /tmp/stgdat_*/run`, beside `stgdat run`.
 //!
-//! Positions are metres in the world frame; step k of a forecast lies at the frame's stamp + (k + 1) Δt. A
-//! planner does the same: wait, take the newest frame, use it where it lies in shared memory, drop it.
+//! Positions are metres, printed in the frame of map and detections: the run's origin is added to them. Step k of a
+//! forecast lies at the frame's stamp + (k + 1) Δt. A planner does the same: wait, take the newest frame, use it where it
+//! lies in shared memory, drop it.
 
 use std::process::ExitCode;
 use std::time::Duration;
@@ -30,7 +31,9 @@ fn run(run: &Run) -> Result<(), StageError> {
             for agent in frame.iter() {
                 let name = AGENT_TYPES.get(agent.agent_type as usize).map_or("unknown", |t| t.name());
                 let quality = Quality::ALL.get(agent.quality as usize).map_or("unknown", |q| q.name());
-                let (x_m, y_m, [end_x_m, end_y_m]) = (agent.x_m, agent.y_m, agent.best[last]);
+                let own_m = |world_m| run.origin().own_m(world_m);
+                let ([x_m, y_m], [end_x_m, end_y_m]) =
+                    (own_m([agent.x_m, agent.y_m]), own_m(agent.best[last]));
                 let way = format!("at ({x_m:.1}, {y_m:.1}) goes to ({end_x_m:.1}, {end_y_m:.1})");
                 println!("  {name} {} {way}, {} modes, {quality}", agent.id, agent.modes_len);
             }

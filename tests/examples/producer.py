@@ -3,7 +3,7 @@
 Here one sensor detects a car and another one a pedestrian; put your detectors in the place of `detect`. Positions are
 metres in the world frame. The frame's stamp is the time of its newest measurement on the sensors' clock, and each
 detection contains its own time as an offset from the stamp: see `stgdat_topics.py`, and docs/interfaces.md for all of it.
-The run comes by environment: STGDAT_RUN_ID, STGDAT_PREFIX, STGDAT_ROOT, STGDAT_INTERVAL_NS.
+The run comes by environment: STGDAT_RUN_ID, STGDAT_PREFIX, STGDAT_ROOT, STGDAT_INTERVAL_NS, STGDAT_ORIGIN.
 
 usage: producer.py [TICKS] [--offsets-ms CAR,PEDESTRIAN] [--csv FILE [--interval-ms MS]]
 """
@@ -19,7 +19,7 @@ import time
 from decimal import Decimal
 
 import iceoryx2 as iox2
-from stgdat_topics import join, topic
+from stgdat_topics import join, origin, topic
 from stgdat_wire import (DETECTIONS_MAX, SCHEMA, TOPICS, AgentType, Counts, Detection, DetectionFlags, Flags, Header,
                          Hop, StageId, StampSource, protect)
 
@@ -34,6 +34,12 @@ def detect(stamp_ns, offsets_ns):
                     offset_ns=offsets_ns[1])
 
 
+def world(row):
+    """A row's position in the world frame: less the run's origin (`stgdat run --origin X,Y`), in 64 bits, before a position
+    becomes a float of 32."""
+    return float(row["x_m"]) - origin()[0], float(row["y_m"]) - origin()[1]
+
+
 def detection(row):
     """The detection in a row of a CSV file (docs/recordings.md)."""
     has = lambda *names: all(row.get(name) for name in names)
@@ -41,8 +47,9 @@ def detection(row):
     flags = ((DetectionFlags.HAS_ID if has("id") else 0) | (DetectionFlags.HAS_HEADING if has("heading_rad") else 0)
              | (DetectionFlags.HAS_SPEED if has("speed_mps") else 0)
              | (DetectionFlags.HAS_SIZE if has("length_m", "width_m") else 0))
+    x_m, y_m = world(row)
     return Detection(agent_type=AgentType[row["type"].upper()], id=int(row["id"]) if has("id") else 0, flags=flags,
-                     x_m=number("x_m"), y_m=number("y_m"), heading_rad=number("heading_rad"),
+                     x_m=x_m, y_m=y_m, heading_rad=number("heading_rad"),
                      speed_mps=number("speed_mps"), length_m=number("length_m"), width_m=number("width_m"),
                      score=number("score", 1), sigma_m=number("sigma_m"))
 
@@ -65,7 +72,7 @@ def merged(path):
                 for row in csv.DictReader(line for line in file if not line.startswith("#"))]
     rows.sort(key=lambda row: row[0])
     is_pose = lambda row: row["type"] in ("ego", "above")
-    poses = [(stamp_ns, float(row["x_m"]), float(row["y_m"]), float(row.get("heading_rad") or 0))
+    poses = [(stamp_ns, *world(row), float(row.get("heading_rad") or 0))
              for stamp_ns, row in rows if is_pose(row)]
     measured = [row for row in rows if not is_pose(row[1])]
     flags = Flags.SEEN_FROM_EGO if any(row["type"] == "ego" for _, row in rows) else 0

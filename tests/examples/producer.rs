@@ -1,7 +1,8 @@
 //! A detector in the source's place: `command = ["target/release/examples/producer"]` in its table of
 //! pipeline.toml.
 //!
-//! Positions are metres in the world frame (right-handed, z up, fixed to the ground), headings
+//! Positions are metres in the world frame (right-handed, z up, fixed to the ground): a detector with UTM or MGRS
+//! coordinates subtracts the run's origin (`stgdat run --origin X,Y`) in f64. Headings are
 //! counter-clockwise from +x. The header of each frame contains the ego pose in that frame and the stamp, on
 //! the sensor's clock, different in every frame. Each detection contains its own time of measurement as an
 //! offset from the stamp: two sensors that are merged into one frame need not measure at the same time. Put
@@ -11,12 +12,12 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use bytemuck::Zeroable;
-use data::{Ego, Frame, Recording};
+use data::{Ego, Frame, OpenOptions, Recording};
 use ports::{Stage, StageError, monotonic_ns, stage_main};
 use run::{Declaration, Run};
 use serde::Deserialize;
 use wire::detection_flags::{HAS_HEADING, HAS_SIZE, HAS_SPEED};
-use wire::{AgentType, Detection, DetectionsTopic, Header, StageId, StampSource, Topic, TruthTopic, flags};
+use wire::{AgentType, Detection, DetectionsTopic, Header, StageId, StampSource, Topic, TruthTopic, WorldOrigin, flags};
 
 /// The stage that it replaces, with the topics that it writes.
 const STAGE: Declaration<Options> =
@@ -67,9 +68,11 @@ fn detect(stamp_ns: i64, offsets_ns: [i64; 2]) -> Vec<Detection> {
 }
 
 /// The frames to send.
-fn scene(options: &Options, interval_ns: u64) -> Result<Recording, StageError> {
+fn scene(options: &Options, origin: WorldOrigin, interval_ns: u64) -> Result<Recording, StageError> {
     if let Some(path) = &options.play {
-        return data::open(path, None).map_err(StageError::data);
+        // The run's origin is subtracted in f64, before a position becomes the wire's f32.
+        let options = OpenOptions { origin, ..OpenOptions::default() };
+        return data::open_with(path, options).map_err(StageError::data);
     }
     let frame = |seq: u64| {
         let stamp_ns = (seq * interval_ns) as i64;
@@ -87,7 +90,7 @@ fn scene(options: &Options, interval_ns: u64) -> Result<Recording, StageError> {
 
 fn run(run: &Run) -> Result<(), StageError> {
     let options = STAGE.options(run)?;
-    let scene = scene(&options, run.interval_ns)?;
+    let scene = scene(&options, run.origin(), run.interval_ns)?;
     let frames = &scene.frames[..scene.frames.len().min(options.ticks as usize)];
     let mut stage = Stage::open(run, &STAGE)?;
     let detections = stage.publish::<DetectionsTopic>()?;

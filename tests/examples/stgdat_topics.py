@@ -4,7 +4,8 @@ Needs Python 3.10, `pip install iceoryx2==0.10.0`. The layouts are in `stgdat_wi
 copy both files. iceoryx2 refuses to connect to a run of another version.
 
 The contract
-* World frame: positions in metres in one fixed, right-handed frame (x, y; z up) whose origin lies within 32 km;
+* World frame: positions in metres in one fixed, right-handed frame (x, y; z up) whose origin lies within 32 km:
+  `origin` in the frame of map and detections (`stgdat run --origin X,Y`), which producers subtract and consumers add;
   headings counter-clockwise from +x, radians; velocities in the world frame, not relative to the ego vehicle.
 * Ego pose: `ego_m` and `ego_heading_rad` of each frame are the vehicle's pose in that frame at the stamp, or the scene's
   centre and 0 for a fixed sensor. When there are more agents than fit, the nearest to it are kept.
@@ -13,6 +14,7 @@ The contract
 * `seq` counts ticks from 0 without gaps; a gap counts as a lost frame. Frames come every `interval_ns`, at least 80 ms.
 """
 
+import functools
 import glob
 import os
 import socket
@@ -22,12 +24,25 @@ import iceoryx2 as iox2
 from stgdat_wire import TOPICS, Header
 
 
-def join(name):
-    """A node in the run that `stgdat run` tells of by environment, else in the newest run of this machine."""
+def run_folder():
+    """The folder of the run in the environment, else of the newest run of this machine."""
     roots = [os.environ.get("STGDAT_ROOT"), *sorted(glob.glob("/tmp/stgdat_????????"), key=os.path.getmtime)[::-1]]
     root = next(filter(None, roots), None)
     if root is None:
         raise SystemExit("no run of stgdat is to be found: start one with `stgdat run`")
+    return root
+
+
+@functools.cache
+def origin():
+    """x and y of the world frame's origin in the frame of map and detections, m: (0, 0) without `--origin`."""
+    text = os.environ.get("STGDAT_ORIGIN") or open(os.path.join(run_folder(), "origin")).read()
+    return tuple(map(float, text.split(",")))
+
+
+def join(name):
+    """A node in the run in the environment, else in the newest run of this machine."""
+    root = run_folder()
     iox2.set_log_level(iox2.LogLevel.Error)
     config = iox2.config.global_config()
     config.global_cfg.prefix = iox2.FileName.new(os.environ.get("STGDAT_PREFIX") or os.path.basename(root) + "_")

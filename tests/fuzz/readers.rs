@@ -218,11 +218,7 @@ fn check_lanes(map: &LaneMap) {
 }
 
 fn fuzz(format: Format, files: &[(Role, &str)]) {
-    let input = |&(role, text): &(Role, &str)| Input {
-        role,
-        path: "coupa/video0/coupa_0.txt".into(),
-        bytes: text.into(),
-    };
+    let input = |&(role, text): &(Role, &str)| Input::new(role, "coupa/video0/coupa_0.txt", text);
     let sample: Vec<Input> = files.iter().map(input).collect();
     check(&parse(format, &sample).unwrap_or_else(|error| panic!("the sample: {error}")));
     bolero::check!().with_iterations(ITERATIONS).with_max_len(EDITS_BYTES_MAX).for_each(|bytes: &[u8]| {

@@ -9,6 +9,7 @@ mod faults;
 mod lockstep;
 mod observing;
 mod options;
+mod origins;
 mod programs;
 mod projects;
 mod python;

@@ -71,17 +71,36 @@ fn assert_forecasts_of_both(printed: &str) {
     assert!(learned("vehicle") > 5 && learned("pedestrian") > 5, "{printed}");
 }
 
+/// The pedestrian walks 5 m to the right of the place, and the car passes 2 m to its left: to .1 m, in which they are
+/// printed.
+fn assert_around(printed: &str, [x_m, y_m]: [f64; 2]) {
+    let positions = |kind: &'static str| {
+        let of_kind = printed.lines().filter(move |line| line.trim_start().starts_with(kind));
+        of_kind.filter_map(|line| {
+            let (x, rest) = line.split_once(" at (")?.1.split_once(", ")?;
+            Some([x.parse::<f64>().ok()?, rest.split_once(')')?.0.parse::<f64>().ok()?])
+        })
+    };
+    assert!(positions("pedestrian").count() > 5, "{printed}");
+    assert!(positions("pedestrian").all(|[x, _]| (x - x_m - 5.0).abs() < 0.2), "{printed}");
+    assert!(positions("vehicle").all(|[_, y]| (y - y_m - 2.0).abs() < 0.2), "{printed}");
+}
+
 #[test]
 fn a_detector_and_a_planner_in_rust_join_a_run() {
     let scratch = Scratch::new("rust");
     let pipeline = scratch.pipeline_with("source", &[&example("producer")]);
     let report = scratch.path("report.json");
-    let run = Started::run(&["--ticks", "60", "--pipeline", &pipeline, "--report", &report]);
+    let origin = ["--origin", "458000,5428000.5"];
+    let run = Started::run(
+        &[&origin[..], &["--ticks", "60", "--pipeline", &pipeline, "--report", &report]].concat(),
+    );
     let root = run.wait_until_it_runs();
     let consumer = Started::spawn(piped(example("consumer")).arg("--run").arg(root.join("run")));
     let consumed = consumer.output();
     assert!(consumed.status.success(), "{}", stderr(&consumed));
     assert_forecasts_of_both(&stdout(&consumed));
+    assert_around(&stdout(&consumed), [458_000.0, 5_428_000.5]);
     let output = run.output();
     assert!(output.status.success(), "{}", stderr(&output));
     let report: serde_json::Value = serde_json::from_slice(&scratch.read("report.json")).expect("JSON");
@@ -97,7 +116,7 @@ fn a_detector_and_a_planner_in_python_join_a_run() {
     let program = |name: &str| examples.join(name).display().to_string();
     let scratch = Scratch::new("python");
     let pipeline = scratch.pipeline_with("source", &[&python, &program("producer.py"), "60"]);
-    let run = Started::run(&["--pipeline", &pipeline]);
+    let run = Started::run(&["--pipeline", &pipeline, "--origin", "-81000,50194.25"]);
     let root = run.wait_until_it_runs();
     let mut consumer = piped(&python);
     let prefix = format!("{}_", root.file_name().and_then(|name| name.to_str()).expect("a run has a name"));
@@ -113,5 +132,6 @@ fn a_detector_and_a_planner_in_python_join_a_run() {
     let output = run.output();
     assert!(output.status.success(), "{}", stderr(&output));
     assert!(stdout(&consumed).lines().count() > 20, "{}", stdout(&consumed));
+    assert_around(&stdout(&consumed), [-81_000.0, 50_194.25]);
     assert_nothing_left(&root);
 }

@@ -168,6 +168,7 @@ fn refuse_unused(name: &str, arguments: &Arguments) -> Result<(), Failure> {
         ("--format", arguments.read.format.is_some(), !is_set, "recordings"),
         ("--fps", arguments.read.fps.is_some(), !is_set, "recordings"),
         ("--all", arguments.all, !is_set, "recordings"),
+        ("--origin", arguments.read.origin.is_some(), !is_set, "recordings"),
         ("--positions", arguments.positions, !is_set, "recordings"),
         ("--set", !arguments.set.is_empty(), !is_tracking, "forecasts, not `tracking`"),
     ];

@@ -41,7 +41,7 @@ pub struct Arguments {
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let recording = data::open_with(&arguments.recording, arguments.read.options()).map_err(Failure::data)?;
     let inspection = data::inspect(&recording);
-    let lanes = arguments.model.open_lanes()?;
+    let lanes = arguments.model.open_lanes(arguments.read.options().origin)?;
     if let Some(out) = &arguments.out {
         let drawing = drawing(&recording, &inspection, lanes.as_ref());
         let picture = overview(&drawing, WIDTH).map_err(Failure::data)?;

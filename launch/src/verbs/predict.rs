@@ -5,6 +5,7 @@ use onboard::Chain;
 use recorder::{ForecastWriter, is_standard_output};
 use run::Exit;
 use source::Playback;
+use wire::WorldOrigin;
 
 use crate::arguments::{PlaybackArguments, Played};
 use crate::failure::Failure;
@@ -26,7 +27,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let Played { mut playback, input, run, model } = arguments.playback.start()?;
     let mut chain = Chain::new(&run, &model)?;
     let mut report = PlayReport::new(&playback, input);
-    let played = play(&arguments.out, &mut playback, &mut chain, &mut report);
+    let played = play(&arguments.out, run.origin(), &mut playback, &mut chain, &mut report);
     let kept = chain.keep_memory(&run);
     let is_whole = played?;
     kept?;
@@ -40,12 +41,13 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
 /// Writes the forecasts of all ticks.
 fn play(
     out: &Path,
+    origin: WorldOrigin,
     playback: &mut Playback,
     chain: &mut Chain,
     report: &mut PlayReport,
 ) -> Result<bool, Failure> {
     let written = |error: std::io::Error| Failure::output(out, error);
-    let mut writer = ForecastWriter::create(out).map_err(written)?;
+    let mut writer = ForecastWriter::create(out, origin).map_err(written)?;
     let (mut ticks, mut forecasts_len) = (0_u64, 0_u64);
     while let Some(tick) = playback.next_tick() {
         let (header, forecasts) = chain.tick(&tick.header, tick.detections, |_| ());

@@ -14,7 +14,7 @@ use run::{Exit, Run, SpareRun, StageRun};
 use scene::ContextMap;
 use source::{Playback, PlaybackOptions};
 use toml::Value;
-use wire::StageId;
+use wire::{StageId, WorldOrigin};
 
 use crate::arguments::{
     ModelArguments, RetrievalArguments, SceneArguments, SetArguments, Speed, TrackerArguments, canonical,
@@ -108,7 +108,8 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let mut options = StageOptions::of_pipeline(&pipeline);
     options.apply(&arguments.settings()?)?;
     let source = source_options(arguments, &options)?;
-    let recording = source::recording(&source, arguments.scene.seed())?;
+    let origin = arguments.scene.origin.or(pipeline.origin).unwrap_or_default();
+    let recording = source::recording(&source, origin, arguments.scene.seed())?;
     warn_of_doubts(&recording);
     let input = match options.is_built_in(StageId::Source) {
         true => input_of(&recording),
@@ -117,7 +118,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     // Read here for its name, length and interval; the source reads it again in its own process.
     let playing = PlaybackOptions { ticks_max: source.ticks, ..Default::default() };
     let playback = Playback::new(recording, playing);
-    let mut info = info(arguments, &options, &source, &playback, weights_path.as_deref(), &weights)?;
+    let mut info = info(arguments, &options, &source, origin, &playback, weights_path.as_deref(), &weights)?;
     check_map(&mut options)?;
 
     let run_id = random_id()?;
@@ -133,6 +134,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         protected: pipeline.protected.clone(),
         shed: pipeline.shed,
         weights: weights_path,
+        origin_m: origin.position_m(),
         stages: stage_runs(&pipeline, &options),
         spares: spare_runs(&pipeline, arguments.speed == Speed::Max),
         topics: pipeline.topics.clone(),
@@ -299,6 +301,9 @@ fn spare_runs(pipeline: &Pipeline, lockstep: bool) -> Vec<SpareRun> {
 
 /// Writes the run's record, and its path to the file that is to announce it, which appears whole.
 fn write_record(run: &Run, announce: Option<&Path>) -> Result<PathBuf, Failure> {
+    // For programs that are not started by the launcher.
+    let origin = run.root.join("origin");
+    std::fs::write(&origin, run.origin().to_string()).map_err(|error| Failure::file(&origin, error))?;
     let record = run.root.join("run");
     run.write(&record).map_err(Failure::config)?;
     if let Some(announce) = announce {
@@ -453,6 +458,7 @@ fn info(
     arguments: &Arguments,
     options: &StageOptions,
     source: &source::Options,
+    origin: WorldOrigin,
     playback: &Playback,
     weights_path: Option<&Path>,
     weights: &Weights,
@@ -468,7 +474,7 @@ fn info(
         let sampler = options.read(&sampler::STAGE)?;
         info.retrieval = Some(sampler.retrieval);
         info.memory_entries = check_memory(&sampler, weights)?;
-        check_lanes(&sampler)?;
+        check_lanes(&sampler, origin)?;
         arguments.scene.note_unused_seed(source, &sampler, weights.config());
         // Former keys.
         info.recalls = info.retrieval;

@@ -6,6 +6,7 @@ use data::{TrackFormat, TrackRows, TrackWriter};
 use recorder::{WholeFile, is_standard_output};
 use run::Exit;
 use source::Playback;
+use wire::WorldOrigin;
 
 use crate::arguments::{PlaybackArguments, Played};
 use crate::failure::Failure;
@@ -45,7 +46,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let Played { mut playback, input, run, model } = arguments.playback.start()?;
     let mut tracking = Tracking::new(&run, &model)?;
     let mut report = PlayReport::new(&playback, input);
-    let played = play(&arguments.out, rows, &mut playback, &mut tracking, &mut report);
+    let played = play(&arguments.out, rows, run.origin(), &mut playback, &mut tracking, &mut report);
     let kept = tracking.keep_memory(&run);
     let is_whole = played?;
     kept?;
@@ -60,13 +61,14 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
 fn play(
     out: &Path,
     rows: TrackRows,
+    origin: WorldOrigin,
     playback: &mut Playback,
     tracking: &mut Tracking,
     report: &mut PlayReport,
 ) -> Result<bool, Failure> {
     let written = |error: std::io::Error| Failure::output(out, error);
     let file = WholeFile::create(out).map_err(written)?;
-    let mut writer = TrackWriter::new(file, rows).map_err(written)?;
+    let mut writer = TrackWriter::new(file, rows, origin).map_err(written)?;
     let (mut ticks, mut tracks_len) = (0_u64, 0_u64);
     while let Some(tick) = playback.next_tick() {
         let (header, tracks) = tracking.tick(&tick.header, tick.detections);

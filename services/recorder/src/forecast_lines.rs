@@ -23,15 +23,18 @@
 //! | `age_s` | age of a held forecast, else 0 |
 //! | `prior` | what predicted the track's state: `learned`, `held` (a forecast older than Δt), `kinematic` |
 //! | `prior_age_s` | age of the forecast that is the prior, else 0 |
-//! | `x_m`, `y_m` | position at the stamp, world frame |
+//! | `x_m`, `y_m` | position at the stamp, own frame |
 //! | `vx_mps`, `vy_mps` | velocity at the stamp, world frame |
 //! | `heading_rad` | heading at the stamp, counter-clockwise from +x |
 //! | `length_m`, `width_m` | extent along and across the heading, 0 where unknown |
 //! | `probability` | of each mode; they sum to 1 |
-//! | `modes_m` | \[mode\]\[step\] = \[x, y\], world frame |
+//! | `modes_m` | \[mode\]\[step\] = \[x, y\], own frame |
 //! | `best_m` | \[step\] = \[x, y\]: the single best forecast |
 //! | `mean_m` | \[step\] = \[x, y\]: mean of the mixture of all modes |
 //! | `covariance_m2` | \[step\] = \[xx, xy, yy\] of the mixture |
+//!
+//! Positions are in the recording's own frame: the run's origin (`--origin`) is added again. Without an origin it is
+//! the world frame.
 //!
 //! Numbers are rounded to four decimals (0.1 mm, well below what f32 resolves at the edge of the world
 //! frame), and probabilities and covariances to six.
@@ -40,7 +43,9 @@ use std::io::{self, Write};
 use std::path::Path;
 
 use serde::{Serialize, Serializer};
-use wire::{AgentType, Cause, EXPERTS_MAX, Expert, Forecast, HORIZON_MAX, Header, MODES_MAX, Quality};
+use wire::{
+    AgentType, Cause, EXPERTS_MAX, Expert, Forecast, HORIZON_MAX, Header, MODES_MAX, Quality, WorldOrigin,
+};
 
 use crate::whole_file::WholeFile;
 
@@ -52,23 +57,24 @@ pub const FORECASTS_VERSION: u32 = 2;
 #[derive(Debug)]
 pub struct ForecastWriter {
     file: WholeFile,
+    origin: WorldOrigin,
 }
 
 impl ForecastWriter {
-    /// Starts a file; it will replace one of that name.
+    /// Starts a file; it will replace one of that name. `origin` is the world frame's in the recording's own frame.
     ///
     /// # Errors
     /// The error of the file system.
-    pub fn create(path: &Path) -> io::Result<Self> {
-        Ok(Self { file: WholeFile::create(path)? })
+    pub fn create(path: &Path, origin: WorldOrigin) -> io::Result<Self> {
+        Ok(Self { file: WholeFile::create(path)?, origin })
     }
 
     /// Goes on with the file of a recorder that was killed.
     ///
     /// # Errors
     /// The error of the file system.
-    pub fn resume(path: &Path) -> io::Result<Self> {
-        Ok(Self { file: WholeFile::resume(path)? })
+    pub fn resume(path: &Path, origin: WorldOrigin) -> io::Result<Self> {
+        Ok(Self { file: WholeFile::resume(path)?, origin })
     }
 
     /// Writes what is buffered, so that it outlives this process.
@@ -84,7 +90,7 @@ impl ForecastWriter {
     /// # Errors
     /// The error of the file system, such as a full disk.
     pub fn write(&mut self, header: &Header, forecasts: &[Forecast]) -> io::Result<()> {
-        if header.is_tick() { write_line(&mut self.file, header, forecasts) } else { Ok(()) }
+        if header.is_tick() { write_line(&mut self.file, header, forecasts, self.origin) } else { Ok(()) }
     }
 
     /// Writes what is buffered and gives the file its name.
@@ -96,14 +102,19 @@ impl ForecastWriter {
     }
 }
 
-fn write_line(output: &mut impl Write, header: &Header, forecasts: &[Forecast]) -> io::Result<()> {
+fn write_line(
+    output: &mut impl Write,
+    header: &Header,
+    forecasts: &[Forecast],
+    origin: WorldOrigin,
+) -> io::Result<()> {
     let horizon_len = (header.counts.horizon_len as usize).min(HORIZON_MAX);
     let line = Line {
         version: FORECASTS_VERSION,
         seq: header.seq,
         stamp_ns: header.stamp_ns,
         step_s: header.step_ns as f64 / 1e9,
-        agents: Each(forecasts, |forecast| Agent::of(forecast, horizon_len)),
+        agents: Each(forecasts, |forecast| Agent::of(forecast, horizon_len, origin)),
     };
     serde_json::to_writer(&mut *output, &line)?;
     output.write_all(b"\n")
@@ -130,8 +141,8 @@ struct Agent<'a> {
     age_s: f64,
     prior: &'static str,
     prior_age_s: f64,
-    x_m: Rounded<4>,
-    y_m: Rounded<4>,
+    x_m: Rounded<4, f64>,
+    y_m: Rounded<4, f64>,
     vx_mps: Rounded<4>,
     vy_mps: Rounded<4>,
     heading_rad: Rounded<4>,
@@ -139,14 +150,16 @@ struct Agent<'a> {
     width_m: Rounded<4>,
     probability: Numbers<'a, 6>,
     modes_m: Modes<'a>,
-    best_m: Rows<'a, 2, 4>,
-    mean_m: Rows<'a, 2, 4>,
+    best_m: Points<'a>,
+    mean_m: Points<'a>,
     covariance_m2: Rows<'a, 3, 6>,
 }
 
 impl<'a> Agent<'a> {
-    fn of(forecast: &'a Forecast, horizon_len: usize) -> Self {
+    fn of(forecast: &'a Forecast, horizon_len: usize, origin: WorldOrigin) -> Self {
         let modes_len = (forecast.modes_len as usize).min(MODES_MAX);
+        let [x_m, y_m] = origin.own_m([forecast.x_m, forecast.y_m]);
+        let points = |points_m: &'a [[f32; 2]; HORIZON_MAX]| Points(&points_m[..horizon_len], origin);
         Self {
             id: forecast.id,
             source_id: forecast.source_id,
@@ -158,17 +171,17 @@ impl<'a> Agent<'a> {
             age_s: forecast.age_ns as f64 / 1e9,
             prior: quality_name(forecast.prior),
             prior_age_s: forecast.prior_age_ns as f64 / 1e9,
-            x_m: Rounded(forecast.x_m),
-            y_m: Rounded(forecast.y_m),
+            x_m: Rounded(x_m),
+            y_m: Rounded(y_m),
             vx_mps: Rounded(forecast.vx_mps),
             vy_mps: Rounded(forecast.vy_mps),
             heading_rad: Rounded(forecast.heading_rad),
             length_m: Rounded(forecast.length_m),
             width_m: Rounded(forecast.width_m),
             probability: Numbers(&forecast.probability[..modes_len]),
-            modes_m: Modes { modes: &forecast.modes[..modes_len], horizon_len },
-            best_m: Rows(&forecast.best[..horizon_len]),
-            mean_m: Rows(&forecast.mean[..horizon_len]),
+            modes_m: Modes { modes: &forecast.modes[..modes_len], horizon_len, origin },
+            best_m: points(&forecast.best),
+            mean_m: points(&forecast.mean),
             covariance_m2: Rows(&forecast.covariance[..horizon_len]),
         }
     }
@@ -192,14 +205,14 @@ fn quality_name(number: u32) -> &'static str {
 }
 
 /// A number of `DECIMALS` decimals.
-struct Rounded<const DECIMALS: i32>(f32);
+struct Rounded<const DECIMALS: i32, T = f32>(T);
 
-impl<const DECIMALS: i32> Serialize for Rounded<DECIMALS> {
+impl<const DECIMALS: i32, T: Copy + Into<f64>> Serialize for Rounded<DECIMALS, T> {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         let scale = 10_f64.powi(DECIMALS);
         // The quotient is the f64 nearest to the decimal number, so its shortest form is that number. Adding
         // 0 turns -0 to 0.
-        serializer.serialize_f64((f64::from(self.0) * scale).round() / scale + 0.0)
+        serializer.serialize_f64((self.0.into() * scale).round() / scale + 0.0)
     }
 }
 
@@ -230,15 +243,26 @@ impl<const WIDTH: usize, const DECIMALS: i32> Serialize for Rows<'_, WIDTH, DECI
     }
 }
 
+/// Positions of the world frame, written in the own frame.
+struct Points<'a>(&'a [[f32; 2]], WorldOrigin);
+
+impl Serialize for Points<'_> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let own = |&point_m: &[f32; 2]| self.1.own_m(point_m).map(Rounded::<4, f64>);
+        serializer.collect_seq(self.0.iter().map(own))
+    }
+}
+
 /// The trajectories of all modes.
 struct Modes<'a> {
     modes: &'a [[[f32; 2]; HORIZON_MAX]],
     horizon_len: usize,
+    origin: WorldOrigin,
 }
 
 impl Serialize for Modes<'_> {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.collect_seq(self.modes.iter().map(|mode| Rows::<2, 4>(&mode[..self.horizon_len])))
+        serializer.collect_seq(self.modes.iter().map(|mode| Points(&mode[..self.horizon_len], self.origin)))
     }
 }
 
@@ -279,7 +303,7 @@ mod tests {
 
     fn line(header: &Header, forecasts: &[Forecast]) -> String {
         let mut bytes = Vec::new();
-        write_line(&mut bytes, header, forecasts).unwrap();
+        write_line(&mut bytes, header, forecasts, WorldOrigin::default()).unwrap();
         String::from_utf8(bytes).unwrap()
     }
 
@@ -296,10 +320,24 @@ mod tests {
     }
 
     #[test]
+    fn positions_are_in_the_frame_of_the_recording() {
+        let origin: WorldOrigin = "81000,5428000.5".parse().unwrap();
+        let mut bytes = Vec::new();
+        write_line(&mut bytes, &header(1), &[forecast()], origin).unwrap();
+        let line: serde_json::Value = serde_json::from_slice(&bytes).unwrap();
+        let agent = &line["agents"][0];
+        assert_eq!((&agent["x_m"], &agent["y_m"]), (&81_001.2346.into(), &5_428_000.5.into()));
+        assert_eq!(agent["modes_m"][1][1], serde_json::json!([81_010.0, 5_428_020.625]));
+        assert_eq!(agent["best_m"][0], serde_json::json!([81_000.3333, 5_438_000.5]));
+        assert_eq!(agent["vx_mps"], 0.1);
+        assert_eq!(agent["covariance_m2"][1], serde_json::json!([1e-5, 0.0, 2.0]));
+    }
+
+    #[test]
     fn only_ticks_have_lines_and_the_file_is_complete() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("f.jsonl");
-        let mut writer = ForecastWriter::create(&path).unwrap();
+        let mut writer = ForecastWriter::create(&path, WorldOrigin::default()).unwrap();
         writer.write(&Header { flags: flags::WARM_UP, ..header(0) }, &[]).unwrap();
         writer.write(&header(0), &[]).unwrap();
         writer.write(&header(1), &[forecast()]).unwrap();
@@ -316,7 +354,7 @@ mod tests {
 
     #[test]
     fn a_full_disk_is_an_error() {
-        let mut writer = ForecastWriter::create(Path::new("/dev/full")).unwrap();
+        let mut writer = ForecastWriter::create(Path::new("/dev/full"), WorldOrigin::default()).unwrap();
         let outcome = (0..100).try_for_each(|_| writer.write(&header(1), &[forecast()]));
         assert!(outcome.and_then(|()| writer.finish()).is_err());
     }

@@ -29,7 +29,11 @@ pub fn run(run: &Run) -> Result<(), StageError> {
     await_turn(StageId::Recorder, &stop)?;
     let checkpoint = checkpoint_path(run);
     let kept = (ports::incarnation() > 0).then(|| Checkpoint::read(&checkpoint).ok()).flatten();
-    let open_file = if kept.is_some() { ForecastWriter::resume } else { ForecastWriter::create };
+    let is_resumed = kept.is_some();
+    let open_file = |path| match is_resumed {
+        true => ForecastWriter::resume(path, run.origin()),
+        false => ForecastWriter::create(path, run.origin()),
+    };
     let mut recorder =
         kept.map_or_else(|| Recorder::new(settings(run)), |kept| Recorder::resume(settings(run), kept));
     let unwritable = |source: io::Error| {

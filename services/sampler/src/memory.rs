@@ -26,7 +26,7 @@ pub fn open(run: &Run, model: &ModelConfig) -> Result<Sampler, StageError> {
     let mut sampler =
         Sampler::with_workers(settings(&options, model, run), workers).map_err(StageError::data)?;
     if let Some(path) = &options.lanes {
-        let map = LaneMap::open(path, LanesOrigin::coordinates(options.lanes_origin));
+        let map = LaneMap::open(path, LanesOrigin::coordinates(options.lanes_origin, run.origin()));
         sampler.guide_along(&Arc::new(map.map_err(StageError::data)?));
     }
     if let Some(path) = options.memory.filter(|path| path.exists()) {

@@ -7,7 +7,7 @@ use nn::WORKERS_MAX;
 use run::{Conflict, Declaration, SpeedLimits};
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Serialize, Serializer};
-use wire::{AgentType, ControlsTopic, ForecastsTopic, StageId, TICK_MS, Topic, TracksTopic};
+use wire::{AgentType, ControlsTopic, ForecastsTopic, StageId, TICK_MS, Topic, TracksTopic, WorldOrigin};
 
 use crate::Degradation;
 
@@ -46,8 +46,8 @@ pub struct Options {
     #[schemars(extend("format" = "path"))]
     pub lanes: Option<PathBuf>,
     /// Origin of the world frame in that map: latitude and longitude in degrees, as in `49.01,8.42`, or a position
-    /// in the map's own frame in metres, as in `81000,50000m`. If not given, it is that of the map's own frame: the
-    /// tags `local_x` and `local_y` of its nodes, or latitude and longitude about 0,0.
+    /// in the map's own frame in metres, as in `81000,50000m`. If not given, it is the run's origin in the map's own
+    /// frame: the tags `local_x` and `local_y` of its nodes, or latitude and longitude about 0,0.
     pub lanes_origin: Option<LanesOrigin>,
     /// How the covariance of the controls becomes that of the positions, where evidence is not in use.
     pub propagation: PropagationKind,
@@ -66,10 +66,11 @@ pub struct Options {
 pub struct LanesOrigin(pub Coordinates);
 
 impl LanesOrigin {
-    /// Where the positions of a map with this origin, if there is one, come from.
+    /// Where the positions of a map come from: by its own origin, else by that of the run.
     #[must_use]
-    pub fn coordinates(origin: Option<Self>) -> Coordinates {
-        origin.map(|Self(origin)| origin).unwrap_or_default()
+    pub fn coordinates(origin: Option<Self>, run: WorldOrigin) -> Coordinates {
+        let of_run = if run.is_zero() { Coordinates::Default } else { Coordinates::Less(run) };
+        origin.map_or(of_run, |Self(origin)| origin)
     }
 }
 

@@ -1,20 +1,22 @@
 use data::{FrameRate, GeneratedScene, OpenOptions, Recording, SceneOptions};
 use ports::StageError;
+use wire::WorldOrigin;
 
 use crate::Options;
 
 /// Default length of a generated scene, in ticks: 20 s.
 const GENERATED_TICKS: u64 = 250;
 
-/// Opens the recording, or generates the scene, that a run with that seed plays.
+/// Opens the recording, or generates the scene, that a run with that seed plays. `origin` is the world frame's in the
+/// recording's own frame.
 ///
 /// # Errors
 /// [`StageError::Data`] with file, line, column and value; [`StageError::Config`] where no such scene can be
 /// generated.
-pub fn recording(options: &Options, seed: u64) -> Result<Recording, StageError> {
+pub fn recording(options: &Options, origin: WorldOrigin, seed: u64) -> Result<Recording, StageError> {
     if let Some(path) = &options.recording {
         let fps = options.fps.map(FrameRate::new).transpose().map_err(StageError::config)?;
-        let open = OpenOptions { format: options.format, fps };
+        let open = OpenOptions { format: options.format, fps, origin };
         return data::open_with(path, open).map_err(StageError::data);
     }
     let scene = SceneOptions { agents: options.agents, seed, ..SceneOptions::default() };

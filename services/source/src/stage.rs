@@ -20,7 +20,7 @@ const END_LIMIT_NS: u64 = 2_000_000_000;
 /// answer.
 pub fn run(run: &Run) -> Result<(), StageError> {
     let options = STAGE.options(run)?;
-    let scene = recording(&options, run.seed)?;
+    let scene = recording(&options, run.origin(), run.seed)?;
     let options = PlaybackOptions { run_id: run.id, ticks_max: options.ticks, lockstep: run.lockstep };
     let mut playback = Playback::new(scene, options);
 

@@ -12,7 +12,7 @@ use std::path::PathBuf;
 pub use check::BUDGET_MAX_MS;
 pub use error::PipelineError;
 use run::{Declared, TopicRun};
-use wire::StageId;
+use wire::{StageId, WorldOrigin};
 
 use crate::{RestartPolicy, Scheduling};
 
@@ -48,6 +48,8 @@ pub struct Stage {
 pub struct Pipeline {
     /// The weights; the embedded ones where none.
     pub weights: Option<PathBuf>,
+    /// The world frame's origin in the frame of detections and map.
+    pub origin: Option<WorldOrigin>,
     /// Topics whose frames carry a check value.
     pub protected: Vec<String>,
     /// Whether a tick that has no time for all agents serves some and leaves out the others.

@@ -11,7 +11,7 @@ fn vehicles() -> Input {
             text += &format!("{id},{frame},{frame}00,car,{x_m:.3},{id}.125,4.000,0.000,0.000,4.50,1.80\n");
         }
     }
-    Input { role: Role::Vehicles, path: "vehicle_tracks_000.csv".to_owned(), bytes: text.into() }
+    Input::new(Role::Vehicles, "vehicle_tracks_000.csv", text)
 }
 
 fn readers(criterion: &mut Criterion) {

@@ -149,6 +149,14 @@ pub enum ReadError {
         /// The formats that take one.
         names: Vec<&'static str>,
     },
+    /// An origin was given for a format whose positions are not in a world frame of their own.
+    #[error("{path}: {format} has its origin at the scene, and takes no --origin")]
+    Origin {
+        /// The file.
+        path: String,
+        /// Its format.
+        format: crate::Format,
+    },
     /// The content fits no format, or more than one.
     #[error("{path}: {problem}; name the format (one of {known})", known = crate::Format::names())]
     UnknownFormat {

@@ -34,7 +34,7 @@ fn is_recording(path: &Path) -> bool {
     if let Some(end) = bytes.iter().rposition(|&byte| byte == b'\n') {
         bytes.truncate(end);
     }
-    let input = Input { role: Role::Rows, path: path.to_string_lossy().into_owned(), bytes };
+    let input = Input::new(Role::Rows, path.to_string_lossy(), bytes);
     read.is_ok() && Format::detect(&input).is_ok()
 }
 

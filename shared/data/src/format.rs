@@ -100,6 +100,22 @@ impl Format {
         }
     }
 
+    /// Whether its positions are in a frame of the files' own: others are pixels, or begin at the scene.
+    pub(crate) const fn has_world_frame(self) -> bool {
+        match self {
+            Self::EthUcy
+            | Self::Obsmat
+            | Self::Interaction
+            | Self::VciDut
+            | Self::LevelX
+            | Self::CommonRoad
+            | Self::Csv => true,
+            Self::SddTrajnet | Self::SddRaw | Self::KittiDetections | Self::KittiLabels | Self::HighD => {
+                false
+            }
+        }
+    }
+
     /// All names, with commas between them.
     #[must_use]
     pub fn names() -> String {

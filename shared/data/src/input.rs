@@ -1,3 +1,5 @@
+use wire::WorldOrigin;
+
 use crate::ReadError;
 
 /// Size of the largest file that is read.
@@ -48,7 +50,7 @@ impl Role {
 }
 
 /// A file of a recording, in memory.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Input {
     /// The kind of content.
     pub role: Role,
@@ -56,6 +58,15 @@ pub struct Input {
     pub path: String,
     /// The content.
     pub bytes: Vec<u8>,
+    /// The world frame's origin in the file's own frame.
+    pub origin: WorldOrigin,
+}
+
+impl Input {
+    /// A file whose own frame is the world frame.
+    pub fn new(role: Role, path: impl Into<String>, bytes: impl Into<Vec<u8>>) -> Self {
+        Self { role, path: path.into(), bytes: bytes.into(), origin: WorldOrigin::default() }
+    }
 }
 
 /// The file with that role.

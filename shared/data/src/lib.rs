@@ -20,7 +20,7 @@
 //! use data::{Format, Input, Role, parse};
 //!
 //! let text = "stamp_s,id,type,x_m,y_m\n0.0,7,pedestrian,1.0,2.0\n0.4,7,pedestrian,1.5,2.0\n";
-//! let input = Input { role: Role::Rows, path: "walk.csv".to_owned(), bytes: text.into() };
+//! let input = Input::new(Role::Rows, "walk.csv", text);
 //! assert_eq!(Format::detect(&input)?, Format::Csv);
 //!
 //! let recording = parse(Format::Csv, &[input])?;
@@ -31,7 +31,7 @@
 //! assert!((newest.velocity_mps[0] - 1.25).abs() < 1e-6); // m/s, a backward difference
 //!
 //! let text = "stamp_s,type,x_m,y_m\n0,car,1,2\n";
-//! let broken = Input { role: Role::Rows, path: "b.csv".to_owned(), bytes: text.into() };
+//! let broken = Input::new(Role::Rows, "b.csv", text);
 //! let error = parse(Format::Csv, &[broken]).unwrap_err().to_string();
 //! assert!(error.starts_with("b.csv:2:3: type = \"car\": expected vehicle"), "{error}");
 //! # Ok::<(), data::ReadError>(())

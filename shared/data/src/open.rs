@@ -5,6 +5,7 @@ use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
 use sha2::{Digest, Sha256};
+use wire::WorldOrigin;
 
 use crate::formats::{
     commonroad, csv, highd, interaction, kitti, levelx, obsmat, positions, sdd_raw, vci_dut,
@@ -13,20 +14,22 @@ use crate::input::FILE_BYTES_MAX;
 use crate::{Format, FrameRate, Input, ReadError, Recording, Role, text};
 
 /// What is known of a recording beside its files.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct OpenOptions {
     /// The format; `None` detects it from the content.
     pub format: Option<Format>,
     /// Frames a second that the frame numbers count, for formats whose files do not tell
     /// ([`Format::frame_rate`]); `None` is the usual one.
     pub fps: Option<FrameRate>,
+    /// The world frame's origin in the recording's own frame.
+    pub origin: WorldOrigin,
 }
 
 impl OpenOptions {
     /// A known format, at its usual rate.
     #[must_use]
-    pub const fn of(format: Format) -> Self {
-        Self { format: Some(format), fps: None }
+    pub fn of(format: Format) -> Self {
+        Self { format: Some(format), ..Self::default() }
     }
 }
 
@@ -36,21 +39,23 @@ impl OpenOptions {
 /// # Errors
 /// [`ReadError`] with file, line, column and value.
 pub fn open(path: &Path, format: Option<Format>) -> Result<Recording, ReadError> {
-    open_with(path, OpenOptions { format, fps: None })
+    open_with(path, OpenOptions { format, ..OpenOptions::default() })
 }
 
 /// As [`open`], with all that may be given.
 ///
 /// # Errors
 /// [`ReadError`] with file, line, column and value; [`ReadError::FrameRate`] where the files have their
-/// times.
+/// times; [`ReadError::Origin`] if an origin is given for a format without a world frame.
 pub fn open_with(path: &Path, options: OpenOptions) -> Result<Recording, ReadError> {
     let opened = read(path, Role::Rows)?;
     let format = match options.format {
         Some(format) => format,
         None => Format::detect(&opened)?,
     };
-    parse_at(format, &with_companions(path, opened, format)?, options.fps)
+    let mut inputs = with_companions(path, opened, format)?;
+    inputs.iter_mut().for_each(|input| input.origin = options.origin);
+    parse_at(format, &inputs, options.fps)
 }
 
 /// Reads a recording from the content of its files.
@@ -76,6 +81,9 @@ pub fn parse_at(format: Format, inputs: &[Input], fps: Option<FrameRate>) -> Res
             format,
             names: names.map(Format::name).collect(),
         });
+    }
+    if let Some(input) = inputs.iter().find(|input| !input.origin.is_zero() && !format.has_world_frame()) {
+        return Err(ReadError::Origin { path: input.path.clone(), format });
     }
     let at = |usual: FrameRate| fps.unwrap_or(usual);
     let recording = match format {
@@ -130,7 +138,7 @@ fn read(path: &Path, role: Role) -> Result<Input, ReadError> {
     if bytes.len() as u64 > FILE_BYTES_MAX {
         return Err(ReadError::TooLarge { path, bytes: bytes.len() as u64, most: FILE_BYTES_MAX });
     }
-    Ok(Input { role, path, bytes })
+    Ok(Input::new(role, path, bytes))
 }
 
 /// The file at `path` if it exists.

@@ -2,7 +2,7 @@
 
 use std::ops::RangeInclusive;
 
-use wire::{POSITION_MAX_M, SPEED_MAX_MPS};
+use wire::{POSITION_MAX_M, SPEED_MAX_MPS, WorldOrigin};
 
 use crate::{FrameRate, Input, ReadError};
 
@@ -47,6 +47,8 @@ pub(crate) struct Line<'a> {
     /// From 1.
     pub number: usize,
     pub text: &'a str,
+    /// The world frame's origin in the file's own frame.
+    pub origin: WorldOrigin,
 }
 
 /// A value in a row.
@@ -69,7 +71,7 @@ pub(crate) fn lines(input: &Input) -> impl Iterator<Item = Result<Line<'_>, Read
             Ok(text) => {
                 // Tabs at the end are empty columns.
                 let text = text.trim_end_matches(|c: char| c.is_whitespace() && c != '\t');
-                Some(Ok(Line { path: &input.path, number, text }))
+                Some(Ok(Line { path: &input.path, number, text, origin: input.origin }))
             }
             Err(error) => {
                 let path = input.path.clone();
@@ -208,13 +210,13 @@ impl<'a> Field<'a> {
         Err(self.error(format!("expected {} to {}", range.start(), range.end())))
     }
 
-    /// A world coordinate in metres.
+    /// A coordinate in metres, in a frame that is not the world frame.
     pub fn position_m(&self) -> Result<f32, ReadError> {
         let value = self.number()?;
         if value.abs() <= f64::from(POSITION_MAX_M) {
             return Ok(value as f32);
         }
-        Err(self.error(format!("beyond ±{POSITION_MAX_M} m: subtract a local origin from all coordinates")))
+        Err(self.error(format!("beyond ±{POSITION_MAX_M} m")))
     }
 
     /// A speed or a component of one.
@@ -277,6 +279,21 @@ impl<'a> Field<'a> {
         id.filter(|id| *id < limit)
             .ok_or_else(|| self.error(format!("expected an id from 0 to {}", limit - 1)))
     }
+}
+
+/// A position in the world frame. The file's origin is subtracted in `f64`.
+pub(crate) fn position_m(fields: [Field<'_>; 2]) -> Result<[f32; 2], ReadError> {
+    let own_m = [fields[0].number()?, fields[1].number()?];
+    let origin = fields[0].line.origin;
+    origin.world_m(own_m).ok_or_else(|| {
+        let is_near =
+            |axis: &usize| (own_m[*axis] - origin.position_m()[*axis]).abs() <= f64::from(POSITION_MAX_M);
+        let far = usize::from(is_near(&0));
+        let remedy = WorldOrigin::near(own_m).map_or_else(String::new, |near| {
+            format!(": if all positions are like this one, give an origin near them, --origin {near}")
+        });
+        fields[far].error(format!("beyond ±{POSITION_MAX_M} m of the origin{remedy}"))
+    })
 }
 
 /// The angle in (−π, π].

@@ -6,7 +6,7 @@
 //! | `kitti` | `frame id type truncated occluded alpha x1 y1 x2 y2 h w l x y z rot_y score`, camera frame |
 //! | `mot` | `frame,id,-1,-1,-1,-1,confidence,x,y,z`, frames from 1, positions in the world frame, z 0 |
 //!
-//! The score is the existence probability. What a track does not have is -1: the box in the image, truncation
+//! Positions are in the recording's own frame: the run's origin is added again. The score is the existence probability. What a track does not have is -1: the box in the image, truncation
 //! and occlusion. The height in KITTI's rows is the mean of the labelled objects of the type, and the
 //! position is on the plane that the car stands on. The CSV and, beside its `calib` and `oxts`, the KITTI
 //! file can be [opened](crate::open) again as recordings with identities.
@@ -16,7 +16,7 @@ use std::io::{self, Write};
 use std::str::FromStr;
 
 use thiserror::Error;
-use wire::{AgentType, Header, Quality, Track, TrackStatus, flags};
+use wire::{AgentType, Header, Quality, Track, TrackStatus, WorldOrigin, flags};
 
 use crate::formats::csv;
 use crate::formats::kitti::{self, WorldFromCamera};
@@ -85,18 +85,19 @@ pub enum TrackRows {
 pub struct TrackWriter<W> {
     output: W,
     rows: TrackRows,
+    origin: WorldOrigin,
 }
 
 impl<W: Write> TrackWriter<W> {
-    /// Starts a file.
+    /// Starts a file. `origin` is the world frame's in the recording's own frame.
     ///
     /// # Errors
     /// Those of the output.
-    pub fn new(mut output: W, rows: TrackRows) -> io::Result<Self> {
+    pub fn new(mut output: W, rows: TrackRows, origin: WorldOrigin) -> io::Result<Self> {
         if matches!(rows, TrackRows::Csv) {
             writeln!(output, "{}", CSV_COLUMNS.join(","))?;
         }
-        Ok(Self { output, rows })
+        Ok(Self { output, rows, origin })
     }
 
     /// Writes the tracks of a frame.
@@ -105,18 +106,19 @@ impl<W: Write> TrackWriter<W> {
     /// Those of the output; [`io::ErrorKind::InvalidInput`] for an unknown agent type, and in KITTI's format
     /// for a frame without a pose.
     pub fn write(&mut self, header: &Header, tracks: &[Track]) -> io::Result<()> {
+        let (output, origin) = (&mut self.output, self.origin);
         if matches!(self.rows, TrackRows::Csv) {
-            write_ego(&mut self.output, header)?;
+            write_ego(output, header, origin)?;
         }
         for track in tracks {
             let agent_type = AgentType::try_from(track.agent_type).map_err(invalid)?;
-            let output = &mut self.output;
+            let place = Place([track.x_m, track.y_m], origin);
             match &self.rows {
-                TrackRows::Csv => write_csv(output, header, track, agent_type)?,
+                TrackRows::Csv => write_csv(output, header, track, agent_type, &place)?,
                 TrackRows::Kitti(poses) => write_kitti(output, header, track, agent_type, poses)?,
                 TrackRows::Mot => {
-                    let Track { id, existence, x_m, y_m, .. } = track;
-                    writeln!(output, "{},{id},-1,-1,-1,-1,{existence},{x_m},{y_m},0", header.seq + 1)?;
+                    let Track { id, existence, .. } = track;
+                    writeln!(output, "{},{id},-1,-1,-1,-1,{existence},{place},0", header.seq + 1)?;
                 }
             }
         }
@@ -147,10 +149,24 @@ const CSV_COLUMNS: [&str; csv::NAMES.len() - 1] = {
     ]
 };
 
-fn write_ego(output: &mut impl Write, header: &Header) -> io::Result<()> {
-    let ([x, y], heading) = (header.ego_m, header.ego_heading_rad);
+fn write_ego(output: &mut impl Write, header: &Header, origin: WorldOrigin) -> io::Result<()> {
+    let (place, heading) = (Place(header.ego_m, origin), header.ego_heading_rad);
     let kind = if header.has(flags::SEEN_FROM_EGO) { csv::EGO } else { csv::ABOVE };
-    writeln!(output, "{},,{kind},{x},{y},{heading},,,,,,,,,,,,,", Seconds(header.stamp_ns))
+    writeln!(output, "{},,{kind},{place},{heading},,,,,,,,,,,,,", Seconds(header.stamp_ns))
+}
+
+/// A position of the world frame, written as `x,y` in the recording's own frame, to 0.1 mm if that is another one.
+struct Place([f32; 2], WorldOrigin);
+
+impl fmt::Display for Place {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self([x, y], origin) = *self;
+        if origin.is_zero() {
+            return write!(f, "{x},{y}");
+        }
+        let [x, y] = origin.own_m([x, y]).map(|x| (x * 1e4).round() / 1e4);
+        write!(f, "{x},{y}")
+    }
 }
 
 fn write_csv(
@@ -158,10 +174,11 @@ fn write_csv(
     header: &Header,
     track: &Track,
     agent_type: AgentType,
+    place: &Place,
 ) -> io::Result<()> {
-    let Track { id, x_m, y_m, heading_rad, speed_mps, existence, vx_mps, vy_mps, .. } = track;
+    let Track { id, heading_rad, speed_mps, existence, vx_mps, vy_mps, .. } = track;
     let (stamp, kind) = (Seconds(header.stamp_ns), agent_type.name());
-    write!(output, "{stamp},{id},{kind},{x_m},{y_m},{heading_rad},{speed_mps},")?;
+    write!(output, "{stamp},{id},{kind},{place},{heading_rad},{speed_mps},")?;
     match (track.length_m, track.width_m) {
         (length_m, width_m) if length_m > 0.0 && width_m > 0.0 => write!(output, "{length_m},{width_m},")?,
         _ => write!(output, ",,")?,
@@ -259,7 +276,7 @@ mod tests {
     }
 
     fn written(rows: TrackRows, frames: &[(Header, Vec<Track>)]) -> io::Result<String> {
-        let mut writer = TrackWriter::new(Vec::new(), rows)?;
+        let mut writer = TrackWriter::new(Vec::new(), rows, WorldOrigin::default())?;
         for (header, tracks) in frames {
             writer.write(header, tracks)?;
         }
@@ -267,7 +284,7 @@ mod tests {
     }
 
     fn input(role: Role, text: &str) -> Input {
-        Input { role, path: format!("{}.txt", role.name()), bytes: text.into() }
+        Input::new(role, format!("{}.txt", role.name()), text)
     }
 
     #[test]
@@ -279,7 +296,7 @@ mod tests {
             rows[2],
             "-0.1,7,vehicle,12.3,-3.3,0.7,4.25,4.1,1.9,0.9375,3.25,2.74,confirmed,0.2,0.25,-0.125,0.5,held,0.48"
         );
-        let input = Input { role: Role::Rows, path: "tracks.csv".to_owned(), bytes: text.into() };
+        let input = Input::new(Role::Rows, "tracks.csv", text);
         assert_eq!(Format::detect(&input).unwrap(), Format::Csv);
         let recording = parse(Format::Csv, &[input]).unwrap();
         assert!(recording.has_identities);
@@ -300,6 +317,24 @@ mod tests {
                 assert_eq!(read.has(detection_flags::HAS_SIZE), track.length_m > 0.0);
             }
         }
+    }
+
+    #[test]
+    fn tracks_are_in_the_frame_of_the_recording() {
+        let origin: WorldOrigin = "458000,5428000".parse().unwrap();
+        let mut writer = TrackWriter::new(Vec::new(), TrackRows::Csv, origin).unwrap();
+        for (header, tracks) in frames() {
+            writer.write(&header, &tracks).unwrap();
+        }
+        let text = String::from_utf8(writer.finish().unwrap()).unwrap();
+        let rows: Vec<&str> = text.lines().collect();
+        assert_eq!(rows[1], "-0.1,,ego,458001.5,5428000,0.5,,,,,,,,,,,,,");
+        assert!(rows[2].starts_with("-0.1,7,vehicle,458012.3,5427996.7,0.7,4.25,"), "{}", rows[2]);
+        let input = Input { origin, ..Input::new(Role::Rows, "tracks.csv", text) };
+        let recording = parse(Format::Csv, &[input]).unwrap();
+        let read = recording.frames[0].detections[0];
+        assert_eq!((read.x_m, read.y_m), (12.3, -3.3));
+        assert_eq!(recording.frames[0].ego.position_m, [1.5, 0.0]);
     }
 
     #[test]

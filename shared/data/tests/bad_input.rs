@@ -44,7 +44,7 @@ fn levelx_files([tracks, tracks_meta, recording_meta]: [&str; 3]) -> Vec<Input> 
 }
 
 fn input(role: Role, path: &str, text: impl Into<Vec<u8>>) -> Input {
-    Input { role, path: path.to_owned(), bytes: text.into() }
+    Input::new(role, path, text)
 }
 
 fn rows(text: impl Into<Vec<u8>>) -> Vec<Input> {
@@ -131,7 +131,8 @@ fn bad_values_are_named_with_file_line_and_column() {
         (
             Format::EthUcy,
             "780\t1\t5412345\t3\n",
-            "a.txt:1:7: x = \"5412345\": beyond ±32768 m: subtract a local origin from all coordinates",
+            "a.txt:1:7: x = \"5412345\": beyond ±32768 m of the origin: if all positions are like this one, \
+             give an origin near them, --origin 5412000,0",
         ),
         (Format::EthUcy, "7.5\t1\t2\t3\n", "a.txt:1:1: frame = \"7.5\": not a whole number"),
         (Format::EthUcy, "-10\t1\t2\t3\n", "a.txt:1:1: frame = \"-10\": expected 0 to 10000000000"),

@@ -17,7 +17,7 @@ fn citr() -> Vec<Input> {
             text += &format!("{id},{frame},ped,{x_m:.4},{id}.0,1.4,0.0\n");
         }
     }
-    vec![Input { role: Role::Pedestrians, path: "citr.csv".to_owned(), bytes: text.into() }]
+    vec![Input::new(Role::Pedestrians, "citr.csv", text)]
 }
 
 fn doubts(recording: &Recording) -> Vec<audit::Found> {
@@ -37,7 +37,7 @@ fn moving(agent_type: &str, speed_mps: f64) -> Recording {
             text += &format!("{}.{},{id},{agent_type},{x_m},{id}\n", step / 10, step % 10);
         }
     }
-    let input = Input { role: Role::Rows, path: "own.csv".to_owned(), bytes: text.into() };
+    let input = Input::new(Role::Rows, "own.csv", text);
     parse(Format::Csv, &[input]).unwrap()
 }
 
@@ -60,7 +60,7 @@ fn every_format_with_frame_numbers_takes_a_frame_rate() {
         _ => "0 1 0 0\n12 1 1 0\n",
     };
     for format in [Format::EthUcy, Format::Obsmat, Format::SddTrajnet] {
-        let input = [Input { role: Role::Rows, path: "a".to_owned(), bytes: two_frames(format).into() }];
+        let input = [Input::new(Role::Rows, "a", two_frames(format))];
         let usual = parse(format, &input).unwrap();
         assert_eq!((usual.frames[1].stamp_ns, usual.interval_ns), (400_000_000, 400_000_000), "{format}");
         let half = FrameRate::new(format.frame_rate().unwrap().hertz() / 2.0).unwrap();
@@ -71,18 +71,14 @@ fn every_format_with_frame_numbers_takes_a_frame_rate() {
 
 #[test]
 fn a_frame_rate_is_refused_where_files_have_their_times() {
-    let input = Input {
-        role: Role::Rows,
-        path: "own.csv".to_owned(),
-        bytes: "stamp_s,id,type,x_m,y_m\n0,1,vehicle,0,0\n".into(),
-    };
+    let input = Input::new(Role::Rows, "own.csv", "stamp_s,id,type,x_m,y_m\n0,1,vehicle,0,0\n");
     let error = parse_at(Format::Csv, &[input], Some(rate("25"))).unwrap_err().to_string();
     assert_eq!(
         error,
         "own.csv: csv has a time for every frame, and takes no frame rate: that is for eth-ucy, obsmat, \
          sdd-trajnet, sdd-raw, vci-dut"
     );
-    let late = Input { role: Role::Rows, path: "a".to_owned(), bytes: "9000000000 1 0 0\n".into() };
+    let late = Input::new(Role::Rows, "a", "9000000000 1 0 0\n");
     let error = parse_at(Format::EthUcy, &[late], Some(rate("1"))).unwrap_err().to_string();
     assert_eq!(error, "a:1:1: frame = \"9000000000\": beyond 4000000000 s at 1 Hz");
 }

@@ -52,7 +52,7 @@ fn found(rows: impl IntoIterator<Item = Row>) -> Vec<Found> {
         )
         .unwrap();
     }
-    let input = Input { role: Role::Rows, path: "mine.csv".to_owned(), bytes: text.into() };
+    let input = Input::new(Role::Rows, "mine.csv", text);
     inspect(&parse(Format::Csv, &[input]).unwrap()).findings
 }
 

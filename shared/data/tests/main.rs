@@ -6,6 +6,7 @@ mod dialects;
 mod frame_rates;
 mod inspection;
 mod kitti_files;
+mod origins;
 mod recordings;
 mod strangers;
 mod sweeps;

@@ -98,8 +98,7 @@ fn commonroad_2018b_has_roles() {
 fn commonroad_error(from: &str, to: &str) -> String {
     let text = std::fs::read_to_string(fixture("commonroad/ZAM_Fixture-1_1_T-1.2020a.xml")).unwrap();
     assert!(text.contains(from), "{from}");
-    let input =
-        Input { role: Role::Rows, path: "a.xml".to_owned(), bytes: text.replacen(from, to, 1).into() };
+    let input = Input::new(Role::Rows, "a.xml", text.replacen(from, to, 1));
     match parse(Format::CommonRoad, &[input]) {
         Ok(_) => panic!("{to}: read without an error"),
         Err(error) => error.to_string(),
@@ -161,7 +160,7 @@ fn deep_and_empty_xml_is_refused_without_a_panic() {
         ("<!-- nothing -->".to_owned(), "a.xml:1:1: not XML"),
     ];
     for (text, expected) in cases {
-        let input = Input { role: Role::Rows, path: "a.xml".to_owned(), bytes: text.into() };
+        let input = Input::new(Role::Rows, "a.xml", text);
         let error = parse(Format::CommonRoad, &[input]).unwrap_err().to_string();
         assert!(error.contains(expected), "{error}");
     }
@@ -176,7 +175,7 @@ fn levelx_error(folder: &str, role: Role, from: &str, to: &str) -> String {
         let text = std::fs::read_to_string(fixture(&format!("{folder}/{number}_{name}.csv"))).unwrap();
         assert!(file_role != role || text.contains(from), "{from}");
         let text = if file_role == role { text.replacen(from, to, 1) } else { text };
-        Input { role: file_role, path: format!("{name}.csv"), bytes: text.into() }
+        Input::new(file_role, format!("{name}.csv"), text)
     });
     let format = if folder == "highd" { Format::HighD } else { Format::LevelX };
     match parse(format, &inputs) {

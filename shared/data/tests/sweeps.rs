@@ -43,7 +43,7 @@ fn text(rows: &[Row]) -> String {
 }
 
 fn try_read(text: &str) -> Result<Recording, ReadError> {
-    parse(Format::Csv, &[Input { role: Role::Rows, path: "own.csv".to_owned(), bytes: text.into() }])
+    parse(Format::Csv, &[Input::new(Role::Rows, "own.csv", text)])
 }
 
 fn read(rows: &[Row]) -> Recording {

@@ -9,7 +9,7 @@ use wire::{AgentType, detection_flags};
 const STEP_NS: i64 = 400_000_000;
 
 fn read(format: Format, text: &str) -> Recording {
-    let input = Input { role: Role::Rows, path: "a.csv".to_owned(), bytes: text.into() };
+    let input = Input::new(Role::Rows, "a.csv", text);
     parse(format, &[input]).unwrap_or_else(|error| panic!("{error}"))
 }
 
@@ -252,7 +252,7 @@ fn rates_that_divide_the_step_are_not_interpolated() {
 fn windows_are_where_every_type_was_observed() {
     let riders = "track_id,frame_id,timestamp_ms,agent_type,x,y\n".to_owned()
         + &[4, 8, 12].map(|k| format!("P1,{k},{k}00,pedestrian/bicycle,{k},5\n")).concat();
-    let input = |role, text: String| Input { role, path: "a.csv".to_owned(), bytes: text.into() };
+    let input = |role, text: String| Input::new(role, "a.csv", text);
     let inputs = [input(Role::Vehicles, vehicles(1..=12)), input(Role::Pedestrians, riders)];
     let recording = parse(Format::Interaction, &inputs).unwrap();
     let stamps: Vec<i64> = windows(&recording, &WindowOptions::new(2, 1, STEP_NS))
@@ -290,8 +290,7 @@ fn vehicles(frames: std::ops::RangeInclusive<u32>) -> String {
 
 #[test]
 fn published_interaction_takes_velocities_from_the_file() {
-    let inputs =
-        [Input { role: Role::Pedestrians, path: "p.csv".to_owned(), bytes: published_pedestrians().into() }];
+    let inputs = [Input::new(Role::Pedestrians, "p.csv", published_pedestrians())];
     let recording = parse(Format::Interaction, &inputs).unwrap();
     assert_eq!((recording.interval_ns, recording.frames.len()), (100_000_000, 15));
     let first = &recording.frames[0];
@@ -342,7 +341,7 @@ fn published_interaction_observes_pedestrians_in_every_frame() {
 fn a_cyclist_counts_as_pedestrian_until_classified() {
     let riders = "track_id,frame_id,timestamp_ms,agent_type,x,y\n".to_owned()
         + &(0..6).map(|k| format!("P1,{k},{}00,pedestrian/bicycle,{},5\n", 4 * k, 2 * k)).collect::<String>();
-    let inputs = [Input { role: Role::Pedestrians, path: "a.csv".to_owned(), bytes: riders.into() }];
+    let inputs = [Input::new(Role::Pedestrians, "a.csv", riders)];
     let recording = parse(Format::Interaction, &inputs).unwrap();
     let track = &tracks(&recording)[0];
     let types = [0, 1, 2, 3, 5].map(|k| track.reported_at(k * STEP_NS).agent_type);

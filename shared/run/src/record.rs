@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use bincode::config::standard;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
-use wire::{ForecastsTopic, HeartbeatsTopic, StageId, TICK_NS, Topic};
+use wire::{ForecastsTopic, HeartbeatsTopic, StageId, TICK_NS, Topic, WorldOrigin};
 
 use crate::{Declaration, OptionError};
 
@@ -94,6 +94,9 @@ pub struct Run {
     pub shed: bool,
     /// The weights; the embedded ones where none.
     pub weights: Option<PathBuf>,
+    /// The world frame's origin in the frame of maps, recordings and detections, m: see [`Run::origin`].
+    #[serde(default)]
+    pub origin_m: [f64; 2],
     /// The stages, in the order in which a tick passes them.
     pub stages: Vec<StageRun>,
     /// The topics that the pipeline file declares.
@@ -187,6 +190,7 @@ impl Default for Run {
             protected: PROTECTED.map(str::to_owned).to_vec(),
             shed: true,
             weights: None,
+            origin_m: [0.0; 2],
             stages: Vec::new(),
             spares: Vec::new(),
             topics: Vec::new(),
@@ -212,6 +216,13 @@ impl StageRun {
 }
 
 impl Run {
+    /// The world frame's origin in the frame of the run's map, recording or detections. It is subtracted, in `f64`, from
+    /// all positions that come in, and added to the positions of files that the run writes.
+    #[must_use]
+    pub fn origin(&self) -> WorldOrigin {
+        WorldOrigin::new(self.origin_m).unwrap_or_default()
+    }
+
     /// How a stage is run, where the pipeline has it.
     #[must_use]
     pub fn stage(&self, stage: StageId) -> Option<&StageRun> {
@@ -378,6 +389,7 @@ mod tests {
             protected: vec!["tracks".into()],
             shed: false,
             weights: Some("w.safetensors".into()),
+            origin_m: [458_000.0, 5_428_000.5],
             stages: vec![StageRun {
                 stage: StageId::Sampler.number(),
                 budget_ms: Some(8.0),

@@ -79,7 +79,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let (_, weights) = arguments.model.open_weights(None)?;
     let recording = arguments.read.open(&arguments.recording)?;
     let mut forecaster = Forecaster::new(weights, arguments.seed).map_err(Failure::data)?;
-    let lanes = arguments.model.open_lanes()?.map(Arc::new);
+    let lanes = arguments.model.open_lanes(arguments.read.options().origin)?.map(Arc::new);
     lanes.iter().for_each(|map| forecaster.guide_along(Arc::clone(map)));
     let site = match &arguments.model.map {
         Some(MapChoice::File(path)) => Some(ContextMap::load(path).map_err(Failure::data)?),

@@ -3,7 +3,7 @@ use std::time::Duration;
 
 use run::{Declared, PROTECTED, TopicRun};
 use toml::Spanned;
-use wire::{ForecastsTopic, HOPS_MAX, StageId, TICK_MS, Topic};
+use wire::{ForecastsTopic, HOPS_MAX, StageId, TICK_MS, Topic, UnknownWorldOrigin};
 
 use super::added::{self, name_of};
 use super::error::Fault;
@@ -57,9 +57,14 @@ pub(super) fn check(file: &File, declared: &[&dyn Declared]) -> Result<Pipeline,
     if shed {
         warnings.extend(late_controls(&tables));
     }
+    let parse = |origin: &Spanned<String>| {
+        let refused = |error: UnknownWorldOrigin| Fault::new(origin.span(), error.to_string(), "no origin");
+        origin.get_ref().parse().map_err(refused)
+    };
+    let origin = file.origin.as_ref().map(parse).transpose()?;
     let (weights, awake) = (file.weights.clone(), file.awake.unwrap_or(false));
     let readers = readers(file, &topics, declared)?;
-    Ok(Pipeline { weights, protected, shed, awake, readers, stages, topics, budget_ms, warnings })
+    Ok(Pipeline { weights, origin, protected, shed, awake, readers, stages, topics, budget_ms, warnings })
 }
 
 /// The places for readers that the file adds.

@@ -12,6 +12,7 @@ use crate::Restart;
 #[serde(deny_unknown_fields)]
 pub(super) struct File {
     pub weights: Option<PathBuf>,
+    pub origin: Option<Spanned<String>>,
     pub protect: Option<Vec<Spanned<String>>>,
     pub shed: Option<bool>,
     pub awake: Option<bool>,

@@ -12,7 +12,7 @@
 use std::collections::BTreeSet;
 
 use roxmltree::{Document, Node, ParsingOptions};
-use wire::{AgentType, Detection, detection_flags};
+use wire::{AgentType, Detection, WorldOrigin, detection_flags};
 
 use crate::input::need;
 use crate::rows::{self, ALL_TYPES, Rows};
@@ -160,7 +160,8 @@ impl<'a> Reading<'a, '_> {
         let point = source.child(source.child(state, "position")?, "point")?;
         let x = source.text(source.child(point, "x")?, "x");
         let y = source.text(source.child(point, "y")?, "y");
-        let mut detection = Detection { x_m: x.position_m()?, y_m: y.position_m()?, ..usual };
+        let [x_m, y_m] = text::position_m([x, y])?;
+        let mut detection = Detection { x_m, y_m, ..usual };
         if let Some(orientation) = self.exact(state, "orientation")? {
             detection.heading_rad = orientation.angle_rad()?;
             detection.flags |= detection_flags::HAS_HEADING;
@@ -223,6 +224,7 @@ fn agent_type(kind: Field<'_>) -> Result<Kind, ReadError> {
 /// The text of a file, with the places of its lines.
 struct Source<'a> {
     path: &'a str,
+    origin: WorldOrigin,
     text: &'a str,
     line_starts: Vec<usize>,
 }
@@ -230,13 +232,14 @@ struct Source<'a> {
 impl<'a> Source<'a> {
     fn new(input: &'a Input, text: &'a str) -> Self {
         let after_breaks = text.bytes().enumerate().filter(|(_, byte)| *byte == b'\n').map(|(at, _)| at + 1);
-        Self { path: &input.path, text, line_starts: std::iter::once(0).chain(after_breaks).collect() }
+        let line_starts = std::iter::once(0).chain(after_breaks).collect();
+        Self { path: &input.path, origin: input.origin, text, line_starts }
     }
 
     /// The line of a byte, with a text that nothing quotes.
     fn line(&self, byte: usize) -> Line<'a> {
         let number = self.line_starts.partition_point(|start| *start <= byte);
-        Line { path: self.path, number, text: "" }
+        Line { path: self.path, number, text: "", origin: self.origin }
     }
 
     /// A value at a byte.

@@ -272,7 +272,7 @@ impl Header {
 fn content(fields: &[Field<'_>; NAMES.len()]) -> Result<Content, ReadError> {
     let &[_, id, kind, x, y, heading, speed, length, width, score, sigma, ref unused @ ..] = fields;
     check_unused(unused)?;
-    let position_m = [x.position_m()?, y.position_m()?];
+    let position_m = text::position_m([x, y])?;
     let heading_rad = given(heading, Field::angle_rad)?;
     let kind_name = kind.text.to_ascii_lowercase();
     if [EGO, ABOVE].contains(&&*kind_name) {

@@ -155,11 +155,7 @@ fn vehicle(fields: [Field<'_>; 11]) -> ReadRow {
             | detection_flags::HAS_HEADING
             | detection_flags::HAS_SPEED
             | detection_flags::HAS_SIZE,
-        ..rows::identified(
-            AgentType::Vehicle,
-            [x.position_m()?, y.position_m()?],
-            id.id_below(PEDESTRIAN_IDS)?,
-        )
+        ..rows::identified(AgentType::Vehicle, text::position_m([x, y])?, id.id_below(PEDESTRIAN_IDS)?)
     };
     Ok((stamp_ns(stamp)?, detection))
 }
@@ -179,7 +175,7 @@ fn pedestrian_at_position([id, frame, stamp, kind, x, y]: [Field<'_>; 6]) -> Rea
     let number = number
         .filter(|&number| number < PEDESTRIAN_IDS)
         .ok_or_else(|| id.error("expected P and a number"))?;
-    let position_m = [x.position_m()?, y.position_m()?];
+    let position_m = text::position_m([x, y])?;
     Ok((stamp_ns(stamp)?, rows::identified(AgentType::Pedestrian, position_m, PEDESTRIAN_IDS + number)))
 }
 

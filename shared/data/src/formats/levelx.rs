@@ -106,7 +106,7 @@ fn row(
     rate: FrameRate,
 ) -> Result<(i64, Detection), ReadError> {
     let (number, agent_type) = attributes(id, types, meta_path)?;
-    let detection = rows::identified(agent_type, [x.position_m()?, y.position_m()?], number);
+    let detection = rows::identified(agent_type, text::position_m([x, y])?, number);
     let heading_rad = text::wrapped(heading.number()?.to_radians()) as f32;
     let [length_m, width_m] = [length.extent_m()?, width.extent_m()?];
     let detection = match agent_type {

@@ -28,11 +28,8 @@ pub(crate) fn parse(inputs: &[Input], rate: FrameRate) -> Result<Recording, Read
         for unused in [z, vx, vz, vy] {
             unused.number()?;
         }
-        let detection = rows::identified(
-            AgentType::Pedestrian,
-            [x.position_m()?, y.position_m()?],
-            id.id_below(u64::MAX)?,
-        );
+        let detection =
+            rows::identified(AgentType::Pedestrian, text::position_m([x, y])?, id.id_below(u64::MAX)?);
         rows.push(&line, frame.stamp_ns(rate)?, detection)?;
     }
     let frames = sweeps::numbered(&rows.sorted(input)?, AgentType::Pedestrian.bit());

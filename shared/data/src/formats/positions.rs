@@ -51,11 +51,8 @@ fn parse(input: &Input, rate: FrameRate, frames_per_step: u32) -> Result<Recordi
     for line in text::lines(input) {
         let line = line?;
         let [frame, id, x, y] = line.split(Separator::Space, &NAMES)?;
-        let detection = rows::identified(
-            AgentType::Pedestrian,
-            [x.position_m()?, y.position_m()?],
-            id.id_below(u64::MAX)?,
-        );
+        let detection =
+            rows::identified(AgentType::Pedestrian, text::position_m([x, y])?, id.id_below(u64::MAX)?);
         rows.push(&line, frame.stamp_ns(rate)?, detection)?;
     }
     let frames = sweeps::numbered(&rows.sorted(input)?, AgentType::Pedestrian.bit());

@@ -76,8 +76,7 @@ fn row(
     if label.text != expected {
         return Err(label.error(format!("expected {expected}")));
     }
-    let detection =
-        rows::identified(agent_type, [x.position_m()?, y.position_m()?], id.id_below(PEDESTRIAN_IDS)?);
+    let detection = rows::identified(agent_type, text::position_m([x, y])?, id.id_below(PEDESTRIAN_IDS)?);
     let detection = match agent_type {
         AgentType::Vehicle => Detection {
             heading_rad: a.angle_rad()?,

@@ -1,0 +1,127 @@
+//! Maps and recordings with MGRS or UTM coordinates, from file to forecast.
+
+use serde_json::Value;
+
+use crate::scratch::Scratch;
+use crate::started::{run, run_well, stderr};
+
+/// A lane of 200 m to the east, 3.5 m wide, that begins at a place.
+fn map([x0, y0]: [f64; 2]) -> String {
+    let (mut nodes, mut ways) = (String::new(), String::new());
+    for (side, across) in [(1, 1.75), (2, -1.75)] {
+        ways += &format!("<way id='{side}'>");
+        for place in 0..21 {
+            let (id, x, y) = (100 * side + place, x0 + 10.0 * f64::from(place), y0 + across);
+            nodes += &format!(
+                "<node id='{id}' lat='' lon=''><tag k='local_x' v='{x}'/><tag k='local_y' v='{y}'/></node>\n"
+            );
+            ways += &format!("<nd ref='{id}'/>");
+        }
+        ways += "<tag k='type' v='line_thin'/></way>\n";
+    }
+    format!(
+        "<osm>\n{nodes}{ways}<relation id='9'><member type='way' ref='1' role='left'/>\
+         <member type='way' ref='2' role='right'/><tag k='type' v='lanelet'/><tag k='subtype' v='road'/>\
+         </relation></osm>\n"
+    )
+}
+
+/// A vehicle along that lane at 10 m/s, .3 m to its left, and the ego vehicle behind it.
+fn recording([x0, y0]: [f64; 2]) -> String {
+    let mut rows = "stamp_s,id,type,x_m,y_m,heading_rad,speed_mps\n".to_owned();
+    for step in 0..100 {
+        let (stamp_s, x, y) = (f64::from(step) / 10.0, x0 + 5.0 + f64::from(step), y0 + 0.3);
+        rows += &format!("{stamp_s},1,vehicle,{x},{y},0,10\n{stamp_s},,ego,{},{y},0,\n", x - 20.0);
+    }
+    rows
+}
+
+/// The forecasts of `predict` with these arguments, without the positions of `origin`.
+fn forecasts(file: &str, origin: [f64; 2]) -> Vec<[f64; 2]> {
+    let text = std::fs::read_to_string(file).expect("forecasts");
+    let mut points = Vec::new();
+    for line in text.lines() {
+        let line: Value = serde_json::from_str(line).expect("JSON");
+        for agent in line["agents"].as_array().expect("agents") {
+            let best = agent["best_m"].as_array().expect("steps").iter();
+            let modes = agent["modes_m"].as_array().expect("modes").iter().flat_map(|mode| mode.as_array());
+            for point in best.chain(modes.flatten()) {
+                let at = |axis: usize| point[axis].as_f64().expect("a number") - origin[axis];
+                points.push([at(0), at(1)]);
+            }
+        }
+    }
+    points
+}
+
+#[test]
+fn forecasts_go_along_lanes_in_any_metric_frame() {
+    let scratch = Scratch::new("origins");
+    let predict = |name: &str, place: [f64; 2], options: &[&str]| {
+        let map = scratch.file(&format!("{name}.osm"), map(place));
+        let recording = scratch.file(&format!("{name}.csv"), recording(place));
+        let out = scratch.path(&format!("{name}.jsonl"));
+        run_well(&[&["predict", &recording, "--lanes", &map, "--out", &out], options].concat());
+        forecasts(&out, place)
+    };
+    let local = predict("local", [0.0; 2], &[]);
+    assert!(local.len() > 1_000);
+    for (name, place, origin) in [
+        ("mgrs", [81_596.0, 50_194.0], "81596,50194"),
+        ("mgrs-rounded", [97_250.5, 93_194.0], "97000,93000"),
+        ("utm", [458_000.0, 5_428_000.0], "458000,5428000"),
+        ("negative", [-40_000.0, -70_000.0], "-40000,-70000"),
+    ] {
+        let found = predict(name, place, &["--origin", origin]);
+        assert_eq!(found.len(), local.len(), "{name}");
+        // f32 resolves .03 mm within 512 m of the origin, and filters carry that on.
+        let most = local
+            .iter()
+            .zip(&found)
+            .fold(0.0_f64, |most, (a, b)| most.max((a[0] - b[0]).abs()).max((a[1] - b[1]).abs()));
+        assert!(most < 5e-3, "{name}: {most} m");
+    }
+}
+
+#[test]
+fn runs_and_tracks_are_in_the_frame_of_the_recording() {
+    let scratch = Scratch::new("origin-run");
+    let place = [81_596.0, 50_194.0];
+    let map = scratch.file("site.osm", map(place));
+    let recording = scratch.file("a.csv", recording(place));
+    let (in_process, of_run, tracks) =
+        (scratch.path("p.jsonl"), scratch.path("r.jsonl"), scratch.path("t.csv"));
+    let common = ["--origin", "81000,50000", "--lanes", &map];
+    run_well(&[&["predict", &recording, "--out", &in_process][..], &common].concat());
+    let played = ["run", "--speed", "max", "--quiet", "--recording", &recording, "--forecasts", &of_run];
+    run_well(&[&played[..], &common].concat());
+    assert!(scratch.read("p.jsonl") == scratch.read("r.jsonl"), "`run` and `predict` give the same bytes");
+    run_well(&["track", &recording, "--origin", "81000,50000", "--out", &tracks]);
+    let tracks = String::from_utf8(scratch.read("t.csv")).expect("text");
+    assert!(tracks.contains("\n0,,ego,81581,50194.3,0,"), "{}", &tracks[..300]);
+    assert!(tracks.contains("\n0,1,vehicle,81601,50194.3,0,10,"), "{}", &tracks[..300]);
+}
+
+#[test]
+fn coordinates_out_of_reach_name_the_option_that_fits() {
+    let scratch = Scratch::new("origin-refused");
+    let place = [81_596.0, 50_194.0];
+    let map = scratch.file("site.osm", map(place));
+    let far = scratch.file("far.csv", recording(place));
+    let near = scratch.file("near.csv", recording([0.0; 2]));
+    for (arguments, expected) in [
+        (["predict", &far], "--origin 81000,50000"),
+        (["track", &far], "--origin 81000,50000"),
+        (["evaluate", &far], "--origin 81000,50000"),
+        (["predict", &near], "--lanes-origin 81000,50000m"),
+    ] {
+        let lanes = ["--lanes", &map];
+        let with_lanes = if arguments[1] == near { &lanes[..] } else { &[] };
+        let output = run(&[&arguments[..], with_lanes].concat());
+        assert_eq!(output.status.code(), Some(65), "{arguments:?}");
+        assert!(stderr(&output).contains(expected), "{arguments:?}: {}", stderr(&output));
+    }
+    let out = scratch.path("site.map");
+    run_well(&["map", &far, "--origin", "81000,50000", "--out", &out]);
+    run_well(&["map", "--lanelet2", &map, "--origin", "81000,50000m", "--out", &out]);
+}
