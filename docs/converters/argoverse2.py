@@ -5,7 +5,7 @@
 Reads annotations.feather and city_SE3_egovehicle.feather of a log's folder, for which it needs pyarrow
 (`pip install pyarrow`). Boxes are in the ego's frame of their sweep and come out in the city's. Speeds are not
 annotated and stay empty. Cycles beside their riders, strollers, animals and static objects are left out and
-counted.
+counted. A log that can't be converted is named, and the others are converted; the exit code is 65 then.
 """
 
 import math
@@ -61,6 +61,8 @@ def read(path, columns):
         table = feather.read_table(path)
     except ArrowException as error:
         raise Failed(f"{path}: not a feather file: {error}") from error
+    except OSError as error:
+        raise Failed(f"{path}: {error}") from error
     missing = [name for name in columns if name not in table.column_names]
     if missing:
         raise Failed(f"{path}: needs a column {missing[0]}; it has {', '.join(table.column_names)}")
@@ -106,9 +108,9 @@ def convert_log(folder, arguments):
     recording.write(os.path.join(arguments.out, f"{name}.csv"))
 
 
-def convert(arguments):
+def convert(arguments, parts):
     for folder in arguments.logs:
-        convert_log(folder, arguments)
+        parts.convert(convert_log, folder, arguments)
 
 
 if __name__ == "__main__":

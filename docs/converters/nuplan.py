@@ -4,7 +4,8 @@
 
 Reads a log's SQLite data base: lidar_pc, ego_pose, lidar_box, track, category. Needs nothing but Python.
 Positions are UTM, from which the first pose of the ego is subtracted unless --origin says otherwise; the file's
-second line has it. Cones, barriers, signs and generic objects are left out and counted.
+second line has it. Cones, barriers, signs and generic objects are left out and counted. A log that can't be
+converted is named, and the others are converted; the exit code is 65 then.
 """
 
 import argparse
@@ -71,9 +72,9 @@ def every(text):
     return int(text)
 
 
-def convert(arguments):
+def convert(arguments, parts):
     for path in arguments.logs:
-        convert_log(path, arguments)
+        parts.convert(convert_log, path, arguments)
 
 
 if __name__ == "__main__":

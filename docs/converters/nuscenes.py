@@ -5,7 +5,8 @@
 Reads the tables of the data set (JSON, one folder per version): scene, sample, sample_annotation, instance,
 category, attribute, sample_data, ego_pose, calibrated_sensor, sensor. Needs nothing but Python. The sensor's
 pose is the ego pose of the key frame of LIDAR_TOP. Speeds are not annotated and stay empty. Bicycles and
-motorcycles without a rider, strollers, animals and static objects are left out and counted.
+motorcycles without a rider, strollers, animals and static objects are left out and counted. A scene or record
+that can't be converted is named, and the other scenes are converted; the exit code is 65 then.
 """
 
 import json
@@ -38,8 +39,9 @@ SENSOR = "LIDAR_TOP"
 class Tables:
     """The tables of a version, by token."""
 
-    def __init__(self, folder):
+    def __init__(self, folder, parts):
         self.folder = folder
+        self.parts = parts
 
     def read(self, name):
         path = os.path.join(self.folder, f"{name}.json")
@@ -52,16 +54,21 @@ class Tables:
             raise Failed(f"{path}: not JSON: byte {error.start} is not UTF-8") from error
         if not isinstance(rows, list):
             raise Failed(f"{path}: expected a list of records")
-        return Table(path, rows)
+        return Table(path, rows, self.parts)
 
 
 class Table:
     """The records of a table."""
 
-    def __init__(self, path, rows):
+    def __init__(self, path, rows, parts):
         self.path = path
-        self.rows = rows
-        self.by_token = {self.text(row, "token"): row for row in rows}
+        self.by_token = {}
+        for row in rows:
+            parts.convert(self.add, row)
+        self.rows = list(self.by_token.values())
+
+    def add(self, row):
+        self.by_token[self.text(row, "token")] = row
 
     def get(self, row, key):
         if not isinstance(row, dict) or key not in row:
@@ -105,39 +112,51 @@ def kind_of(category, attributes, path):
     raise Failed(f"{path}: name = {category!r}: no category of nuScenes")
 
 
-def key_frame_poses(tables):
+def key_frame_poses(tables, parts):
     """The ego pose of each sample's key frame."""
     sensors, calibrated = tables.read("sensor"), tables.read("calibrated_sensor")
     data, poses = tables.read("sample_data"), tables.read("ego_pose")
     found = {}
-    for row in data.rows:
+
+    def add(row):
         if not data.get(row, "is_key_frame"):
-            continue
+            return
         sensor = calibrated.record(data.text(row, "calibrated_sensor_token"))
         if sensors.get(sensors.record(calibrated.text(sensor, "sensor_token")), "channel") != SENSOR:
-            continue
+            return
         pose = poses.record(data.text(row, "ego_pose_token"))
         x_m, y_m, _ = poses.numbers(pose, "translation", 3)
         found[data.text(row, "sample_token")] = (x_m, y_m, yaw_rad(*poses.numbers(pose, "rotation", 4)))
+
+    for row in data.rows:
+        parts.convert(add, row)
     return found
 
 
-def convert(arguments):
-    tables = Tables(arguments.folder)
+def grouped(table, key, parts):
+    """The records of a table by a token of another one."""
+    groups = {}
+    for row in table.rows:
+        token = parts.convert(table.text, row, key)
+        groups.setdefault(token, []).append(row)
+    return groups
+
+
+def convert(arguments, parts):
+    tables = Tables(arguments.folder, parts)
     scenes, samples = tables.read("scene"), tables.read("sample")
     instances, categories, attributes = (tables.read(name) for name in ("instance", "category", "attribute"))
     annotations = tables.read("sample_annotation")
-    poses = key_frame_poses(tables)
-    names = {scenes.text(row, "name"): row for row in scenes.rows}
+    poses = key_frame_poses(tables, parts)
+    names = {parts.convert(scenes.text, row, "name"): row for row in scenes.rows}
+    names.pop(None, None)
     for name in arguments.scene:
         if name not in names:
             raise Failed(f"{scenes.path}: no scene {name}")
-    of_sample = {}
-    for row in annotations.rows:
-        of_sample.setdefault(annotations.text(row, "sample_token"), []).append(row)
-    for name in arguments.scene or sorted(names):
-        token = names[name]["token"]
-        frames = [row for row in samples.rows if samples.get(row, "scene_token") == token]
+    of_scene, of_sample = grouped(samples, "scene_token", parts), grouped(annotations, "sample_token", parts)
+
+    def convert_scene(name):
+        frames = of_scene.get(names[name]["token"])
         if not frames:
             raise Failed(f"{samples.path}: no sample of scene {name}")
         recording = Recording(scenes.path, arguments.origin)
@@ -161,6 +180,15 @@ def convert(arguments):
                 heading_rad = yaw_rad(*annotations.numbers(row, "rotation", 4))
                 recording.agent(stamp_ns, instance, kind, x_m, y_m, heading_rad, size=(length_m, width_m))
         recording.write(os.path.join(arguments.out, f"{name}.csv"))
+
+    def named(name):
+        try:
+            convert_scene(name)
+        except Failed as failure:
+            raise Failed(f"scene {name}: {failure}") from failure
+
+    for name in arguments.scene or sorted(names):
+        parts.convert(named, name)
 
 
 if __name__ == "__main__":

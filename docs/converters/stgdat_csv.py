@@ -137,12 +137,32 @@ def parser(description, usual_origin):
     return parser
 
 
+class Parts:
+    """Parts of the input, such as files and scenarios: one that can't be converted is named, and the others go on."""
+
+    def __init__(self):
+        self.left_out = 0
+
+    def convert(self, part, *arguments):
+        """The result of `part`; None if its input can't be converted."""
+        try:
+            return part(*arguments)
+        except Failed as failure:
+            self.left_out += 1
+            return _failed(failure, None)
+
+
 def run(convert, parser):
-    """Runs a converter; bad input is one line on standard error and exit code 65."""
+    """Runs a converter with its arguments and `Parts`.
+
+    Input that can't be converted is a line on standard error each, and exit code 65 after the rest was converted."""
     arguments = parser.parse_args()
+    parts = Parts()
     try:
         os.makedirs(arguments.out, exist_ok=True)
-        convert(arguments)
+        convert(arguments, parts)
+        if parts.left_out > 0:
+            raise Failed(f"left out: {parts.left_out}, named above")
     except Failed as failure:
         sys.exit(_failed(failure, 65))
     except OSError as error:

@@ -5,7 +5,8 @@
 Reads files of `Scenario` protocol buffers (not of tf.Example) by itself and needs nothing but Python. The
 autonomous vehicle is the sensor and no agent. Its first pose is subtracted from all positions unless --origin
 says otherwise; the file's second line has it. States that are not valid, and objects of type other or unset,
-are left out.
+are left out. A scenario or file that can't be converted is named, and the others are converted; the exit
+code is 65 then.
 """
 
 import os
@@ -19,40 +20,46 @@ RECORD_MAX = 1 << 30
 STAMP_MAX_S = 4e9
 """Latest time that stgdat reads."""
 
-# Castagnoli's polynomial, reflected.
-CRC_TABLE = []
+# Castagnoli's polynomial, reflected: a table for each byte of a word, the last byte's first.
+CRC_TABLES = [[]]
 for _byte in range(256):
     for _ in range(8):
         _byte = (_byte >> 1) ^ (0x82F63B78 if _byte & 1 else 0)
-    CRC_TABLE.append(_byte)
+    CRC_TABLES[0].append(_byte)
+for _ in range(3):
+    CRC_TABLES.append([crc >> 8 ^ CRC_TABLES[0][crc & 0xFF] for crc in CRC_TABLES[-1]])
 
 
 def masked_crc(data):
     """The checksum of a TFRecord's length or data."""
-    crc = 0xFFFFFFFF
-    for byte in data:
-        crc = (crc >> 8) ^ CRC_TABLE[(crc ^ byte) & 0xFF]
+    last, third, second, first = CRC_TABLES
+    crc, words = 0xFFFFFFFF, len(data) // 4
+    for word in struct.unpack_from(f"<{words}I", data):
+        crc ^= word
+        crc = first[crc & 0xFF] ^ second[crc >> 8 & 0xFF] ^ third[crc >> 16 & 0xFF] ^ last[crc >> 24]
+    for byte in data[4 * words :]:
+        crc = (crc >> 8) ^ last[(crc ^ byte) & 0xFF]
     crc ^= 0xFFFFFFFF
     return ((crc >> 15 | crc << 17) + 0xA282EAD8) & 0xFFFFFFFF
 
 
-def records(path):
-    """The records of a TFRecord file. Checksums of lengths are verified, those of the data cost too much."""
-    with open(path, "rb") as file:
-        while True:
-            at = file.tell()
-            head = file.read(12)
-            if not head:
-                return
-            if len(head) < 12:
-                raise Failed(f"{path}: byte {at}: the file ends within a record's length")
-            length, crc = struct.unpack("<QI", head)
-            if crc != masked_crc(head[:8]) or length > RECORD_MAX:
-                raise Failed(f"{path}: byte {at}: not a TFRecord")
-            data = file.read(length)
-            if len(data) < length or len(file.read(4)) < 4:
-                raise Failed(f"{path}: byte {at}: the file ends within a record of {length} bytes")
-            yield at, data
+def records(path, file):
+    """The records of a TFRecord file with their places; the data of a damaged one is None."""
+    while True:
+        at = file.tell()
+        head = file.read(12)
+        if not head:
+            return
+        rest = "nothing after that can be read"
+        if len(head) < 12:
+            raise Failed(f"{path}: byte {at}: the file ends within a record's length")
+        length, crc = struct.unpack("<QI", head)
+        if crc != masked_crc(head[:8]) or length > RECORD_MAX:
+            raise Failed(f"{path}: byte {at}: not a TFRecord; {rest}")
+        data, crc = file.read(length), file.read(4)
+        if len(data) < length or len(crc) < 4:
+            raise Failed(f"{path}: byte {at}: the file ends within a record of {length} bytes")
+        yield at, data if struct.pack("<I", masked_crc(data)) == crc else None
 
 
 class Truncated(Exception):
@@ -156,20 +163,24 @@ def scenario_of(data):
     return name, stamps_s, tracks, own
 
 
-def convert_scenario(where, data, arguments):
-    """Writes a scenario that is wanted; its name."""
+def convert_scenario(where, data, arguments, found):
+    """Writes a scenario that is wanted, and adds its name to `found`."""
+    if data is None:
+        raise Failed(f"{where}: damaged: its checksum differs")
     try:
         name, stamps_s, tracks, own = scenario_of(data)
         if not name or not name.replace("_", "").replace("-", "").isalnum() or not stamps_s:
             raise Failed(f"{where}: not a Scenario: no scenario_id or no timestamps_seconds")
         if arguments.scenario and name not in arguments.scenario:
-            return name
+            return
+        found.add(name)
+        where = f"{where}: scenario {name}"
         tracks = [track_of(track) for track in tracks]
     except (Truncated, AttributeError, TypeError):
         raise Failed(f"{where}: not a Scenario message") from None
     if own is None or own >= len(tracks):
         raise Failed(f"{where}: sdc_track_index = {own}: expected one of {len(tracks)} tracks")
-    recording = Recording(f"{where}: {name}", arguments.origin)
+    recording = Recording(where, arguments.origin)
     if not all(abs(stamp_s) < STAMP_MAX_S for stamp_s in stamps_s):
         raise Failed(f"{where}: timestamps_seconds = {stamps_s[:3]}…: beyond {STAMP_MAX_S:.0f} s")
     stamps_ns = [round(stamp_s * 1e9) for stamp_s in stamps_s]
@@ -192,14 +203,23 @@ def convert_scenario(where, data, arguments):
                 size = (state[5], state[6])
                 recording.agent(stamp_ns, identity, KINDS[kind], state[2], state[3], *moves, size=size)
     recording.write(os.path.join(arguments.out, f"{name}.csv"))
-    return name
 
 
-def convert(arguments):
+def convert_file(path, arguments, parts, found):
+    """Writes the scenarios of a file that are wanted."""
+    try:
+        file = open(path, "rb")
+    except OSError as error:
+        raise Failed(f"{path}: {error.strerror}") from error
+    with file:
+        for at, data in records(path, file):
+            parts.convert(convert_scenario, f"{path}: record at byte {at}", data, arguments, found)
+
+
+def convert(arguments, parts):
     found = set()
     for path in arguments.files:
-        for at, data in records(path):
-            found.add(convert_scenario(f"{path}: record at byte {at}", data, arguments))
+        parts.convert(convert_file, path, arguments, parts, found)
     missing = [name for name in arguments.scenario if name not in found]
     if missing:
         raise Failed(f"no scenario {missing[0]} in {', '.join(arguments.files)}")

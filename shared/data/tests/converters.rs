@@ -128,10 +128,25 @@ fn nuscenes_scenes_are_converted() {
         ),
     ];
     for (text, expected) in cases {
-        std::fs::write(&annotations, text).unwrap();
-        let error = refused("nuscenes.py", &[broken.path().to_str().unwrap()], other.path());
-        assert!(error.starts_with("error: ") && error.contains(expected), "{error}");
+        std::fs::write(&annotations, &text).unwrap();
+        let goes_on = tempfile::tempdir().unwrap();
+        let output = convert("nuscenes.py", &[broken.path().to_str().unwrap()], goes_on.path());
+        let error = String::from_utf8(output.stderr).unwrap();
+        assert!(output.status.code() == Some(65) && error.starts_with("error: "), "{error}");
+        assert!(error.contains(expected), "{error}");
+        if text.ends_with(']') || text.ends_with("]\n") {
+            assert!(error.contains("error: scene scene-0001: ") && error.ends_with("left out: 1, named above\n"));
+            assert_eq!(written(&goes_on), ["scene-0002.csv"]);
+        }
     }
+}
+
+/// The files in a folder.
+fn written(folder: &TempDir) -> Vec<String> {
+    let entries = std::fs::read_dir(folder.path()).unwrap();
+    let mut names: Vec<_> = entries.map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
+    names.sort();
+    names
 }
 
 /// Makes the data base of a log, with a text of its SQL replaced.
@@ -171,6 +186,12 @@ fn nuplan_logs_are_converted() {
 
     let error = refused("nuplan.py", &[&log, "--origin", "none"], other.path());
     assert!(error.contains("beyond ±32768 m, --origin first"), "{error}");
+    let goes_on = tempfile::tempdir().unwrap();
+    let output = convert("nuplan.py", &[&path(&work, "log.sql"), "none.db", &log], goes_on.path());
+    let error = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.code() == Some(65) && error.ends_with("left out: 2, named above\n"), "{error}");
+    assert!(error.contains("log.sql: not a log") && error.contains("none.db: no such file"), "{error}");
+    assert_eq!(written(&goes_on), ["log.csv"]);
     let strange = nuplan_log(&work, "'bicycle'", "'tram'");
     let error = refused("nuplan.py", &[&strange], other.path());
     assert!(error.contains("log.db: category.name = 'tram': no category of nuPlan"), "{error}");
@@ -204,6 +225,11 @@ fn argoverse_2_logs_are_converted() {
     let walker = detection(&recording, 2, AgentType::Pedestrian);
     assert_near(&[walker.x_m, walker.y_m, walker.heading_rad], &[4_996.0, 2_006.6, -FRAC_PI_2]);
 
+    let goes_on = tempfile::tempdir().unwrap();
+    let output = convert("argoverse2.py", &["no/such/log", log], goes_on.path());
+    let error = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.code() == Some(65) && error.contains("no/such/log"), "{error}");
+    assert_eq!(written(&goes_on), [name]);
     std::fs::write(work.path().join("city_SE3_egovehicle.feather"), "no feather").unwrap();
     let error = refused("argoverse2.py", &[log], other.path());
     assert!(error.contains("city_SE3_egovehicle.feather: not a feather file"), "{error}");
@@ -340,6 +366,50 @@ fn waymo_scenarios_are_converted() {
     let none = tempfile::tempdir().unwrap();
     let error = refused("waymo.py", &[&file, "--scenario", "z"], none.path());
     assert!(error.contains("no scenario z in "), "{error}");
+}
+
+/// The place of a scenario's second stamp, packed.
+const SECOND_STAMP: usize = 10;
+
+#[test]
+fn waymo_goes_on_after_a_scenario_that_can_not_be_converted() {
+    if !has("struct") {
+        return;
+    }
+    let work = tempfile::tempdir().unwrap();
+    let good = |name: &str| scenario::record(&waymo_scenario(name, true));
+    // The middle scenario lacks a stamp.
+    let mut short = waymo_scenario("b", true);
+    short[1] -= 8;
+    short.drain(SECOND_STAMP..SECOND_STAMP + 8);
+    let short = [good("a"), scenario::record(&short), good("c")].concat();
+    let mut damaged = [good("a"), good("b"), good("c")].concat();
+    damaged[good("a").len() + 40] ^= 1;
+    let torn = [good("a"), good("b")[..50].to_vec()].concat();
+    let files = ["short", "damaged", "torn", "whole"].map(|name| path(&work, name));
+    for (file, content) in files.iter().zip([&short, &damaged, &torn, &good("d")]) {
+        std::fs::write(file, content).unwrap();
+    }
+    let whole = files[3].as_str();
+    let middle = good("a").len();
+    let cases = [
+        (0, vec!["a.csv", "c.csv", "d.csv"], "scenario b: track 17: 3 states, expected 2".to_owned()),
+        (1, vec!["a.csv", "c.csv", "d.csv"], format!("record at byte {middle}: damaged: its checksum differs")),
+        (2, vec!["a.csv", "d.csv"], format!("byte {middle}: the file ends within a record")),
+    ];
+    for (broken, names, expected) in cases {
+        let out = tempfile::tempdir().unwrap();
+        let output = convert("waymo.py", &[&files[broken], whole], out.path());
+        let error = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(65), "{error}");
+        assert!(error.contains(&expected) && error.ends_with("left out: 1, named above\n"), "{error}");
+        assert_eq!(written(&out), names);
+        let recording = open(&out.path().join("d.csv"), None).unwrap();
+        assert_eq!(frames(&recording), [(0, 1), (100, 2), (200, 2)]);
+    }
+    let out = tempfile::tempdir().unwrap();
+    let output = convert("waymo.py", &["no/such/file", whole], out.path());
+    assert!(output.status.code() == Some(65) && written(&out) == ["d.csv"]);
 }
 
 #[test]
