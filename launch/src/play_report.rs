@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use data::Recording;
-use recorder::{InputReport, InputTally, Status, Verdict};
+use recorder::{InputReport, InputTally, LaneCounts, Status, Verdict};
 use run::Exit;
 use serde::Serialize;
 use source::Playback;
@@ -35,6 +35,8 @@ pub struct PlayReport {
     pub detections_left_out: u64,
     /// Ticks that the tracker refused.
     pub ticks_refused: u64,
+    /// Forecasts of vehicles on the map of lanes.
+    pub lanes: LaneCounts,
     /// What the input contained, and what is probably wrong with it.
     pub input: InputReport,
     #[serde(skip)]
@@ -76,7 +78,8 @@ impl PlayReport {
             let json = serde_json::to_string_pretty(&self).map_err(Failure::data)? + "\n";
             std::fs::write(file, json).map_err(|error| Failure::file(file, error))?;
         }
-        Ok(if strict && (is_empty || self.input.is_doubtful()) { Exit::Data } else { Exit::Done })
+        let is_doubtful = self.input.is_doubtful() || self.lanes.doubt().is_some();
+        Ok(if strict && (is_empty || is_doubtful) { Exit::Data } else { Exit::Done })
     }
 
     fn reasons(&self) -> Vec<String> {
@@ -95,6 +98,7 @@ impl PlayReport {
             reasons.push(format!("no agent was tracked in any of {ticks} ticks, of {detections} detections"));
         }
         reasons.extend(self.input.reasons());
+        reasons.extend(self.lanes.reason());
         reasons
     }
 

@@ -55,12 +55,16 @@ fn play(
             return Ok(false);
         }
         report.tick(&header, forecasts.len());
+        report.lanes.add(forecasts);
         ticks += 1;
         forecasts_len += forecasts.len() as u64;
     }
     let is_read = is_read(writer.finish()).map_err(written)?;
     if is_read && !is_standard_output(out) {
         say!("{ticks} ticks, {forecasts_len} forecasts: {}", out.display());
+        if let Some(line) = report.lanes.line() {
+            say!("{line}");
+        }
     }
     Ok(is_read)
 }

@@ -14,6 +14,7 @@ mod distribution;
 pub mod exposition;
 mod forecast_lines;
 mod input;
+mod lanes;
 pub mod live;
 mod losses;
 mod options;
@@ -31,6 +32,7 @@ mod worst;
 
 pub use forecast_lines::{FORECASTS_VERSION, ForecastWriter};
 pub use input::{InputReport, InputTally};
+pub use lanes::LaneCounts;
 pub use options::{Options, STAGE};
 pub use record::{Checkpoint, Recorder, RecorderOptions, TICK_LIMIT_NS};
 pub use report::{

@@ -9,6 +9,7 @@ use wire::{Cause, Forecast, Header, Heartbeat, Quality, Rejected, StageId, Truth
 use crate::accuracy::Scorer;
 use crate::distribution::{Distribution, ms};
 use crate::input::{InputReport, InputTally};
+use crate::lanes::LaneCounts;
 use crate::losses::Losses;
 use crate::passage::{Passage, Phases, Timeline};
 use crate::report::{
@@ -116,6 +117,7 @@ pub struct Recorder {
     age_ns_max: Option<u64>,
     shed: ShedCounts,
     out_of_distribution: OutOfDistribution,
+    lanes: LaneCounts,
     worst: Worst,
     /// Whether it goes on with what a recorder before has kept, and no tick has come yet.
     resumed: bool,
@@ -173,6 +175,7 @@ impl Recorder {
             age_ns_max: None,
             shed: ShedCounts::default(),
             out_of_distribution: OutOfDistribution::default(),
+            lanes: LaneCounts::default(),
             worst: Worst::default(),
             resumed: false,
         }
@@ -303,6 +306,7 @@ impl Recorder {
     fn qualities(&mut self, forecasts: &[Forecast]) {
         self.agents_max = self.agents_max.max(forecasts.len() as u64);
         self.shed.add(forecasts);
+        self.lanes.add(forecasts);
         let mut degraded = false;
         for forecast in forecasts {
             if let Some(count) = self.forecasts_by_quality.get_mut(forecast.quality as usize) {
@@ -353,6 +357,7 @@ impl Recorder {
             agents: self.agents(),
             forecasts: self.forecast_counts(),
             out_of_distribution: self.out_of_distribution,
+            lanes: self.lanes,
             priors: self.prior_counts(),
             end_to_end_ms: self.end_to_end.percentiles_ms(),
             overhead_ms: self.overhead.percentiles_ms(),
@@ -534,7 +539,7 @@ fn verdict(report: &Report) -> Verdict {
     if !has_agents && report.ticks > 0 {
         reasons.push(nothing_tracked(report));
     }
-    reasons.extend(report.input.reasons());
+    reasons.extend(report.doubts());
     Verdict::new(!has_agents, reasons)
 }
 

@@ -142,6 +142,9 @@ impl Report {
         if let (Some(mean), Some(max)) = (self.agents.mean, self.agents.max) {
             fact(text, "agents", &[Some(format!("{mean:.1} per tick, at most {max}"))])?;
         }
+        if let Some(line) = self.lanes.line() {
+            fact(text, "lanes", &[Some(line)])?;
+        }
         Ok(())
     }
 

@@ -11,6 +11,7 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 
 use crate::input::{DOUBT, InputReport};
+use crate::lanes::LaneCounts;
 
 /// Version of the report's fields.
 pub const REPORT_VERSION: u32 = 1;
@@ -52,6 +53,9 @@ pub struct Report {
     /// Forecasts of agents that move as none did in training.
     #[serde(default)]
     pub out_of_distribution: OutOfDistribution,
+    /// Forecasts of vehicles on the map of lanes.
+    #[serde(default)]
+    pub lanes: LaneCounts,
     /// Track states by the prior that predicted them.
     #[serde(default)]
     pub priors: PriorCounts,
@@ -696,14 +700,19 @@ impl Report {
     pub fn audited(&mut self, recording: &InputReport) {
         self.input.add(recording);
         self.verdict.reasons.retain(|reason| !reason.starts_with(DOUBT));
-        self.verdict.reasons.extend(self.input.reasons());
+        self.verdict.reasons.extend(self.doubts());
         self.verdict.settle();
+    }
+
+    /// The reasons of the verdict that are doubts about the input and about the map of lanes.
+    pub(crate) fn doubts(&self) -> Vec<String> {
+        self.input.reasons().chain(self.lanes.reason()).collect()
     }
 
     /// Whether `--strict` refuses the run: the input is doubtful, or no agent was forecast.
     #[must_use]
     pub fn is_doubtful(&self) -> bool {
-        self.verdict.status == Status::Empty || self.input.is_doubtful()
+        self.verdict.status == Status::Empty || !self.doubts().is_empty()
     }
 
     /// Writes the report as JSON. The file appears whole or not at all.

@@ -6,11 +6,13 @@ use kinematics::MotionModel;
 use lanes::{Guided, GuidedPath, LaneGuide, LaneMap};
 use retrieval::{ControlChanges, ForecastControls, Residuals};
 use scene::AgentType;
-use wire::{ControlGaussian, HORIZON_MAX, MODES_MAX, Track};
+use wire::{ControlGaussian, Forecast, HORIZON_MAX, MODES_MAX, Track};
 
 /// Corrections of the controls: one leaves some metres at the end, since residuals are of speed and
 /// curvature.
 const PASSES: usize = 2;
+/// Speed from which a vehicle on no lane is worth a report: parked ones seldom are on a lane.
+const MOVES_MPS: f32 = 1.0;
 
 /// The lanes of a site, and scratch memory.
 pub(crate) struct Guidance {
@@ -23,8 +25,8 @@ impl Guidance {
         Self { guide: LaneGuide::new(map), modes: Vec::with_capacity(MODES_MAX) }
     }
 
-    /// Changes the controls so that modes and best forecast go along lanes. Only vehicles that do not reverse
-    /// are guided.
+    /// Changes the controls so that modes and best forecast go along lanes, and returns the forecast's
+    /// [`Forecast::lanes`]. Only vehicles that do not reverse are guided.
     pub(crate) fn change<M: AsRef<[ControlGaussian]>>(
         &mut self,
         (track, agent_type): (&Track, AgentType),
@@ -32,10 +34,11 @@ impl Guidance {
         controls: &ForecastControls<'_, M>,
         step_s: f32,
         changes: &mut ControlChanges,
-    ) {
+    ) -> u32 {
         let (sin, cos) = track.heading_rad.sin_cos();
-        if agent_type != AgentType::Vehicle || cos * track.vx_mps + sin * track.vy_mps < 0.0 {
-            return;
+        let speed_mps = cos * track.vx_mps + sin * track.vy_mps;
+        if agent_type != AgentType::Vehicle || speed_mps < 0.0 {
+            return 0;
         }
         let Self { guide, modes } = self;
         let (modes_len, horizon_len) = (controls.modes.len(), controls.best.len());
@@ -45,7 +48,7 @@ impl Guidance {
         let mut best = best_path(model, controls, changes);
         let agent = Guided { agent_type, position_m, heading_rad: track.heading_rad, step_s };
         if !guide.guide(&agent, horizon_len, modes, changes.probability(), &mut best) {
-            return;
+            return if speed_mps >= MOVES_MPS { Forecast::OFF_LANES } else { 0 };
         }
         let change = |from: &GuidedPath, to: &GuidedPath| {
             let (from, to) = (&from[..horizon_len], &to[..horizon_len]);
@@ -59,6 +62,7 @@ impl Guidance {
             let by = change(&best_path(model, controls, changes), &best);
             changes.shift_best(&by);
         }
+        Forecast::ALONG_LANES
     }
 }
 

@@ -151,10 +151,10 @@ impl Forecaster {
                 None
             }
         };
-        if let Some(guidance) = &mut self.guidance {
+        let lanes = self.guidance.as_mut().map_or(0, |guidance| {
             let decoded = controls.as_decoded();
-            guidance.change((track, *agent_type), &model, &decoded, tick.dt_s(), &mut self.changes);
-        }
+            guidance.change((track, *agent_type), &model, &decoded, tick.dt_s(), &mut self.changes)
+        });
         made.blended = experts.as_ref().map(|experts| {
             let decoded = controls.as_decoded();
             let network = self.changes.best(&decoded);
@@ -169,6 +169,7 @@ impl Forecaster {
         let mut normals = Normals::new(options.seed, track.id, tick.seq);
         let out = &mut made.forecast;
         begin(track, Quality::Learned, Cause::None, out);
+        out.lanes = lanes;
         out.out_of_distribution = controls.out_of_distribution();
         let spread = made.blended.as_ref().map(|blended| &blended.spread);
         controls.forecast(&self.changes, spread, &model, options.propagation, &mut normals, out);

@@ -12,6 +12,7 @@ use super::{Recorder, RecorderOptions, ShedCounts, Span, StageTimes};
 use crate::accuracy::ScorerCheckpoint;
 use crate::distribution::Kept;
 use crate::input::InputTally;
+use crate::lanes::LaneCounts;
 use crate::losses::Losses;
 use crate::report::{OutOfDistribution, ReportError};
 use crate::worst::Worst;
@@ -45,6 +46,8 @@ pub struct Checkpoint {
     age_ns_max: Option<u64>,
     shed: ShedCounts,
     out_of_distribution: OutOfDistribution,
+    #[serde(default)]
+    lanes: LaneCounts,
     worst: Worst,
 }
 
@@ -103,6 +106,7 @@ impl Recorder {
             age_ns_max: self.age_ns_max,
             shed: self.shed,
             out_of_distribution: self.out_of_distribution,
+            lanes: self.lanes,
             worst: self.worst.clone(),
         }
     }
@@ -143,6 +147,7 @@ impl Recorder {
             age_ns_max: kept.age_ns_max,
             shed: kept.shed,
             out_of_distribution: kept.out_of_distribution,
+            lanes: kept.lanes,
             worst: kept.worst.with_room(),
             resumed: true,
             ..Self::new(options)

@@ -124,8 +124,11 @@ record! {
         128 => probability: [f32; MODES_MAX],
         /// [`Expert`] of each mode as a number.
         208 => mode_expert: [u8; MODES_MAX],
+        /// Whether the agent is on a lane of the map: [`Forecast::ALONG_LANES`] or [`Forecast::OFF_LANES`]; 0 without a
+        /// map, for agents that no lane guides, and where it is not reported.
+        228 => lanes: u32,
         /// Zero.
-        228 => reserved: [u8; 76],
+        232 => reserved: [u8; 72],
         /// Covariance of the mixture of all modes as (xx, xy, yy), m².
         304 => covariance: [[f32; 3]; HORIZON_MAX],
         /// The single best forecast (K = 1).
@@ -146,6 +149,11 @@ record! {
 }
 
 impl Forecast {
+    /// Of [`Forecast::lanes`]: the forecast was taken along lanes.
+    pub const ALONG_LANES: u32 = 1;
+    /// Of [`Forecast::lanes`]: a vehicle that moves is on no lane.
+    pub const OFF_LANES: u32 = 2;
+
     /// Whether it is by controls of its own tick: also where constant velocity was known to be nearer, so that
     /// it is not called learned.
     #[must_use]
