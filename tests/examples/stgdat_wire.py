@@ -729,7 +729,8 @@ class Forecast(c.Structure):
         ("expert_weights", c.c_float * 8),  # Weight of each `Expert` by its number: network, base, constant velocity, decaying turn, process model, decaying acceleration; zeros where they are not told.
         ("probability", c.c_float * 20),  # Probability of each mode; they sum to 1.
         ("mode_expert", c.c_uint8 * 20),  # `Expert` of each mode as a number.
-        ("reserved", c.c_uint8 * 76),  # Zero.
+        ("lanes", c.c_uint32),  # 1 if the forecast was taken along lanes of the map, 2 if a vehicle moves on no lane of it; 0 without a map, for all other agents, and if it is not reported.
+        ("reserved", c.c_uint8 * 72),  # Zero.
         ("covariance", c.c_float * 3 * 12),  # Covariance of the mixture of all modes as (xx, xy, yy), m².
         ("best", c.c_float * 2 * 12),  # The single best forecast (K = 1).
         ("mean", c.c_float * 2 * 12),  # Mean of the mixture of all modes.
@@ -769,7 +770,8 @@ _check(Forecast, 10304, {
     "expert_weights": 96,
     "probability": 128,
     "mode_expert": 208,
-    "reserved": 228,
+    "lanes": 228,
+    "reserved": 232,
     "covariance": 304,
     "best": 448,
     "mean": 544,

@@ -3,7 +3,7 @@
 use serde_json::Value;
 
 use crate::scratch::Scratch;
-use crate::started::{run, run_well, stderr};
+use crate::started::{run, run_well, stderr, stdout};
 
 /// A lane of 200 m to the east, 3.5 m wide, that begins at a place.
 fn map([x0, y0]: [f64; 2]) -> String {
@@ -100,6 +100,29 @@ fn runs_and_tracks_are_in_the_frame_of_the_recording() {
     let tracks = String::from_utf8(scratch.read("t.csv")).expect("text");
     assert!(tracks.contains("\n0,,ego,81581,50194.3,0,"), "{}", &tracks[..300]);
     assert!(tracks.contains("\n0,1,vehicle,81601,50194.3,0,10,"), "{}", &tracks[..300]);
+}
+
+#[test]
+fn forecasts_along_lanes_are_counted_and_a_map_without_traffic_is_doubted() {
+    let scratch = Scratch::new("touched");
+    let map = scratch.file("site.osm", map([0.0; 2]));
+    for (name, place, is_touched) in [("on", [0.0; 2], true), ("off", [0.0, 1_000.0], false)] {
+        let recording = scratch.file(&format!("{name}.csv"), recording(place));
+        let (out, report) = (scratch.path("f.jsonl"), scratch.path("report.json"));
+        let predicted = run_well(&["predict", &recording, "--lanes", &map, "--out", &out]);
+        let played = ["run", "--speed", "max", "--quiet", "--recording", &recording, "--lanes", &map];
+        let played = run_well(&[&played[..], &["--report", &report]].concat());
+        let report: Value = serde_json::from_slice(&scratch.read("report.json")).expect("JSON");
+        let [along, off] = ["along", "off"].map(|key| report["lanes"][key].as_u64().expect("a count"));
+        let doubt = "no vehicle has been on a lane of the map";
+        for output in [&predicted, &played] {
+            assert_eq!(stderr(output).contains(doubt), !is_touched, "{name}: {}", stderr(output));
+            let counted = format!("{along} forecasts along lanes, {off} of moving");
+            assert!(stdout(output).contains(&counted), "{name}: {}", stdout(output));
+        }
+        assert_eq!((along > 50, off > 50), (is_touched, !is_touched), "{along} {off}");
+        assert_eq!(report["verdict"]["reasons"].to_string().contains(doubt), !is_touched, "{report}");
+    }
 }
 
 #[test]

@@ -84,7 +84,9 @@ mod tests {
             found.line().as_deref(),
             Some("0 forecasts along lanes, 150 of moving vehicles that are on no lane")
         );
-        assert!(found.doubt().is_some_and(|doubt| doubt.starts_with("no vehicle has been on a lane of the map")));
+        assert!(
+            found.doubt().is_some_and(|doubt| doubt.starts_with("no vehicle has been on a lane of the map"))
+        );
         let few = counts(2, 148).doubt();
         assert!(few.is_some_and(|doubt| doubt.starts_with("2 of 150 forecasts of vehicles are on a lane")));
     }

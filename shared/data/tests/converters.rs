@@ -135,7 +135,9 @@ fn nuscenes_scenes_are_converted() {
         assert!(output.status.code() == Some(65) && error.starts_with("error: "), "{error}");
         assert!(error.contains(expected), "{error}");
         if text.ends_with(']') || text.ends_with("]\n") {
-            assert!(error.contains("error: scene scene-0001: ") && error.ends_with("left out: 1, named above\n"));
+            assert!(
+                error.contains("error: scene scene-0001: ") && error.ends_with("left out: 1, named above\n")
+            );
             assert_eq!(written(&goes_on), ["scene-0002.csv"]);
         }
     }
@@ -394,7 +396,11 @@ fn waymo_goes_on_after_a_scenario_that_can_not_be_converted() {
     let middle = good("a").len();
     let cases = [
         (0, vec!["a.csv", "c.csv", "d.csv"], "scenario b: track 17: 3 states, expected 2".to_owned()),
-        (1, vec!["a.csv", "c.csv", "d.csv"], format!("record at byte {middle}: damaged: its checksum differs")),
+        (
+            1,
+            vec!["a.csv", "c.csv", "d.csv"],
+            format!("record at byte {middle}: damaged: its checksum differs"),
+        ),
         (2, vec!["a.csv", "d.csv"], format!("byte {middle}: the file ends within a record")),
     ];
     for (broken, names, expected) in cases {

@@ -124,8 +124,8 @@ record! {
         128 => probability: [f32; MODES_MAX],
         /// [`Expert`] of each mode as a number.
         208 => mode_expert: [u8; MODES_MAX],
-        /// Whether the agent is on a lane of the map: [`Forecast::ALONG_LANES`] or [`Forecast::OFF_LANES`]; 0 without a
-        /// map, for agents that no lane guides, and where it is not reported.
+        /// 1 if the forecast was taken along lanes of the map, 2 if a vehicle moves on no lane of it; 0 without a map,
+        /// for all other agents, and if it is not reported.
         228 => lanes: u32,
         /// Zero.
         232 => reserved: [u8; 72],
