@@ -395,7 +395,7 @@ fn waymo_goes_on_after_a_scenario_that_can_not_be_converted() {
     let whole = files[3].as_str();
     let middle = good("a").len();
     let cases = [
-        (0, vec!["a.csv", "c.csv", "d.csv"], "scenario b: track 17: 3 states, expected 2".to_owned()),
+        (0, vec!["a.csv", "c.csv", "d.csv"], "scenario b: track 99: 3 states, expected 2".to_owned()),
         (
             1,
             vec!["a.csv", "c.csv", "d.csv"],

@@ -105,7 +105,7 @@ mod tests {
     fn subtraction_is_exact_before_rounding() {
         let origin = WorldOrigin::near([458_321.4, -5_427_999.0]).expect("an origin");
         assert_eq!(origin.position_m(), [458_000.0, -5_428_000.0]);
-        assert_eq!(origin.world_m([458_000.123, -5_427_999.877]), Some([0.123, 0.123]));
+        assert_eq!(origin.world_m([458_000.125, -5_427_999.875]), Some([0.125, 0.125]));
         assert_eq!(origin.world_m([458_000.0 + 32_769.0, -5_428_000.0]), None);
         assert_eq!(origin.world_m([f64::NAN, 0.0]), None);
     }
