@@ -17,7 +17,10 @@ use ports::{Stage, StageError, monotonic_ns, stage_main};
 use run::{Declaration, Run};
 use serde::Deserialize;
 use wire::detection_flags::{HAS_HEADING, HAS_SIZE, HAS_SPEED};
-use wire::{AgentType, Detection, DetectionsTopic, Header, StageId, StampSource, Topic, TruthTopic, WorldOrigin, flags};
+use wire::{
+    AgentType, Detection, DetectionsTopic, Header, StageId, StampSource, Topic, TruthTopic, WorldOrigin,
+    flags,
+};
 
 /// The stage that it replaces, with the topics that it writes.
 const STAGE: Declaration<Options> =

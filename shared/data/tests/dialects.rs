@@ -6,7 +6,7 @@ const PLAIN: &str = "stamp_s,id,type,x_m,y_m,heading_rad\n\
                      0.0,7,vehicle,1.5,-2.25,0.5\n0.1,7,vehicle,2.5,-2.25,0.5\n0.1,8,pedestrian,3,4,\n";
 
 fn read(text: &str) -> Result<Recording, ReadError> {
-    let input = Input { role: Role::Rows, path: "mine.csv".to_owned(), bytes: text.into() };
+    let input = Input::new(Role::Rows, "mine.csv", text);
     let format = Format::detect(&input)?;
     assert_eq!(format, Format::Csv, "{text}");
     parse(format, &[input])
