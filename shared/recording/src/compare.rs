@@ -200,6 +200,10 @@ pub fn compare(a: &Frame, b: &Frame) -> Option<FrameDifference> {
     if a.element_bytes() != b.element_bytes() {
         return compare(&a.leading(common), &b.leading(common));
     }
+    // Programs before `Forecast::lanes` recorded zeros.
+    if a.has_lanes() != b.has_lanes() {
+        return compare(&a.without_lanes(), &b.without_lanes());
+    }
     let mut headers = [computed(a.header()), computed(b.header())];
     // Programs before these counts recorded zeros.
     if headers.iter().any(|header| header.input == InputCounts::default()) {
@@ -383,6 +387,18 @@ mod tests {
         assert_eq!(compare(&with(0), &with(6)), None, "recorded before there were counts");
         let found = compare(&with(5), &with(6)).expect("another count");
         assert_eq!((found.first.field.as_str(), found.numbers), ("header.input.detections", 1));
+    }
+
+    #[test]
+    fn places_on_lanes_are_compared_if_both_recorded_them() {
+        let with = |lanes: u32| {
+            let header = *self::detections(&[1.0], 4).header();
+            let forecast = wire::Forecast { lanes, ..bytemuck::Zeroable::zeroed() };
+            Frame::of::<wire::ForecastsTopic>(&header, &[forecast], 0)
+        };
+        assert_eq!(compare(&with(0), &with(2)), None, "recorded before there were places");
+        let found = compare(&with(1), &with(2)).expect("another place");
+        assert_eq!((found.first.field.as_str(), found.numbers), ("[0].lanes", 1));
     }
 
     #[test]

@@ -1,5 +1,6 @@
 use std::collections::BTreeMap;
 use std::mem::offset_of;
+use std::ops::Range;
 use std::sync::Arc;
 
 use thiserror::Error;
@@ -71,6 +72,9 @@ pub enum FrameError {
         source: Rejected,
     },
 }
+
+/// The bytes of [`Forecast::lanes`] in a forecast.
+const LANES: Range<usize> = offset_of!(Forecast, lanes)..offset_of!(Forecast, lanes) + size_of::<u32>();
 
 /// The number of a topic: its place in [`wire::TABLE`].
 #[must_use]
@@ -149,6 +153,22 @@ impl Frame {
         bytes.extend_from_slice(&self.bytes[..HEADER]);
         payload.for_each(|element| bytes.extend_from_slice(&element[..element_bytes]));
         Self { element_bytes: element_bytes as u32, bytes: bytes.into(), ..self.clone() }
+    }
+
+    /// Whether a forecast of the frame has [`Forecast::lanes`].
+    pub(crate) fn has_lanes(&self) -> bool {
+        let mut elements = self.payload().chunks_exact(self.element_bytes());
+        self.topic().name == ForecastsTopic::NAME
+            && elements.any(|element| element.get(LANES).is_some_and(|lanes| lanes.iter().any(|byte| *byte != 0)))
+    }
+
+    /// The frame of forecasts with zeros for [`Forecast::lanes`].
+    pub(crate) fn without_lanes(&self) -> Self {
+        let mut bytes = self.bytes.to_vec();
+        for element in bytes[HEADER..].chunks_exact_mut(self.element_bytes()) {
+            element.get_mut(LANES).into_iter().for_each(|lanes| lanes.fill(0));
+        }
+        Self { bytes: bytes.into(), ..self.clone() }
     }
 
     /// The topic's number: its place in [`wire::TABLE`].
