@@ -159,7 +159,8 @@ impl Frame {
     pub(crate) fn has_lanes(&self) -> bool {
         let mut elements = self.payload().chunks_exact(self.element_bytes());
         self.topic().name == ForecastsTopic::NAME
-            && elements.any(|element| element.get(LANES).is_some_and(|lanes| lanes.iter().any(|byte| *byte != 0)))
+            && elements
+                .any(|element| element.get(LANES).is_some_and(|lanes| lanes.iter().any(|byte| *byte != 0)))
     }
 
     /// The frame of forecasts with zeros for [`Forecast::lanes`].
