@@ -11,6 +11,7 @@ use wire::detection_flags;
 
 use crate::arguments::{ModelArguments, ReadArguments};
 use crate::failure::Failure;
+use crate::show::show;
 
 /// Width of the picture, pt.
 const WIDTH: f64 = 516.0;
@@ -50,7 +51,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     if arguments.json {
         say!("{}", serde_json::to_string_pretty(&inspection).map_err(Failure::data)?);
     } else {
-        print!("{}", text(&inspection, arguments.out.as_deref()));
+        show(&text(&inspection, arguments.out.as_deref()))?;
         say!("\n{}", next(arguments, &inspection));
     }
     let is_doubtful = inspection.findings.iter().any(|found| found.doubtful);
