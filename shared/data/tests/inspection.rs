@@ -103,7 +103,8 @@ fn headings_in_degrees_are_named_with_the_first_line() {
 
 #[test]
 fn headings_of_other_conventions_are_named() {
-    let cases: [(&str, fn(f64) -> f64); 5] = [
+    type Written = fn(f64) -> f64;
+    let cases: [(&str, Written); 5] = [
         ("headings_from_north", |heading| PI / 2.0 - heading),
         ("headings_mirrored", |heading| -heading),
         ("headings_turned", |heading| heading + PI),
