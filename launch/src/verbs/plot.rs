@@ -16,7 +16,7 @@ pub struct Arguments {
 #[derive(Debug, Subcommand)]
 enum What {
     /// Plot scenes of a recording with their forecasts
-    Scene(scene::Arguments),
+    Scene(Box<scene::Arguments>),
     /// Plot the learning curves of a training
     Training(training::Arguments),
 }

@@ -326,9 +326,9 @@ mod tests {
         write_line(&mut bytes, &header(1), &[forecast()], origin).unwrap();
         let line: serde_json::Value = serde_json::from_slice(&bytes).unwrap();
         let agent = &line["agents"][0];
-        assert_eq!((&agent["x_m"], &agent["y_m"]), (&81_001.2346.into(), &5_428_000.5.into()));
+        assert_eq!((&agent["x_m"], &agent["y_m"]), (&81_001.234_6.into(), &5_428_000.5.into()));
         assert_eq!(agent["modes_m"][1][1], serde_json::json!([81_010.0, 5_428_020.625]));
-        assert_eq!(agent["best_m"][0], serde_json::json!([81_000.3333, 5_438_000.5]));
+        assert_eq!(agent["best_m"][0], serde_json::json!([81_000.333_3, 5_438_000.5]));
         assert_eq!(agent["vx_mps"], 0.1);
         assert_eq!(agent["covariance_m2"][1], serde_json::json!([1e-5, 0.0, 2.0]));
     }
