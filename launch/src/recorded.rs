@@ -55,6 +55,7 @@ pub mod tests {
     /// Writes a recording of ten ticks; the forecasts of tick 7 are held, and the decoder dies before it.
     pub fn write(path: &Path) {
         let mut writer = Writer::create(path, &About::default(), "{}").expect("the file can be written");
+        let mut received_ns = 0;
         for seq in 0..10 {
             let released_ns = 1_000 * MS + seq * 80 * MS;
             let mut header =
@@ -89,7 +90,9 @@ pub mod tests {
                 let (stage, how) = ("decoder".to_owned(), "was killed by signal 9".to_owned());
                 writer.event(&Event { at_ns: released_ns, what: Happened::Died { stage, how, next: 1 } });
             }
-            writer.frame(&Frame::of::<wire::ForecastsTopic>(&header, &[forecast], now_ns));
+            // Forecasts are received in the order of their ticks.
+            received_ns = now_ns.max(received_ns + 1);
+            writer.frame(&Frame::of::<wire::ForecastsTopic>(&header, &[forecast], received_ns));
         }
         writer.finish("the end").expect("the file can be written");
     }

@@ -166,10 +166,10 @@ fn csv() {
     fuzz(Format::Csv, &[(Role::Rows, rows)]);
 }
 
-/// A lanelet with its successor in degrees, one in local coordinates, an island and a limit.
-const LANES: &str = "<?xml version='1.0'?>\n<osm version='0.6'><node id='1' lat='0.0000' lon='0.0000'/>\n\
-    <node id='2' lat='0.0001' lon='0.0000'/><node id='3' lat='0.0000' lon='0.00003'/>\n\
-    <node id='4' lat='0.0001' lon='0.00003'/><node id='5' lat='0.0002' lon='0.0'/><node id='6' lat='0.0002' lon='0.00003'/>\n\
+/// A lanelet with its successor in degrees, a node with local coordinates beside them, an island and a limit.
+const LANES: &str = "<?xml version='1.0'?>\n<osm version='0.6'><node id='1' lat='0.0000' lon='0.0000'><tag k='local_x' v='0'/><tag k='local_y' v='0'/></node>\n\
+    <node id='2' lat='0.0001' lon='0.0000'><tag k='local_x' v='0'/><tag k='local_y' v='11.1'/></node><node id='3' lat='0.0000' lon='0.00003'><tag k='local_x' v='3.3'/><tag k='local_y' v='0'/></node>\n\
+    <node id='4' lat='0.0001' lon='0.00003'><tag k='local_x' v='3.3'/><tag k='local_y' v='11.1'/></node><node id='5' lat='0.0002' lon='0.0'><tag k='local_x' v='0'/><tag k='local_y' v='22.2'/></node><node id='6' lat='0.0002' lon='0.00003'><tag k='local_x' v='3.3'/><tag k='local_y' v='22.2'/></node>\n\
     <node id='7'><tag k='local_x' v='30'/><tag k='local_y' v='5'/></node>\n\
     <way id='10'><nd ref='1'/><nd ref='2'/><tag k='type' v='line_thin'/><tag k='subtype' v='dashed'/></way>\n\
     <way id='11'><nd ref='3'/><nd ref='4'/></way><way id='12'><nd ref='2'/><nd ref='5'/></way>\n\

@@ -82,7 +82,7 @@ fn a_seed_that_changes_nothing_is_noted() {
     let predict = |more: &[&str]| stderr(&run_well(&[&["predict", recording.as_str()], more].concat()));
     assert!(predict(&["--seed", "4"]).contains(note));
     assert!(!predict(&[]).contains(note));
-    assert!(!predict(&["--seed", "4", "--set", "sampler.propagation=monte_carlo"]).contains(note));
+    assert!(!predict(&["--seed", "4", "--set", "sampler.propagation=monte-carlo"]).contains(note));
     let generated = run_well(&["run", "--agents", "2", "--ticks", "5", "--seed", "4"]);
     assert!(!stderr(&generated).contains(note));
 }

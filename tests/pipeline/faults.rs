@@ -143,6 +143,13 @@ fn a_run_whose_files_were_removed_restarts_a_stage() {
             }
             run.signal_stage("decoder", Signal::KILL);
         });
-        assert_recovered("decoder", &run);
+        let (exit, report) = &run;
+        assert_eq!(*exit, Some(0), "{name}: {:#}", report["supervision"]);
+        // A decoder that is started before its files are back ends, and is started once more.
+        let restarts = restarts(report);
+        assert!(matches!(&restarts[..], [(stage, 1 | 2)] if stage == "decoder"), "{name}: {restarts:?}");
+        let outages = report["supervision"]["outages"].as_array().expect("outages");
+        let last = outages.last().expect("the decoder died");
+        assert!(last["ticks_to_learned"].is_u64(), "{name}: learned again: {outages:?}");
     }
 }

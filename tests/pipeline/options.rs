@@ -27,7 +27,10 @@ fn invalid_settings_are_refused_before_the_run() {
         ("tracker.fov=90", &["--set tracker.fov=90", "expected WIDTH,RANGE"]),
         (
             "tracker.colour=red",
-            &["the tracker has no option `colour`", "associate, association, fov, frozen_frames, prior"],
+            &[
+                "the tracker has no option `colour`",
+                "associate, association, cyclist_speed_max_mps, fov, frozen_frames",
+            ],
         ),
         ("sampler.particles=0", &["`particles` is out of range", "1 to 32"]),
         ("radar.fov=90,80", &["there is no stage \"radar\"", "tracker"]),

@@ -8,7 +8,6 @@ use rustix::process::Signal;
 use serde_json::Value;
 
 use crate::programs::example;
-use crate::python::{EXAMPLES, python};
 use crate::scratch::Scratch;
 use crate::started::{Started, assert_nothing_left, piped, run_well, stderr, stdout, wait_for};
 
@@ -41,17 +40,10 @@ impl Drop for Consumer {
     }
 }
 
-/// The consumer in Rust.
+/// The consumer of the examples.
 fn in_rust(root: &Path) -> Command {
     let mut command = piped(example("consumer"));
     command.arg("--run").arg(root.join("run"));
-    command
-}
-
-/// The consumer in Python.
-fn in_python(python: &str, root: &Path) -> Command {
-    let mut command = piped(python);
-    command.arg("-u").arg(format!("{EXAMPLES}/consumer.py")).env("STGDAT_ROOT", root);
     command
 }
 
@@ -72,7 +64,7 @@ fn wait_for_forecasts(root: &Path) {
 fn readers_that_die_give_their_places_back_and_are_counted() {
     let scratch = Scratch::new("dead-readers");
     let report = scratch.path("report.json");
-    let run = Started::run(&["--agents", "4", "--quiet", "--report", &report]);
+    let run = Started::run(&["--agents", "4", "--ticks", "2000", "--quiet", "--report", &report]);
     let root = run.wait_until_it_runs();
     wait_for_forecasts(&root);
     let mut deaths = 0;
@@ -84,9 +76,6 @@ fn readers_that_die_give_their_places_back_and_are_counted() {
     };
     // Of the six places three are taken: without a clean-up the fourth start fails.
     (0..8).for_each(|_| kill(&mut in_rust(&root)));
-    if let Some(python) = python() {
-        (0..4).for_each(|_| kill(&mut in_python(&python, &root)));
-    }
     wait_for("the deaths are not counted", || (dead_readers(&root) == deaths).then_some(()));
     // A recording takes one more place.
     let file = scratch.path("a.mcap");
@@ -105,7 +94,8 @@ fn readers_that_die_give_their_places_back_and_are_counted() {
 #[test]
 fn a_reader_without_a_place_names_the_limit_and_the_key_that_raises_it() {
     let scratch = Scratch::new("places");
-    let more = scratch.pipeline("more.toml", "[[stage]]", "readers = { forecasts = 2 }\n\n[[stage]]");
+    let more =
+        scratch.pipeline("more.toml", "[[stage]]\nname", "readers = { forecasts = 2 }\n\n[[stage]]\nname");
     for (arguments, places, most) in [(&[][..], 3, 6), (&["--pipeline", &more][..], 5, 8)] {
         let run = Started::run(&[&["--agents", "4", "--quiet"][..], arguments].concat());
         let root = run.wait_until_it_runs();

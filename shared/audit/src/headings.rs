@@ -133,22 +133,26 @@ impl Headings {
     /// Compares a chord with the headings at its ends.
     pub fn chord(&mut self, chord: &Directed) {
         let Directed { direction_rad, headings, rows, place } = *chord;
-        let agrees = |unit: f64, convention: Convention| {
+        let off_rad = |unit: f64, convention: Convention| {
             let [sin, cos] = headings.iter().fold([0.0, 0.0], |[sin, cos], &heading| {
                 let (s, c) = convention.direction_rad(heading * unit).sin_cos();
                 [sin + s, cos + c]
             });
             let off = sin.atan2(cos) - direction_rad;
-            off.sin().atan2(off.cos()).abs() <= TOLERANCE_RAD
+            off.sin().atan2(off.cos()).abs()
         };
+        let agrees = |unit: f64, convention: Convention| off_rad(unit, convention) <= TOLERANCE_RAD;
+        let is_beyond = headings.iter().any(|heading| heading.abs() > RADIANS_MAX);
+        // A large number agrees by chance now and then: 90 is 2.04 rad, less than 30° from 90°.
+        let is_nearer_in_degrees =
+            is_beyond && off_rad(PI / 180.0, Convention::Plain) < off_rad(1.0, Convention::Plain);
         self.compared += rows;
         self.compared_chords += 1;
-        if agrees(1.0, Convention::Plain) {
+        if agrees(1.0, Convention::Plain) && !is_nearer_in_degrees {
             return;
         }
         self.off.add(rows, place);
         self.off_chords += 1;
-        let is_beyond = headings.iter().any(|heading| heading.abs() > RADIANS_MAX);
         self.off_beyond += if is_beyond { rows } else { 0 };
         for (unit, tallies) in [1.0, PI / 180.0].into_iter().zip(&mut self.explained) {
             if unit == 1.0 || is_beyond {
