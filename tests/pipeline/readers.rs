@@ -109,10 +109,6 @@ fn a_reader_without_a_place_names_the_limit_and_the_key_that_raises_it() {
         let told = start(places).err().expect("all places are taken");
         let limit = format!("all {most} places for readers of topic \"forecasts\" are taken");
         assert!(told.contains(&limit) && told.contains("readers = { forecasts = 2 }"), "{told}");
-        if let Some(python) = python() {
-            let told = Consumer::start(&mut in_python(&python, &root)).first_line().unwrap_err();
-            assert!(told.contains(&limit) && told.contains("readers = { forecasts = 2 }"), "{told}");
-        }
         drop(living);
         run.signal(Signal::TERM);
         assert_eq!(run.output().status.code(), Some(143));
