@@ -15,7 +15,7 @@
 //! 2. **Repetition.** Detections at the very place of the previous one count as repeated once the agent moves
 //!    on, if it has moved before.
 //! 3. **Chords.** A *chord* joins two detections of an agent that are at least a second apart. Its direction is
-//!    compared with the headings ([`headings`]), its speed with reported and with usual speeds ([`speeds`]).
+//!    compared with the headings (`headings`), its speed with reported and with usual speeds (`speeds`).
 //!
 //! A [`Finding`] is a fault with the number of its rows and the place of the first. It is a doubt if it
 //! concerns more than [`DOUBT_SHARE`] of the rows. [`LiveAudit`] keeps the doubts of a run as bits.

@@ -53,8 +53,10 @@ fn an_origin_is_subtracted_before_rounding_in_each_format() {
         ([-90_000.0, -40_000.0], "-90000,-40000"),
     ] {
         for ((format, role, text), (_, _, near)) in files(corner).into_iter().zip(files([0.0; 2])) {
-            let moved = read(format, role, &text, less).expect(format.name());
-            let plain = read(format, role, &near, "0,0").expect(format.name());
+            let moved =
+                read(format, role, &text, less).unwrap_or_else(|error| panic!("{}: {error}", format.name()));
+            let plain =
+                read(format, role, &near, "0,0").unwrap_or_else(|error| panic!("{}: {error}", format.name()));
             assert_eq!(moved.frames, plain.frames, "{format} {less}");
             assert_eq!([moved.frames[0].detections[0].x_m, moved.frames[0].detections[0].y_m], [1.25, -2.5]);
         }
