@@ -97,7 +97,7 @@ mod tests {
                     id,
                     x_m: (200.0 * id as f64 + 60.0 * cos) as f32,
                     y_m: (60.0 * sin) as f32,
-                    heading_rad: (angle + 1.5708) as f32,
+                    heading_rad: (angle + std::f64::consts::FRAC_PI_2) as f32,
                     speed_mps: speed_mps as f32,
                     agent_type: AgentType::Vehicle as u32,
                     flags,
