@@ -102,7 +102,7 @@ fn random_ticks_keep_memory() {
         (Prior::Learned, Association::Assignment),
         (Prior::Learned, Association::Jpda),
     ] {
-        let survived = torture(prior, association, 7, 2_500);
+        let survived = torture(prior, association, 7, 10_000);
         println!("{prior:?}, {association:?}: {survived:?}");
         assert!(survived.out_of_sequence_len > 100, "{survived:?}");
         assert!(survived.published_len > 20_000 && survived.refused.len() >= 3, "{survived:?}");

@@ -102,7 +102,10 @@ impl Shown {
             device: &Device::Processor,
         };
         let batch = Batch::new(&views, options).unwrap();
-        let frames: Vec<_> = recording.frames.iter().take_while(|frame| frame.stamp_ns <= now_ns).collect();
+        // The lines of rows are no inputs: they depend on what else is in the file.
+        let shown = recording.frames.iter().take_while(|frame| frame.stamp_ns <= now_ns);
+        let frames: Vec<_> =
+            shown.map(|frame| data::Frame { lines: data::Lines::default(), ..frame.clone() }).collect();
         let words = format!("{frames:?}\n{}", agents(&scenes));
         Self { inputs: inputs(&batch), words, truth: bits(&batch.truth.values) }
     }
