@@ -102,10 +102,15 @@ impl Shown {
             device: &Device::Processor,
         };
         let batch = Batch::new(&views, options).unwrap();
-        // The lines of rows are no inputs: they depend on what else is in the file.
+        // Neither lines nor poses are inputs: lines depend on what else is in the file, and a pose between two
+        // poses is interpolated.
+        let without = |frame: &data::Frame| data::Frame {
+            lines: data::Lines::default(),
+            ego: data::Ego::default(),
+            ..frame.clone()
+        };
         let shown = recording.frames.iter().take_while(|frame| frame.stamp_ns <= now_ns);
-        let frames: Vec<_> =
-            shown.map(|frame| data::Frame { lines: data::Lines::default(), ..frame.clone() }).collect();
+        let frames: Vec<_> = shown.map(without).collect();
         let words = format!("{frames:?}\n{}", agents(&scenes));
         Self { inputs: inputs(&batch), words, truth: bits(&batch.truth.values) }
     }
