@@ -16,6 +16,8 @@ const DIRECTED: [f64; 2] = [1.0, 0.8];
 const MOVING_MPS: f64 = 1.0;
 /// Shorter steps may be those of coarse numbers.
 const STEP_MIN_M: f64 = 0.08;
+/// Positions are on a coarse grid if x alone and y alone have changed within this time.
+const GRID_NS: i64 = 2_000_000_000;
 /// Longest first step of an agent without identity.
 const FIRST_STEP_M: f64 = 4.0;
 /// What a measurement may err beside the agent's motion.
@@ -82,13 +84,22 @@ impl Spot {
     }
 }
 
+/// Detections that repeat the previous one of a moving agent.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Repeated {
+    pub first: Place,
+    pub rows: u64,
+    /// Whether the agent's positions are on a coarse grid; `None` if it moves along an axis.
+    pub on_grid: Option<bool>,
+}
+
 /// What a detection means for its agent.
 #[derive(Debug, Default)]
 pub(crate) struct Step {
     /// Time since the agent's previous detection.
     pub interval_ns: Option<i64>,
-    /// The place of the first row that repeated the one before, and how many did.
-    pub repeated: Option<(Place, u64)>,
+    /// Detections before this one that repeated their previous one.
+    pub repeated: Option<Repeated>,
     /// An earlier detection that was out of reach.
     pub outlier: Option<Place>,
     /// A placeholder.
@@ -115,6 +126,8 @@ pub(crate) struct Agent {
     pending: Option<Spot>,
     /// Detections that repeat the newest, and the place of the first.
     held: Option<(Place, u64)>,
+    /// When x alone and y alone changed last, if they did.
+    alone_ns: [Option<i64>; 2],
     first: Spot,
     /// By the reported speeds since `first`; `None` if one was missing.
     reported_m: Option<f64>,
@@ -131,6 +144,7 @@ impl Agent {
             velocity_mps: None,
             pending: None,
             held: None,
+            alone_ns: [None; 2],
             first: spot,
             reported_m: Some(0.0),
             rows: 1,
@@ -219,11 +233,16 @@ impl Agent {
         let elapsed_s = (spot.stamp_ns - self.last.stamp_ns) as f64 * 1e-9;
         let [x_m, y_m] = self.last.way_m(&spot);
         let way_m = x_m.hypot(y_m);
-        if let Some(held) = self.held.take() {
+        match [x_m, y_m].map(|way_m| way_m == 0.0) {
+            [false, true] => self.alone_ns[0] = Some(spot.stamp_ns),
+            [true, false] => self.alone_ns[1] = Some(spot.stamp_ns),
+            _ => {}
+        }
+        if let Some((first, rows)) = self.held.take() {
             let speed_mps = self.speed_mps().min(way_m / elapsed_s);
             let moves = speed_mps >= MOVING_MPS && way_m >= STEP_MIN_M;
-            step.repeated = moves.then_some(held);
-            self.rows += held.1;
+            step.repeated = moves.then_some(Repeated { first, rows, on_grid: self.on_grid(spot.stamp_ns) });
+            self.rows += rows;
         }
         let mean_mps = self.last.speed_mps.zip(spot.speed_mps).map(|(from, to)| (from + to) / 2.0);
         let reported_m = mean_mps.map(|mean_mps| mean_mps * elapsed_s);
@@ -234,6 +253,11 @@ impl Agent {
         if elapsed_ns >= CHORD_NS {
             self.end_chord(elapsed_ns as f64 * 1e-9, step);
         }
+    }
+
+    fn on_grid(&self, now_ns: i64) -> Option<bool> {
+        let alone = self.alone_ns.map(|seen_ns| seen_ns.is_some_and(|seen_ns| now_ns - seen_ns <= GRID_NS));
+        (alone[0] == alone[1]).then_some(alone[0])
     }
 
     fn end_chord(&mut self, elapsed_s: f64, step: &mut Step) {

@@ -173,11 +173,10 @@ impl fmt::Display for Finding {
                     plural(agent_type)
                 )?;
                 match frame_rate {
-                    Some(rate) => {
-                        write!(f, "is it {rate} frames a second (--fps), and are positions in metres?")
-                    }
-                    None => f.write_str("are positions in metres and times in seconds?"),
+                    Some(rate) => write!(f, "is it {rate} frames a second (--fps), are positions in metres")?,
+                    None => f.write_str("are positions in metres, times in seconds")?,
                 }
+                f.write_str(", and is the type right?")
             }
             Detail::Length { length_m } => {
                 write!(f, "vehicles are {length_m:.1} long at the median, as in feet: {remedy}")

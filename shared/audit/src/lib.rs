@@ -13,7 +13,8 @@
 //!    the next one: if that returns to the old way, the detection was an outlier; if it agrees with the
 //!    detection, the identity has jumped.
 //! 2. **Repetition.** Detections at the very place of the previous one count as repeated once the agent moves
-//!    on, if it has moved before.
+//!    on, if it has moved before. On a coarse grid, such as that of pixels, slow agents stay at a place too, but
+//!    x and y do not change together: then only detections that are on no grid count.
 //! 3. **Chords.** A *chord* joins two detections of an agent that are at least a second apart. Its direction is
 //!    compared with the headings (`headings`), its speed with reported and with usual speeds (`speeds`).
 //!
@@ -33,7 +34,7 @@ mod tally;
 
 use wire::{AgentType, Detection, detection_flags};
 
-use agent::{Spot, Step};
+use agent::{Repeated, Spot, Step};
 use agents::Agents;
 pub use doubt::Doubt;
 use finding::Detail;
@@ -88,6 +89,9 @@ pub struct Audit {
     whole: Tally,
     backwards: Tally,
     repeated: Tally,
+    /// Those of agents that are on no grid.
+    repeated_off_grid: Tally,
+    on_grid_rows: u64,
     outliers: Tally,
     placeholders: Tally,
     loose_placeholders: Tally,
@@ -111,6 +115,8 @@ impl Audit {
             whole: Tally::default(),
             backwards: Tally::default(),
             repeated: Tally::default(),
+            repeated_off_grid: Tally::default(),
+            on_grid_rows: 0,
             outliers: Tally::default(),
             placeholders: Tally::default(),
             loose_placeholders: Tally::default(),
@@ -124,7 +130,8 @@ impl Audit {
         (self.frames, self.rows) = (0, 0);
         self.by_type = Default::default();
         (self.headings, self.stamps) = (Headings::default(), Stamps::default());
-        (self.whole, self.backwards, self.repeated) = Default::default();
+        (self.whole, self.backwards) = Default::default();
+        (self.repeated, self.repeated_off_grid, self.on_grid_rows) = Default::default();
         (self.outliers, self.placeholders, self.jumps) = Default::default();
         self.loose_placeholders = Tally::default();
     }
@@ -175,8 +182,15 @@ impl Audit {
         if let Some(interval_ns) = step.interval_ns {
             self.stamps.interval(interval_ns, place);
         }
-        if let Some((first, rows)) = step.repeated {
-            self.repeated.add(rows, first);
+        if let Some(Repeated { first, rows, on_grid }) = step.repeated {
+            match on_grid {
+                Some(true) => self.on_grid_rows += rows,
+                Some(false) => self.repeated_off_grid.add(rows, first),
+                None => {}
+            }
+            if on_grid != Some(true) {
+                self.repeated.add(rows, first);
+            }
         }
         let events = [
             (step.outlier, &mut self.outliers),
@@ -264,9 +278,11 @@ impl Audit {
         let walking = &self.speeds[AgentType::Pedestrian as usize];
         let walks = walking.moving_mps().is_some() && walking.unusual(AgentType::Pedestrian).is_none();
         self.stamps.visit(knows_speeds || walks, self.rows, &mut take);
+        let is_grid = self.on_grid_rows > self.repeated_off_grid.rows;
+        let repeated = if is_grid { self.repeated_off_grid } else { self.repeated };
         for (doubt, tally) in [
             (Doubt::StampsGoBack, self.backwards),
-            (Doubt::Repeated, self.repeated),
+            (Doubt::Repeated, repeated),
             (Doubt::Outliers, self.outliers),
             (Doubt::IdentitiesJump, self.jumps),
         ] {

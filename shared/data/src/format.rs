@@ -163,9 +163,18 @@ impl Format {
             (1, 10) => Ok(Self::SddRaw),
             (1, 8) => Ok(Self::Obsmat),
             (1, 4) => by_frames(&first, lines),
-            _ => Err(unknown(&first, format!("the first row has {} columns", commas.max(spaces)))),
+            _ => Err(unknown(&first, no_header(commas.max(spaces)))),
         }
     }
+}
+
+/// A first row with which no format begins.
+fn no_header(columns: usize) -> String {
+    let columns = if columns == 1 { "1 column".to_owned() } else { format!("{columns} columns") };
+    format!(
+        "the first row has {columns} and is no header, such as stamp_s,id,type,x_m,y_m with commas, semicolons or \
+         tabs"
+    )
 }
 
 /// Separates the formats of four columns by the spacing of their frames: tens or dozens.

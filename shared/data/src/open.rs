@@ -55,7 +55,8 @@ pub fn open_with(path: &Path, options: OpenOptions) -> Result<Recording, ReadErr
     };
     let mut inputs = with_companions(path, opened, format)?;
     inputs.iter_mut().for_each(|input| input.origin = options.origin);
-    parse_at(format, &inputs, options.fps)
+    let recording = parse_at(format, &inputs, options.fps)?;
+    Ok(Recording { name: name(&path.to_string_lossy()), ..recording })
 }
 
 /// Reads a recording from the content of its files.

@@ -425,8 +425,16 @@ fn an_unknown_format_error_lists_the_known_ones() {
     let unknown = |text: &str| Format::detect(&rows(text)[0]).expect_err("fits none").to_string();
     assert_eq!(
         unknown("1 2 3\n"),
-        "a.txt: the first row has 3 columns; name the format (one of eth-ucy, obsmat, sdd-trajnet, sdd-raw, \
-         interaction, vci-dut, kitti-detections, kitti-labels, levelx, highd, commonroad, csv)"
+        "a.txt: the first row has 3 columns and is no header, such as stamp_s,id,type,x_m,y_m with commas, \
+         semicolons or tabs; name the format (one of eth-ucy, obsmat, sdd-trajnet, sdd-raw, interaction, vci-dut, \
+         kitti-detections, kitti-labels, levelx, highd, commonroad, csv)"
+    );
+    assert!(
+        unknown("stamp_s|id|type|x_m|y_m\n")
+            .starts_with("a.txt: the first row has 1 column and is no header,")
+    );
+    assert!(
+        unknown("0.0,1,vehicle,2.0,3.0,0,8\n").contains("7 columns and is no header, such as stamp_s,id")
     );
     assert!(unknown("7 1 2 3\n").starts_with("a.txt: frames are neither tens nor dozens;"));
     assert!(unknown("60 1 2 3\n").starts_with("a.txt: all frames are multiples of 60;"));

@@ -114,7 +114,7 @@ fn unusual_speeds_are_reported_by_type() {
     assert_eq!(
         doubts(&moving("pedestrian", 4.6))[0].sentence,
         "pedestrians that move have a median speed of 4.6 m/s and a 95th percentile of 4.6 m/s; usual are 0.5 to \
-         2 m/s and up to 6 m/s: are positions in metres and times in seconds?"
+         2 m/s and up to 6 m/s: are positions in metres, times in seconds, and is the type right?"
     );
 }
 

@@ -184,6 +184,26 @@ fn repeated_rows_count_as_repeated_while_the_agent_moves() {
 }
 
 #[test]
+fn slow_agents_on_a_coarse_grid_repeat_nothing() {
+    // Steps of 7 to 15 cm on grids of pixels.
+    let slow = drive(30.0).into_iter().map(|row| Row {
+        x_m: row.x_m / 2.5,
+        y_m: row.y_m / 2.5,
+        speed_mps: row.speed_mps / 2.5,
+        ..row
+    });
+    for grid_m in [0.12, 0.25] {
+        let on_grid = |x_m: f64| (x_m / grid_m).round() * grid_m;
+        let rows: Vec<Row> =
+            slow.clone().map(|row| Row { x_m: on_grid(row.x_m), y_m: on_grid(row.y_m), ..row }).collect();
+        let held =
+            rows.iter().zip(&rows[6..]).filter(|(row, next)| (row.x_m, row.y_m) == (next.x_m, next.y_m));
+        assert!(held.count() > rows.len() / 20, "{grid_m} m");
+        assert_eq!(found(rows), [], "{grid_m} m");
+    }
+}
+
+#[test]
 fn outliers_placeholders_and_jumps_are_told_apart() {
     let clean = drive(10.0);
     let with = |id: usize, every: usize, position_m: fn(&Row) -> [f64; 2]| {
