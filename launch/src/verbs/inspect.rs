@@ -100,7 +100,11 @@ fn text(inspection: &Inspection, out: Option<&Path>) -> String {
 
 fn type_words(of_type: &TypeInspection) -> String {
     let TypeInspection { rows, agents, moving_mps, reported_ratio, length_m, .. } = of_type;
-    let mut words = format!("{agents} agents, {rows} detections");
+    // An agent counts for the type of its first detection.
+    let mut words = match agents {
+        0 => format!("{rows} detections of agents of another type before"),
+        _ => format!("{agents} agents, {rows} detections"),
+    };
     if let Some([median, high]) = moving_mps {
         words += &format!("; moving at {median:.1} m/s, 95th percentile {high:.1} m/s");
     }
@@ -141,7 +145,7 @@ fn drawing(recording: &Recording, inspection: &Inspection, lanes: Option<&LaneMa
     let mut drawing = Overview {
         title: recording.name.clone(),
         note: format!(
-            "{} frames in {:.1} s, {} detections",
+            "{} frames in {:.1} s, {} detections; a dot is the end of a way",
             inspection.frames, inspection.span_s, inspection.rows
         ),
         lines: lanes.into_iter().flat_map(LaneMap::lanes).flat_map(|lane| lane.bounds_m.clone()).collect(),

@@ -55,10 +55,7 @@ pub fn overview(drawing: &Overview, width: f64) -> Result<String, PictureError> 
     within("the width", width, 100.0, 2_000.0)?;
     let side = width - 2.0 * EDGE;
     let frame = Frame { corner: [EDGE, EDGE + 2.0 * ROW], size: [side, 0.75 * side] };
-    let ways = drawing.ways.iter().map(|(_, way)| way);
-    let all = ways.chain(&drawing.ego).chain(&drawing.lines).flatten();
-    let places = all.map(|point| point.map(f64::from)).filter(|place| place.iter().all(|x| x.is_finite()));
-    let view = View::of(places, frame, EXTENT_MIN_M).ok_or(PictureError::Empty)?;
+    let view = view(drawing, frame).ok_or(PictureError::Empty)?;
     let mut canvas = Canvas::new([width, frame.bottom() + ROW + EDGE]);
     let title = Type { size: 9.0, face: Face::Medium, colour: INK, align: Align::Left };
     canvas.fitted_text([EDGE, EDGE + 0.75 * ROW], title, &drawing.title, side);
@@ -68,14 +65,35 @@ pub fn overview(drawing: &Overview, width: f64) -> Result<String, PictureError> 
         drawing.lines.iter().for_each(|line| ground::draw_line(canvas, &view, line));
         draw_ways(canvas, &view, &drawing.ways);
         for way in &drawing.ego {
-            let line = Path::line(thinned(&view, way));
-            canvas.stroke(&line, &Stroke::solid(INK, 1.0).dashed(&[2.5, 1.5]));
+            match thinned(&view, way)[..] {
+                [spot] => canvas.fill(&Path::disc(spot, 1.8), INK, 1.0),
+                ref spots => {
+                    let line = Path::line(spots.iter().copied());
+                    canvas.stroke(&line, &Stroke::solid(INK, 1.0).dashed(&[2.5, 1.5]));
+                }
+            }
         }
         draw_scale_bar(canvas, &view);
     });
     canvas.stroke_frame(frame, &Stroke::solid(GREY, 0.5));
     draw_legend(&mut canvas, drawing, frame.bottom() + 0.75 * ROW);
     Ok(canvas.finish(&drawing.title))
+}
+
+/// The view of all ways. Lanes beyond it are cut off, unless none of them is in it: then all can be seen.
+fn view(drawing: &Overview, frame: Frame) -> Option<View> {
+    let ways = drawing.ways.iter().map(|(_, way)| way).chain(&drawing.ego);
+    let [ways, lines] = [ways.collect::<Vec<_>>(), drawing.lines.iter().collect()].map(|lines| {
+        let places = lines.into_iter().flatten().map(|point| point.map(f64::from));
+        places.filter(|place| place.iter().all(|x| x.is_finite())).collect::<Vec<_>>()
+    });
+    let is_seen = |view: &View| {
+        let (low, high) = view.corners();
+        let is_inside = |place: &[f64; 2]| (0..2).all(|axis| (low[axis]..high[axis]).contains(&place[axis]));
+        lines.is_empty() || lines.iter().any(is_inside)
+    };
+    let all = || View::of(ways.iter().chain(&lines).copied(), frame, EXTENT_MIN_M);
+    View::of(ways.iter().copied(), frame, EXTENT_MIN_M).filter(is_seen).or_else(all)
 }
 
 fn draw_ways(canvas: &mut Canvas, view: &View, ways: &[(AgentType, Vec<Point>)]) {
@@ -126,5 +144,39 @@ fn draw_legend(canvas: &mut Canvas, drawing: &Overview, baseline: f64) {
         let left = EDGE + place as f64 * ENTRY;
         canvas.stroke(&Path::line([[left, baseline - 2.3], [left + 12.0, baseline - 2.3]]), &stroke);
         canvas.text([left + 15.0, baseline], look, name);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A pedestrian walks 40 m past a sensor; a lane begins 10 m beside its way.
+    fn drawing(lane_end_m: f32, ego: Vec<Point>) -> Overview {
+        Overview {
+            title: "walk".to_owned(),
+            lines: vec![vec![[lane_end_m - 500.0, 10.0], [lane_end_m, 10.0]]],
+            ways: vec![(AgentType::Pedestrian, (0..=40).map(|step| [step as f32, 0.0]).collect())],
+            ego: vec![ego],
+            ..Overview::default()
+        }
+    }
+
+    #[test]
+    fn a_large_map_does_not_make_the_ways_small() {
+        let scale = |lane_end_m| overview(&drawing(lane_end_m, vec![[20.0, 0.0]]), 516.0).unwrap();
+        assert!(scale(30.0).contains("aria-label=\"10 m\""), "the lane passes by");
+        assert!(scale(-800.0).contains("aria-label=\"200 m\""), "a lane elsewhere is shown, too");
+    }
+
+    #[test]
+    fn a_sensor_that_stands_is_a_dot() {
+        let discs = |ego| {
+            overview(&drawing(30.0, ego), 516.0)
+                .unwrap()
+                .matches(&format!("fill=\"{INK}\" fill-rule"))
+                .count()
+        };
+        assert_eq!(discs(vec![[20.0, 0.0]; 9]), discs(vec![[20.0, 0.0], [20.0, 9.0]]) + 1);
     }
 }
