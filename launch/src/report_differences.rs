@@ -276,7 +276,9 @@ fn figures_of(report: &Report) -> Vec<Figure> {
         count("frames lost", report.drops),
     ];
     all.extend(forecasts.by_quality().map(|(name, value)| count(&format!("forecasts, {name}"), value)));
-    all.extend(forecasts.causes.iter().map(|(name, value)| count(&format!("not learned: {name}"), *value)));
+    all.extend(
+        forecasts.causes.iter().map(|(name, value)| count(&format!("held or kinematic: {name}"), *value)),
+    );
     all.push(count("ticks, degraded", forecasts.degraded_ticks));
     all.push(count("forecasts outside of what was trained", report.out_of_distribution.forecasts));
     all.extend(errors("", draws, &accuracy.errors, by_clock));

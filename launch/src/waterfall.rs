@@ -179,7 +179,7 @@ impl Telling {
         }
         writeln!(
             text,
-            "\n{:>8} {:12}{:>9}{:>9}{:>7}  {:11}{:>8}  {:10}{:>6}  why not learned",
+            "\n{:>8} {:12}{:>9}{:>9}{:>7}  {:11}{:>8}  {:10}{:>6}  why held or kinematic",
             "agent", "type", "x m", "y m", "m/s", "quality", "age ms", "prior", "modes"
         )?;
         let mut sorted: Vec<&Forecast> = self.forecasts.iter().collect();
@@ -274,7 +274,8 @@ mod tests {
         assert!(line("source").contains('█'), "the shortest computation shows");
         assert!(line("killed by signal 9").contains("-100.0 ms"));
         // What is not learned comes first.
-        let agents: Vec<&str> = text.lines().skip_while(|line| !line.contains("why not learned")).collect();
+        let agents: Vec<&str> =
+            text.lines().skip_while(|line| !line.contains("why held or kinematic")).collect();
         assert!(agents[1].contains("held") && agents[1].ends_with("late, missing"), "{text}");
         assert!(agents[2].ends_with("20"), "{text}");
     }

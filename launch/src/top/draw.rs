@@ -111,6 +111,8 @@ fn verdict(view: &View, width: usize) -> Vec<Line<'static>> {
     let paused = if view.paused { "  (paused)" } else { "" };
     let reasons = if view.silent {
         vec!["the launcher does not answer; what is shown is what it said last".to_owned()]
+    } else if status.linked && status.report.verdict.status == Status::Ok {
+        status.report.ok_lines()
     } else {
         status.report.verdict.reasons.clone()
     };

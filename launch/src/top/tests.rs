@@ -147,6 +147,18 @@ fn the_table_fits_80_columns_with_its_last_one() {
 }
 
 #[test]
+fn an_ok_states_the_share_of_constant_velocity() {
+    let mut status = status();
+    status.report.verdict = Verdict { status: Status::Ok, reasons: Vec::new() };
+    let shown = |status: RunStatus| text(&View::new(status, SortBy::Chain, None), 80);
+    assert!(shown(status.clone()).contains("OK          every tick in time, nothing lost, no fallback but"));
+    status.report.forecasts.constant_velocity_share = Some(0.83);
+    let text = shown(status);
+    assert!(!text.contains("no fallback"), "{text}");
+    assert!(text.contains("constant velocity: 83 % of the forecasts, as it proved better"), "{text}");
+}
+
+#[test]
 fn the_table_has_more_in_140_columns() {
     let text = text(&View::new(status(), SortBy::P99, None), 140);
     let heading = words(&text, &["stage", "budget"]);

@@ -1,7 +1,7 @@
 //! A run in progress as metrics in Prometheus' text format, version 0.0.4.
 //!
-//! Names start with `stgdat_`, units are seconds and bytes, counters end in `_total`. Histograms are of the whole
-//! run, `recent` gauges of the last ten seconds.
+//! Names start with `stgdat_`, units are seconds and bytes, counters end in `_total`. Histograms are of the
+//! whole run, `recent` gauges of the last ten seconds.
 
 use std::fmt::{Display, Write};
 
@@ -147,7 +147,7 @@ fn ticks(text: &mut Text, status: &RunStatus, measured: &Recorder) {
         ("stgdat_late_ticks_total", "Ticks whose forecasts were sent after the limit.", report.late_ticks),
         (
             "stgdat_degraded_ticks_total",
-            "Ticks with a forecast that is not learned for another cause than a young track.",
+            "Ticks with a forecast that is held or kinematic through a fault.",
             report.forecasts.degraded_ticks,
         ),
         (
@@ -189,7 +189,7 @@ fn forecasts(text: &mut Text, status: &RunStatus) {
         text.sample(name, &[("quality", quality)], count);
     }
     let name = "stgdat_fallbacks_total";
-    text.metric(Kind::Counter, name, "Forecasts that are not learned, by cause.");
+    text.metric(Kind::Counter, name, "Forecasts that are held or kinematic, by cause.");
     for (cause, count) in &forecasts.causes {
         text.sample(name, &[("cause", cause)], count);
     }

@@ -17,7 +17,7 @@
 //! | `source_id` | the agent's identity in the recording, 0 where it has none (64 bits) |
 //! | `type` | `vehicle`, `cyclist`, `pedestrian` |
 //! | `quality` | `learned`, `held` (from an earlier tick), `kinematic` (constant control) |
-//! | `cause` | why the forecast is not learned: `late`, `rejected`, `missing`, `young`, `outdone`; else `none` |
+//! | `cause` | why the forecast is held or kinematic: `late`, `rejected`, `missing`, `young`, `outdone`; else `none` |
 //! | `experts` | weights of the experts that have any, by name; empty without a blend |
 //! | `out_of_distribution` | how far the agent moves from what the network was trained on; from 0.25 on the network adds less than half |
 //! | `age_s` | age of a held forecast, else 0 |
@@ -33,8 +33,8 @@
 //! | `mean_m` | \[step\] = \[x, y\]: mean of the mixture of all modes |
 //! | `covariance_m2` | \[step\] = \[xx, xy, yy\] of the mixture |
 //!
-//! Positions are in the recording's own frame: the run's origin (`--origin`) is added again. Without an origin it is
-//! the world frame.
+//! Positions are in the recording's own frame: the run's origin (`--origin`) is added again. Without an
+//! origin it is the world frame.
 //!
 //! Numbers are rounded to four decimals (0.1 mm, well below what f32 resolves at the edge of the world
 //! frame), and probabilities and covariances to six.
@@ -61,7 +61,8 @@ pub struct ForecastWriter {
 }
 
 impl ForecastWriter {
-    /// Starts a file; it will replace one of that name. `origin` is the world frame's in the recording's own frame.
+    /// Starts a file; it will replace one of that name. `origin` is the world frame's in the recording's own
+    /// frame.
     ///
     /// # Errors
     /// The error of the file system.

@@ -102,10 +102,12 @@ pub struct LiveView {
     /// Agents that the newest tick left out to save time, and all ticks.
     newest_shed: u64,
     total_shed: u64,
-    /// Forecasts of the newest tick that are not learned, by cause.
+    /// Forecasts of the newest tick that are held or kinematic, by cause.
     newest_causes: [u64; Cause::ALL.len()],
     /// Forecasts of all ticks by quality.
     total: [u64; Quality::ALL.len()],
+    /// Those that are constant velocity because it proved better.
+    total_outdone: u64,
     /// Of the forecasts whose horizon is over, as the recorder last told.
     errors: Option<Errors>,
 }
@@ -135,6 +137,7 @@ impl LiveView {
             total_shed: 0,
             newest_causes: [0; Cause::ALL.len()],
             total: [0; Quality::ALL.len()],
+            total_outdone: 0,
             errors: None,
         }
     }
@@ -185,6 +188,7 @@ impl LiveView {
                 *count += u64::from(forecast.quality != Quality::Learned as u32);
             }
         }
+        self.total_outdone += self.newest_causes[Cause::Outdone as usize];
     }
 
     /// Takes the header of a frame that an added stage has sent beside a tick's way.
@@ -219,7 +223,8 @@ impl LiveView {
         *incarnations += outcome.incarnations();
     }
 
-    /// Takes what the spares are doing: each with its stage, a word, and times that it took the stage's place.
+    /// Takes what the spares are doing: each with its stage, a word, and times that it took the stage's
+    /// place.
     pub fn spares(&mut self, spares: impl Iterator<Item = (StageId, &'static str, u32)>) {
         spares.for_each(|(stage, state, promotions)| self.spares[stage.place()] = Some((state, promotions)));
     }
@@ -308,7 +313,7 @@ impl LiveView {
         &self.newest
     }
 
-    /// Forecasts of the newest tick that are not learned, by cause.
+    /// Forecasts of the newest tick that are held or kinematic, by cause.
     #[must_use]
     pub const fn newest_causes(&self) -> &[u64] {
         &self.newest_causes

@@ -36,8 +36,8 @@ pub struct RecorderOptions {
     pub budgets_ms: BTreeMap<StageId, f64>,
     /// A tick is late beyond this or the frame interval, whichever is shorter.
     pub tick_limit_ns: u64,
-    /// Whether forecasts are kept until truth comes and then scored. Without, only times and counts are taken,
-    /// and the forecasts' numbers are not checked.
+    /// Whether forecasts are kept until truth comes and then scored. Without, only times and counts are
+    /// taken, and the forecasts' numbers are not checked.
     pub scores: bool,
     /// What is known of the recording's input.
     pub input: InputReport,
@@ -235,8 +235,8 @@ impl Recorder {
         self.resumed && self.newer_ns(header).is_some()
     }
 
-    /// Takes the header of a frame that an added stage has sent beside a tick's way. One that is off is left out: it
-    /// is its readers' to refuse.
+    /// Takes the header of a frame that an added stage has sent beside a tick's way. One that is off is left
+    /// out: it is its readers' to refuse.
     pub fn beside(&mut self, header: &Header) {
         if header.check().is_err() || !header.is_tick() {
             return;
@@ -322,7 +322,7 @@ impl Recorder {
             if let Some(count) = self.fallbacks_by_cause.get_mut(forecast.cause as usize) {
                 *count += 1;
             }
-            degraded |= ![Cause::Young, Cause::Outdone].map(|cause| cause as u32).contains(&forecast.cause);
+            degraded |= Cause::from_number(forecast.cause).is_none_or(is_fault);
             if forecast.quality == Quality::Held as u32 {
                 self.age_ns_max = self.age_ns_max.max(Some(forecast.age_ns));
             }
@@ -431,6 +431,9 @@ impl Recorder {
 
     fn forecast_counts(&self) -> ForecastCounts {
         let [learned, held, kinematic] = self.forecasts_by_quality;
+        let total = learned + held + kinematic;
+        let by_cause = |cause: Cause| self.fallbacks_by_cause[cause as usize];
+        let constant_velocity = by_cause(Cause::Outdone) as f64 / total as f64;
         let causes = Cause::ALL
             .iter()
             .zip(self.fallbacks_by_cause)
@@ -444,11 +447,13 @@ impl Recorder {
             held,
             kinematic,
             causes,
+            not_learned: Cause::ALL.into_iter().filter(|cause| is_fault(*cause)).map(by_cause).sum(),
+            constant_velocity_share: (total > 0).then(|| (constant_velocity * 1e4).round() / 1e4),
             degraded_ticks,
             predicted_ticks,
             silent,
             age_ms_max,
-            shed: self.shed.report(learned + held + kinematic),
+            shed: self.shed.report(total),
         }
     }
 
@@ -511,14 +516,13 @@ fn verdict(report: &Report) -> Verdict {
     {
         reasons.push(format!("late ticks: {} of {} (over {limit_ms} ms)", report.late_ticks, report.ticks));
     }
-    let faults = || {
-        let causes = report.forecasts.causes.iter().map(|(cause, &count)| (cause.as_str(), count));
-        causes.filter(|&(cause, _)| ![Cause::Young.name(), Cause::Outdone.name()].contains(&cause))
-    };
-    let fallbacks: u64 = faults().map(|(_, count)| count).sum();
-    if fallbacks > 0 {
+    let not_learned = report.forecasts.not_learned;
+    if not_learned > 0 {
+        let by_cause = |name| report.forecasts.causes.get(name).copied().unwrap_or(0);
+        let faults = Cause::ALL.into_iter().filter(|cause| is_fault(*cause)).map(Cause::name);
+        let faults = faults.map(|name| (name, by_cause(name)));
         let ticks = format!("in {} of {} ticks", report.forecasts.degraded_ticks, report.ticks);
-        reasons.push(format!("forecasts not learned: {fallbacks} {ticks} ({})", list(faults())));
+        reasons.push(format!("forecasts not learned: {not_learned} {ticks} ({})", list(faults)));
     }
     if report.forecasts.predicted_ticks > 0 {
         let (ticks, all) = (report.forecasts.predicted_ticks, report.ticks);
@@ -541,6 +545,13 @@ fn verdict(report: &Report) -> Verdict {
     }
     reasons.extend(report.doubts());
     Verdict::new(!has_agents, reasons)
+}
+
+/// Whether a held or kinematic forecast with this cause is a fault. It is none if the track is young, or if
+/// constant velocity proved better. "Not learned" counts faults, in the verdict, the report and the worst
+/// ticks.
+pub(crate) const fn is_fault(cause: Cause) -> bool {
+    !matches!(cause, Cause::Young | Cause::Outdone)
 }
 
 /// Why a run with ticks is empty.

@@ -4,7 +4,10 @@ mod pace;
 
 use std::fmt::{self, Write};
 
+use wire::Cause;
+
 use crate::input::DOUBT;
+use crate::record::is_fault;
 use crate::report::{
     Errors, Outage, Percentiles, RefusedFrames, Replacement, ReplacementOutcome, Report, Shed, SpareReport,
     StageMemory, StageReport, Status, Supervision, WorstTick,
@@ -54,18 +57,7 @@ impl Report {
         writeln!(text, "{rule}")?;
         match self.verdict.status {
             Status::Ok => {
-                let ticks = if self.run.lockstep == Some(true) { "forecast" } else { "in time" };
-                writeln!(
-                    text,
-                    " OK          every tick {ticks}, nothing lost, no fallback but of young tracks"
-                )?;
-                if let Some(share) = self.constant_velocity_share() {
-                    let share = percent(Some(share));
-                    writeln!(
-                        text,
-                        "             constant velocity: {share} of the forecasts, as it proved better"
-                    )?;
-                }
+                writeln!(text, " OK          {}", self.ok_lines().join("\n             "))?;
             }
             Status::Doubtful => {
                 writeln!(text, " DOUBTFUL    {}", self.reason_lines(width).join("\n             "))?;
@@ -202,14 +194,6 @@ impl Report {
         )
     }
 
-    /// Share of the forecasts that are constant velocity because it proved better; `None` if there are none.
-    fn constant_velocity_share(&self) -> Option<f64> {
-        let forecasts = &self.forecasts;
-        let outdone = *forecasts.causes.get("outdone").filter(|&&n| n > 0)?;
-        let total = forecasts.learned + forecasts.held + forecasts.kinematic;
-        Some(outdone as f64 / total as f64)
-    }
-
     fn forecasts(&self, text: &mut String, width: usize) -> fmt::Result {
         let forecasts = &self.forecasts;
         let total = forecasts.learned + forecasts.held + forecasts.kinematic;
@@ -271,8 +255,8 @@ impl Report {
         causes.sort_by_key(|&(_, &n)| std::cmp::Reverse(n));
         causes.iter().try_for_each(|&(cause, &n)| {
             // Only faults count as "not learned", here as in the verdict.
-            let kind =
-                if ["young", "outdone"].contains(&cause.as_str()) { "kinematic" } else { "not learned" };
+            let is_excused = Cause::ALL.into_iter().any(|known| known.name() == cause && !is_fault(known));
+            let kind = if is_excused { "kinematic" } else { "not learned" };
             writeln!(text, " {:LABEL_WIDTH$}{:>10}   {kind}: {}", "", count(n), meaning(cause))
         })
     }

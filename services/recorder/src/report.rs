@@ -12,6 +12,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::input::{DOUBT, InputReport};
 use crate::lanes::LaneCounts;
+use crate::text::percent;
 
 /// Version of the report's fields.
 pub const REPORT_VERSION: u32 = 1;
@@ -48,7 +49,7 @@ pub struct Report {
     pub input: InputReport,
     /// Agents per tick.
     pub agents: Agents,
-    /// Forecasts by quality, and the causes of those that are not learned.
+    /// Forecasts by quality, and the causes of those that are held or kinematic.
     pub forecasts: ForecastCounts,
     /// Forecasts of agents that move as none did in training.
     #[serde(default)]
@@ -105,8 +106,8 @@ pub struct RefusedFrames {
     pub reader: String,
     /// The stage that sent them, or `unknown`.
     pub sender: String,
-    /// Why: `schema`, `foreign run`, `old incarnation`, `size`, `value`, `order`, `check value`, `unprotected`,
-    /// `repeated` or `frozen`.
+    /// Why: `schema`, `foreign run`, `old incarnation`, `size`, `value`, `order`, `check value`,
+    /// `unprotected`, `repeated` or `frozen`.
     pub cause: String,
     /// How many.
     pub frames: u64,
@@ -254,7 +255,7 @@ pub struct Outage {
     pub tick: u64,
     /// Ticks without forecasts.
     pub ticks_lost: u64,
-    /// Ticks with forecasts that are held or kinematic for another cause than a young track.
+    /// Ticks with forecasts that are not learned through a fault.
     pub ticks_not_learned: u64,
     /// Ticks of predicted tracks: their detections are missing.
     pub ticks_predicted: u64,
@@ -271,8 +272,8 @@ pub struct Outage {
 pub enum Status {
     /// Every tick in time, nothing lost, every forecast learned once its agent was old enough.
     Ok,
-    /// As `ok`, but the input is doubtful: a finding of the audit concerns more than [`audit::DOUBT_SHARE`] of its
-    /// rows.
+    /// As `ok`, but the input is doubtful: a finding of the audit concerns more than [`audit::DOUBT_SHARE`]
+    /// of its rows.
     Doubtful,
     /// Forecasts were received, but some were late, lost or not learned.
     Degraded,
@@ -377,7 +378,13 @@ pub struct ForecastCounts {
     /// Forecasts that are held or kinematic by cause: `late`, `rejected`, `missing`, `shed`, or `young` and
     /// `outdone`, which are no fault.
     pub causes: BTreeMap<String, u64>,
-    /// Ticks with a forecast that is not learned for another cause than `young`.
+    /// Forecasts that are held or kinematic through a fault: for another cause than `young` and `outdone`.
+    #[serde(default)]
+    pub not_learned: u64,
+    /// Share of the forecasts that are constant velocity because it proved better.
+    #[serde(default)]
+    pub constant_velocity_share: Option<f64>,
+    /// Ticks with a forecast that is not learned through a fault.
     pub degraded_ticks: u64,
     /// Ticks of predicted tracks: their detections are missing.
     #[serde(default)]
@@ -643,6 +650,20 @@ impl Report {
             serde_json::to_string_pretty(self).expect("names are strings, numbers are finite or null");
         json.push('\n');
         json
+    }
+
+    /// What an OK means, in lines.
+    #[must_use]
+    pub fn ok_lines(&self) -> Vec<String> {
+        let ticks = if self.run.lockstep == Some(true) { "forecast" } else { "in time" };
+        let ok = format!("every tick {ticks}, nothing lost");
+        match self.forecasts.constant_velocity_share.filter(|share| *share > 0.0) {
+            None => vec![format!("{ok}, no fallback but of young tracks")],
+            share => {
+                let share = percent(share);
+                vec![ok, format!("constant velocity: {} of the forecasts, as it proved better", share.trim())]
+            }
+        }
     }
 
     /// Completes the report with what the launcher saw; the verdict begins with what ended the run, and with

@@ -1,7 +1,8 @@
 //! The state of a run in progress as data: what `stgdat top` shows, and what the metrics are made of.
 //!
-//! A [`RunStatus`] joins three views: the whole run so far ([`Report`]), the last ten seconds ([`LiveView`]), and what
-//! only the launcher knows ([`Facts`]): processes, their CPU time and memory, and what happened to them.
+//! A [`RunStatus`] joins three views: the whole run so far ([`Report`]), the last ten seconds ([`LiveView`]),
+//! and what only the launcher knows ([`Facts`]): processes, their CPU time and memory, and what happened to
+//! them.
 
 use std::collections::BTreeMap;
 
@@ -103,7 +104,7 @@ pub struct Newest {
     pub tick: Option<u64>,
     /// Forecasts by quality.
     pub qualities: BTreeMap<String, u64>,
-    /// Forecasts that are not learned, by cause.
+    /// Forecasts that are held or kinematic, by cause.
     pub causes: BTreeMap<String, u64>,
     /// Forecasts of agents that move as none did in training.
     pub outside: u64,

@@ -1,9 +1,9 @@
 //! The worst ticks of a run, each with its cause in a sentence.
 //!
-//! Ticks without forecasts are the worst, then those with the longest end-to-end latency. A tick's cause is the
-//! phase of a stage that took longest beyond its median over the run. Where the controls of a tick did not come,
-//! its own header does not tell why: the next tick that passes all stages does, by the stage that takes it late or
-//! that has been restarted.
+//! Ticks without forecasts are the worst, then those with the longest end-to-end latency. A tick's cause is
+//! the phase of a stage that took longest beyond its median over the run. Where the controls of a tick did
+//! not come, its own header does not tell why: the next tick that passes all stages does, by the stage that
+//! takes it late or that has been restarted.
 //!
 //! The list has room for [`WORST_LEN`] ticks from the start: a tick allocates nothing.
 
@@ -12,6 +12,7 @@ use wire::{Cause, Forecast, Header, Quality, StageId, flags};
 
 use crate::distribution::ms;
 use crate::passage::{Passage, Phases};
+use crate::record::is_fault;
 use crate::report::WorstTick;
 use crate::text::{count, number};
 
@@ -203,7 +204,7 @@ fn not_learned(forecasts: &[Forecast]) -> (u32, u32) {
             *count += 1;
         }
     }
-    for excused in [Cause::None, Cause::Young, Cause::Outdone] {
+    for excused in Cause::ALL.into_iter().filter(|cause| !is_fault(*cause)) {
         by_cause[excused as usize] = 0;
     }
     let most = (0..).zip(by_cause).max_by_key(|&(_, count)| count).map_or(0, |(cause, _)| cause);

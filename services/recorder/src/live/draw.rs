@@ -200,7 +200,11 @@ fn draw_forecasts(view: &LiveView, frame: &mut Frame<'_>, area: Rect) {
     if view.newest_outside > 0 {
         spans.push(quality(view.newest_outside, "never trained", Color::Yellow));
     }
-    spans.push(Span::styled(format!("{} so far, {} learned", count(total), percent(share)), DIM));
+    let mut so_far = format!("{} so far, {} learned", count(total), percent(share));
+    if view.total_outdone > 0 {
+        so_far += &format!(", {} constant velocity", percent(Some(view.total_outdone as f64 / total as f64)));
+    }
+    spans.push(Span::styled(so_far, DIM));
     let lines = vec![Line::raw(""), Line::from(spans), worth(view)];
     frame.render_widget(Paragraph::new(lines), area);
 }

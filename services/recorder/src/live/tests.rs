@@ -98,6 +98,18 @@ fn what_is_shed_stands_in_the_table_and_in_the_plain_line() {
 }
 
 #[test]
+fn the_table_has_the_share_of_constant_velocity() {
+    let mut view = view();
+    let quality = Quality::Kinematic as u32;
+    let outdone = Forecast { quality, cause: wire::Cause::Outdone as u32, ..Forecast::zeroed() };
+    let young = Forecast { quality, cause: wire::Cause::Young as u32, ..Forecast::zeroed() };
+    (0..10).for_each(|seq| view.forecasts(&tick(seq), &[outdone, outdone, young, Forecast::zeroed()]));
+    let table = drawn(&view, 104, 20).backend().to_string();
+    let expected = "1 learned   0 held   3 kinematic   40 so far, 25 % learned, 50 % constant velocity";
+    assert!(table.contains(expected), "{table}");
+}
+
+#[test]
 fn any_terminal_size_can_be_drawn() {
     let view = running();
     for (width, height) in [(1, 1), (5, 40), (20, 3), (200, 60)] {

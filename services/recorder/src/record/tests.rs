@@ -170,6 +170,27 @@ fn what_was_shed_is_counted_with_its_share_and_greatest_age() {
 }
 
 #[test]
+fn constant_velocity_that_proved_better_is_no_fault() {
+    let mut recorder = recorder();
+    let outdone = forecast(Quality::Kinematic, Cause::Outdone);
+    for seq in 0..100 {
+        let other = if seq < 10 { forecast(Quality::Kinematic, Cause::Young) } else { learned() };
+        recorder.forecasts(&header(seq, 3, &whole_chain(2)), &[outdone, outdone, other]).unwrap();
+    }
+    let report = recorder.report();
+    let counts = &report.forecasts;
+    assert_eq!((report.verdict.status, counts.not_learned, counts.degraded_ticks), (Status::Ok, 0, 0));
+    assert_eq!(counts.constant_velocity_share, Some(0.6667));
+    assert_eq!(report.ok_lines()[1], "constant velocity: 67 % of the forecasts, as it proved better");
+
+    let late = forecast(Quality::Held, Cause::Late);
+    recorder.forecasts(&header(100, 3, &whole_chain(2)), &[outdone, late, late]).unwrap();
+    let report = recorder.report();
+    assert_eq!((report.forecasts.not_learned, report.forecasts.degraded_ticks), (2, 1));
+    assert_eq!(report.verdict.reasons, ["forecasts not learned: 2 in 1 of 101 ticks (late 2)"]);
+}
+
+#[test]
 fn a_late_void_tick_is_not_lost() {
     let mut recorder = recorder();
     for seq in 0..100 {

@@ -111,9 +111,14 @@ fn the_verdict_states_the_share_of_constant_velocity() {
     report.verdict = Verdict { status: Status::Ok, reasons: Vec::new() };
     (report.forecasts.learned, report.forecasts.held, report.forecasts.kinematic) = (17, 0, 83);
     report.forecasts.causes = [("outdone".to_owned(), 80), ("young".to_owned(), 3)].into();
+    report.forecasts.constant_velocity_share = Some(0.8);
     let text = report.render(80);
-    let verdict: Vec<&str> = text.lines().skip(1).take(2).collect();
-    assert!(verdict[0].starts_with(" OK ") && verdict[1].contains("constant velocity: 80"), "{text}");
+    let verdict: Vec<&str> = text.lines().skip(1).take(2).map(str::trim_start).collect();
+    let expected = [
+        "OK          every tick in time, nothing lost",
+        "constant velocity: 80 % of the forecasts, as it proved better",
+    ];
+    assert_eq!(verdict, expected, "{text}");
     assert!(
         !text.contains("not learned: ") && text.contains("kinematic: constant velocity proved better"),
         "{text}"
