@@ -70,16 +70,14 @@ fn run(run: &Run) -> Result<(), StageError> {
                 for (step, state) in history.filter(|(_, state)| state.present != 0) {
                     let patch = context.patch_mut(agent, step);
                     write_density(state, &options, &model, patch);
-                    drawn.add(&patch[..model.patch_size * model.patch_size]);
+                    drawn.add(track.id, &patch[..model.patch_size * model.patch_size]);
                 }
             }
         });
         stage.finish(passage, &output, result.map(|()| loan))?;
     }
     // The launcher shows it, with the stage's name before it.
-    let Drawn { patches, cells, inside } = drawn;
-    let radius_m = options.radius_m;
-    eprintln!("drew {patches} patches: {inside} of {cells} cells lie within {radius_m} m of the origin");
+    drawn.print(options.radius_m, model.patch_size);
     Ok(())
 }
 
@@ -90,13 +88,32 @@ struct Drawn {
     cells: u64,
     /// Cells of the area.
     inside: u64,
+    /// The newest patch that the area's edge crosses, and its agent.
+    edge: Option<(u64, Vec<f32>)>,
 }
 
 impl Drawn {
-    fn add(&mut self, patch: &[f32]) {
+    fn add(&mut self, agent: u64, patch: &[f32]) {
+        let inside = patch.iter().filter(|density| **density > 0.0).count();
         self.patches += 1;
         self.cells += patch.len() as u64;
-        self.inside += patch.iter().filter(|density| **density > 0.0).count() as u64;
+        self.inside += inside as u64;
+        if (1..patch.len()).contains(&inside) {
+            let (newest, cells) = self.edge.get_or_insert_with(|| (agent, patch.to_vec()));
+            *newest = agent;
+            cells.copy_from_slice(patch);
+        }
+    }
+
+    fn print(&self, radius_m: f32, side: usize) {
+        let Self { patches, cells, inside, edge } = self;
+        eprintln!("drew {patches} patches: {inside} of {cells} cells lie within {radius_m} m of the origin");
+        let Some((agent, cells)) = edge else { return };
+        eprintln!("the newest patch at the edge, of agent {agent}, which looks up:");
+        for row in cells.chunks(side) {
+            let marks = row.iter().map(|density| if *density > 0.0 { "##" } else { "··" });
+            eprintln!("{}", marks.collect::<String>());
+        }
     }
 }
 
