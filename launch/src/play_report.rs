@@ -1,4 +1,5 @@
-//! What `predict` and `track` report of a recording that they have played: the figures that `run` reports too.
+//! What `predict` and `track` report of a recording that they have played: the figures that `run` reports
+//! too.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -66,8 +67,8 @@ impl PlayReport {
         self.tally.tick(header);
     }
 
-    /// Completes the report, prints it on standard error and writes it to the file, if there is one; then the exit
-    /// code.
+    /// Completes the report, prints it on standard error and writes it to the file, if there is one; then the
+    /// exit code.
     pub fn finish(mut self, playback: &Playback, file: Option<&Path>, strict: bool) -> Result<Exit, Failure> {
         self.detections_left_out = playback.left_out_len();
         self.input = self.tally.report(&self.input);

@@ -1,7 +1,8 @@
 //! Readers that come and go: processes beside the pipeline, such as a planner, that read its topics.
 //!
-//! A reader that dies leaves its places on the topics taken until somebody cleans up after it. The launcher did not
-//! start it, so that no exit status reports its death: [`Readers`] finds the death by the files of its node.
+//! A reader that dies leaves its places on the topics taken until somebody cleans up after it. The launcher
+//! did not start it, so that no exit status reports its death: [`Readers`] finds the death by the files of
+//! its node.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;

@@ -1,5 +1,5 @@
-//! What verbs print. A reader that closes its pipe early, as `head` does, is no failure: a verb ends quietly, and
-//! a run continues to its end.
+//! What verbs print. A reader that closes its pipe early, as `head` does, is no failure: a verb ends quietly,
+//! and a run continues to its end.
 
 use std::fmt::Arguments;
 use std::io::{ErrorKind, Write as _};

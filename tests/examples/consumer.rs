@@ -1,9 +1,9 @@
 //! A reader such as a planner: prints the forecasts of a run, tick by tick.
 //! `consumer --run /tmp/stgdat_*/run`, beside `stgdat run`.
 //!
-//! Positions are metres, printed in the frame of map and detections: the run's origin is added to them. Step k of a
-//! forecast lies at the frame's stamp + (k + 1) Δt. A planner does the same: wait, take the newest frame, use it where it
-//! lies in shared memory, drop it.
+//! Positions are metres, printed in the frame of map and detections: the run's origin is added to them. Step
+//! k of a forecast lies at the frame's stamp + (k + 1) Δt. A planner does the same: wait, take the newest
+//! frame, use it where it lies in shared memory, drop it.
 
 use std::process::ExitCode;
 use std::time::Duration;

@@ -1,8 +1,8 @@
 //! A detector in the source's place: `command = ["target/release/examples/producer"]` in its table of
 //! pipeline.toml.
 //!
-//! Positions are metres in the world frame (right-handed, z up, fixed to the ground): a detector with UTM or MGRS
-//! coordinates subtracts the run's origin (`stgdat run --origin X,Y`) in f64. Headings are
+//! Positions are metres in the world frame (right-handed, z up, fixed to the ground): a detector with UTM or
+//! MGRS coordinates subtracts the run's origin (`stgdat run --origin X,Y`) in f64. Headings are
 //! counter-clockwise from +x. The header of each frame contains the ego pose in that frame and the stamp, on
 //! the sensor's clock, different in every frame. Each detection contains its own time of measurement as an
 //! offset from the stamp: two sensors that are merged into one frame need not measure at the same time. Put

@@ -1,4 +1,5 @@
-//! Recordings of several sensors, of stamps by object, and with poses at another rate: all agents in every tick.
+//! Recordings of several sensors, of stamps by object, and with poses at another rate: all agents in every
+//! tick.
 
 use std::fmt::Write as _;
 
@@ -26,8 +27,8 @@ fn rows(offsets_s: [f64; 5], with_ids: bool) -> String {
     csv
 }
 
-/// Ticks, ticks with all five agents after the first three, and the mean distance of states and of the ends of the
-/// single best forecasts from where the agents are then.
+/// Ticks, ticks with all five agents after the first three, and the mean distance of states and of the ends
+/// of the single best forecasts from where the agents are then.
 fn predicted(name: &str, csv: &str) -> (usize, usize, [f64; 2]) {
     let scratch = Scratch::new(name);
     let recording = scratch.file("own.csv", csv);

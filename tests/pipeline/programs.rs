@@ -71,8 +71,8 @@ fn assert_forecasts_of_both(printed: &str) {
     assert!(learned("vehicle") > 5 && learned("pedestrian") > 5, "{printed}");
 }
 
-/// The pedestrian walks 5 m to the right of the place, and the car passes 2 m to its left: to .1 m, in which they are
-/// printed.
+/// The pedestrian walks 5 m to the right of the place, and the car passes 2 m to its left: to .1 m, in which
+/// they are printed.
 fn assert_around(printed: &str, [x_m, y_m]: [f64; 2]) {
     let positions = |kind: &'static str| {
         let of_kind = printed.lines().filter(move |line| line.trim_start().starts_with(kind));

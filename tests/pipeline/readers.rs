@@ -1,4 +1,5 @@
-//! Readers that come and go: one that dies gives its places back and is counted, one that finds no place is told why.
+//! Readers that come and go: one that dies gives its places back and is counted, one that finds no place is
+//! told why.
 
 use std::io::{BufRead as _, BufReader, Read as _};
 use std::path::Path;

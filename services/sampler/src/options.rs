@@ -24,12 +24,12 @@ pub struct Options {
     /// and without limit in lockstep.
     #[schemars(range(max = TICK_MS), extend("exclusiveMinimum" = 0.0))]
     pub deadline_ms: f64,
-    /// Greatest age at which the last learned forecast of an agent is published again, moved on to now, while it
-    /// has no new one; in seconds. Then it is forecast by zero control.
+    /// Greatest age at which the last learned forecast of an agent is published again, moved on to now, while
+    /// it has no new one; in seconds. Then it is forecast by zero control.
     #[schemars(range(min = 0, max = 10))]
     pub held_s: f64,
-    /// Time for which an agent is then forecast by zero control, in seconds; after it, nothing is said of it until
-    /// it has a learned forecast again. Without limit where not given.
+    /// Time for which an agent is then forecast by zero control, in seconds; after it, nothing is said of it
+    /// until it has a learned forecast again. Without limit where not given.
     #[schemars(range(min = 0, max = 3600))]
     pub kinematic_s: Option<f64>,
     /// Whether forecasts are corrected by the retrieval memory: by the residuals that agents before had to
@@ -45,9 +45,10 @@ pub struct Options {
     /// Lanelet2 map of the site (OSM XML), along whose lanes the forecasts of vehicles go.
     #[schemars(extend("format" = "path"))]
     pub lanes: Option<PathBuf>,
-    /// Origin of the world frame in that map: latitude and longitude in degrees, as in `49.01,8.42`, or a position
-    /// in the map's own frame in metres, as in `81000,50000m`. If not given, it is the run's origin in the map's own
-    /// frame: the tags `local_x` and `local_y` of its nodes, or latitude and longitude about 0,0.
+    /// Origin of the world frame in that map: latitude and longitude in degrees, as in `49.01,8.42`, or a
+    /// position in the map's own frame in metres, as in `81000,50000m`. If not given, it is the run's origin
+    /// in the map's own frame: the tags `local_x` and `local_y` of its nodes, or latitude and longitude about
+    /// 0,0.
     pub lanes_origin: Option<LanesOrigin>,
     /// How the covariance of the controls becomes that of the positions, where evidence is not in use.
     pub propagation: PropagationKind,

@@ -79,12 +79,12 @@ impl Pipeline {
         check::check(&file, declared).map_err(|fault| fault.at(name, text))
     }
 
-    /// Refuses a file that this machine can't run: with a `command` that `find` does not find, or a processor that
-    /// `has_cpu` does not know.
+    /// Refuses a file that this machine can't run: with a `command` that `find` does not find, or a processor
+    /// that `has_cpu` does not know.
     ///
     /// # Errors
-    /// [`PipelineError`] points to the first such place in the text; the text must be one that [`Pipeline::parse`]
-    /// accepts.
+    /// [`PipelineError`] points to the first such place in the text; the text must be one that
+    /// [`Pipeline::parse`] accepts.
     pub fn check_here(
         name: &str,
         text: &str,
@@ -111,7 +111,8 @@ impl Pipeline {
         renamed.and_then(|name| added::declared_name(name, &self.topics)).unwrap_or(topic)
     }
 
-    /// The stage that writes a topic, by its name in shared memory, with the name of it that its program knows.
+    /// The stage that writes a topic, by its name in shared memory, with the name of it that its program
+    /// knows.
     #[must_use]
     pub fn writer<'a>(&'a self, topic: &str) -> Option<(&'a Stage, &'a str)> {
         let mut writes =

@@ -198,19 +198,19 @@ impl<P: Controlled<N>, const N: usize> Mixture<P, N> {
         Ok(())
     }
 
-    /// Moves all components `dt_s` ahead, or back if that is negative, by a process that adds no noise; the forecast's
-    /// age stays.
+    /// Moves all components `dt_s` ahead, or back if that is negative, by a process that adds no noise; the
+    /// forecast's age stays.
     pub fn shift(&mut self, dt_s: f64, noiseless: &P) {
         for component in &mut self.components {
             component.state = component.state.shifted(dt_s, noiseless);
         }
     }
 
-    /// Where the forecast takes the mixture's mean, and where the kinematic process alone does, after one to `PARTS`
-    /// times `part_ns`; none without a forecast that reaches so far.
+    /// Where the forecast takes the mixture's mean, and where the kinematic process alone does, after one to
+    /// `PARTS` times `part_ns`; none without a forecast that reaches so far.
     ///
-    /// The forecast is followed by the mean of its hypotheses' controls, which to first order leads to the mean of
-    /// their positions.
+    /// The forecast is followed by the mean of its hypotheses' controls, which to first order leads to the
+    /// mean of their positions.
     #[must_use]
     pub fn ahead<const PARTS: usize>(&self, part_ns: u64) -> Option<[Ahead; PARTS]> {
         let (steps_len, dt_s) = steps(part_ns).ok()?;

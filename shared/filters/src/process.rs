@@ -46,8 +46,8 @@ impl<const N: usize> Gaussian<N> {
         Ok(())
     }
 
-    /// The state `dt_s` later, or earlier if that is negative, by a process that adds no noise: there and back again
-    /// is the same state.
+    /// The state `dt_s` later, or earlier if that is negative, by a process that adds no noise: there and
+    /// back again is the same state.
     #[must_use]
     pub fn shifted(&self, dt_s: f64, noiseless: &impl Process<N>) -> Self {
         let steps_len = (dt_s.abs() / STEP_MAX_S).ceil().max(1.0);

@@ -11,8 +11,8 @@
 //!   kind of line, and on `lane_change` tags.
 //! * Of *regulatory elements* only speed limits count.
 //!
-//! Only content that lanes need is read. What can't be used is skipped and counted in [`Skipped`]; the map is refused
-//! if no lane remains, or if a node of a lane has no position.
+//! Only content that lanes need is read. What can't be used is skipped and counted in [`Skipped`]; the map is
+//! refused if no lane remains, or if a node of a lane has no position.
 //!
 //! Positions are projected from latitude and longitude about an [`Origin`], or taken from the tags `local_x`
 //! and `local_y`, as Autoware's maps have them: see [`Coordinates`].
@@ -48,14 +48,14 @@ pub use skipped::{Skipped, SkippedKind};
 /// As text, an origin is `LATITUDE,LONGITUDE` in degrees, or `X,Ym` in metres.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Coordinates {
-    /// The map's own frame: the tags `local_x` and `local_y`; if no node of a lane has them, latitude and longitude
-    /// about 0, 0.
+    /// The map's own frame: the tags `local_x` and `local_y`; if no node of a lane has them, latitude and
+    /// longitude about 0, 0.
     #[default]
     Default,
     /// Latitude and longitude about an origin; the tags do not count.
     About(Origin),
-    /// The map's own frame less an origin in metres. The own frame of a map without the tags is UTM, unless it lies
-    /// within reach of 0, 0.
+    /// The map's own frame less an origin in metres. The own frame of a map without the tags is UTM, unless
+    /// it lies within reach of 0, 0.
     Less(WorldOrigin),
 }
 

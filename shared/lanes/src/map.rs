@@ -304,7 +304,8 @@ impl<'a> Reading<'a, '_> {
         }
     }
 
-    /// The limit of the lanelet's own tag or of one of its regulatory elements, else that of its kind of road.
+    /// The limit of the lanelet's own tag or of one of its regulatory elements, else that of its kind of
+    /// road.
     fn limit_mps(&mut self, id: i64, tags: Tags<'a>, members: &[Member<'a>]) -> Option<f32> {
         let elements = self.elements;
         let odd = |key: &str, value: &str| format!("{key} = \"{}\" is not a speed", shortened(value));

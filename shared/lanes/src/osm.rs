@@ -27,7 +27,8 @@ pub(crate) struct Member<'a> {
 
 /// The elements of a file by number, without those that the file marks as deleted.
 ///
-/// Elements stay XML until a lane needs them: a map has much that lanes do not need, and its faults do not matter.
+/// Elements stay XML until a lane needs them: a map has much that lanes do not need, and its faults do not
+/// matter.
 pub(crate) struct Elements<'a> {
     pub(crate) source: Source<'a>,
     pub(crate) nodes: BTreeMap<i64, XmlNode<'a, 'a>>,
@@ -98,7 +99,8 @@ pub(crate) fn parse<'a>(path: &str, text: &'a str) -> Result<Document<'a>, LaneM
 }
 
 impl<'a> Elements<'a> {
-    /// The elements of a document. Those without a number are counted in `skipped`: nothing can refer to them.
+    /// The elements of a document. Those without a number are counted in `skipped`: nothing can refer to
+    /// them.
     pub(crate) fn of(path: &'a str, document: &'a Document<'a>, skipped: &mut Skipped) -> Self {
         let source = Source { path, document };
         let (nodes, ways, relations) = (BTreeMap::new(), BTreeMap::new(), BTreeMap::new());

@@ -1,7 +1,8 @@
 //! Where the nodes of lanes lie in the world frame.
 //!
-//! A map has one *own frame*: the tags `local_x` and `local_y`, if a node of a lane has them, else metres that are
-//! projected from latitude and longitude. The [`Coordinates`] tell which origin is subtracted from it, in `f64`.
+//! A map has one *own frame*: the tags `local_x` and `local_y`, if a node of a lane has them, else metres
+//! that are projected from latitude and longitude. The [`Coordinates`] tell which origin is subtracted from
+//! it, in `f64`.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -35,7 +36,8 @@ impl<'a, 'e> Positions<'a, 'e> {
     /// The positions of all nodes of lanes.
     ///
     /// # Errors
-    /// [`LaneMapError::Element`] with the first node that has no position: what else has one is in doubt then.
+    /// [`LaneMapError::Element`] with the first node that has no position: what else has one is in doubt
+    /// then.
     pub(crate) fn of(elements: &'e Elements<'a>, coordinates: Coordinates) -> Result<Self, LaneMapError> {
         let needed = nodes_of_lanes(elements);
         let has_local = |node: &XmlNode<'a, 'a>| LOCAL.iter().any(|name| Tags(*node).get(name).is_some());
@@ -60,8 +62,8 @@ impl<'a, 'e> Positions<'a, 'e> {
         Ok(Self { elements, frame, points_m, remedy })
     }
 
-    /// The positions of a way's nodes, without repeated ones, and its first and last node. All elements of the way
-    /// are added to `used`.
+    /// The positions of a way's nodes, without repeated ones, and its first and last node. All elements of
+    /// the way are added to `used`.
     ///
     /// # Errors
     /// The problem, if the way or one of its nodes is missing or out of reach, or fewer than two differ.
@@ -155,8 +157,8 @@ impl Frame {
     }
 }
 
-/// The projection of a map without local tags if its origin is in metres: about 0,0 if the map is there, as those of
-/// INTERACTION are, else UTM.
+/// The projection of a map without local tags if its origin is in metres: about 0,0 if the map is there, as
+/// those of INTERACTION are, else UTM.
 fn own_projector(needed: &BTreeMap<i64, XmlNode<'_, '_>>) -> Projector {
     let about_zero = Projector::new(Origin::default());
     let Some([latitude, longitude]) = medians(needed.values().filter_map(|node| degrees(*node).ok())) else {

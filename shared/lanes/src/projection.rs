@@ -83,8 +83,8 @@ impl Projector {
         Self { meridian_deg, origin_m }
     }
 
-    /// The projection of the UTM zone of a place: the central meridian is at 500 km east, and the equator is at
-    /// 10,000 km north for places south of it.
+    /// The projection of the UTM zone of a place: the central meridian is at 500 km east, and the equator is
+    /// at 10,000 km north for places south of it.
     #[must_use]
     pub fn utm(place: Origin) -> Self {
         let south_m = if place.latitude_deg < 0.0 { SOUTH_M } else { 0.0 };

@@ -1,10 +1,10 @@
-//! Keeps the folder of a run, from which programs may remove files that look old: systemd-tmpfiles does so in `/tmp`
-//! after ten days.
+//! Keeps the folder of a run, from which programs may remove files that look old: systemd-tmpfiles does so in
+//! `/tmp` after ten days.
 //!
 //! 1. A shared BSD lock on the folder, which systemd-tmpfiles respects.
-//! 2. A second name for each file, a hard link in a hidden folder beside it. If the run's record is gone, somebody has
-//!    removed files: they all get their names back. They stay the same files, so that their locks hold and their
-//!    sockets are heard.
+//! 2. A second name for each file, a hard link in a hidden folder beside it. If the run's record is gone,
+//!    somebody has removed files: they all get their names back. They stay the same files, so that their
+//!    locks hold and their sockets are heard.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ffi::OsString;
@@ -42,7 +42,8 @@ pub(crate) struct Keep {
 }
 
 impl Keep {
-    /// Keeps a folder that exists, with `second` for second names. It holds as long as there is a file `sentinel`.
+    /// Keeps a folder that exists, with `second` for second names. It holds as long as there is a file
+    /// `sentinel`.
     pub fn begin(folder: &Path, second: &Path, sentinel: &str) -> io::Result<Self> {
         std::fs::create_dir(second)?;
         let locks = [lock(folder), lock(second)];
@@ -51,8 +52,8 @@ impl Keep {
         Ok(Self { folder, second, sentinel, locks, looked, restoring: None, gone })
     }
 
-    /// Restores files that were removed, and takes in new ones once a second. Returns how many were restored at the
-    /// first look that finds the sentinel removed.
+    /// Restores files that were removed, and takes in new ones once a second. Returns how many were restored
+    /// at the first look that finds the sentinel removed.
     pub fn tend(&mut self) -> usize {
         if !self.sentinel.exists() && self.second_sentinel().exists() {
             let is_first = self.restoring.replace(Instant::now()).is_none();
@@ -60,7 +61,8 @@ impl Keep {
             return if is_first { restored } else { 0 };
         }
         match self.restoring {
-            // What a process removes itself meanwhile comes back, too: the clean-up takes it for that of a dead one.
+            // What a process removes itself meanwhile comes back, too: the clean-up takes it for that of a
+            // dead one.
             Some(since) if since.elapsed() < REMOVAL => {
                 self.restore();
                 return 0;
@@ -79,7 +81,8 @@ impl Keep {
     pub fn take_in(&mut self) {
         let mut gone = BTreeSet::new();
         mirror(&self.folder, &self.second, DEPTH_MAX, &mut gone);
-        // Somebody may be removing everything just now: what is gone twice while the record is there is gone for good.
+        // Somebody may be removing everything just now: what is gone twice while the record is there is gone
+        // for good.
         if self.sentinel.exists() {
             for path in gone.intersection(&self.gone) {
                 let _ = std::fs::remove_file(path).or_else(|_| std::fs::remove_dir_all(path));

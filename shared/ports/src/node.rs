@@ -141,7 +141,8 @@ impl Node {
 
     /// Whether the frames of the topic carry a check value.
     fn protects<T: Topic>(&self) -> bool {
-        // A declared topic has no check value: its readers may know it by another name, which the value covers.
+        // A declared topic has no check value: its readers may know it by another name, which the value
+        // covers.
         self.added.topic(self.names.of(T::NAME)).is_none()
             && self.protected.iter().any(|name| name == T::NAME)
     }
@@ -198,8 +199,9 @@ impl Node {
         self.patiently(events, is_half_made_event).map_err(PortError::of("events", topic))
     }
 
-    /// Most ports of a topic, by its name in shared memory: those of the shipped pipeline, those of the stages that
-    /// the pipeline file adds, and those of spares. All processes of the run find the same in its record.
+    /// Most ports of a topic, by its name in shared memory: those of the shipped pipeline, those of the
+    /// stages that the pipeline file adds, and those of spares. All processes of the run find the same in its
+    /// record.
     fn limits<T: Topic>(&self, name: &str) -> Limits {
         if let Some(topic) = self.added.topic(name) {
             return self.with_further(name, self.added.limits(topic));
@@ -216,8 +218,8 @@ impl Node {
         )
     }
 
-    /// Adds places for spares and for the further readers of the pipeline file: each spare may read the topic, and a
-    /// place of a process that died is free only once it is cleaned up.
+    /// Adds places for spares and for the further readers of the pipeline file: each spare may read the
+    /// topic, and a place of a process that died is free only once it is cleaned up.
     pub(crate) fn with_further(&self, name: &str, limits: Limits) -> Limits {
         let spares = self.spares.iter().filter(|spare| spare.opens(name)).count();
         let readers = self.readers.get(name).map_or(0, |&readers| readers as usize);
@@ -250,8 +252,8 @@ impl Node {
     }
 }
 
-/// The topics of a run, made before any other process opens them, with places for all spares. They last as long as a
-/// process has them open.
+/// The topics of a run, made before any other process opens them, with places for all spares. They last as
+/// long as a process has them open.
 #[derive(Debug)]
 pub struct Topics {
     _services: Vec<Box<dyn Debug>>,
@@ -357,8 +359,8 @@ pub(crate) fn subscriber_of<T: Topic>(
     Ok((subscriber, listener))
 }
 
-/// Makes a subscriber. If all places are taken it tries again for a while: one of them may be that of a dead reader,
-/// which the launcher is about to give back.
+/// Makes a subscriber. If all places are taken it tries again for a while: one of them may be that of a dead
+/// reader, which the launcher is about to give back.
 pub(crate) fn subscriber<S>(
     create: impl Fn() -> Result<S, SubscriberCreateError>,
     service: &ServiceName,
@@ -394,8 +396,8 @@ pub(crate) fn transport_config(run: &Run) -> Result<Config, SemanticStringError>
 }
 
 /// Gives back what the dead processes of a run held in shared memory: their ports' places on the topics and
-/// the frames that they had borrowed. Returns how many were cleaned, and how many could not be. A service that
-/// one of them was killed in the middle of making is removed, so that others can make it.
+/// the frames that they had borrowed. Returns how many were cleaned, and how many could not be. A service
+/// that one of them was killed in the middle of making is removed, so that others can make it.
 ///
 /// May block for ever on a connection that a process was killed in the middle of making
 /// ([`remove_half_made_connections`](crate::remove_half_made_connections)): call it in a process that can be

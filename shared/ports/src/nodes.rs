@@ -1,8 +1,9 @@
 //! Which processes of a run have died, by the files of their nodes.
 //!
-//! Every process that joins a run has a *node*: files `NUMBER.node_monitor…` in the folder `nodes` of the run, of
-//! which it keeps the first one locked until it ends, and a folder NUMBER with what it has opened. The lock of a
-//! process that dies is gone while the files remain. A lock shows a death in any container that sees the folder.
+//! Every process that joins a run has a *node*: files `NUMBER.node_monitor…` in the folder `nodes` of the
+//! run, of which it keeps the first one locked until it ends, and a folder NUMBER with what it has opened.
+//! The lock of a process that dies is gone while the files remain. A lock shows a death in any container that
+//! sees the folder.
 
 use std::collections::BTreeMap;
 use std::ffi::OsStr;
@@ -59,8 +60,8 @@ impl NodeWatch {
         Ok(Self { folder: run.root.join(NODES), prefix: run.prefix.clone(), config })
     }
 
-    /// The nodes whose processes have died, and what processes left that were killed while they made their node.
-    /// Takes three system calls for each node.
+    /// The nodes whose processes have died, and what processes left that were killed while they made their
+    /// node. Takes three system calls for each node.
     #[must_use]
     pub fn dead(&self) -> Vec<NodeNumber> {
         let nodes = parts(&self.folder, &self.prefix);
@@ -96,8 +97,8 @@ impl NodeWatch {
     }
 }
 
-/// Removes what is left of nodes whose processes were killed while they made them or cleaned up after them: the
-/// transport takes these for nodes that somebody still makes. Returns how many.
+/// Removes what is left of nodes whose processes were killed while they made them or cleaned up after them:
+/// the transport takes these for nodes that somebody still makes. Returns how many.
 pub(crate) fn remove_fragments(run: &Run) -> usize {
     let folder = run.root.join(NODES);
     let nodes = parts(&folder, &run.prefix).into_iter().filter(|(number, parts)| {

@@ -114,8 +114,8 @@ impl Space {
         Ok(space)
     }
 
-    /// Restores files of the run's directory that somebody has removed because they looked old, once its record is
-    /// there; takes a system call while nothing is missing. Returns how many.
+    /// Restores files of the run's directory that somebody has removed because they looked old, once its
+    /// record is there; takes a system call while nothing is missing. Returns how many.
     pub fn tend(&mut self) -> usize {
         self.keep.as_mut().map_or(0, Keep::tend)
     }

@@ -1,8 +1,8 @@
-//! Two recordings, or a recording and its replay, frame by frame: where they first differ, how far, and how that
-//! grows along the topics.
+//! Two recordings, or a recording and its replay, frame by frame: where they first differ, how far, and how
+//! that grows along the topics.
 //!
-//! Compared is what the stages compute. What depends on when and where a run happened is left out: the header's
-//! run id, protection, sender, incarnation, time of release and hops.
+//! Compared is what the stages compute. What depends on when and where a run happened is left out: the
+//! header's run id, protection, sender, incarnation, time of release and hops.
 
 use std::collections::{BTreeMap, HashMap};
 use std::ops::Range;
@@ -138,8 +138,8 @@ impl Comparison {
         &mut self.topics[at].1
     }
 
-    /// Compares two recordings: the ticks of all topics that both have, except heartbeats. Damaged parts of the files
-    /// are skipped; [`Recording::damages`] returns them.
+    /// Compares two recordings: the ticks of all topics that both have, except heartbeats. Damaged parts of
+    /// the files are skipped; [`Recording::damages`] returns them.
     #[must_use]
     pub fn of(a: &Recording, b: &Recording) -> Self {
         let mut comparison = Self::default();
@@ -252,8 +252,8 @@ const CELL: Record = Record {
     }],
 };
 
-/// The parts of a payload, each of one record, with their names. What lies between them fills up rows and may be
-/// of an earlier frame.
+/// The parts of a payload, each of one record, with their names. What lies between them fills up rows and may
+/// be of an earlier frame.
 fn sections(frame: &Frame) -> Vec<(&'static Record, &'static str, Range<usize>)> {
     let (len, counts) = (frame.payload().len(), &frame.header().counts);
     let parts = match frame.topic().name {
@@ -299,8 +299,8 @@ struct Found {
 }
 
 impl Found {
-    /// Compares records that lie one behind the other, of each so many leading bytes; they are numbered where `first`
-    /// says from which number on.
+    /// Compares records that lie one behind the other, of each so many leading bytes; they are numbered where
+    /// `first` says from which number on.
     fn records(
         &mut self,
         (record, leading): (&Record, usize),

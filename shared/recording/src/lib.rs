@@ -1,12 +1,13 @@
-//! Recordings of runs: one MCAP file with the frames as they were sent, what the supervisor did, and the stages'
-//! log lines.
+//! Recordings of runs: one MCAP file with the frames as they were sent, what the supervisor did, and the
+//! stages' log lines.
 //!
 //! [`Writer`] makes the file and [`Recording`] reads it; neither knows shared memory. The file is plain
-//! [MCAP](https://mcap.dev/spec) (chunks of LZ4 frames, an index, check values), so that other tools list it, cut
-//! it and take messages out of it. [`Recording`] reads what these tools write: its records are those of the crate
-//! `mcap`. Around them it recovers what is whole of a torn or damaged file, which that crate's readers refuse. What is private to this project is the encoding of a frame: the bytes of
-//! [`wire::Header`] followed by those of the payload's elements, as they lie in shared memory. The schema of each
-//! topic is the document of `stgdat wire --json`, which has the offset of every field.
+//! [MCAP](https://mcap.dev/spec) (chunks of LZ4 frames, an index, check values), so that other tools list it,
+//! cut it and take messages out of it. [`Recording`] reads what these tools write: its records are those of
+//! the crate `mcap`. Around them it recovers what is whole of a torn or damaged file, which that crate's
+//! readers refuse. What is private to this project is the encoding of a frame: the bytes of [`wire::Header`]
+//! followed by those of the payload's elements, as they lie in shared memory. The schema of each topic is the
+//! document of `stgdat wire --json`, which has the offset of every field.
 //!
 //! A frame that is written is found again, byte for byte:
 //!
@@ -32,8 +33,8 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! [`Ring`] keeps the newest messages in memory, and [`flight`] says when they are worth a file. [`Before`] keeps of all
-//! that came before what a replay needs.
+//! [`Ring`] keeps the newest messages in memory, and [`flight`] says when they are worth a file. [`Before`]
+//! keeps of all that came before what a replay needs.
 //!
 //! [`tap`] is how tools get the frames of a run that goes on: one process reads the topics and hands them on.
 

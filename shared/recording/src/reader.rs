@@ -247,7 +247,8 @@ impl Recording {
         Ok(())
     }
 
-    /// How the file ends. In a torn file the last chunks may have their length alone: such chunks are taken away.
+    /// How the file ends. In a torn file the last chunks may have their length alone: such chunks are taken
+    /// away.
     fn read_ending(&self, scan: &mut Scan, at: u64) -> Result<Ending, ReadError> {
         let magic = mcap::MAGIC.len() as u64;
         let why = match (scan.footer_end, &scan.end) {
@@ -352,8 +353,8 @@ impl Recording {
         &self.foreign
     }
 
-    /// All messages, in the order of their times. An error is a part that can't be read; the messages behind that part
-    /// follow.
+    /// All messages, in the order of their times. An error is a part that can't be read; the messages behind
+    /// that part follow.
     #[must_use]
     pub fn messages(&self) -> Messages<'_> {
         Messages::new(self)

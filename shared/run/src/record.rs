@@ -21,8 +21,8 @@ const SCHEMA: u32 = 9;
 /// Largest record that is read; real ones have a few kilobytes.
 const BYTES_MAX: u64 = 1 << 20;
 
-/// Topics that are protected where pipeline.toml does not say: what comes in from a sensor, and what leaves for a
-/// planner.
+/// Topics that are protected where pipeline.toml does not say: what comes in from a sensor, and what leaves
+/// for a planner.
 pub const PROTECTED: [&str; 2] = ["detections", "forecasts"];
 
 /// How one stage is run.
@@ -58,7 +58,8 @@ pub struct TopicRun {
     pub element_size: usize,
 }
 
-/// What follows a topic's name under which its writer opens it, where a program stands between it and the readers.
+/// What follows a topic's name under which its writer opens it, where a program stands between it and the
+/// readers.
 const INJECTED_SUFFIX: &str = "-injected";
 
 /// The name under which a topic's writer opens it where an injector stands between it and the readers.
@@ -216,8 +217,8 @@ impl StageRun {
 }
 
 impl Run {
-    /// The world frame's origin in the frame of the run's map, recording or detections. It is subtracted, in `f64`, from
-    /// all positions that come in, and added to the positions of files that the run writes.
+    /// The world frame's origin in the frame of the run's map, recording or detections. It is subtracted, in
+    /// `f64`, from all positions that come in, and added to the positions of files that the run writes.
     #[must_use]
     pub fn origin(&self) -> WorldOrigin {
         WorldOrigin::new(self.origin_m).unwrap_or_default()
@@ -236,9 +237,9 @@ impl Run {
         stages.filter_map(|stage| Some((StageId::from_number(stage.stage)?, stage.budget_ms?))).collect()
     }
 
-    /// Time after the release of a tick by which a stage has to be done with it, so that agents that it has not
-    /// served by then are left out: the budgets up to its own, scaled to the interval where that is shorter than a
-    /// tick. None in lockstep, where nothing is to be shed, and for a stage without a budget.
+    /// Time after the release of a tick by which a stage has to be done with it, so that agents that it has
+    /// not served by then are left out: the budgets up to its own, scaled to the interval where that is
+    /// shorter than a tick. None in lockstep, where nothing is to be shed, and for a stage without a budget.
     #[must_use]
     pub fn deadline_ns(&self, stage: StageId) -> Option<u64> {
         let budgets_ms = self.budgets_ms();
@@ -295,8 +296,8 @@ impl Run {
         ids.zip(&self.stages).filter_map(|(id, stage)| Some((id.filter(|id| id.is_added())?, stage)))
     }
 
-    /// The stages whose output reaches `stage` on a tick's way, itself included. The forecasts that go back to the
-    /// tracker are those of earlier ticks.
+    /// The stages whose output reaches `stage` on a tick's way, itself included. The forecasts that go back
+    /// to the tracker are those of earlier ticks.
     #[must_use]
     pub fn before(&self, stage: StageId) -> Vec<StageId> {
         let (mut found, mut open) = (Vec::new(), vec![stage]);

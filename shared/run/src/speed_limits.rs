@@ -20,7 +20,8 @@ impl Default for SpeedLimits {
 }
 
 impl SpeedLimits {
-    /// The limits that a run's tracker has, for the stages after it; the defaults if its program is another one.
+    /// The limits that a run's tracker has, for the stages after it; the defaults if its program is another
+    /// one.
     #[must_use]
     pub fn of_run(run: &Run) -> Self {
         let tracker = run.stage(StageId::Tracker).map(|stage| stage.options.parse::<toml::Table>());

@@ -70,7 +70,7 @@
 //! Programs of two versions meet like this:
 //!
 //! * *Ports do not connect.* A program that opens a topic after one of another version has made it gets
-//!   iceoryx2's `IncompatibleTypes`: with `ports` a `PortError`,
+//!   the transport's `IncompatibleTypes`: with `ports` a `PortError`,
 //!   `frames of topic "tracks": …(IncompatibleTypes)`, with which the process ends (exit code 69); in Python
 //!   a `PublishSubscribeOpenError`. No byte is exchanged.
 //! * *A header of another schema* under the right type name, from a writer that fills in a wrong

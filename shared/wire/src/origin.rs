@@ -11,8 +11,8 @@ const SUGGESTED_M: f64 = 1_000.0;
 
 /// The origin of the world frame in a map's or a recording's own frame, m.
 ///
-/// The wire holds `f32` within [`POSITION_MAX_M`], so that UTM and MGRS coordinates do not fit. A run subtracts one
-/// origin from all of them, in `f64`.
+/// The wire holds `f32` within [`POSITION_MAX_M`], so that UTM and MGRS coordinates do not fit. A run
+/// subtracts one origin from all of them, in `f64`.
 ///
 /// ```
 /// let origin: wire::WorldOrigin = "458000,5428000".parse()?;

@@ -132,7 +132,7 @@ pub enum Primitive {
     F32,
 }
 
-/// A topic: the stream `stgdat/NAME` of iceoryx2.
+/// A topic: the stream `stgdat/NAME` in shared memory.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TopicEntry {
     /// Its name, as in pipeline.toml.

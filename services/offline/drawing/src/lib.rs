@@ -1,11 +1,11 @@
 //! Pictures for papers, as SVG and PNG; `stgdat plot` calls it.
 //!
-//! [`overview`] draws a whole recording. [`scenes`] draws forecasts of recorded scenes, which a [`Storyboard`] selects; [`learning_curves`] draws
-//! a [`TrainingLog`]. A picture is made of *panels*. The panel of a scene shows, from bottom to top, how
-//! often the ground was visited (the context map), the *mask* of the forecast distribution, every mode as
-//! faint as it is improbable, the recorded future, the best and the most probable mode, and the agents in
-//! their true sizes. The mask is drawn as *highest-density regions*: the smallest areas that hold 50 % and
-//! 90 % of the mixture of all modes.
+//! [`overview`] draws a whole recording. [`scenes`] draws forecasts of recorded scenes, which a
+//! [`Storyboard`] selects; [`learning_curves`] draws a [`TrainingLog`]. A picture is made of *panels*. The
+//! panel of a scene shows, from bottom to top, how often the ground was visited (the context map), the *mask*
+//! of the forecast distribution, every mode as faint as it is improbable, the recorded future, the best and
+//! the most probable mode, and the agents in their true sizes. The mask is drawn as *highest-density
+//! regions*: the smallest areas that hold 50 % and 90 % of the mixture of all modes.
 //!
 //! This crate writes the SVG itself, as one string that is the same to the bit for the same input; text is
 //! drawn as outlines of an embedded font, so that a picture looks alike wherever it is opened. [`save`]

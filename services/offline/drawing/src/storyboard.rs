@@ -134,7 +134,8 @@ impl<'a> Storyboard<'a> {
         Ok(self.shot(number, &wanted, &forecasts[&number]))
     }
 
-    /// The time of the scene in the middle of those with an agent that can be forecast; `None` if no scene has one.
+    /// The time of the scene in the middle of those with an agent that can be forecast; `None` if no scene
+    /// has one.
     #[must_use]
     pub fn middle_s(&self) -> Option<f64> {
         let usable_s: Vec<f64> = self.usable_s().collect();

@@ -157,7 +157,8 @@ impl Report {
         self.published = Some(table);
     }
 
-    /// The forecasts that a run publishes beside constant velocity, and what is left out; `None` of data sets.
+    /// The forecasts that a run publishes beside constant velocity, and what is left out; `None` of data
+    /// sets.
     #[must_use]
     pub fn brief(&self) -> Option<String> {
         let table = self.published.as_ref()?;

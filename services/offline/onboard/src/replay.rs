@@ -1,8 +1,8 @@
 //! A recording once more: its ticks through the stages, compared with what was recorded.
 //!
-//! What depended on the clock in the run is taken from the record, not computed again: which ticks a stage had at
-//! all, which forecasts the tracker had at hand, whether the controls came before the sampler's deadline, which
-//! agents were shed, and when a stage was restarted. All numbers are computed anew.
+//! What depended on the clock in the run is taken from the record, not computed again: which ticks a stage
+//! had at all, which forecasts the tracker had at hand, whether the controls came before the sampler's
+//! deadline, which agents were shed, and when a stage was restarted. All numbers are computed anew.
 
 mod pace;
 mod tick;
@@ -80,7 +80,8 @@ pub struct Replayed {
     pub newest: Option<u64>,
     /// The first tick that the run has had and the recording not from its begin.
     pub missing_before: Option<u64>,
-    /// Whether the tracks are those of the record: begun in the middle of a run, it does not have the tracker's state.
+    /// Whether the tracks are those of the record: begun in the middle of a run, it does not have the
+    /// tracker's state.
     pub tracks_are_recorded: bool,
     /// Numbers of detections without which a tick was replayed that had some.
     pub without_detections: Vec<u64>,
@@ -151,14 +152,15 @@ impl<'a> Replay<'a> {
         })
     }
 
-    /// The same replay with its ticks in the rhythm of their stamps; those before the file follow one another at once.
+    /// The same replay with its ticks in the rhythm of their stamps; those before the file follow one another
+    /// at once.
     #[must_use]
     pub fn in_own_time(self) -> Self {
         Self { pace: Some(Pace::new()), ..self }
     }
 
-    /// Replays all ticks; `each` is called with every frame that a stage has made. Damaged parts of the file are skipped;
-    /// [`Recording::damages`] returns them.
+    /// Replays all ticks; `each` is called with every frame that a stage has made. Damaged parts of the file
+    /// are skipped; [`Recording::damages`] returns them.
     ///
     /// # Errors
     /// [`ReplayError`] if a stage can't be set up again.
@@ -251,7 +253,8 @@ impl<'a> Replay<'a> {
             // A tick that the run's sampler had not answered.
             (_, None) if self.recording.has_topic(ForecastsTopic::NAME) => None,
             (Some(tracks), recorded) if samples_here => {
-                // What is passed on as VOID leaves no trace in the sampler, and does not tell what it began with.
+                // What is passed on as VOID leaves no trace in the sampler, and does not tell what it began
+                // with.
                 if let Some(recorded) = recorded.as_ref().filter(|f| !f.header.has(flags::VOID)) {
                     self.renew_sampler(seq, &recorded.header)?;
                 }
@@ -319,8 +322,8 @@ impl<'a> Replay<'a> {
         Ok(Some(self.stages.track(&header, &detections, prior)))
     }
 
-    /// The forecasts that the tracker had at hand: in lockstep those of the tick before, else those of which it told
-    /// the age or, where it told none, the newest that had been sent when it began.
+    /// The forecasts that the tracker had at hand: in lockstep those of the tick before, else those of which
+    /// it told the age or, where it told none, the newest that had been sent when it began.
     fn choose_prior(&mut self, seq: u64, header: &Header, tracks: Option<&Header>) {
         if header.has(flags::LOCKSTEP) {
             let before = self.forecasts.iter().find(|(_, forecasts)| forecasts.header.seq + 1 == seq);
@@ -414,8 +417,8 @@ impl<'a> Replay<'a> {
         Ok(())
     }
 
-    /// Whether a stage of the run had the tick, by its output or by the hops of the forecasts; where neither says
-    /// so it is taken to have had it.
+    /// Whether a stage of the run had the tick, by its output or by the hops of the forecasts; where neither
+    /// says so it is taken to have had it.
     fn has_passed(&mut self, stage: StageId, tick: &Tick, writes: &str) -> Result<bool, ReplayError> {
         if let Some(incarnation) = tick.incarnation(stage, writes) {
             self.renew(stage, incarnation)?;

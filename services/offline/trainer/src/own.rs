@@ -1,7 +1,7 @@
 //! A user's own recordings: which of them train and which validate, and how a training on them goes.
 //!
-//! No frame is in both parts. Of several recordings the last fifth validates, at least one. A single recording is cut
-//! in time: its first four fifths train, the rest validates.
+//! No frame is in both parts. Of several recordings the last fifth validates, at least one. A single
+//! recording is cut in time: its first four fifths train, the rest validates.
 
 use std::path::{Path, PathBuf};
 

@@ -14,8 +14,8 @@ const CHUNK_BYTES_MAX: u64 = 1 << 30;
 /// Zstandard share it.
 const SKIPPED: [u8; 4] = [0x50, 0x2A, 0x4D, 0x18];
 
-/// The record at the front of `bytes`, its number and its body; `bytes` then begins behind it. `None` if the record is
-/// not whole.
+/// The record at the front of `bytes`, its number and its body; `bytes` then begins behind it. `None` if the
+/// record is not whole.
 pub(crate) fn record<'a>(bytes: &mut &'a [u8]) -> Option<(u8, &'a [u8])> {
     let (prefix, rest) = bytes.split_first_chunk::<PREFIX>()?;
     let (op, len) = parts(prefix);
@@ -30,7 +30,8 @@ pub(super) fn parts(prefix: &[u8; PREFIX]) -> (u8, u64) {
     (op, u64::from_le_bytes(len))
 }
 
-/// The records of a chunk: the content of the record's `body`, decompressed and checked against its check value.
+/// The records of a chunk: the content of the record's `body`, decompressed and checked against its check
+/// value.
 pub(crate) fn unpack(body: &[u8]) -> Result<Vec<u8>, String> {
     let Ok(Record::Chunk { header, data: packed }) = mcap::parse_record(op::CHUNK, body) else {
         return Err("a chunk that is not whole".to_owned());
@@ -61,8 +62,8 @@ pub(crate) fn unpack(body: &[u8]) -> Result<Vec<u8>, String> {
     Ok(bytes)
 }
 
-/// Whether a chunk begins with `head` that has a check value and plausible lengths, with at most `most` bytes in all; the
-/// length of its body if so. `head` is any part of a file.
+/// Whether a chunk begins with `head` that has a check value and plausible lengths, with at most `most` bytes
+/// in all; the length of its body if so. `head` is any part of a file.
 pub(super) fn plausible(head: &[u8], most: u64) -> Option<u64> {
     let (op, body) = (head.first()?, head.get(PREFIX..)?);
     let u32_at = |at: usize| Some(u32::from_le_bytes(*body.get(at..)?.first_chunk()?));
@@ -79,8 +80,9 @@ pub(super) fn plausible(head: &[u8], most: u64) -> Option<u64> {
     is_plausible.then_some(body_len)
 }
 
-/// Decompresses frames one behind the other until there are `len` bytes, or more by one; what follows is left. `frame`
-/// takes a frame from the front of its first argument and adds at most so many bytes to its last.
+/// Decompresses frames one behind the other until there are `len` bytes, or more by one; what follows is
+/// left. `frame` takes a frame from the front of its first argument and adds at most so many bytes to its
+/// last.
 fn frames(
     packed: &[u8],
     len: u64,

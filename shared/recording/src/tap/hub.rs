@@ -110,7 +110,8 @@ impl<C: Write> Hub<C> {
         self.broadcast(&protocol::event(event));
     }
 
-    /// Attaches a tool that marks this moment: passes the mark on to all tools, and tells this one where it went.
+    /// Attaches a tool that marks this moment: passes the mark on to all tools, and tells this one where it
+    /// went.
     ///
     /// # Errors
     /// The connection, if there are [`TOOLS_MAX`] tools already.

@@ -41,8 +41,8 @@ record! {
         40 => agent_type: u32,
         /// Bits of [`detection_flags`].
         44 => flags: u32,
-        /// Time of the measurement less the frame's stamp, at most [`OFFSET_MAX_NS`](crate::OFFSET_MAX_NS) either
-        /// way; 0 where it was made at the stamp.
+        /// Time of the measurement less the frame's stamp, at most [`OFFSET_MAX_NS`](crate::OFFSET_MAX_NS)
+        /// either way; 0 where it was made at the stamp.
         48 => offset_ns: i64,
         /// Zero.
         56 => reserved: [u8; 8],

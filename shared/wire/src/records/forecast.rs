@@ -65,7 +65,8 @@ numbers! {
         ProcessModel = 4 => "process model",
         /// An acceleration that decays.
         DecayingAcceleration = 5 => "decaying acceleration",
-        /// A middle between constant velocity and the single best forecast, with a typical residual of agents alike.
+        /// A middle between constant velocity and the single best forecast, with a typical residual of agents
+        /// alike.
         Fan = 254 => "fan",
         /// The network's best forecast with residuals of others at the same place, from the retrieval memory.
         Retrieval = 255 => "retrieval",
@@ -117,15 +118,15 @@ record! {
         /// How far the agent's history lies outside of what the model was trained on, in the width of that; 0
         /// inside, and where it is not told. At 0.25 the network adds half of what it would.
         92 => out_of_distribution: f32,
-        /// Weight of each [`Expert`] by its number: network, base, constant velocity, decaying turn, process model,
-        /// decaying acceleration; zeros where they are not told.
+        /// Weight of each [`Expert`] by its number: network, base, constant velocity, decaying turn, process
+        /// model, decaying acceleration; zeros where they are not told.
         96 => expert_weights: [f32; EXPERTS_MAX],
         /// Probability of each mode; they sum to 1.
         128 => probability: [f32; MODES_MAX],
         /// [`Expert`] of each mode as a number.
         208 => mode_expert: [u8; MODES_MAX],
-        /// 1 if the forecast was taken along lanes of the map, 2 if a vehicle moves on no lane of it; 0 without a map,
-        /// for all other agents, and if it is not reported.
+        /// 1 if the forecast was taken along lanes of the map, 2 if a vehicle moves on no lane of it; 0
+        /// without a map, for all other agents, and if it is not reported.
         228 => lanes: u32,
         /// Zero.
         232 => reserved: [u8; 72],
@@ -154,8 +155,8 @@ impl Forecast {
     /// Of [`Forecast::lanes`]: a vehicle that moves is on no lane.
     pub const OFF_LANES: u32 = 2;
 
-    /// Whether it is by controls of its own tick: also where constant velocity was known to be nearer, so that
-    /// it is not called learned.
+    /// Whether it is by controls of its own tick: also where constant velocity was known to be nearer, so
+    /// that it is not called learned.
     #[must_use]
     pub const fn is_served(&self) -> bool {
         self.quality == Quality::Learned as u32 || self.cause == Cause::Outdone as u32

@@ -102,8 +102,8 @@ impl Shown {
             device: &Device::Processor,
         };
         let batch = Batch::new(&views, options).unwrap();
-        // Neither lines nor poses are inputs: lines depend on what else is in the file, and a pose between two
-        // poses is interpolated.
+        // Neither lines nor poses are inputs: lines depend on what else is in the file, and a pose between
+        // two poses is interpolated.
         let without = |frame: &data::Frame| data::Frame {
             lines: data::Lines::default(),
             ego: data::Ego::default(),
