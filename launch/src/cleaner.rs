@@ -1,10 +1,13 @@
 //! Cleans up after dead stages, in a helper process: clean-up can block for ever, and the supervisor must not.
 
 use std::fmt;
+use std::io::Read as _;
 use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
 use std::path::PathBuf;
 use std::process::{Child as Process, Command, Stdio};
 use std::time::Duration;
+
+use ports::{NodeNumber, NodeProcess};
 
 use crate::child::{die_with_this_process, end_of};
 use crate::failure::Failure;
@@ -26,6 +29,8 @@ pub struct Cleaner {
     tries: u32,
     /// Helpers that were killed since somebody asked.
     hung: Vec<Hung>,
+    /// Dead nodes that helpers have met since somebody asked.
+    met: Vec<(NodeNumber, NodeProcess)>,
     /// How often a helper has ended, in time or not: what died before it began is cleaned.
     done: u64,
 }
@@ -59,7 +64,7 @@ struct Work {
 impl Cleaner {
     /// Of the run with that record and that prefix.
     pub const fn new(record: PathBuf, prefix: String) -> Self {
-        Self { record, prefix, work: None, tries: 0, hung: Vec::new(), done: 0 }
+        Self { record, prefix, work: None, tries: 0, hung: Vec::new(), met: Vec::new(), done: 0 }
     }
 
     /// The number of the clean-up that takes in a death of now: one that is running began before.
@@ -87,11 +92,17 @@ impl Cleaner {
         self.hung.drain(..)
     }
 
+    /// Dead nodes that helpers have cleaned up after, or tried to, since the last call.
+    pub fn met(&mut self) -> Vec<(NodeNumber, NodeProcess)> {
+        std::mem::take(&mut self.met)
+    }
+
     /// Looks after the helper; starts one where a clean-up up to the number `wanted` is due.
     pub fn tend(&mut self, wanted: u64, now: Duration) -> Result<(), Failure> {
         if let Some(work) = &mut self.work {
             // Fails only for processes that are not children.
             if work.process.try_wait().unwrap_or(None).is_some() {
+                self.met.extend(lines_of(&mut work.process));
                 (self.work, self.tries, self.done) = (None, 0, self.done + 1);
                 return self.start(wanted, now);
             }
@@ -103,6 +114,7 @@ impl Cleaner {
             if removed > 0 || after > LIMIT {
                 let _ = work.process.kill();
                 let _ = work.process.wait();
+                self.met.extend(lines_of(&mut work.process));
                 (self.work, self.tries) = (None, self.tries + 1);
                 self.hung.push(Hung { after, removed });
                 if self.tries == TRIES_MAX {
@@ -119,7 +131,7 @@ impl Cleaner {
             let this = std::env::current_exe().map_err(Failure::unavailable)?;
             let mut command = Command::new(this);
             command.arg("sweep").arg("--run").arg(&self.record);
-            command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
+            command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::null());
             die_with_this_process(&mut command);
             let process = command.spawn().map_err(Failure::unavailable)?;
             let descriptor = end_of(&process);
@@ -129,11 +141,47 @@ impl Cleaner {
     }
 }
 
+/// The line of the helper's output about a dead node.
+pub fn line(number: NodeNumber, process: &NodeProcess) -> String {
+    let NodeProcess { name, program, pid } = process;
+    format!("{number}\t{pid}\t{program}\t{name}")
+}
+
+/// The dead nodes that a helper has printed before it ended.
+fn lines_of(helper: &mut Process) -> Vec<(NodeNumber, NodeProcess)> {
+    let mut text = Vec::new();
+    if let Some(output) = &mut helper.stdout {
+        // What could not be read is found by the next look.
+        let _ = output.read_to_end(&mut text);
+    }
+    String::from_utf8_lossy(&text).lines().filter_map(read_line).collect()
+}
+
+fn read_line(line: &str) -> Option<(NodeNumber, NodeProcess)> {
+    let mut fields = line.splitn(4, '\t');
+    let number = fields.next()?.parse().ok()?;
+    let pid = fields.next()?.parse().ok()?;
+    let (program, name) = (fields.next()?.to_owned(), fields.next()?.to_owned());
+    Some((number, NodeProcess { name, program, pid }))
+}
+
 impl Drop for Cleaner {
     fn drop(&mut self) {
         if let Some(work) = &mut self.work {
             let _ = work.process.kill();
             let _ = work.process.wait();
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_line_of_the_helper_is_read_as_it_was_written() {
+        let process = NodeProcess { name: "my planner".to_owned(), program: "python3".to_owned(), pid: 4711 };
+        assert_eq!(read_line(&line(1 << 100, &process)), Some((1 << 100, process)));
+        assert_eq!(read_line("1\t2\tpyth"), None, "a helper that was killed");
     }
 }

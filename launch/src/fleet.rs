@@ -254,7 +254,7 @@ impl Fleet {
         self.tended = now;
         self.note_own();
         let mut events: Vec<Event> =
-            self.readers.look(&self.cleaner, now).into_iter().map(Event::ReaderDied).collect();
+            self.readers.look(&mut self.cleaner, now).into_iter().map(Event::ReaderDied).collect();
         let is_again = |m: &Member| {
             m.supervision.incarnation() > 0 || matches!(m.supervision.state(), State::Waiting { .. })
         };

@@ -2,12 +2,13 @@
 //!
 //! A reader that dies leaves its places on the topics taken until somebody cleans up after it. The launcher
 //! did not start it, so that no exit status reports its death: [`Readers`] finds the death by the files of
-//! its node.
+//! its node. The clean-up's helper may meet a dead node first, and reports each one before it removes the
+//! files. So every death is counted, and once.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
-use ports::{NodeNumber, NodeWatch};
+use ports::{NodeNumber, NodeProcess, NodeWatch};
 use run::Run;
 
 use crate::cleaner::Cleaner;
@@ -19,6 +20,8 @@ const LOOK: Duration = Duration::from_millis(200);
 const TRIES_MAX: u32 = 8;
 /// Pause before the second clean-up after a death. It doubles with each further one.
 const PAUSE: Duration = Duration::from_millis(500);
+/// Time for which a node is remembered whose files are gone: a helper that was killed may leave some behind.
+const KEPT: Duration = Duration::from_secs(10);
 /// Deaths that are logged one by one.
 const LOGGED_MAX: u64 = 10;
 /// Of further deaths, one in so many is logged.
@@ -29,7 +32,7 @@ const LOGGED_EVERY: u64 = 100;
 pub struct Readers {
     watch: NodeWatch,
     looked: Duration,
-    /// Dead nodes whose files are still there.
+    /// Dead nodes whose files are still there, or were a short time ago.
     dead: BTreeMap<NodeNumber, CleanUp>,
     /// Processes that the launcher has started: their deaths are no readers'.
     own: BTreeSet<u32>,
@@ -42,6 +45,9 @@ struct CleanUp {
     ticket: u64,
     tries: u32,
     next: Duration,
+    /// When the node was last seen.
+    seen: Duration,
+    is_counted: bool,
 }
 
 /// A reader that has died.
@@ -88,37 +94,51 @@ impl Readers {
         self.dead.values().map(|clean_up| clean_up.ticket).max().unwrap_or(0)
     }
 
-    /// Looks for nodes that have died since the last look; returns the readers among them.
-    pub fn look(&mut self, cleaner: &Cleaner, now: Duration) -> Vec<DeadReader> {
-        if now.saturating_sub(self.looked) < LOOK {
-            return Vec::new();
+    /// Looks for nodes that have died; returns the readers among those that were not counted yet.
+    pub fn look(&mut self, cleaner: &mut Cleaner, now: Duration) -> Vec<DeadReader> {
+        let mut processes = cleaner.met();
+        for &(number, _) in &processes {
+            // Its clean-up is over. If that has failed, the next look tries again.
+            let clean_up = CleanUp { ticket: 0, tries: 0, next: now, seen: now, is_counted: false };
+            self.dead.entry(number).or_insert(clean_up).seen = now;
         }
-        self.looked = now;
-        let dead = self.watch.dead();
-        self.dead.retain(|number, _| dead.contains(number));
-        for clean_up in self.dead.values_mut() {
-            let is_due = cleaner.is_done(clean_up.ticket) && now >= clean_up.next;
-            if is_due && clean_up.tries < TRIES_MAX {
-                clean_up.next = now + PAUSE * 2_u32.pow(clean_up.tries);
-                (clean_up.ticket, clean_up.tries) = (cleaner.ticket(), clean_up.tries + 1);
+        if now.saturating_sub(self.looked) >= LOOK {
+            self.looked = now;
+            let dead = self.watch.dead();
+            let new: Vec<NodeNumber> =
+                dead.iter().copied().filter(|number| !self.dead.contains_key(number)).collect();
+            self.request_clean_ups(&dead, cleaner, now);
+            self.dead.retain(|_, clean_up| now.saturating_sub(clean_up.seen) < KEPT);
+            if !new.is_empty() {
+                processes.extend(self.watch.processes(&new));
             }
         }
-        let new: Vec<NodeNumber> =
-            dead.into_iter().filter(|number| !self.dead.contains_key(number)).collect();
-        if new.is_empty() {
-            return Vec::new();
-        }
+        processes.into_iter().filter_map(|(number, process)| self.count(number, &process)).collect()
+    }
+
+    /// Requests a clean-up for each dead node that has none, and for each whose last one has failed.
+    fn request_clean_ups(&mut self, dead: &[NodeNumber], cleaner: &Cleaner, now: Duration) {
         let ticket = cleaner.ticket();
-        self.dead.extend(new.iter().map(|&number| (number, CleanUp { ticket, tries: 1, next: now + PAUSE })));
-        let mut readers = Vec::new();
-        for (_, process) in self.watch.processes(&new) {
-            if !self.own.contains(&process.pid) {
-                self.deaths += 1;
-                let process = format!("{} ({}, process {})", process.name, process.program, process.pid);
-                readers.push(DeadReader { process, number: self.deaths });
+        for &number in dead {
+            let first = CleanUp { ticket, tries: 1, next: now + PAUSE, seen: now, is_counted: false };
+            let clean_up = self.dead.entry(number).or_insert(first);
+            clean_up.seen = now;
+            if cleaner.is_done(clean_up.ticket) && now >= clean_up.next && clean_up.tries < TRIES_MAX {
+                clean_up.next = now + PAUSE * 2_u32.pow(clean_up.tries);
+                (clean_up.ticket, clean_up.tries) = (ticket, clean_up.tries + 1);
             }
         }
-        readers
+    }
+
+    /// Counts a dead node, unless it was counted before or is a process of the launcher's.
+    fn count(&mut self, number: NodeNumber, process: &NodeProcess) -> Option<DeadReader> {
+        let clean_up = self.dead.get_mut(&number)?;
+        if std::mem::replace(&mut clean_up.is_counted, true) || self.own.contains(&process.pid) {
+            return None;
+        }
+        self.deaths += 1;
+        let process = format!("{} ({}, process {})", process.name, process.program, process.pid);
+        Some(DeadReader { process, number: self.deaths })
     }
 }
 

@@ -3,6 +3,7 @@ use std::path::PathBuf;
 use clap::Args;
 use run::{Exit, Run};
 
+use crate::cleaner;
 use crate::failure::Failure;
 
 /// Arguments of `stgdat sweep`.
@@ -13,9 +14,10 @@ pub struct Arguments {
     run: PathBuf,
 }
 
-/// Gives back what dead stages of a living run held; the launcher starts it, with a time limit.
+/// Gives back what dead processes of a living run held, and prints a line for each of them. The launcher
+/// starts this verb, with a time limit.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let run = Run::read(&arguments.run).map_err(Failure::config)?;
-    ports::clean_dead_nodes(&run)?;
+    ports::clean_dead_nodes(&run, |number, process| say!("{}", cleaner::line(number, process)))?;
     Ok(Exit::Done)
 }

@@ -18,7 +18,7 @@ use wire::{
 use crate::added::{Added, Limits};
 use crate::element::{Element, Head};
 use crate::names::Names;
-use crate::nodes::remove_fragments;
+use crate::nodes::{self, NodeNumber, NodeProcess};
 use crate::publisher::Sender;
 use crate::space::remove_half_made_services;
 use crate::{HEARTBEAT, PortError, Publisher, Stop, Subscriber};
@@ -396,27 +396,30 @@ pub(crate) fn transport_config(run: &Run) -> Result<Config, SemanticStringError>
 }
 
 /// Gives back what the dead processes of a run held in shared memory: their ports' places on the topics and
-/// the frames that they had borrowed. Returns how many were cleaned, and how many could not be. A service
-/// that one of them was killed in the middle of making is removed, so that others can make it.
+/// the frames that they had borrowed. Calls `found` with each process before its files are removed. Returns
+/// how many were cleaned, and how many could not be. A service that one of them was killed in the middle of
+/// making is removed, so that others can make it.
 ///
 /// May block for ever on a connection that a process was killed in the middle of making
 /// ([`remove_half_made_connections`](crate::remove_half_made_connections)): call it in a process that can be
 /// killed.
 ///
 /// # Errors
-/// [`PortError`] where the run can't be joined.
-pub fn clean_dead_nodes(run: &Run) -> Result<(u64, u64), PortError> {
-    let node = Node::open(run, "cleaner")?.node;
-    let mut cleaned = node.try_cleanup_dead_nodes();
-    if cleaned.failed_cleanups > 0 {
+/// [`PortError`] if the run's paths can't be used.
+pub fn clean_dead_nodes(
+    run: &Run,
+    mut found: impl FnMut(NodeNumber, &NodeProcess),
+) -> Result<(u64, u64), PortError> {
+    let config = transport_config(run).map_err(PortError::of_node("paths of the run"))?;
+    let (mut cleaned, mut failed) = nodes::clean(&config, &mut found);
+    if failed > 0 {
         // A service takes milliseconds to be made: what is half made for so long, nobody will finish.
         std::thread::sleep(HALF_MADE_LIMIT);
         if remove_half_made_services(&run.root, HALF_MADE_LIMIT) > 0 {
-            let again = node.try_cleanup_dead_nodes();
-            cleaned.cleanups += again.cleanups;
-            cleaned.failed_cleanups = again.failed_cleanups;
+            let again = nodes::clean(&config, &mut found);
+            (cleaned, failed) = (cleaned + again.0, again.1);
         }
     }
-    remove_fragments(run);
-    Ok((cleaned.cleanups, cleaned.failed_cleanups))
+    nodes::remove_fragments(run);
+    Ok((cleaned, failed))
 }

@@ -11,7 +11,7 @@ use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use iceoryx2::node::{NodeState, NodeView};
+use iceoryx2::node::{DeadNodeView, NodeState, NodeView};
 use iceoryx2::prelude::{CallbackProgression, Config, SemanticString, ipc};
 use run::Run;
 use rustix::process::{Flock, FlockType, fcntl_getlk};
@@ -83,11 +83,8 @@ impl NodeWatch {
             let number = state.node_id().value();
             if let NodeState::Dead(node) = &state
                 && dead.contains(&number)
-                && let Some(details) = node.details()
             {
-                let name = details.name().as_str().to_owned();
-                let program = String::from_utf8_lossy(details.executable().as_bytes()).into_owned();
-                processes.insert(number, NodeProcess { name, program, pid: pid_of(number) });
+                processes.extend(process_of(node).map(|process| (number, process)));
             }
             CallbackProgression::Continue
         };
@@ -95,6 +92,35 @@ impl NodeWatch {
         let _ = iceoryx2::node::Node::<ipc::Service>::list(&self.config, take);
         processes
     }
+}
+
+/// The process of a dead node, if the node's files name it.
+fn process_of(node: &DeadNodeView<ipc::Service>) -> Option<NodeProcess> {
+    let details = node.details().as_ref()?;
+    let name = details.name().as_str().to_owned();
+    let program = String::from_utf8_lossy(details.executable().as_bytes()).into_owned();
+    Some(NodeProcess { name, program, pid: pid_of(node.id().value()) })
+}
+
+/// Gives back what dead nodes held. Calls `found` with each node before its files are removed, if they name
+/// its process. Returns how many were cleaned, and how many could not be.
+pub(crate) fn clean(config: &Config, found: &mut impl FnMut(NodeNumber, &NodeProcess)) -> (u64, u64) {
+    let (mut cleaned, mut failed) = (0, 0);
+    let clean = |state: NodeState<ipc::Service>| {
+        if let NodeState::Dead(node) = state {
+            if let Some(process) = process_of(&node) {
+                found(node.id().value(), &process);
+            }
+            match node.blocking_remove_stale_resources(Duration::ZERO) {
+                Ok(()) => cleaned += 1,
+                Err(_) => failed += 1,
+            }
+        }
+        CallbackProgression::Continue
+    };
+    // Fails while another process removes a node: the next clean-up takes in what is left.
+    let _ = iceoryx2::node::Node::<ipc::Service>::list(config, clean);
+    (cleaned, failed)
 }
 
 /// Removes what is left of nodes whose processes were killed while they made them or cleaned up after them:
