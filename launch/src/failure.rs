@@ -86,6 +86,14 @@ pub struct StageDeath {
     pub last_lines: Vec<String>,
 }
 
+impl StageDeath {
+    /// How it ended, with the last line of its output.
+    pub fn how_and_why(&self) -> String {
+        let last = self.last_lines.last().map(|line| line.trim_start_matches("error: "));
+        last.map_or_else(|| self.how.clone(), |why| format!("{}: {why}", self.how))
+    }
+}
+
 impl Failure {
     /// A file can't be used.
     pub fn data(error: impl Into<Cause>) -> Self {

@@ -26,6 +26,8 @@ fn a_stage_is_replaced_by_another_program_and_back() {
     let area = example("area_localiser");
     let (code, told) = replace(&root, "localiser", &["--set", "radius_m=40", "--exec", &area]);
     assert_eq!(code, Some(0), "{told}");
+    let name = root.file_name().and_then(|name| name.to_str()).expect("a run has a name");
+    assert!(told.starts_with(&format!("{name}: ")), "the run that was chosen: {told}");
     assert!(told.contains("the localiser is replaced by") && told.contains("handed over in"), "{told}");
     let is_there = run.stages().iter().any(|(_, line)| line.first() == Some(&area));
     assert!(is_there, "{:?}", run.stages());

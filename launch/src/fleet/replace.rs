@@ -342,7 +342,7 @@ impl Fleet {
                 return None;
             }
             Some(child) => match child.ended() {
-                Some(status) => child.death(status).how,
+                Some(status) => child.death(status).how_and_why(),
                 None if !matches!(state, State::Running { .. }) => {
                     "was no longer needed: the old one died, and is restarted by its policy".to_owned()
                 }

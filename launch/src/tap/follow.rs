@@ -142,7 +142,7 @@ fn add(writer: &mut impl Keep, item: Item, lost: &mut Losses) {
         Item::Event(event) => writer.keep(Message::Event(event)),
         Item::Line(line) => writer.keep(Message::Line(line)),
         // Taken before the first of these, and told where it comes again.
-        Item::Attached | Item::Marked(_) => {}
+        Item::Attached | Item::Marked(_) | Item::Refused(_) => {}
         Item::Lost(loss) => {
             let (at, topic) = (loss.at.name().to_owned(), loss.topic().to_owned());
             *lost.entry(topic.clone()).or_default() += loss.frames;

@@ -1,14 +1,14 @@
 //! The tap's process: sockets and topics around [`Hub`].
 
 use std::collections::BTreeMap;
-use std::io::{self, ErrorKind, Read as _};
+use std::io::{self, ErrorKind, Read as _, Write as _};
 use std::os::fd::{AsFd, BorrowedFd};
 use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::Path;
 use std::time::{Duration, Instant};
 
 use ports::{Node, Publisher, Stop, TAP, monotonic_ns};
-use recording::tap::{Hub, QUEUE_BYTES, REQUEST_BYTES_MAX, Request, SOCKET, Want};
+use recording::tap::{self, Hub, QUEUE_BYTES, REQUEST_BYTES_MAX, Request, SOCKET, TOOLS_MAX, Want};
 use recording::{Event, Happened, LogLine};
 use run::{Exit, Run};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
@@ -256,7 +256,8 @@ impl Server {
             Err(error) => return tracing::warn!("a request that is none: {error}"),
         };
         if let Err(error) = self.open(Want::of(&request)) {
-            return tracing::warn!("{}: {error}", request.tool);
+            tracing::warn!("{}: {error}", request.tool);
+            return refuse(&socket, &error.to_string());
         }
         let attached = if request.mark.is_some() {
             let reads_ticks = self.inputs.iter().any(|input| !is_heartbeats(input.number()));
@@ -265,8 +266,11 @@ impl Server {
         } else {
             self.hub.attach(request, socket)
         };
-        if attached.is_err() {
-            tracing::warn!("a tool more than the tap serves");
+        if let Err(socket) = attached {
+            let why =
+                format!("the tap serves {TOOLS_MAX} tools at once, and all are attached: end one of them");
+            tracing::warn!("{why}");
+            refuse(&socket, &why);
         }
     }
 
@@ -322,6 +326,11 @@ impl Server {
         std::mem::forget((self.inputs, self.beats, self.node));
         Ok(Exit::Done)
     }
+}
+
+/// Answers a tool that is not attached. An empty socket takes so few bytes at once.
+fn refuse(mut socket: &UnixStream, why: &str) {
+    let _ = socket.write_all(&tap::refused(why));
 }
 
 fn is_heartbeats(topic: u8) -> bool {

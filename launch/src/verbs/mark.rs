@@ -32,6 +32,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let marked = loop {
         match client.next(ANSWER_LIMIT).map_err(Failure::unavailable)? {
             Some(Item::Marked(marked)) => break marked,
+            Some(Item::Refused(why)) => return Err(Failure::unavailable_about(&run.name, why)),
             Some(_) => {}
             None => return Err(Failure::Failed(format!("the tap of {} does not answer", run.name))),
         }

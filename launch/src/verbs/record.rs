@@ -95,8 +95,10 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let tool = "record".to_owned();
     let request = Request { tool, topics: names, events: true, mark: None, recording };
     let mut client = Client::attach(&run.root, &request).map_err(Failure::unavailable)?;
-    if client.next(ATTACH_LIMIT).map_err(Failure::unavailable)? != Some(Item::Attached) {
-        return Err(Failure::Failed(format!("the tap of {} does not answer", run.name)));
+    match client.next(ATTACH_LIMIT).map_err(Failure::unavailable)? {
+        Some(Item::Attached) => {}
+        Some(Item::Refused(why)) => return Err(Failure::unavailable_about(&run.name, why)),
+        _ => return Err(Failure::Failed(format!("the tap of {} does not answer", run.name))),
     }
     let file = &arguments.file;
     let recorded = match arguments.ring.limits() {

@@ -508,7 +508,7 @@ fn about(arguments: &Arguments, info: &RunInfo, run: &Run) -> Result<About, Fail
         pipeline: pipeline_file::text(arguments.pipeline.as_deref())?,
         weights_sha256: info.weights_sha256.clone().unwrap_or_default(),
         kernels: version::kernels(run),
-        scene: info.recording.clone().unwrap_or_default(),
+        scene: info.recording.clone().unwrap_or_else(|| "detections of a producer".to_owned()),
         run: run.clone(),
         ..About::default()
     })

@@ -13,4 +13,4 @@ mod protocol;
 
 pub use client::{Client, TapError};
 pub use hub::{Hub, QUEUE_BYTES, TOOLS_MAX, Tool};
-pub use protocol::{Item, Lost, LostAt, Marked, REQUEST_BYTES_MAX, Request, SOCKET, Want};
+pub use protocol::{Item, Lost, LostAt, Marked, REQUEST_BYTES_MAX, Request, SOCKET, Want, refused};

@@ -30,11 +30,12 @@ pub struct Arguments {
 
 /// Has the launcher of a run replace a stage, and tells what came of it.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
-    let record = runs::find(arguments.run.as_deref())?.root.join("run");
-    let run = Run::read(&record).map_err(Failure::config)?;
+    let living = runs::find(arguments.run.as_deref())?;
+    let run = Run::read(&living.root.join("run")).map_err(Failure::config)?;
     let order =
         Order { stage: arguments.name.clone(), command: command(&arguments.exec)?, options: set(arguments)? };
     let Answer { outcome, text } = control::order(&control::path(&run), &order)?;
+    let text = format!("{}: {text}", living.name);
     match outcome {
         Some(ReplacementOutcome::Replaced) => {
             show(&format!("{text}\n"))?;

@@ -76,6 +76,8 @@ pub enum Item {
     Lost(Lost),
     /// The tool's mark was passed on.
     Marked(Marked),
+    /// The tool is not attached, for this reason.
+    Refused(String),
 }
 
 /// Frames that a tool did not get.
@@ -126,6 +128,7 @@ mod kind {
     pub const LOST: u8 = 4;
     pub const ATTACHED: u8 = 5;
     pub const MARKED: u8 = 6;
+    pub const REFUSED: u8 = 7;
 }
 
 /// Bytes before an item's body: the body's length, the kind, the topic, two that are zero, the time of receipt.
@@ -158,6 +161,12 @@ pub(super) fn marked(marked: &Marked) -> Arc<[u8]> {
     packet(kind::MARKED, 0, 0, [&serde_json::to_vec(marked).unwrap_or_default(), &[]])
 }
 
+/// The answer to a tool that is not attached.
+#[must_use]
+pub fn refused(why: &str) -> Arc<[u8]> {
+    packet(kind::REFUSED, 0, 0, [why.as_bytes(), &[]])
+}
+
 pub(super) fn lost(lost: &Lost) -> Arc<[u8]> {
     packet(kind::LOST, lost.topic, 0, [&serde_json::to_vec(lost).unwrap_or_default(), &[]])
 }
@@ -188,7 +197,7 @@ pub(super) fn take(buffer: &[u8]) -> Result<Option<(Item, usize)>, ItemError> {
     let Some((prefix, rest)) = buffer.split_at_checked(PREFIX) else { return Ok(None) };
     let len = u32::from_le_bytes([prefix[0], prefix[1], prefix[2], prefix[3]]) as usize;
     let (kind, topic) = (prefix[4], prefix[5]);
-    let is_known = (kind::FRAME..=kind::MARKED).contains(&kind) && usize::from(topic) < TABLE.topics.len();
+    let is_known = (kind::FRAME..=kind::REFUSED).contains(&kind) && usize::from(topic) < TABLE.topics.len();
     if len > ITEM_BYTES_MAX || !is_known {
         return Err(ItemError::Unknown { kind, topic, len });
     }
@@ -200,6 +209,7 @@ pub(super) fn take(buffer: &[u8]) -> Result<Option<(Item, usize)>, ItemError> {
         kind::LINE => Item::Line(serde_json::from_slice(body)?),
         kind::ATTACHED => Item::Attached,
         kind::MARKED => Item::Marked(serde_json::from_slice(body)?),
+        kind::REFUSED => Item::Refused(String::from_utf8_lossy(body).into_owned()),
         _ => Item::Lost(serde_json::from_slice(body)?),
     };
     Ok(Some((item, PREFIX + len)))
