@@ -83,8 +83,13 @@ fn text(inspection: &Inspection, out: Option<&Path>) -> String {
     if let Some(share) = inspection.agreeing_headings {
         line("headings", format!("{:.1} % agree with the motion", share * 100.0));
     }
-    if inspection.frames_with_ego > 0 {
-        line("sensor", format!("its pose is known in {} frames", inspection.frames_with_ego));
+    let Inspection { frames_with_ego, poses_missing, .. } = inspection;
+    if frames_with_ego + poses_missing > 0 {
+        let missing = match poses_missing {
+            0 => String::new(),
+            frames => format!("; {frames} frames have no pose that is near enough"),
+        };
+        line("sensor", format!("its pose is known in {frames_with_ego} frames{missing}"));
     }
     if let Some(out) = out {
         line("picture", out.display().to_string());

@@ -244,6 +244,9 @@ fn input(text: &mut Text, status: &RunStatus) {
     for (kind, count) in input.counts() {
         text.sample(name, &[("kind", kind)], count);
     }
+    let (name, help) =
+        ("stgdat_input_poses_missing", "Frames of the recording without a pose of the sensor.");
+    text.single(Kind::Gauge, name, help, input.poses_missing);
     let name = "stgdat_input_finding_share";
     text.metric(Kind::Gauge, name, "Share of the rows that a finding of the audit concerns.");
     for (found, share) in input.findings.iter().filter_map(|found| Some((found, found.share?))) {

@@ -29,15 +29,25 @@ pub struct InputReport {
     pub merged: u64,
     /// Rows of the recording that its format leaves out, by reason.
     pub rows_left_out: BTreeMap<String, u64>,
+    /// Frames of the recording that no pose of its moving sensor is near enough to: the frames are not seen
+    /// from the sensor.
+    pub poses_missing: u64,
     /// What is wrong with the input, doubts or not.
     pub findings: Vec<Found>,
+    /// Whether the recording was audited before it was played.
+    #[serde(skip)]
+    is_audited: bool,
 }
 
 impl InputReport {
     /// What is known of a recording before it is played.
     #[must_use]
-    pub fn of_recording(findings: Vec<Found>, rows_left_out: BTreeMap<String, u64>) -> Self {
-        Self { rows_left_out, findings, ..Self::default() }
+    pub fn of_recording(
+        findings: Vec<Found>,
+        rows_left_out: BTreeMap<String, u64>,
+        poses_missing: u64,
+    ) -> Self {
+        Self { rows_left_out, poses_missing, findings, is_audited: true, ..Self::default() }
     }
 
     /// The doubts.
@@ -70,19 +80,22 @@ impl InputReport {
         ]
     }
 
-    /// Adds what is known of the recording: its figures take the place of doubts of the same kind.
+    /// Adds what is known of the recording. Its audit takes the place of the tracker's, which has seen headings
+    /// that the reader has wrapped, and fewer rows.
     pub(crate) fn add(&mut self, recording: &Self) {
-        let known = |found: &Found| recording.findings.iter().any(|other| other.kind == found.kind);
-        self.findings.retain(|found| !known(found));
-        self.findings.splice(0..0, recording.findings.iter().cloned());
+        if recording.is_audited {
+            self.findings.clone_from(&recording.findings);
+        }
         self.rows_left_out.clone_from(&recording.rows_left_out);
+        self.poses_missing = recording.poses_missing;
     }
 
-    /// Whether all detections were taken in as measurements, and no row was left out.
+    /// Whether all detections were taken in as measurements, no row was left out and no pose is missing.
     #[must_use]
     pub fn is_clean(&self) -> bool {
         let [_, others @ ..] = self.counts();
-        others.iter().all(|(_, count)| *count == 0) && self.rows_left_out.is_empty()
+        let is_whole = self.rows_left_out.is_empty() && self.poses_missing == 0;
+        is_whole && others.iter().all(|(_, count)| *count == 0)
     }
 
     /// One line for people; `None` if there is nothing to report.
@@ -102,7 +115,10 @@ impl InputReport {
         let rows = self.rows_left_out.iter();
         let rows =
             rows.map(|(reason, rows)| format!("{} rows left out ({reason})", crate::text::count(*rows)));
-        let parts: Vec<String> = counts.chain(rows).collect();
+        let poses = (self.poses_missing > 0).then(|| {
+            format!("{} frames without a pose of the sensor", crate::text::count(self.poses_missing))
+        });
+        let parts: Vec<String> = counts.chain(rows).chain(poses).collect();
         (!parts.is_empty()).then(|| parts.join(", "))
     }
 }
@@ -113,7 +129,11 @@ pub struct InputTally {
     newest: [u32; 7],
     /// Of the incarnations before.
     before: [u64; 7],
+    /// Of the newest header: the audit withdraws a doubt if later rows remove it.
     doubts: u32,
+    /// Of the incarnations before.
+    #[serde(default)]
+    doubts_before: u32,
 }
 
 impl InputTally {
@@ -122,6 +142,9 @@ impl InputTally {
         let InputCounts { detections, repeated, misfits, placeholders, reassigned, unplayed, merged, doubts } =
             header.input;
         let counts = [detections, repeated, misfits, placeholders, reassigned, unplayed, merged];
+        if detections < self.newest[0] {
+            self.doubts_before |= self.doubts;
+        }
         for ((newest, before), count) in self.newest.iter_mut().zip(&mut self.before).zip(counts) {
             // A stage that was started again counts from 0.
             if count < *newest {
@@ -129,7 +152,7 @@ impl InputTally {
             }
             *newest = count;
         }
-        self.doubts |= doubts;
+        self.doubts = doubts;
     }
 
     /// The counts so far; doubts without figures, unless those of the recording are known.
@@ -149,7 +172,7 @@ impl InputTally {
             reassigned,
             unplayed,
             merged,
-            findings: Doubt::of_bits(self.doubts).map(Found::of_kind).collect(),
+            findings: Doubt::of_bits(self.doubts | self.doubts_before).map(Found::of_kind).collect(),
             ..InputReport::default()
         };
         report.add(recording);
@@ -178,14 +201,33 @@ mod tests {
     }
 
     #[test]
-    fn figures_of_the_recording_replace_the_doubt_of_the_same_kind() {
+    fn a_doubt_that_the_audit_withdraws_is_not_reported_and_one_before_a_restart_is() {
         let mut tally = InputTally::default();
-        tally.tick(&header(1, 0, Doubt::Repeated.bit() | Doubt::SpeedsInKmh.bit()));
+        let kinds = |tally: &InputTally| {
+            let findings = tally.report(&InputReport::default()).findings;
+            findings.into_iter().map(|found| found.kind).collect::<Vec<_>>()
+        };
+        tally.tick(&header(10, 0, Doubt::Outliers.bit()));
+        assert_eq!(kinds(&tally), ["outliers"]);
+        tally.tick(&header(20, 0, 0));
+        assert!(kinds(&tally).is_empty());
+        tally.tick(&header(30, 0, Doubt::Repeated.bit()));
+        tally.tick(&header(1, 0, 0));
+        assert_eq!(kinds(&tally), ["repeated"]);
+    }
+
+    #[test]
+    fn the_audit_of_a_recording_replaces_that_of_the_tracker() {
+        let mut tally = InputTally::default();
+        tally.tick(&header(1, 0, Doubt::HeadingsUnrelated.bit() | Doubt::SpeedsInKmh.bit()));
+        let live = tally.report(&InputReport::default());
+        let kinds: Vec<&str> = live.findings.iter().map(|found| found.kind.as_str()).collect();
+        assert_eq!(kinds, ["headings_unrelated", "speeds_in_kmh"]);
         let known =
             Found { first: Some("a.csv:7".to_owned()), rows: Some(3), ..Found::of_kind(Doubt::Repeated) };
-        let report = tally.report(&InputReport::of_recording(vec![known.clone()], BTreeMap::new()));
-        assert_eq!(report.findings, [known, Found::of_kind(Doubt::SpeedsInKmh)]);
-        let reasons: Vec<String> = report.reasons().collect();
-        assert_eq!(reasons[1], "input: speeds look like km/h: divide them by 3.6");
+        let report = tally.report(&InputReport::of_recording(vec![known.clone()], BTreeMap::new(), 3));
+        assert_eq!((report.poses_missing, report.is_clean()), (3, false));
+        assert_eq!(report.line().as_deref(), Some("1 detections, 3 frames without a pose of the sensor"));
+        assert_eq!(report.findings, [known]);
     }
 }

@@ -11,22 +11,36 @@ const LOOKS: u64 = 96;
 /// A stamp this much before the newest one is of a clock that was set back.
 const BACK_NS: i64 = 1_000_000_000;
 
-/// The audit of a running producer: which doubts there were, as bits.
+/// The audit of a running producer: its doubts, as bits.
 ///
-/// A doubt stays once it was found. The figures begin again every 3,072 frames.
+/// The figures begin again every 3,072 frames. A doubt of these frames is withdrawn if later ones lower its
+/// share, as a recording of the same frames would have it; at their end it stays.
 #[derive(Clone, Debug)]
 pub struct LiveAudit {
     audit: Audit,
     frames: u64,
     newest_ns: Option<i64>,
-    doubts: u32,
-    /// Doubts that were not reported yet.
+    /// Doubts of earlier figures.
+    settled: u32,
+    /// Doubts of the figures so far.
+    current: u32,
+    /// Doubts that were found at any time.
+    found: u32,
+    /// Doubts that were not logged yet.
     new: u32,
 }
 
 impl Default for LiveAudit {
     fn default() -> Self {
-        Self { audit: Audit::new(IDENTITIES, None), frames: 0, newest_ns: None, doubts: 0, new: 0 }
+        Self {
+            audit: Audit::new(IDENTITIES, None),
+            frames: 0,
+            newest_ns: None,
+            settled: 0,
+            current: 0,
+            found: 0,
+            new: 0,
+        }
     }
 }
 
@@ -51,10 +65,11 @@ impl LiveAudit {
     }
 
     fn look(&mut self) {
-        let found = self.audit.doubts();
-        self.new |= found & !self.doubts;
-        self.doubts |= found;
+        self.current = self.audit.doubts();
+        self.new |= self.current & !self.found;
+        self.found |= self.current;
         if self.new == 0 && self.frames.is_multiple_of(LOOK_FRAMES * LOOKS) {
+            self.settled |= std::mem::take(&mut self.current);
             self.audit.restart();
         }
     }
@@ -62,7 +77,7 @@ impl LiveAudit {
     /// Bits of the doubts so far.
     #[must_use]
     pub const fn doubts(&self) -> u32 {
-        self.doubts
+        self.settled | self.current
     }
 
     /// The doubts that were found since this was called last. Allocates if there are any.
@@ -140,6 +155,23 @@ mod tests {
         let micro = doubts(64, TENTH_NS / 1_000, detection_flags::HAS_ID, |_, _| ()).doubts();
         // At such stamps nothing can have moved as it did.
         assert_eq!(micro, Doubt::StampsInOtherUnit.bit() | Doubt::Outliers.bit());
+    }
+
+    #[test]
+    fn a_doubt_is_withdrawn_if_later_frames_lower_its_share_below_the_limit() {
+        // One position of one car, of 96 frames more than 1 %, of 128 less.
+        let lone = |frames: u64| {
+            let mut audit = LiveAudit::default();
+            for seq in 0..frames {
+                let (x_m, y_m) = (0.8 * seq as f32, if seq == 50 { 300.0 } else { 0.0 });
+                let flags = detection_flags::HAS_ID;
+                let car = Detection { x_m, y_m, flags, ..Detection::default() };
+                audit.frame(&Header::new(1, seq, seq as i64 * TENTH_NS), &[car]);
+            }
+            audit
+        };
+        assert_eq!(lone(96).doubts(), Doubt::Outliers.bit());
+        assert_eq!(lone(128).doubts(), 0);
     }
 
     #[test]

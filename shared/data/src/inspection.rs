@@ -3,7 +3,6 @@ use std::sync::Arc;
 
 use audit::{Audit, Found, Place, TypeFigures};
 use serde::Serialize;
-use wire::Detection;
 
 use crate::{LeftOut, Recording};
 
@@ -37,6 +36,8 @@ pub struct Inspection {
     pub identities: bool,
     /// Frames with the pose of a sensor that agents can occlude.
     pub frames_with_ego: usize,
+    /// Frames that no pose of a moving sensor was near enough to: they are not seen from it.
+    pub poses_missing: usize,
     /// What was seen of each type.
     pub types: Vec<TypeInspection>,
     /// Share of the headings that agree with the motion; `None` without headings of moving agents.
@@ -105,6 +106,7 @@ pub fn inspect(recording: &Recording) -> Inspection {
         gaps,
         longest_gap,
         identities: recording.has_identities,
+        poses_missing: recording.poses_missing,
         frames_with_ego: recording.frames.iter().filter(|frame| frame.ego.is_sensor).count(),
         types: audit.types().map(TypeInspection::from).collect(),
         agreeing_headings: audit.agreeing_headings().map(rounded),
@@ -138,7 +140,7 @@ fn examine(recording: &Recording) -> (Audit, Vec<Found>) {
                 paths.push(&line.path);
                 paths.len() - 1
             });
-            let written = Detection { heading_rad: line.heading_written, ..*detection };
+            let written = frame.written(place).unwrap_or(*detection);
             audit.detection(stamp_ns, &written, Place { file: file as u32, line: line.line as u64 });
         }
     }

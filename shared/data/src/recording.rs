@@ -32,6 +32,16 @@ pub struct Frame {
     pub lines: Lines,
 }
 
+impl Frame {
+    /// The detection at a place as its file has it, with a heading that is not wrapped.
+    #[must_use]
+    pub fn written(&self, place: usize) -> Option<Detection> {
+        let detection = *self.detections.get(place)?;
+        let line = self.lines.get(place);
+        Some(line.map_or(detection, |line| Detection { heading_rad: line.heading_written, ..detection }))
+    }
+}
+
 /// Rows of a file that are no detections by the rules of its format.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LeftOut {

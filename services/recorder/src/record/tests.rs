@@ -296,7 +296,7 @@ fn doubts_about_the_input_make_a_run_doubtful() {
 fn the_audit_of_the_recording_completes_the_verdict() {
     let mut report = with_doubts(Doubt::Repeated.bit()).report();
     let known = Found { rows: Some(3), of: Some(9), share: Some(0.3333), ..Found::of_kind(Doubt::Repeated) };
-    let input = InputReport::of_recording(vec![known], BTreeMap::new());
+    let input = InputReport::of_recording(vec![known], BTreeMap::new(), 0);
     report.audited(&input);
     assert_eq!(report.verdict.status, Status::Doubtful);
     let [reason] = &report.verdict.reasons[..] else { panic!("{:?}", report.verdict) };
