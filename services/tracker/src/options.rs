@@ -52,8 +52,8 @@ impl Default for Options {
             prior: Prior::default(),
             association: Association::default(),
             fov: None,
-            // A quarter of a second: a sensor that is slower than the ticks may send a frame twice.
-            frozen_frames: 4,
+            // Two thirds of a second: a detector of 2 Hz may be sent again in every tick.
+            frozen_frames: 8,
             vehicle_speed_max_mps: limits.vehicle_mps,
             cyclist_speed_max_mps: limits.cyclist_mps,
             pedestrian_speed_max_mps: limits.pedestrian_mps,
