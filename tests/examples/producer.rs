@@ -132,8 +132,11 @@ fn run(run: &Run) -> Result<(), StageError> {
             ego_heading_rad: frame.ego.heading_rad,
             ..header(seq, frame.stamp_ns, seen_from_ego)
         });
-        passage.header.counts.agents_len = frame.detections.len() as u32;
-        let loan = detections.copy(&frame.detections)?;
+        // As a detector would send them: the tracker's audit sees what the file contains.
+        let measured: Vec<Detection> =
+            (0..frame.detections.len()).filter_map(|place| frame.written(place)).collect();
+        passage.header.counts.agents_len = measured.len() as u32;
+        let loan = detections.copy(&measured)?;
         stage.finish(passage, &detections, Ok(loan))?;
         end_ns = frame.stamp_ns + scene.interval_ns as i64;
     }

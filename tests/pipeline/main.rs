@@ -7,6 +7,7 @@ mod endings;
 mod fault_runs;
 mod faults;
 mod frames;
+mod live;
 mod lockstep;
 mod observing;
 mod options;
