@@ -1,3 +1,5 @@
+//! Failures of verbs: their messages and exit codes.
+
 use std::error::Error;
 use std::fmt::Display;
 use std::path::Path;

@@ -10,11 +10,13 @@ use run::Exit;
 use crate::failure::Failure;
 
 /// Prints a line on standard output; if nobody can read it, it is dropped.
+#[macro_export]
 macro_rules! say {
     ($($text:tt)*) => { $crate::show::say(format_args!($($text)*)) };
 }
 
 /// Prints a line on standard error; if nobody can read it, it is dropped.
+#[macro_export]
 macro_rules! note {
     ($($text:tt)*) => { $crate::show::note(format_args!($($text)*)) };
 }

@@ -1,21 +1,16 @@
 //! The verbs of `stgdat`, one module each.
 
-pub mod ablate;
 pub mod bench;
-pub mod card;
 pub mod check;
 pub mod clean;
 pub mod completions;
 pub mod diff;
 pub mod doctor;
-pub mod evaluate;
 pub mod fault;
 pub mod graph;
 pub mod inspect;
-pub mod manual;
-pub mod map;
+pub mod lab;
 pub mod mark;
-pub mod plot;
 pub mod predict;
 pub mod record;
 pub mod replay;
@@ -27,7 +22,6 @@ pub mod tick;
 pub mod top;
 pub mod trace;
 pub mod track;
-pub mod train;
 pub mod verify;
 pub mod wire;
 
@@ -35,7 +29,7 @@ use std::path::Path;
 
 use ::run::Exit;
 use clap::error::{ContextKind, ContextValue};
-use clap::{Command, CommandFactory as _, Subcommand};
+use clap::{Command, Subcommand};
 
 use crate::failure::Failure;
 
@@ -56,18 +50,6 @@ pub enum Verb {
     Check(check::Arguments),
     /// Print the graph of stages and topics
     Graph(graph::Arguments),
-    /// Build the context map of a site from its recordings
-    Map(map::Arguments),
-    /// Plot forecasts or learning curves as SVG or PNG
-    Plot(plot::Arguments),
-    /// Train weights on recordings
-    Train(train::Arguments),
-    /// Train variants of a recipe with an equal budget and compare them
-    Ablate(ablate::Arguments),
-    /// Evaluate forecasts and baselines on test data
-    Evaluate(evaluate::Arguments),
-    /// Print the model card of weights
-    Card(card::Arguments),
     /// Recompute golden vectors on this machine and compare, a row per tensor
     Verify(verify::Arguments),
     /// Measure compute per stage and the overhead of the pipeline
@@ -103,14 +85,13 @@ pub enum Verb {
     /// Hand the frames of a run on to its tools (started by `run`)
     #[command(hide = true)]
     Tap(tap::Arguments),
-    /// Print the manual of the command line as Markdown: the page docs/cli.md
-    #[command(hide = true)]
-    Manual(manual::Arguments),
+    #[command(flatten)]
+    Lab(lab::Verb),
 }
 
 /// The failure of a first argument that is neither a verb nor a file, unless it looks like a path.
 pub fn mistaken(word: &str) -> Option<Failure> {
-    let mut program = crate::Cli::command();
+    let mut program = crate::command();
     program.build();
     let is_verb = program.find_subcommand(word).is_some();
     if is_verb || word.starts_with('-') || word.contains(['.', '/']) || Path::new(word).exists() {
@@ -143,12 +124,6 @@ impl Verb {
             Self::Stage(arguments) => stage::execute(&arguments),
             Self::Check(arguments) => check::execute(&arguments),
             Self::Graph(arguments) => graph::execute(&arguments),
-            Self::Map(arguments) => map::execute(&arguments),
-            Self::Plot(arguments) => plot::execute(&arguments),
-            Self::Train(arguments) => train::execute(&arguments),
-            Self::Ablate(arguments) => ablate::execute(&arguments),
-            Self::Evaluate(arguments) => evaluate::execute(&arguments),
-            Self::Card(arguments) => card::execute(&arguments),
             Self::Verify(arguments) => verify::execute(&arguments),
             Self::Bench(arguments) => bench::execute(&arguments),
             Self::Fault(verb) => verb.execute(),
@@ -165,7 +140,7 @@ impl Verb {
             Self::Completions(arguments) => completions::execute(&arguments),
             Self::Sweep(arguments) => sweep::execute(&arguments),
             Self::Tap(arguments) => tap::execute(&arguments),
-            Self::Manual(arguments) => manual::execute(&arguments),
+            Self::Lab(verb) => verb.execute(),
         }
     }
 }

@@ -1,8 +1,8 @@
 //! Inputs that look wrong: what `inspect`, `predict`, `track` and `run` find in them, and their exit codes.
 
 use std::fmt::Write as _;
+use testing::Scratch;
 
-use crate::scratch::Scratch;
 use crate::started::{run, run_well, stderr, stdout};
 
 /// Two cars in two directions for 10 s, with headings multiplied by `unit` and stamps by `per_s`.

@@ -1,9 +1,12 @@
 //! A day's use: pipes that close, files and misspelt verbs as arguments, colours.
 
-use std::process::Stdio;
+use std::fs::Permissions;
+use std::os::unix::fs::PermissionsExt as _;
+use std::path::Path;
+use std::process::{Command, Stdio};
+use testing::Scratch;
 
-use crate::scratch::Scratch;
-use crate::started::{run, run_well, stderr, stdout, stgdat};
+use crate::started::{piped, run, run_well, stderr, stdout, stgdat};
 
 /// Output that nobody reads.
 fn closed() -> Stdio {
@@ -18,16 +21,13 @@ fn a_closed_pipe_ends_verbs_quietly() {
     let recording = scratch.recording("scene.csv", 12);
     for arguments in [
         &["graph"][..],
-        &["manual"],
         &["wire", "--c"],
         &["--help"],
         &["--version"],
         &["check"],
         &["completions", "bash"],
-        &["card"],
         &["predict", &recording],
         &["track", &recording],
-        &["plot", "scene", &recording, "--out", &scratch.path("scene.svg")],
     ] {
         let output = stgdat().args(arguments).stdout(closed()).output().unwrap();
         assert_eq!(output.status.code(), Some(0), "{arguments:?}: {}", stderr(&output));
@@ -105,4 +105,36 @@ fn colours_appear_only_if_asked_for_or_on_a_terminal() {
         stgdat().args(arguments).env("RUST_LOG", "info").output().unwrap().stderr
     };
     assert!(!logged("never").contains(&0x1b) && !logged("auto").contains(&0x1b));
+}
+
+/// The program in a folder of its own, perhaps beside another `stgdat-lab`, with only that folder in PATH.
+fn copied(scratch: &Scratch, lab: Option<&str>) -> Command {
+    let program = scratch.path("stgdat");
+    std::fs::copy(env!("CARGO_BIN_EXE_stgdat"), &program).expect("the program can be copied");
+    if let Some(script) = lab {
+        let path = scratch.file("stgdat-lab", script);
+        std::fs::set_permissions(path, Permissions::from_mode(0o755)).expect("the file is ours");
+    }
+    let mut command = piped(program);
+    command.env("PATH", "/nowhere");
+    command
+}
+
+#[test]
+fn verbs_of_the_laboratory_are_run_by_it() {
+    let script = "#!/bin/sh\necho \"$@\"\nexit 7\n";
+    let beside = Scratch::new("lab-beside");
+    let arguments = ["--color", "never", "evaluate", "mine.csv", "--help", "--all"];
+    let output = copied(&beside, Some(script)).args(arguments).output().unwrap();
+    assert_eq!((output.status.code(), stdout(&output)), (Some(7), arguments.join(" ") + "\n"));
+
+    let absent = Scratch::new("lab-absent");
+    let output = copied(&absent, None).args(arguments).output().unwrap();
+    assert_eq!(output.status.code(), Some(69));
+    assert!(stderr(&output).contains("cargo build --release --package stgdat-lab"), "{}", stderr(&output));
+
+    // In PATH.
+    let folder = Path::new(&beside.path("stgdat-lab")).parent().unwrap().to_owned();
+    let output = copied(&absent, None).args(arguments).env("PATH", folder).output().unwrap();
+    assert_eq!((output.status.code(), stdout(&output)), (Some(7), arguments.join(" ") + "\n"));
 }

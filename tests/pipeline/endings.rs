@@ -4,8 +4,8 @@ use std::os::unix::process::ExitStatusExt;
 use std::time::Duration;
 
 use rustix::process::{Pid, Signal};
+use testing::Scratch;
 
-use crate::scratch::Scratch;
 use crate::started::{
     LeftoverWatch, Started, assert_nothing_left, run_well, shared_files, stderr, stdout, stgdat, wait_for,
 };

@@ -1,9 +1,9 @@
 //! `stgdat fault`: the scenarios of `tests/faults` meet what they expect; mistakes and failures are told.
 
 use serde_json::Value;
+use testing::Scratch;
 
 use crate::programs::example;
-use crate::scratch::Scratch;
 use crate::started::{run, run_well, stderr, stdout};
 
 /// Scenarios of each kind of fault that take the least time. The others are run by `stgdat fault run`.

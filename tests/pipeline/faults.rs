@@ -2,8 +2,8 @@
 
 use rustix::process::Signal;
 use serde_json::Value;
+use testing::Scratch;
 
-use crate::scratch::Scratch;
 use crate::started::{Started, assert_nothing_left, stderr, stdout, wait_for};
 
 const STAGES: [&str; 8] =

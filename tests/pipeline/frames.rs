@@ -4,8 +4,8 @@
 use std::fmt::Write as _;
 
 use serde_json::Value;
+use testing::Scratch;
 
-use crate::scratch::Scratch;
 use crate::started::run_well;
 
 /// Three vehicles and two pedestrians along +x, 6 m apart.

@@ -1,8 +1,8 @@
 //! Generated scenes in lockstep: nothing is lost, runs repeat to the byte, and the report has its figures.
 
 use serde_json::Value;
+use testing::Scratch;
 
-use crate::scratch::Scratch;
 use crate::started::{Started, run_well, stderr};
 
 /// The stages that a forecast passes.

@@ -20,7 +20,6 @@ mod real_time;
 mod recorded;
 mod recordings;
 mod replacements;
-mod scratch;
 mod shedding;
 mod spares;
 mod started;

@@ -4,8 +4,8 @@ use std::net::TcpListener;
 
 use rustix::process::Signal;
 use serde_json::Value;
+use testing::Scratch;
 
-use crate::scratch::Scratch;
 use crate::started::{Started, run, run_well, stderr, stdout, wait_for};
 
 /// Number of times that a text occurs.

@@ -2,8 +2,8 @@
 
 use nn::kernels::Isa;
 use run::Run;
+use testing::Scratch;
 
-use crate::scratch::Scratch;
 use crate::started::{run, run_well, stderr, stdout, stgdat};
 
 /// `stgdat` with these arguments ends with that code and a message that contains these texts.
@@ -58,7 +58,7 @@ fn a_precision_that_the_kernels_lack_is_refused() {
     let recording = scratch.recording("scene.csv", 5);
     let set = ["--set", "decoder.precision=bf16", "--kernels", "portable"];
     let message = "--set decoder.precision=bf16: precision bf16 needs ";
-    for verb in [&["run"][..], &["predict", &recording], &["bench"], &["evaluate", &recording]] {
+    for verb in [&["run"][..], &["predict", &recording], &["bench"]] {
         assert_refused(&[verb, &set].concat(), 78, &[message, "leave the precision at f32"]);
     }
     let encodings = "reads = [\"encodings\"]";
@@ -69,8 +69,6 @@ fn a_precision_that_the_kernels_lack_is_refused() {
         78,
         &["precision of the decoder: precision bf16 needs "],
     );
-    let other = ["evaluate", &recording, "--set", "decoder.workers=2"];
-    assert_refused(&other, 2, &["evaluations set decoder.precision alone"]);
     assert_refused(&["run", "--set", "decoder.precision=f16"], 2, &["expected f32 or bf16"]);
 }
 

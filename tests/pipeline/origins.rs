@@ -1,8 +1,8 @@
 //! Maps and recordings with MGRS or UTM coordinates, from file to forecast.
 
 use serde_json::Value;
+use testing::Scratch;
 
-use crate::scratch::Scratch;
 use crate::started::{run, run_well, stderr, stdout};
 
 /// A lane of 200 m to the east, 3.5 m wide, that begins at a place.
@@ -135,7 +135,6 @@ fn coordinates_out_of_reach_name_the_option_that_fits() {
     for (arguments, expected) in [
         (["predict", &far], "--origin 81000,50000"),
         (["track", &far], "--origin 81000,50000"),
-        (["evaluate", &far], "--origin 81000,50000"),
         (["predict", &near], "--lanes-origin 81000,50000m"),
     ] {
         let lanes = ["--lanes", &map];
@@ -144,7 +143,4 @@ fn coordinates_out_of_reach_name_the_option_that_fits() {
         assert_eq!(output.status.code(), Some(65), "{arguments:?}");
         assert!(stderr(&output).contains(expected), "{arguments:?}: {}", stderr(&output));
     }
-    let out = scratch.path("site.map");
-    run_well(&["map", &far, "--origin", "81000,50000", "--out", &out]);
-    run_well(&["map", "--lanelet2", &map, "--origin", "81000,50000m", "--out", &out]);
 }

@@ -3,9 +3,9 @@
 use std::path::Path;
 
 use rustix::process::Signal;
+use testing::Scratch;
 
 use crate::python::{EXAMPLES, python};
-use crate::scratch::Scratch;
 use crate::started::{Started, assert_nothing_left, piped, run_well, stderr, stdout};
 
 /// An example's program, which `cargo test --workspace` builds beside the tests.

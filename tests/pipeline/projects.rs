@@ -3,8 +3,8 @@
 use std::path::Path;
 
 use recorder::Report;
+use testing::Scratch;
 
-use crate::scratch::Scratch;
 use crate::started::{Started, piped, run, run_well, stderr, wait_for};
 
 /// Builds a new project; returns the path of its program and the text of its pipeline.toml.

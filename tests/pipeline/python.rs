@@ -4,8 +4,8 @@ use std::path::Path;
 use std::sync::OnceLock;
 
 use serde_json::Value;
+use testing::Scratch;
 
-use crate::scratch::Scratch;
 use crate::started::{piped, run_well, stderr, stdout};
 
 /// The folder of the examples.

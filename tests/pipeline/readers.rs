@@ -7,9 +7,9 @@ use std::process::{Child, Command};
 
 use rustix::process::Signal;
 use serde_json::Value;
+use testing::Scratch;
 
 use crate::programs::example;
-use crate::scratch::Scratch;
 use crate::started::{Started, assert_nothing_left, piped, run_well, stderr, stdout, wait_for};
 
 /// A consumer of forecasts beside a run; killed when this is dropped.

@@ -1,8 +1,8 @@
 //! Processors of a stage, its memory, and conditions on a run's figures.
 
 use recorder::Report;
+use testing::Scratch;
 
-use crate::scratch::Scratch;
 use crate::started::{run, run_well, stderr, stdout};
 
 #[test]

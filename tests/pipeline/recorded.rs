@@ -6,8 +6,8 @@ use std::time::{Duration, Instant};
 use recording::{Happened, Message, Recording};
 use rustix::process::Signal;
 use safetensors::SafeTensors;
+use testing::Scratch;
 
-use crate::scratch::Scratch;
 use crate::started::{Started, assert_nothing_left, piped, run, run_well, stderr, stdout, stgdat, wait_for};
 
 /// Records a generated scene in lockstep, all topics of it.

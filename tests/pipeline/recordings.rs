@@ -1,10 +1,11 @@
 //! Recordings: `predict` in one process and `run` in eight write the same bytes with any options.
 
+use std::path::Path;
+
 use nn::Precision;
 use nn::kernels::Isa;
-use testing::public_recording;
+use testing::{Scratch, public_recording};
 
-use crate::scratch::Scratch;
 use crate::started::{Started, run, run_well, stderr, stdout, stgdat};
 
 /// Plays a recording by `predict` twice and by a lockstep run, which must write the same bytes. Returns them.
@@ -100,13 +101,10 @@ fn a_frame_rate_is_used_wherever_a_recording_is_opened() {
     let lines_len = |lines: &[u8]| lines.iter().filter(|&&byte| byte == b'\n').count();
     assert_eq!(lines_len(&given), 120);
     assert_eq!(lines_len(&same_bytes(&scratch, &recording, &[])), 180);
-    let (out, tracks) = (scratch.path("site.map"), scratch.path("tracks.csv"));
-    for arguments in [
-        &["predict", &recording, "--out", &tracks][..],
-        &["track", &recording, "--out", &tracks],
-        &["evaluate", &recording, "--threads", "2"],
-        &["map", &recording, "--out", &out],
-    ] {
+    let tracks = scratch.path("tracks.csv");
+    for arguments in
+        [&["predict", &recording, "--out", &tracks][..], &["track", &recording, "--out", &tracks]]
+    {
         let usual = stderr(&run_well(arguments));
         assert!(usual.contains("warning: ") && usual.contains("at 29.97 frames a second"), "{usual}");
         let fitting = stderr(&run_well(&[arguments, &["--fps", "29.97"]].concat()));
@@ -114,8 +112,6 @@ fn a_frame_rate_is_used_wherever_a_recording_is_opened() {
     }
     let refused = run(&["predict", &scratch.recording("own.csv", 5), "--fps", "25"]);
     assert!(stderr(&refused).contains("csv has a time for every frame"), "{}", stderr(&refused));
-    let refused = run(&["evaluate", "sdd", "--fps", "25"]);
-    assert!(stderr(&refused).contains("--fps is for recordings"), "{}", stderr(&refused));
 }
 
 #[test]
@@ -123,7 +119,8 @@ fn predict_and_run_agree_with_a_map_of_the_site() {
     let scratch = Scratch::new("map");
     let recording = scratch.recording("scene.csv", 30);
     let map = scratch.path("site.map");
-    run_well(&["map", &recording, "--out", &map]);
+    let site = mapper::build(&[data::open(Path::new(&recording), None).unwrap()]).unwrap();
+    site.map.save(Path::new(&map)).unwrap();
     let with_map = same_bytes(&scratch, &recording, &["--map", &map]);
     let without = same_bytes(&scratch, &recording, &["--map", "none"]);
     assert!(with_map != without, "the map changes forecasts");

@@ -1,9 +1,9 @@
 //! `stgdat stage replace`: stages are replaced while the run goes on, and broken replacements are not used.
 
 use serde_json::Value;
+use testing::Scratch;
 
 use crate::programs::example;
-use crate::scratch::Scratch;
 use crate::started::{Started, assert_nothing_left, run, stderr, stdout, wait_for};
 
 /// Replaces a stage of the run in that folder: the verb's exit code, and what it printed.

@@ -1,8 +1,8 @@
 //! Ticks that have no time for all agents: what is left out is counted and explained, and in lockstep nothing is.
 
 use serde_json::Value;
+use testing::{SHIPPED_PIPELINE, Scratch};
 
-use crate::scratch::{SHIPPED_PIPELINE, Scratch};
 use crate::started::{run, run_well, stderr, stdout};
 
 /// The shipped pipeline with deadlines that every tick is past: each stage serves the fewest that it may.

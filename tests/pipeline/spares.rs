@@ -4,8 +4,8 @@ use std::collections::BTreeSet;
 
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
+use testing::Scratch;
 
-use crate::scratch::Scratch;
 use crate::started::{Started, assert_nothing_left, stderr, stdout, wait_for};
 
 /// The shipped pipeline with spares for these stages.

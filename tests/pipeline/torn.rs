@@ -1,9 +1,9 @@
 //! Recordings that were torn, damaged or rewritten, through the verbs that read them.
 
 use std::fs;
+use testing::Scratch;
 
 use crate::recorded::lockstep;
-use crate::scratch::Scratch;
 use crate::started::{piped, run, run_well, stderr, stdout};
 
 /// The places of the chunks, by the name of their compression.

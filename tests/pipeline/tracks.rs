@@ -1,8 +1,8 @@
 //! Tracks as files: `track` in all formats, and tracks as recordings.
 
 use std::collections::BTreeSet;
+use testing::Scratch;
 
-use crate::scratch::Scratch;
 use crate::started::{Started, run, run_well, stderr, stdout, stgdat};
 
 /// The rows of agents, split at commas; the columns of a CSV by the names of its first line.

@@ -1,8 +1,8 @@
 //! The output of `stgdat wire` with compilers of C and C++, and with Python.
 
 use std::path::Path;
+use testing::Scratch;
 
-use crate::scratch::Scratch;
 use crate::started::{piped, run, run_well, stderr, stdout};
 
 /// The module that the examples in Python use.

@@ -2,7 +2,6 @@ mod chain;
 mod cost;
 mod handover;
 mod modes;
-mod peers;
 mod pipe;
 mod stages;
 mod work;
@@ -39,23 +38,16 @@ pub struct Arguments {
     /// Seconds for which the whole pipeline runs at 12.5 Hz; 0 skips it
     #[arg(long, value_name = "S", default_value_t = 20)]
     seconds: u64,
-    /// Compare layers with faer, ONNX Runtime and PyTorch instead, one thread each and by turns; the two come in a
-    /// Python environment that is made once, and are skipped where it can't be
-    #[arg(long)]
-    peers: bool,
-    /// Python with numpy, onnx, onnxruntime and torch for --peers, instead of an environment of its own
-    #[arg(long, value_name = "PROGRAM", requires = "peers")]
-    python: Option<PathBuf>,
     /// Measure what agents and modes cost instead: 1 to 128 agents by 1, 6 and 20 modes
-    #[arg(long, conflicts_with_all = ["peers", "agents"])]
+    #[arg(long, conflicts_with = "agents")]
     cost: bool,
     /// Fail, with exit code 70, where the run of --seconds has such a figure, as `end_to_end_p99 > 75 ms`; may be
     /// given several times, and a wrong name lists the figures that there are
-    #[arg(long, value_name = "CONDITION", conflicts_with_all = ["peers", "cost"])]
+    #[arg(long, value_name = "CONDITION", conflicts_with = "cost")]
     fail_if: Vec<Condition>,
-    /// Markdown file whose marks `stgdat bench` (`stgdat bench peers`, `stgdat bench cost`) get the tables, as the
+    /// Markdown file whose marks `stgdat bench` (`stgdat bench cost`) get the tables, as the
     /// section of this processor
-    #[arg(long, alias = "readme", value_name = "FILE")]
+    #[arg(long, value_name = "FILE")]
     table: Option<PathBuf>,
     #[command(flatten)]
     model: ModelArguments,
@@ -70,9 +62,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         return Err(Failure::Usage("--fail-if is about the run of --seconds, which is 0".to_owned()));
     }
     let mut report = None;
-    let (mark, text) = if arguments.peers {
-        ("bench peers", peers::table(arguments, arguments.python.clone())?)
-    } else if arguments.cost {
+    let (mark, text) = if arguments.cost {
         ("bench cost", cost::table(arguments)?)
     } else {
         let mut text = speed(arguments)?;
@@ -83,9 +73,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         }
         ("bench", text)
     };
-    // The peers' table is of layers in f32, whatever the stages are set to.
-    let set = if arguments.peers { &[][..] } else { &arguments.set.set };
-    let heading = machine(set)?;
+    let heading = machine(&arguments.set.set)?;
     show(&format!("### {heading}\n\n{text}"))?;
     if let Some(path) = &arguments.table {
         tables::replace_section(path, mark, &heading, &text)?;
@@ -106,8 +94,11 @@ fn speed(arguments: &Arguments) -> Result<String, Failure> {
     Ok(text)
 }
 
-/// What was measured on: the processor, how many cores of it, the kernels, and the precision where it is not f32.
-fn machine(set: &[Setting]) -> Result<String, Failure> {
+/// The machine as a heading: the processor, its cores, the kernels, and the precision unless it is f32.
+///
+/// # Errors
+/// [`Failure`] if a setting can't be used.
+pub fn machine(set: &[Setting]) -> Result<String, Failure> {
     let mut options = StageOptions::defaults(&[StageId::Decoder]);
     let of_decoder = set.iter().filter(|set| set.is_of(StageId::Decoder, "precision"));
     options.apply(&of_decoder.cloned().collect::<Vec<_>>())?;
@@ -126,7 +117,7 @@ fn processor(cpus: &str) -> Option<&str> {
 }
 
 /// The quantile `share` of `values`, by nearest rank.
-fn percentile(values: &mut [f64], share: f64) -> f64 {
+pub fn percentile(values: &mut [f64], share: f64) -> f64 {
     values.sort_by(f64::total_cmp);
     let rank = (share * values.len() as f64).ceil() as usize;
     values.get(rank.clamp(1, values.len().max(1)) - 1).copied().unwrap_or(f64::NAN)

@@ -1,4 +1,4 @@
-use clap::{Args, CommandFactory};
+use clap::Args;
 use clap_complete::Shell;
 use run::Exit;
 
@@ -16,6 +16,6 @@ pub struct Arguments {
 /// Prints the completions.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let mut text = Vec::new();
-    clap_complete::generate(arguments.shell, &mut crate::Cli::command(), "stgdat", &mut text);
+    clap_complete::generate(arguments.shell, &mut crate::command(), "stgdat", &mut text);
     show(&String::from_utf8_lossy(&text))
 }

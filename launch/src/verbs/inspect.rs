@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use data::{Gap, Inspection, Recording, TypeInspection};
-use drawing::{Overview, overview, save};
+use drawing::{Overview, overview};
 use lanes::LaneMap;
 use run::Exit;
 use wire::detection_flags;
@@ -27,7 +27,7 @@ pub struct Arguments {
     read: ReadArguments,
     #[command(flatten)]
     model: ModelArguments,
-    /// Draw the ways of all agents, the sensor and the lanes of --lanes in this file, .svg or .png
+    /// Draw the ways of all agents, the sensor and the lanes of --lanes in this SVG file
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
     /// Print the audit as JSON
@@ -44,9 +44,12 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let inspection = data::inspect(&recording);
     let lanes = arguments.model.open_lanes(arguments.read.options().origin)?;
     if let Some(out) = &arguments.out {
+        if !out.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("svg")) {
+            return Err(Failure::file(out, "the picture is written as SVG: name a file that ends in .svg"));
+        }
         let drawing = drawing(&recording, &inspection, lanes.as_ref());
         let picture = overview(&drawing, WIDTH).map_err(Failure::data)?;
-        save(&picture, out).map_err(Failure::data)?;
+        std::fs::write(out, picture).map_err(|error| Failure::output(out, error))?;
     }
     if arguments.json {
         say!("{}", serde_json::to_string_pretty(&inspection).map_err(Failure::data)?);

@@ -4,12 +4,15 @@
 //!   early where it is missing, and fail where `STGDAT_REQUIRE_DATA=1` is set.
 //! * [`CountingAllocator`] counts allocations, for tests that assert that a steady step makes none.
 //! * [`Model`] makes weights files from the embedded one.
+//! * [`Scratch`] is a folder of a test, with generated recordings and changed pipelines.
 #![expect(clippy::unwrap_used, reason = "a test ends at what it can't do")]
 
 mod allocation;
 mod model;
 mod recordings;
+mod scratch;
 
 pub use allocation::{AllocationCounts, CountingAllocator, THREADS_MAX, allocations};
 pub use model::{Model, value};
 pub use recordings::{public_recording, recordings_folder};
+pub use scratch::{SHIPPED_PIPELINE, Scratch};

@@ -4,13 +4,11 @@
 //! into [`Scene`]s. The [`Forecaster`] runs the shipped stages on the `tracks` payloads of scenes; the
 //! [`Judge`] does so for every agent that counts, lets the baselines forecast the very same agents and adds
 //! up all errors in [`Tally`]s, a [`Block`] of a recording at a time. [`Group`]s of blocks (a fold, a site)
-//! make the tables of a [`Report`]. [`ablation()`] compares variants of a model with one another on the same
-//! blocks.
+//! make the tables of a [`Report`].
 //!
 //! What other evaluations share lies here too: [`Options`] and [`Footage`] read data sets and weights,
 //! [`Table`] writes Markdown, [`threads`] splits work with results that do not depend on their number.
 
-mod ablation;
 mod baselines;
 mod error;
 mod forecaster;
@@ -27,7 +25,6 @@ pub mod threads;
 mod tracks;
 mod weights;
 
-pub use ablation::{Ablation, AblationRow, Verdict};
 pub use baselines::{ANCHOR_AGENTS, Baselines};
 pub use error::EvaluateError;
 pub use forecaster::{Forecast, Forecaster, Variants};
@@ -36,8 +33,7 @@ pub use judge::{Block, Judge, MOVING_MPS, Subset};
 pub use maps::{MapInput, site_map};
 pub use method::Method;
 pub use protocol::{
-    Footage, InteractionPart, MapChoice, Options, SEED, Variant, ablation, eth_ucy, files, interaction,
-    map_of, sdd,
+    Footage, InteractionPart, MapChoice, Options, SEED, eth_ucy, files, interaction, map_of, sdd,
 };
 pub use report::{Figure, Report, Table, digits, percent};
 pub use scenes::{Agent, Cut, Scene};

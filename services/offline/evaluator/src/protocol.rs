@@ -1,6 +1,5 @@
 //! Protocols: which windows of which recordings are forecast with which weights, and which agents count.
 
-mod ablation;
 mod eth_ucy;
 mod files;
 mod interaction;
@@ -15,7 +14,6 @@ use data::{OpenOptions, Recording};
 use lanes::{Coordinates, LaneMap};
 use scene::ContextMap;
 
-pub use ablation::{Variant, ablation};
 pub use eth_ucy::eth_ucy;
 pub use files::files;
 pub use interaction::{InteractionPart, interaction};

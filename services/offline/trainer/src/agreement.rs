@@ -19,7 +19,6 @@ use crate::batch::{AgentView, Batch, BatchOptions, SceneView, scales};
 use crate::net::context::Normalisation;
 use crate::net::dense::softmax;
 use crate::net::graph::encode;
-use crate::net::gru::Device;
 use crate::net::gru::mode_logits;
 use crate::net::layout::layout;
 use crate::net::tensors::Tensors;
@@ -145,13 +144,7 @@ impl<'a> Trained<'a> {
 
     fn compute(&self, scene: &SceneView<'_>) -> Vec<Computed> {
         let Self { config, tensors, base } = self;
-        let options = BatchOptions {
-            config,
-            base,
-            neighbours_max: NEIGHBOURS_MAX,
-            with_future: false,
-            device: &Device::Processor,
-        };
+        let options = BatchOptions { config, base, neighbours_max: NEIGHBOURS_MAX, with_future: false };
         let batch = Batch::new(std::slice::from_ref(scene), options).unwrap();
         let encoded = encode(tensors, config, &batch.graph, Normalisation::Running, false);
         let mut computed: Vec<Computed> = scene.agents.iter().map(|_| Computed::default()).collect();

@@ -22,7 +22,6 @@ use scene::{AgentFrame, FeatureScales, State, state_features};
 
 use crate::TrainError;
 use crate::base::{AgentBase, BaseControl};
-use crate::net::gru::Device;
 use crate::net::matrix::Matrix;
 use crate::net::motion::Start;
 use crate::samples::{Agent, MapView};
@@ -85,8 +84,6 @@ pub(crate) struct Batch<'a> {
     pub(crate) counts: Matrix,
     /// Scene and agent within it of every agent of the batch.
     pub(crate) origin: Vec<(usize, usize)>,
-    /// The device of the decoder.
-    pub(crate) device: &'a Device,
 }
 
 /// What [`Batch::new`] needs besides the scenes.
@@ -98,8 +95,6 @@ pub(crate) struct BatchOptions<'a> {
     pub(crate) neighbours_max: usize,
     /// Whether the graph of the forecast steps is made too.
     pub(crate) with_future: bool,
-    /// The device of the decoder.
-    pub(crate) device: &'a Device,
 }
 
 impl<'a> Batch<'a> {
@@ -127,19 +122,7 @@ impl<'a> Batch<'a> {
         let future = options.with_future.then(|| placed.graph(Steps::Future, options)).transpose()?;
         let targets = Targets::of(&agents, options);
         let Targets { state, present, starts, base, truth, counts } = targets;
-        Ok(Self {
-            graph,
-            future,
-            forecast,
-            state,
-            present,
-            starts,
-            base,
-            truth,
-            counts,
-            origin,
-            device: options.device,
-        })
+        Ok(Self { graph, future, forecast, state, present, starts, base, truth, counts, origin })
     }
 }
 

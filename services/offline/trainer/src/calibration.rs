@@ -19,7 +19,6 @@ use crate::batch::{Batch, BatchOptions, SceneView};
 use crate::net::context::Normalisation;
 use crate::net::dense;
 use crate::net::graph::encode;
-use crate::net::gru::Device;
 use crate::net::gru::mode_logits;
 use crate::net::layout::TYPE_NAMES;
 use crate::net::motion::Start;
@@ -60,8 +59,6 @@ pub(crate) struct Calibration<'a> {
     pub(crate) config: &'a ModelConfig,
     pub(crate) base: &'a BaseControl,
     pub(crate) validation: &'a Samples,
-    /// The device of the decoder.
-    pub(crate) device: &'a Device,
 }
 
 impl Calibration<'_> {
@@ -106,7 +103,6 @@ impl Calibration<'_> {
             base: self.base,
             neighbours_max: scene::NEIGHBOURS_MAX,
             with_future: false,
-            device: self.device,
         };
         let batch = Batch::new(std::slice::from_ref(scene), options)?;
         let encoded = encode(weights, config, &batch.graph, Normalisation::Running, false);

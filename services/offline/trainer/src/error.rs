@@ -93,12 +93,6 @@ pub enum TrainError {
         /// The error of the operating system.
         source: std::io::Error,
     },
-    /// The GPU that was asked for can't be used.
-    #[error("gpu: {source}")]
-    Gpu {
-        /// The error of the graphics system, or that the build has no GPU backend.
-        source: Box<dyn std::error::Error + Send + Sync>,
-    },
     /// The loss was not finite several times in a row.
     #[error("the loss of step {step} is not finite; a lower learning rate may help")]
     Diverged {

@@ -16,7 +16,6 @@
 //!
 //! One seed determines all random numbers: a run on one machine repeats to the bit.
 
-mod ablations;
 #[cfg(test)]
 mod agreement;
 mod base;

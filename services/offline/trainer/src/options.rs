@@ -7,6 +7,8 @@ use nn::{
     VehicleMotion,
 };
 
+use serde::de::IgnoredAny;
+
 use crate::TrainError;
 use crate::objective::Objective;
 use crate::optimiser::OptimiserOptions;
@@ -61,8 +63,9 @@ pub struct TrainOptions {
     pub clip_windows: usize,
     /// Parts of a batch that are differentiated in parallel, one thread each.
     pub workers: usize,
-    /// Whether the decoder runs on a GPU; the build must have the feature `gpu`.
-    pub gpu: bool,
+    /// Without effect: the cards of the shipped weights contain it.
+    #[serde(skip_serializing)]
+    pub gpu: IgnoredAny,
     /// Share of the clips that are shown without a map.
     pub without_map: f64,
     /// Share of the clips that are shown with the map of the site's other recordings; the rest have the
@@ -137,7 +140,7 @@ impl Default for TrainOptions {
             neighbours: 8,
             clip_windows: 4,
             workers: 1,
-            gpu: false,
+            gpu: IgnoredAny,
             without_map: 0.3,
             site_map: 0.1,
             scale_deviation: 0.0,

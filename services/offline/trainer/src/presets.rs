@@ -45,9 +45,6 @@ pub const PRESETS: [&str; 16] = [
     "centred-patch",
 ];
 
-/// The first of [`PRESETS`], which are whole models and sizes; the others are ablations.
-pub(crate) const MODELS: usize = 4;
-
 impl TrainOptions {
     /// These options changed by a preset, with files and recipe named after both; `None` for a name that is
     /// not among [`PRESETS`].

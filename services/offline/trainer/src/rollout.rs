@@ -111,13 +111,8 @@ impl<'a> TypeForecast<'a> {
         let horizon_len = self.config.horizon_len;
         let name = self.name();
         let hidden = &self.burn_in.hidden;
-        let mut unroll = gru::unroll(
-            self.batch.device,
-            self.weights,
-            (&name, hidden, &self.encoding, latent),
-            horizon_len,
-            keep_trace,
-        );
+        let mut unroll =
+            gru::unroll(self.weights, (&name, hidden, &self.encoding, latent), horizon_len, keep_trace);
         self.fade(&mut unroll.raw);
         let mut mean = base.unwrap_or_else(|| Matrix::zeros(latent.rows, 2 * horizon_len));
         let (raw, _) = unroll.raw.values.as_chunks::<RAW>();
@@ -195,7 +190,7 @@ impl<'a> TypeForecast<'a> {
     ) -> Matrix {
         let mut d_raw = d_raw.clone();
         self.fade(&mut d_raw);
-        let back = rollout.unroll.backward(self.batch.device, self.weights, gradients, &d_raw);
+        let back = rollout.unroll.backward(self.weights, gradients, &d_raw);
         self.burn_in.backward(self.weights, gradients, back.hidden);
         for (agent, d_row) in self.agents.clone().zip(back.encoding.values.chunks_exact(back.encoding.cols)) {
             d_encoding.row_mut(agent).iter_mut().zip(d_row).for_each(|(sum, d)| *sum += d);

@@ -20,7 +20,6 @@ use crate::card::{ModelCard, Seen};
 use crate::checkpoint::{RunState, write_whole};
 use crate::log::{Line, Log};
 use crate::machine;
-use crate::net::gru::Device;
 use crate::net::layout::{initial, layout};
 use crate::net::tensors::Tensors;
 use crate::objective::{Differentiated, LossParts, Objective, differentiate};
@@ -79,15 +78,10 @@ struct Run<'a> {
     training: Samples,
     validation: Samples,
     baselines: Baselines,
-    device: Device,
 }
 
 impl<'a> Run<'a> {
     fn prepare(options: &'a TrainOptions, progress: &Progress) -> Result<Self, TrainError> {
-        let device = if options.gpu { Device::gpu()? } else { Device::Processor };
-        if let Some(name) = device.name() {
-            progress.note(&format!("the decoder runs on {name}"));
-        }
         let read = |names: &[String], part: Part, windows_max: usize| {
             let sets = names.iter().map(|name| set_named(name)).collect::<Result<Vec<_>, _>>()?;
             let selection = Selection {
@@ -134,7 +128,7 @@ impl<'a> Run<'a> {
             }
         }
         let baselines = Baselines::fit(&training, &options.model, options.seed)?;
-        Ok(Self { options, training, validation, baselines, device })
+        Ok(Self { options, training, validation, baselines })
     }
 
     /// The checkpoint, if there is one to resume, else new weights with a base control fitted to the data.
@@ -264,7 +258,6 @@ impl<'a> Run<'a> {
                 base,
                 neighbours_max: options.neighbours,
                 with_future: matches!(options.objective, Objective::Paper { .. }),
-                device: &self.device,
             };
             let batch = Batch::new(scenes, batch_options)?;
             let mut random = random.clone();
@@ -372,7 +365,6 @@ impl<'a> Run<'a> {
             map,
             agents_max,
             workers: self.options.workers,
-            device: &self.device,
         };
         validation.scores(weights, &self.validation)
     }
@@ -388,8 +380,7 @@ impl<'a> Run<'a> {
         let mut factors = BTreeMap::new();
         if self.options.model.latents == Latents::Points {
             let validation = &self.validation;
-            factors = Calibration { config: &self.options.model, base, validation, device: &self.device }
-                .apply(&mut weights)?;
+            factors = Calibration { config: &self.options.model, base, validation }.apply(&mut weights)?;
         }
         let scores = |map| self.scores(&weights, base, map, agents_max);
         let scores = [scores(Some(MapKind::Online))?, scores(None)?];

@@ -20,7 +20,6 @@ use crate::base::BaseControl;
 use crate::batch::{Batch, BatchOptions, SceneView};
 use crate::net::context::Normalisation;
 use crate::net::graph::encode;
-use crate::net::gru::Device;
 use crate::net::layout::LATENT;
 use crate::net::matrix::Matrix;
 use crate::net::tensors::Tensors;
@@ -149,8 +148,6 @@ pub(crate) struct Validation<'a> {
     pub(crate) agents_max: usize,
     /// Number of threads.
     pub(crate) workers: usize,
-    /// The device of the decoder.
-    pub(crate) device: &'a Device,
 }
 
 /// Sums over the agents of a set.
@@ -247,7 +244,6 @@ impl Validation<'_> {
             base: self.base,
             neighbours_max: scene::NEIGHBOURS_MAX,
             with_future: false,
-            device: self.device,
         };
         let batch = Batch::new(scenes, options)?;
         let encoded = encode(weights, config, &batch.graph, Normalisation::Running, false);

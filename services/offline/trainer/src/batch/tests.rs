@@ -11,7 +11,6 @@ use rand_chacha::ChaCha8Rng;
 
 use super::*;
 use crate::base::Augmentation;
-use crate::net::gru::Device;
 use crate::options::onboard_config;
 use crate::recordings::{Scenery, frame_rate, written};
 use crate::samples::{Ground, MapKind, Scene, Selection, cut};
@@ -94,13 +93,7 @@ impl Shown {
         let map = ground.view(&spool, 0, MapKind::Online);
         let views: Vec<SceneView<'_>> =
             scenes.iter().map(|scene| view::plain(scene, map, usize::MAX)).collect();
-        let options = BatchOptions {
-            config: &config,
-            base: &BASE,
-            neighbours_max: 8,
-            with_future: false,
-            device: &Device::Processor,
-        };
+        let options = BatchOptions { config: &config, base: &BASE, neighbours_max: 8, with_future: false };
         let batch = Batch::new(&views, options).unwrap();
         // Neither lines nor poses are inputs: lines depend on what else is in the file, and a pose between
         // two poses is interpolated.

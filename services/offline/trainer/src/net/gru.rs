@@ -14,8 +14,6 @@
 //! kernels. The head reads a state together with W_h, as five more rows of one stacked matrix.
 
 mod burn_in;
-#[cfg_attr(not(feature = "gpu"), path = "gru/no_gpu.rs")]
-mod gpu;
 mod step;
 mod sum;
 #[cfg(test)]
@@ -27,13 +25,11 @@ use std::ops::Range;
 use nn::kernels::product::{Gather, Panels, Product};
 
 pub(crate) use burn_in::{BurnIn, burn_in};
-use gpu::Gpu;
 pub(crate) use unroll::{Unroll, unroll};
 
 use super::dense::{PerceptronTrace, perceptron};
 use super::matrix::Matrix;
 use super::tensors::{Gradients, Tensors};
-use crate::TrainError;
 use step::{GATES, HIDDEN, SUMS};
 
 /// Components of a state feature vector.
@@ -52,33 +48,6 @@ const CONTROL: usize = 5;
 const BLOCK: usize = 96;
 /// Layers of the mode head.
 const MODE_LAYERS: usize = 2;
-
-/// The device of the recurrent unit over the horizon.
-#[derive(Debug)]
-pub(crate) enum Device {
-    /// The calling thread.
-    Processor,
-    /// A GPU: all steps of all draws at once.
-    Gpu(Box<Gpu>),
-}
-
-impl Device {
-    /// A GPU.
-    ///
-    /// # Errors
-    /// [`TrainError::Gpu`] where there is no GPU, or the build lacks the feature.
-    pub(crate) fn gpu() -> Result<Self, TrainError> {
-        Ok(Self::Gpu(Box::new(Gpu::open()?)))
-    }
-
-    /// The GPU's name; `None` for the processor.
-    pub(crate) fn name(&self) -> Option<&str> {
-        match self {
-            Self::Processor => None,
-            Self::Gpu(gpu) => Some(gpu.name()),
-        }
-    }
-}
 
 /// Logits of the modes `[agents, modes]`, of [ṽ ‖ h]: `encoding` `[agents, 64]`, `hidden` `[agents, 128]`.
 ///

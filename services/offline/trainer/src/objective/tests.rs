@@ -7,7 +7,6 @@ use scene::{AgentType, State};
 use super::*;
 use crate::base::BaseControl;
 use crate::batch::{BatchOptions, SceneView};
-use crate::net::gru::Device;
 use crate::net::layout::{initial, layout};
 use crate::net::tensors::TensorRole;
 use crate::options::onboard_config;
@@ -68,7 +67,6 @@ fn check(objective: &Objective, config: &ModelConfig) {
         base: &base,
         neighbours_max: 8,
         with_future: matches!(objective, Objective::Paper { .. }),
-        device: &Device::Processor,
     };
     let batch = Batch::new(&scenes, options).unwrap();
     let mut weights = initial(config, 3);

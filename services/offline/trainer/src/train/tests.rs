@@ -7,7 +7,6 @@ use scene::AgentType;
 use super::*;
 use crate::net::context::Normalisation;
 use crate::net::graph::encode;
-use crate::net::gru::Device;
 use crate::net::layout::{TYPE_NAMES, layout};
 use crate::net::tensors::TensorRole;
 use crate::rollout::TypeForecast;
@@ -199,13 +198,7 @@ fn forecasts_by_points_agree_with_the_onboard_decoder() {
     let map = run.training.map(0, MapKind::Online);
     let scene = run.training.scene(&run.training.sets[0].windows[3]).unwrap();
     let view = view::plain(&scene, map, 4);
-    let batch_options = BatchOptions {
-        config,
-        base: &control,
-        neighbours_max: 8,
-        with_future: false,
-        device: &Device::Processor,
-    };
+    let batch_options = BatchOptions { config, base: &control, neighbours_max: 8, with_future: false };
     let batch = Batch::new(std::slice::from_ref(&view), batch_options).unwrap();
     let encoded = encode(&tensors, config, &batch.graph, Normalisation::Running, false);
     let pedestrian = TYPE_NAMES.len() - 1;

@@ -2,10 +2,6 @@
 
 mod backward;
 
-#[cfg(feature = "gpu")]
-pub(super) use backward::First;
-pub(crate) use backward::UnrollGradients;
-
 use std::ops::Range;
 
 use nn::kernels::dispatch;
@@ -13,10 +9,9 @@ use nn::kernels::product::{PANEL, Panels};
 
 use super::super::matrix::Matrix;
 use super::super::tensors::Tensors;
-use super::gpu;
 use super::step::{GATES, HIDDEN, KEPT, Step};
 use super::{
-    BLOCK, CONTROL, Device, ENCODING, ENCODING_COLUMNS, LATENT, LATENT_COLUMNS, by_input, by_state, product,
+    BLOCK, CONTROL, ENCODING, ENCODING_COLUMNS, LATENT, LATENT_COLUMNS, by_input, by_state, product,
 };
 
 /// Rows of W_h and the head, stacked.
@@ -31,7 +26,7 @@ const HEAD_STRIDE: usize = CONTROL.next_multiple_of(PANEL);
 pub(crate) struct Unroll {
     /// Output of the head, `[agents × draws, horizon × 5]`.
     pub(crate) raw: Matrix,
-    trace: Option<Trace>,
+    trace: Option<Kept>,
 }
 
 /// Inputs of the recurrent unit.
@@ -49,13 +44,6 @@ pub(super) struct Inputs {
 
 /// What the backward pass needs.
 #[derive(Debug)]
-enum Trace {
-    Processor(Kept),
-    Gpu(gpu::Trace),
-}
-
-/// What the backward pass needs on the processor.
-#[derive(Debug)]
 struct Kept {
     inputs: Inputs,
     /// `[block, step, row of the block, KEPT]`.
@@ -72,7 +60,6 @@ struct Kept {
 /// # Panics
 /// Where the shapes do not fit one another or there is no step.
 pub(crate) fn unroll(
-    device: &Device,
     weights: &Tensors,
     (name, hidden, encoding, latent): (&str, &Matrix, &Matrix, &Matrix),
     horizon_len: usize,
@@ -88,12 +75,6 @@ pub(crate) fn unroll(
         latent: latent.clone(),
     });
     let entering = Entering::new(weights, name, encoding);
-    if let (Device::Gpu(gpu), true) = (device, latent.rows > 0) {
-        let mut first_input = Vec::new();
-        entering.put(0..hidden.rows, &latent.values, &mut Vec::new(), &mut first_input);
-        let (raw, trace) = gpu.unroll(weights, (name, hidden, draws_len), &first_input, horizon_len, inputs);
-        return Unroll { raw, trace: trace.map(Trace::Gpu) };
-    }
     let network = Network::new(weights, name, hidden, entering);
     let mut raw = Matrix::zeros(latent.rows, horizon_len * CONTROL);
     let mut trace = inputs.map(|inputs| Kept {
@@ -108,7 +89,7 @@ pub(crate) fn unroll(
         let raw = &mut raw.values[rows.start * horizon_len * CONTROL..rows.end * horizon_len * CONTROL];
         network.run(&mut memory, horizon_len, raw, trace.as_mut());
     }
-    Unroll { raw, trace: trace.map(Trace::Processor) }
+    Unroll { raw, trace }
 }
 
 impl Inputs {

@@ -12,7 +12,7 @@ use super::super::sum::{MatrixSum, columns};
 use super::super::{
     CONTROL, ENCODING, ENCODING_COLUMNS, LATENT, LATENT_COLUMNS, add_biases, product, to_state,
 };
-use super::{Device, Inputs, Kept, STACKED, STRIDE, Trace, Unroll, blocks, stacked};
+use super::{Inputs, Kept, STACKED, STRIDE, Unroll, blocks, stacked};
 
 /// Gradients by the inputs of [`super::unroll`].
 #[derive(Clone, Debug)]
@@ -27,23 +27,18 @@ pub(crate) struct UnrollGradients {
 
 impl Unroll {
     /// Adds to the gradients of recurrent unit and head, given that of `raw`; returns those by the inputs.
-    /// `device` must be that of the forward pass ([`super::unroll`]).
     ///
     /// # Panics
     /// Where no trace was kept.
     pub(crate) fn backward(
         &self,
-        device: &Device,
         weights: &Tensors,
         gradients: &mut Gradients,
         d_raw: &Matrix,
     ) -> UnrollGradients {
         assert_eq!((d_raw.rows, d_raw.cols), (self.raw.rows, self.raw.cols), "a gradient per control");
-        match (self.trace.as_ref().expect("the backward pass needs a trace"), device) {
-            (Trace::Processor(kept), _) => kept.backward(weights, gradients, d_raw),
-            (Trace::Gpu(trace), Device::Gpu(gpu)) => gpu.backward(trace, weights, gradients, d_raw),
-            (Trace::Gpu(_), Device::Processor) => panic!("the trace lies on a GPU"),
-        }
+        let kept = self.trace.as_ref().expect("the backward pass needs a trace");
+        kept.backward(weights, gradients, d_raw)
     }
 }
 

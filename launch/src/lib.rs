@@ -1,0 +1,106 @@
+//! The program `stgdat`: starts and supervises the pipeline, plays recordings and diagnoses runs.
+//!
+//! Each verb is a module of `verbs`. `stgdat` without a verb is `stgdat run`. The laboratory, `stgdat-lab`, has the
+//! verbs that no vehicle needs; it uses the public modules of this library for its command line.
+
+// These panic on a closed pipe; `say!` and `note!` do not.
+#![warn(clippy::print_stdout, clippy::print_stderr)]
+
+#[macro_use]
+pub mod show;
+
+pub mod arguments;
+mod awake;
+mod child;
+mod cleaner;
+mod color;
+mod control;
+mod differences;
+mod fail_if;
+pub mod failure;
+mod faults;
+mod fleet;
+#[cfg(test)]
+mod fuzz;
+mod health;
+mod memory;
+mod observe;
+pub mod options;
+mod outages;
+mod pipeline_file;
+mod play_report;
+mod policy;
+mod prediction;
+pub mod program;
+mod readers;
+mod recorded;
+mod report_differences;
+mod runs;
+mod scheduling;
+pub mod stages;
+pub mod tables;
+mod tap;
+mod top;
+pub mod tracking;
+mod verbs;
+mod version;
+mod watch;
+mod waterfall;
+
+use std::process::ExitCode;
+
+use clap::{Command, CommandFactory as _, FromArgMatches as _, Parser};
+
+use program::GlobalArguments;
+
+/// What benches share.
+pub mod bench {
+    pub use crate::verbs::bench::{machine, percentile};
+}
+
+/// Onboard multi-agent tracking and prediction: detections in, forecasts out, as a pipeline of processes.
+#[derive(Debug, Parser)]
+#[command(name = "stgdat", args_conflicts_with_subcommands = true)]
+struct Cli {
+    #[command(subcommand)]
+    verb: Option<verbs::Verb>,
+    #[command(flatten)]
+    run: verbs::run::Arguments,
+    /// Print the version, the SHA-256 of the embedded weights and the CPU kernels in use
+    #[arg(short = 'V', long)]
+    version: bool,
+    #[command(flatten)]
+    global: GlobalArguments,
+}
+
+/// The command line of `stgdat`.
+#[must_use]
+pub fn command() -> Command {
+    Cli::command()
+}
+
+/// The program `stgdat`.
+#[must_use]
+pub fn main() -> ExitCode {
+    let command = command().color(program::begin());
+    let parsed = command.try_get_matches().and_then(|matches| Cli::from_arg_matches(&matches));
+    let may_be_mistaken = match &parsed {
+        Ok(cli) => cli.verb.is_none() && !cli.version,
+        Err(error) => error.use_stderr(),
+    };
+    let mistaken =
+        std::env::args().nth(1).filter(|_| may_be_mistaken).and_then(|word| verbs::mistaken(&word));
+    if let Some(failure) = mistaken {
+        return program::end(Err(failure));
+    }
+    let cli = parsed.unwrap_or_else(|error| error.exit());
+    let outcome = cli.global.apply().and_then(|()| match cli.verb {
+        _ if cli.version => {
+            say!("{}", version::text().trim_end());
+            Ok(run::Exit::Done)
+        }
+        Some(verb) => verb.execute(),
+        None => verbs::run::execute(&cli.run),
+    });
+    program::end(outcome)
+}

@@ -1,0 +1,35 @@
+//! `stgdat-lab`: trains and evaluates models, draws pictures and builds maps; nothing of this runs on a vehicle.
+//!
+//! Each verb is a module of [`verbs`]. `stgdat VERB` runs this program for them.
+
+#![warn(clippy::print_stdout, clippy::print_stderr)]
+
+mod contenders;
+#[cfg(test)]
+mod docs;
+mod picture;
+mod storyboard;
+mod verbs;
+
+use std::process::ExitCode;
+
+use clap::{CommandFactory as _, FromArgMatches as _, Parser};
+use launch::program::{self, GlobalArguments};
+use verbs::Verb;
+
+/// Training, evaluation, pictures and maps for stgdat; nothing of this runs on a vehicle.
+#[derive(Debug, Parser)]
+#[command(name = "stgdat-lab", version)]
+struct Cli {
+    #[command(subcommand)]
+    verb: Verb,
+    #[command(flatten)]
+    global: GlobalArguments,
+}
+
+fn main() -> ExitCode {
+    let command = Cli::command().color(program::begin());
+    let parsed = command.try_get_matches().and_then(|matches| Cli::from_arg_matches(&matches));
+    let cli = parsed.unwrap_or_else(|error| error.exit());
+    program::end(cli.global.apply().and_then(|()| cli.verb.execute()))
+}

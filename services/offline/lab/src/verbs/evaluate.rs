@@ -1,0 +1,416 @@
+use std::path::{Path, PathBuf};
+
+use clap::{Args, ValueEnum};
+use data::sets::Part;
+use driving_evaluator::GapReport;
+use evaluator::{InteractionPart, MapChoice, Options, Report, WeightsChoice};
+use nn::{Precision, Weights};
+use run::Exit;
+use tracking_evaluator::{KittiReport, TrackingReport};
+use wire::StageId;
+
+use crate::contenders::contenders;
+use launch::arguments::ReadArguments;
+use launch::failure::Failure;
+use launch::note;
+use launch::options::{Setting, StageOptions};
+use launch::show::show;
+use launch::tables;
+
+/// Deviations of measured positions that make sense, m.
+const SIGMAS_M: std::ops::RangeInclusive<f64> = 0.001..=10.0;
+/// Parts of `interaction`, by default all of them.
+const INTERACTION_PARTS: [&str; 3] = ["seen", "FT", "EP1"];
+/// Parts of `tracking`, by default all of them.
+const TRACKING_PARTS: [&str; 3] = ["interaction", "kitti", "driving"];
+
+/// Arguments of `stgdat evaluate`.
+#[derive(Debug, Args)]
+pub struct Arguments {
+    /// Data set `eth-ucy`, `sdd`, `interaction`, `driving` or `tracking`, or recordings
+    #[arg(required = true, value_name = "SET|FILE")]
+    targets: Vec<PathBuf>,
+    /// Folder with the data sets in their published layout
+    #[arg(long, value_name = "DIR", env = "STGDAT_DATA", default_value = "data")]
+    data: PathBuf,
+    /// Evaluate the validation part, by which options are chosen, instead of the test part
+    #[arg(long)]
+    validation: bool,
+    /// Weights for all recipes
+    #[arg(long, value_name = "FILE")]
+    weights: Option<PathBuf>,
+    /// Folder with the weights of each recipe; recordings use the embedded weights
+    #[arg(long, value_name = "DIR", default_value = "shared/weights", conflicts_with = "weights")]
+    weights_dir: PathBuf,
+    /// Folders with other trainings of the same recipes, such as other seeds, whose errors are reported
+    /// beside
+    #[arg(long, value_name = "DIR,…", value_delimiter = ',', conflicts_with = "weights")]
+    beside: Vec<PathBuf>,
+    /// Map for models that read one; `site` means `none` at held-out sites, the map of their lanes with
+    /// --lanes, and `online` in data sets without sites
+    #[arg(long, value_enum, default_value_t = Map::Site)]
+    map: Map,
+    /// Forecast vehicles of `interaction` along the lanes of each site's Lanelet2 map, in DIR/interaction/maps
+    #[arg(long)]
+    lanes: bool,
+    /// Parts of `interaction`: `seen` or a held-out site [default: seen,FT,EP1]; of `tracking`: `interaction`
+    /// (filters on noisy positions), `kitti` (trackers on a detector's output) and `driving` (gaps on many
+    /// roads) [default: all]; of
+    /// `driving`: sources [default: all]
+    #[arg(long, value_name = "PART,…", value_delimiter = ',')]
+    parts: Vec<String>,
+    /// Standard deviations of the measured positions in `tracking`, m; by default those of the protocol
+    #[arg(long, value_name = "M,…", value_delimiter = ',', allow_negative_numbers = true)]
+    sigmas: Vec<f64>,
+    /// Evaluate the learned prior of `tracking` with Monte Carlo propagation too, which takes several times
+    /// as long
+    #[arg(long)]
+    particles: bool,
+    /// Publish the network's forecasts in `driving` as they are, whatever earlier ones were worth
+    #[arg(long)]
+    without_evidence: bool,
+    /// Write what `driving` shows the experts to be worth on each source, begun without any prior, as priors for
+    /// other roads
+    #[arg(long, value_name = "FILE")]
+    prior: Option<PathBuf>,
+    #[command(flatten)]
+    read: ReadArguments,
+    /// Derive velocities and headings of the recordings from their positions
+    #[arg(long)]
+    positions: bool,
+    /// Number of threads; figures do not depend on it
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..))]
+    threads: Option<u8>,
+    /// Compute the decoder in another precision: decoder.precision=bf16; no other option can be set here
+    #[arg(long, value_name = "STAGE.OPTION=VALUE")]
+    set: Vec<Setting>,
+    /// Print all tables of recordings, not only what a run would publish
+    #[arg(long)]
+    all: bool,
+    /// Write every figure as CSV, one per line
+    #[arg(long, value_name = "FILE")]
+    csv: Option<PathBuf>,
+    /// Write every figure as JSON
+    #[arg(long, value_name = "FILE")]
+    json: Option<PathBuf>,
+    /// Markdown file whose marks `stgdat evaluate SET` get the main tables
+    #[arg(long, alias = "readme", value_name = "FILE")]
+    table: Option<PathBuf>,
+}
+
+/// Map for models that read one.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum Map {
+    None,
+    Online,
+    Site,
+}
+
+/// Measures forecasts, or filters that take them as their prior, against the recorded future, under the
+/// protocol of a data set or on any recordings.
+pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
+    let name = match &arguments.targets[..] {
+        [target] => target.to_str().unwrap_or_default(),
+        _ => "",
+    };
+    refuse_unused(name, arguments)?;
+    let written = match name {
+        "tracking" => track(arguments)?,
+        "driving" => vec![drive(arguments)?],
+        _ => {
+            let mut report = evaluate(name, arguments, &arguments.weights_dir)?;
+            let beside = arguments.beside.iter().map(|folder| evaluate(name, arguments, folder));
+            report.add_beside(&beside.collect::<Result<Vec<_>, _>>()?);
+            report.warnings.iter().for_each(|line| note!("warning: {line}"));
+            report.left_out.iter().for_each(|line| note!("warning: left out: {line}"));
+            vec![Written::of_forecasts(&report, name, arguments.lanes)]
+        }
+    };
+    if let Some(path) = &arguments.csv {
+        write(path, &written.iter().map(|part| part.csv.as_str()).collect::<String>())?;
+    }
+    if let Some(path) = &arguments.json {
+        write(path, &(serde_json::to_string_pretty(&json(&written)).map_err(Failure::data)? + "\n"))?;
+    }
+    let shown = |part: &'_ Written| match &part.brief {
+        Some(brief) if !arguments.all => {
+            format!("{brief}\n`--all` prints all methods, horizons and intervals.\n")
+        }
+        _ => part.markdown.clone(),
+    };
+    let markdown: Vec<String> = written.iter().map(shown).collect();
+    let exit = show(&markdown.join("\n"))?;
+    if let Some(path) = &arguments.table {
+        for part in &written {
+            tables::replace(path, &part.mark, &part.summary)?;
+        }
+    }
+    Ok(exit)
+}
+
+/// Refuses options that would change nothing.
+fn refuse_unused(name: &str, arguments: &Arguments) -> Result<(), Failure> {
+    let (is_tracking, is_driving) = (name == "tracking", name == "driving");
+    let has_parts = is_tracking || is_driving || name == "interaction";
+    let is_set = has_parts || ["eth-ucy", "sdd"].contains(&name);
+    let options = [
+        (
+            "--beside",
+            !arguments.beside.is_empty(),
+            is_set && !is_tracking && !is_driving,
+            "`eth-ucy`, `sdd` and `interaction`",
+        ),
+        ("--parts", !arguments.parts.is_empty(), has_parts, "`interaction`, `driving` and `tracking`"),
+        ("--lanes", arguments.lanes, name == "interaction", "`interaction`"),
+        ("--without-evidence", arguments.without_evidence, is_driving, "`driving`"),
+        ("--prior", arguments.prior.is_some(), is_driving, "`driving`"),
+        ("--sigmas", !arguments.sigmas.is_empty(), is_tracking, "`tracking`"),
+        ("--particles", arguments.particles, is_tracking, "`tracking`"),
+        ("--format", arguments.read.format.is_some(), !is_set, "recordings"),
+        ("--fps", arguments.read.fps.is_some(), !is_set, "recordings"),
+        ("--all", arguments.all, !is_set, "recordings"),
+        ("--origin", arguments.read.origin.is_some(), !is_set, "recordings"),
+        ("--positions", arguments.positions, !is_set, "recordings"),
+        ("--set", !arguments.set.is_empty(), !is_tracking, "forecasts, not `tracking`"),
+    ];
+    match options.into_iter().find(|(_, is_given, is_used, _)| *is_given && !is_used) {
+        Some((option, _, _, users)) => {
+            Err(Failure::Usage(format!("{option} is for {users}, and would change nothing here")))
+        }
+        None => Ok(()),
+    }
+}
+
+/// One report as it is, several by their names.
+fn json(written: &[Written]) -> serde_json::Value {
+    match written {
+        [one] => one.json.clone(),
+        several => several.iter().map(|part| (part.name.to_owned(), part.json.clone())).collect(),
+    }
+}
+
+/// A report in all its forms.
+struct Written {
+    /// Among several.
+    name: &'static str,
+    /// Its place in a Markdown file.
+    mark: String,
+    /// What is printed first, of recordings.
+    brief: Option<String>,
+    markdown: String,
+    summary: String,
+    csv: String,
+    json: serde_json::Value,
+}
+
+impl Written {
+    fn of_forecasts(report: &Report, set: &str, lanes: bool) -> Self {
+        Self {
+            name: "forecasts",
+            mark: format!("evaluate {set}{}", if lanes { " --lanes" } else { "" }),
+            brief: report.brief(),
+            markdown: report.markdown(),
+            summary: report.summary(),
+            csv: report.csv(),
+            json: report.json(),
+        }
+    }
+
+    fn of_motion(report: &TrackingReport) -> Self {
+        Self {
+            name: "interaction",
+            mark: "evaluate tracking --parts interaction".to_owned(),
+            brief: None,
+            markdown: report.markdown(),
+            summary: report.summary(),
+            csv: report.csv(),
+            json: report.json(),
+        }
+    }
+
+    fn of_gaps(report: &GapReport) -> Self {
+        Self {
+            name: "driving",
+            mark: "evaluate tracking --parts driving".to_owned(),
+            brief: None,
+            markdown: report.markdown(),
+            summary: report.markdown(),
+            csv: report.csv(),
+            json: report.json(),
+        }
+    }
+
+    fn of_trackers(report: &KittiReport) -> Self {
+        Self {
+            name: "kitti",
+            mark: "evaluate tracking --parts kitti".to_owned(),
+            brief: None,
+            markdown: report.markdown(),
+            summary: report.summary(),
+            csv: report.csv(),
+            json: report.json(),
+        }
+    }
+}
+
+/// The precision of the decoder, which is all that may be set of the stages here.
+fn precision(arguments: &Arguments) -> Result<Precision, Failure> {
+    let others = |set: &&Setting| !set.is_of(StageId::Decoder, "precision");
+    if let Some(set) = arguments.set.iter().find(others) {
+        return Err(set.refused("evaluations set decoder.precision alone"));
+    }
+    let mut options = StageOptions::defaults(&[StageId::Decoder]);
+    options.apply(&arguments.set)?;
+    Ok(options.read(&decoder::STAGE)?.precision)
+}
+
+fn options(arguments: &Arguments, weights_dir: &Path) -> Result<Options, Failure> {
+    let threads = std::thread::available_parallelism().map_or(1, usize::from);
+    Ok(Options {
+        data: arguments.data.clone(),
+        part: if arguments.validation { Part::Validation } else { Part::Test },
+        weights: WeightsChoice {
+            file: arguments.weights.clone(),
+            folder: weights_dir.to_owned(),
+            precision: precision(arguments)?,
+        },
+        map: match arguments.map {
+            Map::None => MapChoice::None,
+            Map::Online => MapChoice::Online,
+            Map::Site => MapChoice::Site,
+        },
+        lanes: arguments.lanes,
+        threads: arguments.threads.map_or(threads, usize::from),
+    })
+}
+
+/// Sources of driving recordings, by default all.
+fn driving(arguments: &Arguments, sources: &[String]) -> Result<driving_evaluator::Options, Failure> {
+    let Options { data, threads, weights, .. } = options(arguments, &arguments.weights_dir)?;
+    Ok(driving_evaluator::Options {
+        folder: data.join("driving"),
+        sources: sources.to_vec(),
+        weights: weights.file,
+        precision: weights.precision,
+        map: !matches!(arguments.map, Map::None),
+        evidence: !arguments.without_evidence,
+        priors: arguments.prior.is_none(),
+        threads,
+    })
+}
+
+/// Forecasts as a car gets them, on many roads.
+fn drive(arguments: &Arguments) -> Result<Written, Failure> {
+    let options = driving(arguments, &arguments.parts)?;
+    let report = driving_evaluator::evaluate(&options, progress).map_err(Failure::data)?;
+    if let Some(path) = &arguments.prior {
+        write(path, &(report.priors(options.threads).to_json() + "\n"))?;
+    }
+    Ok(Written {
+        name: "driving",
+        mark: "evaluate driving".to_owned(),
+        brief: None,
+        markdown: report.markdown(),
+        summary: report.summary(),
+        csv: report.csv(),
+        json: report.json(),
+    })
+}
+
+/// The parts of `tracking`, in one table of figures.
+fn track(arguments: &Arguments) -> Result<Vec<Written>, Failure> {
+    if let Some(sigma_m) = arguments.sigmas.iter().find(|sigma_m| !(SIGMAS_M.contains(sigma_m))) {
+        return Err(Failure::Usage(format!(
+            "--sigmas {sigma_m}: expected deviations from {} to {} m",
+            SIGMAS_M.start(),
+            SIGMAS_M.end()
+        )));
+    }
+    let known = |part: &str| TRACKING_PARTS.contains(&part);
+    if let Some(other) = arguments.parts.iter().find(|part| !known(part)) {
+        return Err(Failure::Usage(format!(
+            "--parts {other}: `tracking` has interaction, kitti and driving"
+        )));
+    }
+    let options = options(arguments, &arguments.weights_dir)?;
+    let mut written = Vec::new();
+    for part in parts(arguments, &TRACKING_PARTS) {
+        written.push(match part {
+            "kitti" => Written::of_trackers(&evaluate_trackers(&options)?),
+            "driving" => {
+                let report = driving_evaluator::through_gaps(&driving(arguments, &[])?, progress);
+                Written::of_gaps(&report.map_err(Failure::data)?)
+            }
+            _ => {
+                let report = tracking_evaluator::interaction(
+                    &options,
+                    &arguments.sigmas,
+                    arguments.particles,
+                    progress,
+                );
+                Written::of_motion(&report.map_err(Failure::data)?)
+            }
+        });
+    }
+    if let Some(first) = written.iter_mut().find(|part| part.name != "driving") {
+        first.csv.insert_str(0, tracking_evaluator::COLUMNS);
+    }
+    Ok(written)
+}
+
+/// Our tracker beside a plain one.
+fn evaluate_trackers(options: &Options) -> Result<KittiReport, Failure> {
+    let weights = options.weights.file.as_ref();
+    let model = match weights {
+        None => Weights::onboard(),
+        Some(path) => Weights::open(path).map_err(|error| Failure::weights(path, error))?,
+    };
+    let contenders = contenders(weights, model.config());
+    tracking_evaluator::kitti(options, contenders, progress).map_err(Failure::data)
+}
+
+fn progress(step: &str) {
+    note!("{step} …");
+}
+
+fn evaluate(name: &str, arguments: &Arguments, weights_dir: &Path) -> Result<Report, Failure> {
+    let options = options(arguments, weights_dir)?;
+    let report = match name {
+        "eth-ucy" => evaluator::eth_ucy(&options, progress),
+        "sdd" => evaluator::sdd(&options, progress),
+        "interaction" => {
+            let parts = parts(arguments, &INTERACTION_PARTS).map(|part| interaction_part(part, arguments));
+            let parts: Vec<_> = parts.collect::<Result<_, _>>()?;
+            evaluator::interaction(&options, &parts, progress)
+        }
+        _ => {
+            let (targets, read) = (&arguments.targets, arguments.read.options());
+            evaluator::files(&options, targets, read, arguments.positions, progress)
+        }
+    };
+    report.map_err(Failure::data)
+}
+
+/// The parts that are asked for, else all of them.
+fn parts<'a>(arguments: &'a Arguments, all: &'a [&str]) -> impl Iterator<Item = &'a str> {
+    let all = all.iter().copied().filter(|_| arguments.parts.is_empty());
+    arguments.parts.iter().map(String::as_str).chain(all)
+}
+
+/// A part by its name; sites beside the usual ones only where weights are named, as no recipe leaves them
+/// out.
+fn interaction_part(name: &str, arguments: &Arguments) -> Result<InteractionPart, Failure> {
+    match name {
+        "seen" => Ok(InteractionPart::Seen),
+        site if arguments.weights.is_some() || INTERACTION_PARTS.contains(&site) => {
+            Ok(InteractionPart::HeldOut(site.to_owned()))
+        }
+        other => Err(Failure::Usage(format!(
+            "--parts {other}: `interaction` has seen, FT and EP1, and other sites with --weights"
+        ))),
+    }
+}
+
+fn write(path: &Path, text: &str) -> Result<(), Failure> {
+    std::fs::write(path, text).map_err(|error| Failure::file(path, error))
+}

@@ -1,0 +1,77 @@
+use std::fmt::Display;
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+
+use clap::Args;
+use data::{Format, FrameRate};
+use lanes::Coordinates;
+use run::Exit;
+
+use launch::arguments::{ReadArguments, open_lanes};
+use launch::failure::Failure;
+use launch::say;
+
+/// Arguments of `stgdat map`.
+#[derive(Debug, Args)]
+pub struct Arguments {
+    /// Recordings of one site in one world frame, without those to be forecast
+    #[arg(required_unless_present = "lanelet2", value_name = "RECORDING")]
+    recordings: Vec<PathBuf>,
+    /// Lanelet2 map of the site (OSM XML) in place of recordings
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["recordings", "format", "fps"])]
+    lanelet2: Option<PathBuf>,
+    /// World frame's origin in the own frame of recordings or map, in metres, such as 458000,5428000m; in a map also
+    /// its latitude and longitude, such as 49.01,8.42
+    #[arg(long, value_name = "X,Ym|LAT,LON", allow_hyphen_values = true)]
+    origin: Option<String>,
+    /// Format of the recordings; detected for each file if not given
+    #[arg(long)]
+    format: Option<Format>,
+    /// Frames a second that the recordings' frame numbers count, if the files do not contain the rate; as the data set
+    /// was published if not given
+    #[arg(long, value_name = "HZ")]
+    fps: Option<FrameRate>,
+    /// Map to write, for `--map FILE`
+    #[arg(long, value_name = "FILE")]
+    out: PathBuf,
+}
+
+impl Arguments {
+    /// The origin, in the notation of recordings or of maps.
+    fn origin<T: FromStr<Err: Display>>(&self) -> Result<Option<T>, Failure> {
+        let parse =
+            |text: &String| text.parse().map_err(|error| Failure::Usage(format!("--origin: {error}")));
+        self.origin.as_ref().map(parse).transpose()
+    }
+}
+
+/// Builds the context map of a site: density and mean velocity of the agents per square metre, from recordings
+/// or from its lanes.
+pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
+    if let Some(path) = &arguments.lanelet2 {
+        return draw_lanes(path, arguments);
+    }
+    let read = ReadArguments { format: arguments.format, fps: arguments.fps, origin: arguments.origin()? };
+    let open = |path: &PathBuf| read.open(path);
+    let recordings = arguments.recordings.iter().map(open).collect::<Result<Vec<_>, _>>()?;
+    let site = mapper::build(&recordings).map_err(Failure::data)?;
+    site.map.save(&arguments.out).map_err(Failure::data)?;
+    let (rows, cols) = (site.map.rows(), site.map.cols());
+    let [x_m, y_m] = site.map.origin_m();
+    say!("{}: {cols} × {rows} m from ({x_m}, {y_m}), {} visits", arguments.out.display(), site.visits_len);
+    if site.left_out_len > 0 {
+        say!("{} detections left out: their velocity is unknown", site.left_out_len);
+    }
+    Ok(Exit::Done)
+}
+
+/// The map of a site's lanes.
+fn draw_lanes(path: &Path, arguments: &Arguments) -> Result<Exit, Failure> {
+    let lanes = open_lanes(path, arguments.origin::<Coordinates>()?.unwrap_or_default())?;
+    let map = mapper::of_lanes(&lanes).map_err(Failure::data)?;
+    map.save(&arguments.out).map_err(Failure::data)?;
+    let ([x_m, y_m], lanes_len) = (map.origin_m(), lanes.lanes().len());
+    let (rows, cols) = (map.rows(), map.cols());
+    say!("{}: {cols} × {rows} m from ({x_m}, {y_m}), {lanes_len} lanes", arguments.out.display());
+    Ok(Exit::Done)
+}

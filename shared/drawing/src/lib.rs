@@ -1,0 +1,35 @@
+//! Pictures as SVG: recordings, forecasts of scenes, learning curves.
+//!
+//! [`overview`] draws a whole recording. [`scenes`] draws forecasts of scenes. [`learning_curves`] draws a
+//! [`TrainingLog`]. A picture is made of *panels*. The panel of a scene shows, from bottom to top, how
+//! often the ground was visited (the context map), the *mask* of the forecast distribution, every mode as
+//! faint as it is improbable, the recorded future, the best and the most probable mode, and the agents in
+//! their true sizes. The mask is drawn as *highest-density regions*: the smallest areas that hold 50 % and
+//! 90 % of the mixture of all modes.
+//!
+//! A picture is one string, which is the same to the bit for the same input. Text is drawn as outlines of an
+//! embedded font, so a picture looks alike in every viewer. Lengths on paper are in points (pt, 1/72 inch).
+
+mod axes;
+mod canvas;
+mod colour;
+mod contour;
+mod curves;
+mod error;
+mod ground;
+mod mask;
+mod mixture;
+mod overview;
+mod scene;
+#[cfg(test)]
+mod tests;
+mod text;
+mod training_log;
+mod view;
+
+pub use curves::learning_curves;
+pub use error::PictureError;
+pub use mask::Mask;
+pub use overview::{Overview, overview};
+pub use scene::{AgentDrawing, ForecastDrawing, SceneDrawing, SceneOptions, scenes};
+pub use training_log::{Displacement, LogError, Progress, SetErrors, TrainingLog, Validation};

@@ -1,0 +1,160 @@
+use std::f32::consts::PI;
+
+use ::scene::{AgentType, MapBuilder};
+use metrics::Point;
+use resvg::usvg::{Options, Tree};
+
+use super::*;
+
+/// A vehicle that turns left, forecast to go on in one of five directions.
+fn turning_vehicle() -> AgentDrawing {
+    let steps_len = 8;
+    let arc = |turn: f32| -> Vec<Point> {
+        (1..=steps_len).map(|step| [4.0 * step as f32, turn * (step * step) as f32]).collect()
+    };
+    let modes: Vec<Vec<Point>> = [-0.2, -0.1, 0.0, 0.1, 0.2].map(arc).to_vec();
+    let covariance =
+        (1..=steps_len).map(|step| [0.02, 0.005, 0.03].map(|value| value * (step * step) as f32));
+    AgentDrawing {
+        id: 7,
+        agent_type: AgentType::Vehicle,
+        length_m: Some(4.6),
+        width_m: Some(1.9),
+        heading_rad: 0.0,
+        now: [0.0, 0.0],
+        history: vec![Some([-8.0, 0.1]), None, Some([-3.0, 0.0])],
+        truth: arc(0.11).into_iter().map(Some).collect(),
+        forecast: Some(ForecastDrawing {
+            covariance: vec![covariance.collect(); modes.len()],
+            modes,
+            probability: vec![0.1, 0.2, 0.4, 0.2, 0.1],
+        }),
+    }
+}
+
+fn bystander() -> AgentDrawing {
+    AgentDrawing {
+        id: 8,
+        agent_type: AgentType::Pedestrian,
+        length_m: None,
+        width_m: None,
+        heading_rad: PI,
+        now: [5.0, 5.0],
+        history: vec![Some([6.0, 5.0])],
+        truth: Vec::new(),
+        forecast: None,
+    }
+}
+
+fn drawing(agents: Vec<AgentDrawing>) -> SceneDrawing<'static> {
+    SceneDrawing { title: "a <turn> & \"more\"".to_owned(), agents, ..SceneDrawing::default() }
+}
+
+fn error_of(change: impl FnOnce(&mut AgentDrawing)) -> String {
+    let mut agent = turning_vehicle();
+    change(&mut agent);
+    scenes("", &[drawing(vec![agent])], &SceneOptions::default()).unwrap_err().to_string()
+}
+
+fn forecast(agent: &mut AgentDrawing) -> &mut ForecastDrawing {
+    agent.forecast.as_mut().unwrap()
+}
+
+/// Width and height of a well-formed picture, pt.
+fn size_pt(svg: &str) -> [f32; 2] {
+    let size = Tree::from_str(svg, &Options::default()).unwrap().size();
+    // CSS has 96 pixels to the inch.
+    [size.width(), size.height()].map(|pixels| pixels * 72.0 / 96.0)
+}
+
+#[test]
+fn a_scene_is_well_formed_and_the_same_every_time() {
+    let mut builder = MapBuilder::new([-10.0, -10.0], 30, 60).unwrap();
+    for step in 0..200 {
+        builder.visit([-9.0 + 0.25 * step as f32, 0.3], [5.0, 0.0]);
+    }
+    let map = builder.build();
+    for mask in [Mask::EveryMoment, Mask::Pooled, Mask::End, Mask::Hidden] {
+        let options = SceneOptions { mask, velocity: true, identities: true, ..SceneOptions::default() };
+        let panel = SceneDrawing { map: Some(&map), ..drawing(vec![turning_vehicle(), bystander()]) };
+        let panels = [panel.clone(), panel.clone(), panel];
+        let svg = scenes("three & a heading", &panels, &options).unwrap();
+        assert_eq!(svg, scenes("three & a heading", &panels, &options).unwrap(), "{mask:?}");
+        let [width, height] = size_pt(&svg);
+        assert!((width - 516.0).abs() < 0.1, "{width} pt");
+        assert!(height > width / 2.0, "two rows of panels, {height} pt high");
+        assert_eq!(svg.contains("90 % region"), mask != Mask::Hidden);
+    }
+}
+
+#[test]
+fn what_is_drawn_is_what_is_seen() {
+    let ink = |agents: Vec<AgentDrawing>| {
+        let svg = scenes("", &[drawing(agents)], &SceneOptions::default()).unwrap();
+        ["#e69f00", "#0072b2", "#d55e00", "#009e73"].map(|colour| svg.matches(colour).count())
+    };
+    let [history, truth, best, mask] = ink(vec![turning_vehicle()]);
+    assert!(history > 1 && truth > 1 && best > 1 && mask > 1, "each in the panel and in the legend");
+    assert_eq!(ink(vec![bystander()])[1..], [0; 3]);
+}
+
+#[test]
+fn numbers_that_are_none_are_refused() {
+    for (expected, error) in [
+        ("agent 7: its heading is not finite", error_of(|agent| agent.heading_rad = f32::NAN)),
+        ("its truth is not finite", error_of(|agent| agent.truth[1] = Some([f32::INFINITY, 0.0]))),
+        ("its forecast is not finite", error_of(|agent| forecast(agent).modes[2][1][0] = f32::NAN)),
+        (
+            "mode 1, step 3: covariance [1.0, 2.0, 1.0] is not positive",
+            error_of(|agent| forecast(agent).covariance[1][3] = [1.0, 2.0, 1.0]),
+        ),
+        ("a mode has length 7, expected 8", error_of(|agent| forecast(agent).modes[4].truncate(7))),
+        (
+            "the modes' probabilities has length 4, expected 5",
+            error_of(|agent| forecast(agent).probability.truncate(4)),
+        ),
+        ("the sum of an agent's probabilities is", error_of(|agent| forecast(agent).probability[2] = 0.9)),
+        ("the number of modes is 0", error_of(|agent| forecast(agent).modes.clear())),
+    ] {
+        assert!(error.contains(expected), "{error}");
+    }
+}
+
+#[test]
+fn pictures_that_can_not_be_are_refused() {
+    let draw = |panels: &[SceneDrawing<'_>], options| scenes("", panels, &options).unwrap_err().to_string();
+    let usual = SceneOptions::default();
+    assert_eq!(draw(&[], usual), "a picture without panels");
+    assert_eq!(draw(&[drawing(Vec::new())], usual), "a picture without panels");
+    let panel = || [drawing(vec![turning_vehicle()])];
+    let error = draw(&panel(), SceneOptions { columns: 0, ..usual });
+    assert_eq!(error, "the number of columns is 0, which is not within 1 and 16");
+    assert!(draw(&panel(), SceneOptions { width: f64::NAN, ..usual }).contains("the width in pt is NaN"));
+}
+
+#[test]
+fn learning_curves_show_each_set_and_the_best_checkpoint() {
+    let progress = (1..=50).map(|step| Progress {
+        step: 20 * step,
+        seconds: 3.0 * step as f64,
+        rate: 1e-3,
+        loss: 1.0 / step as f64,
+        ..Progress::default()
+    });
+    let validation = |(number, figure): (usize, f64)| Validation {
+        step: 250 * (number as u64 + 1),
+        validation: figure,
+        sets: vec![SetErrors { set: "sdd".to_owned(), ..SetErrors::default() }],
+    };
+    let validations = [0.9, 0.7, 0.75, 0.8].into_iter().enumerate().map(validation);
+    let log = TrainingLog { progress: progress.collect(), validations: validations.collect() };
+    let svg = learning_curves(&log, "plus").unwrap();
+    assert_eq!(svg, learning_curves(&log, "plus").unwrap());
+    for words in
+        ["aria-label=\"sdd\"", "best: 0.7000", "best checkpoint at step 500", "1000 steps in 0 h 03 min"]
+    {
+        assert!(svg.contains(words), "{words} is missing");
+    }
+    assert!((size_pt(&svg)[0] - 516.0).abs() < 0.1);
+    assert!(learning_curves(&TrainingLog::default(), "nothing").is_err());
+}
