@@ -79,7 +79,7 @@ pub struct ProcessStatus {
     pub state: String,
     /// Process number, while it runs.
     pub pid: Option<u32>,
-    /// How often it has been started before.
+    /// How often it has been started again. As a process it counts replacements too, in a [`RunStatus`] it does not.
     pub restarts: u32,
     /// CPU time of all its threads since it was started.
     pub cpu_s: Option<f64>,
@@ -147,6 +147,11 @@ impl RunStatus {
         let newest_tick = view.newest_tick();
         let stages = view.stages().into_iter().map(|(stage, row)| {
             let [waiting, wake_up, compute, publish] = view.recent_ms(stage);
+            let mut process = facts.processes.get(&stage).cloned().unwrap_or_default();
+            let replacements = report.supervision.replacements.iter();
+            let of_stage = replacements.filter(|replacement| replacement.outage.stage == stage.name());
+            let replaced: u32 = of_stage.map(|replacement| replacement.outcome.incarnations()).sum();
+            process.restarts = process.restarts.saturating_sub(replaced);
             let reached = view.beat(stage).filter(|beat| beat.frames_len > 0).map(|beat| beat.seq);
             StageStatus {
                 name: stage.name().to_owned(),
@@ -157,7 +162,7 @@ impl RunStatus {
                 recent_wake_up_ms: wake_up,
                 recent_compute_ms: compute,
                 recent_publish_ms: publish,
-                process: facts.processes.get(&stage).cloned().unwrap_or_default(),
+                process,
             }
         });
         let count = |counts: &[u64], name: fn(usize) -> &'static str| {
@@ -187,5 +192,37 @@ impl RunStatus {
             events: facts.events,
             report,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::live::LiveOptions;
+    use crate::record::RecorderOptions;
+    use crate::report::{Outage, Replacement, ReplacementOutcome};
+
+    #[test]
+    fn a_replacement_is_no_restart() {
+        let replacement = |outcome| Replacement {
+            outcome,
+            outage: Outage { stage: "encoder".to_owned(), ..Outage::default() },
+            ..Replacement::default()
+        };
+        let restarts = |started: u32, outcomes: &[ReplacementOutcome]| {
+            let process = ProcessStatus { restarts: started, ..ProcessStatus::default() };
+            let replacements = outcomes.iter().map(|outcome| replacement(*outcome)).collect();
+            let facts = Facts {
+                processes: [(StageId::Encoder, process)].into(),
+                supervision: Supervision { replacements, ..Supervision::default() },
+                ..Facts::default()
+            };
+            let budgets_ms = BTreeMap::from([(StageId::Encoder, 10.0)]);
+            let view = LiveView::new(LiveOptions { budgets_ms, ..LiveOptions::default() });
+            RunStatus::new(&view, &Recorder::new(RecorderOptions::default()), facts).stages[0].process.restarts
+        };
+        assert_eq!(restarts(2, &[]), 2);
+        assert_eq!(restarts(1, &[ReplacementOutcome::Replaced]), 0);
+        assert_eq!(restarts(4, &[ReplacementOutcome::RolledBack, ReplacementOutcome::NotUsed]), 2);
     }
 }

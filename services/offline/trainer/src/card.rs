@@ -11,7 +11,7 @@ use crate::net::tensors::Tensors;
 use crate::options::TrainOptions;
 use crate::samples::Source;
 use crate::train::set_named;
-use crate::validate::{SetScore, rounded};
+use crate::validate::{BASELINE_MIN_M, SetScore, rounded};
 
 /// Provenance and figures of a set of weights.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -127,7 +127,7 @@ impl Gain {
     /// The gains of a set.
     #[must_use]
     pub fn of(score: &SetScore) -> Self {
-        let gone = |ours: f64, theirs: f64| rounded(1.0 - ours / theirs.max(1e-9));
+        let gone = |ours: f64, theirs: f64| rounded(1.0 - ours / theirs.max(BASELINE_MIN_M));
         let (single, cv) = (score.single, score.constant_velocity);
         let (best, anchors) = (score.best_of_modes, score.anchors_best_of_20);
         Self {
@@ -228,6 +228,15 @@ impl ModelCard {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::validate::Errors;
+
+    #[test]
+    fn even_motion_gives_no_boundless_gain() {
+        let single = Errors { ade_m: 0.46, fde_m: 1.43 };
+        let score = SetScore { single, ..SetScore::default() };
+        assert_eq!(Gain::of(&score).single_over_constant_velocity, [-45.0, -142.0]);
+        assert!((score.relative() - 27.115).abs() < 0.01, "{}", score.relative());
+    }
 
     #[test]
     fn licences_are_those_of_the_sources_that_there_are_recordings_of() {

@@ -34,6 +34,9 @@ const BATCH_AGENTS: usize = 96;
 /// Windows that the anchors of a set and type are fitted to at most.
 const ANCHOR_WINDOWS: usize = 20_000;
 
+/// Least error of a baseline that ours is compared with, m: smaller ones are made data, such as even motion.
+pub(crate) const BASELINE_MIN_M: f64 = 0.01;
+
 /// Mean errors, m.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Errors {
@@ -71,7 +74,7 @@ impl SetScore {
     #[must_use]
     pub fn relative(&self) -> f64 {
         let sum = |errors: Errors| errors.ade_m + 0.5 * errors.fde_m;
-        let ratio = |ours: Errors, theirs: Errors| sum(ours) / sum(theirs).max(1e-9);
+        let ratio = |ours: Errors, theirs: Errors| sum(ours) / sum(theirs).max(BASELINE_MIN_M);
         (ratio(self.best_of_modes, self.anchors_best_of_20)
             + 0.3 * ratio(self.single, self.constant_velocity))
             / 1.3
