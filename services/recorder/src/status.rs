@@ -219,7 +219,8 @@ mod tests {
             };
             let budgets_ms = BTreeMap::from([(StageId::Encoder, 10.0)]);
             let view = LiveView::new(LiveOptions { budgets_ms, ..LiveOptions::default() });
-            RunStatus::new(&view, &Recorder::new(RecorderOptions::default()), facts).stages[0].process.restarts
+            let measured = Recorder::new(RecorderOptions::default());
+            RunStatus::new(&view, &measured, facts).stages[0].process.restarts
         };
         assert_eq!(restarts(2, &[]), 2);
         assert_eq!(restarts(1, &[ReplacementOutcome::Replaced]), 0);
