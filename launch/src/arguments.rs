@@ -195,7 +195,7 @@ impl SceneArguments {
         self.seed.unwrap_or(SEED)
     }
 
-    /// Prints a note if a seed was given that changes nothing.
+    /// Prints a note if the given seed has no effect.
     pub fn note_unused_seed(
         &self,
         source: &source::Options,
@@ -229,12 +229,12 @@ impl SceneArguments {
 }
 
 impl ReadArguments {
-    /// What is known of the recordings.
+    /// Returns the options with which recordings are opened.
     pub fn options(&self) -> OpenOptions {
         OpenOptions { format: self.format, fps: self.fps, origin: self.origin.unwrap_or_default() }
     }
 
-    /// These arguments as they are written on a command line, each after a space.
+    /// Returns these arguments as command-line text, each after a space.
     pub fn written(&self) -> String {
         let format = self.format.map(|format| format!(" --format {format}"));
         let fps = self.fps.map(|fps| format!(" --fps {fps}"));
@@ -242,7 +242,7 @@ impl ReadArguments {
         [format, fps, origin].into_iter().flatten().collect()
     }
 
-    /// Reads a recording, and warns of what is probably wrong with it.
+    /// Reads a recording and warns about its probable defects.
     pub fn open(&self, path: &Path) -> Result<Recording, Failure> {
         let recording = data::open_with(path, self.options()).map_err(Failure::data)?;
         warn_of_doubts(&recording);
@@ -250,7 +250,7 @@ impl ReadArguments {
     }
 }
 
-/// Warns of what is probably wrong with a recording.
+/// Warns about probable defects of a recording.
 pub fn warn_of_doubts(recording: &Recording) {
     for found in data::findings(recording).iter().filter(|found| found.doubtful) {
         note!("warning: {}: {found}", recording.name);
@@ -311,7 +311,7 @@ impl ModelArguments {
         Ok(map.into_iter().chain([lanes, origin]).collect())
     }
 
-    /// These arguments as they are written on a command line, each after a space.
+    /// Returns these arguments as command-line text, each after a space.
     pub fn written(&self) -> String {
         let path = |flag: &str, path: &PathBuf| format!(" {flag} {}", quoted(&path.to_string_lossy()));
         let weights = self.weights.as_ref().map(|weights| path("--weights", weights));
@@ -321,13 +321,13 @@ impl ModelArguments {
         [weights, map, lanes, origin].into_iter().flatten().collect()
     }
 
-    /// Reads the map of lanes of the command line, if there is one; `origin` is that of the recording.
+    /// Reads the lane map given on the command line, if any. `origin` is the recording's origin.
     pub fn open_lanes(&self, origin: WorldOrigin) -> Result<Option<LaneMap>, Failure> {
         let coordinates = LanesOrigin::coordinates(self.lanes_origin.map(LanesOrigin), origin);
         self.lanes.as_ref().map(|path| open_lanes(path, coordinates)).transpose()
     }
 
-    /// Opens the weights of the command line, else the pipeline's, else the embedded ones.
+    /// Opens the weights named on the command line, else the pipeline's weights, else the embedded ones.
     pub fn open_weights(&self, pipeline: Option<&Path>) -> Result<(Option<PathBuf>, Weights), Failure> {
         let Some(path) = self.weights.as_deref().or(pipeline) else { return Ok((None, Weights::onboard())) };
         let path = canonical(path)?;
@@ -342,7 +342,7 @@ impl PlaybackArguments {
         recording_at(&self.recording)
     }
 
-    /// The recording at its start, and the lockstep run that plays it.
+    /// Returns the recording at its start and the lockstep run that plays it.
     pub fn start(&self) -> Result<Played, Failure> {
         let (weights_path, weights) = self.model.open_weights(None)?;
         let options = self.options()?;
@@ -360,7 +360,7 @@ impl PlaybackArguments {
         }
         let recording = source::recording(&source, origin, seed)?;
         warn_of_doubts(&recording);
-        // Before frames are merged: then the lines are those of the files.
+        // Counted before frames are merged, so the line numbers match the files.
         let input = input_of(&recording);
         let playing = PlaybackOptions { run_id: 0, ticks_max: source.ticks, lockstep: true };
         let playback = Playback::new(recording, playing);
@@ -403,7 +403,8 @@ impl PlaybackArguments {
     }
 }
 
-/// Prints a note that a seed changes nothing on a recording, if so: only latent variables and particles are drawn.
+/// Prints a note if the seed has no effect on a recording. Only latent variables and particles are drawn at
+/// random.
 fn note_unused_seed(sampler: &sampler::Options, model: &ModelConfig) {
     if model.latents == Latents::Points && sampler.propagation != sampler::PropagationKind::MonteCarlo {
         note!(
@@ -434,10 +435,10 @@ pub fn canonical(path: &Path) -> Result<PathBuf, Failure> {
     path.canonicalize().map_err(|error| Failure::file(path, error))
 }
 
-/// Reads a map of lanes, and warns of what was skipped.
+/// Reads a lane map and warns about skipped elements.
 ///
 /// # Errors
-/// [`Failure::Data`] with the element of the map that can't be used.
+/// [`Failure::Data`] names the unusable map element.
 pub fn open_lanes(path: &Path, coordinates: Coordinates) -> Result<LaneMap, Failure> {
     let map = LaneMap::open(path, coordinates).map_err(Failure::data)?;
     let skipped = map.skipped();
@@ -451,7 +452,7 @@ pub fn open_lanes(path: &Path, coordinates: Coordinates) -> Result<LaneMap, Fail
     Ok(map)
 }
 
-/// Refuses a map of lanes that can't be read, before a run begins.
+/// Checks before a run that its lane map can be read.
 ///
 /// # Errors
 /// As [`open_lanes`].
@@ -461,11 +462,11 @@ pub fn check_lanes(options: &sampler::Options, origin: WorldOrigin) -> Result<()
     open_lanes(&absolute(path)?, coordinates).map(|_| ())
 }
 
-/// Number of entries of the retrieval memory that a sampler with these options begins with; `None` without a
-/// file.
+/// Returns the initial number of retrieval memory entries of a sampler with these options. Without a memory
+/// file, returns `None`.
 ///
 /// # Errors
-/// [`Failure::Data`] where the file is not a memory of these weights, or its folder can't be written to.
+/// [`Failure::Data`] if the file is not a memory of these weights or its folder is not writable.
 pub fn check_memory(options: &sampler::Options, weights: &Weights) -> Result<Option<u64>, Failure> {
     let Some(path) = &options.memory else { return Ok(None) };
     let path = absolute(path)?;
@@ -480,10 +481,10 @@ pub fn check_memory(options: &sampler::Options, weights: &Weights) -> Result<Opt
     Ok(Some(entries_len as u64))
 }
 
-/// Whether a file can be put in a place once there is something to write, before time is spent on it.
+/// Checks that an output file can be written, before the work that produces it starts.
 ///
 /// # Errors
-/// [`Failure::Data`] where it is a folder, or this user can't write to the folder that it is to lie in.
+/// [`Failure::Data`] if `path` is a folder or this user can't write to its parent folder.
 pub fn check_place(path: &Path) -> Result<(), Failure> {
     if recorder::is_standard_output(path) {
         return Ok(());
@@ -493,7 +494,7 @@ pub fn check_place(path: &Path) -> Result<(), Failure> {
         return Err(Failure::file(&path, std::io::Error::from(std::io::ErrorKind::IsADirectory)));
     }
     let (written, how) = match path.parent() {
-        // Complete files take the place of those before.
+        // A complete file replaces the old one.
         Some(folder) if path.is_file() || !path.exists() => (folder, Access::WRITE_OK | Access::EXEC_OK),
         _ => (&*path, Access::WRITE_OK),
     };

@@ -4,20 +4,20 @@ use std::fs::File;
 use std::io::{self, Write as _};
 use std::path::Path;
 
-/// The kernel's file for the longest time in µs that a processor may take to wake up; the demand holds while the file
+/// The kernel's file for the maximum wake-up latency of a processor, in µs. The request holds while the file
 /// is open.
 pub const LATENCY: &str = "/dev/cpu_dma_latency";
 
-/// Holds all processors of the machine awake.
+/// Keeps all processors of the machine awake.
 #[derive(Debug)]
 pub struct Awake(#[expect(dead_code, reason = "it is held open")] File);
 
 impl Awake {
-    /// Demands of the kernel that no processor enters an idle state which takes time to leave, as long as the value
-    /// lives: see the kernel's "PM Quality of Service".
+    /// Keeps the processors out of idle states with a wake-up latency while the value lives. See the kernel's
+    /// "PM Quality of Service".
     ///
     /// # Errors
-    /// What is not allowed and how to allow it, in words.
+    /// A message that names the missing permission and how to grant it.
     pub fn hold() -> Result<Self, String> {
         Self::hold_at(Path::new(LATENCY)).map_err(|error| {
             format!("processors may sleep between ticks, `awake` needs write access to {LATENCY}: {error}")

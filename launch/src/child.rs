@@ -27,15 +27,15 @@ use crate::color;
 use crate::failure::{Failure, StageDeath};
 use crate::scheduling;
 
-/// Lines of a stage's output that are kept to be shown if it dies.
+/// Number of output lines kept per stage, to be shown if the stage dies.
 const LAST_LINES_MAX: usize = 12;
-/// Longest line that is not broken, in bytes.
+/// Maximum length of a line in bytes; longer lines are split.
 const LINE_BYTES_MAX: u64 = 4096;
 
 /// The environment variable of glibc's settings.
 const ALLOCATOR_VARIABLE: &str = "GLIBC_TUNABLES";
-/// Memory that was freed stays with the process, and its heap grows by a MiB at a time, so that the next allocation
-/// meets no page that has to be had first.
+/// Keeps freed memory in the process and grows the heap by 1 MiB at a time. The next allocation then causes
+/// no page fault.
 const ALLOCATOR: &str =
     "glibc.malloc.trim_threshold=268435456:glibc.malloc.mmap_threshold=4194304:glibc.malloc.top_pad=1048576";
 
@@ -45,21 +45,21 @@ const BUS_ERROR: i32 = Signal::BUS.as_raw();
 /// A line of a stage's output.
 pub type Line = (StageId, String);
 
-/// What is started as a stage.
+/// The program to start as a stage.
 #[derive(Clone, Debug)]
 pub struct Program {
-    /// The program with its arguments; this one where none.
+    /// The program with its arguments; `None` for this program.
     pub command: Option<Vec<String>>,
-    /// Topics that it opens under another name, as `topic=name`.
+    /// Topics that the program opens under another name, as `topic=name`.
     pub topics: Vec<String>,
-    /// Its processors and priority.
+    /// Processors and priority of the process.
     pub scheduling: Scheduling,
-    /// A record of its own, with other options than the run's.
+    /// A separate run record, if the options differ from the run's.
     pub record: Option<PathBuf>,
 }
 
 impl Program {
-    /// That of a stage of a pipeline.
+    /// Returns the program of a pipeline's stage.
     pub fn of(stage: &config::Stage) -> Self {
         let topics = stage.topics.iter().map(|(topic, name)| format!("{topic}={name}")).collect();
         Self { command: stage.command.clone(), topics, scheduling: stage.scheduling.clone(), record: None }
@@ -72,7 +72,7 @@ pub struct Child {
     /// The stage.
     pub stage: StageId,
     process: Process,
-    /// Readable once the process has ended; none where the kernel is too old.
+    /// Readable once the process has ended; `None` if the kernel is too old.
     descriptor: Option<OwnedFd>,
     ended: Option<ExitStatus>,
     last_lines: Arc<Mutex<VecDeque<String>>>,
@@ -80,8 +80,8 @@ pub struct Child {
 }
 
 impl Child {
-    /// Starts a stage, by its own command or by this program, and sends its output through `lines`. With
-    /// `standby`, the launcher's socket, it is to replace a process that still runs.
+    /// Starts a stage, by its own command or by this program, and sends its output through `lines`. If
+    /// `standby` holds the launcher's socket, the process will replace one that is still running.
     pub fn start(
         stage: StageId,
         own: &Program,
@@ -110,9 +110,9 @@ impl Child {
             .env(LAUNCHER_VARIABLE, std::process::id().to_string())
             .env(INCARNATION_VARIABLE, incarnation.to_string())
             .env(STAGE_VARIABLE, stage.name())
-            // The launcher paints their lines where they are shown in colour.
+            // The launcher colours the lines that it shows.
             .env(COLOR_VARIABLE, Color::Never.name())
-            // For programs that stamp their passage by hand.
+            // For programs that write their timestamps without our library.
             .env("STGDAT_STAGE_NUMBER", stage.number().to_string())
             .env(TOPICS_VARIABLE, own.topics.join(","))
             .env("STGDAT_RUN_ID", run.id.to_string())
@@ -126,7 +126,7 @@ impl Child {
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
-            // A process group of its own: Ctrl-C reaches the launcher alone, which ends the stages in order.
+            // A separate process group, so Ctrl-C reaches only the launcher, which ends the stages in order.
             .process_group(0);
         if std::env::var_os(ALLOCATOR_VARIABLE).is_none() {
             command.env(ALLOCATOR_VARIABLE, ALLOCATOR);
@@ -154,7 +154,7 @@ impl Child {
         Ok(Self { stage, process, descriptor, ended: None, last_lines, readers })
     }
 
-    /// Readable once the process has ended; none where that is known.
+    /// Readable once the process has ended; `None` if its end is already known.
     pub fn descriptor(&self) -> Option<BorrowedFd<'_>> {
         self.descriptor.as_ref().filter(|_| self.ended.is_none()).map(AsFd::as_fd)
     }
@@ -164,7 +164,7 @@ impl Child {
         Pid::from_child(&self.process)
     }
 
-    /// Its exit status, once it has ended.
+    /// Returns the exit status if the process has ended.
     pub fn ended(&mut self) -> Option<ExitStatus> {
         if self.ended.is_none() {
             // Fails only for processes that are not children.
@@ -176,14 +176,14 @@ impl Child {
     /// Sends a signal unless the process has ended.
     pub fn signal(&mut self, signal: Signal) {
         if self.ended().is_none() {
-            // It may end at this moment; its process id stays reserved until it is waited for.
+            // The process may end at this moment. Its process id stays reserved until it is reaped.
             let _ = kill_process(Pid::from_child(&self.process), signal);
         }
     }
 
-    /// Describes the end of a child that was not asked to end.
+    /// Describes the unrequested end of a child.
     pub fn death(&mut self, status: ExitStatus) -> StageDeath {
-        // The pipes close with the process, so its output is soon complete; a grandchild may hold them open.
+        // The pipes close with the process, so its output is soon complete. A grandchild may hold them open.
         let until = std::time::Instant::now() + std::time::Duration::from_millis(200);
         while !self.readers.iter().all(JoinHandle::is_finished) && std::time::Instant::now() < until {
             std::thread::sleep(std::time::Duration::from_millis(1));
@@ -204,12 +204,12 @@ impl Child {
     }
 }
 
-/// A descriptor that is readable once a child has ended; none where the kernel has no such.
+/// Returns a descriptor that is readable once a child has ended; `None` if the kernel has no pidfds.
 pub fn end_of(process: &Process) -> Option<OwnedFd> {
     pidfd_open(Pid::from_child(process), PidfdFlags::empty()).ok()
 }
 
-/// Has the kernel kill the program when the thread that starts it, the launcher's first, ends.
+/// Makes the kernel kill the program when the thread that starts it (the launcher's main thread) ends.
 pub fn die_with_this_process(command: &mut Command) {
     // SAFETY: between fork and exec the closure makes one system call and touches no memory of this process.
     unsafe {

@@ -1,4 +1,5 @@
-//! Cleans up after dead stages, in a helper process: clean-up can block for ever, and the supervisor must not.
+//! Cleans up after dead stages in a helper process, because a clean-up can block forever and the supervisor
+//! must not.
 
 use std::fmt;
 use std::io::Read as _;
@@ -12,12 +13,12 @@ use ports::{NodeNumber, NodeProcess};
 use crate::child::{die_with_this_process, end_of};
 use crate::failure::Failure;
 
-/// Time limit of a helper: it takes 30 ms, and a hundred times that on a machine under load is not reached.
-/// Where it waits for a connection that was left half made, it is ended as soon as that is old enough to be
-/// sure.
+/// Time limit of a helper. A clean-up takes 30 ms; even on a loaded machine it does not take a hundred times
+/// as long. If a half-made connection blocks a helper, the helper is killed as soon as the connection is old
+/// enough to be certainly abandoned.
 const LIMIT: Duration = Duration::from_secs(2);
-/// Helpers that may run out of time before the stages are started without: each removes what the one before
-/// has hung on.
+/// Number of timed-out helpers after which the stages start anyway. Each helper removes the file that blocked
+/// the previous one.
 const TRIES_MAX: u32 = 3;
 
 /// The clean-up of a run.
@@ -27,20 +28,21 @@ pub struct Cleaner {
     prefix: String,
     work: Option<Work>,
     tries: u32,
-    /// Helpers that were killed since somebody asked.
+    /// Helpers that were killed since the last call of `hung`.
     hung: Vec<Hung>,
-    /// Dead nodes that helpers have met since somebody asked.
+    /// Dead nodes that helpers have found since the last call of `met`.
     met: Vec<(NodeNumber, NodeProcess)>,
-    /// How often a helper has ended, in time or not: what died before it began is cleaned.
+    /// Number of helpers that have ended, including those given up on. Files of a process that died before a
+    /// helper began are cleaned.
     done: u64,
 }
 
 /// A helper that was killed.
 #[derive(Clone, Copy, Debug)]
 pub struct Hung {
-    /// How long it took.
+    /// Time from its start until it was killed.
     pub after: Duration,
-    /// Half-made connections that were removed.
+    /// Number of half-made connections that it removed.
     pub removed: usize,
 }
 
@@ -62,27 +64,28 @@ struct Work {
 }
 
 impl Cleaner {
-    /// Of the run with that record and that prefix.
+    /// Creates the cleaner of the run with this record and prefix.
     pub const fn new(record: PathBuf, prefix: String) -> Self {
         Self { record, prefix, work: None, tries: 0, hung: Vec::new(), met: Vec::new(), done: 0 }
     }
 
-    /// The number of the clean-up that takes in a death of now: one that is running began before.
+    /// Returns the number of the clean-up that covers a death at this moment. A clean-up that is already
+    /// running does not cover it.
     pub fn ticket(&self) -> u64 {
         self.done + 1 + u64::from(self.work.is_some())
     }
 
-    /// Whether the clean-up of that number is over.
+    /// Whether the clean-up with this number is over.
     pub const fn is_done(&self, ticket: u64) -> bool {
         self.done >= ticket
     }
 
-    /// The helper's process number, while one runs.
+    /// Returns the helper's process id while a helper runs.
     pub fn pid(&self) -> Option<u32> {
         self.work.as_ref().map(|work| work.process.id())
     }
 
-    /// Readable once the helper has ended; none where none runs.
+    /// Readable once the helper has ended; `None` if none is running.
     pub fn descriptor(&self) -> Option<BorrowedFd<'_>> {
         Some(self.work.as_ref()?.descriptor.as_ref()?.as_fd())
     }
@@ -92,12 +95,12 @@ impl Cleaner {
         self.hung.drain(..)
     }
 
-    /// Dead nodes that helpers have cleaned up after, or tried to, since the last call.
+    /// Returns the dead nodes that helpers have cleaned, or tried to clean, since the last call.
     pub fn met(&mut self) -> Vec<(NodeNumber, NodeProcess)> {
         std::mem::take(&mut self.met)
     }
 
-    /// Looks after the helper; starts one where a clean-up up to the number `wanted` is due.
+    /// Checks on the helper, and starts one if a clean-up up to number `wanted` is due.
     pub fn tend(&mut self, wanted: u64, now: Duration) -> Result<(), Failure> {
         if let Some(work) = &mut self.work {
             // Fails only for processes that are not children.
@@ -125,7 +128,7 @@ impl Cleaner {
         self.start(wanted, now)
     }
 
-    /// Starts a helper where none runs and a clean-up up to the number `wanted` is due.
+    /// Starts a helper if none is running and a clean-up up to number `wanted` is due.
     fn start(&mut self, wanted: u64, now: Duration) -> Result<(), Failure> {
         if self.work.is_none() && self.done < wanted {
             let this = std::env::current_exe().map_err(Failure::unavailable)?;
@@ -141,17 +144,17 @@ impl Cleaner {
     }
 }
 
-/// The line of the helper's output about a dead node.
+/// Formats the helper's output line about a dead node.
 pub fn line(number: NodeNumber, process: &NodeProcess) -> String {
     let NodeProcess { name, program, pid } = process;
     format!("{number}\t{pid}\t{program}\t{name}")
 }
 
-/// The dead nodes that a helper has printed before it ended.
+/// Returns the dead nodes that a helper printed before it ended.
 fn lines_of(helper: &mut Process) -> Vec<(NodeNumber, NodeProcess)> {
     let mut text = Vec::new();
     if let Some(output) = &mut helper.stdout {
-        // What could not be read is found by the next look.
+        // The next look finds nodes that could not be read here.
         let _ = output.read_to_end(&mut text);
     }
     String::from_utf8_lossy(&text).lines().filter_map(read_line).collect()

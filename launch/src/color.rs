@@ -1,4 +1,4 @@
-//! Colours of what this program prints.
+//! Colours of this program's output.
 
 use std::borrow::Cow;
 use std::ffi::OsString;
@@ -11,7 +11,7 @@ use miette::{GraphicalReportHandler, GraphicalTheme};
 use ports::Color;
 use ratatui::crossterm::style::force_color_output;
 
-/// The choice of the command line or the environment.
+/// The choice made on the command line or in the environment.
 static CHOICE: OnceLock<Color> = OnceLock::new();
 
 /// The choices as the values of an argument.
@@ -24,11 +24,11 @@ pub fn choice() -> Color {
     *CHOICE.get_or_init(Color::of_environment)
 }
 
-/// Takes the choice from arguments before they are parsed, as errors in them have colours too.
+/// Takes the choice from unparsed arguments, because parse errors are coloured too.
 pub fn choose(arguments: impl Iterator<Item = OsString>) -> Color {
     let color = *CHOICE.get_or_init(|| of_arguments(arguments).unwrap_or_else(Color::of_environment));
     match color {
-        // On terminals, by `NO_COLOR`.
+        // Decided by the terminal and `NO_COLOR`.
         Color::Auto => {}
         Color::Always => force_color_output(true),
         Color::Never => force_color_output(false),
@@ -44,7 +44,7 @@ fn of_arguments(arguments: impl Iterator<Item = OsString>) -> Option<Color> {
     named.map(|(_, value)| value.as_str()).chain(joined).filter_map(|value| value.parse().ok()).next_back()
 }
 
-/// The same for the parser of arguments.
+/// The same choice for the argument parser.
 pub const fn for_clap(color: Color) -> ColorChoice {
     match color {
         Color::Auto => ColorChoice::Auto,
@@ -53,7 +53,7 @@ pub const fn for_clap(color: Color) -> ColorChoice {
     }
 }
 
-/// The renderer of errors in files, for standard error.
+/// Returns the renderer, for standard error, of errors in files.
 pub fn error_renderer() -> GraphicalReportHandler {
     let output = std::io::stderr();
     GraphicalReportHandler::new_themed(match (choice().is_on(&output), output.is_terminal()) {
@@ -63,7 +63,7 @@ pub fn error_renderer() -> GraphicalReportHandler {
     })
 }
 
-/// A line without the escape sequences that colour it.
+/// Returns the line without its colour escape sequences.
 pub fn plain(line: &str) -> Cow<'_, str> {
     let Some((begin, mut rest)) = line.split_once('\x1b') else { return line.into() };
     let mut text = begin.to_owned();
@@ -81,7 +81,7 @@ pub fn plain(line: &str) -> Cow<'_, str> {
     }
 }
 
-/// A line of a stage's log with its level in colour.
+/// Returns a line of a stage's log with its level in colour.
 pub fn with_level(line: &str) -> Cow<'_, str> {
     let paint = |word: &str, code: u8| line.replacen(word, &format!("\x1b[{code}m{word}\x1b[0m"), 1).into();
     // The stage's name and the time come first.

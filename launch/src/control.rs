@@ -1,7 +1,7 @@
-//! The launcher's socket in the run's folder: orders to replace a stage, and new processes that are ready.
+//! The launcher's socket in the run's folder: replacement orders and ready reports of new processes.
 //!
-//! A connection carries one line of text to the launcher, `replace {…}` or `ready STAGE INCARNATION`. Processes
-//! of other users are refused.
+//! A connection carries one line of text to the launcher, `replace {…}` or `ready STAGE INCARNATION`.
+//! Processes of other users are refused.
 
 use std::io::{BufRead as _, BufReader, Read as _, Write as _};
 use std::os::unix::fs::PermissionsExt;
@@ -21,30 +21,30 @@ use crate::failure::Failure;
 
 /// Name of the socket in the run's folder.
 const NAME: &str = "control";
-/// Requests that wait for the launcher; further ones are told that it is busy.
+/// Maximum number of waiting requests; further ones are answered with "busy".
 const WAITING_MAX: usize = 8;
 /// Longest line, in bytes: a command with its arguments.
 const LINE_BYTES_MAX: u64 = 1 << 16;
-/// Time that a process has to write its line. Others wait as long.
+/// Time limit for a process to write its line. Other requests wait meanwhile.
 const LINE_LIMIT: Duration = Duration::from_millis(500);
 
-/// An order to replace a stage by another program while the run goes on.
+/// An order to replace a stage by another program during the run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Order {
     /// The stage's name.
     pub stage: String,
-    /// The new program with its arguments; the built-in one where empty.
+    /// The new program with its arguments; empty for the built-in one.
     pub command: Vec<String>,
-    /// Options that are set anew, as TOML.
+    /// Options that change, as TOML.
     pub options: toml::Table,
 }
 
-/// What the launcher answers to an order.
+/// The launcher's answer to an order.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Answer {
-    /// What came of it; none where the order was refused.
+    /// The outcome; `None` if the order was refused.
     pub outcome: Option<ReplacementOutcome>,
-    /// The same as a sentence.
+    /// The outcome as a sentence.
     pub text: String,
 }
 
@@ -52,16 +52,16 @@ pub struct Answer {
 #[derive(Debug)]
 pub struct Client(UnixStream);
 
-/// What a process asks of the launcher.
+/// A request to the launcher.
 #[derive(Debug)]
 pub enum Request {
     /// To replace a stage.
     Replace(Order, Client),
-    /// A new process is warm, and waits for its turn.
+    /// A new process is warm and waits to take over.
     Ready(StageId, u32, Client),
 }
 
-/// The launcher's end.
+/// The launcher's end of the socket.
 #[derive(Debug)]
 pub struct Control {
     requests: Receiver<Request>,
@@ -73,7 +73,7 @@ pub fn path(run: &Run) -> PathBuf {
 }
 
 impl Control {
-    /// Opens the socket, on which a thread listens until this process ends.
+    /// Opens the socket. A thread listens on it until this process ends.
     pub fn open(run: &Run) -> Result<Self, Failure> {
         let path = path(run);
         let about = |error: std::io::Error| Failure::unavailable_about(path.display(), error);
@@ -88,13 +88,13 @@ impl Control {
         Ok(Self { requests })
     }
 
-    /// The requests since the last look.
+    /// Returns the requests since the last call.
     pub fn requests(&self) -> impl Iterator<Item = Request> {
         self.requests.try_iter()
     }
 }
 
-/// Reads the line of a connection, and passes on what it asks.
+/// Reads the line of a connection and forwards its request.
 fn attend(connection: UnixStream, requests: &SyncSender<Request>) {
     let is_ours = socket_peercred(&connection).is_ok_and(|peer| peer.uid == geteuid());
     if !is_ours || connection.set_read_timeout(Some(LINE_LIMIT)).is_err() {
@@ -120,7 +120,7 @@ fn attend(connection: UnixStream, requests: &SyncSender<Request>) {
     }
 }
 
-/// A line as it is read.
+/// The result of reading a line.
 #[derive(Debug, PartialEq)]
 enum Line {
     Replace(Order),
@@ -140,7 +140,7 @@ fn parse(line: &str) -> Option<Line> {
 }
 
 impl Client {
-    /// Answers an order; a process that is gone needs no answer.
+    /// Answers an order. The client may be gone already.
     pub fn answer(&mut self, outcome: ReplacementOutcome, text: String) {
         self.write(&Answer { outcome: Some(outcome), text });
     }
@@ -151,20 +151,20 @@ impl Client {
     }
 
     fn write(&mut self, answer: &Answer) {
-        // Nothing in it that JSON can't hold.
+        // The answer contains nothing that JSON can't represent.
         let _ = writeln!(self.0, "{}", serde_json::to_string(answer).unwrap_or_default());
     }
 
-    /// Tells a process that its turn has come; whether it is still there.
+    /// Signals a process to take over. Returns whether the process is still connected.
     pub fn go(&mut self) -> bool {
         writeln!(self.0, "{}", ports::GO).is_ok()
     }
 }
 
-/// Gives an order to the launcher of a run, and waits for its answer.
+/// Sends an order to the launcher of a run and waits for the answer.
 ///
 /// # Errors
-/// [`Failure::Unavailable`] where the run has no socket, or ends before it answers.
+/// [`Failure::Unavailable`] if the run has no socket or ends before it answers.
 pub fn order(socket: &Path, order: &Order) -> Result<Answer, Failure> {
     let about = |error: std::io::Error| Failure::unavailable_about(socket.display(), error);
     let mut connection = UnixStream::connect(socket).map_err(about)?;

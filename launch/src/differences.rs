@@ -1,14 +1,14 @@
-//! What differs between two recordings, or a recording and its replay, as text.
+//! The differences between two recordings, or between a recording and its replay, as text.
 
 use std::fmt::Write as _;
 
 use recording::{Comparison, Difference, Ending, ReadError, Recording, TopicComparison};
 use wire::{ForecastsTopic, Topic as _};
 
-/// Digits of a run's number or of weights that tell it apart.
+/// Number of shown digits of a run id or weights hash; enough to distinguish them.
 const DIGITS: usize = 12;
 
-/// A recording in a line: its run. A line each follows for what is missing, damaged or not read.
+/// Describes a recording's run in one line. One more line follows for each missing, damaged or unread part.
 pub fn title(recording: &Recording, damages: &[ReadError]) -> String {
     let about = recording.about();
     let pace = if about.run.lockstep { "lockstep" } else { "real time" };
@@ -44,7 +44,7 @@ pub fn title(recording: &Recording, damages: &[ReadError]) -> String {
     text
 }
 
-/// The comparison as a table, a row for each topic, after the first difference in a sentence.
+/// Formats the comparison as one sentence on the first difference and a table with one row per topic.
 pub fn table(comparison: &Comparison, names: [&str; 2]) -> String {
     let mut text = String::new();
     if let Some(Difference { tick, topic, field, a, b }) = comparison.first() {
@@ -63,7 +63,7 @@ pub fn table(comparison: &Comparison, names: [&str; 2]) -> String {
     text + &columns(&rows, &[0, 8])
 }
 
-/// Rows of the same length as lines; the columns of `texts` to the left, numbers to the right.
+/// Formats rows of equal length as lines. Columns in `texts` are left-aligned, numbers right-aligned.
 pub fn columns(rows: &[Vec<String>], texts: &[usize]) -> String {
     let len = rows.first().map_or(0, Vec::len);
     let width = |column: usize| rows.iter().map(|row| row[column].chars().count()).max().unwrap_or(0);

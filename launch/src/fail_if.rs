@@ -1,4 +1,4 @@
-//! `--fail-if`: conditions over the figures of a report, so that a script of a user fails where a run was too slow
+//! `--fail-if`: conditions on the figures of a report. They make a user's script fail if a run was too slow
 //! or too inaccurate.
 //!
 //! A condition is `FIGURE COMPARISON NUMBER UNIT`, such as `end_to_end_p99 > 75 ms`.
@@ -13,46 +13,46 @@ use wire::StageId;
 
 use crate::failure::Failure;
 
-/// Why a text is no condition.
+/// Why a text is not a valid condition.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 pub enum ConditionError {
-    /// It has no comparison.
+    /// The comparison is missing.
     #[error(
         "expected FIGURE COMPARISON NUMBER UNIT, such as `end_to_end_p99 > 75 ms`; comparisons are >, >=, < and <="
     )]
     NoComparison,
-    /// There is no such figure.
+    /// The figure is unknown.
     #[error("there is no figure \"{name}\": expected {}", known())]
     UnknownFigure {
-        /// What was written.
+        /// The name as written.
         name: String,
     },
-    /// The bound is no number.
+    /// The bound is not a number.
     #[error("\"{text}\" is no number")]
     NotANumber {
-        /// What was written.
+        /// The bound as written.
         text: String,
     },
-    /// The unit is missing or not one of the figure's.
+    /// The unit is missing or does not fit the figure.
     #[error("{figure} is not measured in \"{unit}\": expected {}", expected.join(", "))]
     Unit {
         /// The figure.
         figure: String,
-        /// What was written.
+        /// The unit as written.
         unit: String,
-        /// The units of the figure.
+        /// The valid units of the figure.
         expected: Vec<&'static str>,
     },
 }
 
-/// When a run has failed.
+/// A condition under which a run has failed.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Condition {
     figure: Figure,
     comparison: Comparison,
     /// In the figure's first unit.
     bound: f64,
-    /// As it was written.
+    /// The condition as written.
     text: String,
 }
 
@@ -64,7 +64,7 @@ enum Comparison {
     AtMost,
 }
 
-/// A number of a report.
+/// A figure of a report.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Figure {
     Time(Time, Quantile),
@@ -89,7 +89,7 @@ enum Quantile {
 const QUANTILES: [(&str, Quantile); 4] =
     [("p50", Quantile::P50), ("p99", Quantile::P99), ("p999", Quantile::P999), ("max", Quantile::Max)];
 
-/// A figure that is no time.
+/// A figure that is not a time.
 #[derive(Debug)]
 struct Plain {
     name: &'static str,
@@ -112,7 +112,7 @@ enum Kind {
     Length,
 }
 
-/// Units with their size in the first one, in which the report has the figure.
+/// Units with their size relative to the first one. The report states the figure in the first unit.
 type Units = &'static [(&'static str, f64)];
 
 const TIMES: Units = &[("ms", 1.0), ("us", 1e-3), ("s", 1e3)];
@@ -152,7 +152,7 @@ fn restarts(report: &Report) -> Option<f64> {
     Some(report.stages.iter().map(|stage| f64::from(stage.restarts)).sum())
 }
 
-/// Those of the stages on a tick's way to its forecast, after their first ticks.
+/// Page faults of the stages on a tick's way to its forecast, without their first ticks.
 fn page_faults(report: &Report) -> Option<f64> {
     let memory = &report.supervision.memory;
     let on_the_way = memory.iter().filter(|(name, _)| **name != StageId::Recorder.name());
@@ -160,7 +160,7 @@ fn page_faults(report: &Report) -> Option<f64> {
         .then(|| on_the_way.map(|(_, stage)| (stage.minor_faults + stage.major_faults) as f64).sum())
 }
 
-/// The names of all figures, as part of a sentence.
+/// Lists the names of all figures, as part of a sentence.
 fn known() -> String {
     let stages = StageId::ALL.map(StageId::name).join(", ");
     let plain = PLAIN.iter().map(|plain| plain.name).collect::<Vec<_>>().join(", ");
@@ -255,7 +255,7 @@ impl fmt::Display for Condition {
 }
 
 impl Condition {
-    /// What holds against the report, where the condition holds or can't be judged.
+    /// Describes why the report fails the check: the condition holds, or it can't be evaluated.
     fn verdict(&self, report: &Report) -> Option<String> {
         let Some(value) = self.figure.value(report) else {
             return Some(format!("--fail-if '{self}': the run was too short to measure it"));
@@ -274,10 +274,10 @@ impl Condition {
     }
 }
 
-/// Fails where one of the conditions holds for a report, or can't be judged by it.
+/// Fails if a condition holds for the report or can't be evaluated.
 ///
 /// # Errors
-/// [`Failure::Failed`] with all of them.
+/// [`Failure::Failed`] lists all of these conditions.
 pub fn check(conditions: &[Condition], report: &Report) -> Result<(), Failure> {
     let failed: Vec<String> = conditions.iter().filter_map(|condition| condition.verdict(report)).collect();
     if failed.is_empty() { Ok(()) } else { Err(Failure::Failed(failed.join("\n"))) }

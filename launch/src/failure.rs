@@ -16,10 +16,10 @@ use wire::StageId;
 use crate::color::error_renderer;
 use crate::faults::spec::SpecError;
 
-/// The error below, of whatever crate.
+/// The underlying error, from any crate.
 type Cause = Box<dyn Error + Send + Sync>;
 
-/// Why a verb did not do what was asked, and with which exit code it ends.
+/// Why a verb failed, which determines its exit code.
 #[derive(Debug, Error)]
 pub enum Failure {
     /// The command line is wrong.
@@ -40,7 +40,7 @@ pub enum Failure {
     /// The configuration or the run's record can't be used.
     #[error(transparent)]
     Config(Cause),
-    /// There is no room or no right for the run's files.
+    /// The run's files lack space or permission.
     #[error(transparent)]
     Space(#[from] SpaceError),
     /// A port can't be opened or used.
@@ -55,12 +55,12 @@ pub enum Failure {
     /// A stage that runs in this process failed.
     #[error(transparent)]
     Stage(#[from] StageError),
-    /// A check came out wrong.
+    /// A check failed.
     #[error("{0}")]
     Failed(String),
 }
 
-/// An error with what it is about, such as the path of a file.
+/// An error with its subject, such as the path of a file.
 #[derive(Debug, Error)]
 #[error("{about}: {source}")]
 struct About {
@@ -80,16 +80,16 @@ impl About {
 pub struct StageDeath {
     /// The stage.
     pub stage: StageId,
-    /// How it ended, to follow its name.
+    /// How the stage ended, phrased to follow its name.
     pub how: String,
-    /// Its exit code, where it is one of [`Exit`].
+    /// Its exit code, if [`Exit`] has it.
     pub exit: Option<Exit>,
-    /// The last lines of its output.
+    /// The last lines of the stage's output.
     pub last_lines: Vec<String>,
 }
 
 impl StageDeath {
-    /// How it ended, with the last line of its output.
+    /// Describes how the stage ended, with the last line of its output.
     pub fn how_and_why(&self) -> String {
         let last = self.last_lines.last().map(|line| line.trim_start_matches("error: "));
         last.map_or_else(|| self.how.clone(), |why| format!("{}: {why}", self.how))
@@ -102,12 +102,12 @@ impl Failure {
         Self::Data(error.into())
     }
 
-    /// A file can't be used; the error does not name it.
+    /// A file can't be used, and the error does not name the file.
     pub fn file(path: &Path, error: impl Into<Cause>) -> Self {
         Self::data_about(path.display(), error)
     }
 
-    /// Data can't be used, with what the error is about.
+    /// Data can't be used; `about` names the subject of the error.
     pub fn data_about(about: impl Display, error: impl Into<Cause>) -> Self {
         Self::Data(About::cause(about, error))
     }
@@ -130,7 +130,7 @@ impl Failure {
         Self::Config(error.into())
     }
 
-    /// The configuration can't be used, with what the error is about.
+    /// The configuration can't be used; `about` names the subject of the error.
     pub fn config_about(about: impl Display, error: impl Into<Cause>) -> Self {
         Self::Config(About::cause(about, error))
     }
@@ -140,12 +140,12 @@ impl Failure {
         Self::Unavailable(error.into())
     }
 
-    /// A resource of the system is missing, with what the error is about.
+    /// A system resource is missing; `about` names the subject of the error.
     pub fn unavailable_about(about: impl Display, error: impl Into<Cause>) -> Self {
         Self::Unavailable(About::cause(about, error))
     }
 
-    /// The exit code that stands for it.
+    /// Returns the exit code of this failure.
     pub const fn exit(&self) -> Exit {
         match self {
             Self::Usage(_) => Exit::Usage,
@@ -161,12 +161,13 @@ impl Failure {
         }
     }
 
-    /// Prints it on standard error.
+    /// Prints the failure on standard error.
     pub fn print(&self) {
         note!("{}", self.message());
     }
 
-    /// Its text, of a dead stage with the last lines of its output, and the errors below where they say more.
+    /// Returns the message. It includes the last output lines of a dead stage, and underlying errors if they
+    /// add information.
     fn message(&self) -> String {
         let mut text = String::new();
         match self {
@@ -188,7 +189,7 @@ impl Failure {
         let mut source = self.source();
         while let Some(error) = source {
             let below = error.to_string();
-            // Most errors contain the text of the one below.
+            // Most errors already contain the text of the underlying error.
             if !text.contains(&below) {
                 text += &format!("\n  caused by: {below}");
             }
@@ -239,7 +240,7 @@ mod tests {
         let failure = Failure::from(death(Some(Exit::Data)));
         assert_eq!(failure.exit(), Exit::Data);
         assert_eq!(failure.message(), "error: the decoder ended\n  no weights");
-        // Ends that are not a stage's own refusal.
+        // Ends other than a refusal by the stage itself.
         for exit in [None, Some(Exit::Done), Some(Exit::Interrupted)] {
             assert_eq!(Failure::from(death(exit)).exit(), Exit::Failed);
         }

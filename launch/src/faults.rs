@@ -1,9 +1,9 @@
-//! Fault injection: what a specification injects into a run, and what it expects of it.
+//! Fault injection: the faults that a specification injects into a run, and the behaviour that it expects.
 //!
-//! [`spec`] reads the specification. [`runner`] starts `stgdat run` as a process of its own and, beside it, a
-//! follower that writes the history of the forecasts and an injector for each topic that a fault is on: the
-//! topic's writer opens it under another name, and the injector passes the frames on, faulty. [`verdict`]
-//! compares history, report and what was injected with what is expected.
+//! [`spec`] reads the specification. [`runner`] starts `stgdat run` in a separate process. It also starts a
+//! follower, which writes the history of the forecasts, and one injector per faulty topic. The topic's writer
+//! opens the topic under another name, and the injector forwards the frames with faults. [`verdict`] compares
+//! the history, the report and the injected faults with the expectation.
 
 pub mod effect;
 pub mod follow;

@@ -1,54 +1,55 @@
-//! What an injector does to frames: pure functions of a frame, the faults of its topic and their seeds.
+//! The effects of an injector on frames: pure functions of a frame, the faults of its topic and their seeds.
 
 use serde::{Deserialize, Serialize};
 use wire::{Header, Leaf, Primitive, Record};
 
 use crate::faults::spec::TopicFault;
 
-/// What is done to a frame.
+/// The effect on a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Effect {
-    /// It is passed on later; later frames may overtake it.
+    /// The frame is forwarded later; later frames may overtake it.
     Delay {
-        /// By so many milliseconds.
+        /// The minimum delay in milliseconds.
         ms: u64,
-        /// And up to so many more.
+        /// The maximum additional delay in milliseconds.
         jitter_ms: u64,
     },
-    /// It is not passed on.
+    /// The frame is dropped.
     Drop,
-    /// It is passed on twice.
+    /// The frame is forwarded twice.
     Duplicate,
-    /// It is passed on after the frame that follows.
+    /// The frame is forwarded after the next frame.
     Reorder,
-    /// Some of its bits are flipped.
+    /// Some bits of the frame are flipped.
     BitFlip {
-        /// How many.
+        /// Number of flipped bits.
         bits: u32,
-        /// Where.
+        /// The part in which bits are flipped.
         part: Part,
     },
-    /// One of its numbers is not finite.
+    /// One number of the frame is replaced by a non-finite one.
     NotFinite,
-    /// One of its numbers is 1e30.
+    /// One number of the frame is replaced by 1e30.
     Huge,
-    /// It has one element less, or one where it had none.
+    /// The frame loses one element, or gains one if it is empty.
     WrongLength,
-    /// Its schema is the next one.
+    /// The schema version is increased by one.
     WrongSchema,
-    /// It belongs to another run.
+    /// The frame carries another run's id.
     ForeignRun,
-    /// From the first tick on the sender is of the next incarnation; the frames acted on are of the one before.
+    /// From the first tick on, the sender is in its next incarnation. The affected frames carry the previous
+    /// one.
     OldIncarnation,
-    /// It has the stamp or the payload of the first one.
+    /// The frame repeats the stamp or the payload of the first frame.
     Frozen {
-        /// Which of the two.
+        /// The part that is repeated.
         part: Part,
     },
-    /// Its stamp is later, or earlier where negative.
+    /// The stamp is shifted.
     ClockJump {
-        /// By so many milliseconds.
+        /// The shift in milliseconds; negative means earlier.
         ms: i64,
     },
 }
@@ -66,7 +67,7 @@ pub enum Part {
 }
 
 impl Effect {
-    /// Whether it stands for a sender that says what is wrong, not for damage on the way.
+    /// Whether the effect imitates a sender with wrong content, not damage in transport.
     const fn is_lie(self) -> bool {
         matches!(
             self,
@@ -81,7 +82,7 @@ impl Effect {
         )
     }
 
-    /// The kind of fault, as in a specification.
+    /// Returns the kind of fault as a specification writes it.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Delay { .. } => "delay",
@@ -101,15 +102,15 @@ impl Effect {
     }
 }
 
-/// A frame on its way through the injector: its elements as bytes.
+/// A frame inside the injector, with its elements as bytes.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Raw {
     /// The header.
     pub header: Header,
-    /// The elements, one behind the other.
+    /// The elements, concatenated.
     pub payload: Vec<u8>,
-    /// Whether its sender itself is to have been wrong: the check value is that of the wrong content. Damage on
-    /// the way has none.
+    /// Whether the sender itself is wrong. The check value then matches the wrong content; after transport
+    /// damage it does not.
     pub is_lie: bool,
 }
 
@@ -122,22 +123,22 @@ pub struct Due {
     pub delay_ns: u64,
 }
 
-/// The faults of one topic with what they keep between frames.
+/// The faults of one topic and their state between frames.
 #[derive(Debug)]
 pub struct Injector {
     faults: Vec<TopicFault>,
     /// Size of an element in bytes.
     size: usize,
-    /// Places of the numbers of single precision in an element, as far as its fields are known.
+    /// Offsets of the single-precision numbers in an element, as far as its fields are known.
     reals: Vec<usize>,
-    /// The first frame that each fault acted on.
+    /// The first affected frame of each fault.
     first: Vec<Option<Raw>>,
-    /// A frame that waits for the one that follows.
+    /// A frame held back until the next one.
     held: Option<Raw>,
 }
 
 impl Injector {
-    /// For a topic whose elements have this size, and these fields where they are known.
+    /// Creates the injector of a topic from the element's size and, if known, its fields.
     pub fn new(faults: Vec<TopicFault>, size: usize, element: Option<&Record>) -> Self {
         let leaves = element.map_or_else(Vec::new, Record::leaves);
         let is_real = |leaf: &&Leaf| leaf.primitive == Primitive::F32;
@@ -146,7 +147,7 @@ impl Injector {
         Self { faults, size, reals, first, held: None }
     }
 
-    /// What becomes of a frame, and the kinds of faults that acted on it.
+    /// Returns the frames to send and the kinds of faults that acted on this frame.
     pub fn pass(&mut self, frame: Raw) -> (Vec<Due>, Vec<&'static str>) {
         let mut acted = Vec::new();
         let (tick, mut frame) = (frame_tick(&frame), frame);
@@ -161,7 +162,7 @@ impl Injector {
                 frame.is_lie = true;
                 continue;
             }
-            // One frame at a time waits for the one that follows.
+            // Only one frame at a time is held back.
             if !acts || (effect == Effect::Reorder && self.held.is_some()) {
                 continue;
             }
@@ -185,7 +186,7 @@ impl Injector {
         (due, acted)
     }
 
-    /// Changes the content of a frame.
+    /// Changes a frame's content.
     fn change(&mut self, fault: usize, effect: Effect, frame: &mut Raw, random: &mut Random) {
         let first = self.first[fault].get_or_insert_with(|| frame.clone());
         let Raw { header, payload, is_lie } = frame;
@@ -215,7 +216,7 @@ impl Injector {
         }
     }
 
-    /// Overwrites one number of single precision of one element.
+    /// Overwrites one single-precision number of one element.
     fn set_real(&self, payload: &mut [u8], value: f32, random: &mut Random) {
         let elements = payload.len() / self.size;
         if elements > 0 && !self.reals.is_empty() {
@@ -226,7 +227,7 @@ impl Injector {
     }
 }
 
-/// The frame's tick; none for frames that link or end the pipeline.
+/// Returns the frame's tick; `None` for frames that link or end the pipeline.
 fn frame_tick(frame: &Raw) -> Option<u64> {
     frame.header.is_tick().then_some(frame.header.seq)
 }
@@ -240,12 +241,12 @@ fn flip(bytes: &mut [u8], bits: u32, random: &mut Random) {
     }
 }
 
-/// Random numbers of a seed and a tick, the same whatever came before: SplitMix64.
+/// Random numbers from a seed and a tick (SplitMix64). They do not depend on earlier ticks.
 #[derive(Clone, Copy, Debug)]
 pub struct Random(u64);
 
 impl Random {
-    /// Those of a seed and a tick.
+    /// Creates the generator of a seed and a tick.
     pub const fn new(seed: u64, tick: u64) -> Self {
         Self(seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) ^ tick.wrapping_mul(0xD1B5_4A32_D192_ED03))
     }
@@ -258,12 +259,12 @@ impl Random {
         z ^ (z >> 31)
     }
 
-    /// From 0 up to 1, which is never reached.
+    /// Returns a uniform number in [0, 1).
     const fn share(&mut self) -> f64 {
         (self.next() >> 11) as f64 / (1_u64 << 53) as f64
     }
 
-    /// Less than `limit`, which is not 0.
+    /// Returns a number below `limit`, which must not be 0.
     pub const fn below(&mut self, limit: u64) -> u64 {
         self.next() % limit
     }
@@ -286,7 +287,7 @@ mod tests {
         Raw { header, payload: vec![0; 2 * size_of::<Track>()], is_lie: false }
     }
 
-    /// The ticks of the frames that leave, and how many were acted on.
+    /// Returns the ticks of the outgoing frames and the number of affected frames.
     fn order(injector: &mut Injector, len: u64) -> (Vec<u64>, usize) {
         let (mut ticks, mut acted) = (Vec::new(), 0);
         for seq in 0..len {

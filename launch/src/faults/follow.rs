@@ -1,4 +1,4 @@
-//! The follower: one more reader of `forecasts` and `heartbeats`, which writes what it sees as lines.
+//! The follower: an additional reader of `forecasts` and `heartbeats` that prints the history as lines.
 
 use std::io::Write as _;
 use std::path::Path;
@@ -11,10 +11,10 @@ use wire::{ForecastsTopic, HeartbeatsTopic, StageId, Topic};
 
 use crate::failure::Failure;
 
-/// Longest sleep: heartbeats wake nobody here.
+/// Longest sleep. Heartbeats do not wake the follower.
 const SLEEP: Duration = Duration::from_millis(20);
 
-/// Follows a run until it is asked to end or the run's folder is gone.
+/// Follows a run until the process is asked to end or the run's folder is gone.
 pub fn follow(record: &Path) -> Result<Exit, Failure> {
     let run = Run::read(record).map_err(Failure::config)?;
     let node = Node::open(&run, "follower")?;
@@ -38,12 +38,12 @@ pub fn follow(record: &Path) -> Result<Exit, Failure> {
             }
         }
     }
-    // The launcher removes the run's files; ports that end after it would look for theirs.
+    // The launcher removes the run's files. Ports dropped after that would look for them.
     std::mem::forget((forecasts, peers, node));
     Ok(Exit::Done)
 }
 
-/// Writes a line to standard output at once.
+/// Writes a line to standard output immediately.
 pub fn print(line: &Line) -> Result<(), Failure> {
     let mut output = std::io::stdout().lock();
     let text = serde_json::to_string(line).map_err(Failure::data)?;

@@ -1,4 +1,5 @@
-//! The injector: a process between a topic's writer and its readers, or one more consumer of a topic.
+//! The injector: a process between a topic's writer and its readers. The module also has an additional
+//! consumer of a topic.
 
 use std::path::Path;
 use std::time::Duration;
@@ -16,12 +17,12 @@ use crate::faults::effect::{Due, Injector, Raw};
 use crate::faults::follow::print;
 use crate::faults::spec::TopicFault;
 
-/// Longest sleep, after which it looks whether the run is still there.
+/// Longest sleep between checks that the run is still there.
 const SLEEP: Duration = Duration::from_millis(50);
-/// Frames that a consumer holds at most: all that the transport allows a reader.
+/// Maximum number of frames that a consumer holds: the transport's limit per reader.
 const HELD_MAX: usize = 3;
 
-/// Calls a function with a way through the topic of a name: one of the pipeline's own, or one that its file declares.
+/// Calls a function with the passage of a named topic, which is built in or declared in the pipeline file.
 macro_rules! with_passage {
     ($run:expr, $name:expr, $open:ident, $function:ident $(, $argument:expr)*) => {
         match $name {
@@ -41,25 +42,25 @@ macro_rules! with_passage {
     };
 }
 
-/// A place between a topic's writer and its readers.
+/// A connection between a topic's writer and its readers.
 trait Passage {
     /// A frame in shared memory.
     type Frame;
-    /// The oldest frame of the queue, if there is one.
+    /// Returns the oldest frame of the queue, if any.
     fn receive(&self) -> Result<Option<Self::Frame>, PortError>;
-    /// A frame's content.
+    /// Returns a frame's content.
     fn read(frame: &Self::Frame) -> Raw;
-    /// Sends a frame; bytes beyond the last whole element are left out.
+    /// Sends a frame. Bytes after the last whole element are left out.
     fn send(&self, frame: &Raw) -> Result<(), PortError>;
-    /// Has the topic open for writing as long as its writer has.
+    /// Keeps the topic open for writing exactly as long as its writer does.
     fn follow_writer(&self) -> Result<(), PortError>;
-    /// Sleeps until a frame comes, or for so long.
+    /// Sleeps until a frame arrives, or for at most `timeout`.
     fn sleep(&self, timeout: Duration) -> Result<(), PortError>;
     /// The signals that ask the process to end.
     fn stop(&self) -> &Stop;
 }
 
-/// That of a topic of the pipeline's own.
+/// The passage of a built-in topic.
 struct Shipped<T: Topic>(Relay<T>);
 
 impl<T: Topic> Shipped<T> {
@@ -84,7 +85,7 @@ impl<T: Topic> Passage for Shipped<T> {
         Raw { header: *frame.header(), payload, is_lie: false }
     }
 
-    /// A lie has the check value of what it says.
+    /// Wrong content of the sender gets a matching check value.
     fn send(&self, Raw { header, payload, is_lie }: &Raw) -> Result<(), PortError> {
         let elements = payload.chunks_exact(size_of::<T::Element>()).map(bytemuck::pod_read_unaligned);
         let elements: Vec<T::Element> = elements.collect();
@@ -108,7 +109,7 @@ impl<T: Topic> Passage for Shipped<T> {
     }
 }
 
-/// That of a topic that the pipeline file declares, which has no check value.
+/// The passage of a topic declared in the pipeline file; its frames have no check value.
 struct Declared(AddedRelay);
 
 impl Declared {
@@ -149,7 +150,7 @@ impl Passage for Declared {
     }
 }
 
-/// Injects the faults of a plan, all of one topic, until it is asked to end or the run's folder is gone.
+/// Injects the faults of a plan for one topic until the process is asked to end or the run's folder is gone.
 pub fn inject(record: &Path, plan: &Path) -> Result<Exit, Failure> {
     let run = Run::read(record).map_err(Failure::config)?;
     let text = std::fs::read(plan).map_err(|error| Failure::file(plan, error))?;
@@ -159,13 +160,13 @@ pub fn inject(record: &Path, plan: &Path) -> Result<Exit, Failure> {
     with_passage!(&run, topic.as_str(), between, relay, &topic, faults)
 }
 
-/// Reads a topic as one more consumer, which holds what it reads for a time or for ever.
+/// Reads a topic as an additional consumer. It holds its frames for `hold_ms`, or forever.
 pub fn consume(record: &Path, topic: &str, hold_ms: Option<u64>) -> Result<Exit, Failure> {
     let run = Run::read(record).map_err(Failure::config)?;
     with_passage!(&run, topic, consumer, hold, hold_ms)
 }
 
-/// The injector of a topic: its elements have fields where its type is one of the pipeline's own.
+/// Returns the injector of a topic. Element fields are known only for built-in topics.
 fn injector(run: &Run, topic: &str, faults: Vec<TopicFault>) -> Injector {
     let entry = |is_it: &dyn Fn(&TopicEntry) -> bool| TABLE.topics.iter().find(|entry| is_it(entry));
     if let Some(topic) = run.topic(topic) {
@@ -178,12 +179,12 @@ fn injector(run: &Run, topic: &str, faults: Vec<TopicFault>) -> Injector {
 
 fn relay<P: Passage>(passage: P, run: &Run, topic: &str, faults: Vec<TopicFault>) -> Result<Exit, Failure> {
     let mut injector = injector(run, topic, faults);
-    // What is to be sent, and when.
+    // Frames to send, with their times.
     let mut waiting: Vec<(u64, Raw)> = Vec::new();
     let mut costs_ns = Vec::new();
     while !passage.stop().requested() && run.root.exists() {
         if waiting.is_empty() {
-            // A new writer's first frame must find the topic open.
+            // The topic must be open when a new writer sends its first frame.
             passage.follow_writer()?;
         }
         while let Some(frame) = passage.receive()? {
@@ -223,7 +224,7 @@ fn relay<P: Passage>(passage: P, run: &Run, topic: &str, faults: Vec<TopicFault>
         us_p50: costs_ns.get(costs_ns.len() / 2).map_or(0, |ns| ns / 1_000),
         us_max: costs_ns.last().map_or(0, |ns| ns / 1_000),
     })?;
-    // The launcher removes the run's files; ports that end after it would look for theirs.
+    // The launcher removes the run's files. Ports dropped after that would look for them.
     std::mem::forget(passage);
     Ok(Exit::Done)
 }

@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use crate::faults::runner::Verdict;
 use crate::faults::verdict::{Check, Outcome};
 
-/// The verdict as lines of a terminal: all that is expected, with what was found.
+/// Formats the verdict for a terminal: one line per expectation, with the finding.
 pub fn table(verdict: &Verdict) -> String {
     let word = if verdict.passed { "pass" } else { "FAIL" };
     let mut text = format!("{word}  {}: {}\n", verdict.name, verdict.shows);

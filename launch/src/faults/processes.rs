@@ -20,7 +20,7 @@ use crate::faults::spec::Resource;
 /// Time that a process has to end after a request.
 const END_LIMIT: Duration = Duration::from_secs(3);
 
-/// This program as another process, which dies with this one.
+/// Returns a command that starts this program as another process, which dies with this one.
 pub fn this_program() -> Result<Command, Failure> {
     let mut command = Command::new(std::env::current_exe().map_err(Failure::unavailable)?);
     command.stdin(Stdio::null());
@@ -28,7 +28,7 @@ pub fn this_program() -> Result<Command, Failure> {
     Ok(command)
 }
 
-/// A process that writes lines of history; it is asked to end, and killed, when this is dropped.
+/// A process that writes history lines. When dropped, it is asked to end and then killed.
 #[derive(Debug)]
 pub struct Writer {
     child: Child,
@@ -36,7 +36,7 @@ pub struct Writer {
 }
 
 impl Writer {
-    /// Starts `stgdat fault …`, whose lines are sent on.
+    /// Starts `stgdat fault …` and forwards its lines.
     pub fn start(arguments: &[&str], record: &Path, lines: &Sender<Line>) -> Result<Self, Failure> {
         let mut command = this_program()?;
         command.arg("fault").args(arguments).arg("--run").arg(record);
@@ -45,7 +45,7 @@ impl Writer {
         let reader = output.map(|output| {
             std::thread::spawn(move || {
                 for text in BufReader::new(output).lines().map_while(Result::ok) {
-                    // What is no line of history is no concern of the run's; the receiver lives as long.
+                    // Lines that are not history are ignored. The receiver lives as long as this thread.
                     if let Ok(line) = serde_json::from_str(&text) {
                         let _ = lines.send(line);
                     }
@@ -58,7 +58,7 @@ impl Writer {
 
 impl Drop for Writer {
     fn drop(&mut self) {
-        // Ended already where this fails.
+        // Fails only if the process has already ended.
         let _ = kill_process(Pid::from_child(&self.child), Signal::TERM);
         let begun = Instant::now();
         while begun.elapsed() < END_LIMIT && matches!(self.child.try_wait(), Ok(None)) {
@@ -72,7 +72,7 @@ impl Drop for Writer {
     }
 }
 
-/// A consumer that is killed again and again, each time after a random time, and started again.
+/// A consumer that is repeatedly killed after a random time and restarted.
 #[derive(Debug)]
 pub struct Mortal {
     arguments: Vec<String>,
@@ -82,12 +82,12 @@ pub struct Mortal {
     lines: Sender<Line>,
     writer: Writer,
     until: Instant,
-    /// How often it has ended by itself, which it does if it can't read its topic.
+    /// Number of times that it ended by itself, which happens if it can't read its topic.
     pub failures: u64,
 }
 
 impl Mortal {
-    /// Starts `stgdat fault …`, to be killed within these times after each start.
+    /// Starts `stgdat fault …`, which is killed within these times after each start.
     pub fn start(
         arguments: Vec<String>,
         record: &Path,
@@ -100,7 +100,7 @@ impl Mortal {
         Ok(Self { arguments, record, within_ms, random, lines, writer, until, failures: 0 })
     }
 
-    /// Kills it if its time has come, and starts it again.
+    /// Kills the process when its time has come, and restarts it.
     pub fn tend(&mut self) -> Result<(), Failure> {
         let has_ended = !matches!(self.writer.child.try_wait(), Ok(None));
         if !has_ended && Instant::now() < self.until {
@@ -115,7 +115,7 @@ impl Mortal {
     }
 }
 
-/// Starts a process that is to be killed within these times.
+/// Starts a process that will be killed within these times.
 fn begin(
     arguments: &[String],
     record: &Path,
@@ -133,7 +133,7 @@ fn begin(
 pub struct Launcher(Child);
 
 impl Launcher {
-    /// Of a process that was started.
+    /// Wraps a started process.
     pub const fn new(child: Child) -> Self {
         Self(child)
     }
@@ -143,7 +143,7 @@ impl Launcher {
         Pid::from_child(&self.0)
     }
 
-    /// Its exit status, once it has ended.
+    /// Returns the exit status if the launcher has ended.
     pub fn ended(&mut self) -> Result<Option<ExitStatus>, Failure> {
         self.0.try_wait().map_err(Failure::unavailable)
     }
@@ -171,7 +171,7 @@ impl Drop for Launcher {
     }
 }
 
-/// The stage of a process, by its environment: whatever the program is, its launcher has set it.
+/// Returns the stage of a process from its environment, which the launcher sets for every program.
 fn stage_of(pid: Pid) -> Option<StageId> {
     let environment = std::fs::read(format!("/proc/{}/environ", pid.as_raw_nonzero())).ok()?;
     let prefix = format!("{STAGE_VARIABLE}=");
@@ -180,14 +180,14 @@ fn stage_of(pid: Pid) -> Option<StageId> {
     StageId::from_name(std::str::from_utf8(name).ok()?)
 }
 
-/// Resident memory of a process; 0 where it is gone.
+/// Resident memory of a process; 0 if it is gone.
 pub fn resident_bytes(pid: Pid) -> u64 {
     let statm = std::fs::read_to_string(format!("/proc/{}/statm", pid.as_raw_nonzero())).unwrap_or_default();
     let pages = statm.split_whitespace().nth(1).and_then(|pages| pages.parse::<u64>().ok());
     pages.unwrap_or(0) * rustix::param::page_size() as u64
 }
 
-/// Whether a process is there and no zombie.
+/// Whether a process exists and is not a zombie.
 pub fn is_alive(pid: Pid) -> bool {
     let stat = std::fs::read_to_string(format!("/proc/{}/stat", pid.as_raw_nonzero())).unwrap_or_default();
     stat.rsplit_once(") ").is_some_and(|(_, rest)| !rest.starts_with(['Z', 'X']))
@@ -205,7 +205,7 @@ pub fn limit(pid: Pid, resource: Resource, value: u64) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Uses the CPU by so many threads for a time.
+/// Keeps the CPU busy with `threads` threads for `time`.
 pub fn use_cpu(threads: usize, time: Duration) -> Vec<JoinHandle<()>> {
     let end = Instant::now() + time;
     let spin = move || {

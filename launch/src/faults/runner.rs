@@ -1,4 +1,4 @@
-//! Runs a specification: starts the run, injects the faults as it goes, and judges it.
+//! Runs a specification: starts the run, injects the faults and judges the outcome.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
@@ -30,44 +30,44 @@ use crate::stages::declared;
 
 /// Ticks at the end of a run in which consumers are neither killed nor started again.
 const LAST_TICKS: u64 = 25;
-/// Interval between looks at the run.
+/// Interval between checks of the run.
 const LOOK: Duration = Duration::from_millis(2);
-/// A run that gives no sign of life for so long, beyond what is injected, is killed.
+/// Time without a sign of life, in addition to injected pauses, after which the run is killed.
 const SILENCE_LIMIT: Duration = Duration::from_secs(120);
-/// Time between looks at what the run takes.
+/// Interval between measurements of the run's resources.
 const RESOURCES_INTERVAL: Duration = Duration::from_secs(1);
 /// Time after the launcher's death in which all stages must have ended.
 const SURVIVAL_LIMIT: Duration = Duration::from_secs(2);
 
-/// What became of a specification.
+/// The outcome of a specification.
 #[derive(Debug, Serialize)]
 pub struct Verdict {
     /// Its name.
     pub name: String,
-    /// What it shows.
+    /// The property that it demonstrates.
     pub shows: String,
-    /// Whether everything expected is met.
+    /// Whether all expectations are met.
     pub passed: bool,
-    /// What is expected, with what was found.
+    /// The expectations with the findings.
     pub checks: Vec<Check>,
     /// What the faults cost.
     pub cost: Cost,
     /// Duration of the run in seconds.
     pub seconds: f64,
-    /// The command that repeats it.
+    /// The command that repeats the run.
     pub repeat: String,
-    /// The folder with log, report, forecasts and history, where it is kept.
+    /// The folder with log, report, forecasts and history, if it is kept.
     pub kept: Option<PathBuf>,
 }
 
 /// How specifications are run.
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// Whether numbers of ticks are asserted.
+    /// Whether expected tick counts are asserted.
     pub timing: bool,
     /// Seed in place of the specification's.
     pub seed: Option<u64>,
-    /// The folder in which all runs are kept; only failed ones are, in the temporary folder, where none.
+    /// The folder in which all runs are kept. If `None`, only failed runs are kept, in the temporary folder.
     pub keep: Option<PathBuf>,
 }
 
@@ -78,7 +78,7 @@ pub fn run(spec: &Spec, options: &Options) -> Result<Verdict, Failure> {
         Some(keep) if options.seed.is_some() => keep.join(format!("{}-{}", spec.name, spec.run.seed)),
         Some(keep) => keep.join(&spec.name),
         None => {
-            // With its seed: a repetition that passes must not remove one that failed.
+            // The name contains the seed, so a repetition that passes does not remove a failed run.
             let name = format!("stgdat-fault-{}-{}-{}", spec.name, spec.run.seed, std::process::id());
             std::env::temp_dir().join(name)
         }
@@ -105,12 +105,12 @@ pub fn run(spec: &Spec, options: &Options) -> Result<Verdict, Failure> {
     Ok(verdict)
 }
 
-/// Runs a specification to its end, with its files in `folder`: what was seen of it.
+/// Runs a specification to its end, with its files in `folder`, and returns the observation.
 pub fn observe(spec: &Spec, folder: &Path) -> Result<Observation, Failure> {
     Session::start(spec, folder)?.follow()
 }
 
-/// The specification with another seed, for the scene and all faults.
+/// Returns the specification with another seed for the scene and all faults.
 fn seeded(spec: &Spec, seed: Option<u64>) -> Spec {
     let mut spec = spec.clone();
     if let Some(seed) = seed {
@@ -134,28 +134,28 @@ struct Session<'a> {
     started: BTreeMap<StageId, Instant>,
     sender: Sender<Line>,
     lines: Receiver<Line>,
-    /// The run, once it has been announced, with the processes beside it.
+    /// The run once it is announced, with the follower and injectors.
     run: Option<(Run, Vec<Writer>)>,
-    /// Prefix of the run's files, once its launcher was killed.
+    /// Prefix of the run's files, set once its launcher was killed.
     prefix: Option<String>,
-    /// Consumers that are killed again and again.
+    /// Consumers that are repeatedly killed.
     mortals: Vec<Mortal>,
-    /// What is still to be done at a tick or time.
+    /// Pending actions at a tick or time.
     due: Vec<Action>,
-    /// Stopped processes, and when they go on.
+    /// Stopped processes and the times at which they continue.
     stopped: Vec<(Instant, Pid, &'static str)>,
-    /// The verbs that replace a stage.
+    /// Running `stage replace` commands.
     replacing: Vec<(StageId, Child)>,
-    /// When the last fault without a frame of its own is over.
+    /// End of the last fault that has no own frames.
     over_at: Option<Instant>,
     /// The newest tick that any stage has reached.
     tick: Option<u64>,
-    /// When the run's resources were looked at last.
+    /// Time of the last resource measurement.
     looked: Instant,
     seen: Observation,
 }
 
-/// Something to be done to a process once its time has come.
+/// An action on a process at a given time.
 #[derive(Clone, Debug)]
 struct Action {
     at: Due,
@@ -216,7 +216,7 @@ impl<'a> Session<'a> {
         })
     }
 
-    /// Follows the run to its end and gathers what is left of it.
+    /// Follows the run to its end and collects its results.
     fn follow(mut self) -> Result<Observation, Failure> {
         let mut sign = Instant::now();
         let status = loop {
@@ -248,7 +248,7 @@ impl<'a> Session<'a> {
         let record = Path::new(&record);
         // The run may have ended already.
         let Ok(run) = Run::read(record) else { return Ok(()) };
-        // A run that can't start its stages is about to remove its files, and nobody may make new ones.
+        // A run that can't start its stages is about to remove its files, so no process may create new ones.
         if self.launcher.stages().len() < run.stages.len() {
             return Ok(());
         }
@@ -283,7 +283,7 @@ impl<'a> Session<'a> {
         Ok(())
     }
 
-    /// Notes what the run takes, once it runs.
+    /// Measures the run's resources once it runs.
     fn look(&mut self) {
         let (Some((run, _)), Some(tick)) = (&self.run, self.tick) else { return };
         if self.looked.elapsed() < RESOURCES_INTERVAL {
@@ -314,14 +314,14 @@ impl<'a> Session<'a> {
         self.seen.lines.push(line);
     }
 
-    /// Does what is due.
+    /// Executes the due actions.
     fn act(&mut self) -> Result<(), Failure> {
-        // A consumer that is started while the run removes its files would leave some.
+        // A consumer started while the run removes its files would leave some behind.
         if self.tick.is_none_or(|tick| tick + LAST_TICKS < self.spec.run.ticks) {
             self.mortals.iter_mut().try_for_each(Mortal::tend)?;
         }
         for (_, pid, name) in self.stopped.extract_if(.., |(until, ..)| Instant::now() >= *until) {
-            // It may have been killed for being stopped, and be gone.
+            // The process may be gone, for instance killed because it was stopped.
             let _ = kill_process(pid, Signal::CONT);
             self.seen.lines.push(signalled(name, "continued", self.tick));
             self.seen.over.extend(self.tick);
@@ -347,14 +347,14 @@ impl<'a> Session<'a> {
         let now: Vec<Action> = self.due.extract_if(.., is_due).collect();
         for action in now {
             if !self.inflict(&action.what)? {
-                // The process is not there at this moment: it is being replaced.
+                // The process is missing at this moment because it is being replaced.
                 self.due.push(action);
             }
         }
         Ok(())
     }
 
-    /// Does one thing to a process; false where it is not there.
+    /// Does one action to a process. Returns false if the process is missing.
     fn inflict(&mut self, what: &What) -> Result<bool, Failure> {
         let find = |target: Target| match target {
             Target::Launcher => Some(self.launcher.pid()),
@@ -408,7 +408,7 @@ impl<'a> Session<'a> {
         Ok(true)
     }
 
-    /// Ends what runs beside the run, and reads what the run has left.
+    /// Ends the follower and injectors, and reads the files that the run has left.
     fn gather(mut self, status: ExitStatus) -> Result<Observation, Failure> {
         self.seen.exit = status.code().unwrap_or_else(|| -status.signal().unwrap_or(0));
         self.seen.failed_consumers = self.mortals.drain(..).map(|mortal| mortal.failures).sum();
@@ -420,7 +420,7 @@ impl<'a> Session<'a> {
             self.take(line);
         }
         for (stage, mut verb) in self.replacing.drain(..) {
-            // It ends with the launcher at the latest.
+            // The command ends with the launcher at the latest.
             let status = verb.wait().map_err(Failure::unavailable)?;
             let (stage, exit) = (stage.name().to_owned(), status.code().unwrap_or(-1));
             self.seen.lines.push(Line::Replaced { stage, exit });
@@ -450,7 +450,7 @@ fn signalled(target: &str, what: &str, tick: Option<u64>) -> Line {
     Line::Signalled { target: target.to_owned(), what: what.to_owned(), tick: tick.unwrap_or(0) }
 }
 
-/// How many stages are still there a while after their launcher was killed.
+/// Counts the stages that are still running a while after their launcher was killed.
 fn survivors(stages: &[(Pid, StageId)]) -> u64 {
     let begun = Instant::now();
     loop {
@@ -462,14 +462,14 @@ fn survivors(stages: &[(Pid, StageId)]) -> u64 {
     }
 }
 
-/// Files of a run in shared memory, and its folders.
+/// Counts the run's files in shared memory and its folders.
 fn left(prefix: &str) -> u64 {
     let name = prefix.trim_end_matches('_');
     let folders = [name.to_owned(), format!(".{name}")];
     shared(prefix)[0] + folders.iter().filter(|name| Path::new("/tmp").join(name).exists()).count() as u64
 }
 
-/// The prefix of a launcher's run, by the lock that it holds; none before it has one.
+/// Finds the prefix of a launcher's run by the lock that it holds; `None` before the lock exists.
 fn prefix_of(launcher: Pid) -> Option<String> {
     let descriptors = std::fs::read_dir(format!("/proc/{}/fd", launcher.as_raw_nonzero())).ok()?;
     let files = descriptors.filter_map(|entry| std::fs::read_link(entry.ok()?.path()).ok());
@@ -478,7 +478,7 @@ fn prefix_of(launcher: Pid) -> Option<String> {
     locks.find(|prefix| prefix.starts_with("stgdat_"))
 }
 
-/// Files of a run in shared memory, and their bytes.
+/// Counts the run's files in shared memory and their bytes.
 fn shared(prefix: &str) -> [u64; 2] {
     use std::os::unix::fs::MetadataExt as _;
     let entries = std::fs::read_dir("/dev/shm").into_iter().flatten().filter_map(Result::ok);
@@ -508,7 +508,7 @@ fn write_lines(path: &Path, lines: &[Line]) -> std::io::Result<()> {
     file.flush()
 }
 
-/// What is to be done at ticks and times.
+/// Lists the actions at ticks and times.
 fn actions(spec: &Spec) -> Result<Vec<Action>, Failure> {
     let mut actions = Vec::new();
     for fault in &spec.faults {
@@ -559,7 +559,7 @@ fn actions(spec: &Spec) -> Result<Vec<Action>, Failure> {
     Ok(actions)
 }
 
-/// The points at which stages kill themselves, as their variable has them.
+/// Formats the points at which stages kill themselves, for their environment variable.
 fn points(spec: &Spec) -> String {
     let mut points: Vec<(u64, String)> = Vec::new();
     for fault in &spec.faults {
@@ -594,8 +594,7 @@ fn arguments(command: &mut Command, spec: &Spec, folder: &Path) {
     command.args(&run.arguments);
 }
 
-/// The pipeline of the run: with other names for the topics that an injector is on, and other programs where
-/// a fault puts them.
+/// Returns the run's pipeline. Topics with an injector get other names, and faults may replace programs.
 fn pipeline(spec: &Spec) -> Result<String, Failure> {
     let text = match &spec.run.pipeline {
         Some(path) => {
@@ -650,7 +649,7 @@ fn pipeline(spec: &Spec) -> Result<String, Failure> {
     toml::to_string(&pipeline).map_err(Failure::config)
 }
 
-/// A command whose first process is the stage and whose further ones end at once.
+/// Returns a command whose first process is the stage and whose later processes end immediately.
 fn crashing(stage: StageId, exit_code: u8) -> Result<Vec<String>, Failure> {
     let this = std::env::current_exe().map_err(Failure::unavailable)?;
     let words =
@@ -658,7 +657,8 @@ fn crashing(stage: StageId, exit_code: u8) -> Result<Vec<String>, Failure> {
     Ok(vec!["sh".to_owned(), "-c".to_owned(), words, this.display().to_string()])
 }
 
-/// The built-in stage as a command that kills itself at a point of its first step, in whichever incarnation.
+/// Returns the built-in stage as a command that kills itself at a point of its first step, in any
+/// incarnation.
 fn dying(stage: StageId, point: Point) -> Result<Vec<String>, Failure> {
     let this = std::env::current_exe().map_err(Failure::unavailable)?;
     let (stage, point) = (stage.name(), point.name());

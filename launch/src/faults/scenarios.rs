@@ -1,11 +1,11 @@
-//! The specifications that are built in, and those of files and folders.
+//! The built-in specifications, and specifications in files and folders.
 
 use std::path::{Path, PathBuf};
 
 use crate::failure::Failure;
 use crate::faults::spec::Spec;
 
-/// Names the files of `tests/faults`, with their texts.
+/// Lists the files of `tests/faults` with their texts.
 macro_rules! scenarios {
     ($($name:literal),* $(,)?) => {
         &[$(($name, include_str!(concat!("../../../tests/faults/", $name, ".toml")))),*]
@@ -58,7 +58,7 @@ pub fn built_in() -> Result<Vec<Spec>, Failure> {
     BUILT_IN.iter().map(|(name, text)| Ok(Spec::parse(Path::new(&format!("{name}.toml")), text)?)).collect()
 }
 
-/// The specifications of files, of all files of folders, and the built-in ones of these names.
+/// Returns the specifications in files and folders, and the built-in ones with these names.
 pub fn find_all(places: &[PathBuf]) -> Result<Vec<Spec>, Failure> {
     let mut specs = Vec::new();
     for place in places {

@@ -17,14 +17,14 @@ use crate::faults::effect::Effect;
 pub use error::SpecError;
 pub use table::{Counted, Expect};
 
-/// What to run, what to inject, and what to expect.
+/// The run, its faults and the expectation.
 #[derive(Clone, Debug)]
 pub struct Spec {
-    /// The file's name without its folder and ending.
+    /// The file's stem.
     pub name: String,
     /// The file.
     pub path: PathBuf,
-    /// What it shows, in a sentence.
+    /// The property that it demonstrates, in one sentence.
     pub shows: String,
     /// The run.
     pub run: RunSpec,
@@ -39,23 +39,23 @@ pub struct Spec {
 pub struct RunSpec {
     /// Its length.
     pub ticks: u64,
-    /// Agents of the generated scene; the default of `run` where none.
+    /// Agents of the generated scene; `None` for the default of `run`.
     pub agents: Option<u64>,
-    /// The recording; a generated scene where none.
+    /// The recording; `None` for a generated scene.
     pub recording: Option<PathBuf>,
-    /// Seed of the scene and of all faults that have none of their own.
+    /// Seed of the scene and of all faults without their own seed.
     pub seed: u64,
-    /// The pipeline.toml; the built-in one where none.
+    /// The pipeline.toml; `None` for the built-in one.
     pub pipeline: Option<PathBuf>,
-    /// Names of the stages that it adds, in its order.
+    /// Names of the added stages, in pipeline order.
     pub added: Vec<String>,
-    /// The topics that it declares.
+    /// The declared topics.
     pub topics: Vec<TopicRun>,
-    /// Where the recorder writes the forecasts; into the run's folder where none.
+    /// The recorder's forecast file; `None` for the run's folder.
     pub forecasts: Option<PathBuf>,
-    /// Topics whose frames carry a check value; those of the pipeline.toml where none.
+    /// Topics whose frames carry a check value; `None` for the topics that pipeline.toml protects.
     pub protect: Option<Vec<String>>,
-    /// Keys of stages in place of those of the pipeline.toml, by the stage's name.
+    /// Keys that override the stages' keys in pipeline.toml, by the stage's name.
     pub stages: BTreeMap<String, toml::Table>,
     /// Further arguments of `stgdat run`.
     pub arguments: Vec<String>,
@@ -69,7 +69,7 @@ impl RunSpec {
         StageId::ALL.into_iter().map(|stage| (stage, stage.name())).chain(added)
     }
 
-    /// The stage of that name.
+    /// Returns the stage with this name.
     pub fn stage(&self, name: &str) -> Option<StageId> {
         self.stages().find(|(_, known)| *known == name).map(|(stage, _)| stage)
     }
@@ -80,20 +80,20 @@ impl RunSpec {
 pub enum Fault {
     /// A process is sent SIGKILL.
     Kill {
-        /// Which.
+        /// The process.
         target: Target,
-        /// When.
+        /// The times.
         when: When,
     },
     /// Stages are killed, or stopped for a time, at random ticks.
     Random {
-        /// Which of them.
+        /// The candidate stages.
         stages: Vec<StageId>,
-        /// The range of ticks, the last one included.
+        /// The range of ticks, inclusive.
         ticks: [u64; 2],
-        /// How often.
+        /// Number of faults.
         count: u64,
-        /// The time between SIGSTOP and SIGCONT; SIGKILL where none.
+        /// The time between SIGSTOP and SIGCONT; `None` for SIGKILL.
         stop_ms: Option<u64>,
     },
     /// A stage kills itself at a point of its step.
@@ -102,14 +102,14 @@ pub enum Fault {
         stage: StageId,
         /// The point.
         point: Point,
-        /// From which tick on: the n-th is for its n-th process.
+        /// First ticks: the n-th entry applies to the n-th process.
         ticks: Vec<u64>,
     },
     /// A process is sent SIGSTOP, and SIGCONT after a time.
     Stop {
-        /// Which.
+        /// The process.
         target: Target,
-        /// At which ticks.
+        /// The ticks.
         ticks: Vec<u64>,
         /// The time between the two.
         for_ms: u64,
@@ -118,66 +118,66 @@ pub enum Fault {
     Limit {
         /// The stage.
         stage: StageId,
-        /// At which tick.
+        /// The tick.
         tick: u64,
         /// The resource.
         resource: Resource,
         /// The limit.
         value: u64,
     },
-    /// A stage is killed, and every further process of it ends at once.
+    /// A stage is killed, and each later process of it ends immediately.
     CrashLoop {
         /// The stage.
         stage: StageId,
-        /// At which tick it is killed.
+        /// The tick at which it is killed.
         tick: u64,
-        /// The exit code of its further processes.
+        /// The exit code of its later processes.
         exit_code: u8,
     },
-    /// Another program is put in a stage's place.
+    /// Another program replaces a stage's program.
     Command {
         /// The stage.
         stage: StageId,
         /// The program with its arguments.
         command: Vec<String>,
     },
-    /// A stage is replaced while the run goes on.
+    /// A stage is replaced during the run.
     Replace {
         /// The stage.
         stage: StageId,
-        /// At which ticks.
+        /// The ticks.
         ticks: Vec<u64>,
-        /// The new program with its arguments; the built-in one where none.
+        /// The new program with its arguments; `None` for the built-in one.
         command: Option<Vec<String>>,
         /// The point of its first step at which the new process kills itself.
         point: Option<Point>,
     },
     /// Frames of a topic are changed between its writer and its readers.
     Topic(TopicFault),
-    /// Threads that do nothing but use the CPU.
+    /// Threads that only use the CPU.
     Cpu {
-        /// At which tick.
+        /// The tick.
         tick: u64,
-        /// For how long.
+        /// The duration.
         for_ms: u64,
-        /// How many.
+        /// The number of threads.
         threads: usize,
     },
-    /// One more consumer, which gives the frames that it holds back late or never.
+    /// An additional consumer that returns its frames late or never.
     Consumer {
         /// The topic.
         topic: String,
-        /// Time for which it holds each frame; for ever where none.
+        /// Time for which each frame is held; `None` for forever.
         hold_ms: Option<u64>,
-        /// Shortest and longest time after which it is killed and started again; it stays where none.
+        /// Shortest and longest time until it is killed and restarted; `None` if it is not killed.
         within_ms: Option<[u64; 2]>,
     },
 }
 
-/// A process that a signal is sent to.
+/// The target process of a signal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Target {
-    /// A stage, of our own or of a command.
+    /// A stage, built in or external.
     Stage(StageId),
     /// The launcher.
     Launcher,
@@ -198,14 +198,14 @@ impl Target {
 pub enum When {
     /// At these ticks.
     Ticks(Vec<u64>),
-    /// So long after its first process has begun, once.
+    /// Once, this long after the first process was started.
     AfterStart {
         /// Milliseconds.
         ms: u64,
     },
-    /// The same, after a random time by the run's seed.
+    /// The same, after a random time drawn from the run's seed.
     Within {
-        /// The shortest and the longest time in milliseconds.
+        /// The shortest and longest time in milliseconds.
         ms: [u64; 2],
     },
 }
@@ -216,7 +216,7 @@ pub enum When {
 pub enum Resource {
     /// Open descriptors.
     Descriptors,
-    /// Size of files that it writes: a full disk. Counts for its shared memory too.
+    /// Maximum size of written files, as on a full disk. It applies to shared memory too.
     FileSize,
     /// Address space.
     Memory,
@@ -227,13 +227,13 @@ pub enum Resource {
 pub struct TopicFault {
     /// The topic.
     pub topic: String,
-    /// What is done to a frame.
+    /// The effect on a frame.
     pub effect: Effect,
-    /// The ticks on which it may act, the last one included.
+    /// The range of ticks on which it may act, inclusive.
     pub ticks: [u64; 2],
-    /// The probability with which it acts on each of them.
+    /// The probability that it acts on a tick.
     pub probability: f64,
-    /// Seed of that choice and of what is done.
+    /// Seed of this random choice and of the effect.
     pub seed: u64,
 }
 
@@ -253,14 +253,14 @@ impl Spec {
         check::parse(path, text)
     }
 
-    /// The faults between topics.
+    /// Returns the faults that act on topics.
     pub fn topic_faults(&self) -> impl Iterator<Item = &TopicFault> {
         self.faults
             .iter()
             .filter_map(|fault| if let Fault::Topic(fault) = fault { Some(fault) } else { None })
     }
 
-    /// The topics with an injector, each once.
+    /// Returns the topics with an injector, without duplicates.
     pub fn injected_topics(&self) -> Vec<&str> {
         let mut topics: Vec<&str> = self.topic_faults().map(|fault| fault.topic.as_str()).collect();
         topics.sort_unstable();
@@ -268,7 +268,7 @@ impl Spec {
         topics
     }
 
-    /// The stages that a fault is aimed at: their restarts are expected.
+    /// Returns the stages that faults target; their restarts are expected.
     pub fn targets(&self) -> Vec<StageId> {
         let random = self
             .faults
@@ -287,7 +287,8 @@ impl Spec {
         random.flatten().copied().chain(self.faults.iter().filter_map(of)).collect()
     }
 
-    /// Greatest age of a held forecast by the sampler's policy; none where the pipeline is not the built-in one.
+    /// Maximum age of a held forecast under the sampler's policy; `None` if the pipeline is not the built-in
+    /// one.
     pub fn held_max_ns(&self) -> Option<u64> {
         let of_run = || {
             let options = self.run.stages.get(StageId::Sampler.name())?.get("options")?;

@@ -1,4 +1,5 @@
-//! What killing and stopping each stage costs: a run of many deaths for each stage, and a row for each kind of them.
+//! Measures the cost of killing and stopping each stage: one run with many deaths per stage, and one row per
+//! kind of death.
 
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
@@ -15,14 +16,14 @@ use crate::faults::runner;
 use crate::faults::spec::Spec;
 use crate::faults::verdict::{Observation, longest_run};
 
-/// Ticks before the first death, in which agents grow old enough to be forecast.
+/// Ticks before the first death, in which agents become old enough to be forecast.
 const LEAD_TICKS: u64 = 25;
-/// Ticks from one death to the next: twice what it may take until forecasts are learned again, and a random rest.
+/// Ticks between deaths: twice the allowed time until forecasts are learned again, plus a random pause.
 const SPACE_TICKS: u64 = 20;
 const SPACE_RANDOM_TICKS: u64 = 5;
-/// A death may be noticed with a tick that was out before it.
+/// A death may first show in a tick that was already in flight.
 const EARLY_TICKS: u64 = 3;
-/// How long a stage is stopped: shorter and longer than it takes to be found.
+/// Durations of a stop: below and above the time until a stopped stage is detected.
 const STOPS_MS: [u64; 3] = [200, 1_000, 5_000];
 
 /// The head of the table.
@@ -33,51 +34,51 @@ pub const HEAD: &str = "| stage | fault | times | longest hole, ticks | ticks to
 /// The faults of one run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Series {
-    /// It kills itself, at each point of its step in turn.
+    /// The stage kills itself, at each point of its step in turn.
     Kills,
-    /// It is stopped, for each duration in turn.
+    /// The stage is stopped, for each duration in turn.
     Stops,
 }
 
-/// What is measured in one run.
+/// One run of the measurement.
 #[derive(Clone, Copy, Debug)]
 pub struct Plan {
     /// The stage.
     pub stage: StageId,
-    /// What is done to it.
+    /// The series of faults.
     pub series: Series,
-    /// How often each.
+    /// Number of faults of each kind.
     pub turns: u64,
-    /// Seed of the scene and of the moments.
+    /// Seed of the scene and of the fault times.
     pub seed: u64,
     /// Agents of the scene.
     pub agents: u64,
 }
 
-/// What a kind of fault on a stage cost.
+/// The cost of one kind of fault on a stage.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Row {
     /// The stage.
     pub stage: String,
     /// The fault.
     pub fault: String,
-    /// How often.
+    /// Number of faults.
     pub times: u64,
-    /// Longest hole in the output, in ticks.
+    /// Longest gap in the output, in ticks.
     pub hole: u64,
-    /// Ticks until forecasts were learned again, each time; none where they never were.
+    /// Ticks until forecasts were learned again, for each fault; `None` if they never were.
     pub to_learned: Vec<Option<u64>>,
-    /// Ticks whose detections became no tracks.
+    /// Ticks whose detections did not become tracks.
     pub detections_lost: u64,
-    /// Of the whole run: what the checker finds unexplained.
+    /// Unexplained findings of the checker in the whole run.
     pub unexplained: u64,
-    /// Of the whole run: restarts of other stages.
+    /// Restarts of other stages in the whole run.
     pub others_restarted: u64,
-    /// Of the whole run: files left.
+    /// Files left by the whole run.
     pub left: u64,
 }
 
-/// A fault of the series: its tick and the row that it counts in.
+/// A fault of the series: its tick and its row.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Moment {
     tick: u64,
@@ -85,17 +86,17 @@ struct Moment {
 }
 
 impl Plan {
-    /// The kinds of faults, each a row.
+    /// Returns the kinds of faults, one per row.
     fn kinds(&self) -> Vec<String> {
         match self.series {
-            // It sends nothing.
+            // The recorder sends nothing.
             Series::Kills if self.stage == StageId::Recorder => vec![Point::Idle.name().to_owned()],
             Series::Kills => Point::ALL.map(|point| point.name().to_owned()).into(),
             Series::Stops => STOPS_MS.map(|ms| format!("{} s", ms as f64 / 1e3)).into(),
         }
     }
 
-    /// When each fault comes.
+    /// Returns the times of all faults.
     fn moments(&self) -> Vec<Moment> {
         let kinds_len = self.kinds().len();
         let place = |place: u64| {
@@ -131,7 +132,7 @@ impl Plan {
         Ok(Spec::parse(Path::new(&name), &text)?)
     }
 
-    /// The rows, from what was seen of the run.
+    /// Computes the rows from the observation of the run.
     fn rows(&self, spec: &Spec, seen: &Observation) -> Vec<Row> {
         let (moments, cost) = (self.moments(), seen.cost(spec));
         let outages: Vec<&Outage> =
@@ -160,7 +161,7 @@ impl Plan {
             row.detections_lost += (lost.len() + within(&predicted).len()) as u64;
             row.to_learned.push(match of_it {
                 Some(outage) => outage.ticks_to_learned,
-                // It went on before anyone found it stopped.
+                // The process continued before its stop was detected.
                 None => {
                     Some(within(&degraded).last().map_or(0, |last| (last + 1).saturating_sub(moment.tick)))
                 }
@@ -173,7 +174,7 @@ impl Plan {
 /// Runs a plan.
 ///
 /// # Errors
-/// [`Failure`] where the run can't be started.
+/// [`Failure`] if the run can't be started.
 pub fn measure(plan: &Plan) -> Result<Vec<Row>, Failure> {
     let spec = plan.spec()?;
     let folder = std::env::temp_dir().join(format!("stgdat-fault-{}-{}", spec.name, std::process::id()));

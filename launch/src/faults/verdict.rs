@@ -1,4 +1,4 @@
-//! Whether a run did what is expected of it, by its history, its report, and what was injected.
+//! Decides whether a run met its expectations, from its history, its report and the injected faults.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Display;
@@ -10,26 +10,26 @@ use wire::StageId;
 
 use crate::faults::spec::{Counted, Expect, Fault, Spec};
 
-/// What was seen of a run.
+/// The observation of a run.
 #[derive(Clone, Debug, Default)]
 pub struct Observation {
-    /// Its exit code; the signal that ended it, negative.
+    /// The exit code; the negated signal number if a signal ended the run.
     pub exit: i32,
-    /// All that was seen, in order.
+    /// The history, in order.
     pub lines: Vec<Line>,
     /// Ticks whose forecasts the recorder has written.
     pub recorded: BTreeSet<u64>,
-    /// Its report, where there is one.
+    /// The report, if there is one.
     pub report: Option<Report>,
-    /// Topics with an injector that no forecast waits for.
+    /// Topics with an injector on which no forecast depends.
     pub beside: Vec<String>,
-    /// Ticks after which a fault without a frame of its own was over.
+    /// Ticks at which faults without own frames were over.
     pub over: Vec<u64>,
     /// Files left in shared memory and the run's folder.
     pub leftovers: u64,
-    /// Stages that were there 2 s after the launcher.
+    /// Stages that were running 2 s after the launcher's end.
     pub survivors: u64,
-    /// Times that a consumer which was to be killed ended by itself.
+    /// Number of times that a consumer ended by itself before it was killed.
     pub failed_consumers: u64,
 }
 
@@ -37,56 +37,57 @@ pub struct Observation {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Outcome {
-    /// It is met.
+    /// The expectation is met.
     Ok,
-    /// It is not.
+    /// The expectation is not met.
     Failed,
-    /// A number of ticks that was not to be asserted, and is beyond what is expected.
+    /// A tick count is outside the expectation, but tick counts are not asserted.
     NotAsserted,
 }
 
-/// An expectation with what was found.
+/// An expectation with the finding.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Check {
-    /// What is checked.
+    /// The subject of the check.
     pub what: String,
-    /// What is expected.
+    /// The expected value.
     pub expected: String,
-    /// What was found.
+    /// The finding.
     pub found: String,
-    /// Whether it is met.
+    /// The outcome.
     pub outcome: Outcome,
 }
 
-/// What a fault cost, in numbers.
+/// The cost of the faults, in numbers.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Cost {
     /// Ticks with forecasts.
     pub ticks: u64,
-    /// Ticks without.
+    /// Ticks without forecasts.
     pub lost: u64,
-    /// The longest run of them.
+    /// The longest gap.
     pub hole: u64,
-    /// Ticks with forecasts that are not learned, for another cause than a young track.
+    /// Ticks with forecasts that are not learned for a reason other than a young track.
     pub not_learned: u64,
-    /// The most ticks from the end of a fault until forecasts were learned again; none where they never were.
+    /// Maximum number of ticks from the end of a fault until forecasts were learned again; `None` if they
+    /// never were.
     pub to_learned: Option<u64>,
-    /// Frames that faults acted on, by topic and kind.
+    /// Number of affected frames, by topic and kind.
     pub injected: BTreeMap<String, u64>,
-    /// Median and maximum of what each injector cost a frame, in µs, by topic.
+    /// Median and maximum delay that each injector added to a frame, in µs, by topic.
     pub injector_us: BTreeMap<String, [u64; 2]>,
-    /// Missing ticks and not learned forecasts without a counted cause.
+    /// Missing ticks and forecasts that are not learned, without a counted cause.
     pub unexplained: u64,
-    /// What the run's processes took at its beginning and end; none for a short run.
+    /// Resources of the run's processes at its beginning and end; `None` for a short run.
     pub resources: Option<[Resources; 2]>,
 }
 
-/// What a run's processes take: medians of some looks at them.
+/// Resources of a run's processes, as medians of several measurements.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Resources {
     /// Resident memory of the launcher, in KiB.
     pub launcher_kib: u64,
-    /// Resident memory of all stages, in KiB, what they share counted in each.
+    /// Resident memory of all stages, in KiB. Shared memory counts in each stage.
     pub stages_kib: u64,
     /// Open descriptors of the launcher.
     pub descriptors: u64,
@@ -96,15 +97,15 @@ pub struct Resources {
     pub shared_kib: u64,
 }
 
-/// Promises about what is to be explained.
+/// Promises that every missing tick and every cause is explained.
 const EXPLANATIONS: [Promise; 3] =
     [Promise::MissingTicksExplained, Promise::CausesSaid, Promise::CausesCounted];
 
-/// The outputs by their tick.
+/// The outputs by tick.
 struct Outputs<'a>(BTreeMap<u64, &'a Output>);
 
 impl Observation {
-    /// The observation with what the run reports of itself as its last line.
+    /// Returns the observation with the run's own report as its last line.
     pub fn concluded(mut self, spec: &Spec) -> Self {
         let told = self.told(spec);
         self.lines.push(Line::Told(Box::new(told)));
@@ -115,8 +116,7 @@ impl Observation {
         Outputs(self.lines.iter().filter_map(Line::output).map(|output| (output.tick, output)).collect())
     }
 
-    /// Ticks on which a kind of fault has acted on a topic; on which any has, and on any topic, where none is
-    /// given.
+    /// Returns the ticks on which a kind of fault acted on a topic. `None` means any kind or any topic.
     fn injected(&self, kind: Option<&str>, topic: Option<&str>) -> BTreeSet<u64> {
         let acted = |line: &Line| {
             let Line::Injected { tick, kinds, topic: on } = line else { return None };
@@ -126,7 +126,7 @@ impl Observation {
         self.lines.iter().filter_map(acted).collect()
     }
 
-    /// What the faults cost.
+    /// Returns the cost of the faults.
     pub fn cost(&self, spec: &Spec) -> Cost {
         let outputs = self.outputs();
         let missing = self.missing_of(spec, &outputs);
@@ -157,8 +157,8 @@ impl Observation {
         cost
     }
 
-    /// Ticks without forecasts: neither the follower nor the recorder has seen any. A run that was to end
-    /// early is looked at up to its newest tick.
+    /// Returns the ticks without forecasts, which neither the follower nor the recorder has seen. A run that
+    /// is meant to end early is checked up to its newest tick.
     fn missing_of(&self, spec: &Spec, outputs: &Outputs<'_>) -> Vec<u64> {
         let newest = outputs.0.keys().chain(&self.recorded).max().map_or(0, |newest| newest + 1);
         let end = if spec.expect.exit_code == 0 { spec.run.ticks } else { newest };
@@ -170,19 +170,20 @@ impl Observation {
         self.missing_of(spec, &self.outputs()).into_iter().collect()
     }
 
-    /// Ticks with a forecast that is not learned, for another cause than a young track.
+    /// Returns the ticks with a forecast that is not learned for a reason other than a young track.
     pub fn degraded(&self) -> BTreeSet<u64> {
         let outputs = self.lines.iter().filter_map(Line::output);
         outputs.filter(|output| output.void || output.degraded() > 0).map(|output| output.tick).collect()
     }
 
-    /// Ticks whose tracks are predicted.
+    /// Returns the ticks with predicted tracks.
     pub fn predicted(&self) -> BTreeSet<u64> {
         let outputs = self.lines.iter().filter_map(Line::output);
         outputs.filter(|output| output.predicted).map(|output| output.tick).collect()
     }
 
-    /// The most ticks until forecasts were learned again: after outages, frames acted on and other faults.
+    /// Maximum number of ticks until forecasts were learned again, after outages, affected frames and other
+    /// faults.
     fn to_learned(&self, outputs: &Outputs<'_>) -> Option<u64> {
         let mut most = 0;
         for outage in self.outages() {
@@ -195,7 +196,7 @@ impl Observation {
         Some(most)
     }
 
-    /// The outages of the report, those of replacements too.
+    /// Returns the outages of the report, including the outages of replacements.
     fn outages(&self) -> impl Iterator<Item = &Outage> {
         let supervision = || self.report.iter().map(|report| &report.supervision);
         let replacements = supervision().flat_map(|of| &of.replacements);
@@ -203,20 +204,19 @@ impl Observation {
         supervision().flat_map(|of| &of.outages).chain(handed_over.map(|of| &of.outage))
     }
 
-    /// What the checker finds in the history; nothing before it has been told how the run ended.
+    /// Returns the checker's findings in the history; empty until the run's end is known.
     fn findings(&self) -> Vec<Finding> {
         checker::check(&self.lines)
     }
 
-    /// Missing ticks that lie in no outage, that no fault acted on and that no stage has counted, and
-    /// forecasts without a cause, or with one that nobody counted.
+    /// Counts missing ticks that no outage, fault or stage counter explains. Also counts forecasts without a
+    /// cause, or with a cause that no stage counted.
     fn unexplained(&self) -> u64 {
         let findings = self.findings().into_iter();
         findings.filter(|found| EXPLANATIONS.contains(&found.promise)).map(|found| found.count).sum()
     }
 
-    /// What every run must keep, whatever is injected. What a specification may expect otherwise is checked
-    /// with it.
+    /// Checks the promises that every run must keep under any fault. A specification may relax some of them.
     fn promises(&self, expect: &Expect) -> Vec<Check> {
         let mut elsewhere = vec![Promise::OthersUntouched, Promise::NothingLeft];
         if expect.unexplained > 0 {
@@ -233,7 +233,8 @@ impl Observation {
         findings.map(told).collect()
     }
 
-    /// What the checker is to know beside what was seen: the run's own report, and what was expected to happen.
+    /// Returns the facts that the checker needs in addition to the history: the run's report and the expected
+    /// events.
     pub fn told(&self, spec: &Spec) -> Told {
         let expect = &spec.expect;
         let seen = self.outputs();
@@ -275,7 +276,7 @@ impl Observation {
         told
     }
 
-    /// What was taken at the beginning and at the end: medians, for stages come and go.
+    /// Returns the resources at the beginning and at the end. Medians are used because stages come and go.
     fn resources(&self) -> Option<[Resources; 2]> {
         let looks: Vec<Resources> = self.lines.iter().filter_map(look).collect();
         if looks.len() < 2 * LOOKS {
@@ -285,7 +286,7 @@ impl Observation {
     }
 }
 
-/// Looks at a run's resources that a median is of.
+/// Number of resource measurements per median.
 const LOOKS: usize = 9;
 
 fn look(line: &Line) -> Option<Resources> {
@@ -316,7 +317,7 @@ fn median(looks: &[Resources]) -> Resources {
     }
 }
 
-/// The longest run of ticks in a row.
+/// Returns the length of the longest series of consecutive ticks.
 pub fn longest_run(ticks: &[u64]) -> u64 {
     let (mut longest, mut run, mut before) = (0, 0, None);
     for &tick in ticks {
@@ -336,8 +337,8 @@ fn equal<T: PartialEq + Display>(what: &str, expected: &T, found: &T) -> Check {
     check(what, expected, found, expected == found)
 }
 
-/// Compares what was seen with what the specification expects. Without `timing`, numbers of ticks beyond what
-/// is expected are no failure.
+/// Compares the observation with the specification's expectation. Without `timing`, tick counts outside the
+/// expectation do not fail the check.
 pub fn judge(spec: &Spec, seen: &Observation, timing: bool) -> Vec<Check> {
     let (expect, cost, outputs) = (&spec.expect, seen.cost(spec), seen.outputs());
     let mut checks = vec![equal("exit code", &expect.exit_code, &seen.exit)];
@@ -386,7 +387,7 @@ pub fn judge(spec: &Spec, seen: &Observation, timing: bool) -> Vec<Check> {
 /// One of the resources.
 type Amount = fn(&Resources) -> u64;
 
-/// What the run took more at its end than at its beginning.
+/// Compares the run's resources at its end with those at its beginning.
 fn grown(expect: &Expect, cost: &Cost) -> Vec<Check> {
     let limits: [(&str, Option<u64>, Amount); 4] = [
         ("growth of the launcher, KiB", expect.launcher_growth_kib_max, |r| r.launcher_kib),
@@ -405,7 +406,7 @@ fn grown(expect: &Expect, cost: &Cost) -> Vec<Check> {
     limited.map(check_one).collect()
 }
 
-/// What the report says of the stages' deaths and starvation.
+/// Checks the report's deaths and starvation of stages.
 fn supervised(spec: &Spec, seen: &Observation) -> Vec<Check> {
     let (expect, mut checks) = (&spec.expect, Vec::new());
     let Some(report) = &seen.report else {
@@ -419,7 +420,7 @@ fn supervised(spec: &Spec, seen: &Observation) -> Vec<Check> {
     let others = report.stages.iter().filter(|stage| !targets.contains(&stage.name.as_str()));
     let restarts: u64 = others.map(|stage| u64::from(stage.restarts)).sum();
     checks.push(equal("restarts of others", &expect.restarts_of_others, &restarts));
-    // A program of the user's own may lack what ours have.
+    // An external program may lack the fault points of the built-in stages.
     for fault in &spec.faults {
         if let Fault::KillAt { stage, point, .. } = fault
             && !supervision.outages.iter().any(|outage| outage.stage == stage.name())
@@ -484,7 +485,8 @@ fn supervised(spec: &Spec, seen: &Observation) -> Vec<Check> {
     checks
 }
 
-/// What the verb has told of the replacements, beside the report; nothing where there were none.
+/// Compares the exit codes of the `stage replace` commands with the report; `None` if there were no
+/// replacements.
 fn replaced(seen: &Observation, reported: &[recorder::Replacement]) -> Option<Check> {
     let told = seen.lines.iter().filter_map(|line| match line {
         Line::Replaced { exit, .. } => Some(*exit == 0),
@@ -500,7 +502,7 @@ fn replaced(seen: &Observation, reported: &[recorder::Replacement]) -> Option<Ch
     any.then(|| equal("replacements by the verb's exit codes", &count(reported), &count(told)))
 }
 
-/// The report's counters of frames lost.
+/// Checks the report's counters of lost frames.
 fn counted(expect: &Expect, seen: &Observation) -> Vec<Check> {
     let mut checks = Vec::new();
     for Counted { stage, cause, as_injected, topic, min, max } in &expect.counted {
@@ -551,7 +553,7 @@ mod tests {
         Line::Forecasts(Output { tick, stamp_ns, forecasts, ..Output::default() })
     }
 
-    /// A run that misses the ticks 6 to 8, which the report explains.
+    /// A run that misses ticks 6 to 8, with an explanation in the report.
     fn seen() -> Observation {
         let outage = Outage {
             stage: "sampler".into(),

@@ -1,4 +1,4 @@
-//! From the text of a specification to what it means.
+//! Converts the text of a specification to its meaning.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -16,7 +16,7 @@ use super::{Fault, RunSpec, Spec, SpecError, Target, TopicFault, When};
 use crate::faults::effect::{Effect, Part};
 use crate::stages::declared;
 
-/// Kinds of faults on processes, with the keys that each must and may have.
+/// Kinds of process faults, with their required and optional keys.
 const KINDS: [(&str, &[&str], &[&str]); 9] = [
     ("kill", &["stage"], &["at", "after_start_ms", "within_ms", "point"]),
     ("random", &["ticks", "count"], &["stages", "for_ms"]),
@@ -28,7 +28,7 @@ const KINDS: [(&str, &[&str], &[&str]); 9] = [
     ("cpu", &["at", "for_ms"], &["threads"]),
     ("consumer", &["topic"], &["hold_ms", "within_ms"]),
 ];
-/// Kinds of faults on a topic, with the keys that each must and may have beside those of all of them.
+/// Kinds of topic faults, with their required and optional keys in addition to the common ones.
 const EFFECTS: [(&str, &[&str], &[&str]); 13] = [
     ("delay", &["delay_ms"], &["jitter_ms"]),
     ("drop", &[], &[]),
@@ -44,11 +44,11 @@ const EFFECTS: [(&str, &[&str], &[&str]); 13] = [
     ("frozen", &["in"], &[]),
     ("clock-jump", &["jump_ms"], &[]),
 ];
-/// Keys that every fault on a topic must and may have.
+/// Required and optional keys of every topic fault.
 const OF_TOPIC: (&[&str], &[&str]) = (&["topic", "ticks"], &["probability", "seed"]);
-/// Causes of frames lost in a stage.
+/// Causes for which a stage counts lost frames.
 const COUNTERS: [&str; 3] = ["gap", "refused", "restart"];
-/// Threads per core of a CPU fault: enough that a stage's share is small.
+/// Threads per core of a CPU fault, enough to leave a stage only a small share.
 const HOGS_PER_CORE: usize = 8;
 
 pub(super) fn parse(path: &Path, text: &str) -> Result<Spec, SpecError> {
@@ -102,7 +102,8 @@ fn check(path: &Path, file: File) -> Result<Spec, Mistake> {
     Ok(Spec { name, path: path.to_owned(), shows: file.shows, run, faults, expect: file.expect })
 }
 
-/// Names of the stages that a pipeline.toml adds, which this process knows from now on, and the topics that it declares.
+/// Returns the stages that a pipeline.toml adds and the topics that it declares. This process knows the names
+/// from now on.
 fn added_to_pipeline(path: &Path, span: &Range<usize>) -> Result<(Vec<String>, Vec<TopicRun>), Mistake> {
     let refused = |why: String| {
         let why = why.lines().next().unwrap_or_default().to_owned();
@@ -118,7 +119,8 @@ fn added_to_pipeline(path: &Path, span: &Range<usize>) -> Result<(Vec<String>, V
     Ok((added, pipeline.topics))
 }
 
-/// The entries of a stage's points are for its processes in turn: a kill by signal in between would take one.
+/// Each entry of a stage's points applies to one process in turn. A kill by signal in between would consume
+/// an entry.
 fn not_mixed(table: &Spanned<FaultTable>, fault: &Fault, earlier: &[Fault]) -> Result<(), Mistake> {
     let of = |fault: &Fault| match fault {
         Fault::KillAt { stage, .. } => Some((*stage, true)),
@@ -244,7 +246,7 @@ fn within(within: &Spanned<[u64; 2]>) -> Result<[u64; 2], Mistake> {
     Err(Mistake::new(within.span(), message, "expected [shortest, longest]"))
 }
 
-/// Kills or stops at random ticks, of all stages where none are named.
+/// Kills or stops at random ticks; applies to all stages if none are named.
 fn random(table: &FaultTable, run: &RunSpec) -> Result<Fault, Mistake> {
     let stages: Vec<StageId> = match &table.stages {
         None => run.stages().map(|(stage, _)| stage).collect(),
@@ -274,7 +276,7 @@ fn range(table: &FaultTable, run: &RunSpec) -> Result<[u64; 2], Mistake> {
     Ok([first, last])
 }
 
-/// A point that the stage has.
+/// Returns the point if the stage has it.
 fn known_point(stage: StageId, point: &Spanned<String>) -> Result<Point, Mistake> {
     let name = point.get_ref();
     let found = Point::from_name(name).ok_or_else(|| {
@@ -288,7 +290,7 @@ fn known_point(stage: StageId, point: &Spanned<String>) -> Result<Point, Mistake
     Ok(found)
 }
 
-/// The command, where there is one.
+/// Returns the command, if any.
 fn command(table: &FaultTable) -> Result<Option<Vec<String>>, Mistake> {
     match &table.command {
         Some(command) if command.get_ref().is_empty() => {
@@ -431,7 +433,7 @@ fn topic(table: &FaultTable, run: &RunSpec) -> Result<String, Mistake> {
     Err(Mistake::new(name.span(), format!("unknown topic \"{}\"", name.get_ref()), label))
 }
 
-/// Names in the block of expectations, which has no places of its own in the text.
+/// Checks the names in the block of expectations, whose values have no spans in the text.
 fn expectations(expect: &Expect, run: &RunSpec) -> Result<(), Mistake> {
     let stages = expect.outages.iter().map(|outages| &outages.stage);
     let stages = stages.chain(expect.counted.iter().map(|counted| &counted.stage)).chain(&expect.given_up);
@@ -549,7 +551,7 @@ mod tests {
         };
         let injected = |fault: &str| read(fault).unwrap().injected_topics().join(", ");
         assert_eq!(injected("kind = \"bit-flip\"\ntopic = \"approaches\""), "approaches");
-        // The type is that of the tracks, whose fields are known.
+        // The element type is a track, whose fields are known.
         assert_eq!(injected("kind = \"not-finite\"\ntopic = \"limited-tracks\""), "limited-tracks");
         for kind in ["not-finite", "huge"] {
             let error = read(&format!("kind = \"{kind}\"\ntopic = \"approaches\"")).unwrap_err();

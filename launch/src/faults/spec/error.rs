@@ -4,7 +4,7 @@ use std::path::Path;
 use miette::{Diagnostic, LabeledSpan, NamedSource, SourceCode};
 use thiserror::Error;
 
-/// What is wrong with a specification, and where.
+/// An error in a specification, with its place.
 #[derive(Debug, Error)]
 #[error("{}:{line}: {message}", source_code.name())]
 pub struct SpecError {
@@ -15,7 +15,7 @@ pub struct SpecError {
     source_code: Box<NamedSource<String>>,
 }
 
-/// A mistake at a place of the text; the text itself is added by [`Mistake::at`].
+/// A mistake at a place of the text. [`Mistake::at`] adds the text.
 #[derive(Debug)]
 pub(super) struct Mistake {
     pub span: Range<usize>,

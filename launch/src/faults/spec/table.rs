@@ -1,4 +1,4 @@
-//! The specification as it is written; values that can be wrong have their span in the text.
+//! The specification as written. Values that can be wrong have their span in the text.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -40,7 +40,7 @@ const fn one() -> u64 {
     1
 }
 
-/// A fault with the keys of all kinds; which of them a kind has is checked.
+/// A fault with the keys of all kinds. The check decides which keys a kind may have.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct FaultTable {
@@ -79,7 +79,7 @@ pub(super) enum At {
 }
 
 impl FaultTable {
-    /// The keys that are set beside `kind`, with the place of their values.
+    /// Returns the keys that are set in addition to `kind`, with the spans of their values.
     pub fn keys(&self) -> Vec<(&'static str, std::ops::Range<usize>)> {
         macro_rules! spans {
             ($($key:literal $field:ident),*) => {
@@ -97,57 +97,57 @@ impl FaultTable {
     }
 }
 
-/// What is expected of a run. What is not set is not checked, but for the defaults.
+/// The expected behaviour of a run. A value that is not set is not checked, except for the defaults.
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Expect {
-    /// The run's exit code; -9 for an end by signal 9.
+    /// The run's exit code; -9 if signal 9 ended it.
     pub exit_code: i32,
-    /// Longest hole in the output, in ticks.
+    /// Maximum length of a gap in the output, in ticks.
     pub hole_max: Option<u64>,
-    /// Most ticks without forecasts.
+    /// Maximum number of ticks without forecasts.
     pub lost_max: Option<u64>,
-    /// Most ticks with forecasts that are not learned.
+    /// Maximum number of ticks whose forecasts are not learned.
     pub not_learned_max: Option<u64>,
-    /// Most ticks from the end of a fault until forecasts are learned again.
+    /// Maximum number of ticks from the end of a fault until forecasts are learned again.
     pub learned_within: Option<u64>,
     /// Outages that the report must list.
     pub outages: Vec<Outages>,
-    /// Restarts of stages that no fault is aimed at.
+    /// Maximum number of restarts of stages that no fault targets.
     pub restarts_of_others: u64,
     /// Replacements that the report must list.
     pub replacements: Vec<Replacements>,
-    /// Stages that must be given up, and no others.
+    /// The exact set of stages that must be given up.
     pub given_up: Vec<String>,
-    /// Files that may be left in shared memory and the run's folder.
+    /// Maximum number of files left in shared memory and the run's folder.
     pub leftovers: u64,
-    /// Missing ticks and not learned forecasts without a counted cause.
+    /// Maximum number of missing ticks and forecasts that are not learned without a counted cause.
     pub unexplained: u64,
     /// Causes that forecasts must have.
     pub causes: Vec<String>,
-    /// Least number of ticks with predicted tracks.
+    /// Minimum number of ticks with predicted tracks.
     pub predicted_min: Option<u64>,
-    /// Greatest age of a held forecast.
+    /// Maximum age of a held forecast.
     pub age_ms_max: Option<f64>,
-    /// Counters of frames lost that the report must have.
+    /// Counters of lost frames that the report must contain.
     pub counted: Vec<Counted>,
-    /// Stages that the report must name as starved; "any" for one at least.
+    /// Stages that the report must name as starved; "any" for at least one.
     pub starved: Vec<String>,
-    /// Least number of readers that the report counts as dead; no consumer may end by itself.
+    /// Minimum number of readers that the report counts as dead. No consumer may end by itself.
     pub dead_readers_min: Option<u64>,
-    /// Least number of ticks that the report counts as late.
+    /// Minimum number of late ticks in the report.
     pub late_ticks_min: Option<u64>,
-    /// Most that the launcher's resident memory may grow by, in KiB.
+    /// Maximum growth of the launcher's resident memory, in KiB.
     pub launcher_growth_kib_max: Option<u64>,
-    /// The same of all stages together.
+    /// Maximum growth of the resident memory of all stages together, in KiB.
     pub stages_growth_kib_max: Option<u64>,
-    /// Most descriptors that the launcher may have open more at the end.
+    /// Maximum growth of the launcher's open descriptors.
     pub descriptors_growth_max: Option<u64>,
-    /// Most files that the run may have more at its end.
+    /// Maximum growth of the run's file count.
     pub files_growth_max: Option<u64>,
-    /// Text that the report must give as what ended the run.
+    /// Text that the report must contain as the cause of the run's end.
     pub ended_by: Option<String>,
-    /// How often the spare of each of these stages must have taken its place.
+    /// Required number of promotions of each stage's spare.
     pub promotions: BTreeMap<String, u32>,
 }
 
@@ -157,10 +157,10 @@ pub struct Expect {
 pub struct Outages {
     /// The stage.
     pub stage: String,
-    /// Text that their cause contains.
+    /// Text that the cause contains.
     #[serde(default)]
     pub cause: String,
-    /// How many there must be.
+    /// The required number.
     pub count: u64,
 }
 
@@ -170,29 +170,29 @@ pub struct Outages {
 pub struct Replacements {
     /// The stage.
     pub stage: String,
-    /// What must have come of them.
+    /// The required outcome.
     pub outcome: recorder::ReplacementOutcome,
-    /// Text that their cause contains.
+    /// Text that the cause contains.
     #[serde(default)]
     pub cause: String,
-    /// How many there must be.
+    /// The required number.
     pub count: u64,
 }
 
-/// A counter of frames lost in a stage.
+/// A counter of a stage's lost frames.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Counted {
     /// The stage.
     pub stage: String,
-    /// `gap`, `refused` or `restart`, or the cause of refusals, as `check value`.
+    /// `gap`, `refused` or `restart`, or a cause of refusals such as `check value`.
     pub cause: String,
-    /// The count must be the number of frames that this kind of fault acted on.
+    /// The count must equal the number of frames on which this kind of fault acted.
     pub as_injected: Option<String>,
-    /// Of the frames of this topic alone.
+    /// Restricts the count to frames of this topic.
     pub topic: Option<String>,
-    /// The count must be at least that.
+    /// The minimum count.
     pub min: Option<u64>,
-    /// The count must be at most that.
+    /// The maximum count.
     pub max: Option<u64>,
 }
