@@ -79,7 +79,7 @@ pub struct ProcessStatus {
     pub state: String,
     /// Process number, while it runs.
     pub pid: Option<u32>,
-    /// How often it has been started again. As a process it counts replacements too, in a [`RunStatus`] it does not.
+    /// Restarts. The launcher counts replacements too, a [`RunStatus`] does not.
     pub restarts: u32,
     /// CPU time of all its threads since it was started.
     pub cpu_s: Option<f64>,
