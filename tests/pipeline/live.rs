@@ -4,10 +4,10 @@ use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
 use serde_json::Value;
+use testing::Scratch;
 
 use crate::programs::example;
 use crate::python::{EXAMPLES, python};
-use crate::scratch::Scratch;
 use crate::started::run_well;
 
 /// Two looks of the tracker's audit.
