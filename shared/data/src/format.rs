@@ -125,7 +125,7 @@ impl Format {
     /// The format of a file, detected from its content alone; the file's name has no influence.
     ///
     /// # Errors
-    /// [`ReadError::UnknownFormat`] where the content fits none, [`ReadError::NotText`],
+    /// [`ReadError::UnknownFormat`] if the content fits none, [`ReadError::NotText`],
     /// [`ReadError::Empty`].
     pub fn detect(input: &Input) -> Result<Self, ReadError> {
         let mut lines =

@@ -45,7 +45,7 @@ pub fn open(path: &Path, format: Option<Format>) -> Result<Recording, ReadError>
 /// As [`open`], with all that may be given.
 ///
 /// # Errors
-/// [`ReadError`] with file, line, column and value; [`ReadError::FrameRate`] where the files have their
+/// [`ReadError`] with file, line, column and value; [`ReadError::FrameRate`] if the files have their
 /// times; [`ReadError::Origin`] if an origin is given for a format without a world frame.
 pub fn open_with(path: &Path, options: OpenOptions) -> Result<Recording, ReadError> {
     let opened = read(path, Role::Rows)?;
@@ -72,7 +72,7 @@ pub fn parse(format: Format, inputs: &[Input]) -> Result<Recording, ReadError> {
 /// As [`parse`], with frame numbers that count so many frames a second.
 ///
 /// # Errors
-/// [`ReadError`] with file, line, column and value; [`ReadError::FrameRate`] where the files have their
+/// [`ReadError`] with file, line, column and value; [`ReadError::FrameRate`] if the files have their
 /// times.
 pub fn parse_at(format: Format, inputs: &[Input], fps: Option<FrameRate>) -> Result<Recording, ReadError> {
     if fps.is_some() && format.frame_rate().is_none() {

@@ -174,7 +174,7 @@ impl DataSet {
     /// Generated scenes have none: they are named by number.
     ///
     /// # Errors
-    /// [`ReadError::Io`] where a folder of the set can't be listed.
+    /// [`ReadError::Io`] if a folder of the set can't be listed.
     pub fn files(self, root: &Path, part: Part) -> Result<Vec<PathBuf>, ReadError> {
         match self {
             Self::EthUcyFold(fold) => list(&root.join("eth_ucy").join(fold.name()).join(folder(part))),

@@ -51,7 +51,7 @@ impl Raster {
     /// The closed lines at which the field passes `level`, the higher side on their left.
     ///
     /// # Panics
-    /// Where `level` is not positive: then there is no outside.
+    /// If `level` is not positive: then there is no outside.
     pub fn contours(&self, level: f64) -> Vec<Vec<Place>> {
         assert!(level > 0.0, "level {level} does not separate inside from outside");
         let mut next = self.links(level);

@@ -20,7 +20,7 @@ const COLUMNS: usize = 3;
 /// which checkpoints are chosen, with the chosen one marked, and the errors on each validation set below.
 ///
 /// # Errors
-/// [`PictureError::Empty`] where the log has no entries.
+/// [`PictureError::Empty`] if the log has no entries.
 pub fn learning_curves(log: &TrainingLog, title: &str) -> Result<String, PictureError> {
     let last_step = log.progress.last().map(|progress| progress.step);
     let last_step = last_step.max(log.validations.last().map(|entry| entry.step));

@@ -117,7 +117,7 @@ pub(super) const LABEL_SIZE: f64 = 7.0;
 /// Draws scenes as one picture, in reading order, with one heading and one legend for all.
 ///
 /// # Errors
-/// [`PictureError`] where there is no scene, an option or a number can't be drawn, or a forecast's parts
+/// [`PictureError`] if there is no scene, an option or a number can't be drawn, or a forecast's parts
 /// differ in length.
 pub fn scenes(
     heading: &str,

@@ -123,7 +123,7 @@ impl TrainingLog {
     /// out, too.
     ///
     /// # Errors
-    /// [`LogError`] where the file can't be read, is too long, has no lines, or has one that is none of a
+    /// [`LogError`] if the file can't be read, is too long, has no lines, or has one that is none of a
     /// log.
     pub fn read(path: &Path) -> Result<Self, LogError> {
         let unreadable = |source| LogError::Unreadable { path: path.to_owned(), source };

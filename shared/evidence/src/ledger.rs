@@ -362,7 +362,7 @@ impl Evidence {
     /// The more often a set has had the nearest mode of agents alike, the more probable are its modes.
     ///
     /// # Panics
-    /// Where there are not as many probabilities as modes.
+    /// If there are not as many probabilities as modes.
     #[must_use]
     pub fn choose(
         &self,

@@ -190,7 +190,7 @@ impl Priors {
     /// From the text of [`Priors::to_json`].
     ///
     /// # Errors
-    /// [`PriorError`] where it is another text.
+    /// [`PriorError`] if it is another text.
     pub fn from_json(text: &str) -> Result<Self, PriorError> {
         serde_json::from_str(text).map_err(PriorError)
     }

@@ -183,7 +183,7 @@ impl Filter {
     /// it is: [`Gaussian::update_jointly`].
     ///
     /// # Errors
-    /// [`FilterFault`] where the update by any of them fails; the state is then as before.
+    /// [`FilterFault`] if the update by any of them fails; the state is then as before.
     ///
     /// # Panics
     /// If there are more than [`OBSERVATIONS_MAX`](crate::OBSERVATIONS_MAX) observations, or their

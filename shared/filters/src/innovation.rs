@@ -87,7 +87,7 @@ impl<const N: usize> Gaussian<N> {
     /// ```
     ///
     /// # Errors
-    /// [`FilterFault`] where the innovation's covariance is not positive definite or a result is not finite;
+    /// [`FilterFault`] if the innovation's covariance is not positive definite or a result is not finite;
     /// the state is then as before.
     pub(crate) fn correct(&mut self, innovation: &Innovation<N>) -> Result<Misfit, FilterFault> {
         let mut correction = Correction {

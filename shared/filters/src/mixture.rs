@@ -159,7 +159,7 @@ impl<P: Controlled<N>, const N: usize> Mixture<P, N> {
     /// A component that fails is dropped.
     ///
     /// # Errors
-    /// [`FilterFault`] where all fail; the mixture is then as before, or collapsed to its moments.
+    /// [`FilterFault`] if all fail; the mixture is then as before, or collapsed to its moments.
     pub fn predict(&mut self, dt_ns: u64) -> Result<(), FilterFault> {
         let (steps_len, dt_s) = steps(dt_ns)?;
         let age_ns = self.age_ns.saturating_add(dt_ns);
@@ -252,7 +252,7 @@ impl<P: Controlled<N>, const N: usize> Mixture<P, N> {
     /// A component that fails is dropped.
     ///
     /// # Errors
-    /// [`FilterFault`] where all fail; the mixture is then as before.
+    /// [`FilterFault`] if all fail; the mixture is then as before.
     pub fn update(&mut self, observation: &Observation) -> Result<f64, FilterFault> {
         let mut fault = FilterFault::NotFinite;
         self.next.clear();
@@ -290,7 +290,7 @@ impl<P: Controlled<N>, const N: usize> Mixture<P, N> {
     /// A component that fails is dropped.
     ///
     /// # Errors
-    /// [`FilterFault`] where all fail, even at a single observation; the mixture is then as before.
+    /// [`FilterFault`] if all fail, even at a single observation; the mixture is then as before.
     ///
     /// # Panics
     /// If there are more than [`OBSERVATIONS_MAX`] observations, or their probabilities are none or add up to

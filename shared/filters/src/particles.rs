@@ -196,7 +196,7 @@ impl<P: Controlled<N>, const N: usize> Particles<P, N> {
     /// Weighs the particles by an observation; returns the logarithm of its density.
     ///
     /// # Errors
-    /// [`FilterFault`] where no particle has a finite density; the particles are then as before.
+    /// [`FilterFault`] if no particle has a finite density; the particles are then as before.
     pub fn weigh(&mut self, observation: &Observation) -> Result<f64, FilterFault> {
         let log_likelihood = self.weighed(observation)?;
         std::mem::swap(&mut self.particles, &mut self.next);

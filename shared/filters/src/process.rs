@@ -90,7 +90,7 @@ impl<const N: usize> Gaussian<N> {
     /// is an [update](Gaussian::update) to the bit; without any the state stays.
     ///
     /// # Errors
-    /// [`FilterFault`] where the update by any of them fails; the state is then as before.
+    /// [`FilterFault`] if the update by any of them fails; the state is then as before.
     ///
     /// # Panics
     /// If there are more than [`OBSERVATIONS_MAX`] observations, or their probabilities are none or add up to

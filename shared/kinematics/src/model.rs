@@ -187,7 +187,7 @@ impl MotionModel {
     /// particles that are drawn from the start, see [`advance_particles`].
     ///
     /// # Panics
-    /// Where there are more than [`PARTICLES_MAX`].
+    /// If there are more than [`PARTICLES_MAX`].
     pub fn particle_moments(
         &self,
         controls: impl Iterator<Item = ControlGaussian>,

@@ -70,7 +70,7 @@ impl LaneGuide {
     /// at most 1.
     ///
     /// # Panics
-    /// Where there are more modes, or longer paths, than a payload holds, or not a probability for each.
+    /// If there are more modes, or longer paths, than a payload holds, or not a probability for each.
     pub fn guide(
         &mut self,
         agent: &Guided,

@@ -18,7 +18,7 @@ const BANDWIDTH_MIN_M: f64 = 0.01;
 /// no weight is positive.
 ///
 /// # Panics
-/// Where there are not as many weights as samples.
+/// If there are not as many weights as samples.
 #[must_use]
 pub fn kde_log_density(samples: &[Point], weights: &[f32], truth: Point) -> f64 {
     assert_eq!(samples.len(), weights.len(), "one weight per sample");

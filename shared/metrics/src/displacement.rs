@@ -66,7 +66,7 @@ impl DisplacementMean {
 /// ADE and FDE of one trajectory.
 ///
 /// # Panics
-/// Where the trajectory is shorter than the truth.
+/// If the trajectory is shorter than the truth.
 #[must_use]
 pub fn displacement(trajectory: &[Point], truth: &[Option<Point>]) -> Displacement {
     assert!(trajectory.len() >= truth.len(), "{} steps, truth has {}", trajectory.len(), truth.len());
@@ -84,7 +84,7 @@ pub fn displacement(trajectory: &[Point], truth: &[Option<Point>]) -> Displaceme
 /// and minFDE₂₀.
 ///
 /// # Panics
-/// Where a trajectory is shorter than the truth.
+/// If a trajectory is shorter than the truth.
 #[must_use]
 pub fn min_displacement<M: AsRef<[Point]>>(modes: &[M], truth: &[Option<Point>]) -> Displacement {
     let each = modes.iter().map(|mode| displacement(mode.as_ref(), truth));
@@ -96,7 +96,7 @@ pub fn min_displacement<M: AsRef<[Point]>>(modes: &[M], truth: &[Option<Point>])
 /// FDE. Every agent counts once in the result.
 ///
 /// # Panics
-/// Where the agents have different numbers of modes, or a trajectory is shorter than the truth.
+/// If the agents have different numbers of modes, or a trajectory is shorter than the truth.
 #[must_use]
 pub fn joint_min_displacement<M: AsRef<[Point]>>(agents: &[(&[M], &[Option<Point>])]) -> DisplacementMean {
     let modes_len = agents.first().map_or(0, |(modes, _)| modes.len());

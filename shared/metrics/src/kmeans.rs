@@ -24,7 +24,7 @@ pub struct Clusters {
 /// centres repeat and the later of equals stay empty. Cost: points × clusters × dimension per round.
 ///
 /// # Panics
-/// Where there are no points, a size is 0, or `points` is no whole number of rows.
+/// If there are no points, a size is 0, or `points` is no whole number of rows.
 #[must_use]
 pub fn kmeans(points: &[f32], dimension: usize, clusters: usize, seed: u64, iterations: usize) -> Clusters {
     assert!(dimension > 0 && clusters > 0, "dimension {dimension}, clusters {clusters}");

@@ -29,7 +29,7 @@ const GOLDEN: f32 = 0.618_034;
 /// component is not a number. Cost: about 10 µs for 20 components.
 ///
 /// # Panics
-/// Where there are not as many means, covariances and probabilities.
+/// If there are not as many means, covariances and probabilities.
 #[must_use]
 pub fn highest_density_level(
     means: &[Point],
@@ -68,7 +68,7 @@ impl HighestDensity {
     /// As [`highest_density_level`].
     ///
     /// # Panics
-    /// Where there are not as many means, covariances and probabilities.
+    /// If there are not as many means, covariances and probabilities.
     pub fn level(
         &mut self,
         means: &[Point],
@@ -102,7 +102,7 @@ impl HighestDensity {
     /// is nearly always within a tenth, and the error of the mean of many vanishes.
     ///
     /// # Panics
-    /// Where there are not as many means, covariances and probabilities.
+    /// If there are not as many means, covariances and probabilities.
     pub fn area_m2(
         &mut self,
         means: &[Point],

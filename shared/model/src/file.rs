@@ -40,7 +40,7 @@ impl ModelConfig {
     /// The model of the run with the directory `root`.
     ///
     /// # Errors
-    /// [`ModelFileError`] where its file is not there or can't be used.
+    /// [`ModelFileError`] if its file is not there or can't be used.
     pub fn of_run(root: &Path) -> Result<Self, ModelFileError> {
         let path = root.join(FILE);
         let text = match std::fs::read_to_string(&path) {
@@ -60,7 +60,7 @@ impl ModelConfig {
     /// Writes the model of the run with the directory `root`, for [`ModelConfig::of_run`].
     ///
     /// # Errors
-    /// [`ModelFileError`] where the file can't be written.
+    /// [`ModelFileError`] if the file can't be written.
     pub fn write(&self, root: &Path) -> Result<(), ModelFileError> {
         let path = root.join(FILE);
         let text = match serde_json::to_string_pretty(self) {

@@ -78,7 +78,7 @@ impl Gdat {
     /// The layers `gdat.*`.
     ///
     /// # Errors
-    /// Where a tensor is missing or has another shape.
+    /// If a tensor is missing or has another shape.
     pub fn new(weights: &Weights) -> Result<Self, WeightsError> {
         let rounds = weights.config().rounds;
         let rounds =
@@ -89,7 +89,7 @@ impl Gdat {
     /// Temporal summaries ṽ of all agents, a row each; zeros for agents that are present at no step.
     ///
     /// # Panics
-    /// Where the parts of the graph do not fit one another, or `out` has not a row per agent.
+    /// If the parts of the graph do not fit one another, or `out` has not a row per agent.
     pub fn summarise(&self, graph: &Graph<'_>, memory: &mut GdatMemory, out: &mut [[f32; TEMPORAL]]) {
         self.run(graph, memory, out, None);
     }
@@ -134,7 +134,7 @@ impl Gdat {
     /// order, and be joined by [`Gdat::summarise_attended`].
     ///
     /// # Panics
-    /// Where the parts of the graph do not fit one another.
+    /// If the parts of the graph do not fit one another.
     pub fn attend<'a>(&self, graph: &Graph<'_>, memory: &'a mut GdatMemory) -> &'a [[f32; NODE_ATTRIBUTES]] {
         self.attend_traced(graph, memory, None);
         memory.nodes[0][..graph.nodes.len() * NODE_ATTRIBUTES].as_chunks().0
@@ -144,7 +144,7 @@ impl Gdat {
     /// bit, and all others anything. What nobody depends on is not computed.
     ///
     /// # Panics
-    /// Where the parts of the graph do not fit one another, or it has more than one step or
+    /// If the parts of the graph do not fit one another, or it has more than one step or
     /// [`AGENTS_MAX`] agents.
     pub fn attend_wanted<'a>(
         &self,
@@ -187,7 +187,7 @@ impl Gdat {
     /// Temporal summaries ṽ of all agents from what [`Gdat::attend`] made of their nodes, \[step, agent\].
     ///
     /// # Panics
-    /// Where `nodes` and `present` do not fit one another, or `out` is empty beside them.
+    /// If `nodes` and `present` do not fit one another, or `out` is empty beside them.
     pub fn summarise_attended(
         &self,
         present: &[bool],

@@ -176,7 +176,7 @@ impl Support {
     /// The support with a lower and an upper bound per feature.
     ///
     /// # Panics
-    /// Where there are not as many bounds as features.
+    /// If there are not as many bounds as features.
     #[must_use]
     pub fn new(bounds: &[[f32; 2]]) -> Self {
         Self { bounds: std::array::from_fn(|feature| bounds[feature]) }
@@ -241,7 +241,7 @@ impl Base {
     /// The tensors `base.{type}.*`.
     ///
     /// # Errors
-    /// Where a tensor is missing or has another shape.
+    /// If a tensor is missing or has another shape.
     pub fn read(weights: &Weights, agent_type: AgentType) -> Result<Self, WeightsError> {
         let ModelConfig { horizon_len, modes: modes_len, .. } = *weights.config();
         let name = |part: &str| format!("base.{}.{part}", agent_type.name());
@@ -268,7 +268,7 @@ impl Base {
     /// The ridge regression's controls, one for each step of the horizon.
     ///
     /// # Panics
-    /// Where `controls` is shorter than the horizon.
+    /// If `controls` is shorter than the horizon.
     pub fn ridge(&self, features: &BaseFeatures, controls: &mut [[f32; 2]]) {
         let row_len = 2 * self.horizon_len;
         let table = (features.class * SPEED_BINS + features.speed_bin(&self.speed_cuts_mps)) * FEATURES;
@@ -307,7 +307,7 @@ impl Base {
     /// The base controls of every mode, and those of the best forecast behind them, \[mode, step\].
     ///
     /// # Panics
-    /// Where `controls` has not [`Base::controls_len`] places.
+    /// If `controls` has not [`Base::controls_len`] places.
     pub fn controls(&self, features: &BaseFeatures, controls: &mut [[f32; 2]]) {
         assert_eq!(controls.len(), self.controls_len(), "a control per mode and step");
         let (modes, best) = controls.split_at_mut(self.modes_len * self.horizon_len);

@@ -54,7 +54,7 @@ impl ContextCnn {
     /// The layers `fe.context.*`.
     ///
     /// # Errors
-    /// Where a tensor is missing or has another shape.
+    /// If a tensor is missing or has another shape.
     pub fn new(weights: &Weights) -> Result<Self, WeightsError> {
         let config = weights.config();
         let (width, patch_side) = (config.width, config.patch_size);
@@ -110,7 +110,7 @@ impl ContextCnn {
     /// Context embeddings CE of patches that lie one after the other, a row each.
     ///
     /// # Panics
-    /// Where `patches` does not hold a patch for each row of `out`.
+    /// If `patches` does not hold a patch for each row of `out`.
     pub fn embed(&self, patches: &[f32], memory: &mut ContextMemory, out: &mut [[f32; CONTEXT_EMBEDDING]]) {
         assert_eq!(patches.len(), out.len() * self.patch_len(), "a patch for each row");
         let batches = patches.chunks(BATCH * self.patch_len()).zip(out.chunks_mut(BATCH));

@@ -121,7 +121,7 @@ impl Decoder {
     /// control.
     ///
     /// # Errors
-    /// Where a tensor is missing or has another shape.
+    /// If a tensor is missing or has another shape.
     pub fn new(weights: &Weights) -> Result<Self, WeightsError> {
         Self::read(weights, None)
     }
@@ -129,7 +129,7 @@ impl Decoder {
     /// The same with the recurrent layer in a precision.
     ///
     /// # Errors
-    /// [`StartError`] where the weights do not hold the model, or this process can't compute in the precision.
+    /// [`StartError`] if the weights do not hold the model, or this process can't compute in the precision.
     pub fn with_precision(weights: &Weights, precision: Precision) -> Result<Self, StartError> {
         Ok(Self::read(weights, precision.dot_products()?)?)
     }
@@ -210,7 +210,7 @@ impl TypeDecoder {
     /// Hidden states h after the present history steps, a row per agent.
     ///
     /// # Panics
-    /// Where states, presence and `hidden` do not fit one another.
+    /// If states, presence and `hidden` do not fit one another.
     pub fn burn_in(&self, agents: &BurnIn<'_>, memory: &mut DecoderMemory, hidden: &mut [[f32; HIDDEN]]) {
         let rows_len = agents.agents_len;
         assert_eq!(agents.states.len(), agents.present.len(), "presence of each state");
@@ -248,7 +248,7 @@ impl TypeDecoder {
     /// forecast where the model has one.
     ///
     /// # Panics
-    /// Where the parts do not fit one another, or where there are to be points and the model has none.
+    /// If the parts do not fit one another, or if there are to be points and the model has none.
     pub fn forecast(
         &self,
         hidden: &[[f32; HIDDEN]],
@@ -350,7 +350,7 @@ impl TypeDecoder {
     /// left.
     ///
     /// # Panics
-    /// Where the parts do not fit one another.
+    /// If the parts do not fit one another.
     pub fn mode_probabilities(
         &self,
         hidden: &[[f32; HIDDEN]],

@@ -14,7 +14,7 @@ impl StateMlp {
     /// The layers `fe.state.*`.
     ///
     /// # Errors
-    /// Where a tensor is missing or has another shape.
+    /// If a tensor is missing or has another shape.
     pub fn new(weights: &Weights) -> Result<Self, WeightsError> {
         let config = weights.config();
         let out_len = config.state_embedding_len();
@@ -46,7 +46,7 @@ impl RelationMlp {
     /// The layers `fe.relation.*`.
     ///
     /// # Errors
-    /// Where a tensor is missing or has another shape.
+    /// If a tensor is missing or has another shape.
     pub fn new(weights: &Weights) -> Result<Self, WeightsError> {
         let lengths = [RELATION_FEATURES, HIDDEN, HIDDEN, HIDDEN, EDGE_ATTRIBUTES];
         Ok(Self { mlp: Mlp::read(weights, "fe.relation", &lengths)? })

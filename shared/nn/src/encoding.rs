@@ -12,7 +12,7 @@ impl EncodingFunction {
     /// The layers `encoder.*`.
     ///
     /// # Errors
-    /// Where a tensor is missing or has another shape.
+    /// If a tensor is missing or has another shape.
     pub fn new(weights: &Weights) -> Result<Self, WeightsError> {
         Ok(Self { mlp: Mlp::read(weights, "encoder", &[2 * TEMPORAL, 128, 128, LATENT])? })
     }

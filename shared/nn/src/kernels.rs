@@ -141,7 +141,7 @@ fn of_number(number: u8) -> Option<Isa> {
 /// processor has.
 ///
 /// # Panics
-/// Where [`VARIABLE`] can't be followed; programs report that by [`follow_environment`] first.
+/// If [`VARIABLE`] can't be followed; programs report that by [`follow_environment`] first.
 #[must_use]
 pub fn active() -> Isa {
     of_number(ACTIVE.load(Ordering::Relaxed)).unwrap_or_else(|| match follow_environment() {
@@ -159,7 +159,7 @@ pub fn forced() -> Option<Isa> {
 /// Chooses the set that [`VARIABLE`] names, else the fastest; does nothing where one was chosen before.
 ///
 /// # Errors
-/// [`IsaError::Variable`] where the variable names no set, or one that the processor lacks.
+/// [`IsaError::Variable`] if the variable names no set, or one that the processor lacks.
 pub fn follow_environment() -> Result<Isa, IsaError> {
     if let Some(isa) = of_number(ACTIVE.load(Ordering::Relaxed)) {
         return Ok(isa);
@@ -177,7 +177,7 @@ pub fn follow_environment() -> Result<Isa, IsaError> {
 /// Makes all kernels of this process use `isa` from now on.
 ///
 /// # Errors
-/// [`IsaError::Unavailable`] where the processor lacks it; nothing changes then.
+/// [`IsaError::Unavailable`] if the processor lacks it; nothing changes then.
 pub fn force(isa: Isa) -> Result<(), IsaError> {
     if !isa.available() {
         return Err(IsaError::Unavailable(isa));

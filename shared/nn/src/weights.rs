@@ -149,7 +149,7 @@ impl Weights {
     /// The weights of a run, which must be of the run's `model`.
     ///
     /// # Errors
-    /// [`WeightsError::OtherModel`] where they are not; else as [`Weights::open`].
+    /// [`WeightsError::OtherModel`] if they are not; else as [`Weights::open`].
     pub fn of_model(path: Option<&Path>, model: &ModelConfig) -> Result<Self, WeightsError> {
         let weights = Self::open_or_onboard(path)?;
         match difference(&weights.config, model) {
@@ -210,7 +210,7 @@ impl Weights {
     /// A tensor's values in row-major order.
     ///
     /// # Errors
-    /// [`WeightsError::Missing`], or [`WeightsError::Shape`] where the shape is not `shape`.
+    /// [`WeightsError::Missing`], or [`WeightsError::Shape`] if the shape is not `shape`.
     pub fn tensor(&self, name: &str, shape: &[usize]) -> Result<&[f32], WeightsError> {
         let tensor = self.tensors.get(name).ok_or_else(|| WeightsError::Missing { name: name.into() })?;
         if tensor.shape == shape {

@@ -202,10 +202,10 @@ impl<J: Job> Workers<J> {
     /// A pool with a worker for each job; the first job runs on the caller's thread.
     ///
     /// # Errors
-    /// Where the operating system refuses a thread.
+    /// If the operating system refuses a thread.
     ///
     /// # Panics
-    /// Where there is no job.
+    /// If there is no job.
     pub fn new(input: J::Input, jobs: impl IntoIterator<Item = J>) -> std::io::Result<Self>
     where
         J::Input: 'static,
@@ -267,7 +267,7 @@ impl<J: Job> Workers<J> {
     /// Does the blocks below `blocks_len` and returns when the last is done.
     ///
     /// # Panics
-    /// Where a job panicked.
+    /// If a job panicked.
     pub fn run(&mut self, blocks_len: usize) {
         self.run_until(blocks_len, None);
     }
@@ -276,7 +276,7 @@ impl<J: Job> Workers<J> {
     /// long as the longest of the step so far. Blocks are begun in their order, and the first is always done.
     ///
     /// # Panics
-    /// Where a job panicked.
+    /// If a job panicked.
     pub fn run_until(&mut self, blocks_len: usize, deadline: Option<Deadline>) {
         *self.step.deadline.write().unwrap_or_else(PoisonError::into_inner) = deadline;
         self.step.block_ns.store(0, Ordering::Relaxed);

@@ -62,7 +62,7 @@ impl<'a> Message<'a> {
     /// A field that is a message.
     ///
     /// # Panics
-    /// Where the message has 256 MiB.
+    /// If the message has 256 MiB.
     pub fn message(&mut self, field: u32, fill: impl FnOnce(&mut Message<'_>)) {
         self.key(field, Wire::Length);
         let place = self.bytes.len();

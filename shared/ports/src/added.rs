@@ -107,7 +107,7 @@ impl Node {
     /// Opens a topic that the pipeline file declares for reading, by its name in the run's record.
     ///
     /// # Errors
-    /// [`PortError`] where the topic has its most readers already, its writer has made it with another type, or
+    /// [`PortError`] if the topic has its most readers already, its writer has made it with another type, or
     /// shared memory is short.
     pub fn added_subscriber(&self, topic: &TopicRun) -> Result<AddedSubscriber, PortError> {
         let services = self.added_services(topic, &topic.name, |builder| builder.user_header::<Head>())?;
@@ -173,7 +173,7 @@ impl Beside {
     /// The headers that have come, unchecked.
     ///
     /// # Errors
-    /// [`PortError`] where the transport fails.
+    /// [`PortError`] if the transport fails.
     pub fn take(&self) -> Result<Vec<Header>, PortError> {
         let mut headers = Vec::new();
         for topic in &self.0 {
@@ -199,7 +199,7 @@ impl AddedSubscriber {
     /// The oldest frame of the queue, if there is one.
     ///
     /// # Errors
-    /// [`PortError`] where the transport fails.
+    /// [`PortError`] if the transport fails.
     pub fn receive(&self) -> Result<Option<AddedFrame>, PortError> {
         Ok(self.subscriber.receive().map_err(PortError::of("receiving", TOPIC))?.map(AddedFrame))
     }
@@ -207,7 +207,7 @@ impl AddedSubscriber {
     /// Takes the events that have come, so that the descriptor is readable again only when another comes.
     ///
     /// # Errors
-    /// [`PortError`] where the transport fails.
+    /// [`PortError`] if the transport fails.
     pub fn drain(&self) -> Result<(), PortError> {
         drain(&self.listener)
     }

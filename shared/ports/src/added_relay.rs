@@ -48,7 +48,7 @@ impl AddedRelay {
     /// Reads what is written under `name`, and writes to the readers of the topic.
     ///
     /// # Errors
-    /// [`PortError`] where the run's shared memory can't be used.
+    /// [`PortError`] if the run's shared memory can't be used.
     pub fn open(run: &Run, topic: &TopicRun, name: &str) -> Result<Self, PortError> {
         let relay = Self::of(Node::open(run, "injector")?, topic, name, true)?;
         relay.writer.replace(Some(Writer::open(&relay.node, topic)?));
@@ -58,7 +58,7 @@ impl AddedRelay {
     /// Only reads the topic, as one more consumer.
     ///
     /// # Errors
-    /// [`PortError`] where the run's shared memory can't be used.
+    /// [`PortError`] if the run's shared memory can't be used.
     pub fn consumer(run: &Run, topic: &TopicRun) -> Result<Self, PortError> {
         Self::of(Node::open(run, "consumer")?, topic, &topic.name, false)
     }
@@ -74,7 +74,7 @@ impl AddedRelay {
     /// [`Relay::follow_writer`](crate::Relay::follow_writer).
     ///
     /// # Errors
-    /// [`PortError`] where the topic can't be opened again.
+    /// [`PortError`] if the topic can't be opened again.
     pub fn follow_writer(&self) -> Result<(), PortError> {
         let has_writer = self.services.0.dynamic_config().number_of_publishers() > 0;
         if self.had_writer.replace(has_writer) && !has_writer {
@@ -88,7 +88,7 @@ impl AddedRelay {
     /// The oldest frame of the queue, if there is one.
     ///
     /// # Errors
-    /// [`PortError`] where the transport fails: also where more frames are held than a reader may hold.
+    /// [`PortError`] if the transport fails: also if more frames are held than a reader may hold.
     pub fn receive(&self) -> Result<Option<AddedFrame>, PortError> {
         self.subscriber.receive()
     }
@@ -97,7 +97,7 @@ impl AddedRelay {
     /// ([`AddedRelay::follow_writer`]), or that only reads, sends nothing.
     ///
     /// # Errors
-    /// [`PortError`] where the transport fails.
+    /// [`PortError`] if the transport fails.
     pub fn send(&self, header: &Header, payload: &[u8]) -> Result<(), PortError> {
         match self.writer.borrow().as_ref() {
             Some(writer) => writer.send(header, payload, self.topic.element_size),
@@ -108,7 +108,7 @@ impl AddedRelay {
     /// Sleeps until a frame comes, a signal or the end of `timeout`. May return early.
     ///
     /// # Errors
-    /// [`PortError`] where the transport fails.
+    /// [`PortError`] if the transport fails.
     pub fn sleep(&self, timeout: Duration) -> Result<(), PortError> {
         wait([&self.subscriber as _], timeout)
     }

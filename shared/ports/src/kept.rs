@@ -30,7 +30,7 @@ impl KeptMemory {
     /// Opens the run's file of that name with what an earlier process has left in it; empty where there is none.
     ///
     /// # Errors
-    /// Where the file can't be made or mapped, or another process has it open.
+    /// If the file can't be made or mapped, or another process has it open.
     pub fn open(run: &Run, name: &str) -> io::Result<Self> {
         let path = Path::new(SHARED_MEMORY).join(format!("{}{name}", run.prefix));
         let flags = OFlags::RDWR | OFlags::CREATE | OFlags::CLOEXEC | OFlags::NOFOLLOW;
@@ -59,7 +59,7 @@ impl KeptMemory {
     /// Makes the file longer, with zeros; a file that is as long already stays as it is.
     ///
     /// # Errors
-    /// Where shared memory is full; then nothing has changed.
+    /// If shared memory is full; then nothing has changed.
     pub fn grow_to(&mut self, len: usize) -> io::Result<()> {
         let before = self.mapped.map_or(0, |(_, len)| len);
         if len <= before {

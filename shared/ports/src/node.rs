@@ -79,7 +79,7 @@ impl Node {
     /// Joins a run under a name that tools show.
     ///
     /// # Errors
-    /// [`PortError`] where the run's files can't be made or the signals not be taken over.
+    /// [`PortError`] if the run's files can't be made or the signals not be taken over.
     pub fn open(run: &Run, name: &str) -> Result<Self, PortError> {
         let stop = Stop::on_signals().map_err(PortError::of_node("taking over the signals to end"))?;
         let node_name = NodeName::new(name).map_err(PortError::of_node("name of the node"))?;
@@ -121,7 +121,7 @@ impl Node {
     /// Opens a topic for writing.
     ///
     /// # Errors
-    /// [`PortError`] where the topic has its writers already or shared memory is short.
+    /// [`PortError`] if the topic has its writers already or shared memory is short.
     pub fn publisher<T: Topic>(&self) -> Result<Publisher<T>, PortError> {
         let (publisher, notifier) = publisher_of(&self.services::<T>(self.names.of(T::NAME))?)?;
         Ok(Publisher::new(publisher, notifier, self.sender, self.protects::<T>()))
@@ -130,7 +130,7 @@ impl Node {
     /// Opens a topic for reading with a queue of `depth` frames; the oldest is dropped when it is full.
     ///
     /// # Errors
-    /// [`PortError`] where the topic has its most readers already, shared memory is short, or `depth` is more
+    /// [`PortError`] if the topic has its most readers already, shared memory is short, or `depth` is more
     /// than [`Topic::DEPTH_MAX`].
     pub fn subscriber<T: Topic>(&self, depth: usize) -> Result<Subscriber<T>, PortError> {
         let services = self.services::<T>(self.names.of(T::NAME))?;
@@ -264,7 +264,7 @@ impl Topics {
     /// Makes those of a run.
     ///
     /// # Errors
-    /// [`PortError`] where one can't be made.
+    /// [`PortError`] if one can't be made.
     pub fn make(run: &Run) -> Result<Self, PortError> {
         let node = Node::open(run, "topics")?;
         fn of<T: Topic>(node: &Node) -> Result<Box<dyn Debug>, PortError> {

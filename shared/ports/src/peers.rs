@@ -39,7 +39,7 @@ impl Peers {
     /// Takes the heartbeats that have come; returns them.
     ///
     /// # Errors
-    /// [`PortError`] where the transport fails.
+    /// [`PortError`] if the transport fails.
     pub fn listen(&mut self) -> Result<Vec<Heartbeat>, PortError> {
         let mut came = Vec::new();
         while let Some(frame) = self.heartbeats.receive()? {

@@ -52,7 +52,7 @@ pub fn stage_main(stage: fn(&Run) -> Result<(), StageError>) -> ExitCode {
 /// Asks the kernel to kill this process when its launcher dies, so that no stage outlives it.
 ///
 /// # Errors
-/// [`StageError::LauncherGone`] where the launcher has died already.
+/// [`StageError::LauncherGone`] if the launcher has died already.
 pub fn die_with_launcher() -> Result<(), StageError> {
     let launcher = std::env::var(LAUNCHER_VARIABLE).ok().and_then(|pid| Pid::from_raw(pid.parse().ok()?));
     if launcher.is_none() {

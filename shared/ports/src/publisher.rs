@@ -50,7 +50,7 @@ impl<T: Topic> Publisher<T> {
     /// Room for `len` elements; until written they hold an earlier frame or zeros.
     ///
     /// # Errors
-    /// [`PortError`] where `len` is beyond [`Topic::ELEMENTS_MAX`] or shared memory is full.
+    /// [`PortError`] if `len` is beyond [`Topic::ELEMENTS_MAX`] or shared memory is full.
     pub fn loan(&self, len: usize) -> Result<Loan<T>, PortError> {
         if len > T::ELEMENTS_MAX {
             return Err(PortError::TooMany { topic: T::NAME, found: len, most: T::ELEMENTS_MAX });
@@ -67,7 +67,7 @@ impl<T: Topic> Publisher<T> {
     /// Sends a frame to all readers, in the name of this process, and wakes them.
     ///
     /// # Errors
-    /// [`PortError`] where the transport fails.
+    /// [`PortError`] if the transport fails.
     pub fn send(&self, mut loan: Loan<T>, header: Header) -> Result<(), PortError> {
         let is_ours = T::PUBLISHERS_MAX == 1;
         let at = |point| {

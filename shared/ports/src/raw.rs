@@ -33,7 +33,7 @@ impl<T: Topic> RawSubscriber<T> {
     /// The oldest frame of the queue, if there is one.
     ///
     /// # Errors
-    /// [`PortError`] where the transport fails.
+    /// [`PortError`] if the transport fails.
     pub fn receive(&self) -> Result<Option<RawFrame<T>>, PortError> {
         let sample = self.subscriber.receive().map_err(PortError::of("receiving", T::NAME))?;
         Ok(sample.map(RawFrame::of))
@@ -42,7 +42,7 @@ impl<T: Topic> RawSubscriber<T> {
     /// Takes the events that have come, so that the descriptor is readable again only when another comes.
     ///
     /// # Errors
-    /// [`PortError`] where the transport fails.
+    /// [`PortError`] if the transport fails.
     pub fn drain(&self) -> Result<(), PortError> {
         drain(&self.listener)
     }

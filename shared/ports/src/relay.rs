@@ -58,7 +58,7 @@ impl<T: Topic> Relay<T> {
     /// Reads what is written under `name`, and writes to the readers of the topic.
     ///
     /// # Errors
-    /// [`PortError`] where the run's shared memory can't be used.
+    /// [`PortError`] if the run's shared memory can't be used.
     pub fn open(run: &Run, name: &str) -> Result<Self, PortError> {
         let node = Node::open(run, "injector")?;
         let services = node.services::<T>(name)?;
@@ -70,7 +70,7 @@ impl<T: Topic> Relay<T> {
     /// Only reads the topic, as one more consumer, with a queue of `depth` frames.
     ///
     /// # Errors
-    /// [`PortError`] where the run's shared memory can't be used.
+    /// [`PortError`] if the run's shared memory can't be used.
     pub fn consumer(run: &Run, depth: usize) -> Result<Self, PortError> {
         let node = Node::open(run, "consumer")?;
         let services = node.services::<T>(T::NAME)?;
@@ -83,7 +83,7 @@ impl<T: Topic> Relay<T> {
     /// the end of a writer that dies. Until the first one has come the topic stays open.
     ///
     /// # Errors
-    /// [`PortError`] where the topic can't be opened again.
+    /// [`PortError`] if the topic can't be opened again.
     pub fn follow_writer(&self) -> Result<(), PortError> {
         let has_writer = self.services.0.dynamic_config().number_of_publishers() > 0;
         if self.had_writer.replace(has_writer) && !has_writer {
@@ -97,7 +97,7 @@ impl<T: Topic> Relay<T> {
     /// The oldest frame of the queue, if there is one.
     ///
     /// # Errors
-    /// [`PortError`] where the transport fails: also where more frames are held than a reader may hold.
+    /// [`PortError`] if the transport fails: also if more frames are held than a reader may hold.
     pub fn receive(&self) -> Result<Option<RawFrame<T>>, PortError> {
         let sample = self.subscriber.receive().map_err(PortError::of("receiving", T::NAME))?;
         Ok(sample.map(RawFrame))
@@ -107,7 +107,7 @@ impl<T: Topic> Relay<T> {
     /// ([`Relay::follow_writer`]), or that only reads, sends nothing.
     ///
     /// # Errors
-    /// [`PortError`] where the transport fails.
+    /// [`PortError`] if the transport fails.
     pub fn send(&self, header: &Header, elements: &[T::Element]) -> Result<(), PortError> {
         let writer = self.writer.borrow();
         let Some((publisher, notifier)) = writer.as_ref() else { return Ok(()) };
@@ -127,7 +127,7 @@ impl<T: Topic> Relay<T> {
     /// Sleeps until a frame comes, a signal or the end of `timeout`. May return early.
     ///
     /// # Errors
-    /// [`PortError`] where the transport fails.
+    /// [`PortError`] if the transport fails.
     pub fn sleep(&self, timeout: Duration) -> Result<(), PortError> {
         wait([self as &dyn Wakes], timeout)
     }

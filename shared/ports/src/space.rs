@@ -91,7 +91,7 @@ impl Space {
     /// Takes names for a run whose number is `run_id`.
     ///
     /// # Errors
-    /// [`SpaceError`] where shared memory has less than `needed_bytes` free, or the files can't be made.
+    /// [`SpaceError`] if shared memory has less than `needed_bytes` free, or the files can't be made.
     pub fn create(run_id: u64, needed_bytes: u64) -> Result<Self, SpaceError> {
         let free =
             shared_memory_free().map_err(|source| SpaceError::File { path: SHARED_MEMORY.into(), source })?;
@@ -197,7 +197,7 @@ pub(crate) fn is_older(metadata: &Metadata, age: Duration) -> bool {
 /// Bytes free in shared memory.
 ///
 /// # Errors
-/// Where there is no shared memory.
+/// If there is no shared memory.
 pub fn shared_memory_free() -> io::Result<u64> {
     let StatVfs { f_bavail, f_frsize, .. } = statvfs(SHARED_MEMORY)?;
     Ok(f_bavail * f_frsize)
@@ -206,7 +206,7 @@ pub fn shared_memory_free() -> io::Result<u64> {
 /// The runs of this user whose launcher is gone and whose files are still there.
 ///
 /// # Errors
-/// Where the directories can't be read.
+/// If the directories can't be read.
 pub fn leftovers() -> io::Result<Vec<Leftover>> {
     Ok(prefixes()?.into_iter().filter_map(leftover).collect())
 }
@@ -214,7 +214,7 @@ pub fn leftovers() -> io::Result<Vec<Leftover>> {
 /// The runs of this user that go on.
 ///
 /// # Errors
-/// Where the directories can't be read.
+/// If the directories can't be read.
 pub fn living_runs() -> io::Result<Vec<LivingRun>> {
     let living = prefixes()?
         .into_iter()

@@ -89,7 +89,7 @@ impl Stage {
     /// waits, and no others.
     ///
     /// # Errors
-    /// [`PortError`] where the run's shared memory can't be used.
+    /// [`PortError`] if the run's shared memory can't be used.
     pub fn open<O>(run: &Run, declaration: &Declaration<O>) -> Result<Self, PortError> {
         let (id, incarnation) = (declaration.id(), crate::incarnation());
         points::arm(id, incarnation);
@@ -126,7 +126,7 @@ impl Stage {
     /// As [`Node::subscriber`].
     ///
     /// # Panics
-    /// Where the stage has not declared that it reads the topic.
+    /// If the stage has not declared that it reads the topic.
     pub fn subscribe<T: Topic>(&mut self) -> Result<Subscriber<T>, PortError> {
         self.subscribe_deep(DEPTH)
     }
@@ -137,7 +137,7 @@ impl Stage {
     /// As [`Node::subscriber`].
     ///
     /// # Panics
-    /// Where the stage has not declared that it reads the topic.
+    /// If the stage has not declared that it reads the topic.
     pub fn subscribe_deep<T: Topic>(&mut self, depth: usize) -> Result<Subscriber<T>, PortError> {
         let reads = self.declared.reads;
         assert!(reads.contains(&T::NAME), "the {} declares no input \"{}\"", self.id.name(), T::NAME);
@@ -155,7 +155,7 @@ impl Stage {
     /// As [`Node::subscriber`].
     ///
     /// # Panics
-    /// Where the stage has not declared that it reads the topic.
+    /// If the stage has not declared that it reads the topic.
     pub fn subscribe_feedback<T: Topic>(&mut self, depth: usize) -> Result<Subscriber<T>, PortError> {
         let subscriber = self.subscribe_deep(depth)?;
         self.on_the_way_len -= 1;
@@ -172,7 +172,7 @@ impl Stage {
     /// As [`Node::publisher`] and [`await_turn`](crate::await_turn).
     ///
     /// # Panics
-    /// Where the stage has not declared that it writes the topic.
+    /// If the stage has not declared that it writes the topic.
     pub fn publish<T: Topic>(&mut self) -> Result<Publisher<T>, PortError> {
         self.publish_after::<T>(|_, _| ())
     }
@@ -273,7 +273,7 @@ impl Stage {
     /// Frames that are no work (warm-up, end, refused by an earlier stage) go straight on to `output`.
     ///
     /// # Errors
-    /// [`PortError`] where the transport fails.
+    /// [`PortError`] if the transport fails.
     pub fn next<I: Topic, O: Topic>(
         &mut self,
         input: &Subscriber<I>,
@@ -294,7 +294,7 @@ impl Stage {
     /// the tick of a frame that was refused goes on as VOID, and [`Awaited::Lost`] is returned.
     ///
     /// # Errors
-    /// [`PortError`] where the transport fails.
+    /// [`PortError`] if the transport fails.
     pub fn next_until<I: Topic, O: Topic>(
         &mut self,
         input: &Subscriber<I>,
@@ -331,10 +331,10 @@ impl Stage {
     /// The next frame of any kind, asleep until it comes; none once the process has been asked to end.
     ///
     /// # Errors
-    /// [`PortError`] where the transport fails.
+    /// [`PortError`] if the transport fails.
     ///
     /// # Panics
-    /// Where a topic that the stage has declared is not open.
+    /// If a topic that the stage has declared is not open.
     pub fn take<I: Topic>(&mut self, input: &Subscriber<I>) -> Result<Option<Frame<I>>, PortError> {
         self.check_topics();
         while !self.stop().requested() {
@@ -354,7 +354,7 @@ impl Stage {
     /// Waits for the frame of tick `seq`, until `deadline_ns` on `CLOCK_MONOTONIC` where there is one.
     ///
     /// # Errors
-    /// [`PortError`] where the transport fails.
+    /// [`PortError`] if the transport fails.
     pub fn wait_for<I: Topic>(
         &mut self,
         input: &Subscriber<I>,
@@ -381,7 +381,7 @@ impl Stage {
     /// Sleeps until `until_ns` on `CLOCK_MONOTONIC`; false where the process has been asked to end.
     ///
     /// # Errors
-    /// [`PortError`] where the transport fails.
+    /// [`PortError`] if the transport fails.
     pub fn sleep_until(&mut self, until_ns: u64) -> Result<bool, PortError> {
         while !self.stop().requested() && monotonic_ns() < until_ns {
             self.sleep([], Some(until_ns))?;
@@ -393,7 +393,7 @@ impl Stage {
     /// asked to end.
     ///
     /// # Errors
-    /// [`PortError`] where the transport fails.
+    /// [`PortError`] if the transport fails.
     pub fn sleep_on<I: Topic>(&mut self, input: &Subscriber<I>, until_ns: u64) -> Result<bool, PortError> {
         self.sleep([input], Some(until_ns))?;
         Ok(!self.stop().requested())
@@ -425,7 +425,7 @@ impl Stage {
     /// that follow.
     ///
     /// # Errors
-    /// [`PortError`] where the transport fails.
+    /// [`PortError`] if the transport fails.
     pub fn finish<O: Topic>(
         &mut self,
         mut passage: Passage,
@@ -464,7 +464,7 @@ impl Stage {
     /// Sends a frame without elements.
     ///
     /// # Errors
-    /// [`PortError`] where the transport fails.
+    /// [`PortError`] if the transport fails.
     pub fn pass_empty<O: Topic>(
         &mut self,
         mut passage: Passage,
@@ -500,7 +500,7 @@ impl Stage {
     /// Sends a heartbeat now.
     ///
     /// # Errors
-    /// [`PortError`] where the transport fails.
+    /// [`PortError`] if the transport fails.
     pub fn beat(&mut self) -> Result<(), PortError> {
         let heartbeat = self.heartbeat();
         self.next_beat_ns = heartbeat.sent_ns + HEARTBEAT.as_nanos() as u64;

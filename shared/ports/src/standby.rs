@@ -45,7 +45,7 @@ pub(crate) fn is_standby() -> bool {
 /// what the old process leaves at its end.
 ///
 /// # Errors
-/// [`PortError::Node`] where the launcher is gone, [`PortError::NotNeeded`] where the process is asked to end
+/// [`PortError::Node`] if the launcher is gone, [`PortError::NotNeeded`] if the process is asked to end
 /// before its turn.
 pub fn await_turn(stage: StageId, stop: &Stop) -> Result<(), PortError> {
     await_turn_and(stage, stop, || Ok(()))

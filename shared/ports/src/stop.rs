@@ -70,7 +70,7 @@ impl Asked {
     /// Takes over SIGUSR1.
     ///
     /// # Errors
-    /// Where the system refuses the handler.
+    /// If the system refuses the handler.
     pub fn by_usr1() -> std::io::Result<Self> {
         let _held_back = HeldBack::begin();
         take_transport_handlers();

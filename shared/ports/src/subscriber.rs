@@ -136,7 +136,7 @@ impl<T: Topic> Subscriber<T> {
     /// are counted and left out.
     ///
     /// # Errors
-    /// [`PortError`] where the transport fails.
+    /// [`PortError`] if the transport fails.
     pub fn receive(&self) -> Result<Option<Frame<T>>, PortError> {
         if let Some(frame) = self.0.early.take() {
             return Ok(Some(frame));
@@ -169,7 +169,7 @@ impl<T: Topic> Subscriber<T> {
     /// The newest tick of the queue that is not VOID, if there is one; all other frames are dropped.
     ///
     /// # Errors
-    /// [`PortError`] where the transport fails.
+    /// [`PortError`] if the transport fails.
     pub fn newest(&self) -> Result<Option<Frame<T>>, PortError> {
         let mut newest = None;
         while let Some(frame) = self.receive()? {
@@ -183,7 +183,7 @@ impl<T: Topic> Subscriber<T> {
     /// The frame of tick `seq`, if it is in the queue; older ones are dropped, newer ones stay for later.
     ///
     /// # Errors
-    /// [`PortError`] where the transport fails.
+    /// [`PortError`] if the transport fails.
     pub fn of_tick(&self, seq: u64) -> Result<Option<Frame<T>>, PortError> {
         while let Some(frame) = self.receive()? {
             match (frame.header().is_tick(), frame.header().seq) {
@@ -216,7 +216,7 @@ impl<T: Topic> Subscriber<T> {
     /// queue.
     ///
     /// # Errors
-    /// [`PortError`] where the transport fails.
+    /// [`PortError`] if the transport fails.
     pub fn sleep(&self, timeout: Duration) -> Result<(), PortError> {
         wait([self], timeout)
     }
@@ -224,7 +224,7 @@ impl<T: Topic> Subscriber<T> {
     /// The same, and also until one of `others` is readable, such as the descriptor of a process that has ended.
     ///
     /// # Errors
-    /// [`PortError`] where the transport fails.
+    /// [`PortError`] if the transport fails.
     pub fn sleep_or(&self, others: &[BorrowedFd<'_>], timeout: Duration) -> Result<(), PortError> {
         wait_also(self, others, timeout)
     }

@@ -61,7 +61,7 @@ impl About {
     /// Reads what the launcher has written into a run's folder.
     ///
     /// # Errors
-    /// Where the file can't be read or is not of this version.
+    /// If the file can't be read or is not of this version.
     pub fn of_run(root: &Path) -> std::io::Result<Self> {
         Ok(serde_json::from_slice(&std::fs::read(root.join(ABOUT))?)?)
     }
@@ -69,7 +69,7 @@ impl About {
     /// Writes it into a run's folder.
     ///
     /// # Errors
-    /// Where the file can't be written.
+    /// If the file can't be written.
     pub fn write(&self, root: &Path) -> std::io::Result<()> {
         std::fs::write(root.join(ABOUT), serde_json::to_vec(self)?)
     }

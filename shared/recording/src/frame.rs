@@ -105,10 +105,10 @@ impl Frame {
     /// A frame of bytes, with whole elements.
     ///
     /// # Errors
-    /// [`FrameError`] where their number is not that of a frame.
+    /// [`FrameError`] if their number is not that of a frame.
     ///
     /// # Panics
-    /// Where there is no topic of that number.
+    /// If there is no topic of that number.
     pub fn read(topic: u8, bytes: Arc<[u8]>, received_ns: u64) -> Result<Self, FrameError> {
         Self::read_leading(topic, TABLE.topics[usize::from(topic)].element.size, bytes, received_ns)
     }
@@ -116,10 +116,10 @@ impl Frame {
     /// A frame of bytes, with the leading bytes of each element.
     ///
     /// # Errors
-    /// [`FrameError`] where their number is not that of a frame.
+    /// [`FrameError`] if their number is not that of a frame.
     ///
     /// # Panics
-    /// Where there is no topic of that number.
+    /// If there is no topic of that number.
     pub fn read_leading(
         topic: u8,
         element_bytes: usize,
@@ -236,7 +236,7 @@ impl Frame {
     /// frame does not hold of them is zero.
     ///
     /// # Errors
-    /// [`FrameError`] where it is a frame of another topic, its header is impossible or has another number of
+    /// [`FrameError`] if it is a frame of another topic, its header is impossible or has another number of
     /// elements.
     pub fn elements<T: Topic>(&self) -> Result<Vec<T::Element>, FrameError> {
         let found = self.topic().name;

@@ -23,7 +23,7 @@ impl FileSink {
     /// Makes the file.
     ///
     /// # Errors
-    /// Where there is one of that name, which may be worth more than this recording, or it can't be made.
+    /// If there is one of that name, which may be worth more than this recording, or it can't be made.
     pub fn create(path: &Path) -> io::Result<Self> {
         match File::options().read(true).write(true).create_new(true).open(path) {
             Ok(file) => Ok(Self { file, len: 0 }),

@@ -106,7 +106,7 @@ impl Writer {
     /// Begins a file. `layout` is the document of `stgdat wire --json`.
     ///
     /// # Errors
-    /// [`WriteError`] where there is a file of that name or it can't be begun.
+    /// [`WriteError`] if there is a file of that name or it can't be begun.
     pub fn create(path: &Path, about: &About, layout: &str) -> Result<Self, WriteError> {
         let failed = |source| WriteError { path: path.to_owned(), source };
         let sink = FileSink::create(path).map_err(failed)?;
@@ -118,7 +118,7 @@ impl<S: Sink> Writer<S> {
     /// Begins a recording in any sink.
     ///
     /// # Errors
-    /// Where the sink does not take its begin.
+    /// If the sink does not take its begin.
     pub fn over(sink: S, about: &About, layout: &str) -> io::Result<Self> {
         let [mut schemas, mut channel_records] = [Vec::new(), Vec::new()];
         let wire = format!("stgdat.wire.{}", about.schema);
@@ -337,7 +337,7 @@ impl<S: Sink> Writer<S> {
     /// Writes the chunk in hand, what was lost, and the index. `how` says why the recording ends.
     ///
     /// # Errors
-    /// [`WriteError`] where the disk does not take the end: the file is readable up to its last chunk, and
+    /// [`WriteError`] if the disk does not take the end: the file is readable up to its last chunk, and
     /// readers call it incomplete.
     pub fn finish(mut self, how: &str) -> Result<Written, WriteError> {
         // A second time for the events that the first has made.

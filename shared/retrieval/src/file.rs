@@ -57,7 +57,7 @@ impl RetrievalMemory {
     /// Writes the entries, of forecasts of these weights, to a file, all of it or nothing.
     ///
     /// # Errors
-    /// [`MemoryError::File`] where the folder can't be written.
+    /// [`MemoryError::File`] if the folder can't be written.
     pub fn save(&self, path: &Path, weights_sha256: &str) -> Result<(), MemoryError> {
         let target = target(path);
         let bytes = self.to_bytes(weights_sha256).map_err(|source| target.format(source))?;
@@ -68,7 +68,7 @@ impl RetrievalMemory {
     /// a length.
     ///
     /// # Errors
-    /// [`MemoryError`] where the file can't be read, is no memory, is one of other weights' forecasts, or
+    /// [`MemoryError`] if the file can't be read, is no memory, is one of other weights' forecasts, or
     /// holds numbers that no memory has.
     pub fn load(
         path: &Path,

@@ -109,7 +109,7 @@ impl Residuals {
     /// The residuals of a path to a forecast, both from the same start.
     ///
     /// # Panics
-    /// Where one of them has more steps than a payload holds.
+    /// If one of them has more steps than a payload holds.
     #[must_use]
     pub fn between(
         kind: MotionKind,

@@ -79,7 +79,7 @@ impl ModeSelection {
     /// the share of the weights that are nearest to it.
     ///
     /// # Panics
-    /// Where there are not as many paths as weights, or steps than a payload holds.
+    /// If there are not as many paths as weights, or steps than a payload holds.
     pub fn select(
         &mut self,
         kind: MotionKind,

@@ -178,7 +178,7 @@ impl<O> Declaration<O> {
     /// Which stage it is: of an added one, the one that this process runs as ([`own_stage`]).
     ///
     /// # Panics
-    /// Where the stage is an added one and this process was not started as one.
+    /// If the stage is an added one and this process was not started as one.
     #[must_use]
     pub fn id(&self) -> StageId {
         self.id.or_else(own_stage).unwrap_or_else(|| panic!("{STAGE_VARIABLE} names no stage of this run"))
@@ -201,8 +201,8 @@ impl<O: Default + DeserializeOwned> Declaration<O> {
     /// The stage's options in a run; the defaults where the run does not have the stage.
     ///
     /// # Errors
-    /// [`OptionError::Unreadable`] where the record holds options that this program does not have,
-    /// [`OptionError::Conflict`] where they exclude each other.
+    /// [`OptionError::Unreadable`] if the record holds options that this program does not have,
+    /// [`OptionError::Conflict`] if they exclude each other.
     pub fn options(&self, run: &Run) -> Result<O, OptionError> {
         let id = self.id();
         let Some(stage) = run.stage(id) else { return Ok(O::default()) };

@@ -204,7 +204,7 @@ impl StageRun {
     /// This project's own program of a stage with these options, and no share of the tick.
     ///
     /// # Errors
-    /// [`OptionError::Unwritable`] where TOML can't hold them: paths that are not UTF-8.
+    /// [`OptionError::Unwritable`] if TOML can't hold them: paths that are not UTF-8.
     pub fn with_options<O: Serialize>(
         declaration: &Declaration<O>,
         options: &O,
@@ -335,7 +335,7 @@ impl Run {
     /// Writes the record.
     ///
     /// # Errors
-    /// [`RecordError::File`] where the file can't be written, [`RecordError::Unwritable`] where a path is not
+    /// [`RecordError::File`] if the file can't be written, [`RecordError::Unwritable`] if a path is not
     /// UTF-8.
     pub fn write(&self, path: &Path) -> Result<(), RecordError> {
         let mut bytes = format!("{MAGIC}{SCHEMA}\n").into_bytes();
@@ -348,7 +348,7 @@ impl Run {
     /// Reads a record that [`Run::write`] wrote.
     ///
     /// # Errors
-    /// [`RecordError`] where the file can't be read, is no record, is of another schema or damaged.
+    /// [`RecordError`] if the file can't be read, is no record, is of another schema or damaged.
     pub fn read(path: &Path) -> Result<Self, RecordError> {
         let file = |source| RecordError::File { path: path.to_owned(), source };
         let foreign = || RecordError::Foreign { path: path.to_owned() };

@@ -54,7 +54,7 @@ impl Target<'_> {
     /// written; the link stays.
     ///
     /// # Errors
-    /// [`FileError::Io`] where the folder can't be written.
+    /// [`FileError::Io`] if the folder can't be written.
     pub fn write(self, bytes: &[u8]) -> Result<(), FileError> {
         let path = fs::canonicalize(self.path).unwrap_or_else(|_| self.path.to_owned());
         let mut partial = path.clone().into_os_string();
@@ -73,7 +73,7 @@ impl Target<'_> {
     /// Reads the file unless it has more than `bytes_max` bytes.
     ///
     /// # Errors
-    /// [`FileError::Io`] where it can't be read, [`FileError::Content`] where it is larger.
+    /// [`FileError::Io`] if it can't be read, [`FileError::Content`] if it is larger.
     pub fn read(self, bytes_max: u64) -> Result<Vec<u8>, FileError> {
         let mut bytes = Vec::new();
         let file = File::open(self.path).map_err(|source| self.io(source))?;
@@ -104,7 +104,7 @@ impl Target<'_> {
 /// The numbers of a tensor of this shape, whatever they are.
 ///
 /// # Errors
-/// Where it is of another type or shape, in words.
+/// If it is of another type or shape, in words.
 pub fn numbers(name: &str, view: &TensorView<'_>, shape: &[usize]) -> Result<Vec<f32>, String> {
     if view.dtype() != Dtype::F32 || view.shape() != shape {
         return Err(format!("{name} is {:?} {:?}, expected F32 {shape:?}", view.dtype(), view.shape()));
@@ -116,7 +116,7 @@ pub fn numbers(name: &str, view: &TensorView<'_>, shape: &[usize]) -> Result<Vec
 /// As [`numbers`], all of them finite.
 ///
 /// # Errors
-/// As [`numbers`], or where one is not finite.
+/// As [`numbers`], or if one is not finite.
 pub fn finite_numbers(name: &str, view: &TensorView<'_>, shape: &[usize]) -> Result<Vec<f32>, String> {
     let numbers = numbers(name, view, shape)?;
     match numbers.iter().position(|x| !x.is_finite()) {

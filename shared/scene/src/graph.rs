@@ -39,7 +39,7 @@ impl EdgeRule {
     /// Costs n² distances: 128 agents take about 30 µs.
     ///
     /// # Panics
-    /// Where there are more than 65,536 agents.
+    /// If there are more than 65,536 agents.
     pub fn append(&self, step: u16, vertices: &[Option<Vertex>], edges: &mut Vec<Edge>) {
         let number = |agent: usize| u16::try_from(agent).expect("agents are numbered by 16 bits");
         let present = || vertices.iter().enumerate().filter_map(|(agent, v)| v.map(|v| (agent, v)));

@@ -81,7 +81,7 @@ impl ContextMap {
     /// Writes the patch of an agent, \[channel, row, column\]; zeros outside the map.
     ///
     /// # Panics
-    /// Where `out` has not the patch's length.
+    /// If `out` has not the patch's length.
     pub fn patch(&self, state: &State, options: PatchOptions, out: &mut [f32]) {
         patch::sample(self, state, options, out);
     }

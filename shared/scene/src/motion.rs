@@ -17,7 +17,7 @@ use crate::{MOVING_MPS, State, agent_frame};
 /// last defined one, 0 where none is. \[model §1\]
 ///
 /// # Panics
-/// Where the slices differ in length.
+/// If the slices differ in length.
 pub fn states_from_positions(
     positions_m: &[Option<[f32; 2]>],
     observed_len: usize,

@@ -88,7 +88,7 @@ impl Turns {
     /// The places of the candidates in the order of their turns; does not depend on the order in which they come.
     ///
     /// # Panics
-    /// Where a place is not below [`AGENTS_MAX`].
+    /// If a place is not below [`AGENTS_MAX`].
     pub fn order(&mut self, ego: &Ego, candidates: &[Candidate]) -> &[usize] {
         self.sort(ego, candidates);
         let Self { conflicts, nearest, waiting, order } = self;

@@ -75,7 +75,7 @@ impl VerifyError {
 /// Compares every number of a golden folder.
 ///
 /// # Errors
-/// [`VerifyError`] where a file can't be read or is malformed, the parts of the folder do not fit one
+/// [`VerifyError`] if a file can't be read or is malformed, the parts of the folder do not fit one
 /// another, or nothing computes the numbers of a file.
 pub fn verify(folder: &Path) -> Result<Vec<Comparison>, VerifyError> {
     std::fs::read_dir(folder).map_err(|source| VerifyError::unreadable(folder, source))?;

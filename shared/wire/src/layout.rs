@@ -112,7 +112,7 @@ impl<'a> Context<'a> {
     /// The sections of a payload.
     ///
     /// # Errors
-    /// [`Rejected::Length`] where the payload has not the rows of the shape.
+    /// [`Rejected::Length`] if the payload has not the rows of the shape.
     pub fn read(rows: &'a [Row], shape: ContextShape) -> Result<Self, Rejected> {
         expect(rows.len(), context_rows(&shape))?;
         let (tracks, patches) = rows.split_at(shape.agents_len * TRACK_ROWS);
@@ -133,7 +133,7 @@ impl<'a> ContextMut<'a> {
     /// The sections of a payload to be written.
     ///
     /// # Errors
-    /// [`Rejected::Length`] where the payload has not the rows of the shape.
+    /// [`Rejected::Length`] if the payload has not the rows of the shape.
     pub fn over(rows: &'a mut [Row], shape: ContextShape) -> Result<Self, Rejected> {
         expect(rows.len(), context_rows(&shape))?;
         let (tracks, patches) = rows.split_at_mut(shape.agents_len * TRACK_ROWS);
@@ -191,8 +191,8 @@ impl<'a> Features<'a> {
     /// The sections of a payload.
     ///
     /// # Errors
-    /// [`Rejected::Length`] where the payload has not the rows of the shape, [`Rejected::Impossible`] where
-    /// an edge names an agent or step that is not there, [`Rejected::OutOfOrder`] where the edges are not
+    /// [`Rejected::Length`] if the payload has not the rows of the shape, [`Rejected::Impossible`] if
+    /// an edge names an agent or step that is not there, [`Rejected::OutOfOrder`] if the edges are not
     /// sorted or one is there twice.
     pub fn read(rows: &'a [Row], shape: FeatureShape, history_len: usize) -> Result<Self, Rejected> {
         expect(rows.len(), feature_rows(&shape))?;
@@ -222,7 +222,7 @@ impl<'a> FeaturesMut<'a> {
     /// The sections of a payload to be written.
     ///
     /// # Errors
-    /// [`Rejected::Length`] where the payload has not the rows of the shape.
+    /// [`Rejected::Length`] if the payload has not the rows of the shape.
     pub fn over(rows: &'a mut [Row], shape: FeatureShape) -> Result<Self, Rejected> {
         expect(rows.len(), feature_rows(&shape))?;
         let (agents, rest) = rows.split_at_mut(shape.agents_len * FEATURE_ROWS);

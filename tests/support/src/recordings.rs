@@ -10,7 +10,7 @@ pub fn recordings_folder() -> PathBuf {
 /// A file or folder among the public recordings; none where it is missing, which is printed.
 ///
 /// # Panics
-/// Where it is missing and `STGDAT_REQUIRE_DATA=1`.
+/// If it is missing and `STGDAT_REQUIRE_DATA=1`.
 #[must_use]
 pub fn public_recording(name: &str) -> Option<PathBuf> {
     let path = recordings_folder().join(name);

@@ -76,7 +76,7 @@ struct CameraBox<'a> {
 /// Reads the detectors' output.
 ///
 /// # Errors
-/// [`ReadError`] with file, line, column and value, and where calibration or ego motion are missing.
+/// [`ReadError`] with file, line, column and value, and if calibration or ego motion are missing.
 pub(crate) fn parse_detections(inputs: &[Input]) -> Result<Recording, ReadError> {
     let poses = WorldFromCamera::parse(need(inputs, Role::Calibration)?, need(inputs, Role::EgoMotion)?)?;
     need_any(inputs, &[Role::Vehicles, Role::Pedestrians, Role::Cyclists])?;
@@ -116,7 +116,7 @@ pub(crate) fn parse_detections(inputs: &[Input]) -> Result<Recording, ReadError>
 /// Reads the true tracks.
 ///
 /// # Errors
-/// [`ReadError`] with file, line, column and value, and where calibration or ego motion are missing.
+/// [`ReadError`] with file, line, column and value, and if calibration or ego motion are missing.
 pub(crate) fn parse_labels(inputs: &[Input]) -> Result<Recording, ReadError> {
     let input = need(inputs, Role::Rows)?;
     let poses = WorldFromCamera::parse(need(inputs, Role::Calibration)?, need(inputs, Role::EgoMotion)?)?;

@@ -42,7 +42,7 @@ const PIXEL_M: std::ops::RangeInclusive<f64> = 1e-4..=1.0;
 /// Reads the annotations of a video.
 ///
 /// # Errors
-/// [`ReadError`] with file, line, column and value, and where the scale of the video is missing.
+/// [`ReadError`] with file, line, column and value, and if the scale of the video is missing.
 pub(crate) fn parse(inputs: &[Input], rate: FrameRate) -> Result<Recording, ReadError> {
     let input = need(inputs, Role::Rows)?;
     let pixel_m = video_pixel_m(need(inputs, Role::Scales)?, &input.path)?;

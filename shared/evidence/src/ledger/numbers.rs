@@ -32,7 +32,7 @@ impl Evidence {
     /// matured are left out. They begin with the newest time.
     ///
     /// # Panics
-    /// Where `out` has not [`NUMBERS_LEN`] places.
+    /// If `out` has not [`NUMBERS_LEN`] places.
     pub fn write_numbers(&mut self, out: &mut [f64]) {
         assert_eq!(out.len(), NUMBERS_LEN, "a place per number");
         let [time, out @ ..] = out else { return };
@@ -49,7 +49,7 @@ impl Evidence {
     /// Goes on with what was learned before, under the same prior, as if all agents were new.
     ///
     /// # Errors
-    /// Where they are no such numbers; then nothing was changed.
+    /// If they are no such numbers; then nothing was changed.
     pub fn resume(&mut self, numbers: &[f64]) -> Result<(), &'static str> {
         let (NUMBERS_LEN, [time, numbers @ ..]) = (numbers.len(), numbers) else {
             return Err("number of the sums");

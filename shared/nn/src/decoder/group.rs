@@ -134,7 +134,7 @@ impl DecoderGroup {
     /// The network's output for an agent of the group.
     ///
     /// # Panics
-    /// Where the group has no such agent.
+    /// If the group has no such agent.
     #[must_use]
     pub fn draws(&self, agent: usize) -> AgentDraws<'_> {
         AgentDraws {

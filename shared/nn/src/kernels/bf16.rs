@@ -116,7 +116,7 @@ impl PairPanels {
     /// panels with zeros.
     ///
     /// # Panics
-    /// Where a length is 0 or there are more than [`IN_MAX`] inputs.
+    /// If a length is 0 or there are more than [`IN_MAX`] inputs.
     pub(crate) fn pack(
         proof: DotProducts,
         [out_len, in_len]: [usize; 2],
@@ -155,7 +155,7 @@ impl PairProduct<'_> {
     /// Computes all rows of `out`.
     ///
     /// # Panics
-    /// Where the slices do not fit one another.
+    /// If the slices do not fit one another.
     pub(crate) fn run(self) {
         let out_stride = self.panels.out_stride();
         let rows_len = self.out.len() / out_stride;

@@ -46,7 +46,7 @@ impl Panels {
     /// panels with zeros.
     ///
     /// # Panics
-    /// Where a length is 0 or there are more than 49 taps.
+    /// If a length is 0 or there are more than 49 taps.
     #[must_use]
     pub fn pack(
         [out_len, taps_len, in_len]: [usize; 3],
@@ -98,7 +98,7 @@ impl Taps {
     /// The taps of a square kernel over a square map.
     ///
     /// # Panics
-    /// Where the kernel is larger than the padded map.
+    /// If the kernel is larger than the padded map.
     #[must_use]
     pub fn new(side: usize, kernel: usize, stride: usize, padding: usize) -> Self {
         assert!(side * side < DEAD as usize && kernel <= side + 2 * padding, "a kernel over a map");
@@ -210,7 +210,7 @@ impl Product<'_> {
     /// Computes all rows of `out`.
     ///
     /// # Panics
-    /// Where the slices do not fit one another.
+    /// If the slices do not fit one another.
     pub fn run(self) {
         let stride = self.panels.out_stride();
         let rows_len = self.out.len() / stride;

@@ -46,7 +46,7 @@ impl Client {
     /// Attaches to the tap of the run with that folder.
     ///
     /// # Errors
-    /// [`TapError::Socket`] where there is none.
+    /// [`TapError::Socket`] if there is none.
     pub fn attach(root: &Path, request: &Request) -> Result<Self, TapError> {
         let path = root.join(SOCKET);
         let attached = UnixStream::connect(&path).and_then(|mut socket| {
@@ -64,7 +64,7 @@ impl Client {
     /// The next item, waited for at most so long; none where there is none, or the tap has closed.
     ///
     /// # Errors
-    /// [`TapError`] where the tap can't be read from.
+    /// [`TapError`] if the tap can't be read from.
     pub fn next(&mut self, timeout: Duration) -> Result<Option<Item>, TapError> {
         let until = Instant::now() + timeout;
         loop {

@@ -20,7 +20,7 @@ impl ContextMap {
     /// Writes the map to a file, all of it or nothing: a reader never meets half a map.
     ///
     /// # Errors
-    /// [`FileError::Io`] where the folder can't be written.
+    /// [`FileError::Io`] if the folder can't be written.
     pub fn save(&self, path: &Path) -> Result<(), FileError> {
         let target = target(path);
         let bytes = self.to_bytes().map_err(|source| target.format(source))?;
@@ -30,7 +30,7 @@ impl ContextMap {
     /// Reads a map from a file.
     ///
     /// # Errors
-    /// [`FileError`] where the file can't be read, is no map, or holds numbers that no map has.
+    /// [`FileError`] if the file can't be read, is no map, or holds numbers that no map has.
     pub fn load(path: &Path) -> Result<Self, FileError> {
         let target = target(path);
         Self::from_bytes(&target.read(BYTES_MAX)?, target)

@@ -68,7 +68,7 @@ impl OnlineMap {
     /// Writes the patch of an agent, \[channel, row, column\]; zeros where nothing was observed.
     ///
     /// # Panics
-    /// Where `out` has not the patch's length.
+    /// If `out` has not the patch's length.
     pub fn patch(&self, state: &State, options: PatchOptions, out: &mut [f32]) {
         patch::sample(self, state, options, out);
     }

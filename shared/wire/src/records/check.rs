@@ -30,7 +30,7 @@ impl Detection {
     /// The kind of object; refused numbers never get past [`Detection::check`].
     ///
     /// # Errors
-    /// [`Rejected::Impossible`] where the number stands for no type.
+    /// [`Rejected::Impossible`] if the number stands for no type.
     pub fn agent_type(&self) -> Result<AgentType, Rejected> {
         agent_type(self.agent_type)
     }
@@ -69,7 +69,7 @@ impl Track {
     /// The kind of agent.
     ///
     /// # Errors
-    /// [`Rejected::Impossible`] where the number stands for no type.
+    /// [`Rejected::Impossible`] if the number stands for no type.
     pub fn agent_type(&self) -> Result<AgentType, Rejected> {
         agent_type(self.agent_type)
     }

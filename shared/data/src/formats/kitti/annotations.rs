@@ -53,7 +53,7 @@ impl Annotations {
     /// Reads the labels of the sequence to which `recording` (a detector's output or the label file) belongs.
     ///
     /// # Errors
-    /// [`ReadError`] with file, line, column and value, and where labels, calibration or ego motion are
+    /// [`ReadError`] with file, line, column and value, and if labels, calibration or ego motion are
     /// missing.
     pub fn open(recording: &Path) -> Result<Self, ReadError> {
         let [calibration, ego_motion] = files::sensors(recording)?;

@@ -78,7 +78,7 @@ impl WorldFromCamera {
     /// label file) belongs.
     ///
     /// # Errors
-    /// [`ReadError`] with file, line, column and value, and where calibration or ego motion are missing.
+    /// [`ReadError`] with file, line, column and value, and if calibration or ego motion are missing.
     pub fn open(recording: &Path) -> Result<Self, ReadError> {
         let [calibration, ego_motion] = files::sensors(recording)?;
         Self::parse(&calibration, &ego_motion)

@@ -20,7 +20,7 @@ impl Panels {
     /// Packs a matrix W for x · W: an output for each of its columns, without bias.
     ///
     /// # Panics
-    /// Where the matrix is empty or longer than its values.
+    /// If the matrix is empty or longer than its values.
     #[must_use]
     pub fn of_columns(matrix: Columns<'_>) -> Self {
         let Columns { values, rows_len, cols_len, stride } = matrix;
@@ -38,7 +38,7 @@ impl Panels {
     /// Packs a matrix W for x · Wᵀ: an output for each of its rows, without bias.
     ///
     /// # Panics
-    /// Where the matrix is empty or longer than its values.
+    /// If the matrix is empty or longer than its values.
     #[must_use]
     pub fn of_rows(matrix: Columns<'_>) -> Self {
         let Columns { values, rows_len, cols_len, stride } = matrix;
