@@ -1,4 +1,4 @@
-//! Topics that the pipeline file declares: their types are known at run time alone, by name and size.
+//! Topics that the pipeline file declares. Their types are known only at run time, by name and size.
 #![expect(
     unsafe_code,
     reason = "the transport is told the name and size of a type that this program does not have"
@@ -25,12 +25,13 @@ use crate::{Node, PortError};
 
 /// Deepest queue of a topic that the pipeline file declares.
 const DEPTH_MAX: usize = 8;
-/// Readers of such a topic besides the stages: the recorder, the launcher, the tap, an injector and two more.
+/// Readers of a declared topic besides the stages: the recorder, the launcher, the tap, an injector and two
+/// more.
 const TOOLS_MAX: usize = 6;
-/// What errors call such a topic: they hold names that live as long as the program.
+/// The topic name in errors about declared topics: errors hold names that live as long as the program.
 pub(crate) const TOPIC: &str = "added by the pipeline file";
 
-/// Most ports of a topic, and its deepest queue.
+/// Maximum numbers of ports of a topic, and its maximum queue depth.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Limits {
     pub publishers_max: usize,
@@ -44,9 +45,9 @@ pub(crate) struct Limits {
 pub(crate) struct Added {
     pub stages_len: usize,
     topics: Vec<TopicRun>,
-    /// Names of the topics that the added stages read, each as often as it is read.
+    /// Names of the topics that the added stages read. A topic that n stages read is in the list n times.
     reads: Vec<String>,
-    /// How many stages read each of the declared topics.
+    /// Number of stages that read each declared topic.
     readers: Vec<usize>,
 }
 
@@ -60,8 +61,7 @@ impl Added {
         }
     }
 
-    /// The topic that the pipeline file declares and that has this name in shared memory: its own, or that of an
-    /// injector.
+    /// The declared topic with this name in shared memory. The name may be the topic's own or an injector's.
     pub fn topic(&self, name: &str) -> Option<&TopicRun> {
         let find = |name| self.topics.iter().find(|topic| topic.name == name);
         find(name).or_else(|| find(injected_topic(name)?))
@@ -72,7 +72,7 @@ impl Added {
         self.reads.iter().filter(|read| *read == topic).count()
     }
 
-    /// Those of a declared topic.
+    /// The limits of a declared topic.
     pub fn limits(&self, topic: &TopicRun) -> Limits {
         let readers = self.topics.iter().zip(&self.readers).find(|(other, _)| other.name == topic.name);
         Limits {
@@ -84,22 +84,22 @@ impl Added {
     }
 }
 
-/// Reads a topic that the pipeline file declares, checks nothing, and knows of its elements only their bytes.
+/// Reads a topic that the pipeline file declares. It checks nothing and sees the elements only as bytes.
 #[derive(Debug)]
 pub struct AddedSubscriber {
     subscriber: Subscriber<ipc::Service, [CustomPayloadMarker], Head>,
     listener: Listener<ipc::Service>,
 }
 
-/// The two services of such a topic.
+/// The two services of a declared topic: frames and events.
 pub(crate) type AddedServices<H> = (
     publish_subscribe::PortFactory<ipc::Service, [CustomPayloadMarker], H>,
     event::PortFactory<ipc::Service>,
 );
-/// The first of them while it is opened or made.
+/// The builder of the frame service.
 pub(crate) type Building<H> = builder::publish_subscribe::Builder<[CustomPayloadMarker], H, ipc::Service>;
 
-/// A frame of such a topic.
+/// A frame of a declared topic.
 #[derive(Debug)]
 pub struct AddedFrame(Sample<ipc::Service, [CustomPayloadMarker], Head>);
 
@@ -107,15 +107,15 @@ impl Node {
     /// Opens a topic that the pipeline file declares for reading, by its name in the run's record.
     ///
     /// # Errors
-    /// [`PortError`] if the topic has its most readers already, its writer has made it with another type, or
-    /// shared memory is short.
+    /// [`PortError`] if all reader places of the topic are taken, its writer has created it with another
+    /// type, or shared memory is short.
     pub fn added_subscriber(&self, topic: &TopicRun) -> Result<AddedSubscriber, PortError> {
         let services = self.added_services(topic, &topic.name, |builder| builder.user_header::<Head>())?;
         AddedSubscriber::of(&services)
     }
 
-    /// Opens or makes the two services of a topic that the pipeline file declares, under its own name or that of an
-    /// injector. `with_header` says how this process sees the header.
+    /// Opens or creates the two services of a topic that the pipeline file declares, under its own name or an
+    /// injector's. `with_header` sets how this process sees the header.
     pub(crate) fn added_services<H: Debug + ZeroCopySend>(
         &self,
         topic: &TopicRun,
@@ -135,8 +135,8 @@ impl Node {
         let alignment = Alignment::new(ALIGNMENT).expect("64 is a power of two");
         let frames = || {
             let builder = self.node.service_builder(&name).publish_subscribe::<[CustomPayloadMarker]>();
-            // SAFETY: the transport compares name and size with those of the others, and this program reads and
-            // writes the elements as bytes alone.
+            // SAFETY: the transport compares name and size with those of the other processes, and this
+            // program reads and writes the elements only as bytes.
             let builder = unsafe { builder.__internal_set_payload_type_details(&element) };
             with_header(builder)
                 .payload_alignment(alignment)
@@ -154,12 +154,13 @@ impl Node {
     }
 }
 
-/// The headers of what the added stages beside a tick's way send: their passages are in no header of the forecasts.
+/// Reads the headers of added stages whose output no forecast waits for: the forecasts' headers do not
+/// contain their hops.
 #[derive(Debug)]
 pub struct Beside(Vec<AddedSubscriber>);
 
 impl Beside {
-    /// Reads the topics of those stages, of each stage one.
+    /// Opens one output topic of each of these stages.
     ///
     /// # Errors
     /// As [`Node::added_subscriber`].
@@ -170,7 +171,7 @@ impl Beside {
         topics.map(|topic| node.added_subscriber(topic)).collect::<Result<_, _>>().map(Self)
     }
 
-    /// The headers that have come, unchecked.
+    /// The headers that have arrived, unchecked.
     ///
     /// # Errors
     /// [`PortError`] if the transport fails.
@@ -204,7 +205,7 @@ impl AddedSubscriber {
         Ok(self.subscriber.receive().map_err(PortError::of("receiving", TOPIC))?.map(AddedFrame))
     }
 
-    /// Takes the events that have come, so that the descriptor is readable again only when another comes.
+    /// Drains the pending events, so that the descriptor becomes readable only when another event arrives.
     ///
     /// # Errors
     /// [`PortError`] if the transport fails.
@@ -224,8 +225,8 @@ impl AddedFrame {
     #[must_use]
     pub fn payload(&self) -> &[u8] {
         let bytes = self.0.payload();
-        // SAFETY: a marker is one byte, and the slice has the size of the elements together, as the transport
-        // counts them.
+        // SAFETY: a marker is one byte, and the transport reports the length of the slice as the total size
+        // of the elements.
         unsafe { std::slice::from_raw_parts(bytes.as_ptr().cast(), bytes.len()) }
     }
 }
@@ -236,7 +237,7 @@ impl Wakes for AddedSubscriber {
     }
 }
 
-/// Readable when an event of the topic has come: for programs that wait for other things besides.
+/// Readable when an event of the topic has arrived, for programs that also wait for other things.
 impl AsFd for AddedSubscriber {
     fn as_fd(&self) -> BorrowedFd<'_> {
         descriptor(self)

@@ -1,5 +1,5 @@
-//! Frames of a topic that the pipeline file declares, unchecked and as bytes: for a program between its writer and its
-//! readers.
+//! Unchecked frames, as bytes, of a topic that the pipeline file declares. For a program between the topic's
+//! writer and its readers.
 #![expect(unsafe_code, reason = "the transport hands out memory of a type that this program does not have")]
 
 use std::cell::{Cell, RefCell};
@@ -20,17 +20,18 @@ use crate::node::{LOANED_MAX, event_id};
 use crate::wait::wait;
 use crate::{AddedFrame, AddedSubscriber, Node, PortError, Stop};
 
-/// Bytes of a frame for which memory is set aside at first; it grows in powers of two.
+/// Initial memory for a frame; it grows in powers of two.
 const BYTES_START: usize = 64 * 1024;
 
-/// Takes frames of such a topic under one name and sends frames under its own: any header, any elements.
+/// Receives frames of a declared topic under one name and sends frames under the topic's own name, with any
+/// header and any elements.
 #[derive(Debug)]
 pub struct AddedRelay {
     topic: TopicRun,
     writer: RefCell<Option<Writer>>,
-    /// Whether it writes at all.
+    /// `false` if the relay only reads.
     writes: bool,
-    /// Whether the name that it reads had a writer at the last look.
+    /// Whether the name that the relay reads had a writer at the last check.
     had_writer: Cell<bool>,
     subscriber: AddedSubscriber,
     services: AddedServices<Head>,
@@ -70,7 +71,7 @@ impl AddedRelay {
         Ok(Self { topic, writer, writes, had_writer, subscriber, services, node })
     }
 
-    /// Has the topic open for writing as long as somebody writes under the name that is read, as
+    /// Keeps the topic open for writing while the name that is read has a writer; see
     /// [`Relay::follow_writer`](crate::Relay::follow_writer).
     ///
     /// # Errors
@@ -88,13 +89,13 @@ impl AddedRelay {
     /// The oldest frame of the queue, if there is one.
     ///
     /// # Errors
-    /// [`PortError`] if the transport fails: also if more frames are held than a reader may hold.
+    /// [`PortError`] if the transport fails, or if the caller holds more frames than a reader may hold.
     pub fn receive(&self) -> Result<Option<AddedFrame>, PortError> {
         self.subscriber.receive()
     }
 
-    /// Sends a frame; bytes beyond the last whole element are left out. A relay that has closed the topic
-    /// ([`AddedRelay::follow_writer`]), or that only reads, sends nothing.
+    /// Sends a frame; bytes after the last whole element are left out. A relay that has closed the topic
+    /// ([`AddedRelay::follow_writer`]) or that only reads sends nothing.
     ///
     /// # Errors
     /// [`PortError`] if the transport fails.
@@ -105,7 +106,7 @@ impl AddedRelay {
         }
     }
 
-    /// Sleeps until a frame comes, a signal or the end of `timeout`. May return early.
+    /// Sleeps until a frame arrives, a signal arrives or `timeout` has passed. May return early.
     ///
     /// # Errors
     /// [`PortError`] if the transport fails.
@@ -126,8 +127,8 @@ impl Writer {
         let header = TypeDetail::new::<Head>(TypeVariant::FixedSize);
         let (frames, events) = node.added_services(topic, &topic.name, |builder| {
             let builder = builder.user_header::<CustomHeaderMarker>();
-            // SAFETY: name, size and alignment are those of the header that all of the topic's ports have, and
-            // `send` writes one.
+            // SAFETY: name, size and alignment are those of the header of all ports of the topic, and `send`
+            // writes such a header.
             unsafe { builder.__internal_set_user_header_type_details(&header) }
         })?;
         let publisher = frames
@@ -144,7 +145,7 @@ impl Writer {
 
     fn send(&self, header: &Header, payload: &[u8], element_size: usize) -> Result<(), PortError> {
         let elements_len = payload.len() / element_size;
-        // SAFETY: the topic's variant is dynamic, and so many bytes are written below as so many elements have.
+        // SAFETY: the topic's variant is dynamic, and the bytes of `elements_len` elements are written below.
         let loan = unsafe { self.publisher.loan_custom_payload(elements_len) };
         let mut loan = loan.map_err(PortError::of("loan", TOPIC))?;
         let bytes = payload[..elements_len * element_size].iter();
@@ -154,12 +155,13 @@ impl Writer {
             unsafe { place.cast::<u8>().write(*byte) };
         }
         let place: *mut CustomHeaderMarker = loan.user_header_mut();
-        // SAFETY: the marker stands at the place of the header, whose size and alignment the topic was opened with.
+        // SAFETY: the marker is at the place of the header, whose size and alignment the topic was opened
+        // with.
         unsafe { place.cast::<Head>().write(Head(*header)) };
         // SAFETY: all bytes of the elements and of the header have been written.
         let loan = unsafe { loan.assume_init() };
         loan.send().map_err(PortError::of("sending", TOPIC))?;
-        // Errors here are late notifications, which were delivered all the same, and readers that are gone.
+        // Errors here are late notifications, which were delivered all the same, and readers that have ended.
         let _ = self.notifier.notify();
         Ok(())
     }

@@ -18,7 +18,7 @@ pub enum Color {
     Never,
 }
 
-/// Text that names no [`Color`].
+/// The text does not name a [`Color`].
 #[derive(Debug, Error, PartialEq, Eq)]
 #[error("expected auto, always or never")]
 pub struct UnknownColor;

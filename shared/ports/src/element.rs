@@ -1,4 +1,4 @@
-//! The payload types of `wire` as types of iceoryx2: `wire` itself does not depend on the transport.
+//! The payload types of `wire` as iceoryx2 types: `wire` itself does not depend on the transport.
 #![expect(unsafe_code, reason = "iceoryx2's marker trait for types that may cross process borders is unsafe")]
 
 use std::fmt;

@@ -9,7 +9,7 @@ use wire::{Rejected, StageId};
 /// The error of another library or crate, with its type for [`Error::source`] and `downcast_ref`.
 type Source = Box<dyn Error + Send + Sync>;
 
-/// A port or the transport under it is broken: the process can't go on.
+/// A port or the underlying transport is broken: the process can't continue.
 #[derive(Debug, Error)]
 pub enum PortError {
     /// This process can't join the run.
@@ -30,7 +30,7 @@ pub enum PortError {
         /// The transport's error.
         source: Source,
     },
-    /// As many processes read the topic as it has places for.
+    /// All reader places of the topic are taken.
     #[error(
         "all {most} places for readers of topic \"{name}\" are taken: end one of them, or add places with \
          `readers = {{ {name} = 2 }}` above the first [[stage]] of pipeline.toml"
@@ -38,23 +38,23 @@ pub enum PortError {
     NoPlace {
         /// The topic, by its name in shared memory.
         name: String,
-        /// Its places.
+        /// The number of reader places.
         most: usize,
     },
-    /// A frame is to have more elements than the topic allows.
+    /// A frame has more elements than the topic allows.
     #[error("loan of topic \"{topic}\": {found} elements, at most {most}")]
     TooMany {
         /// The topic.
         topic: &'static str,
-        /// The elements asked for.
+        /// The requested number of elements.
         found: usize,
         /// The limit.
         most: usize,
     },
-    /// The process was to replace another one, and was asked to end before its turn.
+    /// The process was a replacement, and was asked to end before its turn.
     #[error("asked to end before its turn")]
     NotNeeded,
-    /// The system can't wait for frames.
+    /// Waiting for frames fails in the operating system.
     #[error("waiting for frames: {0}")]
     Wait(#[source] io::Error),
     /// The socket that reports a topic's events is closed or broken.
@@ -74,7 +74,7 @@ impl PortError {
         move |source| Self::Topic { operation, topic, source: source.into() }
     }
 
-    /// Turns an error of the transport or the system into one of this process's place in the run.
+    /// Turns an error of the transport or the system into [`PortError::Node`].
     pub(crate) fn of_node<E: Into<Source>>(operation: &'static str) -> impl FnOnce(E) -> Self {
         move |source| Self::Node { operation, source: source.into() }
     }
@@ -82,8 +82,8 @@ impl PortError {
 
 /// Why a stage ends before it is asked to.
 ///
-/// The variant gives the kind of failure, and with it the exit code; the source keeps the type of the crate
-/// that failed.
+/// The variant gives the kind of failure and with it the exit code. The source keeps the error type of the
+/// crate that failed.
 #[derive(Debug, Error)]
 pub enum StageError {
     /// A port or the transport under it is broken.
@@ -103,19 +103,19 @@ pub enum StageError {
     /// The run's record, its model or a setting can't be used.
     #[error("{0}")]
     Config(#[source] Source),
-    /// The stages have not passed on what the source sent.
+    /// The stages did not pass on a frame of the source.
     #[error(
         "no answer to {awaited} of \"{topic}\" within {limit_ms} ms: {} did not pass it on",
         names(unlinked)
     )]
     NoAnswer {
-        /// What was sent.
+        /// The frame that was not answered.
         awaited: Awaiting,
-        /// The topic on which it was sent.
+        /// The topic that carried the frame.
         topic: &'static str,
         /// How long the source waited.
         limit_ms: u64,
-        /// The stages that are not linked; empty where all are.
+        /// The stages that are not linked; empty if all are.
         unlinked: Vec<StageId>,
     },
     /// The launcher died before the stage began.
@@ -123,12 +123,12 @@ pub enum StageError {
     LauncherGone,
 }
 
-/// What the source waits to see answered.
+/// The frame whose answer the source waits for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Awaiting {
-    /// Frames that link the stages, or end the run.
+    /// Frames that link the stages or end the run.
     StartOrEnd,
-    /// The tick of this number.
+    /// The tick with this number.
     Tick(u64),
 }
 
@@ -157,7 +157,7 @@ impl StageError {
         Self::Config(error.into())
     }
 
-    /// The exit code that reports the kind of failure to the launcher.
+    /// The exit code for this kind of failure, which the launcher reads.
     #[must_use]
     pub const fn exit(&self) -> Exit {
         match self {
@@ -175,7 +175,7 @@ impl From<OptionError> for StageError {
     }
 }
 
-/// Reports a refused frame in the log.
+/// Logs a refused frame.
 pub(crate) fn log_refused(topic: &'static str, seq: u64, why: &Rejected) {
     tracing::warn!(topic, seq, "frame refused: {why}");
 }

@@ -1,10 +1,11 @@
-//! Keeps the folder of a run, from which programs may remove files that look old: systemd-tmpfiles does so in
+//! Keeps the folder of a run. Programs may remove files from it that look old: systemd-tmpfiles does so in
 //! `/tmp` after ten days.
 //!
-//! 1. A shared BSD lock on the folder, which systemd-tmpfiles respects.
-//! 2. A second name for each file, a hard link in a hidden folder beside it. If the run's record is gone,
-//!    somebody has removed files: they all get their names back. They stay the same files, so that their
-//!    locks hold and their sockets are heard.
+//! 1. A shared BSD lock on the folder. systemd-tmpfiles respects this lock.
+//! 2. A second name for each file: a hard link in a hidden folder. If the run's record has disappeared,
+//!    somebody has
+//!    removed files, and every file gets its name back. The files themselves are unchanged, so their locks
+//! hold and    their sockets still work.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ffi::OsString;
@@ -17,32 +18,34 @@ use std::time::{Duration, Instant};
 
 use rustix::fs::{FlockOperation, Mode, OFlags, flock, open};
 
-/// Interval between looks for new files.
+/// Interval between scans for new files.
 const LOOK: Duration = Duration::from_secs(1);
-/// Time for which a program may remove files after the sentinel: all of them are restored again and again.
+/// Time in which a program may still remove files after the sentinel. During this time all files are restored
+/// repeatedly.
 const REMOVAL: Duration = Duration::from_millis(250);
-/// Folders within one another: the run's, that of the nodes, and that of a node.
+/// Nested folders: the run's, the nodes' folder, and a node's.
 const DEPTH_MAX: usize = 3;
 
-/// Keeps a folder.
+/// Protects a folder from removal.
 #[derive(Debug)]
 pub(crate) struct Keep {
     folder: PathBuf,
     /// The folder with the second names.
     second: PathBuf,
-    /// The file that nobody removes while the run goes on.
+    /// A file that exists as long as the run does. If it is missing, files were removed.
     sentinel: PathBuf,
     /// Locks on both folders.
     locks: [Option<OwnedFd>; 2],
     looked: Instant,
     /// When the sentinel was last found removed.
     restoring: Option<Instant>,
-    /// Second names whose files were gone at the last look: at the next one they were removed for good.
+    /// Second names whose files were missing at the last scan. If they are missing again, the removal was
+    /// intended.
     gone: BTreeSet<PathBuf>,
 }
 
 impl Keep {
-    /// Keeps a folder that exists, with `second` for second names. It holds as long as there is a file
+    /// Protects an existing folder, with the second names in `second`. The protection depends on the file
     /// `sentinel`.
     pub fn begin(folder: &Path, second: &Path, sentinel: &str) -> io::Result<Self> {
         std::fs::create_dir(second)?;
@@ -52,8 +55,8 @@ impl Keep {
         Ok(Self { folder, second, sentinel, locks, looked, restoring: None, gone })
     }
 
-    /// Restores files that were removed, and takes in new ones once a second. Returns how many were restored
-    /// at the first look that finds the sentinel removed.
+    /// Restores removed files, and links new files once a second. Returns the number of restored files at the
+    /// first scan that finds the sentinel removed.
     pub fn tend(&mut self) -> usize {
         if !self.sentinel.exists() && self.second_sentinel().exists() {
             let is_first = self.restoring.replace(Instant::now()).is_none();
@@ -61,8 +64,8 @@ impl Keep {
             return if is_first { restored } else { 0 };
         }
         match self.restoring {
-            // What a process removes itself meanwhile comes back, too: the clean-up takes it for that of a
-            // dead one.
+            // Files that a process itself removes meanwhile come back too. The clean-up handles them like
+            // those of a dead process.
             Some(since) if since.elapsed() < REMOVAL => {
                 self.restore();
                 return 0;
@@ -77,12 +80,12 @@ impl Keep {
         0
     }
 
-    /// Takes in the files that there are.
+    /// Links all current files.
     pub fn take_in(&mut self) {
         let mut gone = BTreeSet::new();
         mirror(&self.folder, &self.second, DEPTH_MAX, &mut gone);
-        // Somebody may be removing everything just now: what is gone twice while the record is there is gone
-        // for good.
+        // Another program may be removing everything at this moment. A file that is missing twice while the
+        // record exists was removed on purpose.
         if self.sentinel.exists() {
             for path in gone.intersection(&self.gone) {
                 let _ = std::fs::remove_file(path).or_else(|_| std::fs::remove_dir_all(path));
@@ -106,7 +109,7 @@ impl Keep {
     }
 }
 
-/// Gives each file of `from` a second name in `to`; adds what `to` has beyond that to `gone`.
+/// Gives each file of `from` a second name in `to`; adds files that only `to` has to `gone`.
 fn mirror(from: &Path, to: &Path, depth: usize, gone: &mut BTreeSet<PathBuf>) {
     let (here, there) = (list(from), list(to));
     for (name, entry) in &here {
@@ -116,7 +119,7 @@ fn mirror(from: &Path, to: &Path, depth: usize, gone: &mut BTreeSet<PathBuf>) {
                 mirror(&source, &second, depth - 1, gone);
             }
         } else if there.get(name).is_none_or(|second| second.inode != entry.inode) {
-            // Another file under that name, or one that is removed at this moment.
+            // Another file has that name, or a file that is being removed.
             let _ = std::fs::remove_file(&second);
             let _ = std::fs::hard_link(&source, &second);
         }
@@ -124,7 +127,7 @@ fn mirror(from: &Path, to: &Path, depth: usize, gone: &mut BTreeSet<PathBuf>) {
     gone.extend(there.into_keys().filter(|name| !here.contains_key(name)).map(|name| to.join(name)));
 }
 
-/// Gives the files of `second` their names in `folder` back; returns how many were without.
+/// Gives the files of `second` their names in `folder` back; returns the number of files restored.
 fn restore(second: &Path, folder: &Path) -> usize {
     if !folder.exists() {
         make_like(second, folder);
@@ -157,7 +160,7 @@ fn list(folder: &Path) -> BTreeMap<OsString, Entry> {
     entries.filter_map(entry).collect()
 }
 
-/// Makes a folder with the rights of another one; whether it is there.
+/// Creates a folder with the permissions of another one. Returns whether the folder exists.
 fn make_like(other: &Path, folder: &Path) -> bool {
     let made = std::fs::metadata(other).and_then(|found| {
         std::fs::create_dir(folder)?;
@@ -166,7 +169,7 @@ fn make_like(other: &Path, folder: &Path) -> bool {
     made.is_ok()
 }
 
-/// Takes the shared lock on a folder. Without it the second names alone keep the files.
+/// Takes the shared lock on a folder. Without the lock only the second names protect the files.
 fn lock(folder: &Path) -> Option<OwnedFd> {
     let flags = OFlags::RDONLY | OFlags::DIRECTORY | OFlags::CLOEXEC | OFlags::NOFOLLOW;
     let descriptor = open(folder, flags, Mode::empty()).ok()?;

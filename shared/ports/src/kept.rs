@@ -1,8 +1,8 @@
-//! Memory that outlives its process: a file of the run in shared memory, mapped.
+//! Memory that outlives its process: a mapped file of the run in shared memory.
 //!
-//! What a process has written stays there when it is killed, and the one that takes its place finds it. The run's end
-//! removes the file, and so does `stgdat clean`. Every page is set aside before it is mapped: full shared memory is an
-//! error here, and no signal in the middle of a tick.
+//! The content stays when the process is killed, and its successor finds it. The end of the run removes the
+//! file, and so does `stgdat clean`. Every page is allocated before it is mapped. Full shared memory is
+//! therefore an error here and not a signal in the middle of a tick.
 #![expect(unsafe_code, reason = "maps a file, and lends what is mapped as bytes")]
 
 use std::fs::File;
@@ -20,14 +20,15 @@ use crate::space::SHARED_MEMORY;
 #[derive(Debug)]
 pub struct KeptMemory {
     path: PathBuf,
-    /// Locked for as long as this process lives.
+    /// Locked while this process lives.
     file: File,
-    /// None while the file is empty.
+    /// `None` if the file is empty.
     mapped: Option<(NonNull<u8>, usize)>,
 }
 
 impl KeptMemory {
-    /// Opens the run's file of that name with what an earlier process has left in it; empty where there is none.
+    /// Opens the run's file with this name. The file has the content that an earlier process left, or is
+    /// empty.
     ///
     /// # Errors
     /// If the file can't be made or mapped, or another process has it open.
@@ -48,18 +49,18 @@ impl KeptMemory {
         &self.path
     }
 
-    /// What is in it.
+    /// The content of the file.
     pub fn bytes(&mut self) -> &mut [u8] {
         let Some((start, len)) = self.mapped else { return &mut [] };
-        // SAFETY: the mapping has that length and lives until `self` is dropped or mapped anew; the lock keeps other
-        // processes from writing, and every byte is a valid u8.
+        // SAFETY: the mapping has that length and lives until `self` is dropped or mapped again. The lock
+        // keeps other processes from writing, and every byte is a valid u8.
         unsafe { std::slice::from_raw_parts_mut(start.as_ptr(), len) }
     }
 
-    /// Makes the file longer, with zeros; a file that is as long already stays as it is.
+    /// Extends the file with zeros to `len` bytes. A longer file is unchanged.
     ///
     /// # Errors
-    /// If shared memory is full; then nothing has changed.
+    /// If shared memory is full; the file is then unchanged.
     pub fn grow_to(&mut self, len: usize) -> io::Result<()> {
         let before = self.mapped.map_or(0, |(_, len)| len);
         if len <= before {
@@ -74,7 +75,7 @@ impl KeptMemory {
             return Ok(());
         }
         let (access, how) = (ProtFlags::READ | ProtFlags::WRITE, MapFlags::SHARED | MapFlags::POPULATE);
-        // SAFETY: the kernel chooses an address that is free.
+        // SAFETY: the kernel chooses a free address.
         let start = unsafe { mmap(std::ptr::null_mut(), len, access, how, &self.file, 0)? };
         self.unmap();
         self.mapped = NonNull::new(start.cast()).map(|start| (start, len));
@@ -83,7 +84,8 @@ impl KeptMemory {
 
     fn unmap(&mut self) {
         if let Some((start, len)) = self.mapped.take() {
-            // SAFETY: it is a mapping of that length, and `bytes` lends it no longer than `self` is not changed.
+            // SAFETY: it is a mapping of that length, and a slice that `bytes` returned has ended when `self`
+            // changes.
             let _ = unsafe { munmap(start.as_ptr().cast(), len) };
         }
     }

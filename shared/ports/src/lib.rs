@@ -1,20 +1,20 @@
-//! How the stages meet: topics in shared memory, and the loop that all stages have in common.
+//! Connects the stages: topics in shared memory, and the loop that all stages share.
 //!
-//! A *topic* is one iceoryx2 publish-subscribe service with its bounded queues and one event service of the
-//! same name that wakes the readers. A payload is written once, by its [`Publisher`], straight into shared
-//! memory ([`Loan`]), and read there by every [`Subscriber`] ([`Frame`]); nothing is copied or encoded on the
-//! way.
+//! A *topic* is one iceoryx2 publish-subscribe service with bounded queues, and one event service of the same
+//! name that wakes the readers. Its [`Publisher`] writes a payload once, directly into shared memory
+//! ([`Loan`]). Every [`Subscriber`] reads it there ([`Frame`]). Nothing is copied or encoded.
 //!
-//! A *run* keeps to its own files ([`Space`]): every name in shared memory starts with the run's prefix, so
-//! that all of them can be removed by that prefix after their processes ended, killed or not.
+//! A *run* uses only its own files ([`Space`]). Every name in shared memory starts with the run's prefix. All
+//! of them can therefore be removed by that prefix after the processes have ended, killed or not.
 //!
-//! [`Stage`] is one process of the pipeline: it waits, asleep, until a frame comes, sends heartbeats in
-//! between, passes frames on that are no ticks, stamps its passage into the header and ends on SIGTERM.
-//! *Linking*: before the first tick the source sends empty warm-up frames, which every stage passes on,
-//! because a connection carries frames only once the reader has mapped it. A stage is *linked* when a frame
-//! has come in on each of its inputs and one has gone out.
+//! [`Stage`] is one process of the pipeline. It sleeps until a frame arrives and sends heartbeats in between.
+//! It passes on frames that are not ticks, stamps its passage into the header and ends on SIGTERM.
 //!
-//! A frame from one end of a topic to the other, here within one process:
+//! *Linking*: a connection carries frames only after the reader has mapped it. Before the first tick the
+//! source therefore sends empty warm-up frames, which every stage passes on. A stage is *linked* when each of
+//! its inputs has received a frame and one frame has been sent.
+//!
+//! A frame from one end of a topic to the other, within one process:
 //!
 //! ```
 //! use ports::{Node, Space};

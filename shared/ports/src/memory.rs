@@ -1,13 +1,14 @@
-//! Keeps what a tick uses in memory, so that no tick waits for a page.
+//! Keeps the memory that a tick uses resident, so that no tick waits for a page.
 //!
-//! The first touch of a page costs a *page fault*: the kernel finds and clears memory while the tick waits, a
-//! microsecond or, under pressure, milliseconds. A steady stage still makes some: room that was set aside for
-//! later (the retrieval memory, caches) is touched page by page as it fills. So whenever faults have come since
-//! the last heartbeat, the stage *populates* between two ticks what it may write: its heap, its other memory
-//! of its own, and those pages of the topics' segments that are in use. A stage without faults does nothing.
+//! The first touch of a page causes a *page fault*: the kernel finds and clears memory while the tick waits.
+//! This takes a microsecond or, under pressure, milliseconds. A steady stage still causes some faults: memory
+//! reserved for later (the retrieval memory, caches) is touched page by page as it fills. If faults have
+//! occurred since the last heartbeat, the stage *populates* its writable memory between two ticks: the heap,
+//! other private memory, and the used pages of the topics' segments. A stage without faults does nothing.
 //!
-//! Memory is *locked*, so that it is not swapped out: all of it, as it is touched, where the process may; else, within
-//! the limit (`ulimit -l`), the mappings of which the ticks use most.
+//! Memory is *locked*, so that it is not swapped out. If the process may lock everything, each page is locked
+//! when it is touched. Otherwise the mappings that the ticks use most are locked, within the limit (`ulimit
+//! -l`).
 #![expect(unsafe_code, reason = "populating and locking take addresses of mappings")]
 
 mod maps;
@@ -25,51 +26,51 @@ use rustix::thread::{CapabilitySet, capabilities};
 use crate::LAUNCHER_VARIABLE;
 use maps::{Kind, Mapping};
 
-/// Most heartbeats between two looks at the faults, reached where populating does not help.
+/// Most heartbeats between two checks of the faults, reached if populating does not help.
 const PAUSE_MAX: u32 = 16;
-/// Heartbeats after the first before what a tick uses is found out: the history is full by then.
+/// Heartbeats before the memory use of ticks is measured: the history is full by then.
 const SETTLED: u32 = 60;
-/// Heartbeats, and about as many ticks, in which it is.
+/// Heartbeats, and about as many ticks, of that measurement.
 const OBSERVED: u32 = 12;
 
 /// The memory of this process.
 #[derive(Debug)]
 pub(crate) struct ResidentMemory {
-    /// /proc/self/stat; none where this is no stage of a launcher.
+    /// /proc/self/stat; `None` if this process is not a stage of a launcher.
     stat: Option<File>,
-    /// Faults at the last look.
+    /// Faults at the last check.
     faults: u64,
     /// Heartbeats so far.
     beats: u32,
-    /// Heartbeats until the next look, and after it if it finds faults again.
+    /// Heartbeats until the next check, and the pause after it if it finds faults again.
     pause: [u32; 2],
     locked: Locked,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Locked {
-    /// The process has no limit, or is done within its limit.
+    /// The process has no limit, or the locking within its limit is finished.
     Done,
-    /// What ticks use is to be found out from this heartbeat on.
+    /// The measurement starts at this heartbeat.
     From(u32),
-    /// It has been since then.
+    /// The measurement has been running since this heartbeat.
     Since(u32),
 }
 
 impl ResidentMemory {
-    /// That of a stage which a launcher has started; other processes are left as they are.
+    /// The memory of a stage that a launcher has started; other processes are unchanged.
     pub fn of_stage() -> Self {
         let stat = std::env::var_os(LAUNCHER_VARIABLE).and_then(|_| File::open("/proc/self/stat").ok());
         let all = MlockAllFlags::CURRENT | MlockAllFlags::FUTURE | MlockAllFlags::ONFAULT;
         let locked = match &stat {
-            // Within a limit, memory that is asked for later would be refused once the limit is reached.
+            // Within a limit, later allocations would be refused once the limit is reached.
             Some(_) if !is_unlimited() || mlockall(all).is_err() => Locked::From(SETTLED),
             _ => Locked::Done,
         };
         Self { stat, faults: 0, beats: 0, pause: [0, 1], locked }
     }
 
-    /// Looks after the memory, with each heartbeat: between two ticks.
+    /// Checks the memory at each heartbeat, between two ticks.
     pub fn tend(&mut self) {
         let Some(stat) = &self.stat else { return };
         self.beats = self.beats.saturating_add(1);
@@ -78,7 +79,7 @@ impl ResidentMemory {
             let now = faults(stat).unwrap_or(self.faults);
             if now > self.faults {
                 populate();
-                // Populating has caused some itself.
+                // Populating itself has caused faults.
                 self.faults = faults(stat).unwrap_or(now);
                 let next = self.pause[1];
                 self.pause = [next, (2 * next).min(PAUSE_MAX)];
@@ -104,7 +105,7 @@ fn is_unlimited() -> bool {
     may || getrlimit(Resource::Memlock).current.is_none()
 }
 
-/// Page faults of this process, those of its threads included: minor and major together.
+/// Minor and major page faults of this process and its threads.
 fn faults(stat: &File) -> Option<u64> {
     let mut line = [0; 1024];
     let len = stat.read_at(&mut line, 0).ok()?;
@@ -114,7 +115,7 @@ fn faults(stat: &File) -> Option<u64> {
     Some(fields.next()? + fields.next()?)
 }
 
-/// Touches what ticks may write, and what others have written for them.
+/// Touches the memory that ticks may write, and the memory that others have written for them.
 fn populate() {
     for mapping in maps::read("/proc/self/maps") {
         match mapping.kind {
@@ -128,14 +129,14 @@ fn populate() {
     }
 }
 
-/// Populating is best effort: an old kernel, or full shared memory, leaves a page to its first touch.
+/// Populating is best effort: with an old kernel or full shared memory a page waits for its first touch.
 fn advise(range: &std::ops::Range<usize>, advice: Advice) {
-    // SAFETY: the advice changes no content, and a range that is not mapped any more is refused.
+    // SAFETY: the advice changes no content, and a range that is no longer mapped is refused.
     let _ = unsafe { madvise(std::ptr::without_provenance_mut::<c_void>(range.start), range.len(), advice) };
 }
 
-/// Those parts of a segment that lie in memory: room for frames that were never sent takes none, and is to take
-/// none.
+/// The parts of a segment that are in memory. Space for frames that were never sent uses no memory, and stays
+/// that way.
 fn segments_in_use(mapping: &Mapping) -> Vec<std::ops::Range<usize>> {
     let mut ranges = Vec::new();
     let Ok(file) = File::open(&mapping.path) else { return ranges };
@@ -154,14 +155,14 @@ fn segments_in_use(mapping: &Mapping) -> Vec<std::ops::Range<usize>> {
     ranges
 }
 
-/// Locks the mappings of which the last ticks used most, within the limit, and tells once what was left.
+/// Locks the most-used mappings of the last ticks, within the limit, and logs the rest once.
 fn lock_used() {
     let Some(limit) = getrlimit(Resource::Memlock).current else { return };
     let used: Vec<Mapping> =
         maps::read("/proc/self/smaps").into_iter().filter(|mapping| mapping.used > 0).collect();
     let (locked, left) = maps::within(used, usize::try_from(limit).unwrap_or(usize::MAX), |mapping| {
         let start = std::ptr::without_provenance_mut::<c_void>(mapping.start);
-        // SAFETY: locking changes no content, and a range that is not mapped any more is refused.
+        // SAFETY: locking changes no content, and a range that is no longer mapped is refused.
         unsafe { mlock_with(start, mapping.len, MlockFlags::ONFAULT) }.is_ok()
     });
     tracing::info!(
@@ -172,10 +173,10 @@ fn lock_used() {
     );
 }
 
-/// The whole of a file of /proc; empty where it can't be read.
+/// The whole content of a file of /proc; empty if it can't be read.
 fn text_of(path: &str) -> String {
     let mut text = String::new();
-    // Text with an odd path in it is left out as a whole: then nothing is populated.
+    // A text with an odd path is discarded as a whole: then nothing is populated.
     let _ = File::open(path).and_then(|mut file| file.read_to_string(&mut text));
     text
 }

@@ -1,4 +1,4 @@
-//! Topics under other names, so that a program can be put between a writer and its readers.
+//! Topics under other names. They allow a program between a writer and its readers.
 
 use std::collections::BTreeMap;
 
@@ -6,23 +6,23 @@ use std::collections::BTreeMap;
 /// `topic=name`. Its launcher sets it from the key `topics` of the stage in pipeline.toml.
 pub const TOPICS_VARIABLE: &str = "STGDAT_TOPICS";
 
-/// Names of topics in shared memory, where they are not those of the topics themselves.
+/// Names of topics in shared memory that differ from the topics' own names.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Names(BTreeMap<String, String>);
 
 impl Names {
-    /// Those of this process.
+    /// The names of this process.
     pub fn of_process() -> Self {
         std::env::var(TOPICS_VARIABLE).map_or_else(|_| Self::default(), |list| Self::read(&list))
     }
 
-    /// A list of `topic=name`.
+    /// Parses a list of `topic=name`.
     fn read(list: &str) -> Self {
         let pairs = list.split(',').filter_map(|pair| pair.split_once('='));
         Self(pairs.map(|(topic, name)| (topic.trim().to_owned(), name.trim().to_owned())).collect())
     }
 
-    /// The name in shared memory of a topic.
+    /// A topic's name in shared memory.
     pub fn of<'a>(&'a self, topic: &'a str) -> &'a str {
         self.0.get(topic).map_or(topic, String::as_str)
     }

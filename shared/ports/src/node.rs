@@ -23,28 +23,29 @@ use crate::publisher::Sender;
 use crate::space::remove_half_made_services;
 use crate::{HEARTBEAT, PortError, Publisher, Stop, Subscriber};
 
-/// Frames that one reader may hold at a time: one for long, and while it looks for the newest two more.
+/// Frames that one reader may hold at a time: one for a long time, and two more while it looks for the
+/// newest.
 pub(crate) const BORROWED_MAX: usize = 3;
 /// Frames that a publisher may prepare at a time.
 pub(crate) const LOANED_MAX: usize = 1;
-/// Frames that a reader gets which opens the topic after they were sent.
+/// Frames sent earlier that a new reader receives.
 pub(crate) const HISTORY: usize = 1;
 /// Processes of a run that may use a topic: all stages, the launcher, and spares for tools.
 pub(crate) const NODES_MAX: usize = 20;
-/// A payload starts at a cache line, wide enough for every vector load.
+/// A payload starts at a cache line, which is aligned for every vector load.
 pub(crate) const ALIGNMENT: usize = 64;
 
-/// Longest time for which a half-made service is tried again: the time that a stage has to start by default.
+/// Maximum time for retrying a half-created service: the default start time of a stage.
 const OPEN_LIMIT: Duration = Duration::from_secs(10);
-/// Pause between two tries, each of which waits for up to a second itself.
+/// Pause between two tries. Each try itself waits for up to a second.
 const OPEN_PAUSE: Duration = Duration::from_millis(50);
 
-/// Longest time for which a place for a reader is waited for: that of a dead reader is free within a second.
+/// Maximum wait for a reader's place: the place of a dead reader is free within a second.
 const PLACE_LIMIT: Duration = Duration::from_secs(2);
-/// What the name of a topic's services starts with.
+/// Prefix of the names of a topic's services.
 const SERVICES: &str = "stgdat/";
 
-/// A service or a connection that is half made for so long was left by a process that was killed.
+/// If a service or a connection stays half created for this time, a killed process left it.
 pub const HALF_MADE_LIMIT: Duration = Duration::from_millis(500);
 
 /// Meanings of the events that wake a topic's readers.
@@ -76,10 +77,10 @@ pub(crate) type Services<T> =
     (publish_subscribe::PortFactory<ipc::Service, [Element<T>], Head>, event::PortFactory<ipc::Service>);
 
 impl Node {
-    /// Joins a run under a name that tools show.
+    /// Joins a run under a name that tools display.
     ///
     /// # Errors
-    /// [`PortError`] if the run's files can't be made or the signals not be taken over.
+    /// [`PortError`] if the run's files can't be created or the signal handlers can't be installed.
     pub fn open(run: &Run, name: &str) -> Result<Self, PortError> {
         let stop = Stop::on_signals().map_err(PortError::of_node("taking over the signals to end"))?;
         let node_name = NodeName::new(name).map_err(PortError::of_node("name of the node"))?;
@@ -98,8 +99,8 @@ impl Node {
         Ok(Self { node, run_id, interval, stop, sender, names, protected, lockstep, spares, readers, added })
     }
 
-    /// The same node as that of a stage: the headers of all that it sends report so, and its topics have the
-    /// names of its process.
+    /// The same node for a stage. The headers of all frames that it sends name the stage, and its topics have
+    /// the names that this process maps them to.
     pub(crate) fn of_stage(mut self, id: StageId, incarnation: u32) -> Self {
         self.sender = Sender { stage: id.number(), incarnation };
         self.names = Names::of_process();
@@ -121,7 +122,7 @@ impl Node {
     /// Opens a topic for writing.
     ///
     /// # Errors
-    /// [`PortError`] if the topic has its writers already or shared memory is short.
+    /// [`PortError`] if all writer places of the topic are taken or shared memory is short.
     pub fn publisher<T: Topic>(&self) -> Result<Publisher<T>, PortError> {
         let (publisher, notifier) = publisher_of(&self.services::<T>(self.names.of(T::NAME))?)?;
         Ok(Publisher::new(publisher, notifier, self.sender, self.protects::<T>()))
@@ -130,7 +131,7 @@ impl Node {
     /// Opens a topic for reading with a queue of `depth` frames; the oldest is dropped when it is full.
     ///
     /// # Errors
-    /// [`PortError`] if the topic has its most readers already, shared memory is short, or `depth` is more
+    /// [`PortError`] if all reader places of the topic are taken, shared memory is short, or `depth` is more
     /// than [`Topic::DEPTH_MAX`].
     pub fn subscriber<T: Topic>(&self, depth: usize) -> Result<Subscriber<T>, PortError> {
         let services = self.services::<T>(self.names.of(T::NAME))?;
@@ -141,13 +142,13 @@ impl Node {
 
     /// Whether the frames of the topic carry a check value.
     fn protects<T: Topic>(&self) -> bool {
-        // A declared topic has no check value: its readers may know it by another name, which the value
-        // covers.
+        // A declared topic has no check value: its readers may know it by another name, and the check value
+        // covers the name.
         self.added.topic(self.names.of(T::NAME)).is_none()
             && self.protected.iter().any(|name| name == T::NAME)
     }
 
-    /// Opens or makes the two services of a topic under a name, with the same settings in all processes.
+    /// Opens or creates the two services of a topic under a name, with the same settings in all processes.
     pub(crate) fn services<T: Topic>(&self, name: &str) -> Result<Services<T>, PortError> {
         let limits = self.limits::<T>(name);
         let name: ServiceName = format!("{SERVICES}{name}")
@@ -175,7 +176,7 @@ impl Node {
         Ok((frames, self.events(&name, limits, interval, T::NAME)?))
     }
 
-    /// Opens or makes the events of a topic.
+    /// Opens or creates the event service of a topic.
     pub(crate) fn events(
         &self,
         name: &ServiceName,
@@ -199,9 +200,9 @@ impl Node {
         self.patiently(events, is_half_made_event).map_err(PortError::of("events", topic))
     }
 
-    /// Most ports of a topic, by its name in shared memory: those of the shipped pipeline, those of the
-    /// stages that the pipeline file adds, and those of spares. All processes of the run find the same in its
-    /// record.
+    /// Limits of a topic, by its name in shared memory. They count the ports of the shipped pipeline, of the
+    /// stages that the pipeline file adds, and of spares. All processes of the run find the same limits in
+    /// its record.
     fn limits<T: Topic>(&self, name: &str) -> Limits {
         if let Some(topic) = self.added.topic(name) {
             return self.with_further(name, self.added.limits(topic));
@@ -218,8 +219,8 @@ impl Node {
         )
     }
 
-    /// Adds places for spares and for the further readers of the pipeline file: each spare may read the
-    /// topic, and a place of a process that died is free only once it is cleaned up.
+    /// Adds places for spares and for the further readers of the pipeline file. Each spare may read the
+    /// topic, and the place of a dead process is free only after the clean-up.
     pub(crate) fn with_further(&self, name: &str, limits: Limits) -> Limits {
         let spares = self.spares.iter().filter(|spare| spare.opens(name)).count();
         let readers = self.readers.get(name).map_or(0, |&readers| readers as usize);
@@ -231,8 +232,8 @@ impl Node {
         }
     }
 
-    /// Opens a service again and again while it is half made: another process is making it, or was killed at
-    /// it and is cleaned up after.
+    /// Retries to open a service while it is half created: either another process is creating it, or that
+    /// process was killed and the clean-up follows.
     pub(crate) fn patiently<S, E>(
         &self,
         open: impl Fn() -> Result<S, E>,
@@ -252,8 +253,8 @@ impl Node {
     }
 }
 
-/// The topics of a run, made before any other process opens them, with places for all spares. They last as
-/// long as a process has them open.
+/// The topics of a run, created before any other process opens them, with places for all spares. They exist
+/// as long as a process has them open.
 #[derive(Debug)]
 pub struct Topics {
     _services: Vec<Box<dyn Debug>>,
@@ -261,10 +262,10 @@ pub struct Topics {
 }
 
 impl Topics {
-    /// Makes those of a run.
+    /// Creates the topics of a run.
     ///
     /// # Errors
-    /// [`PortError`] if one can't be made.
+    /// [`PortError`] if a topic can't be created.
     pub fn make(run: &Run) -> Result<Self, PortError> {
         let node = Node::open(run, "topics")?;
         fn of<T: Topic>(node: &Node) -> Result<Box<dyn Debug>, PortError> {
@@ -284,7 +285,7 @@ impl Topics {
     }
 }
 
-/// Whether the service of a topic is being made, removed, or both in turn.
+/// Whether the service of a topic is being created, removed, or both in turn.
 pub(crate) const fn is_half_made_topic(error: &PublishSubscribeOpenOrCreateError) -> bool {
     use PublishSubscribeOpenOrCreateError as Error;
     matches!(
@@ -303,7 +304,7 @@ pub(crate) const fn is_half_made_topic(error: &PublishSubscribeOpenOrCreateError
     )
 }
 
-/// The same of the events.
+/// Whether the event service is being created, removed, or both in turn.
 const fn is_half_made_event(error: &EventOpenOrCreateError) -> bool {
     use EventOpenOrCreateError as Error;
     matches!(
@@ -359,8 +360,8 @@ pub(crate) fn subscriber_of<T: Topic>(
     Ok((subscriber, listener))
 }
 
-/// Makes a subscriber. If all places are taken it tries again for a while: one of them may be that of a dead
-/// reader, which the launcher is about to give back.
+/// Creates a subscriber. If all places are taken it retries for a while: one of them may belong to a dead
+/// reader, and the launcher is about to free it.
 pub(crate) fn subscriber<S>(
     create: impl Fn() -> Result<S, SubscriberCreateError>,
     service: &ServiceName,
@@ -383,8 +384,8 @@ pub(crate) fn subscriber<S>(
     }
 }
 
-/// The transport's settings for a run: its own names and directory, and no clean-up by the stages, which
-/// could block on a file that a killed process left half written.
+/// The transport's settings for a run: the run's own names and directory, and no clean-up by the stages. A
+/// clean-up could block on a file that a killed process left half written.
 pub(crate) fn transport_config(run: &Run) -> Result<Config, SemanticStringError> {
     let mut config = Config::global_config().clone();
     config.global.prefix = FileName::new(run.prefix.as_bytes())?;
@@ -395,13 +396,13 @@ pub(crate) fn transport_config(run: &Run) -> Result<Config, SemanticStringError>
     Ok(config)
 }
 
-/// Gives back what the dead processes of a run held in shared memory: their ports' places on the topics and
-/// the frames that they had borrowed. Calls `found` with each process before its files are removed. Returns
-/// how many were cleaned, and how many could not be. A service that one of them was killed in the middle of
-/// making is removed, so that others can make it.
+/// Frees the resources of a run's dead processes in shared memory: their places on the topics and the frames
+/// that they had borrowed. Calls `found` with each process before its files are removed. Returns the number
+/// of processes that were cleaned, and the number that could not be. A service is removed if a process was
+/// killed while it created it, so that others can create it.
 ///
-/// May block for ever on a connection that a process was killed in the middle of making
-/// ([`remove_half_made_connections`](crate::remove_half_made_connections)): call it in a process that can be
+/// May block forever on a connection if a process was killed while it created the connection
+/// ([`remove_half_made_connections`](crate::remove_half_made_connections)). Call it in a process that can be
 /// killed.
 ///
 /// # Errors
@@ -413,7 +414,8 @@ pub fn clean_dead_nodes(
     let config = transport_config(run).map_err(PortError::of_node("paths of the run"))?;
     let (mut cleaned, mut failed) = nodes::clean(&config, &mut found);
     if failed > 0 {
-        // A service takes milliseconds to be made: what is half made for so long, nobody will finish.
+        // Creating a service takes milliseconds: a service that is still half created after this time will
+        // stay so.
         std::thread::sleep(HALF_MADE_LIMIT);
         if remove_half_made_services(&run.root, HALF_MADE_LIMIT) > 0 {
             let again = nodes::clean(&config, &mut found);

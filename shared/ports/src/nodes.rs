@@ -1,9 +1,9 @@
-//! Which processes of a run have died, by the files of their nodes.
+//! Finds the dead processes of a run by the files of their nodes.
 //!
 //! Every process that joins a run has a *node*: files `NUMBER.node_monitor…` in the folder `nodes` of the
-//! run, of which it keeps the first one locked until it ends, and a folder NUMBER with what it has opened.
-//! The lock of a process that dies is gone while the files remain. A lock shows a death in any container that
-//! sees the folder.
+//! run, and a folder NUMBER that lists what the process has opened. The process keeps the first file locked
+//! until it ends. When a process dies, the lock disappears and the files remain. The lock shows a death in
+//! any container that sees the folder.
 
 use std::collections::BTreeMap;
 use std::ffi::OsStr;
@@ -19,13 +19,13 @@ use rustix::process::{Flock, FlockType, fcntl_getlk};
 use crate::node::transport_config;
 use crate::space::is_older;
 
-/// The folder of a run's directory with the nodes.
+/// The folder of the nodes in a run's directory.
 const NODES: &str = "nodes";
-/// What the name of a node's files starts with after its number.
+/// The part after the number in the names of a node's files.
 const MONITOR: &str = ".node_monitor";
 /// A node takes less than a millisecond from its first file to its lock.
 const YOUNG: Duration = Duration::from_millis(100);
-/// What is unlocked and unchanged for so long, nobody will finish.
+/// Files that are unlocked and unchanged for this time will not be finished.
 const FRAGMENT_AGE: Duration = Duration::from_secs(2);
 
 /// The number of a node.
@@ -51,7 +51,7 @@ pub struct NodeWatch {
 }
 
 impl NodeWatch {
-    /// Looks at the nodes of a run.
+    /// Creates a watch on the nodes of a run.
     ///
     /// # Errors
     /// [`PortError`](crate::PortError) if the run's paths can't be used.
@@ -60,8 +60,8 @@ impl NodeWatch {
         Ok(Self { folder: run.root.join(NODES), prefix: run.prefix.clone(), config })
     }
 
-    /// The nodes whose processes have died, and what processes left that were killed while they made their
-    /// node. Takes three system calls for each node.
+    /// The nodes whose processes have died, and the remains of processes that were killed while they created
+    /// their node. Takes three system calls for each node.
     #[must_use]
     pub fn dead(&self) -> Vec<NodeNumber> {
         let nodes = parts(&self.folder, &self.prefix);
@@ -88,7 +88,7 @@ impl NodeWatch {
             }
             CallbackProgression::Continue
         };
-        // Fails while another process removes a node: the names are for people alone.
+        // Fails while another process removes a node: the names are only for people.
         let _ = iceoryx2::node::Node::<ipc::Service>::list(&self.config, take);
         processes
     }
@@ -102,8 +102,8 @@ fn process_of(node: &DeadNodeView<ipc::Service>) -> Option<NodeProcess> {
     Some(NodeProcess { name, program, pid: pid_of(node.id().value()) })
 }
 
-/// Gives back what dead nodes held. Calls `found` with each node before its files are removed, if they name
-/// its process. Returns how many were cleaned, and how many could not be.
+/// Frees the resources of dead nodes. Calls `found` with each node before its files are removed, if they name
+/// its process. Returns the number of nodes that were cleaned, and the number that could not be.
 pub(crate) fn clean(config: &Config, found: &mut impl FnMut(NodeNumber, &NodeProcess)) -> (u64, u64) {
     let (mut cleaned, mut failed) = (0, 0);
     let clean = |state: NodeState<ipc::Service>| {
@@ -118,13 +118,14 @@ pub(crate) fn clean(config: &Config, found: &mut impl FnMut(NodeNumber, &NodePro
         }
         CallbackProgression::Continue
     };
-    // Fails while another process removes a node: the next clean-up takes in what is left.
+    // Fails while another process removes a node: the next clean-up handles the rest.
     let _ = iceoryx2::node::Node::<ipc::Service>::list(config, clean);
     (cleaned, failed)
 }
 
-/// Removes what is left of nodes whose processes were killed while they made them or cleaned up after them:
-/// the transport takes these for nodes that somebody still makes. Returns how many.
+/// Removes the remains of nodes whose processes were killed while they created the nodes or cleaned up after
+/// them. The transport takes these nodes for ones that are still being created. Returns the number of removed
+/// nodes.
 pub(crate) fn remove_fragments(run: &Run) -> usize {
     let folder = run.root.join(NODES);
     let nodes = parts(&folder, &run.prefix).into_iter().filter(|(number, parts)| {
@@ -134,10 +135,10 @@ pub(crate) fn remove_fragments(run: &Run) -> usize {
     nodes.filter(|(_, parts)| parts.remove()).count()
 }
 
-/// What there is of a node.
+/// The files of a node.
 #[derive(Debug, Default)]
 struct Parts {
-    /// The file that its process keeps locked.
+    /// The file that the node's process keeps locked.
     monitor: Option<PathBuf>,
     /// Further files of that name.
     others: Vec<PathBuf>,
@@ -146,14 +147,14 @@ struct Parts {
 }
 
 impl Parts {
-    /// Whether its folder lists ports or services: places that only the transport gives back.
+    /// Whether the node's folder lists ports or services: only the transport can free these places.
     fn has_opened(&self) -> bool {
         let entries = self.folder.as_ref().and_then(|folder| std::fs::read_dir(folder).ok());
         // The process's description is the only other file.
         entries.into_iter().flatten().filter_map(Result::ok).nth(1).is_some()
     }
 
-    /// Whether all its files are older than `age`; its folder changes with what it opens.
+    /// Whether all files are older than `age`; the folder changes when the process opens something.
     fn are_older(&self, age: Duration) -> bool {
         let files = self.monitor.iter().chain(&self.others);
         let folder = self.folder.iter().filter(|_| self.monitor.is_none());
@@ -161,7 +162,7 @@ impl Parts {
         files.chain(folder).all(is_older)
     }
 
-    /// Everything, the folder last.
+    /// All files and then the folder.
     fn files(&self) -> impl Iterator<Item = &PathBuf> {
         self.monitor.iter().chain(&self.others).chain(&self.folder)
     }
@@ -199,7 +200,7 @@ fn pid_of(number: NodeNumber) -> u32 {
     (number >> 64) as u32
 }
 
-/// Whether this process made the node. Its files must not be opened here: to close one gives up its lock.
+/// Whether this process created the node. Its files must not be opened here: closing one releases the lock.
 fn is_own(number: NodeNumber) -> bool {
     pid_of(number) == std::process::id()
 }

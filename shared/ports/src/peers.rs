@@ -5,12 +5,12 @@ use wire::{Heartbeat, HeartbeatsTopic, StageId};
 
 use crate::{PortError, Subscriber};
 
-/// The number in the place of a stage's under which the tap of a run sends heartbeats, in lockstep and while a tool
-/// is attached. It is no stage: nothing but [`Peers::others_reached`] looks for it.
+/// Number used instead of a stage's number by the tap of a run. The tap sends heartbeats in lockstep, and
+/// while a tool is attached. The tap is not a stage: only [`Peers::others_reached`] looks for it.
 pub const TAP: u32 = 64;
 
-/// Heartbeats of the tap, or of an added stage, that are older are those of one that died or was stopped: nothing
-/// waits for it.
+/// If the newest heartbeat of the tap, or of an added stage, is older than this, it has died or was stopped:
+/// nothing waits for it.
 const TAP_SILENT_NS: u64 = 2_000_000_000;
 
 /// The newest heartbeat of each stage of a run.
@@ -20,13 +20,13 @@ pub struct Peers {
     newest: BTreeMap<u32, Heartbeat>,
     /// Stages that send heartbeats.
     expected: Vec<StageId>,
-    /// Added stages that write a topic and that no forecast waits for.
+    /// Added stages that write a topic and whose output no forecast waits for.
     beside: Vec<StageId>,
 }
 
 impl Peers {
-    /// Expects heartbeats of this project's own programs. A program in a stage's place need not send any: it
-    /// is linked when the stages that read from it are.
+    /// Expects heartbeats of this project's own programs. A foreign program in a stage's place need not send
+    /// heartbeats: it counts as linked when the stages that read from it are linked.
     #[must_use]
     pub fn new(heartbeats: Subscriber<HeartbeatsTopic>, run: &Run) -> Self {
         let built_in = run.stages.iter().filter(|stage| stage.built_in);
@@ -36,7 +36,7 @@ impl Peers {
         Self { heartbeats, newest: BTreeMap::new(), expected, beside }
     }
 
-    /// Takes the heartbeats that have come; returns them.
+    /// Takes the heartbeats that have arrived, and returns them.
     ///
     /// # Errors
     /// [`PortError`] if the transport fails.
@@ -45,7 +45,7 @@ impl Peers {
         while let Some(frame) = self.heartbeats.receive()? {
             came.extend_from_slice(&frame);
         }
-        // A process that has been replaced may have left a heartbeat in the queue.
+        // A replaced process may have left a heartbeat in the queue.
         came.retain(|heartbeat: &Heartbeat| {
             let newest = self.newest.get(&heartbeat.stage).map_or(0, |newest| newest.incarnation);
             let is_new = heartbeat.incarnation >= newest;
@@ -57,19 +57,19 @@ impl Peers {
         Ok(came)
     }
 
-    /// The newest heartbeat of a stage, of those that have been taken.
+    /// The newest received heartbeat of a stage.
     #[must_use]
     pub fn newest(&self, stage: StageId) -> Option<&Heartbeat> {
         self.newest.get(&stage.number())
     }
 
-    /// Whether a stage is a program of this project's own, which sends heartbeats.
+    /// Whether a stage is a program of this project, which sends heartbeats.
     #[must_use]
     pub fn expects(&self, stage: StageId) -> bool {
         self.expected.contains(&stage)
     }
 
-    /// The topic whose events end a wait for them.
+    /// The heartbeat topic; its events end a wait for heartbeats.
     #[must_use]
     pub const fn heartbeats(&self) -> &Subscriber<HeartbeatsTopic> {
         &self.heartbeats
@@ -82,7 +82,8 @@ impl Peers {
         self.expected.iter().copied().filter(|stage| !linked(stage)).collect()
     }
 
-    /// Whether the tap and the added stages beside the way have seen tick `seq` at `now_ns`, or do not follow the run.
+    /// Whether the tap and the added stages of `beside` have seen tick `seq` at `now_ns`, or do not follow
+    /// the run.
     #[must_use]
     pub fn others_reached(&self, seq: u64, now_ns: u64) -> bool {
         let reached = |number: u32| {

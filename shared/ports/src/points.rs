@@ -1,8 +1,8 @@
-//! Points in a stage's step at which it kills itself, to show what such a death costs.
+//! Points in a stage's step at which the stage kills itself, to test the consequences of a death there.
 //!
-//! They are compiled in and free when off: each is a branch on one byte. [`POINTS_VARIABLE`] arms them, read
-//! once when the stage opens: a list of `stage:point@tick`, as in `decoder:mid-write@40,decoder:idle@80`. The
-//! n-th entry of a stage is for its n-th process.
+//! The points are always compiled in. A disarmed point costs one branch on a byte. [`POINTS_VARIABLE`] arms
+//! points and is read once, when the stage opens. It is a list of `stage:point@tick`, as in
+//! `decoder:mid-write@40,decoder:idle@80`. The n-th entry of a stage is for its n-th process.
 
 use std::sync::atomic::{AtomicU8, AtomicU64, Ordering::Relaxed};
 
@@ -28,9 +28,9 @@ pub enum Point {
     Idle = 5,
 }
 
-/// The armed point as a number; 0 where none is.
+/// The armed point as a number; 0 if none is armed.
 static ARMED: AtomicU8 = AtomicU8::new(0);
-/// The tick from which on the point kills.
+/// The first tick at which the point kills.
 static TICK: AtomicU64 = AtomicU64::new(0);
 /// The tick after the newest one that was sent or finished; 0 before the first.
 static NEXT: AtomicU64 = AtomicU64::new(0);
@@ -59,7 +59,7 @@ impl Point {
     }
 }
 
-/// Arms the point of this process's stage, where the variable has one.
+/// Arms the point of this process's stage, if the variable has one.
 pub(crate) fn arm(stage: StageId, incarnation: u32) {
     let entry = std::env::var(POINTS_VARIABLE).ok().and_then(|list| entry(&list, stage, incarnation));
     if let Some((point, tick)) = entry {
@@ -68,7 +68,7 @@ pub(crate) fn arm(stage: StageId, incarnation: u32) {
     }
 }
 
-/// The point of a process of a stage, and from which tick on it kills.
+/// The point of a process of a stage, and the first tick at which it kills.
 fn entry(list: &str, stage: StageId, incarnation: u32) -> Option<(Point, u64)> {
     let of_stage = list.split(',').filter_map(|entry| entry.trim().split_once(':'));
     let (_, at) = of_stage.filter(|(name, _)| *name == stage.name()).nth(incarnation as usize)?;
@@ -76,7 +76,7 @@ fn entry(list: &str, stage: StageId, incarnation: u32) -> Option<(Point, u64)> {
     Some((Point::from_name(point)?, tick.parse().ok()?))
 }
 
-/// The stage sends a frame, and is at that point of it.
+/// Called when the stage sends a frame and has reached `point`.
 #[inline]
 pub(crate) fn sending(point: Point, header: &Header) {
     if ARMED.load(Relaxed) != 0 && header.is_tick() {
@@ -87,13 +87,13 @@ pub(crate) fn sending(point: Point, header: &Header) {
     }
 }
 
-/// The stage is at a point before it knows the frame that follows: that of the next tick.
+/// Called when the stage reaches a point before it knows the next frame: that of the next tick.
 #[inline]
 pub(crate) fn reach(point: Point) {
     if ARMED.load(Relaxed) != 0 {
         let next = NEXT.load(Relaxed);
         match point {
-            // Nothing was sent yet: the stages are still being linked.
+            // Nothing has been sent: the stages are still being linked.
             _ if next == 0 => {}
             Point::Idle => die_if_due(point, next - 1),
             _ => die_if_due(point, next),
@@ -101,7 +101,7 @@ pub(crate) fn reach(point: Point) {
     }
 }
 
-/// The stage has finished a tick, whether it sends anything or not.
+/// Called when the stage has finished a tick, whether it sends anything or not.
 #[inline]
 pub(crate) fn finished(seq: u64) {
     if ARMED.load(Relaxed) != 0 {

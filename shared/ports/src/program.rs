@@ -14,10 +14,10 @@ pub const RUN_VARIABLE: &str = "STGDAT_RUN";
 /// The environment variable that holds the launcher's process number.
 pub const LAUNCHER_VARIABLE: &str = "STGDAT_LAUNCHER";
 
-/// The environment variable that holds how often the stage had been started before; 0 where it is not set.
+/// The environment variable with the stage's number of earlier starts; 0 if it is not set.
 pub const INCARNATION_VARIABLE: &str = "STGDAT_INCARNATION";
 
-/// How often this process's stage had been started before, as its launcher has set it.
+/// The stage's number of earlier starts, as the launcher has set it.
 #[must_use]
 pub fn incarnation() -> u32 {
     std::env::var(INCARNATION_VARIABLE).ok().and_then(|number| number.parse().ok()).unwrap_or(0)
@@ -34,7 +34,7 @@ pub fn stage_main(stage: fn(&Run) -> Result<(), StageError>) -> ExitCode {
     };
     let Some(path) = path else {
         let usage = "`stgdat run` starts the stages and writes the file";
-        // Nobody may be reading.
+        // Standard error may have no reader.
         let _ = writeln!(std::io::stderr(), "usage: --run FILE, or {RUN_VARIABLE}=FILE; {usage}");
         return Exit::Usage.into();
     };
@@ -58,7 +58,7 @@ pub fn die_with_launcher() -> Result<(), StageError> {
     if launcher.is_none() {
         return Ok(());
     }
-    // Refused only for signals that do not exist.
+    // Fails only for signals that do not exist.
     let _ = set_parent_process_death_signal(Some(Signal::KILL));
     if getppid() == launcher { Ok(()) } else { Err(StageError::LauncherGone) }
 }
@@ -66,7 +66,7 @@ pub fn die_with_launcher() -> Result<(), StageError> {
 /// Writes the process's log to standard error: warnings, or what `RUST_LOG` selects.
 pub fn begin_logging(color: Color) {
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("warn"));
-    // Fails where a test or an embedding program has set up a log already, which then serves.
+    // Fails if a test or an embedding program has already installed a log, which is then used.
     let _ = tracing_subscriber::fmt()
         .with_env_filter(filter)
         .with_writer(std::io::stderr)

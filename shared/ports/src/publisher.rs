@@ -24,16 +24,16 @@ pub struct Publisher<T: Topic> {
     counter: Cell<u32>,
 }
 
-/// The sender in the headers; zeros where it is no stage.
+/// The sender in the headers; zeros if it is not a stage.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Sender {
     /// The stage's number.
     pub stage: u32,
-    /// How often the stage had been started before.
+    /// The stage's number of earlier starts.
     pub incarnation: u32,
 }
 
-/// Room for one frame in shared memory, to be written and sent.
+/// Space for one frame in shared memory, to be written and sent.
 #[derive(Debug)]
 pub struct Loan<T: Topic>(SampleMut<ipc::Service, [Element<T>], Head>);
 
@@ -47,7 +47,7 @@ impl<T: Topic> Publisher<T> {
         Self { publisher, notifier, sender, protects, counter: Cell::new(0) }
     }
 
-    /// Room for `len` elements; until written they hold an earlier frame or zeros.
+    /// Space for `len` elements. Until they are written they hold an earlier frame or zeros.
     ///
     /// # Errors
     /// [`PortError`] if `len` is beyond [`Topic::ELEMENTS_MAX`] or shared memory is full.
@@ -64,7 +64,7 @@ impl<T: Topic> Publisher<T> {
         Ok(Loan(unsafe { sample.assume_init() }))
     }
 
-    /// Sends a frame to all readers, in the name of this process, and wakes them.
+    /// Sends a frame in the name of this process to all readers, and wakes them.
     ///
     /// # Errors
     /// [`PortError`] if the transport fails.
@@ -77,7 +77,7 @@ impl<T: Topic> Publisher<T> {
         };
         at(Point::MidWrite);
         let Sender { stage: sender, incarnation } = self.sender;
-        // The protection of the frame that came in does not cover the one that goes out.
+        // The protection of the received frame does not cover the frame that is sent.
         let mut header = Header { protection: Protection::default(), sender, incarnation, ..header };
         if self.protects {
             header.protection = Protection::of::<T>(&header, &loan, self.counter.get());
@@ -86,13 +86,13 @@ impl<T: Topic> Publisher<T> {
         *loan.0.user_header_mut() = Head(header);
         loan.0.send().map_err(PortError::of("sending", T::NAME))?;
         at(Point::BeforeNotify);
-        // Errors here are late notifications, which were delivered all the same, and readers that are gone.
+        // Errors here are late notifications, which were delivered all the same, and readers that have ended.
         let _ = self.notifier.notify();
         at(Point::AfterSend);
         Ok(())
     }
 
-    /// A frame with a copy of `elements`, for results whose number is not known before they are computed.
+    /// A frame with a copy of `elements`, for results whose count is unknown before they are computed.
     ///
     /// # Errors
     /// As [`Publisher::loan`].

@@ -11,7 +11,7 @@ use crate::relay::RawFrame;
 use crate::wait::{Wakes, descriptor, drain};
 use crate::{Node, PortError};
 
-/// Reads a topic as one more consumer and checks nothing; dropping it gives the reader's place back.
+/// Reads a topic as an additional consumer and checks nothing; dropping it frees the reader's place.
 #[derive(Debug)]
 pub struct RawSubscriber<T: Topic> {
     subscriber: Subscriber<ipc::Service, [Element<T>], Head>,
@@ -19,7 +19,7 @@ pub struct RawSubscriber<T: Topic> {
 }
 
 impl Node {
-    /// Opens a topic for reading frames as they lie, with a queue of `depth` frames.
+    /// Opens a topic for reading unchecked frames, with a queue of `depth` frames.
     ///
     /// # Errors
     /// As [`Node::subscriber`].
@@ -39,7 +39,7 @@ impl<T: Topic> RawSubscriber<T> {
         Ok(sample.map(RawFrame::of))
     }
 
-    /// Takes the events that have come, so that the descriptor is readable again only when another comes.
+    /// Drains the pending events, so that the descriptor becomes readable only when another event arrives.
     ///
     /// # Errors
     /// [`PortError`] if the transport fails.
@@ -54,7 +54,7 @@ impl<T: Topic> Wakes for RawSubscriber<T> {
     }
 }
 
-/// Readable when an event of the topic has come: for programs that wait for other things besides.
+/// Readable when an event of the topic has arrived, for programs that also wait for other things.
 impl<T: Topic> AsFd for RawSubscriber<T> {
     fn as_fd(&self) -> BorrowedFd<'_> {
         descriptor(self)

@@ -1,4 +1,4 @@
-//! Frames as they lie in shared memory, unchecked: for a program between a topic's writer and its readers.
+//! Unchecked frames in shared memory, for a program between a topic's writer and its readers.
 #![expect(unsafe_code, reason = "a loan hands out shared memory that was never written by this process")]
 
 use std::cell::{Cell, RefCell};
@@ -18,13 +18,14 @@ use crate::node::{Services, Writing, publisher_of, subscriber_of};
 use crate::wait::{Wakes, wait};
 use crate::{Node, PortError, Stop};
 
-/// Takes frames of a topic under one name and sends frames under its own: any header, any payload.
+/// Receives frames of a topic under one name and sends frames under the topic's own name, with any header and
+/// any payload.
 #[derive(Debug)]
 pub struct Relay<T: Topic> {
-    /// Whether it writes at all.
+    /// `false` if the relay only reads.
     writes: bool,
     writer: RefCell<Option<Writing<T>>>,
-    /// Whether the name that it reads had a writer at the last look.
+    /// Whether the name that the relay reads had a writer at the last check.
     had_writer: Cell<bool>,
     services: Services<T>,
     subscriber: Subscriber<ipc::Service, [Element<T>], Head>,
@@ -32,7 +33,7 @@ pub struct Relay<T: Topic> {
     node: Node,
 }
 
-/// A frame as it came: its header and its elements were not looked at.
+/// A received frame; its header and its elements are unchecked.
 #[derive(Debug)]
 pub struct RawFrame<T: Topic>(Sample<ipc::Service, [Element<T>], Head>);
 
@@ -67,7 +68,7 @@ impl<T: Topic> Relay<T> {
         Ok(Self { writes: true, writer, had_writer: Cell::new(false), services, subscriber, listener, node })
     }
 
-    /// Only reads the topic, as one more consumer, with a queue of `depth` frames.
+    /// Only reads the topic, as an additional consumer, with a queue of `depth` frames.
     ///
     /// # Errors
     /// [`PortError`] if the run's shared memory can't be used.
@@ -79,8 +80,8 @@ impl<T: Topic> Relay<T> {
         Ok(Self { writes: false, writer, had_writer, services, subscriber, listener, node })
     }
 
-    /// Has the topic open for writing as long as somebody writes under the name that is read: its readers see
-    /// the end of a writer that dies. Until the first one has come the topic stays open.
+    /// Keeps the topic open for writing while the name that is read has a writer, so that the topic's readers
+    /// see the end of a writer that dies. The topic stays open until the first writer has appeared.
     ///
     /// # Errors
     /// [`PortError`] if the topic can't be opened again.
@@ -97,14 +98,14 @@ impl<T: Topic> Relay<T> {
     /// The oldest frame of the queue, if there is one.
     ///
     /// # Errors
-    /// [`PortError`] if the transport fails: also if more frames are held than a reader may hold.
+    /// [`PortError`] if the transport fails, or if the caller holds more frames than a reader may hold.
     pub fn receive(&self) -> Result<Option<RawFrame<T>>, PortError> {
         let sample = self.subscriber.receive().map_err(PortError::of("receiving", T::NAME))?;
         Ok(sample.map(RawFrame))
     }
 
-    /// Sends a frame; elements beyond [`Topic::ELEMENTS_MAX`] are left out. A relay that has closed the topic
-    /// ([`Relay::follow_writer`]), or that only reads, sends nothing.
+    /// Sends a frame; elements after [`Topic::ELEMENTS_MAX`] are left out. A relay that has closed the topic
+    /// ([`Relay::follow_writer`]) or that only reads sends nothing.
     ///
     /// # Errors
     /// [`PortError`] if the transport fails.
@@ -119,12 +120,12 @@ impl<T: Topic> Relay<T> {
         Element::<T>::peel_slice_mut(loan.payload_mut()).copy_from_slice(elements);
         *loan.user_header_mut() = Head(*header);
         loan.send().map_err(PortError::of("sending", T::NAME))?;
-        // Errors here are late notifications, which were delivered all the same, and readers that are gone.
+        // Errors here are late notifications, which were delivered all the same, and readers that have ended.
         let _ = notifier.notify();
         Ok(())
     }
 
-    /// Sleeps until a frame comes, a signal or the end of `timeout`. May return early.
+    /// Sleeps until a frame arrives, a signal arrives or `timeout` has passed. May return early.
     ///
     /// # Errors
     /// [`PortError`] if the transport fails.

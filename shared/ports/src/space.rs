@@ -1,9 +1,9 @@
 //! The files of a run: names in shared memory, a directory for sockets and records, and a lock that shows
 //! whether the run is alive.
 //!
-//! Every name in shared memory starts with the run's prefix. The lock lies there too: a process that can see
-//! a run's shared memory can see whether its launcher is alive, which a process number does not show across
-//! containers.
+//! Every name in shared memory starts with the run's prefix. The lock is also in shared memory. A process
+//! that sees a run's shared memory can therefore see whether its launcher is alive. A process number does not
+//! show this across containers.
 
 use std::fs::{File, Metadata};
 use std::io;
@@ -15,46 +15,46 @@ use thiserror::Error;
 
 use crate::keep::Keep;
 
-/// Where POSIX shared memory shows as files.
+/// The directory that shows POSIX shared memory as files.
 pub(crate) const SHARED_MEMORY: &str = "/dev/shm";
-/// Where the runs' directories lie. Not `TMPDIR`: a socket's path must stay under 108 bytes, and
-/// `stgdat clean` must find the directories of runs that were started with another one.
+/// The directory of the runs' directories. Not `TMPDIR`: a socket's path must stay under 108 bytes, and
+/// `stgdat clean` must find the directories of runs that were started with another `TMPDIR`.
 const ROOTS: &str = "/tmp";
-/// What all names of all runs start with.
+/// Prefix of all names of all runs.
 const FAMILY: &str = "stgdat_";
 /// Digits of a run's name after [`FAMILY`].
 const DIGITS: usize = 8;
 const LOCK_SUFFIX: &str = "lock";
-/// The file of a run's directory with the run's record.
+/// The file in a run's directory that holds the run's record.
 const RECORD: &str = "run";
-/// The folder of a run's directory with the descriptions of its services.
+/// The folder in a run's directory that holds the descriptions of its services.
 const SERVICES: &str = "services";
 
-/// Why a run's files can't be made.
+/// Why a run's files can't be created.
 #[derive(Debug, Error)]
 pub enum SpaceError {
-    /// A file or directory can't be made.
+    /// A file or directory can't be created.
     #[error("{}: {source}", path.display())]
     File {
-        /// Which.
+        /// The file or directory.
         path: PathBuf,
         /// The system's error.
         source: io::Error,
     },
-    /// Shared memory has too little room.
+    /// Shared memory has too little space.
     #[error(
         "{SHARED_MEMORY} has {free_mib} MiB free, a run needs {needed_mib} MiB: free some (`stgdat clean` removes \
          leftovers) or give it more (`mount -o remount,size=1G {SHARED_MEMORY}`, `docker run --shm-size=1g`)"
     )]
     Full {
-        /// What is free.
+        /// Free space.
         free_mib: u64,
-        /// What is needed.
+        /// Required space.
         needed_mib: u64,
     },
 }
 
-/// The files of one run; dropping it removes them all.
+/// The files of one run; dropping it removes all of them.
 #[derive(Debug)]
 pub struct Space {
     prefix: String,
@@ -64,7 +64,7 @@ pub struct Space {
     lock: File,
 }
 
-/// Files of a run whose launcher is gone.
+/// Files of a run whose launcher has ended.
 #[derive(Debug)]
 pub struct Leftover {
     /// The run's prefix.
@@ -74,24 +74,24 @@ pub struct Leftover {
     /// Their size.
     pub bytes: u64,
     root: PathBuf,
-    /// Held so that no two processes clean up the same run. None where the lock's file was gone.
+    /// Held so that no two processes clean up the same run. `None` if the lock's file was missing.
     _lock: Option<File>,
 }
 
 /// A run whose launcher is alive.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LivingRun {
-    /// Its name: that of its directory.
+    /// Its name: the name of its directory.
     pub name: String,
-    /// Its directory, where its record lies.
+    /// Its directory, which contains its record.
     pub root: PathBuf,
 }
 
 impl Space {
-    /// Takes names for a run whose number is `run_id`.
+    /// Creates the files of a run with the number `run_id`.
     ///
     /// # Errors
-    /// [`SpaceError`] if shared memory has less than `needed_bytes` free, or the files can't be made.
+    /// [`SpaceError`] if shared memory has less than `needed_bytes` free, or the files can't be created.
     pub fn create(run_id: u64, needed_bytes: u64) -> Result<Self, SpaceError> {
         let free =
             shared_memory_free().map_err(|source| SpaceError::File { path: SHARED_MEMORY.into(), source })?;
@@ -114,20 +114,21 @@ impl Space {
         Ok(space)
     }
 
-    /// Restores files of the run's directory that somebody has removed because they looked old, once its
-    /// record is there; takes a system call while nothing is missing. Returns how many.
+    /// Restores files of the run's directory that another program has removed because they looked old. It
+    /// works once the run's record exists, and takes one system call if nothing is missing. Returns the
+    /// number of restored files.
     pub fn tend(&mut self) -> usize {
         self.keep.as_mut().map_or(0, Keep::tend)
     }
 
-    /// Keeps the files that the run's directory has now.
+    /// Protects the current files of the run's directory.
     pub fn keep(&mut self) {
         if let Some(keep) = &mut self.keep {
             keep.take_in();
         }
     }
 
-    /// What the names of the run's shared memory start with.
+    /// Prefix of the names of the run's shared memory.
     #[must_use]
     pub fn prefix(&self) -> &str {
         &self.prefix
@@ -139,7 +140,7 @@ impl Space {
         &self.root
     }
 
-    /// Bytes that the run takes in shared memory now.
+    /// Bytes of shared memory that the run uses now.
     #[must_use]
     pub fn shared_bytes(&self) -> u64 {
         files_of(&self.prefix).iter().map(|file| allocated(file)).sum()
@@ -149,21 +150,21 @@ impl Space {
 impl Drop for Space {
     fn drop(&mut self) {
         remove(&self.prefix, &self.root);
-        // The lock goes last, with its file's name already gone.
+        // The lock is released last, when its file's name has already been removed.
         let _ = &self.lock;
     }
 }
 
 impl Leftover {
-    /// Removes everything that the run left.
+    /// Removes all files of the run.
     pub fn remove(self) {
         remove(&self.prefix, &self.root);
     }
 }
 
-/// Removes the connections of a run that have been without content for longer than `age`; returns how many. A
-/// process that is killed while it makes a connection leaves one, and clean-up waits for ever for it to be
-/// finished.
+/// Removes the connections of a run that have been empty for longer than `age`; returns their number. A
+/// process that is killed while it creates a connection leaves an empty one, and clean-up would wait forever
+/// for it to be finished.
 #[must_use]
 pub fn remove_half_made_connections(prefix: &str, age: Duration) -> usize {
     let is_half_made = |file: &&PathBuf| {
@@ -174,11 +175,12 @@ pub fn remove_half_made_connections(prefix: &str, age: Duration) -> usize {
     files.iter().filter(is_half_made).filter(|file| std::fs::remove_file(file).is_ok()).count()
 }
 
-/// Removes the services of a run that have been half made for longer than `age`; returns how many. A process
-/// that is killed while it makes one leaves it, others wait for it to be finished, and clean-up refuses it.
+/// Removes the services of a run that have been half created for longer than `age`; returns their number. A
+/// process that is killed while it creates a service leaves one. Others wait for it to be finished, and
+/// clean-up refuses it.
 pub(crate) fn remove_half_made_services(root: &Path, age: Duration) -> usize {
     use std::os::unix::fs::PermissionsExt;
-    /// Until a service's description is whole, its owner may write it.
+    /// Until a service's description is complete, its owner may write it.
     const HALF_MADE: u32 = 0o200;
     let is_half_made = |path: &Path| {
         let Ok(metadata) = std::fs::metadata(path) else { return false };
@@ -189,12 +191,12 @@ pub(crate) fn remove_half_made_services(root: &Path, age: Duration) -> usize {
     files.filter(|path| is_half_made(path) && std::fs::remove_file(path).is_ok()).count()
 }
 
-/// Whether a file was not changed for longer than `age`.
+/// Whether a file is unchanged for longer than `age`.
 pub(crate) fn is_older(metadata: &Metadata, age: Duration) -> bool {
     metadata.modified().is_ok_and(|at| at.elapsed().is_ok_and(|elapsed| elapsed > age))
 }
 
-/// Bytes free in shared memory.
+/// Free bytes in shared memory.
 ///
 /// # Errors
 /// If there is no shared memory.
@@ -203,7 +205,7 @@ pub fn shared_memory_free() -> io::Result<u64> {
     Ok(f_bavail * f_frsize)
 }
 
-/// The runs of this user whose launcher is gone and whose files are still there.
+/// The runs of this user whose launcher has ended and whose files still exist.
 ///
 /// # Errors
 /// If the directories can't be read.
@@ -211,7 +213,7 @@ pub fn leftovers() -> io::Result<Vec<Leftover>> {
     Ok(prefixes()?.into_iter().filter_map(leftover).collect())
 }
 
-/// The runs of this user that go on.
+/// The running runs of this user.
 ///
 /// # Errors
 /// If the directories can't be read.
@@ -240,18 +242,18 @@ fn prefixes() -> io::Result<Vec<String>> {
 /// Whether a run's launcher holds its lock.
 fn is_locked(prefix: &str) -> bool {
     let path = lock_path(prefix);
-    // Shared: two processes that look at once do not take each other for a launcher.
+    // Shared: two processes that check at once do not take each other for a launcher.
     let taken = take_lock(&path, OFlags::empty(), FlockOperation::NonBlockingLockShared);
     is_ours(&path) && taken.is_err_and(|error| error.kind() == io::ErrorKind::WouldBlock)
 }
 
-/// The leftover of a run, where it is dead and ours.
+/// The leftover of a run, if the run is dead and belongs to this user.
 fn leftover(prefix: String) -> Option<Leftover> {
     let lock = match take_lock(&lock_path(&prefix), OFlags::empty(), FlockOperation::NonBlockingLockExclusive)
     {
         Ok(lock) => Some(lock),
         Err(error) if error.kind() == io::ErrorKind::NotFound => None,
-        // Locked: the run lives. Not permitted: another user's.
+        // Locked: the run is alive. Not permitted: another user's run.
         Err(_) => return None,
     };
     let (files, root) = (files_of(&prefix), root_of(&prefix));
@@ -262,8 +264,8 @@ fn leftover(prefix: String) -> Option<Leftover> {
     Some(Leftover { files_len: files.len(), bytes, root, _lock: lock, prefix })
 }
 
-/// Makes the lock of a new run and takes it. A process that looks for leftovers at that moment may hold it
-/// for a short time, and may have removed it.
+/// Creates the lock of a new run and takes it. A process that looks for leftovers at that moment may hold the
+/// lock briefly, and may have removed its file.
 fn make_lock(path: &Path) -> io::Result<File> {
     let make = || take_lock(path, OFlags::CREATE | OFlags::EXCL, FlockOperation::LockExclusive);
     match make() {
@@ -277,7 +279,7 @@ fn take_lock(path: &Path, how: OFlags, lock: FlockOperation) -> io::Result<File>
         open(path, OFlags::RDWR | OFlags::CLOEXEC | OFlags::NOFOLLOW | how, Mode::RUSR | Mode::WUSR)?;
     flock(&descriptor, lock)?;
     if fstat(&descriptor)?.st_nlink == 0 {
-        // Removed between opening and locking.
+        // The file was removed between opening and locking.
         return Err(io::ErrorKind::NotFound.into());
     }
     Ok(descriptor.into())
@@ -322,7 +324,8 @@ fn allocated(path: &Path) -> u64 {
     std::fs::symlink_metadata(path).map_or(0, |m| m.blocks() * 512)
 }
 
-/// Removes a run's files, the lock last: until then no other process takes them for leftovers.
+/// Removes a run's files, the lock last: while the lock is held, no other process takes the files for
+/// leftovers.
 fn remove(prefix: &str, root: &Path) {
     let lock = lock_path(prefix);
     for file in files_of(prefix).into_iter().filter(|file| *file != lock) {

@@ -16,15 +16,15 @@ use crate::{
     Beside, Frame, Loan, Node, Peers, PortError, Publisher, Stop, Subscriber, monotonic_ns, standby,
 };
 
-/// Time between the heartbeats of a stage, whether it has work or not: a tick.
+/// Time between the heartbeats of a stage: one tick, with or without work.
 pub const HEARTBEAT: Duration = Duration::from_nanos(TICK_NS);
-/// Queue depth of a stage's input: the tick at hand and the next.
+/// Queue depth of a stage's input: the current tick and the next.
 const DEPTH: usize = 2;
-/// Longest wait for the place of a process that has ended to become free, and the pause between two tries.
+/// Maximum wait for the place of an ended process to become free, and the pause between two tries.
 const PLACE_LIMIT: Duration = Duration::from_secs(1);
 const PLACE_PAUSE: Duration = Duration::from_millis(2);
 
-/// One process of the pipeline: what all stages do, on one thread.
+/// One process of the pipeline: the work that all stages share, on one thread.
 #[derive(Debug)]
 pub struct Stage {
     id: StageId,
@@ -33,9 +33,9 @@ pub struct Stage {
     declared: Topics,
     heartbeats: Publisher<HeartbeatsTopic>,
     inputs: Vec<Rc<dyn Input>>,
-    /// How many of the inputs lie on a tick's way: the others are written by later stages.
+    /// Number of inputs on a tick's path; later stages write the other inputs.
     on_the_way_len: usize,
-    /// Whether a frame has gone out, or there is no output.
+    /// Whether a frame has been sent, or there is no output.
     passed: bool,
     next_beat_ns: u64,
     beat: u64,
@@ -48,7 +48,7 @@ pub struct Stage {
     taken_over: Option<u64>,
 }
 
-/// The topics that a stage has declared, and which of them it has opened.
+/// The topics that a stage has declared, and the subset that it has opened.
 #[derive(Debug)]
 struct Topics {
     reads: &'static [&'static str],
@@ -58,14 +58,14 @@ struct Topics {
     complete: bool,
 }
 
-/// A tick on its way through a stage.
+/// A tick that a stage is processing.
 #[derive(Debug)]
 #[must_use = "a tick that is not finished is lost for all stages that follow"]
 pub struct Passage {
     /// The header of the frame to be sent: the input's, unless the stage changes it.
     pub header: Header,
     hop: Hop,
-    /// The topic that it came in by.
+    /// The topic of the input frame.
     input: &'static str,
 }
 
@@ -74,19 +74,19 @@ pub struct Passage {
 pub enum Awaited<T: Topic> {
     /// The frame.
     Frame(Frame<T>),
-    /// The frame of a tick that an earlier stage refused, or one that is no tick.
+    /// The frame of a tick that an earlier stage refused, or a frame that is not a tick.
     Void(Frame<T>),
-    /// Nothing until the deadline.
+    /// Nothing arrived until the deadline.
     Late,
-    /// In lockstep: the frame has come and was refused, and nobody will send it again.
+    /// In lockstep: the frame arrived and was refused, and it will not be sent again.
     Lost,
     /// The process has been asked to end.
     Stopped,
 }
 
 impl Stage {
-    /// Joins the run as the stage of `declaration`, which must open all declared topics before it first
-    /// waits, and no others.
+    /// Joins the run as the stage of `declaration`. The stage must open all declared topics before it first
+    /// waits, and no other topics.
     ///
     /// # Errors
     /// [`PortError`] if the run's shared memory can't be used.
@@ -120,7 +120,7 @@ impl Stage {
         })
     }
 
-    /// Opens an input. The stage is linked only once a frame has come in on it.
+    /// Opens an input. The stage is linked only after a frame has arrived on it.
     ///
     /// # Errors
     /// As [`Node::subscriber`].
@@ -148,8 +148,8 @@ impl Stage {
         Ok(subscriber)
     }
 
-    /// Opens an input that a later stage writes, with a queue of `depth` frames. A tick that is missing in it
-    /// was lost, and counted, on its way there.
+    /// Opens an input that a later stage writes, with a queue of `depth` frames. A tick that is missing in
+    /// this input was lost, and counted, at an earlier stage.
     ///
     /// # Errors
     /// As [`Node::subscriber`].
@@ -163,10 +163,10 @@ impl Stage {
         Ok(subscriber)
     }
 
-    /// Opens an output. The stage is linked only once a frame has gone out.
+    /// Opens an output. The stage is linked only after it has sent a frame.
     ///
-    /// A process that is to replace one that still runs waits here until that one has ended: open the inputs, and
-    /// load what takes time, before.
+    /// A process that replaces a running one waits here until the other one has ended. Open the inputs, and
+    /// load anything that takes time, before this call.
     ///
     /// # Errors
     /// As [`Node::publisher`] and [`await_turn`](crate::await_turn).
@@ -177,7 +177,8 @@ impl Stage {
         self.publish_after::<T>(|_, _| ())
     }
 
-    /// The same, and while it waits for its turn it gives `follow` each tick that the process before has sent.
+    /// As [`Stage::publish`]. While it waits for its turn, it calls `follow` with each tick that the previous
+    /// process has sent.
     ///
     /// # Errors
     /// As [`Stage::publish`].
@@ -198,7 +199,7 @@ impl Stage {
         let begun = std::time::Instant::now();
         loop {
             match self.node.publisher() {
-                // The place of the process before is free once the transport knows of its end.
+                // The place of the previous process is free once the transport notices its end.
                 Err(_) if self.taken_over.is_some() && begun.elapsed() < PLACE_LIMIT => {
                     std::thread::sleep(PLACE_PAUSE);
                 }
@@ -207,12 +208,12 @@ impl Stage {
         }
     }
 
-    /// Waits for its turn, and goes on after the newest tick that the process before has sent.
+    /// Waits for its turn, and continues after the newest tick that the previous process has sent.
     fn take_over<T: Topic>(
         &mut self,
         mut follow: impl FnMut(&Header, &[T::Element]),
     ) -> Result<(), PortError> {
-        // Looked at ten times a second: no frame that is to be followed is dropped.
+        // Polled ten times a second: no frame to follow is dropped.
         let sent = self.node.subscriber::<T>(T::DEPTH_MAX)?;
         let mut newest = None;
         let mut look = || {
@@ -234,7 +235,8 @@ impl Stage {
         Ok(())
     }
 
-    /// Number of the newest tick that the process before has sent, where this one has replaced it while it ran.
+    /// Number of the newest tick that the previous process has sent, if this process has replaced it while it
+    /// ran.
     #[must_use]
     pub const fn taken_over(&self) -> Option<u64> {
         self.taken_over
@@ -248,7 +250,7 @@ impl Stage {
         Ok(Peers::new(self.node.subscriber(HeartbeatsTopic::DEPTH_MAX)?, run))
     }
 
-    /// The headers of what added stages send beside a tick's way; they do not count as an input.
+    /// The headers of added stages whose output no forecast waits for; they do not count as an input.
     ///
     /// # Errors
     /// As [`Node::added_subscriber`].
@@ -256,7 +258,7 @@ impl Stage {
         Beside::open(&self.node, run)
     }
 
-    /// How often the stage had been started before.
+    /// The stage's number of earlier starts.
     #[must_use]
     pub const fn incarnation(&self) -> u32 {
         self.incarnation
@@ -268,9 +270,9 @@ impl Stage {
         self.node.stop()
     }
 
-    /// The next tick to work on; none once the process has been asked to end.
+    /// The next tick to work on; `None` if the process has been asked to end.
     ///
-    /// Frames that are no work (warm-up, end, refused by an earlier stage) go straight on to `output`.
+    /// Frames without work (warm-up, end, refused by an earlier stage) are passed directly to `output`.
     ///
     /// # Errors
     /// [`PortError`] if the transport fails.
@@ -288,10 +290,10 @@ impl Stage {
         }
     }
 
-    /// The next tick to work on, asleep until it comes or until `until_ns` on `CLOCK_MONOTONIC`.
+    /// The next tick to work on. Sleeps until it arrives or until `until_ns` on `CLOCK_MONOTONIC`.
     ///
-    /// A frame that is no work goes straight on to `output`, and is returned as [`Awaited::Void`]. In lockstep
-    /// the tick of a frame that was refused goes on as VOID, and [`Awaited::Lost`] is returned.
+    /// A frame without work is passed directly to `output` and returned as [`Awaited::Void`]. In lockstep, if
+    /// a frame was refused, its tick is passed on as VOID and [`Awaited::Lost`] is returned.
     ///
     /// # Errors
     /// [`PortError`] if the transport fails.
@@ -328,7 +330,7 @@ impl Stage {
         Ok(Awaited::Stopped)
     }
 
-    /// The next frame of any kind, asleep until it comes; none once the process has been asked to end.
+    /// The next frame of any kind. Sleeps until it arrives; `None` if the process has been asked to end.
     ///
     /// # Errors
     /// [`PortError`] if the transport fails.
@@ -342,7 +344,7 @@ impl Stage {
                 return Ok(Some(frame));
             }
             if let Some(header) = input.take_lost() {
-                // The source waits for this stage's answer, which is that it has none.
+                // The source waits for this stage's answer: that it has none.
                 self.seq = header.seq;
                 self.beat()?;
             }
@@ -351,7 +353,7 @@ impl Stage {
         Ok(None)
     }
 
-    /// Waits for the frame of tick `seq`, until `deadline_ns` on `CLOCK_MONOTONIC` where there is one.
+    /// Waits for the frame of tick `seq`, until `deadline_ns` on `CLOCK_MONOTONIC` if there is a deadline.
     ///
     /// # Errors
     /// [`PortError`] if the transport fails.
@@ -378,7 +380,7 @@ impl Stage {
         Ok(Awaited::Stopped)
     }
 
-    /// Sleeps until `until_ns` on `CLOCK_MONOTONIC`; false where the process has been asked to end.
+    /// Sleeps until `until_ns` on `CLOCK_MONOTONIC`; `false` if the process has been asked to end.
     ///
     /// # Errors
     /// [`PortError`] if the transport fails.
@@ -389,7 +391,7 @@ impl Stage {
         Ok(!self.stop().requested())
     }
 
-    /// Sleeps until a frame of `input` comes, at most until `until_ns`; false where the process has been
+    /// Sleeps until a frame of `input` arrives, at most until `until_ns`; `false` if the process has been
     /// asked to end.
     ///
     /// # Errors
@@ -415,14 +417,14 @@ impl Stage {
         Passage { header, hop, input }
     }
 
-    /// Starts a tick that has no input: at the source.
+    /// Starts a tick without an input, at the source.
     pub fn release(&self, header: Header) -> Passage {
         let now_ns = monotonic_ns();
         self.start(Header { released_ns: now_ns, ..header }, now_ns, "none")
     }
 
-    /// Ends the work on a tick: sends the output or, where the input was refused, a VOID frame to the stages
-    /// that follow.
+    /// Ends the work on a tick. Sends the output or, if the input was refused, a VOID frame to the following
+    /// stages.
     ///
     /// # Errors
     /// [`PortError`] if the transport fails.
@@ -446,7 +448,7 @@ impl Stage {
         }
     }
 
-    /// Counts and logs a refused frame, where something else takes the tick's place.
+    /// Counts and logs a refused frame whose tick gets a substitute.
     pub fn refuse(&mut self, header: &Header, topic: &'static str, why: &Rejected) {
         self.seq = header.seq;
         self.rejected_len += 1;
@@ -483,7 +485,8 @@ impl Stage {
         loan: Loan<O>,
     ) -> Result<(), PortError> {
         if passage.header.has(flags::END) {
-            // What was counted since the last heartbeat; the report is written once the end has come by.
+            // Sends the counts since the last heartbeat: the report is written after the end frame has
+            // passed.
             self.beat()?;
         }
         passage.hop.sent_ns = monotonic_ns();
@@ -512,7 +515,7 @@ impl Stage {
         Ok(())
     }
 
-    /// The stage's counters as they stand.
+    /// The stage's current counters.
     #[must_use]
     pub fn heartbeat(&self) -> Heartbeat {
         let inputs = || self.inputs.iter();
@@ -528,11 +531,11 @@ impl Stage {
             seq: self.seq,
             frames_len: self.frames_len,
             rejected_len: self.rejected_len + inputs().map(|input| input.rejected_len()).sum::<u64>(),
-            // A tick that was lost on the way is missing in all inputs.
+            // A tick that was lost on its path is missing in all inputs.
             dropped_len: counter(
                 inputs().take(self.on_the_way_len).map(|input| input.dropped_len()).max().unwrap_or(0),
             ),
-            // A step begins with a frame of the first one.
+            // A step begins with a frame of the first input.
             unanswered_len: counter(inputs().next().map_or(0, |input| input.dropped_len())),
             sent_ns: monotonic_ns(),
             refusals,
@@ -543,7 +546,8 @@ impl Stage {
         if monotonic_ns() >= self.next_beat_ns { self.beat() } else { Ok(()) }
     }
 
-    /// Finds, at the first wait, a declared topic that is not open: other stages would wait for it in vain.
+    /// Checks, at the first wait, that all declared topics are open: other stages would wait for a missing
+    /// one in vain.
     fn check_topics(&mut self) {
         let Topics { reads, writes, opened, complete } = &mut self.declared;
         if !*complete {
@@ -553,7 +557,7 @@ impl Stage {
         }
     }
 
-    /// Sleeps until a topic wakes the stage, a heartbeat is due or `until_ns` has come.
+    /// Sleeps until a topic wakes the stage, a heartbeat is due or `until_ns` is reached.
     fn sleep<const N: usize>(
         &mut self,
         topics: [&dyn Wakes; N],
@@ -567,7 +571,7 @@ impl Stage {
         if left.is_zero() { Ok(()) } else { wait(topics, left) }
     }
 }
-/// A count as it stands in a heartbeat.
+/// A count in the format of a heartbeat.
 fn counter(len: u64) -> u32 {
     u32::try_from(len).unwrap_or(u32::MAX)
 }

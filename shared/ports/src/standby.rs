@@ -1,12 +1,16 @@
-//! Taking over from a process that still runs: a stage is replaced between two ticks.
+//! Taking over from a running process: a stage is replaced between two ticks.
 //!
-//! The new process starts beside the old one, loads what it needs, opens its inputs, and says so on the
-//! launcher's socket. The launcher ends the old process, waits until its place on its topics is free, and
-//! answers; only then the new one opens its output. It goes on after the newest tick that the old one has sent,
-//! which it reads off that output: what the old one left undone lies in its own queues.
+//! 1. The new process starts while the old one runs. It loads its data, opens its inputs, and sends `ready`
+//!    on the
+//!    launcher's socket.
+//! 2. The launcher ends the old process, waits until its places on the topics are free, and answers `go`.
+//! 3. The new process opens its output. It reads the newest tick of the old process from that output and
+//!    continues after
+//!    it. The ticks that the old process left unfinished are in the new process's own queues.
 //!
-//! A *spare* is such a process whose turn comes when the old one dies. While it waits, however long, it follows
-//! that output: a stage that takes its state from there keeps it so at hand, and computes nothing.
+//! A *spare* is a new process whose turn comes when the old one dies. While it waits, for any time, it
+//! follows the old process's output. A stage that takes its state from there keeps that state current and
+//! computes nothing.
 
 use std::io::{BufRead as _, BufReader, ErrorKind, Write as _};
 use std::os::unix::net::UnixStream;
@@ -18,40 +22,40 @@ use wire::StageId;
 
 use crate::{PortError, Stop};
 
-/// The environment variable with the launcher's socket, set for a process that is to replace one that still runs.
+/// The environment variable with the launcher's socket, set for a process that replaces a running one.
 ///
-/// A program that does not use [`Stage`](crate::Stage) does by itself what that does: once it is warm it
-/// connects, writes the line `ready STAGE INCARNATION`, and opens its outputs when the line `go` has come.
+/// A program that does not use [`Stage`](crate::Stage) must do the same itself: when it is warm it connects,
+/// writes the line `ready STAGE INCARNATION`, and opens its outputs after the line `go` has arrived.
 pub const STANDBY_VARIABLE: &str = "STGDAT_STANDBY";
 
-/// The line that the launcher sends to a process whose turn it is.
+/// The line that the launcher sends to a process when its turn comes.
 pub const GO: &str = "go";
 
-/// Interval between looks whether the process was asked to end.
+/// Interval between checks whether the process was asked to end.
 const LOOK: Duration = Duration::from_millis(100);
 
 /// Whether this process has had its turn.
 static HAD_TURN: AtomicBool = AtomicBool::new(false);
 
-/// Whether this process is to replace one that still runs, and has not had its turn.
+/// Whether this process replaces a running one, and has not had its turn.
 pub(crate) fn is_standby() -> bool {
     !HAD_TURN.load(Relaxed) && std::env::var_os(STANDBY_VARIABLE).is_some()
 }
 
-/// Waits, in a process that is to replace one that still runs, until that one has ended; returns at once in any
-/// other, and after the first time.
+/// Waits, in a process that replaces a running one, until that one has ended. Returns at once in any other
+/// process, and after the first call.
 ///
-/// [`Stage::publish`](crate::Stage::publish) does so by itself. A stage calls it where it has no output, or reads
-/// what the old process leaves at its end.
+/// [`Stage::publish`](crate::Stage::publish) calls this function. A stage calls it itself if it has no
+/// output, or if it reads data that the old process leaves at its end.
 ///
 /// # Errors
-/// [`PortError::Node`] if the launcher is gone, [`PortError::NotNeeded`] if the process is asked to end
+/// [`PortError::Node`] if the launcher has ended, [`PortError::NotNeeded`] if the process is asked to end
 /// before its turn.
 pub fn await_turn(stage: StageId, stop: &Stop) -> Result<(), PortError> {
     await_turn_and(stage, stop, || Ok(()))
 }
 
-/// The same, and does `meanwhile` at least ten times a second.
+/// As [`await_turn`], and calls `meanwhile` at least ten times a second.
 pub(crate) fn await_turn_and(
     stage: StageId,
     stop: &Stop,

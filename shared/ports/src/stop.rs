@@ -11,7 +11,7 @@ use signal_hook::consts::{SIGHUP, SIGINT, SIGQUIT, SIGTERM, SIGUSR1};
 
 /// Signals that ask a process to end even if it was started with them ignored.
 const ALWAYS: [i32; 2] = [SIGTERM, SIGINT];
-/// Signals that ask a process to end, unless it was started with them ignored, as `nohup` does.
+/// Signals that ask a process to end, unless it was started with them ignored, as by `nohup`.
 const UNLESS_IGNORED: [i32; 2] = [SIGHUP, SIGQUIT];
 
 /// Whether SIGTERM, SIGINT, SIGHUP or SIGQUIT has asked the process to end.
@@ -21,7 +21,7 @@ const UNLESS_IGNORED: [i32; 2] = [SIGHUP, SIGQUIT];
 pub struct Stop(Arc<AtomicUsize>);
 
 impl Stop {
-    /// Takes over the signals.
+    /// Installs the signal handlers.
     ///
     /// # Errors
     /// If the system refuses the handlers.
@@ -62,12 +62,12 @@ impl Stop {
     }
 }
 
-/// Whether SIGUSR1 has asked for something.
+/// Whether SIGUSR1 has arrived.
 #[derive(Clone, Debug)]
 pub struct Asked(Arc<AtomicBool>);
 
 impl Asked {
-    /// Takes over SIGUSR1.
+    /// Installs the handler of SIGUSR1.
     ///
     /// # Errors
     /// If the system refuses the handler.
@@ -79,24 +79,24 @@ impl Asked {
         Ok(Self(asked))
     }
 
-    /// Whether the signal has come since this was last asked.
+    /// Whether the signal has arrived since the last call.
     #[must_use]
     pub fn take(&self) -> bool {
         self.0.swap(false, Ordering::Relaxed)
     }
 }
 
-/// Keeps signals waiting as long as it lives: one that came while the handlers change hands would be lost.
+/// Blocks signals while it lives: a signal that arrives while the handlers are exchanged would be lost.
 struct HeldBack {
-    /// What this thread had masked before.
+    /// The previous signal mask of this thread.
     before: libc::sigset_t,
 }
 
 impl HeldBack {
     fn begin() -> Self {
         let (mut held, mut before) = (MaybeUninit::uninit(), MaybeUninit::zeroed());
-        // SAFETY: the first call makes the set whole, and the others read and write these two alone. They fail only
-        // where the number of a signal or of an operation is wrong; these are right.
+        // SAFETY: the first call initialises the set, and the others read and write only these two sets. They
+        // fail only for an invalid number of a signal or an operation; these numbers are valid.
         unsafe {
             libc::sigemptyset(held.as_mut_ptr());
             for number in ALWAYS.into_iter().chain(UNLESS_IGNORED).chain([SIGUSR1]) {
@@ -110,7 +110,7 @@ impl HeldBack {
 
 impl Drop for HeldBack {
     fn drop(&mut self) {
-        // SAFETY: the call reads the set alone, and may go without a place for the old one.
+        // SAFETY: the call only reads the set, and accepts a null pointer for the old one.
         unsafe { libc::pthread_sigmask(libc::SIG_SETMASK, &raw const self.before, std::ptr::null_mut()) };
     }
 }
@@ -118,7 +118,7 @@ impl Drop for HeldBack {
 /// Whether the process ignores a signal.
 fn is_ignored(number: i32) -> bool {
     let mut action = MaybeUninit::<libc::sigaction>::zeroed();
-    // SAFETY: the call reads no new action and writes the current one; zeros are an action, too.
+    // SAFETY: the call reads no new action and writes the current one; zeros are a valid action.
     let action = unsafe {
         libc::sigaction(number, std::ptr::null(), action.as_mut_ptr());
         action.assume_init()
@@ -132,12 +132,12 @@ fn ignore(number: i32) {
     unsafe { libc::signal(number, libc::SIG_IGN) };
 }
 
-/// The transport replaces all handlers by its own when it first looks for a signal. This makes it do so
-/// before ours are registered, which then call the transport's and stay.
+/// The transport replaces all handlers by its own when it first checks for a signal. This function makes it
+/// do so before our handlers are registered. Ours then call the transport's handlers and stay.
 fn take_transport_handlers() {
     set_log_level(LogLevel::Error);
     if let Ok(nothing_attached) = WaitSetBuilder::new().create::<ipc::Service>() {
-        // Looks for a signal, then returns an error because nothing is attached.
+        // Checks for a signal, then returns an error because nothing is attached.
         let _ = nothing_attached
             .wait_and_process_once_with_timeout(|_| CallbackProgression::Continue, Duration::ZERO);
     }

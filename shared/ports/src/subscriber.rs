@@ -31,11 +31,11 @@ struct Port<T: Topic> {
     run_id: u64,
     /// Whether frames without a check value are refused.
     protected: bool,
-    /// Whether nobody gives up waiting for a tick: one that is refused here is declared lost.
+    /// Whether nobody stops waiting for a tick: a tick that is refused here is declared lost.
     lockstep: bool,
-    /// Number and stamp of the newest tick received.
+    /// Number and stamp of the newest received tick.
     newest: Cell<Option<(u64, i64)>>,
-    /// A frame of a later tick than the one awaited.
+    /// A frame of a later tick than the awaited one.
     early: RefCell<Option<Frame<T>>>,
     seen: Cell<bool>,
     rejected_len: Cell<u64>,
@@ -43,30 +43,31 @@ struct Port<T: Topic> {
     /// Sender, incarnation and counter of the newest protected frame.
     counter: Cell<Option<(u32, u32, u32)>>,
     dropped_len: Cell<u64>,
-    /// The newest incarnation of each stage that a tick has passed, by the stage's number.
+    /// The newest incarnation of each stage that has processed a tick, by stage number.
     incarnations: Cell<[u32; STAGES_LEN]>,
     /// Frames of an older incarnation in a row.
     old_len: Cell<u32>,
-    /// In lockstep: the header of the newest tick, and that of a tick that was refused since.
+    /// In lockstep: the newest tick's header, and the header of a tick that was refused since.
     last: Cell<Option<Header>>,
     lost: Cell<Option<Header>>,
-    /// Ticks up to this one were answered by the process that this one has replaced.
+    /// The replaced process has answered the ticks up to this one.
     answered: Cell<Option<u64>>,
-    /// Whether nothing has come since then: what is missing died with that process.
+    /// Whether nothing has arrived since the takeover: missing ticks were lost with the old process.
     resumed: Cell<bool>,
 }
 
-/// One more than the greatest number of a stage.
+/// One more than the maximum stage number.
 const STAGES_LEN: usize = StageId::NUMBER_MAX as usize + 1;
 
-/// Frames of a replaced process that are refused in a row: twice what the deepest queue holds. More of them say that
-/// the newer incarnation was a flipped bit, on a topic without check values.
+/// Maximum number of frames in a row that are refused because a replaced process sent them: twice the depth
+/// of the deepest queue. More frames show that the newer incarnation was a flipped bit, on a topic without
+/// check values.
 const OLD_MAX: u32 = 16;
 
-/// No stage is so many ticks ahead of another that waits for its frames: more than the deepest queue.
+/// Maximum lead, in ticks, of a stage over another that waits for its frames: more than the deepest queue.
 const AHEAD_MAX: u64 = 16;
 
-/// One frame, where it lies in shared memory; dropping it gives the memory back.
+/// One frame in shared memory; dropping it frees the memory.
 #[derive(Debug)]
 pub struct Frame<T: Topic> {
     sample: Sample<ipc::Service, [Element<T>], Head>,
@@ -80,7 +81,7 @@ impl<T: Topic> Frame<T> {
         &self.sample.user_header().0
     }
 
-    /// When the frame was taken from its queue, `CLOCK_MONOTONIC`.
+    /// When the frame was taken from its queue, on `CLOCK_MONOTONIC`.
     #[must_use]
     pub const fn received_ns(&self) -> u64 {
         self.received_ns
@@ -132,8 +133,8 @@ impl<T: Topic> Subscriber<T> {
         }))
     }
 
-    /// The oldest frame of the queue, if there is one. Frames with an impossible header or a wrong check value
-    /// are counted and left out.
+    /// The oldest frame of the queue; `None` if the queue is empty. Frames with an impossible header or a
+    /// wrong check value are counted and skipped.
     ///
     /// # Errors
     /// [`PortError`] if the transport fails.
@@ -161,7 +162,8 @@ impl<T: Topic> Subscriber<T> {
         Ok(None)
     }
 
-    /// In lockstep: the VOID header of a tick that was refused since the last call. Nobody will send it again.
+    /// In lockstep: the VOID header of a tick that was refused since the last call. The tick will not be sent
+    /// again.
     pub(crate) fn take_lost(&self) -> Option<Header> {
         self.0.lost.take()
     }
@@ -180,7 +182,7 @@ impl<T: Topic> Subscriber<T> {
         Ok(newest)
     }
 
-    /// The frame of tick `seq`, if it is in the queue; older ones are dropped, newer ones stay for later.
+    /// The frame of tick `seq`, if it is in the queue. Older frames are dropped, newer ones stay for later.
     ///
     /// # Errors
     /// [`PortError`] if the transport fails.
@@ -189,7 +191,7 @@ impl<T: Topic> Subscriber<T> {
             match (frame.header().is_tick(), frame.header().seq) {
                 (true, found) if found == seq => return Ok(Some(frame)),
                 (true, found) if found > seq + AHEAD_MAX => {
-                    // To wait for that tick would be to wait for ever.
+                    // Waiting for that tick would never end.
                     let why = Rejected::Impossible { field: "seq", value: found as f64 };
                     self.0.refuse(frame.header().sender, &why);
                     self.0.uncount(found, seq);
@@ -205,15 +207,15 @@ impl<T: Topic> Subscriber<T> {
         Ok(None)
     }
 
-    /// Whether no process has the topic open for writing. A writer that died counts until the launcher has
-    /// cleaned up after it.
+    /// Whether no process has the topic open for writing. A dead writer counts until the launcher has cleaned
+    /// up after it.
     #[must_use]
     pub fn has_no_publisher(&self) -> bool {
         self.0.service.dynamic_config().number_of_publishers() == 0
     }
 
-    /// Sleeps until an event of the topic, a signal or the end of `timeout`. May return early: look at the
-    /// queue.
+    /// Sleeps until the topic has an event, a signal arrives or `timeout` has passed. May return early: check
+    /// the queue.
     ///
     /// # Errors
     /// [`PortError`] if the transport fails.
@@ -221,7 +223,8 @@ impl<T: Topic> Subscriber<T> {
         wait([self], timeout)
     }
 
-    /// The same, and also until one of `others` is readable, such as the descriptor of a process that has ended.
+    /// As [`Subscriber::sleep`], and also until one of `others` is readable, such as the descriptor of an
+    /// ended process.
     ///
     /// # Errors
     /// [`PortError`] if the transport fails.
@@ -229,23 +232,23 @@ impl<T: Topic> Subscriber<T> {
         wait_also(self, others, timeout)
     }
 
-    /// The input as its stage counts it.
+    /// The input in the form that its stage counts.
     pub(crate) fn input(&self) -> Rc<dyn Input> {
         self.0.clone()
     }
 }
 
-/// An input as its stage counts it, whatever its elements are.
+/// An input in the form that its stage counts, independent of the element type.
 pub(crate) trait Input: std::fmt::Debug {
-    /// Whether a frame has come, taken from the queue or not.
+    /// Whether a frame has arrived, taken from the queue or not.
     fn linked(&self) -> bool;
-    /// Frames refused so far.
+    /// Number of refused frames.
     fn rejected_len(&self) -> u64;
-    /// The same by sender and cause.
+    /// Refused frames by sender and cause.
     fn refusals(&self) -> [Refusals; REFUSALS_MAX];
-    /// Frames that never arrived, so far.
+    /// Number of frames that never arrived.
     fn dropped_len(&self) -> u64;
-    /// Ticks up to this one are left out: another process has answered them.
+    /// Skips the ticks up to this one: another process has answered them.
     fn resume_after(&self, seq: u64);
 }
 
@@ -282,7 +285,7 @@ impl<T: Topic> Wakes for Subscriber<T> {
 impl<T: Topic> Port<T> {
     fn check(&self, frame: &Frame<T>) -> Result<(), Rejected> {
         let header = frame.header();
-        // In this order: of a frame that is not what its sender sent, no other field says why.
+        // The order matters: if a frame is damaged, its other fields do not show the cause.
         header.check_schema()?;
         if self.protected {
             Protection::check::<T>(header, frame)?;
@@ -291,7 +294,7 @@ impl<T: Topic> Port<T> {
         if header.run_id != self.run_id {
             return Err(Rejected::ForeignRun { found: header.run_id, expected: self.run_id });
         }
-        // A topic with one writer: what a replaced process has left comes after its successor's first frame.
+        // A topic with one writer: frames of a replaced process must not follow its successor's first frame.
         if T::PUBLISHERS_MAX == 1
             && let Some(&newest) = self.incarnations.get().get(header.sender as usize)
         {
@@ -315,8 +318,8 @@ impl<T: Topic> Port<T> {
         Ok(())
     }
 
-    /// Who a refused frame is counted with: where its header can't be believed, the sender of the newest frame
-    /// that could be.
+    /// The sender that a refused frame is counted for. If the header is not credible, it is the sender of the
+    /// newest credible frame.
     fn sender_of(&self, header: &Header, why: &Rejected) -> u32 {
         match (self.counter.get(), why.cause()) {
             (Some((sender, ..)), RefusalCause::CheckValue) if T::PUBLISHERS_MAX == 1 => sender,
@@ -324,8 +327,8 @@ impl<T: Topic> Port<T> {
         }
     }
 
-    /// Declares the tick of a refused frame lost, in lockstep: the one after the newest, for there is no gap.
-    /// The frame may also be one too many: then no tick is lost with it.
+    /// In lockstep, declares the tick of a refused frame lost. It is the tick after the newest, because
+    /// lockstep has no gaps. If the frame is an extra one, no tick is lost with it.
     fn lose(&self, header: &Header, why: &Rejected) {
         let is_extra = matches!(
             why.cause(),
@@ -362,7 +365,8 @@ impl<T: Topic> Port<T> {
         self.lost.set(Some(lost));
     }
 
-    /// Takes back that a stage was restarted: the process that was taken for dead sends more than it can have left.
+    /// Reverts the restart of a stage: the process that was taken for dead has sent more frames than it can
+    /// have left.
     fn believe(&self, stage: u32, incarnation: u32) {
         let mut incarnations = self.incarnations.get();
         if let Some(newest) = incarnations.get_mut(stage as usize) {
@@ -372,11 +376,11 @@ impl<T: Topic> Port<T> {
         self.old_len.set(0);
     }
 
-    /// Refuses a tick that has come before, from a stage that has been restarted since: the first frame that it
-    /// finds in its input is the last one that its predecessor had, and may have passed on.
+    /// Refuses a repeated tick from a stage that was restarted since. The restarted stage's first input frame
+    /// is the last frame of its predecessor, which may have passed it on.
     fn check_repetition(&self, header: &Header) -> Result<(), Rejected> {
         let Some((newest, last_ns)) = self.newest.get() else { return Ok(()) };
-        // The frame of a tick that was declared lost: one of another had come in its place.
+        // The frame of a tick that was declared lost: another tick's frame had arrived in its place.
         let is_lost = self.last.get().is_some_and(|last| last.has(flags::VOID) && last.seq == header.seq);
         if self.lockstep && is_lost && header.is_tick() && !header.has(flags::VOID) {
             return Err(Rejected::NotNewer { stamp_ns: header.stamp_ns, last_ns });
@@ -393,8 +397,8 @@ impl<T: Topic> Port<T> {
         Ok(())
     }
 
-    /// Refuses frames that come again or that others have overtaken. Writers of a topic that has several count
-    /// each for themselves.
+    /// Refuses repeated and overtaken frames. If a topic has several writers, each writer has its own
+    /// counter.
     fn check_counter(&self, header: &Header) -> Result<(), Rejected> {
         let Header { sender, incarnation, protection, .. } = *header;
         if let Some((of, in_its, newest)) = self.counter.get()
@@ -407,7 +411,7 @@ impl<T: Topic> Port<T> {
         Ok(())
     }
 
-    /// Whether the frame is a tick that the process before has answered. They lie in the queue before all others.
+    /// Whether the previous process has answered this tick. Such ticks are at the front of the queue.
     fn is_answered(&self, header: &Header) -> bool {
         let Some(answered) = self.answered.get() else { return false };
         let is_answered = header.is_tick() && header.seq <= answered;
@@ -424,12 +428,12 @@ impl<T: Topic> Port<T> {
         self.refusals.set(refusals);
     }
 
-    /// Ticks arrive in order of their numbers, without gaps at the source: a gap is what the queue dropped,
-    /// unless a stage before was restarted meanwhile: then the ticks died with it. A reader that joins a run
-    /// without a warm-up frame counts from the first tick that it receives.
+    /// Counts dropped ticks. The source numbers ticks in order and without gaps, so a gap is a tick that the
+    /// queue dropped. If an earlier stage was restarted meanwhile, the ticks were lost with it and do not
+    /// count. A reader that joins a run without a warm-up frame counts from the first tick that it receives.
     fn count(&self, header: &Header) {
         let linked = self.seen.replace(true);
-        // A restarted source sends warm-up frames before its first tick: only ticks tell of a restart here.
+        // A restarted source sends warm-up frames before its first tick: only ticks show a restart here.
         if !header.is_tick() {
             return;
         }
@@ -441,11 +445,11 @@ impl<T: Topic> Port<T> {
             None => header.seq,
         };
         if header.seq + 1 < expected {
-            // Others have overtaken it: it was counted as missing when they came.
+            // Others have overtaken this tick: it was counted as missing when they arrived.
             self.dropped_len.set(self.dropped_len.get().saturating_sub(1));
             return;
         }
-        // Writers of a topic that has several count each for themselves.
+        // If a topic has several writers, each writer has its own counter.
         if T::PUBLISHERS_MAX == 1 && !restarted {
             self.dropped_len.set(self.dropped_len.get() + header.seq.saturating_sub(expected));
         }
@@ -455,13 +459,13 @@ impl<T: Topic> Port<T> {
         }
     }
 
-    /// Takes back that a frame was counted as tick `found`, before which all ticks from `awaited` on were missing.
+    /// Reverts a count: a frame was counted as tick `found`, and all ticks from `awaited` on as missing.
     fn uncount(&self, found: u64, awaited: u64) {
         self.dropped_len.set(self.dropped_len.get().saturating_sub(found - awaited));
         self.newest.set(awaited.checked_sub(1).map(|before| (before, i64::MIN)));
     }
 
-    /// Whether a stage that the frame has passed was restarted since the frame before.
+    /// Whether a stage in the frame's path was restarted since the previous frame.
     fn has_new_incarnation(&self, header: &Header) -> bool {
         let mut incarnations = self.incarnations.get();
         let passed = header.hops().iter().map(|hop| (hop.stage, hop.incarnation));

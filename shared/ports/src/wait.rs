@@ -1,7 +1,7 @@
-//! Sleeping until a topic has something to read: poll(2) on the sockets by which its events come in.
+//! Sleeps until a topic has something to read: poll(2) on the sockets that receive its events.
 //!
-//! The transport's own wait set attaches every listener anew for each wait and keeps what is attached on the
-//! heap; a stage waits several times a tick.
+//! The transport's own wait set attaches every listener again for each wait and allocates on the heap. A
+//! stage waits several times per tick.
 #![expect(unsafe_code, reason = "the transport gives the descriptor of a listener as a number")]
 
 use std::io;
@@ -17,17 +17,18 @@ use crate::PortError;
 
 /// A topic whose events can end a wait.
 pub(crate) trait Wakes {
-    /// The port at which its events arrive.
+    /// The port that receives the topic's events.
     fn listener(&self) -> &Listener<ipc::Service>;
 }
 
-/// Sleeps until an event of a topic, a signal or the end of `timeout`. May return early: look at the queues.
+/// Sleeps until a topic has an event, a signal arrives or `timeout` has passed. May return early: check the
+/// queues.
 pub(crate) fn wait<const N: usize>(topics: [&dyn Wakes; N], timeout: Duration) -> Result<(), PortError> {
     let mut ready = topics.map(|topic| PollFd::from_borrowed_fd(descriptor(topic), PollFlags::IN));
     if poll_for(&mut ready, timeout)? { take(topics, &ready) } else { Ok(()) }
 }
 
-/// The same for one topic and other descriptors, which are left as they are. Allocates.
+/// The same for one topic and further descriptors, which are not read. Allocates.
 pub(crate) fn wait_also(
     topic: &dyn Wakes,
     others: &[BorrowedFd<'_>],
@@ -39,24 +40,24 @@ pub(crate) fn wait_also(
     if poll_for(&mut ready, timeout)? { take([topic], &ready) } else { Ok(()) }
 }
 
-/// Whether a descriptor is ready, not a signal or the timeout.
+/// Whether a descriptor is ready; `false` after a signal or the timeout.
 fn poll_for(ready: &mut [PollFd<'_>], timeout: Duration) -> Result<bool, PortError> {
     // A timeout of more than a few hundred years has no limit.
     let timeout = Timespec::try_from(timeout).ok();
     match poll(ready, timeout.as_ref()) {
-        // A signal ends the wait too; `Stop` holds whether it asks the process to end.
+        // A signal ends the wait too; `Stop` holds whether the signal asks the process to end.
         Ok(0) | Err(Errno::INTR) => Ok(false),
         Ok(_) => Ok(true),
         Err(error) => Err(PortError::Wait(error.into())),
     }
 }
 
-/// Takes the events of topics, whose descriptors are the first of those that are ready.
+/// Drains the events of topics. The topics' descriptors are the first ones of `ready`.
 fn take<const N: usize>(topics: [&dyn Wakes; N], ready: &[PollFd<'_>]) -> Result<(), PortError> {
     for (topic, ready) in topics.into_iter().zip(ready) {
         let events = ready.revents();
         if events.contains(PollFlags::IN) {
-            // An event that stays would end every later wait at once.
+            // A pending event would end every later wait at once.
             drain(topic.listener())?;
         } else if !events.is_empty() {
             return Err(PortError::Socket { events: events.bits() });
@@ -67,8 +68,8 @@ fn take<const N: usize>(topics: [&dyn Wakes; N], ready: &[PollFd<'_>]) -> Result
 
 pub(crate) fn descriptor(topic: &dyn Wakes) -> BorrowedFd<'_> {
     let descriptor = topic.listener().file_descriptor();
-    // SAFETY: the listener owns the descriptor, does not close it before it is dropped, and is borrowed for
-    // as long.
+    // SAFETY: the listener owns the descriptor, closes it only when it is dropped, and is borrowed for as
+    // long.
     unsafe { BorrowedFd::borrow_raw(descriptor.native_handle()) }
 }
 

@@ -1,4 +1,4 @@
-//! What a reader refuses, for which cause, and what of it is declared lost.
+//! Tests the frames that a reader refuses, their causes, and the ticks that are declared lost.
 
 use ports::{Awaited, Node, Relay, Space, Stage, Subscriber, monotonic_ns};
 use run::{Declaration, NoOptions, Run};
@@ -11,10 +11,10 @@ use wire::{
 const READER: Declaration<NoOptions> =
     Declaration::new(StageId::Tracker, &[DetectionsTopic::NAME, ForecastsTopic::NAME], &[TracksTopic::NAME]);
 const RECORDER: Declaration<NoOptions> = Declaration::new(StageId::Recorder, &[ForecastsTopic::NAME], &[]);
-/// Bits that are flipped in each mode, as many as the documentation tells of.
+/// Bits that are flipped in each mode, as in the documentation.
 const FLIPS: u64 = 10_000;
 
-/// A run of its own for each test, so that they can run in parallel.
+/// A separate run for each test, so that tests can run in parallel.
 fn run(lockstep: bool, protected: &[&str]) -> (Space, Run) {
     static COUNT: std::sync::atomic::AtomicU32 = std::sync::atomic::AtomicU32::new(0);
     let count = COUNT.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
@@ -25,7 +25,7 @@ fn run(lockstep: bool, protected: &[&str]) -> (Space, Run) {
     (space, Run { id, prefix, root, lockstep, protected, interval_ns: 80_000_000, ..Run::default() })
 }
 
-/// The header of a tick, as the sampler has sent it.
+/// The header of a tick as the sampler sends it.
 fn header(run: &Run, seq: u64, len: usize) -> Header {
     let mut header = Header::new(run.id, seq, seq as i64 * 80_000_000);
     (header.sender, header.interval_ns, header.counts.agents_len) =
@@ -99,7 +99,7 @@ fn in_lockstep_a_refused_tick_goes_on_as_void_and_comes_once() {
     let answers = Node::open(&run, "answers").unwrap().subscriber::<TracksTopic>(8).unwrap();
     let soon = || Some(monotonic_ns() + 1_000_000);
     let tick = |seq| Header { flags: flags::LOCKSTEP, ..header(&run, seq, 0) };
-    // A length that the header does not give.
+    // The header states another length.
     let refused = |seq| relay.send(&tick(seq), &[Detection::default()]).unwrap();
 
     relay.send(&tick(0), &[]).unwrap();
@@ -111,7 +111,7 @@ fn in_lockstep_a_refused_tick_goes_on_as_void_and_comes_once() {
     assert_eq!((answer.header().seq, answer.header().stamp_ns), (1, 80_000_000));
     relay.send(&tick(1), &[]).unwrap();
     assert!(matches!(stage.next_until(&input, &output, soon()).unwrap(), Awaited::Late), "it is lost");
-    // A header that can't be believed: the tick is the one that is due.
+    // The header is not credible: the frame counts as the expected tick.
     relay.send(&Header { schema: 99, seq: 77, ..tick(2) }, &[]).unwrap();
     assert!(matches!(stage.next_until(&input, &output, soon()).unwrap(), Awaited::Lost));
     let answer = answers.receive().unwrap().expect("the one that is due");
@@ -192,8 +192,9 @@ fn a_relay_shows_its_readers_the_end_of_the_writer() {
     }
 }
 
-/// Flips one bit of each of many frames, anywhere in header and payload; returns how many its reader took whose
-/// elements also pass the checks that every stage makes of what it reads. What passes has finite numbers.
+/// Flips one bit in each of many frames, anywhere in header and payload. Returns the number of frames that
+/// the reader accepts and whose elements pass the checks that every stage makes. Accepted frames have finite
+/// numbers.
 fn taken<T: Topic>(
     protected_topics: &[&str],
     good: &[T::Element],

@@ -1,13 +1,13 @@
-//! Frames that come late, again or from nowhere, sent as they are by a relay between writer and readers.
+//! Late, repeated and unexpected frames, which a relay between writer and readers sends unchanged.
 
 use ports::{Awaited, Relay, Space, Stage, monotonic_ns};
 use run::{Declaration, NoOptions, Run};
 use wire::{Header, Hop, StageId, Topic, Track, TracksTopic};
 
-/// A reader of tracks alone.
+/// A stage that only reads tracks.
 const READER: Declaration<NoOptions> = Declaration::new(StageId::Localiser, &[TracksTopic::NAME], &[]);
 
-/// A run of its own for each test, so that they can run in parallel.
+/// A separate run for each test, so that tests can run in parallel.
 fn run() -> (Space, Run) {
     static COUNT: std::sync::atomic::AtomicU32 = std::sync::atomic::AtomicU32::new(0);
     let count = COUNT.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
@@ -17,7 +17,7 @@ fn run() -> (Space, Run) {
     (space, run)
 }
 
-/// The header of a tick that a tracker of that incarnation has sent.
+/// The header of a tick that a tracker of this incarnation has sent.
 fn header(run: &Run, seq: u64, incarnation: u32) -> Header {
     let mut header = Header::new(run.id, seq, seq as i64 * 80_000_000);
     header.sender = StageId::Tracker.number();

@@ -1,4 +1,4 @@
-//! Frames between two ends of a topic, in one process and across two.
+//! Frames between the two ends of a topic, in one process and across two.
 
 use std::io::{BufRead as _, BufReader, Write as _};
 use std::os::unix::net::UnixListener;
@@ -15,16 +15,16 @@ use wire::{
     StageId, Topic, Track, TracksTopic, flags,
 };
 
-/// A reader of tracks alone.
+/// A stage that only reads tracks.
 const READER: Declaration<NoOptions> = Declaration::new(StageId::Localiser, &[TracksTopic::NAME], &[]);
 /// A stage that answers tracks with forecasts.
 const ECHO: Declaration<NoOptions> =
     Declaration::new(StageId::Sampler, &[TracksTopic::NAME], &[ForecastsTopic::NAME]);
-/// Its other side.
+/// The opposite end: sends tracks and reads forecasts.
 const CALLER: Declaration<NoOptions> =
     Declaration::new(StageId::Tracker, &[ForecastsTopic::NAME], &[TracksTopic::NAME]);
 
-/// A run of its own for each test, so that they can run in parallel.
+/// A separate run for each test, so that tests can run in parallel.
 fn run() -> (Space, Run) {
     static COUNT: std::sync::atomic::AtomicU32 = std::sync::atomic::AtomicU32::new(0);
     let count = COUNT.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
@@ -102,7 +102,7 @@ fn frames_without_a_check_value_are_refused_where_the_run_asks_for_one() {
     assert_eq!((heartbeat.rejected_len, heartbeat.refusals[0]), (2, refusals));
 }
 
-/// The topic as a program of another version has it.
+/// The topic as defined by a program of another version.
 #[derive(Debug)]
 enum OtherTracks {}
 
@@ -220,8 +220,8 @@ fn waiting_for_a_tick_drops_older_and_keeps_newer_ones() {
     assert!(matches!(stage.wait_for(&forecasts, 8, soon()).unwrap(), Awaited::Late));
 }
 
-/// A stage in a process of its own: answers each track with a forecast that has twice its id and nothing
-/// else.
+/// A stage in a separate process. It answers each track with a forecast that has twice its id and is
+/// otherwise zero.
 fn echo(run: &Run) -> Result<(), StageError> {
     let mut stage = Stage::open(run, &ECHO)?;
     let tracks = stage.subscribe::<TracksTopic>()?;
@@ -241,7 +241,7 @@ fn echo(run: &Run) -> Result<(), StageError> {
     Ok(())
 }
 
-/// No test: the process that the next test starts.
+/// Not a test: the process that the next test starts.
 #[test]
 fn echo_process() {
     let Some(record) = std::env::var_os("STGDAT_TEST_ECHO") else { return };
@@ -298,7 +298,7 @@ fn a_stage_in_another_process_links_answers_and_ends() {
     assert!(child.wait().unwrap().success(), "a stage that is asked to end returns from its loop");
 }
 
-/// Starts the echo as a process; with a socket, as one that is to replace another.
+/// Starts the echo as a process; with a socket, as a replacement for another.
 fn start_echo(record: &Path, standby: Option<&Path>) -> std::process::Child {
     std::process::Command::new(std::env::current_exe().expect("a test has a file"))
         .args(["--exact", "echo_process", "--nocapture"])
@@ -334,7 +334,7 @@ fn a_process_takes_over_after_the_newest_tick_that_was_answered() {
     };
 
     let mut old = start_echo(&record, None);
-    // Frames reach the old process once it is there: the first tick that it answers.
+    // The old process receives frames once it is running: the first tick that it answers.
     let first = (0..).find(|&seq| {
         assert!(monotonic_ns() < limit_ns, "no answer");
         ask(&mut here, seq);
@@ -356,7 +356,8 @@ fn a_process_takes_over_after_the_newest_tick_that_was_answered() {
     let pid = rustix::process::Pid::from_child(&old);
     rustix::process::kill_process(pid, rustix::process::Signal::TERM).unwrap();
     assert!(old.wait().unwrap().success());
-    // A tick that comes while there is no stage is answered by the new one, and none is answered twice.
+    // A tick that arrives while no stage is running is answered by the new one, and no tick is answered
+    // twice.
     ask(&mut here, first + 4);
     writeln!(turn, "{GO}").unwrap();
     assert_eq!(answer(&mut here), (first + 4, 1));
@@ -421,7 +422,7 @@ fn a_wait_ends_at_its_timeout_or_with_a_frame() {
     let node = Node::open(&run, "both").unwrap();
     let subscriber = node.subscriber::<TracksTopic>(2).unwrap();
     let publisher = node.publisher::<TracksTopic>().unwrap();
-    // Opening a topic is an event too.
+    // Opening a topic is also an event.
     subscriber.sleep(Duration::ZERO).unwrap();
     let slept = |timeout: Duration| {
         let begin = Instant::now();

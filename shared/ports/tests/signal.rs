@@ -1,5 +1,5 @@
-//! A signal ends a wait at once. A program of its own, without a test harness: the signal must reach the one
-//! thread that waits, as in a stage, and not a thread of the harness.
+//! A signal ends a wait at once. The test is a separate program without a test harness: the signal must reach
+//! the waiting thread, as in a stage, and not a thread of the harness.
 #![expect(clippy::unwrap_used, reason = "a test ends at what it can't do")]
 
 use std::time::{Duration, Instant};
@@ -15,10 +15,10 @@ fn main() {
     let run = Run { id, prefix: space.prefix().into(), root: space.root().into(), ..Run::default() };
     let node = Node::open(&run, "waiting").unwrap();
     let subscriber = node.subscriber::<TracksTopic>(2).unwrap();
-    // Opening a topic is an event too.
+    // Opening a topic is also an event.
     subscriber.sleep(Duration::ZERO).unwrap();
     let begin = Instant::now();
-    // A process of its own: a thread of this one could receive the signal.
+    // A separate process: in this process another thread could receive the signal.
     let mut killer = std::process::Command::new("sh")
         .args(["-c", &format!("sleep 0.2; kill -TERM {}", getpid().as_raw_nonzero())])
         .spawn()

@@ -7,7 +7,7 @@ use super::text_of;
 /// What a mapping is for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Kind {
-    /// Heap, stacks and other memory of the process alone that it may write.
+    /// Private writable memory of the process: heap, stacks and other memory.
     Own,
     /// Shared memory.
     Segment {
@@ -25,9 +25,9 @@ pub(super) struct Mapping {
     pub len: usize,
     pub kind: Kind,
     pub path: String,
-    /// Where it begins in its file.
+    /// Offset in the mapped file.
     pub offset: u64,
-    /// Bytes used since [`forget_use`], of smaps; 0 of maps.
+    /// Bytes used since [`forget_use`], if read from smaps; 0 if read from maps.
     pub used: usize,
 }
 
@@ -48,7 +48,7 @@ impl Mapping {
         let (shared, named) = (rights.ends_with('s'), path.starts_with('/'));
         let kind = match path {
             _ if shared && readable && path.starts_with("/dev/shm/") => Kind::Segment { writable },
-            // Special areas of the kernel ([vvar] and the like) can't be written.
+            // Special areas of the kernel (such as [vvar]) can't be written.
             _ if !shared && !named && readable && writable => Kind::Own,
             _ => Kind::Other,
         };
@@ -66,7 +66,7 @@ fn parse(text: &str) -> Vec<Mapping> {
     let mut mappings: Vec<Mapping> = Vec::new();
     for line in text.lines() {
         match line.split_once(':') {
-            // A line of smaps about the mapping above.
+            // A line of smaps about the previous mapping.
             Some((key, value)) if !key.contains(' ') => {
                 if let Some(mapping) = mappings.last_mut().filter(|_| key == "Referenced") {
                     let kib = value.split_ascii_whitespace().next().and_then(|kib| kib.parse::<usize>().ok());
@@ -79,13 +79,13 @@ fn parse(text: &str) -> Vec<Mapping> {
     mappings
 }
 
-/// Has the kernel count anew which pages are used; false where it does not.
+/// Makes the kernel reset its marks of used pages; `false` if it does not.
 pub(super) fn forget_use() -> bool {
     std::fs::write("/proc/self/clear_refs", "1").is_ok()
 }
 
-/// Locks mappings by `lock` until `limit` bytes are reached, those first of which the greatest share is used;
-/// returns the used bytes that are locked, and those that are not.
+/// Calls `lock` for mappings until `limit` bytes are reached, in descending order of their used share.
+/// Returns the used bytes that are locked, and the used bytes that are not.
 pub(super) fn within(
     mut used: Vec<Mapping>,
     limit: usize,
