@@ -5,10 +5,10 @@ use run::Run;
 use serde::{Deserialize, Serialize};
 use wire::SCHEMA;
 
-/// Name of the file in a run's folder from which tools take what a recording says about its run.
+/// Name of the file in a run's folder that holds the [`About`] for recordings.
 pub const ABOUT: &str = "about.json";
 
-/// What a recording says about its run.
+/// The description of a run in its recording.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct About {
     /// Version of the wire.
@@ -21,20 +21,20 @@ pub struct About {
     pub weights_sha256: String,
     /// Instruction set of the kernels.
     pub kernels: String,
-    /// Name of what the source plays.
+    /// Name of the scene that the source plays.
     pub scene: String,
     /// The run's record: seed, options of the stages, lockstep, paths.
     pub run: Run,
-    /// Topics that were asked for.
+    /// The requested topics.
     #[serde(default)]
     pub topics: Vec<String>,
-    /// Of the elements of these topics only so many leading bytes are recorded.
+    /// Number of recorded leading bytes per element, for topics whose elements are recorded in part.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub element_bytes: BTreeMap<String, usize>,
-    /// Whether the file has what the stages were given before its first message, from the run's begin on.
+    /// Whether the file contains the stages' inputs from the start of the run up to the file's first message.
     #[serde(default)]
     pub before: bool,
-    /// The Unix time less `CLOCK_MONOTONIC` when the recording began: the file's times are Unix times.
+    /// Unix time minus `CLOCK_MONOTONIC` at the start of the recording: the file's times are Unix times.
     #[serde(default)]
     pub clock_offset_ns: i64,
 }
@@ -58,7 +58,7 @@ impl Default for About {
 }
 
 impl About {
-    /// Reads what the launcher has written into a run's folder.
+    /// Reads the file that the launcher has written into a run's folder.
     ///
     /// # Errors
     /// If the file can't be read or is not of this version.
@@ -66,7 +66,7 @@ impl About {
         Ok(serde_json::from_slice(&std::fs::read(root.join(ABOUT))?)?)
     }
 
-    /// Writes it into a run's folder.
+    /// Writes the file into a run's folder.
     ///
     /// # Errors
     /// If the file can't be written.
@@ -74,10 +74,10 @@ impl About {
         std::fs::write(root.join(ABOUT), serde_json::to_vec(self)?)
     }
 
-    /// The pairs of names and values that any reader of MCAP shows; `about` holds all of it as JSON.
+    /// The pairs of names and values that every MCAP reader shows; `about` holds all fields as JSON.
     pub(crate) fn pairs(&self) -> Vec<(&'static str, String)> {
         vec![
-            // Nothing here has keys that are no strings or numbers that JSON lacks.
+            // Every key is a string, and JSON can represent every number.
             ("about", serde_json::to_string(self).unwrap_or_default()),
             ("interval_ns", self.run.interval_ns.to_string()),
             ("kernels", self.kernels.clone()),

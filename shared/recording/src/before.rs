@@ -5,23 +5,23 @@ use wire::{Detection, DetectionsTopic, ForecastsTopic, Topic, TracksTopic};
 
 use crate::Frame;
 
-/// Packed once so many bytes have come together.
+/// Frames are compressed when this many bytes are pending.
 const BLOCK_BYTES: usize = 1 << 18;
-/// Of tracks and forecasts nothing is needed but the header and who they are.
+/// Tracks and forecasts keep only the header and the ids.
 const IDENTITY_BYTES: usize = size_of::<u64>();
-/// Bytes before those of a frame: topic, bytes of an element, time of receipt, length.
+/// Bytes before a frame's own: topic, bytes of an element, time of receipt, length.
 const PREFIX: usize = 1 + 4 + 8 + 4;
 
-/// Topics of which something is kept, with the leading bytes of each element.
+/// The topics that are kept, with the number of leading bytes of each element.
 const KEPT: [(&str, usize); 3] = [
     (DetectionsTopic::NAME, size_of::<Detection>()),
     (TracksTopic::NAME, IDENTITY_BYTES),
     (ForecastsTopic::NAME, IDENTITY_BYTES),
 ];
 
-/// What a run's stages were given from its begin on, packed in memory: the detections, and the headers of tracks and
-/// forecasts, which tell what each stage did when. A replay of it brings the stages to where they were, however
-/// much they remember.
+/// The inputs of a run's stages from the start of the run, compressed in memory. They are the detections, and
+/// the headers of tracks and forecasts, which contain the action of each stage at each tick. A replay of
+/// these frames brings the stages to the same state, for any length of their memory.
 #[derive(Debug)]
 pub struct Before {
     limit_bytes: usize,
@@ -34,30 +34,31 @@ pub struct Before {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum State {
     Empty,
-    /// What the first tick made has come, its detections have not: topics do not wait for one another.
+    /// The first tick's output has arrived and its detections have not: topics do not wait for one another.
     Early,
-    /// From the run's first tick on.
+    /// Complete from the run's first tick.
     Whole,
-    /// The run had begun before, or there is more than the memory holds.
+    /// Incomplete: the run had started earlier, or the memory limit was reached.
     Gone,
 }
 
-/// Why what was before is not kept any more.
+/// Why the earlier frames are no longer kept.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Forgotten {
-    /// The run had begun before the first frame that came.
+    /// The run had started before the first received frame.
     HadBegun,
-    /// There is more than the memory holds.
+    /// The memory limit was reached.
     TooMuch,
 }
 
-/// How many leading bytes of each element are kept of a topic; none where nothing is.
+/// Number of leading bytes kept of each element of a topic; `None` if the topic is not kept.
 pub(crate) fn kept_bytes(topic: &str) -> Option<usize> {
     KEPT.iter().find(|(name, _)| *name == topic).map(|(_, bytes)| *bytes)
 }
 
 impl Before {
-    /// An empty one that takes no more memory than that. It is kept where those topics hold what it needs.
+    /// An empty buffer with a memory limit. It keeps frames only if `topics` contains the topics that a
+    /// replay needs.
     #[must_use]
     pub fn new(limit_bytes: usize, topics: &[String]) -> Self {
         let has_all = KEPT.iter().all(|(name, _)| topics.iter().any(|topic| topic == name));
@@ -65,7 +66,8 @@ impl Before {
         Self { limit_bytes, packed: Vec::new(), packed_bytes: 0, open: Vec::new(), state }
     }
 
-    /// Adds a frame that is older than all that is kept elsewhere; returns why nothing is kept from now on, once.
+    /// Adds a frame that is older than all frames kept elsewhere. If the buffer gives up at this frame,
+    /// returns the reason.
     pub fn push(&mut self, frame: &Frame) -> Option<Forgotten> {
         let (header, topic) = (frame.header(), frame.topic().name);
         let bytes = kept_bytes(topic)?;
@@ -103,26 +105,26 @@ impl Before {
         Some(Forgotten::TooMuch)
     }
 
-    /// The same without what was kept.
+    /// The buffer without its content.
     fn forgotten(&self) -> Self {
         Self::new(self.limit_bytes, &[])
     }
 
-    /// Whether it has all of the run up to what is kept elsewhere.
+    /// Whether the buffer contains the run from its start up to the frames that are kept elsewhere.
     #[must_use]
     pub fn is_whole(&self) -> bool {
         self.state == State::Whole
     }
 
-    /// Memory that it takes.
+    /// Memory in use.
     #[must_use]
     pub fn bytes(&self) -> usize {
         self.packed_bytes + self.open.len()
     }
 
-    /// The frames, in the order in which they came; none where it is not whole.
+    /// The frames in the order of arrival; empty if the buffer is not complete.
     pub fn frames(&self) -> impl Iterator<Item = Frame> {
-        // What was packed here can be unpacked.
+        // This type compressed the blocks, so decompressing them can't fail.
         let packed = self.packed.iter().filter(|_| self.is_whole());
         let packed = packed.filter_map(|packed| decompress_size_prepended(packed).ok());
         let open = self.is_whole().then(|| self.open.clone());
@@ -130,7 +132,7 @@ impl Before {
     }
 }
 
-/// The frames of a block.
+/// Decompresses the frames of a block.
 fn unpacked(block: &[u8]) -> Vec<Frame> {
     let mut rest = block;
     let mut frames = Vec::new();

@@ -1,8 +1,8 @@
-//! Two recordings, or a recording and its replay, frame by frame: where they first differ, how far, and how
-//! that grows along the topics.
+//! Compares two recordings, or a recording and its replay, frame by frame. The result contains the first
+//! difference, its size, and its growth along the topics.
 //!
-//! Compared is what the stages compute. What depends on when and where a run happened is left out: the
-//! header's run id, protection, sender, incarnation, time of release and hops.
+//! The comparison covers the results that the stages compute. Fields that depend on the time and place of a
+//! run are ignored: the header's run id, protection, sender, incarnation, time of release and hops.
 
 use std::collections::{BTreeMap, HashMap};
 use std::ops::Range;
@@ -22,16 +22,16 @@ pub struct Difference {
     pub tick: u64,
     /// The topic.
     pub topic: &'static str,
-    /// The way to the number, such as `[3].modes[2][0][1]`, or `header.flags`.
+    /// The path of the number, such as `[3].modes[2][0][1]` or `header.flags`.
     pub field: String,
-    /// Its value in the first.
+    /// Its value in the first recording.
     pub a: f64,
-    /// Its value in the second.
+    /// Its value in the second recording.
     pub b: f64,
 }
 
 impl Difference {
-    /// How far the values are apart; infinite where one of them is no number.
+    /// The absolute difference of the values; infinite if one of them is NaN.
     #[must_use]
     pub fn apart(&self) -> f64 {
         let apart = (self.a - self.b).abs();
@@ -39,33 +39,33 @@ impl Difference {
     }
 }
 
-/// What differs in a frame.
+/// The differences of a frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FrameDifference {
-    /// The first number.
+    /// The first number that differs.
     pub first: Difference,
-    /// The number that is farthest apart.
+    /// The number with the greatest difference.
     pub farthest: Difference,
-    /// How many numbers.
+    /// Number of differing numbers.
     pub numbers: u64,
 }
 
-/// The frames of a topic compared.
+/// The comparison of one topic's frames.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct TopicComparison {
-    /// Ticks that both have.
+    /// Ticks that both recordings have.
     pub ticks: u64,
-    /// Ticks of these that differ.
+    /// Number of these ticks that differ.
     pub different: u64,
-    /// Ticks that the first alone has.
+    /// Ticks that only the first recording has.
     pub only_a: u64,
-    /// Ticks that the second alone has.
+    /// Ticks that only the second recording has.
     pub only_b: u64,
     /// The first difference.
     pub first: Option<Difference>,
-    /// The greatest one.
+    /// The greatest difference.
     pub farthest: Option<Difference>,
-    /// The first tick that one alone has.
+    /// The first tick that only one recording has.
     pub first_alone: Option<u64>,
     /// The last tick that differs.
     pub last: Option<u64>,
@@ -74,7 +74,7 @@ pub struct TopicComparison {
     pub growth: BTreeMap<u64, f64>,
 }
 
-/// All topics compared.
+/// The comparison of all topics.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Comparison {
     /// By topic, in the order in which a tick passes them.
@@ -82,11 +82,11 @@ pub struct Comparison {
 }
 
 impl Comparison {
-    /// The first difference: of the earliest tick the one on the topic that the tick passes first.
+    /// The first difference: in the earliest tick, on the first topic of the tick's path.
     #[must_use]
     pub fn first(&self) -> Option<&Difference> {
         let firsts = self.topics.iter().filter_map(|(_, topic)| topic.first.as_ref());
-        // The first of equals is kept.
+        // `min_by_key` returns the first of equal elements.
         firsts.min_by_key(|difference| difference.tick)
     }
 
@@ -97,13 +97,13 @@ impl Comparison {
         self.topics.iter().all(|(_, topic)| same(topic))
     }
 
-    /// Ticks compared, of the topic that has most.
+    /// Number of compared ticks, of the topic with most ticks.
     #[must_use]
     pub fn ticks(&self) -> u64 {
         self.topics.iter().map(|(_, topic)| topic.ticks).max().unwrap_or(0)
     }
 
-    /// Compares two frames of a topic and a tick.
+    /// Compares two frames of the same topic and tick.
     pub fn pair(&mut self, a: &Frame, b: &Frame) {
         let tick = a.header().seq;
         let found = compare(a, b);
@@ -122,7 +122,7 @@ impl Comparison {
         }
     }
 
-    /// Counts a tick that one of the two alone has.
+    /// Counts a tick that only one of the recordings has.
     pub fn alone(&mut self, topic: &'static str, tick: u64, is_a: bool) {
         let topic = self.topic(topic);
         *if is_a { &mut topic.only_a } else { &mut topic.only_b } += 1;
@@ -145,7 +145,7 @@ impl Comparison {
         let mut comparison = Self::default();
         let both = |name: &str| a.has_topic(name) && b.has_topic(name) && name != HeartbeatsTopic::NAME;
         let (mut left, mut right) = (a.messages(), b.messages());
-        // Frames that wait for their like, with the side that they are of.
+        // Frames that wait for their counterpart, with their recording.
         let mut waiting: HashMap<(u8, u64), (bool, Frame)> = HashMap::new();
         let mut take = |message: Option<Result<Message, ReadError>>, is_a: bool| {
             let Some(message) = message else { return false };
@@ -176,7 +176,7 @@ impl Comparison {
     }
 }
 
-/// A header without what depends on when and where its run happened.
+/// A header without the fields that depend on the time and place of its run.
 #[must_use]
 pub fn computed(header: &Header) -> Header {
     Header {
@@ -192,20 +192,20 @@ pub fn computed(header: &Header) -> Header {
     }
 }
 
-/// What differs between two frames of a topic and a tick; none where they are equal.
+/// The differences between two frames of a topic and a tick; `None` if they are equal.
 #[must_use]
 pub fn compare(a: &Frame, b: &Frame) -> Option<FrameDifference> {
-    // Of what was recorded of one of them in part, that part.
+    // If one of the frames was recorded in part, only that part is compared.
     let common = a.element_bytes().min(b.element_bytes());
     if a.element_bytes() != b.element_bytes() {
         return compare(&a.leading(common), &b.leading(common));
     }
-    // Programs before `Forecast::lanes` recorded zeros.
+    // Programs older than `Forecast::lanes` recorded zeros.
     if a.has_lanes() != b.has_lanes() {
         return compare(&a.without_lanes(), &b.without_lanes());
     }
     let mut headers = [computed(a.header()), computed(b.header())];
-    // Programs before these counts recorded zeros.
+    // Programs older than these counts recorded zeros.
     if headers.iter().any(|header| header.input == InputCounts::default()) {
         headers.iter_mut().for_each(|header| header.input = InputCounts::default());
     }
@@ -228,7 +228,8 @@ pub fn compare(a: &Frame, b: &Frame) -> Option<FrameDifference> {
     } else {
         let [elements_a, elements_b] = [a, b].map(|frame| frame.elements_len() as f64);
         found.number("payload.elements_len".to_owned(), elements_a, elements_b);
-        // What both have, element by element, for users that ask how far the first ones are apart.
+        // The common elements are compared one by one: users also ask for the difference of the first
+        // elements.
         if a.element().name != Row::RECORD.name {
             let len = len_a.min(len_b);
             let payloads = [&a.payload()[..len], &b.payload()[..len]];
@@ -252,8 +253,8 @@ const CELL: Record = Record {
     }],
 };
 
-/// The parts of a payload, each of one record, with their names. What lies between them fills up rows and may
-/// be of an earlier frame.
+/// The named parts of a payload, with one record type each. The bytes between the parts are padding of rows
+/// and may belong to an earlier frame.
 fn sections(frame: &Frame) -> Vec<(&'static Record, &'static str, Range<usize>)> {
     let (len, counts) = (frame.payload().len(), &frame.header().counts);
     let parts = match frame.topic().name {
@@ -283,7 +284,7 @@ fn sections(frame: &Frame) -> Vec<(&'static Record, &'static str, Range<usize>)>
     let mut begin: usize = 0;
     let mut sections = Vec::new();
     for (record, name, bytes) in parts {
-        // A header may say anything.
+        // A header may contain any number.
         let end = begin.saturating_add(bytes).min(len);
         sections.push((record, name, begin.min(end)..end));
         begin = end.next_multiple_of(size_of::<Row>());
@@ -291,7 +292,7 @@ fn sections(frame: &Frame) -> Vec<(&'static Record, &'static str, Range<usize>)>
     sections
 }
 
-/// The differences of a frame as they are found.
+/// Collects the differences of a frame.
 struct Found {
     tick: u64,
     topic: &'static str,
@@ -299,8 +300,8 @@ struct Found {
 }
 
 impl Found {
-    /// Compares records that lie one behind the other, of each so many leading bytes; they are numbered where
-    /// `first` says from which number on.
+    /// Compares the leading bytes of consecutive records. If `first` is given, the records are numbered from
+    /// it.
     fn records(
         &mut self,
         (record, leading): (&Record, usize),

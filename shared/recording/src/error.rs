@@ -16,13 +16,13 @@ pub enum ReadError {
         /// The system's error.
         source: io::Error,
     },
-    /// It is no MCAP file.
+    /// The file is not an MCAP file.
     #[error("{}: not an MCAP file", path.display())]
     Foreign {
         /// The file.
         path: PathBuf,
     },
-    /// It is an MCAP file, but the description of a run is missing.
+    /// The file is an MCAP file without the description of a run.
     #[error(
         "{}: it has no metadata \"{wanted}\": another program made it, it was cut off before them, or a tool left them \
          out (`mcap filter --include-metadata` keeps them)",
@@ -34,7 +34,7 @@ pub enum ReadError {
         /// What is missing.
         wanted: &'static str,
     },
-    /// Its frames have another layout than this program's.
+    /// The frames have another layout than this program's.
     #[error(
         "{}: a recording of wire schema {found}, this program reads {expected}: use the program that made it ({program})",
         path.display()
@@ -46,34 +46,34 @@ pub enum ReadError {
         found: u32,
         /// This program's.
         expected: u32,
-        /// What wrote the file.
+        /// The program that wrote the file.
         program: String,
     },
-    /// A part of the file is not what was written.
+    /// A part of the file differs from the written bytes.
     #[error("{}: byte {offset}: {what}", path.display())]
     Damaged {
         /// The file.
         path: PathBuf,
-        /// Where the part begins.
+        /// Offset of the part.
         offset: u64,
         /// What is wrong.
         what: String,
     },
-    /// A message is no frame of its topic.
+    /// A message is not a frame of its topic.
     #[error("{}: chunk at byte {offset}, message {message}: {source}", path.display())]
     Frame {
         /// The file.
         path: PathBuf,
-        /// Where its chunk begins.
+        /// Offset of its chunk.
         offset: u64,
-        /// Its number within the chunk, from 0.
+        /// Index of the message within the chunk, from 0.
         message: usize,
         /// What is wrong.
         source: FrameError,
     },
 }
 
-/// Why a recording can't be begun or ended.
+/// Why a recording can't be started or finished.
 #[derive(Debug, Error)]
 #[error("{}: {source}", path.display())]
 pub struct WriteError {

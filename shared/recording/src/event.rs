@@ -1,20 +1,20 @@
 use serde::{Deserialize, Serialize};
 
-/// Something that happened to the run, beside its frames.
+/// An event of the run, besides its frames.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Event {
-    /// When, `CLOCK_MONOTONIC`.
+    /// Time of the event, on `CLOCK_MONOTONIC`.
     pub at_ns: u64,
-    /// What.
+    /// The kind of event.
     #[serde(flatten)]
     pub what: Happened,
 }
 
-/// What happened.
+/// The kinds of events.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "event", rename_all = "snake_case")]
 pub enum Happened {
-    /// All stages are linked: the run has begun.
+    /// All stages are linked: the run has started.
     Linked,
     /// A stage has died and is started again.
     Died {
@@ -34,15 +34,15 @@ pub enum Happened {
         /// Why it is given up.
         why: String,
     },
-    /// A stage was to be replaced by another program.
+    /// A stage was replaced by another program, or the replacement failed.
     Replaced {
         /// The stage.
         stage: String,
-        /// What came of it: `replaced`, `not used` or `rolled back`.
+        /// The outcome: `replaced`, `not used` or `rolled back`.
         outcome: String,
         /// The new program.
         program: String,
-        /// Why it is not used, to follow "it "; empty where it is.
+        /// Why the new program is not used, as a phrase that follows "it "; empty if it is used.
         cause: String,
     },
     /// A stage gets no CPU.
@@ -56,35 +56,36 @@ pub enum Happened {
         stage: String,
         /// Its incarnation.
         incarnation: u32,
-        /// Who sent the frames.
+        /// The sender of the frames.
         sender: String,
-        /// Why.
+        /// The reason.
         cause: String,
-        /// How many since the last such event.
+        /// Number of frames since the last such event.
         frames: u64,
     },
-    /// Frames are not in the recording.
+    /// Frames are missing in the recording.
     Lost {
-        /// Where: `tap` (it was not in time at the topic), `queue` (the tool was not in time at the tap), `disk`.
+        /// The place of the loss: `tap` (the tap was late at the topic), `queue` (the tool was late at the
+        /// tap) or `disk`.
         at: String,
         /// The topic.
         topic: String,
-        /// How many.
+        /// Number of frames.
         frames: u64,
     },
-    /// A flight recorder kept what was before this.
+    /// A flight recorder kept the messages before this event.
     Kept {
-        /// Why.
+        /// The reason.
         why: String,
     },
-    /// Somebody marked this moment.
+    /// A user marked this moment.
     Mark {
-        /// With these words.
+        /// The text of the mark.
         text: String,
     },
     /// The launcher has ended the run.
     Ended {
-        /// Why.
+        /// The reason.
         how: String,
     },
 }
@@ -92,7 +93,7 @@ pub enum Happened {
 /// A line that a stage wrote.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct LogLine {
-    /// When the launcher had it, `CLOCK_MONOTONIC`.
+    /// When the launcher received the line, on `CLOCK_MONOTONIC`.
     pub at_ns: u64,
     /// The stage.
     pub stage: String,

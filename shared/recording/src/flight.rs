@@ -1,44 +1,44 @@
-//! When a flight recorder writes what it has kept: the causes, and how files begin, go on and end.
+//! Decides when a flight recorder writes its buffer: the causes, and the start, extension and end of files.
 
 use wire::{Cause, Forecast, Header, Quality, StageId, flags};
 
 use crate::{Event, Happened};
 
-/// The longest time that a file goes on after its first cause, in times of [`FlightLimits::after_ns`]: what happens
-/// without end fills no disk.
+/// Maximum time that a file continues after its first cause, in multiples of [`FlightLimits::after_ns`]. An
+/// endless series of causes therefore does not fill the disk.
 pub const JOINED_MAX: u64 = 6;
 
-/// How much a flight recorder writes.
+/// Limits on the output of a flight recorder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FlightLimits {
-    /// Time that a file goes on after what it is written for.
+    /// Time that a file continues after its cause.
     pub after_ns: u64,
-    /// Files of a recording.
+    /// Maximum number of files of a recording.
     pub files: u32,
 }
 
-/// What a flight recorder does next.
+/// The next action of a flight recorder.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Act {
-    /// Nothing but to keep what comes.
+    /// Only buffers the messages.
     Keep,
-    /// Begins the file of that number, from 1, with the ring.
+    /// Starts the file with this number, from 1, with the content of the ring.
     Begin(u32),
-    /// Goes on longer with the file in hand.
+    /// Extends the current file.
     Join,
-    /// Leaves it: so many files are there already.
+    /// Writes nothing: the maximum number of files is reached.
     Full,
 }
 
-/// When a flight recorder begins and ends its files. A cause while a file is written makes that file longer; the
-/// same cause again, before it has been quiet for as long as a file goes on, is the same event.
+/// Decides when a flight recorder starts and ends its files. A cause while a file is written extends that
+/// file. If the same cause recurs before it has been quiet for `after_ns`, it is the same event.
 #[derive(Clone, Debug)]
 pub struct Flight {
     limits: FlightLimits,
     files: u32,
-    /// Begin and end of the file in hand.
+    /// Start and end of the current file.
     open: Option<[u64; 2]>,
-    /// When each cause was last there.
+    /// When each cause last occurred.
     seen: Vec<(Trigger, u64)>,
     missed: u64,
 }
@@ -46,13 +46,13 @@ pub struct Flight {
 /// Kinds of causes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Trigger {
-    /// A tick with forecasts that are not learned for another reason than the agent itself.
+    /// A tick has forecasts that are not learned, for another reason than the agent itself.
     Degraded,
-    /// Forecasts that came after their tick was over.
+    /// Forecasts arrived after the end of their tick.
     Late,
-    /// A stage has died, was given up, replaced or gets no CPU.
+    /// A stage has died, was given up or replaced, or gets no CPU.
     Stage,
-    /// Somebody asked for it: `stgdat mark` or a signal.
+    /// A user asked for it: `stgdat mark` or a signal.
     Asked,
 }
 
@@ -63,7 +63,7 @@ impl Flight {
         Self { limits, files: 0, open: None, seen: Vec::new(), missed: 0 }
     }
 
-    /// Takes a cause.
+    /// Handles a cause.
     pub fn cause(&mut self, trigger: Trigger, at_ns: u64) -> Act {
         let quiet_ns = self.limits.after_ns;
         let is_same = match self.seen.iter_mut().find(|(seen, _)| *seen == trigger) {
@@ -73,7 +73,7 @@ impl Flight {
                 false
             }
         };
-        // What somebody asks for is never part of what was there before.
+        // A user's request is always a new event.
         if is_same && trigger != Trigger::Asked {
             return Act::Keep;
         }
@@ -92,7 +92,7 @@ impl Flight {
         Act::Begin(self.files)
     }
 
-    /// Whether the file in hand is to end now; it is closed then.
+    /// Whether the current file ends now; if so, it is closed.
     pub fn ends(&mut self, now_ns: u64) -> bool {
         self.open.take_if(|[_, end_ns]| now_ns >= *end_ns).is_some()
     }
@@ -103,20 +103,20 @@ impl Flight {
         self.open.is_some()
     }
 
-    /// Files begun.
+    /// Number of files started.
     #[must_use]
     pub const fn files(&self) -> u32 {
         self.files
     }
 
-    /// Events after the last file.
+    /// Number of events after the last allowed file.
     #[must_use]
     pub const fn missed(&self) -> u64 {
         self.missed
     }
 }
 
-/// What is wrong with a tick, in words; none where nothing is.
+/// The fault of a tick, in words; `None` if it has none.
 #[must_use]
 pub fn wrong_with(header: &Header, forecasts: &[Forecast]) -> Option<(Trigger, String)> {
     if !header.is_tick() {
@@ -131,7 +131,7 @@ pub fn wrong_with(header: &Header, forecasts: &[Forecast]) -> Option<(Trigger, S
     if header.has(flags::VOID) {
         return Some((Trigger::Degraded, format!("tick {seq} has no forecasts")));
     }
-    // Young agents and those of whom constant velocity knows more are no fault.
+    // Young agents, and agents that constant velocity predicts better, are not faults.
     let of_the_agent = [Cause::None, Cause::Young, Cause::Outdone].map(|cause| cause as u32);
     let is_degraded =
         |f: &&Forecast| f.quality != Quality::Learned as u32 && !of_the_agent.contains(&f.cause);
@@ -144,7 +144,7 @@ pub fn wrong_with(header: &Header, forecasts: &[Forecast]) -> Option<(Trigger, S
     ))
 }
 
-/// What an event is as a cause, in words; none where it is none.
+/// An event as a cause, in words; `None` if it is not a cause.
 #[must_use]
 pub fn caused_by(event: &Event) -> Option<(Trigger, String)> {
     Some(match &event.what {
@@ -215,7 +215,8 @@ mod tests {
     }
 
     proptest! {
-        /// However causes come: no more files than the limit, none open for longer than it may be.
+        /// For any sequence of causes: the number of files and the duration of each file stay within their
+        /// limits.
         #[test]
         fn files_keep_their_limits(causes in prop::collection::vec((0..4_usize, 0..4 * S), 1..200)) {
             let all = [Trigger::Degraded, Trigger::Late, Trigger::Stage, Trigger::Asked];

@@ -1,9 +1,9 @@
-//! How the records of MCAP are written.
+//! Writes MCAP records.
 
-/// Bytes of a record before its body: its number and its length.
+/// Bytes of a record before its body: opcode and length.
 pub const PREFIX: usize = 9;
 
-/// The body of a record that is written part by part.
+/// The body of a record, written part by part.
 #[derive(Default)]
 pub struct Body(Vec<u8>);
 
@@ -23,13 +23,13 @@ impl Body {
         self
     }
 
-    /// Bytes without their length.
+    /// Appends bytes without their length.
     pub fn raw(mut self, bytes: &[u8]) -> Self {
         self.0.extend_from_slice(bytes);
         self
     }
 
-    /// Bytes after their length.
+    /// Appends bytes after their length.
     pub fn bytes(self, bytes: &[u8]) -> Self {
         self.u32(bytes.len() as u32).raw(bytes)
     }
@@ -38,19 +38,19 @@ impl Body {
         self.bytes(text.as_bytes())
     }
 
-    /// A map of texts.
+    /// Appends a map of texts.
     pub fn texts(self, pairs: &[(&str, String)]) -> Self {
         let body = pairs.iter().fold(Self::default(), |body, (key, value)| body.text(key).text(value));
         self.bytes(&body.0)
     }
 
-    /// A map of numbers.
+    /// Appends a map of numbers.
     pub fn counts(self, pairs: impl Iterator<Item = (u16, u64)>) -> Self {
         let body = pairs.fold(Self::default(), |body, (key, value)| body.u16(key).u64(value));
         self.bytes(&body.0)
     }
 
-    /// The record, appended to `out`.
+    /// Appends the record to `out`.
     pub fn record(self, op: u8, out: &mut Vec<u8>) {
         out.push(op);
         out.extend((self.0.len() as u64).to_le_bytes());

@@ -9,8 +9,8 @@ use wire::{Forecast, ForecastsTopic, Header, Record, Rejected, SCHEMA, TABLE, To
 /// Bytes of a header.
 const HEADER: usize = size_of::<Header>();
 
-/// One frame as it was sent: header and payload, unchecked but for their length. Of each element it may hold the
-/// leading bytes alone.
+/// One frame as it was sent: header and payload. Only the length is checked. The frame may hold only the
+/// leading bytes of each element.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Frame {
     topic: u8,
@@ -22,7 +22,7 @@ pub struct Frame {
     bytes: Arc<[u8]>,
 }
 
-/// Why bytes are no frame.
+/// Why bytes are not a frame.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum FrameError {
     /// Fewer bytes than a header has.
@@ -43,22 +43,22 @@ pub enum FrameError {
         /// Bytes of an element.
         element: usize,
     },
-    /// An element has not so many bytes, or none are left of it.
+    /// An element has fewer bytes than requested, or the request is for none.
     #[error("topic \"{topic}\": {found} bytes of each element, which has {element}")]
     Element {
         /// The topic.
         topic: &'static str,
-        /// Bytes that there are to be.
+        /// Requested bytes.
         found: usize,
         /// Bytes of an element.
         element: usize,
     },
-    /// Asked for as a frame of another topic.
+    /// The frame belongs to another topic.
     #[error("a frame of \"{found}\", not of \"{expected}\"")]
     OfTopic {
         /// Its topic.
         found: &'static str,
-        /// The other.
+        /// The requested topic.
         expected: &'static str,
     },
     /// The header is impossible.
@@ -82,15 +82,15 @@ pub fn topic_number(name: &str) -> Option<u8> {
     TABLE.topics.iter().position(|topic| topic.name == name).map(|place| place as u8)
 }
 
-/// Topics of whose elements the leading bytes alone are recorded where no more is asked for, with their number: of
-/// forecasts all but the controls, which are half of their bytes and hardly compress.
+/// Topics that by default record only the leading bytes of their elements, with the number of bytes.
+/// Forecasts leave out the controls, which are half of their bytes and hardly compress.
 #[must_use]
 pub fn lean() -> BTreeMap<String, usize> {
     BTreeMap::from([(ForecastsTopic::NAME.to_owned(), offset_of!(Forecast, controls))])
 }
 
 impl Frame {
-    /// A frame of header and elements, received at that time of `CLOCK_MONOTONIC`.
+    /// A frame of header and elements, received at `received_ns` on `CLOCK_MONOTONIC`.
     ///
     /// # Panics
     /// Never: every topic is in the table.
@@ -102,24 +102,24 @@ impl Frame {
         Self { topic, element_bytes, header: Box::new(*header), received_ns, bytes: bytes.into() }
     }
 
-    /// A frame of bytes, with whole elements.
+    /// A frame from bytes with whole elements.
     ///
     /// # Errors
-    /// [`FrameError`] if their number is not that of a frame.
+    /// [`FrameError`] if their number does not match a frame.
     ///
     /// # Panics
-    /// If there is no topic of that number.
+    /// If no topic has this number.
     pub fn read(topic: u8, bytes: Arc<[u8]>, received_ns: u64) -> Result<Self, FrameError> {
         Self::read_leading(topic, TABLE.topics[usize::from(topic)].element.size, bytes, received_ns)
     }
 
-    /// A frame of bytes, with the leading bytes of each element.
+    /// A frame from bytes with only the leading bytes of each element.
     ///
     /// # Errors
-    /// [`FrameError`] if their number is not that of a frame.
+    /// [`FrameError`] if their number does not match a frame.
     ///
     /// # Panics
-    /// If there is no topic of that number.
+    /// If no topic has this number.
     pub fn read_leading(
         topic: u8,
         element_bytes: usize,
@@ -142,7 +142,7 @@ impl Frame {
         Ok(Self { topic, element_bytes: element_bytes as u32, header, received_ns, bytes })
     }
 
-    /// The frame with no more than so many leading bytes of each element.
+    /// The frame with at most `element_bytes` leading bytes of each element.
     #[must_use]
     pub fn leading(&self, element_bytes: usize) -> Self {
         if element_bytes >= self.element_bytes() {
@@ -155,7 +155,7 @@ impl Frame {
         Self { element_bytes: element_bytes as u32, bytes: bytes.into(), ..self.clone() }
     }
 
-    /// Whether a forecast of the frame has [`Forecast::lanes`].
+    /// Whether a forecast of the frame has a nonzero [`Forecast::lanes`].
     pub(crate) fn has_lanes(&self) -> bool {
         let mut elements = self.payload().chunks_exact(self.element_bytes());
         self.topic().name == ForecastsTopic::NAME
@@ -190,7 +190,7 @@ impl Frame {
         self.topic().element
     }
 
-    /// Bytes of each element that it holds.
+    /// Number of recorded bytes of each element.
     #[must_use]
     pub const fn element_bytes(&self) -> usize {
         self.element_bytes as usize
@@ -208,13 +208,13 @@ impl Frame {
         &self.header
     }
 
-    /// When the tap took it from its queue, `CLOCK_MONOTONIC`.
+    /// When the tap took the frame from its queue, on `CLOCK_MONOTONIC`.
     #[must_use]
     pub const fn received_ns(&self) -> u64 {
         self.received_ns
     }
 
-    /// When its sender handed it over, `CLOCK_MONOTONIC`; the time of receipt where no stage did.
+    /// When its sender sent it, on `CLOCK_MONOTONIC`; the time of receipt if no stage stamped it.
     #[must_use]
     pub fn sent_ns(&self) -> u64 {
         self.header.hops().last().map_or(self.received_ns, |hop| hop.sent_ns)
@@ -232,12 +232,12 @@ impl Frame {
         &self.bytes[HEADER..]
     }
 
-    /// The elements of a frame of that topic, checked as far as their header says how many there are. What the
-    /// frame does not hold of them is zero.
+    /// The elements of a frame of topic `T`. Their number is checked against the header. Bytes that the frame
+    /// does not hold are zero.
     ///
     /// # Errors
-    /// [`FrameError`] if it is a frame of another topic, its header is impossible or has another number of
-    /// elements.
+    /// [`FrameError`] if the frame belongs to another topic, or if its header is impossible or states another
+    /// number of elements.
     pub fn elements<T: Topic>(&self) -> Result<Vec<T::Element>, FrameError> {
         let found = self.topic().name;
         if found != T::NAME {

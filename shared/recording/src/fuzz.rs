@@ -1,7 +1,7 @@
-//! Fuzz targets of recordings: the bytes of a file, and what its chunks hold behind true check values.
+//! Fuzz targets of recordings: the bytes of a file, and the content of its chunks with valid check values.
 //!
-//! Nothing may panic, and what is read holds to what replays rely on. `tests/fuzz/readers.rs` has the command
-//! for a longer search.
+//! No input may panic, and the result has the properties that replays rely on. `tests/fuzz/readers.rs` has
+//! the command for a longer search.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -20,7 +20,7 @@ use crate::{About, Event, Frame, Happened, LogLine, Message, Recording, Writer};
 const ITERATIONS: usize = 2_000;
 /// Longest list of edits, in bytes.
 const EDITS_BYTES_MAX: usize = 64;
-/// What tends to break readers of lengths, numbers and JSON.
+/// Byte sequences that tend to break readers of lengths, numbers and JSON.
 const WORDS: [&[u8]; 10] = [
     &[0; 8],
     &[0xFF; 8],
@@ -34,7 +34,7 @@ const WORDS: [&[u8]; 10] = [
     &[op::CHUNK],
 ];
 
-/// Records of a file; those of a chunk are unpacked.
+/// A record of a file; chunks are decompressed.
 struct Record {
     op: u8,
     bytes: Vec<u8>,
@@ -48,7 +48,7 @@ fn frame(seq: u64) -> Frame {
     Frame::of::<DetectionsTopic>(&header, &detections, seq * 80_000_000 + 5)
 }
 
-/// A good file, with something of every kind.
+/// A valid file with a message of every kind.
 fn good(folder: &Path) -> Vec<u8> {
     let path = folder.join("good.mcap");
     let about = About { program: "stgdat 0".to_owned(), before: true, ..About::default() };
@@ -76,7 +76,7 @@ fn records(file: &[u8]) -> Vec<Record> {
     std::iter::from_fn(read).collect()
 }
 
-/// A file of records; each chunk has the check value of what it holds.
+/// A file of records; each chunk gets a valid check value for its content.
 fn file(records: &[Record]) -> Vec<u8> {
     let mut file = MAGIC.to_vec();
     for Record { op, bytes } in records {
@@ -92,7 +92,7 @@ fn file(records: &[Record]) -> Vec<u8> {
     file
 }
 
-/// Applies edits of four bytes each: where (two bytes), how, and with which byte or word.
+/// Applies edits of four bytes each: position (two bytes), operation, and byte or word.
 fn edit(bytes: &mut Vec<u8>, edits: &[u8]) {
     for edit in edits.chunks_exact(4) {
         let place = usize::from(u16::from_le_bytes([edit[0], edit[1]])) % (bytes.len() + 1);
@@ -108,14 +108,14 @@ fn edit(bytes: &mut Vec<u8>, edits: &[u8]) {
     }
 }
 
-/// A place for files, and what reads them.
+/// A folder for files, and a reader for them.
 struct Reader {
     _folder: TempDir,
     path: PathBuf,
 }
 
 impl Reader {
-    /// Reads all of a file; returns how many messages it has, where it can be opened.
+    /// Reads the whole file. Returns the number of messages, or `None` if the file can't be opened.
     fn read(&self, bytes: &[u8]) -> Option<usize> {
         fs::write(&self.path, bytes).expect("the file can be written");
         let recording =
@@ -151,14 +151,14 @@ fn recording_bytes() {
     });
 }
 
-/// A byte chooses the record: chunks, what channels are, and what the file says about its run.
+/// One byte selects the record: a chunk, the channels, or the description of the run.
 #[test]
 fn recording_records() {
     fuzz(|good, edits| {
         let mut records = records(good);
         if let Some((which, edits)) = edits.split_first() {
             let which = usize::from(*which) % records.len();
-            // Most of what there is to read lies in the chunk.
+            // Most of the content is in the chunk.
             let chunk = records.iter().position(|record| record.op == op::CHUNK).unwrap_or(which);
             let which = if which.is_multiple_of(2) { chunk } else { which };
             edit(&mut records[which].bytes, edits);

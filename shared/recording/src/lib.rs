@@ -1,15 +1,17 @@
-//! Recordings of runs: one MCAP file with the frames as they were sent, what the supervisor did, and the
+//! Recordings of runs: one MCAP file with the frames as they were sent, the supervisor's events, and the
 //! stages' log lines.
 //!
-//! [`Writer`] makes the file and [`Recording`] reads it; neither knows shared memory. The file is plain
-//! [MCAP](https://mcap.dev/spec) (chunks of LZ4 frames, an index, check values), so that other tools list it,
-//! cut it and take messages out of it. [`Recording`] reads what these tools write: its records are those of
-//! the crate `mcap`. Around them it recovers what is whole of a torn or damaged file, which that crate's
-//! readers refuse. What is private to this project is the encoding of a frame: the bytes of [`wire::Header`]
-//! followed by those of the payload's elements, as they lie in shared memory. The schema of each topic is the
-//! document of `stgdat wire --json`, which has the offset of every field.
+//! [`Writer`] writes the file and [`Recording`] reads it; neither depends on shared memory. The file is plain
+//! [MCAP](https://mcap.dev/spec) (chunks of LZ4 frames, an index, check values). Other tools can therefore
+//! list it, cut it and extract messages. [`Recording`] also reads the output of these tools: it parses
+//! records with the crate `mcap`. In addition it recovers the intact parts of a torn or damaged file, which
+//! that crate's readers refuse.
 //!
-//! A frame that is written is found again, byte for byte:
+//! Only the encoding of a frame is private to this project: the bytes of [`wire::Header`], followed by the
+//! payload's elements as they are in shared memory. The schema of each topic is the output of `stgdat wire
+//! --json`, which contains the offset of every field.
+//!
+//! A frame is read back byte for byte as it was written:
 //!
 //! ```
 //! use recording::{About, Frame, Message, Recording, Writer};
@@ -33,10 +35,10 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! [`Ring`] keeps the newest messages in memory, and [`flight`] says when they are worth a file. [`Before`]
-//! keeps of all that came before what a replay needs.
+//! [`Ring`] keeps the newest messages in memory, and [`flight`] decides when they are worth a file.
+//! [`Before`] keeps the part of all earlier messages that a replay needs.
 //!
-//! [`tap`] is how tools get the frames of a run that goes on: one process reads the topics and hands them on.
+//! [`tap`] gives tools the frames of a running pipeline: one process reads the topics and forwards them.
 
 mod about;
 mod before;

@@ -20,22 +20,22 @@ use crate::{About, Event, Frame, LogLine, ReadError};
 pub(crate) use chunk::{record, unpack};
 pub use messages::Messages;
 
-/// Messages outside of chunks are read in parts of about so many bytes.
+/// Messages outside of chunks are read in parts of about this size.
 const LOOSE_BYTES: u64 = 1 << 20;
 /// Bytes of a message before its data.
 const MESSAGE_HEADER: u64 = 22;
 
-/// A recording that is read: a file that this program wrote, or that any tool of MCAP wrote from one.
+/// A recording to read: a file that this program wrote, or that an MCAP tool derived from one.
 #[derive(Debug)]
 pub struct Recording {
     path: PathBuf,
     layout: Layout,
     about: About,
-    /// Channels by their numbers.
+    /// Channels by number.
     channels: BTreeMap<u16, Channel>,
-    /// Topics that are not of this program.
+    /// Topics that this program does not know.
     foreign: Vec<String>,
-    /// By the time of their first message.
+    /// Sorted by the time of their first message.
     parts: Vec<Part>,
     ending: Ending,
     /// Ranges of the file with their check values.
@@ -54,18 +54,18 @@ struct Check {
 /// How a recording ends.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Ending {
-    /// By the recorder's will, with its words.
+    /// The recorder ended it, with a reason.
     Complete {
-        /// Why it ended.
+        /// The reason.
         how: String,
-        /// Messages that the disk did not take, by topic, as JSON.
+        /// Messages that could not be written to disk, by topic, as JSON.
         lost_on_disk: String,
     },
-    /// In the middle: the recorder was killed, the disk was full, or the power failed.
+    /// It stops in the middle: the recorder was killed, the disk was full, or the power failed.
     Incomplete {
-        /// Where the last whole record ends.
+        /// End of the last whole record.
         at: u64,
-        /// What is there.
+        /// Description of the content at that place.
         why: String,
     },
 }
@@ -75,16 +75,17 @@ pub enum Ending {
 pub enum Message {
     /// A frame.
     Frame(Frame),
-    /// A frame of what was before the file: its header, and of its elements no more than a replay needs.
+    /// A frame from before the file's start: its header, and only the bytes of its elements that a replay
+    /// needs.
     Before(Frame),
-    /// Something that happened.
+    /// An event of the run.
     Event(Event),
     /// A line of a stage's log.
     Line(LogLine),
 }
 
 impl Message {
-    /// When it was received or happened, `CLOCK_MONOTONIC`.
+    /// Time of receipt or of the event, on `CLOCK_MONOTONIC`.
     #[must_use]
     pub const fn at_ns(&self) -> u64 {
         match self {
@@ -95,27 +96,27 @@ impl Message {
     }
 }
 
-/// What is known of a file while its records are read.
+/// The state of a scan over the file's records.
 #[derive(Default)]
 struct Scan {
     channels: Vec<records::Channel>,
-    /// Channels before the index.
+    /// Number of channels before the index.
     data_channels: usize,
     begin: Option<BTreeMap<String, String>>,
     end: Option<BTreeMap<String, String>>,
     parts: Vec<Part>,
     checks: Vec<Check>,
-    /// The first byte behind the data.
+    /// The first byte after the data.
     data_end: Option<u64>,
-    /// The first byte behind the footer.
+    /// The first byte after the footer.
     footer_end: Option<u64>,
 }
 
 impl Recording {
-    /// Opens a file, and finds its parts; [`Recording::messages`] reads and checks their content.
+    /// Opens a file and finds its parts. [`Recording::messages`] reads and checks their content.
     ///
     /// # Errors
-    /// [`ReadError`] if the file is no recording of this program's version.
+    /// [`ReadError`] if the file is not a recording of this program's version.
     pub fn open(path: &Path) -> Result<Self, ReadError> {
         let failed = |source| ReadError::File { path: path.to_owned(), source };
         let layout = File::open(path).and_then(Layout::new).map_err(failed)?;
@@ -134,7 +135,7 @@ impl Recording {
         };
         let (mut scan, at) = recording.scan()?;
         if scan.footer_end.is_none() {
-            // An index that was torn may hold anything.
+            // A torn index may contain anything.
             scan.channels.truncate(scan.data_channels);
             scan.checks.clear();
         }
@@ -161,7 +162,7 @@ impl Recording {
         Ok(recording)
     }
 
-    /// Walks along the records up to the end of the file or of what is whole; returns that place too.
+    /// Scans the records up to the end of the file or of its intact part; also returns that position.
     fn scan(&self) -> Result<(Scan, u64), ReadError> {
         let mut scan = Scan::default();
         let mut at = mcap::MAGIC.len() as u64;
@@ -174,7 +175,7 @@ impl Recording {
                         return Ok((scan, at));
                     }
                 }
-                // What is behind the data is an index alone.
+                // Only an index follows the data.
                 None if scan.data_end.is_some() => return Ok((scan, at)),
                 None => {
                     let Some(next) = self.io(self.layout.whole_chunk(at + 1))? else { return Ok((scan, at)) };
@@ -186,7 +187,7 @@ impl Recording {
         }
     }
 
-    /// Takes a record of the file.
+    /// Processes a record of the file.
     fn take(&self, place: Place, scan: &mut Scan) -> Result<(), ReadError> {
         let (at, end) = (place.at, place.end());
         let first_u64 = |bytes: &[u8]| bytes.first_chunk().map_or(0, |bytes| u64::from_le_bytes(*bytes));
@@ -199,7 +200,7 @@ impl Recording {
             op::MESSAGE => {
                 let header =
                     self.io(self.layout.bytes(place.body_at(), end.min(place.body_at() + MESSAGE_HEADER)))?;
-                // The channel and a number come first.
+                // The channel and a sequence number precede the time.
                 let log_ns = first_u64(header.get(6..).unwrap_or_default());
                 match scan.parts.last_mut() {
                     Some(part)
@@ -247,8 +248,8 @@ impl Recording {
         Ok(())
     }
 
-    /// How the file ends. In a torn file the last chunks may have their length alone: such chunks are taken
-    /// away.
+    /// Determines how the file ends. In a torn file the last chunks may have only their length; such chunks
+    /// are removed.
     fn read_ending(&self, scan: &mut Scan, at: u64) -> Result<Ending, ReadError> {
         let magic = mcap::MAGIC.len() as u64;
         let why = match (scan.footer_end, &scan.end) {
@@ -285,7 +286,7 @@ impl Recording {
         serde_json::from_str(of("about")).map_err(|error| wrong(error.to_string()))
     }
 
-    /// The channels of a file that has them in its chunks alone, and no index.
+    /// The channels of a file that defines them only in its chunks and has no index.
     fn channels_in_chunks(&self) -> Vec<records::Channel> {
         let chunks = self.parts.iter().filter_map(|part| self.content(part).ok()?.ok());
         chunks.flat_map(|bytes| messages::channels(&bytes)).collect()
@@ -300,7 +301,7 @@ impl Recording {
         })
     }
 
-    /// What it says about its run.
+    /// The description of the run.
     #[must_use]
     pub const fn about(&self) -> &About {
         &self.about
@@ -312,25 +313,25 @@ impl Recording {
         &self.path
     }
 
-    /// How it ends.
+    /// How the file ends.
     #[must_use]
     pub const fn ending(&self) -> &Ending {
         &self.ending
     }
 
-    /// Whether nothing is missing at its end.
+    /// Whether the end of the file is complete.
     #[must_use]
     pub const fn is_complete(&self) -> bool {
         matches!(self.ending, Ending::Complete { .. })
     }
 
-    /// Whether the recording was to have that topic.
+    /// Whether the topic was requested for the recording.
     #[must_use]
     pub fn has_topic(&self, name: &str) -> bool {
         self.element_bytes(name).is_some()
     }
 
-    /// How many bytes of each element of a topic it has; `None` if the topic was not recorded.
+    /// Number of recorded bytes per element of a topic; `None` if the topic was not recorded.
     #[must_use]
     pub fn element_bytes(&self, name: &str) -> Option<usize> {
         let number = crate::topic_number(name)?;
@@ -347,20 +348,20 @@ impl Recording {
         entry.is_some_and(|topic| self.element_bytes(name) == Some(topic.element.size))
     }
 
-    /// Topics of the file that are not of this program: their messages are not read.
+    /// Topics of the file that this program does not know. Their messages are not read.
     #[must_use]
     pub fn foreign_topics(&self) -> &[String] {
         &self.foreign
     }
 
-    /// All messages, in the order of their times. An error is a part that can't be read; the messages behind
-    /// that part follow.
+    /// All messages in the order of their times. An error stands for a part that can't be read; the messages
+    /// after that part follow.
     #[must_use]
     pub fn messages(&self) -> Messages<'_> {
         Messages::new(self)
     }
 
-    /// Reads all of the file and checks it against its check values; returns each part that is damaged.
+    /// Reads the whole file and verifies its check values; returns each damaged part.
     #[must_use]
     pub fn damages(&self) -> Vec<ReadError> {
         let mut damages: Vec<ReadError> = self.messages().filter_map(Result::err).collect();
@@ -371,10 +372,10 @@ impl Recording {
         damages
     }
 
-    /// Reads all of the file and checks it against its check values.
+    /// Reads the whole file and verifies its check values.
     ///
     /// # Errors
-    /// [`ReadError`] with the place of the first part that is damaged.
+    /// [`ReadError`] with the place of the first damaged part.
     pub fn verify(&self) -> Result<(), ReadError> {
         self.damages().into_iter().next().map_or(Ok(()), Err)
     }
@@ -397,7 +398,7 @@ impl Recording {
 }
 
 impl Scan {
-    /// Adds a range with its check value; 0 means that the writer computed none.
+    /// Checks a range against its check value; 0 means that the writer computed none.
     fn check(&mut self, begin: u64, end: u64, expected: u32, what: &'static str) {
         if expected != 0 {
             self.checks.push(Check { begin, end, expected, what });

@@ -2,10 +2,10 @@ use std::collections::VecDeque;
 
 use crate::Message;
 
-/// Bytes of a message beside its content: its places in the ring and in memory.
+/// Bytes of a message besides its content: its slots in the ring and in memory.
 const MESSAGE_BYTES: usize = 96;
 
-/// What a ring holds at most.
+/// The limits of a ring.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RingLimits {
     /// Time between its first message and its last.
@@ -14,14 +14,14 @@ pub struct RingLimits {
     pub bytes: usize,
 }
 
-/// The newest messages of a run, in memory: what a flight recorder has at hand when something happens.
+/// The newest messages of a run, in memory. A flight recorder writes them when an event occurs.
 #[derive(Debug)]
 pub struct Ring {
     limits: RingLimits,
     messages: VecDeque<Message>,
     bytes: usize,
     newest_ns: u64,
-    /// Whether a message within the span had to go.
+    /// Whether a message within the span was discarded.
     is_cut: bool,
 }
 
@@ -32,8 +32,8 @@ impl Ring {
         Self { limits, messages: VecDeque::new(), bytes: 0, newest_ns: 0, is_cut: false }
     }
 
-    /// Adds a message; the oldest go where they are too old or have no room, and `gone` is called with each. A message
-    /// that is larger than the ring is not kept.
+    /// Adds a message. Messages that are too old or that do not fit are discarded, oldest first; `gone` is
+    /// called with each. A message that is larger than the ring is not kept.
     pub fn push(&mut self, message: Message, mut gone: impl FnMut(Message)) {
         self.newest_ns = self.newest_ns.max(message.at_ns());
         self.bytes += weight(&message);
@@ -52,12 +52,12 @@ impl Ring {
         }
     }
 
-    /// The messages, in the order in which they came.
+    /// The messages in the order of arrival.
     pub fn messages(&self) -> impl ExactSizeIterator<Item = &Message> {
         self.messages.iter()
     }
 
-    /// Memory that they take.
+    /// Memory that the messages use.
     #[must_use]
     pub const fn bytes(&self) -> usize {
         self.bytes
@@ -69,7 +69,7 @@ impl Ring {
         self.messages.front().map_or(0, |first| self.newest_ns.saturating_sub(first.at_ns()))
     }
 
-    /// Whether the memory was too small for the whole span at some time.
+    /// Whether the memory was ever too small for the whole span.
     #[must_use]
     pub const fn is_cut(&self) -> bool {
         self.is_cut
@@ -115,7 +115,8 @@ mod tests {
     }
 
     proptest! {
-        /// Whatever comes: bounds hold, nothing is kept twice or out of order, and nothing goes without need.
+        /// For any input: the limits hold, nothing is kept twice or out of order, and nothing is discarded
+        /// without need.
         #[test]
         fn a_ring_keeps_its_bounds_and_no_less_than_it_may(
             messages in prop::collection::vec((0..400_u64, 0..60_usize, any::<bool>()), 1..120),

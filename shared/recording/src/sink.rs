@@ -2,12 +2,12 @@ use std::fs::File;
 use std::io::{self, Seek as _, SeekFrom, Write as _};
 use std::path::Path;
 
-/// Where a recording is written: whole blocks, one behind the other.
+/// The destination of a recording: whole blocks in sequence.
 pub trait Sink {
-    /// Appends a block, or nothing of it.
+    /// Appends a block as a whole or not at all.
     ///
     /// # Errors
-    /// The error of the file system, such as a full disk; later blocks may be taken again.
+    /// The error of the file system, such as a full disk; later blocks may succeed.
     fn append(&mut self, block: &[u8]) -> io::Result<()>;
 }
 
@@ -15,15 +15,16 @@ pub trait Sink {
 #[derive(Debug)]
 pub struct FileSink {
     file: File,
-    /// What was appended.
+    /// Number of appended bytes.
     len: u64,
 }
 
 impl FileSink {
-    /// Makes the file.
+    /// Creates the file.
     ///
     /// # Errors
-    /// If there is one of that name, which may be worth more than this recording, or it can't be made.
+    /// If a file with this name exists, which may be worth more than this recording, or if it can't be
+    /// created.
     pub fn create(path: &Path) -> io::Result<Self> {
         match File::options().read(true).write(true).create_new(true).open(path) {
             Ok(file) => Ok(Self { file, len: 0 }),
@@ -38,7 +39,8 @@ impl FileSink {
 impl Sink for FileSink {
     fn append(&mut self, block: &[u8]) -> io::Result<()> {
         if let Err(error) = self.file.write_all(block) {
-            // A part may be there; without it the file ends with a whole record again.
+            // A part of the block may have been written. Without that part the file ends with a whole record
+            // again.
             self.file.set_len(self.len)?;
             self.file.seek(SeekFrom::Start(self.len))?;
             return Err(error);

@@ -1,11 +1,11 @@
-//! The tap: one process of a run reads the topics and hands the frames on to all tools of the run.
+//! The tap: one process of a run reads the topics and forwards the frames to all tools of the run.
 //!
-//! A tool attaches to the socket [`SOCKET`] in the run's folder with a [`Request`] and gets [`Item`]s until the
-//! run ends. Each tool has a bounded queue at the tap ([`QUEUE_BYTES`]); a tool that is slow loses frames there,
-//! which are counted and told to it with the next frame that it gets ([`Item::Lost`]), and nobody else loses
-//! anything. A tool that comes or goes touches no stage.
+//! A tool attaches to the socket [`SOCKET`] in the run's folder with a [`Request`]. It receives [`Item`]s
+//! until the run ends. Each tool has a bounded queue at the tap ([`QUEUE_BYTES`]). A slow tool loses frames
+//! there. The tap counts them and reports them before the tool's next frame ([`Item::Lost`]). Other tools
+//! lose nothing. Attaching and detaching a tool affects no stage.
 //!
-//! [`Hub`] is the tap's side without sockets and topics, [`Client`] the tool's side.
+//! [`Hub`] is the tap's side without sockets and topics. [`Client`] is the tool's side.
 
 mod client;
 mod hub;

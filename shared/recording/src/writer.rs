@@ -14,20 +14,20 @@ use crate::format::{Body, PREFIX};
 use crate::sink::FileSink;
 use crate::{About, EVENTS, Event, Frame, Happened, LOG, LogLine, Message, Sink, WriteError};
 
-/// A chunk is written when it has so many bytes …
+/// A chunk is written when it has this many bytes …
 pub const CHUNK_BYTES: usize = 1 << 20;
-/// … or when its messages span so much time: what a crash loses at most.
+/// … or when its messages span this much time: the most that a crash loses.
 pub const CHUNK_NS: u64 = 1_000_000_000;
 
-/// Identifies the layout of frames; the channels name the header's record and that of the elements.
+/// Identifies the layout of frames; the channels name the header's record and the elements' record.
 const WIRE_SCHEMA: u16 = 1;
 /// Identifies the schema of events and log lines.
 const JSON_SCHEMA: u16 = 2;
-/// Channels of topics have the topic's number and this.
+/// Channel number of a topic minus the topic's number.
 const TOPIC_CHANNELS: u16 = 1;
-/// Channels of what was before have the topic's number and this.
+/// The same for channels of frames from before the recording.
 const BEFORE_CHANNELS: u16 = 50;
-/// The names of their topics begin with this.
+/// Prefix of the topic names of these channels.
 pub(crate) const BEFORE: &str = "before/";
 const EVENT_CHANNEL: u16 = 100;
 const LOG_CHANNEL: u16 = 101;
@@ -37,46 +37,46 @@ pub(crate) const WIRE: &str = "stgdat-wire";
 pub(crate) const JSON: &str = "json";
 /// Compression of chunks.
 const LZ4: &str = "lz4";
-/// Names of the metadata at the file's begin and at its end.
+/// Names of the metadata at the start and at the end of the file.
 pub(crate) const BEGIN: &str = "stgdat.run";
 pub(crate) const END: &str = "stgdat.end";
 
-/// Messages that are not in the file, by topic.
+/// Messages that are missing in the file, by topic.
 pub type Losses = BTreeMap<String, u64>;
 
-/// What a recording has come to.
+/// Size and content of a recording.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Written {
     /// Messages in the file.
     pub messages: u64,
-    /// The same by topic.
+    /// Number of messages by topic.
     pub by_topic: BTreeMap<String, u64>,
     /// Bytes of the file.
     pub bytes: u64,
     /// Bytes before compression.
     pub uncompressed_bytes: u64,
-    /// Messages that the disk did not take.
+    /// Messages that could not be written to disk.
     pub lost: Losses,
 }
 
-/// Writes a recording. A block that the disk does not take is lost and counted; later ones are tried again.
+/// Writes a recording. A block that the disk refuses is lost and counted; later blocks are tried again.
 #[derive(Debug)]
 pub struct Writer<S: Sink = FileSink> {
     sink: S,
     path: PathBuf,
     clock_offset_ns: i64,
-    /// Check value of all that the sink took, behind the first magic bytes too.
+    /// Check value of all bytes after the first magic bytes that the sink has taken.
     checked: Hasher,
     chunk: Chunk,
-    /// Records of schemas and of channels, for the summary too.
+    /// Records of schemas and of channels, which the summary repeats.
     head: [Vec<u8>; 2],
     channels: Vec<(u16, String)>,
-    /// Of the elements of these topics only so many leading bytes are written.
+    /// Number of written leading bytes per element, for topics whose elements are written in part.
     element_bytes: BTreeMap<String, usize>,
     chunks: Vec<ChunkIndex>,
     metadata: Vec<(u64, u64, &'static str)>,
     written: Written,
-    /// Losses that no event in the file tells yet.
+    /// Losses that no event in the file reports yet.
     untold: Losses,
     /// The last error of the sink.
     error: Option<io::Error>,
@@ -86,7 +86,7 @@ pub struct Writer<S: Sink = FileSink> {
 #[derive(Debug, Default)]
 struct Chunk {
     bytes: Vec<u8>,
-    /// Time and place of each message, by channel.
+    /// Time and offset of each message, by channel.
     index: BTreeMap<u16, Vec<(u64, u64)>>,
     begin_ns: u64,
     end_ns: u64,
@@ -103,10 +103,10 @@ struct ChunkIndex {
 }
 
 impl Writer {
-    /// Begins a file. `layout` is the document of `stgdat wire --json`.
+    /// Creates a file. `layout` is the output of `stgdat wire --json`.
     ///
     /// # Errors
-    /// [`WriteError`] if there is a file of that name or it can't be begun.
+    /// [`WriteError`] if a file with this name exists or the file can't be started.
     pub fn create(path: &Path, about: &About, layout: &str) -> Result<Self, WriteError> {
         let failed = |source| WriteError { path: path.to_owned(), source };
         let sink = FileSink::create(path).map_err(failed)?;
@@ -115,10 +115,10 @@ impl Writer {
 }
 
 impl<S: Sink> Writer<S> {
-    /// Begins a recording in any sink.
+    /// Starts a recording in any sink.
     ///
     /// # Errors
-    /// If the sink does not take its begin.
+    /// If the sink does not take the first block.
     pub fn over(sink: S, about: &About, layout: &str) -> io::Result<Self> {
         let [mut schemas, mut channel_records] = [Vec::new(), Vec::new()];
         let wire = format!("stgdat.wire.{}", about.schema);
@@ -195,7 +195,7 @@ impl<S: Sink> Writer<S> {
         }
     }
 
-    /// Adds a frame of what was before, of a file that is about to have it.
+    /// Adds a frame from before the recording's start, to a file that will contain them.
     pub fn before(&mut self, frame: &Frame) {
         let channel = u16::from(frame.number()) + BEFORE_CHANNELS;
         let Some(bytes) = kept_bytes(frame.topic().name) else { return };
@@ -208,7 +208,7 @@ impl<S: Sink> Writer<S> {
 
     /// Adds an event.
     pub fn event(&mut self, event: &Event) {
-        // Numbers, texts and keys that are texts: JSON holds them all.
+        // JSON can represent all numbers, texts and text keys.
         let json = serde_json::to_vec(event).unwrap_or_default();
         self.message(EVENT_CHANNEL, 0, [event.at_ns; 2], &json);
     }
@@ -229,19 +229,19 @@ impl<S: Sink> Writer<S> {
         }
     }
 
-    /// What the file has come to so far.
+    /// The size and content of the file so far.
     #[must_use]
     pub const fn written(&self) -> &Written {
         &self.written
     }
 
-    /// The last error of the disk, once.
+    /// The last error of the disk; returned once.
     pub fn take_error(&mut self) -> Option<io::Error> {
         self.error.take()
     }
 
     fn message(&mut self, channel: u16, sequence: u32, times_ns: [u64; 2], data: &[u8]) {
-        // Unix time, as tools expect it.
+        // Unix time, as tools expect.
         let [log_ns, publish_ns] = times_ns.map(|ns| ns.saturating_add_signed(self.clock_offset_ns));
         let is_full = self.chunk.bytes.len() + data.len() > CHUNK_BYTES
             || log_ns.saturating_sub(self.chunk.begin_ns) >= CHUNK_NS;
@@ -258,7 +258,7 @@ impl<S: Sink> Writer<S> {
         body.raw(data).record(op::MESSAGE, &mut chunk.bytes);
     }
 
-    /// Writes the chunk in hand; where the disk does not take it, its messages are lost and counted.
+    /// Writes the current chunk. If the disk does not take it, its messages are lost and counted.
     pub fn flush(&mut self) {
         if self.chunk.index.is_empty() {
             return;
@@ -290,7 +290,7 @@ impl<S: Sink> Writer<S> {
         }
     }
 
-    /// Puts into the file what was not told yet, once it takes blocks again.
+    /// Writes pending loss events as soon as the file takes blocks again.
     fn tell_losses(&mut self, end_ns: u64) {
         let at_ns = end_ns.saturating_add_signed(-self.clock_offset_ns);
         for (topic, frames) in std::mem::take(&mut self.untold) {
@@ -334,13 +334,13 @@ impl<S: Sink> Writer<S> {
         found.map_or("unknown", |(_, name)| name)
     }
 
-    /// Writes the chunk in hand, what was lost, and the index. `how` says why the recording ends.
+    /// Writes the current chunk, the losses, and the index. `how` is the reason for the end.
     ///
     /// # Errors
-    /// [`WriteError`] if the disk does not take the end: the file is readable up to its last chunk, and
-    /// readers call it incomplete.
+    /// [`WriteError`] if the disk does not take the end. The file is then readable up to its last chunk, and
+    /// readers report it as incomplete.
     pub fn finish(mut self, how: &str) -> Result<Written, WriteError> {
-        // A second time for the events that the first has made.
+        // Flushes again: the first flush may have added loss events.
         self.flush();
         self.flush();
         let ended = self.end(how);
@@ -365,7 +365,7 @@ impl<S: Sink> Writer<S> {
         self.append(&block)
     }
 
-    /// Index, footer and magic bytes of a summary that begins at `start`.
+    /// Index, footer and magic bytes of a summary that starts at `start`.
     fn summary(&self, start: u64) -> Vec<u8> {
         let mut out = Vec::new();
         let mut groups: Vec<(u8, u64, u64)> = Vec::new();
@@ -417,7 +417,7 @@ impl<S: Sink> Writer<S> {
     }
 }
 
-/// Adds the channel of a topic's frames, with so many bytes of each element.
+/// Adds the channel of a topic's frames, with the number of bytes per element.
 fn channel(head: &mut Vec<u8>, id: u16, name: &str, topic: &TopicEntry, element_bytes: usize) {
     let metadata = [
         ("element", topic.element.name.to_owned()),
@@ -430,7 +430,7 @@ fn channel(head: &mut Vec<u8>, id: u16, name: &str, topic: &TopicEntry, element_
     body.texts(&metadata).record(op::CHANNEL, head);
 }
 
-/// A frame of LZ4, as MCAP asks for.
+/// An LZ4 frame, as MCAP requires.
 fn compress(bytes: &[u8]) -> io::Result<Vec<u8>> {
     let info = FrameInfo::new().block_mode(BlockMode::Linked).block_size(BlockSize::Max1MB);
     let mut encoder = FrameEncoder::with_frame_info(info, Vec::with_capacity(bytes.len() / 2));

@@ -1,4 +1,4 @@
-//! Records one behind the other, and the content of a chunk.
+//! Splits consecutive records, and unpacks the content of a chunk.
 
 use std::io::{self, Read as _};
 
@@ -10,12 +10,11 @@ use crate::format::PREFIX;
 
 /// Largest content of a chunk that is read into memory.
 const CHUNK_BYTES_MAX: u64 = 1 << 30;
-/// First bytes of a frame that readers skip, but for the lower half of the first; the length follows. LZ4 and
-/// Zstandard share it.
+/// First bytes of a frame that readers skip, except for the lower half of the first byte; the length follows.
+/// LZ4 and Zstandard share this format.
 const SKIPPED: [u8; 4] = [0x50, 0x2A, 0x4D, 0x18];
 
-/// The record at the front of `bytes`, its number and its body; `bytes` then begins behind it. `None` if the
-/// record is not whole.
+/// Splits the first record off `bytes`: its opcode and its body. `None` if the record is not whole.
 pub(crate) fn record<'a>(bytes: &mut &'a [u8]) -> Option<(u8, &'a [u8])> {
     let (prefix, rest) = bytes.split_first_chunk::<PREFIX>()?;
     let (op, len) = parts(prefix);
@@ -24,14 +23,13 @@ pub(crate) fn record<'a>(bytes: &mut &'a [u8]) -> Option<(u8, &'a [u8])> {
     Some((op, body))
 }
 
-/// A record's number, and the bytes of its body.
+/// A record's opcode, and the length of its body.
 pub(super) fn parts(prefix: &[u8; PREFIX]) -> (u8, u64) {
     let [op, len @ ..] = *prefix;
     (op, u64::from_le_bytes(len))
 }
 
-/// The records of a chunk: the content of the record's `body`, decompressed and checked against its check
-/// value.
+/// The records of a chunk, from the record's `body`: decompressed and verified against the check value.
 pub(crate) fn unpack(body: &[u8]) -> Result<Vec<u8>, String> {
     let Ok(Record::Chunk { header, data: packed }) = mcap::parse_record(op::CHUNK, body) else {
         return Err("a chunk that is not whole".to_owned());
@@ -62,8 +60,8 @@ pub(crate) fn unpack(body: &[u8]) -> Result<Vec<u8>, String> {
     Ok(bytes)
 }
 
-/// Whether a chunk begins with `head` that has a check value and plausible lengths, with at most `most` bytes
-/// in all; the length of its body if so. `head` is any part of a file.
+/// The body length of a chunk that starts with `head`. `None` unless it has a check value and plausible
+/// lengths of at most `most` bytes in all. `head` is any part of a file.
 pub(super) fn plausible(head: &[u8], most: u64) -> Option<u64> {
     let (op, body) = (head.first()?, head.get(PREFIX..)?);
     let u32_at = |at: usize| Some(u32::from_le_bytes(*body.get(at..)?.first_chunk()?));
@@ -80,9 +78,9 @@ pub(super) fn plausible(head: &[u8], most: u64) -> Option<u64> {
     is_plausible.then_some(body_len)
 }
 
-/// Decompresses frames one behind the other until there are `len` bytes, or more by one; what follows is
-/// left. `frame` takes a frame from the front of its first argument and adds at most so many bytes to its
-/// last.
+/// Decompresses consecutive frames until there are `len` bytes, or one byte more; the rest is ignored.
+/// `frame` takes a frame from the front of its first argument and appends at most the given number of bytes
+/// to its last.
 fn frames(
     packed: &[u8],
     len: u64,
@@ -98,7 +96,7 @@ fn frames(
                 rest = behind.get(skipped..).unwrap_or_default();
             }
             _ => {
-                // A byte more than is expected shows that there is more.
+                // One byte more than expected shows that the content is longer.
                 let most = len + 1 - bytes.len() as u64;
                 frame(&mut rest, most, &mut bytes)?;
             }
@@ -117,7 +115,7 @@ mod tests {
     use super::*;
     use crate::format::Body;
 
-    /// The body of a chunk with that content.
+    /// The body of a chunk with this content.
     fn chunk(compression: &str, packed: &[u8], content: &[u8]) -> Vec<u8> {
         let body = Body::default().u64(0).u64(0).u64(content.len() as u64).u32(crc32fast::hash(content));
         let mut record = Vec::new();

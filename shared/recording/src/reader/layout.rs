@@ -1,4 +1,4 @@
-//! The records of a file, from its front to its end or to where it was torn.
+//! The records of a file, from its start to its end or to the torn place.
 
 use std::fs::File;
 use std::io;
@@ -12,7 +12,7 @@ use crate::format::PREFIX;
 
 /// Bytes that are searched at a time.
 const BLOCK: u64 = 1 << 20;
-/// Bytes at the front of a chunk with the longest name of a compression, by which it is recognised.
+/// Bytes at the front of a chunk that identify it, with the longest name of a compression.
 const HEAD: u64 = PREFIX as u64 + 44;
 
 /// A file of records.
@@ -39,7 +39,7 @@ impl Place {
         self.at + PREFIX as u64
     }
 
-    /// The first byte behind it.
+    /// The first byte after the record.
     pub const fn end(&self) -> u64 {
         self.body_at() + self.body_len
     }
@@ -51,12 +51,12 @@ impl Layout {
         Ok(Self { file, len })
     }
 
-    /// Whether the magic bytes are at a place.
+    /// Whether the magic bytes are at a position.
     pub fn magic_at(&self, at: u64) -> io::Result<bool> {
         Ok(self.bytes(at, at + MAGIC.len() as u64)? == MAGIC)
     }
 
-    /// The bytes between two places, as far as the file has them.
+    /// The bytes between two positions, as far as the file has them.
     pub fn bytes(&self, at: u64, end: u64) -> io::Result<Vec<u8>> {
         let len = end.min(self.len).saturating_sub(at);
         let mut bytes = vec![0; usize::try_from(len).map_err(io::Error::other)?];
@@ -69,7 +69,7 @@ impl Layout {
         self.bytes(place.body_at(), place.end())
     }
 
-    /// The record at a place, if one is there whole: 0 is the number of no record.
+    /// The record at a position, if it is whole there. 0 is not a valid opcode.
     pub fn record(&self, at: u64) -> io::Result<Option<Place>> {
         let prefix = self.bytes(at, at.saturating_add(PREFIX as u64))?;
         let Some(prefix) = prefix.first_chunk() else { return Ok(None) };
@@ -78,7 +78,7 @@ impl Layout {
         Ok((op != 0 && body_len <= most).then_some(Place { op, at, body_len }))
     }
 
-    /// The first chunk from `at` on that is whole by its check value: behind bytes that are no records.
+    /// The first chunk at or after `at` with a valid check value. It skips bytes that are not records.
     pub fn whole_chunk(&self, mut at: u64) -> io::Result<Option<Place>> {
         while at < self.len {
             let block = self.bytes(at, at + BLOCK + HEAD)?;
@@ -97,7 +97,7 @@ impl Layout {
         Ok(None)
     }
 
-    /// What is at a place that has no record.
+    /// Describes a position without a record.
     pub fn why_torn(&self, at: u64) -> io::Result<&'static str> {
         let front = self.bytes(at, at + PREFIX as u64)?;
         Ok(match front.first() {
@@ -107,7 +107,7 @@ impl Layout {
         })
     }
 
-    /// The check value of all bytes between two places.
+    /// The check value of all bytes between two positions.
     pub fn check_value(&self, mut at: u64, end: u64) -> io::Result<u32> {
         let mut hasher = crc32fast::Hasher::new();
         while at < end {

@@ -1,4 +1,4 @@
-//! The messages of a file, in the order of their times, whatever the order of the parts in the file.
+//! The messages of a file in the order of their times, for any order of the parts in the file.
 
 use std::collections::{BTreeMap, VecDeque};
 
@@ -10,14 +10,14 @@ use super::{Message, Recording};
 use crate::writer::{BEFORE, JSON, WIRE};
 use crate::{About, EVENTS, Frame, LOG, ReadError, topic_number};
 
-/// Records that are read at once.
+/// Records that are read together.
 #[derive(Debug)]
 pub(super) struct Part {
     /// Time of the first message.
     pub begin_ns: u64,
     /// The first byte.
     pub at: u64,
-    /// The first byte behind the part.
+    /// The first byte after the part.
     pub end: u64,
     pub content: Content,
 }
@@ -28,16 +28,16 @@ pub(super) enum Content {
     Chunk,
     /// Messages outside of chunks.
     Loose,
-    /// Nothing that can be read, with the reason.
+    /// The part can't be read, with the reason.
     Damage(String),
 }
 
 /// The content of a channel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Channel {
-    /// Frames of a topic, with so many bytes of each element.
+    /// Frames of a topic, with the number of bytes per element.
     Topic(u8, usize),
-    /// The same from before the recording.
+    /// The same, for frames from before the recording.
     Before(u8, usize),
     Events,
     Log,
@@ -46,7 +46,7 @@ pub(super) enum Channel {
 }
 
 impl Channel {
-    /// The channel of a record. Its number has no meaning: tools change it.
+    /// The content of a channel. Its number has no meaning: tools change it.
     pub fn of(channel: &records::Channel, about: &About) -> Self {
         match (channel.topic.as_str(), channel.message_encoding.as_str()) {
             (EVENTS, JSON) => return Self::Events,
@@ -64,7 +64,7 @@ impl Channel {
     }
 }
 
-/// The channels that are defined among records.
+/// The channels that a sequence of records defines.
 pub(super) fn channels(mut bytes: &[u8]) -> Vec<records::Channel> {
     std::iter::from_fn(|| record(&mut bytes)).filter_map(|(op, body)| channel(op, body)).collect()
 }
@@ -85,7 +85,7 @@ pub struct Messages<'a> {
     recording: &'a Recording,
     channels: BTreeMap<u16, Channel>,
     next: usize,
-    /// Messages that are read, with their times.
+    /// Messages that are already read, with their times.
     ready: VecDeque<(u64, Result<Message, ReadError>)>,
 }
 
@@ -164,7 +164,7 @@ impl Iterator for Messages<'_> {
     type Item = Result<Message, ReadError>;
 
     fn next(&mut self) -> Option<Self::Item> {
-        // Parts that begin before the next message may have earlier ones.
+        // Parts that start before the next message may contain earlier ones.
         while let Some(part) = self.recording.parts.get(self.next)
             && self.ready.front().is_none_or(|(at_ns, _)| part.begin_ns <= *at_ns)
         {

@@ -7,21 +7,21 @@ use thiserror::Error;
 
 use super::protocol::{Item, ItemError, Request, SOCKET, take};
 
-/// Bytes that are read at a time.
+/// Bytes read at a time.
 const BLOCK: usize = 1 << 18;
 
-/// A tool's place at the tap of a run.
+/// A tool's connection to the tap of a run.
 #[derive(Debug)]
 pub struct Client {
     socket: UnixStream,
     path: PathBuf,
     buffer: Vec<u8>,
-    /// Bytes of the buffer that were taken.
+    /// Consumed bytes of the buffer.
     taken: usize,
     is_closed: bool,
 }
 
-/// Why a tool gets nothing.
+/// Why a tool receives nothing.
 #[derive(Debug, Error)]
 pub enum TapError {
     /// The tap can't be reached.
@@ -32,21 +32,21 @@ pub enum TapError {
         /// The system's error.
         source: io::Error,
     },
-    /// The tap is of another version.
+    /// The tap has another version.
     #[error("{}: {source}", path.display())]
     Item {
         /// Its socket.
         path: PathBuf,
-        /// What it sent.
+        /// The error in the received bytes.
         source: ItemError,
     },
 }
 
 impl Client {
-    /// Attaches to the tap of the run with that folder.
+    /// Attaches to the tap of the run with this folder.
     ///
     /// # Errors
-    /// [`TapError::Socket`] if there is none.
+    /// [`TapError::Socket`] if there is no tap.
     pub fn attach(root: &Path, request: &Request) -> Result<Self, TapError> {
         let path = root.join(SOCKET);
         let attached = UnixStream::connect(&path).and_then(|mut socket| {
@@ -61,7 +61,7 @@ impl Client {
         }
     }
 
-    /// The next item, waited for at most so long; none where there is none, or the tap has closed.
+    /// The next item. Waits at most `timeout`; `None` if no item arrived or the tap has closed.
     ///
     /// # Errors
     /// [`TapError`] if the tap can't be read from.
@@ -92,7 +92,7 @@ impl Client {
         self.is_closed
     }
 
-    /// Reads what there is; false where nothing came in time.
+    /// Reads the available bytes; `false` if none arrived in time.
     fn fill(&mut self, timeout: Duration) -> Result<bool, TapError> {
         let begin = self.buffer.len();
         self.buffer.resize(begin + BLOCK, 0);
@@ -108,7 +108,7 @@ impl Client {
             }
             Ok(_) => Ok(true),
             Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => Ok(false),
-            // A signal: the caller looks whether it is to end.
+            // A signal: the caller checks whether it must end.
             Err(error) if error.kind() == ErrorKind::Interrupted => Ok(false),
             Err(error) if error.kind() == ErrorKind::ConnectionReset => {
                 self.is_closed = true;

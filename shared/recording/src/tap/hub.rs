@@ -7,12 +7,12 @@ use wire::TABLE;
 use super::protocol::{self, Lost, LostAt, Marked, Request, Want};
 use crate::{Event, Happened, LogLine};
 
-/// Bytes that wait for a tool at most: some five seconds of all topics of a full scene.
+/// Maximum bytes that wait for a tool: about five seconds of all topics of a full scene.
 pub const QUEUE_BYTES: usize = 64 << 20;
-/// Tools that may be attached at once.
+/// Maximum number of attached tools.
 pub const TOOLS_MAX: usize = 16;
 
-/// The tap's side: what goes to which tool. `C` is where a tool's items are written, which must not block.
+/// The tap's side: distributes items to tools. `C` is the writer of a tool's items, which must not block.
 #[derive(Debug)]
 pub struct Hub<C> {
     tools: Vec<Tool<C>>,
@@ -24,30 +24,30 @@ pub struct Hub<C> {
 pub struct Tool<C> {
     /// Its name.
     pub name: String,
-    /// What it wants.
+    /// The items that it requests.
     pub want: Want,
-    /// Name of the recording to which it writes the events, if it does.
+    /// Name of the recording that it writes the events to, if it does.
     pub recording: Option<String>,
-    /// Where its items are written.
+    /// Writer of its items.
     pub connection: C,
     queue: VecDeque<Arc<[u8]>>,
     queued_bytes: usize,
-    /// Bytes of the first item that are written.
+    /// Written bytes of the first item.
     written: usize,
-    /// Frames lost in its queue that it was not told of, by topic.
+    /// Frames lost in its queue that are not reported to it yet, by topic.
     untold: Vec<u64>,
     /// Frames lost in its queue.
     lost: u64,
 }
 
 impl<C: Write> Hub<C> {
-    /// A tap without tools; `queue_bytes` is [`QUEUE_BYTES`] but in tests.
+    /// A tap without tools. `queue_bytes` is [`QUEUE_BYTES`] except in tests.
     #[must_use]
     pub const fn new(queue_bytes: usize) -> Self {
         Self { tools: Vec::new(), queue_bytes }
     }
 
-    /// Attaches a tool; the connection comes back where there are [`TOOLS_MAX`] already.
+    /// Attaches a tool. Returns the connection if [`TOOLS_MAX`] tools are attached already.
     ///
     /// # Errors
     /// The connection.
@@ -71,24 +71,24 @@ impl<C: Write> Hub<C> {
         &self.tools
     }
 
-    /// Detaches the tools for which `gone` is true; returns them.
+    /// Detaches and returns the tools for which `gone` is true.
     pub fn detach(&mut self, mut gone: impl FnMut(&mut Tool<C>) -> bool) -> Vec<Tool<C>> {
         self.tools.extract_if(.., |tool| gone(tool)).collect()
     }
 
-    /// Whether a tool wants the frames of that topic.
+    /// Whether a tool requests the frames of a topic.
     #[must_use]
     pub fn wants(&self, topic: u8) -> bool {
         self.tools.iter().any(|tool| tool.want.has(topic))
     }
 
-    /// Whether a tool wants events and log lines.
+    /// Whether a tool requests events and log lines.
     #[must_use]
     pub fn wants_events(&self) -> bool {
         self.tools.iter().any(|tool| tool.want.events)
     }
 
-    /// Hands on a frame: copied once, whatever the number of tools.
+    /// Forwards a frame. It is copied once for any number of tools.
     pub fn frame(&mut self, topic: u8, received_ns: u64, header: &[u8], payload: &[u8]) {
         let packet = protocol::frame(topic, received_ns, header, payload);
         let limit = self.queue_bytes;
@@ -97,7 +97,7 @@ impl<C: Write> Hub<C> {
         }
     }
 
-    /// Tells the tools of frames that the tap itself has lost.
+    /// Reports to the tools the frames that the tap itself has lost.
     pub fn lost(&mut self, topic: u8, frames: u64) {
         let packet = protocol::lost(&Lost { at: LostAt::Tap, topic, frames });
         for tool in self.tools.iter_mut().filter(|tool| tool.want.has(topic)) {
@@ -105,13 +105,13 @@ impl<C: Write> Hub<C> {
         }
     }
 
-    /// Hands on an event.
+    /// Forwards an event.
     pub fn event(&mut self, event: &Event) {
         self.broadcast(&protocol::event(event));
     }
 
-    /// Attaches a tool that marks this moment: passes the mark on to all tools, and tells this one where it
-    /// went.
+    /// Attaches a tool that marks this moment. The mark is forwarded to all tools, and the answer names the
+    /// recordings that have it.
     ///
     /// # Errors
     /// The connection, if there are [`TOOLS_MAX`] tools already.
@@ -128,7 +128,7 @@ impl<C: Write> Hub<C> {
         Ok(())
     }
 
-    /// Hands on a log line.
+    /// Forwards a log line.
     pub fn line(&mut self, line: &LogLine) {
         self.broadcast(&protocol::line(line));
     }
@@ -136,34 +136,34 @@ impl<C: Write> Hub<C> {
     fn broadcast(&mut self, packet: &Arc<[u8]>) {
         let limit = self.queue_bytes;
         for tool in self.tools.iter_mut().filter(|tool| tool.want.events) {
-            // A stage that writes lines without end must not fill the memory.
+            // An endless series of log lines must not fill the memory.
             if tool.queued_bytes + packet.len() <= limit {
                 tool.enqueue(packet.clone());
             }
         }
     }
 
-    /// Writes what the connections take; tools whose connection has failed are detached and returned.
+    /// Writes as much as the connections take. Tools whose connection has failed are detached and returned.
     pub fn write(&mut self) -> Vec<Tool<C>> {
         self.detach(|tool| tool.write().is_err())
     }
 }
 
 impl<C: Write> Tool<C> {
-    /// Whether something waits to be written.
+    /// Whether an item waits to be written.
     #[must_use]
     pub fn is_waiting(&self) -> bool {
         !self.queue.is_empty()
     }
 
-    /// Frames that it has lost in its queue.
+    /// Number of frames lost in its queue.
     #[must_use]
     pub const fn lost(&self) -> u64 {
         self.lost
     }
 
     fn push(&mut self, topic: u8, packet: &Arc<[u8]>, limit: usize) {
-        // A queue that is empty takes any frame.
+        // An empty queue takes any frame.
         if self.queued_bytes > 0 && self.queued_bytes + packet.len() > limit {
             self.untold[usize::from(topic)] += 1;
             self.lost += 1;
@@ -209,7 +209,7 @@ mod tests {
     use crate::tap::protocol::{Item, take};
     use wire::Header;
 
-    /// A connection that takes so many bytes in all.
+    /// A connection that takes a limited number of bytes in all.
     #[derive(Debug)]
     struct Pipe {
         taken: Vec<u8>,

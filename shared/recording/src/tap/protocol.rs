@@ -9,27 +9,27 @@ use crate::{Event, Frame, FrameError, LogLine, topic_number};
 pub const SOCKET: &str = "tap";
 /// Longest request: a line.
 pub const REQUEST_BYTES_MAX: usize = 4_096;
-/// Largest item, which a frame of the largest topic does not reach.
+/// Maximum size of an item; a frame of the largest topic is smaller.
 const ITEM_BYTES_MAX: usize = 1 << 28;
 
-/// What a tool wants; sent as one line of JSON.
+/// The request of a tool, sent as one line of JSON.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Request {
     /// The tool's name, for messages.
     pub tool: String,
-    /// Topics whose frames it wants.
+    /// The requested topics.
     pub topics: Vec<String>,
-    /// Whether it wants events and log lines.
+    /// Whether it requests events and log lines.
     pub events: bool,
-    /// Words with which it marks this moment for all tools.
+    /// Text of a mark of this moment, for all tools.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub mark: Option<String>,
-    /// Name of the recording to which the tool writes the events, if it does.
+    /// Name of the recording that the tool writes the events to, if it does.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub recording: Option<String>,
 }
 
-/// Where a mark went.
+/// The recipients of a mark.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Marked {
     /// The newest tick, if a tool reads ticks.
@@ -38,7 +38,7 @@ pub struct Marked {
     pub recordings: Vec<String>,
 }
 
-/// A request with its topics as numbers.
+/// A request with topic numbers.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Want {
     topics: u32,
@@ -47,7 +47,7 @@ pub struct Want {
 }
 
 impl Want {
-    /// Of a request; topics that there are not, or not in this version, are left out.
+    /// From a request. Topics that this version does not have are left out.
     #[must_use]
     pub fn of(request: &Request) -> Self {
         let numbers = request.topics.iter().filter_map(|name| topic_number(name));
@@ -61,43 +61,43 @@ impl Want {
     }
 }
 
-/// What a tool gets.
+/// The items that a tool receives.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Item {
-    /// The tool is attached and the topics that it wants are open: what comes from now on, it gets.
+    /// The tool is attached and its topics are open: it receives everything from now on.
     Attached,
     /// A frame.
     Frame(Frame),
-    /// Something that happened to the run.
+    /// An event of the run.
     Event(Event),
     /// A line of a stage's log.
     Line(LogLine),
-    /// Frames that did not come.
+    /// Frames that the tool did not receive.
     Lost(Lost),
-    /// The tool's mark was passed on.
+    /// The tool's mark was forwarded.
     Marked(Marked),
-    /// The tool is not attached, for this reason.
+    /// The tool is not attached, with the reason.
     Refused(String),
 }
 
-/// Frames that a tool did not get.
+/// Frames that a tool did not receive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Lost {
-    /// Where they were lost.
+    /// The place of the loss.
     pub at: LostAt,
     /// The topic's number.
     pub topic: u8,
-    /// How many.
+    /// Number of frames.
     pub frames: u64,
 }
 
-/// Where frames were lost.
+/// Places where frames are lost.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum LostAt {
-    /// The tap was not in time at the topic.
+    /// The tap was late at the topic.
     Tap,
-    /// The tool was not in time at the tap.
+    /// The tool was late at the tap.
     Queue,
 }
 
@@ -131,7 +131,7 @@ mod kind {
     pub const REFUSED: u8 = 7;
 }
 
-/// Bytes before an item's body: the body's length, the kind, the topic, two that are zero, the time of receipt.
+/// Bytes before an item's body: the body's length, the kind, the topic, two zero bytes, the time of receipt.
 const PREFIX: usize = 16;
 
 fn packet(kind: u8, topic: u8, received_ns: u64, parts: [&[u8]; 2]) -> Arc<[u8]> {
@@ -171,10 +171,10 @@ pub(super) fn lost(lost: &Lost) -> Arc<[u8]> {
     packet(kind::LOST, lost.topic, 0, [&serde_json::to_vec(lost).unwrap_or_default(), &[]])
 }
 
-/// Why bytes are no item.
+/// Why bytes are not an item.
 #[derive(Debug, thiserror::Error)]
 pub enum ItemError {
-    /// Another length, kind or topic than there is.
+    /// The length, kind or topic is unknown.
     #[error("the tap sent something else: kind {kind}, topic {topic}, {len} bytes")]
     Unknown {
         /// The kind.
@@ -184,15 +184,15 @@ pub enum ItemError {
         /// Bytes of the body.
         len: usize,
     },
-    /// No frame.
+    /// The body is not a frame.
     #[error(transparent)]
     Frame(#[from] FrameError),
-    /// No event, line or loss.
+    /// The body is not an event, line or loss.
     #[error("the tap sent no JSON: {0}")]
     Json(#[from] serde_json::Error),
 }
 
-/// The first item of a buffer with its length in bytes; none where it is not whole yet.
+/// The first item of a buffer with its length in bytes; `None` if it is not whole yet.
 pub(super) fn take(buffer: &[u8]) -> Result<Option<(Item, usize)>, ItemError> {
     let Some((prefix, rest)) = buffer.split_at_checked(PREFIX) else { return Ok(None) };
     let len = u32::from_le_bytes([prefix[0], prefix[1], prefix[2], prefix[3]]) as usize;

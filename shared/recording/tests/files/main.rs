@@ -1,4 +1,4 @@
-//! Files of recordings: what was written is read back, however the file was hurt.
+//! Files of recordings: the written messages are read back from intact and damaged files.
 
 mod rewritten;
 mod support;
@@ -72,7 +72,7 @@ fn a_cut_file_is_read_up_to_its_last_whole_chunk_and_called_incomplete() {
     let whole = fs::read(&path).unwrap();
     let cut = folder.path().join("cut.mcap");
     let mut found_len = 0;
-    // Every place would take long; a prime step comes by all kinds of records.
+    // Every position would take long; a prime step reaches all kinds of records.
     let places: Vec<usize> =
         (1..).map(|i| i * whole.len() / 211).take_while(|at| *at < whole.len()).collect();
     assert!(places.len() > 100);
@@ -113,7 +113,7 @@ fn a_damaged_chunk_is_named_and_the_next_ones_are_read() {
     let all = messages(60);
     let (_folder, path) = written(&all);
     let mut bytes = fs::read(&path).unwrap();
-    // The first chunk begins behind the channels; its content behind its sizes.
+    // The first chunk starts after the channels, and its content after its sizes.
     let lz4 = b"\x03\0\0\0lz4";
     let first = bytes.windows(lz4.len()).position(|window| window == lz4).unwrap();
     bytes[first + 60] ^= 0x10;
@@ -128,7 +128,7 @@ fn a_damaged_chunk_is_named_and_the_next_ones_are_read() {
     assert!(!rest.is_empty() && all.ends_with(&rest));
 }
 
-/// A disk that does not take its third and fourth block.
+/// A disk that refuses its third and fourth block.
 #[derive(Default)]
 struct Disk {
     blocks_len: usize,
@@ -184,7 +184,7 @@ fn other_files_are_refused_by_name() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(32))]
 
-    /// Any bytes after a true begin are an end or an error, and no panic.
+    /// For any bytes after a valid start, reading gives an end or an error and does not panic.
     #[test]
     fn any_bytes_are_read_without_a_panic(tail in prop::collection::vec(any::<u8>(), 0..600), cut in 0_usize..20_000) {
         let (folder, path) = written(&messages(4));

@@ -1,4 +1,4 @@
-//! Recordings that other programs wrote from ours: whatever the specification of MCAP allows is read.
+//! Recordings that other programs rewrote: everything that the MCAP specification allows is read.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -32,7 +32,7 @@ fn records(file: &[u8]) -> Vec<(u8, Vec<u8>)> {
     records
 }
 
-/// What a rewriting program does.
+/// Options of a rewriting program.
 #[derive(Clone, Debug)]
 struct Rewrite {
     options: WriteOptions,
@@ -88,7 +88,7 @@ fn rewrite(file: &[u8], Rewrite { options, by_topic, extras }: Rewrite) -> Vec<u
     writer.into_inner().into_inner()
 }
 
-/// The records in a file of its own, with chunks as `chunk` makes them, without an index.
+/// The records in a new file, with chunks as `chunk` makes them, and without an index.
 fn with_chunks(file: &[u8], chunk: impl Fn(&[u8]) -> (&'static str, Vec<u8>)) -> Vec<u8> {
     let mut out = MAGIC.to_vec();
     for (op, body) in records(file) {
@@ -115,7 +115,7 @@ fn with_chunks(file: &[u8], chunk: impl Fn(&[u8]) -> (&'static str, Vec<u8>)) ->
             continue;
         }
         if op == op::CHUNK {
-            // A record of the kinds that are left to other programs.
+            // A record of a kind that is reserved for other programs.
             out.extend([0x99, 3, 0, 0, 0, 0, 0, 0, 0, 1, 2, 3]);
         }
         out.push(op);
@@ -133,7 +133,7 @@ fn lz4_flex_decompress(packed: &[u8]) -> Vec<u8> {
     plain
 }
 
-/// The same file with uncompressed chunks: the crate without its C libraries reads no others.
+/// The same file with uncompressed chunks: without its C libraries the crate reads no others.
 fn decompressed(file: &[u8]) -> Vec<u8> {
     with_chunks(file, |plain| ("", plain.to_vec()))
 }

@@ -26,7 +26,7 @@ pub fn header(seq: u64, agents_len: u32) -> Header {
     header
 }
 
-/// The messages of so many ticks: detections, forecasts, and now and then an event and a line.
+/// The messages of `ticks` ticks: detections, forecasts, and occasionally an event and a line.
 pub fn messages(ticks: u64) -> Vec<Message> {
     let mut messages = Vec::new();
     for seq in 0..ticks {
@@ -49,7 +49,7 @@ pub fn messages(ticks: u64) -> Vec<Message> {
     messages
 }
 
-/// A recording as a file in a folder that lives as long as the first part.
+/// A recording as a file, in a folder that lives as long as the first return value.
 pub fn written(messages: &[Message]) -> (TempDir, PathBuf) {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let path = folder.path().join("a.mcap");

@@ -8,7 +8,7 @@ use recording::{Ending, Message, ReadError, Recording};
 
 use crate::support::{messages, written};
 
-/// The chunks of a whole file: first byte, first byte behind, and number of messages.
+/// The chunks of a whole file: first byte, first byte after the chunk, and number of messages.
 fn chunks(whole: &[u8]) -> Vec<(usize, usize, usize)> {
     let summary = Summary::read(whole).expect("a whole file").expect("the file has an index");
     let read = |chunk: &mcap::records::ChunkIndex| {
@@ -42,7 +42,7 @@ fn zeros_and_garbage_behind_a_cut_leave_all_whole_chunks() {
         (random >> 56) as u8
     };
     for at in (chunks[0].0..whole.len()).step_by(67) {
-        // Messages of the chunks that are whole, and of those that have begun.
+        // Messages of the whole chunks, and of the chunks that have started.
         let expected = [1, 0].map(|edge| {
             let is_there = |(begin, end, _): &&(usize, usize, usize)| [*begin, *end][edge] <= at;
             chunks.iter().filter(is_there).map(|(.., messages)| messages).sum::<usize>()
@@ -57,7 +57,7 @@ fn zeros_and_garbage_behind_a_cut_leave_all_whole_chunks() {
             assert!(!recording.is_complete(), "cut to {at}, {len} bytes behind");
             let found = read(&recording);
             assert!(found == all[..found.len()], "cut to {at}, {len} bytes behind");
-            // Zeros may be what was cut off: then the chunk is whole by its check value.
+            // The bytes that were cut off may have been zeros: then the chunk is whole by its check value.
             let most = if tail.first() == Some(&0) { expected[1] } else { expected[0] };
             assert!((expected[0]..=most).contains(&found.len()), "cut to {at}, {len} bytes behind");
             assert!(recording.damages().is_empty(), "a torn end is no damage");
@@ -72,7 +72,7 @@ fn zeroed_pages_of_the_last_chunk_end_the_recording_before_it() {
     let whole = fs::read(&path).unwrap();
     let chunks = chunks(&whole);
     let (at, end, last_len) = chunks[chunks.len() - 1];
-    // Its length is there, its tail is not.
+    // The chunk's length is present, its tail is missing.
     let mut bytes = whole[..end].to_vec();
     bytes[at + 100..].fill(0);
     let recording = open(&folder.path().join("torn.mcap"), &bytes);
@@ -86,7 +86,7 @@ fn zeroed_pages_of_the_last_chunk_end_the_recording_before_it() {
     assert_eq!((recording.is_complete(), read(&recording)), (false, all[..all.len() - last_len].to_vec()));
 }
 
-/// Wherever the hole is, also over the length of a chunk: what is whole behind it is read.
+/// For any place of the hole, also over the length of a chunk: the intact chunks after it are read.
 #[test]
 fn chunks_behind_a_hole_are_read_and_the_hole_is_named() {
     let all = messages(60);
