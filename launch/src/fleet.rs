@@ -24,14 +24,14 @@ pub use replace::Replaced;
 use replace::Trial;
 use spare::Spare;
 
-/// Time that the stages have to end after a request.
+/// Time that the stages have to end after a request to end.
 const END_LIMIT: Duration = Duration::from_secs(3);
-/// The same where the retrieval memory has to be written.
+/// The same time limit if the retrieval memory must be written.
 const MEMORY_LIMIT: Duration = Duration::from_secs(20);
-/// Interval between checks of processes that are ending.
+/// Interval between checks of ending processes.
 const LOOK: Duration = Duration::from_millis(5);
-/// Between two looks of the launcher lie at most 50 ms; where it is ten times that, it was stopped or starved
-/// itself and knows nothing of the time between.
+/// The launcher checks at least every 50 ms. After ten times that long without a check, the launcher itself
+/// was stopped or starved, and it does not know what happened in between.
 const STOPPED: Duration = Duration::from_millis(500);
 
 /// The processes of a run; dropping it ends them all.
@@ -46,11 +46,11 @@ pub struct Fleet {
     begun: Instant,
     tended: Duration,
     end_limit: Duration,
-    /// Number of the clean-up after the last death of a process that is no stage.
+    /// Number of the clean-up after the last death of a process that is not a stage.
     other_ticket: u64,
     /// The stage that is being replaced.
     trial: Option<Trial>,
-    /// Number of the clean-up after a new process that was not used.
+    /// Number of the clean-up after a rejected replacement process.
     swept: u64,
     readers: Readers,
 }
@@ -65,75 +65,75 @@ struct Member {
     health: Health,
     /// Number of the clean-up after its last death.
     ticket: u64,
-    /// Why the launcher has killed its process, if it has.
+    /// Why the launcher killed the process, if it did.
     killed_for: Option<&'static str>,
-    /// The process that waits to take its place.
+    /// The spare that waits to take over.
     spare: Option<Spare>,
 }
 
-/// A stage's process, as the supervisor knows it.
+/// A stage's process as the supervisor sees it.
 #[derive(Clone, Copy, Debug)]
 pub struct Process {
     /// The stage.
     pub stage: StageId,
     /// `running`, `restarting`, `given up` or `ended`.
     pub state: &'static str,
-    /// Its number, while it runs.
+    /// The process id while the stage runs.
     pub pid: Option<Pid>,
-    /// How often it has been started before.
+    /// Number of earlier starts.
     pub incarnation: u32,
 }
 
-/// What happened to a stage.
+/// An event of a stage.
 #[derive(Debug)]
 pub enum Event {
-    /// It has died and is started again.
+    /// The stage has died and will be restarted.
     Died {
-        /// Which.
+        /// The stage.
         stage: StageId,
-        /// How it ended, to follow its name.
+        /// How the stage ended, phrased to follow its name.
         how: String,
-        /// Its next incarnation.
+        /// The stage's next incarnation.
         next: u32,
     },
-    /// It has ended and is not started again.
+    /// The stage has ended and will not be restarted.
     GivenUp {
-        /// Which.
+        /// The stage.
         stage: StageId,
-        /// How it ended, to follow its name.
+        /// How the stage ended, phrased to follow its name.
         how: String,
-        /// Why it is given up.
+        /// The reason for giving up.
         why: &'static str,
     },
-    /// It gets no CPU.
+    /// The stage gets no CPU time.
     Starved {
-        /// Which.
+        /// The stage.
         stage: StageId,
     },
-    /// Its process has ended for another one, whose turn it is.
+    /// The old process has ended and the new one takes over.
     HandedOver(Replaced),
-    /// What came of a replacement.
+    /// A replacement has an outcome.
     Tried(Replaced),
-    /// Its spare has taken its place, after its death.
+    /// The spare has taken over after the stage's death.
     Promoted {
-        /// Which.
+        /// The stage.
         stage: StageId,
     },
-    /// A clean-up after dead processes took too long, and is tried again.
+    /// A clean-up after dead processes timed out and will be retried.
     CleanUpHung(Hung),
-    /// A process that read topics and was no stage has died.
+    /// A process that read topics and is not a stage has died.
     ReaderDied(DeadReader),
-    /// Its spare has died too often, and is not started again.
+    /// The spare has died too often and will not be restarted.
     SpareGivenUp {
-        /// Which.
+        /// The stage.
         stage: StageId,
-        /// How, to follow its name.
+        /// How the spare ended, phrased to follow its name.
         how: String,
     },
 }
 
 impl Event {
-    /// The same for the tools of the run; nothing of what is not over.
+    /// Returns the event for the run's tools; `None` for unfinished events.
     pub fn happened(&self) -> Option<Happened> {
         let name = |stage: &StageId| stage.name().to_owned();
         Some(match self {
@@ -160,7 +160,7 @@ impl Event {
 }
 
 impl Fleet {
-    /// Starts all stages of a pipeline; they have more time to end where `keeps_memory`.
+    /// Starts all stages of a pipeline. With `keeps_memory` the stages get more time to end.
     pub fn start(pipeline: &Pipeline, run: &Run, record: &Path, keeps_memory: bool) -> Result<Self, Failure> {
         let (sender, lines) = channel();
         let end_limit = if keeps_memory { MEMORY_LIMIT } else { END_LIMIT };
@@ -198,13 +198,13 @@ impl Fleet {
         Ok(fleet)
     }
 
-    /// Settings of pipeline.toml that do not hold for the running processes.
+    /// Returns the settings of pipeline.toml that the running processes could not get.
     pub fn notes(&self) -> Vec<String> {
         let of = |m: &Member| scheduling::refused(m.stage, m.child.pid(), &m.program.scheduling);
         self.members.iter().flat_map(of).collect()
     }
 
-    /// Descriptors that are readable once a process has ended that is looked after.
+    /// Returns descriptors that become readable when a supervised process ends.
     pub fn descriptors(&self) -> Vec<BorrowedFd<'_>> {
         let runs = |member: &&Member| matches!(member.supervision.state(), State::Running { .. });
         let members = self.members.iter().filter(runs).map(|member| &member.child);
@@ -213,7 +213,7 @@ impl Fleet {
         of_children.chain(self.cleaner.descriptor()).collect()
     }
 
-    /// Lines that the stages wrote since the last look.
+    /// Returns the lines that the stages wrote since the last call.
     pub fn lines(&self) -> impl Iterator<Item = Line> {
         self.lines.try_iter()
     }
@@ -237,17 +237,17 @@ impl Fleet {
         self.members.iter().any(|m| m.stage == stage && m.supervision.state() == State::Done)
     }
 
-    /// Whether the run can't give anything any more: its source has ended and its recorder is given up.
+    /// Whether the run can produce nothing more: its source has ended and its recorder is given up.
     pub fn is_over(&self) -> bool {
         let given_up = |m: &Member| matches!(m.supervision.state(), State::GivenUp { .. });
         self.done(StageId::Source) && self.members.iter().any(|m| m.stage == StageId::Recorder && given_up(m))
     }
 
-    /// Reaps, restarts and watches the stages. `is_linked` says whether the run has begun: before, a stage
-    /// that ends by itself can't be started, and ends the run. In lockstep every death does.
+    /// Reaps, restarts and watches the stages. `is_linked` is true once the run has begun. Before that, a
+    /// stage that ends by itself can't be started, so the run ends. In lockstep every death ends the run.
     ///
     /// # Errors
-    /// [`Failure::Death`] where a stage has ended without which there is no output.
+    /// [`Failure::Death`] if a stage has ended that the output depends on.
     pub fn tend(&mut self, heartbeats: &[Heartbeat], is_linked: bool) -> Result<Vec<Event>, Failure> {
         let now = self.begun.elapsed();
         let stopped = now.saturating_sub(self.tended);
@@ -286,11 +286,11 @@ impl Fleet {
                 }
                 member.ticket = self.cleaner.ticket();
                 if !self.run.lockstep {
-                    // At once: its last words are read meanwhile.
+                    // Start the clean-up immediately; the last output is read meanwhile.
                     self.cleaner.tend(member.ticket, now)?;
                 }
-                // What a signal kills during the start can be started again; what ends by itself then can't, unless
-                // it met what one that was killed has left half made.
+                // A process killed by a signal during its start can be restarted. A process that ends by
+                // itself during its start can't, unless the half-made files of a killed process blocked it.
                 let is_in_the_way = one_died && status.code() == Some(Exit::Unavailable as i32);
                 let is_by_signal = status.code().is_none();
                 let is_restartable = !self.run.lockstep && (is_linked || is_by_signal || is_in_the_way);
@@ -308,7 +308,7 @@ impl Fleet {
         Ok(events)
     }
 
-    /// Takes note of its processes: their deaths are no readers'.
+    /// Registers the launcher's own processes, so that their deaths do not count as deaths of readers.
     fn note_own(&mut self) {
         let members = self.members.iter().map(|member| &member.child);
         let spares = self.members.iter().filter_map(|member| member.spare.as_ref()?.child());
@@ -317,17 +317,17 @@ impl Fleet {
         self.readers.own(children.map(i32::unsigned_abs).chain(self.cleaner.pid()));
     }
 
-    /// Takes note of another process that the launcher has started.
+    /// Registers another process that the launcher has started.
     pub fn note_process(&mut self, pid: Option<u32>) {
         self.readers.own(pid);
     }
 
-    /// How many processes that read topics and were no stages have died.
+    /// Counts the dead processes that read topics and were not stages.
     pub const fn dead_readers(&self) -> u64 {
         self.readers.deaths()
     }
 
-    /// Starts again the stages whose pause is over and whose dead predecessor is cleaned up.
+    /// Restarts the stages whose pause is over and whose dead predecessor is cleaned up.
     fn restart(&mut self, now: Duration) -> Result<Vec<Event>, Failure> {
         let mut events = Vec::new();
         let waiting =
@@ -363,12 +363,12 @@ impl Fleet {
         Ok(events)
     }
 
-    /// A process of the run that is no stage has died: what it held is cleaned up.
+    /// Cleans up after a dead process of the run that is not a stage.
     pub fn clean_up(&mut self) {
         self.other_ticket = self.cleaner.ticket();
     }
 
-    /// Asks all stages to end, waits, and kills those that do not end in time.
+    /// Asks all stages to end, waits, and kills those that miss the limit.
     pub fn end(&mut self) {
         self.trial = None;
         let now = self.begun.elapsed();
@@ -391,7 +391,7 @@ impl Fleet {
         }
     }
 
-    /// Describes the end of a stage that was asked to end and failed.
+    /// Describes the end of a stage that failed after a request to end.
     pub fn failure(&mut self, stage: StageId) -> Option<StageDeath> {
         let child = &mut self.members.iter_mut().find(|member| member.stage == stage)?.child;
         let status = child.ended().filter(|status| !status.success())?;
@@ -400,19 +400,19 @@ impl Fleet {
 }
 
 impl Member {
-    /// Whether it has ended because its work is done.
+    /// Whether the process has ended because its work is done.
     fn is_done(&self, status: ExitStatus) -> bool {
         status.success() && matches!(self.stage, StageId::Source | StageId::Recorder)
     }
 
-    /// Takes note of its start: a program of the user's own reports no linking.
+    /// Records the start of the process. An external program does not report linking, so it counts as linked.
     fn has_started(&mut self) {
         if self.program.command.is_some() {
             self.supervision.linked();
         }
     }
 
-    /// Takes note of its end.
+    /// Records the end of the process.
     fn bury(
         &mut self,
         status: ExitStatus,
@@ -437,7 +437,7 @@ impl Member {
                 };
                 Ok(Some(Event::Died { stage, how, next: self.supervision.incarnation() + 1 }))
             }
-            // Without one of these there is no output that could go on.
+            // The output depends on this stage, so the run ends.
             State::GivenUp { why }
                 if matches!(stage, StageId::Source | StageId::Tracker | StageId::Sampler) =>
             {
@@ -453,8 +453,8 @@ impl Member {
         }
     }
 
-    /// Before the pipeline is linked: kills a process that gives no sign of life, where another has died. It may wait
-    /// for ever for what that one has left half made.
+    /// Kills a silent process before the pipeline is linked, after another one has died. It may wait forever
+    /// for files that the dead process left half made.
     fn free(&mut self, now: Duration) {
         let sends_heartbeats = self.program.command.is_none();
         if sends_heartbeats && self.supervision.is_stuck(now) && self.health.is_silent(now) {
@@ -463,8 +463,8 @@ impl Member {
         }
     }
 
-    /// Looks at the process where it is silent, and kills it where it is stopped, hangs or has not linked in
-    /// time: its end is then found like any other.
+    /// Checks a silent process. Kills it if it is stopped, hangs or missed its limit for linking; its end is
+    /// then handled like any other.
     fn examine(&mut self, now: Duration) -> Option<Event> {
         let policy = *self.supervision.policy();
         let finding = if self.supervision.is_overdue(now) {

@@ -1,8 +1,8 @@
-//! Fuzz targets of the texts that the launcher reads: pipeline.toml and specifications of faults.
+//! Fuzz targets for the texts that the launcher reads: pipeline.toml and fault specifications.
 //!
-//! Each starts from a good text and lets the fuzzer edit it. Nothing may panic, every error points into the text,
-//! and what is read holds to what the launcher relies on. `tests/fuzz/readers.rs` has the command for a longer
-//! search.
+//! Each target starts from a valid text and lets the fuzzer edit it. Nothing may panic, each error must point
+//! into the text, and each accepted text must satisfy the launcher's assumptions. `tests/fuzz/readers.rs` has
+//! the command for a longer search.
 
 use std::path::Path;
 
@@ -14,7 +14,7 @@ use crate::stages::declared;
 const ITERATIONS: usize = 5_000;
 /// Longest list of edits, in bytes.
 const EDITS_BYTES_MAX: usize = 64;
-/// What tends to break readers of TOML and of numbers.
+/// Words that tend to break parsers of TOML and of numbers.
 const WORDS: [&str; 24] = [
     "nan",
     "-inf",
@@ -42,7 +42,7 @@ const WORDS: [&str; 24] = [
     "ticks = [0, 1]\n",
 ];
 
-/// Applies edits of four bytes each: where (two bytes), what, and with which word.
+/// Applies edits of four bytes each: position (two bytes), kind and word.
 fn edit(text: &mut Vec<char>, edits: &[u8]) {
     for edit in edits.chunks_exact(4) {
         let place = usize::from(u16::from_le_bytes([edit[0], edit[1]])) % (text.len() + 1);
@@ -60,7 +60,7 @@ fn edit(text: &mut Vec<char>, edits: &[u8]) {
     }
 }
 
-/// Hands `read` a good text, edited, and the fuzzer's bytes as they are.
+/// Passes `read` the edited valid text, and the fuzzer's bytes unchanged.
 fn fuzz(good: &str, read: fn(&str)) {
     read(good);
     let good: Vec<char> = good.chars().collect();
@@ -83,7 +83,7 @@ fn pipeline_file() {
     });
 }
 
-/// The first one has every kind of key.
+/// The first fault has all kinds of keys.
 const SPEC: &str = r#"
 shows = "everything"
 [run]

@@ -1,77 +1,77 @@
-//! Hung, stopped and starved are three things: what is wrong with a stage that sends no heartbeat.
+//! Diagnoses a stage that sends no heartbeats: hung, stopped or starved.
 
 use std::time::Duration;
 
 use rustix::process::Pid;
 
-/// A stage is looked at once its last heartbeat is older than this: one and a half of their interval, so that a
-/// stopped process is found within two ticks.
+/// Age of the last heartbeat after which a stage is checked: one and a half heartbeat intervals. A stopped
+/// process is thus found within two ticks.
 pub const SILENT: Duration = Duration::from_millis(120);
 
-/// A process as the kernel sees it.
+/// A process as the kernel reports it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Look {
-    /// Its state: R, S, D, T, t, Z, …
+    /// The process state: R, S, D, T, t, Z, …
     pub state: u8,
-    /// CPU time that it has used, of all threads.
+    /// CPU time used by all threads.
     pub cpu: Duration,
 }
 
-/// What is found of a stage.
+/// The result of a check.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Finding {
-    /// Nothing is wrong, or not for long.
+    /// Nothing is wrong, or not for long enough.
     Well,
     /// A signal has stopped it.
     Stopped,
-    /// It uses the CPU, or sleeps, and makes no heartbeat.
+    /// It uses the CPU or sleeps, but sends no heartbeat.
     Hung,
-    /// It gets no CPU.
+    /// It gets no CPU time.
     Starved,
 }
 
-/// What is known of a process since its last sign of life.
+/// The observations of a process since its last sign of life.
 #[derive(Clone, Copy, Debug)]
 pub struct Health {
-    /// When the sign was noticed.
+    /// Time of the last sign of life.
     sign: Duration,
-    /// Whether a heartbeat of this process has come.
+    /// Whether this process has sent a heartbeat.
     beats: bool,
-    /// The first look since the sign.
+    /// The first check since the sign of life.
     first: Option<Look>,
-    /// Since when all looks have found it asleep, having used no CPU.
+    /// Time since which all checks found the process asleep without CPU use.
     asleep: Option<Duration>,
     starved: bool,
 }
 
 impl Health {
-    /// A process that was just started.
+    /// Creates the state of a process that was just started.
     pub const fn new(now: Duration) -> Self {
         Self { sign: now, beats: false, first: None, asleep: None, starved: false }
     }
 
-    /// A heartbeat has come.
+    /// Records a heartbeat.
     pub const fn beat(&mut self, now: Duration) {
         *self = Self { beats: true, ..Self::new(now) };
     }
 
-    /// The launcher itself was stopped: what it did not see in that time says nothing.
+    /// Resets the observations after the launcher itself was stopped, because it saw nothing in that time.
     pub const fn forgive(&mut self, now: Duration) {
         *self = Self { beats: self.beats, ..Self::new(now) };
     }
 
-    /// Whether it is time to look at the process.
+    /// Whether the process must be checked.
     pub fn is_silent(&self, now: Duration) -> bool {
         now.saturating_sub(self.sign) > SILENT
     }
 
-    /// Judges a look at a silent process. Starvation is reported once per silence.
+    /// Judges a check of a silent process. Starvation is reported once per silence.
     pub fn judge(&mut self, look: Look, hang_after: Duration, now: Duration) -> Finding {
         if look.state == b'T' {
             return Finding::Stopped;
         }
-        // Before its first heartbeat a stage loads what it needs; the deadline for its start holds. A debugger
-        // stops a process for as long as it likes.
+        // Before its first heartbeat a stage loads its data, and the start limit applies. A debugger may stop
+        // a process for any time.
         if !self.beats || look.state == b't' {
             return Finding::Well;
         }
@@ -96,14 +96,14 @@ impl Health {
     }
 }
 
-/// Looks at a process; none where it is gone.
+/// Checks a process; `None` if it is gone.
 pub fn look(pid: Pid) -> Option<Look> {
     let stat = std::fs::read(format!("/proc/{}/stat", pid.as_raw_nonzero())).ok()?;
     parse(std::str::from_utf8(&stat).ok()?, rustix::param::clock_ticks_per_second())
 }
 
-/// Reads /proc/PID/stat: the state is the field after the name, which ends with the last ")"; user and system
-/// time are the fields 14 and 15.
+/// Parses /proc/PID/stat. The state is the field after the name, which ends with the last ")". User and
+/// system time are fields 14 and 15.
 fn parse(stat: &str, ticks_per_second: u64) -> Option<Look> {
     let (_, rest) = stat.rsplit_once(") ")?;
     let fields: Vec<&str> = rest.split(' ').take(13).collect();

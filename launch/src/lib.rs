@@ -1,7 +1,7 @@
 //! The program `stgdat`: starts and supervises the pipeline, plays recordings and diagnoses runs.
 //!
-//! Each verb is a module of `verbs`. `stgdat` without a verb is `stgdat run`. The laboratory, `stgdat-lab`, has the
-//! verbs that no vehicle needs; it uses the public modules of this library for its command line.
+//! Each verb is a module of `verbs`. `stgdat` without a verb is `stgdat run`. `stgdat-lab`, the laboratory,
+//! has the verbs that a vehicle does not need. Its command line uses the public modules of this library.
 
 // These panic on a closed pipe; `say!` and `note!` do not.
 #![warn(clippy::print_stdout, clippy::print_stderr)]
@@ -53,7 +53,7 @@ use clap::{Command, CommandFactory as _, FromArgMatches as _, Parser};
 
 use program::GlobalArguments;
 
-/// What benches share.
+/// Items for benchmarks.
 pub mod bench {
     pub use crate::verbs::bench::{machine, percentile};
 }
@@ -79,7 +79,7 @@ pub fn command() -> Command {
     Cli::command()
 }
 
-/// The program `stgdat`.
+/// The entry point of `stgdat`.
 #[must_use]
 pub fn main() -> ExitCode {
     let command = command().color(program::begin());

@@ -1,32 +1,33 @@
-//! Page faults and locked memory of the stages, from /proc, for the report.
+//! Page faults and locked memory of the stages, read from /proc for the report.
 
 use std::collections::BTreeMap;
 
 use recorder::StageMemory;
 use wire::{Heartbeat, StageId};
 
-/// Ticks of a process before its faults count: until then its history and caches fill.
+/// Ticks of a process before its faults count. Until then its history and caches fill.
 pub const WARM_UP: u64 = 100;
-/// Ticks between two looks at a process.
+/// Ticks between two checks of a process.
 const INTERVAL: u64 = 12;
 
 /// The memory of all stages.
 #[derive(Debug, Default)]
 pub struct Memory(BTreeMap<StageId, Process>);
 
-/// What is known of a stage's newest process.
+/// The measurements of a stage's newest process.
 #[derive(Debug)]
 struct Process {
     pid: u32,
-    /// The tick at the first heartbeat.
+    /// The tick of the first heartbeat.
     begun: u64,
     first: Option<Look>,
     last: Option<Look>,
-    /// Counts once another follows: what a process does at its end is no tick's.
+    /// The newest measurement, used once another follows. Faults at the end of a process do not belong to a
+    /// tick.
     newest: Option<Look>,
 }
 
-/// A look at a process.
+/// A measurement of a process.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 struct Look {
     seq: u64,
@@ -37,7 +38,7 @@ struct Look {
 }
 
 impl Memory {
-    /// Looks at the process of a heartbeat, where it is time.
+    /// Measures the process of a heartbeat, if a measurement is due.
     pub fn heartbeat(&mut self, heartbeat: &Heartbeat) {
         let Some(stage) = StageId::from_number(heartbeat.stage) else { return };
         let &Heartbeat { pid, seq, .. } = heartbeat;
@@ -52,7 +53,7 @@ impl Memory {
         }
     }
 
-    /// What each stage was found to use; stages that did not run long enough are left out.
+    /// Returns the measurements of each stage. Stages that did not run long enough are left out.
     pub fn into_report(self) -> BTreeMap<String, StageMemory> {
         let counted =
             |(stage, process): (StageId, Process)| Some((stage.name().to_owned(), process.counted()?));
@@ -95,13 +96,14 @@ fn look(pid: u32, seq: u64) -> Option<Look> {
     Some(Look { seq, minor, major, resident_kib: resident_kib?, locked_kib: locked_kib? })
 }
 
-/// Minor and major faults in /proc/PID/stat: fields 10 and 12; the second ends with the last ")".
+/// Parses minor and major faults from /proc/PID/stat: fields 10 and 12. The second field ends with the last
+/// ")".
 fn faults(stat: &str) -> Option<[u64; 2]> {
     let mut fields = stat.rsplit_once(") ")?.1.split(' ').skip(7);
     Some([fields.next()?.parse().ok()?, fields.nth(1)?.parse().ok()?])
 }
 
-/// A size in /proc/PID/status.
+/// Parses a size in /proc/PID/status.
 fn kib(status: &str, key: &str) -> Option<u64> {
     let rest = status.lines().find_map(|line| line.strip_prefix(key))?;
     rest.split_whitespace().next()?.parse().ok()
@@ -124,7 +126,7 @@ mod tests {
         assert!(!process.is_due(111) && process.is_due(112));
         process.take(at(112, 503));
         process.take(at(124, 504));
-        // The newest look may be one at the end.
+        // The newest measurement may come from the end of the process.
         process.take(at(136, 900));
         let counted = process.counted().unwrap();
         assert_eq!((counted.ticks, counted.minor_faults, counted.major_faults), (24, 4, 0));

@@ -1,8 +1,8 @@
-//! A run told to others while it goes on: metrics for Prometheus, the status for `stgdat top`, and a trace file.
+//! Observation of a running pipeline: metrics for Prometheus, the status for `stgdat top`, and a trace file.
 //!
-//! The launcher follows the forecasts and the heartbeats anyhow. [`Observer`] measures what it sees there and answers
-//! questions about it; it opens no port, so that tools cost the stages nothing. Sockets and files belong to threads
-//! of their own: a client or a disk that is slow holds nobody up.
+//! The launcher already reads the forecasts and heartbeats. [`Observer`] measures them and answers questions
+//! about them. It opens no ports, so tools cost the stages nothing. Sockets and files have their own threads,
+//! so a slow client or disk does not delay the launcher.
 
 mod files;
 mod processes;
@@ -33,13 +33,13 @@ use files::{MetricsFile, TraceFile};
 use processes::Usage;
 pub use processes::memory as memory_of;
 
-/// Name of the socket in a run's folder on which its status is asked for.
+/// Name of the status socket in a run's folder.
 pub const SOCKET: &str = "status";
-/// Most questions that wait for an answer.
+/// Maximum number of waiting questions.
 const QUESTIONS_MAX: usize = 16;
-/// Most questions that are answered in a row, so that supervision goes on.
+/// Maximum number of questions answered in a row, so that supervision is not delayed.
 const ANSWERS_MAX: usize = 4;
-/// Events that are kept for the status.
+/// Number of events kept for the status.
 const EVENTS_MAX: usize = 32;
 
 /// Where a run is told to others.
@@ -57,7 +57,7 @@ pub struct ObserveArguments {
     trace: Option<PathBuf>,
 }
 
-/// An address, or a port of the loopback.
+/// Parses an address, or a port of the loopback interface.
 fn address(text: &str) -> Result<SocketAddr, String> {
     if let Ok(port) = text.parse::<u16>() {
         return Ok(SocketAddr::from(([127, 0, 0, 1], port)));
@@ -65,7 +65,7 @@ fn address(text: &str) -> Result<SocketAddr, String> {
     text.parse().map_err(|_| "expected an IP address with a port, such as 127.0.0.1:9464".to_owned())
 }
 
-/// What is asked of a run.
+/// A question about a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Question {
     /// The metrics, as text.
@@ -74,7 +74,7 @@ enum Question {
     Status,
 }
 
-/// A question, with the way for its answer.
+/// A question, with the channel for its answer.
 type Asked = (Question, SyncSender<String>);
 
 /// Measures a run from the launcher, and answers questions about it.
@@ -94,7 +94,7 @@ impl Observer {
     /// Opens the sockets and files of a run.
     ///
     /// # Errors
-    /// [`Failure`] where an address is taken or a file can't be written.
+    /// [`Failure`] if an address is taken or a file can't be written.
     pub fn open(run: &Run, arguments: &ObserveArguments, input: InputReport) -> Result<Self, Failure> {
         let (ask, questions) = sync_channel(QUESTIONS_MAX);
         if let Some(address) = arguments.metrics {
@@ -127,9 +127,9 @@ impl Observer {
         })
     }
 
-    /// Takes the forecasts of a tick.
+    /// Measures the forecasts of a tick.
     pub fn forecasts(&mut self, header: &Header, forecasts: &[Forecast]) {
-        // What is refused is counted; there is no stage here to tell it to.
+        // Refused frames are counted here. The launcher can't notify their stage.
         let _ = self.measured.forecasts(header, forecasts);
         if let Some((tracer, file)) = &mut self.tracer {
             tracer.forecasts(header, forecasts);
@@ -137,7 +137,7 @@ impl Observer {
         }
     }
 
-    /// Takes the header of a frame that an added stage has sent beside a tick's way.
+    /// Measures the header of a frame that an added stage has sent outside a tick's path.
     pub fn beside(&mut self, header: &Header) {
         self.measured.beside(header);
         if let Some((tracer, file)) = &mut self.tracer {
@@ -146,7 +146,7 @@ impl Observer {
         }
     }
 
-    /// Takes a stage's heartbeat.
+    /// Measures a stage's heartbeat.
     pub fn heartbeat(&mut self, heartbeat: &Heartbeat) {
         self.measured.heartbeat(heartbeat);
         if let Some((tracer, _)) = &mut self.tracer {
@@ -154,7 +154,7 @@ impl Observer {
         }
     }
 
-    /// Takes what happened to a stage.
+    /// Records an event of a stage.
     pub fn event(&mut self, event: &Event) {
         let (stage, name, why) = match event {
             Event::Died { stage, how, .. } => (*stage, "died", how.clone()),
@@ -187,7 +187,7 @@ impl Observer {
         self.list(text);
     }
 
-    /// Adds to the events that the status lists.
+    /// Adds a line to the events in the status.
     pub fn list(&mut self, text: String) {
         if self.events.len() == EVENTS_MAX {
             self.events.pop_front();
@@ -196,13 +196,13 @@ impl Observer {
         self.events.push_back(StatusEvent { elapsed_s, text });
     }
 
-    /// Answers the questions that have come.
+    /// Answers the pending questions.
     pub fn answer(&mut self, view: &LiveView, fleet: &Fleet, outages: &Outages, is_linked: bool) {
         for _ in 0..ANSWERS_MAX {
             let Ok((question, reply)) = self.questions.try_recv() else { return };
             let facts = self.facts(fleet, outages, is_linked);
             let answer = self.answer_to(question, view, facts);
-            // Who asked may have given up waiting.
+            // The client may have stopped waiting.
             let _ = reply.try_send(answer);
         }
     }
@@ -211,7 +211,7 @@ impl Observer {
         let status = RunStatus::new(view, &self.measured, facts);
         match question {
             Question::Metrics => metrics(&status, &self.measured),
-            // Nothing in it is unknown to JSON.
+            // The status contains nothing that JSON can't represent.
             Question::Status => serde_json::to_string(&status).unwrap_or_default() + "\n",
         }
     }
@@ -247,12 +247,12 @@ impl Observer {
         }
     }
 
-    /// What the recorder last told of the forecasts' errors.
+    /// Returns the forecast errors that the recorder last published.
     pub fn accuracy(&self) -> Option<Errors> {
         serde_json::from_slice(&std::fs::read(&self.accuracy_path).ok()?).ok()
     }
 
-    /// Writes what is left to write; returns what went wrong with the files.
+    /// Writes the remaining data. Returns the failures of the files.
     pub fn close(mut self, view: &LiveView, fleet: &Fleet, outages: &Outages) -> Vec<Failure> {
         let metrics_file = self.metrics_file.take();
         let last = metrics_file.is_some().then(|| {
@@ -268,12 +268,12 @@ impl Observer {
     }
 }
 
-/// A run's name: that of its folder.
+/// Returns a run's name: the name of its folder.
 fn name_of(root: &Path) -> String {
     root.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// The clocks, one after the other.
+/// Reads the clocks one after the other.
 fn clocks() -> Clocks {
     let read = |id| {
         let now = clock_gettime(id);

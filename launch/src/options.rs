@@ -1,4 +1,4 @@
-//! The options of all stages: those of pipeline.toml with the changes of the command line.
+//! The options of all stages: pipeline.toml with the overrides of the command line.
 
 use std::collections::BTreeMap;
 use std::ffi::OsString;
@@ -185,7 +185,7 @@ impl StageOptions {
                 return Ok(());
             }
         };
-        // Checked alone, so that the error names this setting.
+        // Checked separately, so the error names this setting.
         if let Some(declared) = declared {
             match declared.check(&Table::from_iter([(key.clone(), value.clone())])) {
                 Ok(()) | Err(OptionError::Conflict(_)) => {}
@@ -248,7 +248,8 @@ pub fn warn_of_old_flags(arguments: impl Iterator<Item = OsString>) {
     }
 }
 
-/// Parses a value of the command line: TOML or else text; always text where the option takes nothing else.
+/// Parses a value of the command line as TOML, or else as text. If the option takes only text, the value is
+/// always text.
 pub fn value(written: &str, option: Option<&OptionSchema>) -> Value {
     let parsed = format!("value = {written}").parse::<Table>().ok();
     let parsed = parsed.filter(|table| table.len() == 1).and_then(|mut table| table.remove("value"));

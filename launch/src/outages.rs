@@ -1,4 +1,5 @@
-//! What each death of a stage cost: ticks without forecasts, not learned, or without detections.
+//! The cost of each death of a stage: ticks without forecasts, without learned forecasts, or without
+//! detections.
 
 use std::collections::BTreeMap;
 
@@ -7,16 +8,16 @@ use wire::{Cause, Forecast, Header, Quality, StageId, flags};
 
 use crate::fleet::Replaced;
 
-/// Most outages that are listed; further ones are counted.
+/// Maximum number of listed outages; further ones are only counted.
 const LISTED_MAX: usize = 2048;
 
-/// The outages of a run, from its forecasts and the launcher's restarts.
+/// The outages of a run, computed from its forecasts and the launcher's restarts.
 #[derive(Debug, Default)]
 pub struct Outages {
     record: Supervision,
-    /// Those after which the forecasts are not learned again yet, with the stages.
+    /// Outages after which forecasts are not learned again yet, with their stages.
     open: Vec<(Place, StageId)>,
-    /// Index of the replacement whose new process has had its turn and is not linked yet.
+    /// Index of the replacement whose new process has taken over but is not linked yet.
     trial: Option<usize>,
     /// The newest tick with forecasts.
     newest: Option<u64>,
@@ -30,7 +31,7 @@ enum Place {
 }
 
 impl Outages {
-    /// A stage has died and is to be started again as that incarnation.
+    /// Records that a stage has died and will be restarted with this incarnation.
     pub fn begin(&mut self, stage: StageId, incarnation: u32, cause: &str) {
         let list = &mut self.record.outages;
         if list.len() == LISTED_MAX {
@@ -39,7 +40,7 @@ impl Outages {
         }
         let (name, tick) = (stage.name().to_owned(), self.newest.unwrap_or(0));
         list.push(Outage { stage: name, incarnation, cause: cause.to_owned(), tick, ..Outage::default() });
-        // Nothing waits for the recorder.
+        // Forecasts do not depend on the recorder.
         if stage == StageId::Recorder {
             list.last_mut().expect("just pushed").ticks_to_learned = Some(0);
         } else {
@@ -47,7 +48,7 @@ impl Outages {
         }
     }
 
-    /// A stage that died goes on by its spare.
+    /// Records that a dead stage continues with its spare.
     pub fn promoted(&mut self, stage: StageId) {
         let of_stage = |outage: &&mut Outage| outage.stage == stage.name();
         if let Some(outage) = self.record.outages.iter_mut().rev().find(of_stage) {
@@ -55,7 +56,7 @@ impl Outages {
         }
     }
 
-    /// A stage's process has ended for another one.
+    /// Records that a stage's process has ended for its replacement.
     pub fn handed_over(&mut self, replaced: &Replaced) {
         self.trial = self.list(replaced);
         if let Some(index) = self.trial.filter(|_| replaced.stage != StageId::Recorder) {
@@ -63,7 +64,7 @@ impl Outages {
         }
     }
 
-    /// What came of a replacement.
+    /// Records the outcome of a replacement.
     pub fn tried(&mut self, replaced: &Replaced) {
         let index = match replaced.outcome {
             ReplacementOutcome::NotUsed => self.list(replaced),
@@ -74,7 +75,7 @@ impl Outages {
             listed.outcome = replaced.outcome;
             listed.outage.cause.clone_from(&replaced.cause);
             if listed.outage.incarnation != replaced.incarnation {
-                // Forecasts of the one that failed are not what is waited for.
+                // Forecasts of the failed process do not end the outage.
                 (listed.outage.incarnation, listed.outage.ticks_to_learned) = (replaced.incarnation, None);
                 let is_open = self
                     .open
@@ -95,7 +96,7 @@ impl Outages {
             return None;
         }
         let ms = |time: std::time::Duration| (time.as_secs_f64() * 1e4).round() / 1e1;
-        // Nothing waits for the recorder, and nothing for a process that was not used.
+        // Forecasts depend neither on the recorder nor on a rejected process.
         let is_awaited =
             replaced.stage != StageId::Recorder && replaced.outcome != ReplacementOutcome::NotUsed;
         let outage = Outage {
@@ -116,22 +117,22 @@ impl Outages {
         Some(list.len() - 1)
     }
 
-    /// A stage is given up for good.
+    /// Records that a stage is given up.
     pub fn give_up(&mut self, stage: StageId, why: String) {
         self.record.given_up.insert(stage.name().to_owned(), why);
     }
 
-    /// A stage got no CPU.
+    /// Records that a stage got no CPU time.
     pub fn starved(&mut self, stage: StageId) {
         *self.record.starved.entry(stage.name().to_owned()).or_default() += 1;
     }
 
-    /// A setting of pipeline.toml is not allowed.
+    /// Records a setting of pipeline.toml that the system refused.
     pub fn note(&mut self, note: String) {
         self.record.notes.push(note);
     }
 
-    /// The forecasts of a tick have come.
+    /// Records the forecasts of a tick.
     pub fn forecasts(&mut self, header: &Header, forecasts: &[Forecast]) {
         if !header.is_tick() || self.newest.is_some_and(|newest| header.seq <= newest) {
             return;
@@ -164,17 +165,17 @@ impl Outages {
         });
     }
 
-    /// Whether a stage was given up.
+    /// Returns the stages that were given up, with the reasons.
     pub const fn given_up(&self) -> &BTreeMap<String, String> {
         &self.record.given_up
     }
 
-    /// What there is so far.
+    /// Returns the record so far.
     pub const fn record(&self) -> &Supervision {
         &self.record
     }
 
-    /// All of it, for the report.
+    /// Returns the complete record for the report.
     pub fn into_record(self, ended_by: Option<String>) -> Supervision {
         Supervision { ended_by, ..self.record }
     }

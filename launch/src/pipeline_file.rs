@@ -6,7 +6,7 @@ use crate::failure::Failure;
 use crate::scheduling;
 use crate::stages;
 
-/// The default pipeline.
+/// The default pipeline.toml.
 pub const SHIPPED: &str = include_str!("../pipeline.toml");
 
 /// Reads and checks a pipeline.toml, or the shipped one.
@@ -23,13 +23,13 @@ pub fn load(path: Option<&Path>) -> Result<Pipeline, Failure> {
     Ok(pipeline)
 }
 
-/// Refuses a pipeline.toml whose programs or processors this machine does not have.
+/// Refuses a pipeline.toml whose programs or processors are missing on this machine.
 pub fn check_here(path: Option<&Path>) -> Result<(), Failure> {
     let name = path.map_or_else(|| "pipeline.toml".to_owned(), |path| path.display().to_string());
     Ok(Pipeline::check_here(&name, &text(path)?, &find_program, &scheduling::has_cpu)?)
 }
 
-/// Looks for a program as the system does when it starts one; what is wrong if there is none.
+/// Searches for a program as the system does when it starts one. The error names the missing program.
 fn find_program(program: &str) -> Result<(), String> {
     let is_program =
         |path: &Path| path.is_file() && rustix::fs::access(path, rustix::fs::Access::EXEC_OK).is_ok();
@@ -46,7 +46,7 @@ fn find_program(program: &str) -> Result<(), String> {
     if is_found { Ok(()) } else { Err("it is not found in PATH".to_owned()) }
 }
 
-/// The text of a pipeline.toml, or of the shipped one.
+/// Returns the text of a pipeline.toml, or of the shipped one.
 pub fn text(path: Option<&Path>) -> Result<String, Failure> {
     let Some(path) = path else { return Ok(SHIPPED.to_owned()) };
     std::fs::read_to_string(path).map_err(|error| Failure::config_about(path.display(), error))

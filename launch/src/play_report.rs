@@ -1,5 +1,4 @@
-//! What `predict` and `track` report of a recording that they have played: the figures that `run` reports
-//! too.
+//! The report of `predict` and `track` on a played recording, with the same figures as the report of `run`.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -13,10 +12,10 @@ use wire::Header;
 
 use crate::failure::Failure;
 
-/// The report of `predict` and `track`; units end the names.
+/// The report of `predict` and `track`. Names end with their units.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct PlayReport {
-    /// Whether the content of the input came out, and what did not.
+    /// Whether the input produced output, and which parts did not.
     pub verdict: Verdict,
     /// Name of the recording.
     pub recording: String,
@@ -24,11 +23,11 @@ pub struct PlayReport {
     pub ticks: u64,
     /// Interval between ticks.
     pub interval_ms: f64,
-    /// One frame in this many was played.
+    /// One frame of this many was played.
     pub thinned_by: u64,
-    /// Agents of all ticks.
+    /// Number of agents, summed over ticks.
     pub agents: u64,
-    /// Most agents of a tick.
+    /// Maximum number of agents in a tick.
     pub agents_max: u64,
     /// Agents left out of full frames, summed over ticks.
     pub agents_left_out: u64,
@@ -38,14 +37,14 @@ pub struct PlayReport {
     pub ticks_refused: u64,
     /// Forecasts of vehicles on the map of lanes.
     pub lanes: LaneCounts,
-    /// What the input contained, and what is probably wrong with it.
+    /// The contents of the input and its probable defects.
     pub input: InputReport,
     #[serde(skip)]
     tally: InputTally,
 }
 
 impl PlayReport {
-    /// The report before the first tick.
+    /// Creates the report before the first tick.
     pub fn new(playback: &Playback, input: InputReport) -> Self {
         let recording = playback.recording();
         Self {
@@ -57,7 +56,7 @@ impl PlayReport {
         }
     }
 
-    /// Takes the header of the agents of a tick.
+    /// Counts the agents of a tick.
     pub fn tick(&mut self, header: &Header, agents_len: usize) {
         self.ticks += 1;
         self.agents += agents_len as u64;
@@ -67,7 +66,7 @@ impl PlayReport {
         self.tally.tick(header);
     }
 
-    /// Completes the report, prints it on standard error and writes it to the file, if there is one; then the
+    /// Completes the report, prints it on standard error and writes it to the file, if given. Returns the
     /// exit code.
     pub fn finish(mut self, playback: &Playback, file: Option<&Path>, strict: bool) -> Result<Exit, Failure> {
         self.detections_left_out = playback.left_out_len();
@@ -103,7 +102,7 @@ impl PlayReport {
         reasons
     }
 
-    /// What the warnings before the first tick do not contain; nothing if all went well.
+    /// Returns the warnings that were not known before the first tick; empty if all went well.
     fn lines(&self) -> Vec<String> {
         let status = match self.verdict.status {
             Status::Ok => "OK",
@@ -125,7 +124,7 @@ impl PlayReport {
     }
 }
 
-/// What the audit of a recording found, before it is played.
+/// Returns the audit of a recording before it is played.
 pub fn input_of(recording: &Recording) -> InputReport {
     let rows = recording.left_out.iter().map(|left_out| (left_out.reason.clone(), left_out.rows_len as u64));
     let (findings, poses_missing) = (data::findings(recording), recording.poses_missing as u64);

@@ -14,10 +14,10 @@ use std::time::Duration;
 
 use config::{Restart, RestartPolicy};
 
-/// How a process ended, as far as the policy asks.
+/// How a process ended, as far as the policy depends on it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum End {
-    /// With exit code 0, its work being done: source and recorder.
+    /// With exit code 0 because its work is done: source and recorder.
     Done,
     /// With exit code 0 during the run.
     Success,
@@ -27,42 +27,42 @@ pub enum End {
     Failure,
 }
 
-/// What a stage's process is for.
+/// The state of a stage.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum State {
-    /// It runs, since then.
+    /// The process is running.
     Running {
         /// When it was started.
         since: Duration,
         /// Whether it has been linked to its neighbours.
         linked: bool,
     },
-    /// It has ended, and is started again then at the earliest.
+    /// The process has ended. It is restarted once the pause is over.
     Waiting {
         /// When the pause is over.
         until: Duration,
     },
-    /// It has ended with its work done.
+    /// The process has ended with its work done.
     Done,
-    /// It has ended and is never started again.
+    /// The process has ended and will not be restarted.
     GivenUp {
-        /// Why, to follow "given up: ".
+        /// The reason, phrased to follow "given up: ".
         why: &'static str,
     },
 }
 
-/// The state of one stage under its policy. Times are those of one monotonic clock.
+/// The state of one stage under its policy. All times come from one monotonic clock.
 #[derive(Clone, Debug)]
 pub struct Supervision {
     policy: RestartPolicy,
     state: State,
     incarnation: u32,
-    /// Times of the restarts within the window, the oldest first.
+    /// Times of the restarts within the window, oldest first.
     restarts: VecDeque<Duration>,
 }
 
 impl Supervision {
-    /// A stage that was started for the first time.
+    /// Creates the state of a stage that was started for the first time.
     pub const fn new(policy: RestartPolicy, now: Duration) -> Self {
         let state = State::Running { since: now, linked: false };
         Self { policy, state, incarnation: 0, restarts: VecDeque::new() }
@@ -73,7 +73,7 @@ impl Supervision {
         self.state
     }
 
-    /// How often the stage was started again.
+    /// Returns the number of restarts.
     pub const fn incarnation(&self) -> u32 {
         self.incarnation
     }
@@ -83,7 +83,7 @@ impl Supervision {
         &self.policy
     }
 
-    /// The process has ended.
+    /// Records the end of the process.
     pub fn ended(&mut self, end: End, now: Duration) -> State {
         let window = self.policy.window;
         while self.restarts.front().is_some_and(|&oldest| now.saturating_sub(oldest) > window) {
@@ -106,8 +106,8 @@ impl Supervision {
         self.state
     }
 
-    /// The pause before the newest restart: none for the first of the window, then the backoff, twice that,
-    /// and so on.
+    /// Returns the pause before the newest restart. The first restart in the window has no pause; then come
+    /// the backoff, twice the backoff, and so on.
     fn pause(&self) -> Duration {
         match self.restarts.len().saturating_sub(2) {
             _ if self.restarts.len() < 2 => Duration::ZERO,
@@ -123,24 +123,24 @@ impl Supervision {
         matches!(self.state, State::Waiting { until } if now >= until)
     }
 
-    /// The process was started again.
+    /// Records a restart of the process.
     pub const fn restarted(&mut self, now: Duration) {
         self.incarnation = self.incarnation.saturating_add(1);
         self.state = State::Running { since: now, linked: false };
     }
 
-    /// Another process has taken its place while it ran, which is no restart.
+    /// Records that another process took over while this one ran, which does not count as a restart.
     pub const fn replaced(&mut self, now: Duration) {
         self.restarted(now);
     }
 
-    /// The process that has taken its place failed: the program before is started again at once, which is no
-    /// restart either.
+    /// Records that the replacement failed. The previous program is started again at once, which does not
+    /// count as a restart either.
     pub const fn rolled_back(&mut self, now: Duration) {
         self.state = State::Waiting { until: now };
     }
 
-    /// The process is linked to its neighbours.
+    /// Records that the process is linked to its neighbours.
     pub const fn linked(&mut self) {
         if let State::Running { linked, .. } = &mut self.state {
             *linked = true;
@@ -152,13 +152,13 @@ impl Supervision {
         self.incarnation > 0 && self.is_stuck(now)
     }
 
-    /// Whether a process, be it the first one, was not linked in the time that a restarted one has.
+    /// Whether a process, even the first one, was not linked within the limit of a restarted one.
     pub fn is_stuck(&self, now: Duration) -> bool {
         let State::Running { since, linked: false } = self.state else { return false };
         now.saturating_sub(since) > self.policy.start_limit
     }
 
-    /// The launcher itself was stopped for so long: deadlines that run move on by it.
+    /// Shifts running deadlines by the time for which the launcher itself was stopped.
     pub fn forgive(&mut self, stopped: Duration) {
         match &mut self.state {
             State::Running { since: at, .. } | State::Waiting { until: at } => *at += stopped,
@@ -224,7 +224,7 @@ mod tests {
         assert!(!stage.is_overdue(SECOND * 100));
     }
 
-    /// A xorshift generator: the state and its next number.
+    /// A xorshift generator: updates the state and returns the next number.
     fn next(state: &mut u64) -> u64 {
         *state ^= *state << 13;
         *state ^= *state >> 7;

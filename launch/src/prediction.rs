@@ -1,9 +1,11 @@
-//! Whether a number of agents fits this machine, from a second or two of computing.
+//! Predicts whether a number of agents fits this machine, from one or two seconds of computation.
 //!
-//! All stages run in this process, one thread each, on the generated scene of the default demo. What a tick takes in a
-//! run follows by rules that hold within about a third on the machines that were measured: blocks are shared evenly by
-//! workers, a tick's slowest percent takes 1.4 times the median, and time grows a little faster than the agents do,
-//! for their edges.
+//! All stages run in this process on one thread, with the generated scene of the default demo. Three rules
+//! extrapolate the time of a tick in a run. They held within about a third on the measured machines.
+//!
+//! - Workers share blocks evenly.
+//! - The 99th percentile of the tick time is 1.4 times the median.
+//! - The time grows slightly faster than the number of agents, because of their edges.
 
 use std::time::{Duration, Instant};
 
@@ -17,42 +19,43 @@ use wire::{AGENTS_MAX, StageId};
 use crate::failure::Failure;
 use crate::options::{Setting, StageOptions};
 
-/// Agents of the default demo, with which is measured.
+/// Agents of the default demo, used for the measurement.
 pub const AGENTS: u32 = 32;
 /// Ticks until the history of most agents is full.
 const WARM_UP: u64 = 45;
-/// Most ticks that are measured.
+/// Maximum number of measured ticks.
 const TICKS: u64 = 40;
-/// How long is measured at most, the warm-up included.
+/// Maximum time of the measurement, including the warm-up.
 const TIME: Duration = Duration::from_secs(2);
-/// Least ticks that are measured, whatever they take.
+/// Minimum number of measured ticks, however long they take.
 const TICKS_MIN: usize = 5;
-/// Stages that share their work over workers.
+/// Stages that distribute their work over workers.
 pub const SHARED: [StageId; 4] = [StageId::Extractor, StageId::Encoder, StageId::Decoder, StageId::Sampler];
-/// Growth of the time of a tick with its agents, as an exponent.
+/// Exponent with which the time of a tick grows with the number of agents.
 const GROWTH: f64 = 1.05;
-/// The 99th percentile over the median, of ticks of a run on an idle machine.
+/// Ratio of the 99th percentile to the median, for the ticks of a run on an idle machine.
 const TAIL: f64 = 1.4;
-/// What waking eight processes takes.
+/// Time to wake eight processes.
 const OVERHEAD_MS: f64 = 0.7;
-/// What a tick has until its forecasts are due: the sampler's deadline in the shipped pipeline.toml.
+/// Time from a tick's release until its forecasts are due: the sampler's deadline in the shipped
+/// pipeline.toml.
 pub const LIMIT_MS: f64 = 72.0;
 
-/// What a tick of [`AGENTS`] agents was measured to take, ms at the median, one thread.
+/// Measured time of a tick with [`AGENTS`] agents: median in ms on one thread.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Prediction {
-    /// In stages whose work is shared.
+    /// Time in stages that distribute their work.
     shared_ms: f64,
-    /// In all others.
+    /// Time in all other stages.
     alone_ms: f64,
     workers: usize,
 }
 
 impl Prediction {
-    /// Measures this machine, as busy as it is.
+    /// Measures this machine under its current load.
     ///
     /// # Errors
-    /// [`Failure`] where the scene or the embedded weights can't be used.
+    /// [`Failure`] if the scene or the embedded weights can't be used.
     pub fn measure() -> Result<Self, Failure> {
         let scene = SceneOptions { agents: AGENTS as usize, ..SceneOptions::default() };
         let scene = GeneratedScene::new(scene).map_err(Failure::data)?;
@@ -94,12 +97,12 @@ impl Prediction {
         [p50, p50 * TAIL]
     }
 
-    /// Whether so many agents fit.
+    /// Whether this number of agents fits.
     pub fn fits(&self, agents: u32) -> bool {
         self.tick_ms(agents)[1] <= LIMIT_MS
     }
 
-    /// The most agents that fit; 0 where not even one does.
+    /// Returns the maximum number of agents that fit; 0 if not even one does.
     pub fn agents_max(&self) -> u32 {
         (1..=AGENTS_MAX as u32).rev().find(|&agents| self.fits(agents)).unwrap_or(0)
     }

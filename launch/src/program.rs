@@ -1,4 +1,4 @@
-//! What `stgdat` and `stgdat-lab` do around a verb.
+//! Common set-up and exit of `stgdat` and `stgdat-lab`.
 
 use std::process::ExitCode;
 
@@ -22,7 +22,7 @@ pub struct GlobalArguments {
 }
 
 impl GlobalArguments {
-    /// Takes the kernels of the command line.
+    /// Selects the kernels named on the command line.
     ///
     /// # Errors
     /// [`Failure::Usage`] if this processor lacks them.
@@ -32,12 +32,12 @@ impl GlobalArguments {
     }
 }
 
-/// The instruction sets by their keys, without those that this processor lacks.
+/// Parses an instruction set by its key. Sets that this processor lacks are not offered.
 fn instruction_set() -> impl TypedValueParser<Value = Isa> {
     PossibleValuesParser::new(Isa::ALL.map(Isa::key)).try_map(|key| key.parse::<Isa>())
 }
 
-/// Chooses colours by the command line and the environment, and starts the log. Returns the colours of clap's messages.
+/// Chooses colours by the command line and the environment, and starts the log. Returns clap's colour choice.
 #[must_use]
 pub fn begin() -> ColorChoice {
     let color = color::choose(std::env::args_os());
@@ -45,7 +45,7 @@ pub fn begin() -> ColorChoice {
     color::for_clap(color)
 }
 
-/// The exit code of a verb, after its failure was printed.
+/// Prints the failure of a verb, if any, and returns the exit code.
 #[must_use]
 pub fn end(outcome: Result<Exit, Failure>) -> ExitCode {
     outcome

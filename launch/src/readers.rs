@@ -1,9 +1,9 @@
 //! Readers that come and go: processes beside the pipeline, such as a planner, that read its topics.
 //!
-//! A reader that dies leaves its places on the topics taken until somebody cleans up after it. The launcher
-//! did not start it, so that no exit status reports its death: [`Readers`] finds the death by the files of
-//! its node. The clean-up's helper may meet a dead node first, and reports each one before it removes the
-//! files. So every death is counted, and once.
+//! The places of a dead reader on its topics stay occupied until a clean-up. The launcher did not start the
+//! reader, so no exit status reports its death. [`Readers`] detects the death from the files of the reader's
+//! node. The clean-up helper may find a dead node first, so it reports each node before it removes the files.
+//! Each death is therefore counted exactly once.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -14,17 +14,17 @@ use run::Run;
 use crate::cleaner::Cleaner;
 use crate::failure::Failure;
 
-/// Interval between looks. With the clean-up, a dead reader's places are free within a second.
+/// Interval between checks. With the clean-up, a dead reader's places are free within a second.
 const LOOK: Duration = Duration::from_millis(200);
-/// Clean-ups that are tried after one death; some of them have to wait until half-made files are old.
+/// Maximum number of clean-ups after one death. Some must wait until half-made files are old enough.
 const TRIES_MAX: u32 = 8;
 /// Pause before the second clean-up after a death. It doubles with each further one.
 const PAUSE: Duration = Duration::from_millis(500);
-/// Time for which a node is remembered whose files are gone: a helper that was killed may leave some behind.
+/// Time for which a node is remembered after its files are gone. A killed helper may leave some files behind.
 const KEPT: Duration = Duration::from_secs(10);
 /// Deaths that are logged one by one.
 const LOGGED_MAX: u64 = 10;
-/// Of further deaths, one in so many is logged.
+/// Of further deaths, one in this many is logged.
 const LOGGED_EVERY: u64 = 100;
 
 /// The dead readers of a run.
@@ -34,7 +34,7 @@ pub struct Readers {
     looked: Duration,
     /// Dead nodes whose files are still there, or were a short time ago.
     dead: BTreeMap<NodeNumber, CleanUp>,
-    /// Processes that the launcher has started: their deaths are no readers'.
+    /// Processes that the launcher has started; their deaths do not count as deaths of readers.
     own: BTreeSet<u32>,
     deaths: u64,
 }
@@ -53,14 +53,14 @@ struct CleanUp {
 /// A reader that has died.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct DeadReader {
-    /// The process in words, such as "planner (python3, process 4711)".
+    /// A description of the process, such as "planner (python3, process 4711)".
     pub process: String,
-    /// Its number among the dead readers of the run, from 1.
+    /// Its number among the run's dead readers, from 1.
     pub number: u64,
 }
 
 impl DeadReader {
-    /// Whether it has a line in the log: one that dies again and again has few.
+    /// Whether this death is logged. Most deaths of a repeatedly dying reader are not.
     pub const fn is_logged(&self) -> bool {
         self.number <= LOGGED_MAX || self.number.is_multiple_of(LOGGED_EVERY)
     }
@@ -73,32 +73,32 @@ impl std::fmt::Display for DeadReader {
 }
 
 impl Readers {
-    /// Those of a run.
+    /// Creates the readers of a run.
     pub fn new(run: &Run) -> Result<Self, Failure> {
         let (dead, own) = (BTreeMap::new(), BTreeSet::new());
         Ok(Self { watch: NodeWatch::new(run)?, looked: Duration::ZERO, dead, own, deaths: 0 })
     }
 
-    /// Takes note of processes that the launcher has started.
+    /// Registers processes that the launcher has started.
     pub fn own(&mut self, pids: impl IntoIterator<Item = u32>) {
         self.own.extend(pids);
     }
 
-    /// How many have died.
+    /// Returns the number of dead readers.
     pub const fn deaths(&self) -> u64 {
         self.deaths
     }
 
-    /// The number of the clean-up that is wanted for the dead nodes.
+    /// Returns the number of the clean-up that the dead nodes need.
     pub fn wanted(&self) -> u64 {
         self.dead.values().map(|clean_up| clean_up.ticket).max().unwrap_or(0)
     }
 
-    /// Looks for nodes that have died; returns the readers among those that were not counted yet.
+    /// Looks for dead nodes. Returns the readers among those that were not counted yet.
     pub fn look(&mut self, cleaner: &mut Cleaner, now: Duration) -> Vec<DeadReader> {
         let mut processes = cleaner.met();
         for &(number, _) in &processes {
-            // Its clean-up is over. If that has failed, the next look tries again.
+            // The clean-up is over. If it failed, the next check retries.
             let clean_up = CleanUp { ticket: 0, tries: 0, next: now, seen: now, is_counted: false };
             self.dead.entry(number).or_insert(clean_up).seen = now;
         }
@@ -116,7 +116,7 @@ impl Readers {
         processes.into_iter().filter_map(|(number, process)| self.count(number, &process)).collect()
     }
 
-    /// Requests a clean-up for each dead node that has none, and for each whose last one has failed.
+    /// Requests a clean-up for each dead node without one, and for each node whose last clean-up failed.
     fn request_clean_ups(&mut self, dead: &[NodeNumber], cleaner: &Cleaner, now: Duration) {
         let ticket = cleaner.ticket();
         for &number in dead {
@@ -130,7 +130,7 @@ impl Readers {
         }
     }
 
-    /// Counts a dead node, unless it was counted before or is a process of the launcher's.
+    /// Counts a dead node, unless it was counted before or belongs to the launcher.
     fn count(&mut self, number: NodeNumber, process: &NodeProcess) -> Option<DeadReader> {
         let clean_up = self.dead.get_mut(&number)?;
         if std::mem::replace(&mut clean_up.is_counted, true) || self.own.contains(&process.pid) {

@@ -28,7 +28,7 @@ pub fn open(path: &Path) -> Result<Recording, Failure> {
     Ok(recording)
 }
 
-/// Fails with the first damaged part, after everything readable was used.
+/// Fails with the first damaged part, after all readable parts were used.
 pub fn told(damages: Vec<ReadError>) -> Result<Exit, Failure> {
     let more = damages.len().saturating_sub(1);
     match damages.into_iter().next() {

@@ -1,4 +1,4 @@
-//! What differs between the reports of two runs: figures, agents, and where these were forecast worst.
+//! The differences between the reports of two runs: figures, agents, and the worst forecast of each agent.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -9,25 +9,26 @@ use serde::Serialize;
 
 use crate::differences::columns;
 
-/// Agents that are listed as text; as JSON all are.
+/// Maximum number of agents listed as text; JSON lists all.
 const LISTED_MAX: usize = 12;
-/// Errors are reported to a tenth of a millimetre.
+/// Errors are reported with a resolution of 0.1 mm.
 const SAME_M: f64 = 1e-4;
 
 /// Two reports compared.
 #[derive(Debug, Serialize)]
 pub struct ReportComparison {
-    /// What the runs were given differently: what it is, in A and in B.
+    /// Differences in the runs' inputs: the name, and the values in A and in B.
     pub runs: Vec<(&'static str, String, String)>,
-    /// Whether both played the same recording or generated scene: else no agent of one is that of the other.
+    /// Whether both runs played the same recording or generated scene. Otherwise agents of A and B do not
+    /// correspond.
     pub same_scene: bool,
-    /// All figures that one of the two has.
+    /// All figures that A or B has.
     pub figures: Vec<FigureChange>,
-    /// Agents of both whose errors differ, the greatest change of minFDE first.
+    /// Agents in both reports whose errors differ, with the greatest change of minFDE first.
     pub agents: Vec<AgentChange>,
-    /// Agents of both whose errors are the same.
+    /// Number of agents in both reports whose errors are equal.
     pub agents_alike: u64,
-    /// Agents that one of the two alone has, listed or not.
+    /// Number of agents that only A or only B has, listed or not.
     pub agents_alone: [u64; 2],
 }
 
@@ -42,7 +43,7 @@ pub struct FigureChange {
     pub a: Option<f64>,
     /// In B.
     pub b: Option<f64>,
-    /// Whether it depends on the clock, so that no two runs have the same.
+    /// Whether the figure depends on the clock, so that it differs between any two runs.
     pub of_the_clock: bool,
 }
 
@@ -97,7 +98,7 @@ impl ReportComparison {
         Self { runs: runs(a, b), same_scene, figures: figures(a, b), agents, agents_alike, agents_alone }
     }
 
-    /// Whether all is the same but what depends on the clock.
+    /// Whether everything is equal except figures that depend on the clock.
     pub fn is_equal(&self) -> bool {
         let same = |figure: &FigureChange| figure.of_the_clock || !figure.differs();
         self.same_scene
@@ -106,7 +107,7 @@ impl ReportComparison {
             && self.agents_alone == [0, 0]
     }
 
-    /// The comparison as text.
+    /// Formats the comparison as text.
     pub fn text(&self) -> String {
         let mut text = String::new();
         for (what, a, b) in &self.runs {
@@ -203,7 +204,7 @@ fn agent_row(change: &AgentChange) -> Vec<String> {
     ]
 }
 
-/// What tells the scene of a run: agents of the same one have the same identities.
+/// Returns the values that identify the scene of a run. Agents of the same scene have the same ids.
 fn scene(report: &Report) -> [String; 5] {
     let run = &report.run;
     let seed = if run.recording_sha256.is_some() { None } else { run.seed };
@@ -240,7 +241,7 @@ fn runs(a: &Report, b: &Report) -> Vec<(&'static str, String, String)> {
     pairs.filter(|((_, a), (_, b))| a != b).map(|((what, a), (_, b))| (what, a, b)).collect()
 }
 
-/// The figures of both reports, in the order of the first.
+/// Returns the figures of both reports, in the order of the first report.
 fn figures(a: &Report, b: &Report) -> Vec<FigureChange> {
     let (of_a, mut of_b) = (figures_of(a), figures_of(b));
     let mut all: Vec<FigureChange> = Vec::new();
@@ -264,7 +265,7 @@ fn figures(a: &Report, b: &Report) -> Vec<FigureChange> {
 type Figure = (String, &'static str, bool, Option<f64>);
 
 fn figures_of(report: &Report) -> Vec<Figure> {
-    // In lockstep the clock decides on nothing but times.
+    // In lockstep the clock affects only times.
     let by_clock = report.run.lockstep != Some(true);
     let count = |name: &str, value: u64| (name.to_owned(), "", by_clock, Some(value as f64));
     let forecasts = &report.forecasts;
@@ -302,7 +303,7 @@ fn figures_of(report: &Report) -> Vec<Figure> {
     all
 }
 
-/// The errors of a group.
+/// Returns the error figures of a group.
 fn errors(of: &str, draws: u32, errors: &Errors, by_clock: bool) -> [Figure; 8] {
     let percent = |share: Option<f64>| share.map(|share| 100.0 * share);
     [

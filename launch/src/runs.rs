@@ -1,4 +1,4 @@
-//! The runs of this user that are running, by their names.
+//! The current user's running pipelines, by name.
 
 use std::path::Path;
 
@@ -7,7 +7,7 @@ use recording::About;
 
 use crate::failure::Failure;
 
-/// The run of that name or with that folder; the only one if no name is given.
+/// Finds the run with this name or folder; without a name, the only run.
 pub fn find(name: Option<&Path>) -> Result<LivingRun, Failure> {
     choose(ports::living_runs().map_err(Failure::unavailable)?, name)
 }
@@ -29,7 +29,7 @@ fn choose(mut runs: Vec<LivingRun>, name: Option<&Path>) -> Result<LivingRun, Fa
     }
 }
 
-/// The runs with what they play.
+/// Lists the runs and their inputs.
 fn listed(runs: &[LivingRun]) -> String {
     let each = runs.iter().map(|run| match About::of_run(&run.root) {
         Ok(about) => format!("{} ({})", run.name, about.scene),

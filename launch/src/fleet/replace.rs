@@ -1,6 +1,6 @@
-//! A stage is replaced while the run goes on: the new process is started and warmed beside the old one, and takes
-//! its place between two ticks. One that fails before its turn changes nothing; one that fails after it is rolled
-//! back.
+//! Replaces a stage during the run. The new process is started and warmed while the old one runs, and takes
+//! over between two ticks. If the new process fails before it takes over, nothing changes. If it fails
+//! afterwards, the replacement is rolled back.
 
 use std::process::ExitStatus;
 use std::time::{Duration, Instant};
@@ -17,55 +17,55 @@ use crate::failure::Failure;
 use crate::policy::State;
 use crate::stages;
 
-/// Time that the old process has to end when it is asked to: what the clean-up after a killed one takes. Most need
-/// less than 10 ms.
+/// Time that the old process has to end, equal to the duration of the clean-up after a kill. Most processes
+/// need less than 10 ms.
 const END_LIMIT: Duration = Duration::from_millis(80);
-/// Ticks between a new process's being ready and its turn: the first frame that the old one sends after the new one
-/// has opened a topic may not reach it.
+/// Ticks between the ready report of a new process and its takeover. The new process may miss the first frame
+/// that the old one sends after the new one has opened a topic.
 const READY_TICKS: u64 = 2;
-/// Longest time between the two, where no ticks come.
+/// Maximum time between the two if no ticks arrive.
 const READY_LIMIT: Duration = Duration::from_millis(400);
-/// Interval between looks at a process that is ending.
+/// Interval between checks of an ending process.
 const LOOK: Duration = Duration::from_millis(1);
 
-/// A stage that is being replaced.
+/// A replacement in progress.
 #[derive(Debug)]
 pub struct Trial {
     stage: StageId,
     program: Program,
-    /// The new process, until it is the stage's.
+    /// The new process until it becomes the stage's process.
     child: Option<Child>,
-    /// The program before.
+    /// The previous program.
     before: Option<Program>,
     incarnation: u32,
-    /// When it was started or, after that, had its turn.
+    /// When the new process was started or, later, took over.
     started: Duration,
     start_limit: Duration,
     warm_up: Option<Duration>,
     hand_over: Option<Duration>,
     client: Client,
-    /// The new process's end of the socket, once it is warm.
+    /// The new process's connection, once it is warm.
     turn: Option<Client>,
-    /// Ticks so far, and the time, when it was.
+    /// Number of ticks and the time when the new process was ready.
     ready: (u64, Duration),
 }
 
-/// How far a replacement has come, or what came of it.
+/// The progress or outcome of a replacement.
 #[derive(Clone, Debug)]
 pub struct Replaced {
     /// The stage.
     pub stage: StageId,
     /// The new program with its arguments; empty for the built-in one.
     pub command: Vec<String>,
-    /// What came of it, as far as it is known.
+    /// The outcome, as far as it is known.
     pub outcome: ReplacementOutcome,
-    /// The incarnation that stays.
+    /// The incarnation that remains.
     pub incarnation: u32,
-    /// Why the new process is not used, to follow "it ".
+    /// Why the new process is not used, phrased to follow "it ".
     pub cause: String,
     /// Time until the new process was ready.
     pub warm_up: Option<Duration>,
-    /// Time from the request to the old process to end until the new one's turn.
+    /// Time from the request to the old process to end until the new one takes over.
     pub hand_over: Option<Duration>,
 }
 
@@ -75,12 +75,12 @@ impl Trial {
         self.stage
     }
 
-    /// The new process, until it is the stage's.
+    /// The new process until it becomes the stage's process.
     pub const fn child(&self) -> Option<&Child> {
         self.child.as_ref()
     }
 
-    /// Whether the new process has had its turn, as that stage.
+    /// Whether the new process has taken over as this stage.
     pub fn has_turn(&self, stage: StageId) -> bool {
         self.stage == stage && self.child.is_none()
     }
@@ -97,14 +97,14 @@ impl Trial {
         }
     }
 
-    /// Ends it: the client is told what the event tells.
+    /// Ends the replacement. The client gets the same outcome as the event.
     fn conclude(mut self, outcome: ReplacementOutcome, incarnation: u32, cause: String) -> Event {
         let replaced = self.outcome(outcome, incarnation, cause);
         self.client.answer(outcome, replaced.to_string());
         Event::Tried(replaced)
     }
 
-    /// The new process has ended after its turn: the program before is started again.
+    /// Rolls back after the new process ended in its turn: the previous program is started again.
     pub fn roll_back(mut self, member: &mut Member, status: ExitStatus, now: Duration) -> Event {
         let cause = match member.killed_for {
             Some(why) => why.to_owned(),
@@ -155,7 +155,7 @@ impl Drop for Trial {
 }
 
 impl Fleet {
-    /// Starts the new process of an order; refuses the order where that can't be.
+    /// Starts the new process of an order, or refuses the order.
     pub fn replace(&mut self, order: &Order, mut client: Client, is_linked: bool) {
         match self.start_trial(order, is_linked) {
             Ok(started) => {
@@ -179,7 +179,8 @@ impl Fleet {
         }
     }
 
-    /// Checks an order and starts its process: the stage, program, process, incarnation and time to be ready.
+    /// Checks an order and starts its process. Returns the stage, program, process, incarnation and time
+    /// limit for getting ready.
     fn start_trial(
         &self,
         order: &Order,
@@ -202,7 +203,7 @@ impl Fleet {
             return Err(format!("the {} does not run: there is nothing to take over from", stage.name()));
         }
         let incarnation = member.supervision.incarnation() + 1;
-        // Its spare has the same incarnation, and is the old program: `tend_spares` ends it.
+        // The stage's spare has the same incarnation and the old program. `tend_spares` ends it.
         let failed = |failure: Failure| failure.to_string();
         let program = self.program(member, order, incarnation).map_err(failed)?;
         let socket = control::path(&self.run);
@@ -212,8 +213,9 @@ impl Fleet {
         Ok((stage, program, child, incarnation, member.supervision.policy().start_limit))
     }
 
-    /// The program of an order. It has the options of the one before where both are built in or neither is, and
-    /// those of the order; a record of its own where they differ from the run's.
+    /// Returns the program of an order. If both programs are built in, or neither is, the previous options
+    /// are kept and the order's options are added. If the result differs from the run's options, the program
+    /// gets a separate record.
     fn program(&self, member: &Member, order: &Order, incarnation: u32) -> Result<Program, Failure> {
         let command = (!order.command.is_empty()).then(|| order.command.clone());
         let built_in = command.is_none();
@@ -242,7 +244,7 @@ impl Fleet {
         Ok(Program { command, topics, scheduling, record: Some(record) })
     }
 
-    /// A new process is warm; `ticks` have come so far.
+    /// Handles the ready report of a new process; `ticks` is the number of ticks so far.
     pub fn ready(&mut self, stage: StageId, incarnation: u32, client: Client, ticks: u64) {
         let now = self.begun.elapsed();
         if let Some(trial) = self.trial.as_mut().filter(|trial| trial.stage == stage)
@@ -256,7 +258,7 @@ impl Fleet {
         }
     }
 
-    /// Whether a new process can have its turn after one further tick; `ticks` have come so far.
+    /// Whether a new process can take over after one more tick; `ticks` is the number of ticks so far.
     pub fn is_warm(&self, ticks: u64) -> bool {
         let now = self.begun.elapsed();
         self.trial.as_ref().is_some_and(|trial| {
@@ -266,10 +268,10 @@ impl Fleet {
         })
     }
 
-    /// Ends the old process of the stage that is being replaced, and gives the new one its turn.
+    /// Ends the old process of the replaced stage and lets the new one take over.
     ///
     /// # Errors
-    /// [`Failure::Unavailable`] where the clean-up after a killed process can't be started.
+    /// [`Failure::Unavailable`] if the clean-up after a killed process can't be started.
     pub fn hand_over(&mut self) -> Result<Option<Event>, Failure> {
         let Some(trial) = &mut self.trial else { return Ok(None) };
         let Some(member) = self.members.iter_mut().find(|member| member.stage == trial.stage) else {
@@ -287,7 +289,8 @@ impl Fleet {
             }
             std::thread::sleep(LOOK);
         };
-        // A process that ends by itself gives its places back; after any other end somebody must clean up.
+        // A process that ends by itself releases its places on the topics. After any other end a clean-up is
+        // needed.
         if !status.success() {
             let ticket = self.cleaner.ticket();
             while !self.cleaner.is_done(ticket) {
@@ -296,7 +299,7 @@ impl Fleet {
             }
         }
         let Some(child) = trial.child.take() else { return Ok(None) };
-        // Where it is gone its end is found like any other.
+        // If the new process is gone, its end is handled like any other.
         let _ = trial.turn.as_mut().map(Client::go);
         let now = self.begun.elapsed();
         (trial.hand_over, trial.started) = (Some(begun.elapsed()), now);
@@ -309,7 +312,9 @@ impl Fleet {
         ))))
     }
 
-    /// Frames of an incarnation of a stage have come out at the end: a program that sends no heartbeats is linked.
+    /// Marks a replacement as linked once the newest forecasts have passed its incarnation. `passed` returns
+    /// the incarnation of a stage on the newest tick. External programs that send no heartbeats are found
+    /// this way.
     pub fn passed(&mut self, passed: impl Fn(StageId) -> Option<u32>) {
         if let Some(trial) = &self.trial
             && trial.child.is_none()
@@ -320,7 +325,8 @@ impl Fleet {
         }
     }
 
-    /// Looks after a new process: one that ends, or is not warm in time, is not used; one that is linked stays.
+    /// Checks a new process. It is rejected if it ends or is not warm in time, and it stays once it is
+    /// linked.
     pub(super) fn tend_trial(&mut self, stopped: Duration, now: Duration) -> Option<Event> {
         let trial = self.trial.as_mut()?;
         if stopped > super::STOPPED {
@@ -355,14 +361,14 @@ impl Fleet {
         };
         let trial = self.trial.take()?;
         let incarnation = member.supervision.incarnation();
-        // Its places on the topics that it reads.
+        // The new process held places on the topics that it reads.
         self.swept = self.cleaner.ticket();
         Some(trial.conclude(ReplacementOutcome::NotUsed, incarnation, cause))
     }
 }
 
 impl Member {
-    /// Takes a new process that is warm as its own.
+    /// Adopts a warm process as the stage's own.
     pub(super) fn take_place(&mut self, child: Child, now: Duration) {
         self.child = child;
         self.supervision.replaced(now);

@@ -1,9 +1,9 @@
-//! Warm spares: a second process of a stage that has loaded and opened all that it needs, and waits for the first
-//! one's death. It takes its place once what the dead one held is cleaned up: what a start takes is spared.
+//! Warm spares: a second process of a stage, which has loaded and opened everything and waits for the first
+//! one's death. The spare takes over once the dead process is cleaned up, so the start-up time is saved.
 //!
-//! A spare is started like a process that replaces another one (`replace`), once the stage is linked, and has the
-//! stage's next incarnation. It is no stage: nobody waits for it, and its own deaths are counted, not reported one by
-//! one. The stage's policy of restarts holds for it, too.
+//! A spare is started like a replacement process (`replace`), once the stage is linked, and has the stage's
+//! next incarnation. Nothing depends on a spare, and its deaths are counted instead of reported one by one.
+//! The stage's restart policy applies to the spare, too.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -21,12 +21,12 @@ use crate::failure::Failure;
 use crate::observe::memory_of;
 use crate::policy::{End, State, Supervision};
 
-/// Time from the start of a stage's process to that of its spare, so that the two do not share the processors while
-/// the stage catches up: five ticks.
+/// Time from the start of a stage's process to the start of its spare: five ticks. The two processes then do
+/// not compete for processors while the stage catches up.
 const SETTLED: Duration = Duration::from_millis(400);
-/// Time between two looks at a spare's memory.
+/// Interval between checks of a spare's memory.
 const LOOK: Duration = Duration::from_secs(1);
-/// Interval between looks at a process that was killed.
+/// Interval between checks of a killed process.
 const PAUSE: Duration = Duration::from_millis(1);
 
 /// The spare of a stage.
@@ -35,18 +35,18 @@ pub struct Spare {
     /// When the next process is started.
     supervision: Supervision,
     child: Option<Child>,
-    /// Its end of the socket, once it is warm.
+    /// The spare's connection, once it is warm.
     turn: Option<Client>,
     incarnation: u32,
     started: Duration,
     looked: Duration,
-    /// Number of the clean-up after its last death.
+    /// Number of the clean-up after the spare's last death.
     ticket: u64,
     report: SpareReport,
 }
 
 impl Spare {
-    /// That of a stage with this policy, not started yet.
+    /// Creates the spare of a stage with this policy, without starting it.
     pub fn new(policy: RestartPolicy, now: Duration) -> Self {
         let mut supervision = Supervision::new(policy, now);
         supervision.rolled_back(now);
@@ -62,7 +62,7 @@ impl Spare {
         }
     }
 
-    /// What it is doing, in a word.
+    /// Returns the spare's state in one word.
     pub const fn state(&self) -> &'static str {
         match (&self.child, &self.turn, self.supervision.state()) {
             (Some(_), Some(_), _) => "ready",
@@ -72,33 +72,33 @@ impl Spare {
         }
     }
 
-    /// Number of the clean-up after its last death.
+    /// Returns the number of the clean-up after the spare's last death.
     pub const fn ticket(&self) -> u64 {
         self.ticket
     }
 
-    /// Its process, while it has one.
+    /// Returns the spare's process, if it has one.
     pub const fn child(&self) -> Option<&Child> {
         self.child.as_ref()
     }
 
-    /// Whether its process is being warmed: the stage is started again sooner by it than anew.
+    /// Whether the spare is warming up. It then takes over sooner than a restarted process could.
     pub const fn is_starting(&self) -> bool {
         self.child.is_some() && self.turn.is_none()
     }
 
-    /// Its process, which is told that its turn has come; none where there is none that is warm.
+    /// Signals the spare to take over and returns its process; `None` if no spare is warm.
     pub fn take(&mut self, now: Duration) -> Option<Child> {
         let mut turn = self.turn.take()?;
         let child = self.child.take()?;
         self.supervision.rolled_back(now);
-        // Where it is gone, its end is found like any other.
+        // If the spare is gone, its end is handled like any other.
         let _ = turn.go();
         self.report.promotions += 1;
         Some(child)
     }
 
-    /// Ends its process, if it has one; whether it had.
+    /// Ends the spare's process. Returns whether there was one.
     pub fn dismiss(&mut self, now: Duration) -> bool {
         self.turn = None;
         let Some(mut child) = self.child.take() else { return false };
@@ -110,7 +110,7 @@ impl Spare {
         true
     }
 
-    /// A process has said that it is warm; whether it is this one.
+    /// Handles the report of a warm process. Returns whether it comes from this spare.
     fn ready(&mut self, incarnation: u32, client: Client, now: Duration) {
         if self.is_starting() && self.incarnation == incarnation {
             let warm_up = now.saturating_sub(self.started);
@@ -119,7 +119,8 @@ impl Spare {
         }
     }
 
-    /// Looks after its process; the reason where it is given up now, with whether it has ended.
+    /// Checks the spare's process. Returns whether it has ended and, if the spare is given up now, the
+    /// reason.
     fn tend(&mut self, stopped: Duration, now: Duration) -> (bool, Option<String>) {
         self.started += stopped;
         let Some(child) = &mut self.child else { return (false, None) };
@@ -150,20 +151,20 @@ impl Spare {
 }
 
 impl Fleet {
-    /// What the spares are doing: each with its state and how often it took the stage's place.
+    /// Returns each spare's state and the number of its takeovers.
     pub fn spares(&self) -> impl Iterator<Item = (StageId, &'static str, u32)> {
         let spares = self.members.iter().filter_map(|member| Some((member.stage, member.spare.as_ref()?)));
         spares.map(|(stage, spare)| (stage, spare.state(), spare.report.promotions))
     }
 
-    /// What became of the spares, for the report.
+    /// Returns the outcome of each spare, for the report.
     pub fn spare_reports(&self) -> BTreeMap<String, SpareReport> {
         let spares = self.members.iter().filter_map(|member| Some((member, member.spare.as_ref()?)));
         let report = |spare: &Spare| SpareReport { state: spare.state().to_owned(), ..spare.report.clone() };
         spares.map(|(member, spare)| (member.stage.name().to_owned(), report(spare))).collect()
     }
 
-    /// A spare may have said that it is warm.
+    /// Handles the report of a warm process, which may be a spare.
     pub(super) fn spare_ready(&mut self, stage: StageId, incarnation: u32, client: Client, now: Duration) {
         let member = self.members.iter_mut().find(|member| member.stage == stage);
         if let Some(spare) = member.and_then(|member| member.spare.as_mut()) {
@@ -171,7 +172,7 @@ impl Fleet {
         }
     }
 
-    /// Looks after the spares, and starts those that are due.
+    /// Checks the spares and starts those that are due.
     pub(super) fn tend_spares(
         &mut self,
         is_linked: bool,

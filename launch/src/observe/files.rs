@@ -1,4 +1,4 @@
-//! Files that are written while a run goes on, by threads of their own: a slow disk holds up no supervision.
+//! Files written during a run by separate threads, so a slow disk does not delay supervision.
 
 use std::fs::File;
 use std::io::Write;
@@ -13,14 +13,14 @@ use super::server::ask_launcher;
 use super::{Asked, Question};
 use crate::failure::Failure;
 
-/// Interval between two contents of the metrics' file.
+/// Interval between updates of the metrics file.
 const METRICS_INTERVAL: Duration = Duration::from_secs(1);
-/// Bytes of a trace that are written at once.
+/// Bytes of a trace written at a time.
 const BLOCK_BYTES: usize = 64 << 10;
-/// Blocks of a trace that wait for the disk; more are lost.
+/// Trace blocks that may wait for the disk; further blocks are lost.
 const BLOCKS_MAX: usize = 64;
 
-/// The file of metrics, which always has a whole content.
+/// The metrics file, whose content is always complete.
 #[derive(Debug)]
 pub struct MetricsFile {
     path: PathBuf,
@@ -30,10 +30,10 @@ pub struct MetricsFile {
 }
 
 impl MetricsFile {
-    /// Begins to write the file once a second.
+    /// Starts writing the file once a second.
     ///
     /// # Errors
-    /// [`Failure::Data`] where it can't be written.
+    /// [`Failure::Data`] if it can't be written.
     pub fn begin(path: &Path, ask: SyncSender<Asked>) -> Result<Self, Failure> {
         write_whole(path, "")?;
         let (end, ended) = channel();
@@ -42,7 +42,7 @@ impl MetricsFile {
             let mut is_told = false;
             while ended.recv_timeout(METRICS_INTERVAL) == Err(RecvTimeoutError::Timeout) {
                 let Some(text) = ask_launcher(Question::Metrics, &ask) else { continue };
-                // The run does not depend on it; the disk may have room again later.
+                // The run does not depend on this file, and the disk may have space again later.
                 if let Err(failure) = write_whole(&own, &text)
                     && !std::mem::replace(&mut is_told, true)
                 {
@@ -58,7 +58,7 @@ impl MetricsFile {
     /// Writes the last content.
     ///
     /// # Errors
-    /// [`Failure::Data`] where it can't be written.
+    /// [`Failure::Data`] if it can't be written.
     pub fn finish(self, text: &str) -> Result<(), Failure> {
         drop(self.end);
         let _ = self.thread.join();
@@ -75,7 +75,7 @@ fn write_whole(path: &Path, text: &str) -> Result<(), Failure> {
     write().map_err(|error| Failure::file(path, error))
 }
 
-/// The file of a trace, which is readable up to where it ends.
+/// The trace file. It is readable up to its current end.
 #[derive(Debug)]
 pub struct TraceFile {
     path: PathBuf,
@@ -86,15 +86,15 @@ pub struct TraceFile {
 }
 
 impl TraceFile {
-    /// Begins the file.
+    /// Creates the file.
     ///
     /// # Errors
-    /// [`Failure::Data`] where it can't be made.
+    /// [`Failure::Data`] if it can't be created.
     pub fn begin(path: &Path) -> Result<Self, Failure> {
         let mut file = File::create(path).map_err(|error| Failure::file(path, error))?;
         let (blocks, received) = sync_channel::<Vec<u8>>(BLOCKS_MAX);
         let follow = move || {
-            // After an error the channel is closed, and the rest is lost.
+            // After an error the channel is closed and the remaining blocks are lost.
             received.into_iter().try_for_each(|block| file.write_all(&block))
         };
         let thread = std::thread::Builder::new().name("trace file".to_owned()).spawn(follow);
@@ -102,7 +102,7 @@ impl TraceFile {
         Ok(Self { path: path.to_owned(), block: Vec::new(), blocks, lost_bytes: 0, thread })
     }
 
-    /// Takes whole packets.
+    /// Appends whole packets.
     pub fn write(&mut self, packets: Vec<u8>) {
         if self.block.is_empty() {
             self.block = packets;
@@ -122,13 +122,13 @@ impl TraceFile {
         }
     }
 
-    /// Writes the rest.
+    /// Writes the remaining packets.
     ///
     /// # Errors
-    /// [`Failure::Data`] where the file could not be written, or not as fast as the trace came.
+    /// [`Failure::Data`] if the file could not be written, or the disk was slower than the trace.
     pub fn finish(mut self) -> Result<(), Failure> {
         let rest = std::mem::take(&mut self.block);
-        // The run is over: it may take its time.
+        // The run is over, so waiting is fine.
         let _ = self.blocks.send(rest);
         drop(self.blocks);
         let written = self.thread.join().unwrap_or_else(|_| Err(std::io::ErrorKind::Other.into()));

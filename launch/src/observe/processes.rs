@@ -1,4 +1,4 @@
-//! CPU time and memory of the stages' processes, as the kernel tells them.
+//! CPU time and memory of the stages' processes, as the kernel reports them.
 
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
@@ -8,23 +8,23 @@ use wire::StageId;
 
 use crate::health::look;
 
-/// Between two looks lies at least this much time: a shorter one says nothing of the CPU's use.
+/// Minimum time between two measurements. A shorter interval does not give a useful CPU share.
 const LOOK_LEAST: Duration = Duration::from_millis(400);
 
-/// What a process uses.
+/// The resources that a process uses.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Used {
     /// CPU time since its start.
     pub cpu_s: f64,
-    /// CPU time per time since the look before.
+    /// CPU time per time since the previous measurement.
     pub cpu: Option<f64>,
-    /// Memory of its own in RAM.
+    /// Private memory in RAM.
     pub memory_bytes: u64,
-    /// Memory in RAM that has a file or is shared.
+    /// Memory in RAM that is shared or backed by a file.
     pub shared_bytes: u64,
 }
 
-/// Looks at processes, and compares each look with the one before.
+/// Measures processes, and compares each measurement with the previous one.
 #[derive(Debug, Default)]
 pub struct Usage {
     looks: BTreeMap<StageId, Look>,
@@ -35,12 +35,12 @@ struct Look {
     pid: Pid,
     at: Instant,
     cpu: Duration,
-    /// CPU per time between the look before and this one.
+    /// CPU time per time between the previous measurement and this one.
     share: Option<f64>,
 }
 
 impl Usage {
-    /// What a stage's process uses; none where it is gone.
+    /// Measures a stage's process; `None` if it is gone.
     pub fn look(&mut self, stage: StageId, pid: Pid) -> Option<Used> {
         let cpu = look(pid)?.cpu;
         let [memory_bytes, shared_bytes] = memory(pid)?;
@@ -60,13 +60,13 @@ impl Usage {
     }
 }
 
-/// A process' own and shared memory in RAM, in bytes.
+/// Returns a process's private and shared memory in RAM, in bytes.
 pub fn memory(pid: Pid) -> Option<[u64; 2]> {
     let pages = std::fs::read_to_string(format!("/proc/{}/statm", pid.as_raw_nonzero())).ok()?;
     parse(&pages, rustix::param::page_size() as u64)
 }
 
-/// Reads /proc/PID/statm: pages of size, in RAM, of those shared or of files.
+/// Parses /proc/PID/statm: pages in total, in RAM, and in RAM shared or file-backed.
 fn parse(text: &str, page_bytes: u64) -> Option<[u64; 2]> {
     let mut pages = text.split(' ').skip(1).map_while(|field| field.trim().parse::<u64>().ok());
     let (resident, shared) = (pages.next()?, pages.next()?);

@@ -1,7 +1,7 @@
 //! Answers over HTTP/1.1: `/metrics` as text and `/status` as JSON, on an address or a Unix socket.
 //!
-//! A thread accepts, one more per connection asks the launcher and answers. Connections, their time and the size
-//! of a request are limited, so that no client takes more than it should.
+//! One thread accepts connections. One more thread per connection asks the launcher and answers. The number
+//! of connections, their duration and the request size are limited, so a client can't use too many resources.
 
 use std::io::{self, Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream};
@@ -18,18 +18,18 @@ use recorder::exposition::CONTENT_TYPE;
 use super::{Asked, Question};
 use crate::failure::Failure;
 
-/// Most connections at a time; more are refused.
+/// Maximum number of open connections; further ones are refused.
 const CONNECTIONS_MAX: usize = 8;
-/// Time that a client has to ask and to take the answer.
+/// Time limit for a client to ask and to read the answer.
 const CLIENT_LIMIT: Duration = Duration::from_secs(2);
-/// Time that the launcher has to answer.
+/// Time limit for the launcher to answer.
 const ANSWER_LIMIT: Duration = Duration::from_secs(1);
-/// Longest request.
+/// Maximum size of a request.
 const REQUEST_BYTES_MAX: usize = 8 << 10;
-/// Pause after a connection that could not be accepted, such as for want of descriptors.
+/// Pause after a failed accept, for instance if descriptors run out.
 const PAUSE: Duration = Duration::from_millis(200);
 
-/// A connection whose reads and writes can be limited.
+/// A connection with time limits on reads and writes.
 trait Connection: Read + Write + Send + 'static {
     fn limit(&self, time: Duration) -> io::Result<()>;
 }
@@ -55,7 +55,7 @@ const JSON: &str = "application/json";
 /// Answers on an address until the process ends.
 ///
 /// # Errors
-/// [`Failure::Unavailable`] where the address is taken or not of this machine.
+/// [`Failure::Unavailable`] if the address is taken or does not belong to this machine.
 pub fn listen_tcp(address: SocketAddr, ask: SyncSender<Asked>) -> Result<(), Failure> {
     let failed = |error| Failure::unavailable_about(format!("metrics on {address}"), error);
     let listener = TcpListener::bind(address).map_err(failed)?;
@@ -65,7 +65,7 @@ pub fn listen_tcp(address: SocketAddr, ask: SyncSender<Asked>) -> Result<(), Fai
 /// Answers on a Unix socket until the process ends.
 ///
 /// # Errors
-/// [`Failure::Unavailable`] where the socket can't be made.
+/// [`Failure::Unavailable`] if the socket can't be created.
 pub fn listen_unix(path: &Path, ask: SyncSender<Asked>) -> Result<(), Failure> {
     let failed = |error| Failure::unavailable_about(path.display(), error);
     let listener = UnixListener::bind(path).map_err(failed)?;
@@ -87,10 +87,10 @@ fn accept<C: Connection>(
             };
             let slot = Slot::take(&connections);
             let ask = ask.clone();
-            // Where there is no thread, or no slot, the connection is closed without an answer.
+            // Without a thread or slot, the connection is closed without an answer.
             if let Some(slot) = slot {
                 let _ = thread::Builder::new().name("answer".to_owned()).spawn(move || {
-                    // A client that went away is no failure of ours.
+                    // A client that disconnected is not an error.
                     let _ = answer(connection, &ask);
                     drop(slot);
                 });
@@ -100,13 +100,13 @@ fn accept<C: Connection>(
     thread::Builder::new().name(name.to_owned()).spawn(follow).map(drop)
 }
 
-/// One of the connections that may be open.
+/// One of the allowed open connections.
 struct Slot(Arc<AtomicUsize>);
 
 impl Slot {
     fn take(taken: &Arc<AtomicUsize>) -> Option<Self> {
         let slot = Self(taken.clone());
-        // Dropping the slot gives it back, also where it was one too many.
+        // Dropping the slot releases it, even if it exceeded the limit.
         (slot.0.fetch_add(1, Ordering::AcqRel) < CONNECTIONS_MAX).then_some(slot)
     }
 }
@@ -136,7 +136,7 @@ fn answer(mut connection: impl Connection, ask: &SyncSender<Asked>) -> io::Resul
     connection.flush()
 }
 
-/// Reads a request's head, of which the first line counts; none where it is too long or ends early.
+/// Reads a request's head and returns its first line; `None` if the head is too long or ends early.
 fn request(connection: &mut impl Connection, begun: Instant) -> io::Result<Option<String>> {
     let mut bytes = Vec::new();
     let mut block = [0; 1024];
@@ -155,7 +155,7 @@ fn request(connection: &mut impl Connection, begun: Instant) -> io::Result<Optio
     Ok(std::str::from_utf8(&bytes).ok().and_then(|text| text.lines().next()).map(str::to_owned))
 }
 
-/// The answer to a request's first line.
+/// Returns the answer to a request's first line.
 fn route(line: &str, ask: &SyncSender<Asked>) -> Answer {
     let mut words = line.split(' ');
     let (method, target) = (words.next().unwrap_or_default(), words.next().unwrap_or_default());
@@ -175,7 +175,7 @@ fn route(line: &str, ask: &SyncSender<Asked>) -> Answer {
     }
 }
 
-/// Asks the launcher; none where it is too busy.
+/// Asks the launcher; `None` if it is too busy.
 pub fn ask_launcher(question: Question, ask: &SyncSender<Asked>) -> Option<String> {
     let (reply, answered) = sync_channel(1);
     ask.try_send((question, reply)).ok()?;
@@ -188,7 +188,7 @@ mod tests {
 
     use super::*;
 
-    /// A launcher that answers every question with its name.
+    /// A launcher that answers each question with its name.
     fn launcher(questions: Receiver<Asked>) {
         thread::spawn(move || {
             for (question, reply) in questions {
