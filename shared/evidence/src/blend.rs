@@ -1,33 +1,36 @@
-//! What part of each expert's difference from constant velocity the best forecast has, at one step of the horizon.
+//! The blend of experts at one step of the horizon: the weight of each expert's difference from constant
+//! velocity.
 
 use wire::AgentType;
 
 use crate::width::single;
 use crate::{EXPERTS, Statistics};
 
-/// An expert is the forecast alone where its mean distance from the truth is below this share of the regression's.
+/// A single expert is the forecast if its mean distance from the truth is below this share of the
+/// regression's.
 const BETTER: f64 = 0.98;
-/// No forecast adds more to a sum of products: of what an expert may say of one agent there is no end.
+/// Maximum that one forecast adds to a sum of products: an expert's error for one agent has no limit.
 const PRODUCT_MAX: f32 = 1000.0;
 
-/// How much it takes to forecast agents of a type as nobody forecast them on other roads.
+/// Evidence required before agents of a type are forecast differently from other roads.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Caution {
-    /// Forecasts that the prior counts for.
+    /// Weight of the prior, in forecasts.
     prior_len: f64,
-    /// Forecasts after which an expert may be the forecast alone, older ones counting less.
+    /// Discounted number of forecasts after which a single expert may be the forecast.
     expert_min: f64,
-    /// Those after which constant velocity may.
+    /// Discounted number of forecasts after which constant velocity alone may be the forecast.
     steady_min: f64,
-    /// It then is where its mean distance from the truth is below this share of the regression's.
+    /// Constant velocity is the forecast if its mean distance from the truth is below this share of the
+    /// regression's.
     steady: f64,
 }
 
 impl Caution {
-    /// Many are about, and tell of each other.
+    /// Many agents are present, and their behaviour is informative about each other.
     const LITTLE: Self = Self { prior_len: 20.0, expert_min: 30.0, steady_min: 30.0, steady: BETTER };
-    /// One or two are about, and what they did tells little of the next: the regression must prove better than constant
-    /// velocity, and no expert is the forecast alone.
+    /// One or two agents are present, and their behaviour says little about the next. The regression must
+    /// prove better than constant velocity, and a single expert is never the forecast.
     const MUCH: Self = Self { prior_len: 100.0, expert_min: f64::INFINITY, steady_min: 10.0, steady: 1.02 };
 
     pub(crate) const fn of(agent_type: AgentType) -> Self {
@@ -38,44 +41,44 @@ impl Caution {
     }
 }
 
-/// A matured forecast: positions less constant velocity's, m.
+/// A matured forecast: positions relative to constant velocity's, m.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Outcome<'a> {
-    /// Of each expert.
+    /// Positions of the experts.
     pub(crate) experts_m: &'a [[f32; 2]; EXPERTS],
-    /// Of the [regression](Blend::regression) as it was then.
+    /// Position of the [regression](Blend::regression) at that time.
     pub(crate) regression_m: [f32; 2],
-    /// Of the agent.
+    /// Position of the agent.
     pub(crate) truth_m: [f32; 2],
-    /// How far agents alike deviate.
+    /// Typical deviation of similar agents.
     pub(crate) typical_m: f32,
-    /// No position is known better.
+    /// Accuracy of the best-known positions.
     pub(crate) deviation_m: f32,
 }
 
-/// What is known of the experts, and the weights that follow.
+/// The statistics of the experts, and the weights that follow from them.
 #[derive(Clone, Debug)]
 pub(crate) struct Blend {
     caution: Caution,
-    /// What the experts are worth on roads that the network does not know, and their weights there.
+    /// Statistics of the experts on roads that the network does not know, and their weights there.
     strange: Statistics,
     strange_weights: [f32; EXPERTS],
-    /// Each forecast by the distance by which the regression missed: the least sum of their squares is then the least
-    /// sum of the distances.
+    /// Each forecast is weighted by the inverse of the regression's error. The minimum of the sum of squares
+    /// is then the minimum of the sum of distances.
     matured: Statistics,
-    /// No forecast by more than another: what other roads may expect.
+    /// All forecasts have equal weight: a prior for other roads.
     shown: Statistics,
-    /// Sums of the distances of the truths from the regression, from constant velocity and from each expert, m.
+    /// Sums of the distances from the truth of the regression, of constant velocity and of each expert, m.
     distances_m: [f64; EXPERTS + 2],
     regression: [f32; EXPERTS],
     weights: [f32; EXPERTS],
 }
 
 impl Blend {
-    /// Numbers that are learned.
+    /// Count of the learned numbers.
     pub(crate) const NUMBERS_LEN: usize = EXPERTS * EXPERTS + EXPERTS + 1 + (EXPERTS + 2) + 2 * EXPERTS;
 
-    /// Before any forecast, where the network knows the road with probability `known`.
+    /// State before any forecast. The network knows the road with probability `known`.
     pub(crate) fn new(caution: Caution, prior: &Statistics, known: f64) -> Self {
         let mut blend = Self {
             caution,
@@ -91,7 +94,7 @@ impl Blend {
         blend
     }
 
-    /// Adds a forecast. Its weights change with the next [`Blend::solve`].
+    /// Adds a forecast. The weights change at the next [`Blend::solve`].
     pub(crate) fn add(&mut self, outcome: &Outcome<'_>, weight: f32) {
         let Outcome { experts_m, regression_m, truth_m, typical_m, deviation_m } = *outcome;
         let square = |[x, y]: [f32; 2]| x * x + y * y;
@@ -108,14 +111,14 @@ impl Blend {
         }
     }
 
-    /// Lets older forecasts count less.
+    /// Discounts older forecasts.
     pub(crate) fn discount(&mut self, kept: f64) {
         self.matured.discount(kept);
         self.shown.discount(kept);
         self.distances_m.iter_mut().for_each(|sum| *sum *= kept);
     }
 
-    /// Finds the weights where the network knows the road with probability `known`.
+    /// Computes the weights. The network knows the road with probability `known`.
     pub(crate) fn solve(&mut self, known: f64) {
         let prior_len = self.caution.prior_len;
         let mut with_prior = self.matured;
@@ -125,7 +128,7 @@ impl Blend {
         self.weights = self.alone().unwrap_or(self.regression);
     }
 
-    /// The weights where one alone is the forecast.
+    /// The weights if a single expert or constant velocity is the forecast.
     fn alone(&self) -> Option<[f32; EXPERTS]> {
         let Caution { expert_min, steady_min, steady, .. } = self.caution;
         let [by_regression_m, steady_m, ref experts_m @ ..] = self.distances_m;
@@ -139,27 +142,27 @@ impl Blend {
         (best_m < by_regression_m).then_some(weights)
     }
 
-    /// The experts' weights: none negative, at most 1 in sum; constant velocity has the rest.
+    /// The experts' weights, nonnegative and at most 1 in sum. Constant velocity has the rest.
     pub(crate) const fn weights(&self) -> &[f32; EXPERTS] {
         &self.weights
     }
 
-    /// The weights that they have by the prior alone.
+    /// The weights by the prior alone.
     pub(crate) const fn strange_weights(&self) -> &[f32; EXPERTS] {
         &self.strange_weights
     }
 
-    /// The weights that they would have if none could be the forecast alone.
+    /// The weights before the choice of a single expert.
     pub(crate) const fn regression(&self) -> &[f32; EXPERTS] {
         &self.regression
     }
 
-    /// Forecasts that have matured, older ones counting less.
+    /// Discounted number of matured forecasts.
     pub(crate) const fn matured_len(&self) -> f64 {
         self.matured.len
     }
 
-    /// What the matured forecasts show, per forecast; nothing where they are fewer than `len_min`.
+    /// The statistics of the matured forecasts, per forecast; empty if there are fewer than `len_min`.
     pub(crate) fn as_prior(&self, len_min: f64) -> Statistics {
         let mut mean = Statistics::default();
         if self.shown.len >= len_min {
@@ -168,18 +171,18 @@ impl Blend {
         mean
     }
 
-    /// Gives `each` all numbers that were learned, to read or to change, but for those that only others may expect.
+    /// Calls `each` with all learned numbers, to read or to change them. The statistics for other roads are
+    /// left out.
     pub(crate) fn numbers(&mut self, each: &mut impl FnMut(&mut f64)) {
         let Statistics { products, targets, len } = &mut self.matured;
         let sums = products.as_flattened_mut().iter_mut().chain(targets).chain([len]);
         sums.chain(&mut self.distances_m).for_each(&mut *each);
-        // They are those of the last forecast that matured: what fades meanwhile changes them only with the next.
+        // The weights are those after the last matured forecast: later fading takes effect at the next one.
         self.regression.iter_mut().chain(&mut self.weights).for_each(|weight| single(weight, each));
     }
 }
 
-/// As many forecasts as a prior's in which the network differed as much from constant velocity, and was
-/// right.
+/// A prior's number of forecasts, in which the network differed as much from constant velocity and was right.
 fn right_network(prior: &Statistics) -> Statistics {
     let mut right = Statistics { len: prior.len, ..Statistics::default() };
     right.products[0][0] = prior.products[0][0];
@@ -191,8 +194,8 @@ fn right_network(prior: &Statistics) -> Statistics {
 mod tests {
     use super::*;
 
-    /// A blend of vehicles after forecasts of the network alone: how far it said, and how far the agent went, along a
-    /// line.
+    /// A blend of vehicles after forecasts of the network alone. Each pair is the predicted and the actual
+    /// distance along a line.
     fn after(forecasts: impl IntoIterator<Item = (f32, f32)>) -> Blend {
         after_those_of(AgentType::Vehicle, forecasts)
     }
@@ -217,14 +220,15 @@ mod tests {
 
     #[test]
     fn the_least_mean_distance_rules_and_not_the_least_mean_square() {
-        // Of five forecasts, the network is right thrice; twice the agent keeps its velocity. Least squares say 0.6.
+        // In three of five forecasts the network is right; in the other two the agent keeps its velocity.
+        // Least squares give 0.6.
         let blend = after((0..100).map(|n| (2.0, if n % 5 < 3 { 2.0 } else { 0.0 })));
         assert!(blend.regression[0] > 0.85, "{:?}", blend.regression);
     }
 
     #[test]
     fn an_expert_that_is_better_than_the_regression_is_the_forecast() {
-        // Agents that stand hold the regression back until the others begin.
+        // Standing agents hold the regression back until the others start.
         let standing = std::iter::repeat_n((0.1, 0.0), 300);
         let blend = after(standing.chain(std::iter::repeat_n((5.0, 5.0), 30)));
         assert!(blend.regression[0] < 1.0, "{:?}", blend.regression);
@@ -242,7 +246,7 @@ mod tests {
 
     #[test]
     fn of_cyclists_the_regression_must_prove_better_than_constant_velocity() {
-        // The network is right to say that they move, but says a hundredth of how far.
+        // The network is right that they move, but predicts a hundredth of the distance.
         let of_little_use = || std::iter::repeat_n((1.0, 100.0), 100);
         let [vehicles, cyclists] =
             [AgentType::Vehicle, AgentType::Cyclist].map(|of| after_those_of(of, of_little_use()));

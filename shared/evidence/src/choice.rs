@@ -1,27 +1,28 @@
-//! Which modes of the network and of the fan are published together.
+//! Mode selection: the modes of the network and of the fan that are published together.
 
 use wire::MODES_MAX;
 
 use crate::KNOTS;
 
-/// Modes of both sets together.
+/// Number of modes of both sets together.
 pub(crate) const BOTH_MAX: usize = 2 * MODES_MAX;
 
-/// As many modes as one set has, which stand for those of the network and of the [`Fan`](crate::Fan).
+/// The selected modes: as many as one set has, from the network's modes and the [`Fan`](crate::Fan)'s.
 ///
-/// Of all the one that is missed least is left out, then the next, until half of them are left. A mode is missed by
-/// its probability times the distance of the nearest other one, which takes over its probability: what is lost so is
-/// the mean distance of a mode from the nearest that stays (k-medoids, by the greedy way down).
+/// While more than half of the modes remain, drop the mode with the smallest p · d. Here p is its probability
+/// and d the distance of its nearest neighbour, which inherits p. This is a greedy descent for k-medoids: it
+/// minimises the mean distance of a mode to the nearest selected mode.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Choice {
     modes_len: usize,
-    /// A bit for each mode that stays: those of the network first.
+    /// A bit for each selected mode, the network's first.
     stays: u64,
     probability: [f32; BOTH_MAX],
 }
 
 impl Choice {
-    /// Chooses half of the modes, those of the network first, by their positions at the knots and their probabilities.
+    /// Selects half of the modes, by their positions at the knots and their probabilities. The network's
+    /// modes come first.
     pub(crate) fn new(modes_m: &[[[f32; 2]; KNOTS]], mut probability: [f32; BOTH_MAX]) -> Self {
         let (both, modes_len) = (modes_m.len(), modes_m.len() / 2);
         let mut distances_m = distances(modes_m);
@@ -49,22 +50,24 @@ impl Choice {
         Self { modes_len, stays, probability }
     }
 
-    /// The probability of a mode of the network, with those that it stands for; none if it does not stay.
+    /// The probability of a mode of the network, including the modes that it represents; `None` if it was
+    /// dropped.
     #[must_use]
     pub fn of_network(&self, mode: usize) -> Option<f32> {
         (self.stays & (1 << mode) != 0).then(|| self.probability[mode])
     }
 
-    /// As [`Choice::of_network`] of a mode of the fan.
+    /// As [`Choice::of_network`], for a mode of the fan.
     #[must_use]
     pub fn of_fan(&self, mode: usize) -> Option<f32> {
         self.of_network(self.modes_len + mode)
     }
 }
 
-/// Sums over the knots of the distances of each two modes; infinite from a mode to itself and where there is none.
+/// For each pair of modes, the sum of their distances over the knots. Infinite between a mode and itself, and
+/// for unused places.
 fn distances(modes_m: &[[[f32; 2]; KNOTS]]) -> [[f32; BOTH_MAX]; BOTH_MAX] {
-    // By axis, so that it vectorises.
+    // Stored by axis, so that the loop vectorises.
     let mut at = [[[0.0; BOTH_MAX]; 2]; KNOTS];
     for (mode, knots) in modes_m.iter().enumerate() {
         for (at, [x, y]) in at.iter_mut().zip(knots) {
@@ -90,7 +93,7 @@ fn distances(modes_m: &[[[f32; 2]; KNOTS]]) -> [[f32; BOTH_MAX]; BOTH_MAX] {
 mod tests {
     use super::*;
 
-    /// Modes that lie so far along a line.
+    /// Selects from modes at these places along a line.
     fn choose(network: &[(f32, f32)], fan: &[(f32, f32)]) -> Choice {
         let both = network.iter().chain(fan);
         let modes_m: Vec<_> = both.clone().map(|(x_m, _)| [[*x_m, 0.0]; KNOTS]).collect();
@@ -104,7 +107,7 @@ mod tests {
         let choice = choose(&[(0.0, 0.375), (10.0, 0.125)], &[(0.1, 0.25), (-8.0, 0.25)]);
         let of_network: Vec<_> = (0..2).map(|mode| choice.of_network(mode)).collect();
         let of_fan: Vec<_> = (0..2).map(|mode| choice.of_fan(mode)).collect();
-        // The second to go is the one at 10 m: 0.125 times 10 m is less than 0.25 times 8 m.
+        // The second mode to be dropped is at 10 m: 0.125 · 10 m is less than 0.25 · 8 m.
         assert_eq!((of_network, of_fan), (vec![Some(0.75), None], vec![None, Some(0.25)]));
     }
 

@@ -1,12 +1,13 @@
 use wire::AgentType;
 
-/// Speeds at which evidence is kept, by type; in between it is shared. Of pedestrians some stand, most walk and few run.
+/// Speeds at which evidence is kept, by type, with interpolation between them. Some pedestrians stand, most
+/// walk and few run.
 pub const SPEEDS_MPS: [[f32; BANDS]; 3] =
     [[0.5, 2.5, 6.0, 11.0, 18.0, 28.0], [0.5, 2.5, 6.0, 11.0, 18.0, 28.0], [0.15, 0.8, 1.4, 2.2, 4.0, 8.0]];
-/// Number of speeds of a type.
+/// Number of speeds per type.
 pub const BANDS: usize = 6;
 
-/// Where a speed lies among [`SPEEDS_MPS`]: the band below, and the share of the next one.
+/// Position of a speed in [`SPEEDS_MPS`]: the band below, and the share of the next one.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Context {
     /// Type of the agent.
@@ -17,7 +18,7 @@ pub struct Context {
     pub share: f32,
 }
 
-/// Gives each speed of which nothing is known what is known at the nearest one; where nothing is, all stay.
+/// Copies the value of the nearest known speed to each unknown one. If none is known, nothing changes.
 pub fn fill_unknown<T: Copy>(bands: &mut [T; BANDS], known: &[bool; BANDS]) {
     for band in 0..BANDS {
         let nearest = (0..BANDS).filter(|&other| known[other]).min_by_key(|other| other.abs_diff(band));
@@ -41,13 +42,13 @@ impl Context {
         [(self.below, 1.0 - self.share), (self.below + 1, self.share)]
     }
 
-    /// The band of the nearest speed.
+    /// The band with the nearest speed.
     #[must_use]
     pub const fn nearest(&self) -> usize {
         if self.share < 0.5 { self.below } else { self.below + 1 }
     }
 
-    /// A quantity that is known at the bands.
+    /// Interpolates a quantity that is known at the bands.
     pub(crate) fn between<const N: usize>(&self, at: impl Fn(usize) -> [f32; N]) -> [f32; N] {
         let [below, above] = [at(self.below), at(self.below + 1)];
         std::array::from_fn(|i| below[i] + self.share * (above[i] - below[i]))
@@ -66,7 +67,7 @@ mod tests {
         assert_eq!((at(8.5).below, at(8.5).share), (2, 0.5));
         assert_eq!((at(60.0).below, at(60.0).share), (BANDS - 2, 1.0));
         assert_eq!(at(8.5).between(|band| [band as f32]), [2.5]);
-        // One who stands has nothing in common with one who walks.
+        // A standing agent shares no evidence with a walking one.
         let [standing, walking] = [0.0, 1.4].map(|speed_mps| Context::new(AgentType::Pedestrian, speed_mps));
         assert_eq!([standing, walking].map(|of| (of.below, of.share)), [(0, 0.0), (2, 0.0)]);
     }

@@ -1,14 +1,15 @@
-//! Matured forecasts whose level is not computed yet: a bounded sample in which all agents have the same chance.
+//! Matured forecasts whose level is not computed yet: a bounded sample in which all agents have equal
+//! probability.
 
 use wire::{AGENTS_MAX, MODES_MAX};
 
 use crate::{Context, Matured};
 
-/// Most levels that wait.
+/// Maximum number of waiting levels.
 const WAITING_MAX: usize = 4 * AGENTS_MAX;
-/// Levels that are computed in a second of the recording, 32 in a tick of 80 ms.
+/// Levels computed per second of the recording: 32 per tick of 80 ms.
 const LEVELS_PER_S: f64 = 400.0;
-/// Most levels that are computed at a time, whatever time has passed.
+/// Maximum number of levels computed at a time, however much time has passed.
 const LEVELS_MAX: usize = 256;
 
 /// A matured forecast at a knot.
@@ -16,7 +17,7 @@ const LEVELS_MAX: usize = 256;
 pub(crate) struct Due {
     pub(crate) context: Context,
     pub(crate) knot: usize,
-    /// Factor by which it was widened, without the correction.
+    /// Factor by which the forecast was widened, without the correction.
     pub(crate) factor: f32,
     pub(crate) modes_len: usize,
     pub(crate) probability: [f32; MODES_MAX],
@@ -25,11 +26,11 @@ pub(crate) struct Due {
     pub(crate) truth_m: [f32; 2],
 }
 
-/// Those that wait.
+/// The waiting forecasts.
 #[derive(Clone, Debug)]
 pub(crate) struct Waiting {
     due: Vec<Due>,
-    /// Forecasts that matured since there was room for all.
+    /// Number of forecasts matured since the sample became full.
     crowd_len: u64,
     /// State of a linear congruential generator.
     random: u64,
@@ -52,7 +53,7 @@ impl Waiting {
         Self { due: Vec::with_capacity(WAITING_MAX), crowd_len: 0, random: 1 }
     }
 
-    /// Adds one. Where too many wait, each of those that came since has the same chance to stay
+    /// Adds a forecast. If the sample is full, each forecast since then is kept with equal probability
     /// ([reservoir sampling](https://doi.org/10.1145/3147.3165)).
     pub(crate) fn push(&mut self, due: Due) {
         if self.due.len() < WAITING_MAX {
@@ -67,8 +68,8 @@ impl Waiting {
         }
     }
 
-    /// Takes as many as there is time for, at random: in order, those that come early in a frame would wait longest, and
-    /// be replaced most.
+    /// Takes forecasts at random, as many as the elapsed time allows. In order, the early ones of a frame
+    /// would wait longest and be replaced most often.
     pub(crate) fn take(&mut self, passed_s: f64) -> impl Iterator<Item = Due> + '_ {
         let len = ((LEVELS_PER_S * passed_s).ceil() as usize).min(LEVELS_MAX);
         (0..len.min(self.due.len())).map(|_| {
@@ -111,7 +112,7 @@ mod tests {
     #[test]
     fn of_a_crowd_late_ones_have_the_chance_of_early_ones() {
         let (mut waiting, mut computed) = (Waiting::new(), [0_u32; 8]);
-        // A frame of twice as many as are computed in its time, and one of eight times as many.
+        // A frame with twice the forecasts that its time allows, and one with eight times as many.
         for frame in 0..2000 {
             let len = if frame % 2 == 0 { 64 } else { 256 };
             (0..len).for_each(|number| waiting.push(due((8 * number / len) as f32)));

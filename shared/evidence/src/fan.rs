@@ -1,12 +1,12 @@
-//! Modes of their own: a middle with typical residuals of agents alike.
+//! Modes from evidence: a centre path with typical residuals of similar agents.
 
 use wire::{HORIZON_MAX, MODES_MAX};
 
 use crate::KNOTS;
 
-/// Residuals that learning begins with where no source tells any, at any step in units of their deviations, along and
-/// across the course, and how probable each is: the least that 20 points miss of the residuals of many roads, the same to
-/// the left and to the right.
+/// Initial residuals and their probabilities, for sources that provide none. The residuals hold for any step,
+/// in units of their deviations, along and across the course. The 20 points minimise the distance to the
+/// residuals of many roads, and are symmetric between left and right.
 pub const FAN: [([f32; 2], f32); MODES_MAX] = [
     ([-0.38, 0.0], 0.165),
     ([0.14, 0.0], 0.16),
@@ -30,23 +30,23 @@ pub const FAN: [([f32; 2], f32); MODES_MAX] = [
     ([-4.0, 0.0], 0.004),
 ];
 
-/// How far from constant velocity to the blend a fan may lie: where agents do the one or the other rather than what lies
-/// between, residuals about halfway are the narrowest.
+/// Candidate positions of a fan between constant velocity (0) and the blend (1). If agents do one or the
+/// other and nothing in between, the residuals about the halfway point are the narrowest.
 pub(crate) const MIDDLES: [f32; 3] = [0.0, 0.5, 1.0];
 
-/// The middle of a fan, m, as far as `reach` from constant velocity, at 0, to the blend, at 1.
+/// The centre of a fan at share `reach` of the way from constant velocity (0) to the blend (1), m.
 pub(crate) fn centre_m(reach: f32, velocity_m: [f32; 2], blend_m: [f32; 2]) -> [f32; 2] {
     [0, 1].map(|axis| velocity_m[axis] + reach * (blend_m[axis] - velocity_m[axis]))
 }
 
-/// Matured forecasts that the first place of a point counts for.
+/// Weight of a point's initial position, in matured forecasts.
 const ASSUMED: f32 = 40.0;
-/// Matured forecasts that the first probabilities count for.
+/// Weight of the initial probabilities, in matured forecasts.
 const PROBABILITY_LEN: f32 = 20.0;
 
-/// Typical residuals of agents alike in units of their deviations, along and across the course, at the knots, and
-/// how probable each is. Every residual draws the nearest of them a little nearer (competitive learning,
-/// [MacQueen's k-means](https://projecteuclid.org/euclid.bsmsp/1200512992)).
+/// Typical residuals of similar agents at the knots, in units of their deviations, along and across the
+/// course, with the probability of each. Every residual moves its nearest point a little closer (competitive
+/// learning, [MacQueen's k-means](https://projecteuclid.org/euclid.bsmsp/1200512992)).
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Pattern {
@@ -56,17 +56,17 @@ pub struct Pattern {
     pub probability: [f32; MODES_MAX],
 }
 
-/// A [`Pattern`] as it is learned.
+/// The learned state of a [`Pattern`].
 #[derive(Clone, Debug)]
 pub(crate) struct LearnedPattern {
     points: [[[f32; 2]; KNOTS]; MODES_MAX],
     expected: [f32; MODES_MAX],
-    /// Forecasts to which each point was the nearest.
+    /// Number of forecasts to which each point was the nearest.
     nearest: [f32; MODES_MAX],
 }
 
 impl Default for Pattern {
-    /// That of [`FAN`].
+    /// The pattern of [`FAN`].
     fn default() -> Self {
         Self { points: FAN.map(|(point, _)| [point; KNOTS]), probability: FAN.map(|(_, p)| p) }
     }
@@ -89,7 +89,7 @@ impl LearnedPattern {
         self.nearest.iter_mut().for_each(|nearest| *nearest *= kept);
     }
 
-    /// Draws a point nearer to a residual, in units of the deviations.
+    /// Moves a point closer to a residual, in units of the deviations.
     pub(crate) fn add(&mut self, point: usize, residual: &[[f32; 2]; KNOTS]) {
         self.nearest[point] += 1.0;
         let share = 1.0 / (ASSUMED + self.nearest[point]);
@@ -97,7 +97,7 @@ impl LearnedPattern {
         point.iter_mut().zip(residual.as_flattened()).for_each(|(at, &to)| *at += share * (to - *at));
     }
 
-    /// Gives `each` all numbers that were learned, to read or to change.
+    /// Calls `each` with all learned numbers, to read or to change them.
     pub(crate) fn numbers(&mut self, each: &mut impl FnMut(&mut f32)) {
         self.points.as_flattened_mut().as_flattened_mut().iter_mut().for_each(&mut *each);
         self.nearest.iter_mut().for_each(each);
@@ -115,10 +115,10 @@ impl LearnedPattern {
     }
 }
 
-/// The modes of an agent about a middle, the most probable ones first.
+/// The modes of an agent about a centre path, the most probable ones first.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Fan {
-    /// Its middle, between constant velocity and the blend, step by step, m.
+    /// The centre, between constant velocity and the blend, step by step, m.
     pub centre_m: [[f32; 2]; HORIZON_MAX],
     /// Standard deviations of the residuals along and across the course, step by step, m.
     pub steps_m: [[f32; 2]; HORIZON_MAX],

@@ -1,4 +1,4 @@
-//! The forecasts that have not matured, and what the matured ones add up to.
+//! The pending forecasts, and the sums over the matured ones.
 
 mod kept;
 mod knowledge;
@@ -22,18 +22,18 @@ use crate::paths::weighted_m;
 use crate::width::Widths;
 use crate::{BANDS, Context, ContextPrior, EXPERTS, Fan, KNOTS, Paths, Pattern, Prior, SLOTS, knots};
 
-/// Time in which evidence fades to 1/e.
+/// Time constant of the fading of evidence.
 const FADING_S: f64 = 120.0;
-/// Deviation of a truth at the first step; it grows with the root of the steps.
+/// Deviation of a true position at the first step; it grows with the square root of the steps.
 const DEVIATION_M: f32 = 0.1;
-/// Steps after which an agent that was not observed counts as another one.
+/// An agent that was not observed for this many steps counts as a new agent.
 const GAP_STEPS: i64 = 2;
-/// Most agents that are followed at a time.
+/// Maximum number of agents that are followed at a time.
 const TRACES_MAX: usize = 4 * AGENTS_MAX;
-/// Most forecasts whose mixtures are kept until they mature: those of all agents of a payload.
+/// Maximum number of pending forecasts with stored mixtures: those of all agents of a payload.
 const MIXTURES_MAX: usize = AGENTS_MAX * (HORIZON_MAX + 1);
-/// How decidedly a fan moves to the middle about which fans have been nearest: the power of
-/// [`Shares::decided`](crate::share::Shares::decided).
+/// Exponent of [`Shares::decided`](crate::share::Shares::decided) for the fan's centre. A larger exponent
+/// moves the centre more decidedly to the position whose fans have been nearest.
 const MIDDLES_POWER: i32 = 4;
 
 /// An agent at a time.
@@ -49,7 +49,7 @@ pub struct Agent {
     pub course: [f32; 2],
 }
 
-/// A forecast as a mixture of Gaussians at the knots, as it was published.
+/// A published forecast as a mixture of Gaussians at the knots.
 #[derive(Clone, Copy, Debug)]
 pub struct Mixture<'a> {
     /// Probability of each mode.
@@ -58,7 +58,7 @@ pub struct Mixture<'a> {
     pub modes_m: &'a [[[f32; 2]; HORIZON_MAX]; MODES_MAX],
     /// Covariance of each mode and step as (xx, xy, yy), m².
     pub covariances_m2: &'a [[[f32; 3]; HORIZON_MAX]; MODES_MAX],
-    /// Factors by which it was widened, step by step.
+    /// Factors by which the mixture was widened, step by step.
     pub widths: &'a [f32; HORIZON_MAX],
     /// The network's modes, whether they were published or not, m.
     pub network_m: &'a [[[f32; 2]; HORIZON_MAX]],
@@ -66,7 +66,7 @@ pub struct Mixture<'a> {
     pub fan: &'a Fan,
 }
 
-/// A matured forecast at a knot, whose level is asked for.
+/// A matured forecast at a knot, for the computation of its level.
 #[derive(Clone, Copy, Debug)]
 pub struct Matured<'a> {
     /// Positions of the modes, m.
@@ -75,7 +75,7 @@ pub struct Matured<'a> {
     pub covariances_m2: &'a [[f32; 3]],
     /// Their probabilities.
     pub probability: &'a [f32],
-    /// Where the agent was.
+    /// The agent's true position.
     pub truth_m: [f32; 2],
 }
 
@@ -92,7 +92,7 @@ struct Trace {
 pub struct Evidence {
     horizon_len: usize,
     step_ns: i64,
-    /// Index of the step of each knot.
+    /// Step index of each knot.
     knots: [usize; KNOTS],
     known: [[Knowledge; BANDS]; 3],
     of_types: [OfType; 3],
@@ -105,7 +105,7 @@ pub struct Evidence {
 }
 
 impl Evidence {
-    /// Evidence before any forecast, for forecasts of `horizon_len` steps of `step_ns`.
+    /// State before any forecast, for forecasts of `horizon_len` steps of `step_ns`.
     ///
     /// # Panics
     /// If a forecast has no step or more steps than a payload holds.
@@ -132,7 +132,7 @@ impl Evidence {
         }
     }
 
-    /// Ends a session: what was learned stays, but time restarts, and no later agent is one of those before.
+    /// Ends a session. Learned state remains, time restarts, and all later agents are new.
     pub fn end_session(&mut self) {
         let Self { traces, spare, free, .. } = self;
         for (_, trace) in traces.drain() {
@@ -142,9 +142,9 @@ impl Evidence {
         self.now_ns = i64::MIN;
     }
 
-    /// Records the positions of agents at a time, and learns from the forecasts that mature by them. `level` computes
-    /// on the border of which region a truth lies, 0 to 1, of as many as there is time for. A time that is not newer
-    /// than the last is left out.
+    /// Records the positions of agents at a time, and learns from the forecasts that mature. `level` returns
+    /// the level, 0 to 1, of the region whose border contains the truth. It is called for as many forecasts
+    /// as the elapsed time allows. A time that is not newer than the last is ignored.
     pub fn observe_with(
         &mut self,
         now_ns: i64,
@@ -266,9 +266,9 @@ impl Evidence {
         });
     }
 
-    /// Keeps a forecast of an agent that was just observed until it matures, at most one each step.
+    /// Stores the forecast of a just observed agent until it matures, at most one per step.
     ///
-    /// `blend_m` is the blend that was published. One of which an expert is out of the world is left out.
+    /// `blend_m` is the published blend. A forecast is ignored if one of its experts leaves the world.
     pub fn store(
         &mut self,
         stamp_ns: i64,
@@ -315,7 +315,7 @@ impl Evidence {
         });
     }
 
-    /// Whether a forecast of an agent would be kept.
+    /// Whether a forecast of an agent would be stored.
     fn wants(&self, stamp_ns: i64, agent: u64) -> bool {
         self.traces.get(&agent).is_some_and(|trace| {
             let newest_ns = trace.pending.back().map(|pending| pending.stamp_ns);
@@ -325,7 +325,8 @@ impl Evidence {
         })
     }
 
-    /// The modes of an agent by how agents alike deviate from a middle between constant velocity and the blend.
+    /// The modes of an agent from the deviations of similar agents. Their centre is between constant velocity
+    /// and the blend.
     #[must_use]
     pub fn fan(
         &self,
@@ -337,7 +338,7 @@ impl Evidence {
         let of_type = &self.known[agent.agent_type.index()];
         let at_knots: [[f32; 2]; KNOTS] =
             std::array::from_fn(|knot| context.between(|band| of_type[band].deviations_m(knot)));
-        // Points of one number have nothing in common at two speeds.
+        // Points with the same number at two speeds are unrelated.
         let pattern = &of_type[context.nearest()].pattern;
         let probability = pattern.probability();
         let mut numbers: [u8; MODES_MAX] = std::array::from_fn(|number| number as u8);
@@ -357,12 +358,12 @@ impl Evidence {
         }
     }
 
-    /// The modes that stand for those of the network and of the fan, as many as the network has.
+    /// Selects modes from the network's modes and the fan, as many as the network has.
     ///
-    /// The more often a set has had the nearest mode of agents alike, the more probable are its modes.
+    /// The more often a set has had the nearest mode of similar agents, the more probable are its modes.
     ///
     /// # Panics
-    /// If there are not as many probabilities as modes.
+    /// If the number of probabilities differs from the number of modes.
     #[must_use]
     pub fn choose(
         &self,
@@ -391,7 +392,7 @@ impl Evidence {
         Choice::new(&modes_m[..2 * len], of_both)
     }
 
-    /// The experts' weights at each step of the horizon, in the order of [`SLOTS`]; constant velocity has the
+    /// The experts' weights at each step of the horizon, in the order of [`SLOTS`]. Constant velocity has the
     /// rest.
     #[must_use]
     pub fn weights(&self, agent_type: AgentType, speed_mps: f32) -> [[f32; EXPERTS]; HORIZON_MAX] {
@@ -402,7 +403,7 @@ impl Evidence {
         self.between_knots(&at_knots)
     }
 
-    /// The factors by which the regions widen, at each step of the horizon.
+    /// The factors by which the regions widen at each step of the horizon.
     #[must_use]
     pub fn widths(&self, agent_type: AgentType, speed_mps: f32) -> [f32; HORIZON_MAX] {
         let context = Context::new(agent_type, speed_mps);
@@ -422,7 +423,7 @@ impl Evidence {
         }
     }
 
-    /// The mean weights over the horizon by the slots of the wire, constant velocity's among them.
+    /// The mean weights over the horizon by the slots of the wire, including constant velocity's.
     #[must_use]
     pub fn slots(&self, weights: &[[f32; EXPERTS]; HORIZON_MAX]) -> [f32; EXPERTS_MAX] {
         let mut slots = [0.0; EXPERTS_MAX];
@@ -435,8 +436,8 @@ impl Evidence {
         slots
     }
 
-    /// What was learned so far without the prior, per forecast, as a prior of its own, without a pattern; contexts of
-    /// fewer than `len_min` forecasts are empty.
+    /// The learned statistics per forecast, as a prior for other roads. The current prior and the pattern are
+    /// left out; contexts with fewer than `len_min` forecasts are empty.
     #[must_use]
     pub fn as_prior(&self, len_min: f64) -> Prior {
         Prior(self.known.each_ref().map(|of_type| {
@@ -450,7 +451,7 @@ impl Evidence {
         }))
     }
 
-    /// A quantity between the knots, linear in the step.
+    /// Interpolates a quantity between the knots, linear in the step.
     fn between_knots<const N: usize>(&self, at_knots: &[[f32; N]; KNOTS]) -> [[f32; N]; HORIZON_MAX] {
         let knots = &self.knots;
         std::array::from_fn(|step| {
@@ -465,14 +466,14 @@ impl Evidence {
     }
 }
 
-/// How far from constant velocity to the blend the fan of agents of a type lies: among its [`MIDDLES`], by which has been
-/// the nearest.
+/// The position of a type's fan between constant velocity and the blend: among its [`MIDDLES`], weighted by
+/// how often each has been the nearest.
 fn reach(of_type: &[Knowledge; BANDS], context: &Context) -> f32 {
     let shares = context.between(|band| of_type[band].of_middles.decided(MIDDLES_POWER));
     shares.iter().zip(MIDDLES).map(|(share, reach)| share * reach).sum()
 }
 
-/// Takes back what a trace holds.
+/// Frees the resources of a trace.
 fn release(mut trace: Trace, spare: &mut Vec<VecDeque<Pending>>, free: &mut Vec<usize>) {
     free.extend(trace.pending.drain(..).filter_map(|pending| pending.mixture));
     spare.push(trace.pending);

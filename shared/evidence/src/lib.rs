@@ -1,40 +1,47 @@
-//! Evidence while it runs: what each expert's forecasts turned out to be worth, and how wide regions must be.
+//! Online evidence: the measured accuracy of each expert's forecasts, and the required width of the regions.
 //!
-//! A network is good where it was trained, and may be worse than constant velocity elsewhere; nothing in its
-//! input says so. Its matured forecasts do. Every forecast is kept until the agent has taken its steps, and
-//! then tells three things of its [context](Context), the type and speed of the agent:
+//! A network is good where it was trained, and may be worse than constant velocity elsewhere. Its input does
+//! not show the difference, but its matured forecasts do. Every forecast is stored until the agent has taken
+//! its steps. It then gives three kinds of evidence about its [context](Context), the type and speed of the
+//! agent:
 //!
-//! * **How to blend.** Experts are the network, the base control, a decaying turn and a decaying acceleration;
-//!   constant velocity is what remains. With d_e an expert's position less constant velocity's and y the truth
-//!   less it, a regression finds weights of the least mean distance over all matured forecasts, discounted by age,
-//!   none negative and at most 1 in sum, by squares that are weighted with the distance r missed so far
-//!   ([iteratively reweighted](https://doi.org/10.1007/s10479-008-0352-z)):
+//! * **How to blend.** The experts are the network, the base control, a decaying turn and a decaying
+//!   acceleration. Constant velocity has the remaining weight. Let d_e be an expert's position and y the
+//!   truth, both relative to constant velocity. A regression computes the weights that minimise the mean
+//!   distance over all matured forecasts, discounted by age. The weights are nonnegative and at most 1 in
+//!   sum. The regression uses squares weighted by the inverse of the distance r missed so far ([iteratively
+//!   reweighted](https://doi.org/10.1007/s10479-008-0352-z)):
 //!
 //! ```text
 //! w = argmin wᵀ A w − 2 bᵀ w,  w ≥ 0, Σ w ≤ 1      A = n₀ A₀ + Σ D Dᵀ / (r σ),  b = n₀ b₀ + Σ D y / (r σ)
 //! ```
 //!
-//!   σ is how far agents alike deviate; it takes the unit away, so that the prior counts for n₀ forecasts. An
-//!   expert that has been nearer than this regression is the forecast alone; of cyclists, of whom few are about, only
-//!   constant velocity is, and sooner. A₀ and b₀ are the
-//!   [prior](Prior): such sums per forecast, over recordings that the network never saw, where ‖y‖² + max
-//!   ‖d_e‖² stands for r σ, so that no forecast tells others more than another. With the probability that the
-//!   network knows the road they are those of a network that is right:
-//!   [Hedge](https://doi.org/10.1006/jcss.1997.1504) by which of the two was nearer.
-//! * **How wide.** The level of the highest-density region on whose border the truth lies, as a radius r =
-//!   √(−2 ln (1 − level)), is 2.15 at nine of ten forecasts of calibrated regions. Its 0.9 quantile over
-//!   matured forecasts, discounted by age, is the factor by which regions widen ([`Evidence::widths`]), times
-//!   a correction that all speeds have in common: every miss widens all later regions, every hit narrows them
-//!   by a ninth of that ([adaptive conformal inference](https://arxiv.org/abs/2106.00170)).
+//!   σ is the typical deviation of similar agents. It removes the unit, so that the prior counts for n₀
+//!   forecasts. An expert that has been nearer than this regression becomes the only forecast. Few cyclists
+//!   are present at a time, so for cyclists only constant velocity can become the only forecast, and does so
+//!   sooner.
 //!
-//! * **Which modes.** Those that stand for both the network's and a [fan](FAN), as wide as agents alike deviate from
-//!   its middle ([`Choice`]): more of the set whose nearest mode has been nearer. The middle lies where the fan has been
-//!   nearest, about constant velocity, the blend or halfway between them.
+//!   A₀ and b₀ are the [prior](Prior): the same sums per forecast, over recordings that the network never
+//!   saw. There ‖y‖² + max ‖d_e‖² replaces r σ, so that all forecasts have equal weight. With the probability
+//!   that the network knows the road, the sums of a network that is right are used instead. That probability
+//!   comes from [Hedge](https://doi.org/10.1006/jcss.1997.1504), by which of the two was nearer.
+//! * **How wide.** The level of the highest-density region whose border contains the truth gives the radius r
+//!   = √(−2 ln (1 − level)). For calibrated regions it is at most 2.15 in nine of ten forecasts. The 0.9
+//!   quantile of r over matured forecasts, discounted by age, gives the factor by which regions widen
+//!   ([`Evidence::widths`]). A correction that all speeds share multiplies it: every miss widens all later
+//!   regions, and every hit narrows them by a ninth of that ([adaptive conformal
+//!   inference](https://arxiv.org/abs/2106.00170)).
+//! * **Which modes.** The selected modes ([`Choice`]) represent both the network's modes and a [fan](FAN).
+//!   The fan is as wide as similar agents deviate from its centre. The set whose nearest mode has been nearer
+//!   gets more modes. The centre is at constant velocity, at the blend or halfway between them, where the fan
+//!   has been nearest.
+//! modes. The   centre is at constant velocity, at the blend or halfway between them, where the fan has been
+//! nearest.
 //!
-//! All are kept at four steps of the horizon and linear between them, and for six speeds between which they
-//! are linear too. Nothing here allocates after the start.
+//! The learned state is kept at four steps of the horizon and at six speeds, with linear interpolation
+//! between them. Nothing here allocates after the start.
 //!
-//! A network that says "twice as far" where agents keep their velocity:
+//! A network that predicts twice the distance for agents that keep their velocity:
 //!
 //! ```
 //! use evidence::{Agent, EXPERTS, Evidence, Paths, Prior};
@@ -82,7 +89,7 @@ pub use prior::{ContextPrior, Patterns, Prior, PriorError, Priors};
 pub use statistics::Statistics;
 pub use width::RADIUS_90;
 
-/// Experts beside constant velocity, in the order of their numbers in [`SLOTS`].
+/// Number of experts besides constant velocity, in the order of [`SLOTS`].
 pub const EXPERTS: usize = 4;
 /// The slot of each expert in [`wire::Forecast::expert_weights`].
 pub const SLOTS: [wire::Expert; EXPERTS] = [
@@ -93,16 +100,16 @@ pub const SLOTS: [wire::Expert; EXPERTS] = [
 ];
 /// Steps of the horizon at which evidence is kept.
 pub const KNOTS: usize = 4;
-/// A residual counts as no more than so many deviations: of jumps of identity there is no end.
+/// Residuals are clipped to this many deviations: identity jumps have no limit.
 pub const OUTLIER: f32 = 6.0;
 
-/// The factor by which sums fade that count for `len` forecasts: for no fewer than one, so that what is known of agents
-/// that come rarely outlasts them, and yields to the next.
+/// The fading factor of sums that count for `len` forecasts. It applies to at least one forecast, so that
+/// knowledge about rare agents outlasts them and yields to the next.
 pub(crate) fn fading(kept: f64, len: f64) -> f64 {
     kept.max((1.0 / len).min(1.0))
 }
 
-/// The indices of these steps, of a horizon of so many, in time order; of few steps some come twice.
+/// The step indices of the knots for a horizon, in time order. A short horizon repeats some.
 #[must_use]
 pub fn knots(horizon_len: usize) -> [usize; KNOTS] {
     let last = horizon_len.saturating_sub(1);

@@ -2,19 +2,19 @@ use wire::HORIZON_MAX;
 
 use crate::EXPERTS;
 
-/// Largest acceleration across the motion, at any speed.
+/// Maximum lateral acceleration, at any speed.
 const ACROSS_MAX_MPS2: f32 = 4.0;
-/// Largest turn rate.
+/// Maximum turn rate.
 const TURN_RATE_MAX_RADPS: f32 = 0.6;
-/// Largest acceleration along the motion.
+/// Maximum longitudinal acceleration.
 const ALONG_MAX_MPS2: f32 = 4.0;
-/// Time in which a turn rate decays to 1/e.
+/// Time constant of the decay of a turn rate.
 const TURN_S: f32 = 2.0;
-/// Time in which an acceleration decays to 1/e.
+/// Time constant of the decay of an acceleration.
 const ACCELERATION_S: f32 = 1.5;
-/// Parts of a step in which a course is straight.
+/// Parts of a step with a straight course.
 const PARTS: usize = 4;
-/// A slower agent has no course.
+/// Below this speed an agent has no course.
 const COURSE_MIN_MPS: f32 = 0.3;
 
 /// Positions of an agent at each step of the horizon, by expert.
@@ -22,11 +22,11 @@ const COURSE_MIN_MPS: f32 = 0.3;
 pub struct Paths {
     /// Constant velocity's.
     pub velocity: [[f32; 2]; HORIZON_MAX],
-    /// Of each expert beside it.
+    /// Positions of each other expert.
     pub experts: [[[f32; 2]; HORIZON_MAX]; EXPERTS],
 }
 
-/// The motion of an agent at a time, from which kinematic experts go on.
+/// The motion of an agent at a time, from which the kinematic experts extrapolate.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct MotionNow {
     /// Position.
@@ -40,20 +40,21 @@ pub struct MotionNow {
 }
 
 impl Paths {
-    /// Positions of the experts less constant velocity's at a step, m.
+    /// Positions of the experts relative to constant velocity's at a step, m.
     #[must_use]
     pub fn differences_m(&self, step: usize) -> [[f32; 2]; EXPERTS] {
         self.experts.each_ref().map(|path| [0, 1].map(|axis| path[step][axis] - self.velocity[step][axis]))
     }
 }
 
-/// What weights make of the experts' differences from constant velocity, m.
+/// The weighted sum of the experts' differences from constant velocity, m.
 pub(crate) fn weighted_m(weights: &[f32; EXPERTS], differences_m: &[[f32; 2]; EXPERTS]) -> [f32; 2] {
     [0, 1].map(|axis| weights.iter().zip(differences_m).map(|(weight, d)| weight * d[axis]).sum())
 }
 
 impl MotionNow {
-    /// The motion of an agent whose velocity was `before_mps` some time `since_s` ago.
+    /// The motion of an agent, from its velocity now and, in `before`, an earlier one with its age in
+    /// seconds.
     #[must_use]
     pub fn since(position_m: [f32; 2], velocity_mps: [f32; 2], before: Option<([f32; 2], f32)>) -> Self {
         let steady = Self { position_m, velocity_mps, ..Self::default() };
@@ -73,7 +74,7 @@ impl MotionNow {
         }
     }
 
-    /// Cosine and sine of the course, of an agent that hardly moves those of its heading.
+    /// Cosine and sine of the course; of the heading if the agent hardly moves.
     #[must_use]
     pub fn course(&self, heading_rad: f32) -> [f32; 2] {
         let speed_mps = self.speed_mps();
@@ -114,7 +115,7 @@ impl MotionNow {
         }
     }
 
-    /// A straight course on which the acceleration decays, no further than to rest: v = v₀ + a τ (1 − e^(−t/τ)).
+    /// A straight course with a decaying acceleration, down to rest at most: v = v₀ + a τ (1 − e^(−t/τ)).
     pub fn accelerating(&self, dt_s: f32, out: &mut [[f32; 2]]) {
         let (speed, part_s) = (self.speed_mps(), dt_s / PARTS as f32);
         let course = if speed > COURSE_MIN_MPS { self.velocity_mps.map(|v| v / speed) } else { [0.0; 2] };

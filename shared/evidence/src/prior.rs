@@ -3,17 +3,17 @@ use std::fmt;
 
 use crate::{BANDS, KNOTS, Pattern, Statistics, fill_unknown};
 
-/// Deviations where no source tells any, m.
+/// Deviations for contexts without a source, m.
 const DEVIATIONS_M: [[f32; 2]; KNOTS] = [[0.1, 0.05], [0.5, 0.25], [1.8, 0.8], [6.0, 3.0]];
-/// Logarithms of the factors of regions where no source tells any: those of most types and speeds.
+/// Logarithms of the width factors for contexts without a source: those of most types and speeds.
 const LOG_WIDTHS: [f32; KNOTS] = [0.3, 0.0, -0.25, -0.35];
-/// Sources that the prior of a context is a mean of, at least: the default stands for those that lack, so that one
-/// source of poor positions does not rule.
+/// Minimum number of sources in the mean of a context's prior. The default replaces missing sources, so that
+/// a single source with poor positions does not dominate.
 const SOURCES_MIN: usize = 3;
 /// Significant digits of the numbers in a file.
 const DIGITS: i32 = 4;
 
-/// What is expected before any forecast has matured, by type of agent and speed.
+/// The expectation before any forecast has matured, by agent type and speed.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(transparent)]
 pub struct Prior(pub [[ContextPrior; BANDS]; 3]);
@@ -22,15 +22,15 @@ pub struct Prior(pub [[ContextPrior; BANDS]; 3]);
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ContextPrior {
-    /// Mean statistics of a forecast, at each knot; where nobody knows, constant velocity was right.
+    /// Mean statistics of a forecast at each knot. Without a source, constant velocity was right.
     pub blend: [Statistics; KNOTS],
     /// Logarithm of the factor of the widths, at each knot.
     pub log_width: [f32; KNOTS],
-    /// Deviations from the middle of the fan along and across the course at each knot, m.
+    /// Deviations from the fan's centre along and across the course at each knot, m.
     pub deviation_m: [[f32; 2]; KNOTS],
-    /// Share of the forecasts of which a mode of the network was nearer than all of the fan.
+    /// Share of the forecasts in which a mode of the network was nearer than all modes of the fan.
     pub network_share: f32,
-    /// Typical residuals from there; left out of a file where nothing was learned.
+    /// Typical residuals from the centre; omitted from a file if nothing was learned.
     #[serde(default, skip_serializing_if = "Pattern::is_default")]
     pub pattern: Pattern,
 }
@@ -38,15 +38,15 @@ pub struct ContextPrior {
 /// Typical residuals, by type of agent and speed.
 pub type Patterns = [[Pattern; BANDS]; 3];
 
-/// What was learned on some sources of recordings that the network was not trained on.
+/// Priors learned on sources of recordings that the network was not trained on.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Priors {
-    /// What each showed by itself, by its name: without patterns, which have no mean.
+    /// The prior of each source, by name. It has no pattern, because patterns have no mean.
     pub sources: BTreeMap<String, Prior>,
-    /// The patterns of all of them together.
+    /// The patterns of all sources together.
     pub pattern: Patterns,
-    /// Those of all but one, by the name of that one.
+    /// The patterns without one source, by the name of that source.
     pub pattern_without: BTreeMap<String, Patterns>,
 }
 
@@ -85,13 +85,13 @@ impl Default for Prior {
 }
 
 impl ContextPrior {
-    /// Whether a source knows the context.
+    /// Whether a source has evidence for the context.
     fn is_known(&self) -> bool {
         self.blend.iter().all(|blend| blend.len > 0.0)
     }
 
-    /// The mean over sources: of distances the geometric one, of the widths the median, so that a source of poor
-    /// positions does not rule.
+    /// The mean over sources: geometric for distances, the median for widths. A source with poor positions
+    /// therefore does not dominate.
     fn mean(sources: &[&Self]) -> Self {
         let share = 1.0 / sources.len() as f64;
         let mut mean = Self { blend: Default::default(), deviation_m: [[0.0; 2]; KNOTS], ..Self::default() };
@@ -111,7 +111,7 @@ impl ContextPrior {
         mean
     }
 
-    /// The numbers with few digits, as they are written.
+    /// The numbers rounded to the file's digits.
     fn rounded(&self) -> Self {
         let blend = self.blend.map(|of| Statistics {
             products: of.products.map(|row| row.map(rounded)),
@@ -130,7 +130,7 @@ impl ContextPrior {
 }
 
 impl Pattern {
-    /// The numbers with few digits, as they are written.
+    /// The numbers rounded to the file's digits.
     fn rounded(&self) -> Self {
         Self {
             points: self.points.map(|knots| knots.map(|point| point.map(shorter))),
@@ -140,7 +140,7 @@ impl Pattern {
 }
 
 impl Priors {
-    /// The shipped priors: what the embedded weights were worth on sources that they were not trained on.
+    /// The shipped priors: the evidence about the embedded weights on sources that they were not trained on.
     ///
     /// # Panics
     /// Never: a test reads them.
@@ -149,14 +149,14 @@ impl Priors {
         Self::from_json(include_str!("priors.json")).expect("a test reads them")
     }
 
-    /// What all sources show: every one counts the same, and the default for what lacks of three. Contexts that none
-    /// knows are those of the nearest speed that one does.
+    /// The prior over all sources with equal weight; the default replaces missing ones up to three. A context
+    /// without evidence takes the nearest known speed's.
     #[must_use]
     pub fn all(&self) -> Prior {
         Self::mean(self.sources.values(), &self.pattern)
     }
 
-    /// The same without a source, at any scale.
+    /// As [`Priors::all`], without one source at any scale.
     #[must_use]
     pub fn without(&self, source: &str) -> Prior {
         let others = self.sources.iter().filter(|(name, _)| !is_of(name, source)).map(|(_, prior)| prior);
@@ -187,18 +187,18 @@ impl Priors {
         mean
     }
 
-    /// From the text of [`Priors::to_json`].
+    /// Parses the text of [`Priors::to_json`].
     ///
     /// # Errors
-    /// [`PriorError`] if it is another text.
+    /// [`PriorError`] if the text is not valid.
     pub fn from_json(text: &str) -> Result<Self, PriorError> {
         serde_json::from_str(text).map_err(PriorError)
     }
 
-    /// As text, of a few digits.
+    /// The priors as text with few digits.
     ///
     /// # Panics
-    /// Never: its keys are text.
+    /// Never: all keys are text.
     #[must_use]
     pub fn to_json(&self) -> String {
         let of_prior = |prior: &Prior| Prior(prior.0.map(|of_type| of_type.map(|context| context.rounded())));
@@ -215,29 +215,30 @@ impl Priors {
     }
 }
 
-/// Whether a name is that of a source, at any scale.
+/// Whether a name is that of `source`, at any scale.
 fn is_of(name: &str, source: &str) -> bool {
     name.strip_prefix(source).is_some_and(|rest| rest.is_empty() || rest.starts_with(' '))
 }
 
-/// A number of four places.
+/// A number rounded to four decimal places.
 fn shorter(value: f32) -> f32 {
     (value * 1e4).round() / 1e4
 }
 
-/// The geometric mean of distances, of none 1; those below a millimetre count as one.
+/// The geometric mean of distances; 1 for an empty list. Distances below a millimetre count as one
+/// millimetre.
 fn geometric_mean(distances_m: impl Iterator<Item = f32>) -> f32 {
     let (sum, len) = distances_m.fold((0.0, 0.0_f32), |(sum, len), x| (sum + x.max(1e-3).ln(), len + 1.0));
     (sum / len.max(1.0)).exp()
 }
 
-/// A number of [`DIGITS`] digits.
+/// A number rounded to [`DIGITS`] digits.
 fn rounded(value: f64) -> f64 {
     if value == 0.0 || !value.is_finite() {
         return 0.0;
     }
     let unit = 10_f64.powi(value.abs().log10().floor() as i32 + 1 - DIGITS);
-    // Written as the shortest text that is this number.
+    // The shortest text that parses to this number.
     format!("{:e}", (value / unit).round() * unit)
         .parse::<f64>()
         .map_or(value, |value| format!("{value:.*e}", DIGITS as usize - 1).parse().unwrap_or(value))
@@ -271,14 +272,14 @@ mod tests {
         let widths = |mean: Prior| mean.0[0].map(|context| context.log_width[0]);
         assert_eq!(widths(priors.all()), [3.5; BANDS]);
         assert_eq!(widths(priors.without("other")), [3.5; BANDS]);
-        // At any scale, but not one whose name begins alike.
+        // At any scale, but not a source whose name has the same start.
         assert_eq!(widths(priors.without("c")), [2.0; BANDS]);
-        // The default stands for a third source, and for a second.
+        // The default replaces a third source, and then a second.
         priors.sources = sources(2).collect();
         assert_eq!(widths(priors.all()), [1.0; BANDS]);
         assert_eq!(widths(priors.without("b")), [LOG_WIDTHS[0]; BANDS]);
         assert_eq!(Priors::default().all(), Prior::default());
-        // Its residuals have no part in the patterns either.
+        // Its residuals are not part of the patterns either.
         let mut patterns = Patterns::default();
         patterns[0][2].points[0][0] = [7.0, 0.0];
         priors.pattern_without.insert("b".to_owned(), patterns);

@@ -1,34 +1,33 @@
-//! How probable the two sets of modes are, the network's and the fan's, by which has had the nearest mode.
+//! The probabilities of the network's and the fan's modes, from how often each set had the nearest mode.
 
 use crate::fading;
 
-/// Forecasts that the prior counts for.
+/// Weight of the prior, in forecasts.
 const PRIOR_LEN: f64 = 100.0;
-/// Forecasts of all speeds that are assumed at the start, half of them each set's.
+/// Assumed forecasts of all speeds at the start, half for each set.
 const EVEN_LEN: f64 = 10.0;
-/// Of neither set are there fewer than so many: what was never seen for days may be seen all the same.
+/// Minimum count of each set: an event that was not seen for days may still occur.
 const LEAST_LEN: f64 = 0.01;
 
-/// Matured forecasts of one type at all speeds: of the network and of the fan, those of which it had the
-/// nearest mode.
+/// Matured forecasts of one type at all speeds in which the network, and the fan, had the nearest mode.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct SetsOfType {
     nearest: [f64; 2],
-    /// Those of which it would have had it by the prior.
+    /// The counts that the prior would expect.
     expected: [f64; 2],
 }
 
-/// The same at one speed.
+/// The counts at one speed.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct SetsAtSpeed {
     nearest: [f64; 2],
-    /// Shares that the prior expects, and the forecasts that it still counts for.
+    /// The shares that the prior expects, and its remaining weight in forecasts.
     prior: [f32; 2],
     prior_len: f64,
 }
 
 impl SetsOfType {
-    /// Numbers that are learned.
+    /// Count of the learned numbers.
     pub(crate) const NUMBERS_LEN: usize = 4;
 
     pub(crate) const fn new() -> Self {
@@ -42,8 +41,8 @@ impl SetsOfType {
 
     /// The probability of each set at a speed.
     ///
-    /// Where at all speeds the odds of the network are so many times those of the prior, they are expected to
-    /// be so here. With s the share that follows, the probability is s² / (s² + (1 − s)²).
+    /// The odds of the network at all speeds are a multiple of the prior's odds, and the same multiple is
+    /// expected at this speed. If s is the resulting share, the probability is s² / (s² + (1 − s)²).
     pub(crate) fn probability(&self, at: &SetsAtSpeed) -> [f32; 2] {
         let odds = |of: [f64; 2]| of[0].max(LEAST_LEN) / of[1].max(LEAST_LEN);
         let more = odds(self.nearest) / odds(self.expected);
@@ -56,17 +55,17 @@ impl SetsOfType {
         squares.map(|square| (square / sum) as f32)
     }
 
-    /// Gives `each` all numbers, to read or to change.
+    /// Calls `each` with all numbers, to read or to change them.
     pub(crate) fn numbers(&mut self, each: &mut impl FnMut(&mut f64)) {
         self.nearest.iter_mut().chain(&mut self.expected).for_each(each);
     }
 }
 
 impl SetsAtSpeed {
-    /// Numbers that are learned.
+    /// Count of the learned numbers.
     pub(crate) const NUMBERS_LEN: usize = 3;
 
-    /// With the share of the network that the prior expects.
+    /// A state with the network's share that the prior expects.
     pub(crate) fn new(network_share: f32) -> Self {
         Self { nearest: [0.0; 2], prior: [network_share, 1.0 - network_share], prior_len: PRIOR_LEN }
     }
@@ -86,13 +85,13 @@ impl SetsAtSpeed {
         }
     }
 
-    /// The network's share of the forecasts, those of the prior among them.
+    /// The network's share of the forecasts, including the prior's.
     pub(crate) fn network_share(&self) -> f32 {
         let network = self.nearest[0] + self.prior_len * f64::from(self.prior[0]);
         (network / (self.nearest.iter().sum::<f64>() + self.prior_len)) as f32
     }
 
-    /// Gives `each` all numbers that were learned, to read or to change.
+    /// Calls `each` with all learned numbers, to read or to change them.
     pub(crate) fn numbers(&mut self, each: &mut impl FnMut(&mut f64)) {
         self.nearest.iter_mut().chain([&mut self.prior_len]).for_each(each);
     }

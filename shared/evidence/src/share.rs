@@ -1,15 +1,15 @@
-//! How often each of a few has been the nearest.
+//! Counts how often each of a few candidates has been the nearest.
 
 use crate::fading;
 
-/// The shares of matured forecasts of which each of a few has been the nearest, older ones counting less.
+/// The discounted share of matured forecasts in which each candidate has been the nearest.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Shares<const N: usize> {
     nearest: [f64; N],
 }
 
 impl<const N: usize> Shares<N> {
-    /// Shares that count for so many forecasts.
+    /// Initial shares with the weight of `len` forecasts.
     pub(crate) fn new(shares: [f32; N], len: f64) -> Self {
         Self { nearest: shares.map(|share| len * f64::from(share)) }
     }
@@ -19,7 +19,7 @@ impl<const N: usize> Shares<N> {
         self.nearest.iter_mut().for_each(|nearest| *nearest *= kept);
     }
 
-    /// Adds a forecast by its distances to each.
+    /// Adds a forecast by its distances to the candidates.
     pub(crate) fn add(&mut self, distances_m: &[f32; N], weight: f32) {
         let nearest = self.nearest.iter_mut().zip(distances_m).min_by(|a, b| a.1.total_cmp(b.1));
         nearest.into_iter().for_each(|(nearest, _)| *nearest += f64::from(weight));
@@ -30,14 +30,14 @@ impl<const N: usize> Shares<N> {
         self.nearest.map(|nearest| (nearest / sum) as f32)
     }
 
-    /// The shares made more decided: s_i^p / Σ s_j^p.
+    /// The shares, sharpened: s_i^p / Σ s_j^p.
     pub(crate) fn decided(&self, power: i32) -> [f32; N] {
         let powers = self.get().map(|share| share.powi(power));
         let sum: f32 = powers.iter().sum();
         powers.map(|power| power / sum)
     }
 
-    /// Gives `each` all numbers, to read or to change.
+    /// Calls `each` with all numbers, to read or to change them.
     pub(crate) fn numbers(&mut self, each: &mut impl FnMut(&mut f64)) {
         self.nearest.iter_mut().for_each(each);
     }

@@ -1,10 +1,11 @@
 use crate::EXPERTS;
 
-/// Rounds of coordinate descent at most; four unknowns converge in few.
+/// Maximum rounds of coordinate descent; four unknowns converge in few.
 const ROUNDS: usize = 40;
 
-/// Sums over matured forecasts at one step of the horizon, with y the truth and D the experts' positions, all less
-/// constant velocity's: A = Σ D Dᵀ / s², b = Σ D y / s² and their number. What they are, s² in m², says who adds them.
+/// Sums over matured forecasts at one step of the horizon: A = Σ D Dᵀ / s², b = Σ D y / s², and their count.
+/// Here y is the truth and D the experts' positions, all relative to constant velocity's. The caller chooses
+/// s², in m².
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Statistics {
@@ -12,13 +13,13 @@ pub struct Statistics {
     pub products: [[f64; EXPERTS]; EXPERTS],
     /// Σ D y / s².
     pub targets: [f64; EXPERTS],
-    /// Forecasts.
+    /// Number of forecasts.
     pub len: f64,
 }
 
 impl Statistics {
-    /// Sums of a forecast that nobody made: constant velocity was right, and each expert as far off as s. They keep few
-    /// forecasts from being fitted too well.
+    /// Sums of an assumed forecast in which constant velocity was right and each expert wrong by s. They
+    /// prevent overfitting to few forecasts.
     pub(crate) fn doubting() -> Self {
         let mut doubting = Self::default();
         (0..EXPERTS).for_each(|expert| doubting.products[expert][expert] = 1.0);
@@ -38,7 +39,7 @@ impl Statistics {
         self.len += f64::from(weight);
     }
 
-    /// Adds other sums, `factor` times.
+    /// Adds `factor` times other sums.
     pub fn add_scaled(&mut self, other: &Self, factor: f64) {
         for (own, other) in self.products.as_flattened_mut().iter_mut().zip(other.products.as_flattened()) {
             *own += factor * other;
@@ -47,14 +48,14 @@ impl Statistics {
         self.len += factor * other.len;
     }
 
-    /// Multiplies the sums: older forecasts count less.
+    /// Multiplies the sums, to discount older forecasts.
     pub fn discount(&mut self, factor: f64) {
         let Self { products, targets, len } = self;
         products.as_flattened_mut().iter_mut().chain(targets).for_each(|sum| *sum *= factor);
         *len *= factor;
     }
 
-    /// The experts' weights: none negative, at most 1 in sum; constant velocity has the rest.
+    /// The experts' weights, nonnegative and at most 1 in sum. Constant velocity has the rest.
     #[must_use]
     pub fn weights(&self) -> [f32; EXPERTS] {
         let mut weights = [0.0_f64; EXPERTS];
@@ -64,7 +65,7 @@ impl Statistics {
                 let others: f64 = (0..EXPERTS).filter(|&other| other != expert).map(|o| weights[o]).sum();
                 self.improve(&mut weights, expert, 1.0 - others);
             }
-            // On the border of the simplex one weight can grow only at the cost of another.
+            // On the border of the simplex one weight can grow only if another shrinks.
             for a in 0..EXPERTS {
                 for b in 0..a {
                     self.exchange(&mut weights, a, b);
@@ -77,7 +78,7 @@ impl Statistics {
         weights.map(|weight| weight as f32)
     }
 
-    /// Half the derivative of the loss by a weight.
+    /// Half the derivative of the loss with respect to a weight.
     fn slope(&self, weights: &[f64; EXPERTS], expert: usize) -> f64 {
         let row = self.products[expert].iter().zip(weights);
         row.map(|(product, weight)| product * weight).sum::<f64>() - self.targets[expert]

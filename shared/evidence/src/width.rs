@@ -1,26 +1,27 @@
-//! The factors by which regions widen: a discounted histogram of radii finds them for each speed, and
-//! adaptive conformal inference corrects them for all speeds of a type: every miss widens all later regions a
-//! little, every hit narrows them by a ninth of that.
+//! The factors by which regions widen. A discounted histogram of radii gives the factor at each speed.
+//! Adaptive conformal inference corrects it at all speeds of a type: every miss widens all later regions a
+//! little, and every hit narrows them by a ninth of that.
 
 use crate::fading;
 
-/// Bins of the logarithm of the radius over that of a calibrated region of 90 %.
+/// Bins of the logarithm of the radius relative to a calibrated 90 % region's.
 const BINS: usize = 64;
-/// Least and largest logarithm.
+/// Range of the logarithm.
 const RANGE: [f32; 2] = [-3.2, 3.2];
 /// Radius of the region of 90 % in standard deviations: √(−2 ln 0.1).
 pub const RADIUS_90: f32 = 2.145_966;
-/// Probability of the region that is calibrated.
+/// Probability of the calibrated region.
 const LEVEL: f64 = 0.9;
-/// Radii that are assumed to have been seen at the start, of a calibrated region.
+/// Assumed radii of a calibrated region at the start.
 const ASSUMED: f64 = 15.0;
-/// Change of the correction while as many forecasts mature as are under way, in the share of misses that are too many.
+/// Gain of the correction: its change per excess share of misses, while as many forecasts mature as are
+/// pending.
 const GAIN: f64 = 0.7;
-/// A single forecast changes the correction by no more.
+/// Maximum change of the correction by a single forecast.
 const STEP_MAX: f64 = 0.05;
-/// Largest correction.
+/// Maximum correction.
 const CORRECTION_MAX: f64 = 1.5;
-/// Time in which a correction fades to 1/e: what lasts is in the histograms.
+/// Time constant of the correction's fading. Lasting effects are in the histograms.
 const CORRECTION_FADING_S: f64 = 30.0;
 
 /// Radii of matured forecasts at one step of the horizon, in one context.
@@ -32,26 +33,26 @@ pub(crate) struct Widths {
     log: f32,
 }
 
-/// What adaptive conformal inference adds to the logarithms of the factors at one step of the horizon, at all
-/// speeds.
+/// The offset that adaptive conformal inference adds to the logarithms of the factors, at one step of the
+/// horizon and all speeds.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Correction {
     value: f64,
-    /// Forecasts that mature in the time of a horizon.
+    /// Forecasts that mature within one horizon.
     rate: f64,
 }
 
 impl Widths {
-    /// Numbers that are learned.
+    /// Count of the learned numbers.
     pub(crate) const NUMBERS_LEN: usize = BINS + 2;
 
-    /// No radius yet; regions begin with `factor` times their own width.
+    /// No radius yet; regions start with `factor` times their own width.
     pub(crate) fn new(factor: f32) -> Self {
         let log = factor.max(f32::MIN_POSITIVE).ln().clamp(RANGE[0], RANGE[1]);
         Self { bins: [0.0; BINS], len: 0.0, log }.begun()
     }
 
-    /// Spreads the assumed radii as a two-dimensional Gaussian has them.
+    /// Distributes the assumed radii as in a two-dimensional Gaussian.
     fn begun(mut self) -> Self {
         let share = |radius: f64| 1.0 - (-0.5 * radius * radius).exp();
         for (bin, count) in self.bins.iter_mut().enumerate() {
@@ -62,8 +63,8 @@ impl Widths {
         self
     }
 
-    /// Adds a forecast by the level on whose border the truth lay, of a region that was widened by `factor`,
-    /// without what a [`Correction`] added.
+    /// Adds a forecast: the level whose region's border contains the truth, for a region widened by `factor`
+    /// without a [`Correction`].
     pub(crate) fn add(&mut self, level: f64, factor: f32, weight: f32) {
         let radius = (-2.0 * (1.0 - level).max(1e-6).ln()).sqrt() as f32;
         let log = (radius.max(1e-3) / RADIUS_90).ln() + factor.ln();
@@ -73,14 +74,14 @@ impl Widths {
         self.log = self.quantile();
     }
 
-    /// Lets evidence fade by this factor.
+    /// Multiplies the evidence by this factor.
     pub(crate) fn discount(&mut self, kept: f64) {
         let kept = fading(kept, self.len);
         self.bins.iter_mut().for_each(|count| *count *= kept);
         self.len *= kept;
     }
 
-    /// Gives `each` all numbers that were learned, to read or to change.
+    /// Calls `each` with all learned numbers, to read or to change them.
     pub(crate) fn numbers(&mut self, each: &mut impl FnMut(&mut f64)) {
         let Self { bins, len, log } = self;
         bins.iter_mut().chain([len]).for_each(&mut *each);
@@ -92,7 +93,7 @@ impl Widths {
         self.log
     }
 
-    /// The logarithm below which [`LEVEL`] of the radii lie.
+    /// The logarithm below which the share [`LEVEL`] of the radii is.
     fn quantile(&self) -> f32 {
         let mut left = LEVEL * self.len;
         for (bin, &count) in self.bins.iter().enumerate() {
@@ -106,15 +107,15 @@ impl Widths {
 }
 
 impl Correction {
-    /// Numbers that are learned.
+    /// Count of the learned numbers.
     pub(crate) const NUMBERS_LEN: usize = 2;
 
-    /// Of no forecast yet.
+    /// State before any forecast.
     pub(crate) const fn new() -> Self {
         Self { value: 0.0, rate: 0.0 }
     }
 
-    /// Adds a forecast by the level on whose border the truth lay.
+    /// Adds a forecast by the level whose region's border contains the truth.
     pub(crate) fn add(&mut self, level: f64) {
         self.rate += 1.0;
         let step = (GAIN / self.rate).min(STEP_MAX);
@@ -123,26 +124,25 @@ impl Correction {
         self.value = value.clamp(-CORRECTION_MAX, CORRECTION_MAX);
     }
 
-    /// Lets the correction fade with the time that has passed, and the count of what is under way by a
-    /// factor.
+    /// Fades the correction with the elapsed time, and the count of pending forecasts by a factor.
     pub(crate) fn discount(&mut self, passed_s: f64, under_way: f64) {
         self.value *= (-passed_s / CORRECTION_FADING_S).exp();
         self.rate *= under_way;
     }
 
-    /// Gives `each` all numbers that were learned, to read or to change.
+    /// Calls `each` with all learned numbers, to read or to change them.
     pub(crate) fn numbers(&mut self, each: &mut impl FnMut(&mut f64)) {
         let Self { value, rate } = self;
         [value, rate].into_iter().for_each(each);
     }
 
-    /// What is added to the logarithm of a factor.
+    /// The offset of the logarithm of a factor.
     pub(crate) const fn log(&self) -> f32 {
         self.value as f32
     }
 }
 
-/// Gives `each` a number of single precision; as it was read, it is the same again.
+/// Calls `each` with a single-precision number. If it is read back unchanged, it is the same number.
 pub(crate) fn single(number: &mut f32, each: &mut impl FnMut(&mut f64)) {
     let mut double = f64::from(*number);
     each(&mut double);
@@ -165,8 +165,8 @@ mod tests {
         }
     }
 
-    /// The level of a truth at a radius of a Gaussian `deviation` times as wide as the forecast says, whose
-    /// region was widened by `factor`.
+    /// The level of a truth at a radius of a Gaussian `deviation` times as wide as the forecast's, for a
+    /// region widened by `factor`.
     fn level(sample: u32, deviation: f64, factor: f32) -> f64 {
         let share = (f64::from(sample) * 0.618_034).fract();
         let radius = deviation * (-2.0 * (1.0 - share).ln()).sqrt();

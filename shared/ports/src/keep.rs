@@ -3,9 +3,8 @@
 //!
 //! 1. A shared BSD lock on the folder. systemd-tmpfiles respects this lock.
 //! 2. A second name for each file: a hard link in a hidden folder. If the run's record has disappeared,
-//!    somebody has
-//!    removed files, and every file gets its name back. The files themselves are unchanged, so their locks
-//! hold and    their sockets still work.
+//!    somebody has removed files, and every file gets its name back. The files themselves are unchanged, so
+//!    their locks hold and their sockets still work.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ffi::OsString;

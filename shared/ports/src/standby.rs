@@ -1,12 +1,10 @@
 //! Taking over from a running process: a stage is replaced between two ticks.
 //!
 //! 1. The new process starts while the old one runs. It loads its data, opens its inputs, and sends `ready`
-//!    on the
-//!    launcher's socket.
+//!    on the launcher's socket.
 //! 2. The launcher ends the old process, waits until its places on the topics are free, and answers `go`.
 //! 3. The new process opens its output. It reads the newest tick of the old process from that output and
-//!    continues after
-//!    it. The ticks that the old process left unfinished are in the new process's own queues.
+//!    continues after it. The ticks that the old process left unfinished are in the new process's own queues.
 //!
 //! A *spare* is a new process whose turn comes when the old one dies. While it waits, for any time, it
 //! follows the old process's output. A stage that takes its state from there keeps that state current and

@@ -159,7 +159,7 @@ impl Comparison {
                         let (a, b) = if is_a { (&frame, &other) } else { (&other, &frame) };
                         comparison.pair(a, b);
                     }
-                    // A tick that comes twice in one file: the second counts.
+                    // If a tick occurs twice in one file, the second one counts.
                     _ => drop(waiting.insert(key, (is_a, frame))),
                 }
             }

@@ -1,4 +1,4 @@
-//! Forecasts as mixtures of Gaussians, kept until they mature.
+//! Mixtures of Gaussians that are stored until their forecasts mature.
 
 use wire::MODES_MAX;
 
@@ -7,7 +7,7 @@ use crate::due::Due;
 use crate::fan::MIDDLES;
 use crate::{Context, KNOTS, OUTLIER};
 
-/// A mixture that is kept until it matures.
+/// A stored mixture.
 #[derive(Clone, Debug)]
 pub(super) struct Kept {
     modes_len: usize,
@@ -21,15 +21,15 @@ pub(super) struct Kept {
     fan_m: [[[f32; 2]; MODES_MAX]; KNOTS],
     fan_numbers: [u8; MODES_MAX],
     deviations_m: [[f32; 2]; KNOTS],
-    /// From the fan to where it would lie about each of the [`MIDDLES`].
+    /// Offsets from the fan to the fan about each of the [`MIDDLES`].
     to_middles_m: [[[f32; 2]; MIDDLES.len()]; KNOTS],
-    /// Sums of the distances from the truth so far of each mode of the network and of the fan, and of the fan's about
-    /// each of the [`MIDDLES`].
+    /// Sums of the distances from the truth so far: of each mode of the network, of the fan, and of the fan
+    /// about each of the [`MIDDLES`].
     distances_m: [[f32; MODES_MAX]; 2 + MIDDLES.len()],
 }
 
 impl Kept {
-    /// Before any forecast.
+    /// State before any forecast.
     pub(super) fn empty() -> Self {
         Self {
             modes_len: 0,
@@ -47,8 +47,8 @@ impl Kept {
         }
     }
 
-    /// Takes the place of an earlier one: a forecast whose fan lies about `centre_m`, and where it would about each of the
-    /// [`MIDDLES`], where `corrections` are in the logarithms of the widths.
+    /// Replaces an earlier mixture by a forecast whose fan has its centre at `centre_m`. It also stores the
+    /// fan's position about each of the [`MIDDLES`]. The logarithms of the widths contain `corrections`.
     pub(super) fn fill(
         &mut self,
         knots: [usize; KNOTS],
@@ -92,7 +92,7 @@ impl Kept {
         }
     }
 
-    /// What its level is computed from once it has matured at a knot.
+    /// The input of the level's computation for a knot that has matured.
     pub(super) fn due(&self, context: Context, knot: usize, truth_m: [f32; 2]) -> Due {
         Due {
             context,
@@ -114,7 +114,7 @@ impl Kept {
         ([network, fan], about_middles)
     }
 
-    /// The number of the fan's nearest mode, and a residual in units of the deviations.
+    /// The number of the fan's nearest mode, and the residual in units of the deviations.
     pub(super) fn nearest_of_fan(&self, residuals_m: &[[f32; 2]; KNOTS]) -> (usize, [[f32; 2]; KNOTS]) {
         let fan = self.distances_m[1].iter().zip(&self.fan_numbers);
         let nearest = fan.min_by(|a, b| a.0.total_cmp(b.0)).map_or(0, |(_, &number)| usize::from(number));

@@ -1,4 +1,4 @@
-//! What is known of one type of agents at one speed.
+//! The learned state of one agent type at one speed.
 
 use wire::AgentType;
 
@@ -10,29 +10,29 @@ use crate::share::Shares;
 use crate::width::{Correction, Widths};
 use crate::{ContextPrior, KNOTS, OUTLIER, fading};
 
-/// Deviations that the prior counts for.
+/// Weight of the prior, in deviations.
 const DEVIATIONS_LEN: f64 = 10.0;
-/// Shares of the fans that are nearest about each of the [`MIDDLES`], before any is known.
+/// Initial shares of the fans that are nearest about each of the [`MIDDLES`].
 const ABOUT_MIDDLES: [f32; MIDDLES.len()] = [0.25, 0.5, 0.25];
-/// Comparisons of them that they count for.
+/// Weight of these shares, in comparisons.
 const MIDDLES_LEN: f64 = 20.0;
 
-/// What is known of one type at one speed.
+/// The learned state of one type at one speed.
 #[derive(Clone, Debug)]
 pub(super) struct Knowledge {
     pub(super) blend: [Blend; KNOTS],
     pub(super) widths: [Widths; KNOTS],
-    /// Sums of squares along and across the course, m², and their number.
+    /// Sums of squares along and across the course, m², and their count.
     pub(super) squares: [([f64; 2], f64); KNOTS],
-    /// Network and fan, by which had the nearest mode.
+    /// How often the network and the fan had the nearest mode.
     pub(super) sets: SetsAtSpeed,
-    /// Of the fan about each of the [`MIDDLES`].
+    /// Shares of the fan about each of the [`MIDDLES`].
     pub(super) of_middles: Shares<{ MIDDLES.len() }>,
     pub(super) pattern: LearnedPattern,
 }
 
 impl Knowledge {
-    /// Before any forecast, where the network knows the road with probability `known`.
+    /// State before any forecast. The network knows the road with probability `known`.
     pub(super) fn new(agent_type: AgentType, prior: &ContextPrior, known: f64) -> Self {
         let widths = prior.log_width.map(|log| Widths::new(log.exp()));
         let caution = Caution::of(agent_type);
@@ -58,7 +58,7 @@ impl Knowledge {
         self.pattern.discount(kept as f32);
     }
 
-    /// Deviations from the middle of the fan at a knot, m.
+    /// Deviations from the fan's centre at a knot, m.
     pub(super) fn deviations_m(&self, knot: usize) -> [f32; 2] {
         let (squares, len) = self.squares[knot];
         squares.map(|sum| (sum / len).sqrt() as f32)
@@ -68,7 +68,7 @@ impl Knowledge {
         self.blend.iter_mut().for_each(|blend| blend.solve(known));
     }
 
-    /// Adds a residual at a knot along and across the course, one of at most [`OUTLIER`] deviations.
+    /// Adds a residual at a knot along and across the course, clipped to [`OUTLIER`] deviations.
     pub(super) fn add_residual(&mut self, knot: usize, residual_m: [f32; 2], floor_m: f32, weight: f32) {
         let deviations_m = self.deviations_m(knot);
         let (squares, len) = &mut self.squares[knot];
@@ -81,13 +81,13 @@ impl Knowledge {
     }
 }
 
-/// What is known of one type at all speeds.
+/// The learned state of one type at all speeds.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct OfType {
     pub(super) familiarity: Familiarity,
     pub(super) sets: SetsOfType,
     pub(super) corrections: [Correction; KNOTS],
-    /// Whether a forecast has matured since the experts' weights were found.
+    /// Whether a forecast has matured since the experts' weights were computed.
     pub(super) is_stale: bool,
 }
 

@@ -1,4 +1,4 @@
-//! What was learned as plain numbers, for memory that outlives the process.
+//! The learned state as plain numbers, for memory that outlives the process.
 
 use wire::MODES_MAX;
 
@@ -10,12 +10,12 @@ use crate::sets::{SetsAtSpeed, SetsOfType};
 use crate::width::{Correction, Widths, single};
 use crate::{BANDS, KNOTS};
 
-/// Numbers in which all that was learned is written.
+/// Count of the numbers of the whole learned state.
 pub const NUMBERS_LEN: usize = 1 + 3 * (BANDS * KNOWLEDGE_LEN + OF_TYPE_LEN);
-/// Those of one type at all speeds.
+/// Count for one type at all speeds.
 const OF_TYPE_LEN: usize =
     Familiarity::NUMBERS_LEN + SetsOfType::NUMBERS_LEN + KNOTS * Correction::NUMBERS_LEN;
-/// Those of one type at one speed: the blend, the widths, the squares, what is nearer and the pattern.
+/// Count for one type at one speed: the blend, the widths, the squares, the shares and the pattern.
 const KNOWLEDGE_LEN: usize = KNOTS * (Blend::NUMBERS_LEN + Widths::NUMBERS_LEN + 3)
     + SetsAtSpeed::NUMBERS_LEN
     + MIDDLES.len()
@@ -28,15 +28,15 @@ impl Evidence {
         self.step_ns.unsigned_abs()
     }
 
-    /// Writes what was learned so far as numbers, which [`Evidence::resume`] takes: the forecasts that have not
-    /// matured are left out. They begin with the newest time.
+    /// Writes the learned state as numbers for [`Evidence::resume`], with the newest time first. Pending
+    /// forecasts are left out.
     ///
     /// # Panics
-    /// If `out` has not [`NUMBERS_LEN`] places.
+    /// If `out` does not have [`NUMBERS_LEN`] places.
     pub fn write_numbers(&mut self, out: &mut [f64]) {
         assert_eq!(out.len(), NUMBERS_LEN, "a place per number");
         let [time, out @ ..] = out else { return };
-        // Its bits: not all times are numbers of double precision.
+        // Stored as bits: double precision can't represent all times.
         *time = f64::from_bits(self.now_ns.cast_unsigned());
         let mut places = out.iter_mut();
         self.numbers(&mut |number| {
@@ -46,10 +46,10 @@ impl Evidence {
         });
     }
 
-    /// Goes on with what was learned before, under the same prior, as if all agents were new.
+    /// Resumes from earlier learned state under the same prior. All agents count as new.
     ///
     /// # Errors
-    /// If they are no such numbers; then nothing was changed.
+    /// If the numbers are invalid; the state is then unchanged.
     pub fn resume(&mut self, numbers: &[f64]) -> Result<(), &'static str> {
         let (NUMBERS_LEN, [time, numbers @ ..]) = (numbers.len(), numbers) else {
             return Err("number of the sums");
@@ -77,7 +77,7 @@ impl Evidence {
         }
     }
 
-    /// Forecasts that have matured, older ones counting less, without those that the prior counts for.
+    /// Discounted number of matured forecasts, without the prior's.
     #[must_use]
     pub fn matured_len(&self) -> f64 {
         self.known.as_flattened().iter().map(|knowledge| knowledge.blend[KNOTS - 1].matured_len()).sum()
@@ -85,7 +85,7 @@ impl Evidence {
 }
 
 impl Knowledge {
-    /// Gives `each` all numbers that were learned, to read or to change.
+    /// Calls `each` with all learned numbers, to read or to change them.
     fn numbers(&mut self, each: &mut impl FnMut(&mut f64)) {
         self.blend.iter_mut().for_each(|blend| blend.numbers(each));
         self.widths.iter_mut().for_each(|widths| widths.numbers(each));

@@ -1,34 +1,33 @@
-//! Forecasts that have not matured.
+//! Pending forecasts: those that have not matured.
 
 use super::Knowledge;
 use crate::paths::weighted_m;
 use crate::{BANDS, Context, EXPERTS, KNOTS};
 
-/// A forecast of an agent that has not matured.
+/// A pending forecast of an agent.
 #[derive(Clone, Debug)]
 pub(super) struct Pending {
     pub(super) stamp_ns: i64,
     pub(super) context: Context,
-    /// Knots that have matured.
+    /// Number of matured knots.
     pub(super) matured_len: usize,
     pub(super) velocity_m: [[f32; 2]; KNOTS],
-    /// Middle of the fan.
+    /// Centre of the fan.
     pub(super) centre_m: [[f32; 2]; KNOTS],
-    /// Less constant velocity.
+    /// Relative to constant velocity.
     pub(super) regression_m: [[f32; 2]; KNOTS],
     pub(super) course: [f32; 2],
-    /// What the truth is beyond the middle of the fan along and across the course, at the knots that have
-    /// matured, m.
+    /// Offset of the truth from the fan's centre, along and across the course, at the matured knots, m.
     pub(super) residuals_m: [[f32; 2]; KNOTS],
-    /// Less constant velocity.
+    /// Relative to constant velocity.
     pub(super) experts_m: [[[f32; 2]; EXPERTS]; KNOTS],
-    /// Its place among the mixtures.
+    /// Its index among the mixtures.
     pub(super) mixture: Option<usize>,
 }
 
 impl Pending {
-    /// How much nearer to the truth at a knot the network was than the blend of a road that it does not know,
-    /// as a share of how far agents alike deviate. The truth is less constant velocity.
+    /// The network's advantage in distance to the truth at a knot over the blend of an unknown road, as a
+    /// share of the typical deviation of similar agents. The truth is relative to constant velocity.
     pub(super) fn network_nearer(
         &self,
         knot: usize,

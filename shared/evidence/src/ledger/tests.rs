@@ -4,19 +4,20 @@ use crate::MotionNow;
 const STEP_NS: i64 = 400_000_000;
 const AGENT: Agent = Agent { id: 7, agent_type: AgentType::Vehicle, speed_mps: 10.0, course: [1.0, 0.0] };
 
-/// An agent at a steady 10 m/s whose network says `factor` times as far, with all modes there; levels are `level`.
-/// Returns what is left in the end.
+/// An agent at a constant 10 m/s. The network predicts `factor` times the distance, with all modes there;
+/// levels are `level`. Returns the final state.
 fn drive(steps: i64, factor: f32, level: f64) -> Evidence {
     drive_by(steps, |_| [1.0, factor, 1.0], level)
 }
 
-/// As [`drive`], with so many times as far of constant velocity, the network and the blend at each step.
+/// As [`drive`]. At each step the three factors scale the distances of constant velocity, the network and the
+/// blend.
 fn drive_by(steps: i64, factors: impl Fn(i64) -> [f32; 3], level: f64) -> Evidence {
     let evidence = Evidence::new(12, STEP_NS as u64, &Prior::default());
     drive_with(evidence, steps, factors, level)
 }
 
-/// As [`drive_by`], after what was known before.
+/// As [`drive_by`], starting from earlier evidence.
 fn drive_with(mut evidence: Evidence, steps: i64, factors: impl Fn(i64) -> [f32; 3], level: f64) -> Evidence {
     let covariances_m2 = [[[1.0, 0.0, 1.0]; HORIZON_MAX]; MODES_MAX];
     for step in 0..steps {
@@ -44,12 +45,12 @@ fn drive_with(mut evidence: Evidence, steps: i64, factors: impl Fn(i64) -> [f32;
     evidence
 }
 
-/// The fan of an agent that keeps its place or goes 8 m along and 2 m across.
+/// The fan of an agent that stands or moves 8 m along and 2 m across.
 fn fan(evidence: &Evidence) -> Fan {
     evidence.fan(&AGENT, &[[0.0; 2]; HORIZON_MAX], &[[8.0, 2.0]; HORIZON_MAX])
 }
 
-/// What is chosen of the fan and of twenty modes a metre apart across the course.
+/// The selection from the fan and from twenty modes at a spacing of one metre across the course.
 fn choose(evidence: &Evidence) -> Choice {
     let network_m: [_; MODES_MAX] = std::array::from_fn(|mode| [[0.0, mode as f32 - 9.5]; HORIZON_MAX]);
     let probability = [0.05; MODES_MAX];
@@ -73,7 +74,7 @@ fn a_network_that_knows_the_road_is_believed_before_its_last_steps_matured() {
     (doubt.targets, doubt.len) = ([0.2, 0.0, 0.0, 0.0], 1.0);
     let mut prior = Prior::default();
     prior.0.as_flattened_mut().iter_mut().for_each(|context| context.blend = [doubt; KNOTS]);
-    // Constant velocity goes too far, or the network does: for 3.2 s of 4.8.
+    // Constant velocity or the network goes too far, for 3.2 s of 4.8.
     let [before, known, strange] =
         [(0, 1.3, 1.0), (8, 1.3, 1.0), (8, 1.0, 1.3)].map(|(steps, velocity, network)| {
             let evidence = Evidence::new(12, STEP_NS as u64, &prior);
@@ -87,7 +88,7 @@ fn a_network_that_knows_the_road_is_believed_before_its_last_steps_matured() {
 fn an_absurd_forecast_is_outlived_and_one_out_of_the_world_is_nothing() {
     let prior = Prior::default();
     let network_after = |absurd: f32, steps: i64| {
-        // Constant velocity goes too far; the network is right but for once, when it says kilometres.
+        // Constant velocity goes too far. The network is right except once, when it predicts kilometres.
         let factors = |step| if step == 3 { [1.3, absurd, 1.0] } else { [1.3, 1.0, 1.0] };
         let evidence = Evidence::new(12, STEP_NS as u64, &prior);
         drive_with(evidence, steps, factors, 0.5).weights(AGENT.agent_type, AGENT.speed_mps)[11][0]
@@ -133,8 +134,8 @@ fn misses_at_one_speed_widen_the_regions_of_all_speeds_of_the_type_for_a_while()
 
 #[test]
 fn what_the_correction_widened_is_no_width_that_lasts() {
-    // All are published twice as wide, as the widths at the time say by their correction alone, or without
-    // it.
+    // All are published twice as wide as they should be: the widths at that time contain the factor in their
+    // correction, or do not.
     let lasting = |corrected: bool| {
         let mut known = Evidence::new(12, STEP_NS as u64, &Prior::default());
         if corrected {
@@ -172,7 +173,8 @@ fn a_fan_lies_halfway_to_the_blend_or_at_it_where_that_has_been_nearer() {
         assert!((x - 4.0 * y).abs() < 1e-4, "on the line from constant velocity to the blend: {x} {y}");
         x / 8.0
     };
-    // Constant velocity is wrong by up to half of the way to either side, the blend as much to the other side or right.
+    // Constant velocity is wrong by up to half of the way to either side, and the blend is as wrong to the
+    // other side or right.
     let [before, halfway, blend] = [(0, 1.0), (120, -1.0), (120, 0.0)].map(|(steps, of_blend)| {
         let wrong = |step: i64| (0.618 * step as f32).fract() - 0.5;
         let factors = |step| [1.0 + wrong(step), 1.0, 1.0 + of_blend * wrong(step)];
@@ -228,7 +230,7 @@ fn a_fan_begins_with_the_pattern_of_the_nearest_speed() {
         prior.0[AGENT.agent_type.index()][band].pattern.points = [[[along, 0.5]; KNOTS]; MODES_MAX];
     }
     let evidence = Evidence::new(12, STEP_NS as u64, &prior);
-    // At 6 and 11 m/s they are known.
+    // The values at 6 and 11 m/s are known.
     for (speed_mps, along) in [(8.0, 1.0), (9.0, 3.0)] {
         let still = [[0.0; 2]; HORIZON_MAX];
         let fan = evidence.fan(&Agent { speed_mps, ..AGENT }, &still, &still);
@@ -250,7 +252,7 @@ fn what_is_known_of_agents_that_stay_away_for_days_lasts() {
         }
         (known(&evidence), evidence.widths(AGENT.agent_type, AGENT.speed_mps)[11])
     };
-    // The correction of the widths is of the last minute.
+    // The correction of the widths covers the last minute.
     let (_, width) = pass(1..=60);
     let (after, width_after) = pass(61..=2 * 1440);
     assert!((width_after / width - 1.0).abs() < 1e-6, "{width_after} {width}");

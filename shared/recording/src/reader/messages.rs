@@ -124,7 +124,7 @@ impl<'a> Messages<'a> {
         }
     }
 
-    /// A message; `None` if it is of another program.
+    /// A message; `None` if it belongs to another program.
     fn message(
         &self,
         part: &Part,
