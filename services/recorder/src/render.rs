@@ -562,7 +562,7 @@ fn why(cause: &str) -> &str {
         "value" => "numbers that can't be",
         "order" => "stamps or elements out of order",
         "check value" => "header or payload changed on the way",
-        "unprotected" => "no check value: see `protect` in docs/faults.md",
+        "unprotected" => "no check value: see `protect` in docs/integrity.md",
         "repeated" => "came again, or too late",
         other => other,
     }

@@ -29,7 +29,7 @@ pub enum Change {
     TooLong,
 }
 
-/// All transitions; docs/faults.md draws them.
+/// All transitions; docs/degradation.md draws them.
 pub const TRANSITIONS: [(Level, Change, Level); 7] = [
     (Level::Learned, Change::NoControls, Level::Held),
     (Level::Learned, Change::TooOld, Level::Kinematic),
@@ -143,7 +143,7 @@ mod tests {
             drawn += &format!("    {} --> {}: {change}\n", name(from), name(to));
         }
         drawn += "```\n";
-        let page = include_str!("../../../docs/faults.md");
-        assert!(page.contains(&drawn), "docs/faults.md lacks:\n{drawn}");
+        let page = include_str!("../../../docs/degradation.md");
+        assert!(page.contains(&drawn), "docs/degradation.md lacks:\n{drawn}");
     }
 }
