@@ -35,8 +35,6 @@
 //!   The fan is as wide as similar agents deviate from its centre. The set whose nearest mode has been nearer
 //!   gets more modes. The centre is at constant velocity, at the blend or halfway between them, where the fan
 //!   has been nearest.
-//! modes. The   centre is at constant velocity, at the blend or halfway between them, where the fan has been
-//! nearest.
 //!
 //! The learned state is kept at four steps of the horizon and at six speeds, with linear interpolation
 //! between them. Nothing here allocates after the start.

@@ -1,7 +1,7 @@
-//! Times of the layers beside the processor's peak.
+//! Times of the layers, with the processor's peak for comparison.
 //!
 //! Throughput is in live multiply-adds (two operations each): 1 Gelem/s is 2 GFLOP/s. The first lines print
-//! the peak that was measured in the same run. `STGDAT_KERNELS=avx2` measures another instruction set than the
+//! the peak, measured in the same run. `STGDAT_KERNELS=avx2` selects an instruction set other than the
 //! fastest.
 
 use std::hint::black_box;
@@ -14,15 +14,15 @@ use nn::kernels::{self, peak};
 use nn::{BurnIn, ContextCnn, ContextMemory, Decoder, DecoderMemory, Draws, Precision, RAW_CONTROL, Weights};
 use wire::AgentType;
 
-/// Side of the matrices of the yardstick.
+/// Side length of the matrices in the comparison.
 const SIDE: usize = 512;
 
 fn value(i: usize) -> f32 {
     ((i * 37) % 101) as f32 * 0.01 - 0.5
 }
 
-/// Peak, our product and faer's on the same instruction set, by turns, so that what else the machine does hits
-/// all of them; the best of each is printed.
+/// Peak, our product and faer's on the same instruction set, alternating, so that other load on the machine
+/// affects all of them. Prints the best of each.
 fn yardstick(_: &mut Criterion) {
     let (turns, time) = (25, Duration::from_millis(40));
     let mut faer = Faer::new();
@@ -38,8 +38,8 @@ fn yardstick(_: &mut Criterion) {
     println!("matrix product {SIDE}, faer: {faer:.1} GFLOP/s; ours is {:.2} of it", ours / faer);
 }
 
-/// faer's product on the instruction set of our kernels: `faer::linalg::matmul` takes the fastest and can't be
-/// told, so that on x86-64 the function is called that it calls.
+/// faer's product on the instruction set of our kernels. `faer::linalg::matmul` always uses the fastest set,
+/// so on x86-64 this code calls the function that `matmul` calls.
 struct Faer {
     a: Mat<f32>,
     b: Mat<f32>,
@@ -77,7 +77,7 @@ impl Faer {
 fn on_avx2(a: &Mat<f32>, b: &Mat<f32>, out: &mut Mat<f32>) {
     use private_gemm_x86::{Accum, DType, DstKind, IType, InstrSet, gemm};
     let none = std::ptr::null();
-    // SAFETY: the matrices have the sides given, the scalar is one of the type given, and AVX2 is in use.
+    // SAFETY: the matrices have the given side lengths, the scalar has the given type, and AVX2 is in use.
     unsafe {
         gemm(
             DType::F32,

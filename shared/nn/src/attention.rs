@@ -1,8 +1,9 @@
-//! Graph dual attention: over an agent's neighbours at a step (topological), then over its steps (temporal).
+//! Graph dual attention: over an agent's neighbours at a step (topological), and then over its steps
+//! (temporal).
 //!
-//! The graph is sparse. Its edges come sorted by (step, receiver, sender), so that the edges that an agent
-//! receives at a step are neighbours in memory and softmax and sums run along the list. Nodes are rows
-//! \[step, agent\].
+//! The graph is sparse. Its edges are sorted by (step, receiver, sender). The edges that an agent receives at
+//! a step are therefore adjacent in memory, and softmax and sums run along the list. Nodes are rows \[step,
+//! agent\].
 
 mod reach;
 mod temporal;
@@ -25,21 +26,20 @@ pub struct Graph<'a> {
     pub present: &'a [bool],
     /// Node attributes v, \[step, agent\]; rows of absent agents are ignored.
     pub nodes: &'a [[f32; NODE_ATTRIBUTES]],
-    /// Edges between present agents, sorted by (step, receiver, sender), each present agent's self edge among
-    /// them.
+    /// Edges between present agents, including each one's self edge, sorted by (step, receiver, sender).
     pub edges: &'a [Edge],
     /// Edge attributes e, in the order of `edges`.
     pub attributes: &'a [[f32; EDGE_ATTRIBUTES]],
 }
 
-/// What a round of topological attention computed.
+/// Intermediate results of a round of topological attention.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct RoundTrace {
     /// Attention α, \[edge, head\].
     pub alpha: Vec<f32>,
-    /// Node attributes v̄, \[step, agent\]; zero rows where absent.
+    /// Node attributes v̄, \[step, agent\]; zero rows for absent agents.
     pub nodes: Vec<[f32; NODE_ATTRIBUTES]>,
-    /// Edge attributes after the round's update, in the order of the edges; none after the last round.
+    /// Edge attributes after the round's update, in the order of the edges; empty after the last round.
     pub attributes: Vec<[f32; EDGE_ATTRIBUTES]>,
 }
 
@@ -48,9 +48,9 @@ pub struct RoundTrace {
 pub struct GraphTrace {
     /// The rounds of topological attention.
     pub rounds: Vec<RoundTrace>,
-    /// Temporal attention β, \[step, agent, head\]; zeros where absent.
+    /// Temporal attention β, \[step, agent, head\]; zeros for absent agents.
     pub beta: Vec<f32>,
-    /// Heads of `beta`.
+    /// Number of heads in `beta`.
     pub temporal_heads: usize,
 }
 
@@ -65,13 +65,13 @@ pub struct Gdat {
 pub struct GdatMemory {
     nodes: [Buffer; 2],
     attributes: Vec<[f32; EDGE_ATTRIBUTES]>,
-    /// Edges that count, where not all do.
+    /// The edges in use, if not all are.
     edges: Vec<Edge>,
     round: RoundMemory,
     temporal: TemporalMemory,
 }
 
-/// Most rounds of a model, the last one's receivers apart.
+/// Maximum number of rounds of a model before the last one.
 const ROUNDS_MAX: usize = 3;
 
 impl Gdat {
@@ -86,15 +86,15 @@ impl Gdat {
         Ok(Self { rounds, temporal: TemporalAttention::read(weights)? })
     }
 
-    /// Temporal summaries ṽ of all agents, a row each; zeros for agents that are present at no step.
+    /// Temporal summaries ṽ of all agents, one row per agent; zeros for agents that are present at no step.
     ///
     /// # Panics
-    /// If the parts of the graph do not fit one another, or `out` has not a row per agent.
+    /// If the sizes of the graph's parts do not match, or `out` does not have one row per agent.
     pub fn summarise(&self, graph: &Graph<'_>, memory: &mut GdatMemory, out: &mut [[f32; TEMPORAL]]) {
         self.run(graph, memory, out, None);
     }
 
-    /// The same, and every intermediate tensor into `trace`.
+    /// As [`Gdat::summarise`], and writes every intermediate tensor to `trace`.
     ///
     /// # Panics
     /// As [`Gdat::summarise`].
@@ -127,24 +127,24 @@ impl Gdat {
         }
     }
 
-    /// Node attributes v̄ of a graph after all rounds of topological attention, \[step, agent\]; zero rows where
-    /// absent.
+    /// Node attributes v̄ of a graph after all rounds of topological attention, \[step, agent\]; zero rows
+    /// for absent agents.
     ///
-    /// A round does not leave its step, so that the steps of a scene may be attended to one by one, in any
-    /// order, and be joined by [`Gdat::summarise_attended`].
+    /// A round works within one step. The steps of a scene may therefore be processed one by one, in any
+    /// order, and joined by [`Gdat::summarise_attended`].
     ///
     /// # Panics
-    /// If the parts of the graph do not fit one another.
+    /// If the sizes of the graph's parts do not match.
     pub fn attend<'a>(&self, graph: &Graph<'_>, memory: &'a mut GdatMemory) -> &'a [[f32; NODE_ATTRIBUTES]] {
         self.attend_traced(graph, memory, None);
         memory.nodes[0][..graph.nodes.len() * NODE_ATTRIBUTES].as_chunks().0
     }
 
-    /// The same for a graph of one step of which only some agents' nodes are wanted; theirs are the same to the
-    /// bit, and all others anything. What nobody depends on is not computed.
+    /// As [`Gdat::attend`] for a graph of one step, for some agents' nodes only. Their values are identical
+    /// to the bit, and all others are undefined. Values that no wanted node depends on are not computed.
     ///
     /// # Panics
-    /// If the parts of the graph do not fit one another, or it has more than one step or
+    /// If the sizes of the graph's parts do not match, or if the graph has more than one step or more than
     /// [`AGENTS_MAX`] agents.
     pub fn attend_wanted<'a>(
         &self,
@@ -154,7 +154,7 @@ impl Gdat {
     ) -> &'a [[f32; NODE_ATTRIBUTES]] {
         graph.assert_fits();
         assert!(graph.nodes.len() == graph.agents_len && graph.agents_len <= AGENTS_MAX, "one step");
-        // Receivers that count in each round, the last first.
+        // Receivers needed in each round, the last round first.
         let mut receivers = [*wanted; ROUNDS_MAX];
         for round in 1..self.rounds.len() {
             receivers[round] = with_senders(&receivers[round - 1], graph.edges);
@@ -184,10 +184,10 @@ impl Gdat {
         memory.nodes[0][..len].as_chunks().0
     }
 
-    /// Temporal summaries ṽ of all agents from what [`Gdat::attend`] made of their nodes, \[step, agent\].
+    /// Temporal summaries ṽ of all agents, from the node attributes of [`Gdat::attend`], \[step, agent\].
     ///
     /// # Panics
-    /// If `nodes` and `present` do not fit one another, or `out` is empty beside them.
+    /// If the sizes of `nodes` and `present` do not match, or `out` is empty and they are not.
     pub fn summarise_attended(
         &self,
         present: &[bool],
@@ -199,7 +199,7 @@ impl Gdat {
         self.temporal.attend(out.len(), present, nodes.as_flattened(), &mut memory.temporal, out);
     }
 
-    /// All rounds; v̄ is left in the first of the memory's node buffers.
+    /// Computes all rounds; v̄ is left in the first of the memory's node buffers.
     fn attend_traced(&self, graph: &Graph<'_>, memory: &mut GdatMemory, mut trace: Option<&mut GraphTrace>) {
         graph.assert_fits();
         let len = memory.load(graph);
@@ -218,7 +218,7 @@ impl Gdat {
         }
     }
 
-    /// Gives `memory` room for graphs of so many nodes and edges, so that [`Gdat::attend`] does not allocate.
+    /// Reserves memory for graphs of this many nodes and edges, so that [`Gdat::attend`] does not allocate.
     pub fn make_room(&self, nodes_len: usize, edges_len: usize, memory: &mut GdatMemory) {
         let GdatMemory { nodes, attributes, edges, round: scratch, .. } = memory;
         edges.reserve(edges_len.saturating_sub(edges.len()));
@@ -229,7 +229,7 @@ impl Gdat {
 }
 
 impl GdatMemory {
-    /// Takes over a graph's nodes and edge attributes; returns the numbers of its nodes.
+    /// Copies a graph's nodes and edge attributes; returns the number of nodes.
     fn load(&mut self, graph: &Graph<'_>) -> usize {
         let Self { nodes: [from, to], attributes, .. } = self;
         let len = graph.nodes.len() * NODE_ATTRIBUTES;
@@ -242,7 +242,7 @@ impl GdatMemory {
     }
 }
 
-/// Drops the edges that none of `receivers` receives, with their attributes.
+/// Drops the edges with another receiver than `receivers`, and their attributes.
 fn keep_received(receivers: &AgentSet, edges: &mut Vec<Edge>, attributes: &mut Vec<[f32; EDGE_ATTRIBUTES]>) {
     let mut kept = 0;
     for i in 0..edges.len() {

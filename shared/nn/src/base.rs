@@ -1,8 +1,8 @@
-//! The base control B*: a linear function of the newest steps, plus an anchor per mode.
+//! The base control B*: a linear function of the newest steps, plus one anchor per mode.
 //!
-//! A *ridge* regression per history class and speed bin gives the control sequence from 26 features of the
-//! last four steps. *Anchors* are typical residuals to it, a set per bin of speed, acceleration and yaw rate.
-//! The network's output is a residual to both:
+//! A *ridge* regression per history class and speed bin predicts the control sequence from 26 features of the
+//! last four steps. *Anchors* are typical residuals of that prediction, one set per bin of speed,
+//! acceleration and yaw rate. The network's output is the remaining residual:
 //!
 //! ```text
 //! control of mode m at step t = ridge(features)\[t\] + anchors\[bin\]\[m\]\[t\] + μ\[m\]\[t\]
@@ -10,9 +10,9 @@
 //!
 //! The best forecast has no anchor.
 //!
-//! A base with *support* has a lower and an upper bound per history class and feature, within which all
-//! windows of its fit lie. Features are clamped to them, and the further the farthest one lies outside, the
-//! more the ridge and what the network adds shrink to zero control, and leave the anchors:
+//! A base with *support* has a lower and an upper bound per history class and feature. All windows of its fit
+//! are within these bounds. Features are clamped to them. With the distance of the farthest feature from its
+//! bounds, the ridge and the network's output shrink to zero control, and only the anchors remain:
 //!
 //! ```text
 //! e = max |x − clamp(x)| / (upper − lower)
@@ -30,23 +30,23 @@ use crate::weights::{Weights, WeightsError};
 pub const FEATURES: usize = 26;
 /// Newest steps that the features use.
 pub const STEPS: usize = 4;
-/// Classes of histories: 2, 3, and 4 or more newest steps in a row.
+/// Classes of histories: 2, 3, or at least 4 newest consecutive steps.
 pub const CLASSES: usize = 3;
 /// Bins of the speed.
 pub const SPEED_BINS: usize = 8;
 /// Bins of speed, acceleration and yaw rate.
 pub const BINS: usize = SPEED_BINS * 9;
-/// Distance from the support, in its width, at which half of the controls is kept.
+/// Distance from the support, relative to its width, at which half of the controls is kept.
 pub const HALF_SUPPORT: f32 = 0.25;
-/// Place of the acceleration over the last step among the features, m/s².
+/// Index of the acceleration over the last step among the features, m/s².
 pub const ACCELERATION: usize = 19;
-/// Place of |ω| v among the features, m/s².
+/// Index of |ω| v among the features, m/s².
 pub const LATERAL_ACCELERATION: usize = 22;
-/// Place of v² among the features, (m/s)².
+/// Index of v² among the features, (m/s)².
 pub const SPEED_SQUARED: usize = 23;
-/// Cuts between the bins of the acceleration, m/s².
+/// Boundaries of the acceleration bins, m/s².
 const ACCEL_CUTS_MPS2: [f32; 2] = [-0.7, 0.5];
-/// Cuts between the bins of the yaw rate, rad/s.
+/// Boundaries of the yaw-rate bins, rad/s.
 const YAW_RATE_CUTS_RADPS: [f32; 2] = [-0.06, 0.06];
 
 /// The inputs of the base control from a history, in metres and seconds.
@@ -73,23 +73,23 @@ struct Step {
     heading_rad: f32,
 }
 
-/// An angle within half a turn of 0.
+/// The equivalent angle within half a turn of 0.
 fn wrap(angle_rad: f32) -> f32 {
     let turns = ((angle_rad + PI) / TAU).floor();
     angle_rad - turns * TAU
 }
 
 impl BaseFeatures {
-    /// The features of a history of state features s, oldest first, scaled as the model wants them.
+    /// The features of a history of state features s, oldest first, in the model's scale.
     ///
     /// ```text
     /// positions of steps 1-3 · velocities of steps 1-4 · headings of steps 1-3 relative to step 4
     /// v ω₁, v ω₂, a₁, a₂, v² ω₁, v |ω₁|, v², v min(a₁, 0) · 1
     /// ```
     ///
-    /// Step 4 is the newest, v its speed; ω₁, a₁ are the changes of heading and speed over the last step, ω₂,
-    /// a₂ over the one before. Steps that are missing, that lie before a missing one, and what depends on
-    /// them count as 0.
+    /// Step 4 is the newest and v its speed. ω₁ and a₁ are the changes of heading and speed over the last
+    /// step, ω₂ and a₂ over the previous one. Missing steps, steps before a missing one, and all values that
+    /// depend on them are 0.
     #[must_use]
     pub fn new(
         states: &[[f32; STATE_FEATURES]],
@@ -147,7 +147,7 @@ impl BaseFeatures {
         }
     }
 
-    /// The bin of the speed, given the cuts between bins.
+    /// The bin of the speed, given the boundaries of the bins.
     #[must_use]
     pub fn speed_bin(&self, cuts_mps: &[f32]) -> usize {
         bin(self.speed_mps, cuts_mps)
@@ -166,7 +166,7 @@ fn bin(value: f32, cuts: &[f32]) -> usize {
     cuts.iter().filter(|&&cut| value >= cut).count()
 }
 
-/// Bounds of the features that a base was fitted to.
+/// Bounds of the features in the base's fit.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Support {
     bounds: [[f32; 2]; FEATURES],
@@ -176,14 +176,14 @@ impl Support {
     /// The support with a lower and an upper bound per feature.
     ///
     /// # Panics
-    /// If there are not as many bounds as features.
+    /// If the number of bounds differs from the number of features.
     #[must_use]
     pub fn new(bounds: &[[f32; 2]]) -> Self {
         Self { bounds: std::array::from_fn(|feature| bounds[feature]) }
     }
 
-    /// The features clamped to the bounds, and how far outside the farthest of them lay, in the width of its
-    /// bounds: e.
+    /// The features clamped to the bounds, and e: the distance of the farthest one from its bounds, relative
+    /// to their width.
     #[must_use]
     pub fn clamp(&self, features: &[f32; FEATURES]) -> ([f32; FEATURES], f32) {
         let mut outside = 0.0_f32;
@@ -217,7 +217,8 @@ impl Step {
     }
 }
 
-/// Factors that bring the controls of a type to similar magnitudes, for latent points that depend on them.
+/// Factors that scale the controls of a type to similar magnitudes, for latent points that depend on the
+/// controls.
 #[must_use]
 pub fn latent_scale(config: &ModelConfig, agent_type: AgentType) -> [f32; 2] {
     if config.drives(agent_type) { [0.5, 5.0] } else { [3.0, 3.0] }
@@ -231,7 +232,7 @@ pub struct Base {
     /// \[bin, mode, step\].
     anchors: Vec<[f32; 2]>,
     speed_cuts_mps: Vec<f32>,
-    /// \[class\]; none where the features have no bounds.
+    /// \[class\]; `None` if the features have no bounds.
     support: Option<Vec<Support>>,
     horizon_len: usize,
     modes_len: usize,
@@ -265,7 +266,7 @@ impl Base {
         })
     }
 
-    /// The ridge regression's controls, one for each step of the horizon.
+    /// The ridge regression's controls, one per step of the horizon.
     ///
     /// # Panics
     /// If `controls` is shorter than the horizon.
@@ -285,29 +286,29 @@ impl Base {
         }
     }
 
-    /// The features within the support, and how far outside they lay.
+    /// The clamped features, and their distance from the support.
     fn supported(&self, features: &BaseFeatures) -> ([f32; FEATURES], f32) {
         self.support
             .as_ref()
             .map_or((features.values, 0.0), |support| support[features.class].clamp(&features.values))
     }
 
-    /// How far the features lie outside of the support: e, 0 where the base has none.
+    /// The distance e of the features from the support; 0 if the base has none.
     #[must_use]
     pub fn outside(&self, features: &BaseFeatures) -> f32 {
         self.supported(features).1
     }
 
-    /// Controls that the base has for an agent: those of every mode, then those of the best forecast.
+    /// Number of the base's control sequences for an agent: one per mode, and one for the best forecast.
     #[must_use]
     pub const fn controls_len(&self) -> usize {
         (self.modes_len + 1) * self.horizon_len
     }
 
-    /// The base controls of every mode, and those of the best forecast behind them, \[mode, step\].
+    /// The base controls of every mode, followed by those of the best forecast, \[mode, step\].
     ///
     /// # Panics
-    /// If `controls` has not [`Base::controls_len`] places.
+    /// If `controls` does not have [`Base::controls_len`] sequences.
     pub fn controls(&self, features: &BaseFeatures, controls: &mut [[f32; 2]]) {
         assert_eq!(controls.len(), self.controls_len(), "a control per mode and step");
         let (modes, best) = controls.split_at_mut(self.modes_len * self.horizon_len);
@@ -321,7 +322,7 @@ impl Base {
         }
     }
 
-    /// The anchor of a mode: a control residual for each step.
+    /// The anchor of a mode: one control residual per step.
     #[must_use]
     pub fn anchor(&self, features: &BaseFeatures, mode: usize) -> &[[f32; 2]] {
         let bin = features.anchor_bin(&self.speed_cuts_mps);
@@ -339,7 +340,7 @@ mod tests {
         config
     }
 
-    /// A left turn at growing speed, in the frame of the last step.
+    /// A left turn with increasing speed, in the frame of the last step.
     fn turn(len: usize) -> Vec<[f32; STATE_FEATURES]> {
         let state = |back: usize| {
             let (heading, speed) = (-0.04 * back as f32, 6.0 - 0.2 * back as f32);

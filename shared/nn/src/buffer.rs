@@ -17,7 +17,7 @@ impl Buffer {
         buffer
     }
 
-    /// Sets the length to at least `len`. New values are 0; a shorter length changes nothing.
+    /// Sets the length to at least `len`. New values are 0; a smaller `len` changes nothing.
     pub(crate) fn reserve(&mut self, len: usize) {
         if len > self.len {
             self.lines.resize(len.div_ceil(16), Row::zeroed());

@@ -1,8 +1,9 @@
-//! The context CNN: a ResNet-18 of any width, from a local patch of the context map to 32 numbers.
+//! The context CNN: a ResNet-18 of any width that maps a local patch of the context map to 32 numbers.
 //!
-//! Activations are \[position, image, channel\]: the images of a batch lie side by side, so that a register
-//! tile of the convolution reads the same position of consecutive images, for which the same taps are live.
-//! Channels are padded to multiples of 16 with zeros, which stay zeros through convolution and ReLU.
+//! Activations are \[position, image, channel\]: the images of a batch are adjacent at each position. A
+//! register tile of the convolution therefore reads the same position of consecutive images, which have the
+//! same live taps. Channels are padded with zeros to multiples of 16. The padding stays zero through
+//! convolution and ReLU.
 
 mod conv;
 
@@ -15,7 +16,7 @@ use crate::linear::{Activation, Linear};
 use crate::weights::{Weights, WeightsError};
 use conv::{Conv, Geometry, max_pool};
 
-/// Images that pass the network together: their activations stay in the second-level cache.
+/// Images that are processed together: their activations stay in the second-level cache.
 const BATCH: usize = 24;
 /// Blocks of each of the four stages.
 const BLOCKS: usize = 2;
@@ -24,14 +25,14 @@ const BLOCKS: usize = 2;
 struct Block {
     first: Conv,
     second: Conv,
-    /// 1×1 projection of the shortcut where the shape changes.
+    /// 1×1 projection of the shortcut, if the shape changes.
     projection: Option<Conv>,
 }
 
 /// The context CNN, batch norm folded into its convolutions.
 pub struct ContextCnn {
     stem: Conv,
-    /// Side of the stem's output where a max-pool follows.
+    /// Side of the stem's output, if a max-pool follows.
     pool_side: Option<usize>,
     blocks: Vec<Block>,
     fc: Linear,
@@ -88,29 +89,29 @@ impl ContextCnn {
         Ok(Self { stem, pool_side, blocks, fc, patch_side, largest, multiply_adds })
     }
 
-    /// The linear layer behind the average pool, over channels that are padded to a multiple of 16.
+    /// The linear layer after the average pool, with channels padded to a multiple of 16.
     fn last_layer(weights: &Weights, channels: usize) -> Result<Linear, WeightsError> {
         let matrix = weights.tensor("fe.context.fc.weight", &[CONTEXT_EMBEDDING, channels])?;
         let bias = weights.tensor("fe.context.fc.bias", &[CONTEXT_EMBEDDING])?;
         Ok(Linear::pack(matrix, Some(bias), [CONTEXT_EMBEDDING, channels], 0..channels))
     }
 
-    /// Multiply-adds of one patch that reach a result: taps that see padding are not counted.
+    /// Multiply-adds of one patch that affect the result; taps on padding are not counted.
     #[must_use]
     pub const fn multiply_adds(&self) -> usize {
         self.multiply_adds
     }
 
-    /// Numbers of one patch, \[channel, row, column\].
+    /// Numbers in one patch, \[channel, row, column\].
     #[must_use]
     pub const fn patch_len(&self) -> usize {
         PATCH_CHANNELS * self.patch_side * self.patch_side
     }
 
-    /// Context embeddings CE of patches that lie one after the other, a row each.
+    /// Context embeddings CE of consecutive patches, one row per patch.
     ///
     /// # Panics
-    /// If `patches` does not hold a patch for each row of `out`.
+    /// If the number of patches differs from the number of rows in `out`.
     pub fn embed(&self, patches: &[f32], memory: &mut ContextMemory, out: &mut [[f32; CONTEXT_EMBEDDING]]) {
         assert_eq!(patches.len(), out.len() * self.patch_len(), "a patch for each row");
         let batches = patches.chunks(BATCH * self.patch_len()).zip(out.chunks_mut(BATCH));

@@ -1,10 +1,12 @@
 //! The decoder: a gated recurrent unit per agent type, from history and latent variable to control Gaussians.
-//! What does not depend on the draw is computed once: the burn-in and ṽ·W per agent, z·W per latent point.
-//! The dependence of a point on its base control is linear, so that W takes the control itself. From the
-//! second forecast step on the input is zero, so only its bias is left.
 //!
-//! In bf16 it is the recurrent layer, W_h h, that is computed in it: 24 of 25 multiply-adds of a step. The state h
-//! itself, its gates and all other layers stay in f32, so that what a step rounds is not carried on to the next.
+//! Parts that do not depend on the draw are computed once: the burn-in and ṽ·W per agent, z·W per latent
+//! point. A point depends linearly on its base control, so W applies directly to the control. From the second
+//! forecast step the input is zero, so only its bias remains.
+//!
+//! In bf16 only the recurrent product W_h h is computed with reduced precision: 24 of 25 multiply-adds of a
+//! step. The state h itself, its gates and all other layers stay in f32, so that rounding errors do not
+//! accumulate over the steps.
 
 mod group;
 
@@ -20,7 +22,7 @@ use crate::weights::{Weights, WeightsError};
 use crate::{Latents, Precision, StartError};
 pub use group::{AgentDraws, DecoderGroup, Encoded};
 
-/// Numbers of the head: (μ_1, μ_2, ln l_11, ln l_22, l_21).
+/// Outputs of the head: (μ_1, μ_2, ln l_11, ln l_22, l_21).
 pub const RAW_CONTROL: usize = 5;
 /// Bounds of ln l.
 const LOG_SCALE: [f32; 2] = [-5.0, 2.0];
@@ -47,7 +49,7 @@ pub struct TypeDecoder {
     context: Linear,
     latent: Linear,
     hidden: Linear,
-    /// W_h h + b_h of the state before all history, which is 0.
+    /// W_h h + b_h of the initial state 0, before all history.
     at_rest: Buffer,
     /// b_ih: the gates' input after the first forecast step.
     idle: Buffer,
@@ -60,7 +62,7 @@ pub struct TypeDecoder {
     base: Option<Base>,
 }
 
-/// Learned latent points as their addends to the gates: z·W, the point of the best forecast last.
+/// The gates' terms z·W of the learned latent points; the best forecast's point is the last.
 struct Points {
     gates: Buffer,
     len: usize,
@@ -72,10 +74,10 @@ struct ModeHead {
     modes_len: usize,
 }
 
-/// The history of agents of one type, as the burn-in reads it.
+/// The history of agents of one type, the input of the burn-in.
 #[derive(Clone, Copy, Debug)]
 pub struct BurnIn<'a> {
-    /// Agents.
+    /// Number of agents.
     pub agents_len: usize,
     /// State features s, \[step, agent\].
     pub states: &'a [[f32; STATE_FEATURES]],
@@ -83,13 +85,13 @@ pub struct BurnIn<'a> {
     pub present: &'a [bool],
 }
 
-/// Where the latent variables of a forecast come from.
+/// The source of a forecast's latent variables.
 #[derive(Clone, Copy, Debug)]
 pub enum Draws<'a> {
     /// The learned points of the type. The base controls, \[agent, mode, step\] with those of the best
     /// forecast behind the modes, move them where the model has `base_latent`; no other model reads them.
     Points(&'a [[f32; 2]]),
-    /// These, \[agent, draw\].
+    /// Given latent variables, \[agent, draw\].
     Given(&'a [[f32; LATENT]]),
 }
 
@@ -101,7 +103,7 @@ pub struct DecoderMemory {
     gates: Buffer,
     /// h, \[row, 128\].
     state: Buffer,
-    /// Head's output, \[row, 16\].
+    /// The head's output, \[row, 16\].
     raw: Buffer,
     /// ṽ·W, \[agent, gate\], and z·W of given draws, \[agent, draw, gate\].
     context: Buffer,
@@ -117,8 +119,7 @@ pub struct DecoderMemory {
 }
 
 impl Decoder {
-    /// The layers `decoder.*` and, where the configuration has them, latent points, mode head and base
-    /// control.
+    /// The layers `decoder.*` and, if the configuration has them, latent points, mode head and base control.
     ///
     /// # Errors
     /// If a tensor is missing or has another shape.
@@ -126,10 +127,11 @@ impl Decoder {
         Self::read(weights, None)
     }
 
-    /// The same with the recurrent layer in a precision.
+    /// As [`Decoder::new`], with the given precision of the recurrent layer.
     ///
     /// # Errors
-    /// [`StartError`] if the weights do not hold the model, or this process can't compute in the precision.
+    /// [`StartError`] if the weights do not contain the model, or this process can't compute in the
+    /// precision.
     pub fn with_precision(weights: &Weights, precision: Precision) -> Result<Self, StartError> {
         Ok(Self::read(weights, precision.dot_products()?)?)
     }
@@ -201,16 +203,16 @@ impl TypeDecoder {
         })
     }
 
-    /// The base control, where the model has one.
+    /// The base control, if the model has one.
     #[must_use]
     pub const fn base(&self) -> Option<&Base> {
         self.base.as_ref()
     }
 
-    /// Hidden states h after the present history steps, a row per agent.
+    /// Hidden states h after the present history steps, one row per agent.
     ///
     /// # Panics
-    /// If states, presence and `hidden` do not fit one another.
+    /// If the sizes of states, presence and `hidden` do not match.
     pub fn burn_in(&self, agents: &BurnIn<'_>, memory: &mut DecoderMemory, hidden: &mut [[f32; HIDDEN]]) {
         let rows_len = agents.agents_len;
         assert_eq!(agents.states.len(), agents.present.len(), "presence of each state");
@@ -241,14 +243,14 @@ impl TypeDecoder {
         }
     }
 
-    /// The head's outputs, \[agent, draw, step\], of agents with hidden states and temporal summaries as
-    /// given.
+    /// The head's outputs, \[agent, draw, step\], for agents with the given hidden states and temporal
+    /// summaries.
     ///
-    /// With [`Draws::Points`] the draws are the learned points, and behind them the point of the best
-    /// forecast where the model has one.
+    /// With [`Draws::Points`] the draws are the learned points, followed by the point of the best forecast if
+    /// the model has one.
     ///
     /// # Panics
-    /// If the parts do not fit one another, or if there are to be points and the model has none.
+    /// If the sizes do not match, or if points are requested and the model has none.
     pub fn forecast(
         &self,
         hidden: &[[f32; HIDDEN]],
@@ -267,7 +269,7 @@ impl TypeDecoder {
         memory.first.reserve(agents_len * GATES);
         let context = &mut memory.context[..agents_len * GATES];
         self.context.run(temporal.as_flattened(), TEMPORAL, Activation::None, context);
-        // All draws of an agent start from its state: the first step's recurrent half is theirs in common.
+        // All draws of an agent start from its state, so they share the first step's recurrent half.
         let first_gates = &mut memory.first[..agents_len * GATES];
         self.hidden.run(hidden.as_flattened(), HIDDEN, Activation::None, first_gates);
         let (draws_len, shared) = match draws {
@@ -308,7 +310,7 @@ impl TypeDecoder {
         }
     }
 
-    /// Runs the rows whose state, first input and first recurrent half lie in `memory` over the horizon.
+    /// Unrolls the rows in `memory` (state, first input and first recurrent half) over the horizon.
     fn unroll(
         &self,
         len: usize,
@@ -334,23 +336,23 @@ impl TypeDecoder {
         }
     }
 
-    /// Learned latent points, that of the best forecast included; 0 where the model draws from N(0, I).
+    /// Number of learned latent points, including the best forecast's; 0 if the model draws from N(0, I).
     #[must_use]
     pub fn points_len(&self) -> usize {
         self.points.as_ref().map_or(0, |points| points.len)
     }
 
-    /// The latent point of the best forecast, where the model has one.
+    /// The latent point of the best forecast, if the model has one.
     #[must_use]
     pub const fn best_latent(&self) -> Option<&[f32; LATENT]> {
         self.best_latent.as_ref()
     }
 
-    /// Probabilities of the modes, \[agent, mode\], or `false` where the model has no mode head and `out` is
-    /// left.
+    /// Probabilities of the modes, \[agent, mode\]. Returns `false` and leaves `out` unchanged if the model
+    /// has no mode head.
     ///
     /// # Panics
-    /// If the parts do not fit one another.
+    /// If the sizes do not match.
     pub fn mode_probabilities(
         &self,
         hidden: &[[f32; HIDDEN]],
@@ -386,8 +388,8 @@ impl TypeDecoder {
     }
 }
 
-/// W·M·diag(scale): from the controls that M reads, of alternating components, to the gates,
-/// \[gate, control\].
+/// W·M·diag(scale): maps the controls that M reads, with alternating components, to the gates, \[gate,
+/// control\].
 fn fold<'w>(
     rows: impl Iterator<Item = &'w [f32]>,
     matrix: &[f32],
@@ -405,8 +407,7 @@ fn fold<'w>(
     folded
 }
 
-/// Adds the base controls' addend to the gates' input at the first forecast step, for `rows` of (agent,
-/// mode).
+/// Adds the base controls' term to the gates' input at the first forecast step, for `rows` of (agent, mode).
 fn add_base(
     layer: &Linear,
     base: &[[f32; 2]],

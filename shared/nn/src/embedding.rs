@@ -5,7 +5,7 @@ use crate::weights::{Weights, WeightsError};
 
 const HIDDEN: usize = 128;
 
-/// The state MLPs, one per agent type or the same for all: 6 → 128 → 128 → 128 → 32, or 64 without context.
+/// The state MLPs, one per agent type or one for all: 6 → 128 → 128 → 128 → 32, or 64 without context.
 pub struct StateMlp {
     types: [Mlp; 3],
 }
@@ -25,7 +25,7 @@ impl StateMlp {
         Ok(Self { types: [read(vehicle)?, read(cyclist)?, read(pedestrian)?] })
     }
 
-    /// State embeddings SE, \[row, 32\] (64 without context), of state features s, a row each.
+    /// State embeddings SE, \[row, 32\] (64 without context), of state features s, one per row.
     pub fn embed(
         &self,
         agent_type: AgentType,
@@ -52,7 +52,7 @@ impl RelationMlp {
         Ok(Self { mlp: Mlp::read(weights, "fe.relation", &lengths)? })
     }
 
-    /// Edge attributes e of relation features φ, a row each.
+    /// Edge attributes e of relation features φ, one per row.
     pub fn embed(
         &self,
         relations: &[[f32; RELATION_FEATURES]],

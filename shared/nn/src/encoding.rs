@@ -3,7 +3,7 @@ use wire::{LATENT, TEMPORAL};
 use crate::linear::{Mlp, MlpMemory};
 use crate::weights::{Weights, WeightsError};
 
-/// The encoding function of training: the posterior mean of the latent variable, 128 → 128 → 128 → 32.
+/// The encoding function for training: the posterior mean of the latent variable, 128 → 128 → 128 → 32.
 pub struct EncodingFunction {
     mlp: Mlp,
 }
@@ -17,7 +17,7 @@ impl EncodingFunction {
         Ok(Self { mlp: Mlp::read(weights, "encoder", &[2 * TEMPORAL, 128, 128, LATENT])? })
     }
 
-    /// Posterior means m of temporal summaries \[ṽ_h ‖ ṽ_f\], a row each.
+    /// Posterior means m of temporal summaries \[ṽ_h ‖ ṽ_f\], one per row.
     pub fn means(
         &self,
         summaries: &[[f32; 2 * TEMPORAL]],

@@ -1,13 +1,13 @@
 //! Hand-written f32 kernels on packed weights, chosen at run time by the processor's instruction sets.
 //!
-//! A kernel is written once, generic over `Lanes`: the operations of an instruction set, as a token that
-//! exists only where the processor has that set. `dispatch` hands a `Kernel` the token of the set in use,
-//! inside a function that is compiled for it.
+//! A kernel is written once, generic over `Lanes`. `Lanes` provides the operations of an instruction set
+//! through a token that exists only if the processor has the set. `dispatch` calls a `Kernel` with the token
+//! of the set in use, inside a function that is compiled for the set.
 //!
-//! Apart from them stand products in [`bf16`], which one instruction set has.
+//! Products in [`bf16`] are separate: only one instruction set has them.
 //!
-//! Three kernels carry the network: the `product` of gathered rows with packed panels (linear layers and
-//! convolutions alike), the `gates` of the GRU and the exponential function.
+//! Three kernels dominate the network: the `product` of gathered rows with packed panels (for linear layers
+//! and convolutions), the `gates` of the GRU, and the exponential function.
 
 use std::fmt;
 use std::str::FromStr;
@@ -42,7 +42,7 @@ pub enum Isa {
     Avx2 = 2,
     /// 4 lanes, fused multiply-add.
     Neon = 3,
-    /// Plain Rust as the compiler translates it, on any processor.
+    /// Plain Rust, on any processor.
     Portable = 4,
 }
 
@@ -55,16 +55,16 @@ pub enum IsaError {
     /// The processor lacks it.
     #[error("this processor has no {}, only {}", .0.name(), Isa::available_names())]
     Unavailable(Isa),
-    /// It has another name.
+    /// No instruction set has this name.
     #[error("there is no instruction set {0:?}: one of avx512, avx2, neon, portable")]
     Unknown(String),
-    /// [`VARIABLE`] names one that can't be used.
+    /// [`VARIABLE`] names a set that can't be used.
     #[error("{VARIABLE}: {0}")]
     Variable(Box<IsaError>),
 }
 
 impl Isa {
-    /// All instruction sets, the fastest first.
+    /// All instruction sets, fastest first.
     pub const ALL: [Self; 4] = [Self::Avx512, Self::Avx2, Self::Neon, Self::Portable];
 
     /// The name used in reports.
@@ -89,7 +89,7 @@ impl Isa {
         }
     }
 
-    /// The names of all sets that this processor has, the fastest first.
+    /// The names of all sets that this processor has, fastest first.
     #[must_use]
     pub fn available_names() -> String {
         Self::ALL.into_iter().filter(|isa| isa.available()).map(Self::name).collect::<Vec<_>>().join(", ")
@@ -128,20 +128,20 @@ impl FromStr for Isa {
     }
 }
 
-/// The set in use as a number, 0 before the first kernel ran.
+/// The set in use as a number; 0 before the first kernel has run.
 static ACTIVE: AtomicU8 = AtomicU8::new(0);
-/// The set that was asked for as a number, 0 where none was.
+/// The requested set as a number; 0 if none was requested.
 static FORCED: AtomicU8 = AtomicU8::new(0);
 
 fn of_number(number: u8) -> Option<Isa> {
     Isa::ALL.into_iter().find(|&isa| isa as u8 == number)
 }
 
-/// The instruction set in use: the one that [`force`] or [`VARIABLE`] chose, else the fastest that the
-/// processor has.
+/// The instruction set in use: the one that [`force`] or [`VARIABLE`] selects, or else the processor's
+/// fastest.
 ///
 /// # Panics
-/// If [`VARIABLE`] can't be followed; programs report that by [`follow_environment`] first.
+/// If the value of [`VARIABLE`] can't be used; programs report this earlier through [`follow_environment`].
 #[must_use]
 pub fn active() -> Isa {
     of_number(ACTIVE.load(Ordering::Relaxed)).unwrap_or_else(|| match follow_environment() {
@@ -150,13 +150,13 @@ pub fn active() -> Isa {
     })
 }
 
-/// The set that [`force`] or [`VARIABLE`] chose; none where the fastest is in use because it is.
+/// The set that [`force`] or [`VARIABLE`] selected; `None` if the fastest is in use by default.
 #[must_use]
 pub fn forced() -> Option<Isa> {
     of_number(FORCED.load(Ordering::Relaxed))
 }
 
-/// Chooses the set that [`VARIABLE`] names, else the fastest; does nothing where one was chosen before.
+/// Selects the set that [`VARIABLE`] names, or else the fastest; does nothing if a set is already selected.
 ///
 /// # Errors
 /// [`IsaError::Variable`] if the variable names no set, or one that the processor lacks.
@@ -187,12 +187,12 @@ pub fn force(isa: Isa) -> Result<(), IsaError> {
     Ok(())
 }
 
-/// A computation that is compiled once for each instruction set. `run` must be `#[inline(always)]`, so that
-/// its body ends up in a function with the set's target features.
+/// A computation that is compiled once per instruction set. `run` must be `#[inline(always)]`, so that its
+/// body is compiled in a function with the set's target features.
 pub trait Kernel {
-    /// What it returns.
+    /// The result.
     type Output;
-    /// Computes, on `lanes`.
+    /// Runs the computation on `lanes`.
     fn run<L: Lanes>(self, lanes: L) -> Self::Output;
 }
 

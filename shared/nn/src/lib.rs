@@ -1,11 +1,11 @@
 //! The network: weights, layers and the kernels that run them.
 //!
-//! Layers are built once from [`Weights`]: the constructor checks every shape, folds what is constant and
-//! packs the matrices in the order in which the kernels read them. A layer is then immutable; what a call
-//! needs besides its inputs lies in a *memory* of its own (`ContextMemory`, `GdatMemory`, …) that grows when
-//! a larger input is seen first, so that a steady caller never allocates.
+//! Layers are built once from [`Weights`]. The constructor checks every shape, folds constants and packs the
+//! matrices in the kernels' reading order. A layer is then immutable. The scratch data of a call is in a
+//! separate *memory* (`ContextMemory`, `GdatMemory`, …). A memory grows only when a larger input arrives, so
+//! a steady caller never allocates.
 //!
-//! Each row of a result depends on its own inputs alone and is summed in one fixed order. Rows may therefore
+//! Each row of a result depends only on its own inputs and is summed in one fixed order. Rows may therefore
 //! be split over workers or batched in any way without changing a bit.
 
 pub mod base;

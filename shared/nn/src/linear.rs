@@ -5,7 +5,7 @@ use crate::kernels::bf16::{DotProducts, PairPanels, PairProduct};
 use crate::kernels::product::{Gather, Panels, Product};
 use crate::weights::{Weights, WeightsError};
 
-/// Rows that pass an MLP together; their activations stay in the first-level caches.
+/// Rows that an MLP processes together; their activations stay in the first-level caches.
 const BLOCK: usize = 48;
 
 /// y = x Wᵀ + b on packed weights.
@@ -13,13 +13,13 @@ pub(crate) struct Linear {
     matrix: Matrix,
 }
 
-/// A layer's packed weights, in the precision that was chosen for it.
+/// A layer's packed weights in the selected precision.
 enum Matrix {
     F32(Panels),
     Bf16(PairPanels),
 }
 
-/// What follows a product.
+/// The function after a product.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Activation {
     None,
@@ -50,7 +50,7 @@ impl Linear {
         Ok(Self::pack(matrix, None, [out_len, in_len], 0..in_len))
     }
 
-    /// The columns `columns` of a matrix \[out, in\]: the part of a layer that reads a section of a
+    /// The columns `columns` of a matrix \[out, in\]: the part of a layer that reads one section of a
     /// concatenation.
     pub(crate) fn pack(
         matrix: &[f32],
@@ -63,7 +63,7 @@ impl Linear {
         Self { matrix: Matrix::F32(Panels::pack([out_len, 1, columns.len()], weight, bias)) }
     }
 
-    /// A matrix \[out, in\] with its bias, in bf16 where there are `dot_products` for it.
+    /// A matrix \[out, in\] with its bias; in bf16 if `dot_products` is given.
     pub(crate) fn pack_as(
         dot_products: Option<DotProducts>,
         matrix: &[f32],
@@ -78,7 +78,7 @@ impl Linear {
         Self { matrix: Matrix::Bf16(PairPanels::pack(dot_products, shape, weight, |out| bias[out])) }
     }
 
-    /// Length of an output row: the layer's outputs, padded to a multiple of 16 with zeros.
+    /// Length of an output row: the layer's outputs, padded with zeros to a multiple of 16.
     pub(crate) const fn out_stride(&self) -> usize {
         match &self.matrix {
             Matrix::F32(panels) => panels.out_stride(),
@@ -86,7 +86,7 @@ impl Linear {
         }
     }
 
-    /// Computes the rows of `out`, \[row, `out_stride`\], from rows of `input` that lie `stride` apart.
+    /// Computes the rows of `out`, \[row, `out_stride`\], from rows of `input` at a distance of `stride`.
     pub(crate) fn run(&self, input: &[f32], stride: usize, activation: Activation, out: &mut [f32]) {
         self.product(input, stride, None, activation, out);
     }
@@ -136,7 +136,7 @@ pub struct MlpMemory {
 }
 
 impl Mlp {
-    /// The layers `{name}.0` … through the lengths given, the input's first.
+    /// The layers `{name}.0` … with the given lengths, the input's first.
     pub(crate) fn read(weights: &Weights, name: &str, lengths: &[usize]) -> Result<Self, WeightsError> {
         let layers = lengths
             .windows(2)

@@ -3,7 +3,7 @@ use wire::AgentType;
 
 use crate::{Displacement, Integrator, ModelConfig};
 
-/// The constants of motion that a model was trained with.
+/// The motion constants that a model was trained with.
 #[must_use]
 pub const fn motion_options(config: &ModelConfig) -> MotionOptions {
     MotionOptions {
@@ -26,7 +26,7 @@ pub const fn motion_options(config: &ModelConfig) -> MotionOptions {
     }
 }
 
-/// How a model's controls move agents of a type.
+/// The motion model that a model's controls use for an agent type.
 #[must_use]
 pub fn motion_kind(config: &ModelConfig, agent_type: AgentType) -> MotionKind {
     if config.drives(agent_type) { MotionKind::Bicycle } else { MotionKind::Displacement }

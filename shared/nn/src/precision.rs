@@ -3,14 +3,15 @@ use std::fmt;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// The numbers that layers multiply; all of them add in f32.
+/// The number format of the layers' factors; sums are always f32.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Precision {
     /// Single precision: the same bits on AVX2, AVX-512 and NEON.
     #[default]
     F32,
-    /// Its upper half, with 8 bits of significand, where the processor has dot products of it (AVX-512 BF16).
+    /// The upper half of f32, with 8 significant bits, if the processor has dot products for it (AVX-512
+    /// BF16).
     Bf16,
 }
 

@@ -27,18 +27,18 @@ pub enum WeightsError {
     /// The file is shorter than its header indicates.
     #[error("weights are truncated: {found} bytes of {expected}")]
     Truncated {
-        /// Bytes that are there.
+        /// Actual size in bytes.
         found: usize,
-        /// Bytes by the header.
+        /// Size in bytes according to the header.
         expected: usize,
     },
-    /// The file is something else.
+    /// The file has another format.
     #[error("not a safetensors file: {0}")]
     NotSafetensors(#[from] SafeTensorError),
     /// The metadata hold no configuration.
     #[error("model configuration in the weights: the metadata key \"config\" is missing")]
     NoConfig,
-    /// The configuration is no JSON, or not one of this version's.
+    /// The configuration is not valid JSON, or belongs to another version.
     #[error("model configuration in the weights: {0}")]
     Config(#[source] serde_json::Error),
     /// The model card is no JSON.
@@ -47,17 +47,17 @@ pub enum WeightsError {
     /// A value of the configuration is impossible.
     #[error("model configuration in the weights: {0}")]
     ConfigValue(#[from] ConfigError),
-    /// The weights are of another model than the run's.
+    /// The weights belong to another model than the run's.
     #[error("the weights are of another model than the run's: {key} is {found}, not {expected}")]
     OtherModel {
         /// The first key of the configuration that differs.
         key: String,
-        /// Its value in the weights; null where they do not have it.
+        /// Its value in the weights; null if they do not have it.
         found: serde_json::Value,
-        /// The run's.
+        /// Its value in the run's model.
         expected: serde_json::Value,
     },
-    /// A tensor that the model needs is not there.
+    /// A tensor that the model needs is missing.
     #[error("tensor {name} is missing")]
     Missing {
         /// The tensor.
@@ -70,10 +70,10 @@ pub enum WeightsError {
         name: String,
         /// Its shape.
         found: Vec<usize>,
-        /// The model's.
+        /// The model's shape.
         expected: Vec<usize>,
     },
-    /// A tensor holds other numbers than f32 or f16.
+    /// A tensor has another number type than f32 or f16.
     #[error("tensor {name} holds {dtype:?}, expected F32 or F16")]
     Type {
         /// The tensor.
@@ -116,14 +116,14 @@ impl Weights {
     /// Reads a weights file.
     ///
     /// # Errors
-    /// [`WeightsError`] gives the cause and names the tensor at fault, if it is one.
+    /// [`WeightsError`] gives the cause and, if a tensor causes it, the tensor's name.
     pub fn open(path: &Path) -> Result<Self, WeightsError> {
         let bytes = std::fs::read(path)
             .map_err(|source| WeightsError::Unreadable { path: path.display().to_string(), source })?;
         Self::from_bytes(&bytes)
     }
 
-    /// The weights that the executable carries.
+    /// The weights that are embedded in the executable.
     ///
     /// # Panics
     /// Never in a build whose tests pass: they parse the same bytes.
@@ -138,7 +138,7 @@ impl Weights {
         ONBOARD
     }
 
-    /// Reads a weights file, or takes the weights that the executable carries where none is named.
+    /// Reads a weights file, or takes the embedded weights if no file is given.
     ///
     /// # Errors
     /// As [`Weights::open`].
@@ -146,7 +146,7 @@ impl Weights {
         path.map_or_else(|| Ok(Self::onboard()), Self::open)
     }
 
-    /// The weights of a run, which must be of the run's `model`.
+    /// The weights of a run; they must belong to the run's `model`.
     ///
     /// # Errors
     /// [`WeightsError::OtherModel`] if they are not; else as [`Weights::open`].
@@ -190,7 +190,7 @@ impl Weights {
         &self.config
     }
 
-    /// The model card: data, split, options and validation figures, where the trainer wrote one.
+    /// The model card, if the trainer wrote one: data, split, options and validation figures.
     #[must_use]
     pub const fn card(&self) -> Option<&serde_json::Value> {
         self.card.as_ref()
@@ -263,7 +263,7 @@ fn parse(bytes: &[u8]) -> Result<SafeTensors<'_>, WeightsError> {
     Ok(SafeTensors::deserialize(bytes)?)
 }
 
-/// Bytes of data by a header; 0 where it can't be parsed.
+/// Size of the data according to a header; 0 if the header can't be parsed.
 fn data_len(header: &[u8]) -> usize {
     let Ok(serde_json::Value::Object(tensors)) = serde_json::from_slice(header) else {
         return 0;

@@ -1,13 +1,13 @@
-//! A small pool of threads that run as long as their stage and share a step's work.
+//! A small pool of threads that live as long as their stage and share a step's work.
 //!
-//! A step's work is cut into blocks that depend on nothing but the step's input. Each worker, the stage's own
-//! thread first among them, takes the next block until there is none left: a worker whose processor is busy
-//! with something else takes fewer, or none, and nobody waits for more than the block that it has begun.
-//! Nothing is allocated by a run.
+//! A step's work is split into blocks that depend only on the step's input. Each worker, including the
+//! stage's own thread, takes the next block until none remains. A worker whose processor is busy takes fewer
+//! blocks, or none. The step waits at most for the blocks that workers have already started. A run allocates
+//! nothing.
 //!
-//! A worker that has nothing to do sleeps, and spins no longer than the lock that it sleeps on (about a
-//! microsecond): stages outnumber processors on most machines, and who spins there takes the processor from
-//! the one that is waited for.
+//! An idle worker sleeps. It spins only as long as its lock does (about a microsecond). Most machines have
+//! fewer processors than stages, and a spinning worker would take the processor from the thread that it waits
+//! for.
 
 mod placement;
 
@@ -23,18 +23,18 @@ use thiserror::Error;
 use crate::{PrecisionError, WeightsError};
 use placement::Placement;
 
-/// Most threads that a stage may share its work over.
+/// Maximum number of threads that share a stage's work.
 pub const WORKERS_MAX: usize = 64;
-/// Most threads of a stage that was not told how many.
+/// Maximum number of threads of a stage without a configured number.
 const DEFAULT_MAX: usize = 4;
 
-/// Why a stage that runs the network on workers can't start.
+/// Why a stage with workers for the network can't start.
 #[derive(Debug, Error)]
 pub enum StartError {
-    /// The weights do not hold the model.
+    /// The weights do not contain the model.
     #[error(transparent)]
     Weights(#[from] WeightsError),
-    /// This process can't compute in the precision that was asked for.
+    /// This process can't compute in the requested precision.
     #[error(transparent)]
     Precision(#[from] PrecisionError),
     /// The operating system refused a thread.
@@ -42,45 +42,45 @@ pub enum StartError {
     Thread(#[from] std::io::Error),
 }
 
-/// Threads of a stage that was not told how many: the processors that this process may use by its affinity
-/// and the quota of its cgroup, at most 4.
+/// Threads of a stage without a configured number: the processors that this process may use by its affinity
+/// and its cgroup's quota, at most 4.
 #[must_use]
 pub fn default_workers() -> usize {
     std::thread::available_parallelism().map_or(1, usize::from).min(DEFAULT_MAX)
 }
 
-/// A worker's own memory: scratch, and the results of the blocks that it did.
+/// A worker's own memory: scratch, and the results of its blocks.
 pub trait Job: Send + 'static {
-    /// What all workers read in a step.
+    /// The input of a step, which all workers read.
     type Input: Send + Sync;
 
-    /// Does a block of the step's work, and remembers with its results which.
+    /// Processes a block of the step's work, and stores the block's number with its results.
     fn run(&mut self, input: &Self::Input, block: usize);
 }
 
-/// Until when blocks are begun, and the clock that tells.
+/// The time until which blocks are started, and the clock to compare it with.
 #[derive(Clone, Copy, Debug)]
 pub struct Deadline {
     /// The time on `clock`.
     pub until_ns: u64,
-    /// Returns the time; never goes back.
+    /// Returns the time; must be monotonic.
     pub clock: fn() -> u64,
 }
 
-/// The step in hand.
+/// The current step.
 struct Step<I> {
     input: RwLock<I>,
     deadline: RwLock<Option<Deadline>>,
-    /// The longest that a block of the step has taken.
+    /// The longest duration of a block in this step.
     block_ns: AtomicU64,
-    /// The next block to be taken, and how many there are.
+    /// The next block, and the number of blocks.
     next: AtomicUsize,
     blocks_len: AtomicUsize,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Phase {
-    /// The thread is not there yet.
+    /// The thread has not started yet.
     Starting,
     Idle,
     Ready,
@@ -90,10 +90,10 @@ enum Phase {
 }
 
 struct Slot<J> {
-    /// Held by the worker while it works.
+    /// Locked by the worker while it works.
     state: Mutex<(J, Phase)>,
     changed: Condvar,
-    /// The worker's thread, once it is there.
+    /// The worker's thread, once it has started.
     thread: OnceLock<Pid>,
 }
 
@@ -107,7 +107,7 @@ pub struct Workers<J: Job> {
     placement: Placement,
 }
 
-/// Marks the job as panicked unless it ended.
+/// Marks the job as panicked unless it has finished.
 struct Watch<'a, J> {
     state: MutexGuard<'a, (J, Phase)>,
     finished: bool,
@@ -128,7 +128,7 @@ impl<I> Step<I> {
         self.input.write().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Does blocks until there is none left, or no time.
+    /// Processes blocks until none remains or the time is over.
     fn work<J: Job<Input = I>>(&self, job: &mut J) {
         let input = self.read();
         let deadline = *self.deadline.read().unwrap_or_else(PoisonError::into_inner);
@@ -140,7 +140,7 @@ impl<I> Step<I> {
             }
             match deadline {
                 Some(deadline) if !self.run_in_time(job, &input, block, deadline) => {
-                    // Nobody else is to begin one: those that follow count for less.
+                    // No other block may start: later blocks have lower priority.
                     self.next.store(blocks_len, Ordering::Relaxed);
                     return;
                 }
@@ -150,7 +150,8 @@ impl<I> Step<I> {
         }
     }
 
-    /// Does a block if one as long as the longest so far ends in time, and the first in any case.
+    /// Processes a block if the longest duration so far still fits before the deadline. The first block is
+    /// always processed.
     fn run_in_time<J: Job<Input = I>>(
         &self,
         job: &mut J,
@@ -171,14 +172,14 @@ impl<I> Step<I> {
 }
 
 impl<J> Slot<J> {
-    /// A panic is reported by the phase, not by a poisoned lock.
+    /// The phase reports a panic, not a poisoned lock.
     fn lock(&self) -> MutexGuard<'_, (J, Phase)> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
 fn serve<J: Job>(slot: &Slot<J>, step: &Step<J::Input>) {
-    // Empty before: a thread begins once.
+    // The slot is empty: a thread starts once.
     let _ = slot.thread.set(gettid());
     let mut state = slot.lock();
     if state.1 == Phase::Starting {
@@ -235,7 +236,7 @@ impl<J: Job> Workers<J> {
             pool.threads.push(std::thread::Builder::new().name(name).spawn(move || serve(&slot, &step))?);
         }
         for slot in &pool.slots {
-            // A thread that starts allocates: that is not to happen in a step.
+            // A starting thread allocates, which must not happen within a step.
             let starting = |(_, phase): &mut (J, Phase)| *phase == Phase::Starting;
             drop(slot.changed.wait_while(slot.lock(), starting).unwrap_or_else(PoisonError::into_inner));
         }
@@ -244,19 +245,19 @@ impl<J: Job> Workers<J> {
         Ok(pool)
     }
 
-    /// Jobs of the pool.
+    /// Number of jobs.
     #[must_use]
     #[expect(clippy::len_without_is_empty, reason = "a pool is never empty")]
     pub fn len(&self) -> usize {
         1 + self.slots.len()
     }
 
-    /// What the workers will read in the next step.
+    /// The input of the next step, for writing.
     pub fn input(&mut self) -> RwLockWriteGuard<'_, J::Input> {
         self.step.write()
     }
 
-    /// Calls `visit` with each job, one after the other on this thread.
+    /// Calls `visit` with each job in turn, on this thread.
     pub fn each(&mut self, mut visit: impl FnMut(&mut J)) {
         visit(&mut self.own);
         for slot in &self.slots {
@@ -264,25 +265,26 @@ impl<J: Job> Workers<J> {
         }
     }
 
-    /// Does the blocks below `blocks_len` and returns when the last is done.
+    /// Processes the blocks below `blocks_len`; returns when the last is finished.
     ///
     /// # Panics
-    /// If a job panicked.
+    /// If a job has panicked.
     pub fn run(&mut self, blocks_len: usize) {
         self.run_until(blocks_len, None);
     }
 
-    /// The same, but from the deadline on no block is begun, nor one that would not end before it if it took as
-    /// long as the longest of the step so far. Blocks are begun in their order, and the first is always done.
+    /// As [`Workers::run`], but starts no block after the deadline, and no block that would end after it. The
+    /// estimate for a block is the longest duration in this step so far. Blocks start in order, and the first
+    /// is always processed.
     ///
     /// # Panics
-    /// If a job panicked.
+    /// If a job has panicked.
     pub fn run_until(&mut self, blocks_len: usize, deadline: Option<Deadline>) {
         *self.step.deadline.write().unwrap_or_else(PoisonError::into_inner) = deadline;
         self.step.block_ns.store(0, Ordering::Relaxed);
         self.step.next.store(0, Ordering::Relaxed);
         self.step.blocks_len.store(blocks_len, Ordering::Relaxed);
-        // One block is this thread's: no more are woken than can find another.
+        // One block is for this thread; only as many workers are woken as there are other blocks.
         let woken = &self.slots[..self.slots.len().min(blocks_len.saturating_sub(1))];
         if !woken.is_empty() {
             self.placement.keep_off();
@@ -296,7 +298,7 @@ impl<J: Job> Workers<J> {
         }
         self.step.work(&mut self.own);
         for slot in woken {
-            // A worker that has begun holds the lock to its end; one that has not is too late.
+            // A worker that has started holds the lock until it ends; one that has not is too late.
             let mut state = slot.lock();
             assert!(state.1 != Phase::Broken, "a worker panicked");
             state.1 = Phase::Idle;
@@ -311,7 +313,7 @@ impl<J: Job> Drop for Workers<J> {
             slot.changed.notify_one();
         }
         for thread in self.threads.drain(..) {
-            // The panic of a worker has been reported already.
+            // The worker's panic has already been reported.
             let _ = thread.join();
         }
     }
@@ -321,7 +323,7 @@ impl<J: Job> Drop for Workers<J> {
 mod tests {
     use super::*;
 
-    /// Squares numbers, a block each.
+    /// Squares numbers, one per block.
     #[derive(Default)]
     struct Square {
         done: Vec<(usize, u64)>,
@@ -359,26 +361,26 @@ mod tests {
 
     #[test]
     fn no_block_is_begun_that_would_end_too_late() {
-        /// A clock that goes on by one with each look, so by two with each block.
+        /// A clock that advances by one per reading, and so by two per block.
         fn clock() -> u64 {
             static NOW: AtomicU64 = AtomicU64::new(0);
             NOW.fetch_add(1, Ordering::Relaxed)
         }
         let mut pool = Workers::new((2..22).collect(), [Square::default()]).unwrap();
-        // Blocks begin at 0, 2, 4 … and are expected to take 1.
+        // Blocks start at 0, 2, 4 … and have an estimated duration of 1.
         pool.run_until(20, Some(Deadline { until_ns: 10, clock }));
         assert_eq!(
             squares(&mut pool).into_iter().map(|(block, _)| block).collect::<Vec<_>>(),
             [0, 1, 2, 3, 4]
         );
-        // It is too late for all: the first is done, so that there is progress.
+        // The deadline is too early for all blocks. The first is processed, so that there is progress.
         pool.run_until(20, Some(Deadline { until_ns: 3, clock }));
         assert_eq!(squares(&mut pool), [(0, 4)]);
         pool.run(20);
         assert_eq!(squares(&mut pool).len(), 20, "without a deadline all are done");
     }
 
-    /// Holds the first block until another worker has done the second.
+    /// Holds the first block until another worker has processed the second.
     struct Meet(Arc<(Mutex<bool>, Condvar)>);
 
     impl Job for Meet {
@@ -408,7 +410,7 @@ mod tests {
     fn a_panic_of_a_worker_reaches_the_caller() {
         let mut pool =
             Workers::new(vec![2; 8], (0..2).map(|i| Square { breaks: i == 1, ..Square::default() })).unwrap();
-        // The worker may come too late for a run, but not for all of them.
+        // The worker may be late for one run, but not for all of them.
         loop {
             pool.run(8);
             std::thread::yield_now();

@@ -1,8 +1,8 @@
-//! The machine code of the hot loops, as objdump shows it: sums stay in the registers in which they are.
+//! Checks the machine code of the hot loops with objdump: sums stay in their registers.
 //!
-//! A register tile that is one sum too large, or a loop in a shape that the compiler does not see through, still
-//! computes the right numbers, at half the speed: sums then move between registers, or to the stack and back, in
-//! each step.
+//! If a register tile is one sum too large, or the compiler does not understand a loop's shape, the results
+//! are still right but take twice the time. The sums then move between registers, or to the stack and back,
+//! in each step.
 
 #![expect(clippy::unwrap_used, reason = "a test ends at what it can't read")]
 
@@ -13,7 +13,7 @@ use std::time::Duration;
 use nn::kernels::peak;
 use nn::{Decoder, Precision, Weights};
 
-/// Multiply-adds below which a loop is the rest of another.
+/// A loop with fewer multiply-adds is the remainder of another.
 const MULTIPLY_ADDS_MIN: usize = 4;
 
 /// An innermost loop with multiply-adds.
@@ -34,13 +34,13 @@ impl Loop<'_> {
         self.lines().filter(|line| line.starts_with("vfmadd") || line.starts_with("vdpbf16ps"))
     }
 
-    /// The registers that multiply-adds sum into.
+    /// Number of registers that accumulate multiply-adds.
     fn sums_len(&self) -> usize {
         let register = |line: &str| line.split_whitespace().nth(1)?.split(',').next().map(str::to_owned);
         self.multiply_adds().filter_map(register).collect::<BTreeSet<_>>().len()
     }
 
-    /// Whether it multiplies and adds alone; loops with exponentials need copies.
+    /// Whether the loop only multiplies and adds; loops with exponentials need copies.
     fn is_of_the_product_or_the_peak(&self) -> bool {
         let mut lines = self.lines();
         self.multiply_adds().count() >= MULTIPLY_ADDS_MIN
@@ -52,23 +52,23 @@ fn is_vector(operand: &str) -> bool {
     ["xmm", "ymm", "zmm"].iter().any(|kind| operand.trim_start().starts_with(kind))
 }
 
-/// Whether it copies one vector register into another.
+/// Whether an instruction copies one vector register to another.
 fn is_copy(line: &str) -> bool {
     let Some((name, operands)) = line.split_once(char::is_whitespace) else { return false };
     name.starts_with("vmov") && operands.split(',').count() == 2 && operands.split(',').all(is_vector)
 }
 
-/// Whether it moves a vector to the stack, or takes it from there.
+/// Whether an instruction moves a vector to or from the stack.
 fn is_spill(line: &str) -> bool {
     let Some((name, operands)) = line.split_once(char::is_whitespace) else { return false };
-    // A broadcast of one number is no spilled vector, wherever it lies.
+    // A broadcast of one number is not a spilled vector, wherever it is.
     name.starts_with('v')
         && operands.contains("[rsp")
         && !name.starts_with("vbroadcast")
         && operands.split(',').any(is_vector)
 }
 
-/// The instructions of each function of this executable whose name has all of `parts`: address and text.
+/// The instructions of each function of this executable whose name contains all of `parts`: address and text.
 fn disassemble(parts: &[&str]) -> Option<Vec<Vec<(u64, String)>>> {
     let this = std::env::current_exe().unwrap();
     let arguments = ["--disassemble", "--no-show-raw-insn", "--wide", "-M", "intel"];
@@ -88,7 +88,7 @@ fn disassemble(parts: &[&str]) -> Option<Vec<Vec<(u64, String)>>> {
     Some(functions.into_values().collect())
 }
 
-/// The loops of a function that have no other within them.
+/// The innermost loops of a function.
 fn innermost(function: &[(u64, String)]) -> Vec<Loop<'_>> {
     let target = |text: &str| {
         let (name, operands) = text.split_once(char::is_whitespace)?;
@@ -107,7 +107,7 @@ fn innermost(function: &[(u64, String)]) -> Vec<Loop<'_>> {
     loops
 }
 
-/// Holds the loops of a set to their sums; at least `loops_len` of them have as many as `sums_len`.
+/// Checks the loops of an instruction set. At least `loops_len` of them must have `sums_len` sums.
 fn check(set: &str, sums_len: usize, loops_len: usize) {
     let Some(functions) = disassemble(&["kernels", set]) else {
         println!("skipped: no objdump");
@@ -126,9 +126,9 @@ fn check(set: &str, sums_len: usize, loops_len: usize) {
 
 #[test]
 fn hot_loops_neither_spill_nor_copy_registers() {
-    // Whatever is linked is shown: this links the loops.
+    // objdump shows linked code only: these calls link the loops.
     assert!(peak::fma_gflops(Duration::ZERO) > 0.0 && peak::product_gflops(Duration::ZERO) > 0.0);
-    // Refused where the processor lacks it, but there all the same.
+    // Refused if the processor lacks it, but still linked.
     let _ = Decoder::with_precision(&Weights::onboard(), Precision::Bf16);
     if cfg!(debug_assertions) || !cfg!(target_arch = "x86_64") {
         println!("skipped: this needs an optimised build for x86-64");

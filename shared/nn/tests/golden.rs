@@ -1,6 +1,6 @@
-//! Every tensor that the network computes, against the independent reference in `tests/golden`.
+//! Compares every tensor that the network computes with the independent reference in `tests/golden`.
 //!
-//! Tolerance: 1e-4 of the tensor's largest magnitude; 2e-3 of it where the decoder computes in bf16.
+//! Tolerance: 1e-4 of the tensor's largest magnitude; 2e-3 of it if the decoder computes in bf16.
 
 #![expect(clippy::unwrap_used, reason = "a test ends at what it can't read")]
 
@@ -17,7 +17,7 @@ use wire::{AgentType, Edge};
 
 const FOLDERS: [&str; 4] = ["vehicle", "pedestrian", "plus", "literal"];
 const TOLERANCE: f32 = 1e-4;
-/// Where factors have 8 bits.
+/// Tolerance for factors with 8 bits.
 const TOLERANCE_BF16: f32 = 2e-3;
 
 /// The reference's tensors and agents.
@@ -64,7 +64,7 @@ impl Reference {
         if part == "history" { history.concat() } else { future.concat() }
     }
 
-    /// Refuses values that differ from the reference's by more than the tolerance.
+    /// Fails if a value differs from the reference's by more than the tolerance.
     fn assert_close(&self, name: &str, ours: &[f32]) {
         self.assert_within(TOLERANCE, name, ours);
     }
@@ -90,7 +90,7 @@ impl Reference {
         adjacency.iter().enumerate().filter(|(_, x)| **x > 0.0).map(|(i, _)| place(i)).collect()
     }
 
-    /// Place of an edge in dense tensors \[step, i, j\].
+    /// Index of an edge in dense tensors \[step, i, j\].
     fn dense(&self, edge: &Edge) -> usize {
         let n = self.agents_len();
         (usize::from(edge.step) * n + usize::from(edge.receiver)) * n + usize::from(edge.sender)
@@ -101,7 +101,7 @@ fn rows<const N: usize>(values: &[f32]) -> &[[f32; N]] {
     values.as_chunks().0
 }
 
-/// State and context embeddings of all agents and steps of a part, zeros where absent.
+/// State and context embeddings of all agents and steps of a part; zeros for absent agents.
 fn nodes(reference: &Reference, part: &str) -> Vec<[f32; 64]> {
     let present = reference.present(part);
     let states = rows::<6>(reference.tensor(&format!("{part}.state")));
@@ -149,7 +149,7 @@ fn check_embeddings(reference: &Reference) {
     }
 }
 
-/// Runs the attention of a part on the reference's inputs and compares all that it computes.
+/// Runs the attention of a part on the reference's inputs and compares all results.
 fn check_attention(reference: &Reference, part: &str) -> Vec<[f32; 64]> {
     let name = |tensor: &str| format!("{part}.{tensor}");
     let (agents_len, present) = (reference.agents_len(), reference.present(part));
@@ -252,8 +252,8 @@ fn check(folder: &str) {
     }
 }
 
-/// Products of every number of rows up to two of the largest tiles and some more, and of one to three panels;
-/// embeddings and forecasts.
+/// Products of one to three panels with every number of rows up to slightly more than two of the largest
+/// tiles; embeddings and forecasts.
 fn outputs() -> Vec<f32> {
     let value = |i: usize| ((i * 37) % 101) as f32 * 0.02 - 1.0;
     let mut all = Vec::new();
@@ -285,7 +285,7 @@ fn outputs() -> Vec<f32> {
     all
 }
 
-/// One test for all sets: the set in use belongs to the whole process.
+/// One test for all sets: the set in use is a property of the process.
 #[test]
 fn the_reference_is_reproduced_on_every_instruction_set() {
     let fastest = kernels::active();
@@ -298,7 +298,7 @@ fn the_reference_is_reproduced_on_every_instruction_set() {
         }
         let outputs = outputs();
         match &fused {
-            // Its multiply-adds round twice.
+            // The portable multiply-add rounds twice.
             _ if isa == Isa::Portable => {}
             None => fused = Some((isa, outputs)),
             Some((first, of_first)) => {

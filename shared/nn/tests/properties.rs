@@ -31,7 +31,7 @@ impl Scene {
         }
     }
 
-    /// The scene with agent i at the place `order[i]`.
+    /// The scene with agent i at index `order[i]`.
     fn permuted(&self, order: &[usize]) -> Self {
         let n = self.agents_len;
         let place = |row: usize| row / n * n + order[row % n];
@@ -173,7 +173,7 @@ proptest! {
     }
 }
 
-/// Latent points moved by their base controls, \[agent, draw\]: z + M (scale · control).
+/// Latent points, moved by their base controls, \[agent, draw\]: z + M (scale · control).
 fn told_of_base(
     weights: &Weights,
     agent_type: AgentType,

@@ -1,4 +1,4 @@
-//! Weights files: complete, in half precision, truncated, damaged, or of another format.
+//! Weights files: complete, in half precision, truncated, damaged, or in another format.
 
 use nn::{
     ContextCnn, ContextMemory, Decoder, EncodingFunction, Gdat, MlpMemory, RelationMlp, StateMlp, Weights,

@@ -1,11 +1,11 @@
-//! Whose nodes a node depends on: what must be computed where not all agents are wanted.
+//! The nodes that a node depends on: the ones to compute if only some agents are wanted.
 
 use wire::{AGENTS_MAX, Edge};
 
-/// A set of agents of one step, by their place in the frame.
+/// A set of agents of one step, by their position in the frame.
 pub type AgentSet = [bool; AGENTS_MAX];
 
-/// The agents of `of` and those that send to one of them along `edges`, all of one step.
+/// The agents of `of` and all agents that send to one of them along `edges`. All edges belong to one step.
 #[must_use]
 pub fn with_senders(of: &AgentSet, edges: &[Edge]) -> AgentSet {
     let mut all = *of;

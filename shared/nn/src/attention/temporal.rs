@@ -13,12 +13,11 @@ use crate::{Attention, Temporal};
 /// β^k = softmax over present k of f_act(w_h · v̄^k)      ṽ^(h) = Σ_k β^k f_act(V^(h) v̄^k)      [model §3]
 /// ```
 ///
-/// In the literal reading V^(h) = w_hᵀ: 64 heads of one number. Equal attention is the same with all scores
-/// 0.
+/// In the literal reading V^(h) = w_hᵀ: 64 heads with one number each. In equal attention all scores are 0.
 pub(super) struct TemporalAttention {
-    /// None where attention is equal.
+    /// `None` if attention is equal.
     scores: Option<Linear>,
-    /// None where the scores are the values.
+    /// `None` if the scores are the values.
     values: Option<Linear>,
     heads: usize,
     slope: f32,
@@ -30,7 +29,7 @@ pub(super) struct TemporalMemory {
     scores: Buffer,
     /// Activated values, \[node, 64\].
     values: Buffer,
-    /// \[node, head\]; zeros where absent.
+    /// \[node, head\]; zeros for absent agents.
     beta: Buffer,
     beta_len: usize,
 }

@@ -12,10 +12,10 @@ use edges::{Gather, Score, Sum, SumWithEdges};
 
 /// Hidden units of the edge update.
 const UPDATE_HIDDEN: usize = 128;
-/// Edges that pass a layer together.
+/// Edges that are processed together.
 const BLOCK: usize = 48;
 
-/// A round r of topological attention with the edge update behind it.
+/// A round r of topological attention, followed by the edge update.
 ///
 /// ```text
 /// α_ij = softmax_j∈N(i) of −(λ_h ‖v_i − v_j‖² + μ_h ‖e_ij‖²)
@@ -23,7 +23,7 @@ const BLOCK: usize = 48;
 /// e'_ij = MLP([v̄_i ‖ v̄_j ‖ e_ij])                                                   [model §3]
 /// ```
 ///
-/// Equal attention is the same with λ = μ = 0.
+/// In equal attention λ = μ = 0.
 pub(super) struct Round {
     values: Linear,
     /// U of the option `edge_in_message`.
@@ -34,8 +34,8 @@ pub(super) struct Round {
     slope: f32,
 }
 
-/// The MLP of the edge update, its first matrix split into the parts of receiver, sender and edge: what
-/// depends on a node alone is computed once per node.
+/// The MLP of the edge update. Its first matrix is split into the parts of receiver, sender and edge: the
+/// parts that depend on a node are computed once per node.
 struct EdgeUpdate {
     receiver: Linear,
     sender: Linear,
@@ -91,7 +91,7 @@ impl Round {
         self.update.is_none()
     }
 
-    /// Gives `memory` room for graphs of so many nodes and edges.
+    /// Reserves memory for graphs of this many nodes and edges.
     pub(super) fn make_room(&self, nodes_len: usize, edges_len: usize, memory: &mut RoundMemory) {
         let RoundMemory { alpha, values, receivers, senders, wide, hidden, .. } = memory;
         alpha.reserve(edges_len * self.factors.len());
@@ -147,7 +147,7 @@ impl Round {
         }
     }
 
-    /// v̄ where the messages carry the edges: activated per edge, in blocks.
+    /// v̄ if the messages contain the edges: activated per edge, in blocks.
     fn sum_with_edges(
         &self,
         edge_values: &Linear,
@@ -167,7 +167,7 @@ impl Round {
         }
     }
 
-    /// Replaces the edge attributes by the updated ones; nothing after the last round.
+    /// Replaces the edge attributes by the updated ones; does nothing after the last round.
     pub(super) fn update_edges(
         &self,
         graph: &Graph<'_>,
@@ -194,7 +194,7 @@ impl Round {
     }
 }
 
-/// λ_h and μ_h of the round whose tensors' names begin with `prefix`.
+/// λ_h and μ_h of the round whose tensor names start with `prefix`.
 fn factors(weights: &Weights, config: &ModelConfig, prefix: &str) -> Result<Vec<[f32; 2]>, WeightsError> {
     let heads = config.topological_heads;
     if config.attention == Attention::Equal {

@@ -15,7 +15,7 @@ pub(super) struct Geometry {
     pub(super) padding: usize,
 }
 
-/// A convolution with the batch norm behind it folded in.
+/// A convolution with the following batch norm folded in.
 pub(super) struct Conv {
     panels: Panels,
     taps: Taps,
@@ -27,7 +27,7 @@ pub(super) struct Conv {
 impl Conv {
     /// The convolution `fe.context.{conv}` \[out, in, row, column\] and the batch norm `fe.context.{norm}`.
     ///
-    /// Input pixels lie `in_stride` floats apart, of which the first `in_channels` count.
+    /// Input pixels are `in_stride` floats apart; their first `in_channels` floats are used.
     ///
     /// ```text
     /// y = γ (W ∗ x − mean) / √(var + ε) + bias  =  (s W) ∗ x + (bias − s mean),   s = γ / √(var + ε)
@@ -70,12 +70,12 @@ impl Conv {
         self.out_side * self.out_side
     }
 
-    /// Channels of the output, padded.
+    /// Number of output channels, padded.
     pub(super) const fn out_channels(&self) -> usize {
         self.panels.out_stride()
     }
 
-    /// Multiply-adds of one image, without those of padding.
+    /// Multiply-adds of one image, without those on padding.
     pub(super) const fn multiply_adds(&self) -> usize {
         self.multiply_adds
     }
@@ -102,7 +102,7 @@ impl Conv {
     }
 }
 
-/// Max-pool 3×3/2 with padding 1 over \[position, row\]. The input is not negative, so padding counts as 0.
+/// Max-pool 3×3/2 with padding 1 over \[position, row\]. The input is nonnegative, so padding counts as 0.
 pub(super) fn max_pool(x: &[f32], side: usize, row_len: usize, out: &mut [f32]) {
     let out_side = side.div_ceil(2);
     for (position, out) in out.chunks_exact_mut(row_len).take(out_side * out_side).enumerate() {

@@ -1,4 +1,4 @@
-//! A group of agents of one type that is decoded together: burn-in, base controls, draws, probabilities.
+//! A group of agents of one type that are decoded together: burn-in, base controls, draws, probabilities.
 
 use wire::{ControlGaussian, LATENT, STATE_FEATURES, TEMPORAL};
 
@@ -11,13 +11,13 @@ pub trait Encoded {
     /// Number of agents.
     fn agents_len(&self) -> usize;
 
-    /// State features s of an agent at a history step, where it is present.
+    /// State features s of an agent at a history step; `None` if it is absent.
     fn state(&self, agent: usize, step: usize) -> Option<[f32; STATE_FEATURES]>;
 
     /// Temporal summary ṽ of an agent.
     fn temporal(&self, agent: usize) -> [f32; TEMPORAL];
 
-    /// Fills the modes of an agent with draws from N(0, I); called for models without learned points.
+    /// Fills the modes of an agent with draws from N(0, I). Called only for models without learned points.
     fn draw(&self, agent: usize, latents: &mut [[f32; LATENT]]);
 }
 
@@ -31,10 +31,10 @@ pub struct DecoderGroup {
     history: Vec<[f32; STATE_FEATURES]>,
     hidden: Vec<[f32; HIDDEN]>,
     temporal: Vec<[f32; TEMPORAL]>,
-    /// Base controls, \[agent, mode, step\], those of the best forecast behind the modes; empty where the
+    /// Base controls, \[agent, mode, step\], with those of the best forecast after the modes; empty if the
     /// model has none.
     base: Vec<[f32; 2]>,
-    /// How far outside of the base's support each agent is; 0 where it has none.
+    /// Distance of each agent from the base's support; 0 if the base has none.
     outside: Vec<f32>,
     /// \[agent, draw\].
     latents: Vec<[f32; LATENT]>,
@@ -52,25 +52,25 @@ pub struct AgentDraws<'a> {
     /// \[draw, step\].
     raw: &'a [[f32; RAW_CONTROL]],
     horizon_len: usize,
-    /// Base controls, \[mode, step\], those of the best forecast behind the modes; empty where the model has
+    /// Base controls, \[mode, step\], with those of the best forecast after the modes; empty if the model has
     /// none.
     pub base: &'a [[f32; 2]],
-    /// How far outside of the base's support the agent is: e.
+    /// Distance e of the agent from the base's support.
     pub outside: f32,
     /// The probability of each mode.
     pub probability: &'a [f32],
 }
 
 impl DecoderGroup {
-    /// Most agents of a group, chosen for speed: few enough to share a scene over workers, and enough rows of
-    /// draws to fill whole register tiles.
+    /// Maximum number of agents in a group, chosen for speed: small enough to share a scene over workers, and
+    /// large enough that the rows of draws fill whole register tiles.
     pub const LEN: usize = 8;
 
-    /// Decodes agents of a type by its network. Allocates only where a group is larger than all before.
+    /// Decodes agents of a type with its network. Allocates only if a group is larger than all earlier ones.
     ///
-    /// The draws are the learned points, that of the best forecast last where the model has one. A model
-    /// without learned points takes [`Encoded::draw`]; without a point of its own its best forecast, always
-    /// the last, then takes the middle of the distribution.
+    /// The draws are the learned points, with that of the best forecast last if the model has one. A model
+    /// without learned points calls [`Encoded::draw`]. If it has no point for the best forecast, which is
+    /// always the last draw, the best forecast uses the middle of the distribution.
     pub fn decode(&mut self, network: &TypeDecoder, config: &ModelConfig, agents: &impl Encoded) {
         let (agents_len, modes_len) = (agents.agents_len(), config.modes);
         self.gather(config.history_len, agents);
@@ -146,7 +146,7 @@ impl DecoderGroup {
         }
     }
 
-    /// An agent's part of rows of which each agent has the same number.
+    /// An agent's slice of rows; each agent has the same number of rows.
     fn share<'a, T>(&self, agent: usize, of_all: &'a [T]) -> &'a [T] {
         let len = of_all.len() / self.hidden.len();
         &of_all[agent * len..][..len]
@@ -154,19 +154,19 @@ impl DecoderGroup {
 }
 
 impl AgentDraws<'_> {
-    /// Number of draws: one for each mode and, where the model has a latent point for it, the best forecast.
+    /// Number of draws: one per mode, plus the best forecast if the model has a latent point for it.
     #[must_use]
     pub const fn draws_len(&self) -> usize {
         self.raw.len() / self.horizon_len
     }
 
-    /// Base controls of the best forecast, step by step; empty where the model has none.
+    /// Base controls of the best forecast, step by step; empty if the model has none.
     #[must_use]
     pub fn best_base(&self) -> &[[f32; 2]] {
         &self.base[self.base.len().saturating_sub(self.horizon_len)..]
     }
 
-    /// Control Gaussians of the steps of a draw, base control included. What the network adds to the mean fades
+    /// Control Gaussians of a draw's steps, including the base control. The network's part of the mean fades
     /// outside of the base's support.
     pub fn controls(&self, draw: usize) -> impl Iterator<Item = ControlGaussian> + '_ {
         let steps = draw * self.horizon_len..(draw + 1) * self.horizon_len;

@@ -4,7 +4,7 @@ use std::arch::x86_64::*;
 
 use super::{Kernel, Lanes};
 
-/// AVX2 with FMA; made by [`run`] alone.
+/// AVX2 with FMA; only [`run`] creates it.
 #[derive(Clone, Copy)]
 pub(crate) struct Avx2(());
 

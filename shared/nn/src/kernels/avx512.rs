@@ -4,7 +4,7 @@ use std::arch::x86_64::*;
 
 use super::{Kernel, Lanes};
 
-/// AVX-512F; made by [`run`] alone.
+/// AVX-512F; only [`run`] creates it.
 #[derive(Clone, Copy)]
 pub(crate) struct Avx512(());
 

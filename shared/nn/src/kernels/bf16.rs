@@ -4,14 +4,14 @@
 //! out[q, o] = ( Σ_p  x[q, 2p] · W[o, 2p] + x[q, 2p + 1] · W[o, 2p + 1]  + bias[o] + residual[q, o] )⁺
 //! ```
 //!
-//! The processor's dot product (`vdpbf16ps`) takes a pair of inputs a step and so does twice the work of a
-//! multiply-add in f32. It rounds in its own way and takes numbers below 2⁻¹²⁶ for 0, which no other instruction
-//! set here does: there is no second implementation with the same bits, and so none at all. A processor without it
-//! refuses ([`Precision::check`]).
+//! The processor's dot product (`vdpbf16ps`) takes a pair of inputs per step and thus does twice the work of
+//! an f32 multiply-add. It has its own rounding and treats numbers below 2⁻¹²⁶ as 0. No other instruction set
+//! here does that, so a second implementation could not give the same bits, and there is none. A processor
+//! without the instruction refuses the precision ([`Precision::check`]).
 //!
-//! W is rounded once and packed as `[⌈out / 16⌉][⌈in / 2⌉][16]` pairs. Inputs are rounded, both to the nearest
-//! and ties to even, as a block of rows comes in. Each output is one chain of dot products in the order of the
-//! pairs: neither the tile's shape nor the other rows of a batch change a bit of it.
+//! W is rounded once and packed as `[⌈out / 16⌉][⌈in / 2⌉][16]` pairs. Inputs are rounded when a block of
+//! rows is loaded. Both round to nearest, ties to even. Each output is one chain of dot products in the order
+//! of the pairs, so neither the tile's shape nor the other rows of a batch change a bit of it.
 
 #[cfg(test)]
 mod tests;
@@ -29,7 +29,7 @@ use crate::buffer::Buffer;
 /// Most inputs of a layer.
 pub(crate) const IN_MAX: usize = 128;
 
-/// What a proof holds: nothing, or what can't exist where no processor has the dot products.
+/// The content of a proof: empty, or a type that can't exist if no processor has the dot products.
 #[cfg(target_arch = "x86_64")]
 type Proof = ();
 #[cfg(not(target_arch = "x86_64"))]
@@ -42,10 +42,10 @@ pub(crate) struct DotProducts(Proof);
 /// Why a precision can't be used.
 #[derive(Clone, Copy, Debug, Error, PartialEq, Eq)]
 pub enum PrecisionError {
-    /// The processor lacks what it needs.
+    /// The processor lacks the required instructions.
     #[error("precision bf16 needs AVX-512 BF16, which this processor lacks: leave the precision at f32")]
     Unavailable,
-    /// The kernels in use are of another instruction set.
+    /// The kernels in use belong to another instruction set.
     #[error(
         "precision bf16 needs the AVX-512 kernels, not {0}: leave the precision at f32, or use --kernels avx512"
     )]
@@ -65,12 +65,12 @@ impl Precision {
     /// Refuses a precision that this process can't compute in.
     ///
     /// # Errors
-    /// [`PrecisionError`] gives what is missing and what to do.
+    /// [`PrecisionError`] names the missing feature and the remedy.
     pub fn check(self) -> Result<(), PrecisionError> {
         self.dot_products().map(|_| ())
     }
 
-    /// What layers need to compute in it: nothing for f32.
+    /// The proof that layers need for this precision; `None` for f32.
     pub(crate) fn dot_products(self) -> Result<Option<DotProducts>, PrecisionError> {
         match self {
             Self::F32 => Ok(None),
@@ -84,11 +84,11 @@ impl Precision {
     }
 }
 
-/// A matrix in bf16 in the order in which the kernel reads it, with a bias in f32.
+/// A bf16 matrix in the kernel's reading order, with an f32 bias.
 #[cfg_attr(not(target_arch = "x86_64"), expect(dead_code, reason = "there are no dot products to read them"))]
 pub(crate) struct PairPanels {
     proof: DotProducts,
-    /// Pairs, each in the bits of an f32: the even input in the lower half.
+    /// Pairs, each in the bits of one f32: the even input in the lower half.
     values: Buffer,
     bias: Buffer,
     in_len: usize,
@@ -98,12 +98,12 @@ pub(crate) struct PairPanels {
 /// A product's input and output; see the module.
 #[cfg_attr(not(target_arch = "x86_64"), expect(dead_code, reason = "as above"))]
 pub(crate) struct PairProduct<'a> {
-    /// Rows that lie `stride` floats apart.
+    /// Rows at a distance of `stride` floats.
     pub(crate) input: &'a [f32],
     pub(crate) stride: usize,
     /// The matrix, with the bias.
     pub(crate) panels: &'a PairPanels,
-    /// Added before the ReLU; the layout of `out`.
+    /// Added before the ReLU; in the layout of `out`.
     pub(crate) residual: Option<&'a [f32]>,
     /// Whether negative results become 0.
     pub(crate) relu: bool,
@@ -112,8 +112,8 @@ pub(crate) struct PairProduct<'a> {
 }
 
 impl PairPanels {
-    /// Rounds and packs the matrix whose entry for (out, in) is `weight(out, in)`. Outputs are padded to whole
-    /// panels with zeros.
+    /// Rounds and packs the matrix whose entry (out, in) is `weight(out, in)`. Outputs are padded with zeros
+    /// to whole panels.
     ///
     /// # Panics
     /// If a length is 0 or there are more than [`IN_MAX`] inputs.
@@ -155,7 +155,7 @@ impl PairProduct<'_> {
     /// Computes all rows of `out`.
     ///
     /// # Panics
-    /// If the slices do not fit one another.
+    /// If the lengths of the slices do not match.
     pub(crate) fn run(self) {
         let out_stride = self.panels.out_stride();
         let rows_len = self.out.len() / out_stride;

@@ -7,10 +7,10 @@ use super::{Kernel, Lanes, dispatch};
 pub(crate) const HIDDEN: usize = 128;
 /// Length of the three gates (r, z, n) before activation.
 pub(crate) const GATES: usize = 3 * HIDDEN;
-/// e^−x, the exponential of a sigmoid. Both are held where sigmoid and tangent are within 1e-17 of their ends;
-/// two of them multiply to a finite number.
+/// e^−x, the exponential of a sigmoid. Both exponentials are clamped at arguments for which sigmoid and
+/// tangent are within 1e-17 of their limits. The product of two of them is finite.
 const SIGMOID: Exponential = Exponential { factor: -1.0, range: [-40.0, 40.0] };
-/// e^2x, that of a hyperbolic tangent.
+/// e^2x, the exponential of a hyperbolic tangent.
 const TANGENT: Exponential = Exponential { factor: 2.0, range: [-20.0, 20.0] };
 
 /// One step of a gated recurrent unit on a batch of hidden states:
@@ -19,8 +19,8 @@ const TANGENT: Exponential = Exponential { factor: 2.0, range: [-20.0, 20.0] };
 /// r = σ(i_r + h_r)   z = σ(i_z + h_z)   n = tanh(i_n + r h_n)   h' = (1 − z) n + z h
 /// ```
 ///
-/// `input` is W_i x + b_i and `hidden` W_h h + b_h, each \[row, r ‖ z ‖ n\]; an `input` of one row serves all
-/// rows. Leaves other numbers in `hidden`.
+/// `input` is W_i x + b_i and `hidden` W_h h + b_h, each \[row, r ‖ z ‖ n\]. An `input` of one row is used
+/// for all rows. Overwrites `hidden`.
 pub(crate) fn gru_step(input: &[f32], hidden: &mut [f32], state: &mut [f32]) {
     dispatch(Gru { input, hidden, state });
 }
@@ -34,9 +34,9 @@ struct Gru<'a> {
 impl Kernel for Gru<'_> {
     type Output = ();
 
-    /// Each row in four passes, none of which is a chain as long as a whole sigmoid: of those a processor
-    /// sees too few at a time to fill its units. What goes from one pass to the next lies in `hidden` and on
-    /// the stack. With e_z = e^−x of the gate z and e_n = e^2x of n, h' is one quotient:
+    /// Each row is processed in four passes. No pass contains a dependency chain as long as a whole sigmoid:
+    /// a processor can't overlap enough of these chains to fill its units. Intermediate results are in
+    /// `hidden` and on the stack. With e_z = e^−x of the gate z and e_n = e^2x of n, h' is one quotient:
     ///
     /// ```text
     /// z = 1 / (1 + e_z)   n = (e_n − 1) / (e_n + 1)
@@ -81,7 +81,7 @@ impl Kernel for Gru<'_> {
     }
 }
 
-/// The values from `i` on of one of the three gates of a row.
+/// The values from index `i` of one of the three gates of a row.
 #[inline(always)]
 fn gate<L: Lanes>(l: L, row: &[f32], gate: usize, i: usize) -> L::V {
     l.load(&row[gate * HIDDEN + i..])

@@ -1,24 +1,24 @@
 #![expect(unsafe_code, reason = "vector loads and stores")]
 
-/// 1.5 · 2^23: added to a number of less than 2^22 it leaves the nearest whole number, in the lowest bits.
+/// 1.5 · 2^23: if it is added to a number below 2^22, the lowest bits contain the nearest integer.
 pub(super) const SHIFT: f32 = 12_582_912.0;
 
-/// The operations of one instruction set on vectors of `LEN` floats, as a token: code that holds one may use
-/// the set.
+/// The operations of one instruction set on vectors of `LEN` floats. The type is a token: code that holds one
+/// may use the set.
 ///
-/// All methods are `#[inline(always)]`, see [`super::Kernel`].
+/// All methods are `#[inline(always)]`; see [`super::Kernel`].
 pub trait Lanes: Copy {
     /// A vector.
     type V: Copy;
-    /// Its floats; divides 16.
+    /// Number of floats; divides 16.
     const LEN: usize;
-    /// Vector registers of the set.
+    /// Number of vector registers of the set.
     const REGISTERS: usize;
-    /// Steps of a chain of multiply-adds in a pass of the product's loop: more than 1 where that was measured to
-    /// be faster. On Intel's processors counting and finding the rows share execution ports with multiply-adds.
+    /// Multiply-adds of a chain per pass of the product's loop: more than 1 if measurements showed it to be
+    /// faster. On Intel processors counting and row addressing share execution ports with multiply-adds.
     const STEPS: usize = 1;
 
-    /// All lanes x.
+    /// A vector with x in all lanes.
     fn splat(self, x: f32) -> Self::V;
     /// a + b.
     fn add(self, a: Self::V, b: Self::V) -> Self::V;
@@ -28,26 +28,26 @@ pub trait Lanes: Copy {
     fn mul(self, a: Self::V, b: Self::V) -> Self::V;
     /// a / b.
     fn div(self, a: Self::V, b: Self::V) -> Self::V;
-    /// The lesser of each lane.
+    /// The minimum of each lane.
     fn min(self, a: Self::V, b: Self::V) -> Self::V;
-    /// The greater of each lane.
+    /// The maximum of each lane.
     fn max(self, a: Self::V, b: Self::V) -> Self::V;
-    /// a · b + c, with one rounding where the set can.
+    /// a · b + c, with one rounding if the set supports it.
     fn fma(self, a: Self::V, b: Self::V, c: Self::V) -> Self::V;
-    /// The nearest whole number.
+    /// The nearest integer.
     fn round(self, a: Self::V) -> Self::V;
-    /// a · 2^n for the n of `shifted` = 1.5 · 2^23 + n, where a and the result are normal numbers.
+    /// a · 2^n for `shifted` = 1.5 · 2^23 + n, if a and the result are normal numbers.
     fn scale(self, a: Self::V, shifted: Self::V) -> Self::V;
 
-    /// The `LEN` floats from `from` on.
+    /// The `LEN` floats at `from`.
     ///
     /// # Safety
-    /// `from` is good for reading `LEN` floats.
+    /// `from` is valid for reading `LEN` floats.
     unsafe fn load_from(self, from: *const f32) -> Self::V;
-    /// Writes `LEN` floats from `to` on.
+    /// Writes `LEN` floats to `to`.
     ///
     /// # Safety
-    /// `to` is good for writing `LEN` floats.
+    /// `to` is valid for writing `LEN` floats.
     unsafe fn store_to(self, to: *mut f32, v: Self::V);
 
     /// The first `LEN` floats of a slice.

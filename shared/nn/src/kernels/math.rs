@@ -3,7 +3,7 @@
 use super::lanes::SHIFT;
 use super::{Kernel, Lanes, dispatch};
 
-/// e^x within 2 units in the last place; x is held to the range in which the result is a normal number.
+/// e^x within 2 units in the last place; x is clamped to the range with normal results.
 ///
 /// x = n ln 2 + r with whole n and |r| ≤ ½ ln 2, e^r by a polynomial, 2^n by the exponent bits.
 #[inline(always)]
@@ -13,11 +13,11 @@ pub fn exp<L: Lanes>(l: L, x: L::V) -> L::V {
     EXPONENTIAL.raise(l, r, shifted)
 }
 
-/// e^(f x) in two halves, with f in the constants of both instead of a multiplication.
+/// e^(f x) in two halves, with f folded into the constants of both instead of a multiplication.
 pub(crate) struct Exponential {
-    /// f: a power of two or the negative of one, so that the bits are those of e^(f x) with f x computed before.
+    /// f: plus or minus a power of two, so that the result has the same bits as for a precomputed f x.
     pub(crate) factor: f32,
-    /// Where x is held.
+    /// The range to which x is clamped.
     pub(crate) range: [f32; 2],
 }
 
@@ -35,11 +35,11 @@ impl Exponential {
         (l.fma(n, l.splat(MINUS_LN_2[1] / factor), r), shifted)
     }
 
-    /// e^r 2^n of what [`reduce`](Self::reduce) gave.
+    /// e^r 2^n from the result of [`reduce`](Self::reduce).
     #[inline(always)]
     pub(crate) fn raise<L: Lanes>(&self, l: L, rest: L::V, shifted: L::V) -> L::V {
-        /// e^r within 9.2e-8 of it for |r| ≤ ½ ln 2, the lowest power first: of all five coefficients beside 1
-        /// those with the least greatest relative error.
+        /// Polynomial for e^r, highest error 9.2e-8 for |r| ≤ ½ ln 2, highest power first. The five
+        /// coefficients besides 1 minimise the greatest relative error.
         const POLYNOMIAL: [f32; 6] =
             [1.0, 9.999_997e-1, 4.999_915e-1, 1.666_763_7e-1, 4.189_797_5e-2, 8.290_306e-3];
         let of_rest = |power: usize| POLYNOMIAL[power] * self.factor.powi(power as i32);
@@ -58,19 +58,19 @@ pub fn sigmoid<L: Lanes>(l: L, x: L::V) -> L::V {
     l.div(one, l.add(one, exp(l, l.sub(l.splat(0.0), x))))
 }
 
-/// tanh x = 1 − 2 / (1 + e^2x): within 2e-7 of the value, not relative to it.
+/// tanh x = 1 − 2 / (1 + e^2x), with an absolute error below 2e-7.
 #[inline(always)]
 pub fn tanh<L: Lanes>(l: L, x: L::V) -> L::V {
     let one = l.splat(1.0);
     l.sub(one, l.div(l.splat(2.0), l.add(one, exp(l, l.add(x, x)))))
 }
 
-/// (sin x, cos x) within 2e-7, for |x| of up to 300 rad.
+/// (sin x, cos x) within 2e-7, for |x| up to 300 rad.
 ///
 /// x = n π + r with |r| ≤ ½ π, both functions of r by polynomials, (−1)^n by the parity of n.
 #[inline(always)]
 pub fn sin_cos<L: Lanes>(l: L, x: L::V) -> (L::V, L::V) {
-    /// (sin r − r) / r³ and (cos r − 1 + ½ r²) / r⁴ in r², interpolated at Chebyshev's points.
+    /// (sin r − r) / r³ and (cos r − 1 + ½ r²) / r⁴ as polynomials in r², interpolated at Chebyshev points.
     const SIN: [f32; 4] = [2.634_638e-6, -1.982_270_3e-4, 8.333_242e-3, -1.666_666_6e-1];
     const COS: [f32; 4] = [-2.654_507_3e-7, 2.478_605_2e-5, -1.388_881_2e-3, 4.166_666_6e-2];
     let one = l.splat(1.0);
@@ -86,7 +86,7 @@ pub fn sin_cos<L: Lanes>(l: L, x: L::V) -> (L::V, L::V) {
     }
     let sin = l.fma(l.mul(sin, squared), r, r);
     let cos = l.fma(l.fma(cos, squared, l.splat(-0.5)), squared, one);
-    // ±1 where n is odd and 0 where it is even.
+    // ±1 if n is odd and 0 if it is even.
     let odd = l.sub(n, l.mul(l.splat(2.0), l.round(l.mul(n, l.splat(0.5)))));
     let sign = l.fma(l.mul(odd, odd), l.splat(-2.0), one);
     (l.mul(sign, sin), l.mul(sign, cos))

@@ -4,7 +4,7 @@ use std::arch::aarch64::*;
 
 use super::{Kernel, Lanes};
 
-/// NEON; made by [`run`] alone.
+/// NEON; only [`run`] creates it.
 #[derive(Clone, Copy)]
 pub(crate) struct Neon(());
 

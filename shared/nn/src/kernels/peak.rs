@@ -1,4 +1,4 @@
-//! The peak of this processor, the yardstick for the kernels, measured in the same run.
+//! The peak of this processor, measured in the same run for comparison with the kernels.
 
 use std::hint::black_box;
 use std::time::{Duration, Instant};
@@ -9,7 +9,7 @@ use crate::buffer::Buffer;
 
 /// Steps of the register loop in one timing.
 const STEPS: usize = 1 << 16;
-/// Side of the matrices that are multiplied.
+/// Side length of the multiplied matrices.
 const SIDE: usize = 512;
 
 struct Fma;
@@ -17,9 +17,11 @@ struct Fma;
 impl Kernel for Fma {
     type Output = usize;
 
-    /// Runs [`STEPS`] multiply-adds on each of independent sums; returns the floating-point operations done.
+    /// Runs [`STEPS`] multiply-adds on each of several independent sums; returns the number of floating-point
+    /// operations.
     ///
-    /// The sums are as many as hide the latency of a multiply-add, and stay in registers beside two numbers.
+    /// There are enough sums to hide the latency of a multiply-add. They stay in registers, together with two
+    /// factors.
     #[inline(always)]
     fn run<L: Lanes>(self, l: L) -> usize {
         if L::REGISTERS == 32 { chains::<L, 24>(l) } else { chains::<L, 12>(l) }
@@ -43,14 +45,13 @@ fn chains<L: Lanes, const CHAINS: usize>(l: L) -> usize {
     2 * STEPS * CHAINS * L::LEN
 }
 
-/// Floating-point operations per second of multiply-adds in registers, the best of what fits in `budget`, in
-/// GFLOP/s of one thread.
+/// Multiply-adds in registers: the best result within `budget`, in GFLOP/s of one thread.
 #[must_use]
 pub fn fma_gflops(budget: Duration) -> f64 {
     best(budget, || dispatch(Fma))
 }
 
-/// The same of the product of two 512 × 512 matrices that lie packed.
+/// The same for the product of two packed 512 × 512 matrices.
 #[must_use]
 pub fn product_gflops(budget: Duration) -> f64 {
     let value = |i: usize| ((i * 37) % 101) as f32 * 0.01 - 0.5;

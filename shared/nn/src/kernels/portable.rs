@@ -2,7 +2,7 @@
 
 use super::{Kernel, Lanes};
 
-/// Plain Rust on four floats, which compilers turn into what the target's base set has.
+/// Plain Rust on four floats, which compilers translate to the target's base instruction set.
 #[derive(Clone, Copy)]
 pub(crate) struct Portable;
 
@@ -38,7 +38,7 @@ impl Lanes for Portable {
         div(a, b) = a / b;
         min(a, b) = if a < b { a } else { b };
         max(a, b) = if a > b { a } else { b };
-        // Two roundings: without the instruction `mul_add` is a slow library call.
+        // Two roundings: without the instruction, `mul_add` is a slow library call.
         fma(a, b, c) = a * b + c;
         round(a) = a.round_ties_even();
         scale(a, shifted) = f32::from_bits(a.to_bits().wrapping_add(shifted.to_bits() << 23));
@@ -51,7 +51,7 @@ impl Lanes for Portable {
 
     #[inline(always)]
     unsafe fn load_from(self, from: *const f32) -> [f32; 4] {
-        // SAFETY: the caller vouches for the pointer; arrays of f32 are as aligned as one f32.
+        // SAFETY: the caller vouches for the pointer; an array of f32 has the alignment of f32.
         unsafe { *from.cast::<[f32; 4]>() }
     }
 

@@ -4,14 +4,14 @@
 //! out[q, o] = ( Σ_tap Σ_c  input[row(q, tap), c] · W[o, tap, c] + bias[o] + residual[q, o] )⁺
 //! ```
 //!
-//! A linear layer has one tap, and row q of its output reads row q of its input. A convolution has a tap for
-//! each cell of its kernel and reads the input *in place* (indirect convolution: no im2col copy). A tap that
-//! sees only padding is *dead* for that output and is skipped; where a register tile mixes outputs for which
-//! a tap is live and dead, the dead ones read a shared row of zeros.
+//! A linear layer has one tap, and row q of its output reads row q of its input. A convolution has one tap
+//! per cell of its kernel and reads the input *in place* (indirect convolution: no im2col copy). A tap that
+//! reads only padding is *dead* for that output and is skipped. If a register tile mixes outputs for which a
+//! tap is live and dead, the dead ones read a shared row of zeros.
 //!
-//! W is packed as `[⌈out / 16⌉][tap][in][16]`, so that the innermost loop reads it front to back. Each output
-//! is one chain of multiply-adds in the order of (tap, c): neither the tile's shape nor the other rows of a
-//! batch change a bit of it.
+//! W is packed as `[⌈out / 16⌉][tap][in][16]`, so that the innermost loop reads it sequentially. Each output
+//! is one chain of multiply-adds in the order of (tap, c), so neither the tile's shape nor the other rows of
+//! a batch change a bit of it.
 
 mod pack;
 #[cfg(test)]
@@ -26,12 +26,12 @@ use tile::Checked;
 
 /// Columns of a panel.
 pub const PANEL: usize = 16;
-/// Most taps of a convolution: 7 × 7.
+/// Maximum number of taps of a convolution: 7 × 7.
 pub(crate) const TAPS_MAX: usize = 49;
-/// Marks a tap that sees padding.
+/// Marks a tap that reads padding.
 const DEAD: u32 = u32::MAX;
 
-/// A matrix in the order in which the kernel reads it, with a bias.
+/// A matrix in the kernel's reading order, with a bias.
 pub struct Panels {
     values: Buffer,
     bias: Buffer,
@@ -42,8 +42,8 @@ pub struct Panels {
 }
 
 impl Panels {
-    /// Packs the matrix whose entry for (out, tap, in) is `weight(out, tap, in)`. Outputs are padded to whole
-    /// panels with zeros.
+    /// Packs the matrix whose entry (out, tap, in) is `weight(out, tap, in)`. Outputs are padded with zeros
+    /// to whole panels.
     ///
     /// # Panics
     /// If a length is 0 or there are more than 49 taps.
@@ -76,7 +76,7 @@ impl Panels {
         self.panels_len * PANEL
     }
 
-    /// Whether the second half of the last panel has no outputs.
+    /// Whether the second half of the last panel contains only padding.
     const fn ends_in_half(&self) -> bool {
         self.panels_len * PANEL - self.out_len >= PANEL / 2
     }
@@ -97,7 +97,7 @@ pub struct Taps {
 impl Taps {
     /// The taps of a square kernel over a square map.
     ///
-    /// # Panics
+    /// If the kernel is larger than the padded map.
     /// If the kernel is larger than the padded map.
     #[must_use]
     pub fn new(side: usize, kernel: usize, stride: usize, padding: usize) -> Self {
@@ -118,19 +118,19 @@ impl Taps {
         Self { sources, taps_len: kernel * kernel, in_positions: side * side }
     }
 
-    /// Positions of the output map.
+    /// Number of positions of the output map.
     #[must_use]
     pub fn out_positions(&self) -> usize {
         self.sources.len() / self.taps_len
     }
 
-    /// The taps that see input at an output position, with the input position that they see.
+    /// The live taps at an output position, each with its input position.
     pub fn live_at(&self, position: usize) -> impl Iterator<Item = (usize, usize)> {
         let live = |(tap, &source): (usize, &u32)| (source != DEAD).then_some((tap, source as usize));
         self.sources(position).iter().enumerate().filter_map(live)
     }
 
-    /// The same without the taps that see padding everywhere, and the numbers of those that are left.
+    /// The same table without taps that are dead everywhere, and the indices of the remaining taps.
     #[must_use]
     pub fn without_dead(&self) -> (Self, Vec<usize>) {
         let sees_input =
@@ -141,8 +141,7 @@ impl Taps {
         (Self { sources, taps_len: left.len(), in_positions: self.in_positions }, left)
     }
 
-    /// The table of the backward pass: each *input* position finds the output position that reads it through
-    /// each tap.
+    /// The table of the backward pass: for each *input* position and tap, the output position that reads it.
     #[must_use]
     pub fn transposed(&self) -> Self {
         let mut sources = vec![DEAD; self.in_positions * self.taps_len];
@@ -159,7 +158,7 @@ impl Taps {
         &self.sources[position * self.taps_len..][..self.taps_len]
     }
 
-    /// Pairs of output position and tap that see input.
+    /// Number of live pairs of output position and tap.
     #[must_use]
     pub fn live_len(&self) -> usize {
         self.sources.iter().filter(|&&source| source != DEAD).count()
@@ -169,17 +168,17 @@ impl Taps {
 /// How output rows find their input.
 #[derive(Clone, Copy)]
 pub enum Gather<'a> {
-    /// Row q lies at q · stride.
+    /// Row q starts at q · stride.
     Rows {
-        /// Floats from one row to the next.
+        /// Distance between rows, in floats.
         stride: usize,
     },
     /// Row q is column q of a matrix: the product with its transpose.
     Columns {
-        /// Floats from one row of the matrix to the next.
+        /// Distance between rows of the matrix, in floats.
         stride: usize,
     },
-    /// Row q is output position q / images of image q % images; the input is \[position, image, channel\].
+    /// Row q is output position q / images of image q % images. The input is \[position, image, channel\].
     Taps {
         /// The convolution's table.
         taps: &'a Taps,
@@ -192,13 +191,13 @@ pub enum Gather<'a> {
 
 /// One product; see the module.
 pub struct Product<'a> {
-    /// The rows that are gathered.
+    /// The input rows.
     pub input: &'a [f32],
     /// How an output row finds its input.
     pub gather: Gather<'a>,
     /// The matrix, with the bias.
     pub panels: &'a Panels,
-    /// Added before the ReLU; the layout of `out`.
+    /// Added before the ReLU; in the layout of `out`.
     pub residual: Option<&'a [f32]>,
     /// Whether negative results become 0.
     pub relu: bool,
@@ -210,7 +209,7 @@ impl Product<'_> {
     /// Computes all rows of `out`.
     ///
     /// # Panics
-    /// If the slices do not fit one another.
+    /// If the lengths of the slices do not match.
     pub fn run(self) {
         let stride = self.panels.out_stride();
         let rows_len = self.out.len() / stride;

@@ -2,25 +2,25 @@ use rustix::thread::{CpuSet, Pid, sched_getaffinity, sched_getcpu, sched_setaffi
 
 /// Keeps sleeping workers off the processor on which their caller runs.
 ///
-/// A scheduler likes to wake a thread where it last ran. If that is where the caller computes, and the
-/// processors are not known to share a cache (as in many virtual machines), the two take turns of some
-/// milliseconds there while other processors are idle.
+/// A scheduler prefers to wake a thread where it last ran. If the caller computes there, and the processors
+/// are not known to share a cache (as in many virtual machines), the two alternate for some milliseconds
+/// while other processors are idle.
 pub(super) struct Placement {
-    /// None where the processors are not known, or there is no other.
+    /// `None` if the processors are unknown, or there is only one.
     allowed: Option<CpuSet>,
     threads: Vec<Pid>,
-    /// The processor that the workers are kept off.
+    /// The processor that the workers avoid.
     taken: Option<usize>,
 }
 
 impl Placement {
-    /// The placement of threads on the processors that the caller's thread may use now.
+    /// The placement of threads on the processors that the caller's thread may use.
     pub(super) fn new(threads: Vec<Pid>) -> Self {
         let allowed = sched_getaffinity(None).ok().filter(|allowed| allowed.count() > 1);
         Self { allowed, threads, taken: None }
     }
 
-    /// Moves the workers off the processor on which this thread runs. Where that is not allowed they stay.
+    /// Moves the workers off the processor of this thread. If that is not allowed, they stay.
     pub(super) fn keep_off(&mut self) {
         let Some(allowed) = self.allowed.filter(|_| !self.threads.is_empty()) else { return };
         let here = sched_getcpu();
@@ -48,7 +48,7 @@ mod tests {
         let (end, ended) = std::sync::mpsc::channel::<()>();
         let thread = std::thread::spawn(move || {
             to_test.send(rustix::thread::gettid()).unwrap();
-            // Until the test is over.
+            // Wait for the end of the test.
             let _ = ended.recv();
         });
         let tid = tid.recv().unwrap();

@@ -1,7 +1,7 @@
-//! The loops over edges between the products, compiled for each instruction set.
+//! The loops over edges between the matrix products, compiled for each instruction set.
 //!
-//! Plain Rust that vectorises: what is compiled for a set rounds as it does without, so that no set changes a
-//! bit, the portable one included.
+//! They are plain Rust that vectorises. Compiling for an instruction set does not change the rounding, so the
+//! results of all sets, including the portable one, are identical to the bit.
 
 use wire::{EDGE_ATTRIBUTES, Edge, NODE_ATTRIBUTES};
 
@@ -9,9 +9,9 @@ use super::UPDATE_HIDDEN;
 use crate::attention::{Graph, leaky};
 use crate::kernels::{Kernel, Lanes};
 
-/// Sums that a squared distance is computed in.
+/// Number of partial sums of a squared distance.
 const PARTS: usize = 16;
-/// Edges that are scored side by side.
+/// Number of edges that are scored together.
 const TOGETHER: usize = 8;
 
 /// Attributes of a node.
@@ -26,7 +26,7 @@ pub(super) struct Score<'a> {
     pub(super) scores: &'a mut [f32],
 }
 
-/// v̄_i = Σ_j α_ij v_j over edges, onto `out`; the values are activated.
+/// v̄_i = Σ_j α_ij v_j over edges, added to `out`; the values are activated.
 pub(super) struct Sum<'a> {
     pub(super) graph: &'a Graph<'a>,
     pub(super) edges: &'a [Edge],
@@ -37,7 +37,7 @@ pub(super) struct Sum<'a> {
     pub(super) out: &'a mut [f32],
 }
 
-/// v̄_i = Σ_j α_ij f_act(v_j + m_ij) over edges, onto `out`.
+/// v̄_i = Σ_j α_ij f_act(v_j + m_ij) over edges, added to `out`.
 pub(super) struct SumWithEdges<'a> {
     pub(super) graph: &'a Graph<'a>,
     pub(super) edges: &'a [Edge],
@@ -51,7 +51,7 @@ pub(super) struct SumWithEdges<'a> {
     pub(super) out: &'a mut [f32],
 }
 
-/// The sums of the parts of receiver and sender of each edge, \[edge, 128\].
+/// For each edge, the sum of its receiver's and its sender's part, \[edge, 128\].
 pub(super) struct Gather<'a> {
     pub(super) graph: &'a Graph<'a>,
     pub(super) edges: &'a [Edge],
@@ -197,7 +197,7 @@ fn row_mut(nodes: &mut [f32], index: usize) -> &mut Row {
     &mut nodes.as_chunks_mut().0[index]
 }
 
-/// ‖a − b‖² in [`PARTS`] sums, so that it vectorises.
+/// ‖a − b‖² in [`PARTS`] partial sums, so that it vectorises.
 #[inline(always)]
 fn squared_distance<const N: usize>(a: &[f32; N], b: &[f32; N], parts: &mut [f32; PARTS]) {
     for (a, b) in a.as_chunks::<PARTS>().0.iter().zip(b.as_chunks::<PARTS>().0) {
@@ -208,7 +208,7 @@ fn squared_distance<const N: usize>(a: &[f32; N], b: &[f32; N], parts: &mut [f32
     }
 }
 
-/// The sums of the parts, each in their order: a chain of additions for each, side by side.
+/// The sum of each row of parts, in order: independent chains of additions that run in parallel.
 #[inline(always)]
 fn sums(parts: &[[[f32; PARTS]; 2]; TOGETHER]) -> [[f32; 2]; TOGETHER] {
     let mut sums = [[0.0; 2]; TOGETHER];

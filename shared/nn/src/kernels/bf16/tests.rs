@@ -1,6 +1,6 @@
 use super::*;
 
-/// The most that rounding to 8 bits, the leading one among them, takes from a number, relative to it.
+/// Maximum relative error of rounding to 8 significant bits, including the leading one.
 const ROUNDING: f64 = 1.0 / 256.0;
 
 fn value(i: usize) -> f32 {
@@ -15,7 +15,8 @@ fn proof() -> Option<DotProducts> {
     proof
 }
 
-/// Products beside their definition in double precision, for tiles and panels of every size and odd lengths.
+/// Compares products with their definition in double precision, for tiles and panels of every size and for
+/// odd lengths.
 #[test]
 fn products_agree_with_double_precision_within_the_rounding_of_their_factors() {
     let Some(proof) = proof() else { return };
@@ -23,7 +24,7 @@ fn products_agree_with_double_precision_within_the_rounding_of_their_factors() {
         let weight = |out: usize, i: usize| value(out * 7 + i * 3);
         let panels = PairPanels::pack(proof, [out_len, in_len], weight, value);
         let out_stride = panels.out_stride();
-        // Some floats between the rows, which no result may depend on.
+        // Extra floats between the rows, which must not affect any result.
         let stride = in_len + 3;
         let input: Vec<f32> = (0..stride * rows_len).map(value).collect();
         let residual: Vec<f32> = (0..rows_len * out_stride).map(value).collect();
@@ -38,7 +39,7 @@ fn products_agree_with_double_precision_within_the_rounding_of_their_factors() {
                     let (sum, size) = terms.fold((0.0, 0.0), |(sum, size), x| (sum + x, size + x.abs()));
                     let whole = sum + f64::from(value(o)) + f64::from(value(row * out_stride + o));
                     let expected = if relu { whole.max(0.0) } else { whole };
-                    // Both factors are rounded; the sums in f32 are a thousand times as exact.
+                    // Both factors are rounded; the f32 sums are a thousand times more accurate.
                     let most = 2.01 * ROUNDING * size + 1e-4;
                     let off = (f64::from(*y) - expected).abs();
                     assert!(off <= most, "[{row}, {o}]: {y}, not {expected}: {off} off, at most {most}");
@@ -65,7 +66,7 @@ fn factors_of_eight_bits_are_multiplied_exactly() {
     }
 }
 
-/// Tiles of all sizes, whole and left over, and more rows than are rounded together.
+/// Covers tiles of all sizes, whole and partial, and more rows than are rounded together.
 #[test]
 fn a_row_has_the_same_bits_alone_and_in_a_batch() {
     let Some(proof) = proof() else { return };

@@ -5,17 +5,17 @@ use std::mem::transmute;
 
 use super::{IN_MAX, PANEL, PairProduct};
 
-/// Rows that are rounded together: they stay in the first-level cache while all panels pass.
+/// Rows that are rounded together: they stay in the first-level cache while all panels are processed.
 const ROWS: usize = 48;
-/// Pairs from one rounded row to the next.
+/// Distance between rounded rows, in pairs.
 const PAIRS: usize = IN_MAX / 2;
-/// Floats that are rounded at once.
+/// Floats that are rounded together.
 const TOGETHER: usize = 16;
 
 /// Rounded rows.
 type Rounded = [[i32; PAIRS]; ROWS];
 
-/// Computes a product whose slices were found to fit one another.
+/// Computes a product whose slice lengths were checked.
 pub(super) fn run(product: PairProduct<'_>, rows_len: usize) {
     // SAFETY: the panels hold a proof that the processor has AVX-512 BF16, and slices and rows were checked.
     unsafe { blocks(product, rows_len) }
@@ -34,7 +34,7 @@ unsafe fn blocks(mut product: PairProduct<'_>, rows_len: usize) {
         let panels_len = product.panels.panels_len;
         let mut panel = 0;
         while panel + 2 <= panels_len {
-            // SAFETY: so many rows were rounded, and panels and output hold what is addressed.
+            // SAFETY: `len` rows were rounded, and panels and output contain the addressed places.
             unsafe { rows::<2>(&mut product, &rounded, panel, first, len) };
             panel += 2;
         }
@@ -46,7 +46,7 @@ unsafe fn blocks(mut product: PairProduct<'_>, rows_len: usize) {
     }
 }
 
-/// Rounds as many rows of the input as there are in `rounded`, from row `first` on.
+/// Rounds rows of the input into `rounded`, from row `first`, until `rounded` is full.
 ///
 /// # Safety
 /// The input holds the rows.
@@ -68,7 +68,7 @@ unsafe fn round(product: &PairProduct<'_>, first: usize, rounded: &mut [[i32; PA
     }
 }
 
-/// All rounded rows of V panels, in tiles of 12 rows and less.
+/// All rounded rows of V panels, in tiles of at most 12 rows.
 ///
 /// # Safety
 /// `len` rows were rounded; panels, residual and output hold the columns and rows addressed.
@@ -91,7 +91,7 @@ unsafe fn rows<const V: usize>(
     }
 }
 
-/// As many whole tiles of R rows as there are from `row` on; returns the first row that is left.
+/// All whole tiles of R rows from `row`; returns the first remaining row.
 ///
 /// # Safety
 /// As of [`rows`].
@@ -125,7 +125,7 @@ unsafe fn tiles<const R: usize, const V: usize>(
     row
 }
 
-/// sum + a · b, of the two numbers in each of 16 pairs.
+/// sum + a · b, for the two numbers in each of 16 pairs.
 #[inline]
 #[target_feature(enable = "avx512f,avx512bf16")]
 fn dot(sum: __m512, a: __m512i, b: __m512i) -> __m512 {
@@ -134,13 +134,13 @@ fn dot(sum: __m512, a: __m512i, b: __m512i) -> __m512 {
     _mm512_dpbf16_ps(sum, a, b)
 }
 
-/// The sums of a tile: `len` dot products for each of them, in order.
+/// The sums of a tile: `len` dot products each, in order.
 ///
-/// A function of its own, with sums that come by value: so they stay in the registers in which they are (see the
+/// This is a separate function that takes the sums by value, so that each sum stays in its register (see the
 /// test of the emitted code).
 ///
 /// # Safety
-/// Each of the rows is good for reading `len` pairs, each of the weights as many vectors.
+/// Each of the rows is valid for reading `len` pairs, each of the weights for `len` vectors.
 #[inline]
 #[target_feature(enable = "avx512f,avx512bf16")]
 unsafe fn chain<const R: usize, const V: usize>(

@@ -1,26 +1,26 @@
-//! Packing whole matrices.
+//! Packs whole matrices.
 
 use super::{PANEL, Panels};
 use crate::buffer::Buffer;
 
-/// Some columns of a row-major matrix.
+/// Consecutive columns of a row-major matrix.
 #[derive(Clone, Copy, Debug)]
 pub struct Columns<'a> {
-    /// From the first column of the first row on.
+    /// Values, starting with the first row's first column.
     pub values: &'a [f32],
-    /// Rows.
+    /// Number of rows.
     pub rows_len: usize,
-    /// Columns.
+    /// Number of columns.
     pub cols_len: usize,
-    /// Floats from one row to the next.
+    /// Distance between rows, in floats.
     pub stride: usize,
 }
 
 impl Panels {
-    /// Packs a matrix W for x · W: an output for each of its columns, without bias.
+    /// Packs a matrix W for x · W: one output per column, without bias.
     ///
     /// # Panics
-    /// If the matrix is empty or longer than its values.
+    /// If the matrix is empty or exceeds its values.
     #[must_use]
     pub fn of_columns(matrix: Columns<'_>) -> Self {
         let Columns { values, rows_len, cols_len, stride } = matrix;
@@ -35,10 +35,10 @@ impl Panels {
         panels
     }
 
-    /// Packs a matrix W for x · Wᵀ: an output for each of its rows, without bias.
+    /// Packs a matrix W for x · Wᵀ: one output per row, without bias.
     ///
     /// # Panics
-    /// If the matrix is empty or longer than its values.
+    /// If the matrix is empty or exceeds its values.
     #[must_use]
     pub fn of_rows(matrix: Columns<'_>) -> Self {
         let Columns { values, rows_len, cols_len, stride } = matrix;

@@ -4,7 +4,7 @@ fn value(i: usize) -> f32 {
     ((i * 37) % 101) as f32 * 0.02 - 1.0
 }
 
-/// Products with a matrix's rows and with its columns beside their definition, for tiles and panels of every
+/// Compares products with a matrix's rows and columns with their definition, for tiles and panels of every
 /// size.
 #[test]
 fn rows_and_columns_agree_with_the_definition() {
@@ -14,7 +14,7 @@ fn rows_and_columns_agree_with_the_definition() {
         let out_stride = panels.out_stride();
         let residual: Vec<f32> = (0..rows_len * out_stride).map(value).collect();
         for across in [false, true] {
-            // Some floats between the rows, which no result may depend on.
+            // Extra floats between the rows, which must not affect any result.
             let stride = 3 + if across { rows_len } else { in_len };
             let input: Vec<f32> = (0..stride * rows_len.max(in_len)).map(value).collect();
             let gather = if across { Gather::Columns { stride } } else { Gather::Rows { stride } };
@@ -42,7 +42,7 @@ fn columns_beyond_the_input_are_refused() {
     Product { input: &input, gather, panels: &panels, residual: None, relu: false, out: &mut out }.run();
 }
 
-/// Tiles of all sizes, whole and left over, of whole panels and of a last one of which half is padding.
+/// Covers tiles of all sizes, whole and partial, in whole panels and in a last panel that is half padding.
 #[test]
 fn a_row_has_the_same_bits_alone_and_in_a_batch() {
     let (in_len, rows_max) = (37, 31);

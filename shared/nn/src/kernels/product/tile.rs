@@ -1,4 +1,4 @@
-//! The register tile: R rows × V vectors of sums that stay in registers over the whole length of the chain.
+//! The register tile: R rows × V vectors of sums that stay in registers over the whole chain.
 //!
 //! | set | registers | tile | sums |
 //! |---|---:|---|---:|
@@ -7,25 +7,27 @@
 //! | NEON | 32 | 6 rows × 4 vectors of one panel | 24 |
 //! | portable | 16 | 3 rows × 4 vectors of one panel | 12 |
 //!
-//! Beside the sums stand the V vectors of weights and the row's number in all lanes. That must fit into the
-//! set's registers: one sum more, and the compiler moves sums to the stack and back in each step. There must
-//! also be enough sums to hide the latency of the multiply-adds, two at a time on most processors. Rows that
-//! are left below a whole tile get a smaller one. A last panel of which at most half the columns are outputs,
-//! as that of the decoder's head, gets half the vectors and up to twice the rows, except on AVX-512, where one
-//! vector is a panel.
+//! Besides the sums, a tile needs V vectors of weights and the row's number in all lanes. Everything must fit
+//! into the set's registers: with one more sum, the compiler moves sums to the stack and back in each step.
+//! There must also be enough sums to hide the latency of the multiply-adds, two of which run at a time on
+//! most processors.
+//!
+//! Rows that do not fill a whole tile get a smaller one. If at most half the columns of the last panel are
+//! outputs, as in the decoder's head, its tile has half the vectors and up to twice the rows. AVX-512 is an
+//! exception, because one vector is a panel.
 
 #![expect(unsafe_code, reason = "the register tile reads through pointers")]
 
 use super::{DEAD, Gather, PANEL, Panels, Product, TAPS_MAX};
 use crate::kernels::{Kernel, Lanes};
 
-/// A product whose slices fit one another.
+/// A product whose slice lengths match.
 pub(super) struct Checked<'a> {
     pub(super) product: Product<'a>,
     pub(super) rows_len: usize,
 }
 
-/// The live taps, of at most T, of a register tile of R rows.
+/// The live taps, at most T, of a register tile of R rows.
 struct Tile<const R: usize, const T: usize> {
     /// Input rows of each live tap.
     rows: [[*const f32; R]; T],
@@ -61,8 +63,8 @@ impl Kernel for Checked<'_> {
 }
 
 impl Checked<'_> {
-    /// All rows of all columns, with at most T taps; `ACROSS` where the input rows are columns of a matrix. The
-    /// module has the table of tiles.
+    /// All rows of all columns, with at most T taps. `ACROSS` means that the input rows are columns of a
+    /// matrix. The module doc has the table of tiles.
     #[inline(always)]
     fn panels<L: Lanes, const T: usize, const ACROSS: bool>(&mut self, l: L) {
         let panels_len = self.product.panels.panels_len;
@@ -87,7 +89,7 @@ impl Checked<'_> {
         }
     }
 
-    /// All rows of V vectors of columns, from `panel` on, in tiles of 12 rows and less.
+    /// All rows of V vectors of columns from `panel`, in tiles of at most 12 rows.
     #[inline(always)]
     fn up_to_12<L: Lanes, const V: usize, const T: usize, const ACROSS: bool>(&mut self, l: L, panel: usize) {
         let mut row = 0;
@@ -98,7 +100,7 @@ impl Checked<'_> {
         self.tiles::<L, 1, V, T, ACROSS>(l, panel, row);
     }
 
-    /// The same in tiles of 6 rows and less.
+    /// The same in tiles of at most 6 rows.
     #[inline(always)]
     fn up_to_6<L: Lanes, const V: usize, const T: usize, const ACROSS: bool>(&mut self, l: L, panel: usize) {
         let mut row = 0;
@@ -108,7 +110,7 @@ impl Checked<'_> {
         self.up_to_3::<L, V, T, ACROSS>(l, panel, row);
     }
 
-    /// The same in tiles of 3 rows and less, from `row` on.
+    /// The same in tiles of at most 3 rows, from `row`.
     #[inline(always)]
     fn up_to_3<L: Lanes, const V: usize, const T: usize, const ACROSS: bool>(
         &mut self,
@@ -121,7 +123,7 @@ impl Checked<'_> {
         self.tiles::<L, 1, V, T, ACROSS>(l, panel, row);
     }
 
-    /// As many whole tiles of R rows as there are from `row` on; returns the first row that is left.
+    /// All whole tiles of R rows from `row`; returns the first remaining row.
     #[inline(always)]
     fn tiles<L: Lanes, const R: usize, const V: usize, const T: usize, const ACROSS: bool>(
         &mut self,
@@ -187,8 +189,8 @@ impl Checked<'_> {
     }
 
     /// # Safety
-    /// The tile's rows hold `in_len` floats each, as far apart as the gather gives; panels, residual and
-    /// output hold the columns and rows addressed.
+    /// The tile's rows contain `in_len` floats each, at the distance of the gather. Panels, residual and
+    /// output contain the addressed columns and rows.
     #[inline(always)]
     unsafe fn multiply<L: Lanes, const R: usize, const V: usize, const T: usize, const ACROSS: bool>(
         &mut self,
@@ -244,15 +246,15 @@ impl Checked<'_> {
     }
 }
 
-/// Goes on with the sums of a tile: `len` multiply-adds for each of them, in order, [`Lanes::STEPS`] in a pass of
-/// the loop. A tile of one vector, which has many rows to a step, makes one: of more the compiler mixes the rows
-/// and runs out of registers.
+/// Continues the sums of a tile: `len` multiply-adds each, in order, [`Lanes::STEPS`] per pass of the loop. A
+/// tile of one vector has many rows per step and does one multiply-add per pass: with more, the compiler
+/// mixes the rows and runs out of registers.
 ///
-/// A function of its own, with sums that come and go by value: so they stay in the registers in which they are
-/// (see the test of the emitted code).
+/// This is a separate function that takes and returns the sums by value, so that each sum stays in its
+/// register (see the test of the emitted code).
 ///
 /// # Safety
-/// Each of the rows is good for reading a float at every `step`, each of the weights a vector at every
+/// Each of the rows is valid for reading a float at every `step`, each of the weights for a vector at every
 /// [`PANEL`], `len` times.
 #[inline(always)]
 unsafe fn chain<L: Lanes, const R: usize, const V: usize>(
@@ -284,7 +286,7 @@ unsafe fn chain<L: Lanes, const R: usize, const V: usize>(
 /// One multiply-add for each sum of a tile.
 ///
 /// # Safety
-/// Each of the rows is good for reading a float, each of the weights for reading a vector.
+/// Each of the rows is valid for reading a float, each of the weights for reading a vector.
 #[inline(always)]
 unsafe fn link<L: Lanes, const R: usize, const V: usize>(
     l: L,
@@ -307,7 +309,7 @@ unsafe fn link<L: Lanes, const R: usize, const V: usize>(
     sums
 }
 
-/// Pointers moved ahead by a number of floats.
+/// The pointers, advanced by a number of floats.
 #[inline(always)]
 fn ahead<const N: usize>(mut pointers: [*const f32; N], by: usize) -> [*const f32; N] {
     for pointer in &mut pointers {
@@ -330,7 +332,7 @@ fn places<const R: usize>(mut position: usize, mut image: usize, images_len: usi
     places
 }
 
-/// R rows that lie `stride` floats apart.
+/// R rows at a distance of `stride` floats.
 #[inline(always)]
 fn rows_from<const R: usize>(start: *const f32, stride: usize) -> [*const f32; R] {
     let mut rows = [start; R];
