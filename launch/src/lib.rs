@@ -49,7 +49,7 @@ mod waterfall;
 
 use std::process::ExitCode;
 
-use clap::{Command, CommandFactory as _, FromArgMatches as _, Parser};
+use clap::{Command, CommandFactory as _, FromArgMatches as _, Parser, Subcommand as _};
 
 use program::GlobalArguments;
 
@@ -83,7 +83,8 @@ pub fn command() -> Command {
 #[must_use]
 pub fn main() -> ExitCode {
     let command = command().color(program::begin());
-    let parsed = command.try_get_matches().and_then(|matches| Cli::from_arg_matches(&matches));
+    let arguments = program::verb_first(std::env::args_os().collect(), verbs::Verb::has_subcommand);
+    let parsed = command.try_get_matches_from(arguments).and_then(|matches| Cli::from_arg_matches(&matches));
     let may_be_mistaken = match &parsed {
         Ok(cli) => cli.verb.is_none() && !cli.version,
         Err(error) => error.use_stderr(),

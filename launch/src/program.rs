@@ -1,5 +1,6 @@
 //! Common set-up and exit of `stgdat` and `stgdat-lab`.
 
+use std::ffi::OsString;
 use std::process::ExitCode;
 
 use clap::builder::{PossibleValuesParser, TypedValueParser};
@@ -45,6 +46,23 @@ pub fn begin() -> ColorChoice {
     color::for_clap(color)
 }
 
+/// Moves the global options before a verb behind it. Before a verb, the parser takes them for options of `run`.
+pub(crate) fn verb_first(mut arguments: Vec<OsString>, is_verb: fn(&str) -> bool) -> Vec<OsString> {
+    let mut verb = 1;
+    while let Some(word) = arguments.get(verb).and_then(|word| word.to_str()) {
+        verb += match word {
+            "--color" | "--kernels" => 2,
+            _ if word.starts_with("--color=") || word.starts_with("--kernels=") => 1,
+            _ if is_verb(word) => {
+                arguments[1..=verb].rotate_right(1);
+                break;
+            }
+            _ => break,
+        }
+    }
+    arguments
+}
+
 /// Prints the failure of a verb, if any, and returns the exit code.
 #[must_use]
 pub fn end(outcome: Result<Exit, Failure>) -> ExitCode {
@@ -54,4 +72,31 @@ pub fn end(outcome: Result<Exit, Failure>) -> ExitCode {
             failure.exit()
         })
         .into()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn global_options_may_stand_before_the_verb() {
+        let ordered = |words: &str| {
+            let arguments = words.split(' ').map(OsString::from).collect();
+            let ordered = verb_first(arguments, |word| word == "inspect");
+            ordered.join(" ".as_ref()).into_string().unwrap()
+        };
+        for (words, expected) in [
+            ("stgdat --color always inspect a.csv", "stgdat inspect --color always a.csv"),
+            (
+                "stgdat --color=never --kernels avx2 inspect a.csv",
+                "stgdat inspect --color=never --kernels avx2 a.csv",
+            ),
+            ("stgdat inspect --color always a.csv", "stgdat inspect --color always a.csv"),
+            ("stgdat --color always a.csv", "stgdat --color always a.csv"),
+            ("stgdat --ticks 5 inspect", "stgdat --ticks 5 inspect"),
+            ("stgdat --color", "stgdat --color"),
+        ] {
+            assert_eq!(ordered(words), expected);
+        }
+    }
 }
