@@ -45,7 +45,9 @@ impl Tracking {
         match self {
             Self::Alone { tracker, tracks } => {
                 let tracked = tracker.step(header, detections, None, tracks);
-                (tracker.header(header), &tracks[..tracked.map_or(0, |tracked| tracked.tracks_len)])
+                let answered = tracker.header(header);
+                tracker.audit(header, detections);
+                (answered, &tracks[..tracked.map_or(0, |tracked| tracked.tracks_len)])
             }
             Self::InChain(chain) => {
                 let (header, _) = chain.tick(header, detections, |_| ());

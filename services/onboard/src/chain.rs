@@ -45,8 +45,10 @@ impl Chain {
     ) -> (Header, &[Forecast]) {
         let prior = self.prior.as_ref().map(|(header, len)| (header, self.rest.forecasts(*len)));
         let tracked = self.tracker.step(header, detections, prior, &mut self.tracks);
-        let header = self.tracker.header(header);
+        let before = header;
+        let header = self.tracker.header(before);
         passed(StageId::Tracker);
+        self.tracker.audit(before, detections);
         self.tracks_len = tracked.as_ref().map_or(0, |tracked| tracked.tracks_len);
         if !tracked.is_ok_and(|tracked| tracked.replayed_len == 0) {
             return nothing(header);

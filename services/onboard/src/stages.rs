@@ -123,7 +123,9 @@ impl Stages {
         prior: Option<(&Header, &[Forecast])>,
     ) -> OwnFrame<TracksTopic> {
         let tracked = self.tracker.step(header, detections, prior, &mut self.tracks);
-        let mut header = self.tracker.header(header);
+        let given = header;
+        let mut header = self.tracker.header(given);
+        self.tracker.audit(given, detections);
         match tracked {
             Ok(tracked) if tracked.replayed_len == 0 => {
                 let tracks = &mut self.tracks[..tracked.tracks_len];

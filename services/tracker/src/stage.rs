@@ -79,6 +79,7 @@ pub fn run(run: &Run) -> Result<(), StageError> {
             }
             Err(rejected) => stage.finish(passage, &output, Err(rejected))?,
         }
+        tracker.audit(&header, input.as_deref().unwrap_or_default());
         warned.warn(tracker.tally());
         for finding in tracker.new_doubts() {
             let found = finding.found(|place| format!("tick {}", place.line));

@@ -45,6 +45,8 @@ pub struct Tracker {
     /// Frames up to this stamp were processed by the tracker before.
     predecessor_ns: Option<i64>,
     audit: LiveAudit,
+    /// Whether the frame of the last step can be audited.
+    is_auditable: bool,
 }
 
 impl Tracker {
@@ -75,6 +77,7 @@ impl Tracker {
             identities: Vec::with_capacity(AGENTS_MAX),
             predecessor_ns: None,
             audit: LiveAudit::default(),
+            is_auditable: false,
         }
     }
 
@@ -148,11 +151,12 @@ impl Tracker {
     ) -> Result<Tracked, Rejected> {
         assert!(out.len() >= AGENTS_MAX, "room for {AGENTS_MAX} tracks");
         self.last = Tracked { held_len: self.estimates.all().len(), ..Tracked::default() };
+        self.is_auditable = false;
         if !header.is_tick() {
             return Ok(self.last);
         }
         self.check(header, detections)?;
-        self.audit.frame(header, detections);
+        self.is_auditable = true;
         let position = self.position(header)?;
         let prior = prior.filter(|_| self.options.prior == Prior::Learned);
         let frozen_len = self.frozen_len(header, detections);
@@ -212,6 +216,14 @@ impl Tracker {
                 ..Counts::default()
             },
             ..*detections
+        }
+    }
+
+    /// Audits the frame of the last [step](Tracker::step). Called once its tracks are published, so that nobody waits for
+    /// it; the headers of later frames contain its doubts.
+    pub fn audit(&mut self, header: &Header, detections: &[Detection]) {
+        if std::mem::take(&mut self.is_auditable) {
+            self.audit.frame(header, detections);
         }
     }
 

@@ -50,7 +50,10 @@ impl Harness {
         self.stamp_ns += self.tick_ns;
         let prior = self.prior.take();
         let prior = prior.as_ref().map(|(header, forecasts)| (header, &forecasts[..]));
-        let tracked = self.tracker.step(&self.header(), detections, prior, &mut self.tracks)?;
+        let header = self.header();
+        let tracked = self.tracker.step(&header, detections, prior, &mut self.tracks);
+        self.tracker.audit(&header, detections);
+        let tracked = tracked?;
         for track in &self.tracks[..tracked.tracks_len] {
             track.check().expect("a track fit for the wire");
         }
