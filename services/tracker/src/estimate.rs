@@ -1,11 +1,14 @@
+mod fit;
 mod gate;
+mod held;
 mod reports;
 mod track;
 mod visibility;
 
+pub use fit::Fit;
 pub use gate::Verdict;
 
-use std::f64::consts::{FRAC_PI_2, TAU};
+use std::f64::consts::FRAC_PI_2;
 
 use filters::{Filter, FilterFault, Kind, Models, Motion, Observation, Unknown, wrapped};
 use run::SpeedLimits;
@@ -14,6 +17,7 @@ use wire::{AgentType, Detection, Forecast, Steering, Track, detection_flags};
 use crate::belief::Belief;
 use crate::class::Class;
 use crate::estimate::gate::Gate;
+use crate::estimate::held::Held;
 use crate::estimate::reports::Reports;
 use crate::forecasts::{Controls, Forecasts};
 use crate::front::{Front, folded, rate_limited_rad};
@@ -35,38 +39,6 @@ const COURSE_SPEED_MIN_MPS: f64 = 0.5;
 const COURSE_MIN_MPS: f64 = 0.1;
 /// Weight of a new detection's size.
 const SIZE_WEIGHT: f32 = 0.2;
-
-/// How well a detection fits a predicted track, by its position.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Fit {
-    /// Mahalanobis distance, squared.
-    pub distance2: f64,
-    /// Determinant of the innovation's covariance.
-    pub det: f64,
-}
-
-impl Fit {
-    /// The fit of a position that is so far from the predicted one, which has that covariance (xx, xy, yy).
-    #[must_use]
-    pub fn new([dx, dy]: [f64; 2], [xx, xy, yy]: [f64; 3], variance: f64) -> Self {
-        let (xx, yy) = (xx + variance, yy + variance);
-        let det = xx * yy - xy * xy;
-        let distance2 = (yy * dx * dx - 2.0 * xy * dx * dy + xx * dy * dy) / det;
-        Self { distance2, det }
-    }
-
-    /// Logarithm of the detection's density under the prediction, per m².
-    #[must_use]
-    pub fn log_density(&self) -> f64 {
-        -0.5 * self.cost() - TAU.ln()
-    }
-
-    /// d² + ln |S|: −2 ln of the density, up to a constant.
-    #[must_use]
-    pub fn cost(&self) -> f64 {
-        self.distance2 + self.det.ln()
-    }
-}
 
 /// The detection that started an estimate: identifies an agent in whatever order frames arrive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -109,8 +81,9 @@ pub struct Estimate {
     dt_ns: u64,
     /// Share of the agent that is visible to the frame at hand; 1 where occlusion was not asked for.
     visibility: f64,
-    /// The mean's motion at the end of the frame.
+    /// The motion to publish at the end of the frame.
     motion: Motion,
+    held: Held,
     /// Heading, held where the filter has none.
     heading_rad: f64,
     /// The heading as it is published while frames come in sequence.
@@ -151,6 +124,7 @@ impl Estimate {
             dt_ns: 0,
             visibility: 1.0,
             motion: belief.motion(),
+            held: Held::new(belief.motion(), own_ns),
             heading_rad: seen.heading_rad.map_or(0.0, |(heading, _)| heading),
             published_heading_rad: 0.0,
             length_m: if has_size { detection.length_m } else { 0.0 },
@@ -197,6 +171,7 @@ impl Estimate {
             dt_ns: 0,
             visibility: 1.0,
             motion: belief.motion(),
+            held: Held::new(belief.motion(), stamp_ns),
             heading_rad,
             published_heading_rad: heading_rad,
             length_m: track.length_m,
@@ -328,6 +303,7 @@ impl Estimate {
         self.reports.add(found);
         self.smooth_size(detection);
         self.seen_ns = self.frame_ns;
+        self.held.end();
         self.has_velocity = true;
         if let (Filter::Bicycle(_), Some((heading, _))) = (self.belief.filter(), seen.heading_rad) {
             self.front.observe_heading(heading, self.heading_rad);
@@ -348,6 +324,7 @@ impl Estimate {
         input: &InputModel,
         options: &TrackerOptions,
     ) -> Result<(), FilterFault> {
+        self.held.end();
         self.management.miss(self.visibility, self.dt_ns, input, options);
         self.correct(possible, 0.0, input)
     }
@@ -369,7 +346,7 @@ impl Estimate {
     /// Ends a frame: finds the motion and heading to publish, within the limits of the type.
     pub fn end_frame(&mut self, limits: &SpeedLimits) {
         self.belief.limit_speed(limits.of(self.class.current()));
-        self.motion = self.belief.motion();
+        self.motion = self.held.motion(self.belief.motion(), self.stamp_ns);
         self.heading_rad = self.heading(&self.motion);
         let last_rad = self.published_heading_rad;
         let limited_rad = if self.was_ready { rate_limited_rad(last_rad, self.heading_rad) } else { None };
@@ -407,7 +384,7 @@ impl Estimate {
         self.stamp_ns
     }
 
-    /// The mean's motion at the end of the frame.
+    /// The motion at the end of the frame.
     #[must_use]
     pub const fn motion(&self) -> &Motion {
         &self.motion

@@ -177,6 +177,7 @@ impl Estimates {
         for (e, estimate) in self.all.iter_mut().enumerate() {
             if pairing.is_resent(e) {
                 tracked.repeated_len += 1;
+                estimate.hold_turn();
                 continue;
             }
             possible.clear();

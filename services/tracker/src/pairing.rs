@@ -230,7 +230,7 @@ impl Pairing {
     fn set_aside_resent(&mut self, estimates: &[Estimate], frame: &Frame<'_>) {
         self.places.fill(frame.detections);
         for (estimate, resent) in estimates.iter().zip(&mut self.resent) {
-            let Some(place) = estimate.moving_from().filter(|place| self.places.may_hold(*place)) else {
+            let Some(place) = estimate.resent_from().filter(|place| self.places.may_hold(*place)) else {
                 continue;
             };
             let found = (0..frame.detections.len()).find(|&d| {

@@ -198,6 +198,58 @@ fn placeholders_are_no_measurements() {
 }
 
 #[test]
+fn placeholders_among_the_first_detections_give_no_speed() {
+    for place in [[0.0_f32, 0.0], [-1.0, -1.0], [1.0, 1.0], [9999.0, 9999.0]] {
+        for (agent_type, speed) in TYPES {
+            // The first three frames, the first alone, the second, the third, and every fourth.
+            let patterns: [fn(i64) -> bool; 5] =
+                [|k| k < 3, |k| k == 0, |k| k == 1, |k| k == 2, |k| k % 4 == 0];
+            for (interval_ms, (pattern, is_missing)) in
+                [100, 500].into_iter().flat_map(|ms| patterns.iter().enumerate().map(move |of| (ms, of)))
+            {
+                let what = format!("{place:?}, {agent_type:?}, {interval_ms} ms, pattern {pattern}");
+                let mut run = trusting(interval_ms);
+                for k in 0..24 {
+                    let off_m = if interval_ms == 100 { [3.0, 4.0] } else { [9.0, 12.0] };
+                    let good = moved(along(agent_type, speed, k, interval_ms), off_m);
+                    let missing = Detection { x_m: place[0], y_m: place[1], ..good };
+                    let tracks = run.step(&[if is_missing(k) { missing } else { good }]);
+                    assert_possible(tracks, speed, &what);
+                    if k < 5 {
+                        continue;
+                    }
+                    let [track] = tracks else { panic!("{what}: frame {k}: {} tracks", tracks.len()) };
+                    assert!((track.x_m - good.x_m).abs() < 0.3, "{what}: frame {k}: {track:?}");
+                }
+            }
+        }
+    }
+}
+
+/// Whoever chooses an origin may well drive through it, or begin there.
+#[test]
+fn an_agent_may_begin_at_the_origin() {
+    for (agent_type, speed) in TYPES {
+        for interval_ms in INTERVALS_MS {
+            for first in [0, -1, -2] {
+                let mut run = trusting(interval_ms);
+                for k in 0..6 {
+                    let good = along(agent_type, speed, k + first, interval_ms);
+                    let tracks = run.step(&[good]);
+                    assert_possible(tracks, speed, "the origin");
+                    assert_eq!(
+                        tracks.len(),
+                        usize::from(k > 0),
+                        "{agent_type:?}, {interval_ms} ms: frame {k}"
+                    );
+                }
+                assert_eq!(input(&run), [0; 4], "{agent_type:?}, {interval_ms} ms");
+            }
+        }
+    }
+}
+
+#[test]
 fn an_agent_at_rest_is_tracked_wherever_it_is() {
     for place in [[0.0_f64, 0.0], [-1.0, -1.0], [7.5, 3.0]] {
         let mut run = trusting(100);

@@ -98,6 +98,32 @@ fn two_sensors_make_one_track_of_an_agent() {
     }
 }
 
+/// A scan of a slow detector takes most of its period, so each agent has another own time.
+#[test]
+fn agents_of_one_scan_are_no_twins() {
+    const SPEEDS_MPS: [f64; 5] = [10.0, 8.0, 6.0, 1.4, 1.2];
+    for (tick_ms, apart_ms) in [(400, 80), (500, 100), (200, 40), (500, 20)] {
+        let (mut run, mut rng) = (harness(0), ChaCha8Rng::seed_from_u64(2));
+        run.tick_ns = tick_ms * 1_000_000;
+        for frame in 0..30 {
+            let seen = [0, 1, 2, 3, 4].map(|agent: usize| {
+                let late_ms = apart_ms * agent as i64;
+                let is_walking = SPEEDS_MPS[agent] < 2.0;
+                let agent_type = if is_walking { AgentType::Pedestrian } else { AgentType::Vehicle };
+                let x_m = SPEEDS_MPS[agent] * (frame * tick_ms + late_ms) as f64 / 1e3;
+                let (x_m, y_m) = (x_m + noise(&mut rng, 0.03), 6.0 * agent as f64 + noise(&mut rng, 0.03));
+                let offset_ns = (late_ms - 4 * apart_ms) * 1_000_000;
+                Detection { offset_ns, ..detected_at(agent_type, agent as u64 + 1, x_m, y_m) }
+            });
+            let tracks = run.step(&seen);
+            if frame >= 4 {
+                assert_eq!(tracks.len(), 5, "{tick_ms} ms, {apart_ms} ms apart: frame {frame}");
+            }
+        }
+        assert!(run.published().iter().all(|track| track.id <= 5), "{tick_ms} ms: the first tracks");
+    }
+}
+
 #[test]
 fn equal_identities_and_own_times_are_duplicates() {
     let mut rng = ChaCha8Rng::seed_from_u64(1);

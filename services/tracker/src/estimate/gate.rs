@@ -12,11 +12,14 @@ use crate::estimate::reports::Reported;
 use crate::estimate::{Birth, Estimate, Fit};
 use crate::observation::{Found, observation, position_sigma_m};
 use crate::options::{InputModel, TrackerOptions};
+use crate::placeholders::is_marked;
 
 /// Farther from the prediction than this the best of measurements may be, by type: annotations have errors.
 const MARGIN_M: [f64; 3] = [1.5, 1.0, 0.6];
 /// Highest acceleration, turns included, by type.
 const ACCELERATION_MAX_MPS2: [f64; 3] = [8.0; 3];
+/// Speed with which agents begin, by type; those that begin faster at 0, 0 were not there.
+const BEGINNING_MPS: [f64; 3] = [16.0, 8.0, 3.0];
 /// Standard deviations of the prediction and of earlier misses that the gate adds.
 const SIGMAS: f64 = 4.0;
 /// Weight of a new residual in the mean of those that the covariance does not explain.
@@ -106,24 +109,71 @@ impl Estimate {
             return Verdict::Misfit;
         }
         let variance = position_sigma_m(found.detection, found.agent_type, input).powi(2);
-        let (residual_m, sigma_m) = self.residual(found, variance, input);
         let (agent_type, since_s) = (self.class.current(), self.gate.since_measured_s(found.own_ns));
+        let from_m = self.reports.last.position_m();
+        let moved_m = [0, 1].map(|axis| found.position_m()[axis] - from_m[axis]);
+        let distance2 = self.fit(found, variance, input).distance2;
+        let reach_m = options.speed_limits.of(agent_type) * since_s;
+        let is_first = self.gate.measured < SETTLED;
+        let least_m = MARGIN_M[agent_type.index()] + reach_m;
+        let is_near = moved_m[0] * moved_m[0] + moved_m[1] * moved_m[1] <= least_m * least_m;
+        // Most detections: within three standard deviations, so within the wider limits below as well.
+        if !is_first && is_near && distance2 <= STRANGE {
+            return Verdict::Fits;
+        }
+        let moved_m = hypot(moved_m[0], moved_m[1]);
         let margin_m =
             MARGIN_M[agent_type.index()] + SIGMAS * (self.gate.residual_m2.sqrt() + variance.sqrt());
-        let from_m = self.reports.last.position_m();
-        let moved_m = hypot(found.position_m()[0] - from_m[0], found.position_m()[1] - from_m[1]);
-        if moved_m > margin_m + options.speed_limits.of(agent_type) * since_s {
+        let is_placeholder = is_first && self.meets_placeholder(found, (moved_m, distance2), since_s);
+        if is_placeholder || moved_m > margin_m + reach_m {
             return Verdict::Misfit;
         }
         // Where it was before, the agent can be again: then its velocity is wrong.
-        if self.gate.measured < SETTLED || moved_m <= margin_m {
+        if is_first || moved_m <= margin_m {
             return Verdict::Fits;
         }
+        let (residual_m, sigma_m) = self.residual(found, variance, input);
         let turned_m = 0.5 * ACCELERATION_MAX_MPS2[agent_type.index()] * since_s * since_s;
         if residual_m > margin_m + turned_m + SIGMAS * sigma_m {
             return Verdict::Misfit;
         }
-        if self.fit(found, variance, input).distance2 > STRANGE { Verdict::Strange } else { Verdict::Fits }
+        if distance2 > STRANGE { Verdict::Strange } else { Verdict::Fits }
+    }
+
+    /// Whether one of the first detections is at a marked position and another one is not, and the agent has hardly gone
+    /// there from here.
+    fn meets_placeholder(&self, found: &Found<'_>, (moved_m, distance2): (f64, f64), since_s: f64) -> bool {
+        let place = match self.placeholder_at_start() {
+            Some(place) if place != found.place() => place,
+            None if is_marked(found.place()) && self.reports.last.place() != found.place() => {
+                if self.has_velocity {
+                    return distance2 > STRANGE;
+                }
+                found.place()
+            }
+            _ => return false,
+        };
+        let of_type = self.class.current().index();
+        // The origin is a place like others for those who choose it.
+        let is_origin = place.map(f32::from_bits) == [0.0; 2];
+        let begun_m = if is_origin { BEGINNING_MPS[of_type] * since_s } else { 0.0 };
+        moved_m > 0.5 * MARGIN_M[of_type] + begun_m
+    }
+
+    /// The marked position at which all of the first detections are.
+    #[must_use]
+    pub fn placeholder_at_start(&self) -> Option<[u32; 2]> {
+        self.standing_at().filter(|place| self.gate.measured < SETTLED && is_marked(*place))
+    }
+
+    /// Whether the agent can have come from its last detection to this one.
+    #[must_use]
+    pub fn reaches(&self, found: &Found<'_>, options: &TrackerOptions) -> bool {
+        let from_m = self.reports.last.position_m();
+        let moved_m = hypot(found.position_m()[0] - from_m[0], found.position_m()[1] - from_m[1]);
+        let most_mps = options.speed_limits.of(self.class.current());
+        moved_m
+            <= MARGIN_M[self.class.current().index()] + most_mps * self.gate.since_measured_s(found.own_ns)
     }
 
     /// By how much another agent's detection fits better than the own one, as a difference of squared Mahalanobis
@@ -195,7 +245,10 @@ impl Estimate {
         let ([x, y], own_m2) = self.belief.position();
         let ([older_x, older_y], older_m2) = older.belief.position();
         let covariance_m2 = [0, 1, 2].map(|entry| own_m2[entry] + older_m2[entry]);
-        self.is_hit()
+        // From a single position an estimate may be anywhere soon.
+        self.has_velocity
+            && older.has_velocity
+            && self.is_hit()
             && older.is_hit()
             && self.class.current() == older.class.current()
             && self.gate.measured_ns != older.gate.measured_ns
@@ -236,6 +289,11 @@ impl Estimate {
                 }
                 Some(self.begun_at((birth, seed), &[second, new], input, options))
             }
+            Some(second)
+                if self.placeholder_at_start().is_some() && self.connects(&second, &new, options) =>
+            {
+                Some(self.begun_at((birth, seed), &[second, new], input, options))
+            }
             Some(second) if self.has_jumped(&second, &new, input) => {
                 Some(self.moved_to(&new, (birth, seed), input))
             }
@@ -255,6 +313,12 @@ impl Estimate {
         let noise_m = sigma_m.max(self.gate.residual_m2.sqrt());
         let accelerated_mps = ACCELERATION_MAX_MPS2[misfit.agent_type.index()] * dt_s;
         0.5 + accelerated_mps + SIGMAS * std::f64::consts::SQRT_2 * noise_m / dt_s
+    }
+
+    /// Whether an agent can have come from one misfit to the next.
+    fn connects(&self, before: &Misfit, new: &Misfit, options: &TrackerOptions) -> bool {
+        let most_mps = options.speed_limits.of(new.agent_type);
+        velocity_mps(before, new).is_some_and(|([x_mps, y_mps], _)| hypot(x_mps, y_mps) <= most_mps)
     }
 
     /// Whether two misfits move as the track does.

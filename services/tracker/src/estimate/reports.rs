@@ -78,6 +78,11 @@ impl Reports {
         }
     }
 
+    /// Whether the detector's next measurement is not due yet.
+    fn is_early(&self, age_ns: u64) -> bool {
+        (age_ns as f64) < PERIOD_SHARE * self.period_ns as f64
+    }
+
     /// Whether a detection with the same report is no new measurement, of an agent of that speed, if it is known.
     fn is_resent(&self, own_ns: i64, agent_type: AgentType, speed_mps: Option<f64>) -> bool {
         let age_ns = own_ns.saturating_sub(self.fresh_ns).max(0).unsigned_abs();
@@ -87,9 +92,7 @@ impl Reports {
         let Some(speed_mps) = speed_mps else { return true };
         let (least_mps, braking_mps2) = STOPPING[agent_type.index()];
         let since_ns = if self.period_ns > 0 { self.period_ns } else { age_ns };
-        let is_early = (age_ns as f64) < PERIOD_SHARE * self.period_ns as f64;
-        speed_mps > least_mps + braking_mps2 * since_ns as f64 / 1e9
-            || (is_early && speed_mps > MOVING_MIN_MPS)
+        self.is_early(age_ns) || speed_mps > least_mps + braking_mps2 * since_ns as f64 / 1e9
     }
 }
 
@@ -106,6 +109,14 @@ impl Estimate {
             (own_mps, reported_mps) => own_mps.or(reported_mps),
         };
         self.reports.is_resent(found.own_ns, self.class.current(), speed_mps)
+    }
+
+    /// The bits of the last reported position, if the agent moves or may do so, or its next measurement is not due yet.
+    #[must_use]
+    pub fn resent_from(&self) -> Option<[u32; 2]> {
+        let age_ns = self.stamp_ns.saturating_sub(self.reports.fresh_ns).max(0).unsigned_abs();
+        let early = self.reports.is_early(age_ns).then(|| self.reports.last.place());
+        early.or_else(|| self.moving_from())
     }
 
     /// The bits of the last reported position, if the agent moves or may do so.

@@ -43,17 +43,22 @@ impl Estimates {
         }
         self.find_strays(scan, scratch, options, tracked);
         let has_births = publications.has_births_at(header.stamp_ns);
-        let mut strays = scratch.strays.iter().filter(|stray| stray.exchanged.is_some()).peekable();
+        let mut strays = scratch.strays.iter().peekable();
         for e in 0..self.all.len() {
-            let exchanged = strays.next_if(|stray| stray.estimate == e);
+            let stray = strays.next_if(|stray| stray.estimate == e);
+            let exchanged = stray.filter(|stray| stray.exchanged.is_some());
             let (mut hit, mut is_resent) = (None, false);
             if let Some(other) = exchanged.and_then(|stray| scratch.strays.get(stray.exchanged?)) {
                 self.take(e, &found(other.detection), header, options, tracked);
                 tracked.reassigned_len += 1;
                 hit = Some(other.detection);
             } else {
-                for d in scratch.pairing.of_identity(e).iter().map(|&d| d as usize) {
-                    match self.take_own(e, (d, &found(d)), (header, &mut scratch.begun), options, tracked) {
+                let own = scratch.pairing.of_identity(e);
+                // A single detection has been judged already.
+                let fits = own.len() == 1 && stray.is_none();
+                for d in own.iter().map(|&d| d as usize) {
+                    let found = (d, &found(d), fits);
+                    match self.take_own(e, found, (header, &mut scratch.begun), options, tracked) {
                         Taken::Measured => hit = hit.or(Some(d)),
                         Taken::Resent => is_resent = true,
                         Taken::No => {}
@@ -67,8 +72,9 @@ impl Estimates {
                 let from = Birth { stamp_ns: header.stamp_ns, detection: detection as u32 };
                 publications.transfer(from, estimate.birth());
             }
-            let is_missed = hit.is_none() && !is_resent;
-            if is_missed && header.observed_types & estimate.class.current().bit() != 0 {
+            if hit.is_none() && is_resent {
+                estimate.hold_turn();
+            } else if hit.is_none() && header.observed_types & estimate.class.current().bit() != 0 {
                 tracked.faults_len += usize::from(estimate.miss(&mut [], input, options).is_err());
             }
         }
@@ -132,11 +138,11 @@ impl Estimates {
         tracked.faults_len += usize::from(estimate.update(found, &mut seen, input, options).is_err());
     }
 
-    /// Updates an estimate by a detection of its identity, if that is a measurement.
+    /// Updates an estimate by a detection of its identity, if that is a measurement; it `fits` if that is known already.
     fn take_own(
         &mut self,
         e: usize,
-        (d, found): (usize, &Found<'_>),
+        (d, found, fits): (usize, &Found<'_>, bool),
         (header, begun): (&Header, &mut Vec<Estimate>),
         options: &TrackerOptions,
         tracked: &mut Tracked,
@@ -147,24 +153,45 @@ impl Estimates {
             tracked.repeated_len += 1;
             return Taken::Resent;
         }
-        let verdict = estimate.judge(found, input, options);
-        let is_placeholder = self.placeholders.holds(found.place());
+        let verdict = if fits { Verdict::Fits } else { estimate.judge(found, input, options) };
+        let is_placeholder = verdict != Verdict::Fits && self.placeholders.holds(found.place());
         if verdict == Verdict::Fits || (verdict == Verdict::Strange && !is_placeholder) {
             self.take(e, found, header, options, tracked);
             return Taken::Measured;
+        }
+        let birth = (Birth { stamp_ns: header.stamp_ns, detection: d as u32 }, self.started_len + 1);
+        if self.has_begun_at_placeholder(e, found, options) {
+            tracked.placeholders_len += 1;
+            self.started_len += 1;
+            self.all[e].replace();
+            begun.push(Estimate::new(birth, found, input, true));
+            return Taken::No;
         }
         if is_placeholder || self.has_jumped_to_placeholder(e, found) {
             tracked.placeholders_len += 1;
             return Taken::No;
         }
         tracked.misfits_len += 1;
-        let birth = (Birth { stamp_ns: header.stamp_ns, detection: d as u32 }, self.started_len + 1);
         if let Some(new) = self.all[e].add_misfit(found, birth, input, options) {
             self.started_len += 1;
             tracked.reassigned_len += 1;
             begun.push(new);
         }
         Taken::No
+    }
+
+    /// Whether an estimate was only at a placeholder's position, and the detection is the agent's first.
+    fn has_begun_at_placeholder(&mut self, e: usize, found: &Found<'_>, options: &TrackerOptions) -> bool {
+        let estimate = &self.all[e];
+        let Some(place) = estimate.placeholder_at_start() else { return false };
+        // Out of reach either of the two may be the wrong one.
+        let has_begun = !is_marked(found.place())
+            && !self.placeholders.holds(found.place())
+            && estimate.reaches(found, options);
+        if has_begun {
+            self.placeholders.add(place);
+        }
+        has_begun
     }
 
     /// Whether a detection has jumped to a placeholder; or away from one, which is remembered.
