@@ -55,7 +55,7 @@ pub struct TypeDecoder {
     idle: Buffer,
     head: Linear,
     points: Option<Points>,
-    /// From base controls to their addend to the gates.
+    /// Maps base controls to their term in the gates.
     latent_base: Option<Linear>,
     best_latent: Option<[f32; LATENT]>,
     modes: Option<ModeHead>,
@@ -88,8 +88,9 @@ pub struct BurnIn<'a> {
 /// The source of a forecast's latent variables.
 #[derive(Clone, Copy, Debug)]
 pub enum Draws<'a> {
-    /// The learned points of the type. The base controls, \[agent, mode, step\] with those of the best
-    /// forecast behind the modes, move them where the model has `base_latent`; no other model reads them.
+    /// The learned points of the type. If the model has `base_latent`, the base controls move the points.
+    /// They are \[agent, mode, step\], with those of the best forecast after the modes. Other models do not
+    /// read them.
     Points(&'a [[f32; 2]]),
     /// Given latent variables, \[agent, draw\].
     Given(&'a [[f32; LATENT]]),

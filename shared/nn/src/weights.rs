@@ -41,7 +41,7 @@ pub enum WeightsError {
     /// The configuration is not valid JSON, or belongs to another version.
     #[error("model configuration in the weights: {0}")]
     Config(#[source] serde_json::Error),
-    /// The model card is no JSON.
+    /// The model card is not valid JSON.
     #[error("model card in the weights: {0}")]
     Card(#[source] serde_json::Error),
     /// A value of the configuration is impossible.

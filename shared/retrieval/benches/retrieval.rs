@@ -1,4 +1,4 @@
-//! Cost of retrieval for one agent where the memory is full of entries like it.
+//! Cost of retrieval for one agent if the memory is full of similar entries.
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use kinematics::MotionKind;

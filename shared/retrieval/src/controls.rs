@@ -1,36 +1,37 @@
-//! From retrieved residuals to changes of a forecast's controls.
+//! Converts retrieved residuals to changes of a forecast's controls.
 
 use kinematics::MotionModel;
 use wire::{ControlGaussian, HORIZON_MAX, MODES_MAX};
 
 use crate::{ControlChange, ModeSelection, RETRIEVED_MAX, Retrieved};
 
-/// The controls of one agent's forecast, step by step, of as many steps as the best forecast has; modes may
-/// have more.
+/// The controls of one agent's forecast, step by step. Its length is that of the best forecast; modes may be
+/// longer.
 #[derive(Clone, Copy, Debug)]
 pub struct ForecastControls<'a, M> {
-    /// Of each mode.
+    /// Controls of each mode.
     pub modes: &'a [M],
     /// The probability of each mode.
     pub probability: &'a [f32],
-    /// Of the single best forecast.
+    /// Controls of the single best forecast.
     pub best: &'a [ControlGaussian],
 }
 
-/// Changes of one agent's controls: of their means, and of the modes' probabilities. Covariances stay.
+/// Changes of one agent's controls: of their means, and of the modes' probabilities. Covariances are
+/// unchanged.
 #[derive(Clone, Debug)]
 pub struct ControlChanges {
     best: ControlChange,
     modes: ControlChange,
-    /// Of each mode that is replaced by a neighbour's path: the change of the best forecast's controls that
-    /// leads along it.
+    /// For each mode that a neighbour's path replaces: the change of the best forecast's controls that leads
+    /// along the path.
     replaced: Vec<Option<ControlChange>>,
-    /// Of each mode that has one: a further change of its own.
+    /// Additional changes of single modes.
     own: Vec<Option<ControlChange>>,
     probability: Vec<f32>,
 }
 
-/// Turns what is retrieved into [`ControlChanges`], for one agent after another, with scratch memory
+/// Converts retrieved residuals to [`ControlChanges`], for one agent at a time, with scratch memory that is
 /// allocated once.
 #[derive(Clone, Debug)]
 pub struct ControlAdapter {
@@ -85,12 +86,12 @@ impl ControlChanges {
         self.replaced[mode].is_some()
     }
 
-    /// Changes the controls of the best forecast alone further.
+    /// Adds a change to the best forecast's controls only.
     pub fn shift_best(&mut self, by: &ControlChange) {
         add(&mut self.best, by);
     }
 
-    /// Changes the controls of one mode further.
+    /// Adds a change to one mode's controls.
     pub fn shift_mode(&mut self, mode: usize, by: &ControlChange) {
         add(self.own[mode].get_or_insert_default(), by);
     }
@@ -112,12 +113,12 @@ impl ControlChanges {
         self.probability[mode] = probability;
     }
 
-    /// Gives a mode another probability.
+    /// Sets the probability of a mode.
     pub fn set_probability(&mut self, mode: usize, probability: f32) {
         self.probability[mode] = probability;
     }
 
-    /// Resets to no change, of modes with these probabilities.
+    /// Resets to no change, with these mode probabilities.
     pub fn reset(&mut self, probability: &[f32]) {
         (self.best, self.modes) = Default::default();
         self.replaced.clear();
@@ -148,11 +149,11 @@ impl Default for ControlAdapter {
 }
 
 impl ControlAdapter {
-    /// Writes the changes of an agent's controls that follow from what is retrieved for it.
+    /// Writes the changes of an agent's controls that follow from its retrieved residuals.
     ///
-    /// The best forecast gets the expected residuals, modes [half of them](Retrieved::expected_of_modes).
-    /// Paths that follow the best forecast with the residuals of one neighbour each then compete with the
-    /// modes: see [`ModeSelection`].
+    /// The best forecast gets the expected residuals, the modes [half of them](Retrieved::expected_of_modes).
+    /// Each neighbour also gives a path: the best forecast with that neighbour's residuals. These paths then
+    /// compete with the modes; see [`ModeSelection`].
     pub fn adapt<M: AsRef<[ControlGaussian]>>(
         &mut self,
         retrieved: &Retrieved,
@@ -201,7 +202,7 @@ fn add(change: &mut ControlChange, by: &ControlChange) {
     }
 }
 
-/// The means of controls with what is added to them.
+/// The means of controls with a change added.
 fn changed(controls: &[ControlGaussian], change: &ControlChange) -> impl Iterator<Item = [f32; 2]> {
     controls.iter().zip(change).map(|(control, change)| [0, 1].map(|i| control.mean[i] + change[i]))
 }

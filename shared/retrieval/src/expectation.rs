@@ -1,18 +1,18 @@
-//! The residuals to be expected of an agent: the kernel mean of its neighbours' residuals, and its shrinkage.
+//! The expected residuals of an agent: the kernel mean of its neighbours' residuals, and its shrinkage.
 
 use kinematics::MotionKind;
 use wire::HORIZON_MAX;
 
 use crate::Residuals;
 
-/// λ: factor by which the shrinkage's sums decay with each residual: about the last thousand count.
+/// λ: factor by which the shrinkage's sums decay per residual. About the last thousand residuals count.
 const LASTING: f32 = 0.999;
 /// ρ: ridge of the regression, in the squared units of residuals, by kind of motion.
 const RIDGE: [[f32; 2]; 2] = [[5.0, 2e-3], [0.02, 0.02]];
 /// ν: weight of the prior mean 0, in residuals of similarity 1, by kind of motion.
 const PRIOR_WEIGHT: [f32; 2] = [1.0, 4.0];
 
-/// A mean of residuals weighted by a kernel: its sums.
+/// The sums of a kernel-weighted mean of residuals.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct KernelMean {
     /// Σ w
@@ -21,7 +21,7 @@ pub(crate) struct KernelMean {
     sums: [[f32; 2]; HORIZON_MAX],
 }
 
-/// How well kernel means predicted residuals so far, by step and component: sums of predicted · actual and of
+/// How well kernel means have predicted residuals, by step and component: sums of predicted · actual and of
 /// predicted².
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Shrinkage {
@@ -29,7 +29,7 @@ pub(crate) struct Shrinkage {
 }
 
 impl KernelMean {
-    /// Adds residuals with a weight, as far as they are known.
+    /// Adds the known residuals with a weight.
     pub(crate) fn add(&mut self, weight: f32, residuals: &Residuals) {
         let own = self.weights.as_flattened_mut().iter_mut().zip(self.sums.as_flattened_mut());
         for ((weights, sum), residual) in own.zip(residuals.steps().as_flattened()) {
@@ -39,7 +39,7 @@ impl KernelMean {
         }
     }
 
-    /// The means, drawn towards 0: those of Nadaraya and Watson with a prior.
+    /// The Nadaraya–Watson means with a prior, which shrinks them towards 0.
     ///
     /// ```text
     /// Δ_k = Σ w δ_k / (Σ w + ν)      ν = 1 bicycle, 4 displacement
@@ -54,7 +54,7 @@ impl KernelMean {
 }
 
 impl Shrinkage {
-    /// Learns how a predicted residual of a step compares with the actual one.
+    /// Updates the sums with a predicted and an actual residual of a step.
     pub(crate) fn learn(&mut self, predicted: &Residuals, step: usize, component: usize, actual: f32) {
         let Some(predicted) = predicted.at(step, component) else { return };
         let (product, square) = &mut self.steps[step][component];
@@ -62,14 +62,15 @@ impl Shrinkage {
         *square = LASTING * *square + predicted * predicted;
     }
 
-    /// The residuals to be expected where these are predicted: shrunk by the slope of a ridge regression of
-    /// actual on predicted residuals so far.
+    /// The expected residuals for predicted ones: shrunk by the slope of a ridge regression of actual on
+    /// predicted residuals so far.
     ///
     /// ```text
     /// Δ'_k = c_k Δ_k      c_k = Σ Δ_k δ_k / (Σ Δ_k² + ρ), within [0, 1]
     /// ```
     ///
-    /// At a site that the model knows from its training, residuals have little in common; elsewhere much.
+    /// At a site of the model's training data, residuals have little in common; elsewhere they have much in
+    /// common.
     pub(crate) fn shrink(&self, kind: MotionKind, predicted: &Residuals) -> Residuals {
         Residuals::from_fn(|step, component| {
             let (product, square) = self.steps[step][component];
@@ -78,12 +79,12 @@ impl Shrinkage {
         })
     }
 
-    /// The sums of `steps_len` steps in the order of the file.
+    /// The sums of `steps_len` steps in the file's order.
     pub(crate) fn numbers(&self, steps_len: usize) -> impl Iterator<Item = f32> {
         self.steps[..steps_len].iter().flatten().flat_map(|&(product, square)| [product, square])
     }
 
-    /// The reverse of [`Shrinkage::numbers`].
+    /// The inverse of [`Shrinkage::numbers`].
     pub(crate) fn of_numbers(numbers: &[f32]) -> Self {
         let mut shrinkage = Self::default();
         let sums = numbers.as_chunks::<2>().0.iter();

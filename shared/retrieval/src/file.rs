@@ -1,12 +1,17 @@
 //! Memory files: N entries, oldest first, as safetensors.
 //!
-//! `memory.gait` u8 \[N\], kind of motion, 0 bicycle, 1 displacement; `memory.moment` f32 \[N, 6\], the keys,
-//! of a bicycle x, y, heading, speed, acceleration and turn rate, of displacements x, y and the velocity's x
-//! and y; `memory.driven` u8 \[N\], steps taken since; `memory.departure` f32 \[N, steps, 2\], the residuals,
-//! NaN where unknown; `memory.skill` f32 \[2 kinds, steps, 2, 2\], the sums of the shrinkage;
-//! `memory.step_ns` i64 \[1\]. The metadata key `weights` holds the SHA-256 of the weights that made the
-//! forecasts. The tensors' names are those of the first version of the file, so that every version reads all
-//! files.
+//! | tensor | type and shape | content |
+//! |---|---|---|
+//! | `memory.gait` | u8 \[N\] | kind of motion: 0 bicycle, 1 displacement |
+//! | `memory.moment` | f32 \[N, 6\] | keys, see below |
+//! | `memory.driven` | u8 \[N\] | steps taken since |
+//! | `memory.departure` | f32 \[N, steps, 2\] | residuals; NaN if unknown |
+//! | `memory.skill` | f32 \[2 kinds, steps, 2, 2\] | sums of the shrinkage |
+//! | `memory.step_ns` | i64 \[1\] | length of a step |
+//!
+//! A key has x, y, heading, speed, acceleration and turn rate for a bicycle; x, y and velocity (x, y) for
+//! displacements. The metadata key `weights` contains the SHA-256 of the weights that computed the forecasts.
+//! The tensors have the names of the file's first version, so that every version reads all files.
 
 use std::collections::{BTreeSet, HashMap};
 use std::path::{Path, PathBuf};
@@ -32,29 +37,30 @@ const RESIDUAL: &str = "memory.departure";
 const SHRINKAGE: &str = "memory.skill";
 const STEP_NS: &str = "memory.step_ns";
 const WEIGHTS: &str = "weights";
-/// The largest memory with a generous header.
+/// Size of the largest memory with a generous header.
 const BYTES_MAX: u64 = (ENTRIES_MAX * (2 + 4 * (COMPONENTS + 2 * HORIZON_MAX)) + (1 << 20)) as u64;
 
 /// Why a memory file could not be read or written.
 #[derive(Debug, Error)]
 pub enum MemoryError {
-    /// It can't be read or written, or is no memory.
+    /// The file can't be read or written, or is not a memory file.
     #[error(transparent)]
     File(#[from] FileError),
-    /// It is of the forecasts of other weights.
+    /// The memory is for the forecasts of other weights.
     #[error("{}: a retrieval memory of the weights {found}, not of {expected}", path.display())]
     OtherWeights {
         /// The file.
         path: PathBuf,
-        /// Beginning of their SHA-256.
+        /// Start of their SHA-256.
         found: String,
-        /// The same of those that are in use.
+        /// Start of the SHA-256 of the weights in use.
         expected: String,
     },
 }
 
 impl RetrievalMemory {
-    /// Writes the entries, of forecasts of these weights, to a file, all of it or nothing.
+    /// Writes the entries to a file, as a whole or not at all. The entries are for forecasts of these
+    /// weights.
     ///
     /// # Errors
     /// [`MemoryError::File`] if the folder can't be written.
@@ -64,12 +70,12 @@ impl RetrievalMemory {
         Ok(target.write(&bytes)?)
     }
 
-    /// Reads the entries of earlier sessions, of forecasts of these weights, which have so many steps of such
-    /// a length.
+    /// Reads the entries of earlier sessions. They must be for forecasts of these weights, with this number
+    /// and length of steps.
     ///
     /// # Errors
-    /// [`MemoryError`] if the file can't be read, is no memory, is one of other weights' forecasts, or
-    /// holds numbers that no memory has.
+    /// [`MemoryError`] if the file can't be read, is not a memory file, belongs to other weights, or contains
+    /// impossible numbers.
     pub fn load(
         path: &Path,
         weights_sha256: &str,
@@ -88,7 +94,7 @@ impl RetrievalMemory {
     }
 
     fn to_bytes(&self, weights_sha256: &str) -> Result<Vec<u8>, SafeTensorError> {
-        // Entries that no bucket reaches any more are never retrieved.
+        // Entries that no bucket reaches any more are never retrieved, so they are not written.
         let kept: BTreeSet<usize> = self.index.buckets().flat_map(|bucket| self.bucket(bucket)).collect();
         let keys = || kept.iter().filter_map(|place| self.key(*place));
         let values = || kept.iter().map(|place| &self.values[*place]);
@@ -140,7 +146,7 @@ impl RetrievalMemory {
         let shrinkage =
             finite_numbers(SHRINKAGE, &tensor(SHRINKAGE)?, &[2, steps_len, 2, 2]).map_err(content)?;
 
-        // They lie as Σ predicted · actual, Σ predicted².
+        // The order is Σ predicted · actual, Σ predicted².
         if let Some(negative) = shrinkage.iter().skip(1).step_by(2).find(|square| **square < 0.0) {
             let why = format!("{SHRINKAGE} holds {negative}, a sum of squares can't be negative");
             return Err(content(why).into());
@@ -172,7 +178,7 @@ impl RetrievalMemory {
     }
 }
 
-/// Refuses metadata that name other weights, or none.
+/// Refuses metadata with other weights or none.
 fn check_weights(
     metadata: Option<&HashMap<String, String>>,
     weights_sha256: &str,
@@ -189,7 +195,7 @@ fn check_weights(
     Err(MemoryError::OtherWeights { path: target.path.into(), found, expected })
 }
 
-/// The one number of a tensor, a length of time that steps may have.
+/// The single number of a tensor, checked to be a valid step length.
 fn step_ns(view: &TensorView<'_>) -> Result<u64, String> {
     let (Dtype::I64, Ok(bytes)) = (view.dtype(), view.data().try_into()) else {
         return Err(format!("{STEP_NS} is {:?} {:?}, expected I64 [1]", view.dtype(), view.shape()));
@@ -201,7 +207,7 @@ fn step_ns(view: &TensorView<'_>) -> Result<u64, String> {
     Ok(step_ns.cast_unsigned())
 }
 
-/// Bytes of which none is larger.
+/// Bytes with a maximum value.
 fn small(name: &str, view: &TensorView<'_>, len: usize, most: u8) -> Result<Vec<u8>, String> {
     if view.dtype() != Dtype::U8 || view.shape() != [len] {
         return Err(format!("{name} is {:?} {:?}, expected U8 [{len}]", view.dtype(), view.shape()));

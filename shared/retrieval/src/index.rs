@@ -1,11 +1,11 @@
-//! Keys by bucket, in runs of keys that lie side by side: a search reads a run at a time, where a list of entries
-//! would wait for memory at each.
+//! Keys by bucket, in runs of adjacent keys. A search reads one run at a time; a list of entries would wait
+//! for memory at each entry.
 
 use std::collections::{HashMap, VecDeque};
 
 use crate::{Bucket, Key};
 
-/// Keys of a run.
+/// Number of keys in a run.
 pub(crate) const RUN_LEN: usize = 8;
 
 /// The keys of a memory's entries, by bucket and by number.
@@ -14,19 +14,19 @@ pub(crate) struct KeyIndex {
     /// The newest run of each bucket.
     buckets: HashMap<Bucket, u32>,
     runs: Vec<Run>,
-    /// Runs none of whose entries is stored any more.
+    /// Runs without stored entries.
     free: Vec<u32>,
     /// The run of each entry, oldest first.
     run_of: VecDeque<u32>,
 }
 
-/// Successive entries of a bucket, oldest first. Only the newest run of a bucket is not full.
+/// Successive entries of a bucket, oldest first. Only a bucket's newest run may be partly filled.
 #[derive(Clone, Debug)]
 struct Run {
     numbers: [u64; RUN_LEN],
     keys: [Key; RUN_LEN],
     len: usize,
-    /// The run before, and the number of its first entry: a run that was used again since has another.
+    /// The previous run, and the number of its first entry. If that run was reused since, its number differs.
     before: Option<(u32, u64)>,
 }
 
@@ -37,10 +37,10 @@ impl Run {
 }
 
 impl KeyIndex {
-    /// An empty index with room for so many entries, each in a bucket of its own.
+    /// An empty index with space for `entries_max` entries, each in its own bucket.
     pub(crate) fn with_room(entries_max: usize) -> Self {
         Self {
-            // A table at most half full replaces buckets without allocating.
+            // If a table is at most half full, it replaces buckets without allocating.
             buckets: HashMap::with_capacity(2 * entries_max),
             runs: Vec::with_capacity(entries_max),
             free: Vec::with_capacity(entries_max),
@@ -77,7 +77,7 @@ impl KeyIndex {
         self.run_of.push_back(index);
     }
 
-    /// Removes the oldest entry, of that number.
+    /// Removes the oldest entry, which has this number.
     pub(crate) fn drop_oldest(&mut self, number: u64) {
         let Some(index) = self.run_of.pop_front() else { return };
         let run = &self.runs[index as usize];
@@ -90,7 +90,7 @@ impl KeyIndex {
         }
     }
 
-    /// The key of an entry by its place and number; none where there is no such entry.
+    /// The key of an entry by its place and number; `None` if there is no such entry.
     pub(crate) fn key(&self, place: usize, number: u64) -> Option<&Key> {
         let run = &self.runs[*self.run_of.get(place)? as usize];
         let at = run.numbers[..run.len].iter().position(|&own| own == number)?;
@@ -102,8 +102,8 @@ impl KeyIndex {
         self.buckets.keys()
     }
 
-    /// The runs of a bucket, the newest one first, each as numbers and keys, the oldest one first, of entries from
-    /// the number `oldest` on.
+    /// The runs of a bucket, newest first, as numbers and keys, oldest first. Entries before the number
+    /// `oldest` are left out.
     pub(crate) fn runs(&self, bucket: &Bucket, oldest: u64) -> impl Iterator<Item = (&[u64], &[Key])> {
         let newest = self.buckets.get(bucket).map(|&index| &self.runs[index as usize]);
         let before = move |run: &&Run| {
@@ -133,7 +133,7 @@ mod tests {
 
     #[test]
     fn buckets_hold_what_a_plain_list_would() {
-        // Three buckets, one of them seldom; 40 entries at a time, then ever fewer.
+        // Three buckets, one of them rarely used; 40 entries at a time, and then fewer and fewer.
         let cell_of = |number: u64| match number * 7 % 31 {
             0 => 2,
             draw => draw % 2,

@@ -1,4 +1,4 @@
-//! Keys of the memory, the similarity of two keys, and the buckets that hold near ones together.
+//! Keys of the memory, the similarity of two keys, and the buckets that group nearby keys.
 
 use std::f32::consts::TAU;
 
@@ -7,32 +7,32 @@ use scene::{AgentFrame, MOVING_MPS, State, turn, turn_rates};
 
 /// Side of a bucket's cell, by kind of motion.
 const CELL_M: [f32; 2] = [2.0, 5.0];
-/// Sectors of heading into which buckets divide bicycles.
+/// Sectors of heading by which buckets divide bicycles.
 const DIRECTIONS: i32 = 8;
-/// Their width.
+/// Width of a sector.
 const SECTOR_RAD: f32 = TAU / DIRECTIONS as f32;
-/// The sector of agents that move by displacements: buckets do not divide them by heading.
+/// The sector of agents that move by displacements. Their buckets ignore the heading.
 const ANY_DIRECTION: i32 = -1;
 
-/// Support of the kernel, by kind of motion: half of the squared distance beyond which a similarity is 0. Of
-/// agents that move by displacements there are many more.
+/// Support of the kernel, by kind of motion: half of the squared distance above which the similarity is 0. It
+/// is smaller for displacements, which have many more agents.
 const REACH: [f32; 2] = [7.0, 4.0];
-/// No bicycles whose headings differ by more are similar: 0.12 √(2 · 7), and a little.
+/// Bicycles are not similar if their headings differ by more than this: 0.12 √(2 · 7), plus a margin.
 const TURN_MAX_RAD: f32 = 0.46;
-/// Width of a displacement key's position in the kernel of means; in that of single neighbours it is wider,
-/// since a path some metres off can still be taken though its residuals differ on average.
+/// Width of a displacement key's position in the kernel of means. In the kernel of single neighbours it is
+/// larger: a path some metres away can still be followed, although its residuals differ on average.
 const MEAN_WIDTH_M: f32 = 2.5;
 /// The same in the kernel of single neighbours: see [`MEAN_WIDTH_M`].
 const NEIGHBOUR_WIDTH_M: f32 = 4.0;
-/// All widths of a bicycle's key are so many times larger in the kernel of single neighbours.
+/// Factor on all widths of a bicycle's key in the kernel of single neighbours.
 const NEIGHBOUR_WIDER: f32 = 1.4;
 /// Width of a displacement key's velocity.
 const VELOCITY_WIDTH_MPS: f32 = 0.3;
 
-/// Numbers of a key in a file: those of a bicycle's.
+/// Numbers of a key in a file; a bicycle's key uses all of them.
 pub(crate) const COMPONENTS: usize = 6;
 
-/// Names a bucket, in which keys lie that are near one another.
+/// Identifies a bucket of nearby keys.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Bucket {
     pub(crate) kind: MotionKind,
@@ -49,12 +49,12 @@ pub(crate) struct Similarity {
     pub(crate) as_neighbour: f32,
 }
 
-/// The key of a memory entry: where an agent is, and how it moves.
+/// The key of a memory entry: position and motion of an agent.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Key {
-    /// Of an agent that moves as a bicycle.
+    /// Key of an agent that moves as a bicycle.
     Bicycle(BicycleKey),
-    /// Of an agent that moves by displacements.
+    /// Key of an agent that moves by displacements.
     Displacement(DisplacementKey),
 }
 
@@ -67,7 +67,7 @@ pub struct BicycleKey {
     pub heading_rad: f32,
     /// Speed along the heading.
     pub speed_mps: f32,
-    /// Its mean change over the last step.
+    /// Mean change of the speed over the last step.
     pub acceleration_mps2: f32,
     /// Mean turn rate over the last step.
     pub turn_rate_radps: f32,
@@ -83,10 +83,12 @@ pub struct DisplacementKey {
 }
 
 impl Key {
-    /// The key of an agent at the end of its history, whose steps last `dt_s`; none where the agent is absent
+    /// The key of an agent at the end of its history with steps of `dt_s`; `None` if the agent is absent
     /// then.
-    /// A bicycle at rest has none either, since the paths of others do not show when it will start. Nor has
-    /// an agent that moves by displacements and was absent the step before, whose velocity is unknown.
+    ///
+    /// A bicycle at rest has no key, because the paths of others do not show when it will start. An agent
+    /// that moves by displacements has no key if it was absent at the previous step, because its velocity is
+    /// unknown.
     #[must_use]
     pub fn new(kind: MotionKind, history: &[Option<State>], dt_s: f32) -> Option<Self> {
         match kind {
@@ -100,7 +102,7 @@ impl Key {
         }
     }
 
-    /// The key's numbers in the order of its fields; zeros follow those of a displacement's.
+    /// The key's numbers in the order of its fields; a displacement's are padded with zeros.
     pub(crate) const fn components(&self) -> [f32; COMPONENTS] {
         match *self {
             Self::Bicycle(BicycleKey {
@@ -116,7 +118,7 @@ impl Key {
         }
     }
 
-    /// The reverse of [`Key::components`].
+    /// The inverse of [`Key::components`].
     pub(crate) const fn of_components(kind: MotionKind, components: &[f32; COMPONENTS]) -> Self {
         let &[x, y, third, fourth, acceleration_mps2, turn_rate_radps] = components;
         match kind {
@@ -140,7 +142,7 @@ impl Key {
         }
     }
 
-    /// How the agent moves.
+    /// The agent's kind of motion.
     #[must_use]
     pub const fn kind(&self) -> MotionKind {
         match self {
@@ -149,7 +151,7 @@ impl Key {
         }
     }
 
-    /// How similar another key is; none where it is of the other kind, or beyond the kernel's support.
+    /// The similarity of another key; `None` if its kind differs or it is outside the kernel's support.
     ///
     /// ```text
     /// k = exp(−d²/2)
@@ -170,7 +172,7 @@ impl Key {
         }
     }
 
-    /// The bucket that keys like this one lie in.
+    /// The bucket of keys like this one.
     #[must_use]
     pub fn bucket(&self) -> Bucket {
         let [x, y] = self.position_m().map(|value| (value / CELL_M[self.kind() as usize]).floor() as i32);
@@ -183,7 +185,7 @@ impl Key {
         }
     }
 
-    /// The buckets in which keys near this one may lie.
+    /// The buckets that may contain keys near this one.
     pub(crate) fn buckets_around(&self) -> impl Iterator<Item = Bucket> + use<> {
         let Bucket { kind, cell: [x, y, direction] } = self.bucket();
         let turns = match self {
@@ -230,7 +232,7 @@ impl BicycleKey {
         self.heading_rad.rem_euclid(TAU) / TAU * DIRECTIONS as f32
     }
 
-    /// Half of the squared distance d², unless it is surely beyond `reach`.
+    /// Half of the squared distance d²; `None` if it certainly exceeds `reach`.
     fn distance(&self, other: &Self, reach: f32) -> Option<f32> {
         let offset = [0, 1].map(|axis| other.position_m[axis] - self.position_m[axis]);
         let of_motion = half_square([
@@ -239,7 +241,8 @@ impl BicycleKey {
             (other.acceleration_mps2 - self.acceleration_mps2) / 0.8,
             (other.turn_rate_radps - self.turn_rate_radps) / 0.1,
         ]);
-        // Most are too far in any direction, and the frame's sine and cosine cost more than all the rest.
+        // Most keys are too far in any direction, and sine and cosine of the frame cost more than all other
+        // operations.
         if of_motion + half_square(offset) > reach {
             return None;
         }

@@ -1,22 +1,23 @@
 //! The retrieval memory of a site: corrects forecasts online by the residuals of earlier ones.
-//! A model that was not trained at a site has no information on its stop lines, its bends and where agents
-//! slow down. The agents that were forecast there a moment ago provide it, without training: a *memory bank*
-//! is filled online and read by nearest neighbours.
+//!
+//! A model that was not trained at a site has no information on its stop lines, its bends and the places
+//! where agents slow down. The agents that were recently forecast there provide it without training: a
+//! *memory bank* is filled online and read by nearest neighbours.
 //!
 //! # The idea
 //!
-//! * An **entry** is a [`Key`], where an agent was and how it moved, and the **forecast residuals** of its
-//!   path from there on ([`Residuals`]: path taken less path forecast, step by step). A step is filled in
-//!   once it was taken, so that an entry never contains anything of the future. The forecast is the model's
-//!   own, before anything is retrieved.
-//! * To **retrieve** is to compare an agent's key with those stored around it by a Gaussian **similarity
-//!   kernel** k = exp(−d²/2) with finite support; d is the distance of position (m), heading (rad), velocity
-//!   (m/s), acceleration (m/s²) and turn rate (rad/s) in units of their widths. Entries lie in buckets by
-//!   cell and heading; the agent's own are left out.
-//! * The **kernel mean** of the residuals (Nadaraya and Watson's, drawn towards 0) is their common part.
-//!   **Shrinkage** multiplies it by a factor that a ridge regression of actual on predicted residuals keeps
-//!   up to date: near 0 where the model was trained at the site, near 1 where all agents differ from their
-//!   forecasts alike.
+//! * An **entry** consists of a [`Key`] and **forecast residuals** ([`Residuals`]). The key is the position
+//!   and motion of an agent at a time. The residuals are the actual path from there minus the forecast path,
+//!   step by step. A step is filled in after it was taken, so an entry never contains future data. The
+//!   forecast is the model's own, before any retrieval.
+//! * To **retrieve**, the agent's key is compared with nearby stored keys by a Gaussian **similarity kernel**
+//!   k = exp(−d²/2) with finite support. d is the distance of position (m), heading (rad), velocity (m/s),
+//!   acceleration (m/s²) and turn rate (rad/s) in units of their widths. Entries are in buckets by cell and
+//!   heading. The agent's own entries are left out.
+//! * The **kernel mean** of the residuals (Nadaraya–Watson, shrunk towards 0) is their common part.
+//!   **Shrinkage** multiplies it by a factor from a ridge regression of actual on predicted residuals, which
+//!   is updated online. The factor is near 0 if the model was trained at the site, and near 1 if all agents
+//!   differ from their forecasts in the same way.
 //!
 //! ```text
 //! Δ_k = Σ w δ_k / (Σ w + ν)                                             for each step k and component
@@ -24,18 +25,19 @@
 //! ```
 //!
 //! * The [nearest neighbours](Neighbour) are also retrieved individually, at most [`RETRIEVED_MAX`], by a
-//!   wider kernel: their paths are candidate modes. **Mode selection** replaces modes by some of them
-//!   ([`ModeSelection`]: weighted k-medoids, solved by greedy interchange from the modes on).
-//! * Residuals become changes of controls ([`Residuals::control_change`]), so that what is forecast stays
-//!   drivable: the best forecast is changed by Δ', modes by half of it, a neighbour's path is the best
-//!   forecast changed by that neighbour's residuals ([`ControlAdapter`]).
-//! * A **session** is the time over which agents keep their numbers. Entries outlast it, in
-//!   [files](RetrievalMemory::save) also the process, and serve the next one (*warm start*).
+//!   wider kernel. Their paths are candidate modes. **Mode selection** replaces modes by some of them
+//!   ([`ModeSelection`]: weighted k-medoids, solved by greedy interchange from the modes).
+//! * Residuals become changes of controls ([`Residuals::control_change`]), so that forecasts remain drivable.
+//!   The best forecast is changed by Δ', and modes by half of it. A neighbour's path is the best forecast
+//!   changed by that neighbour's residuals ([`ControlAdapter`]).
+//! * A **session** is the time during which agents keep their numbers. Entries outlast the session, and in
+//!   [files](RetrievalMemory::save) also the process. They are used by the next session (*warm start*).
 //!
-//! [`Retrieval`] does all of it for one agent of an online pipeline after another, on any number of threads;
+//! [`Retrieval`] does all of it for one agent of an online pipeline at a time, on any number of threads.
 //! [`RetrievalMemory`] and [`ControlAdapter`] do it in parts.
-//! Vehicles that are forecast at a steady 8 m/s pass one after the other, and all brake at 1 m/s². What is
-//! then retrieved for the next vehicle:
+//!
+//! In this example, vehicles with a forecast of a constant 8 m/s pass in turn, and all brake at 1 m/s². The
+//! code then retrieves for the next vehicle:
 //!
 //! ```
 //! use kinematics::{MotionKind, MotionModel, MotionOptions, MotionStart};
@@ -87,5 +89,5 @@ pub use retrieval::Retrieval;
 pub use selection::ModeSelection;
 pub use stored::{StoredEntry, StoredState};
 
-/// Most neighbours that are retrieved individually: the most similar ones.
+/// Maximum number of neighbours that are retrieved individually: the most similar ones.
 pub const RETRIEVED_MAX: usize = 64;

@@ -1,4 +1,4 @@
-//! The retrieval memory: entries of key and residuals, and the agents whose paths still fill them.
+//! The retrieval memory: entries of key and residuals, and the agents whose paths are filling them.
 
 use std::collections::{HashMap, VecDeque, hash_map};
 
@@ -10,19 +10,20 @@ use crate::index::{KeyIndex, RUN_LEN};
 use crate::residuals::{StepPath, residual};
 use crate::{Bucket, Key, RETRIEVED_MAX, Residuals};
 
-/// Newest entries of a bucket that are searched, by kind of motion: a bucket of displacements is larger.
+/// Newest entries of a bucket that are searched, by kind of motion. Buckets of displacements are larger.
 const BUCKET_MAX: [usize; 2] = [128, 512];
-/// Most entries; the newest are kept.
+/// Maximum number of entries; the newest are kept.
 pub(crate) const ENTRIES_MAX: usize = 131_072;
-/// Share of the expected residuals by which modes are changed.
+/// Share of the expected residuals that is applied to modes.
 const MODES_SHARE: f32 = 0.5;
-/// A neighbour of less similarity is not retrieved.
+/// Neighbours with less similarity are not retrieved.
 const SIMILARITY_MIN: f32 = 0.01;
-/// An agent that was not observed for so many steps counts as another one.
+/// An agent that was not observed for this many steps counts as a new agent.
 const GAP_STEPS: f64 = 2.0;
-/// Most agents that are followed at a time; of others nothing is stored.
+/// Maximum number of agents that are followed at a time; others are not stored.
 const TRACES_MAX: usize = 4 * AGENTS_MAX;
-/// Most entries that change from one observation to the next: those that the agents of a frame fill, and theirs.
+/// Maximum number of entries that change between two observations: the agents of a frame fill entries, and
+/// add new ones.
 pub const CHANGED_MAX: usize = AGENTS_MAX * (HORIZON_MAX + 2);
 
 /// The value of an entry.
@@ -30,7 +31,7 @@ pub const CHANGED_MAX: usize = AGENTS_MAX * (HORIZON_MAX + 2);
 pub(crate) struct Value {
     pub(crate) agent: u64,
     pub(crate) session: u64,
-    /// Steps of the path taken since.
+    /// Number of steps taken since.
     pub(crate) taken_len: usize,
     pub(crate) residuals: Residuals,
 }
@@ -44,7 +45,7 @@ struct Pending {
     kind: MotionKind,
     forecast: StepPath,
     taken: StepPath,
-    /// The residuals that were predicted for it, before shrinkage.
+    /// The residuals predicted for it, before shrinkage.
     predicted: Residuals,
 }
 
@@ -56,26 +57,26 @@ struct Trace {
     pending: VecDeque<Pending>,
 }
 
-/// Residuals of earlier agents' forecasts by place and motion: see the [crate](crate).
-/// A new one reserves the address space of all entries at once.
+/// Residuals of earlier agents' forecasts by place and motion; see the [crate](crate). A new memory reserves
+/// the address space of all entries at once.
 #[derive(Clone, Debug)]
 pub struct RetrievalMemory {
     pub(crate) horizon_len: usize,
     pub(crate) step_ns: i64,
     pub(crate) values: VecDeque<Value>,
-    /// The keys of the values, which most searches do not read.
+    /// The keys of the values. Most searches read only the keys.
     pub(crate) index: KeyIndex,
     /// Number of the oldest entry.
     pub(crate) oldest: u64,
     traces: HashMap<u64, Trace>,
-    /// Free room for the pending entries of new agents.
+    /// Free buffers for the pending entries of new agents.
     spare: Vec<VecDeque<Pending>>,
-    /// By kind of motion.
+    /// Shrinkage by kind of motion.
     pub(crate) shrinkage: [Shrinkage; 2],
-    /// Number of the session: sessions that have ended.
+    /// Number of the session: the count of ended sessions.
     pub(crate) session: u64,
     pub(crate) now_ns: i64,
-    /// Numbers of the entries that have changed since the last observation began.
+    /// Numbers of the entries that have changed since the start of the last observation.
     pub(crate) changed: Vec<u64>,
 }
 
@@ -86,7 +87,7 @@ pub struct Query {
     pub stamp_ns: i64,
     /// The agent's number, the same throughout a session.
     pub agent: u64,
-    /// Its place and motion at that time.
+    /// Its position and motion at that time.
     pub key: Key,
 }
 
@@ -94,20 +95,20 @@ pub struct Query {
 #[derive(Clone, Debug)]
 pub struct Unstored {
     query: Query,
-    /// The forecast path, the one before any change by retrieval; steps beyond the horizon are left out.
+    /// The forecast path before any change by retrieval; steps after the horizon are left out.
     forecast_m: [[f32; 2]; HORIZON_MAX],
-    /// The residuals that were retrieved for it, before shrinkage.
+    /// The residuals retrieved for it, before shrinkage.
     predicted: Residuals,
 }
 
-/// What is retrieved for an agent.
+/// The result of a retrieval for an agent.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Retrieved {
-    /// The residuals to be expected: the kernel mean, shrunk.
+    /// The expected residuals: the kernel mean after shrinkage.
     pub expected: Residuals,
-    /// The nearest neighbours whose paths are complete, in no order.
+    /// The nearest neighbours with complete paths, in no order.
     pub neighbours: Vec<Neighbour>,
-    /// Index of the least similar of them.
+    /// Index of the least similar neighbour.
     least: usize,
     /// The kernel mean.
     mean: Residuals,
@@ -116,14 +117,14 @@ pub struct Retrieved {
 /// An earlier agent with a similar key.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Neighbour {
-    /// Similarity of the keys: 1 where they are the same.
+    /// Similarity of the keys; 1 if they are equal.
     pub weight: f32,
     /// Residuals of its path.
     pub residuals: Residuals,
 }
 
 impl Unstored {
-    /// An agent, its forecast path before any change by retrieval, and what was retrieved for it.
+    /// An agent, its forecast path before any change by retrieval, and its retrieved residuals.
     ///
     /// # Panics
     /// If the path has more steps than a payload holds.
@@ -136,7 +137,7 @@ impl Unstored {
 }
 
 impl Retrieved {
-    /// An empty result with room for the largest.
+    /// An empty result with space for the largest one.
     #[must_use]
     pub fn with_room() -> Self {
         Self { neighbours: Vec::with_capacity(RETRIEVED_MAX), ..Self::default() }
@@ -148,8 +149,8 @@ impl Retrieved {
         self.neighbours.is_empty() && self.expected.is_empty()
     }
 
-    /// The residuals by which the modes of a forecast are changed: half of the expected ones, since some
-    /// modes have them already.
+    /// The residuals applied to the modes of a forecast: half of the expected ones, because some modes
+    /// already contain them.
     #[must_use]
     pub fn expected_of_modes(&self) -> Residuals {
         self.expected.scaled(MODES_SHARE)
@@ -173,7 +174,7 @@ impl Retrieved {
 }
 
 impl RetrievalMemory {
-    /// An empty memory, for forecasts of `horizon_len` steps of `step_ns`.
+    /// An empty memory for forecasts of `horizon_len` steps of `step_ns`.
     ///
     /// # Panics
     /// If a forecast has more steps than a payload holds.
@@ -195,22 +196,22 @@ impl RetrievalMemory {
         }
     }
 
-    /// Entries that are stored.
+    /// Number of stored entries.
     #[must_use]
     pub fn entries_len(&self) -> usize {
         self.values.len()
     }
 
-    /// Ends a session: entries stay, but time restarts, and no later agent is one of those before.
+    /// Ends a session. Entries remain, time restarts, and all later agents are new.
     pub fn end_session(&mut self) {
         self.keep_traces(|_| false);
         self.session += 1;
         self.now_ns = i64::MIN;
     }
 
-    /// Records the positions of agents at a time and fills in the pending entries with the steps taken since
-    /// their last observation. Returns whether the time is newer than the last one; nothing is recorded
-    /// otherwise.
+    /// Records the positions of agents at a time, and fills the pending entries with the steps taken since
+    /// the agents' last observation. Returns whether the time is newer than the last one; otherwise nothing
+    /// is recorded.
     pub fn observe(&mut self, now_ns: i64, agents: impl IntoIterator<Item = (u64, [f32; 2])>) -> bool {
         if now_ns <= self.now_ns {
             return false;
@@ -265,22 +266,22 @@ impl RetrievalMemory {
         });
     }
 
-    /// Retrieves for an agent into `retrieved`, then stores the agent with its forecast path, the one before
-    /// any change by retrieval.
+    /// Retrieves for an agent into `retrieved`. Then stores the agent with its forecast path before any
+    /// change by retrieval.
     pub fn retrieve_and_store(&mut self, query: &Query, forecast_m: &[[f32; 2]], retrieved: &mut Retrieved) {
         self.retrieve(query.agent, &query.key, retrieved);
         self.store(&Unstored::new(query, forecast_m, retrieved));
     }
 
-    /// Writes into `retrieved` the residuals of other agents whose keys are similar.
-    /// Each entry counts, as far as its steps were taken, by the similarity of its key.
+    /// Writes the residuals of other agents with similar keys to `retrieved`. Each entry is weighted by the
+    /// similarity of its key, and its taken steps count.
     pub fn retrieve(&self, agent: u64, key: &Key, retrieved: &mut Retrieved) {
         self.retrieve_behind(&[], agent, key, retrieved);
     }
 
-    /// The same as if entries had been stored whose keys lie in the buckets `ahead`: those of the agents that
-    /// come first in a frame, where several are retrieved for at a time. They have no residuals yet, but push
-    /// out older ones.
+    /// As [`RetrievalMemory::retrieve`], if several agents of a frame are retrieved for at the same time.
+    /// `ahead` has the buckets of the frame's earlier agents. The result is the same as if these agents had
+    /// been stored: they have no residuals yet, but they push out older entries.
     pub fn retrieve_behind(&self, ahead: &[Bucket], agent: u64, key: &Key, retrieved: &mut Retrieved) {
         let kind = key.kind();
         let dropped = (self.values.len() + ahead.len()).saturating_sub(ENTRIES_MAX);
@@ -292,7 +293,8 @@ impl RetrievalMemory {
             let ahead_len = ahead.iter().filter(|ahead| **ahead == bucket).count();
             let mut left = BUCKET_MAX[kind as usize].saturating_sub(ahead_len);
             for (numbers, keys) in self.index.runs(&bucket, oldest) {
-                // First all keys of the run, then the values of the similar ones: those lie far from one another.
+                // First all keys of the run, and then the values of the similar ones: the values are far
+                // apart in memory.
                 let mut similar = [None; RUN_LEN];
                 similar.iter_mut().zip(keys).for_each(|(similar, own)| *similar = own.similarity(key));
                 let found = similar[..numbers.len()].iter().zip(numbers);
@@ -319,8 +321,8 @@ impl RetrievalMemory {
         retrieved.expected = self.shrinkage[kind as usize].shrink(kind, &retrieved.mean);
     }
 
-    /// Whether an agent would be stored: it was observed at the query's time, which must be the newest one,
-    /// and is stored once a step at most.
+    /// Whether an agent would be stored. It must have been observed at the query's time, which must be the
+    /// newest time. An agent is stored at most once per step.
     #[must_use]
     pub fn would_store(&self, stamp_ns: i64, agent: u64) -> bool {
         stamp_ns == self.now_ns
@@ -330,8 +332,8 @@ impl RetrievalMemory {
             })
     }
 
-    /// Stores an agent with its forecast path and what was retrieved for it, if it
-    /// [would](Self::would_store).
+    /// Stores an agent with its forecast path and its retrieved residuals, if it [would be
+    /// stored](Self::would_store).
     pub fn store(&mut self, new: &Unstored) {
         let Query { stamp_ns, agent, key } = new.query;
         if !self.would_store(stamp_ns, agent) {
@@ -341,7 +343,7 @@ impl RetrievalMemory {
         let taken = StepPath::new(key.position_m());
         let mut forecast = taken.clone();
         new.forecast_m.iter().take(self.horizon_len).for_each(|&position_m| forecast.push(position_m));
-        // With the oldest one dropped, the numbers go on all the same.
+        // If the oldest entry is dropped, the numbers still continue.
         let number = self.oldest + self.values.len() as u64;
         self.changed.push(number);
         trace.pending.push_back(Pending {
@@ -356,7 +358,7 @@ impl RetrievalMemory {
         self.push(key, Value { agent, session, taken_len: 0, residuals });
     }
 
-    /// Adds an entry, in place of the oldest one where there are [`ENTRIES_MAX`].
+    /// Adds an entry; if there are [`ENTRIES_MAX`], it replaces the oldest.
     pub(crate) fn push(&mut self, key: Key, value: Value) {
         if self.values.len() == ENTRIES_MAX {
             self.drop_oldest();
@@ -365,7 +367,7 @@ impl RetrievalMemory {
         self.values.push_back(value);
     }
 
-    /// The places of a bucket's entries that are searched, the newest first.
+    /// The places of a bucket's searched entries, newest first.
     pub(crate) fn bucket(&self, bucket: &Bucket) -> impl Iterator<Item = usize> {
         let numbers = self.index.runs(bucket, self.oldest).flat_map(|(numbers, _)| numbers.iter().rev());
         numbers.map(|number| (number - self.oldest) as usize).take(BUCKET_MAX[bucket.kind as usize])
@@ -386,8 +388,8 @@ impl RetrievalMemory {
         self.oldest += 1;
     }
 
-    /// Keeps the traces that `keeps` selects; pending entries of the others are filled no further, their room
-    /// is reused.
+    /// Keeps the traces that `keeps` selects. The pending entries of the others are not filled any further,
+    /// and their buffers are reused.
     fn keep_traces(&mut self, mut keeps: impl FnMut(&Trace) -> bool) {
         let spare = &mut self.spare;
         self.traces.retain(|_, trace| {

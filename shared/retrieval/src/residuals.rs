@@ -1,5 +1,5 @@
-//! Forecast residuals: the path that an agent took less the one that was forecast; and from residuals to
-//! changes of controls.
+//! Forecast residuals: an agent's actual path minus its forecast path. Converts residuals to changes of
+//! controls.
 
 use kinematics::{MotionKind, MotionModel};
 use scene::{AgentFrame, turn};
@@ -7,8 +7,8 @@ use wire::HORIZON_MAX;
 
 /// Chords shorter than this have no direction.
 const CHORD_MIN_M: f32 = 0.5;
-/// Residuals are clipped to these magnitudes: of a bicycle's speed, m/s, and curvature, 1/m; of a
-/// displacement's x and y, m.
+/// Limits of the residuals' magnitudes: of a bicycle's speed, m/s, and curvature, 1/m; of a displacement's x
+/// and y, m.
 pub(crate) const RESIDUAL_MAX: [[f32; 2]; 2] = [[6.0, 0.2], [2.0, 2.0]];
 
 /// Components of a bicycle's residual.
@@ -19,20 +19,20 @@ const CURVATURE: usize = 1;
 /// Changes of the means of controls, step by step.
 pub type ControlChange = [[f32; 2]; HORIZON_MAX];
 
-/// A path in steps, from where it began.
+/// A path in steps from its start.
 #[derive(Clone, Debug)]
 pub(crate) struct StepPath {
     points_m: [[f32; 2]; HORIZON_MAX + 1],
     len: usize,
 }
 
-/// Forecast residuals, step by step: taken less forecast.
+/// Forecast residuals, step by step: actual minus forecast.
 ///
-/// Of a bicycle: mean speed over the step, m/s, and curvature to the left at the step's end, 1/m. Of
+/// For bicycles: mean speed over the step, m/s, and curvature to the left at the step's end, 1/m. For
 /// displacements: x and y of the step in the world frame, m.
 #[derive(Clone, Debug)]
 pub struct Residuals {
-    /// NaN where unknown.
+    /// NaN if unknown.
     steps: [[f32; 2]; HORIZON_MAX],
 }
 
@@ -57,7 +57,8 @@ impl StepPath {
         x.hypot(y)
     }
 
-    /// Mean curvature between the middles of a step and the next one; none where the agent hardly moves.
+    /// Mean curvature between the middle of a step and the middle of the next; `None` if the agent hardly
+    /// moves.
     fn curvature(&self, step: usize) -> Option<f32> {
         let lengths_m = [step, step + 1].map(|step| self.chord_len_m(step));
         let [before, after] = [step, step + 1].map(|step| self.chord_m(step));
@@ -67,9 +68,9 @@ impl StepPath {
     }
 }
 
-/// The residual of a path that was `taken` up to the end of a step, by component, each with the step that it
-/// belongs to: a bicycle's speed to the step, its curvature to the step before; a displacement to the step
-/// itself.
+/// The residual of a path that was `taken` up to the end of a step, by component, with the step that each
+/// component belongs to. A bicycle's speed belongs to the step and its curvature to the previous step; a
+/// displacement belongs to the step.
 pub(crate) fn residual(
     kind: MotionKind,
     forecast: &StepPath,
@@ -106,7 +107,7 @@ impl PartialEq for Residuals {
 }
 
 impl Residuals {
-    /// The residuals of a path to a forecast, both from the same start.
+    /// The residuals of a path relative to a forecast, both from the same start.
     ///
     /// # Panics
     /// If one of them has more steps than a payload holds.
@@ -137,17 +138,17 @@ impl Residuals {
         residuals
     }
 
-    /// Residuals whose components are given one by one, NaN where unknown.
+    /// Residuals from a function of step and component; NaN if unknown.
     pub(crate) fn from_fn(residual: impl Fn(usize, usize) -> f32) -> Self {
         Self { steps: std::array::from_fn(|step| [0, 1].map(|component| residual(step, component))) }
     }
 
-    /// The residual of a step, where it is known; steps beyond those of a payload are not.
+    /// The residual of a step; `None` if it is unknown or the step is beyond a payload's.
     pub(crate) fn at(&self, step: usize, component: usize) -> Option<f32> {
         Some(self.steps.get(step)?[component]).filter(|residual| !residual.is_nan())
     }
 
-    /// The components of all steps, NaN where unknown.
+    /// The components of all steps; NaN if unknown.
     pub(crate) const fn steps(&self) -> &[[f32; 2]; HORIZON_MAX] {
         &self.steps
     }
@@ -157,7 +158,7 @@ impl Residuals {
         self.steps[step][component] = residual;
     }
 
-    /// Residuals whose first steps have these components.
+    /// Residuals with these components in the first steps.
     pub(crate) fn of_numbers(numbers: &[f32]) -> Self {
         let mut residuals = Self::default();
         residuals.steps.as_flattened_mut()[..numbers.len()].copy_from_slice(numbers);
@@ -175,15 +176,15 @@ impl Residuals {
         self.steps.as_flattened().iter().all(|residual| residual.is_nan())
     }
 
-    /// The change of an agent's controls by which its path gets these residuals.
+    /// The change of an agent's controls that adds these residuals to its path.
     ///
     /// ```text
     /// bicycle        v_k += (Δs_k + Δs_(k+1)) / 2  β_k += l_r Δκ_k  a_k += (Δv_k − Δv_(k−1)) / Δt,  β̇ alike
     /// displacement   u_k += Rᵀ Δp_k
     /// ```
     ///
-    /// Where the residual of a step is not known, a bicycle keeps that of the step before, and a displacement
-    /// stays.
+    /// If the residual of a step is unknown, a bicycle keeps the previous step's, and a displacement is
+    /// unchanged.
     #[must_use]
     pub fn control_change(&self, model: &MotionModel) -> ControlChange {
         match model {

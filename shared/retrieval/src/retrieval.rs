@@ -5,11 +5,11 @@ use crate::{
     Bucket, ControlAdapter, ControlChanges, ForecastControls, Query, RetrievalMemory, Retrieved, Unstored,
 };
 
-/// Adapts forecasts by a memory, one agent after another; each thread has its own.
-/// In a steady pipeline it allocates nothing.
+/// Adapts forecasts by a memory, one agent at a time; each thread has its own. A steady pipeline allocates
+/// nothing.
 #[derive(Clone, Debug)]
 pub struct Retrieval {
-    // Scratch, kept from one agent to the next so that nothing is allocated.
+    // Scratch memory, reused for each agent so that nothing is allocated.
     retrieved: Retrieved,
     adapter: ControlAdapter,
 }
@@ -21,9 +21,9 @@ impl Default for Retrieval {
 }
 
 impl Retrieval {
-    /// Writes the changes of an agent's controls, and returns the agent with its unchanged forecast, for
-    /// [`RetrievalMemory::store`]. `ahead` has the buckets of those that are to be stored before it: the
-    /// result is the same as if they had been.
+    /// Writes the changes of an agent's controls. Returns the agent with its unchanged forecast, for
+    /// [`RetrievalMemory::store`]. `ahead` has the buckets of agents that will be stored before it: the
+    /// result is the same as if they had been stored.
     pub fn adapt<M: AsRef<[ControlGaussian]>>(
         &mut self,
         (memory, ahead): (&RetrievalMemory, &[Bucket]),

@@ -1,43 +1,43 @@
-//! Mode selection: which retrieved neighbours' paths replace modes of a forecast.
+//! Mode selection: the retrieved neighbours' paths that replace modes of a forecast.
 
 use kinematics::MotionKind;
 use wire::{HORIZON_MAX, MODES_MAX};
 
 use crate::RETRIEVED_MAX;
 
-/// Most modes that are replaced by neighbours' paths, by kind of motion.
+/// Maximum number of modes that neighbours' paths replace, by kind of motion.
 const SWAPS_MAX: [usize; 2] = [5, 3];
-/// Weight of all modes of a forecast together, in neighbours of similarity 1, by kind of motion. That of
-/// bicycles is less, since a road confines them to the paths of others.
+/// Total weight of a forecast's modes, in neighbours of similarity 1, by kind of motion. It is smaller for
+/// bicycles, because a road confines them to the paths of others.
 const MODES_WEIGHT: [f32; 2] = [4.0, 8.0];
-/// Weight of the distance at the last step beside the mean distance.
+/// Weight of the distance at the last step relative to the mean distance.
 const END_WEIGHT: f32 = 0.3;
 
 /// Selects modes, with scratch memory allocated once.
 #[derive(Clone, Debug)]
 pub struct ModeSelection {
-    /// The paths' points by axis, step by step: those of all paths beside one another.
+    /// The paths' points by axis and step; the points of all paths at a step are adjacent.
     points_m: [Vec<f32>; 2],
-    /// Distances between all paths, row by row.
+    /// Distances between all pairs of paths, row by row.
     distances_m: Vec<f32>,
     weights: Vec<f32>,
     nearest: Nearest,
     selected: Vec<usize>,
     /// Gain of adding each neighbour's path.
     gains: Vec<f32>,
-    /// Loss of removing each of the selected.
+    /// Loss of removing each selected path.
     losses: Vec<f32>,
     probability: Vec<f32>,
 }
 
-/// Each path's distance to the selected paths.
+/// For each path, its distances to the selected paths.
 #[derive(Clone, Debug)]
 struct Nearest {
-    /// The place among the selected of the nearest one.
+    /// Index of the nearest path among the selected ones.
     places: Vec<u32>,
-    /// Distances to the nearest one.
+    /// Distance to the nearest.
     first_m: Vec<f32>,
-    /// Distances to the second.
+    /// Distance to the second nearest.
     second_m: Vec<f32>,
 }
 
@@ -62,8 +62,8 @@ impl Default for ModeSelection {
 }
 
 impl ModeSelection {
-    /// Selects as many of `paths` as there are modes, so that a future drawn from all of them, by their
-    /// weights, has a selected one near it: the modes come first, with their probabilities, neighbours' paths
+    /// Selects as many of `paths` as there are modes. A future drawn from all paths, by their weights, shall
+    /// have a selected path near it. The modes come first, with their probabilities; the neighbours' paths
     /// follow, with their own weights.
     ///
     /// This is the weighted k-medoids (k-median) problem, k being the number of modes:
@@ -73,13 +73,17 @@ impl ModeSelection {
     ///                                         d = mean over the steps of |Δp| + 0.3 |Δp| at the last
     /// ```
     ///
-    /// It is solved greedily by vertex interchange (Teitz and Bart) from the modes on: the neighbour's path
-    /// whose addition lowers the sum most takes the place of the selected one whose removal then raises it
-    /// least, as long as the sum falls, at most five times, of displacements three. A mode's probability is
-    /// the share of the weights that are nearest to it.
+    /// It is solved greedily by vertex interchange (Teitz and Bart), starting from the modes:
+    ///
+    /// 1. Add the neighbour's path that lowers the sum most.
+    /// 2. Remove the selected path whose removal then raises the sum least.
+    /// 3. Repeat while the sum falls, at most five times, or three times for displacements.
+    ///
+    /// A mode's probability is the share of the weights that are nearest to it.
     ///
     /// # Panics
-    /// If there are not as many paths as weights, or steps than a payload holds.
+    /// If the number of paths differs from the number of weights, or a path has more steps than a payload
+    /// holds.
     pub fn select(
         &mut self,
         kind: MotionKind,
@@ -111,7 +115,7 @@ impl ModeSelection {
         }
     }
 
-    /// For every mode the path that was selected in its place: itself, or a neighbour's; and its probability.
+    /// For every mode, the path that was selected in its place (itself or a neighbour's) and its probability.
     pub fn selected(&self) -> impl Iterator<Item = (usize, f32)> {
         self.selected.iter().copied().zip(self.probability.iter().copied())
     }
@@ -128,7 +132,7 @@ impl ModeSelection {
         for (step, (xs, ys)) in xs.zip(ys).enumerate() {
             let last = if step + 1 == horizon_len { END_WEIGHT } else { 0.0 };
             let weight = 1.0 / horizon_len as f32 + last;
-            // From each path to those that come after it.
+            // From each path to all later ones.
             for (place, row) in self.distances_m.chunks_exact_mut(len).enumerate() {
                 let (x, y, after) = (xs[place], ys[place], place + 1..);
                 let others = xs[after.clone()].iter().zip(&ys[after.clone()]);
@@ -153,12 +157,12 @@ impl ModeSelection {
         }
     }
 
-    /// Replaces the selected path of least loss by the neighbour's path of greatest gain; false where the sum
-    /// does not fall.
+    /// Replaces the selected path of least loss by the neighbour's path of greatest gain. Returns `false` if
+    /// the sum does not fall.
     fn swap(&mut self, modes_len: usize) -> bool {
         let Self { distances_m, weights, nearest, selected, gains, losses, .. } = self;
         let len = weights.len();
-        // Sums side by side, of one path after another.
+        // The sums of different paths are independent and computed in parallel lanes.
         gains.clear();
         gains.resize(len - modes_len, 0.0);
         for ((row, first_m), weight) in
@@ -187,14 +191,14 @@ impl ModeSelection {
     }
 }
 
-/// The first of the best.
+/// The first of the best values.
 fn best(values: &[f32], better: impl Fn(f32, f32) -> bool) -> Option<(usize, f32)> {
     let places = values.iter().copied().enumerate();
     places.reduce(|best, other| if better(other.1, best.1) { other } else { best })
 }
 
 impl Nearest {
-    /// Resets to `len` paths, of which none is near any.
+    /// Resets to `len` paths without any near path.
     fn clear(&mut self, len: usize) {
         self.places.clear();
         self.places.resize(len, 0);
@@ -204,7 +208,7 @@ impl Nearest {
         }
     }
 
-    /// Adds a selected path, given the distances of all paths to it.
+    /// Adds a selected path, given its distances to all paths.
     fn take_in(&mut self, selected: u32, distances_m: &[f32]) {
         let own = self.places.iter_mut().zip(&mut self.first_m).zip(&mut self.second_m);
         for (((place, first_m), second_m), &apart_m) in own.zip(distances_m) {

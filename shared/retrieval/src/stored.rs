@@ -1,4 +1,4 @@
-//! The memory as flat records: for memory that outlives the process, entry by entry as it changes.
+//! The memory as flat records, for storage that outlives the process and is updated entry by entry.
 
 use bytemuck::{Pod, Zeroable};
 use kinematics::MotionKind;
@@ -14,7 +14,7 @@ use crate::{Key, Residuals, RetrievalMemory};
 #[derive(Clone, Copy, Debug, Pod, Zeroable)]
 #[repr(C)]
 pub struct StoredEntry {
-    /// Its number: entries are counted from the first one on.
+    /// Its number, counted from the first entry.
     pub number: u64,
     agent: u64,
     session: u64,
@@ -24,7 +24,7 @@ pub struct StoredEntry {
     taken_len: u32,
 }
 
-/// All that is not an entry, without the agents whose paths still fill entries.
+/// The state besides the entries. Agents whose paths are filling entries are left out.
 #[derive(Clone, Copy, Debug, Pod, Zeroable)]
 #[repr(C)]
 pub struct StoredState {
@@ -36,15 +36,15 @@ pub struct StoredState {
     now_ns: i64,
     step_ns: i64,
     horizon_len: u64,
-    /// By kind of motion: the sums of the shrinkage.
+    /// Sums of the shrinkage, by kind of motion.
     shrinkage: [[[[f32; 2]; 2]; HORIZON_MAX]; 2],
 }
 
 impl RetrievalMemory {
-    /// Most entries at a time.
+    /// Maximum number of entries at a time.
     pub const ENTRIES_MAX: usize = ENTRIES_MAX;
 
-    /// Everything but the entries.
+    /// The state without the entries.
     #[must_use]
     pub fn state(&self) -> StoredState {
         let mut shrinkage = [[[[0.0; 2]; 2]; HORIZON_MAX]; 2];
@@ -63,7 +63,7 @@ impl RetrievalMemory {
         }
     }
 
-    /// An entry by its number; none where it is no longer stored.
+    /// An entry by its number; `None` if it is no longer stored.
     #[must_use]
     pub fn entry(&self, number: u64) -> Option<StoredEntry> {
         let place = usize::try_from(number.checked_sub(self.oldest)?).ok()?;
@@ -79,15 +79,15 @@ impl RetrievalMemory {
         })
     }
 
-    /// Numbers of the entries that were stored or filled in at the newest time; an entry may be named twice.
+    /// Numbers of the entries that were stored or filled at the newest time. A number may occur twice.
     pub fn changed(&self) -> impl Iterator<Item = u64> {
         self.changed.iter().copied()
     }
 
-    /// The memory of that state. Paths that were not complete stay as far as they had been taken.
+    /// A memory with this state. Incomplete paths keep the steps that they have.
     ///
     /// # Errors
-    /// What is impossible in it; then nothing of it can be used.
+    /// A description of the first impossible value; none of the state can be used then.
     pub fn of_stored(
         state: &StoredState,
         entries: impl Iterator<Item = StoredEntry>,

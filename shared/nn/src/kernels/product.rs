@@ -97,7 +97,7 @@ pub struct Taps {
 impl Taps {
     /// The taps of a square kernel over a square map.
     ///
-    /// If the kernel is larger than the padded map.
+    /// # Panics
     /// If the kernel is larger than the padded map.
     #[must_use]
     pub fn new(side: usize, kernel: usize, stride: usize, padding: usize) -> Self {

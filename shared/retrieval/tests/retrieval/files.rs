@@ -1,4 +1,4 @@
-//! Memory files: read as written, or refused.
+//! Memory files: a written file is read back, and invalid files are refused.
 
 use std::path::Path;
 
@@ -9,10 +9,10 @@ use scene::FileError;
 
 /// The weights whose forecasts are stored.
 const WEIGHTS: &str = "0123456789abcdef";
-/// Their steps.
+/// Number and length of their steps.
 const STEPS: (usize, u64) = (HORIZON_LEN, STEP_NS);
 
-/// The key of an agent about the origin, and its positions in the steps after.
+/// The key of an agent near the origin, and its positions at the following steps.
 fn passage() -> impl Strategy<Value = (Key, Vec<[f32; 2]>)> {
     let near = || [-9.0_f32..9.0, -9.0_f32..9.0];
     let bicycle = (near(), -3.0_f32..3.0, 1.0_f32..9.0, -2.0_f32..2.0, -0.3_f32..0.3).prop_map(
@@ -32,7 +32,7 @@ fn passage() -> impl Strategy<Value = (Key, Vec<[f32; 2]>)> {
     (prop_oneof![bicycle, displacement], prop::collection::vec(near(), 0..=HORIZON_LEN))
 }
 
-/// Agents pass, one after the other, all forecast to stand.
+/// Agents pass in turn, all with a forecast that they stand.
 fn pass_all(memory: &mut RetrievalMemory, passages: &[(Key, Vec<[f32; 2]>)]) {
     let position_m = |key: &Key| match key {
         Key::Bicycle(key) => key.position_m,
@@ -72,8 +72,8 @@ proptest! {
     }
 }
 
-/// A file of the program's first version: four vehicles that braked at 1 m/s², then four pedestrians that
-/// turned left at 0.2 m/s².
+/// A file of the program's first version. It contains four vehicles that braked at 1 m/s², and four
+/// pedestrians that turned left at 0.2 m/s².
 #[test]
 fn files_of_the_first_version_are_read_and_written_alike() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/retrieval/data/earlier.memory");
@@ -88,8 +88,7 @@ fn files_of_the_first_version_are_read_and_written_alike() {
     assert!(std::fs::read(path).unwrap() == std::fs::read(again).unwrap());
 }
 
-/// Entries at one place, and more at others than there is room for: the newest are kept, and only they are
-/// written.
+/// Entries at one place, and then elsewhere more than the limit: only the newest are kept and written.
 #[test]
 fn the_oldest_entries_are_dropped() {
     let folder = tempfile::tempdir().unwrap();

@@ -1,4 +1,4 @@
-//! The retrieval memory: what is retrieved for whom, what it changes, and what its files hold.
+//! Tests of the retrieval memory: retrieved residuals, their effect, and memory files.
 
 mod files;
 mod online;

@@ -1,4 +1,4 @@
-//! What is retrieved for which agent and when, and how it changes controls.
+//! Tests which agents' residuals are retrieved, when, and how they change controls.
 
 use crate::passing::{AT_ZERO, HORIZON_LEN, STEP_NS, STEP_S, after, at_x, pass, retrieve, straight};
 use kinematics::{ControlLimits, MotionKind, MotionModel, MotionOptions, MotionStart};
@@ -8,7 +8,7 @@ use retrieval::{
 };
 use wire::ControlGaussian;
 
-/// A vehicle at the origin at 8 m/s along x, whose controls hardly saturate.
+/// A vehicle at the origin at 8 m/s along x; its controls hardly saturate.
 fn vehicle() -> MotionModel {
     let start = MotionStart { velocity_mps: [8.0, 0.0], length_m: Some(4.0), ..MotionStart::default() };
     let limits = ControlLimits { accel_mps2: 100.0, slip_rate_radps: 10.0 };
@@ -28,13 +28,13 @@ fn braking_is_expected_where_others_braked() {
         let memory = after(60, -1.0, tick_s, 3.0);
         let found = accelerations(&memory, 0.2);
         assert!(found[1..3].iter().all(|found| (found + 1.0).abs() < 0.15), "ticks of {tick_s} s: {found:?}");
-        // The last that is known is the mean speed over the last step.
+        // The last known residual is the mean speed over the last step.
         let slower_mps = found.iter().sum::<f32>() * STEP_S;
         assert!((slower_mps + 1.75).abs() < 0.1, "ticks of {tick_s} s: {slower_mps}");
     }
 }
 
-/// Of agents that go now faster, now slower than forecast, at random, next to nothing is expected.
+/// The agents are randomly faster and slower than forecast, so that almost nothing is expected.
 #[test]
 fn residuals_without_a_common_mean_shrink_to_nothing() {
     let mut memory = RetrievalMemory::new(HORIZON_LEN, STEP_NS);
@@ -78,7 +78,7 @@ fn another_session_restarts_time_and_agent_numbers() {
     assert!(!retrieve(&memory, 1, &at_x(0.0)).is_empty(), "another agent of the same number");
 }
 
-/// Of a crowd beyond the limit some agents are not stored; when it is gone there is room for others.
+/// If a crowd exceeds the limit, some agents are not stored. After the crowd has left, others are stored.
 #[test]
 fn a_crowd_beyond_the_limit_is_stored_in_part() {
     let mut memory = RetrievalMemory::new(HORIZON_LEN, STEP_NS);
@@ -124,7 +124,7 @@ fn vehicles_that_stand_have_no_key() {
     assert_eq!(key(&[None, state(1.0)]), None);
 }
 
-/// Pedestrians at 1.25 m/s along the diagonal, forecast to go straight on, that turn left from the origin on.
+/// Pedestrians at 1.25 m/s along the diagonal, with a straight forecast; they turn left from the origin.
 #[test]
 fn turning_left_is_expected_where_others_turned_left() {
     let mut memory = RetrievalMemory::new(HORIZON_LEN, STEP_NS);
@@ -159,7 +159,7 @@ fn turning_left_is_expected_where_others_turned_left() {
     assert!(retrieve(&memory, 99, &driver).is_empty(), "of the other kind");
 }
 
-/// Two modes, straight on and a little faster, and a best forecast, straight on; all with the same
+/// Two modes, one straight and one slightly faster, and a straight best forecast, all with the same
 /// deviations.
 struct Forecast {
     modes: [Vec<ControlGaussian>; 2],
@@ -177,7 +177,7 @@ impl Forecast {
     }
 }
 
-/// Last positions of changed controls: of the best forecast and the modes.
+/// Final positions with changed controls: of the best forecast and of the modes.
 fn ends_m(changes: &ControlChanges, forecast: &Forecast) -> [f32; 3] {
     let end = |means: &mut dyn Iterator<Item = [f32; 2]>| {
         let mut path = [[0.0; 2]; HORIZON_LEN];
@@ -201,7 +201,7 @@ fn controls_stay_where_nothing_is_retrieved() {
     assert!(changes.best(&forecast.controls()).eq(forecast.best.iter().map(|control| control.mean)));
 }
 
-/// Where all others braked at 1 m/s², the best forecast brakes, and a mode is replaced by their path.
+/// All others braked at 1 m/s². The best forecast then brakes, and their path replaces a mode.
 #[test]
 fn the_best_forecast_changes_and_a_mode_is_replaced() {
     let (forecast, mut changes) = (Forecast::new(), ControlChanges::default());
@@ -213,7 +213,7 @@ fn the_best_forecast_changes_and_a_mode_is_replaced() {
     let [best_m, first_m, second_m] = ends_m(&changes, &forecast);
     let braked_m = 14.0;
     assert!((best_m - braked_m).abs() < 0.3, "{best_m}");
-    // Half of what is expected, from 16 m.
+    // Half of the expected change, from 16 m.
     assert!((first_m - 15.0).abs() < 0.2, "{first_m}");
     assert!((second_m - braked_m).abs() < 0.3, "a neighbour's path: {second_m}");
     let sum: f32 = changes.probability().iter().sum();
@@ -223,11 +223,11 @@ fn the_best_forecast_changes_and_a_mode_is_replaced() {
     assert_eq!(memory.entries_len(), 60, "a query of another time is not stored");
 }
 
-/// Agents of one frame that are retrieved for at a time find what they would find one after the other, also
-/// where their entries push out older ones.
+/// Retrieving for a frame's agents at the same time gives the same results as retrieving in turn, also if
+/// their entries push out older ones.
 #[test]
 fn retrieving_for_a_frame_at_a_time_is_retrieving_one_after_the_other() {
-    // More than a bucket's newest that are searched: what a further entry pushes out, is not found.
+    // More entries than a search covers: an entry that a further one pushes out is not found.
     let mut serial = after(300, -1.0, 0.5, 3.0);
     let stamp_ns = 10_000 * STEP_NS.cast_signed();
     let agents = 1_000..1_040_u64;

@@ -1,4 +1,4 @@
-//! Memories filled by agents that pass.
+//! Memories that passing agents have filled.
 
 use retrieval::{BicycleKey, Key, Query, RetrievalMemory, Retrieved};
 
@@ -6,7 +6,7 @@ pub const STEP_NS: u64 = 500_000_000;
 pub const STEP_S: f32 = 0.5;
 pub const HORIZON_LEN: usize = 4;
 
-/// At the origin at 8 m/s along x.
+/// At the origin, at 8 m/s along x.
 pub const AT_ZERO: BicycleKey = BicycleKey {
     position_m: [0.0; 2],
     heading_rad: 0.0,
@@ -26,8 +26,8 @@ pub fn retrieve(memory: &RetrievalMemory, agent: u64, key: &Key) -> Retrieved {
     retrieved
 }
 
-/// Lets an agent pass that is at `path(0)` at `start_ns`, where it is stored with a forecast, and is observed
-/// every `tick_s` up to `until_s` later; returns the time then.
+/// Lets an agent pass along `path`. At `start_ns` it is at `path(0)` and is stored with a forecast. It is
+/// then observed every `tick_s` up to `until_s` later. Returns the final time.
 pub fn pass(
     memory: &mut RetrievalMemory,
     (agent, key): (u64, Key),
@@ -47,13 +47,13 @@ pub fn pass(
     stamp_ns
 }
 
-/// Straight on at 8 m/s from the origin.
+/// Straight ahead from the origin at 8 m/s.
 pub fn straight() -> Vec<[f32; 2]> {
     (1..=HORIZON_LEN).map(|step| [4.0 * step as f32, 0.0]).collect()
 }
 
-/// A memory of agents, one after the other, that are forecast to go straight on from the origin at 8 m/s and
-/// accelerate by `acceleration_mps2` from there on, observed every `tick_s`.
+/// A memory of agents that pass in turn, observed every `tick_s`. All are forecast straight ahead from the
+/// origin at 8 m/s, and accelerate by `acceleration_mps2` from there.
 pub fn after(agents: u64, acceleration_mps2: f32, tick_s: f32, until_s: f32) -> RetrievalMemory {
     let mut memory = RetrievalMemory::new(HORIZON_LEN, STEP_NS);
     let mut now_ns = 0;

@@ -1,4 +1,4 @@
-//! Mode selection: which neighbours' paths replace modes.
+//! Mode selection: the neighbours' paths that replace modes.
 
 use kinematics::MotionKind;
 use retrieval::ModeSelection;
@@ -11,7 +11,7 @@ fn to(x: f32, y: f32) -> [[f32; 2]; HORIZON_MAX] {
     path
 }
 
-/// What is selected of paths, the first `probability.len()` of them modes.
+/// The selection from paths; the first `probability.len()` of them are modes.
 fn select(
     kind: MotionKind,
     paths: &[[[f32; 2]; HORIZON_MAX]],
@@ -25,8 +25,8 @@ fn select(
 
 #[test]
 fn a_common_path_replaces_the_mode_whose_loss_is_least() {
-    // The second mode is nearly the first. Two went left, where no mode goes; one went where the third mode
-    // goes.
+    // The second mode is almost equal to the first. Two neighbours went left, where there is no mode. One
+    // went to the third mode.
     let paths = [to(4.0, 0.0), to(4.1, 0.0), to(2.0, 0.0), to(0.0, 4.0), to(0.0, 4.2), to(2.0, 0.1)];
     let selected = select(MotionKind::Displacement, &paths, &[0.5, 0.2, 0.3], &[1.0, 0.9, 1.0]);
     assert_eq!(selected.iter().map(|(path, _)| *path).collect::<Vec<_>>(), [0, 3, 2]);
