@@ -18,19 +18,19 @@ except ModuleNotFoundError:
 
 # Version of the whole wire: of the header, of every payload and of the topics' type names.
 SCHEMA = 2
-# Most agents in a frame.
+# Maximum number of agents in a frame.
 AGENTS_MAX = 128
-# Numbers of 32 bits that hold a bit for each agent of a frame.
+# Number of 32-bit words that hold a bit for each agent of a frame.
 SHED_WORDS = 4
-# Most detections in a frame.
+# Maximum number of detections in a frame.
 DETECTIONS_MAX = 512
-# Greatest time between a measurement and the stamp of its frame, either way.
+# Maximum time between a measurement and its frame's stamp, in either direction.
 OFFSET_MAX_NS = 1000000000
-# Most stages that a tick can pass.
+# Maximum number of stages on a tick's path.
 HOPS_MAX = 12
-# Most stages that a pipeline file can add to those of stgdat's own.
+# Maximum number of stages that a pipeline file can add to stgdat's own.
 ADDED_STAGES_MAX = 16
-# Most topics that a pipeline file can declare.
+# Maximum number of topics that a pipeline file can declare.
 ADDED_TOPICS_MAX = 16
 # Largest element of a topic that a pipeline file declares, in bytes.
 ELEMENT_SIZE_MAX = 65536
@@ -38,13 +38,13 @@ ELEMENT_SIZE_MAX = 65536
 HISTORY_MAX = 8
 # Longest forecast, T_f, in steps.
 HORIZON_MAX = 12
-# Most latent draws (modes), K, of an agent.
+# Maximum number of latent draws (modes), K, of an agent.
 MODES_MAX = 20
-# Most experts that a forecast can be weighed of.
+# Maximum number of experts in a forecast's weights.
 EXPERTS_MAX = 8
-# Pairs of sender and cause by which a heartbeat counts refused frames.
+# Maximum number of pairs of sender and cause for which a heartbeat counts refused frames.
 REFUSALS_MAX = 8
-# Most edges of all steps of the history graph together, the self edges included.
+# Maximum number of edges of all steps of the history graph together, including the self edges.
 EDGES_MAX = 32768
 # Channels of a local context patch: density and the two components of the mean velocity.
 PATCH_CHANNELS = 3
@@ -68,7 +68,7 @@ TEMPORAL = 64
 LATENT = 32
 # Largest magnitude of a world coordinate; beyond it f32 resolves less than 4 mm.
 POSITION_MAX_M = 32768.0
-# Largest speed that is believed of an agent.
+# Maximum credible speed of an agent.
 SPEED_MAX_MPS = 120.0
 
 
@@ -76,12 +76,12 @@ class Flags(enum.IntFlag):
     """Bits of `Header.flags`."""
 
     WARM_UP = 1  # The frame links the pipeline before the first tick: no agents, not counted anywhere.
-    END = 2  # The last frame of a recording: no agents, tells every stage that nothing follows.
-    HAS_IDENTITIES = 4  # The detections carry identities that the tracker may trust instead of associating.
+    END = 2  # The last frame of a recording: no agents; no frame follows.
+    HAS_IDENTITIES = 4  # The detections have identities that the tracker may trust instead of associating.
     LOCKSTEP = 8  # The tick runs in lockstep: no stage may give up waiting.
-    VOID = 16  # A stage has refused this tick, or it came late and was taken in where it belongs: no agents.
-    SEEN_FROM_EGO = 32  # The detections were made from `Header.ego_m`, by a sensor that can't see past what stands in its way.
-    PREDICTED = 64  # No detections have come for this tick: its tracks are predicted.
+    VOID = 16  # No agents: a stage has refused this tick, or it was a late measurement that was processed out of sequence.
+    SEEN_FROM_EGO = 32  # A sensor made the detections from `Header.ego_m`, and objects occlude its view.
+    PREDICTED = 64  # No detections arrived for this tick: its tracks are predicted.
 
 
 class DetectionFlags(enum.IntFlag):
@@ -103,16 +103,16 @@ class Doubts(enum.IntFlag):
     HEADINGS_UNRELATED = 16  # Headings and motion do not agree.
     SPEEDS_IN_KMH = 32  # Speeds are in km/h.
     SPEEDS_IN_MPH = 64  # Speeds are in mph.
-    SPEEDS_DIFFER = 128  # Positions move at another speed than is reported.
+    SPEEDS_DIFFER = 128  # Speeds from positions differ from the reported ones.
     SPEEDS_UNUSUAL = 256  # Agents of a type move at unusual speeds.
     FEET = 512  # Lengths or positions are in feet.
     PIXELS = 1024  # Positions are in pixels.
     STAMPS_IN_OTHER_UNIT = 2048  # Stamps are in another unit than seconds.
     STAMPS_ARE_FRAMES = 4096  # Stamps are the numbers of frames.
-    STAMPS_GO_BACK = 8192  # Stamps go back in time.
+    STAMPS_GO_BACK = 8192  # Stamps decrease.
     REPEATED = 16384  # Detections repeat the previous one of a moving agent.
     OUTLIERS = 32768  # Positions that their agent can't have reached.
-    PLACEHOLDERS = 65536  # Positions that stand for a missing one.
+    PLACEHOLDERS = 65536  # Positions that are placeholders for missing ones.
     IDENTITIES_JUMP = 131072  # Identities jump from one agent to another.
 
 
@@ -122,27 +122,27 @@ class StageId(enum.IntEnum):
     file."""
 
     SOURCE = 1  # Releases detections.
-    TRACKER = 2  # Makes tracks of detections.
+    TRACKER = 2  # Computes tracks from detections.
     LOCALISER = 3  # Samples local patches of the context map.
     EXTRACTOR = 4  # Computes node and edge attributes.
     ENCODER = 5  # Graph dual attention: the temporal summary of each agent.
     DECODER = 6  # Control Gaussians of each agent, draw and step.
     SAMPLER = 7  # Trajectories through the kinematic layer.
-    RECORDER = 8  # Keeps what the report needs.
+    RECORDER = 8  # Collects the data for the report.
 
 
 class StampSource(enum.IntEnum):
-    """What a frame's `Header.stamp_ns` was read off."""
+    """The clock of a frame's `Header.stamp_ns`."""
 
-    UNKNOWN = 0  # The source did not say.
+    UNKNOWN = 0  # The source did not report it.
     RECORDING = 1  # A recording.
     SENSOR_CLOCK = 2  # The sensor's own clock, at its measurement.
-    TIME_OF_RECEIPT = 3  # A clock of the receiving computer, when the measurement had come in: later than the measurement by its way.
-    GENERATED = 4  # A scene that was generated.
+    TIME_OF_RECEIPT = 3  # The receiving computer's clock when the measurement arrived: later than the measurement by the transmission time.
+    GENERATED = 4  # A generated scene.
 
 
 class AgentType(enum.IntEnum):
-    """The kinds of agents that the model tells apart; each has state MLP, decoder and motion model of its own."""
+    """The kinds of agents that the model distinguishes. Each has its own state MLP, decoder and motion model."""
 
     VEHICLE = 0  # Cars, trucks, buses, carts: kinematic bicycle.
     CYCLIST = 1  # Riders of bicycles and similar.
@@ -150,53 +150,53 @@ class AgentType(enum.IntEnum):
 
 
 class TrackStatus(enum.IntEnum):
-    """Whether a track was seen in the newest frame that could have seen it."""
+    """Whether a track was detected in the newest frame that could contain it."""
 
     CONFIRMED = 0  # Updated by a detection of the newest frame that observed its type.
     COASTING = 1  # Predicted over one or more frames without a detection.
 
 
 class Quality(enum.IntEnum):
-    """Where a forecast comes from."""
+    """The origin of a forecast."""
 
     LEARNED = 0  # The model's forecast of this tick.
-    HELD = 1  # The model's forecast of an earlier tick, moved on to now.
+    HELD = 1  # The model's forecast of an earlier tick, shifted to the current time.
     KINEMATIC = 2  # Zero control with growing covariance.
 
 
 class Cause(enum.IntEnum):
-    """Why a forecast is not `Quality.Learned`. Numbers up to 31, a bit each in `Forecast.causes`. These are kept for
-    causes to come: 7 detections missing, 8 stage restarted, 9 integrity check failed, 10 out of distribution, 11
-    source frozen."""
+    """Why a forecast is not `Quality.Learned`. Numbers up to 31, each with a bit in `Forecast.causes`. These are
+    reserved for future causes: 7 detections missing, 8 stage restarted, 9 integrity check failed, 10 out of
+    distribution, 11 source frozen."""
 
     NONE = 0  # Nothing is wrong.
-    LATE = 1  # The controls of this tick had not come at the deadline.
+    LATE = 1  # The controls of this tick had not arrived at the deadline.
     REJECTED = 2  # The controls of this tick were refused as not finite or impossible.
-    MISSING = 3  # The controls of this tick do not name the track.
+    MISSING = 3  # The controls of this tick do not contain the track.
     YOUNG = 4  # The track has too short a history for the model.
-    OUTDONE = 5  # Constant velocity has more than half of the weight: the other experts proved worse.
-    SHED = 6  # The agent was left out of this tick, which had no time for all.
+    OUTDONE = 5  # Constant velocity has more than half of the weight: the other experts proved to be worse.
+    SHED = 6  # The agent was left out of this tick, which did not have time for all agents.
 
 
 class Steering(enum.IntEnum):
-    """What the controls of a forecast stand for."""
+    """The meaning of a forecast's controls."""
 
-    NONE = 0  # There are none.
+    NONE = 0  # There are no controls.
     BICYCLE = 1  # Acceleration in m/s² and slip rate in rad/s of a kinematic bicycle.
-    DISPLACEMENT = 2  # Displacement of the step beyond that of the velocity at the forecast's start, in m along and across the agent.
+    DISPLACEMENT = 2  # Displacement of the step relative to constant velocity from the forecast's start, in m along and across the agent.
 
 
 class Expert(enum.IntEnum):
-    """What a mode comes from; numbers below `EXPERTS_MAX` are slots of `Forecast.expert_weights`."""
+    """The origin of a mode; numbers below `EXPERTS_MAX` are slots of `Forecast.expert_weights`."""
 
     NETWORK = 0  # The network.
     BASE = 1  # The model's base control alone.
     CONSTANT_VELOCITY = 2  # Constant velocity.
-    DECAYING_TURN = 3  # A turn that decays.
+    DECAYING_TURN = 3  # A decaying turn.
     PROCESS_MODEL = 4  # The tracker's process model: zero control.
-    DECAYING_ACCELERATION = 5  # An acceleration that decays.
-    FAN = 254  # A middle between constant velocity and the single best forecast, with a typical residual of agents alike.
-    RETRIEVAL = 255  # The network's best forecast with residuals of others at the same place, from the retrieval memory.
+    DECAYING_ACCELERATION = 5  # A decaying acceleration.
+    FAN = 254  # A centre between constant velocity and the single best forecast, plus a typical residual of similar agents.
+    RETRIEVAL = 255  # The network's best forecast with residuals of other agents at the same place, from the retrieval memory.
 
 
 class RefusalCause(enum.IntEnum):
@@ -205,13 +205,13 @@ class RefusalCause(enum.IntEnum):
     SCHEMA = 1  # Another schema.
     FOREIGN_RUN = 2  # A frame of another run.
     OLD_INCARNATION = 3  # A frame of a process that has been replaced.
-    SIZE = 4  # Sizes beyond their limits, or that do not agree with each other or with the model.
-    VALUE = 5  # A number that is not finite or can't be.
-    ORDER = 6  # Stamps or elements out of order, or twice.
-    CHECK_VALUE = 7  # A check value that header and payload do not have.
-    UNPROTECTED = 8  # No check value, where pipeline.toml asks for one.
-    REPEATED = 9  # A frame that came before, or one that a newer frame has overtaken.
-    FROZEN = 10  # Content that stands still while its stamps go on.
+    SIZE = 4  # Sizes that exceed their limits, or that do not match each other or the model.
+    VALUE = 5  # A number that is not finite or is impossible.
+    ORDER = 6  # Stamps or elements out of order, or repeated.
+    CHECK_VALUE = 7  # A check value that does not match header and payload.
+    UNPROTECTED = 8  # No check value, although pipeline.toml requires one.
+    REPEATED = 9  # A repeated frame, or one that a newer frame has overtaken.
+    FROZEN = 10  # Content that does not change while its stamps advance.
 
 
 def _check(record, size, offsets):
@@ -222,11 +222,12 @@ def _check(record, size, offsets):
 
 
 class Protection(c.Structure):
-    """The end-to-end protection of a frame, in the order of AUTOSAR's E2E profile 7. All zeros: not protected."""
+    """The end-to-end protection of a frame, in the order of AUTOSAR's E2E profile 7. All zeros if the frame is not
+    protected."""
 
     _fields_ = [
-        ("crc", c.c_uint64),  # CRC-64/XZ of the header behind this field and of the payload.
-        ("length", c.c_uint32),  # Bytes of header and payload together.
+        ("crc", c.c_uint64),  # CRC-64/XZ of the header after this field, and of the payload.
+        ("length", c.c_uint32),  # Total bytes of header and payload.
         ("counter", c.c_uint32),  # Counts the frames of the sender; wraps around.
         ("data_id", c.c_uint32),  # Identifies the topic: FNV-1a of its name, in 32 bits.
         ("reserved", c.c_uint8 * 4),  # Zero.
@@ -243,15 +244,15 @@ _check(Protection, 24, {
 
 
 class Hop(c.Structure):
-    """When one stage had a tick in hand; `CLOCK_MONOTONIC`."""
+    """When one stage processed a tick, on `CLOCK_MONOTONIC`."""
 
     _fields_ = [
         ("stage", c.c_uint32),  # The stage's `StageId` as a number.
-        ("incarnation", c.c_uint32),  # How often the stage had been started before.
-        ("received_ns", c.c_uint64),  # The input was taken from its queue.
-        ("started_ns", c.c_uint64),  # The computation began.
-        ("finished_ns", c.c_uint64),  # The computation ended.
-        ("sent_ns", c.c_uint64),  # The output was handed to the transport.
+        ("incarnation", c.c_uint32),  # Number of the stage's earlier starts.
+        ("received_ns", c.c_uint64),  # When the input was taken from its queue.
+        ("started_ns", c.c_uint64),  # When the computation started.
+        ("finished_ns", c.c_uint64),  # When the computation ended.
+        ("sent_ns", c.c_uint64),  # When the output was passed to the transport.
     ]
 
 
@@ -269,7 +270,7 @@ class Counts(c.Structure):
     """The sizes of a frame's tensors."""
 
     _fields_ = [
-        ("agents_len", c.c_uint32),  # Agents (or detections, or truths) in the frame.
+        ("agents_len", c.c_uint32),  # Number of agents (or detections, or truths) in the frame.
         ("history_len", c.c_uint32),  # Steps of the history window, T_h.
         ("horizon_len", c.c_uint32),  # Steps of the forecast, T_f.
         ("modes_len", c.c_uint32),  # Latent draws, K.
@@ -289,17 +290,17 @@ _check(Counts, 24, {
 
 
 class InputCounts(c.Structure):
-    """Counts of what the input contained, since the stage that counts was started. The source fills `unplayed` and
-    `merged`, the tracker the others."""
+    """Counts of the input's contents since the counting stage was started. The source fills `unplayed` and `merged`,
+    the tracker the others."""
 
     _fields_ = [
-        ("detections", c.c_uint32),  # Detections that the tracker has taken in.
-        ("repeated", c.c_uint32),  # Detections that repeat the last one of a moving track to the bit: no measurements.
+        ("detections", c.c_uint32),  # Detections that the tracker has processed.
+        ("repeated", c.c_uint32),  # Detections identical to the previous one of a moving track: not measurements.
         ("misfits", c.c_uint32),  # Detections that their track can't have reached: treated as missed.
         ("placeholders", c.c_uint32),  # Detections at a placeholder's position.
-        ("reassigned", c.c_uint32),  # Tracks whose state began again because misfits agreed with one another.
-        ("unplayed", c.c_uint32),  # Detections of unplayed frames that no played frame contains.
-        ("merged", c.c_uint32),  # Detections of unplayed frames that went out with another frame.
+        ("reassigned", c.c_uint32),  # Tracks whose state was restarted because misfits agreed with one another.
+        ("unplayed", c.c_uint32),  # Detections of unplayed frames that are in no played frame.
+        ("merged", c.c_uint32),  # Detections of unplayed frames that were sent with another frame.
         ("doubts", c.c_uint32),  # Bits of `doubts` about the input; 0 without any.
     ]
 
@@ -326,28 +327,28 @@ class Header(c.Structure):
         ("run_id", c.c_uint64),  # Identifies the run; frames of other runs are refused.
         ("seq", c.c_uint64),  # The tick's number, from 0, without gaps at the source.
         ("stamp_ns", c.c_int64),  # Time of validity of the detections on the recording's or sensor's clock; the time of all algorithms.
-        ("released_ns", c.c_uint64),  # When the source released the tick, `CLOCK_MONOTONIC`; for latency and age only.
+        ("released_ns", c.c_uint64),  # When the source released the tick, on `CLOCK_MONOTONIC`; only for latency and age.
         ("interval_ns", c.c_uint64),  # The interval between frames as planned by the source.
         ("step_ns", c.c_uint64),  # Spacing of history and forecast steps, Δt; 0 before the tracker.
         ("stamp_source", c.c_uint32),  # `StampSource` of `stamp_ns` as a number.
-        ("sender", c.c_uint32),  # `StageId` of the frame's sender as a number, 0 where it is no stage.
-        ("incarnation", c.c_uint32),  # How often the sender had been started before.
+        ("sender", c.c_uint32),  # `StageId` of the frame's sender as a number; 0 if the sender is not a stage.
+        ("incarnation", c.c_uint32),  # Number of the sender's earlier starts.
         ("observed_types", c.c_uint32),  # Bits of the agent types that the sensor looked for in this frame.
-        ("left_out_len", c.c_uint32),  # Agents left out because the frame was full.
-        ("hops_len", c.c_uint32),  # Valid entries of `hops`.
-        ("hops_missing_len", c.c_uint32),  # Stages that the tick has passed beyond those of `hops`.
+        ("left_out_len", c.c_uint32),  # Number of agents left out because the frame was full.
+        ("hops_len", c.c_uint32),  # Number of valid entries of `hops`.
+        ("hops_missing_len", c.c_uint32),  # Number of stages on the tick's path that do not fit in `hops`.
         ("ego_m", c.c_float * 2),  # Position of the ego vehicle, or of the scene's centre, in the world frame.
         ("ego_heading_rad", c.c_float),  # Heading of the ego vehicle, 0 for a fixed sensor.
         ("counts", Counts),  # Sizes of the frame's tensors.
-        ("hops", Hop * 12),  # The stages that the tick has passed, the source first.
-        ("silent_len", c.c_uint32),  # Agents of which the forecasts say nothing, by the policy of degradation.
-        ("resumed_ticks", c.c_uint32),  # Of forecasts whose sampler was restarted: how many ticks its retrieval memory and its evidence had behind them when it began with them; 0 where it began without.
-        ("feedback_age_ns", c.c_uint64),  # Time between the stamp of the newest forecasts that the tracker has and this frame's; 0 where it has none, or does not tell.
-        ("chain_ns", c.c_uint64),  # How long the agents of those forecasts took from the extractor's end to the decoder's; 0 where they did not pass both.
-        ("chain_len", c.c_uint32),  # How many of those agents the decoder served.
+        ("hops", Hop * 12),  # The stages on the tick's path, the source first.
+        ("silent_len", c.c_uint32),  # Number of agents without a forecast, by the degradation policy.
+        ("resumed_ticks", c.c_uint32),  # In forecasts after a restart of the sampler: number of ticks in the retrieval memory and the evidence that it resumed with; 0 if it resumed without them.
+        ("feedback_age_ns", c.c_uint64),  # Time between the stamp of the tracker's newest forecasts and this frame's; 0 if it has none, or does not report it.
+        ("chain_ns", c.c_uint64),  # Processing time of those forecasts' agents, from the extractor's end to the decoder's; 0 if they did not pass both.
+        ("chain_len", c.c_uint32),  # Number of those agents that the decoder served.
         ("shed", c.c_uint32 * 4),  # Agents of the tick, by their place among its tracks, whose controls were left out to save time: bit `place % 32` of number `place / 32`.
-        ("sampling_ns", c.c_uint32),  # How long the sampler took for those forecasts; 0 where it is not known.
-        ("input", InputCounts),  # What source and tracker have found in the detections so far; all 0 where they do not report.
+        ("sampling_ns", c.c_uint32),  # Processing time of the sampler for those forecasts; 0 if it is unknown.
+        ("input", InputCounts),  # Findings of source and tracker in the detections so far; all 0 if they do not report.
     ]
 
     @staticmethod
@@ -399,11 +400,11 @@ class Detection(c.Structure):
         ("speed_mps", c.c_float),  # Speed along the heading.
         ("length_m", c.c_float),  # Extent along the heading.
         ("width_m", c.c_float),  # Extent across the heading.
-        ("score", c.c_float),  # The detector's confidence, greater is surer; 1 where it reports none.
-        ("sigma_m", c.c_float),  # Standard deviation of the position per axis; 0 takes the tracker's own for the type.
+        ("score", c.c_float),  # The detector's confidence, higher is more confident; 1 if it reports none.
+        ("sigma_m", c.c_float),  # Standard deviation of the position per axis; 0 for the tracker's value for the type.
         ("agent_type", c.c_uint32),  # `AgentType` as a number.
         ("flags", c.c_uint32),  # Bits of `detection_flags`.
-        ("offset_ns", c.c_int64),  # Time of the measurement less the frame's stamp, at most `OFFSET_MAX_NS` either way; 0 where it was made at the stamp.
+        ("offset_ns", c.c_int64),  # Time of the measurement minus the frame's stamp, at most `OFFSET_MAX_NS` in magnitude; 0 if it was made at the stamp.
         ("reserved", c.c_uint8 * 8),  # Zero.
     ]
 
@@ -431,7 +432,7 @@ _check(Detection, 64, {
 
 
 class Truth(c.Structure):
-    """What was really there at the stamp of a frame: element of the topic `truth`, which the recorder alone reads."""
+    """The true state at the stamp of a frame: element of the topic `truth`, which only the recorder reads."""
 
     _fields_ = [
         ("id", c.c_uint64),  # Identity in the recording.
@@ -439,7 +440,7 @@ class Truth(c.Structure):
         ("x_m", c.c_float),  # Position in the world frame.
         ("y_m", c.c_float),  # Position in the world frame.
         ("reserved", c.c_uint8 * 4),  # Zero.
-        ("offset_ns", c.c_int64),  # Time of the position less the frame's stamp.
+        ("offset_ns", c.c_int64),  # Time of the position minus the frame's stamp.
     ]
 
     @staticmethod
@@ -466,8 +467,8 @@ class HistoryState(c.Structure):
         ("y_m", c.c_float),  # Position in the world frame.
         ("vx_mps", c.c_float),  # Velocity in the world frame.
         ("vy_mps", c.c_float),  # Velocity in the world frame.
-        ("heading_rad", c.c_float),  # Heading; defined also at rest.
-        ("present", c.c_uint32),  # 1 where the track has a state at this step, else 0 and all others 0.
+        ("heading_rad", c.c_float),  # Heading, also defined at rest.
+        ("present", c.c_uint32),  # 1 if the track has a state at this step, else 0, with all other fields 0.
     ]
 
 
@@ -486,32 +487,32 @@ class Track(c.Structure):
 
     _fields_ = [
         ("id", c.c_uint64),  # The track's identity; never reused within a run.
-        ("source_id", c.c_uint64),  # The detections' own identity where they carry one, else 0.
+        ("source_id", c.c_uint64),  # The detections' own identity if they have one, else 0.
         ("born_ns", c.c_int64),  # Stamp of the track's first state.
         ("unseen_ns", c.c_uint64),  # Time since the last detection that updated the track.
         ("agent_type", c.c_uint32),  # `AgentType` as a number.
         ("status", c.c_uint32),  # `TrackStatus` as a number.
         ("state_len", c.c_uint32),  # Rows of the covariance in use: 5 for [x, y, ψ, v, β], 4 for [x, y, vx, vy].
-        ("forecastable", c.c_uint32),  # 1 once the track is Δt old and has two states in its history, else 0.
+        ("forecastable", c.c_uint32),  # 1 if the track is at least Δt old and has two states in its history, else 0.
         ("x_m", c.c_float),  # Filtered position.
         ("y_m", c.c_float),  # Filtered position.
-        ("heading_rad", c.c_float),  # Filtered heading; turns by at most 60° from one frame to the next, also where the front is found to be the back.
+        ("heading_rad", c.c_float),  # Filtered heading.
         ("speed_mps", c.c_float),  # Filtered speed along the heading; negative in reverse.
-        ("slip_rad", c.c_float),  # Filtered slip angle; 0 where the state has none.
+        ("slip_rad", c.c_float),  # Filtered slip angle; 0 if the state has none.
         ("vx_mps", c.c_float),  # Filtered velocity in the world frame.
         ("vy_mps", c.c_float),  # Filtered velocity in the world frame.
-        ("length_m", c.c_float),  # Extent along the heading; 0 where unknown.
-        ("width_m", c.c_float),  # Extent across the heading; 0 where unknown.
+        ("length_m", c.c_float),  # Extent along the heading; 0 if unknown.
+        ("width_m", c.c_float),  # Extent across the heading; 0 if unknown.
         ("existence", c.c_float),  # Probability that the object exists.
         ("type_probability", c.c_float * 3),  # Probability of each `AgentType`.
         ("covariance", c.c_float * 25),  # Covariance of the filtered state, row-major, `state_len` × `state_len`, the rest 0.
         ("history", HistoryState * 8),  # States at now − (T_h − 1 − k) Δt, oldest first, in the first `history_len` entries.
-        ("prior", c.c_uint32),  # `Quality` of what moved the state to this stamp, as a number: a forecast, one that is older than Δt, or the process model alone.
+        ("prior", c.c_uint32),  # `Quality` of the prediction to this stamp, as a number: a forecast, one that is older than Δt, or the process model alone.
         ("reserved", c.c_uint8 * 4),  # Zero.
-        ("prior_age_ns", c.c_uint64),  # Time since the stamp of that forecast's controls; 0 where there is none.
-        ("prior_weights", c.c_float * 21),  # Weight of each of its modes, and last that of the process model alone; they sum to 1.
+        ("prior_age_ns", c.c_uint64),  # Time since the stamp of that forecast's controls; 0 if there is none.
+        ("prior_weights", c.c_float * 21),  # Weight of each of its modes, and last the weight of the process model; they sum to 1.
         ("reserved_middle", c.c_uint8 * 4),  # Zero.
-        ("learned_age_ns", c.c_uint64),  # Time between the stamp of the controls of the track's newest learned forecast that the tracker has seen and this frame's; 0 where it has seen none, or does not tell.
+        ("learned_age_ns", c.c_uint64),  # Time between the stamp of the controls of the track's newest learned forecast that the tracker has received and this frame's; 0 if there is none, or it is not reported.
         ("reserved_end", c.c_uint8 * 8),  # Zero.
     ]
 
@@ -554,11 +555,11 @@ _check(Track, 512, {
 
 
 class Row(c.Structure):
-    """64 bytes: one cache line, the unit of `context` and `features` payloads, whose sections are cast from it."""
+    """64 bytes, one cache line: the unit of `context` and `features` payloads, whose sections are cast from it."""
 
     _align_ = 64  # of Python 3.13 on; topics are aligned all the same
     _fields_ = [
-        ("values", c.c_float * 16),  # The bytes, as numbers of single precision.
+        ("values", c.c_float * 16),  # The bytes, as single-precision numbers.
     ]
 
 
@@ -574,12 +575,12 @@ class AgentFeatures(c.Structure):
         ("id", c.c_uint64),  # The track.
         ("agent_type", c.c_uint32),  # `AgentType` as a number.
         ("forecastable", c.c_uint32),  # As in `Track.forecastable`.
-        ("present", c.c_uint32),  # Bit k is set where the agent has a state at history step k.
-        ("length_m", c.c_float),  # Length where known, else 0; sets the rear axle of the bicycle.
-        ("state", c.c_float * 6 * 8),  # State features s, scaled as the model wants them; zero rows where absent.
-        ("node", c.c_float * 64 * 8),  # Node attributes v = [SE ‖ CE]; zero rows where absent.
-        ("turn", c.c_uint32),  # Its turn where a tick has no time for all, from 1 on; 0 where the order of the frame counts.
-        ("shed", c.c_uint32),  # 1 where the agent is left out of this tick to save time: it is there for its neighbours alone.
+        ("present", c.c_uint32),  # Bit k is set if the agent has a state at history step k.
+        ("length_m", c.c_float),  # Length if known, else 0; determines the rear axle of the bicycle.
+        ("state", c.c_float * 6 * 8),  # State features s in the model's scale; zero rows for absent steps.
+        ("node", c.c_float * 64 * 8),  # Node attributes v = [SE ‖ CE]; zero rows for absent steps.
+        ("turn", c.c_uint32),  # Its turn from 1, if a tick does not have time for all agents; 0 for the order of the frame.
+        ("shed", c.c_uint32),  # 1 if the agent is left out of this tick to save time: it is present only for its neighbours.
         ("reserved", c.c_uint8 * 32),  # Zero.
     ]
 
@@ -624,12 +625,12 @@ class AgentEncoding(c.Structure):
         ("id", c.c_uint64),  # The track.
         ("agent_type", c.c_uint32),  # `AgentType` as a number.
         ("forecastable", c.c_uint32),  # As in `Track.forecastable`.
-        ("present", c.c_uint32),  # Bit k is set where the agent has a state at history step k.
-        ("length_m", c.c_float),  # Length where known, else 0.
+        ("present", c.c_uint32),  # Bit k is set if the agent has a state at history step k.
+        ("length_m", c.c_float),  # Length if known, else 0.
         ("state", c.c_float * 6 * 8),  # State features s as in `AgentFeatures`: the decoder's burn-in and the base control read them.
         ("temporal", c.c_float * 64),  # The temporal summary ṽ_h.
-        ("turn", c.c_uint32),  # Its turn where a tick has no time for all, from 1 on; 0 where the order of the frame counts.
-        ("shed", c.c_uint32),  # 1 where the agent is left out of this tick to save time: it is there for its neighbours alone.
+        ("turn", c.c_uint32),  # Its turn from 1, if a tick does not have time for all agents; 0 for the order of the frame.
+        ("shed", c.c_uint32),  # 1 if the agent is left out of this tick to save time: it is present only for its neighbours.
         ("reserved", c.c_uint8 * 32),  # Zero.
     ]
 
@@ -669,17 +670,17 @@ _check(ControlGaussian, 20, {
 
 
 class AgentControls(c.Structure):
-    """The controls of an agent that is forecast: element of the topic `controls`."""
+    """The controls of an agent with a forecast: element of the topic `controls`."""
 
     _fields_ = [
         ("id", c.c_uint64),  # The track.
         ("agent_type", c.c_uint32),  # `AgentType` as a number.
         ("modes_len", c.c_uint32),  # Valid modes, at most `MODES_MAX`.
         ("probability", c.c_float * 20),  # Probability of each mode; they sum to 1.
-        ("modes", ControlGaussian * 12 * 20),  # Controls of each mode and step, before saturation: of a vehicle acceleration and slip rate, else displacements.
+        ("modes", ControlGaussian * 12 * 20),  # Controls of each mode and step, before saturation: acceleration and slip rate for a vehicle, otherwise displacements.
         ("best", ControlGaussian * 12),  # Controls of the single best forecast (K = 1).
-        ("base", c.c_float * 2 * 12),  # The model's base control for the single best forecast, without what the network adds; zeros where the model has no base.
-        ("out_of_distribution", c.c_float),  # How far the history lies outside of what the base control was fitted to, in the width of that; 0 inside, and where the model does not tell.
+        ("base", c.c_float * 2 * 12),  # The model's base control for the single best forecast, without the network's part; zeros if the model has no base.
+        ("out_of_distribution", c.c_float),  # Distance of the history from the data that the base control was fitted to, relative to its width; 0 inside, and if the model does not report it.
         ("reserved", c.c_uint8 * 76),  # Zero.
     ]
 
@@ -703,17 +704,17 @@ _check(AgentControls, 5312, {
 
 
 class Forecast(c.Structure):
-    """The forecast of an agent: element of the topic `forecasts`. Step k lies (k + 1) Δt after the frame's stamp."""
+    """The forecast of an agent: element of the topic `forecasts`. Step k is (k + 1) Δt after the frame's stamp."""
 
     _fields_ = [
         ("id", c.c_uint64),  # The track.
-        ("source_id", c.c_uint64),  # The detections' own identity where they carry one, else 0.
+        ("source_id", c.c_uint64),  # The detections' own identity if they have one, else 0.
         ("age_ns", c.c_uint64),  # Time between the stamp of the controls and this frame's stamp; 0 for learned forecasts.
         ("prior_age_ns", c.c_uint64),  # As in `Track.prior_age_ns`.
         ("agent_type", c.c_uint32),  # `AgentType` as a number.
         ("quality", c.c_uint32),  # `Quality` as a number.
-        ("cause", c.c_uint32),  # `Cause` as a number: the first one.
-        ("causes", c.c_uint32),  # Bits of all causes that apply, see `Cause.bit`; 0 where nothing is wrong.
+        ("cause", c.c_uint32),  # `Cause` as a number: the first one that applies.
+        ("causes", c.c_uint32),  # Bits of all causes that apply, see `Cause.bit`; 0 if there are none.
         ("modes_len", c.c_uint32),  # Valid modes, at most `MODES_MAX`.
         ("prior", c.c_uint32),  # As in `Track.prior`.
         ("steering", c.c_uint32),  # `Steering` as a number.
@@ -723,20 +724,20 @@ class Forecast(c.Structure):
         ("vx_mps", c.c_float),  # Velocity at the stamp.
         ("vy_mps", c.c_float),  # Velocity at the stamp.
         ("heading_rad", c.c_float),  # Heading at the stamp.
-        ("length_m", c.c_float),  # Extent along the heading; 0 where unknown.
-        ("width_m", c.c_float),  # Extent across the heading; 0 where unknown.
-        ("out_of_distribution", c.c_float),  # How far the agent's history lies outside of what the model was trained on, in the width of that; 0 inside, and where it is not told.
-        ("expert_weights", c.c_float * 8),  # Weight of each `Expert` by its number: network, base, constant velocity, decaying turn, process model, decaying acceleration; zeros where they are not told.
+        ("length_m", c.c_float),  # Extent along the heading; 0 if unknown.
+        ("width_m", c.c_float),  # Extent across the heading; 0 if unknown.
+        ("out_of_distribution", c.c_float),  # Distance of the agent's history from the model's training data, relative to their width; 0 inside, and if it is not reported.
+        ("expert_weights", c.c_float * 8),  # Weight of each `Expert` by its number: network, base, constant velocity, decaying turn, process model, decaying acceleration; zeros if they are not reported.
         ("probability", c.c_float * 20),  # Probability of each mode; they sum to 1.
         ("mode_expert", c.c_uint8 * 20),  # `Expert` of each mode as a number.
-        ("lanes", c.c_uint32),  # 1 if the forecast was taken along lanes of the map, 2 if a vehicle moves on no lane of it; 0 without a map, for all other agents, and if it is not reported.
+        ("lanes", c.c_uint32),  # 1 if the forecast follows lanes of the map, 2 if a moving vehicle is not on a lane; 0 without a map, for all other agents, and if it is not reported.
         ("reserved", c.c_uint8 * 72),  # Zero.
         ("covariance", c.c_float * 3 * 12),  # Covariance of the mixture of all modes as (xx, xy, yy), m².
         ("best", c.c_float * 2 * 12),  # The single best forecast (K = 1).
         ("mean", c.c_float * 2 * 12),  # Mean of the mixture of all modes.
         ("modes", c.c_float * 2 * 12 * 20),  # Mean positions (x, y) of each mode and step in the world frame, m.
         ("mode_covariance", c.c_float * 3 * 12 * 20),  # Covariance of the position of each mode and step as (xx, xy, yy), m².
-        ("controls", ControlGaussian * 12 * 20),  # The controls that lead to `modes`, as they act (after saturation), their first step at the stamp of the controls; zeros where `steering` says that there are none.
+        ("controls", ControlGaussian * 12 * 20),  # The controls that lead to `modes`, as applied (after saturation), with their first step at the stamp of the controls; zeros if `steering` is 0, none.
         ("reserved_end", c.c_uint8 * 64),  # Zero.
     ]
 
@@ -783,12 +784,12 @@ _check(Forecast, 10304, {
 
 
 class Refusals(c.Structure):
-    """Frames of one sender that one reader refused for one cause."""
+    """Frames of one sender that one reader has refused for one cause."""
 
     _fields_ = [
-        ("sender", c.c_uint16),  # The `StageId` of the frames' sender as a number, 0 where it is no stage.
-        ("cause", c.c_uint16),  # The `RefusalCause` as a number; 0: the entry is free.
-        ("frames_len", c.c_uint32),  # How many frames.
+        ("sender", c.c_uint16),  # The `StageId` of the frames' sender as a number; 0 if the sender is not a stage.
+        ("cause", c.c_uint16),  # The `RefusalCause` as a number; 0 if the entry is free.
+        ("frames_len", c.c_uint32),  # Number of frames.
     ]
 
 
@@ -804,17 +805,17 @@ class Heartbeat(c.Structure):
 
     _fields_ = [
         ("stage", c.c_uint32),  # The stage's number.
-        ("incarnation", c.c_uint32),  # How often the stage had been started before.
-        ("pid", c.c_uint32),  # Operating system's number of the process.
-        ("linked", c.c_uint32),  # 1 once a frame has passed from the stage's input to its output, else 0.
+        ("incarnation", c.c_uint32),  # Number of the stage's earlier starts.
+        ("pid", c.c_uint32),  # The operating system's process number.
+        ("linked", c.c_uint32),  # 1 after a frame has passed from the stage's input to its output, else 0.
         ("beat", c.c_uint64),  # Counts the stage's heartbeats.
-        ("seq", c.c_uint64),  # Number of the newest tick that the stage finished.
-        ("frames_len", c.c_uint64),  # Frames finished.
-        ("rejected_len", c.c_uint64),  # Frames refused.
-        ("dropped_len", c.c_uint32),  # Ticks of which a frame never arrived, by gaps in `seq`.
-        ("unanswered_len", c.c_uint32),  # Of these, ticks of which the frame that begins a step never arrived: the stage has sent nothing for them.
-        ("sent_ns", c.c_uint64),  # `CLOCK_MONOTONIC` at sending.
-        ("refusals", Refusals * 8),  # Frames refused, by their sender and the cause.
+        ("seq", c.c_uint64),  # Number of the newest tick that the stage has finished.
+        ("frames_len", c.c_uint64),  # Number of finished frames.
+        ("rejected_len", c.c_uint64),  # Number of refused frames.
+        ("dropped_len", c.c_uint32),  # Number of ticks with a frame that never arrived, by gaps in `seq`.
+        ("unanswered_len", c.c_uint32),  # The subset of these ticks whose missing frame starts a step: the stage has sent nothing for them.
+        ("sent_ns", c.c_uint64),  # Time of sending, on `CLOCK_MONOTONIC`.
+        ("refusals", Refusals * 8),  # Number of refused frames by sender and cause.
     ]
 
     @staticmethod
@@ -881,14 +882,14 @@ RECORDS = [
 
 # Elements by topic; the service of iceoryx2 is "stgdat/NAME".
 TOPICS = {
-    "detections": Detection,  # Source → tracker: what the sensor saw.
+    "detections": Detection,  # Source → tracker: the sensor's detections.
     "tracks": Track,  # Tracker → localiser, sampler, users: confirmed and coasting tracks.
     "context": ContextRow,  # Localiser → extractor: tracks and their local patches of the context map.
     "features": FeaturesRow,  # Extractor → encoder: node and edge attributes of the history graph.
     "encodings": AgentEncoding,  # Encoder → decoder: the temporal summary of each agent.
     "controls": AgentControls,  # Decoder → sampler: control Gaussians per agent, mode and step.
     "forecasts": Forecast,  # Sampler → tracker, users: trajectories with probabilities and moments.
-    "truth": Truth,  # Source → recorder: where the agents really were, for the report's accuracy.
+    "truth": Truth,  # Source → recorder: the agents' true positions, for the accuracy in the report.
     "heartbeats": Heartbeat,  # All stages → launcher, source, recorder: signs of life.
 }
 

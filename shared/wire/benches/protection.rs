@@ -1,8 +1,8 @@
-//! What the end-to-end protection costs: the check value of a frame of each topic at 32 and 128 agents. Sender and
-//! every reader compute it once.
+//! Cost of the end-to-end protection: the check value of a frame of each topic with 32 and 128 agents. The
+//! sender and every reader compute it once.
 //!
-//! Before that: how many single bit flips in header or payload of a frame of forecasts pass the checks of
-//! numbers and sizes, which are all that is left without a check value.
+//! Before that, the benchmark counts the single bit flips in header or payload of a forecasts frame that pass
+//! the checks of numbers and sizes. Without a check value these are the only checks.
 
 use std::hint::black_box;
 
@@ -17,7 +17,7 @@ const FLIPS: usize = 10_000;
 
 fn protect<T: Topic>(c: &mut Criterion) {
     for agents in [32_u32, 128] {
-        // Eight neighbours at each step, patches of 16 × 16 cells.
+        // Eight neighbours at each step, and patches of 16 × 16 cells.
         let (history_len, edges_len) = (8, 8 * agents * 9);
         let counts =
             Counts { agents_len: agents, history_len, patch_side: 16, edges_len, ..Counts::default() };
@@ -30,7 +30,7 @@ fn protect<T: Topic>(c: &mut Criterion) {
     }
 }
 
-/// A linear congruential generator's next number below `most`.
+/// The next number below `most` of a linear congruential generator.
 fn next(state: &mut u64, most: usize) -> usize {
     *state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
     ((*state >> 33) as usize) % most

@@ -3,8 +3,8 @@ use thiserror::Error;
 use crate::declare::numbers;
 
 numbers! {
-    /// The kinds of agents that the model tells apart; each has state MLP, decoder and motion model of its
-    /// own.
+    /// The kinds of agents that the model distinguishes. Each has its own state MLP, decoder and motion
+    /// model.
     #[derive(Hash, PartialOrd, Ord)]
     pub enum AgentType {
         /// Cars, trucks, buses, carts: kinematic bicycle.
@@ -19,13 +19,13 @@ numbers! {
 /// All agent types, in the order of their numbers.
 pub const AGENT_TYPES: [AgentType; 3] = AgentType::ALL;
 
-/// A number or name that stands for no agent type.
+/// The number or name does not belong to an agent type.
 #[derive(Debug, Error, PartialEq, Eq)]
 #[error("unknown agent type {0}: expected vehicle, cyclist or pedestrian")]
 pub struct UnknownAgentType(pub String);
 
 impl AgentType {
-    /// The type's place in [`AGENT_TYPES`] and in tables by type.
+    /// The type's index in [`AGENT_TYPES`] and in tables by type.
     #[must_use]
     pub const fn index(self) -> usize {
         self as usize

@@ -1,14 +1,14 @@
 use thiserror::Error;
 
-/// Why a frame was refused. The stage counts it and goes on.
+/// Why a frame was refused. The stage counts it and continues.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum Rejected {
-    /// The sender is of another version.
+    /// The sender has another version.
     #[error("schema {found}, expected {expected}")]
     Schema {
         /// The sender's version.
         found: u32,
-        /// Ours.
+        /// This program's version.
         expected: u32,
     },
     /// The frame belongs to another run.
@@ -19,26 +19,26 @@ pub enum Rejected {
         /// The reader's.
         expected: u64,
     },
-    /// The frame's sender has been replaced since by a newer process.
+    /// A newer process has replaced the frame's sender.
     #[error("incarnation {found} of its sender, the newest is {newest}")]
     OldIncarnation {
         /// The frame's.
         found: u32,
-        /// The newest that was received.
+        /// The newest received incarnation.
         newest: u32,
     },
-    /// The frame has no check value, and the run asks for one on its topic.
+    /// The frame has no check value, and the run requires one on its topic.
     #[error(
         "no check value: fill in the header's protection (`stgdat wire --c` and `--python` have the function), \
          or leave the topic out of `protect` in pipeline.toml"
     )]
     Unprotected,
-    /// Header and payload are not those that the sender protected.
+    /// Header and payload do not match the check value.
     #[error("check value {found:016x}, header and payload have {expected:016x}")]
     CheckValue {
         /// The header's check value.
         found: u64,
-        /// That of header and payload as they came.
+        /// The check value computed from the received header and payload.
         expected: u64,
     },
     /// The frame was protected for another topic.
@@ -46,34 +46,34 @@ pub enum Rejected {
     Misdirected {
         /// The frame's topic.
         found: u32,
-        /// The topic that it came on.
+        /// The topic on which it arrived.
         expected: u32,
     },
-    /// The frame has come before, or a newer one has overtaken it.
+    /// The frame is repeated, or a newer one has overtaken it.
     #[error("frame {counter} of its sender is repeated or late, the newest is {newest}")]
     Repeated {
         /// The frame's counter.
         counter: u32,
-        /// The counter of the newest one.
+        /// The newest frame's counter.
         newest: u32,
     },
-    /// Two elements have one number.
+    /// Two elements have the same number.
     #[error("{field} {id} appears twice")]
     Twice {
-        /// What the number stands for.
+        /// The meaning of the number.
         field: &'static str,
         /// The number.
         id: u64,
     },
-    /// Elements are not in the order that the payload demands.
+    /// Elements are not in the order that the payload requires.
     #[error("{field} are out of order at element {at}")]
     OutOfOrder {
         /// The elements.
         field: &'static str,
-        /// The first element that must come before the one before it.
+        /// Index of the first element that belongs before its predecessor.
         at: usize,
     },
-    /// A count is beyond its limit.
+    /// A count exceeds its limit.
     #[error("{field} = {found}, at most {most} allowed")]
     TooMany {
         /// The header's field.
@@ -83,29 +83,29 @@ pub enum Rejected {
         /// The limit.
         most: u64,
     },
-    /// The payload does not have the length that its header gives.
+    /// The payload's length differs from the header's.
     #[error("payload of {found} elements, header gives {expected}")]
     Length {
         /// Elements in the payload.
         found: usize,
-        /// Elements by the header.
+        /// Elements according to the header.
         expected: usize,
     },
     /// A number is not finite.
     #[error("{field} is not finite")]
     NotFinite {
-        /// What the number stands for.
+        /// The meaning of the number.
         field: &'static str,
     },
-    /// A number is finite but can't be.
+    /// A number is finite but impossible.
     #[error("{field} = {value} is impossible")]
     Impossible {
-        /// What the number stands for.
+        /// The meaning of the number.
         field: &'static str,
         /// Its value.
         value: f64,
     },
-    /// The frame is not newer than one that was processed before.
+    /// The frame is not newer than a processed one.
     #[error("stamp {stamp_ns} ns is not after {last_ns} ns")]
     NotNewer {
         /// The frame's stamp.
@@ -113,15 +113,15 @@ pub enum Rejected {
         /// The stamp of the newest frame processed.
         last_ns: i64,
     },
-    /// The frame's elements are those of the frames before it, though something moves in them.
+    /// The frame's elements repeat those of the previous frames, although something in them moves.
     #[error("the same {field} for {frames} frames, and something moves in them")]
     Frozen {
         /// The elements.
         field: &'static str,
-        /// Frames with these elements, this one included.
+        /// Number of frames with these elements, including this one.
         frames: u32,
     },
-    /// The frame's sizes are not those of the loaded model.
+    /// The frame's sizes differ from the loaded model's.
     #[error("{field} = {found}, the model has {expected}")]
     Mismatch {
         /// The size's name.
@@ -139,7 +139,7 @@ pub enum Rejected {
 /// [`Rejected::NotFinite`] with the field's name.
 pub fn finite(field: &'static str, values: &[f32]) -> Result<(), Rejected> {
     const EXPONENT: u32 = 0x7F80_0000;
-    // Infinities and NaNs have all bits of the exponent. Whole numbers and no early end: it vectorises.
+    // Infinities and NaNs have all exponent bits set. Integers without an early exit: the loop vectorises.
     let found = values.iter().fold(false, |found, x| found | (x.to_bits() & EXPONENT == EXPONENT));
     if found { Err(Rejected::NotFinite { field }) } else { Ok(()) }
 }

@@ -1,8 +1,8 @@
 //! The macros that declare the wire: each turns one readable declaration into Rust items and into an entry of
 //! [`crate::TABLE`].
 //!
-//! [`record!`] declares a struct that crosses process borders. Every field stands with the byte offset at
-//! which it lies, so that the source shows the layout and the compiler proves it:
+//! [`record!`] declares a struct that crosses process borders. Every field is declared with its byte offset,
+//! so that the source shows the layout and the compiler verifies it:
 //!
 //! ```text
 //! record! {
@@ -16,14 +16,14 @@
 //! }
 //! ```
 //!
-//! It becomes a `#[repr(C)]` struct of public fields that is `Pod`, its `Default` (all zeros), its
-//! [`crate::Record`] in the table, and compile-time assertions that each field lies at its offset, that no
-//! byte lies between two fields or behind the last, and that the size is the one told. A field's type is
-//! anything that has a [`crate::Layout`]: a primitive, a record, or an array of these.
+//! It becomes a `#[repr(C)]` struct of public fields that is `Pod`, with its `Default` (all zeros) and its
+//! [`crate::Record`] in the table. Compile-time assertions check that each field is at its offset, that there
+//! is no gap between fields or after the last, and that the size matches. A field's type is anything with a
+//! [`crate::Layout`]: a primitive, a record, or an array of these.
 //! `: 64 bytes, aligned 64` sets an alignment; `#[derive(…)]` under the doc comment adds derives.
 //!
-//! [`numbers!`] declares an enum whose variants travel as `u32`: each has its number and the name that files
-//! and reports use. [`constants!`] declares limits, sizes and bits of flags.
+//! [`numbers!`] declares an enum whose variants are sent as `u32`. Each variant has its number and a name for
+//! files and reports. [`constants!`] declares limits, sizes and bits of flags.
 
 /// Declares a record; see the module.
 macro_rules! record {
@@ -80,7 +80,7 @@ macro_rules! record {
             };
         }
 
-        /// All zeros: nothing is told.
+        /// All zeros: nothing is reported.
         impl Default for $name {
             fn default() -> Self {
                 bytemuck::Zeroable::zeroed()
@@ -96,7 +96,7 @@ macro_rules! record {
     };
 }
 
-/// Declares an enum whose variants travel as numbers; see the module.
+/// Declares an enum whose variants are sent as numbers; see the module.
 macro_rules! numbers {
     (
         $(#[doc = $doc:literal])+
@@ -113,10 +113,10 @@ macro_rules! numbers {
         }
 
         impl $name {
-            /// All of them, in the order of their numbers.
+            /// All variants, in the order of their numbers.
             pub const ALL: [Self; [$($number),+].len()] = [$(Self::$variant),+];
 
-            /// Their entry of the table.
+            /// Their entry in the table.
             pub const NUMBERS: $crate::table::Numbers = $crate::table::Numbers {
                 name: stringify!($name),
                 doc: concat!($($doc, "\n"),+),
@@ -135,7 +135,7 @@ macro_rules! numbers {
                 }
             }
 
-            /// The one of that number; none where this version knows none.
+            /// The variant with this number; `None` if this version has none.
             #[must_use]
             pub const fn from_number(number: u32) -> Option<Self> {
                 match number {

@@ -1,4 +1,4 @@
-//! Records whose every number is another one, to see where the numbers lie.
+//! Records in which all numbers differ, to show the position of each number.
 
 use std::fmt::Write as _;
 
@@ -7,9 +7,9 @@ use crate::{
     Heartbeat, HistoryState, Hop, InputCounts, Layout, Protection, Record, Row, Track, Truth, Type,
 };
 
-/// Something whose numbers can be told apart.
+/// Something whose numbers can be made distinct.
 pub(crate) trait Distinct {
-    /// Sets its numbers to `next` and those that follow, in the order of the source.
+    /// Sets its numbers to `next` and the following values, in source order.
     fn number(&mut self, next: &mut u32);
 }
 
@@ -32,7 +32,7 @@ impl<T: Distinct, const N: usize> Distinct for [T; N] {
     }
 }
 
-/// A record's bytes: a line for each field, of an array or record for each part.
+/// A record's bytes, with a line for each field; for arrays and records, a line for each part.
 fn dump<T: Layout + Default + Distinct>(record: &Record) -> String {
     let mut value = T::default();
     value.number(&mut 1);
@@ -51,7 +51,7 @@ fn write_lines(text: &mut String, name: &str, offset: usize, of: &Type, bytes: &
                 write_lines(text, &name, offset + field.offset, &field.r#type, bytes);
             }
         }
-        // Rows of numbers fit a line.
+        // Rows of numbers fit on a line.
         Type::Array(row, len) if !matches!(row, Type::Primitive(_)) => {
             for place in 0..*len {
                 write_lines(text, &format!("{name}[{place}]"), offset + place * row.size(), row, bytes);

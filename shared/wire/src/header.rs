@@ -12,21 +12,20 @@ pub mod flags {
     constants! {
         /// The frame links the pipeline before the first tick: no agents, not counted anywhere.
         pub const WARM_UP: u32 = 1;
-        /// The last frame of a recording: no agents, tells every stage that nothing follows.
+        /// The last frame of a recording: no agents; no frame follows.
         pub const END: u32 = 1 << 1;
-        /// The detections carry identities that the tracker may trust instead of associating.
+        /// The detections have identities that the tracker may trust instead of associating.
         pub const HAS_IDENTITIES: u32 = 1 << 2;
         /// The tick runs in lockstep: no stage may give up waiting.
         pub const LOCKSTEP: u32 = 1 << 3;
-        /// A stage has refused this tick, or it came late and was taken in where it belongs: no agents. It
-        /// passes on so that nobody waits for it.
+        /// No agents: a stage has refused this tick, or it was a late measurement that was processed out of
+        /// sequence. The frame is still passed on, so that no stage waits for it.
         pub const VOID: u32 = 1 << 4;
-        /// The detections were made from [`Header::ego_m`](super::Header::ego_m), by a sensor that can't see
-        /// past what stands in its way. Not set for a view from above, or where nobody knows where the sensor
-        /// stood.
+        /// A sensor made the detections from [`Header::ego_m`](super::Header::ego_m), and objects occlude its
+        /// view. Not set for a view from above, or if the sensor's position is unknown.
         pub const SEEN_FROM_EGO: u32 = 1 << 5;
-        /// No detections have come for this tick: its tracks are predicted. Its number and stamp go on from
-        /// the tick before by one interval; it was released when the tracker predicted it.
+        /// No detections arrived for this tick: its tracks are predicted. Its number and stamp follow the
+        /// previous tick's by one interval. Its time of release is the time of the tracker's prediction.
         pub const PREDICTED: u32 = 1 << 6;
     }
 }
@@ -50,7 +49,7 @@ pub mod doubts {
         pub const SPEEDS_IN_KMH: u32 = 1 << 5;
         /// Speeds are in mph.
         pub const SPEEDS_IN_MPH: u32 = 1 << 6;
-        /// Positions move at another speed than is reported.
+        /// Speeds from positions differ from the reported ones.
         pub const SPEEDS_DIFFER: u32 = 1 << 7;
         /// Agents of a type move at unusual speeds.
         pub const SPEEDS_UNUSUAL: u32 = 1 << 8;
@@ -62,13 +61,13 @@ pub mod doubts {
         pub const STAMPS_IN_OTHER_UNIT: u32 = 1 << 11;
         /// Stamps are the numbers of frames.
         pub const STAMPS_ARE_FRAMES: u32 = 1 << 12;
-        /// Stamps go back in time.
+        /// Stamps decrease.
         pub const STAMPS_GO_BACK: u32 = 1 << 13;
         /// Detections repeat the previous one of a moving agent.
         pub const REPEATED: u32 = 1 << 14;
         /// Positions that their agent can't have reached.
         pub const OUTLIERS: u32 = 1 << 15;
-        /// Positions that stand for a missing one.
+        /// Positions that are placeholders for missing ones.
         pub const PLACEHOLDERS: u32 = 1 << 16;
         /// Identities jump from one agent to another.
         pub const IDENTITIES_JUMP: u32 = 1 << 17;
@@ -76,37 +75,37 @@ pub mod doubts {
 }
 
 numbers! {
-    /// What a frame's [`Header::stamp_ns`] was read off.
+    /// The clock of a frame's [`Header::stamp_ns`].
     pub enum StampSource {
-        /// The source did not say.
+        /// The source did not report it.
         Unknown = 0 => "unknown",
         /// A recording.
         Recording = 1 => "recording",
         /// The sensor's own clock, at its measurement.
         SensorClock = 2 => "sensor clock",
-        /// A clock of the receiving computer, when the measurement had come in: later than the measurement by
-        /// its way.
+        /// The receiving computer's clock when the measurement arrived: later than the measurement by the
+        /// transmission time.
         Receipt = 3 => "time of receipt",
-        /// A scene that was generated.
+        /// A generated scene.
         Generated = 4 => "generated",
     }
 }
 
 record! {
-    /// When one stage had a tick in hand; `CLOCK_MONOTONIC`.
+    /// When one stage processed a tick, on `CLOCK_MONOTONIC`.
     #[derive(Eq)]
     pub struct Hop: 40 bytes {
         /// The stage's [`StageId`] as a number.
         0 => stage: u32,
-        /// How often the stage had been started before.
+        /// Number of the stage's earlier starts.
         4 => incarnation: u32,
-        /// The input was taken from its queue.
+        /// When the input was taken from its queue.
         8 => received_ns: u64,
-        /// The computation began.
+        /// When the computation started.
         16 => started_ns: u64,
-        /// The computation ended.
+        /// When the computation ended.
         24 => finished_ns: u64,
-        /// The output was handed to the transport.
+        /// When the output was passed to the transport.
         32 => sent_ns: u64,
     }
 }
@@ -115,7 +114,7 @@ record! {
     /// The sizes of a frame's tensors.
     #[derive(Eq)]
     pub struct Counts: 24 bytes {
-        /// Agents (or detections, or truths) in the frame.
+        /// Number of agents (or detections, or truths) in the frame.
         0 => agents_len: u32,
         /// Steps of the history window, T_h.
         4 => history_len: u32,
@@ -131,24 +130,24 @@ record! {
 }
 
 record! {
-    /// Counts of what the input contained, since the stage that counts was started.
+    /// Counts of the input's contents since the counting stage was started.
     ///
     /// The source fills `unplayed` and `merged`, the tracker the others.
     #[derive(Eq)]
     pub struct InputCounts: 32 bytes {
-        /// Detections that the tracker has taken in.
+        /// Detections that the tracker has processed.
         0 => detections: u32,
-        /// Detections that repeat the last one of a moving track to the bit: no measurements.
+        /// Detections identical to the previous one of a moving track: not measurements.
         4 => repeated: u32,
         /// Detections that their track can't have reached: treated as missed.
         8 => misfits: u32,
         /// Detections at a placeholder's position.
         12 => placeholders: u32,
-        /// Tracks whose state began again because misfits agreed with one another.
+        /// Tracks whose state was restarted because misfits agreed with one another.
         16 => reassigned: u32,
-        /// Detections of unplayed frames that no played frame contains.
+        /// Detections of unplayed frames that are in no played frame.
         20 => unplayed: u32,
-        /// Detections of unplayed frames that went out with another frame.
+        /// Detections of unplayed frames that were sent with another frame.
         24 => merged: u32,
         /// Bits of [`doubts`] about the input; 0 without any.
         28 => doubts: u32,
@@ -171,7 +170,7 @@ record! {
         /// Time of validity of the detections on the recording's or sensor's clock; the time of all
         /// algorithms.
         48 => stamp_ns: i64,
-        /// When the source released the tick, `CLOCK_MONOTONIC`; for latency and age only.
+        /// When the source released the tick, on `CLOCK_MONOTONIC`; only for latency and age.
         56 => released_ns: u64,
         /// The interval between frames as planned by the source.
         64 => interval_ns: u64,
@@ -179,17 +178,17 @@ record! {
         72 => step_ns: u64,
         /// [`StampSource`] of `stamp_ns` as a number.
         80 => stamp_source: u32,
-        /// [`StageId`] of the frame's sender as a number, 0 where it is no stage.
+        /// [`StageId`] of the frame's sender as a number; 0 if the sender is not a stage.
         84 => sender: u32,
-        /// How often the sender had been started before.
+        /// Number of the sender's earlier starts.
         88 => incarnation: u32,
         /// Bits of the agent types that the sensor looked for in this frame.
         92 => observed_types: u32,
-        /// Agents left out because the frame was full.
+        /// Number of agents left out because the frame was full.
         96 => left_out_len: u32,
-        /// Valid entries of `hops`.
+        /// Number of valid entries of `hops`.
         100 => hops_len: u32,
-        /// Stages that the tick has passed beyond those of `hops`.
+        /// Number of stages on the tick's path that do not fit in `hops`.
         104 => hops_missing_len: u32,
         /// Position of the ego vehicle, or of the scene's centre, in the world frame.
         108 => ego_m: [f32; 2],
@@ -197,28 +196,29 @@ record! {
         116 => ego_heading_rad: f32,
         /// Sizes of the frame's tensors.
         120 => counts: Counts,
-        /// The stages that the tick has passed, the source first.
+        /// The stages on the tick's path, the source first.
         144 => hops: [Hop; HOPS_MAX],
-        /// Agents of which the forecasts say nothing, by the policy of degradation.
+        /// Number of agents without a forecast, by the degradation policy.
         624 => silent_len: u32,
-        /// Of forecasts whose sampler was restarted: how many ticks its retrieval memory and its evidence had behind
-        /// them when it began with them; 0 where it began without.
+        /// In forecasts after a restart of the sampler: number of ticks in the retrieval memory and the
+        /// evidence that it resumed with; 0 if it resumed without them.
         628 => resumed_ticks: u32,
-        /// Time between the stamp of the newest forecasts that the tracker has and this frame's; 0 where it has
-        /// none, or does not tell. Their cost and [`Track::learned_age_ns`](crate::Track::learned_age_ns) are
-        /// told with it, for the choice of what the tick has time for.
+        /// Time between the stamp of the tracker's newest forecasts and this frame's; 0 if it has none, or
+        /// does not report it. The forecasts' cost and
+        /// [`Track::learned_age_ns`](crate::Track::learned_age_ns) are reported with it. They determine which
+        /// agents the tick has time for.
         632 => feedback_age_ns: u64,
-        /// How long the agents of those forecasts took from the extractor's end to the decoder's; 0 where they
+        /// Processing time of those forecasts' agents, from the extractor's end to the decoder's; 0 if they
         /// did not pass both.
         640 => chain_ns: u64,
-        /// How many of those agents the decoder served.
+        /// Number of those agents that the decoder served.
         648 => chain_len: u32,
         /// Agents of the tick, by their place among its tracks, whose controls were left out to save time: bit
         /// `place % 32` of number `place / 32`.
         652 => shed: [u32; SHED_WORDS],
-        /// How long the sampler took for those forecasts; 0 where it is not known.
+        /// Processing time of the sampler for those forecasts; 0 if it is unknown.
         668 => sampling_ns: u32,
-        /// What source and tracker have found in the detections so far; all 0 where they do not report.
+        /// Findings of source and tracker in the detections so far; all 0 if they do not report.
         672 => input: InputCounts,
     }
 }
@@ -233,19 +233,19 @@ impl Header {
         Self { schema: SCHEMA, run_id, seq, stamp_ns, ..Self::default() }
     }
 
-    /// The stages that the tick has passed.
+    /// The stages on the tick's path.
     #[must_use]
     pub fn hops(&self) -> &[Hop] {
         &self.hops[..(self.hops_len as usize).min(HOPS_MAX)]
     }
 
-    /// The passage of one stage, if the tick has passed it.
+    /// The hop of one stage, if the tick has passed the stage.
     #[must_use]
     pub fn hop(&self, stage: StageId) -> Option<&Hop> {
         self.hops().iter().find(|hop| hop.stage == stage.number())
     }
 
-    /// Appends a stage's passage; of a tick that has passed [`HOPS_MAX`] stages already it is only counted.
+    /// Appends a stage's hop; if the tick has [`HOPS_MAX`] hops already, the hop is only counted.
     pub fn push_hop(&mut self, hop: Hop) {
         match self.hops.get_mut(self.hops_len as usize) {
             Some(free) => {
@@ -256,7 +256,7 @@ impl Header {
         }
     }
 
-    /// The same header with the stages that the tick of `way` has passed.
+    /// The same header with the hops of `way`.
     #[must_use]
     pub const fn with_hops_of(self, way: &Self) -> Self {
         Self { hops: way.hops, hops_len: way.hops_len, hops_missing_len: way.hops_missing_len, ..self }
@@ -268,7 +268,7 @@ impl Header {
         self.shed.get(place / 32).is_some_and(|bits| bits >> (place % 32) & 1 == 1)
     }
 
-    /// Tells that the controls of the track at `place`, below [`AGENTS_MAX`], are left out to save time.
+    /// Records that the controls of the track at `place`, below [`AGENTS_MAX`], are left out to save time.
     pub fn mark_shed(&mut self, place: usize) {
         if let Some(bits) = self.shed.get_mut(place / 32) {
             *bits |= 1 << (place % 32);
@@ -281,13 +281,13 @@ impl Header {
         self.flags & flag == flag
     }
 
-    /// Whether the frame belongs to a tick, not to the linking or ending of the pipeline.
+    /// Whether the frame belongs to a tick, and not to the start or end of the pipeline.
     #[must_use]
     pub const fn is_tick(&self) -> bool {
         self.flags & (flags::WARM_UP | flags::END) == 0
     }
 
-    /// Refuses another schema, in which all other fields may mean something else.
+    /// Refuses another schema, in which all other fields may have other meanings.
     ///
     /// # Errors
     /// [`Rejected::Schema`].
@@ -299,10 +299,11 @@ impl Header {
         }
     }
 
-    /// Refuses what no stage may work on: another schema, sizes beyond the limits, impossible numbers.
+    /// Refuses headers that no stage may work on: another schema, sizes beyond the limits, impossible
+    /// numbers.
     ///
     /// # Errors
-    /// [`Rejected`] names the first field that is off.
+    /// [`Rejected`] names the first wrong field.
     pub fn check(&self) -> Result<(), Rejected> {
         self.check_schema()?;
         let known = AGENT_TYPES.iter().fold(0, |bits, t| bits | t.bit());

@@ -1,13 +1,13 @@
-//! The two topics whose frames hold tensors of varying size, as sections of one slice of 64-byte rows.
+//! The two topics whose frames contain tensors of varying size, as sections of one slice of 64-byte rows.
 
 use crate::declare::record;
 use crate::{AgentFeatures, Counts, EDGE_ATTRIBUTES, PATCH_CHANNELS, Rejected, Track};
 
 record! {
-    /// 64 bytes: one cache line, the unit of `context` and `features` payloads, whose sections are cast from
+    /// 64 bytes, one cache line: the unit of `context` and `features` payloads, whose sections are cast from
     /// it.
     pub struct Row: 64 bytes, aligned 64 {
-        /// The bytes, as numbers of single precision.
+        /// The bytes, as single-precision numbers.
         0 => values: [f32; 16],
     }
 }
@@ -37,7 +37,7 @@ const FEATURE_ROWS: usize = size_of::<AgentFeatures>() / size_of::<Row>();
 const _: () = assert!(size_of::<Track>().is_multiple_of(64) && size_of::<AgentFeatures>().is_multiple_of(64));
 
 impl ContextShape {
-    /// The shape that a header contains.
+    /// The shape in a header.
     #[must_use]
     pub const fn of(counts: &Counts) -> Self {
         Self {
@@ -47,7 +47,7 @@ impl ContextShape {
         }
     }
 
-    /// Numbers of one patch.
+    /// Count of the numbers in one patch.
     #[must_use]
     pub const fn patch_len(&self) -> usize {
         PATCH_CHANNELS * self.patch_side * self.patch_side
@@ -59,7 +59,7 @@ impl ContextShape {
 }
 
 impl FeatureShape {
-    /// The shape that a header contains.
+    /// The shape in a header.
     #[must_use]
     pub const fn of(counts: &Counts) -> Self {
         Self { agents_len: counts.agents_len as usize, edges_len: counts.edges_len as usize }
@@ -70,13 +70,13 @@ impl FeatureShape {
     }
 }
 
-/// Rows of a `context` payload.
+/// Number of rows in a `context` payload.
 #[must_use]
 pub const fn context_rows(shape: &ContextShape) -> usize {
     shape.agents_len * TRACK_ROWS + (shape.patches_len() * 4).div_ceil(size_of::<Row>())
 }
 
-/// Rows of a `features` payload.
+/// Number of rows in a `features` payload.
 #[must_use]
 pub const fn feature_rows(shape: &FeatureShape) -> usize {
     shape.agents_len * FEATURE_ROWS + shape.edge_rows() + shape.edges_len
@@ -86,12 +86,12 @@ fn expect(found: usize, expected: usize) -> Result<(), Rejected> {
     if found == expected { Ok(()) } else { Err(Rejected::Length { found, expected }) }
 }
 
-/// A `context` payload: the tracks and the patch of each at every history step.
+/// A `context` payload: the tracks, and each track's patch at every history step.
 #[derive(Clone, Copy, Debug)]
 pub struct Context<'a> {
     /// The agents, at most [`crate::AGENTS_MAX`].
     pub tracks: &'a [Track],
-    /// Patches as \[agent, step, channel, row, column\]; zeros where the agent is absent.
+    /// Patches as \[agent, step, channel, row, column\]; zeros if the agent is absent.
     pub patches: &'a [f32],
     /// The sizes.
     pub shape: ContextShape,
@@ -112,7 +112,7 @@ impl<'a> Context<'a> {
     /// The sections of a payload.
     ///
     /// # Errors
-    /// [`Rejected::Length`] if the payload has not the rows of the shape.
+    /// [`Rejected::Length`] if the payload's length does not match the shape.
     pub fn read(rows: &'a [Row], shape: ContextShape) -> Result<Self, Rejected> {
         expect(rows.len(), context_rows(&shape))?;
         let (tracks, patches) = rows.split_at(shape.agents_len * TRACK_ROWS);
@@ -133,7 +133,7 @@ impl<'a> ContextMut<'a> {
     /// The sections of a payload to be written.
     ///
     /// # Errors
-    /// [`Rejected::Length`] if the payload has not the rows of the shape.
+    /// [`Rejected::Length`] if the payload's length does not match the shape.
     pub fn over(rows: &'a mut [Row], shape: ContextShape) -> Result<Self, Rejected> {
         expect(rows.len(), context_rows(&shape))?;
         let (tracks, patches) = rows.split_at_mut(shape.agents_len * TRACK_ROWS);
@@ -191,9 +191,9 @@ impl<'a> Features<'a> {
     /// The sections of a payload.
     ///
     /// # Errors
-    /// [`Rejected::Length`] if the payload has not the rows of the shape, [`Rejected::Impossible`] if
-    /// an edge names an agent or step that is not there, [`Rejected::OutOfOrder`] if the edges are not
-    /// sorted or one is there twice.
+    /// [`Rejected::Length`] if the payload's length does not match the shape, [`Rejected::Impossible`] if an
+    /// edge names a missing agent or step, [`Rejected::OutOfOrder`] if the edges are not sorted or contain a
+    /// duplicate.
     pub fn read(rows: &'a [Row], shape: FeatureShape, history_len: usize) -> Result<Self, Rejected> {
         expect(rows.len(), feature_rows(&shape))?;
         let (agents, rest) = rows.split_at(shape.agents_len * FEATURE_ROWS);
@@ -222,7 +222,7 @@ impl<'a> FeaturesMut<'a> {
     /// The sections of a payload to be written.
     ///
     /// # Errors
-    /// [`Rejected::Length`] if the payload has not the rows of the shape.
+    /// [`Rejected::Length`] if the payload's length does not match the shape.
     pub fn over(rows: &'a mut [Row], shape: FeatureShape) -> Result<Self, Rejected> {
         expect(rows.len(), feature_rows(&shape))?;
         let (agents, rest) = rows.split_at_mut(shape.agents_len * FEATURE_ROWS);

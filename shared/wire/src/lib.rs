@@ -1,19 +1,19 @@
-//! What the stages exchange: topics, message headers and payload elements.
+//! The data that the stages exchange: topics, message headers and payload elements.
 //!
 //! A *topic* names a stream, fixes the element type of its messages and bounds every queue. A *frame* is one
-//! message: a [`Header`] and a slice of elements. All frames of one tick carry the same `seq` and `stamp_ns`,
-//! and each stage appends a [`Hop`], so that the last frame of a tick contains the way of the whole tick.
+//! message: a [`Header`] and a slice of elements. All frames of one tick have the same `seq` and `stamp_ns`.
+//! Each stage appends a [`Hop`], so that the last frame of a tick contains the tick's whole path.
 //!
-//! Payloads are plain old data (`#[repr(C)]`, explicit padding, any bit pattern is a value, little-endian):
-//! they cross process borders as they lie in memory. Every record is declared once, with the offset of each
-//! field; from that come the struct, the assertions of its layout and its entry of [`TABLE`], which
-//! `stgdat wire` prints for C, C++, Python and everybody else.
+//! Payloads are plain old data (`#[repr(C)]`, explicit padding, any bit pattern is a value, little-endian).
+//! They cross process borders unchanged. Every record is declared once, with the offset of each field. The
+//! declaration produces the struct, the assertions of its layout and its entry in [`TABLE`]. `stgdat wire`
+//! prints the table for C, C++, Python and others.
 //!
-//! Frames of reference: positions are in one right-handed, metric *world frame* (x, y; z up) whose origin
-//! lies within [`POSITION_MAX_M`]; headings are counter-clockwise from +x in radians. Times are nanoseconds:
+//! Frames of reference: positions are in one right-handed, metric *world frame* (x, y; z up) with an origin
+//! within [`POSITION_MAX_M`]. Headings are counter-clockwise from +x in radians. Times are nanoseconds:
 //! `stamp_ns` on the sensor's or recording's clock, all others on `CLOCK_MONOTONIC`.
 //!
-//! A frame from its bytes, wherever they come from:
+//! A frame from its bytes, from any source:
 //!
 //! ```
 //! use wire::{Header, Rejected, SCHEMA, Topic, Track, TracksTopic};
@@ -47,35 +47,35 @@
 //!
 //! # Versions
 //!
-//! [`SCHEMA`] is the one version of the whole wire: of the header, of all payloads and of all topics. Every
-//! type name carries it (`stgdat.header.2`, `stgdat.forecasts.2`), and so does every header. Programs of one
-//! number understand each other, however old they are.
+//! [`SCHEMA`] is the single version of the whole wire: of the header, of all payloads and of all topics. It
+//! is part of every type name (`stgdat.header.2`, `stgdat.forecasts.2`) and of every header. Programs with
+//! the same number are compatible, whatever their age.
 //!
 //! These changes need no new version:
 //!
-//! * *Reserved bytes* get a name and a meaning in which 0 stands for "not reported" or for what was so
-//!   before. Writers fill bytes that they do not know with zeros, those of the header as they came in with
-//!   the tick; readers do not look at them. So it is with [`Header::protection`], [`Header::shed`],
+//! * *Reserved bytes* get a name and a meaning in which 0 stands for "not reported" or for the previous
+//!   behaviour. Writers fill unknown bytes with zeros; in headers they copy the bytes of the received tick.
+//!   Readers ignore unknown bytes. A writer may thus not know [`Header::protection`], [`Header::shed`],
 //!   [`Heartbeat::refusals`], [`Track::learned_age_ns`], [`Forecast::expert_weights`] and
-//!   [`Forecast::out_of_distribution`] of a writer that does not know them.
-//! * *New numbers* of [`StageId`], [`StampSource`], [`TrackStatus`], [`Cause`] and [`Expert`]. Readers take a
-//!   number that they do not know for an unknown one and refuse nothing for it.
-//! * *New flags*, if a reader may overlook them: their absence means what was so before.
+//!   [`Forecast::out_of_distribution`].
+//! * *New numbers* of [`StageId`], [`StampSource`], [`TrackStatus`], [`Cause`] and [`Expert`]. Readers treat
+//!   a number that they do not know as unknown, and do not refuse frames for it.
+//! * *New flags*, if a reader may ignore them: their absence means the previous behaviour.
 //! * *New topics* and new constants.
 //!
-//! All else does: a field that moves or changes its size, type, unit or meaning; another limit; a new number
-//! of [`AgentType`], [`Quality`] or [`Steering`], which readers compute with and refuse where they do not
-//! know it.
+//! All other changes need a new version: a field that moves or changes its size, type, unit or meaning;
+//! another limit; a new number of [`AgentType`], [`Quality`] or [`Steering`]. Readers compute with these
+//! three and refuse unknown numbers.
 //!
-//! Programs of two versions meet like this:
+//! If programs of two versions meet:
 //!
-//! * *Ports do not connect.* A program that opens a topic after one of another version has made it gets
-//!   the transport's `IncompatibleTypes`: with `ports` a `PortError`,
-//!   `frames of topic "tracks": …(IncompatibleTypes)`, with which the process ends (exit code 69); in Python
-//!   a `PublishSubscribeOpenError`. No byte is exchanged.
-//! * *A header of another schema* under the right type name, from a writer that fills in a wrong
-//!   [`Header::schema`], is refused with [`Rejected::Schema`]. The frame is dropped, reported on standard
-//!   error and counted in the `rejected_len` of the reader's [`Heartbeat`]; the reader goes on.
+//! * *Ports do not connect.* If a program of another version has created a topic, opening it fails with the
+//!   transport's `IncompatibleTypes`. In `ports` this is a `PortError`, `frames of topic "tracks":
+//!   …(IncompatibleTypes)`, which ends the process (exit code 69). In Python it is a
+//!   `PublishSubscribeOpenError`. No byte is exchanged.
+//! * *A header of another schema* under the right type name, from a writer with a wrong [`Header::schema`],
+//!   is refused with [`Rejected::Schema`]. The frame is dropped, reported on standard error and counted in
+//!   the `rejected_len` of the reader's [`Heartbeat`]. The reader continues.
 
 mod agent;
 mod check;

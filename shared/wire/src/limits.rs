@@ -12,20 +12,20 @@ pub(crate) use schema;
 constants! {
     /// Version of the whole wire: of the header, of every payload and of the topics' type names.
     pub const SCHEMA: u32 = schema!();
-    /// Most agents in a frame. When the tracker holds more, the nearest to the ego or the scene's centre are
-    /// kept.
+    /// Maximum number of agents in a frame. If the tracker holds more, the nearest to the ego or the scene's
+    /// centre are kept.
     pub const AGENTS_MAX: usize = 128;
-    /// Numbers of 32 bits that hold a bit for each agent of a frame.
+    /// Number of 32-bit words that hold a bit for each agent of a frame.
     pub const SHED_WORDS: usize = AGENTS_MAX / 32;
-    /// Most detections in a frame.
+    /// Maximum number of detections in a frame.
     pub const DETECTIONS_MAX: usize = 512;
-    /// Greatest time between a measurement and the stamp of its frame, either way.
+    /// Maximum time between a measurement and its frame's stamp, in either direction.
     pub const OFFSET_MAX_NS: u64 = 1_000_000_000;
-    /// Most stages that a tick can pass.
+    /// Maximum number of stages on a tick's path.
     pub const HOPS_MAX: usize = 12;
-    /// Most stages that a pipeline file can add to those of stgdat's own.
+    /// Maximum number of stages that a pipeline file can add to stgdat's own.
     pub const ADDED_STAGES_MAX: usize = 16;
-    /// Most topics that a pipeline file can declare.
+    /// Maximum number of topics that a pipeline file can declare.
     pub const ADDED_TOPICS_MAX: usize = 16;
     /// Largest element of a topic that a pipeline file declares, in bytes.
     pub const ELEMENT_SIZE_MAX: usize = 65_536;
@@ -33,13 +33,13 @@ constants! {
     pub const HISTORY_MAX: usize = 8;
     /// Longest forecast, T_f, in steps.
     pub const HORIZON_MAX: usize = 12;
-    /// Most latent draws (modes), K, of an agent.
+    /// Maximum number of latent draws (modes), K, of an agent.
     pub const MODES_MAX: usize = 20;
-    /// Most experts that a forecast can be weighed of.
+    /// Maximum number of experts in a forecast's weights.
     pub const EXPERTS_MAX: usize = 8;
-    /// Pairs of sender and cause by which a heartbeat counts refused frames.
+    /// Maximum number of pairs of sender and cause for which a heartbeat counts refused frames.
     pub const REFUSALS_MAX: usize = 8;
-    /// Most edges of all steps of the history graph together, the self edges included.
+    /// Maximum number of edges of all steps of the history graph together, including the self edges.
     pub const EDGES_MAX: usize = 32_768;
     /// Channels of a local context patch: density and the two components of the mean velocity.
     pub const PATCH_CHANNELS: usize = 3;
@@ -63,6 +63,6 @@ constants! {
     pub const LATENT: usize = 32;
     /// Largest magnitude of a world coordinate; beyond it f32 resolves less than 4 mm.
     pub const POSITION_MAX_M: f32 = 32_768.0;
-    /// Largest speed that is believed of an agent.
+    /// Maximum credible speed of an agent.
     pub const SPEED_MAX_MPS: f32 = 120.0;
 }

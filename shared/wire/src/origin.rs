@@ -4,15 +4,15 @@ use thiserror::Error;
 
 use crate::POSITION_MAX_M;
 
-/// Largest coordinate of an origin: beyond all metric map grids.
+/// Largest coordinate of an origin: beyond the coordinates of all metric map grids.
 const ORIGIN_MAX_M: f64 = 1e8;
-/// An origin that is suggested is a whole multiple of this.
+/// A suggested origin is a multiple of this.
 const SUGGESTED_M: f64 = 1_000.0;
 
 /// The origin of the world frame in a map's or a recording's own frame, m.
 ///
-/// The wire holds `f32` within [`POSITION_MAX_M`], so that UTM and MGRS coordinates do not fit. A run
-/// subtracts one origin from all of them, in `f64`.
+/// The wire contains `f32` within [`POSITION_MAX_M`], so UTM and MGRS coordinates do not fit. A run subtracts
+/// one origin from all coordinates, in `f64`.
 ///
 /// ```
 /// let origin: wire::WorldOrigin = "458000,5428000".parse()?;
@@ -24,7 +24,7 @@ const SUGGESTED_M: f64 = 1_000.0;
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct WorldOrigin([f64; 2]);
 
-/// A text that is no origin in metres.
+/// The text is not an origin in metres.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 #[error("`{0}`: expected X,Y in metres, as in 458000,5428000")]
 pub struct UnknownWorldOrigin(pub String);
@@ -36,7 +36,7 @@ impl WorldOrigin {
         position_m.iter().all(|x| x.abs() <= ORIGIN_MAX_M).then_some(Self(position_m))
     }
 
-    /// An origin that fits positions near this one, in whole kilometres; `None` as for [`WorldOrigin::new`].
+    /// An origin for positions near this one, in whole kilometres; `None` as for [`WorldOrigin::new`].
     #[must_use]
     pub fn near(position_m: [f64; 2]) -> Option<Self> {
         Self::new(position_m.map(|x| (x / SUGGESTED_M).floor() * SUGGESTED_M))

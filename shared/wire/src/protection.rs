@@ -1,4 +1,5 @@
-//! End-to-end protection: what a frame's sender computed over header and payload, and its reader again.
+//! End-to-end protection: the sender computes a check value over header and payload, and the reader verifies
+//! it.
 
 use bytemuck::{bytes_of, cast_slice};
 use crc_fast::{CrcAlgorithm, Digest};
@@ -7,13 +8,13 @@ use crate::declare::{numbers, record};
 use crate::{Header, Rejected, Topic};
 
 record! {
-    /// The end-to-end protection of a frame, in the order of AUTOSAR's E2E profile 7. All zeros: not
-    /// protected.
+    /// The end-to-end protection of a frame, in the order of AUTOSAR's E2E profile 7. All zeros if the frame
+    /// is not protected.
     #[derive(Eq)]
     pub struct Protection: 24 bytes {
-        /// CRC-64/XZ of the header behind this field and of the payload.
+        /// CRC-64/XZ of the header after this field, and of the payload.
         0 => crc: u64,
-        /// Bytes of header and payload together.
+        /// Total bytes of header and payload.
         8 => length: u32,
         /// Counts the frames of the sender; wraps around.
         12 => counter: u32,
@@ -33,32 +34,32 @@ numbers! {
         ForeignRun = 2 => "foreign run",
         /// A frame of a process that has been replaced.
         OldIncarnation = 3 => "old incarnation",
-        /// Sizes beyond their limits, or that do not agree with each other or with the model.
+        /// Sizes that exceed their limits, or that do not match each other or the model.
         Size = 4 => "size",
-        /// A number that is not finite or can't be.
+        /// A number that is not finite or is impossible.
         Value = 5 => "value",
-        /// Stamps or elements out of order, or twice.
+        /// Stamps or elements out of order, or repeated.
         Order = 6 => "order",
-        /// A check value that header and payload do not have.
+        /// A check value that does not match header and payload.
         CheckValue = 7 => "check value",
-        /// No check value, where pipeline.toml asks for one.
+        /// No check value, although pipeline.toml requires one.
         Unprotected = 8 => "unprotected",
-        /// A frame that came before, or one that a newer frame has overtaken.
+        /// A repeated frame, or one that a newer frame has overtaken.
         Repeated = 9 => "repeated",
-        /// Content that stands still while its stamps go on.
+        /// Content that does not change while its stamps advance.
         Frozen = 10 => "frozen",
     }
 }
 
 record! {
-    /// Frames of one sender that one reader refused for one cause.
+    /// Frames of one sender that one reader has refused for one cause.
     #[derive(Eq)]
     pub struct Refusals: 8 bytes {
-        /// The [`StageId`](crate::StageId) of the frames' sender as a number, 0 where it is no stage.
+        /// The [`StageId`](crate::StageId) of the frames' sender as a number; 0 if the sender is not a stage.
         0 => sender: u16,
-        /// The [`RefusalCause`] as a number; 0: the entry is free.
+        /// The [`RefusalCause`] as a number; 0 if the entry is free.
         2 => cause: u16,
-        /// How many frames.
+        /// Number of frames.
         4 => frames_len: u32,
     }
 }
@@ -75,11 +76,11 @@ pub const fn data_id(topic: &str) -> u32 {
 }
 
 impl Protection {
-    /// A frame whose counter is at most this far behind the newest one is a repeated or an overtaken one; one
-    /// that is farther behind comes from a sender that began anew.
+    /// If a frame's counter is at most this far behind the newest one, the frame is repeated or overtaken. If
+    /// it is farther behind, the sender has restarted.
     pub const REPEATED_MAX: u32 = 16;
 
-    /// The protection of a frame: of all of `header` but its own check value, and of `payload`.
+    /// The protection of a frame: it covers `payload`, and `header` except for its own check value.
     #[must_use]
     pub fn of<T: Topic>(header: &Header, payload: &[T::Element], counter: u32) -> Self {
         let length = length::<T>(payload);
@@ -93,7 +94,7 @@ impl Protection {
         *self == Self::default()
     }
 
-    /// Refuses a frame that is not what its sender protected.
+    /// Refuses a frame that differs from the one its sender protected.
     ///
     /// # Errors
     /// [`Rejected::Unprotected`], [`Rejected::CheckValue`], or [`Rejected::Misdirected`] for a frame of another
@@ -114,8 +115,7 @@ impl Protection {
         Ok(())
     }
 
-    /// Refuses a frame that its reader has had, or that one after it has overtaken; `newest` is the counter
-    /// of the newest frame of the same sender.
+    /// Refuses a repeated or overtaken frame. `newest` is the counter of the same sender's newest frame.
     ///
     /// # Errors
     /// [`Rejected::Repeated`].
@@ -139,7 +139,7 @@ fn crc<T: Topic>(header: &Header, payload: &[T::Element]) -> u64 {
 }
 
 impl Rejected {
-    /// The cause under which refused frames are counted.
+    /// The cause for which a refused frame is counted.
     #[must_use]
     pub const fn cause(&self) -> RefusalCause {
         match self {
@@ -158,8 +158,8 @@ impl Rejected {
 }
 
 impl Refusals {
-    /// Counts frames of `sender` that were refused for `cause`. Where all entries are taken by others they
-    /// are only part of the reader's total.
+    /// Counts frames of `sender` that were refused for `cause`. If all entries are taken by others, the
+    /// frames are only part of the reader's total.
     pub fn count(entries: &mut [Self], sender: u32, cause: RefusalCause, frames_len: u32) {
         let (sender, cause) = (sender.min(u32::from(u16::MAX)) as u16, cause as u16);
         let of_both = |entry: &&mut Self| entry.cause == 0 || (entry.sender, entry.cause) == (sender, cause);

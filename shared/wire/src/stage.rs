@@ -4,13 +4,13 @@ use std::sync::{PoisonError, RwLock};
 use crate::ADDED_STAGES_MAX;
 use crate::table::{Number, Numbers};
 
-/// A stage of the pipeline, by number: one of stgdat's own, whose numbers are below 64, or one that a pipeline
+/// A stage of the pipeline, by number: one of stgdat's own, with a number below 64, or one that a pipeline
 /// file has added.
 ///
-/// Numbers below 64 are kept for stages of stgdat's own, 0 stands for none of them, and 64 for the tap, which is no
-/// stage. The stages that a pipeline file adds have the numbers from [`StageId::ADDED_FIRST`] on, in the order of
-/// the file. Their names belong to the run: a process learns them from the run's record
-/// ([`StageId::name_added`]), and deals with one run at a time.
+/// Numbers below 64 are reserved for stgdat's own stages; 0 stands for none. Number 64 is the tap, which is
+/// not a stage. The stages of a pipeline file have the numbers from [`StageId::ADDED_FIRST`], in the order of
+/// the file. Their names belong to the run. A process learns them from the run's record
+/// ([`StageId::name_added`]), and works with one run at a time.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct StageId(u32);
 
@@ -20,12 +20,12 @@ macro_rules! stages {
         impl StageId {
             $($(#[doc = $doc])+ pub const $stage: Self = Self($number);)+
 
-            /// The stages of stgdat's own, in the order of their numbers.
+            /// Stgdat's own stages, in the order of their numbers.
             pub const ALL: [Self; [$($number),+].len()] = [$(Self::$stage),+];
         }
 
         impl StageId {
-            /// Their entry of the table.
+            /// Their entry in the table.
             pub const NUMBERS: Numbers = Numbers {
                 name: "StageId",
                 doc: "A stage of the pipeline, by number. Numbers below 64 are kept for stages of stgdat's own, 0 stands for\n\
@@ -40,7 +40,7 @@ macro_rules! stages {
 stages! {
     /// Releases detections.
     Source = 1 => "source",
-    /// Makes tracks of detections.
+    /// Computes tracks from detections.
     Tracker = 2 => "tracker",
     /// Samples local patches of the context map.
     Localiser = 3 => "localiser",
@@ -52,31 +52,31 @@ stages! {
     Decoder = 6 => "decoder",
     /// Trajectories through the kinematic layer.
     Sampler = 7 => "sampler",
-    /// Keeps what the report needs.
+    /// Collects the data for the report.
     Recorder = 8 => "recorder",
 }
 
-/// Names of the added stages of the run that this process deals with, by their place. They are leaked once each,
-/// so that a name can be held as long as any other.
+/// Names of the current run's added stages, by place. Each name is leaked once, so that it is `'static` like
+/// any other.
 static ADDED: RwLock<[Option<&'static str>; ADDED_STAGES_MAX]> = RwLock::new([None; ADDED_STAGES_MAX]);
 
 impl StageId {
-    /// Number of the first stage that a pipeline file adds; [`ADDED_STAGES_MAX`] of them follow each other.
+    /// Number of the first added stage; [`ADDED_STAGES_MAX`] numbers follow each other.
     pub const ADDED_FIRST: u32 = 65;
 
     /// The greatest number that a stage can have.
     pub const NUMBER_MAX: u32 = Self::ADDED_FIRST + ADDED_STAGES_MAX as u32 - 1;
 
-    /// Stages that there can be at once: those of stgdat's own and those that a pipeline file adds.
+    /// Maximum number of stages at a time: stgdat's own and those of a pipeline file.
     pub const PLACES_LEN: usize = Self::ALL.len() + ADDED_STAGES_MAX;
 
-    /// The stage that a pipeline file adds at this place among those that it adds, from 0.
+    /// The added stage at this place in the pipeline file, from 0.
     #[must_use]
     pub fn added(place: usize) -> Option<Self> {
         (place < ADDED_STAGES_MAX).then(|| Self(Self::ADDED_FIRST + place as u32))
     }
 
-    /// The stage of that number; none where no stage can have it.
+    /// The stage with this number; `None` if no stage can have it.
     #[must_use]
     pub const fn from_number(number: u32) -> Option<Self> {
         match number {
@@ -91,7 +91,7 @@ impl StageId {
         self.0
     }
 
-    /// Whether a pipeline file has added it.
+    /// Whether a pipeline file has added the stage.
     #[must_use]
     pub const fn is_added(self) -> bool {
         self.0 >= Self::ADDED_FIRST
@@ -107,8 +107,8 @@ impl StageId {
         }
     }
 
-    /// The name used on the command line, in files and in reports. An added stage of which this process knows no
-    /// name is called by its number.
+    /// The name used on the command line, in files and in reports. If this process does not know an added
+    /// stage's name, the name is its number.
     #[must_use]
     pub fn name(self) -> &'static str {
         if let Some(entry) = Self::NUMBERS.entries.iter().find(|entry| entry.number == self.0) {
@@ -121,8 +121,8 @@ impl StageId {
         Self::name_added(place, &format!("stage-{}", self.0))
     }
 
-    /// Lets this process know the name of an added stage, by its place among those that the run's pipeline file
-    /// adds. Places beyond [`ADDED_STAGES_MAX`] are ignored.
+    /// Registers the name of an added stage in this process, by its place in the pipeline file. Places beyond
+    /// [`ADDED_STAGES_MAX`] are ignored.
     pub fn name_added(place: usize, name: &str) -> &'static str {
         let mut names = ADDED.write().unwrap_or_else(PoisonError::into_inner);
         match names.get_mut(place) {
@@ -138,7 +138,7 @@ impl StageId {
         Self::known().find(|stage| stage.name() == name)
     }
 
-    /// The stages of stgdat's own, and the added ones whose names this process knows.
+    /// Stgdat's own stages, and the added ones whose names this process knows.
     pub fn known() -> impl Iterator<Item = Self> {
         let names = *ADDED.read().unwrap_or_else(PoisonError::into_inner);
         let added = (0..ADDED_STAGES_MAX).filter(move |&place| names[place].is_some());

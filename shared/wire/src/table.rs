@@ -1,5 +1,5 @@
-//! The wire as data: what `stgdat wire` prints for programs in other languages. The macros of
-//! [`crate::declare`] make its entries.
+//! The wire as data, which `stgdat wire` prints for programs in other languages. The macros of
+//! [`crate::declare`] create its entries.
 
 use bytemuck::Pod;
 
@@ -11,7 +11,7 @@ use crate::{
     doubts, flags, limits,
 };
 
-/// All that programs of other languages need to read and write frames.
+/// Everything that programs in other languages need to read and write frames.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Table {
     /// [`SCHEMA`].
@@ -22,7 +22,7 @@ pub struct Table {
     pub flags: &'static [Flags],
     /// Numbers with names.
     pub numbers: &'static [Numbers],
-    /// Every record after those that it is made of.
+    /// Every record, after the records that it contains.
     pub records: &'static [Record],
     /// The topics, in the order in which a tick passes them.
     pub topics: &'static [TopicEntry],
@@ -33,7 +33,7 @@ pub struct Table {
 pub struct Constant {
     /// Its name, in capitals.
     pub name: &'static str,
-    /// What it is.
+    /// Its meaning.
     pub doc: &'static str,
     /// Its value.
     pub value: Value,
@@ -44,7 +44,7 @@ pub struct Constant {
 pub enum Value {
     /// A whole number.
     Integer(u64),
-    /// A number of single precision.
+    /// A single-precision number.
     Real(f32),
 }
 
@@ -53,18 +53,18 @@ pub enum Value {
 pub struct Flags {
     /// Their name.
     pub name: &'static str,
-    /// What they are.
+    /// Their meaning.
     pub doc: &'static str,
     /// Each bit as its value in the field.
     pub bits: &'static [Constant],
 }
 
-/// Numbers that stand for something in a `u32`.
+/// Named values of a `u32`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Numbers {
     /// Their name.
     pub name: &'static str,
-    /// What they are.
+    /// Their meaning.
     pub doc: &'static str,
     /// Each number, in ascending order.
     pub entries: &'static [Number],
@@ -75,7 +75,7 @@ pub struct Numbers {
 pub struct Number {
     /// The name used in files and reports.
     pub name: &'static str,
-    /// What it stands for.
+    /// Its meaning.
     pub doc: &'static str,
     /// The number.
     pub number: u32,
@@ -86,7 +86,7 @@ pub struct Number {
 pub struct Record {
     /// Its name.
     pub name: &'static str,
-    /// What it is.
+    /// Its meaning.
     pub doc: &'static str,
     /// Its size in bytes.
     pub size: usize,
@@ -101,9 +101,9 @@ pub struct Record {
 pub struct Field {
     /// Its name.
     pub name: &'static str,
-    /// What it is.
+    /// Its meaning.
     pub doc: &'static str,
-    /// Where it begins, in bytes from the record's start.
+    /// Offset in bytes from the record's start.
     pub offset: usize,
     /// Its type.
     pub r#type: Type,
@@ -114,7 +114,7 @@ pub struct Field {
 pub enum Type {
     /// A number of the machine, little-endian.
     Primitive(Primitive),
-    /// So many of one type, one behind the other.
+    /// An array of this many elements of one type.
     Array(&'static Self, usize),
     /// A record.
     Record(&'static Record),
@@ -137,25 +137,25 @@ pub enum Primitive {
 pub struct TopicEntry {
     /// Its name, as in pipeline.toml.
     pub name: &'static str,
-    /// From where to where, and what.
+    /// Sender, receivers and content.
     pub doc: &'static str,
     /// The type name of its elements.
     pub type_name: &'static str,
     /// An element of its payload slice.
     pub element: &'static Record,
-    /// Most elements of a frame.
+    /// Maximum number of elements in a frame.
     pub elements_max: usize,
-    /// Most processes that publish at once.
+    /// Maximum number of processes that publish at a time.
     pub publishers_max: usize,
-    /// Most processes that subscribe at once.
+    /// Maximum number of processes that subscribe at a time.
     pub subscribers_max: usize,
-    /// Deepest queue that a subscriber may ask for.
+    /// Maximum depth of a subscriber's queue.
     pub depth_max: usize,
 }
 
 /// A type with a fixed layout: primitives, records, and arrays of these.
 pub trait Layout: Pod {
-    /// Its entry of the table.
+    /// Its entry in the table.
     const TYPE: Type;
 }
 
@@ -187,7 +187,7 @@ impl Primitive {
         }
     }
 
-    /// Its size in bytes, which is its alignment too.
+    /// Its size in bytes, which is also its alignment.
     #[must_use]
     pub const fn size(self) -> usize {
         match self {
@@ -210,7 +210,7 @@ impl Type {
         }
     }
 
-    /// Its alignment in bytes, as C gives it.
+    /// Its alignment in bytes, as in C.
     #[must_use]
     pub const fn align(&self) -> usize {
         match self {
@@ -224,16 +224,16 @@ impl Type {
 /// A single number within a record.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Leaf {
-    /// The way to it, such as `hops[3].sent_ns`.
+    /// Its path, such as `hops[3].sent_ns`.
     pub path: String,
-    /// Where it lies, in bytes from the record's start.
+    /// Offset in bytes from the record's start.
     pub offset: usize,
     /// Its kind.
     pub primitive: Primitive,
 }
 
 impl Record {
-    /// Every number of the record, in the order in which they lie.
+    /// Every number of the record, in the order of their offsets.
     #[must_use]
     pub fn leaves(&self) -> Vec<Leaf> {
         let mut leaves = Vec::new();

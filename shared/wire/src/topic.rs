@@ -14,22 +14,23 @@ pub trait Topic: std::fmt::Debug + 'static {
     type Element: Pod + Send + Sync + std::fmt::Debug;
     /// The topic's name, as in pipeline.toml.
     const NAME: &'static str;
-    /// From where to where, and what.
+    /// Sender, receivers and content.
     const DOC: &'static str;
     /// Name of the element type with [`crate::SCHEMA`]: ports of other versions do not connect.
     const TYPE_NAME: &'static str;
-    /// Most elements of a frame.
+    /// Maximum number of elements in a frame.
     const ELEMENTS_MAX: usize;
-    /// Elements for which memory is set aside at first; it grows in powers of two.
+    /// Elements of the initial memory; it grows in powers of two.
     const ELEMENTS_START: usize;
-    /// Most processes that publish at once.
+    /// Maximum number of processes that publish at a time.
     const PUBLISHERS_MAX: usize = 1;
-    /// Most processes that subscribe at once: the consumers, the recorder, the command line and spares.
+    /// Maximum number of processes that subscribe at a time: the consumers, the recorder, the command line
+    /// and spares.
     const SUBSCRIBERS_MAX: usize = 4;
-    /// Deepest queue that a subscriber may ask for.
+    /// Maximum depth of a subscriber's queue.
     const DEPTH_MAX: usize = 2;
 
-    /// Elements of a frame whose header contains these sizes.
+    /// Elements of a frame with these sizes in its header.
     #[must_use]
     fn elements_len(counts: &Counts) -> usize {
         counts.agents_len as usize
@@ -56,7 +57,7 @@ macro_rules! topic {
 }
 
 topic!(
-    /// Source → tracker: what the sensor saw.
+    /// Source → tracker: the sensor's detections.
     DetectionsTopic, "detections", Detection, DETECTIONS_MAX, DETECTIONS_MAX, SUBSCRIBERS_MAX = 6, DEPTH_MAX = 8
 );
 topic!(
@@ -90,7 +91,7 @@ topic!(
     ForecastsTopic, "forecasts", Forecast, AGENTS_MAX, AGENTS_MAX, SUBSCRIBERS_MAX = 6, DEPTH_MAX = 8
 );
 topic!(
-    /// Source → recorder: where the agents really were, for the report's accuracy.
+    /// Source → recorder: the agents' true positions, for the accuracy in the report.
     TruthTopic, "truth", Truth, DETECTIONS_MAX, DETECTIONS_MAX, DEPTH_MAX = 8
 );
 topic!(

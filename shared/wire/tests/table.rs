@@ -1,4 +1,4 @@
-//! What the table promises to programs in other languages, and that the checks of payloads miss no number.
+//! The guarantees of the table for programs in other languages; the checks of payloads cover every number.
 
 use std::collections::BTreeSet;
 
@@ -67,7 +67,7 @@ fn numbers_and_flags_ascend_and_have_names_of_their_own() {
     assert_eq!(constant("POSITION_MAX_M"), wire::Value::Real(wire::POSITION_MAX_M));
 }
 
-/// A good record with one number that is none is refused, whichever it is.
+/// A valid record is refused if any one of its numbers is NaN or infinite.
 fn assert_no_number_is_overlooked<T: Pod>(
     record: &Record,
     good: T,

@@ -1,4 +1,4 @@
-//! What a record's numbers can be: stages call `check` on what they take from a port.
+//! The valid values of a record's numbers: stages call `check` on everything that they take from a port.
 
 use super::{AgentControls, AgentEncoding, AgentFeatures, Detection, Forecast, Track};
 use crate::{
@@ -27,7 +27,7 @@ fn agent_type(number: u32) -> Result<AgentType, Rejected> {
 }
 
 impl Detection {
-    /// The kind of object; refused numbers never get past [`Detection::check`].
+    /// The kind of object; [`Detection::check`] refuses invalid numbers.
     ///
     /// # Errors
     /// [`Rejected::Impossible`] if the number stands for no type.
@@ -63,7 +63,7 @@ impl Detection {
 }
 
 impl Track {
-    /// States of its history from which on a track is forecast: with one its motion is not known.
+    /// Number of states in its history from which a track is forecast: with one, its motion is unknown.
     pub const STATES_MIN: u32 = 2;
 
     /// The kind of agent.
@@ -176,7 +176,7 @@ impl Forecast {
         self.check_controls()
     }
 
-    /// The part of [`Self::check`] that a reader of the controls alone needs.
+    /// The part of [`Self::check`] that is sufficient for a reader of the controls.
     ///
     /// # Errors
     /// [`Rejected`] names the field.

@@ -33,16 +33,16 @@ record! {
         24 => length_m: f32,
         /// Extent across the heading.
         28 => width_m: f32,
-        /// The detector's confidence, greater is surer; 1 where it reports none.
+        /// The detector's confidence, higher is more confident; 1 if it reports none.
         32 => score: f32,
-        /// Standard deviation of the position per axis; 0 takes the tracker's own for the type.
+        /// Standard deviation of the position per axis; 0 for the tracker's value for the type.
         36 => sigma_m: f32,
         /// [`crate::AgentType`] as a number.
         40 => agent_type: u32,
         /// Bits of [`detection_flags`].
         44 => flags: u32,
-        /// Time of the measurement less the frame's stamp, at most [`OFFSET_MAX_NS`](crate::OFFSET_MAX_NS)
-        /// either way; 0 where it was made at the stamp.
+        /// Time of the measurement minus the frame's stamp, at most [`OFFSET_MAX_NS`](crate::OFFSET_MAX_NS)
+        /// in magnitude; 0 if it was made at the stamp.
         48 => offset_ns: i64,
         /// Zero.
         56 => reserved: [u8; 8],
@@ -50,8 +50,7 @@ record! {
 }
 
 record! {
-    /// What was really there at the stamp of a frame: element of the topic `truth`, which the recorder alone
-    /// reads.
+    /// The true state at the stamp of a frame: element of the topic `truth`, which only the recorder reads.
     pub struct Truth: 32 bytes {
         /// Identity in the recording.
         0 => id: u64,
@@ -63,7 +62,7 @@ record! {
         16 => y_m: f32,
         /// Zero.
         20 => reserved: [u8; 4],
-        /// Time of the position less the frame's stamp.
+        /// Time of the position minus the frame's stamp.
         24 => offset_ns: i64,
     }
 }

@@ -3,11 +3,11 @@ use crate::declare::{numbers, record};
 use crate::{EXPERTS_MAX, HORIZON_MAX, MODES_MAX, Rejected};
 
 numbers! {
-    /// Where a forecast comes from.
+    /// The origin of a forecast.
     pub enum Quality {
         /// The model's forecast of this tick.
         Learned = 0 => "learned",
-        /// The model's forecast of an earlier tick, moved on to now.
+        /// The model's forecast of an earlier tick, shifted to the current time.
         Held = 1 => "held",
         /// Zero control with growing covariance.
         Kinematic = 2 => "kinematic",
@@ -17,41 +17,42 @@ numbers! {
 numbers! {
     /// Why a forecast is not [`Quality::Learned`].
     ///
-    /// Numbers up to 31, a bit each in [`Forecast::causes`]. These are kept for causes to come: 7 detections
-    /// missing, 8 stage restarted, 9 integrity check failed, 10 out of distribution, 11 source frozen.
+    /// Numbers up to 31, each with a bit in [`Forecast::causes`]. These are reserved for future causes: 7
+    /// detections missing, 8 stage restarted, 9 integrity check failed, 10 out of distribution, 11 source
+    /// frozen.
     pub enum Cause {
         /// Nothing is wrong.
         None = 0 => "none",
-        /// The controls of this tick had not come at the deadline.
+        /// The controls of this tick had not arrived at the deadline.
         Late = 1 => "late",
         /// The controls of this tick were refused as not finite or impossible.
         Rejected = 2 => "rejected",
-        /// The controls of this tick do not name the track.
+        /// The controls of this tick do not contain the track.
         Missing = 3 => "missing",
         /// The track has too short a history for the model.
         Young = 4 => "young",
-        /// Constant velocity has more than half of the weight: the other experts proved worse.
+        /// Constant velocity has more than half of the weight: the other experts proved to be worse.
         Outdone = 5 => "outdone",
-        /// The agent was left out of this tick, which had no time for all.
+        /// The agent was left out of this tick, which did not have time for all agents.
         Shed = 6 => "shed",
     }
 }
 
 numbers! {
-    /// What the controls of a forecast stand for.
+    /// The meaning of a forecast's controls.
     pub enum Steering {
-        /// There are none.
+        /// There are no controls.
         None = 0 => "none",
         /// Acceleration in m/s² and slip rate in rad/s of a kinematic bicycle.
         Bicycle = 1 => "bicycle",
-        /// Displacement of the step beyond that of the velocity at the forecast's start, in m along and
+        /// Displacement of the step relative to constant velocity from the forecast's start, in m along and
         /// across the agent.
         Displacement = 2 => "displacement",
     }
 }
 
 numbers! {
-    /// What a mode comes from; numbers below [`EXPERTS_MAX`] are slots of [`Forecast::expert_weights`].
+    /// The origin of a mode; numbers below [`EXPERTS_MAX`] are slots of [`Forecast::expert_weights`].
     pub enum Expert {
         /// The network.
         Network = 0 => "network",
@@ -59,27 +60,28 @@ numbers! {
         Base = 1 => "base",
         /// Constant velocity.
         ConstantVelocity = 2 => "constant velocity",
-        /// A turn that decays.
+        /// A decaying turn.
         DecayingTurn = 3 => "decaying turn",
         /// The tracker's process model: zero control.
         ProcessModel = 4 => "process model",
-        /// An acceleration that decays.
+        /// A decaying acceleration.
         DecayingAcceleration = 5 => "decaying acceleration",
-        /// A middle between constant velocity and the single best forecast, with a typical residual of agents
-        /// alike.
+        /// A centre between constant velocity and the single best forecast, plus a typical residual of
+        /// similar agents.
         Fan = 254 => "fan",
-        /// The network's best forecast with residuals of others at the same place, from the retrieval memory.
+        /// The network's best forecast with residuals of other agents at the same place, from the retrieval
+        /// memory.
         Retrieval = 255 => "retrieval",
     }
 }
 
 record! {
-    /// The forecast of an agent: element of the topic `forecasts`. Step k lies (k + 1) Δt after the frame's
+    /// The forecast of an agent: element of the topic `forecasts`. Step k is (k + 1) Δt after the frame's
     /// stamp.
     pub struct Forecast: 10304 bytes {
         /// The track.
         0 => id: u64,
-        /// The detections' own identity where they carry one, else 0.
+        /// The detections' own identity if they have one, else 0.
         8 => source_id: u64,
         /// Time between the stamp of the controls and this frame's stamp; 0 for learned forecasts.
         16 => age_ns: u64,
@@ -89,9 +91,9 @@ record! {
         32 => agent_type: u32,
         /// [`Quality`] as a number.
         36 => quality: u32,
-        /// [`Cause`] as a number: the first one.
+        /// [`Cause`] as a number: the first one that applies.
         40 => cause: u32,
-        /// Bits of all causes that apply, see [`Cause::bit`]; 0 where nothing is wrong.
+        /// Bits of all causes that apply, see [`Cause::bit`]; 0 if there are none.
         44 => causes: u32,
         /// Valid modes, at most [`MODES_MAX`].
         48 => modes_len: u32,
@@ -111,22 +113,22 @@ record! {
         76 => vy_mps: f32,
         /// Heading at the stamp.
         80 => heading_rad: f32,
-        /// Extent along the heading; 0 where unknown.
+        /// Extent along the heading; 0 if unknown.
         84 => length_m: f32,
-        /// Extent across the heading; 0 where unknown.
+        /// Extent across the heading; 0 if unknown.
         88 => width_m: f32,
-        /// How far the agent's history lies outside of what the model was trained on, in the width of that; 0
-        /// inside, and where it is not told. At 0.25 the network adds half of what it would.
+        /// Distance of the agent's history from the model's training data, relative to their width; 0 inside,
+        /// and if it is not reported. At 0.25 the network's part is halved.
         92 => out_of_distribution: f32,
         /// Weight of each [`Expert`] by its number: network, base, constant velocity, decaying turn, process
-        /// model, decaying acceleration; zeros where they are not told.
+        /// model, decaying acceleration; zeros if they are not reported.
         96 => expert_weights: [f32; EXPERTS_MAX],
         /// Probability of each mode; they sum to 1.
         128 => probability: [f32; MODES_MAX],
         /// [`Expert`] of each mode as a number.
         208 => mode_expert: [u8; MODES_MAX],
-        /// 1 if the forecast was taken along lanes of the map, 2 if a vehicle moves on no lane of it; 0
-        /// without a map, for all other agents, and if it is not reported.
+        /// 1 if the forecast follows lanes of the map, 2 if a moving vehicle is not on a lane; 0 without a
+        /// map, for all other agents, and if it is not reported.
         228 => lanes: u32,
         /// Zero.
         232 => reserved: [u8; 72],
@@ -140,23 +142,23 @@ record! {
         640 => modes: [[[f32; 2]; HORIZON_MAX]; MODES_MAX],
         /// Covariance of the position of each mode and step as (xx, xy, yy), m².
         2560 => mode_covariance: [[[f32; 3]; HORIZON_MAX]; MODES_MAX],
-        /// The controls that lead to `modes`, as they act (after saturation), their first step at the stamp
-        /// of the controls; zeros where `steering` says that there are none.
+        /// The controls that lead to `modes`, as applied (after saturation), with their first step at the
+        /// stamp of the controls; zeros if `steering` is 0, none.
         5440 => controls: [[ControlGaussian; HORIZON_MAX]; MODES_MAX],
-        /// Zero. They make the size an odd number of cache lines: at a multiple of 2 KiB, one field of many
-        /// forecasts would share few sets of a cache.
+        /// Zero. They make the size an odd number of cache lines. At a multiple of 2 KiB, the same field of
+        /// many forecasts would share few sets of a cache.
         10240 => reserved_end: [u8; 64],
     }
 }
 
 impl Forecast {
-    /// Of [`Forecast::lanes`]: the forecast was taken along lanes.
+    /// Value of [`Forecast::lanes`]: the forecast follows lanes.
     pub const ALONG_LANES: u32 = 1;
-    /// Of [`Forecast::lanes`]: a vehicle that moves is on no lane.
+    /// Value of [`Forecast::lanes`]: a moving vehicle is not on a lane.
     pub const OFF_LANES: u32 = 2;
 
-    /// Whether it is by controls of its own tick: also where constant velocity was known to be nearer, so
-    /// that it is not called learned.
+    /// Whether the forecast uses controls of its own tick. This includes forecasts that are not called
+    /// learned because constant velocity was known to be nearer.
     #[must_use]
     pub const fn is_served(&self) -> bool {
         self.quality == Quality::Learned as u32 || self.cause == Cause::Outdone as u32
@@ -182,7 +184,7 @@ impl TryFrom<u32> for Steering {
 }
 
 impl Cause {
-    /// The cause's bit in [`Forecast::causes`]; none has no bit.
+    /// The cause's bit in [`Forecast::causes`]; [`Cause::None`] has no bit.
     #[must_use]
     pub const fn bit(self) -> u32 {
         1 << self as u32 & !1
