@@ -1,4 +1,4 @@
-//! Processors and real-time priority of the stages, as pipeline.toml sets them.
+//! Processors and real-time priority of the stages, as set in pipeline.toml.
 #![expect(
     unsafe_code,
     reason = "calls between fork and exec, and the scheduling class, which rustix does not know"
@@ -12,8 +12,8 @@ use rustix::process::Pid;
 use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
 use wire::StageId;
 
-/// Has a program begin on its processors and with its priority. What the system refuses is left as it is: see
-/// [`refused`].
+/// Starts a program on its processors and with its priority. Settings that the system refuses stay unchanged;
+/// see [`refused`].
 pub fn set_at_start(command: &mut Command, scheduling: &Scheduling) {
     if scheduling.is_default() {
         return;
@@ -37,7 +37,7 @@ pub fn set_at_start(command: &mut Command, scheduling: &Scheduling) {
 
 /// Whether this machine has a processor that this process may use.
 pub fn has_cpu(cpu: u32) -> bool {
-    // Tried in a thread of its own, which keeps the setting to itself.
+    // Tested in a separate thread, so the setting does not affect this one.
     let tried = std::thread::spawn(move || {
         let is_held = cpu <= Scheduling::CPU_MAX;
         is_held && sched_setaffinity(None, &set_of(&[cpu])).is_ok()
@@ -45,7 +45,7 @@ pub fn has_cpu(cpu: u32) -> bool {
     tried.join().unwrap_or(false)
 }
 
-/// What of the settings does not hold for a process that was started with them, in words.
+/// Describes the settings that a started process did not get.
 pub fn refused(stage: StageId, pid: Pid, scheduling: &Scheduling) -> Vec<String> {
     let (mut notes, name) = (Vec::new(), stage.name());
     if !scheduling.cpus.is_empty() {

@@ -1,5 +1,5 @@
-//! What verbs print. A reader that closes its pipe early, as `head` does, is no failure: a verb ends quietly,
-//! and a run continues to its end.
+//! Output of verbs. If the reader closes its pipe early, as `head` does, a verb ends quietly and a run
+//! continues.
 
 use std::fmt::Arguments;
 use std::io::{ErrorKind, Write as _};
@@ -9,19 +9,19 @@ use run::Exit;
 
 use crate::failure::Failure;
 
-/// Prints a line on standard output; if nobody can read it, it is dropped.
+/// Prints a line on standard output. The line is dropped if nobody can read it.
 #[macro_export]
 macro_rules! say {
     ($($text:tt)*) => { $crate::show::say(format_args!($($text)*)) };
 }
 
-/// Prints a line on standard error; if nobody can read it, it is dropped.
+/// Prints a line on standard error. The line is dropped if nobody can read it.
 #[macro_export]
 macro_rules! note {
     ($($text:tt)*) => { $crate::show::note(format_args!($($text)*)) };
 }
 
-/// Writes the result of a verb to standard output. A closed pipe is no failure.
+/// Writes the result of a verb to standard output. A closed pipe is not an error.
 pub fn show(text: &str) -> Result<Exit, Failure> {
     let mut output = std::io::stdout().lock();
     match output.write_all(text.as_bytes()).and_then(|()| output.flush()) {
@@ -30,7 +30,7 @@ pub fn show(text: &str) -> Result<Exit, Failure> {
     }
 }
 
-/// Whether a reader still takes what is written; a closed pipe is no failure.
+/// Whether the reader still accepts output. A closed pipe is not an error.
 pub fn is_read(written: std::io::Result<()>) -> std::io::Result<bool> {
     match written {
         Err(error) if error.kind() == ErrorKind::BrokenPipe => Ok(false),
@@ -41,7 +41,7 @@ pub fn is_read(written: std::io::Result<()>) -> std::io::Result<bool> {
 /// As [`say!`].
 pub fn say(line: Arguments<'_>) {
     let mut output = std::io::stdout().lock();
-    // The verb's work is done whether or not somebody reads about it.
+    // The verb's work is done, even if nobody reads the output.
     let _ = writeln!(output, "{line}").and_then(|()| output.flush());
 }
 

@@ -7,7 +7,7 @@ use run::options::OptionSchema;
 use run::{Declared, Run};
 use wire::StageId;
 
-/// Width of the help's lines without their margin.
+/// Width of the help's lines without the margin.
 const LINE: usize = 94;
 
 /// A stage of this program.
@@ -30,7 +30,7 @@ pub const STAGES: [BuiltIn; 8] = [
     BuiltIn { declared: &recorder::STAGE, body: recorder::stage::run },
 ];
 
-/// The stage with that number.
+/// Returns the stage with this number.
 pub fn built_in(id: StageId) -> Option<BuiltIn> {
     STAGES.into_iter().find(|stage| stage.declared.id() == id)
 }
@@ -57,7 +57,7 @@ pub fn options_help() -> String {
 fn option_help(stage: StageId, option: &OptionSchema) -> String {
     let OptionSchema { name, about, kind, expected, default, .. } = option;
     let default = default.as_ref().map_or_else(String::new, |default| format!(" [default: {default}]"));
-    // The kind is left out where the expectation contains it.
+    // The kind is left out if the expectation contains it.
     let is_implied = expected.ends_with(kind) || matches!(*kind, "truth value" | "name");
     let kind = if is_implied { String::new() } else { format!(" ({kind})") };
     let mut text = format!("  {}.{name}{kind}: {expected}{default}\n", stage.name());

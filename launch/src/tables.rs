@@ -1,14 +1,14 @@
-//! Result tables in Markdown files: a verb writes its table between two marks, so that a page keeps what was
-//! measured.
+//! Result tables in Markdown files. A verb writes its table between two marks, so the measured values are
+//! part of the page.
 
 use std::path::Path;
 
 use crate::failure::Failure;
 
-/// Replaces what stands between the marks `stgdat NAME` of a Markdown file by `table`.
+/// Replaces the text between the marks `stgdat NAME` of a Markdown file by `table`.
 ///
 /// # Errors
-/// [`Failure::Data`] with the file's name where it can't be read or written, or lacks the marks.
+/// [`Failure::Data`] names the file if it can't be read or written or lacks the marks.
 pub fn replace(path: &Path, name: &str, table: &str) -> Result<(), Failure> {
     let file = |error: std::io::Error| Failure::file(path, error);
     let old = std::fs::read_to_string(path).map_err(file)?;
@@ -21,8 +21,8 @@ pub fn replace(path: &Path, name: &str, table: &str) -> Result<(), Failure> {
     std::fs::write(path, format!("{head}{begin}\n{}\n{end}{tail}", table.trim_end())).map_err(file)
 }
 
-/// Replaces the section of that heading between the marks `stgdat NAME`, or adds it: what other machines have written
-/// stays.
+/// Replaces or adds the section with this heading between the marks `stgdat NAME`. Sections of other machines
+/// stay.
 ///
 /// # Errors
 /// As [`replace`].
@@ -33,7 +33,7 @@ pub fn replace_section(path: &Path, name: &str, heading: &str, text: &str) -> Re
     replace(path, name, &with_section(between.map_or("", |(between, _)| between), heading, text))
 }
 
-/// Sections, which begin with `### HEADING`, with that of `heading` replaced, or added behind them.
+/// Returns the text with the section of `heading` replaced, or appended. A section begins with `### HEADING`.
 fn with_section(old: &str, heading: &str, text: &str) -> String {
     let new = format!("### {heading}\n\n{}\n", text.trim());
     let mut sections: Vec<String> = Vec::new();
@@ -59,7 +59,7 @@ mod tests {
 
     const MARKS: [&str; 2] = ["<!-- begin stgdat x -->", "<!-- end stgdat x -->"];
 
-    /// A file of this process alone, removed in the end.
+    /// A file of this process only, removed at the end.
     struct Page(std::path::PathBuf);
 
     impl Page {

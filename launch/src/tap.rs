@@ -1,7 +1,8 @@
-//! The tap of a run: one process that reads the topics and hands the frames on to all tools of the run.
+//! The tap of a run: one process that reads the topics and forwards the frames to all tools of the run.
 //!
-//! The launcher starts it with the stages and tells it, by its standard input, what happened to them and what they
-//! wrote. It takes a reader's place of a topic only while a tool wants the topic; without tools it sleeps.
+//! The launcher starts the tap with the stages. Through the tap's standard input, the launcher reports the
+//! stages' events and output lines. The tap takes a reader's place on a topic only while a tool needs the
+//! topic. Without tools it sleeps.
 
 mod flight;
 mod follow;

@@ -1,4 +1,4 @@
-//! A run in a terminal, from the status that its launcher tells.
+//! Shows a run in a terminal, from the status of its launcher.
 
 mod client;
 mod columns;
@@ -53,31 +53,31 @@ impl SortBy {
     }
 }
 
-/// What is shown of a run.
+/// The displayed state of a run.
 #[derive(Debug)]
 pub struct View {
     status: RunStatus,
     sort: SortBy,
-    /// Place of the selected stage in the order that is shown.
+    /// Index of the selected stage in the displayed order.
     selected: usize,
-    /// The stage that is shown alone.
+    /// The stage shown alone, if any.
     stage: Option<String>,
     paused: bool,
     silent: bool,
 }
 
 impl View {
-    /// A view of a run.
+    /// Creates the view of a run.
     pub const fn new(status: RunStatus, sort: SortBy, stage: Option<String>) -> Self {
         Self { status, sort, selected: 0, stage, paused: false, silent: false }
     }
 
-    /// The newest status that is shown.
+    /// Returns the newest displayed status.
     pub const fn status(&self) -> &RunStatus {
         &self.status
     }
 
-    /// Takes a newer status, unless it is paused.
+    /// Sets a newer status, unless the view is paused.
     pub fn update(&mut self, status: RunStatus) {
         self.silent = false;
         if !self.paused {
@@ -85,17 +85,17 @@ impl View {
         }
     }
 
-    /// The launcher has not answered.
+    /// Records that the launcher has not answered.
     pub const fn silent(&mut self) {
         self.silent = true;
     }
 
-    /// Stops or goes on taking newer statuses.
+    /// Pauses or resumes status updates.
     pub const fn pause(&mut self) {
         self.paused = !self.paused;
     }
 
-    /// Sorts by the next key.
+    /// Sorts by the next column.
     pub fn sort_by_next(&mut self) {
         self.sort = self.sort.next();
     }
@@ -109,18 +109,18 @@ impl View {
         }
     }
 
-    /// Shows the selected stage alone.
+    /// Shows only the selected stage.
     pub fn enter_stage(&mut self) {
         let name = self.stages().get(self.selected).map(|stage| stage.name.clone());
         self.stage = name;
     }
 
-    /// Shows all stages again; false where they were shown.
+    /// Shows all stages. Returns false if they were shown already.
     pub fn leave_stage(&mut self) -> bool {
         self.stage.take().is_some()
     }
 
-    /// The stages in the order that is shown.
+    /// Returns the stages in the displayed order.
     fn stages(&self) -> Vec<&StageStatus> {
         let mut stages: Vec<&StageStatus> = self.status.stages.iter().collect();
         let lost = |stage: &StageStatus| self.of_report(stage).map_or(0, |report| report.drops.total());
@@ -137,12 +137,12 @@ impl View {
             };
             value.unwrap_or(-1.0)
         };
-        // Stable: of equals the one that a tick passes first comes first.
+        // The sort is stable, so equal stages stay in pipeline order.
         stages.sort_by(|a, b| key(b).total_cmp(&key(a)));
         stages
     }
 
-    /// What the report so far says of a stage.
+    /// Finds the report so far of a stage.
     fn of_report(&self, stage: &StageStatus) -> Option<&recorder::report::StageReport> {
         self.status.report.stages.iter().find(|report| report.name == stage.name)
     }
@@ -158,7 +158,7 @@ impl View {
     }
 }
 
-/// The view as plain text.
+/// Formats the view as plain text.
 pub fn text(view: &View, width: u16) -> String {
     let area = Rect::new(0, 0, width, draw::height(view, width));
     let mut buffer = Buffer::empty(area);

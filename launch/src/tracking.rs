@@ -1,5 +1,5 @@
-//! From detections to tracks, in this process: the tracker alone, or in the chain whose forecasts are its
-//! prior.
+//! Computes tracks from detections in this process. The tracker runs alone or in the chain whose forecasts
+//! are its prior.
 
 use bytemuck::Zeroable;
 use model::ModelConfig;
@@ -10,21 +10,21 @@ use wire::{AGENTS_MAX, Detection, Header, Track};
 
 use crate::failure::Failure;
 
-/// What of the pipeline it takes to make tracks: the same steps on the same settings as in a run.
+/// The stages needed to compute tracks, with the same steps and settings as in a run.
 pub enum Tracking {
-    /// Without forecasts the other stages change no track.
+    /// The tracker alone; without forecasts as prior, other stages do not affect the tracks.
     Alone {
         /// The tracker.
         tracker: Box<Tracker>,
-        /// Room for its tracks.
+        /// Buffer for its tracks.
         tracks: Vec<Track>,
     },
-    /// All stages, for the sake of the forecasts.
+    /// All stages, because their forecasts are the prior.
     InChain(Box<Chain>),
 }
 
 impl Tracking {
-    /// Sets up what the prior of a run with that model needs.
+    /// Creates the stages that the prior of a run with this model needs.
     pub fn new(run: &Run, model: &ModelConfig) -> Result<Self, Failure> {
         let prior = tracker::STAGE.options(run)?.prior;
         if prior == Prior::Kinematic && sampler::STAGE.options(run)?.memory.is_some() {
@@ -40,7 +40,7 @@ impl Tracking {
         })
     }
 
-    /// The tracks after a tick, with their header; none if the tracker refuses the tick.
+    /// Returns the header and tracks after a tick. If the tracker refuses the tick, the tracks are empty.
     pub fn tick(&mut self, header: &Header, detections: &[Detection]) -> (Header, &[Track]) {
         match self {
             Self::Alone { tracker, tracks } => {
@@ -56,7 +56,7 @@ impl Tracking {
         }
     }
 
-    /// Writes the retrieval memory where the run's record names a file; without forecasts there is none.
+    /// Writes the retrieval memory if the run's record names a file. Has no effect without forecasts.
     pub fn keep_memory(&self, run: &Run) -> Result<(), Failure> {
         match self {
             Self::Alone { .. } => Ok(()),

@@ -89,7 +89,8 @@ pub enum Verb {
     Lab(lab::Verb),
 }
 
-/// The failure of a first argument that is neither a verb nor a file, unless it looks like a path.
+/// Returns the failure for a first argument that is neither a verb nor a file; `None` if it looks like a
+/// path.
 pub fn mistaken(word: &str) -> Option<Failure> {
     let mut program = crate::command();
     program.build();
@@ -97,7 +98,7 @@ pub fn mistaken(word: &str) -> Option<Failure> {
     if is_verb || word.starts_with('-') || word.contains(['.', '/']) || Path::new(word).exists() {
         return None;
     }
-    // The parser itself suggests names, if nothing but a verb may come first.
+    // The parser suggests names only if the first argument must be a verb.
     let verbs = Command::new("stgdat").subcommands(program.get_subcommands().cloned());
     let suggested = verbs.try_get_matches_from(["stgdat", word]).err().and_then(|error| {
         match error.get(ContextKind::SuggestedSubcommand) {

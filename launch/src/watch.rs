@@ -17,16 +17,16 @@ use crate::fleet::{Event, Fleet};
 use crate::observe::Observer;
 use crate::outages::Outages;
 
-/// Interval between updates of the table, and the longest sleep.
+/// Interval between updates of the table, which is also the longest sleep.
 const UPDATE: Duration = Duration::from_millis(100);
-/// Interval between lines where the output is not a terminal.
+/// Interval between lines if the output is not a terminal.
 const LINE: Duration = Duration::from_secs(1);
-/// Interval between looks at what the recorder tells of the forecasts' errors.
+/// Interval between reads of the forecast errors from the recorder.
 const ERRORS: Duration = Duration::from_secs(1);
 /// Rows of the table.
 const ROWS: u16 = 23;
 
-/// Follows a run from outside: which stages are linked, and its progress.
+/// Follows a run from the launcher: the linked stages and the run's progress.
 pub struct Watch {
     forecasts: Subscriber<ForecastsTopic>,
     peers: Peers,
@@ -34,7 +34,7 @@ pub struct Watch {
     view: LiveView,
     display: Display,
     shown: Instant,
-    /// When the view last got the forecasts' errors.
+    /// Time at which the view last received the forecast errors.
     told: Instant,
     printed_ticks: u64,
     outages: Outages,
@@ -46,11 +46,11 @@ pub struct Watch {
 /// How the progress is shown.
 #[derive(Debug)]
 enum Display {
-    /// A table at the foot of the terminal.
+    /// A table at the bottom of the terminal.
     Table(Box<Terminal<CrosstermBackend<Stdout>>>),
     /// A line per second on standard error.
     Lines,
-    /// Not at all.
+    /// No display.
     Quiet,
 }
 
@@ -73,12 +73,13 @@ impl Watch {
         })
     }
 
-    /// Stages that are not linked to their neighbours yet.
+    /// Returns the stages that are not linked to their neighbours yet.
     pub fn unlinked(&self) -> Vec<StageId> {
         self.peers.unlinked()
     }
 
-    /// Sleeps until a heartbeat or the end of a process, or for at most half an update interval; then shows what was received.
+    /// Sleeps until a heartbeat, the end of a process, or half an update interval. Then shows the received
+    /// data.
     pub fn follow(
         &mut self,
         lines: impl Iterator<Item = Line>,
@@ -104,7 +105,7 @@ impl Watch {
         Ok(heartbeats)
     }
 
-    /// Answers what others ask about the run.
+    /// Answers questions of tools about the run.
     pub fn answer(&mut self, fleet: &Fleet, is_linked: bool) {
         self.observer.answer(&self.view, fleet, &self.outages, is_linked);
     }
@@ -123,12 +124,13 @@ impl Watch {
         Ok(())
     }
 
-    /// Ticks whose forecasts have come.
+    /// Returns the number of ticks whose forecasts have arrived.
     pub const fn ticks(&self) -> u64 {
         self.view.ticks()
     }
 
-    /// Sleeps until the forecasts of a further tick have come, at most so long: then most stages wait for the next.
+    /// Sleeps until the forecasts of another tick have arrived, but at most `limit`. At that moment most
+    /// stages wait for the next tick.
     pub fn await_tick(&mut self, limit: Duration) -> Result<(), Failure> {
         self.take_forecasts()?;
         let (begun, before) = (Instant::now(), self.view.ticks());
@@ -139,12 +141,12 @@ impl Watch {
         Ok(())
     }
 
-    /// The incarnation of a stage that the newest tick has passed.
+    /// Returns the incarnation of a stage that the newest tick has passed.
     pub fn passed(&self, stage: StageId) -> Option<u32> {
         self.newest.as_ref()?.hop(stage).map(|hop| hop.incarnation)
     }
 
-    /// Shows a line of the launcher's own, and keeps what it is about for the report.
+    /// Shows an event of the launcher and keeps it for the report.
     pub fn say(&mut self, event: &Event) {
         self.observer.event(event);
         match event {
@@ -181,13 +183,13 @@ impl Watch {
         }
     }
 
-    /// Shows a setting of pipeline.toml that the system does not allow, and keeps it for the report.
+    /// Shows a setting of pipeline.toml that the system refused, and keeps it for the report.
     pub fn note(&mut self, note: String) {
         self.display.line(&format!("launcher: {note}"));
         self.outages.note(note);
     }
 
-    /// Shows that files of the run's folder were removed, and are restored.
+    /// Shows that files of the run's folder were removed and restored.
     pub fn restored(&mut self, files: usize) {
         let text = format!("another program has removed files of the run's folder; restored: {files}");
         self.display.line(&format!("launcher: {text}"));
@@ -197,7 +199,7 @@ impl Watch {
     fn show(&mut self) {
         match &mut self.display {
             Display::Table(terminal) if self.shown.elapsed() >= UPDATE => {
-                // A closed terminal can't be drawn to; the run does not depend on it.
+                // A closed terminal can't be drawn to. The run does not depend on it.
                 let _ = terminal.draw(|frame| draw(&self.view, frame, frame.area()));
             }
             Display::Lines if self.shown.elapsed() >= LINE && self.view.ticks() > self.printed_ticks => {
@@ -209,8 +211,8 @@ impl Watch {
         self.shown = Instant::now();
     }
 
-    /// Shows the last lines and clears the table, with the cursor where it began; returns what outages cost, and
-    /// what went wrong with files about the run.
+    /// Shows the last lines, clears the table and restores the cursor. Returns the costs of outages, and
+    /// failures of files about the run.
     pub fn close(mut self, lines: impl Iterator<Item = Line>, fleet: &Fleet) -> (Outages, Vec<Failure>) {
         let unwritten = self.observer.close(&self.view, fleet, &self.outages);
         for (stage, line) in lines {
@@ -232,7 +234,7 @@ impl Display {
         if !stdout().is_terminal() {
             return Self::Lines;
         }
-        // Fails on terminals that do not report the position of their cursor.
+        // Fails on terminals that do not report their cursor position.
         Terminal::with_options(CrosstermBackend::new(stdout()), options)
             .map_or(Self::Lines, |terminal| Self::Table(Box::new(terminal)))
     }

@@ -1,4 +1,4 @@
-//! One tick as a waterfall, with the fate of each of its agents.
+//! One tick as a waterfall chart, with the outcome of each of its agents.
 
 use std::fmt::{self, Write};
 
@@ -7,25 +7,25 @@ use recorder::passage::{Phases, Timestamps};
 use recorder::text::{count, number};
 use wire::{AgentType, Cause, Forecast, Header, Hop, Quality, StageId, flags};
 
-/// Narrowest and widest lines.
+/// Minimum and maximum line width.
 const WIDTHS: std::ops::RangeInclusive<usize> = 80..=140;
-/// Characters before the bars.
+/// Number of characters before the bars.
 const BARS_AT: usize = 45;
-/// How the phases are drawn: waiting, wake-up, compute, publish.
+/// Fill characters of the phases: waiting, wake-up, compute, publish.
 const FILLS: [char; 4] = ['·', '░', '█', '▒'];
 
-/// A frame of the tick that was recorded.
+/// A recorded frame of the tick.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FrameOf {
     /// Its topic.
     pub topic: &'static str,
-    /// Its elements.
+    /// Number of its elements.
     pub elements: usize,
     /// Its size with the header.
     pub bytes: usize,
 }
 
-/// All that is known of a tick.
+/// All data of a tick.
 #[derive(Clone, Debug)]
 pub struct Telling {
     /// The header of its forecasts.
@@ -36,16 +36,16 @@ pub struct Telling {
     pub times: Vec<(StageId, Hop, Timestamps)>,
     /// Its frames, in the order in which they were recorded.
     pub frames: Vec<FrameOf>,
-    /// What took it longest.
+    /// The cause of the tick's latency.
     pub cause: Option<WorstTick>,
-    /// Release of the first tick.
+    /// Release time of the first tick.
     pub begun_ns: u64,
-    /// What happened about that time.
+    /// Events around the time of the tick.
     pub events: Vec<(u64, String)>,
 }
 
 impl Telling {
-    /// The tick as text, in lines of `width` characters, at least 80 and at most 140.
+    /// Formats the tick as text in lines of `width` characters, clamped to 80..=140.
     pub fn render(&self, width: usize) -> String {
         let width = width.clamp(*WIDTHS.start(), *WIDTHS.end());
         let mut text = String::new();
@@ -136,7 +136,7 @@ impl Telling {
         )
     }
 
-    /// A stage's phases along the time of the tick.
+    /// Draws a stage's phases on the tick's time axis.
     fn bar(&self, times: &Timestamps, cells: usize, total_ns: u64) -> String {
         let place = |at_ns: u64| {
             let since_ns = at_ns.saturating_sub(self.header.released_ns).min(total_ns);
@@ -157,7 +157,7 @@ impl Telling {
             let from = place(from_ns).min(to);
             bar[from..to].fill(fill);
         }
-        // However short, the computation shows.
+        // The computation is always visible, however short.
         bar[place(started_ns).min(cells - 1)] = compute;
         bar.into_iter().collect()
     }
@@ -183,7 +183,7 @@ impl Telling {
             "agent", "type", "x m", "y m", "m/s", "quality", "age ms", "prior", "modes"
         )?;
         let mut sorted: Vec<&Forecast> = self.forecasts.iter().collect();
-        // What is not learned first: that is what one asks for.
+        // Forecasts that are not learned come first, because readers look for them.
         sorted.sort_by_key(|forecast| (forecast.quality == Quality::Learned as u32, forecast.id));
         sorted.into_iter().try_for_each(|forecast| agent(text, forecast))
     }
@@ -204,7 +204,7 @@ fn agent(text: &mut String, forecast: &Forecast) -> fmt::Result {
     writeln!(text, "{}", line.trim_end())
 }
 
-/// All causes that apply, the first one first.
+/// Lists all applicable causes, primary cause first.
 fn causes(forecast: &Forecast) -> String {
     let first = Cause::from_number(forecast.cause);
     let others =
@@ -273,7 +273,7 @@ mod tests {
         assert!((42..=45).contains(&decoder.matches('█').count()), "{decoder}");
         assert!(line("source").contains('█'), "the shortest computation shows");
         assert!(line("killed by signal 9").contains("-100.0 ms"));
-        // What is not learned comes first.
+        // Forecasts that are not learned come first.
         let agents: Vec<&str> =
             text.lines().skip_while(|line| !line.contains("why held or kinematic")).collect();
         assert!(agents[1].contains("held") && agents[1].ends_with("late, missing"), "{text}");

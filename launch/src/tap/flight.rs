@@ -1,4 +1,5 @@
-//! A flight recorder: the newest messages of a run in memory, and a file of them when something happens.
+//! A flight recorder: keeps the newest messages of a run in memory and writes them to a file when an event
+//! happens.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -12,16 +13,16 @@ use super::Limits;
 use super::follow::Keep;
 use crate::verbs::wire::layout;
 
-/// Keeps a ring and writes it to numbered files.
+/// Keeps a ring of messages and writes it to numbered files.
 pub struct FlightRecorder {
     ring: Ring,
     before: Before,
     flight: Flight,
     asked: Asked,
-    /// The files are named by it.
+    /// The path from which the file names are derived.
     path: PathBuf,
     about: About,
-    /// The file in hand, with why it was begun.
+    /// The open file, with the event that started it.
     file: Option<(PathBuf, String, Writer)>,
     written: Written,
     error: Option<io::Error>,
@@ -29,7 +30,7 @@ pub struct FlightRecorder {
     say: fn(&str),
 }
 
-/// The file of a number: `drive.mcap` becomes `drive-1.mcap`.
+/// Returns the name of a file by its number: `drive.mcap` becomes `drive-1.mcap`.
 pub fn numbered(path: &Path, number: u32) -> PathBuf {
     let stem = path.file_stem().unwrap_or_default().to_string_lossy();
     let extension = path.extension().unwrap_or("mcap".as_ref()).to_string_lossy();
@@ -37,7 +38,7 @@ pub fn numbered(path: &Path, number: u32) -> PathBuf {
 }
 
 impl FlightRecorder {
-    /// An empty ring; `say` tells of each file.
+    /// Creates an empty ring; `say` reports each file.
     pub fn new(path: &Path, about: About, limits: Limits, asked: Asked, say: fn(&str)) -> Self {
         Self {
             ring: Ring::new(limits.ring),
@@ -82,7 +83,7 @@ impl FlightRecorder {
         }
     }
 
-    /// Ends the file in hand where its time is over, and looks whether somebody has asked for one.
+    /// Closes the open file once its time is over, and checks for requests for a file.
     fn look(&mut self, now_ns: u64) {
         if self.flight.ends(now_ns) {
             self.close("its time after the event was over");
@@ -104,7 +105,7 @@ impl FlightRecorder {
         }
     }
 
-    /// Adds what a file has come to.
+    /// Adds the result of a file.
     fn add(&mut self, file: &Written) {
         self.written.messages += file.messages;
         self.written.bytes += file.bytes;
@@ -118,7 +119,7 @@ impl FlightRecorder {
 
 impl Keep for FlightRecorder {
     fn keep(&mut self, mut message: Message) {
-        // What no file will have takes no memory either.
+        // Data that no file will contain must not take memory.
         if let Message::Frame(frame) = &mut message
             && let Some(bytes) = self.about.element_bytes.get(frame.topic().name)
         {

@@ -10,20 +10,20 @@ use recording::{Event, Happened, Losses, Message, WriteError, Writer, Written};
 
 use crate::failure::Failure;
 
-/// Longest wait for an item, after which it looks whether it is to end.
+/// Longest wait for an item between checks for a request to end.
 const WAIT: Duration = Duration::from_millis(200);
-/// For so long a tap that has died is waited for, where the run goes on.
+/// Time to wait for a dead tap to return while the run continues.
 const RETURN_LIMIT: Duration = Duration::from_secs(5);
 
-/// Where the messages of a run go.
+/// A destination for the messages of a run.
 pub trait Keep {
-    /// Takes a message.
+    /// Stores a message.
     fn keep(&mut self, message: Message);
-    /// Nothing has come for a while.
+    /// Called if no message has arrived for a while.
     fn idle(&mut self);
-    /// The last error of the disk, once.
+    /// Takes the last disk error, if any.
     fn take_error(&mut self) -> Option<std::io::Error>;
-    /// Ends what is being written; `how` says why.
+    /// Finishes the file; `how` is the reason for the end.
     fn finish(self, how: &str) -> Result<Written, WriteError>;
 }
 
@@ -32,7 +32,7 @@ impl Keep for Writer {
         self.add(&message);
     }
 
-    /// What there is, is safe.
+    /// Makes the data so far safe on disk.
     fn idle(&mut self) {
         self.flush();
     }
@@ -46,27 +46,27 @@ impl Keep for Writer {
     }
 }
 
-/// What a recording has come to.
+/// The result of a recording.
 #[derive(Debug, Default)]
 pub struct Recorded {
-    /// What is in the file.
+    /// The content of the file.
     pub written: Written,
-    /// Frames that the tap or the queue at the tap has lost, by topic.
+    /// Frames that the tap or its queue has lost, by topic.
     pub lost: Losses,
-    /// How long it took.
+    /// Duration of the recording.
     pub seconds: f64,
 }
 
-/// Why it has ended.
+/// Why following ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Followed {
     /// The process was asked to end.
     Stopped,
-    /// The time was over.
+    /// The time limit was reached.
     TimeOver,
     /// The run has ended.
     RunEnded,
-    /// The tap has closed before it said that the run has ended: what it still had is missing.
+    /// The tap closed before it reported the end of the run, so its last data are missing.
     TapGone,
 }
 
@@ -83,8 +83,8 @@ impl Followed {
     }
 }
 
-/// Hands on all that comes until the run ends, `limit` is over or the process is asked to end; events and log lines
-/// where `events`. The request asks for them all the same: they tell of the run's end.
+/// Forwards all messages until the run ends, `limit` is over or the process is asked to end. Events and log
+/// lines are forwarded if `events` is set. They are always requested, because they report the run's end.
 pub fn follow(
     root: &Path,
     request: &Request,
@@ -125,7 +125,7 @@ pub fn follow(
             None => writer.idle(),
         }
         if let Some(error) = writer.take_error() {
-            // Once for each kind: a full disk stays full.
+            // Reported once per kind of error, because a full disk stays full.
             if said != Some(error.kind()) {
                 said = Some(error.kind());
                 note!("recording: {error}: frames are lost until the disk takes them again");
@@ -141,7 +141,7 @@ fn add(writer: &mut impl Keep, item: Item, lost: &mut Losses) {
         Item::Frame(frame) => writer.keep(Message::Frame(frame)),
         Item::Event(event) => writer.keep(Message::Event(event)),
         Item::Line(line) => writer.keep(Message::Line(line)),
-        // Taken before the first of these, and told where it comes again.
+        // The caller handles these items. They carry no message of the run.
         Item::Attached | Item::Marked(_) | Item::Refused(_) => {}
         Item::Lost(loss) => {
             let (at, topic) = (loss.at.name().to_owned(), loss.topic().to_owned());
@@ -152,7 +152,7 @@ fn add(writer: &mut impl Keep, item: Item, lost: &mut Losses) {
     }
 }
 
-/// A place at the tap that takes the place of one that died; none where the run has ended.
+/// Reconnects to the tap that replaces a dead one; `None` if the run has ended.
 fn again(root: &Path, request: &Request, stop: &Stop) -> Option<Client> {
     let begun = Instant::now();
     while root.exists() && begun.elapsed() < RETURN_LIMIT && !stop.requested() && lives(root) {

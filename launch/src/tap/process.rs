@@ -1,4 +1,5 @@
-//! The launcher's side of the tap: its process, and that of a recording that `stgdat run --record` starts.
+//! The launcher's side of the tap. Manages the tap's process and the recording that `stgdat run --record`
+//! starts.
 
 use std::io::{BufRead as _, BufReader, ErrorKind, Write as _};
 use std::os::fd::AsFd;
@@ -18,20 +19,21 @@ use crate::failure::Failure;
 use crate::tap::RingArguments;
 use crate::tap::server::Told;
 
-/// Pause before a tap that died is started again.
+/// Pause before a dead tap is restarted.
 const PAUSE: Duration = Duration::from_secs(1);
-/// Time that the tap has to open its socket, and a recording to attach.
+/// Time limit for the tap to open its socket, and for a recording to attach.
 const START_LIMIT: Duration = Duration::from_secs(10);
-/// Time that the tap has to hand on what is last.
+/// Time limit for the tap to forward its last data.
 const END_LIMIT: Duration = Duration::from_secs(7);
-/// Time that a recording has to write what is last: a disk may be slow.
+/// Time limit for a recording to write its last data to a slow disk.
 const RECORDING_LIMIT: Duration = Duration::from_secs(20);
-/// Bytes for a tap that does not read, beyond what the pipe holds; lines that have no room are left out.
+/// Maximum number of unsent bytes for a tap that does not read, in addition to the pipe's buffer. Further
+/// lines are dropped.
 const UNSENT_MAX: usize = 1 << 18;
-/// Interval between looks at a process.
+/// Interval between checks of a process.
 const LOOK: Duration = Duration::from_millis(5);
 
-/// The tap's process, started again where it dies.
+/// The tap's process, restarted if it dies.
 #[derive(Debug)]
 pub struct Tap {
     record: PathBuf,
@@ -62,12 +64,12 @@ impl Tap {
     fn spawn(&mut self) -> Result<(), Failure> {
         let mut command = Command::new(std::env::current_exe().map_err(Failure::unavailable)?);
         command.arg("tap").arg("--run").arg(&self.record);
-        // A process group of its own: Ctrl-C reaches the launcher alone, which ends the tap last.
+        // A separate process group, so Ctrl-C reaches only the launcher, which ends the tap last.
         command.stdin(Stdio::piped()).stdout(Stdio::null()).process_group(0);
         die_with_this_process(&mut command);
         let mut process = command.spawn().map_err(Failure::unavailable)?;
         if let Some(input) = process.stdin.take() {
-            // A tap that is stopped must not stop the launcher.
+            // A stopped tap must not block the launcher.
             let flags = fcntl_getfl(input.as_fd()).map_err(Failure::unavailable)?;
             fcntl_setfl(input.as_fd(), flags | OFlags::NONBLOCK).map_err(Failure::unavailable)?;
             self.input = Some(input);
@@ -81,15 +83,15 @@ impl Tap {
         self.process.as_mut().is_none_or(|process| process.try_wait().unwrap_or(None).is_some())
     }
 
-    /// Its process number, while it runs.
+    /// Returns the process id while the process runs.
     pub fn pid(&self) -> Option<u32> {
         self.process.as_ref().map(Process::id)
     }
 
-    /// Looks after the process; true where it has just died and its places on the topics are to be cleaned up.
+    /// Checks the process. Returns true if it has just died, so its places on the topics need a clean-up.
     pub fn tend(&mut self) -> bool {
         if let Some(died) = self.died {
-            // Tools go without where the system has no process for it; the run does not depend on it.
+            // If the process can't be started, tools must do without it. The run does not depend on the tap.
             if died.elapsed() >= PAUSE && self.spawn().is_err() {
                 self.died = Some(Instant::now());
             }
@@ -102,12 +104,12 @@ impl Tap {
         has_died
     }
 
-    /// Tells the tools what happened now.
+    /// Reports an event to the tools.
     pub fn event(&mut self, what: Happened) {
         self.tell(&Told::Event(Event { at_ns: monotonic_ns(), what }));
     }
 
-    /// Hands on a line of a stage.
+    /// Forwards an output line of a stage.
     pub fn line(&mut self, stage: &str, line: &str) {
         let (at_ns, stage, line) = (monotonic_ns(), stage.to_owned(), line.to_owned());
         self.tell(&Told::Line(LogLine { at_ns, stage, line }));
@@ -123,7 +125,7 @@ impl Tap {
         self.send();
     }
 
-    /// Writes what the pipe takes.
+    /// Writes as much as the pipe accepts.
     fn send(&mut self) {
         let Some(input) = &mut self.input else { return self.unsent.clear() };
         while !self.unsent.is_empty() {
@@ -131,16 +133,17 @@ impl Tap {
                 Ok(0) => return,
                 Ok(len) => drop(self.unsent.drain(..len)),
                 Err(error) if error.kind() == ErrorKind::Interrupted => {}
-                // Full: later. Closed: the process is found dead.
+                // A full pipe is retried later. A closed pipe means a dead process, which the next check
+                // finds.
                 Err(_) => return,
             }
         }
     }
 
-    /// Lets the tools have what came last, and ends the process.
+    /// Lets the tap send its last data to the tools, and ends the process.
     pub fn end(&mut self) {
         self.send();
-        // Its standard input ends.
+        // Closes the tap's standard input.
         self.input = None;
         let begun = Instant::now();
         while !self.has_ended() {
@@ -161,8 +164,8 @@ impl Drop for Tap {
     }
 }
 
-/// A recording that the launcher has started beside the stages. It outlives a launcher that is killed for as long
-/// as it takes to finish its file.
+/// A recording process started by the launcher. If the launcher is killed, the process runs on until its file
+/// is finished.
 #[derive(Debug)]
 pub struct Recording {
     process: Process,
@@ -170,7 +173,7 @@ pub struct Recording {
 }
 
 impl Recording {
-    /// Starts `stgdat record` for a run, and waits until it gets every frame.
+    /// Starts `stgdat record` for a run and waits until it receives all frames.
     pub fn start(root: &Path, file: &Path, topics: &str, ring: &RingArguments) -> Result<Self, Failure> {
         let mut command = Command::new(std::env::current_exe().map_err(Failure::unavailable)?);
         command.arg("record").arg(file).arg("--run").arg(root).args(["--topics", topics]);
@@ -178,7 +181,8 @@ impl Recording {
         command.stdin(Stdio::null()).stdout(Stdio::piped()).process_group(0);
         let mut process = command.spawn().map_err(Failure::unavailable)?;
         let lines = process.stdout.take().map(read).unwrap_or_else(|| channel().1);
-        // The first line says that it is attached; without one it has said why on standard error.
+        // The first line reports that the recording is attached. Without a first line, standard error has the
+        // reason.
         match lines.recv_timeout(START_LIMIT) {
             Ok(line) => {
                 if ring.limits().is_some() {
@@ -194,7 +198,8 @@ impl Recording {
         }
     }
 
-    /// Waits until the file is finished, the tap being closed; returns what it says of it, and whether it is whole.
+    /// Waits until the file is finished after the tap has closed. Returns the recording's last lines and
+    /// whether the file is complete.
     pub fn end(mut self) -> (Vec<String>, bool) {
         let begun = Instant::now();
         let whole = loop {
@@ -212,7 +217,7 @@ impl Recording {
     }
 }
 
-/// The lines of a process, read beside the run so that its pipe never fills.
+/// Reads the lines of a process in the background, so its pipe never fills.
 fn read(output: ChildStdout) -> Receiver<String> {
     let (sender, lines) = channel();
     std::thread::spawn(move || {

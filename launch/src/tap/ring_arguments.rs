@@ -9,11 +9,11 @@ use recording::flight::FlightLimits;
 use super::flight::numbered;
 use crate::failure::Failure;
 
-/// Longest time of a ring: what is longer is a recording.
+/// Maximum duration of a ring. For longer durations, a recording is the right tool.
 const SECONDS_MAX: f64 = 3_600.0;
-/// Most memory of a ring, MiB.
+/// Maximum memory of a ring, MiB.
 const MEMORY_MAX: u64 = 65_536;
-/// Most files of a flight recorder.
+/// Maximum number of files of a flight recorder.
 const FILES_MAX: u32 = 1_000;
 
 /// How a flight recorder keeps and writes.
@@ -38,18 +38,18 @@ pub struct RingArguments {
     before_mib: u64,
 }
 
-/// What a flight recorder keeps and writes at most.
+/// The limits of a flight recorder's memory and files.
 #[derive(Clone, Copy, Debug)]
 pub struct Limits {
     /// The ring.
     pub ring: RingLimits,
-    /// Memory of what was before it.
+    /// Memory for messages before the event.
     pub before_bytes: usize,
     /// The files.
     pub flight: FlightLimits,
 }
 
-/// Reads a time: `60s` or `60`.
+/// Parses a time: `60s` or `60`.
 fn seconds(text: &str) -> Result<Duration, String> {
     let number: Option<f64> = text.strip_suffix('s').unwrap_or(text).trim().parse().ok();
     match number.filter(|seconds| (0.1..=SECONDS_MAX).contains(seconds)) {
@@ -59,14 +59,14 @@ fn seconds(text: &str) -> Result<Duration, String> {
 }
 
 impl RingArguments {
-    /// The limits; none where all is to be written.
+    /// Returns the limits; `None` if everything is written.
     pub fn limits(&self) -> Option<Limits> {
         let ring = RingLimits { span_ns: nanoseconds(self.last?), bytes: bytes(self.ring_mib) };
         let flight = FlightLimits { after_ns: nanoseconds(self.after), files: self.files };
         Some(Limits { ring, before_bytes: bytes(self.before_mib), flight })
     }
 
-    /// The same for a recording of its own process.
+    /// Passes the same arguments to a recording in its own process.
     pub fn pass_on(&self, command: &mut Command) {
         let Some(last) = self.last else { return };
         command.arg("--last").arg(last.as_secs_f64().to_string());
@@ -75,7 +75,7 @@ impl RingArguments {
         command.arg("--before-mib").arg(self.before_mib.to_string());
     }
 
-    /// Refuses names that are taken.
+    /// Checks that the file names are free.
     pub fn check(&self, path: &Path) -> Result<(), Failure> {
         let names = (1..=self.files).map(|number| numbered(path, number));
         match names.into_iter().find(|path| path.exists()) {
@@ -87,7 +87,7 @@ impl RingArguments {
         }
     }
 
-    /// What is kept and where it goes, in a sentence.
+    /// Describes in one sentence the recorded data and its file.
     pub fn told(&self, path: &Path) -> String {
         let seconds = self.last.unwrap_or_default().as_secs_f64();
         let [first, last] = [1, self.files].map(|number| numbered(path, number).display().to_string());

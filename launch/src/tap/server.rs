@@ -19,18 +19,18 @@ use wire::{Header, Heartbeat, HeartbeatsTopic, REFUSALS_MAX, RefusalCause, Refus
 use crate::failure::Failure;
 use crate::tap::topic::{self, Input, Taken};
 
-/// Longest sleep, after which it looks whether the run is still there.
+/// Longest sleep between checks that the run still exists.
 const SLEEP: Duration = Duration::from_millis(500);
-/// Time that the tools have to take what waits for them when the run ends.
+/// Time for the tools to read their pending data when the run ends.
 const END_LIMIT: Duration = Duration::from_secs(5);
-/// Bytes of the launcher's messages that are read at a time.
+/// Number of bytes read at a time from the launcher's messages.
 const BLOCK: usize = 1 << 14;
 
-/// What the launcher tells the tap, a line of JSON each.
+/// A message of the launcher to the tap, as one line of JSON.
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Told {
-    /// Something happened.
+    /// An event happened.
     Event(Event),
     /// A stage wrote a line.
     Line(LogLine),
@@ -41,25 +41,25 @@ struct Server {
     run: Run,
     node: Option<Node>,
     hub: Hub<UnixStream>,
-    /// Connections whose request is not whole yet.
+    /// Connections whose request is incomplete.
     pending: Vec<(UnixStream, Vec<u8>)>,
     inputs: Vec<Box<dyn Input>>,
     refusals: Watched,
-    /// Heartbeats, for which the source waits in lockstep so that the tap loses nothing.
+    /// Heartbeats of the tap. In lockstep the source waits for them, so the tap loses no frames.
     beats: Option<Publisher<HeartbeatsTopic>>,
-    /// The newest tick that was handed on, and the newest that a heartbeat told.
+    /// The newest forwarded tick, and the newest tick that a heartbeat carried.
     newest: u64,
     beaten: u64,
     beat: u64,
-    /// What the launcher said, up to the last whole line.
+    /// Unprocessed input from the launcher.
     told: Vec<u8>,
 }
 
-/// Listens on a socket. Under its name there is only one that listens: between binding and listening a tool's connection
-/// would be refused.
+/// Listens on a socket. The socket gets its final name only after it listens; otherwise a tool could connect
+/// too early and be refused.
 fn listen(path: &Path) -> std::io::Result<UnixListener> {
     let unfinished = path.with_extension("unfinished");
-    // Of a tap that died.
+    // Left by a dead tap.
     let _ = std::fs::remove_file(&unfinished);
     let listener = UnixListener::bind(&unfinished)?;
     std::fs::rename(&unfinished, path)?;
@@ -107,14 +107,14 @@ pub fn serve(record: &Path) -> Result<Exit, Failure> {
     server.end()
 }
 
-/// What has woken the tap.
+/// The sources that woke the tap.
 struct Ready {
     listener: bool,
     launcher: bool,
 }
 
 impl Server {
-    /// Sleeps until something comes.
+    /// Sleeps until a source is ready.
     fn wait(
         &self,
         listener: &UnixListener,
@@ -140,7 +140,7 @@ impl Server {
         }
     }
 
-    /// Hands on the frames that have come.
+    /// Forwards the frames that have arrived.
     fn pump(&mut self) -> Result<(), Failure> {
         let Self { hub, inputs, refusals, newest, .. } = self;
         for input in inputs {
@@ -172,7 +172,7 @@ impl Server {
         Ok(())
     }
 
-    /// Tells the source how far it is, where the run is in lockstep and ticks are read.
+    /// Sends the tap's progress to the source if the run is in lockstep and the tap reads ticks.
     fn beat(&mut self) -> Result<(), Failure> {
         let reads_ticks = self.inputs.iter().any(|input| !is_heartbeats(input.number()));
         if !self.run.lockstep || !reads_ticks && self.beats.is_none() {
@@ -199,13 +199,13 @@ impl Server {
         beats.send_copy(&[heartbeat], header)?;
         (self.beat, self.beaten) = (self.beat + 1, self.newest);
         if !reads_ticks {
-            // Nothing is read any more, which the last heartbeat says.
+            // The heartbeat just sent announced that the tap no longer reads.
             self.beats = None;
         }
         Ok(())
     }
 
-    /// Takes what the launcher says; false once it has closed.
+    /// Reads the launcher's messages. Returns false once the launcher has closed the pipe.
     fn listen(&mut self, input: &mut io::Stdin) -> bool {
         let mut block = [0; BLOCK];
         match input.read(&mut block) {
@@ -232,7 +232,7 @@ impl Server {
         }
     }
 
-    /// Reads the requests that have come, and attaches their tools.
+    /// Reads the pending requests and attaches their tools.
     fn requests(&mut self) {
         for (mut socket, mut line) in std::mem::take(&mut self.pending) {
             let mut block = [0; REQUEST_BYTES_MAX];
@@ -274,7 +274,7 @@ impl Server {
         }
     }
 
-    /// Takes a reader's place of each topic that is wanted and not read yet.
+    /// Takes a reader's place on each wanted topic that is not open yet.
     fn open(&mut self, want: Want) -> Result<(), Failure> {
         for (number, entry) in TABLE.topics.iter().enumerate() {
             let number = number as u8;
@@ -292,7 +292,7 @@ impl Server {
         Ok(())
     }
 
-    /// Writes what the tools take, detaches those that have gone, and gives back the topics that nobody wants.
+    /// Writes as much as the tools accept, detaches closed tools, and releases topics that no tool wants.
     fn flush(&mut self) {
         self.hub.write();
         let gone = self.hub.detach(|tool| {
@@ -313,7 +313,7 @@ impl Server {
         });
     }
 
-    /// Hands on what has come last, and lets the tools take it.
+    /// Forwards the last frames and waits until the tools have read them.
     fn end(mut self) -> Result<Exit, Failure> {
         self.pump()?;
         let until = Instant::now() + END_LIMIT;
@@ -322,13 +322,13 @@ impl Server {
             std::thread::sleep(Duration::from_millis(2));
             self.flush();
         }
-        // The launcher removes the run's files; ports that end after it would look for theirs.
+        // The launcher removes the run's files. Ports dropped after that would look for them.
         std::mem::forget((self.inputs, self.beats, self.node));
         Ok(Exit::Done)
     }
 }
 
-/// Answers a tool that is not attached. An empty socket takes so few bytes at once.
+/// Answers a tool that is not attached. An empty socket accepts this few bytes at once.
 fn refuse(mut socket: &UnixStream, why: &str) {
     let _ = socket.write_all(&tap::refused(why));
 }
@@ -337,13 +337,13 @@ fn is_heartbeats(topic: u8) -> bool {
     TABLE.topics[usize::from(topic)].name == HeartbeatsTopic::NAME
 }
 
-/// The refusals that heartbeats have told so far.
+/// The refusals that heartbeats have reported so far.
 #[derive(Debug, Default)]
 struct Watched(BTreeMap<(u32, u32), [Refusals; REFUSALS_MAX]>);
 
 impl Watched {
-    /// What a stage has refused since its last heartbeat. What it had refused before the first one that is seen
-    /// here happened before any tool wanted to know.
+    /// Returns the new refusals since a stage's last heartbeat. Refusals before the stage's first observed
+    /// heartbeat do not count, because no tool was attached.
     fn heartbeat(&mut self, heartbeat: &Heartbeat) -> Vec<Event> {
         let key = (heartbeat.stage, heartbeat.incarnation);
         let Some(before) = self.0.insert(key, heartbeat.refusals) else { return Vec::new() };

@@ -1,4 +1,4 @@
-//! A topic as the tap reads it, whatever its elements are.
+//! A topic as the tap reads it, independent of its element type.
 
 use std::os::fd::{AsFd, BorrowedFd};
 
@@ -9,31 +9,31 @@ use wire::{
     HeartbeatsTopic, Topic, TracksTopic, TruthTopic,
 };
 
-/// A frame that was taken from its queue.
+/// A frame taken from its queue.
 pub struct Taken<'a> {
     /// The topic's number.
     pub topic: u8,
-    /// When it was taken, `CLOCK_MONOTONIC`.
+    /// The time at which it was taken, `CLOCK_MONOTONIC`.
     pub received_ns: u64,
     /// Its header, unchecked.
     pub header: &'a Header,
     /// Its elements.
     pub payload: &'a [u8],
-    /// Frames before it that the tap was too late for, as far as that is certain.
+    /// Number of frames before it that the tap certainly missed.
     pub lost: u64,
 }
 
-/// A topic that is read.
+/// An open topic.
 pub trait Input {
     /// The topic's number.
     fn number(&self) -> u8;
-    /// Hands on the frames that have come.
+    /// Passes the pending frames to `each`.
     fn take(&mut self, each: &mut dyn FnMut(&Taken<'_>)) -> Result<(), PortError>;
-    /// Readable when a frame has come.
+    /// Readable when a frame has arrived.
     fn descriptor(&self) -> BorrowedFd<'_>;
 }
 
-/// Opens a topic by its name.
+/// Opens a topic by name.
 pub fn open(node: &Node, name: &str) -> Result<Option<Box<dyn Input>>, PortError> {
     Ok(Some(match name {
         DetectionsTopic::NAME => input::<DetectionsTopic>(node)?,
@@ -82,13 +82,13 @@ impl<T: Topic> Input for Reading<T> {
     }
 }
 
-/// A frame's place in the order of its sender.
+/// A frame's position in its sender's sequence.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Place {
     sender: (u32, u32),
     /// The counter of a protected frame.
     counter: Option<u32>,
-    /// The tick, in lockstep, where no stage leaves one out.
+    /// The tick, set only in lockstep. In lockstep no stage skips a tick.
     tick: Option<u64>,
 }
 
@@ -99,9 +99,10 @@ impl Place {
         Self { sender: (header.sender, header.incarnation), counter, tick: is_tick.then_some(header.seq) }
     }
 
-    /// Frames between two. Without a counter a tick that is missing may have been lost by a stage before.
+    /// Counts the frames that were certainly lost between two positions. Outside lockstep and without a
+    /// counter, a stage may have dropped the missing ticks.
     fn lost_since(&self, before: Option<&Self>) -> u64 {
-        /// Counters that lie farther apart are those of a sender that began anew.
+        /// Counters farther apart belong to a restarted sender.
         const APART_MAX: u32 = 1 << 16;
         let Some(before) = before.filter(|before| before.sender == self.sender) else { return 0 };
         match (before.counter.zip(self.counter), before.tick.zip(self.tick)) {

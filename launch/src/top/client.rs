@@ -8,32 +8,32 @@ use recorder::status::{RunStatus, STATUS_VERSION};
 use crate::failure::Failure;
 use crate::observe::SOCKET;
 
-/// Time that a launcher has to answer.
+/// Time limit for the launcher to answer.
 const LIMIT: Duration = Duration::from_secs(3);
-/// Longest answer.
+/// Maximum size of an answer.
 const ANSWER_BYTES_MAX: u64 = 16 << 20;
 
-/// Asks the launcher of a run.
+/// A client that asks a run's launcher.
 #[derive(Debug)]
 pub struct Client {
     socket: PathBuf,
 }
 
 impl Client {
-    /// Asks the launcher of the run with that folder.
+    /// Creates the client of the run with this folder.
     pub fn new(root: &Path) -> Self {
         Self { socket: root.join(SOCKET) }
     }
 
-    /// Whether the run is still there.
+    /// Whether the run still exists.
     pub fn is_there(&self) -> bool {
         self.socket.exists()
     }
 
-    /// The run's status.
+    /// Returns the run's status.
     ///
     /// # Errors
-    /// [`Failure::Unavailable`] where the launcher does not answer.
+    /// [`Failure::Unavailable`] if the launcher does not answer.
     pub fn ask(&self) -> Result<RunStatus, Failure> {
         let failed = |error| Failure::unavailable_about(self.socket.display(), error);
         let mut answer = Vec::new();
@@ -56,7 +56,7 @@ impl Client {
         if !head.starts_with("HTTP/1.1 200 ") {
             return Err(said(body.trim_end().to_owned()));
         }
-        // Of another version nothing but this number is wanted.
+        // Only this number is read from a status of another version.
         #[derive(serde::Deserialize)]
         struct Versioned {
             version: u32,

@@ -9,10 +9,10 @@ use recorder::text::{bar, count, number};
 pub const DIM: Style = Style::new().fg(Color::DarkGray);
 pub const BOLD: Style = Style::new().add_modifier(Modifier::BOLD);
 
-/// Fewest and most cells of a budget bar.
+/// Minimum and maximum number of cells of a budget bar.
 const BAR_WIDTHS: [usize; 2] = [5, 24];
 
-/// One row: what is told of a stage now, and of the whole run.
+/// One row: the stage's current status and its report for the whole run.
 #[derive(Clone, Copy)]
 pub struct Row<'a> {
     pub stage: &'a StageStatus,
@@ -23,12 +23,12 @@ pub struct Row<'a> {
 struct Column {
     head: &'static str,
     width: usize,
-    /// Shown from this width of the terminal on.
+    /// Minimum terminal width at which the column is shown.
     from_width: usize,
     cell: fn(Row<'_>) -> (String, Style),
 }
 
-/// Times of one phase, or a count that ought to be zero.
+/// Formats the time of a phase.
 fn time(value: Option<f64>) -> (String, Style) {
     (number(value), Style::new())
 }
@@ -37,7 +37,7 @@ fn fault(value: u64) -> (String, Style) {
     (count(value), if value > 0 { BOLD.fg(Color::Red) } else { DIM })
 }
 
-/// The columns, in the order in which they are shown; the bar of the budget comes after `BUDGET` of them.
+/// The columns in display order. The budget bar follows the first `BUDGET` columns.
 const COLUMNS: [Column; 17] = [
     Column { head: "p50", width: 6, from_width: 0, cell: |row| time(row.stage.recent_compute_ms.p50) },
     Column { head: "p99", width: 6, from_width: 0, cell: |row| time(row.stage.recent_compute_ms.p99) },
@@ -82,15 +82,15 @@ const COLUMNS: [Column; 17] = [
     Column { head: "shared", width: 7, from_width: 130, cell: |row| bytes(row.stage.process.shared_bytes) },
     Column { head: "spare", width: 9, from_width: 140, cell: spare },
 ];
-/// Columns before the bar.
+/// Number of columns before the bar.
 const BUDGET: usize = 4;
-/// Cells of a stage's name with its mark.
+/// Cells of a stage's name with its marker.
 const NAME: usize = 11;
 
 fn behind(row: Row<'_>) -> (String, Style) {
     match row.stage.behind_ticks {
         None => ("–".to_owned(), DIM),
-        // A heartbeat is up to a tick old.
+        // A heartbeat may be up to one tick old.
         Some(ticks @ 0..=2) => (count(ticks), DIM),
         Some(ticks) => (count(ticks), BOLD.fg(Color::Red)),
     }
@@ -109,7 +109,7 @@ fn cpu(row: Row<'_>) -> (String, Style) {
     (text, Style::new())
 }
 
-/// Bytes in three digits with their unit.
+/// Formats bytes with three digits and a unit.
 pub fn bytes(value: Option<u64>) -> (String, Style) {
     let Some(value) = value else { return ("–".to_owned(), DIM) };
     let mib = value as f64 / f64::from(1 << 20);
@@ -121,7 +121,7 @@ pub fn bytes(value: Option<u64>) -> (String, Style) {
     (text, Style::new())
 }
 
-/// Cells of the budget's bar in a terminal of that width.
+/// Returns the width of the budget bar in a terminal of `width` cells.
 pub fn bar_width(width: usize) -> usize {
     let taken: usize = shown(width).map(|(_, column)| column.width).sum();
     width.saturating_sub(NAME + taken + 6).clamp(BAR_WIDTHS[0], BAR_WIDTHS[1])
@@ -170,7 +170,7 @@ pub fn line(row: Row<'_>, width: usize, is_selected: bool) -> Line<'static> {
     Line::from(spans)
 }
 
-/// A bar with its share.
+/// Formats a share as a bar and a number.
 pub fn share_spans(share: Option<f64>, cells: usize) -> [Span<'static>; 2] {
     let colour = match share {
         None => Color::DarkGray,

@@ -10,25 +10,25 @@ use recorder::text::{count, number, percent};
 use super::View;
 use super::columns::{BOLD, DIM, Row, bar_width, heading, line, share_spans};
 
-/// Lines of events and of worst ticks at most.
+/// Maximum number of lines for events and for worst ticks.
 const EVENTS_MAX: usize = 4;
 const WORST_MAX: usize = 5;
 /// Heading of the worst ticks.
 const WORST: &str = "worst tick";
 
-/// Lines that the view needs.
+/// Returns the number of lines of the view.
 pub fn height(view: &View, width: u16) -> u16 {
     u16::try_from(lines(view, usize::from(width)).len()).unwrap_or(u16::MAX)
 }
 
-/// Draws the view, with a line of keys at the foot.
+/// Draws the view, with a line of keys at the bottom.
 pub fn render(view: &View, area: Rect, buffer: &mut Buffer, keys: bool) {
     let width = usize::from(area.width);
     let mut lines = lines(view, width);
     let room = usize::from(area.height).saturating_sub(usize::from(keys));
     if lines.len() > room {
         lines.truncate(room);
-        // A heading without what it heads.
+        // Removes trailing headings without content.
         while lines.last().is_some_and(|line| line.width() == 0 || is_heading_of_worst(line)) {
             lines.pop();
         }
@@ -76,7 +76,7 @@ fn note(view: &View, width: usize) -> String {
     }
 }
 
-/// The run's name on the left, its progress on the right.
+/// The run's name on the left and its progress on the right.
 fn title(view: &View, width: usize) -> Line<'static> {
     let status = &view.status;
     let tick = match status.ticks_limit {
@@ -97,7 +97,7 @@ fn title(view: &View, width: usize) -> Line<'static> {
     ])
 }
 
-/// Whether all is well, and if not, why.
+/// Describes whether the run is healthy and, if not, why.
 fn verdict(view: &View, width: usize) -> Vec<Line<'static>> {
     let status = &view.status;
     let (name, colour) = match status.report.verdict.status {
@@ -128,7 +128,7 @@ fn verdict(view: &View, width: usize) -> Vec<Line<'static>> {
     lines
 }
 
-/// End to end against the limit, now and over the whole run.
+/// End-to-end latency against the limit, now and over the whole run.
 fn latency(view: &View, width: usize) -> Line<'static> {
     let status = &view.status;
     let limit_ms = status.report.late_limit_ms;
@@ -155,7 +155,7 @@ fn latency(view: &View, width: usize) -> Line<'static> {
     Line::from(spans)
 }
 
-/// Shares of the forecasts' qualities with their causes, and coverage.
+/// Shares of forecast qualities with causes, and the coverage.
 fn quality(view: &View) -> Vec<Line<'static>> {
     let status = &view.status;
     let forecasts = &status.report.forecasts;
@@ -237,7 +237,7 @@ fn is_heading_of_worst(line: &Line<'_>) -> bool {
     line.spans.first().is_some_and(|span| span.content.trim_start().starts_with(WORST))
 }
 
-/// Lines with an empty one before them.
+/// Returns the lines with an empty line before them.
 fn section(mut lines: Vec<Line<'static>>) -> Vec<Line<'static>> {
     if !lines.is_empty() {
         lines.insert(0, Line::raw(""));
@@ -245,7 +245,7 @@ fn section(mut lines: Vec<Line<'static>>) -> Vec<Line<'static>> {
     lines
 }
 
-/// At most `width` characters of a text, with an ellipsis where it was longer.
+/// Cuts a text to `width` characters, with an ellipsis if it was longer.
 pub fn cut(text: &str, width: usize) -> String {
     if text.chars().count() <= width {
         return text.to_owned();

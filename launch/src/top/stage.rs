@@ -1,4 +1,4 @@
-//! One stage alone.
+//! The view of a single stage.
 
 use ratatui::style::{Color, Style};
 use ratatui::text::{Line, Span};
@@ -10,10 +10,10 @@ use super::View;
 use super::columns::{BOLD, DIM, bytes, share_spans};
 use super::draw::{cut, worst};
 
-/// Worst ticks of the stage that are shown.
+/// Maximum number of displayed worst ticks of the stage.
 const WORST_MAX: usize = 8;
 
-/// All that is known of a stage.
+/// Formats all data of a stage.
 pub fn lines(view: &View, name: &str, width: usize) -> Vec<Line<'static>> {
     let Some(stage) = view.status.stages.iter().find(|stage| stage.name == name) else {
         return vec![Line::styled(format!("  there is no stage {name} any more"), Color::Red)];
@@ -35,7 +35,7 @@ pub fn lines(view: &View, name: &str, width: usize) -> Vec<Line<'static>> {
     lines
 }
 
-/// State and means of the process, on as many lines as they need.
+/// The state and resources of the process, on as many lines as needed.
 fn process(stage: &StageStatus, width: usize) -> Vec<Line<'static>> {
     let process = &stage.process;
     let told = |name: &str, value: Option<String>| {

@@ -121,7 +121,7 @@ fn status() -> RunStatus {
     }
 }
 
-/// The words of the first line that has all of `parts`.
+/// Returns the words of the first line that contains all of `parts`.
 fn words(text: &str, parts: &[&str]) -> Vec<String> {
     let has_all = |line: &&str| parts.iter().all(|part| line.contains(part));
     let line = text.lines().find(has_all).unwrap_or_else(|| panic!("no line with {parts:?} in\n{text}"));

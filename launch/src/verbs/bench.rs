@@ -22,7 +22,7 @@ use crate::show::show;
 use crate::tables;
 use crate::version;
 
-/// Time for measuring each of the machine's peaks.
+/// Duration of each peak measurement.
 const PEAK_TIME: Duration = Duration::from_millis(400);
 
 /// Arguments of `stgdat bench`.
@@ -55,8 +55,8 @@ pub struct Arguments {
     set: SetArguments,
 }
 
-/// Measures compute per stage, the overhead of the pipeline and this machine's peaks, in one run; or what is asked
-/// for instead.
+/// Measures compute per stage, the overhead of the pipeline and this machine's peaks in one run, or only the
+/// requested part.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     if !arguments.fail_if.is_empty() && arguments.seconds == 0 {
         return Err(Failure::Usage("--fail-if is about the run of --seconds, which is 0".to_owned()));
@@ -82,7 +82,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     Ok(Exit::Done)
 }
 
-/// Peaks, compute by stage and the hand-over to workers.
+/// Measures peaks, compute per stage and the hand-over to workers.
 fn speed(arguments: &Arguments) -> Result<String, Failure> {
     let peak = kernels::peak::product_gflops(PEAK_TIME);
     let mut text = format!(
@@ -94,7 +94,8 @@ fn speed(arguments: &Arguments) -> Result<String, Failure> {
     Ok(text)
 }
 
-/// The machine as a heading: the processor, its cores, the kernels, and the precision unless it is f32.
+/// Describes the machine as a heading: the processor, its cores, the kernels, and the precision unless it is
+/// f32.
 ///
 /// # Errors
 /// [`Failure`] if a setting can't be used.
@@ -109,7 +110,7 @@ pub fn machine(set: &[Setting]) -> Result<String, Failure> {
     Ok(format!("{model}, {cores} cores, {kernels}"))
 }
 
-/// The processor's name in /proc/cpuinfo; Arm's have none there.
+/// Finds the processor's name in /proc/cpuinfo. Arm processors have no name there.
 fn processor(cpus: &str) -> Option<&str> {
     let named = |line: &'_ str| line.starts_with("model name");
     let line = cpus.lines().find(|line| named(line))?;

@@ -11,7 +11,7 @@ pub struct Arguments {
     dry_run: bool,
 }
 
-/// Removes the files of runs whose launcher is gone; living runs are left alone.
+/// Removes the files of runs whose launcher is gone. Living runs are not touched.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let leftovers = ports::leftovers().map_err(Failure::unavailable)?;
     let verb = if arguments.dry_run { "would remove" } else { "removed" };

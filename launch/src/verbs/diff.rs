@@ -40,7 +40,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     }
 }
 
-/// Whether a file is a report: it begins as JSON does.
+/// Whether a file is a report: its first character is `{`, as in JSON.
 fn is_report(path: &Path) -> Result<bool, Failure> {
     let failed = |error| Failure::file(path, error);
     let mut begin = Vec::new();
@@ -85,7 +85,7 @@ fn recordings(arguments: &Arguments) -> Result<Exit, Failure> {
     Ok(if comparison.is_equal() && comparison.ticks() > 0 { Exit::Done } else { Exit::Different })
 }
 
-/// What two runs have been given differently.
+/// Lists the differences in the inputs of two runs.
 fn differing(a: &About, b: &About) -> Vec<String> {
     let pairs = [
         ("seed", a.run.seed.to_string(), b.run.seed.to_string()),
@@ -97,7 +97,7 @@ fn differing(a: &About, b: &About) -> Vec<String> {
     ];
     let pairs = pairs.into_iter().filter(|(_, a, b)| a != b);
     let mut found: Vec<String> = pairs.map(|(name, a, b)| format!("{name}: {a} and {b}")).collect();
-    // Where a run writes its report is no matter.
+    // The path of a run's report does not matter.
     let options = |about: &About| {
         let stages = about.run.stages.iter().filter(|stage| stage.stage != wire::StageId::Recorder.number());
         stages.map(|stage| (stage.stage, stage.options.clone())).collect::<Vec<_>>()

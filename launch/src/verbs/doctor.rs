@@ -13,9 +13,9 @@ use crate::awake;
 use crate::failure::Failure;
 use crate::prediction::{self, LIMIT_MS, Prediction};
 
-/// Shared memory below which a run of many agents may not fit.
+/// Amount of shared memory below which a run of many agents may not fit.
 const SHARED_BYTES: u64 = 128 << 20;
-/// Open files below which the transport may run out.
+/// Number of open files below which the transport may fail.
 const FILES: u64 = 1024;
 
 /// Arguments of `stgdat doctor`.
@@ -30,13 +30,13 @@ pub struct Arguments {
 struct Finding {
     what: &'static str,
     found: String,
-    /// What to do, where something is wrong.
+    /// The advice, if something is wrong.
     advice: Option<String>,
-    /// Whether a run works without.
+    /// Whether a run works without it.
     is_optional: bool,
 }
 
-/// Checks what a run needs of this machine, and advises where something is missing.
+/// Checks this machine's support for a run, and advises if something is missing.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let findings = [
         shared_memory(),
@@ -65,7 +65,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
             say!("     {:<16} {advice}", "");
         }
     }
-    // A run goes on, degraded: a machine that is busy now lacks nothing.
+    // A busy machine lacks nothing, because a run continues with degraded quality.
     say!("{} {:<16} {}", if slow.advice.is_none() { "ok  " } else { "slow" }, slow.what, slow.found);
     if let Some(advice) = slow.advice {
         say!("     {:<16} {advice}", "");
@@ -110,7 +110,7 @@ fn leftovers() -> Finding {
             let bytes: u64 = leftovers.iter().map(|leftover| leftover.bytes).sum();
             let found = format!("{} dead runs, {} MiB", leftovers.len(), bytes >> 20);
             let advice = (!leftovers.is_empty()).then(|| "stgdat clean removes them".into());
-            // A run that finds too little shared memory is refused for that.
+            // A run with too little shared memory is refused by its own check.
             Finding { is_optional: true, ..finding("leftovers", found, advice) }
         }
         Err(error) => finding("leftovers", error, Some("can't be listed".into())),
@@ -124,7 +124,7 @@ fn files() -> Finding {
 }
 
 fn locked_memory() -> Finding {
-    // For information: a run goes on without.
+    // For information; a run does not need locked memory.
     let found = match getrlimit(Resource::Memlock).current {
         _ if may(CapabilitySet::IPC_LOCK) => {
             "no limit for this user: all memory of the stages is locked".to_owned()
@@ -144,7 +144,7 @@ fn may(capability: CapabilitySet) -> bool {
 }
 
 fn real_time() -> Finding {
-    // For information: only a pipeline.toml with `priority` asks for it.
+    // For information; only a pipeline.toml with `priority` needs it.
     let found = match getrlimit(Resource::Rtprio).current {
         _ if may(CapabilitySet::SYS_NICE) => "any `priority` of a stage is allowed".to_owned(),
         None => "any `priority` of a stage is allowed".to_owned(),
@@ -155,7 +155,7 @@ fn real_time() -> Finding {
 }
 
 fn idle_states() -> Finding {
-    // For information: only a pipeline.toml with `awake` asks for it.
+    // For information; only a pipeline.toml with `awake` needs it.
     let may_hold = rustix::fs::access(awake::LATENCY, rustix::fs::Access::WRITE_OK).is_ok();
     let found = if may_hold {
         "`awake = true` keeps the processors from sleeping between ticks".to_owned()
@@ -165,7 +165,8 @@ fn idle_states() -> Finding {
     finding("idle states", found, None)
 }
 
-/// Whether the default demo, and so many agents, fit: predicted from a measurement of this machine as it is now.
+/// Checks whether the default demo and the requested number of agents fit. The prediction comes from a
+/// measurement of this machine under its current load.
 fn speed(asked: Option<u32>) -> Result<Finding, Failure> {
     let machine = Prediction::measure()?;
     let numbers = [Some(prediction::AGENTS), asked.filter(|&agents| agents != prediction::AGENTS)];

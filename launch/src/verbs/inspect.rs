@@ -15,7 +15,7 @@ use crate::show::show;
 
 /// Width of the picture, pt.
 const WIDTH: f64 = 516.0;
-/// Longest pause in the way of an agent that is drawn as one line.
+/// Maximum pause in an agent's path that is drawn as one line.
 const PAUSE_MAX_NS: i64 = 3_000_000_000;
 
 /// Arguments of `stgdat inspect`.
@@ -38,7 +38,7 @@ pub struct Arguments {
     strict: bool,
 }
 
-/// Prints what a recording contains and what is probably wrong with it.
+/// Prints a recording's contents and its probable defects.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let recording = data::open_with(&arguments.recording, arguments.read.options()).map_err(Failure::data)?;
     let inspection = data::inspect(&recording);
@@ -61,7 +61,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     Ok(if arguments.strict && is_doubtful { Exit::Data } else { Exit::Done })
 }
 
-/// The audit for people.
+/// Formats the audit for people.
 fn text(inspection: &Inspection, out: Option<&Path>) -> String {
     let Inspection { recording, frames, rows, span_s, interval_ms, identities, .. } = inspection;
     let mut text = String::new();
@@ -108,7 +108,7 @@ fn text(inspection: &Inspection, out: Option<&Path>) -> String {
 
 fn type_words(of_type: &TypeInspection) -> String {
     let TypeInspection { rows, agents, moving_mps, reported_ratio, length_m, .. } = of_type;
-    // An agent counts for the type of its first detection.
+    // An agent has the type of its first detection.
     let mut words = match agents {
         0 => format!("{rows} detections of agents of another type before"),
         _ => format!("{agents} agents, {rows} detections"),
@@ -125,7 +125,7 @@ fn type_words(of_type: &TypeInspection) -> String {
     words
 }
 
-/// The command to run next.
+/// Returns the command to run next.
 fn next(arguments: &Arguments, inspection: &Inspection) -> String {
     let mut command = format!("stgdat run --recording {}", quoted(&arguments.recording.to_string_lossy()));
     command += &arguments.read.written();
@@ -139,7 +139,7 @@ fn next(arguments: &Arguments, inspection: &Inspection) -> String {
     format!("{when}\n  {command}")
 }
 
-/// A word of a command line, in quotes if a shell needs them.
+/// Quotes a word of a command line if a shell needs it.
 pub fn quoted(word: &str) -> String {
     let is_plain = |c: char| c.is_ascii_alphanumeric() || "/._-+=:,@%".contains(c);
     match word.chars().all(is_plain) && !word.is_empty() {
@@ -148,7 +148,7 @@ pub fn quoted(word: &str) -> String {
     }
 }
 
-/// The ways of all agents and of the sensor.
+/// Draws the paths of all agents and of the sensor.
 fn drawing(recording: &Recording, inspection: &Inspection, lanes: Option<&LaneMap>) -> Overview {
     let mut drawing = Overview {
         title: recording.name.clone(),
@@ -159,7 +159,7 @@ fn drawing(recording: &Recording, inspection: &Inspection, lanes: Option<&LaneMa
         lines: lanes.into_iter().flat_map(LaneMap::lanes).flat_map(|lane| lane.bounds_m.clone()).collect(),
         ..Overview::default()
     };
-    // For each agent its newest way, by its place, and when it was seen.
+    // The newest path of each agent, by index, and the time at which the agent was last seen.
     let mut newest: BTreeMap<u64, (usize, i64)> = BTreeMap::new();
     let mut ego_ns = None;
     for frame in &recording.frames {

@@ -9,7 +9,7 @@ use run::Exit;
 
 use crate::failure::Failure;
 
-/// The program that has these verbs.
+/// The program that executes these verbs.
 const PROGRAM: &str = "stgdat-lab";
 
 /// The verbs of `stgdat-lab`, which this program runs.
@@ -46,7 +46,8 @@ impl Verb {
     /// Replaces this process by `stgdat-lab` with the same arguments.
     ///
     /// # Errors
-    /// [`Failure::Unavailable`] with the command that builds it, if it is neither beside this program nor in PATH.
+    /// [`Failure::Unavailable`] with the build command, if the program is neither in this program's folder
+    /// nor in PATH.
     pub fn execute(&self) -> Result<Exit, Failure> {
         let beside = std::env::current_exe().ok().and_then(|program| lab_beside(&program));
         let program = beside.unwrap_or_else(|| PROGRAM.into());
@@ -61,7 +62,7 @@ impl Verb {
     }
 }
 
-/// The laboratory in the folder of this program, if it is there.
+/// Returns the laboratory program in the folder of this program, if it exists.
 fn lab_beside(program: &Path) -> Option<PathBuf> {
     Some(program.with_file_name(PROGRAM)).filter(|lab| lab.is_file())
 }

@@ -9,7 +9,7 @@ use crate::failure::Failure;
 use crate::runs;
 use crate::show::show;
 
-/// Time that the tap has to answer.
+/// Time limit for the tap to answer.
 const ANSWER_LIMIT: Duration = Duration::from_secs(10);
 
 /// Arguments of `stgdat mark`.
@@ -40,7 +40,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     show(&text(&run.name, &marked)?)
 }
 
-/// Where the mark is; an error if it is nowhere.
+/// Lists the recordings that have the mark. Returns an error if no recording has it.
 fn text(run: &str, Marked { tick, recordings }: &Marked) -> Result<String, Failure> {
     if recordings.is_empty() {
         let why = format!(

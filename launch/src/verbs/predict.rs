@@ -31,7 +31,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let kept = chain.keep_memory(&run);
     let is_whole = played?;
     kept?;
-    // Of a part there is no verdict.
+    // A verdict needs the whole recording.
     match is_whole {
         true => report.finish(&playback, arguments.playback.report.as_deref(), arguments.playback.strict),
         false => Ok(Exit::Done),

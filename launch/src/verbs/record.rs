@@ -15,14 +15,14 @@ use crate::runs;
 use crate::tap::{FlightRecorder, Recorded, RingArguments, follow};
 use crate::verbs::wire::layout;
 
-/// Forecasts with all their fields.
+/// The topic name of forecasts with all their fields.
 const WHOLE: &str = "forecasts-whole";
-/// Topics that are recorded where none are named.
+/// The topics that are recorded by default.
 pub const TOPICS: &str = "detections,tracks,forecasts,events";
-/// Time that the tap has to open the topics.
+/// Time limit for the tap to open the topics.
 const ATTACH_LIMIT: Duration = Duration::from_secs(10);
 
-/// How far a flight recorder stands back behind the stages.
+/// Nice value of a flight recorder, so that the stages come first.
 const NICE: i32 = 10;
 
 /// Arguments of `stgdat record`.
@@ -45,7 +45,7 @@ pub struct Arguments {
     ring: RingArguments,
 }
 
-/// What is recorded.
+/// The topics to record.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Topics {
     names: Vec<String>,
@@ -79,7 +79,7 @@ pub fn topics(list: &str) -> Result<Topics, String> {
     Ok(topics)
 }
 
-/// Records a run that goes on.
+/// Records a running pipeline.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let stop = Stop::on_signals().map_err(Failure::unavailable)?;
     let limit = arguments.seconds.map(Duration::try_from_secs_f64).transpose();
@@ -111,7 +111,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         }
         Some(limits) => {
             arguments.ring.check(file)?;
-            // A whole ring is packed at once: the stages come first.
+            // A whole ring is packed at once, so the stages get priority.
             let _ = rustix::process::nice(NICE);
             let asked = Asked::by_usr1().map_err(Failure::unavailable)?;
             say(&format!("{}: {}", run.name, arguments.ring.told(file)));
@@ -126,14 +126,15 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     Ok(Exit::Done)
 }
 
-/// The Unix time less `CLOCK_MONOTONIC`.
+/// Returns the Unix time minus `CLOCK_MONOTONIC`.
 fn clock_offset_ns() -> i64 {
     let unix = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     let unix_ns = i64::try_from(unix.as_nanos()).unwrap_or(i64::MAX);
     unix_ns.saturating_sub_unsigned(monotonic_ns())
 }
 
-/// A line on standard output, at once: the launcher may wait for it. A reader that is gone is no failure.
+/// Prints a line on standard output immediately, because the launcher may wait for it. A closed pipe is not
+/// an error.
 fn say(line: &str) {
     let mut output = std::io::stdout().lock();
     let _ = writeln!(output, "{line}").and_then(|()| output.flush());

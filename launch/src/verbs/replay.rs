@@ -16,10 +16,10 @@ use crate::show::show;
 use crate::verbs::wire::layout;
 use crate::version;
 
-/// Numbers of ticks that are listed.
+/// Maximum number of listed ticks.
 const LISTED_MAX: usize = 8;
 
-/// Numbers that are no farther apart than this are told to be near: a tenth of a millimetre.
+/// Numbers that differ by at most this much count as near: 0.1 mm.
 const NEAR: f64 = 1e-4;
 
 /// Arguments of `stgdat replay`.
@@ -42,7 +42,7 @@ pub struct Arguments {
     out: Option<PathBuf>,
 }
 
-/// Takes a recording through the stages once more and compares what they make with what was recorded.
+/// Runs a recording through the stages again and compares the result with the recording.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let (recording, damages) = open_and_check(&arguments.file)?;
     let weights = weights(arguments, &recording)?;
@@ -74,7 +74,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     Ok(if is_equal { Exit::Done } else { Exit::Different })
 }
 
-/// The weights of the command line, else those of the run, which must be the same as they were.
+/// Returns the weights of the command line, or else the run's weights, which must be unchanged.
 fn weights(arguments: &Arguments, recording: &Recording) -> Result<Weights, Failure> {
     let about = recording.about();
     let named = arguments.weights.as_deref().map(canonical).transpose()?;
@@ -96,7 +96,7 @@ fn weights(arguments: &Arguments, recording: &Recording) -> Result<Weights, Fail
     Ok(weights)
 }
 
-/// What may keep a replay from being equal.
+/// Lists possible reasons for a replay that differs.
 fn notes(recording: &Recording, weights: &Weights) -> Vec<String> {
     let about = recording.about();
     let mut notes = Vec::new();
@@ -124,7 +124,7 @@ fn notes(recording: &Recording, weights: &Weights) -> Vec<String> {
     notes
 }
 
-/// The recording that is made of the replay.
+/// Creates the writer of the replay's recording.
 fn writer(
     arguments: &Arguments,
     recording: &Recording,
@@ -141,7 +141,8 @@ fn writer(
     Writer::create(path, &about, &layout()).map(Some).map_err(Failure::data)
 }
 
-/// From which tick on the forecasts are near those recorded, to follow that they are never the same.
+/// Describes the tick from which the forecasts stay near the recorded ones. The text follows the statement
+/// that they are never equal.
 fn near(comparison: &Comparison, newest: Option<u64>) -> String {
     let forecasts = comparison.topics.iter().find(|(name, _)| *name == ForecastsTopic::NAME);
     let Some((_, forecasts)) = forecasts else { return String::new() };
@@ -153,7 +154,7 @@ fn near(comparison: &Comparison, newest: Option<u64>) -> String {
     }
 }
 
-/// What the replay has found.
+/// Describes the result of the replay.
 fn told(replayed: &Replayed) -> String {
     let Replayed {
         comparison,

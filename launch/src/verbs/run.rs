@@ -37,11 +37,11 @@ use crate::verbs::record;
 use crate::version;
 use crate::watch::Watch;
 
-/// Time limit for all stages to start and link to their neighbours.
+/// Time limit for all stages to start and to link to their neighbours.
 const START_LIMIT: Duration = Duration::from_secs(45);
 /// Shared memory that a run may need, bytes.
 const SHARED_BYTES: u64 = 48 << 20;
-/// Width of the report where the output is not a terminal.
+/// Width of the report if the output is not a terminal.
 const REPORT_WIDTH: usize = 100;
 
 /// Arguments of `stgdat run`.
@@ -115,7 +115,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         true => input_of(&recording),
         false => InputReport::default(),
     };
-    // Read here for its name, length and interval; the source reads it again in its own process.
+    // Read here for the recording's name, length and interval. The source reads it again in its own process.
     let playing = PlaybackOptions { ticks_max: source.ticks, ..Default::default() };
     let playback = Playback::new(recording, playing);
     let mut info = info(arguments, &options, &source, origin, &playback, weights_path.as_deref(), &weights)?;
@@ -159,8 +159,8 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let following = Following { tap, recording, watch };
     space.keep();
     let ended = supervise(&pipeline, &run, &mut space, &record_file, &stop, following, keeps_memory)?;
-    // However the run ended, the report tells what there was until then. After a signal or a failure, there is
-    // one if the recorder had begun; where it died too, what it had kept.
+    // The report covers the run up to its end, however it ended. After a signal or failure a report exists if
+    // the recorder had begun. If the recorder died too, its last saved state is used.
     let modified = std::fs::metadata(&report_path).and_then(|file| file.modified());
     let is_written = modified.is_ok_and(|written| written >= begun);
     let measured = match &ended.outcome {
@@ -172,7 +172,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
             .or_else(|| ended.linked.then(|| recorder::stage::empty_report(&run))),
     };
     let mut is_refused = false;
-    // A run that could not start has nothing to report but its failure.
+    // A run that could not start has only its failure to report.
     if let Some(measured) = measured.filter(|_| ended.outcome.is_ok() || ended.linked) {
         let ended_by = ended.outcome.as_ref().err().map(ToString::to_string);
         let mut supervision = ended.outages.into_record(ended_by);
@@ -202,25 +202,25 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
 
 /// How a run ended.
 struct Ended {
-    /// The exit code, or what ended it before its time.
+    /// The exit code, or the failure that ended the run early.
     outcome: Result<Exit, Failure>,
     /// The failure of a sampler that could not write its retrieval memory.
     unkept: Option<StageDeath>,
-    /// Whether the pipeline had been linked: the run had begun.
+    /// Whether the pipeline was linked, which means that the run had begun.
     linked: bool,
     outages: Outages,
     memory: Memory,
-    /// What became of the spares.
+    /// The outcome of each spare.
     spares: BTreeMap<String, SpareReport>,
-    /// Processes that read topics, were no stages, and have died.
+    /// Number of dead processes that read topics and were not stages.
     dead_readers: u64,
-    /// What the recording says of its file.
+    /// The recording's final lines about its file.
     recorded: Vec<String>,
     /// Files about the run that could not be written.
     unwritten: Vec<Failure>,
 }
 
-/// Who follows a run besides its stages.
+/// The observers of a run besides its stages.
 struct Following {
     tap: Tap,
     recording: Option<Recording>,
@@ -228,7 +228,7 @@ struct Following {
 }
 
 impl Arguments {
-    /// The settings of the command line.
+    /// Returns the settings of the command line.
     fn settings(&self) -> Result<Vec<Setting>, Failure> {
         let forecasts = self.forecasts.as_deref().map(text).transpose()?;
         let forecasts =
@@ -245,8 +245,8 @@ impl Arguments {
     }
 }
 
-/// Options of the source. Those of an external source are unknown here: the command line or the generated
-/// scene stands in.
+/// Returns the options of the source. The options of an external source are unknown here, so the command line
+/// or the generated scene is used.
 fn source_options(arguments: &Arguments, options: &StageOptions) -> Result<source::Options, Failure> {
     if options.is_built_in(StageId::Source) {
         return options.read(&source::STAGE);
@@ -256,7 +256,7 @@ fn source_options(arguments: &Arguments, options: &StageOptions) -> Result<sourc
     options.read(&source::STAGE)
 }
 
-/// Checks that the map, if it is a file, can be loaded.
+/// Checks that the map can be loaded, if it is a file.
 fn check_map(options: &mut StageOptions) -> Result<(), Failure> {
     let MapChoice::File(path) = options.read(&localiser::STAGE)?.map else { return Ok(()) };
     let path = canonical(&path)?;
@@ -264,7 +264,7 @@ fn check_map(options: &mut StageOptions) -> Result<(), Failure> {
     options.set_path(StageId::Localiser, "map", &path)
 }
 
-/// Path of the recorder's report: from its options, else in the run's directory.
+/// Returns the path of the recorder's report: from its options, or else in the run's directory.
 fn report_path(options: &mut StageOptions, root: &Path) -> Result<PathBuf, Failure> {
     if let Some(Value::String(path)) = options.get(StageId::Recorder, "report") {
         return Ok(path.into());
@@ -274,7 +274,7 @@ fn report_path(options: &mut StageOptions, root: &Path) -> Result<PathBuf, Failu
     Ok(path)
 }
 
-/// The stages of the run record, in the pipeline's order.
+/// Returns the stages for the run record, in the pipeline's order.
 fn stage_runs(pipeline: &Pipeline, options: &StageOptions) -> Vec<StageRun> {
     let mut runs = options.stage_runs();
     let place = |run: &StageRun| pipeline.stages.iter().position(|stage| stage.id.number() == run.stage);
@@ -289,7 +289,7 @@ fn stage_runs(pipeline: &Pipeline, options: &StageOptions) -> Vec<StageRun> {
     runs
 }
 
-/// The spares of the run record; none in lockstep, where no stage is started again.
+/// Returns the spares for the run record; empty in lockstep, in which stages are not restarted.
 fn spare_runs(pipeline: &Pipeline, lockstep: bool) -> Vec<SpareRun> {
     let with_spare = pipeline.stages.iter().filter(|stage| stage.spare && !lockstep);
     let topics = |stage: &config::Stage| {
@@ -299,9 +299,9 @@ fn spare_runs(pipeline: &Pipeline, lockstep: bool) -> Vec<SpareRun> {
     with_spare.map(|stage| SpareRun { stage: stage.id.number(), topics: topics(stage) }).collect()
 }
 
-/// Writes the run's record, and its path to the file that is to announce it, which appears whole.
+/// Writes the run's record. Then atomically writes the record's path to the announcement file.
 fn write_record(run: &Run, announce: Option<&Path>) -> Result<PathBuf, Failure> {
-    // For programs that are not started by the launcher.
+    // For programs that the launcher did not start.
     let origin = run.root.join("origin");
     std::fs::write(&origin, run.origin().to_string()).map_err(|error| Failure::file(&origin, error))?;
     let record = run.root.join("run");
@@ -327,7 +327,8 @@ fn supervise(
 ) -> Result<Ended, Failure> {
     let Following { mut tap, recording, mut watch } = following;
     let control = Control::open(run)?;
-    // The first process that opens a topic makes it: a program of the user's own would leave no further places.
+    // The first process that opens a topic creates it. An external program would not reserve places for
+    // others.
     let has_places = !run.spares.is_empty() || !run.readers.is_empty();
     let _topics = has_places.then(|| Topics::make(run)).transpose()?;
     let mut fleet = Fleet::start(pipeline, run, record, keeps_memory)?;
@@ -400,7 +401,7 @@ fn supervise(
     Ok(Ended { outcome, unkept, linked, outages, memory, spares, dead_readers, recorded, unwritten })
 }
 
-/// Takes orders to replace stages, and gives a new process that is warm its turn between two ticks.
+/// Accepts orders to replace stages. Lets a warm process take over between two ticks.
 fn replace(
     watch: &mut Watch,
     tap: &mut Tap,
@@ -454,7 +455,7 @@ fn report(
     Ok(report)
 }
 
-/// Facts of a run that are known before it begins.
+/// Returns the facts of a run that are known before it begins.
 fn info(
     arguments: &Arguments,
     options: &StageOptions,
@@ -501,7 +502,7 @@ fn seen_in_training(weights: &Weights, sha256: &str) -> Option<bool> {
     weights.card().map(|card| card.to_string().contains(sha256))
 }
 
-/// What a recording says about the run.
+/// Returns the description of the run for a recording.
 fn about(arguments: &Arguments, info: &RunInfo, run: &Run) -> Result<About, Failure> {
     Ok(About {
         program: concat!("stgdat ", env!("CARGO_PKG_VERSION")).to_owned(),

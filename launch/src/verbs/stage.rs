@@ -44,7 +44,7 @@ fn names() -> PossibleValuesParser {
     PossibleValuesParser::new(StageId::ALL.map(StageId::name))
 }
 
-/// Runs one stage of a run until it is asked to end, as the stage's own program does.
+/// Runs one stage of a run until the process is asked to end, as the stage's own program does.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     match (&arguments.verb, &arguments.name, &arguments.run) {
         (Some(Verb::New(arguments)), ..) => new::execute(arguments),

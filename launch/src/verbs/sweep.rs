@@ -14,8 +14,8 @@ pub struct Arguments {
     run: PathBuf,
 }
 
-/// Gives back what dead processes of a living run held, and prints a line for each of them. The launcher
-/// starts this verb, with a time limit.
+/// Releases the resources that dead processes of a living run held, and prints one line per process. The
+/// launcher starts this verb, with a time limit.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let run = Run::read(&arguments.run).map_err(Failure::config)?;
     ports::clean_dead_nodes(&run, |number, process| say!("{}", cleaner::line(number, process)))?;

@@ -14,7 +14,7 @@ pub struct Arguments {
     run: PathBuf,
 }
 
-/// Hands the frames of a run on to its tools until the launcher closes standard input.
+/// Forwards the frames of a run to its tools until the launcher closes standard input.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     tap::serve(&arguments.run)
 }

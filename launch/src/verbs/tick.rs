@@ -12,9 +12,9 @@ use crate::recorded;
 use crate::show::show;
 use crate::waterfall::{FrameOf, Telling};
 
-/// Width of lines where the output is not a terminal.
+/// Width of lines if the output is not a terminal.
 const WIDTH: usize = 100;
-/// Events this long before and after the tick are told with it.
+/// Events within this time before and after the tick are printed with it.
 const NEAR_NS: u64 = 500_000_000;
 
 /// Arguments of `stgdat tick`.
@@ -26,7 +26,7 @@ pub struct Arguments {
     tick: u64,
 }
 
-/// Tells one tick of a recorded run.
+/// Prints one tick of a recorded run.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let (telling, damages) = tell(arguments)?;
     let width = rustix::termios::tcgetwinsize(std::io::stdout())
@@ -35,7 +35,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     recorded::told(damages).map(|_| exit)
 }
 
-/// What the file has of the tick, and what of the file is damaged.
+/// Reads the tick's data from the file. Also returns the damaged parts of the file.
 fn tell(arguments: &Arguments) -> Result<(Telling, Vec<ReadError>), Failure> {
     let recording = recorded::open(&arguments.file)?;
     let mut search = Search::new(arguments.tick, &recording);
@@ -63,7 +63,7 @@ fn tell(arguments: &Arguments) -> Result<(Telling, Vec<ReadError>), Failure> {
     Ok((telling, damages))
 }
 
-/// Looks for a tick in the messages of a recording.
+/// Searches for a tick in the messages of a recording.
 struct Search {
     tick: u64,
     recorder: Recorder,
@@ -128,7 +128,7 @@ impl Search {
                 return;
             }
         };
-        // What the recorder refuses it counts; the tick is told all the same.
+        // The recorder counts frames that it refuses. The tick is printed anyway.
         let _ = self.recorder.forecasts(header, &forecasts);
         if !header.is_tick() {
             return;
@@ -138,14 +138,14 @@ impl Search {
         *range = [range[0].min(header.seq), range[1].max(header.seq)];
         let mut times = Vec::new();
         self.timeline.follow(header, |stage, hop, of_stage| times.push((stage, *hop, of_stage)));
-        // A tick that came again was refused by its readers.
+        // Readers refuse a repeated tick.
         if is_ours && self.found.is_none() {
             self.times = times;
             self.found = Some((Box::new(*header), forecasts));
         }
     }
 
-    /// Why the tick is not there.
+    /// Describes why the tick is missing.
     fn missing(&self) -> String {
         let Some([first, last]) = self.range else { return "it has no forecasts".to_owned() };
         let mut why =
@@ -158,7 +158,7 @@ impl Search {
     }
 }
 
-/// An event in words; none where it is not about the pipeline.
+/// Describes an event; `None` if it does not concern the pipeline.
 fn told(what: &Happened) -> Option<String> {
     Some(match what {
         Happened::Died { stage, how, .. } => format!("the {stage} {how}, and is started again"),

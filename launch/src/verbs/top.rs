@@ -11,9 +11,9 @@ use crate::runs;
 use crate::show::show;
 use crate::top::{Client, SortBy, View, text};
 
-/// Width of the table where the output is not a terminal.
+/// Width of the table if the output is not a terminal.
 const WIDTH: u16 = 100;
-/// Between two keys the terminal is looked at this often at least.
+/// Maximum interval between checks of the terminal.
 const LOOK: Duration = Duration::from_millis(100);
 
 /// Arguments of `stgdat top`.
@@ -79,7 +79,7 @@ fn print_json(client: &Client, view: &View, arguments: &Arguments) -> Result<Exi
     let mut status = view.status().clone();
     loop {
         let line = serde_json::to_string(&status).map_err(Failure::data)?;
-        // Who reads may have seen enough.
+        // The reader may have closed its end.
         if writeln!(stdout(), "{line}").and_then(|()| stdout().flush()).is_err() || arguments.once {
             return Ok(Exit::Done);
         }
@@ -92,7 +92,7 @@ fn print_json(client: &Client, view: &View, arguments: &Arguments) -> Result<Exi
     }
 }
 
-/// Shows the run until a key ends it; true where the run has ended.
+/// Shows the run until a key ends the view. Returns true if the run has ended.
 fn follow(client: &Client, view: &mut View, interval: Duration) -> Result<bool, Failure> {
     let mut terminal = ratatui::try_init().map_err(Failure::unavailable)?;
     let mut asked = Instant::now();
@@ -113,13 +113,13 @@ fn follow(client: &Client, view: &mut View, interval: Duration) -> Result<bool, 
         match client.ask() {
             Ok(status) => view.update(status),
             Err(_) if !client.is_there() => return Ok(true),
-            // The launcher may be busy with its end; the next look tells.
+            // The launcher may be busy with the run's end; the next poll decides.
             Err(_) => view.silent(),
         }
     }
 }
 
-/// Takes a key; true where it ends the view.
+/// Handles a key. Returns true if it ends the view.
 fn press(view: &mut View, key: KeyEvent) -> bool {
     match key.code {
         KeyCode::Char('q') => return true,

@@ -58,7 +58,8 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     recorded::told(damages)
 }
 
-/// The clocks at the first message. How long the machine slept is not recorded: boot time is taken as monotonic.
+/// Returns the clocks at the first message. The machine's sleep time is not recorded, so boot time equals
+/// monotonic time.
 fn clocks(recording: &Recording, first: &Message) -> Clocks {
     let at_ns = match first {
         Message::Frame(frame) | Message::Before(frame) => frame.received_ns(),

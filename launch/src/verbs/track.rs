@@ -40,7 +40,7 @@ pub struct Arguments {
     playback: PlaybackArguments,
 }
 
-/// Runs a recording through the tracker in this process and writes what it publishes.
+/// Runs a recording through the tracker in this process and writes the published tracks.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let rows = rows(arguments.written_as, &arguments.playback.path()?)?;
     let Played { mut playback, input, run, model } = arguments.playback.start()?;
@@ -50,7 +50,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let kept = tracking.keep_memory(&run);
     let is_whole = played?;
     kept?;
-    // Of a part there is no verdict.
+    // A verdict needs the whole recording.
     match is_whole {
         true => report.finish(&playback, arguments.playback.report.as_deref(), arguments.playback.strict),
         false => Ok(Exit::Done),
@@ -86,7 +86,7 @@ fn play(
     Ok(is_read)
 }
 
-/// The format of the rows, with the calibration beside the recording where it needs one.
+/// Returns the row format, with the calibration file beside the recording if the format needs one.
 fn rows(format: TrackFormat, recording: &Path) -> Result<TrackRows, Failure> {
     Ok(match format {
         TrackFormat::Csv => TrackRows::Csv,

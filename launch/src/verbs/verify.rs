@@ -15,12 +15,12 @@ pub struct Arguments {
     folders: Vec<PathBuf>,
 }
 
-/// Recomputes the golden vectors of folders on this machine and reports those that are off.
+/// Recomputes the golden vectors of folders on this machine and reports mismatches.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let (mut off_len, mut verified_len) = (0, 0);
     for folder in &arguments.folders {
         let rows = match verifier::verify(folder) {
-            // A shell's `golden/*` names the README beside the folders as well.
+            // A shell's `golden/*` also matches the README beside the folders.
             Err(error) if arguments.folders.len() > 1 && holds_no_vectors(folder, &error) => {
                 note!("{}: skipped, no golden vectors\n", folder.display());
                 continue;
@@ -46,7 +46,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     }
 }
 
-/// Whether that is a file that is there, or a folder of something else.
+/// Whether the path is an existing file, or a folder without golden vectors.
 fn holds_no_vectors(path: &Path, error: &VerifyError) -> bool {
     path.is_file() || matches!(error, VerifyError::NoVectors { .. })
 }

@@ -11,7 +11,7 @@ use crate::arguments::{ModelArguments, SetArguments};
 use crate::failure::Failure;
 use crate::options::Setting;
 
-/// Ticks in two seconds.
+/// Number of ticks in two seconds.
 const RATE: u64 = 25;
 /// Agents of the scene.
 const AGENTS: u64 = 32;
@@ -28,8 +28,8 @@ struct Memory {
     shared_kib: u64,
 }
 
-/// Latency, overhead and memory of a run of `seconds` in real time, and the latency of a pipe in the same
-/// run; with the run's report.
+/// Measures latency, overhead and memory in a real-time run of `seconds`, and a pipe's latency in the same
+/// run. Also returns the run's report.
 pub(super) fn table(
     model: &ModelArguments,
     set: &SetArguments,
@@ -100,7 +100,8 @@ fn watch(launcher: &mut Child) -> std::io::Result<Memory> {
     Ok(most)
 }
 
-/// Memory of a launcher's stages and the shared memory that they map, now. Ended processes count as 0.
+/// Returns the current memory of a launcher's stages, and the shared memory that they map. Ended processes
+/// count as 0.
 fn sample(launcher: u32) -> Memory {
     let mut memory = Memory::default();
     let mut files = std::collections::BTreeMap::new();

@@ -1,26 +1,26 @@
-//! `--cost`: what agents and modes cost.
+//! `--cost`: the compute cost of agents and modes.
 
 use std::path::PathBuf;
 
 use super::{Arguments, modes, percentile, stages};
 use crate::failure::Failure;
 
-/// Numbers of agents.
+/// Measured numbers of agents.
 const AGENTS: [usize; 5] = [1, 8, 32, 64, 128];
-/// Numbers of modes, as far as the weights have so many.
+/// Measured numbers of modes, up to the number in the weights.
 const MODES: [usize; 3] = [1, 6, 20];
 
-/// A file of this process alone, removed in the end.
+/// A file of this process only, removed at the end.
 struct Temporary(PathBuf);
 
 impl Drop for Temporary {
     fn drop(&mut self) {
-        // It may not have been written.
+        // The file may not exist.
         let _ = std::fs::remove_file(&self.0);
     }
 }
 
-/// Compute of a whole tick by agents and modes, and what each further agent costs.
+/// Measures the compute of a whole tick by agents and modes, and the cost of each further agent.
 pub(super) fn table(arguments: &Arguments) -> Result<String, Failure> {
     let (_, weights) = arguments.model.open_weights(None)?;
     let modes_of = MODES.into_iter().filter(|&modes| modes <= weights.config().modes);
@@ -29,7 +29,7 @@ pub(super) fn table(arguments: &Arguments) -> Result<String, Failure> {
     let file = Temporary(std::env::temp_dir().join(name));
     let mut columns: Vec<Vec<(f64, f64)>> = vec![Vec::new(); modes_of.len()];
     for agents in AGENTS {
-        // By turns over the modes, so that what else the machine does hits all columns.
+        // The modes alternate, so other load on the machine affects all columns.
         for (column, &modes) in columns.iter_mut().zip(&modes_of) {
             modes::write_first(&weights, modes, &file.0)?;
             let measured = stages::measure(arguments, agents, Some(&file.0))?;
@@ -39,7 +39,7 @@ pub(super) fn table(arguments: &Arguments) -> Result<String, Failure> {
     Ok(text(&modes_of, &columns))
 }
 
-/// `columns` hold (agents, ms) of each number of modes.
+/// Formats the table; `columns` holds (agents, ms) per number of modes.
 fn text(modes: &[usize], columns: &[Vec<(f64, f64)>]) -> String {
     let row = |first: String, values: Vec<f64>, digits: usize| {
         let values: String = values.iter().map(|value| format!(" {value:.digits$} |")).collect();

@@ -1,4 +1,4 @@
-//! What it costs to hand a step's blocks to workers, beside the blocks themselves.
+//! The overhead of handing a step's blocks to workers.
 
 use std::time::{Duration, Instant};
 
@@ -7,11 +7,11 @@ use nn::{Job, Workers, default_workers};
 use super::percentile;
 use crate::failure::Failure;
 
-/// How long a block takes.
+/// Duration of a block.
 const BLOCK: Duration = Duration::from_micros(200);
-/// Blocks of each worker in a step.
+/// Number of blocks per worker in a step.
 const BLOCKS: usize = 4;
-/// Steps that are timed.
+/// Number of timed steps.
 const STEPS: usize = 150;
 /// Pause between two steps, in which the workers fall asleep.
 const PAUSE: Duration = Duration::from_millis(5);
@@ -30,7 +30,7 @@ impl Job for Busy {
     }
 }
 
-/// A line with the time that a step takes longer than its share of the blocks; none on one processor.
+/// Formats the time by which a step exceeds its share of the blocks; `None` on one processor.
 pub(super) fn line() -> Result<Option<String>, Failure> {
     let workers = default_workers();
     if workers < 2 {

@@ -1,4 +1,5 @@
-//! Weights with fewer modes, for what a mode costs: the first modes of a model, whatever they are worth alone.
+//! Weights with fewer modes, to measure the cost of a mode. They keep a model's first modes, regardless of
+//! their accuracy.
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -9,7 +10,7 @@ use safetensors::tensor::TensorView;
 
 use crate::failure::Failure;
 
-/// The axis of a tensor that the modes are on.
+/// Returns the mode axis of a tensor.
 fn axis_of_modes(name: &str) -> Option<usize> {
     let ends = |ends: &[&str]| ends.iter().any(|end| name.ends_with(end));
     if ends(&[".latents", ".mode.1.weight", ".mode.1.bias"]) {
@@ -19,17 +20,17 @@ fn axis_of_modes(name: &str) -> Option<usize> {
     }
 }
 
-/// The first `len` places of an axis.
+/// Returns the first `len` entries of an axis.
 fn cut(values: &[f32], shape: &[usize], axis: usize, len: usize) -> Vec<f32> {
     let inner: usize = shape[axis + 1..].iter().product();
     let rows = values.chunks_exact(shape[axis] * inner);
     rows.flat_map(|row| &row[..len * inner]).copied().collect()
 }
 
-/// Writes the weights with their first `modes` modes alone.
+/// Writes the weights with only their first `modes` modes.
 ///
 /// # Errors
-/// [`Failure`] where the file can't be written.
+/// [`Failure`] if the file can't be written.
 pub(super) fn write_first(weights: &Weights, modes: usize, path: &Path) -> Result<(), Failure> {
     let mut tensors: Vec<(&str, Vec<usize>, Vec<u8>)> = Vec::new();
     for (name, shape) in weights.shapes() {

@@ -1,4 +1,4 @@
-//! The reference for a hop between processes: 64 bytes there and back through two pipes.
+//! The reference for one hop between processes: 64 bytes forth and back through two pipes.
 
 use std::io::{Read, Write};
 use std::process::{Command, Stdio};
@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use crate::failure::Failure;
 
-/// One-way latency in ms of each of `pings` at 12.5 Hz.
+/// Measures the one-way latency in ms of `pings` messages at 12.5 Hz.
 pub(super) fn hops_ms(pings: usize) -> Result<Vec<f64>, Failure> {
     let unavailable = |error: std::io::Error| Failure::unavailable_about("cat", error);
     let mut echo =

@@ -1,4 +1,4 @@
-//! Compute per stage, all stages in one process on generated scenes.
+//! Compute per stage, with all stages in one process on generated scenes.
 
 use std::path::Path;
 use std::time::Instant;
@@ -16,7 +16,7 @@ use crate::failure::Failure;
 use crate::options::{Setting, StageOptions};
 use crate::prediction::SHARED;
 
-/// Ticks before the measured ones: longer than the history, so that caches are as in a steady run.
+/// Ticks before the measurement. They exceed the history, so caches are as in a steady run.
 const WARM_UP: u64 = 60;
 /// The compute stages.
 const STAGES: [StageId; 6] = [
@@ -28,25 +28,25 @@ const STAGES: [StageId; 6] = [
     StageId::Sampler,
 ];
 
-/// Times and work of the measured ticks of one scene.
+/// Times and work of the measured ticks of a scene.
 pub(super) struct Measured {
-    /// Mean number that is forecast.
+    /// Mean number of forecast agents.
     pub agents: f64,
-    /// Milliseconds per tick of each of [`STAGES`].
+    /// Milliseconds per tick, for each of [`STAGES`].
     times_ms: [Vec<f64>; 6],
-    /// Multiply-adds of all ticks of each of [`STAGES`], where the model reports them.
+    /// Multiply-adds of all ticks, for each of [`STAGES`] whose model reports them.
     multiply_adds: [Option<f64>; 6],
 }
 
 impl Measured {
-    /// Milliseconds of each tick, all stages together.
+    /// Returns the milliseconds of each tick, summed over the stages.
     pub(super) fn ticks_ms(&self) -> Vec<f64> {
         let len = self.times_ms.iter().map(Vec::len).min().unwrap_or(0);
         (0..len).map(|tick| self.times_ms.iter().map(|times| times[tick]).sum()).collect()
     }
 }
 
-/// A row per number of agents and stage.
+/// Formats one row per number of agents and stage.
 pub(super) fn table(arguments: &Arguments, peak_gflops: f64) -> Result<String, Failure> {
     let mut text = String::from(
         "| agents | stage | compute p50 ms | p99 ms | GFLOP/s | of the matrix product |\n|---:|---|---:|---:|---:|---:|\n",
@@ -69,7 +69,7 @@ pub(super) fn table(arguments: &Arguments, peak_gflops: f64) -> Result<String, F
     Ok(text + "\n")
 }
 
-/// The context CNN alone, at 64 patches.
+/// Measures the context CNN alone, with 64 patches.
 fn cnn(arguments: &Arguments, peak_gflops: f64) -> Result<String, Failure> {
     const PATCHES: usize = 64;
     let (_, weights) = arguments.model.open_weights(None)?;
@@ -89,7 +89,7 @@ fn cnn(arguments: &Arguments, peak_gflops: f64) -> Result<String, Failure> {
     Ok(format!("| | CNN, {PATCHES} patches | {p50:.3} | {p99:.3} | {rate:.1} | {share:.2} |\n"))
 }
 
-/// Times all stages on a generated scene, with the weights of a file or those of the arguments.
+/// Measures all stages on a generated scene, with `weights` or else the weights of the arguments.
 pub(super) fn measure(
     arguments: &Arguments,
     agents: usize,

@@ -1,4 +1,4 @@
-//! Multiply-adds of a tick, counted from the model's layers: only those whose result is used, not padding.
+//! Multiply-adds of a tick, counted from the model's layers. Padding and unused results do not count.
 
 use nn::{ContextCnn, ModelConfig, Weights};
 use onboard::Load;
@@ -9,11 +9,11 @@ use wire::{
 
 use crate::failure::Failure;
 
-/// Units of the hidden layers and of the GRU.
+/// Width of the hidden layers and of the GRU.
 const HIDDEN: usize = 128;
-/// Units of the mode head's hidden layer.
+/// Width of the mode head's hidden layer.
 const MODE_HIDDEN: usize = 64;
-/// Outputs of the decoder's head per step.
+/// Number of outputs of the decoder's head per step.
 const RAW: usize = 5;
 const _: () = assert!(STATE_EMBEDDING + CONTEXT_EMBEDDING == NODE_ATTRIBUTES);
 
@@ -29,8 +29,8 @@ impl Work {
         Ok(Self { config: weights.config().clone(), cnn })
     }
 
-    /// Multiply-adds of a steady tick in tracker, localiser, extractor, encoder, decoder and sampler; none
-    /// for those whose work is no matrix product.
+    /// Returns the multiply-adds of a steady tick in tracker, localiser, extractor, encoder, decoder and
+    /// sampler. `None` for stages without matrix products.
     pub(super) fn tick(&self, load: &Load) -> [Option<f64>; 6] {
         let mlp = |input: usize, output: usize| HIDDEN * (input + 2 * HIDDEN + output);
         let state = load.nodes_len * mlp(STATE_FEATURES, STATE_EMBEDDING);
@@ -41,7 +41,7 @@ impl Work {
         let node = NODE_ATTRIBUTES * TEMPORAL;
         let sum = TEMPORAL + NODE_ATTRIBUTES;
         let round = load.nodes_len * node + load.edges_len * (edge_in_message + sum);
-        // The first layer of the edge update is done once per node for sender and receiver.
+        // The first layer of the edge update runs once per node for sender and receiver.
         let update = load.nodes_len * 2 * TEMPORAL * HIDDEN + load.edges_len * 2 * EDGE_ATTRIBUTES * HIDDEN;
         let temporal = load.nodes_len * (node + TEMPORAL * self.config.temporal_heads);
         let encoder = self.config.rounds * round + (self.config.rounds - 1) * update + temporal;
@@ -50,7 +50,7 @@ impl Work {
         let burn_in = load.burn_in_len * (gru + 3 * HIDDEN * STATE_FEATURES);
         let draws = self.config.modes + usize::from(self.config.best_latent);
         let steps = load.forecast_len * draws * self.config.horizon_len;
-        // The recurrent half of the first step is done once per agent for all draws.
+        // The recurrent half of the first step runs once per agent for all draws.
         let recurrences = load.forecast_len + steps - load.forecast_len * draws;
         let latent =
             if self.config.best_latent { 0 } else { load.forecast_len * draws * 3 * HIDDEN * LATENT };

@@ -8,16 +8,16 @@ use crate::options::absolute;
 use crate::pipeline_file;
 use crate::show::show;
 
-/// The repository that this program was built from, where it is still there.
+/// The repository from which this program was built, if it still exists.
 const BUILT_FROM: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/..");
-/// What every project of a stage is built with: the crates of the repository, and those that they hand out.
+/// Dependencies of each stage project: the repository's crates, and crates whose types they expose.
 const DEPENDENCIES: &str = "\
 bytemuck = { version = \"1.24\", features = [\"derive\", \"min_const_generics\"] }
 serde = { version = \"1\", features = [\"derive\"] }
 ";
-/// Crates of the repository that a stage uses, in its folder `shared`.
+/// Crates of the repository that a stage uses, in folder `shared`.
 const OURS: [&str; 4] = ["model", "ports", "run", "wire"];
-/// Files of the repository that keep the project at the same releases and compiler.
+/// Files of the repository that pin the project's dependencies and compiler.
 const PINNED: [&str; 2] = ["Cargo.lock", "rust-toolchain.toml"];
 
 /// Arguments of `stgdat stage new`.
@@ -53,7 +53,7 @@ enum Template {
 }
 
 impl Template {
-    /// The program.
+    /// Returns the source text of the program.
     const fn text(self) -> &'static str {
         match self {
             Self::Localiser => include_str!("../../../../tests/examples/area_localiser.rs"),
@@ -64,7 +64,7 @@ impl Template {
         }
     }
 
-    /// The example's name.
+    /// Returns the example's name.
     const fn example(self) -> &'static str {
         match self {
             Self::Localiser => "area_localiser",
@@ -75,7 +75,7 @@ impl Template {
         }
     }
 
-    /// The stage in whose place it runs.
+    /// Returns the stage that the program replaces.
     const fn stage(self) -> Option<&'static str> {
         match self {
             Self::Localiser => Some("localiser"),
@@ -84,7 +84,7 @@ impl Template {
         }
     }
 
-    /// Whether the pipeline gets a stage more.
+    /// Whether the program is added to the pipeline as another stage.
     const fn is_added(self) -> bool {
         matches!(self, Self::Monitor | Self::Filter)
     }
@@ -117,7 +117,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     show(&next_steps(*of, name, &folder))
 }
 
-/// Where the crates that the project builds on come from.
+/// The origin of the crates that the project depends on.
 #[derive(Debug)]
 enum Repository {
     Folder(PathBuf),
@@ -139,7 +139,7 @@ impl Repository {
         Ok(Self::Folder(root.canonicalize().map_err(|error| Failure::file(root, error))?))
     }
 
-    /// A dependency on one of its crates.
+    /// Returns a dependency on one of the repository's crates.
     fn dependency(&self, name: &str) -> String {
         match self {
             Self::Folder(root) => {
@@ -156,7 +156,7 @@ impl Repository {
     }
 }
 
-/// Refuses what cargo refuses as the name of a package.
+/// Refuses names that cargo does not accept for a package.
 fn check_name(name: &str) -> Result<(), Failure> {
     let is_plain = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '-';
     if name.starts_with(|c: char| c.is_ascii_alphabetic()) && name.chars().all(is_plain) {
@@ -174,7 +174,7 @@ fn manifest(name: &str, repository: &Repository) -> String {
     )
 }
 
-/// The example under the project's name.
+/// Returns the example with the project's name.
 fn program(of: Template, name: &str) -> String {
     let example = of.example();
     let text =
@@ -182,7 +182,7 @@ fn program(of: Template, name: &str) -> String {
     text.replace(&format!("name = \"{example}\""), &format!("name = \"{}\"", name.to_lowercase()))
 }
 
-/// The shipped pipeline with the project's program in a stage's place, or as one stage more.
+/// Returns the shipped pipeline with the project's program, which replaces a stage or is added as one.
 fn pipeline(of: Template, name: &str) -> Option<String> {
     let shipped = pipeline_file::SHIPPED;
     if let Some(stage) = of.stage() {
@@ -192,7 +192,7 @@ fn pipeline(of: Template, name: &str) -> Option<String> {
     if !of.is_added() {
         return None;
     }
-    // The lines stand in the program's own text.
+    // The lines are part of the program's text.
     let program = program(of, name);
     let lines = program.lines().skip_while(|line| *line != "//! ```toml").skip(1);
     let lines = lines.map_while(|line| line.strip_prefix("//!")).take_while(|line| line.trim() != "```");

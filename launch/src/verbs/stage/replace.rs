@@ -28,7 +28,7 @@ pub struct Arguments {
     exec: Vec<String>,
 }
 
-/// Has the launcher of a run replace a stage, and tells what came of it.
+/// Asks the launcher of a run to replace a stage, and prints the outcome.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let living = runs::find(arguments.run.as_deref())?;
     let run = Run::read(&living.root.join("run")).map_err(Failure::config)?;
@@ -45,8 +45,8 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     }
 }
 
-/// The command as the launcher starts it, wherever that was started: with the program's absolute path, unless it
-/// is searched for in PATH.
+/// Returns the command with the program's absolute path, so it works from any folder. A program that is
+/// searched in PATH stays as it is.
 fn command(words: &[String]) -> Result<Vec<String>, Failure> {
     let [program, arguments @ ..] = words else { return Ok(Vec::new()) };
     let program = if program.contains('/') {
@@ -61,7 +61,7 @@ fn command(words: &[String]) -> Result<Vec<String>, Failure> {
     Ok([&[program], arguments].concat())
 }
 
-/// The options of the command line, read as the stage's own where it is the built-in one.
+/// Parses the options of the command line, with the stage's own schema if the program is built in.
 fn set(arguments: &Arguments) -> Result<toml::Table, Failure> {
     let built_in = stages::declared().into_iter().find(|stage| stage.id().name() == arguments.name);
     let schema = built_in.filter(|_| arguments.exec.is_empty()).map(run::Declared::schema);

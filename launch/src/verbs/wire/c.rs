@@ -144,7 +144,7 @@ fn record(text: &mut String, record: &Record) {
     text.push('\n');
     comment(text, "", &plain(record.doc));
     line(text, &format!("typedef struct {name} {{"));
-    // What is aligned more than its fields are has that of its first one.
+    // If a record is aligned more strictly than its fields, its first field carries the record's alignment.
     let of_fields = record.fields.iter().map(|field| field.r#type.align()).max();
     let more = of_fields < Some(record.align);
     let mut aligned = if more { format!("alignas({}) ", record.align) } else { String::new() };
@@ -168,7 +168,7 @@ fn of_record(record: &Record) -> String {
     format!("stgdat_{}", snake(record.name))
 }
 
-/// A field's type before its name, and its dimensions behind.
+/// Returns a field's type, which precedes its name, and its dimensions, which follow the name.
 fn declaration(of: &Type) -> (String, String) {
     match of {
         Type::Primitive(Primitive::F32) => ("float".into(), String::new()),

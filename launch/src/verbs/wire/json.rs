@@ -64,7 +64,7 @@ fn record(record: &Record) -> Json {
     })
 }
 
-/// A primitive by its name, a record or an array as an object.
+/// Writes a primitive as its name, and a record or an array as an object.
 fn of(of: &Type) -> Json {
     match of {
         Type::Primitive(primitive) => json!(primitive.name()),

@@ -1,5 +1,5 @@
-//! The table as a module for Python: structures of ctypes with the type names that iceoryx2 asks for, and
-//! dtypes of numpy.
+//! The table as a Python module: ctypes structures with the type names that iceoryx2 requires, and numpy
+//! dtypes.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -130,7 +130,7 @@ fn record(text: &mut String, table: &Table, record: &Record) {
     line(text, &format!("\n_check({}, {}, {{\n{}\n}})", record.name, record.size, offsets.join("\n")));
 }
 
-/// The type name of the header, or of a record that is the element of a single topic.
+/// Returns the type name of the header, or of a record that is the element of exactly one topic.
 fn type_name(table: &Table, record: &Record) -> Option<&'static str> {
     let mut topics = table.topics.iter().filter(|topic| topic.element.name == record.name);
     match (topics.next(), topics.next()) {
@@ -146,7 +146,7 @@ fn named(text: &mut String, type_name: &str) {
     line(text, &format!("        return \"{type_name}\"\n"));
 }
 
-/// A class's docstring.
+/// Writes a class's docstring.
 fn document(text: &mut String, doc: &str) {
     line(text, &format!("    \"\"\"{}\"\"\"\n", wrapped(&plain(doc)).join("\n    ")));
 }

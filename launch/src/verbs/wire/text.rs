@@ -1,12 +1,12 @@
-//! Names and doc comments of the table in the manner of other languages.
+//! Converts names and doc comments of the table to the style of other languages.
 
-/// Longest line of a comment, in letters.
+/// Maximum line length of a comment, in characters.
 const LINE_MAX: usize = 110;
 
-/// A doc comment as plain text in one line: without links and escapes, paths with dots.
+/// Returns a doc comment as one line of plain text, without links and escapes, and with dots in paths.
 pub fn plain(doc: &str) -> String {
     let mut text = doc.lines().map(str::trim).filter(|line| !line.is_empty()).collect::<Vec<_>>().join(" ");
-    // [`name`](path): the name is enough.
+    // Of [`name`](path), only the name is kept.
     while let Some(begin) = text.find("](") {
         let end = text[begin..].find(')').map_or(text.len(), |end| begin + end + 1);
         text.replace_range(begin..end, "]");
@@ -28,7 +28,7 @@ pub fn summary(doc: &str) -> String {
     }
 }
 
-/// Text in lines of at most [`LINE_MAX`] letters.
+/// Wraps text into lines of at most [`LINE_MAX`] characters.
 pub fn wrapped(text: &str) -> Vec<String> {
     let mut lines = vec![String::new()];
     for word in text.split(' ') {
@@ -45,7 +45,7 @@ pub fn wrapped(text: &str) -> Vec<String> {
     lines
 }
 
-/// `AgentType` as `agent_type`; also of names with spaces.
+/// Converts `AgentType` to `agent_type`. Names with spaces work too.
 pub fn snake(name: &str) -> String {
     let mut text = String::new();
     for letter in name.chars() {
@@ -57,12 +57,12 @@ pub fn snake(name: &str) -> String {
     text
 }
 
-/// `time of receipt` as `TIME_OF_RECEIPT`, `AgentType` as `AGENT_TYPE`.
+/// Converts `time of receipt` to `TIME_OF_RECEIPT`, and `AgentType` to `AGENT_TYPE`.
 pub fn capitals(name: &str) -> String {
     snake(name).to_uppercase()
 }
 
-/// `detection_flags` as `DetectionFlags`.
+/// Converts `detection_flags` to `DetectionFlags`.
 pub fn camel(name: &str) -> String {
     let part = |part: &str| {
         let (first, rest) = part.split_at(1);
