@@ -13,7 +13,7 @@ pub struct Chain {
     rest: TracksToForecasts,
     tracks: Vec<Track>,
     tracks_len: usize,
-    /// Header and number of the newest forecasts, where there are any: those of a late tick are none.
+    /// Header and number of the newest forecasts; `None` for a late tick.
     prior: Option<(Header, usize)>,
 }
 
@@ -35,8 +35,8 @@ impl Chain {
 
     /// Takes a tick through all stages; `passed` is called after each of them.
     ///
-    /// A tick that the tracker refuses, or that came late, has no forecasts; one that a later stage refuses
-    /// has those of the sampler's fallback.
+    /// If the tracker refuses the tick or the tick is late, there are no forecasts. If a later stage refuses
+    /// it, the sampler's fallback forecasts are returned.
     pub fn tick(
         &mut self,
         header: &Header,
@@ -65,20 +65,20 @@ impl Chain {
         }
     }
 
-    /// Saves the retrieval memory where the run's record wants it.
+    /// Saves the retrieval memory if the run's record names a file.
     ///
     /// # Errors
-    /// [`ChainError`] where it can't be written.
+    /// [`ChainError`] if the file can't be written.
     pub fn keep_memory(&self, run: &Run) -> Result<(), ChainError> {
         Ok(sampler::stage::save_memory(run, self.rest.sampler())?)
     }
 
-    /// Expects of the sampler's experts what `prior` says, not what is shipped.
+    /// Replaces the shipped prior of the sampler's experts by `prior`.
     pub fn expect(&mut self, prior: Prior) {
         self.rest.expect(prior);
     }
 
-    /// Goes on with what an earlier chain's sampler has learned of its experts.
+    /// Continues with the evidence that the sampler of an earlier chain has learned.
     pub fn continue_from(&mut self, earlier: Self) {
         self.rest.continue_from(earlier.rest);
     }
@@ -89,7 +89,7 @@ impl Chain {
         self.rest.sampler().evidence()
     }
 
-    /// The tracks of the last tick; none where it was refused.
+    /// The tracks of the last tick; empty if it was refused.
     #[must_use]
     pub fn tracks(&self) -> &[Track] {
         &self.tracks[..self.tracks_len]
@@ -102,7 +102,7 @@ impl Chain {
     }
 }
 
-/// The empty frame that follows a tick which was refused, or came late.
+/// The empty frame after a refused or late tick.
 fn nothing(mut header: Header) -> (Header, &'static [Forecast]) {
     header.flags |= flags::VOID;
     header.counts = wire::Counts::default();

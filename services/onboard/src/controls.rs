@@ -30,7 +30,7 @@ impl FeaturesToControls {
     /// Stages with the model's networks.
     ///
     /// # Errors
-    /// [`StartError`] where the weights do not hold the model or a thread can't be had.
+    /// [`StartError`] if the weights do not contain the model or a thread can't be started.
     pub fn new(
         weights: &Weights,
         encoder: EncoderOptions,
@@ -49,10 +49,10 @@ impl FeaturesToControls {
     }
 
     /// Takes the features of a tick to controls; `passed` is called after each stage. Without features there
-    /// are none.
+    /// are no controls.
     ///
     /// # Errors
-    /// [`Rejected`] where a stage refuses the tick.
+    /// [`Rejected`] if a stage refuses the tick.
     pub fn step(
         &mut self,
         frame: &FeatureFrame,

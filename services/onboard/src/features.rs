@@ -38,7 +38,7 @@ impl FeatureFrame {
     /// The payload; `None` before the first tick that was not refused.
     ///
     /// # Errors
-    /// [`Rejected`] where it is none.
+    /// [`Rejected`] if the payload is invalid.
     pub fn features(&self) -> Option<Result<Features<'_>, Rejected>> {
         let shape = self.shape?;
         let history_len = self.header.counts.history_len as usize;
@@ -50,7 +50,7 @@ impl TracksToFeatures {
     /// Stages before their first frame.
     ///
     /// # Errors
-    /// [`StartError`] where the weights do not hold the model or a thread can't be had.
+    /// [`StartError`] if the weights do not contain the model or a thread can't be started.
     pub fn new(
         weights: &Weights,
         localiser: LocaliserOptions,
@@ -63,7 +63,7 @@ impl TracksToFeatures {
     /// Takes the tracks of a tick to features; `passed` is called after each stage.
     ///
     /// # Errors
-    /// [`Rejected`] where a stage refuses the tick; `out` is left as it is then, or has been begun.
+    /// [`Rejected`] if a stage refuses the tick. `out` is then unchanged or partly written.
     pub fn step(
         &mut self,
         header: &Header,
@@ -89,14 +89,14 @@ impl TracksToFeatures {
         Ok(())
     }
 
-    /// What the extractor computed for the last tick, and what it left out.
+    /// The extractor's work for the last tick, and the agents that it left out.
     #[must_use]
     pub const fn effort(&self) -> Effort {
         self.extractor.effort()
     }
 }
 
-/// The first `len` rows of a payload that is made longer where it is too short.
+/// The first `len` rows of a payload, which grows if it is too short.
 fn grown(rows: &mut Vec<Row>, len: usize) -> &mut [Row] {
     if rows.len() < len {
         rows.resize(len, Row::zeroed());

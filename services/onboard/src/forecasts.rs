@@ -45,10 +45,10 @@ impl TracksToForecasts {
     /// Forecasts the tracks of a tick, in their order, with the header of the forecasts; `passed` is called
     /// after each stage.
     ///
-    /// A tick that a stage before the sampler refuses has the sampler's fallback.
+    /// If a stage before the sampler refuses the tick, the sampler's fallback forecasts are returned.
     ///
     /// # Errors
-    /// [`Rejected`] where the sampler refuses header or tracks.
+    /// [`Rejected`] if the sampler refuses header or tracks.
     pub fn step(
         &mut self,
         header: &Header,
@@ -72,18 +72,18 @@ impl TracksToForecasts {
     /// The forecasts of the last tick, the first `len`.
     ///
     /// # Panics
-    /// Where `len` is more than a payload holds.
+    /// If `len` exceeds the payload's capacity.
     #[must_use]
     pub fn forecasts(&self, len: usize) -> &[Forecast] {
         &self.forecasts[..len]
     }
 
-    /// Expects of the sampler's experts what `prior` says, not what is shipped.
+    /// Replaces the shipped prior of the sampler's experts by `prior`.
     pub(crate) fn expect(&mut self, prior: Prior) {
         self.sampler.expect(prior);
     }
 
-    /// Goes on with what the sampler of earlier stages has learned of its experts.
+    /// Continues with the evidence that the sampler of earlier stages has learned.
     pub(crate) fn continue_from(&mut self, earlier: Self) {
         self.sampler.continue_from(earlier.sampler);
     }

@@ -1,8 +1,12 @@
-//! A recording once more: its ticks through the stages, compared with what was recorded.
+//! Replays a recording: takes its ticks through the stages again and compares the result with the recording.
 //!
-//! What depended on the clock in the run is taken from the record, not computed again: which ticks a stage
-//! had at all, which forecasts the tracker had at hand, whether the controls came before the sampler's
-//! deadline, which agents were shed, and when a stage was restarted. All numbers are computed anew.
+//! All numbers are computed again. Only facts that depended on the clock come from the recording:
+//!
+//! - the ticks that each stage received;
+//! - the forecasts that were available to the tracker;
+//! - whether the controls met the sampler's deadline;
+//! - the agents that were shed;
+//! - the restarts of stages.
 
 mod pace;
 mod tick;
@@ -26,9 +30,10 @@ use crate::{
 
 pub use self::pace::OwnTime;
 
-/// A tick is replayed once so many later ones have begun: its last frame has come by then, or never will.
+/// A tick is replayed once this many later ticks have begun. Its last frame has arrived by then, or never
+/// will.
 const LATER: usize = 24;
-/// Forecasts that are kept as what the tracker may have had at hand.
+/// Number of recent forecasts kept as candidates for the tracker's prior.
 const PRIORS_MAX: usize = 24;
 
 /// The stages that are replayed, with the topics of their inputs and of their output.
@@ -70,24 +75,26 @@ pub struct Replayed {
     pub comparison: Comparison,
     /// Ticks that were replayed, without those before the file.
     pub ticks: u64,
-    /// Ticks before the file that were replayed first, to bring the stages to where they were.
+    /// Ticks before the file that were replayed first, to restore the state of the stages.
     pub ticks_before: u64,
     /// Of these ticks the headers and identities, recorded and replayed.
     pub before: Comparison,
-    /// Ticks of which the record does not say which stages had them, the topics between being not recorded.
+    /// Ticks for which the recording does not show the stages that received them, because intermediate topics
+    /// are missing.
     pub guessed: u64,
     /// The last tick that was replayed.
     pub newest: Option<u64>,
     /// The first tick that the run has had and the recording not from its begin.
     pub missing_before: Option<u64>,
-    /// Whether the tracks are those of the record: begun in the middle of a run, it does not have the
-    /// tracker's state.
+    /// Whether the recorded tracks were used. If a recording starts in the middle of a run, the tracker's
+    /// state is unknown.
     pub tracks_are_recorded: bool,
     /// Numbers of detections without which a tick was replayed that had some.
     pub without_detections: Vec<u64>,
-    /// Ticks whose prior came in while the tracker began: either may have been at hand.
+    /// Ticks whose prior arrived while the tracker started. It is unknown whether the tracker used that
+    /// prior.
     pub close_priors: Vec<u64>,
-    /// Ticks at which a restarted sampler went on with a state that the replay does not have.
+    /// Ticks at which a restarted sampler resumed with a state that the replay does not have.
     pub not_resumed: Vec<u64>,
     /// The first frame that no stage can have taken: a fault that was injected, or a faulty sender.
     pub impossible: Option<FrameError>,
@@ -99,13 +106,13 @@ pub struct Replayed {
 pub struct Replay<'a> {
     recording: &'a Recording,
     stages: Stages,
-    /// The one stage that is replayed; all where none.
+    /// The only stage that is replayed; `None` for all.
     alone: Option<StageId>,
     incarnations: BTreeMap<StageId, u32>,
     /// The newest forecasts: when they were sent, and the frame; VOID ones are not among them.
     forecasts: VecDeque<(u64, OwnFrame<ForecastsTopic>)>,
     prior: Option<OwnFrame<ForecastsTopic>>,
-    /// None where the ticks follow one another at once.
+    /// `None` if the ticks are replayed without pauses.
     pace: Option<Pace>,
     found: Replayed,
 }
@@ -114,7 +121,7 @@ impl<'a> Replay<'a> {
     /// A replay of all stages or of one `alone`, with the options and the seed of the recorded run.
     ///
     /// # Errors
-    /// [`ReplayError`] where the recording lacks a topic or the stages can't be set up.
+    /// [`ReplayError`] if the recording lacks a topic or the stages can't be set up.
     pub fn new(
         recording: &'a Recording,
         weights: Weights,
@@ -129,7 +136,7 @@ impl<'a> Replay<'a> {
                     .unwrap_or_default()
             }
         };
-        // The tracker goes on with the controls of its forecasts.
+        // The tracker reuses the controls of its forecasts.
         let needs_whole = |topic: &str| alone == Some(StageId::Tracker) && topic == ForecastsTopic::NAME;
         let has = |topic: &str| {
             if needs_whole(topic) { recording.has_whole(topic) } else { recording.has_topic(topic) }
@@ -168,7 +175,7 @@ impl<'a> Replay<'a> {
         let mut ticks: BTreeMap<u64, Tick> = BTreeMap::new();
         // The ticks in the order in which the tracker answered them.
         let mut order: VecDeque<u64> = VecDeque::new();
-        // Of one stage alone the topics around it are enough.
+        // A replay of one stage needs only the topics around it.
         let inputs = STAGES.iter().flat_map(|(_, reads, _)| reads.iter().copied());
         let leads =
             [TracksTopic::NAME].into_iter().chain(inputs).find(|topic| self.recording.has_topic(topic));
@@ -233,7 +240,7 @@ impl<'a> Replay<'a> {
         let recorded_forecasts = tick.own::<ForecastsTopic>(impossible);
         let does = |stage| self.alone.is_none_or(|alone| alone == stage);
         let [tracks_here, samples_here] = [StageId::Tracker, StageId::Sampler].map(does);
-        // Of a stage alone the input is the file's.
+        // A replay of one stage reads its input from the file.
         let mut tracks = recorded_tracks.clone();
         let begins_late = self.alone.is_none() && self.found.missing_before.is_some();
         self.found.tracks_are_recorded = begins_late && self.recording.has_topic(TracksTopic::NAME);
@@ -253,8 +260,8 @@ impl<'a> Replay<'a> {
             // A tick that the run's sampler had not answered.
             (_, None) if self.recording.has_topic(ForecastsTopic::NAME) => None,
             (Some(tracks), recorded) if samples_here => {
-                // What is passed on as VOID leaves no trace in the sampler, and does not tell what it began
-                // with.
+                // A frame that is passed on as VOID leaves no trace in the sampler, and does not show the
+                // sampler's initial state.
                 if let Some(recorded) = recorded.as_ref().filter(|f| !f.header.has(flags::VOID)) {
                     self.renew_sampler(seq, &recorded.header)?;
                 }
@@ -268,7 +275,7 @@ impl<'a> Replay<'a> {
             self.compare(tick, sampled.as_ref(), each);
         }
         let sent_ns = recorded_forecasts.as_ref().and_then(|f| Some(f.header.hop(StageId::Sampler)?.sent_ns));
-        // What the tracker tells of their cost is by the run's own hops.
+        // The tracker reports their cost from the run's own hops.
         let with_hops = |mut frame: OwnFrame<ForecastsTopic>| {
             if let Some(recorded) = &recorded_forecasts {
                 frame.header = frame.header.with_hops_of(&recorded.header);
@@ -285,7 +292,7 @@ impl<'a> Replay<'a> {
         Ok(())
     }
 
-    /// The tracker's answer; none where the run's tracker had not answered the tick.
+    /// The tracker's answer; `None` if the run's tracker had not answered the tick.
     fn track(
         &mut self,
         seq: u64,
@@ -322,8 +329,9 @@ impl<'a> Replay<'a> {
         Ok(Some(self.stages.track(&header, &detections, prior)))
     }
 
-    /// The forecasts that the tracker had at hand: in lockstep those of the tick before, else those of which
-    /// it told the age or, where it told none, the newest that had been sent when it began.
+    /// Chooses the forecasts that were available to the tracker. In lockstep they belong to the previous
+    /// tick. Otherwise the recorded age identifies them. Without a recorded age, the newest forecasts sent
+    /// before the tracker started are chosen.
     fn choose_prior(&mut self, seq: u64, header: &Header, tracks: Option<&Header>) {
         if header.has(flags::LOCKSTEP) {
             let before = self.forecasts.iter().find(|(_, forecasts)| forecasts.header.seq + 1 == seq);
@@ -332,7 +340,7 @@ impl<'a> Replay<'a> {
             }
             return;
         }
-        // The tracker has told how old they were.
+        // The tracker has reported their age.
         if let Some(tracks) = tracks.filter(|tracks| tracks.feedback_age_ns > 0) {
             let stamp_ns = tracks.stamp_ns.saturating_sub_unsigned(tracks.feedback_age_ns);
             let told = self.forecasts.iter().rfind(|(_, forecasts)| forecasts.header.stamp_ns == stamp_ns);
@@ -345,7 +353,7 @@ impl<'a> Replay<'a> {
             self.prior = self.forecasts.back().map(|(_, forecasts)| forecasts.clone());
             return;
         };
-        /// What was sent so shortly before or after the tracker looked may have come in time or not.
+        /// Forecasts sent this close to the tracker's check may or may not have been available.
         const CLOSE_NS: u64 = 1_000_000;
         if self.forecasts.iter().any(|(sent_ns, _)| sent_ns.abs_diff(hop.started_ns) < CLOSE_NS) {
             self.found.close_priors.push(seq);
@@ -356,7 +364,8 @@ impl<'a> Replay<'a> {
         }
     }
 
-    /// Localiser to decoder, as far as the run's stages had the tick; the controls, where it came so far.
+    /// Runs localiser to decoder, as far as the run's stages had the tick. Returns the controls if the tick
+    /// came that far.
     fn network(
         &mut self,
         tick: &Tick,
@@ -417,8 +426,8 @@ impl<'a> Replay<'a> {
         Ok(())
     }
 
-    /// Whether a stage of the run had the tick, by its output or by the hops of the forecasts; where neither
-    /// says so it is taken to have had it.
+    /// Whether a stage of the run had the tick. Its output or the hops of the forecasts show it. Without
+    /// either, the stage is assumed to have had the tick.
     fn has_passed(&mut self, stage: StageId, tick: &Tick, writes: &str) -> Result<bool, ReplayError> {
         if let Some(incarnation) = tick.incarnation(stage, writes) {
             self.renew(stage, incarnation)?;
@@ -440,7 +449,8 @@ impl<'a> Replay<'a> {
         Ok(())
     }
 
-    /// A new sampler goes on with what the one before had learned up to the tick that it tells.
+    /// Restarts the sampler. It resumes with the evidence that the previous sampler had learned up to the
+    /// reported tick.
     fn renew_sampler(&mut self, seq: u64, header: &Header) -> Result<(), ReplayError> {
         let before = self.incarnations.get(&StageId::Sampler).copied().unwrap_or(0);
         self.renew(StageId::Sampler, header.incarnation)?;
@@ -450,7 +460,7 @@ impl<'a> Replay<'a> {
         Ok(())
     }
 
-    /// Compares what was made with what was recorded, where the topic was.
+    /// Compares a replayed frame with the recorded frame, if its topic was recorded.
     fn compare<T: Topic>(&mut self, tick: &Tick, made: Option<&OwnFrame<T>>, each: &mut impl FnMut(&Frame)) {
         let recorded = tick.frame(T::NAME);
         match (recorded, made) {
@@ -477,7 +487,7 @@ impl<'a> Replay<'a> {
     }
 }
 
-/// The header with which the tracker predicted a tick, of that of its tracks.
+/// Returns the header with which the tracker predicted a tick, from the header of its tracks.
 fn predicted(tracks: &Header) -> Header {
     Header { step_ns: 0, left_out_len: 0, counts: wire::Counts::default(), ..*tracks }
 }

@@ -17,7 +17,7 @@ use wire::{
 
 use crate::ChainError;
 
-/// A frame in memory of its own.
+/// A frame in owned memory.
 #[derive(Clone, Debug)]
 pub struct OwnFrame<T: Topic> {
     /// Its header, without clocks and hops but those that came in.
@@ -51,7 +51,7 @@ pub struct Stages {
     encoder: Encoder,
     decoder: Decoder,
     sampler: Sampler,
-    /// What outlives the sampler; none where its run kept nothing.
+    /// The state that outlives the sampler; `None` if the run kept nothing.
     journal: Option<Journal<Vec<u64>>>,
     tracks: Vec<Track>,
 }
@@ -101,8 +101,8 @@ impl Stages {
         Ok(())
     }
 
-    /// Lets a new sampler go on with what the one before had learned when so many ticks lay behind it, or with nothing
-    /// where 0; whether that is known.
+    /// Resumes a new sampler with the state after `ticks` ticks of the previous one, or with an empty state
+    /// if 0. Returns whether that state is known.
     pub fn resume_sampler(&mut self, ticks: u32) -> bool {
         let Some(journal) = &mut self.journal else { return ticks == 0 };
         let resumed = match ticks {
@@ -115,7 +115,7 @@ impl Stages {
         journal.clear().is_ok() && ticks == 0
     }
 
-    /// The tracker's answer to detections, with the forecasts that were at hand.
+    /// The tracker's answer to detections and the available forecasts.
     pub fn track(
         &mut self,
         header: &Header,
@@ -153,7 +153,8 @@ impl Stages {
         or_void(header, located.map(|()| elements))
     }
 
-    /// The extractor's answer to a context, where it had time for `served_max` agents or, where none, chose none.
+    /// The extractor's answer to a context. It had time for `served_max` agents; `None` means that it did not
+    /// have to choose.
     pub fn extract(
         &mut self,
         context: &OwnFrame<ContextTopic>,
@@ -174,7 +175,7 @@ impl Stages {
         or_void(header, written)
     }
 
-    /// The encoder's answer to features, where it had time for `served_max` agents.
+    /// The encoder's answer to features, if it had time for `served_max` agents.
     pub fn encode(
         &mut self,
         features: &OwnFrame<FeaturesTopic>,
@@ -191,7 +192,7 @@ impl Stages {
         or_void(features.header, encoded.map(|_| elements))
     }
 
-    /// The decoder's answer to encodings, without the agents that the frame of `recorded` tells to have been shed.
+    /// The decoder's answer to encodings, without the agents that the recorded frame lists as shed.
     pub fn decode(
         &mut self,
         encodings: &OwnFrame<EncodingsTopic>,
@@ -216,7 +217,7 @@ impl Stages {
         or_void(header, decoded.map(|()| elements))
     }
 
-    /// The sampler's answer to tracks, with their controls or, where it had none in time, without.
+    /// The sampler's answer to tracks, with their controls if these were in time.
     pub fn sample(
         &mut self,
         tracks: &OwnFrame<TracksTopic>,
@@ -274,7 +275,7 @@ fn journal(run: &Run, options: &SamplerOptions) -> Option<Journal<Vec<u64>>> {
     journal.clear().is_ok().then_some(journal)
 }
 
-/// A stage's output, or what it sends on where it refuses the tick.
+/// A stage's output, or a VOID frame if the stage refuses the tick.
 fn or_void<T: Topic>(header: Header, elements: Result<Vec<T::Element>, Rejected>) -> OwnFrame<T> {
     match elements {
         Ok(elements) => OwnFrame { header, elements },

@@ -11,7 +11,7 @@ const LONGEST_US: u64 = 60_000_000;
 /// What a replay in its own time took.
 #[derive(Debug)]
 pub struct OwnTime {
-    /// Ticks that began late: the one before was computed longer than the recording took from it to this one.
+    /// Ticks that began late, because the previous tick took longer to compute than the recording's interval.
     pub late_ticks: u64,
     computed_us: Histogram<u32>,
 }
@@ -57,8 +57,8 @@ impl Pace {
     }
 }
 
-/// When a tick is due that was `step_ns` after the one that was due at `due`; at once after a gap and where the
-/// stamps go back.
+/// Returns the time at which a tick is due, `step_ns` after the tick that was due at `due`. The tick is due
+/// at once after a gap or if stamps go backwards.
 fn due_at(now: Instant, due: Instant, step_ns: i64) -> Instant {
     let step = u64::try_from(step_ns).map(Duration::from_nanos);
     step.ok().filter(|step| *step <= GAP_MAX).map_or(now, |step| due + step)

@@ -10,7 +10,7 @@ use crate::stages::OwnFrame;
 #[derive(Debug, Default)]
 pub struct Tick {
     frames: Vec<Frame>,
-    /// Topics of frames that were before the file, of which it has no more than a replay needs.
+    /// Topics whose frames precede the file. The file keeps only the data of them that a replay needs.
     before: Vec<&'static str>,
 }
 
@@ -46,8 +46,8 @@ impl Tick {
         self.frames.iter().find(|frame| frame.topic().name == topic)
     }
 
-    /// The frame of a topic with its elements; none where the frame is impossible, as a faulty sender makes it: the
-    /// stages refuse such a frame before they look at it. The first is told in `impossible`.
+    /// The frame of a topic with its elements. `None` if the frame is impossible, as from a faulty sender;
+    /// stages refuse such a frame before they read it. `impossible` holds the first one.
     pub fn own<T: Topic>(&self, impossible: &mut Option<FrameError>) -> Option<OwnFrame<T>> {
         let frame = self.frame(T::NAME)?;
         match frame.elements::<T>() {
@@ -59,22 +59,22 @@ impl Tick {
         }
     }
 
-    /// The incarnation of a stage that had the tick, by its output or by the forecasts' hops; none where neither
-    /// tells.
+    /// The incarnation of a stage that had the tick, from its output or the forecasts' hops; `None` if
+    /// neither is recorded.
     pub fn incarnation(&self, stage: StageId, writes: &str) -> Option<u32> {
         let by_output = self.frame(writes).map(|frame| frame.header().incarnation);
         let by_hop = || Some(self.frame(ForecastsTopic::NAME)?.header().hop(stage)?.incarnation);
         by_output.or_else(by_hop)
     }
 
-    /// The header that tells which agents the tick had no time for.
+    /// The header that lists the agents shed in this tick.
     pub fn shedder(&self) -> Option<Header> {
         let frame = self.frame(ControlsTopic::NAME).or_else(|| self.frame(ForecastsTopic::NAME));
         frame.map(|frame| *frame.header())
     }
 
-    /// For how many agents the extractor had time, as its features tell; none where it had not to choose, or they
-    /// were not recorded.
+    /// The number of agents for which the extractor had time, from its features. `None` if it did not have to
+    /// choose or its features were not recorded.
     pub fn extracted_max(&self) -> Option<usize> {
         let features = self.own::<FeaturesTopic>(&mut None)?;
         let counts = &features.header.counts;
@@ -85,7 +85,8 @@ impl Tick {
         has_turns.then(|| served.count())
     }
 
-    /// For how many agents the encoder had time, as its encodings tell; all where they were not recorded.
+    /// The number of agents for which the encoder had time, from its encodings; all if they were not
+    /// recorded.
     pub fn encoded_max(&self) -> usize {
         let Some(encodings) = self.own::<EncodingsTopic>(&mut None) else { return usize::MAX };
         encodings.elements.iter().filter(|agent| agent.forecastable != 0 && agent.shed == 0).count()
