@@ -18,7 +18,7 @@ use toml::Value;
 use wire::{StageId, WorldOrigin};
 
 use crate::failure::Failure;
-use crate::options::{Setting, StageOptions, absolute, text, warn};
+use crate::options::{Setting, StageOptions, absolute, text};
 use crate::play_report::input_of;
 use crate::verbs::inspect::quoted;
 
@@ -87,13 +87,6 @@ pub struct TrackerArguments {
     /// Associate detections by position even if they carry identities
     #[arg(long)]
     associate: bool,
-    // Names of the previous version.
-    #[arg(long = "tracker.prior", hide = true)]
-    prior: Option<String>,
-    #[arg(long = "tracker.association", hide = true)]
-    association: Option<String>,
-    #[arg(long = "tracker.view", hide = true)]
-    view: Option<String>,
 }
 
 /// Options of the retrieval memory.
@@ -102,11 +95,8 @@ pub struct RetrievalArguments {
     /// Forecast without the retrieval memory
     #[arg(long)]
     no_retrieval: bool,
-    // Name of the previous version.
-    #[arg(long, hide = true)]
-    no_recall: bool,
     /// File of the retrieval memory: read at the start if it exists, written at the end
-    #[arg(long, value_name = "FILE", conflicts_with_all = ["no_retrieval", "no_recall"])]
+    #[arg(long, value_name = "FILE", conflicts_with = "no_retrieval")]
     memory: Option<PathBuf>,
 }
 
@@ -262,17 +252,7 @@ impl TrackerArguments {
     pub fn settings(&self) -> Vec<Setting> {
         let associate =
             self.associate.then(|| Setting::of_flag("--associate", StageId::Tracker, "associate", true));
-        let old = [
-            ("--tracker.prior", "prior", &self.prior),
-            ("--tracker.association", "association", &self.association),
-            ("--tracker.view", "fov", &self.view),
-        ];
-        let old = old.into_iter().filter_map(|(flag, option, value)| {
-            let value = value.as_ref()?;
-            warn(&format!("{flag} {value} is written --set tracker.{option}={value} now"));
-            Some(Setting::of_flag(flag, StageId::Tracker, option, value.as_str()))
-        });
-        associate.into_iter().chain(old).collect()
+        associate.into_iter().collect()
     }
 }
 
@@ -280,11 +260,8 @@ impl RetrievalArguments {
     /// Settings of the sampler.
     pub fn settings(&self) -> Result<Vec<Setting>, Failure> {
         let retrieval = |flag, on: bool| Setting::of_flag(flag, StageId::Sampler, "retrieval", on);
-        if self.no_recall {
-            warn("--no-recall is called --no-retrieval now");
-        }
-        if self.no_retrieval || self.no_recall {
-            let flag = if self.no_retrieval { "--no-retrieval" } else { "--no-recall" };
+        if self.no_retrieval {
+            let flag = "--no-retrieval";
             return Ok(vec![Setting::unset(flag, StageId::Sampler, "memory"), retrieval(flag, false)]);
         }
         let Some(path) = &self.memory else { return Ok(Vec::new()) };

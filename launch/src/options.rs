@@ -1,7 +1,6 @@
 //! The options of all stages: pipeline.toml with the overrides of the command line.
 
 use std::collections::BTreeMap;
-use std::ffi::OsString;
 use std::fmt;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
@@ -16,9 +15,6 @@ use wire::StageId;
 
 use crate::failure::Failure;
 use crate::stages;
-
-/// Old flags and their new names.
-const OLD_FLAGS: [(&str, &str); 1] = [("--readme", "--table")];
 
 /// A setting of the command line: one option of one stage.
 #[derive(Clone, Debug)]
@@ -172,11 +168,7 @@ impl StageOptions {
             return Err(setting.refused(format!("there is no {stage} here")));
         };
         let schema = declared.map(|declared| declared.schema());
-        let mut key = setting.option.clone();
-        if let Some(option) = schema.as_ref().and_then(|schema| schema.formerly(&key)) {
-            warn(&format!("`{key}` of the {stage} is called `{}` now", option.name));
-            key.clone_from(&option.name);
-        }
+        let key = setting.option.clone();
         let value = match &setting.value {
             Given::Written(text) => value(text, schema.as_ref().and_then(|schema| schema.get(&key))),
             Given::Value(value) => value.clone(),
@@ -237,17 +229,6 @@ impl StageOptions {
     }
 }
 
-/// Warns of old flags that clap accepts as hidden aliases.
-pub fn warn_of_old_flags(arguments: impl Iterator<Item = OsString>) {
-    for argument in arguments {
-        let argument = argument.to_string_lossy();
-        let flag = argument.split_once('=').map_or(&*argument, |(flag, _)| flag);
-        if let Some((old, new)) = OLD_FLAGS.iter().find(|(old, _)| flag == *old) {
-            warn(&format!("{old} is called {new} now"));
-        }
-    }
-}
-
 /// Parses a value of the command line as TOML, or else as text. If the option takes only text, the value is
 /// always text.
 pub fn value(written: &str, option: Option<&OptionSchema>) -> Value {
@@ -269,11 +250,6 @@ pub fn absolute(path: &Path) -> Result<PathBuf, Failure> {
 pub fn text(path: &Path) -> Result<String, Failure> {
     let text = path.to_str().map(str::to_owned);
     text.ok_or_else(|| Failure::Usage(format!("{}: a path must be UTF-8 to be an option", path.display())))
-}
-
-/// Warns of an old name.
-pub fn warn(what: &str) {
-    note!("warning: {what}; the next version drops the old name");
 }
 
 #[cfg(test)]
@@ -385,13 +361,6 @@ mod tests {
         }
         let turned_on = with_sampler("{ retrieval = false }");
         assert!(applied(&turned_on, &["sampler.memory=a", "sampler.retrieval=true"]).is_ok());
-    }
-
-    #[test]
-    fn old_names_set_the_new_options() {
-        let options = applied(SHIPPED, &["sampler.recall=false", "tracker.view=90,80"]).unwrap();
-        assert!(!options.read(&sampler::STAGE).unwrap().retrieval);
-        assert!(options.read(&tracker::STAGE).unwrap().fov.is_some());
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! Options of the stages: invalid values, old names and help.
+//! Options of the stages: invalid values and help.
 
 use nn::kernels::Isa;
 use run::Run;
@@ -84,39 +84,6 @@ fn an_instruction_set_that_the_processor_lacks_is_refused() {
     assert!(stdout(&portable).contains("kernels portable"), "{}", stdout(&portable));
     let told = stdout(&run(&["doctor", "--kernels", "portable"]));
     assert!(told.contains("portable (as --kernels or STGDAT_KERNELS says; this CPU has "), "{told}");
-}
-
-#[test]
-fn old_names_work_with_a_warning() {
-    let scratch = Scratch::new("old");
-    let recording = scratch.recording("scene.csv", 30);
-    let predict = |arguments: &[&str]| run_well(&[&["predict", &recording], arguments].concat());
-    let pairs: [(&[&str], &[&str], &str); 5] = [
-        (&["--no-recall"], &["--no-retrieval"], "--no-retrieval"),
-        (
-            &["--tracker.prior", "kinematic"],
-            &["--set", "tracker.prior=kinematic"],
-            "--set tracker.prior=kinematic",
-        ),
-        (
-            &["--tracker.association", "jpda"],
-            &["--set", "tracker.association=jpda"],
-            "--set tracker.association",
-        ),
-        (&["--tracker.view", "90,80"], &["--set", "tracker.fov=90,80"], "--set tracker.fov=90,80"),
-        (&["--set", "sampler.recall=false"], &["--set", "sampler.retrieval=false"], "`retrieval`"),
-    ];
-    for (old, new, name) in pairs {
-        let (old, new) = (predict(old), predict(new));
-        assert!(old.stdout == new.stdout, "{name}");
-        assert!(stderr(&old).contains("warning: ") && stderr(&old).contains(name), "{}", stderr(&old));
-        assert_eq!(stderr(&new), "");
-    }
-    let pipeline = scratch.pipeline("p.toml", "deadline_ms = 72", "deadline_ms = 72, recall = false");
-    let texts = stderr(&run_well(&["check", &pipeline]));
-    assert!(texts.contains("p.toml: `recall` of the sampler is called `retrieval` now"), "{texts}");
-    let help = stdout(&run_well(&["run", "--help"]));
-    assert!(!help.contains("--no-recall") && !help.contains("--tracker."), "{help}");
 }
 
 #[test]

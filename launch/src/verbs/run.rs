@@ -478,9 +478,6 @@ fn info(
         info.memory_entries = check_memory(&sampler, weights)?;
         check_lanes(&sampler, origin)?;
         arguments.scene.note_unused_seed(source, &sampler, weights.config());
-        // Former keys.
-        info.recalls = info.retrieval;
-        info.memory_moments = info.memory_entries;
     }
     if options.is_built_in(StageId::Source) {
         let recording = playback.recording();

@@ -331,10 +331,6 @@ pub struct RunInfo {
     pub retrieval: Option<bool>,
     /// Entries that the retrieval memory began with, where it has a file: they may be of this recording.
     pub memory_entries: Option<u64>,
-    /// [`RunInfo::retrieval`] under its former key.
-    pub recalls: Option<bool>,
-    /// [`RunInfo::memory_entries`] under its former key.
-    pub memory_moments: Option<u64>,
     /// Seed of the run.
     pub seed: Option<u64>,
     /// `real` or `max`.

@@ -34,7 +34,6 @@ pub struct Options {
     pub kinematic_s: Option<f64>,
     /// Whether forecasts are corrected by the retrieval memory: by the residuals that agents before had to
     /// their forecasts.
-    #[schemars(extend("formerly" = "recall"))]
     pub retrieval: bool,
     /// Whether the forecasts that have matured decide how network and kinematic experts are blended, and how
     /// wide regions are; without, the network's are published as they are.

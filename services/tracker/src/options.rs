@@ -27,7 +27,6 @@ pub struct Options {
     pub association: Association,
     /// Field of view of the sensor, a sector about the ego's heading, for frames that are detected from the
     /// ego. Tracks outside pay little for a miss. Without limits where not given.
-    #[schemars(extend("formerly" = "view"))]
     pub fov: Option<FieldOfView>,
     /// Frames in a row with the same detections, bit by bit, from which on the source counts as frozen, where
     /// something moves in them: tracks are then predicted. 0 for never.

@@ -207,7 +207,8 @@ impl<O: Default + DeserializeOwned> Declaration<O> {
         let id = self.id();
         let Some(stage) = run.stage(id) else { return Ok(O::default()) };
         let unreadable = |error: toml::de::Error| OptionError::Unreadable { stage: id, source: error.into() };
-        let options = toml::from_str(&stage.options).map_err(unreadable)?;
+        let table: toml::Table = stage.options.parse().map_err(unreadable)?;
+        let options = toml::Value::Table(table).try_into().map_err(unreadable)?;
         (self.rule)(&options)?;
         Ok(options)
     }

@@ -7,7 +7,6 @@
 //! |---|---|
 //! | `expected` | what a value must be, where type and range do not say it |
 //! | `format` | `"path"` for the path of a file, which the launcher makes absolute |
-//! | `formerly` | the key that the option had in the version before |
 
 use schemars::JsonSchema;
 use schemars::generate::SchemaSettings;
@@ -18,8 +17,6 @@ use serde_json::Value as Json;
 pub struct OptionSchema {
     /// Its key.
     pub name: String,
-    /// The key that it had in the version before, where that was another.
-    pub formerly: Option<String>,
     /// The documentation of its field.
     pub about: String,
     /// What kind of value it takes.
@@ -73,12 +70,6 @@ impl OptionsSchema {
     pub fn get(&self, name: &str) -> Option<&OptionSchema> {
         self.iter().find(|option| option.name == name)
     }
-
-    /// The option that had that key in the version before.
-    #[must_use]
-    pub fn formerly(&self, name: &str) -> Option<&OptionSchema> {
-        self.iter().find(|option| option.formerly.as_deref() == Some(name))
-    }
 }
 
 impl OptionSchema {
@@ -89,7 +80,6 @@ impl OptionSchema {
         let default = field.get("default").filter(|default| !default.is_null());
         Self {
             name: name.to_owned(),
-            formerly: text("formerly"),
             // A sentence is broken over lines where its source was.
             about: text("description").unwrap_or_default().replace('\n', " "),
             kind: kind(field),

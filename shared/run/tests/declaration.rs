@@ -26,7 +26,6 @@ struct Options {
     /// Whether.
     active: bool,
     /// A way.
-    #[schemars(extend("formerly" = "method"))]
     way: Way,
     /// A file.
     #[schemars(extend("format" = "path"))]
@@ -89,7 +88,6 @@ fn every_option_is_described_by_its_field() {
     for (name, about, words, default) in expected {
         assert_eq!(described(name), (about.into(), words.into(), default.into()), "{name}");
     }
-    assert_eq!(schema.formerly("method").map(|option| option.name.as_str()), Some("way"));
     let of_kind = |kind: fn(&OptionSchema) -> bool| {
         schema.iter().filter(|option| kind(option)).map(|option| option.name.clone()).collect::<Vec<_>>()
     };

@@ -26,7 +26,7 @@ pub(super) fn check(file: &File, declared: &[&dyn Declared]) -> Result<Pipeline,
     let mut stages = Vec::with_capacity(tables.len());
     for table in &tables {
         let added_len = stages.iter().filter(|stage: &&Stage| stage.id.is_added()).count();
-        stages.push(stage(table, added_len, &topics, declared, &mut warnings)?);
+        stages.push(stage(table, added_len, &topics, declared)?);
     }
     unique_names(&tables)?;
     producers(file, &topics)?;
@@ -90,7 +90,6 @@ fn stage(
     added_len: usize,
     topics: &[TopicRun],
     declared: &[&dyn Declared],
-    warnings: &mut Vec<String>,
 ) -> Result<Stage, Fault> {
     let id = added::stage_id(table, added_len)?;
     table.reads.iter().chain(&table.writes).try_for_each(|topic| known(topic, topics, declared))?;
@@ -108,7 +107,7 @@ fn stage(
         }
         (None, Some(built_in)) => {
             topics_of(*built_in, table)?;
-            options(*built_in, &table.options, declared, warnings)?
+            options(*built_in, &table.options, declared)?
         }
         (None, None) => {
             let message = format!("there is no program for the {}", id.name());

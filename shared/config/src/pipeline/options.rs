@@ -4,38 +4,21 @@ use wire::StageId;
 use super::error::Fault;
 use super::file::OptionsTable;
 
-/// The options of one of this project's own programs, under their present names.
+/// The options of one of this project's own programs.
 pub(super) fn options(
     stage: &dyn Declared,
     table: &OptionsTable,
     declared: &[&dyn Declared],
-    warnings: &mut Vec<String>,
 ) -> Result<toml::Table, Fault> {
-    let (schema, name) = (stage.schema(), stage.id().name());
     let mut options = toml::Table::new();
-    // The spans of each option's key and value in the text, by its present name.
+    // The spans of each option's key and value in the text.
     let mut spans = Vec::new();
     for (key, value) in table {
-        let written = key.get_ref();
-        let present = match schema.formerly(written).filter(|_| schema.get(written).is_none()) {
-            Some(option) => {
-                let present = &option.name;
-                if table.keys().any(|other| other.get_ref() == present) {
-                    let message = format!("`{present}` of the {name} is set twice");
-                    return Err(Fault::new(key.span(), message, format!("the former name of `{present}`")));
-                }
-                warnings.push(format!(
-                    "`{written}` of the {name} is called `{present}` now; the next version drops the old name"
-                ));
-                present
-            }
-            None => written,
-        };
-        options.insert(present.clone(), value.get_ref().clone());
-        spans.push((present.clone(), key.span(), value.span()));
+        options.insert(key.get_ref().clone(), value.get_ref().clone());
+        spans.push((key.get_ref(), key.span(), value.span()));
     }
     stage.check(&options).map_err(|error| {
-        let at_fault = spans.iter().find(|(key, ..)| error.key() == Some(key.as_str()));
+        let at_fault = spans.iter().find(|(key, ..)| error.key() == Some(key));
         let (key, value) = at_fault.map_or((0..0, 0..0), |(_, key, value)| (key.clone(), value.clone()));
         let (message, advice) = (error.to_string(), error.advice());
         match &error {

@@ -28,7 +28,6 @@ struct Deadline {
     #[schemars(range(max = 80.0), extend("exclusiveMinimum" = 0.0))]
     deadline_ms: f64,
     /// Whether.
-    #[schemars(extend("formerly" = "recall"))]
     retrieval: Option<bool>,
     /// Where.
     memory: Option<String>,
@@ -261,18 +260,6 @@ fn unknown_option() {
 #[test]
 fn an_option_of_another_type() {
     insta::assert_snapshot!(error(&with("deadline_ms = 72", "deadline_ms = \"72\"")));
-}
-
-#[test]
-fn an_old_name_is_accepted_with_a_warning() {
-    let pipeline = parsed(&with("deadline_ms = 72", "recall = false"));
-    assert_eq!(stage(&pipeline, StageId::Sampler).options, "retrieval = false".parse().unwrap());
-    assert_eq!(
-        pipeline.warnings,
-        ["`recall` of the sampler is called `retrieval` now; the next version drops the old name"]
-    );
-    insta::assert_snapshot!(error(&with("deadline_ms = 72", "recall = 3")));
-    insta::assert_snapshot!(error(&with("deadline_ms = 72", "retrieval = true, recall = true")));
 }
 
 #[test]

@@ -21,7 +21,7 @@ pub struct Arguments {
     #[arg(long)]
     json: bool,
     /// Markdown file whose marks `stgdat card` (of several weights `stgdat cards`) get the table
-    #[arg(long, alias = "readme", value_name = "FILE")]
+    #[arg(long, value_name = "FILE")]
     table: Option<PathBuf>,
 }
 

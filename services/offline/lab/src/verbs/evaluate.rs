@@ -94,7 +94,7 @@ pub struct Arguments {
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
     /// Markdown file whose marks `stgdat evaluate SET` get the main tables
-    #[arg(long, alias = "readme", value_name = "FILE")]
+    #[arg(long, value_name = "FILE")]
     table: Option<PathBuf>,
 }
 
