@@ -95,7 +95,7 @@ impl BaseControl {
                 augmentation,
                 &mut ChaCha8Rng::seed_from_u64(seed),
             )?;
-            zero.fit(agent_type, &samples, config, seed);
+            zero.fit(agent_type, &samples, config, seed)?;
             Ok(zero)
         });
         Ok(Self { config: config.clone(), types: types.collect::<Result<_, TrainError>>()? })

@@ -93,6 +93,12 @@ pub enum TrainError {
         /// The error of the operating system.
         source: std::io::Error,
     },
+    /// The base control could not be fitted.
+    #[error("the base control can't be fitted to {windows} windows: a feature is not finite")]
+    Fit {
+        /// Number of windows.
+        windows: usize,
+    },
     /// The loss was not finite several times in a row.
     #[error("the loss of step {step} is not finite; a lower learning rate may help")]
     Diverged {

@@ -2,8 +2,9 @@
 
 use std::sync::Arc;
 
+use faer::linalg::solvers::Solve as _;
+use faer::{Mat, Scale, Side};
 use metrics::kmeans;
-use nalgebra::{DMatrix, SMatrix};
 use nn::{Displacement, ModelConfig, base as binning};
 use rand::{Rng, RngExt};
 use rand_distr::{Distribution, StandardNormal};
@@ -11,6 +12,7 @@ use scene::AgentType;
 
 use super::targets::{self, Controls, Driver};
 use super::{Bins, Features, TypeBase, describe};
+use crate::TrainError;
 use crate::batch::{AgentView, start};
 use crate::samples::Agent;
 use crate::view;
@@ -196,14 +198,24 @@ impl TypeBase {
     /// The ridge of pedestrians is constant velocity, and their anchors are one set per speed bin: the mean
     /// of their motion is no better than constant velocity, and their accelerations and yaw rates are mostly
     /// noise.
-    pub(super) fn fit(&mut self, agent_type: AgentType, samples: &[Sample], config: &ModelConfig, seed: u64) {
+    ///
+    /// # Errors
+    /// As [`ridge_regression`].
+    pub(super) fn fit(
+        &mut self,
+        agent_type: AgentType,
+        samples: &[Sample],
+        config: &ModelConfig,
+        seed: u64,
+    ) -> Result<(), TrainError> {
         let controls_len = 2 * config.horizon_len;
         let walks = agent_type == AgentType::Pedestrian;
         if !walks {
-            self.fit_ridge(samples, controls_len);
+            self.fit_ridge(samples, controls_len)?;
         }
         self.fit_anchors(samples, config.modes, controls_len, (walks, seed));
         self.fit_support(samples);
+        Ok(())
     }
 
     /// Bounds of every feature: within them lie all windows of a history class.
@@ -221,26 +233,30 @@ impl TypeBase {
         }
     }
 
-    fn fit_ridge(&mut self, samples: &[Sample], controls_len: usize) {
+    fn fit_ridge(&mut self, samples: &[Sample], controls_len: usize) -> Result<(), TrainError> {
         let per_bin = binning::FEATURES * controls_len;
         for class in 0..binning::CLASSES {
             let of_class: Vec<&Sample> = samples.iter().filter(|sample| sample.bins.class == class).collect();
-            let pooled = || ridge_regression(&of_class, controls_len);
-            let own: Vec<Option<Vec<f32>>> = (0..binning::SPEED_BINS)
-                .map(|bin| of_class.iter().copied().filter(|s| s.bins.speed_bin == bin).collect::<Vec<_>>())
-                .map(|of_bin| {
-                    (of_bin.len() >= RIDGE_WINDOWS_MIN).then(|| ridge_regression(&of_bin, controls_len))
-                })
-                .collect();
+            let own = (0..binning::SPEED_BINS).map(|bin| {
+                let of_bin = of_class.iter().copied().filter(|sample| sample.bins.speed_bin == bin);
+                let of_bin: Vec<&Sample> = of_bin.collect();
+                let is_enough = of_bin.len() >= RIDGE_WINDOWS_MIN;
+                is_enough.then(|| ridge_regression(&of_bin, controls_len)).transpose()
+            });
+            let own = own.collect::<Result<Vec<_>, _>>()?;
+            let pooled = match own.iter().any(Option::is_some) {
+                true => None,
+                false => Some(ridge_regression(&of_class, controls_len)?),
+            };
             for bin in 0..binning::SPEED_BINS {
-                let solution = match &own[bin] {
-                    Some(own) => own.clone(),
-                    None => nearest(&own, |other| bin.abs_diff(other)).cloned().unwrap_or_else(pooled),
-                };
-                self.ridge[(class * binning::SPEED_BINS + bin) * per_bin..][..per_bin]
-                    .copy_from_slice(&solution);
+                let of_bin = own[bin].as_ref().or_else(|| nearest(&own, |other| bin.abs_diff(other)));
+                if let Some(solution) = of_bin.or(pooled.as_ref()) {
+                    self.ridge[(class * binning::SPEED_BINS + bin) * per_bin..][..per_bin]
+                        .copy_from_slice(solution);
+                }
             }
         }
+        Ok(())
     }
 
     fn fit_anchors(
@@ -325,28 +341,20 @@ fn bin_distance(a: usize, b: usize) -> usize {
     4 * (a / per_speed).abs_diff(b / per_speed) + 2 * turn_a.abs_diff(turn_b) + accel_a.abs_diff(accel_b)
 }
 
-/// Coefficients `[features × controls]` that minimise ‖X W − Y‖² + λ‖W‖².
-fn ridge_regression(samples: &[&Sample], controls_len: usize) -> Vec<f32> {
-    let mut normal = SMatrix::<f64, { binning::FEATURES }, { binning::FEATURES }>::identity() * RIDGE;
-    let mut target = DMatrix::<f64>::zeros(binning::FEATURES, controls_len);
-    for sample in samples {
-        for (i, &a) in sample.features.iter().enumerate() {
-            for (j, &b) in sample.features.iter().enumerate() {
-                normal[(i, j)] += f64::from(a) * f64::from(b);
-            }
-            for (j, control) in sample.controls.iter().flatten().enumerate() {
-                target[(i, j)] += f64::from(a) * f64::from(*control);
-            }
-        }
-    }
-    match normal.cholesky() {
-        Some(cholesky) => {
-            let solution = cholesky.solve(&target);
-            (0..binning::FEATURES)
-                .flat_map(|i| (0..controls_len).map(move |j| (i, j)))
-                .map(|at| solution[at] as f32)
-                .collect()
-        }
-        None => vec![0.0; binning::FEATURES * controls_len],
-    }
+/// Coefficients W `[features × controls]` that minimise ‖X W − Y‖² + λ‖W‖², by the normal equations
+/// (XᵀX + λI) W = XᵀY.
+///
+/// # Errors
+/// [`TrainError::Fit`] if XᵀX + λI is not positive definite, as when a feature is not finite.
+fn ridge_regression(samples: &[&Sample], controls_len: usize) -> Result<Vec<f32>, TrainError> {
+    let features =
+        Mat::from_fn(samples.len(), binning::FEATURES, |i, j| f64::from(samples[i].features[j]));
+    let controls =
+        Mat::from_fn(samples.len(), controls_len, |i, j| f64::from(samples[i].controls[j / 2][j % 2]));
+    let penalty = Scale(RIDGE) * Mat::<f64>::identity(binning::FEATURES, binning::FEATURES);
+    let normal = features.transpose() * &features + penalty;
+    let factor = normal.llt(Side::Lower).map_err(|_| TrainError::Fit { windows: samples.len() })?;
+    let solution = factor.solve(features.transpose() * &controls);
+    let rows = (0..binning::FEATURES).flat_map(|i| (0..controls_len).map(move |j| (i, j)));
+    Ok(rows.map(|at| solution[at] as f32).collect())
 }
