@@ -347,8 +347,7 @@ fn bin_distance(a: usize, b: usize) -> usize {
 /// # Errors
 /// [`TrainError::Fit`] if XᵀX + λI is not positive definite, as when a feature is not finite.
 fn ridge_regression(samples: &[&Sample], controls_len: usize) -> Result<Vec<f32>, TrainError> {
-    let features =
-        Mat::from_fn(samples.len(), binning::FEATURES, |i, j| f64::from(samples[i].features[j]));
+    let features = Mat::from_fn(samples.len(), binning::FEATURES, |i, j| f64::from(samples[i].features[j]));
     let controls =
         Mat::from_fn(samples.len(), controls_len, |i, j| f64::from(samples[i].controls[j / 2][j % 2]));
     let penalty = Scale(RIDGE) * Mat::<f64>::identity(binning::FEATURES, binning::FEATURES);
