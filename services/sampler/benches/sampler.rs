@@ -57,8 +57,8 @@ fn tick(c: &mut Criterion) {
     }
 }
 
-/// A tick of pedestrians who all walk where others have walked before, shared over workers: what is retrieved
-/// for them, is most of it.
+/// A tick of pedestrians who walk where others have walked before, shared over workers. Retrieval is most of
+/// the work.
 fn retrieving(c: &mut Criterion) {
     let (header, tracks, controls) = fixture(AgentType::Pedestrian);
     for workers in [1, 2] {
@@ -96,7 +96,8 @@ fn retrieving(c: &mut Criterion) {
     }
 }
 
-/// What comes after a tick: agents that walk on, each tick as many entries changed as agents have come a step further.
+/// The work after a tick with walking agents. Per tick, one memory entry changes for each agent that
+/// completes a step.
 fn commit(c: &mut Criterion) {
     let options = SamplerOptions { evidence: true, ..SamplerOptions::default() };
     let (mut header, mut tracks, controls) = fixture(AgentType::Pedestrian);

@@ -1,7 +1,8 @@
-//! What is published of an agent while it has no learned forecast: a state machine without clock or memory.
+//! The published forecast of an agent without a learned forecast: a state machine without clock or memory.
 //!
-//! Learned forecasts are held, then zero control takes their place, and in the end nothing is said: a planner
-//! that sees no forecast knows that there is none. Any learned forecast leads back at once.
+//! Learned forecasts are held, then zero control replaces them, and finally no forecast is published. A
+//! planner can therefore see that a forecast is missing. A new learned forecast returns the agent to the
+//! learned level at once.
 
 /// What is published of an agent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -45,7 +46,7 @@ pub const TRANSITIONS: [(Level, Change, Level); 7] = [
 pub struct Degradation {
     /// Greatest age at which a learned forecast is published again as held.
     pub held_ns: u64,
-    /// For how long an agent is then forecast by zero control; without limit where none.
+    /// Duration for which an agent is then forecast by zero control; `None` for no limit.
     pub kinematic_ns: Option<u64>,
 }
 
@@ -128,7 +129,7 @@ mod tests {
         }
     }
 
-    /// The diagram of the page is what the table says.
+    /// The diagram of the page matches the table.
     #[test]
     fn the_page_draws_the_transitions() {
         let name = |level: Level| format!("{level:?}").to_lowercase();

@@ -1,4 +1,5 @@
-//! Evidence on the experts in the sampler: what the network's forecasts have been worth, and the others'.
+//! Evidence on the experts in the sampler: the past accuracy of the network's forecasts and of the other
+//! experts'.
 
 use evidence::{Agent, EXPERTS, Evidence, Fan, Mixture, MotionNow, Paths, Prior};
 use kinematics::MotionModel;
@@ -9,7 +10,7 @@ use wire::{Expert, Forecast, HORIZON_MAX, MODES_MAX, Quality, Track};
 
 use crate::spread::Spread;
 
-/// History steps over which turn rate and acceleration are taken, where there are as many.
+/// Number of history steps, if available, from which turn rate and acceleration are computed.
 const RATE_STEPS: usize = 2;
 /// Seed of the levels; every forecast has the same draws.
 const SEED: u64 = 1;

@@ -1,5 +1,4 @@
-//! What is published of agents without controls of their tick: what was learned of them last, or zero
-//! control.
+//! Forecasts of agents without controls in this tick: the last learned forecast, or zero control.
 
 use kinematics::{DisplacementKind, MotionKind, MotionOptions};
 use scene::AgentType;

@@ -1,7 +1,7 @@
 use kinematics::{Moments, mixture};
 use wire::{AGENTS_MAX, Forecast, HORIZON_MAX, MODES_MAX};
 
-/// The last learned forecast of each track, for as many tracks as a frame can have.
+/// The last learned forecast of each track, for the maximum number of tracks in a frame.
 pub(crate) struct HeldForecasts {
     /// Track and stamp of each forecast, apart from the forecasts: a search reads these few bytes alone.
     keys: Vec<Key>,
@@ -50,12 +50,12 @@ impl HeldForecasts {
 }
 
 impl Held<'_> {
-    /// Writes the forecast as of `age_steps` later, where the agent is at the position that `out` contains.
+    /// Writes the forecast, moved `age_steps` into the future, for an agent at the position in `out`.
     ///
-    /// Each trajectory is cut at the point that it predicted for now, moved so that this point is where the
-    /// agent is, and beyond its horizon continued at its last velocity. The covariances of the modes are
-    /// those predicted for the time; those beyond the horizon grow with the square of time, as a velocity's
-    /// do.
+    /// Each trajectory is cut at its prediction for the present time and shifted so that this point equals
+    /// the agent's position. Beyond its horizon it continues at its last velocity. The modes keep the
+    /// covariances predicted for each time. Beyond the horizon the covariances grow with the square of time,
+    /// as the covariance of a velocity error does.
     pub(crate) fn move_on(&self, age_steps: f32, horizon_len: usize, out: &mut Forecast) {
         let Self(held) = self;
         let modes_len = (held.modes_len as usize).min(MODES_MAX);

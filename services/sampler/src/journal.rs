@@ -1,13 +1,17 @@
-//! What the sampler has learned, in memory that outlives its process: the retrieval memory and the evidence.
+//! The learned state of the sampler in memory that outlives its process: the retrieval memory and the
+//! evidence.
 //!
-//! After each tick the sampler *commits* it as a *record*: all that is small, and the entries of the retrieval memory
-//! that the tick has changed. Two records lie side by side and are written in turn, each with a check value as its
-//! *commit mark*, so that a process that is killed in the middle of one leaves the other. A record's entries are
-//! copied to their *slots*, a ring for all entries, only when the next commit begins, and always before they are
-//! overwritten: slots and the newest whole record together are the state of exactly one tick, and with the other
-//! whole record that of the tick before. Copying twice what was copied half changes nothing.
+//! After each tick the sampler *commits* a *record*: all small state, and the entries of the retrieval memory
+//! that the tick has changed. Two records are stored side by side and written alternately. The check value of
+//! a record is its *commit mark*. If a process is killed while it writes one record, the other one remains.
 //!
-//! Forecasts that wait for their truth are not kept: what a path has taken until the tick stays, and no more is added.
+//! The *slots* are a ring for all entries. A record's entries are copied to their slots only when the next
+//! commit begins, and always before the record is overwritten. The slots and the newest whole record together
+//! are the state after exactly one tick. The slots and the other whole record are the state after the
+//! previous tick. Copying is idempotent, so an interrupted copy can be repeated.
+//!
+//! Forecasts that wait for their truth are not kept. The entries of a path up to the tick remain, and no
+//! further entries are added.
 
 use std::mem::size_of;
 use std::sync::atomic::{Ordering, compiler_fence};
@@ -22,12 +26,12 @@ use crate::SamplerOptions;
 /// First bytes, and the version of what follows.
 const MAGIC: [u8; 8] = *b"stgdatJ1";
 const RECORDS_AT: usize = 4096;
-/// A record with as many changed entries as there can be.
+/// Size of a record with the maximum number of changed entries.
 const RECORD_BYTES: usize =
     (size_of::<Record>() + NUMBERS_LEN * size_of::<f64>() + CHANGED_MAX * size_of::<StoredEntry>())
         .next_multiple_of(4096);
 const SLOTS_AT: usize = RECORDS_AT + 2 * RECORD_BYTES;
-/// By so many slots the memory grows, ahead of need: about a MiB.
+/// Number of slots by which the memory grows, ahead of need: about 1 MiB.
 const GROWTH_SLOTS: usize = 8192;
 
 /// Bytes that outlive who writes them.
@@ -38,7 +42,7 @@ pub trait Storage {
     /// Adds zeros up to this length.
     ///
     /// # Errors
-    /// Why there is no room.
+    /// The reason, if no space is available.
     fn grow_to(&mut self, len: usize) -> Result<(), String>;
 }
 
@@ -55,7 +59,7 @@ impl Storage for Vec<u64> {
     }
 }
 
-/// Whose state it is: that of others is refused.
+/// Identifies the owner of the state. The state of another owner is refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
 #[repr(C)]
 pub struct Identity {
@@ -82,7 +86,7 @@ struct Record {
     check: u64,
     /// Counts the records.
     generation: u64,
-    /// Ticks of the run that lie behind the state.
+    /// Number of ticks of the run that the state includes.
     ticks: u64,
     /// Spacing of the forecasts' steps.
     step_ns: u64,
@@ -101,7 +105,7 @@ struct Slot {
 
 /// What was kept of a sampler.
 pub struct Resumed {
-    /// Ticks of the run that lie behind it.
+    /// Number of ticks of the run that the state includes.
     pub ticks: u64,
     pub(crate) step_ns: u64,
     pub(crate) memory: Option<RetrievalMemory>,
@@ -117,15 +121,15 @@ pub struct Journal<S> {
 }
 
 impl<S: Storage> Journal<S> {
-    /// The one that lies in the memory, or is to lie there: [`Journal::resume`] or [`Journal::clear`] comes next.
+    /// Wraps storage with existing or future state. Call [`Journal::resume`] or [`Journal::clear`] next.
     pub const fn over(storage: S, identity: Identity) -> Self {
         Self { storage, identity, generation: 0 }
     }
 
-    /// Empties the memory, and sets room aside for what is to come next.
+    /// Empties the memory and reserves space for the next commits.
     ///
     /// # Errors
-    /// Why there is no room.
+    /// The reason, if no space is available.
     pub fn clear(&mut self) -> Result<(), String> {
         self.storage.grow_to(SLOTS_AT + GROWTH_SLOTS * size_of::<Slot>())?;
         self.generation = 0;
@@ -142,10 +146,10 @@ impl<S: Storage> Journal<S> {
         self.storage
     }
 
-    /// The newest state, or that of so many `ticks` where they are given; none where there is no such.
+    /// Returns the newest state, or the state after `ticks`; `None` if there is none.
     ///
     /// # Errors
-    /// Why what lies there can't be used.
+    /// The reason why the stored state can't be used.
     pub fn resume(&mut self, ticks: Option<u64>) -> Result<Option<Resumed>, &'static str> {
         let bytes = self.storage.bytes();
         if bytes.is_empty() {
@@ -180,10 +184,10 @@ impl<S: Storage> Journal<S> {
         self.read(&whole[newest]).map(Some)
     }
 
-    /// Commits the state after a tick: `ticks` lie behind it.
+    /// Commits the state after `ticks` ticks.
     ///
     /// # Errors
-    /// Why there is no room; then nothing is kept any more, and nothing more is to be committed.
+    /// The reason, if no space is available. The journal is then empty, and the caller must not commit again.
     pub fn commit(
         &mut self,
         ticks: u64,
@@ -268,7 +272,7 @@ impl<S: Storage> Journal<S> {
         self.storage.grow_to(SLOTS_AT + (len - SLOTS_AT).next_multiple_of(growth))
     }
 
-    /// The state of a record whose entries lie in their slots.
+    /// Reads the state of a record whose entries are in their slots.
     fn read(&mut self, head: &Record) -> Result<Resumed, &'static str> {
         let bytes = self.storage.bytes();
         let (_, numbers, _) = parts(record(bytes, head.generation));
@@ -292,7 +296,7 @@ const MEMORY: u64 = 1;
 const EVIDENCE: u64 = 2;
 
 impl Identity {
-    /// Of a run's sampler; none where it learns nothing.
+    /// The identity of a run's sampler; `None` if it does not learn.
     #[must_use]
     pub fn of(run_id: u64, options: &SamplerOptions) -> Option<Self> {
         let parts = u64::from(options.retrieval) * MEMORY + u64::from(options.evidence) * EVIDENCE;
@@ -331,7 +335,7 @@ fn parts(record: &mut [u8]) -> (&mut Record, &mut [f64], &mut [StoredEntry]) {
     (from_bytes_mut(head), cast_slice_mut(numbers), cast_slice_mut(entries))
 }
 
-/// The record at the place of a generation, where it is whole.
+/// Returns the record at the place of a generation, if it is whole.
 fn whole(bytes: &mut [u8], place: u64) -> Option<Record> {
     let (head, numbers, entries) = parts(record(bytes, place));
     let entries = entries.get(..usize::try_from(head.entries_len).ok()?)?;

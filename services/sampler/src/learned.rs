@@ -51,7 +51,7 @@ impl<'a> LearnedControls<'a> {
         }
     }
 
-    /// How far the agent is from what the model was trained on.
+    /// The distance of the agent from the model's training data.
     pub(crate) const fn out_of_distribution(&self) -> f32 {
         self.controls.out_of_distribution
     }
@@ -63,8 +63,9 @@ impl<'a> LearnedControls<'a> {
 
     /// Writes the modes with their changed controls, the best forecast and the moments.
     ///
-    /// With a spread, the modes' covariances are by it instead of by those of the controls, vehicles keep to
-    /// what tyres hold, and the best forecast is left to the [experts](crate::experts::Experts::sign).
+    /// With a spread, the modes' covariances come from the spread instead of the controls. Vehicles are
+    /// limited to the grip of their tyres. The best forecast is left to the
+    /// [experts](crate::experts::Experts::sign).
     pub(crate) fn forecast(
         &self,
         changes: &ControlChanges,

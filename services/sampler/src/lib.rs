@@ -1,19 +1,19 @@
 //! Turns controls into trajectories: the last stage of a tick.
 //!
-//! Every track gets a forecast at every tick, also where its controls are late, missing or refused, for as long
-//! as the policy of [`Degradation`] allows. The
-//! [`Sampler`] takes the first of these that it has, and the forecast contains its quality, cause and age:
+//! Every track gets a forecast at every tick, even if its controls are late, missing or refused, for as long
+//! as the policy of [`Degradation`] allows. The [`Sampler`] takes the first of these that it has, and the
+//! forecast contains its quality, cause and age:
 //!
 //! * *learned*: the controls of this tick, carried through the kinematic layer mode by mode, as wide as the
 //!   evidence calls for or, without it, as linearised Gaussians or particles ([`Propagation`]);
 //! * *held*: the last forecast of the track from controls, moved on to now, while it is not too old;
 //! * *kinematic*: zero control, with a covariance that grows.
 //!
-//! With evidence the single best forecast is the blend of the network's and of kinematic experts' that their
-//! matured forecasts call for, and modes of a fan take the place of others: see [`evidence`]. Where constant velocity
-//! has most of the weight, it is called kinematic and its cause *outdone*.
+//! With evidence, the single best forecast is a blend of the network and kinematic experts, weighted by their
+//! matured forecasts. Modes of a fan replace some of the network's modes: see [`evidence`]. If constant
+//! velocity has most of the weight, the forecast is marked as kinematic, with the cause *outdone*.
 //!
-//! Where the sampler has a map of lanes, the forecasts of vehicles go along them: see [`lanes`].
+//! If the sampler has a lane map, forecasts of vehicles follow its lanes: see [`lanes`].
 //!
 //! The modes of an agent make a mixture; its mean and covariance are published beside them.
 

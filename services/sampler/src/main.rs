@@ -1,4 +1,4 @@
-//! The sampler as a program of its own.
+//! The sampler as a separate program.
 
 fn main() -> std::process::ExitCode {
     ports::stage_main(sampler::stage::run)

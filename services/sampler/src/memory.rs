@@ -19,7 +19,7 @@ use crate::{LanesOrigin, Options, STAGE, Sampler};
 /// exists, and with the lanes of their map.
 ///
 /// # Errors
-/// [`StageError`] where the run's options or one of the files can't be used.
+/// [`StageError`] if the run's options or one of the files can't be used.
 pub fn open(run: &Run, model: &ModelConfig) -> Result<Sampler, StageError> {
     let options = STAGE.options(run)?;
     let workers = options.workers.unwrap_or_else(nn::default_workers);
@@ -54,8 +54,9 @@ impl Storage for Kept {
     }
 }
 
-/// Where the sampler's state is to be committed, once the process before is gone. The sampler goes on with what that
-/// one has left. None where nothing is to be kept: in lockstep no stage is started again.
+/// Opens the journal for the sampler's state, once the previous process is gone. The sampler resumes with the
+/// previous process's state. Returns `None` if no state is kept, as in lockstep, in which stages are not
+/// restarted.
 pub(crate) fn journal(run: &Run, sampler: &mut Sampler, incarnation: u32) -> Option<Journal<Kept>> {
     let identity = Identity::of(run.id, sampler.options()).filter(|_| !run.lockstep)?;
     let opened = KeptMemory::open(run, KEPT).map_err(|error| error.to_string()).and_then(|kept| {
@@ -86,7 +87,7 @@ pub(crate) fn journal(run: &Run, sampler: &mut Sampler, incarnation: u32) -> Opt
 /// from.
 ///
 /// # Errors
-/// [`StageError`] where the file can't be written.
+/// [`StageError`] if the file can't be written.
 pub fn save_memory(run: &Run, sampler: &Sampler) -> Result<(), StageError> {
     let Options { memory: path, .. } = STAGE.options(run)?;
     let (Some(path), Some(memory)) = (path, sampler.memory()) else { return Ok(()) };

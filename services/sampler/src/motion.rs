@@ -7,7 +7,7 @@ use crate::SamplerOptions;
 
 /// Below this speed the heading of a velocity is taken to be as uncertain as at it.
 const STEADY_MPS: f32 = 1.0;
-/// A covariance with a larger entry is no estimate.
+/// A covariance with a larger entry is not a valid estimate.
 const VARIANCE_MAX: f32 = 1e6;
 
 /// Largest acceleration across the course that tyres hold.
@@ -15,9 +15,11 @@ const LATERAL_MAX_MPS2: f32 = 8.0;
 /// Largest speed backwards of a vehicle that goes ahead.
 const REVERSE_MAX_MPS: f32 = 2.0;
 
-/// A vehicle along the controls of a mode, which it cuts to what tyres hold: its course turns by the slip angle and by
-/// the change of that, |v (v sin β / l_r + dβ/dt)| ≤ 8 m/s², and the slip angle alone is held to it as well. Back it
-/// goes no faster than 2 m/s, or than it did.
+/// Moves a vehicle along the controls of a mode, limited to the grip of its tyres.
+///
+/// The course turns by the slip angle and by its change: |v (v sin β / l_r + dβ/dt)| ≤ 8 m/s². The slip angle
+/// alone has the same limit. The vehicle reverses at most at 2 m/s, or at its present reverse speed if that
+/// is higher.
 pub(crate) struct LateralLimit {
     rear_axle_m: f32,
     dt_s: f32,
@@ -27,7 +29,7 @@ pub(crate) struct LateralLimit {
 }
 
 impl LateralLimit {
-    /// At the start of a motion; none of what is no vehicle.
+    /// The limit at the start of a motion; `None` for agents other than vehicles.
     pub(crate) fn new(model: &MotionModel) -> Option<Self> {
         match model {
             MotionModel::Bicycle { motion, start } => Some(Self {
@@ -87,7 +89,8 @@ pub(crate) fn certain_motion(
     MotionModel::new(kind, &start, &options.motion, dt_s)
 }
 
-/// The same motion with the track's covariance at its start; without uncertainty where that is no covariance.
+/// The same motion with the track's covariance at its start; without uncertainty if the covariance is
+/// invalid.
 ///
 /// The slip of a bicycle has no variance: it comes from the headings, not from the filter.
 pub(crate) fn with_track_covariance(mut model: MotionModel, track: &Track) -> MotionModel {

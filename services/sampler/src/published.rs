@@ -2,7 +2,7 @@
 
 use wire::{Cause, Forecast, MODES_MAX, POSITION_MAX_M, Quality, Track, finite};
 
-/// Begins a forecast with what it contains of its track; all else is 0.
+/// Begins a forecast with the fields that come from its track. All other fields are 0.
 pub(crate) fn begin(track: &Track, quality: Quality, cause: Cause, out: &mut Forecast) {
     // In place: as a value it would be written twice.
     bytemuck::write_zeroes(out);

@@ -22,11 +22,11 @@ use crate::{Propagation, SamplerOptions};
 pub struct Sampler {
     options: SamplerOptions,
     fallback: Fallback,
-    /// None where nothing is to be retrieved, or no tick came yet.
+    /// `None` if retrieval is off, or before the first tick.
     memory: Option<Box<RetrievalMemory>>,
     /// What is expected of the experts before any forecast has matured.
     prior: Prior,
-    /// None where evidence does not count, or no tick came yet.
+    /// `None` if evidence is off, or before the first tick.
     experts: Option<Box<Experts>>,
     resumed_ticks: u64,
     workers: Workers<Forecaster>,
@@ -58,11 +58,11 @@ impl Sampler {
         Self::with_workers(options, 1).expect("no thread is started")
     }
 
-    /// The same, with the work of a tick shared over so many threads, the caller's included. Forecasts do not
-    /// depend on their number.
+    /// Creates a sampler that shares the work of a tick over `workers` threads, including the caller's.
+    /// Forecasts do not depend on their number.
     ///
     /// # Errors
-    /// Where the operating system refuses a thread.
+    /// If the operating system refuses a thread.
     ///
     /// # Panics
     /// As [`Sampler::new`].
@@ -95,7 +95,7 @@ impl Sampler {
         self.workers.each(|forecaster| forecaster.guidance = Some(Guidance::new(Arc::clone(map))));
     }
 
-    /// Expects of the experts from the first tick on what `prior` says, not what is shipped.
+    /// Replaces the shipped prior of the experts by `prior`, from the first tick on.
     pub fn expect(&mut self, prior: Prior) {
         self.prior = prior;
     }
@@ -127,7 +127,7 @@ impl Sampler {
         &self.options
     }
 
-    /// Commits what was learned of the ticks that lie behind.
+    /// Commits the state learned from the past ticks.
     ///
     /// # Errors
     /// As [`Journal::commit`].
@@ -153,38 +153,37 @@ impl Sampler {
         Ok(())
     }
 
-    /// Ticks that lay behind what it has resumed; 0 where it has not.
+    /// Number of ticks in the resumed state; 0 if none was resumed.
     #[must_use]
     pub fn resumed_ticks(&self) -> u32 {
         u32::try_from(self.resumed_ticks).unwrap_or(0)
     }
 
-    /// The retrieval memory; none where nothing is to be retrieved, or no tick came yet.
+    /// The retrieval memory; `None` if retrieval is off, or before the first tick.
     #[must_use]
     pub fn memory(&self) -> Option<&RetrievalMemory> {
         self.memory.as_deref()
     }
 
-    /// The evidence on the experts; none where it does not count, or no tick came yet.
+    /// The evidence on the experts; `None` if evidence is off, or before the first tick.
     #[must_use]
     pub fn evidence(&self) -> Option<&Evidence> {
         self.experts.as_deref().map(Experts::evidence)
     }
 
-    /// Writes a forecast per track, in the tracks' order, by the controls of the same tick, and returns how many:
-    /// agents of which the policy of degradation says nothing are left out.
+    /// Writes a forecast per track, in the tracks' order, by the controls of the same tick, and returns how
+    /// many: agents that the degradation policy silences are left out.
     ///
-    /// A track without controls, or whose controls are refused or lead out of the world, gets a held or
-    /// kinematic forecast with its cause, without effect on the other tracks; the header tells of whom there are
-    /// none to save time ([`Header::shed`]). Controls without a track are
-    /// left out. A call with an older tick than before is allowed: its forecasts are held where none newer
-    /// is.
+    /// A track gets a held or kinematic forecast with its cause if its controls are missing, refused or lead
+    /// out of the world. Other tracks are not affected. [`Header::shed`] marks agents without controls that
+    /// were left out to save time. Controls without a track are left out. A call with an older tick than
+    /// before is allowed: its forecasts are held unless newer ones exist.
     ///
     /// # Errors
-    /// [`Rejected`] where header or tracks are impossible; nothing was written or changed.
+    /// [`Rejected`] if header or tracks are impossible; nothing was written or changed.
     ///
     /// # Panics
-    /// Where `out` has not one place per track.
+    /// If `out` does not have one place per track.
     pub fn learned(
         &mut self,
         header: &Header,
@@ -232,7 +231,7 @@ impl Sampler {
         turns.clear();
         let mut next = 0;
         for (place, track) in tracks.iter().enumerate() {
-            // Controls come in the tracks' order: the search mostly ends where it begins.
+            // Controls come in the order of the tracks, so the search mostly ends at once.
             let found = (next..controls.len())
                 .chain(0..next.min(controls.len()))
                 .find(|i| controls[*i].id == track.id);
@@ -256,10 +255,10 @@ impl Sampler {
     /// [`Sampler::learned`] does.
     ///
     /// # Errors
-    /// [`Rejected`] where header or tracks are impossible; nothing was written or changed.
+    /// [`Rejected`] if header or tracks are impossible; nothing was written or changed.
     ///
     /// # Panics
-    /// Where `out` has not one place per track.
+    /// If `out` does not have one place per track.
     pub fn fallback(
         &mut self,
         header: &Header,

@@ -6,19 +6,20 @@ use wire::{HORIZON_MAX, MODES_MAX};
 
 /// Least and largest factor of the distances to the next modes.
 const FACTORS: [f32; 2] = [0.3, 8.0];
-/// No agent is farther from where it would be without control than this acceleration takes it.
+/// Maximum acceleration relative to motion without control. It bounds an agent's position.
 const REACH_MPS2: f32 = 10.0;
-/// Deviation of a position that no physics bounds: that of the present one.
+/// Standard deviation of a position that is not bounded by physics: the present one.
 const REACH_M: f32 = 2.0;
 /// Largest ratio of how far a mode reaches along the course to how far across, and the other way round.
 const ELONGATION_MAX: f32 = 20.0;
 
-/// How wide the modes of an agent are.
+/// The widths of an agent's modes.
 ///
-/// A mode stands for what lies between it and its neighbours: its standard deviation is a factor times the
-/// mean distance of the two nearest other modes, so that it is narrow among many and wide where it is alone.
-/// Distances across the course count, and deviations are, by the root of how much less agents alike deviate
-/// across than along.
+/// A mode represents the area between itself and its neighbours. Its standard deviation is a factor times the
+/// mean distance to the two nearest other modes. A mode is thus narrow among many modes and wide if it is
+/// alone. Similar agents deviate less across the course than along it. Let r be the square root of the ratio
+/// of the two deviations, across to along. Distances across the course are divided by r, and standard
+/// deviations across it are multiplied by r.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Spread {
     /// Factors of the distances to the next modes, step by step.
@@ -46,8 +47,8 @@ impl Spread {
         Self { factors, variance_max_m2, course: fan.course, across }
     }
 
-    /// Gives the modes their covariances at a step, within physical limits, where the present position has a
-    /// covariance (xx, xy, yy).
+    /// Sets the covariances of the modes at a step, within physical limits. `present_m2` is the covariance
+    /// (xx, xy, yy) of the present position.
     pub(crate) fn widen(&self, step: usize, modes: &mut [[Moments; HORIZON_MAX]], present_m2: [f32; 3]) {
         let ([cos, sin], across) = (self.course, self.across[step]);
         // About one of them, for far from the origin of the world numbers are coarse.
@@ -75,8 +76,8 @@ impl Spread {
     }
 }
 
-/// The mean distance of each point from the two nearest others; from the other one where there are but two
-/// points, and 0 where there is no other.
+/// The mean distance of each point from its two nearest neighbours. With two points it is the distance
+/// between them, and with one point it is 0.
 fn spacings([xs, ys]: &[[f32; MODES_MAX]; 2], len: usize) -> [f32; MODES_MAX] {
     let (mut least, mut second) = ([f32::INFINITY; MODES_MAX], [f32::INFINITY; MODES_MAX]);
     for (other, (x, y)) in xs.iter().zip(ys).enumerate().take(len) {

@@ -12,7 +12,7 @@ use crate::{STAGE, Sampler};
 /// Runs the stage until the process is asked to end.
 ///
 /// # Errors
-/// [`StageError`] where the run's model, options, shared memory or memory file can't be used.
+/// [`StageError`] if the run's model, options, shared memory or memory file can't be used.
 pub fn run(run: &Run) -> Result<(), StageError> {
     let model = ModelConfig::of_run(&run.root).map_err(StageError::config)?;
     let mut sampler = open(run, &model)?;
@@ -70,7 +70,7 @@ fn follow(run: &Run, model: &ModelConfig, sampler: &mut Sampler) -> Result<(), S
             Ok(written) => Ok(written),
             Err(cause) => sampler.fallback(&header, &input, cause, &mut loan),
         };
-        // The header is that of the tracks, the hops are those of the controls.
+        // The header comes from the tracks, the hops from the controls.
         passage.header = header.with_hops_of(&passage.header);
         passage.header.counts.horizon_len = model.horizon_len as u32;
         passage.header.counts.modes_len = model.modes as u32;

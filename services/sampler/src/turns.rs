@@ -1,4 +1,4 @@
-//! The forecasts of a tick by its controls, shared over workers: each agent is a turn of its own.
+//! The learned forecasts of a tick, shared over workers. Each agent is one turn.
 
 use std::sync::{Mutex, PoisonError};
 
@@ -20,13 +20,13 @@ use crate::sampler::Tick;
 /// Turns that a worker takes at a time: one of 40 µs or more is worth a hand-over, so that two surely are.
 const BLOCK: usize = 2;
 
-/// What the forecasts of a tick are made of, and where they go.
+/// The inputs and outputs of a tick's forecasts.
 pub(crate) struct Turns {
     options: SamplerOptions,
     tick: Tick,
-    /// Lent for the tick; none where nothing is to be retrieved.
+    /// Lent for the tick; `None` if nothing is to be retrieved.
     pub(crate) memory: Option<Box<RetrievalMemory>>,
-    /// Lent for the tick; none where evidence does not count.
+    /// Lent for the tick; `None` if evidence is off.
     pub(crate) experts: Option<Box<Experts>>,
     turns: Vec<Turn>,
     /// Buckets of the agents that are to be stored in the retrieval memory, in their order.
@@ -39,7 +39,7 @@ struct Turn {
     track: Track,
     agent_type: AgentType,
     controls: AgentControls,
-    /// None where nothing is retrieved for it.
+    /// `None` if nothing is retrieved for the agent.
     key: Option<Key>,
     /// Agents that are stored before it.
     stored_len: usize,
@@ -81,7 +81,7 @@ impl Turns {
     /// Adds the turn of an agent, and returns its number.
     ///
     /// # Errors
-    /// [`Cause::Rejected`] where its controls are refused.
+    /// [`Cause::Rejected`] if its controls are refused.
     pub(crate) fn push(&mut self, track: &Track, controls: &AgentControls) -> Result<usize, Cause> {
         let agent_type = track.agent_type().map_err(|_| Cause::Rejected)?;
         LearnedControls::check(controls).map_err(|_| Cause::Rejected)?;
@@ -114,7 +114,7 @@ impl Turns {
 #[derive(Default)]
 pub(crate) struct Forecaster {
     retrieval: Retrieval,
-    /// None where no map of lanes is known.
+    /// `None` without a lane map.
     pub(crate) guidance: Option<Guidance>,
     /// The changes of the agent in hand.
     changes: ControlChanges,

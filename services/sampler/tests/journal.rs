@@ -22,7 +22,7 @@ fn identity() -> Identity {
     Identity::of(RUN, &options()).unwrap()
 }
 
-/// Eight pedestrians who walk off to the left of where they are forecast, new ones every 8 s.
+/// Eight pedestrians who walk to the left of their forecasts, with new pedestrians every 8 s.
 fn tick(sampler: &mut Sampler, seq: u64) -> Vec<Forecast> {
     let (round, t_s) = (seq / 100, (seq % 100) as f32 * 0.08);
     let mut tracks = vec![Track::zeroed(); 8];

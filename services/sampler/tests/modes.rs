@@ -1,4 +1,4 @@
-//! The covariance of each mode beside the mixture's, and what a mode and a cause report of themselves.
+//! The covariances of each mode and of the mixture, and the reported modes and causes.
 
 #![expect(clippy::unwrap_used, reason = "a broken fixture should fail at once")]
 
@@ -74,7 +74,7 @@ fn a_sampler_that_follows_another_holds_its_forecasts_to_the_bit() {
     };
     assert_eq!(hold(&mut spare).quality, Quality::Kinematic as u32, "nothing is taken from a VOID frame");
     spare.follow(&header(0), &[learned]);
-    // What is itself held is no forecast to hold.
+    // A forecast that is itself held must not be held again.
     spare.follow(&header(80_000_000), &[Forecast { quality: Quality::Held as u32, ..learned }]);
     assert_eq!(hold(&mut spare), held);
     // That constant velocity was known to be nearer does not make it less of a forecast.

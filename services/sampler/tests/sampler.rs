@@ -97,7 +97,7 @@ fn agents_of_which_nothing_is_said_are_left_out_and_come_back() {
     let controls_of = |id| controls(id, AgentType::Pedestrian, &[[0.0; 2]], 0.1);
     let tracks = [of(1), of(2)];
     learned(&mut sampler, 0, &tracks, &[controls_of(1), controls_of(2)]);
-    // Only the second one goes on being learned.
+    // Only the second track continues to be learned.
     let mut written = Vec::new();
     for tick in 1..=12_i64 {
         let mut out = [Forecast::zeroed(); 2];

@@ -14,8 +14,8 @@ const AGENTS: u64 = 23;
 const TICK_S: f32 = 0.08;
 const STEP_S: f32 = 0.4;
 
-/// Agents of all types that follow one another along a road, brake where it bends, and drive it again under
-/// another number: what one has done is what the next is expected to do.
+/// Agents of all types that follow one another along a road, brake at its bend, and repeat the drive under
+/// another number. The behaviour of one agent is therefore expected of the next.
 fn agent(number: u64, seq: u64) -> (Track, AgentControls) {
     let position_m = |time_s: f32| {
         let along_m = 3.0 * time_s + 7.0 * number as f32;
