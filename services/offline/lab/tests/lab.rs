@@ -96,7 +96,7 @@ fn coordinates_out_of_reach_name_the_option_that_fits() {
     let mut text = "stamp_s,id,type,x_m,y_m,heading_rad\n".to_owned();
     for step in 0..120 {
         let time_s = f64::from(step) * 0.1;
-        writeln!(text, "{time_s:.1},1,car,{:.2},50194.0,0.0", 81_596.0 + 8.0 * time_s).unwrap();
+        writeln!(text, "{time_s:.1},1,vehicle,{:.2},50194.0,0.0", 81_596.0 + 8.0 * time_s).unwrap();
     }
     let (far, out) = (scratch.file("far.csv", text), scratch.path("site.map"));
     assert_refused(&["evaluate", &far], 65, "--origin 81000,50000");
