@@ -1,30 +1,9 @@
 //! Maps and recordings with MGRS or UTM coordinates, from file to forecast.
 
 use serde_json::Value;
-use testing::Scratch;
+use testing::{Scratch, lane};
 
 use crate::started::{run, run_well, stderr, stdout};
-
-/// A lane of 200 m to the east, 3.5 m wide, that begins at a place.
-fn map([x0, y0]: [f64; 2]) -> String {
-    let (mut nodes, mut ways) = (String::new(), String::new());
-    for (side, across) in [(1, 1.75), (2, -1.75)] {
-        ways += &format!("<way id='{side}'>");
-        for place in 0..21 {
-            let (id, x, y) = (100 * side + place, x0 + 10.0 * f64::from(place), y0 + across);
-            nodes += &format!(
-                "<node id='{id}' lat='' lon=''><tag k='local_x' v='{x}'/><tag k='local_y' v='{y}'/></node>\n"
-            );
-            ways += &format!("<nd ref='{id}'/>");
-        }
-        ways += "<tag k='type' v='line_thin'/></way>\n";
-    }
-    format!(
-        "<osm>\n{nodes}{ways}<relation id='9'><member type='way' ref='1' role='left'/>\
-         <member type='way' ref='2' role='right'/><tag k='type' v='lanelet'/><tag k='subtype' v='road'/>\
-         </relation></osm>\n"
-    )
-}
 
 /// A vehicle along that lane at 10 m/s, .3 m to its left, and the ego vehicle behind it.
 fn recording([x0, y0]: [f64; 2]) -> String {
@@ -58,7 +37,7 @@ fn forecasts(file: &str, origin: [f64; 2]) -> Vec<[f64; 2]> {
 fn forecasts_go_along_lanes_in_any_metric_frame() {
     let scratch = Scratch::new("origins");
     let predict = |name: &str, place: [f64; 2], options: &[&str]| {
-        let map = scratch.file(&format!("{name}.osm"), map(place));
+        let map = scratch.file(&format!("{name}.osm"), lane(place));
         let recording = scratch.file(&format!("{name}.csv"), recording(place));
         let out = scratch.path(&format!("{name}.jsonl"));
         run_well(&[&["predict", &recording, "--lanes", &map, "--out", &out], options].concat());
@@ -87,7 +66,7 @@ fn forecasts_go_along_lanes_in_any_metric_frame() {
 fn runs_and_tracks_are_in_the_frame_of_the_recording() {
     let scratch = Scratch::new("origin-run");
     let place = [81_596.0, 50_194.0];
-    let map = scratch.file("site.osm", map(place));
+    let map = scratch.file("site.osm", lane(place));
     let recording = scratch.file("a.csv", recording(place));
     let (in_process, of_run, tracks) =
         (scratch.path("p.jsonl"), scratch.path("r.jsonl"), scratch.path("t.csv"));
@@ -105,7 +84,7 @@ fn runs_and_tracks_are_in_the_frame_of_the_recording() {
 #[test]
 fn forecasts_along_lanes_are_counted_and_a_map_without_traffic_is_doubted() {
     let scratch = Scratch::new("touched");
-    let map = scratch.file("site.osm", map([0.0; 2]));
+    let map = scratch.file("site.osm", lane([0.0; 2]));
     for (name, place, is_touched) in [("on", [0.0; 2], true), ("off", [0.0, 1_000.0], false)] {
         let recording = scratch.file(&format!("{name}.csv"), recording(place));
         let (out, report) = (scratch.path("f.jsonl"), scratch.path("report.json"));
@@ -129,7 +108,7 @@ fn forecasts_along_lanes_are_counted_and_a_map_without_traffic_is_doubted() {
 fn coordinates_out_of_reach_name_the_option_that_fits() {
     let scratch = Scratch::new("origin-refused");
     let place = [81_596.0, 50_194.0];
-    let map = scratch.file("site.osm", map(place));
+    let map = scratch.file("site.osm", lane(place));
     let far = scratch.file("far.csv", recording(place));
     let near = scratch.file("near.csv", recording([0.0; 2]));
     for (arguments, expected) in [

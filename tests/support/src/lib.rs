@@ -4,15 +4,18 @@
 //!   early where it is missing, and fail where `STGDAT_REQUIRE_DATA=1` is set.
 //! * [`CountingAllocator`] counts allocations, for tests that assert that a steady step makes none.
 //! * [`Model`] makes weights files from the embedded one.
+//! * [`lane`] is a map of one lane.
 //! * [`Scratch`] is a folder of a test, with generated recordings and changed pipelines.
 #![expect(clippy::unwrap_used, reason = "a test ends at what it can't do")]
 
 mod allocation;
+mod lane;
 mod model;
 mod recordings;
 mod scratch;
 
 pub use allocation::{AllocationCounts, CountingAllocator, THREADS_MAX, allocations};
+pub use lane::lane;
 pub use model::{Model, value};
 pub use recordings::{public_recording, recordings_folder};
 pub use scratch::{SHIPPED_PIPELINE, Scratch};

@@ -29,14 +29,6 @@ pub enum EvaluateError {
         /// The recipe that writes it.
         recipe: String,
     },
-    /// No data are held out to evaluate a recipe on.
-    #[error(
-        "no data are held out to evaluate variants of \"{recipe}\": expected a fold, sdd, interaction or interaction-without-SITE"
-    )]
-    NoPart {
-        /// The recipe.
-        recipe: String,
-    },
     /// Weights can't be used.
     #[error("{path}: {source}")]
     Weights {

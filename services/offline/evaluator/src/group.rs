@@ -76,42 +76,21 @@ impl Group {
         Self { part: part.to_owned(), subset, unit, total, blocks }
     }
 
-    /// How our ADE and FDE compare with those of `theirs` on the same agents; `None` where they have none, or
-    /// where there is a single block, which gives no interval.
+    /// Compares our ADE and FDE with those of `theirs` on the same agents; `None` if `theirs` has none, or if a single
+    /// block gives no interval.
     #[must_use]
     pub fn compare(&self, theirs: Method, measure: Measure, horizon: usize) -> Option<[Contrast; 2]> {
-        self.contrasts(self, theirs, measure, horizon)
-    }
-
-    /// How the errors of this group's model compare with those of another model on the same blocks; `None`
-    /// where the blocks are not the same, or as in [`Self::compare`].
-    #[must_use]
-    pub fn beside(&self, other: &Self, measure: Measure, horizon: usize) -> Option<[Contrast; 2]> {
-        let agents_len = |group: &Self| group.blocks.iter().map(|block| block.agents_len).collect::<Vec<_>>();
-        if agents_len(self) != agents_len(other) {
-            return None;
-        }
-        self.contrasts(other, Method::Network, measure, horizon)
-    }
-
-    fn contrasts(
-        &self,
-        other: &Self,
-        theirs: Method,
-        measure: Measure,
-        horizon: usize,
-    ) -> Option<[Contrast; 2]> {
         if self.blocks.len() < 2 {
             return None;
         }
         let contrast = |of: usize| {
-            let blocks = self.blocks.iter().zip(&other.blocks);
+            let blocks = self.blocks.iter();
             let pairs: Vec<PairedErrors> = blocks
-                .filter(|(own, other)| other.len(theirs, measure) == own.len(Method::Network, measure))
-                .map(|(own, other)| PairedErrors {
-                    ours: own.sum(Method::Network, measure, horizon)[of],
-                    theirs: other.sum(theirs, measure, horizon)[of],
-                    len: other.len(theirs, measure),
+                .filter(|block| block.len(theirs, measure) == block.len(Method::Network, measure))
+                .map(|block| PairedErrors {
+                    ours: block.sum(Method::Network, measure, horizon)[of],
+                    theirs: block.sum(theirs, measure, horizon)[of],
+                    len: block.len(theirs, measure),
                 })
                 .collect();
             Some(Contrast {

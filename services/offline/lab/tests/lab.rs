@@ -101,6 +101,8 @@ fn coordinates_out_of_reach_name_the_option_that_fits() {
     let (far, out) = (scratch.file("far.csv", text), scratch.path("site.map"));
     assert_refused(&["evaluate", &far], 65, "--origin 81000,50000");
     lab_well(&["map", &far, "--origin", "81000,50000", "--out", &out]);
+    let lanes = scratch.file("site.osm", testing::lane([81_596.0, 50_194.0]));
+    lab_well(&["map", "--lanelet2", &lanes, "--origin", "81000,50000m", "--out", &out]);
 }
 
 #[test]

@@ -357,3 +357,41 @@ fn ridge_regression(samples: &[&Sample], controls_len: usize) -> Result<Vec<f32>
     let rows = (0..binning::FEATURES).flat_map(|i| (0..controls_len).map(move |j| (i, j)));
     Ok(rows.map(|at| solution[at] as f32).collect())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A window with these features whose control is a linear function of the first two.
+    fn sample(first: f32, second: f32) -> Sample {
+        let mut features = [0.0; binning::FEATURES];
+        (features[0], features[1]) = (first, second);
+        Sample {
+            scaled: false,
+            bins: Bins { class: 0, speed_bin: 0, bin: 0 },
+            features,
+            motion: Motion::Displacements { velocity_mps: [0.0; 2], dt_s: 0.4 },
+            truth: Vec::new(),
+            controls: vec![[2.0 * first - second, 0.5 * second]],
+        }
+    }
+
+    #[test]
+    fn the_ridge_finds_a_linear_function() {
+        let samples: Vec<Sample> =
+            (0..4_000).map(|i| sample((i % 17) as f32 - 8.0, (i % 23) as f32 - 11.0)).collect();
+        let found = ridge_regression(&samples.iter().collect::<Vec<_>>(), 2).unwrap();
+        let mut expected = vec![0.0; 2 * binning::FEATURES];
+        expected[..4].copy_from_slice(&[2.0, 0.0, -1.0, 0.5]);
+        for (found, expected) in found.iter().zip(&expected) {
+            assert!((found - expected).abs() < 1e-3, "{found} for {expected}");
+        }
+    }
+
+    #[test]
+    fn a_feature_that_is_not_finite_fails_the_fit() {
+        let samples = [sample(1.0, 2.0), sample(f32::NAN, 1.0)];
+        let error = ridge_regression(&samples.iter().collect::<Vec<_>>(), 2).unwrap_err();
+        assert!(matches!(error, TrainError::Fit { windows: 2 }), "{error}");
+    }
+}
