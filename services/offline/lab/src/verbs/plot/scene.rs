@@ -3,7 +3,6 @@ use std::sync::Arc;
 
 use ::scene::ContextMap;
 use clap::{Args, ValueEnum};
-use data::{GeneratedScene, Recording, SceneOptions as GeneratedOptions};
 use drawing::{Mask, SceneDrawing, SceneOptions, scenes};
 use evaluator::{Forecaster, MapInput};
 use lanes::LaneMap;
@@ -16,18 +15,11 @@ use run::Exit;
 use crate::picture::save;
 use crate::storyboard::{Shot, Storyboard};
 
-/// Length of the generated scene, in ticks of 80 ms.
-const GENERATED_TICKS: usize = 250;
-
 /// Arguments of `stgdat plot scene`.
 #[derive(Debug, Args)]
 pub struct Arguments {
     /// Recording whose agents carry identities
-    #[arg(required_unless_present = "generated")]
-    recording: Option<PathBuf>,
-    /// Draw the generated intersection with N agents instead of a recording
-    #[arg(long, value_name = "N", conflicts_with = "recording")]
-    generated: Option<u16>,
+    recording: PathBuf,
     #[command(flatten)]
     read: ReadArguments,
     /// Times to show, in seconds from the recording's start, a panel each; by default the middle of the time in
@@ -88,7 +80,7 @@ enum MaskChoice {
 /// Draws moments of a recording with what was forecast then.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let (_, weights) = arguments.model.open_weights(None)?;
-    let recording = arguments.recording()?;
+    let recording = arguments.read.open(&arguments.recording)?;
     let mut forecaster = Forecaster::new(weights, arguments.seed).map_err(Failure::data)?;
     let lanes = arguments.model.open_lanes(arguments.read.options().origin)?.map(Arc::new);
     lanes.iter().for_each(|map| forecaster.guide_along(Arc::clone(map)));
@@ -103,14 +95,13 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     };
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
     let storyboard = Storyboard::new(&forecaster, &recording, map, threads);
-    let storyboard = storyboard.map_err(|error| Failure::data_about(arguments.name(), error))?;
+    let storyboard = storyboard.map_err(|error| Failure::file(&arguments.recording, error))?;
     let shots = arguments.shots(&storyboard)?;
     let drawings: Vec<SceneDrawing<'_>> =
         shots.iter().map(|shot| drawing(shot, site.as_ref(), lanes.as_deref())).collect();
     let picture =
         scenes(&recording.name, &drawings, &arguments.options(drawings.len())).map_err(Failure::data)?;
-    let usual =
-        || Path::new(Path::new(&arguments.name()).file_stem().unwrap_or_default()).with_extension("png");
+    let usual = || Path::new(arguments.recording.file_stem().unwrap_or_default()).with_extension("png");
     let out = arguments.out.clone().unwrap_or_else(usual);
     save(&picture, &out)?;
     say!("{}", out.display());
@@ -118,24 +109,8 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
 }
 
 impl Arguments {
-    /// The recording of the command line, or the generated scene.
-    fn recording(&self) -> Result<Recording, Failure> {
-        let Some(path) = &self.recording else {
-            let agents = usize::from(self.generated.unwrap_or_default());
-            let options = GeneratedOptions { agents, identities: true, ..GeneratedOptions::default() };
-            let scene = GeneratedScene::new(options).map_err(Failure::data)?;
-            return Ok(Recording { name: self.name(), ..scene.recording(GENERATED_TICKS) });
-        };
-        self.read.open(path)
-    }
-
-    /// The name of the recording, for messages.
-    fn name(&self) -> String {
-        self.recording.as_ref().map_or("generated intersection".to_owned(), |path| path.display().to_string())
-    }
-
     fn shots(&self, storyboard: &Storyboard<'_>) -> Result<Vec<Shot>, Failure> {
-        let failed = |error| Failure::data_about(self.name(), error);
+        let failed = |error| Failure::file(&self.recording, error);
         match self.best_worst {
             Some(len) => {
                 let [best, worst] = storyboard.extremes(usize::from(len)).map_err(failed)?;
