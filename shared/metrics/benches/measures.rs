@@ -1,5 +1,7 @@
-//! Times of the measures for one agent with 20 modes of 12 steps, which an evaluation repeats for every
-//! window, and of those of tracking for frames of 100 objects.
+//! Times of two groups of measures:
+//!
+//! * forecasts: one agent with 20 modes of 12 steps, which an evaluation repeats for every window;
+//! * tracking: frames of 100 objects.
 
 use std::hint::black_box;
 
@@ -52,7 +54,7 @@ fn limits(c: &mut Criterion) {
     });
 }
 
-/// Ten frames of a hundred objects 3 m apart, each with a track a little aside.
+/// Ten frames of a hundred objects 3 m apart, each with a slightly displaced track.
 fn frames() -> Vec<Frame> {
     let object = |frame: u32, id: u32, aside_m: f64| {
         let position_m = [f64::from(id % 10) * 3.0 + f64::from(frame), f64::from(id / 10) * 3.0 + aside_m];

@@ -24,40 +24,42 @@ pub const fn speed_cuts_mps(agent_type: AgentType) -> [f32; SPEED_BINS - 1] {
     }
 }
 
-/// History and future of an agent at one time.
+/// The history and future of an agent at one time.
 #[derive(Clone, Copy, Debug)]
 pub struct Window<'a> {
-    /// States up to that time, oldest first.
+    /// States up to this time, oldest first.
     pub history: &'a [Option<State>],
-    /// Positions after it.
+    /// Positions after this time.
     pub future: &'a [Option<Point>],
 }
 
-/// A table of typical residuals of constant velocity, 20 per speed bin: the simplest multi-modal forecast.
+/// A table of typical residuals of constant velocity, 20 per speed bin. This is the simplest multi-modal
+/// forecast.
 ///
-/// A window's residual is its future less the constant-velocity forecast, in the agent frame of the newest
-/// state; every residual is counted again mirrored about the heading. The anchors are the k-means centres of
-/// each speed bin. A forecast is constant velocity plus each anchor of the bin.
+/// A residual is a window's future minus its constant-velocity forecast, in the agent frame of the newest
+/// state. Every residual is also counted mirrored about the heading. The anchors are the k-means centres of
+/// each speed bin. A forecast is constant velocity plus one anchor of the bin.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Anchors {
     dt_s: f32,
     horizon: usize,
     speed_cuts_mps: [f32; SPEED_BINS - 1],
-    /// Per speed bin; all the same where no bin had enough windows.
+    /// One per speed bin. All bins are equal if none had enough windows.
     bins: Vec<Bin>,
 }
 
 #[derive(Clone, Debug, PartialEq)]
 struct Bin {
-    /// Residuals, likeliest first.
+    /// Residuals, most likely first.
     residuals: Vec<Vec<Point>>,
     probability: Vec<f32>,
 }
 
 impl Anchors {
-    /// Clusters the residuals of the windows whose newest state and whole future (of `horizon` steps, `dt_s`
-    /// apart) are known; `None` where there is no such window. The same windows in the same order give the
-    /// same anchors.
+    /// Clusters the residuals of the windows whose newest state and whole future are known.
+    ///
+    /// The future has `horizon` steps, `dt_s` apart. Returns `None` if no window qualifies. The same windows
+    /// in the same order give the same anchors.
     #[must_use]
     pub fn fit(
         windows: &[Window<'_>],
@@ -76,7 +78,7 @@ impl Anchors {
         }
         let row = horizon * 2;
         let enough = |bin: &[f32]| bin.len() >= 2 * WINDOWS_MIN * row;
-        // Where no bin has enough windows, all of them make one bin.
+        // If no bin has enough windows, all windows form one bin.
         if !residuals.iter().any(|bin| enough(bin)) {
             let all = residuals.concat();
             let bin = (!all.is_empty()).then(|| Bin::cluster(&all, row, seed))?;
@@ -88,7 +90,7 @@ impl Anchors {
         Some(Self { dt_s, horizon, speed_cuts_mps, bins })
     }
 
-    /// The forecasts of an agent, likeliest first; `None` where the newest state is absent.
+    /// The forecasts of an agent, most likely first. Returns `None` if the newest state is absent.
     #[must_use]
     pub fn predict(&self, history: &[Option<State>]) -> Option<Vec<Vec<Point>>> {
         let base = constant_velocity(history, self.dt_s, self.horizon)?;
@@ -137,7 +139,7 @@ fn nearest_bin(bins: &[Option<Bin>], wanted: usize) -> Option<Bin> {
     (0..bins.len()).filter(|&i| bins[i].is_some()).min_by_key(by_distance).and_then(|i| bins[i].clone())
 }
 
-/// A window's speed and its residual to constant velocity in the agent frame.
+/// A window's speed, and its residual from constant velocity in the agent frame.
 fn residual(window: &Window<'_>, dt_s: f32, horizon: usize) -> Option<(f32, Vec<Point>)> {
     let base = constant_velocity(window.history, dt_s, horizon)?;
     let frame = agent_frame(window.history)?;
@@ -156,7 +158,7 @@ mod tests {
     const DT_S: f32 = 0.4;
     const HORIZON: usize = 4;
 
-    /// An agent at `heading` and `speed` that turns with `rate` after its newest state.
+    /// An agent with `heading` and `speed` that turns at `rate` after its newest state.
     fn window(heading: f32, speed: f32, rate: f32) -> (Vec<Option<State>>, Vec<Option<Point>>) {
         let velocity = [speed * heading.cos(), speed * heading.sin()];
         let at = |t: f32| {

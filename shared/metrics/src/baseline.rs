@@ -1,8 +1,8 @@
 //! Forecasts by kinematic models: constant velocity, acceleration and turn rate.
 //!
-//! A history has one entry per step, oldest first, `None` where the agent was absent. All forecasts start
-//! from the newest entry and are `None` where that one is absent. Rates of change are differences of the
-//! newest two states present, over the time between them; with a single state they are 0.
+//! A history has one entry per step, oldest first; an entry is `None` if the agent was absent. All forecasts
+//! start from the newest entry and are `None` if that entry is. Rates of change are the difference of the
+//! newest two present states, divided by the time between them. With a single state all rates are 0.
 
 use kinematics::wrap_angle;
 use rand::Rng;
@@ -13,11 +13,11 @@ use crate::Point;
 
 /// Draws of [`sampled_constant_velocity`] in the published comparison.
 pub const CVM_DRAWS: usize = 20;
-/// Standard deviation of its headings in the published comparison: 25°.
+/// Standard deviation of the headings in the published comparison: 25°.
 pub const CVM_SIGMA_RAD: f32 = 25.0 * std::f32::consts::PI / 180.0;
 /// Time in which the acceleration of [`constant_turn_rate_acceleration`] decays to 1/e.
 pub const ACCELERATION_DECAY_S: f32 = 1.0;
-/// Time in which its turn rate decays to 1/e.
+/// Time in which the turn rate of [`constant_turn_rate_acceleration`] decays to 1/e.
 pub const TURN_RATE_DECAY_S: f32 = 2.0;
 
 /// Midpoints per step in the path integral of [`constant_turn_rate_acceleration`].
@@ -66,10 +66,10 @@ pub fn constant_turn_rate(history: &[Option<State>], dt_s: f32, horizon: usize) 
 /// v(t) = max(0, v₀ + a₀ τ_a (1 − e^(−t/τ_a)))      γ(t) = γ₀ + ω₀ τ_ω (1 − e^(−t/τ_ω))
 /// ```
 ///
-/// γ is the course, τ_a and τ_ω are [`ACCELERATION_DECAY_S`] and [`TURN_RATE_DECAY_S`]: a momentary
-/// acceleration or turn rate that holds for seconds gives a bad forecast. An agent that brakes comes to rest
-/// and stays; one at rest departs along its heading. Speed and course are exact; the path is integrated by
-/// midpoints.
+/// γ is the course. τ_a and τ_ω are [`ACCELERATION_DECAY_S`] and [`TURN_RATE_DECAY_S`]. Both rates decay
+/// because holding a momentary acceleration or turn rate for seconds gives a bad forecast. An agent that
+/// brakes comes to rest and stays there; an agent at rest departs along its heading. Speed and course are
+/// exact; the path is integrated by the midpoint rule.
 #[must_use]
 pub fn constant_turn_rate_acceleration(
     history: &[Option<State>],
@@ -85,7 +85,7 @@ pub fn constant_turn_rate_acceleration(
         });
     let [vx, vy] = newest.velocity_mps;
     let course_rad = if speed_mps > 0.0 { vy.atan2(vx) } else { newest.heading_rad };
-    // ∫ e^(−s/τ) ds from 0 to t: the time for which the full rate would have had the same effect.
+    // ∫ e^(−s/τ) ds from 0 to t: the time in which the full rate would have had the same effect.
     let effective_s = |t: f32, decay_s: f32| decay_s * (1.0 - (-t / decay_s).exp());
     let mut position = newest.position_m;
     let part_s = dt_s / MIDPOINTS as f32;
@@ -206,8 +206,8 @@ mod tests {
 
     #[test]
     fn braking_ends_at_rest_and_stays_there() {
-        // Braking of 4 m/s² that decays in 1 s reduces the speed by 4 m/s in all; an agent at 2 m/s is at
-        // rest after ln 2 s, when 4 (1 − e^−t) − 2 t is 4/2 − 2 ln 2 m.
+        // Braking at 4 m/s² that decays in 1 s reduces the speed by 4 m/s in total. An agent at 2 m/s is at
+        // rest after ln 2 s. It has then moved 4 (1 − e^−t) − 2 t = 4/2 − 2 ln 2 m.
         let history = [state([0.0; 2], [4.0, 0.0], 0.0), state([0.0; 2], [2.0, 0.0], 0.0)];
         let forecast = constant_turn_rate_acceleration(&history, 0.5, 8).expect("present");
         assert!(forecast.is_sorted_by(|a, b| a[0] <= b[0]), "{forecast:?}");
@@ -218,7 +218,7 @@ mod tests {
 
     #[test]
     fn decaying_turn_rate_integrates_to_the_course() {
-        // 0.5 rad/s that decays in 2 s turns by 1 rad in all.
+        // 0.5 rad/s that decays in 2 s turns by 1 rad in total.
         let history = [state([0.0; 2], [8.0, 0.0], -0.25), state([0.0; 2], [8.0, 0.0], 0.0)];
         let forecast = constant_turn_rate_acceleration(&history, 0.5, 60).expect("present");
         let [a, b] = [forecast[58], forecast[59]];

@@ -1,9 +1,9 @@
 //! Confidence intervals of differences between two forecasters, by the paired cluster bootstrap.
 //!
-//! Errors of agents of one window, and of windows of one recording, are correlated, so the agents are no
-//! independent samples. The bootstrap resamples whole *clusters* (windows or recordings) with replacement, as
-//! many as there are, and compares the two forecasters on the same clusters. The interval contains 95 % of
-//! the resamples.
+//! The errors of agents in one window are correlated, and so are the errors of windows in one recording. The
+//! agents are therefore not independent samples. The bootstrap resamples whole *clusters* (windows or
+//! recordings) with replacement and compares the two forecasters on the same clusters. Each resample has the
+//! original number of clusters. The interval contains 95 % of the resamples.
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -13,19 +13,19 @@ use rand_chacha::ChaCha8Rng;
 pub struct PairedErrors {
     /// Sum of our errors.
     pub ours: f64,
-    /// Sum of the other's errors on the same agents.
+    /// Sum of the other forecaster's errors on the same agents.
     pub theirs: f64,
     /// Number of errors in each sum.
     pub len: u64,
 }
 
 impl PairedErrors {
-    /// Counts the two errors on one agent.
+    /// Counts both errors on one agent.
     pub fn add(&mut self, ours: f64, theirs: f64) {
         self.merge(&Self { ours, theirs, len: 1 });
     }
 
-    /// Counts all that `other` counted.
+    /// Adds the counts of `other`.
     pub fn merge(&mut self, other: &Self) {
         self.ours += other.ours;
         self.theirs += other.theirs;
@@ -36,26 +36,27 @@ impl PairedErrors {
 /// A figure and its 95 % confidence interval.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Interval {
-    /// 2.5 % of the resamples lie below.
+    /// Lower end: 2.5 % of the resamples are below.
     pub low: f64,
-    /// The figure of all clusters.
+    /// The figure over all clusters.
     pub mean: f64,
-    /// 2.5 % of the resamples lie above.
+    /// Upper end: 2.5 % of the resamples are above.
     pub high: f64,
 }
 
-/// Our mean error less theirs, over all agents: below 0 ours is better, significantly where the whole
-/// interval is.
+/// Our mean error minus theirs, over all agents.
 ///
-/// `None` where no cluster has an error or `resamples` is 0. The same seed gives the same interval. Cost:
+/// Below 0 our error is smaller. The difference is significant if the whole interval is below 0. Returns
+/// `None` if no cluster has an error or `resamples` is 0. The same seed gives the same interval. Cost:
 /// clusters × resamples.
 #[must_use]
 pub fn paired_bootstrap(clusters: &[PairedErrors], resamples: usize, seed: u64) -> Option<Interval> {
     bootstrap(clusters, resamples, seed, |sum| (sum.ours - sum.theirs) / sum.len as f64)
 }
 
-/// Our mean error over theirs: below 1 ours is better. Otherwise as [`paired_bootstrap`]; also `None` where
-/// their errors are all 0.
+/// Our mean error divided by theirs: below 1 our error is smaller.
+///
+/// Otherwise like [`paired_bootstrap`]; also `None` if all of their errors are 0.
 #[must_use]
 pub fn paired_bootstrap_ratio(clusters: &[PairedErrors], resamples: usize, seed: u64) -> Option<Interval> {
     bootstrap(clusters, resamples, seed, |sum| sum.ours / sum.theirs).filter(|ratio| ratio.mean.is_finite())
@@ -67,7 +68,7 @@ fn bootstrap(
     seed: u64,
     figure: impl Fn(&PairedErrors) -> f64,
 ) -> Option<Interval> {
-    // Empty clusters have no error, and a resample of only such would have no mean.
+    // Empty clusters have no error, and a resample of only empty clusters would have no mean.
     let clusters: Vec<PairedErrors> = clusters.iter().filter(|cluster| cluster.len > 0).copied().collect();
     cluster_bootstrap(clusters.len(), resamples, seed, |drawn| {
         let sum = drawn.iter().fold(PairedErrors::default(), |mut sum, &cluster| {
@@ -78,10 +79,11 @@ fn bootstrap(
     })
 }
 
-/// The interval of any figure: `figure` computes it for the clusters with the given numbers, `None` where
-/// they have none.
+/// The interval of any figure. `figure` computes it for the clusters with the given numbers, or returns
+/// `None` if these clusters have no figure.
 ///
-/// `None` where all clusters together, or all resamples, have no figure. Otherwise as [`paired_bootstrap`].
+/// Returns `None` if all clusters together have no figure, or if no resample has one. Otherwise like
+/// [`paired_bootstrap`].
 #[must_use]
 pub fn cluster_bootstrap(
     clusters_len: usize,
@@ -109,7 +111,7 @@ pub fn cluster_bootstrap(
     })
 }
 
-/// A quantile of sorted values, linear between two of them.
+/// A quantile of sorted values, interpolated linearly.
 fn quantile(sorted: &[f64], share: f64) -> f64 {
     let place = share * (sorted.len() - 1) as f64;
     let (below, above) = (sorted[place.floor() as usize], sorted[place.ceil() as usize]);

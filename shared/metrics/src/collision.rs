@@ -5,16 +5,16 @@ use crate::{Point, Share};
 pub struct Disc<'a> {
     /// Forecast positions, one per step.
     pub trajectory: &'a [Point],
-    /// Radius of the disc: half the width of the agent, which it occupies at any heading.
+    /// Radius of the disc: half the width of the agent. The agent covers the disc at any heading.
     pub radius_m: f32,
 }
 
 /// The share of forecasts that collide with another forecast of the same scene.
 ///
-/// All belong to one joint future: the single best forecasts, or one mode number. Two collide where their
-/// discs overlap at a step or, on straight lines, between two steps. Where the discs overlap, so do the
-/// agents' footprints: collisions of long agents are under-counted, never over-counted. Cost: square of the
-/// agents.
+/// All forecasts belong to one joint future: the single best forecasts, or one mode number. Two forecasts
+/// collide if their discs overlap at a step or, on straight lines, between two steps. Overlapping discs imply
+/// overlapping footprints, so collisions of long agents are under-counted but never over-counted. Cost:
+/// square of the number of agents.
 #[must_use]
 pub fn collisions(forecasts: &[Disc<'_>]) -> Share {
     let mut share = Share::default();

@@ -7,18 +7,18 @@ pub const LOG_DENSITY_MIN: f64 = -20.0;
 /// Smallest bandwidth: samples that coincide have the uncertainty of a measurement.
 const BANDWIDTH_MIN_M: f64 = 0.01;
 
-/// Log density at `truth` of the weighted samples of one step: a product of Gaussian kernels with Silverman's
-/// bandwidth
+/// Log density at `truth` of the weighted samples of one step. The kernel is a product of Gaussians with
+/// Silverman's bandwidth:
 ///
 /// ```text
 /// h_d = σ_d (4 / (n (D + 2)))^(1 / (D + 4)),   D = 2,   n = (Σ w)² / Σ w²
 /// ```
 ///
-/// where σ_d is the samples' weighted standard deviation on axis d. At least [`LOG_DENSITY_MIN`], also where
-/// no weight is positive.
+/// σ_d is the weighted standard deviation of the samples on axis d. The result is at least
+/// [`LOG_DENSITY_MIN`], and equals it if no weight is positive.
 ///
 /// # Panics
-/// If there are not as many weights as samples.
+/// If the numbers of weights and samples differ.
 #[must_use]
 pub fn kde_log_density(samples: &[Point], weights: &[f32], truth: Point) -> f64 {
     assert_eq!(samples.len(), weights.len(), "one weight per sample");
@@ -57,7 +57,7 @@ mod tests {
 
     #[test]
     fn density_of_four_samples_equals_value_by_hand() {
-        // σ = 1 on both axes, n = 4: h = 4^(−1/6); every sample is one h-scaled unit per axis from the
+        // σ = 1 on both axes and n = 4, so h = 4^(−1/6). Every sample is one h-scaled unit per axis from the
         // centre.
         let samples = [[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]];
         let h = 4.0_f64.powf(-1.0 / 6.0);

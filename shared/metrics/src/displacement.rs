@@ -6,20 +6,20 @@ pub const MISS_RADIUS_M: f64 = 2.0;
 /// Displacement errors of a trajectory.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Displacement {
-    /// Mean distance over the known steps (ADE); `None` where no step is known.
+    /// Mean distance over the known steps (ADE); `None` if no step is known.
     pub ade_m: Option<f64>,
-    /// Distance at the last step of the horizon (FDE); `None` where that step is unknown.
+    /// Distance at the last step of the horizon (FDE); `None` if that step is unknown.
     pub fde_m: Option<f64>,
 }
 
 impl Displacement {
-    /// Whether the FDE is above [`MISS_RADIUS_M`]; `None` where it is unknown.
+    /// Whether the FDE is above [`MISS_RADIUS_M`]; `None` if the FDE is unknown.
     #[must_use]
     pub fn is_miss(&self) -> Option<bool> {
         self.fde_m.map(|fde_m| fde_m > MISS_RADIUS_M)
     }
 
-    /// The smaller ADE and the smaller FDE of two, each by itself.
+    /// The smaller ADE and the smaller FDE of two displacements, independently.
     fn min(self, other: Self) -> Self {
         let smaller = |a: Option<f64>, b: Option<f64>| match (a, b) {
             (Some(a), Some(b)) => Some(a.min(b)),
@@ -29,8 +29,7 @@ impl Displacement {
     }
 }
 
-/// Mean of many displacements; ADE and FDE have counts of their own, since some windows end before the
-/// horizon.
+/// Mean of many displacements. ADE and FDE have separate counts because some windows end before the horizon.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct DisplacementMean {
     /// Mean of the ADEs.
@@ -55,7 +54,7 @@ impl DisplacementMean {
         }
     }
 
-    /// Counts all that `other` counted.
+    /// Adds the counts of `other`.
     pub fn merge(&mut self, other: &Self) {
         self.ade_m.merge(&other.ade_m);
         self.fde_m.merge(&other.fde_m);
@@ -80,7 +79,7 @@ pub fn displacement(trajectory: &[Point], truth: &[Option<Point>]) -> Displaceme
     Displacement { ade_m: mean.value(), fde_m }
 }
 
-/// minADE and minFDE over several trajectories. Each is a minimum of its own, as in the published minADE₂₀
+/// minADE and minFDE over several trajectories. The two minima are independent, as in the published minADE₂₀
 /// and minFDE₂₀.
 ///
 /// # Panics
@@ -91,9 +90,11 @@ pub fn min_displacement<M: AsRef<[Point]>>(modes: &[M], truth: &[Option<Point>])
     each.fold(Displacement::default(), Displacement::min)
 }
 
-/// Joint minADE and minFDE of a scene: mode k of every agent forms the k-th joint future, and one k has to
-/// serve all agents. ADE and FDE have their own best k each; the miss rate is that of the k with the best
-/// FDE. Every agent counts once in the result.
+/// Joint minADE and minFDE of a scene.
+///
+/// Mode k of every agent forms the k-th joint future, and one k serves all agents. ADE and FDE each have
+/// their own best k. The miss rate is taken from the k with the best FDE. Every agent counts once in the
+/// result.
 ///
 /// # Panics
 /// If the agents have different numbers of modes, or a trajectory is shorter than the truth.
@@ -116,13 +117,17 @@ pub fn joint_min_displacement<M: AsRef<[Point]>>(agents: &[(&[M], &[Option<Point
     DisplacementMean { ade_m: by_ade.ade_m, fde_m: by_fde.fde_m, miss_rate: by_fde.miss_rate }
 }
 
-/// Share, from 0 to 1, of the way from its single best forecast to a mode that each of `agents_len` agents
-/// takes in one of `draws_len` joint futures of their scene.
+/// How far each mode of a joint future is moved away from an agent's single best forecast: 0 is the single
+/// best forecast, 1 the mode itself.
 ///
-/// It is 1 for one agent alone. The more agents share the futures, the less information the number of a
-/// future has about each: ln(K) / N nats. By the rate-distortion bound a source of D dimensions is best
-/// rendered with that at a variance smaller by 1 − K^(−2/(D·N)). D = 2: the end point has most of the
-/// information about a future.
+/// ```text
+/// spread² = (1 − K^(−2/(D N))) / (1 − K^(−2/D))      K = draws_len, N = agents_len, D = 2
+/// ```
+///
+/// The spread is 1 for a single agent. A future's number carries ln(K) / N nats of information about each of
+/// N agents. By the rate-distortion bound, a source of D dimensions is best rendered with a variance that is
+/// smaller by the factor 1 − K^(−2/(D N)). D is 2 because the end point has most of the information about a
+/// future.
 #[must_use]
 pub fn joint_spread(agents_len: usize, draws_len: usize) -> f32 {
     const DIMENSIONS: f64 = 2.0;
@@ -138,7 +143,7 @@ pub fn interpolated(from: &[Point], to: &[Point], share: f32) -> Vec<Point> {
     from.iter().zip(to).map(between).collect()
 }
 
-/// Top-1: index of the largest probability, the first of equals; `None` for no modes.
+/// Top-1: index of the largest probability, the first among equals. Returns `None` if `probability` is empty.
 #[must_use]
 pub fn most_likely(probability: &[f32]) -> Option<usize> {
     (0..probability.len()).reduce(|best, k| if probability[k] > probability[best] { k } else { best })
@@ -180,7 +185,7 @@ mod tests {
 
     #[test]
     fn joint_minimum_uses_one_mode_for_all_agents() {
-        // Mode 0 fits the first agent, mode 1 the second: each minADE is 0, jointly one agent errs by 4 m.
+        // Mode 0 fits the first agent and mode 1 the second. Each minADE is 0; jointly one agent errs by 4 m.
         let truth = [Some([0.0, 0.0])];
         let (good, bad): ([Point; 1], [Point; 1]) = ([[0.0, 0.0]], [[4.0, 0.0]]);
         let (first, second) = ([good, bad], [bad, good]);

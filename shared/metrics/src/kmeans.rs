@@ -12,19 +12,23 @@ pub struct Clusters {
     pub labels: Vec<u32>,
     /// Points in each cluster.
     pub sizes: Vec<usize>,
-    /// Sum of the squared distances of the points to their centres.
+    /// Sum of the squared distances between points and their centres.
     pub inertia: f64,
 }
 
 /// Splits `points` (rows of `dimension` numbers) into `clusters` groups around their means.
 ///
-/// The first centres are drawn by squared distance from those before (k-means++), with `seed`; then at most
-/// `iterations` rounds of assignment and mean follow, fewer where nothing changes. A cluster that loses all
-/// its points takes the point that is farthest from its centre; with fewer distinct points than clusters,
-/// centres repeat and the later of equals stay empty. Cost: points × clusters × dimension per round.
+/// 1. Draw the first centres with `seed`, with a probability proportional to the squared distance from the
+///    centres drawn before (k-means++).
+/// 2. Assign each point to its nearest centre and move each centre to the mean of its points. Repeat this at
+///    most `iterations` times, or until nothing changes.
+///
+/// A cluster that loses all its points takes the point that is farthest from its centre. With fewer distinct
+/// points than clusters, centres repeat and the later of equal centres stay empty. Cost: points × clusters ×
+/// dimension per round.
 ///
 /// # Panics
-/// If there are no points, a size is 0, or `points` is no whole number of rows.
+/// If there are no points, a size is 0, or the length of `points` is not a multiple of `dimension`.
 #[must_use]
 pub fn kmeans(points: &[f32], dimension: usize, clusters: usize, seed: u64, iterations: usize) -> Clusters {
     assert!(dimension > 0 && clusters > 0, "dimension {dimension}, clusters {clusters}");
@@ -67,7 +71,7 @@ fn first_centres(points: &[f32], dimension: usize, clusters: usize, seed: u64) -
         }
         let total: f64 = squared.iter().map(|&s| f64::from(s)).sum();
         let mut left = rng.random::<f64>() * total;
-        // Rounding may leave a remainder beyond the last point: the farthest is drawn then.
+        // Rounding may leave a remainder beyond the last point. The farthest point is drawn then.
         let drawn = squared.iter().position(|&s| {
             left -= f64::from(s);
             left < 0.0
@@ -82,7 +86,7 @@ fn farthest(squared: impl Iterator<Item = f32>) -> usize {
     squared.enumerate().fold((0, f32::MIN), |best, (i, s)| if s > best.1 { (i, s) } else { best }).0
 }
 
-/// The nearest centre of each point, the first of equals, and its squared distance.
+/// The nearest centre of each point (the first among equals) and its squared distance.
 fn assign(points: &[f32], dimension: usize, centres: &[f32]) -> Vec<(u32, f32)> {
     points
         .chunks_exact(dimension)

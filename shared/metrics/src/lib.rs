@@ -18,14 +18,14 @@
 //! **bootstrap** ([`paired_bootstrap`]) gives the confidence interval of a difference between two
 //! forecasters.
 //!
-//! **Baselines** forecast by constant velocity and its relatives, or by that and a table of typical residuals
-//! ([`Anchors`]); they get the same windows as the model.
+//! **Baselines** get the same windows as the model. They forecast by constant velocity and related models, or
+//! by constant velocity with a table of typical residuals ([`Anchors`]).
 //!
-//! A *truth* is a slice with one entry per step of the horizon, `None` where the position is unknown; no
-//! measure counts such steps. A trajectory may be longer than the truth (payloads have room for the longest
-//! horizon), never shorter. All sums are f64 and in the order of the calls, so that a repeated evaluation
-//! agrees to the bit; accumulators ([`Mean`], [`Share`], [`DisplacementMean`]) of several parts can be
-//! merged.
+//! A *truth* is a slice with one entry per step of the horizon. An entry is `None` if the position is
+//! unknown; no measure counts such a step. A trajectory may be longer than the truth, because payloads
+//! have room for the longest horizon; it is never shorter. All sums are f64 and follow the order of the
+//! calls, so a repeated evaluation agrees to the bit. Accumulators ([`Mean`], [`Share`],
+//! [`DisplacementMean`]) of several parts can be merged.
 //!
 //! ```
 //! use metrics::{DisplacementMean, min_displacement};

@@ -10,18 +10,18 @@ use crate::steering::Steering;
 pub enum Limits {
     /// A kinematic bicycle: it moves along its heading, up to its slip.
     Bicycle(BicycleLimits),
-    /// A point: it can accelerate in any direction.
+    /// A point, which can accelerate in any direction.
     Point(PointLimits),
 }
 
-/// The limits of a vehicle whose centre moves at a slip angle to its heading: those of the model's bicycle.
+/// The limits of a vehicle whose centre moves at a slip angle to its heading, as in the model's bicycle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BicycleLimits {
     /// Largest change of the speed per second.
     pub acceleration_mps2: f32,
     /// Largest angle between course and heading.
     pub slip_rad: f32,
-    /// Largest change of that angle per second.
+    /// Largest change of the slip angle per second.
     pub slip_rate_radps: f32,
     /// Distance from the centre to the rear axle; positive.
     pub rear_axle_m: f32,
@@ -34,12 +34,12 @@ pub struct PointLimits {
     pub speed_mps: f32,
     /// Largest change of the velocity per second.
     pub acceleration_mps2: f32,
-    /// Smallest radius of a curve; 0 where an agent can turn on the spot.
+    /// Smallest radius of a curve; 0 if the agent can turn on the spot.
     pub turn_radius_m: f32,
 }
 
 impl Limits {
-    /// The limits of an agent type; a vehicle has those of a very short one, which turns most tightly.
+    /// The limits of an agent type. A vehicle has the limits of a very short one, which turns most tightly.
     #[must_use]
     pub const fn of(agent_type: AgentType) -> Self {
         match agent_type {
@@ -53,20 +53,23 @@ impl Limits {
         }
     }
 
-    /// The limits of a vehicle whose rear axle is `rear_axle_m` behind its centre: those at which the model's
-    /// controls saturate by default. \[model §4\]
+    /// The limits of a vehicle whose rear axle is `rear_axle_m` behind its centre. They equal the default
+    /// saturation of the model's controls. \[model §4\]
     #[must_use]
     pub const fn vehicle(rear_axle_m: f32) -> Self {
         let (acceleration_mps2, slip_rad, slip_rate_radps) = (6.0, 0.5, 1.0);
         Self::Bicycle(BicycleLimits { acceleration_mps2, slip_rad, slip_rate_radps, rear_axle_m })
     }
 
-    /// Whether a trajectory of steps `dt_s` apart that starts from `now` violates the limits.
+    /// Whether a trajectory of steps `dt_s` apart, starting from `now`, violates the limits.
     ///
-    /// A violation is what the positions prove. Bicycle: no accelerations within the limit give these step
-    /// lengths, or no slip angles give these changes of course, over one step or several; rollouts of a
-    /// bicycle within its limits never violate them, rounding included. Point: a finite difference is too
-    /// large; curves count from 1 m/s on, below which rounding decides the course.
+    /// A violation is proven by the positions:
+    ///
+    /// * Bicycle: over one step or several, no accelerations within the limit give these step lengths, or no
+    ///   slip angles give these changes of course. A rollout of a bicycle within its limits never violates
+    ///   them, even with rounding.
+    /// * Point: a finite difference is too large. Curves count from 1 m/s, because below that rounding
+    ///   decides the course.
     #[must_use]
     pub fn violated_by(&self, now: &State, trajectory: &[Point], dt_s: f32) -> bool {
         match self {

@@ -14,13 +14,13 @@ impl Mean {
         self.len += 1;
     }
 
-    /// Counts all that `other` counted.
+    /// Adds the counts of `other`.
     pub fn merge(&mut self, other: &Self) {
         self.sum += other.sum;
         self.len += other.len;
     }
 
-    /// Values counted.
+    /// Number of values counted.
     #[must_use]
     pub const fn len(&self) -> u64 {
         self.len
@@ -32,14 +32,14 @@ impl Mean {
         self.len == 0
     }
 
-    /// The mean; `None` where nothing was counted.
+    /// The mean; `None` if nothing was counted.
     #[must_use]
     pub fn value(&self) -> Option<f64> {
         (self.len > 0).then(|| self.sum / self.len as f64)
     }
 }
 
-/// The share of the counted cases that have a property; can be merged with others.
+/// The share of the counted cases that have a property. Shares can be merged.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Share(Mean);
 
@@ -49,12 +49,12 @@ impl Share {
         self.0.add(f64::from(u8::from(hit)));
     }
 
-    /// Counts all that `other` counted.
+    /// Adds the counts of `other`.
     pub fn merge(&mut self, other: &Self) {
         self.0.merge(&other.0);
     }
 
-    /// Cases counted.
+    /// Number of cases counted.
     #[must_use]
     pub const fn len(&self) -> u64 {
         self.0.len()
@@ -66,7 +66,7 @@ impl Share {
         self.0.is_empty()
     }
 
-    /// The share, 0 to 1; `None` where nothing was counted.
+    /// The share, 0 to 1; `None` if nothing was counted.
     #[must_use]
     pub fn value(&self) -> Option<f64> {
         self.0.value()

@@ -1,9 +1,9 @@
 //! Highest-density regions of a Gaussian mixture: the smallest areas that contain a given probability.
 //!
-//! The region of *level* q is where the density exceeds the value at which the region has the probability q.
-//! A truth lies on the border of exactly one region, and inside all of a higher level: its level is the
-//! probability of all positions that are likelier than it. Levels of calibrated forecasts are uniform in
-//! 0..1.
+//! The region of *level* q is the set of positions whose density exceeds a threshold, chosen so that the
+//! region has probability q. A truth is on the border of exactly one region and inside every region of a
+//! higher level. Its level is the probability of all positions that are likelier than the truth. Levels of
+//! calibrated forecasts are uniform in 0..1.
 
 use std::f32::consts::{LN_2, LOG2_E, TAU};
 
@@ -12,24 +12,24 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::Point;
 
-/// Number of draws from all components together; every component of positive probability has at least one.
+/// Number of draws from all components together. Every component of positive probability has at least one.
 const DRAWS: usize = 400;
-/// Least variance: no position is known better than to a centimetre.
+/// Smallest variance: no position is known better than to a centimetre.
 const VARIANCE_MIN_M2: f32 = 1e-4;
 /// Golden section: any number of its multiples, modulo 1, is spread evenly.
 const GOLDEN: f32 = 0.618_034;
 
-/// The level of the highest-density region of a Gaussian mixture on whose border `truth` lies, 0 to 1; the
+/// The level, 0 to 1, of the highest-density region of a Gaussian mixture that has `truth` on its border. The
 /// truth is inside the 90 % region if its level is at most 0.9.
 ///
 /// Covariances are (xx, xy, yy) in m². The probabilities need not sum to 1. The level is the share of draws
-/// that are likelier than the truth: a fixed number per component, stratified into rings of equal probability
-/// and spread evenly around, so that the error of one level is nearly always below 0.01, and the error of the
-/// mean of many vanishes. The same seed gives the same level. It is 1 where no probability is positive or a
-/// component is not a number. Cost: about 10 µs for 20 components.
+/// that are likelier than the truth. Each component has a fixed number of draws, stratified into rings of
+/// equal probability and spread evenly around. The error of one level is nearly always below 0.01, and the
+/// error of the mean of many levels vanishes. The same seed gives the same level. The level is 1 if no
+/// probability is positive or a component is not a number. Cost: about 10 µs for 20 components.
 ///
 /// # Panics
-/// If there are not as many means, covariances and probabilities.
+/// If the numbers of means, covariances and probabilities differ.
 #[must_use]
 pub fn highest_density_level(
     means: &[Point],
@@ -41,8 +41,8 @@ pub fn highest_density_level(
     HighestDensity::default().level(means, covariances, probability, truth, seed)
 }
 
-/// The computation of [`highest_density_level`] in memory that is used again: from the second call on, of no
-/// more components, it allocates nothing.
+/// [`highest_density_level`] with reusable memory. From the second call on it allocates nothing, unless the
+/// mixture has more components than before.
 #[derive(Clone, Debug, Default)]
 pub struct HighestDensity {
     components: Vec<Component>,
@@ -68,7 +68,7 @@ impl HighestDensity {
     /// As [`highest_density_level`].
     ///
     /// # Panics
-    /// If there are not as many means, covariances and probabilities.
+    /// If the numbers of means, covariances and probabilities differ.
     pub fn level(
         &mut self,
         means: &[Point],
@@ -96,13 +96,13 @@ impl HighestDensity {
         level.min(1.0)
     }
 
-    /// The area of the highest-density region of a level, in m²; 0 where no probability is positive.
+    /// The area in m² of the highest-density region of a level; 0 if no probability is positive.
     ///
-    /// With R the region and p the density, ∫ 1_R dx is the mean of 1_R / p over draws of p. Of one region it
-    /// is nearly always within a tenth, and the error of the mean of many vanishes.
+    /// With the region R and the density p, the area ∫ 1_R dx is the mean of 1_R / p over draws of p. The
+    /// error of one area is nearly always below a tenth, and the error of the mean of many areas vanishes.
     ///
     /// # Panics
-    /// If there are not as many means, covariances and probabilities.
+    /// If the numbers of means, covariances and probabilities differ.
     pub fn area_m2(
         &mut self,
         means: &[Point],
@@ -182,8 +182,8 @@ impl Component {
 
     /// Adds draws in proportion to the probability and returns their number.
     ///
-    /// Draw j of n lies in the j-th of n rings of probability 1/n, at a golden section of a turn from the one
-    /// before; the place in the rings and the first angle are random.
+    /// Draw j of n is in the j-th of n rings of probability 1/n, a golden section of a turn after the
+    /// previous draw. The place within each ring and the first angle are random.
     fn draw(&self, rng: &mut ChaCha8Rng, positions: &mut Positions) -> usize {
         let draws_len = ((self.probability * DRAWS as f32) as usize).max(1);
         let (ring_share, first_turn): (f32, f32) = (rng.random(), rng.random());
@@ -224,7 +224,7 @@ impl Positions {
         self.y.clear();
     }
 
-    /// Writes the density at each position, in units of the highest peak of a component.
+    /// Writes the density at each position, in units of the highest peak of any component.
     fn write_densities(&self, components: &[Component], densities: &mut Vec<f32>) {
         let highest = highest_log2_weight(components);
         densities.clear();
@@ -246,12 +246,12 @@ impl Positions {
     }
 }
 
-/// 2^x for x ≤ 0 to a relative 3e-7, 2^−126 below that; without calls or branches, so that loops over it
-/// vectorise.
+/// 2^x for x ≤ 0 with a relative error of 3e-7; 2^−126 for smaller x. The function has no calls or branches,
+/// so loops over it vectorise.
 fn exp2(x: f32) -> f32 {
     // Taylor coefficients ln(2)ⁿ / n!.
     const C: [f32; 6] = [LN_2, 0.240_226_5, 0.055_504_11, 0.009_618_129, 0.001_333_355_8, 0.000_154_035_3];
-    // Adding 1.5 · 2²³ rounds to whole numbers and leaves them in the low bits.
+    // Adding 1.5 · 2²³ rounds to an integer and leaves it in the low bits.
     const ROUND: f32 = 12_582_912.0;
     // Not `max`: NaN must stay NaN.
     let x = if x < -126.0 { -126.0 } else { x };

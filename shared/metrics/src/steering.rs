@@ -7,32 +7,32 @@ use crate::limits::BicycleLimits;
 
 /// Share by which a rollout in f32 may exceed every limit.
 const ROUNDING: f64 = 1e-3;
-/// Units in the last place by which a coordinate may be off.
+/// Error of a coordinate, in units in the last place.
 const ULPS: f64 = 4.0;
 
-/// Follows the positions of a vehicle for as long as a bicycle within its limits can reach them.
+/// Follows the positions of a vehicle as long as a bicycle within its limits can reach them.
 ///
-/// A bicycle's step is a straight *chord* whose length is its mean speed times Δt and whose direction is the
+/// One step of a bicycle is a straight *chord*. Its length is the mean speed times Δt. Its direction is the
 /// *course*, ψ + β in the middle of the step. In the time t between the middles of two chords
 ///
 /// ```text
 /// |Δ speed| ≤ a t      |Δ course| ≤ κ path + min(β̇ t, 2 β)      κ = sin β / l_r
 /// ```
 ///
-/// with the limits a, β and β̇: the heading turns by at most κ times the path, the rest is slip. Slip is
-/// bounded, so over any number of steps the course turns by at most κ times the path and 2 β. The longer
-/// chord stands for the path between two middles, which is valid for the bicycle's Euler steps and for its
-/// midpoint steps. Reversing is a negative speed along the opposite course.
+/// with the limits a, β and β̇. The heading turns by at most κ times the path; the rest is slip. Slip is
+/// bounded, so over any number of steps the course turns by at most κ times the path plus 2 β. The longer
+/// chord stands for the path between two middles. This is valid for Euler steps and midpoint steps of the
+/// bicycle. Reversing is a negative speed along the opposite course.
 pub(crate) struct Steering {
     limits: Bounds,
     dt_s: f64,
     position_m: [f64; 2],
     /// Speed in the middle of the newest chord; negative in reverse.
     speed_mps: f64,
-    /// The newest known course; the heading before the first.
+    /// The newest known course, or the heading before the first one.
     course_rad: f64,
     is_heading: bool,
-    /// Error of the course by rounding of the positions.
+    /// Error of the course caused by rounding of the positions.
     blur_rad: f64,
     /// Length of the newest chord; `None` before the first.
     chord_m: Option<f64>,
@@ -51,7 +51,7 @@ struct Bounds {
     curvature_radpm: f64,
 }
 
-/// How far the course has turned to one side, less the turn that the heading can make along the path.
+/// How far the course has turned to one side, minus the turn that the heading can make along the path.
 #[derive(Clone, Copy)]
 struct Swing {
     now_rad: f64,
@@ -88,14 +88,14 @@ impl Steering {
         }
     }
 
-    /// Advances one step, to `next`; false where no bicycle within the limits can.
+    /// Advances one step, to `next`. Returns `false` if no bicycle within the limits can reach it.
     pub(crate) fn reaches(&mut self, next: Point) -> bool {
         let next = next.map(f64::from);
         let [dx, dy] = [0, 1].map(|axis| next[axis] - self.position_m[axis]);
         let chord_m = dx.hypot(dy);
         let largest_m = next.iter().chain(&self.position_m).fold(0.0_f64, |most, x| most.max(x.abs()));
         let rounding_m = ULPS * f64::from(f32::EPSILON) * largest_m;
-        // The middle of the first chord is half a step from now.
+        // The middle of the first chord is half a step after now.
         let elapsed_s = if self.chord_m.is_some() { self.dt_s } else { 0.5 * self.dt_s };
         self.uncertain_s += elapsed_s;
         self.uncertain_m += self.chord_m.map_or(0.5 * chord_m, |before_m| before_m.max(chord_m));
@@ -112,7 +112,7 @@ impl Steering {
             [false, true] => ways[1],
             [false, false] => return false,
         };
-        // A turn beyond this can't be told from one to the other side.
+        // Beyond this angle the direction of a turn is ambiguous.
         let clear_rad = if within == [true, true] { 0.5 * PI } else { PI };
         self.speed_mps = speed_mps;
         self.position_m = next;
@@ -135,7 +135,7 @@ impl Steering {
         self.blur_rad = blur_rad;
         (self.uncertain_s, self.uncertain_m) = (0.0, 0.0);
         if heading_rad + slip_rad >= clear_rad {
-            // A turn of any size is possible: this course is independent of those before.
+            // A turn of any size is possible, so this course is independent of the earlier ones.
             (self.left, self.right) = (Swing::new(blur_rad), Swing::new(blur_rad));
             return true;
         }
@@ -151,7 +151,7 @@ impl Swing {
         Self { now_rad: 0.0, lowest_rad: blur_rad }
     }
 
-    /// Turns by `rad` and returns the least that it is above its lowest.
+    /// Turns by `rad` and returns the smallest possible distance above the lowest value.
     fn advance(&mut self, rad: f64, blur_rad: f64) -> f64 {
         self.now_rad += rad;
         let above_rad = self.now_rad - blur_rad - self.lowest_rad;
@@ -160,7 +160,7 @@ impl Swing {
     }
 }
 
-/// The angle in (−π, π] that points the same way.
+/// The angle in (−π, π] with the same direction.
 fn wrap(angle_rad: f64) -> f64 {
     let wrapped = angle_rad.rem_euclid(TAU);
     if wrapped > PI { wrapped - TAU } else { wrapped }

@@ -1,8 +1,8 @@
 //! Measures of tracking: tracks against the truth, frame by frame.
 //!
-//! A [`Frame`] is one instant: the true objects and the tracks, each an id and a position. It is validated
-//! once (finite positions, no id twice) and sorted by id, so that the order of the rows changes no figure.
-//! Classes are the caller's: one set of accumulators for each.
+//! A [`Frame`] is one instant: the true objects and the tracks, each with an id and a position. It is
+//! validated once (finite positions, unique ids) and sorted by id, so the order of the rows never changes a
+//! figure. The caller separates the classes by using one set of accumulators for each.
 //!
 //! | measure | meaning | source |
 //! |---|---|---|
@@ -14,11 +14,12 @@
 //! | [`StateErrors`] | RMSE and MAE of position and velocity | |
 //! | [`Consistency`] | whether covariances fit the errors (NEES, NIS) | Bar-Shalom et al. 2001, §5.4 |
 //!
-//! The first three take [`Frame`]s in the order of time and return counts at the end, from which every ratio
-//! follows; counts of several recordings can be merged, and the ratios of the sum are those of the recordings
-//! as one (with identities of their own). Definitions are those of the field's reference programs:
-//! py-motmetrics for [`ClearMot`] and [`Identity`], `TrackEval` for [`Hota`], Stone Soup for the distances of
-//! sets.
+//! The first three take [`Frame`]s in the order of time and return counts at the end. Every ratio follows
+//! from these counts. Counts of several recordings can be merged. The ratios of the sum equal the ratios of
+//! the recordings joined into one, with separate identities.
+//!
+//! The definitions follow the field's reference programs: py-motmetrics for [`ClearMot`] and [`Identity`],
+//! `TrackEval` for [`Hota`], and Stone Soup for the distances of sets.
 //!
 //! * K. Bernardin, R. Stiefelhagen: *Evaluating multiple object tracking performance: the CLEAR MOT metrics*,
 //!   2008.

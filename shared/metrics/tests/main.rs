@@ -1,4 +1,4 @@
-//! Tests of the measures of tracking: against reference programs, and by scenes with a known result.
+//! Tests of the tracking measures, against reference programs and on scenes with a known result.
 #![expect(clippy::unwrap_used, reason = "a broken fixture or scene is a broken test")]
 
 mod tracking_golden;

@@ -1,4 +1,4 @@
-//! Measures of tracking against py-motmetrics, `TrackEval` and Stone Soup on recorded scenarios.
+//! Compares the tracking measures with py-motmetrics, `TrackEval` and Stone Soup on recorded scenarios.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -10,7 +10,7 @@ use serde_json::Value;
 
 type Part = fn(&HotaScore) -> f64;
 
-/// Largest distance of a pair, and the distance at which the similarity is 0.
+/// Largest distance of a pair. `ZERO_M` is the distance at which the similarity is 0.
 const GATE_M: f64 = 1.0;
 const ZERO_M: f64 = 2.0;
 

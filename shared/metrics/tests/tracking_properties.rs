@@ -1,4 +1,4 @@
-//! Measures of tracking on scenes with a known result, and their invariants.
+//! Tracking measures on scenes with a known result, and their invariants.
 
 use metrics::tracking::{
     ClearMot, ClearMotCounts, Frame, Hota, HotaCounts, HotaScore, Identity, IdentityCounts, Object,
@@ -59,7 +59,7 @@ fn truths_without_track_are_missed_and_mostly_lost() {
     assert_eq!((clear_mot.missed_len, clear_mot.false_len, clear_mot.mostly_lost_len), (2, 1, 1));
     assert_eq!((clear_mot.mota(), clear_mot.recall()), (Some(-0.5), Some(0.0)));
     assert_eq!((identity.missed_len, identity.idr()), (2, Some(0.0)));
-    // Beyond the gate, but not beyond all similarity.
+    // The distance is beyond the gate, but the similarity is still above 0.
     assert_eq!(hota.scores()[4].det_re, 0.5);
     assert_eq!(hota.scores()[5].det_re, 0.0);
 }
@@ -82,9 +82,9 @@ fn a_kept_pair_precedes_a_nearer_track() {
     let truth = [at(1, 0.0)];
     let frames = [
         frame(&truth, &[at(7, 0.5)]),
-        // Track 8 is nearer, but 7 is still near enough.
+        // Track 8 is nearer, but 7 is still within the gate.
         frame(&truth, &[at(7, 0.9), at(8, 0.1)]),
-        // Missed while 7 is beyond the gate and 8 is gone, then found by 8.
+        // Missed while 7 is beyond the gate and 8 is gone; then track 8 finds it.
         frame(&truth, &[at(7, 1.1)]),
         frame(&truth, &[at(8, 0.1)]),
     ];
@@ -169,7 +169,7 @@ fn merged_counts_equal_those_of_one_recording() {
     clear_mot.merge(&other.0);
     identity.merge(&other.1);
     hota.merge(&other.2);
-    // As one recording, in which the second has ids of its own.
+    // Both parts as one recording; the second part has its own ids.
     let second = frame(&[at(11, 0.0), at(12, 3.0)], &[at(15, 3.2)]);
     let whole = measured(&[parts[0][0].clone(), parts[0][1].clone(), second]);
     assert_eq!((clear_mot, identity, hota), whole);
@@ -200,7 +200,7 @@ proptest! {
         names in Just((100..108).collect::<Vec<u64>>()).prop_shuffle(),
     ) {
         let frames: Vec<Frame> = recording.iter().map(|(truths, tracks)| frame(truths, tracks)).collect();
-        // Tracks get other ids in another order, truths greater ones; rows are reversed.
+        // Tracks get different ids in a different order, truths get greater ids, and rows are reversed.
         let renamed: Vec<Frame> = recording
             .iter()
             .map(|(truths, tracks)| {

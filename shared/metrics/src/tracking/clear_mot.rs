@@ -5,9 +5,12 @@ use super::pairing::{Edge, best_pairs};
 
 /// CLEAR-MOT of a recording, frame by frame.
 ///
-/// A truth keeps the track that it was last paired with wherever both are present and within the gate, unless
-/// another truth keeps the track (of two, the smaller id does). The rest is paired for as many pairs as
-/// possible and, among those, the least sum of distances. Memory: a few numbers per id.
+/// 1. A truth keeps the track that it was last paired with if both are present and within the gate. If two
+///    truths were last paired with one track, the truth with the smaller id keeps it.
+/// 2. The remaining objects are paired so that the number of pairs is the largest possible and, among such
+///    pairings, the sum of distances is the smallest.
+///
+/// Memory: a few numbers per id.
 #[derive(Clone, Debug)]
 pub struct ClearMot {
     gate_m: f64,
@@ -20,11 +23,11 @@ pub struct ClearMot {
 /// The state of one truth.
 #[derive(Clone, Copy, Debug, Default)]
 struct TruthState {
-    /// The track that it was last paired with.
+    /// The track of its last pair.
     track: Option<u64>,
     present_len: u64,
     matched_len: u64,
-    /// Whether it was missed since it was last paired.
+    /// Whether it was missed after its last pair.
     interrupted: bool,
 }
 
@@ -32,7 +35,7 @@ impl ClearMot {
     /// Counts pairs that are at most `gate_m` apart.
     ///
     /// # Errors
-    /// A gate that is not between 0 and 10⁶ m.
+    /// If the gate is not between 0 and 10⁶ m.
     pub fn new(gate_m: f64) -> Result<Self, TrackingError> {
         check_gate(gate_m)?;
         Ok(Self {
@@ -43,7 +46,7 @@ impl ClearMot {
         })
     }
 
-    /// Counts the next frame. Cost: truths × tracks, and the assignment of those near each other.
+    /// Counts the next frame. Cost: truths × tracks, plus the assignment of objects near each other.
     pub fn add(&mut self, frame: &Frame) {
         let kept = self.kept(frame);
         let fresh = self.fresh(frame, &kept);
@@ -87,7 +90,7 @@ impl ClearMot {
         self.counts
     }
 
-    /// The track of each truth that keeps the one before.
+    /// The track of each truth that keeps its last track.
     fn kept(&self, frame: &Frame) -> BTreeMap<u64, u64> {
         let mut kept = BTreeMap::new();
         let mut taken = Vec::new();
@@ -106,7 +109,7 @@ impl ClearMot {
     /// The track of each truth in a new pair.
     fn fresh(&self, frame: &Frame, kept: &BTreeMap<u64, u64>) -> BTreeMap<u64, u64> {
         let taken: Vec<u64> = kept.values().copied().collect();
-        // One more pair gains more than any change in distance.
+        // One additional pair gains more than any change in distance.
         let pairs_max = frame.truths().len().min(frame.tracks().len()) as f64;
         let pair_gain = (pairs_max + 1.0) * self.gate_m + 1.0;
         let edges: Vec<Edge> = frame
@@ -123,7 +126,7 @@ impl ClearMot {
         best_pairs(&edges).into_iter().map(|i| (edges[i].truth, edges[i].track)).collect()
     }
 
-    /// Counts how a new pair changes the ones before.
+    /// Counts how a new pair changes earlier pairs.
     fn count_change(&mut self, truth: u64, track: u64) {
         let last_track = self.truths.get(&truth).and_then(|state| state.track);
         let last_truth = self.truth_of.insert(track, truth);
@@ -138,12 +141,12 @@ impl ClearMot {
     }
 }
 
-/// The counts of [`ClearMot`], and their ratios: `None` where the denominator is 0.
+/// The counts of [`ClearMot`] and their ratios. A ratio is `None` if its denominator is 0.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ClearMotCounts {
     /// Frames.
     pub frames_len: u64,
-    /// Pairs of a truth and a track, all frames together.
+    /// Pairs of a truth and a track, summed over frames.
     pub matched_len: u64,
     /// Truths without a track.
     pub missed_len: u64,
@@ -170,7 +173,7 @@ pub struct ClearMotCounts {
 }
 
 impl ClearMotCounts {
-    /// Counts all that `other`, of another recording, counted.
+    /// Adds the counts of `other`, which is a different recording.
     pub fn merge(&mut self, other: &Self) {
         self.frames_len += other.frames_len;
         self.matched_len += other.matched_len;
@@ -187,19 +190,20 @@ impl ClearMotCounts {
         self.distance_sum_m += other.distance_sum_m;
     }
 
-    /// Truths, all frames together.
+    /// Truths, summed over frames.
     #[must_use]
     pub const fn truths_len(&self) -> u64 {
         self.matched_len + self.missed_len
     }
 
-    /// Tracks, all frames together.
+    /// Tracks, summed over frames.
     #[must_use]
     pub const fn tracks_len(&self) -> u64 {
         self.matched_len + self.false_len
     }
 
-    /// MOTA: 1 less misses, false tracks and switches per truth; 1 at best, without a lower limit.
+    /// MOTA: 1 minus misses, false tracks and switches per truth. The best value is 1; there is no lower
+    /// limit.
     #[must_use]
     pub fn mota(&self) -> Option<f64> {
         let errors = self.missed_len + self.false_len + self.switches_len;
@@ -237,7 +241,7 @@ impl ClearMotCounts {
     }
 }
 
-/// The ratio; `None` where the denominator is 0.
+/// The ratio; `None` if the denominator is 0.
 pub(super) fn ratio(sum: f64, len: u64) -> Option<f64> {
     (len > 0).then(|| sum / len as f64)
 }

@@ -6,13 +6,14 @@ use statrs::distribution::{ChiSquared, ContinuousCDF};
 use super::frame::{TrackingError, check};
 use crate::Share;
 
-/// Most degrees of freedom of a χ² quantile: a series takes as many steps as their root.
+/// Largest number of degrees of freedom of a χ² quantile. The cost of its series grows with the square root.
 const DEGREES_MAX: u64 = 1 << 32;
 
 /// The normalised square of an error: eᵀ P⁻¹ e.
 ///
-/// NEES for a state and its P, NIS for an innovation and its S. `None` where the covariance is not positive
-/// definite, or it or the result is not finite. Cost: one Cholesky factorisation.
+/// This is the NEES for a state and its P, and the NIS for an innovation and its S. Returns `None` if the
+/// covariance is not positive definite, or if the covariance or the result is not finite. Cost: one Cholesky
+/// factorisation.
 #[must_use]
 pub fn normalised_square<const N: usize>(
     error: &SVector<f64, N>,
@@ -28,28 +29,28 @@ pub fn normalised_square<const N: usize>(
 /// A closed range.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Bounds {
-    /// Its lower end.
+    /// Lower end.
     pub low: f64,
-    /// Its upper end.
+    /// Upper end.
     pub high: f64,
 }
 
 impl Bounds {
-    /// Whether `value` lies in it.
+    /// Whether `value` is within the bounds.
     #[must_use]
     pub fn contain(&self, value: f64) -> bool {
         (self.low..=self.high).contains(&value)
     }
 }
 
-/// The range that contains a χ² variable of `degrees` degrees of freedom with probability `level`, equally
-/// often below and above.
+/// The range that contains a χ² variable of `degrees` degrees of freedom with probability `level`. The
+/// remaining probability is split equally below and above.
 ///
-/// The sum of N independent squares of n degrees each has Nn degrees; the bounds of their mean are those of
-/// the sum over N.
+/// The sum of N independent squares of n degrees each has N n degrees. The bounds of the mean are the bounds
+/// of the sum divided by N.
 ///
 /// # Errors
-/// No degrees or more than 2³², a level that is not between 0 and 1.
+/// If `degrees` is 0 or above 2³², or `level` is not between 0 and 1.
 pub fn chi_square_bounds(degrees: u64, level: f64) -> Result<Bounds, TrackingError> {
     check("degrees", degrees as f64, (1..=DEGREES_MAX).contains(&degrees), "between 1 and 2^32")?;
     check("level", level, level > 0.0 && level < 1.0, "between 0 and 1")?;
@@ -59,12 +60,13 @@ pub fn chi_square_bounds(degrees: u64, level: f64) -> Result<Bounds, TrackingErr
     Ok(Bounds { low: distribution.inverse_cdf(below), high: distribution.inverse_cdf(1.0 - below) })
 }
 
-/// Whether a filter's covariances are consistent with its errors: normalised squares ([`normalised_square`])
-/// of many runs, tick by tick.
+/// Whether a filter's covariances are consistent with its errors. The input is the normalised squares
+/// ([`normalised_square`]) of many runs, tick by tick.
 ///
-/// At each tick the squares of all runs (seeds, or independent tracks) of a consistent filter add up to a χ²
-/// variable, so the sum should lie within its [`chi_square_bounds`]. Squares of one run at several ticks are
-/// correlated (those of states; those of innovations are not), so each tick is compared by itself.
+/// A run is a seed or an independent track. If the filter is consistent, the squares of all runs at one tick
+/// add up to a χ² variable, so the sum should be within its [`chi_square_bounds`]. Each tick is compared
+/// separately, because the squares of a state at several ticks of one run are correlated. The squares of
+/// innovations are not.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Consistency {
     ticks: BTreeMap<u64, TickSum>,
@@ -82,21 +84,21 @@ struct TickSum {
 pub struct ConsistencySummary {
     /// Squares counted.
     pub squares_len: u64,
-    /// Ticks that have any.
+    /// Ticks with at least one square.
     pub ticks_len: u64,
-    /// Share of the ticks whose sum lies within its bounds.
+    /// Share of the ticks whose sum is within its bounds.
     pub inside: f64,
-    /// Mean square per degree of freedom, over all ticks: 1 for consistent covariances, more where they are
-    /// too small.
+    /// Mean square per degree of freedom, over all ticks. It is 1 if the covariances are consistent and
+    /// larger if they are too small.
     pub per_degree: f64,
 }
 
 impl Consistency {
-    /// Counts the normalised square of one run at a tick (its number or stamp), of an error with `degrees`
+    /// Counts the normalised square of one run at a tick (its number or stamp). The error has `degrees`
     /// components.
     ///
     /// # Errors
-    /// A square that is not a finite number ≥ 0, or no degrees.
+    /// If the square is not finite or is negative, or if `degrees` is 0.
     pub fn add(&mut self, tick: u64, square: f64, degrees: u32) -> Result<(), TrackingError> {
         check("square", square, square.is_finite() && square >= 0.0, "finite and at least 0")?;
         check("degrees", f64::from(degrees), degrees > 0, "above 0")?;
@@ -105,17 +107,18 @@ impl Consistency {
         Ok(())
     }
 
-    /// Counts all that `other` counted, as further runs over the same ticks.
+    /// Adds the counts of `other`, as further runs over the same ticks.
     pub fn merge(&mut self, other: &Self) {
         for (&tick, sum) in &other.ticks {
             self.ticks.entry(tick).or_default().merge(sum);
         }
     }
 
-    /// Compares all ticks with the bounds of this level (0.95 is usual); `None` where nothing was counted.
+    /// Compares all ticks with the bounds of this level (0.95 is usual). Returns `None` if nothing was
+    /// counted.
     ///
     /// # Errors
-    /// A level that is not between 0 and 1, more than 2³² degrees of freedom at one tick.
+    /// If the level is not between 0 and 1, or one tick has more than 2³² degrees of freedom.
     pub fn summary(&self, level: f64) -> Result<Option<ConsistencySummary>, TrackingError> {
         // Quantiles are expensive, and most ticks have equal degrees.
         let mut bounds_of = BTreeMap::new();

@@ -2,7 +2,7 @@ use std::fmt;
 
 use thiserror::Error;
 
-/// Most objects of one side in a [`Frame`]: the measures compare each with each.
+/// Largest number of objects on one side of a [`Frame`]. The measures compare all pairs.
 pub const OBJECTS_MAX: usize = 4096;
 
 /// A position (x, y) in metres.
@@ -13,7 +13,7 @@ pub type Position = [f64; 2];
 pub struct Object {
     /// The same in all frames of a recording, and unique on its side.
     pub id: u64,
-    /// Where it is.
+    /// Its position.
     pub position_m: Position,
 }
 
@@ -35,43 +35,43 @@ impl fmt::Display for Side {
     }
 }
 
-/// Why a measure of tracking refuses its input; its counts are as before.
+/// Why a measure of tracking refuses its input. Its counts remain unchanged.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
 pub enum TrackingError {
     /// A coordinate is not finite.
     #[error("{side} {id}: position ({}, {}) is not finite", position_m[0], position_m[1])]
     Position {
-        /// Of which set.
+        /// The set of the object.
         side: Side,
-        /// Of which object.
+        /// The id of the object.
         id: u64,
-        /// As it was given.
+        /// The position as given.
         position_m: Position,
     },
-    /// An id is in a frame twice.
+    /// An id occurs twice in a frame.
     #[error("{side} {id} stands twice in one frame")]
     Duplicate {
-        /// In which set.
+        /// The set of the objects.
         side: Side,
-        /// Which id.
+        /// The repeated id.
         id: u64,
     },
     /// More than [`OBJECTS_MAX`] objects.
     #[error("{len} objects of side {side} in one frame, at most {OBJECTS_MAX} are compared")]
     TooMany {
-        /// In which set.
+        /// The set with too many objects.
         side: Side,
-        /// How many.
+        /// Number of objects.
         len: usize,
     },
     /// A parameter or measured value is out of its range.
     #[error("{name} = {value} is not {range}")]
     Value {
-        /// What the number is.
+        /// Name of the value.
         name: &'static str,
-        /// As it was given.
+        /// The value as given.
         value: f64,
-        /// What it has to be.
+        /// The valid range.
         range: &'static str,
     },
 }
@@ -79,12 +79,12 @@ pub enum TrackingError {
 /// Largest gate of [`ClearMot`](super::ClearMot) and [`Identity`](super::Identity), in metres.
 const GATE_MAX_M: f64 = 1e6;
 
-/// Refuses gates out of range.
+/// Refuses a gate that is out of range.
 pub(super) fn check_gate(gate_m: f64) -> Result<(), TrackingError> {
     check("gate_m", gate_m, (0.0..=GATE_MAX_M).contains(&gate_m), "between 0 and 1e6")
 }
 
-/// Refuses a value that is not valid.
+/// Refuses an invalid value.
 pub(super) fn check(
     name: &'static str,
     value: f64,
@@ -102,10 +102,11 @@ pub struct Frame {
 }
 
 impl Frame {
-    /// The frame of these objects, given in any order.
+    /// A frame of these objects, which may be in any order.
     ///
     /// # Errors
-    /// A position that is not finite, an id twice on one side, more than [`OBJECTS_MAX`] objects on one side.
+    /// If a position is not finite, an id occurs twice on one side, or a side has more than [`OBJECTS_MAX`]
+    /// objects.
     pub fn new(truths: &[Object], tracks: &[Object]) -> Result<Self, TrackingError> {
         Ok(Self { truths: by_id(Side::Truth, truths)?, tracks: by_id(Side::Track, tracks)? })
     }
@@ -126,7 +127,7 @@ impl Frame {
         self.tracks.binary_search_by_key(&id, |track| track.id).ok().map(|at| &self.tracks[at])
     }
 
-    /// Each truth with each track, truth by truth, and their distance.
+    /// Every pair of a truth and a track, truth by truth, with their distance.
     pub(super) fn pairs(&self) -> impl Iterator<Item = (&Object, &Object, f64)> {
         self.truths.iter().flat_map(|truth| {
             self.tracks

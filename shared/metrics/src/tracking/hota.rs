@@ -3,7 +3,7 @@ use std::collections::BTreeMap;
 use super::frame::Frame;
 use super::pairing::{Edge, best_pairs};
 
-/// The similarities α from which a pair counts as a match: 0.05, 0.10 … 0.95.
+/// The similarities α at or above which a pair counts as a match: 0.05, 0.10 … 0.95.
 pub const ALPHAS: [f64; 19] = {
     let mut alphas = [0.05; 19];
     let mut i = 0;
@@ -22,9 +22,9 @@ pub fn linear_similarity(distance_m: f64, zero_m: f64) -> f64 {
 
 /// HOTA of a recording, frame by frame.
 ///
-/// In each frame truths and tracks are paired by similarity, weighted by how well their trajectories align
-/// over the whole recording. That needs all frames, so the pairs of any similarity are stored until the end.
-/// Memory: one entry per such pair.
+/// In each frame, truths and tracks are paired by similarity, weighted by how well their trajectories align
+/// over the whole recording. This needs all frames, so every pair with a similarity above 0 is stored until
+/// the end. Memory: one entry per stored pair.
 #[derive(Clone, Debug, Default)]
 pub struct Hota {
     /// Frames of each truth, and of each track.
@@ -52,9 +52,9 @@ struct Shared {
 }
 
 impl Hota {
-    /// Counts a frame; `similarity` turns a distance in metres into 0 (nothing in common) … 1 (the same).
+    /// Counts a frame. `similarity` maps a distance in metres to 0 (nothing in common) … 1 (the same).
     ///
-    /// Its result is clamped to that range; NaN counts as 0.
+    /// The result of `similarity` is clamped to this range; NaN counts as 0.
     pub fn add(&mut self, frame: &Frame, similarity: impl Fn(f64) -> f64) {
         frame.truths().iter().for_each(|truth| *self.truths.entry(truth.id).or_default() += 1);
         frame.tracks().iter().for_each(|track| *self.tracks.entry(track.id).or_default() += 1);
@@ -69,8 +69,8 @@ impl Hota {
         self.frames.push(pairs);
     }
 
-    /// Adds the pairs of a frame to the overlaps: their similarity over the sum of all similarities of truth
-    /// and track.
+    /// Adds the pairs of a frame to the overlaps. Each pair adds its similarity divided by the sum of all
+    /// similarities of its truth and its track.
     fn add_overlaps(&mut self, pairs: &[SimilarPair]) {
         let (mut of_truth, mut of_track) = (BTreeMap::<u64, f64>::new(), BTreeMap::<u64, f64>::new());
         for pair in pairs {
@@ -84,7 +84,7 @@ impl Hota {
         }
     }
 
-    /// Pairs each frame and counts the matches at every α.
+    /// Pairs the objects of each frame and counts the matches at every α.
     #[must_use]
     pub fn finish(mut self) -> HotaCounts {
         let mut counts = HotaCounts {
@@ -126,26 +126,27 @@ impl Hota {
 /// The counts of [`Hota`].
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct HotaCounts {
-    /// Truths, all frames together.
+    /// Truths, summed over frames.
     pub truths_len: u64,
-    /// Tracks, all frames together.
+    /// Tracks, summed over frames.
     pub tracks_len: u64,
     /// The matches at each of [`ALPHAS`].
     pub alphas: [AlphaCounts; ALPHAS.len()],
 }
 
-/// The matches at one α, and sums over them.
+/// The matches at one α, and sums over the matches.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct AlphaCounts {
-    /// Matches: pairs at least as similar as α.
+    /// Matches: pairs that are at least as similar as α.
     pub matched_len: u64,
-    /// Their similarities.
+    /// Sum of the similarities of the matches.
     pub similarity_sum: f64,
-    /// For each match, the frames that its truth and track are matched in, per frame that has either.
+    /// Sum over matches: frames in which truth and track are matched, divided by the frames that contain
+    /// either.
     pub association_sum: f64,
-    /// The same per frame of the truth.
+    /// The same, divided by the frames that contain the truth.
     pub association_recall_sum: f64,
-    /// The same per frame of the track.
+    /// The same, divided by the frames that contain the track.
     pub association_precision_sum: f64,
 }
 
@@ -170,24 +171,25 @@ impl AlphaCounts {
     }
 }
 
-/// HOTA and its parts at one α or in the mean over all; each 0 to 1, higher is better.
+/// HOTA and its parts, at one α or averaged over all. Each is 0 to 1; higher is better.
 ///
-/// Where nothing was matched all are 0, but `loc_a`, which is 1.
+/// If nothing was matched, `loc_a` is 1 and all others are 0.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct HotaScore {
     /// Geometric mean of `det_a` and `ass_a`.
     pub hota: f64,
-    /// Detection: matches per truth or track, matched or not.
+    /// Detection accuracy: matches divided by the number of truths and tracks, matched or not.
     pub det_a: f64,
-    /// Matches per truth.
+    /// Detection recall: matches per truth.
     pub det_re: f64,
-    /// Matches per track.
+    /// Detection precision: matches per track.
     pub det_pr: f64,
-    /// Association: mean over the matches of the frames that truth and track share, per frame of either.
+    /// Association accuracy: mean over the matches of the frames shared by truth and track, per frame of
+    /// either.
     pub ass_a: f64,
-    /// The same per frame of the truth.
+    /// Association recall: the same per frame of the truth.
     pub ass_re: f64,
-    /// The same per frame of the track.
+    /// Association precision: the same per frame of the track.
     pub ass_pr: f64,
     /// Mean similarity of the matches.
     pub loc_a: f64,
@@ -196,7 +198,7 @@ pub struct HotaScore {
 }
 
 impl HotaCounts {
-    /// Counts all that `other`, of another recording, counted.
+    /// Adds the counts of `other`, which is a different recording.
     pub fn merge(&mut self, other: &Self) {
         self.truths_len += other.truths_len;
         self.tracks_len += other.tracks_len;
@@ -209,7 +211,7 @@ impl HotaCounts {
         self.alphas.each_ref().map(|alpha| self.score(alpha))
     }
 
-    /// The mean of the scores over [`ALPHAS`], which is what papers report.
+    /// The mean of the scores over [`ALPHAS`], which papers report.
     #[must_use]
     pub fn mean(&self) -> HotaScore {
         let scores = self.scores();

@@ -6,7 +6,7 @@ use super::pairing::{Edge, best_pairs};
 
 /// IDF1 of a recording, frame by frame: how much of the truth is covered by one track per truth.
 ///
-/// Memory: one number per pair of ids that were ever near each other.
+/// Memory: one number per pair of ids that were within the gate in any frame.
 #[derive(Clone, Debug)]
 pub struct Identity {
     gate_m: f64,
@@ -20,7 +20,7 @@ impl Identity {
     /// Counts pairs that are at most `gate_m` apart.
     ///
     /// # Errors
-    /// A gate that is not between 0 and 10⁶ m.
+    /// If the gate is not between 0 and 10⁶ m.
     pub fn new(gate_m: f64) -> Result<Self, TrackingError> {
         check_gate(gate_m)?;
         Ok(Self { gate_m, truths_len: 0, tracks_len: 0, shared: BTreeMap::new() })
@@ -37,8 +37,8 @@ impl Identity {
         }
     }
 
-    /// The counts under the one-to-one pairing of truths and tracks, over the recording, that shares most
-    /// frames.
+    /// The counts under the one-to-one pairing of truths and tracks, over the whole recording, that shares
+    /// most frames.
     #[must_use]
     pub fn finish(self) -> IdentityCounts {
         let edge =
@@ -54,19 +54,19 @@ impl Identity {
     }
 }
 
-/// The counts of [`Identity`], and their ratios: `None` where the denominator is 0.
+/// The counts of [`Identity`] and their ratios. A ratio is `None` if its denominator is 0.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct IdentityCounts {
-    /// IDTP: truths covered by the track paired with them.
+    /// IDTP: truths that are covered by the track paired with them.
     pub true_len: u64,
-    /// IDFP: tracks without the truth paired with them.
+    /// IDFP: tracks that do not cover the truth paired with them.
     pub false_len: u64,
-    /// IDFN: truths not covered by the track paired with them.
+    /// IDFN: truths that are not covered by the track paired with them.
     pub missed_len: u64,
 }
 
 impl IdentityCounts {
-    /// Counts all that `other`, of another recording, counted.
+    /// Adds the counts of `other`, which is a different recording.
     pub fn merge(&mut self, other: &Self) {
         self.true_len += other.true_len;
         self.false_len += other.false_len;

@@ -6,14 +6,14 @@ use association::assignment::Assigner;
 pub(super) struct Edge {
     pub truth: u64,
     pub track: u64,
-    /// Finite; pairs of a gain of 0 or less are never chosen.
+    /// Finite. A pair with a gain of 0 or less is never chosen.
     pub gain: f64,
 }
 
-/// Numbers (ascending) of the edges with the greatest total gain, each truth and each track in at most one of
-/// them.
+/// Numbers (ascending) of the edges with the largest total gain. Each truth and each track is in at most one
+/// of these edges.
 ///
-/// Truths and tracks have ids of any value. Every pair may occur once only.
+/// Truths and tracks have ids of any value. A pair may occur only once.
 pub(super) fn best_pairs(edges: &[Edge]) -> Vec<usize> {
     let truths = distinct(edges.iter().map(|edge| edge.truth));
     let tracks = distinct(edges.iter().map(|edge| edge.track));

@@ -3,9 +3,9 @@ use super::pairing::{Edge, best_pairs};
 
 /// Distances between the tracks and the truths of one instant, as sets of points without ids: GOSPA and OSPA.
 ///
-/// The pairs minimise the sum of `d^p` over the pairs and of the cost of unpaired points; no pair is farther
-/// apart than the cutoff `c`. For a recording take the [`Mean`](crate::Mean) over its frames. Both distances
-/// are metrics: symmetric, 0 for equal sets only, and no detour is shorter.
+/// The pairing minimises the sum of `d^p` over the pairs plus the cost of unpaired points. No pair is farther
+/// apart than the cutoff `c`. For a recording, take the [`Mean`](crate::Mean) over its frames. Both distances
+/// are metrics: they are symmetric, are 0 only for equal sets, and satisfy the triangle inequality.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SetDistance {
     cutoff_m: f64,
@@ -32,10 +32,11 @@ pub struct Gospa {
 }
 
 impl SetDistance {
-    /// Distances with cutoff `c` in metres, the cost of a miss, and order `p`, the weight of outliers.
+    /// Distances with cutoff `c` in metres, which sets the cost of a miss, and order `p`, which sets the
+    /// weight of outliers.
     ///
     /// # Errors
-    /// A cutoff that is not above 0, an order below 1, or such that `c^p` is no ordinary number.
+    /// If the cutoff is not above 0, the order is below 1, or `c^p` is not a normal number.
     pub fn new(cutoff_m: f64, order: f64) -> Result<Self, TrackingError> {
         check("cutoff_m", cutoff_m, cutoff_m.is_finite() && cutoff_m > 0.0, "finite and above 0")?;
         check("order", order, order.is_finite() && order >= 1.0, "finite and at least 1")?;
@@ -44,7 +45,7 @@ impl SetDistance {
         Ok(Self { cutoff_m, order })
     }
 
-    /// The generalised optimal sub-pattern assignment distance, α = 2; 0 for two empty sets.
+    /// The generalised optimal sub-pattern assignment distance with α = 2; 0 for two empty sets.
     #[must_use]
     pub fn gospa(&self, frame: &Frame) -> Gospa {
         let (pairs_len, localisation) = self.localisation(frame);
@@ -55,8 +56,8 @@ impl SetDistance {
         Gospa { distance_m, localisation, missed, false_tracks, pairs_len }
     }
 
-    /// The optimal sub-pattern assignment distance in metres: 0 for equal (or two empty) sets, the cutoff at
-    /// most.
+    /// The optimal sub-pattern assignment distance in metres: 0 for equal (or two empty) sets, and at most
+    /// the cutoff.
     #[must_use]
     pub fn ospa(&self, frame: &Frame) -> f64 {
         let objects_len = frame.truths().len().max(frame.tracks().len());
@@ -68,8 +69,8 @@ impl SetDistance {
         ((localisation + unpaired) / objects_len as f64).powf(self.order.recip())
     }
 
-    /// Number of the optimal pairs and sum of their `d^p`. Both distances have the same pairs: one pair saves
-    /// `c^p − d^p` in either.
+    /// Number of optimal pairs and the sum of their `d^p`. Both distances have the same optimal pairs,
+    /// because one pair saves `c^p − d^p` in either.
     fn localisation(&self, frame: &Frame) -> (usize, f64) {
         let power = self.cutoff_m.powf(self.order);
         let mut powers = Vec::new();

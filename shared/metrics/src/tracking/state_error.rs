@@ -1,36 +1,36 @@
 use super::frame::{TrackingError, check, distance_m};
 
-/// Sums over Euclidean norms of errors; can be merged with others.
+/// Sums over the Euclidean norms of errors. They can be merged.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ErrorNorms {
-    /// Norms counted.
+    /// Number of norms.
     pub len: u64,
-    /// Their sum.
+    /// Sum of the norms.
     pub sum: f64,
-    /// The sum of their squares.
+    /// Sum of the squared norms.
     pub squared_sum: f64,
 }
 
 impl ErrorNorms {
-    /// Counts the norm of one error, ≥ 0.
+    /// Counts the norm (≥ 0) of one error.
     pub fn add(&mut self, norm: f64) {
         self.merge(&Self { len: 1, sum: norm, squared_sum: norm * norm });
     }
 
-    /// Counts all that `other` counted.
+    /// Adds the counts of `other`.
     pub fn merge(&mut self, other: &Self) {
         self.len += other.len;
         self.sum += other.sum;
         self.squared_sum += other.squared_sum;
     }
 
-    /// Root of the mean squared norm; `None` where nothing was counted.
+    /// Root of the mean squared norm; `None` if nothing was counted.
     #[must_use]
     pub fn rmse(&self) -> Option<f64> {
         (self.len > 0).then(|| (self.squared_sum / self.len as f64).sqrt())
     }
 
-    /// Mean norm; `None` where nothing was counted.
+    /// Mean norm; `None` if nothing was counted.
     #[must_use]
     pub fn mae(&self) -> Option<f64> {
         (self.len > 0).then(|| self.sum / self.len as f64)
@@ -46,17 +46,17 @@ pub struct PlanarState {
     pub velocity_mps: [f64; 2],
 }
 
-/// Errors of position and velocity, as norms over both axes: √2 times those of one axis.
+/// Errors of position and velocity, as norms over both axes: √2 times the errors of one axis.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct MotionErrors {
-    /// Distances of the estimated from the true position, in metres.
+    /// Distances between estimated and true position, in metres.
     pub position_m: ErrorNorms,
-    /// The same of the velocity, in metres per second.
+    /// Norms of the velocity error, in metres per second.
     pub velocity_mps: ErrorNorms,
 }
 
 impl MotionErrors {
-    /// Counts all that `other` counted.
+    /// Adds the counts of `other`.
     pub fn merge(&mut self, other: &Self) {
         self.position_m.merge(&other.position_m);
         self.velocity_mps.merge(&other.velocity_mps);
@@ -68,7 +68,7 @@ impl MotionErrors {
 pub struct StateErrors {
     /// Instants with a detection.
     pub visible: MotionErrors,
-    /// Instants without one, in which the track coasts.
+    /// Instants without a detection, in which the track coasts.
     pub occluded: MotionErrors,
 }
 
@@ -76,7 +76,7 @@ impl StateErrors {
     /// Counts the error of one object at one instant.
     ///
     /// # Errors
-    /// An error that is not finite, of an invalid estimate or truth; nothing is counted then.
+    /// If the error is not finite because the estimate or truth is invalid. Nothing is counted then.
     pub fn add(
         &mut self,
         visible: bool,
@@ -93,7 +93,7 @@ impl StateErrors {
         Ok(())
     }
 
-    /// Counts all that `other` counted.
+    /// Adds the counts of `other`.
     pub fn merge(&mut self, other: &Self) {
         self.visible.merge(&other.visible);
         self.occluded.merge(&other.occluded);
