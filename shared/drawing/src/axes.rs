@@ -4,23 +4,23 @@ use super::canvas::{Align, Canvas, Frame, Path, Spot, Stroke, Type};
 use super::colour::{Colour, GREY, INK, PALE};
 use super::text::{self, Face};
 
-/// Sizes of type, pt.
+/// Font sizes, pt.
 const TITLE_SIZE: f64 = 8.0;
 const LABEL_SIZE: f64 = 6.5;
-/// Room below and to the left for the labels of ticks, above for the title, and to the right for half a
-/// label, pt.
+/// Space for labels and title, pt: below and left for tick labels, above for the title, right for half a
+/// label.
 const ROOM: [f64; 4] = [20.0, 30.0, 12.0, 7.0];
-/// Names of curves side by side, and the height of a row of them, pt.
+/// Number of curve names side by side. `KEY_ROW` is the height of a row of them, pt.
 const KEY_COLUMNS: usize = 2;
 const KEY_ROW: f64 = 8.0;
-/// Points of a curve that are drawn at most: more than the dots of a line this wide.
+/// Most drawn points of a curve: more than the dots of a line this wide.
 const POINTS_MAX: usize = 600;
-/// Ticks of an axis, at least about.
+/// Approximate minimum number of ticks on an axis.
 const TICKS: f64 = 4.0;
-/// Share of the values that may lie above the axis at the start of a curve.
+/// Share of the values at the start of a curve that may be above the axis.
 const CLIPPED: f64 = 0.02;
 
-/// A named curve: points by growing x.
+/// A named curve: points in order of increasing x.
 #[derive(Clone, Debug)]
 pub struct Curve {
     pub name: String,
@@ -28,14 +28,14 @@ pub struct Curve {
     pub stroke: Stroke,
 }
 
-/// A point of a panel that is marked, with words.
+/// A marked point of a panel, with a text.
 #[derive(Clone, Debug)]
 pub struct Mark {
     pub point: [f64; 2],
     pub words: String,
 }
 
-/// A panel: its title names the vertical axis, the horizontal one is the same for all panels.
+/// A panel. Its title names the vertical axis; all panels share the horizontal axis.
 #[derive(Clone, Debug, Default)]
 pub struct Chart {
     pub title: String,
@@ -46,20 +46,20 @@ pub struct Chart {
 }
 
 impl Curve {
-    /// A solid curve; values that are not finite are left out.
+    /// A solid curve. Non-finite values are omitted.
     pub fn new(name: impl Into<String>, colour: Colour, points: impl Iterator<Item = [f64; 2]>) -> Self {
         let points = points.filter(|point| point[1].is_finite()).collect();
         Self { name: name.into(), points: thinned(points), stroke: Stroke::solid(colour, 1.0) }
     }
 
-    /// The same, dashed.
+    /// The same curve, dashed.
     pub fn dashed(mut self) -> Self {
         self.stroke = self.stroke.dashed(&[2.2, 1.4]);
         self
     }
 }
 
-/// Means of neighbouring points, so that at most [`POINTS_MAX`] remain.
+/// Averages neighbouring points, so that at most [`POINTS_MAX`] remain.
 fn thinned(points: Vec<[f64; 2]>) -> Vec<[f64; 2]> {
     if points.len() <= POINTS_MAX {
         return points;
@@ -71,7 +71,7 @@ fn thinned(points: Vec<[f64; 2]>) -> Vec<[f64; 2]> {
     points.chunks(points.len().div_ceil(POINTS_MAX)).map(mean).collect()
 }
 
-/// A range of values and where it lies on paper.
+/// A range of values and its position on paper.
 #[derive(Clone, Copy, Debug)]
 struct Axis {
     low: f64,
@@ -85,7 +85,7 @@ impl Axis {
         self.start + (value - self.low) / (self.high - self.low) * (self.end - self.start)
     }
 
-    /// Round values along the axis, a round distance apart.
+    /// Round values along the axis, at a round distance from each other.
     fn ticks(&self) -> Vec<f64> {
         let step = round_step((self.high - self.low) / TICKS);
         let first = (self.low / step - 1e-9).ceil() as i64;
@@ -94,14 +94,14 @@ impl Axis {
     }
 }
 
-/// The greatest of 1, 2, 5 times a power of ten that is not above `most`.
+/// The largest of 1, 2 and 5 times a power of ten that does not exceed `most`.
 fn round_step(most: f64) -> f64 {
     let power = 10.0_f64.powf(most.log10().floor());
     [5.0, 2.0].into_iter().map(|factor| factor * power).find(|step| *step <= most).unwrap_or(power)
 }
 
 impl Chart {
-    /// Draws the panel into a frame that includes titles and labels; `steps` is the range of the horizontal
+    /// Draws the panel into a frame that includes titles and labels. `steps` is the range of the horizontal
     /// axis.
     pub fn draw(&self, canvas: &mut Canvas, frame: Frame, steps: [f64; 2]) {
         let [below, left, above, right] = ROOM;
@@ -110,7 +110,7 @@ impl Chart {
             size: [frame.size[0] - left - right, frame.size[1] - above - below],
         };
         let [low, high] = self.range();
-        // The names of the curves stand above all values.
+        // The names of the curves are above all values.
         let high = high + (high - low) * (self.key_height() / plot.size[1]).min(0.5);
         let x = Axis { low: steps[0], high: steps[1], start: plot.corner[0], end: plot.right() };
         let y = Axis { low, high, start: plot.bottom(), end: plot.corner[1] };
@@ -130,8 +130,8 @@ impl Chart {
         self.draw_key(canvas, plot);
     }
 
-    /// The range of the vertical axis: all values but the highest few, which are those before training took
-    /// hold.
+    /// The range of the vertical axis. It contains all values except the highest few, which come from the
+    /// start of training.
     fn range(&self) -> [f64; 2] {
         let mut values: Vec<f64> =
             self.curves.iter().flat_map(|curve| &curve.points).map(|point| point[1]).collect();
@@ -152,7 +152,7 @@ impl Chart {
         if rows == 0 { 0.0 } else { rows as f64 * KEY_ROW + 3.0 }
     }
 
-    /// Names of the curves in the upper right corner.
+    /// Draws the names of the curves in the upper right corner.
     fn draw_key(&self, canvas: &mut Canvas, plot: Frame) {
         let named = self.named();
         let width = |curve: &&Curve| text::width(Face::Regular, LABEL_SIZE, &curve.name);
@@ -198,7 +198,7 @@ fn draw_mark(canvas: &mut Canvas, plot: Frame, spot: Spot, words: &str) {
     canvas.text([spot[0] + aside, plot.corner[1] + 8.0], look, words);
 }
 
-/// A round number in few characters.
+/// Formats a round number in few characters.
 fn short(value: f64) -> String {
     let size = value.abs();
     let trimmed = |text: String| {

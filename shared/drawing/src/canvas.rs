@@ -1,11 +1,11 @@
-//! A sheet of paper that is written as SVG.
+//! A sheet of paper, written as SVG.
 
 use std::fmt::Write as _;
 
 use super::colour::{Colour, WHITE};
 use super::text::{self, Face};
 
-/// A place on the sheet in pt, from its upper left corner, y downwards.
+/// A position on the sheet in pt, from its upper left corner; y points down.
 pub type Spot = [f64; 2];
 
 /// A rectangle on the sheet.
@@ -34,16 +34,16 @@ impl Frame {
     }
 }
 
-/// A line's look.
+/// The look of a line.
 #[derive(Clone, Copy, Debug)]
 pub struct Stroke {
-    /// Its colour.
+    /// The colour.
     pub colour: Colour,
-    /// Its width, pt.
+    /// The width, pt.
     pub width: f64,
-    /// Lengths of dashes and gaps, pt; solid where empty.
+    /// Lengths of dashes and gaps, pt. The line is solid if this is empty.
     pub dashes: &'static [f64],
-    /// From 0, invisible, to 1.
+    /// From 0 (invisible) to 1.
     pub opacity: f64,
 }
 
@@ -64,18 +64,18 @@ impl Stroke {
     }
 }
 
-/// Where a text lies relative to its spot.
+/// The position of a text relative to its spot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Align {
-    /// It begins there.
+    /// The text begins at the spot.
     Left,
-    /// Its middle is there.
+    /// The middle of the text is at the spot.
     Middle,
-    /// It ends there.
+    /// The text ends at the spot.
     Right,
 }
 
-/// A text's look.
+/// The look of a text.
 #[derive(Clone, Copy, Debug)]
 pub struct Type {
     /// Height of the font, pt.
@@ -84,7 +84,7 @@ pub struct Type {
     pub face: Face,
     /// The colour.
     pub colour: Colour,
-    /// Where the text lies relative to its spot.
+    /// The position of the text relative to its spot.
     pub align: Align,
 }
 
@@ -103,22 +103,22 @@ impl Path {
         self.command('M', &[spot]);
     }
 
-    /// Goes straight on.
+    /// Adds a straight line to the spot.
     pub fn line_to(&mut self, spot: Spot) {
         self.command('L', &[spot]);
     }
 
-    /// Goes on along a parabola.
+    /// Adds a parabola to the spot.
     pub fn quad_to(&mut self, control: Spot, spot: Spot) {
         self.command('Q', &[control, spot]);
     }
 
-    /// Goes on along a cubic curve.
+    /// Adds a cubic curve to the spot.
     pub fn cubic_to(&mut self, controls: [Spot; 2], spot: Spot) {
         self.command('C', &[controls[0], controls[1], spot]);
     }
 
-    /// Goes back to where the part started.
+    /// Returns to the start of the part.
     pub fn close(&mut self) {
         self.0.push('Z');
     }
@@ -186,7 +186,7 @@ impl Canvas {
         Self { size, body: String::new(), clips_len: 0 }
     }
 
-    /// Fills an area; what an even number of outlines surrounds stays empty.
+    /// Fills an area with the even-odd rule: points inside an even number of outlines stay empty.
     pub fn fill(&mut self, path: &Path, colour: Colour, opacity: f64) {
         if path.is_empty() {
             return;
@@ -228,7 +228,7 @@ impl Canvas {
         self.stroke(&rectangle(frame), stroke);
     }
 
-    /// Writes a line of text whose baseline runs through a spot; returns its width.
+    /// Writes a line of text with its baseline through a spot, and returns the width of the text.
     pub fn text(&mut self, [x, y]: Spot, look: Type, words: &str) -> f64 {
         let width = text::width(look.face, look.size, words);
         let before = match look.align {
@@ -249,8 +249,8 @@ impl Canvas {
         width
     }
 
-    /// As [`Canvas::text`], in smaller type where the words would be wider than `width_max`, but not below
-    /// three quarters; what is still too long loses its end.
+    /// Like [`Canvas::text`], but shrinks the text to `width_max`, to no less than three quarters of its
+    /// size. A text that is still too wide is truncated.
     pub fn fitted_text(&mut self, spot: Spot, look: Type, words: &str, width_max: f64) -> f64 {
         let width = |words: &str, size: f64| text::width(look.face, size, words);
         let size = look.size * (width_max / width(words, look.size).max(1e-9)).clamp(0.75, 1.0);
@@ -263,7 +263,7 @@ impl Canvas {
         self.text(spot, look, &longest.unwrap_or_default())
     }
 
-    /// Whatever `draw` draws is cut off at the edge of `frame`.
+    /// Clips everything that `draw` draws to `frame`.
     pub fn clipped(&mut self, frame: Frame, draw: impl FnOnce(&mut Self)) {
         let (id, outline) = (self.clips_len, rectangle(frame).0);
         self.clips_len += 1;
@@ -276,7 +276,7 @@ impl Canvas {
         self.body.push_str("</g>\n");
     }
 
-    /// Whatever `draw` draws becomes transparent as a whole: where it overlaps, it is no darker.
+    /// Makes everything that `draw` draws transparent as a whole, so overlaps are not darker.
     pub fn faint(&mut self, opacity: f64, draw: impl FnOnce(&mut Self)) {
         writeln!(self.body, r#"<g opacity="{}">"#, number(opacity)).expect(INFALLIBLE);
         draw(self);
@@ -314,14 +314,14 @@ fn number(value: f64) -> String {
     text
 }
 
-/// Appends a number with at most two decimals: a hundredth of a point is finer than any printer.
+/// Appends a number with at most two decimals. A hundredth of a point is finer than any printer.
 fn append_number(text: &mut String, value: f64) {
     let hundredths = (value * 100.0).round();
     let value = if hundredths == 0.0 { 0.0 } else { hundredths / 100.0 };
     write!(text, "{value}").expect(INFALLIBLE);
 }
 
-/// A text as it may stand in XML; characters that XML can't hold at all become spaces.
+/// Escapes a text for XML. Characters that XML cannot represent become spaces.
 fn escaped(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     for character in text.chars() {

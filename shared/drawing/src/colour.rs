@@ -1,7 +1,7 @@
-//! Colours that readers distinguish whatever their eyes or printers see.
+//! Colours that all readers can distinguish, regardless of colour blindness or printer.
 //!
-//! The named ones are of the palette of Okabe and Ito, made for all kinds of colour blindness. Ramps are
-//! straight lines in Oklab, so that equal steps look equal.
+//! The named colours come from the palette of Okabe and Ito, which suits all kinds of colour blindness. Ramps
+//! are straight lines in Oklab, so equal steps look equal.
 
 use std::fmt;
 
@@ -15,11 +15,11 @@ pub const WHITE: Colour = Colour([255, 255, 255]);
 pub const INK: Colour = Colour([34, 34, 34]);
 /// Frames, ticks and secondary text.
 pub const GREY: Colour = Colour([110, 110, 110]);
-/// Grid lines and agents that no forecast is about.
+/// Grid lines, and agents without a forecast.
 pub const PALE: Colour = Colour([200, 203, 207]);
 /// Orange: observed history.
 pub const ORANGE: Colour = Colour([230, 159, 0]);
-/// Blue: what came true.
+/// Blue: the observed future.
 pub const BLUE: Colour = Colour([0, 114, 178]);
 /// Vermilion: the best mode.
 pub const VERMILION: Colour = Colour([213, 94, 0]);
@@ -27,7 +27,7 @@ pub const VERMILION: Colour = Colour([213, 94, 0]);
 pub const PURPLE: Colour = Colour([160, 70, 130]);
 /// Bluish green: the forecast distribution.
 pub const GREEN: Colour = Colour([0, 158, 115]);
-/// Curves of one panel, in the order in which they are handed out.
+/// Colours of the curves of one panel, in the order of their use.
 pub const CURVES: [Colour; 8] = [
     BLUE,
     VERMILION,
@@ -46,7 +46,7 @@ impl fmt::Display for Colour {
     }
 }
 
-/// The colour at `share` of the way from one to the other, evenly spaced for the eye.
+/// The colour at `share` of the way from `from` to `to`, perceptually even.
 pub fn mixed(from: Colour, to: Colour, share: f64) -> Colour {
     let (a, b) = (oklab(from), oklab(to));
     srgb([0, 1, 2].map(|axis| a[axis] + (b[axis] - a[axis]) * share))

@@ -1,13 +1,13 @@
-//! Contour lines of a field that is known on a grid.
+//! Contour lines of a field that is given on a grid.
 
-/// A place in the world, m.
+/// A position in the world, m.
 pub type Place = [f64; 2];
 
-/// No edge follows.
+/// Marks an edge without a successor.
 const NONE: usize = usize::MAX;
 
-/// Values at the nodes of a square grid. Whatever lies beyond counts as 0, and so do the outermost nodes, so
-/// that every contour closes.
+/// Values at the nodes of a square grid. Everything outside counts as 0, and the outermost nodes are 0, so
+/// every contour closes.
 #[derive(Clone, Debug)]
 pub struct Raster {
     /// The node of row 0, column 0.
@@ -23,7 +23,7 @@ pub struct Raster {
 }
 
 impl Raster {
-    /// A raster of zeros that covers the rectangle between two corners with a node to spare on each side; its
+    /// A raster of zeros that covers the rectangle between two corners, with one extra node on each side. Its
     /// longer side has about `nodes` nodes.
     pub fn over(low: Place, high: Place, nodes: usize) -> Self {
         let extent = [0, 1].map(|axis| (high[axis] - low[axis]).max(1e-3));
@@ -33,7 +33,7 @@ impl Raster {
         Self { origin, spacing_m, rows, cols, values: vec![0.0; rows * cols] }
     }
 
-    /// Where a node lies.
+    /// The position of a node.
     pub fn place(&self, row: usize, col: usize) -> Place {
         [self.origin[0] + col as f64 * self.spacing_m, self.origin[1] + row as f64 * self.spacing_m]
     }
@@ -42,16 +42,16 @@ impl Raster {
     pub fn nodes_within(&self, centre: Place, reach: [f64; 2]) -> [std::ops::Range<usize>; 2] {
         [(1, self.rows), (0, self.cols)].map(|(axis, len)| {
             let node = |offset: f64| (centre[axis] + offset - self.origin[axis]) / self.spacing_m;
-            // Casts saturate, so that what lies outside gives an empty range at the edge.
+            // Casts saturate, so a rectangle outside the grid gives an empty range at the edge.
             let first = (node(-reach[axis]).ceil() as usize).min(len);
             first..((node(reach[axis]).floor() + 1.0) as usize).clamp(first, len)
         })
     }
 
-    /// The closed lines at which the field passes `level`, the higher side on their left.
+    /// The closed lines at which the field crosses `level`, with the higher side on their left.
     ///
     /// # Panics
-    /// If `level` is not positive: then there is no outside.
+    /// If `level` is not positive: the field would have no outside.
     pub fn contours(&self, level: f64) -> Vec<Vec<Place>> {
         assert!(level > 0.0, "level {level} does not separate inside from outside");
         let mut next = self.links(level);
@@ -75,8 +75,8 @@ impl Raster {
         if is_edge { 0.0 } else { self.values[row * self.cols + col] }
     }
 
-    /// For every edge of the grid at which a contour enters a cell, the edge at which it leaves the cell.
-    /// Edges are numbered by the node that they start at, twice, plus 1 where they go up.
+    /// Maps every edge at which a contour enters a cell to the edge at which it leaves the cell. An edge is
+    /// numbered by twice its start node, plus 1 if the edge goes up.
     fn links(&self, level: f64) -> Vec<usize> {
         let mut next = vec![NONE; 2 * self.rows * self.cols];
         for row in 0..self.rows.saturating_sub(1) {
@@ -102,7 +102,7 @@ impl Raster {
         next
     }
 
-    /// Where the field passes `level` on an edge.
+    /// The position on an edge at which the field crosses `level`.
     fn crossing(&self, edge: usize, level: f64) -> Place {
         let (row, col) = (edge / 2 / self.cols, edge / 2 % self.cols);
         let (to_row, to_col) = if edge % 2 == 1 { (row + 1, col) } else { (row, col + 1) };
@@ -113,8 +113,9 @@ impl Raster {
     }
 }
 
-/// From which side to which side of a cell contours run. Sides are counted counter-clockwise, side i from
-/// corner i to corner i + 1. Where two opposite corners are inside, `joined` is whether they belong together.
+/// The sides of a cell between which contours run, as (from, to). Sides are counted counter-clockwise: side i
+/// runs from corner i to corner i + 1. If two opposite corners are inside, `joined` states whether they
+/// belong together.
 fn crossings(inside: [bool; 4], joined: bool) -> impl Iterator<Item = (usize, usize)> {
     let leaves = move |side: usize| inside[side] && !inside[(side + 1) % 4];
     let enters = move |side: usize| !inside[side] && inside[(side + 1) % 4];
@@ -124,7 +125,7 @@ fn crossings(inside: [bool; 4], joined: bool) -> impl Iterator<Item = (usize, us
     })
 }
 
-/// A closed line with the spots left out that lie within `tolerance` of the straight way between those kept.
+/// A closed line without the spots that are within `tolerance` of the straight line between kept spots.
 pub fn simplified(closed: &[Place], tolerance: f64) -> Vec<Place> {
     let Some(first) = closed.first() else { return Vec::new() };
     let farthest = (0..closed.len())
@@ -133,7 +134,7 @@ pub fn simplified(closed: &[Place], tolerance: f64) -> Vec<Place> {
     let mut ring: Vec<Place> = closed.to_vec();
     ring.push(*first);
     let mut kept = vec![false; ring.len()];
-    // Douglas and Peucker, on both halves of the ring.
+    // Douglas-Peucker on both halves of the ring.
     let mut spans = vec![(0, farthest), (farthest, ring.len() - 1)];
     while let Some((start, end)) = spans.pop() {
         kept[start] = true;
@@ -150,7 +151,7 @@ fn distance(a: Place, b: Place) -> f64 {
     (a[0] - b[0]).hypot(a[1] - b[1])
 }
 
-/// Distance of a place from the line segment between two others.
+/// Distance between a position and the line segment between two others.
 fn off_line(place: Place, from: Place, to: Place) -> f64 {
     let along = [to[0] - from[0], to[1] - from[1]];
     let length2 = along[0] * along[0] + along[1] * along[1];

@@ -1,4 +1,4 @@
-//! Learning curves: how a training went.
+//! Learning curves of a training run.
 
 use super::axes::{Chart, Curve, Mark};
 use super::canvas::{Align, Canvas, Frame, Type};
@@ -7,7 +7,7 @@ use super::error::PictureError;
 use super::text::Face;
 use super::training_log::{Progress, SetErrors, TrainingLog};
 
-/// Width of the picture, height of a panel, space between panels, edge of the sheet, and room for the title,
+/// Width of the picture, height of a panel, space between panels, edge of the sheet, and space for the title,
 /// pt.
 const WIDTH: f64 = 516.0;
 const PANEL_HEIGHT: f64 = 128.0;
@@ -16,8 +16,10 @@ const EDGE: f64 = 4.0;
 const TITLE_HEIGHT: f64 = 16.0;
 const COLUMNS: usize = 3;
 
-/// Draws the learning curves of a training: the loss, its terms and the learning rate above; the figure by
-/// which checkpoints are chosen, with the chosen one marked, and the errors on each validation set below.
+/// Draws the learning curves of a training run.
+///
+/// The upper panels show the loss, its terms and the learning rate. The lower panels show the figure that selects
+/// the checkpoint, with the selected checkpoint marked, and the errors on each validation set.
 ///
 /// # Errors
 /// [`PictureError::Empty`] if the log has no entries.
@@ -102,7 +104,7 @@ fn validation_charts(log: &TrainingLog) -> Vec<Chart> {
     charts.into_iter().filter(is_drawn).collect()
 }
 
-/// A colour per set, ADE solid and FDE dashed.
+/// One colour per set; ADE is solid and FDE dashed.
 fn errors_chart(log: &TrainingLog, title: &str, of: fn(&SetErrors) -> [f64; 2]) -> Chart {
     let mut names: Vec<&str> =
         log.validations.iter().flat_map(|entry| &entry.sets).map(|errors| errors.set.as_str()).collect();

@@ -1,21 +1,21 @@
 use thiserror::Error;
 
-/// Why a picture can't be drawn.
+/// Why a picture cannot be drawn.
 #[derive(Debug, Error)]
 pub enum PictureError {
     /// There is nothing to draw.
     #[error("a picture without panels")]
     Empty,
-    /// An option or a size that no picture can have.
+    /// An option or a size is outside its range.
     #[error("{what} is {value}, which is not within {least} and {most}")]
     OutOfRange {
-        /// What it is.
+        /// Name of the option or size.
         what: &'static str,
-        /// Its value.
+        /// The value.
         value: f64,
-        /// The least that is possible.
+        /// The smallest valid value.
         least: f64,
-        /// The most that is possible.
+        /// The largest valid value.
         most: f64,
     },
     /// A number of an agent is not finite.
@@ -23,22 +23,22 @@ pub enum PictureError {
     NotFinite {
         /// The agent.
         agent: u64,
-        /// What is not finite.
+        /// The name of the number.
         what: &'static str,
     },
-    /// The parts of a forecast don't belong together.
+    /// The parts of a forecast differ in length.
     #[error("agent {agent}: {what} has length {len}, expected {expected}")]
     Length {
         /// The agent.
         agent: u64,
-        /// Which part.
+        /// The name of the part.
         what: &'static str,
         /// Its length.
         len: usize,
-        /// The length that it must have.
+        /// The expected length.
         expected: usize,
     },
-    /// A covariance that belongs to no Gaussian.
+    /// A covariance is not positive semi-definite.
     #[error("agent {agent}: mode {mode}, step {step}: covariance {covariance:?} is not positive")]
     Covariance {
         /// The agent.
@@ -52,7 +52,7 @@ pub enum PictureError {
     },
 }
 
-/// Refuses a value outside of its range.
+/// Refuses a value outside its range.
 pub(crate) fn within(what: &'static str, value: f64, least: f64, most: f64) -> Result<(), PictureError> {
     if (least..=most).contains(&value) {
         return Ok(());

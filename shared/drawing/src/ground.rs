@@ -1,4 +1,4 @@
-//! The context map beneath a scene: how often each place was visited, and how fast.
+//! The context map beneath a scene: how often each place was visited, and at what speed.
 
 use std::collections::BTreeMap;
 
@@ -10,25 +10,26 @@ use super::colour::{Colour, GREY, WHITE, mixed};
 use super::contour::{Place, Raster, simplified};
 use super::view::View;
 
-/// The darkest ground: what was visited most.
+/// The darkest ground, for the most visited places.
 const BUSY: Colour = Colour([122, 138, 158]);
-/// Levels of ln(1 + B/B̄) at which the ground becomes darker: from next to nothing to twelve times the mean.
+/// Levels of ln(1 + B/B̄) at which the ground becomes darker. They range from almost 0 to twelve times the
+/// mean.
 const LEVELS: [f64; 8] = [0.08, 0.25, 0.5, 0.8, 1.15, 1.55, 2.0, 2.5];
-/// Blocks of ground along a panel, at most about.
+/// Approximate maximum number of ground blocks along a panel.
 const SHOWN_MAX: f64 = 400.0;
-/// Nodes that a block is split into along each axis.
+/// Number of nodes per block along each axis.
 const SPLIT: usize = 3;
-/// Least distance between arrows on paper, pt.
+/// Smallest distance between arrows on paper, pt.
 const ARROW_SPACING: f64 = 11.0;
-/// Speed below which ground has no direction.
+/// Speed below which no arrow is drawn.
 const ARROW_SPEED_MIN_MPS: f64 = 0.2;
 
-/// The colours of the ground from seldom to often visited.
+/// The colours of the ground, from rarely to often visited.
 pub fn ramp() -> impl ExactSizeIterator<Item = Colour> {
     (0..LEVELS.len()).map(|level| mixed(WHITE, BUSY, (level + 1) as f64 / LEVELS.len() as f64))
 }
 
-/// Draws how often places were visited.
+/// Draws how often each place was visited.
 pub fn draw_density(canvas: &mut Canvas, view: &View, map: &ContextMap) {
     let Some(raster) = Blocks::of(map, view).smooth(view) else { return };
     for (level, colour) in LEVELS.into_iter().zip(ramp()) {
@@ -42,7 +43,7 @@ pub fn draw_density(canvas: &mut Canvas, view: &View, map: &ContextMap) {
     }
 }
 
-/// The map's ln(1 + B/B̄), averaged over square blocks where a map shows more ground than a picture can.
+/// The map's ln(1 + B/B̄). It is averaged over square blocks if the map is finer than the picture.
 struct Blocks {
     side_m: f64,
     origin: Place,
@@ -71,19 +72,19 @@ impl Blocks {
         Self { side_m: side as f64, origin: map.origin_m().map(f64::from), rows, cols, values }
     }
 
-    /// The value of a block; 0 beyond the map.
+    /// The value of a block; 0 outside the map.
     fn value(&self, row: isize, col: isize) -> f64 {
         let inside = (0..self.rows as isize).contains(&row) && (0..self.cols as isize).contains(&col);
         if inside { self.values[row as usize * self.cols + col as usize] } else { 0.0 }
     }
 
-    /// The blocks in and a little around the view as a cubic B-spline, which smooths by about one block; none
-    /// where the view lies beside the map.
+    /// The blocks in and slightly around the view as a cubic B-spline, which smooths by about one block.
+    /// Returns `None` if the view and the map do not overlap.
     fn smooth(&self, view: &View) -> Option<Raster> {
         let (low, high) = view.corners();
         let [cols, rows] = [(0, self.cols), (1, self.rows)].map(|(axis, len)| {
             let block = |place: f64| ((place - self.origin[axis]) / self.side_m).floor() as isize;
-            // The spline reaches two blocks beyond the map; the outermost nodes of a raster count as 0.
+            // The spline extends two blocks beyond the map, and the outermost nodes of a raster count as 0.
             block(low[axis]).max(0) - 3..block(high[axis]).min(len as isize) + 3
         });
         let [col_nodes, row_nodes] =
@@ -135,15 +136,15 @@ pub fn draw_line(canvas: &mut Canvas, view: &View, line: &[Point]) {
     canvas.stroke(&path, &Stroke::solid(GREY, 0.6).faint(0.8));
 }
 
-/// A stretch of ground with how it was passed.
+/// The mean motion of the agents that passed a block of ground.
 struct Passage {
-    /// Where its visits were on average.
+    /// Mean position of the visits.
     place: [f64; 2],
     velocity_mps: [f64; 2],
     speed_mps: f64,
 }
 
-/// Draws how fast places were passed, as arrows; the longest is the fastest.
+/// Draws the mean velocities as arrows. The longest arrow is the fastest.
 pub fn draw_velocity(canvas: &mut Canvas, view: &View, map: &ContextMap) {
     let block = ((ARROW_SPACING / view.scale()).ceil() as usize).max(1);
     let passages = passages(map, view, block);
@@ -155,7 +156,7 @@ pub fn draw_velocity(canvas: &mut Canvas, view: &View, map: &ContextMap) {
     }
 }
 
-/// The mean passage of each square block of cells in view that was passed at some speed.
+/// The mean passage of each square block of visible cells, if it is at least `ARROW_SPEED_MIN_MPS` fast.
 fn passages(map: &ContextMap, view: &View, block: usize) -> Vec<Passage> {
     let (low, high) = view.corners();
     let is_seen = |cell: usize, axis: usize| {
@@ -163,7 +164,7 @@ fn passages(map: &ContextMap, view: &View, block: usize) -> Vec<Passage> {
         (low[axis]..=high[axis]).contains(&place)
     };
     let cells = map.density().zip(map.velocity_mps()).enumerate();
-    // Blocks start at whole multiples, so that panels of one map show the same arrows.
+    // Blocks start at integer multiples, so that panels of one map show the same arrows.
     let mut sums: BTreeMap<[usize; 2], [f64; 5]> = BTreeMap::new();
     for (index, (density, [vx, vy])) in cells.filter(|(_, (density, _))| *density > 0.0) {
         let (row, col) = (index / map.cols(), index % map.cols());

@@ -1,14 +1,21 @@
 //! Pictures as SVG: recordings, forecasts of scenes, learning curves.
 //!
 //! [`overview`] draws a whole recording. [`scenes`] draws forecasts of scenes. [`learning_curves`] draws a
-//! [`TrainingLog`]. A picture is made of *panels*. The panel of a scene shows, from bottom to top, how
-//! often the ground was visited (the context map), the *mask* of the forecast distribution, every mode as
-//! faint as it is improbable, the recorded future, the best and the most probable mode, and the agents in
-//! their true sizes. The mask is drawn as *highest-density regions*: the smallest areas that hold 50 % and
-//! 90 % of the mixture of all modes.
+//! [`TrainingLog`]. A picture consists of *panels*. The panel of a scene shows these layers, from bottom to
+//! top:
 //!
-//! A picture is one string, which is the same to the bit for the same input. Text is drawn as outlines of an
-//! embedded font, so a picture looks alike in every viewer. Lengths on paper are in points (pt, 1/72 inch).
+//! 1. how often the ground was visited (the context map);
+//! 2. the *mask* of the forecast distribution;
+//! 3. every mode, fainter if less probable;
+//! 4. the recorded future;
+//! 5. the best and the most probable mode;
+//! 6. the agents at their true sizes.
+//!
+//! The mask is drawn as *highest-density regions*: the smallest areas that contain 50 % and 90 % of the
+//! mixture of all modes.
+//!
+//! A picture is one string. The same input gives the same string. Text is drawn as outlines of an embedded
+//! font, so a picture looks alike in every viewer. Lengths on paper are in points (pt, 1/72 inch).
 
 mod axes;
 mod canvas;

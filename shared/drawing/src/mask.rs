@@ -1,4 +1,4 @@
-//! The mask: where the agent will be, as the forecast distribution has it.
+//! The mask: the area in which the agent will be according to the forecast distribution.
 
 use std::f64::consts::LN_2;
 
@@ -6,21 +6,21 @@ use super::contour::{Place, Raster};
 use super::mixture::{self, Mixture, add_density, highest_density_levels, raster_for};
 use super::scene::ForecastDrawing;
 
-/// The shares that the regions of a mask hold, larger region first.
+/// The probabilities of a mask's regions, largest region first.
 pub const SHARES: [f64; 2] = [0.9, 0.5];
 
-/// Which times of a forecast its mask stands for.
+/// The times of a forecast that its mask covers.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Mask {
-    /// All: the union of the regions of every moment up to the horizon.
+    /// All times separately: the union of the regions of every moment up to the horizon.
     #[default]
     EveryMoment,
-    /// All pooled: the regions of the mixture over the whole horizon, in which the agent spends that share of
-    /// it.
+    /// All times pooled: the regions of the mixture over the whole horizon. The agent spends the given share
+    /// of the horizon in a region.
     Pooled,
-    /// The horizon's end.
+    /// The end of the horizon.
     End,
-    /// None: no mask.
+    /// No mask.
     Hidden,
 }
 
@@ -28,7 +28,7 @@ pub enum Mask {
 pub type Outline = Vec<Vec<Place>>;
 
 impl Mask {
-    /// The regions of an agent's forecast that hold 90 % and 50 %; none where the mask is off or the agent
+    /// The 90 % and 50 % regions of an agent's forecast. The result is empty if the mask is off or the agent
     /// has no forecast.
     pub fn regions(self, now: Place, forecast: &ForecastDrawing) -> Vec<Outline> {
         let regions = match self {
@@ -41,7 +41,7 @@ impl Mask {
     }
 }
 
-/// The regions of all mixtures, equally likely.
+/// The regions of the average of all mixtures.
 fn pooled(mixtures: &[Mixture]) -> Option<[Outline; 2]> {
     let mut raster = raster_for(mixtures.iter())?;
     for mixture in mixtures {
@@ -55,10 +55,10 @@ fn pooled(mixtures: &[Mixture]) -> Option<[Outline; 2]> {
     Some([0, 1].map(region))
 }
 
-/// The union of each mixture's own regions.
+/// The union of the separate regions of all mixtures.
 fn union(mixtures: &[Mixture]) -> Option<[Outline; 2]> {
     let mut moment = raster_for(mixtures.iter())?;
-    // Densities relative to the level of their region, so that 1 is the edge of all of them.
+    // Densities relative to the level of their region, so that 1 is the edge of every region.
     let mut fields = [moment.clone(), moment.clone()];
     for mixture in mixtures {
         moment.values.fill(0.0);
@@ -73,9 +73,9 @@ fn union(mixtures: &[Mixture]) -> Option<[Outline; 2]> {
     Some(fields.map(within))
 }
 
-/// Where a field of relative densities is at least 1.
+/// The area in which a field of relative densities is at least 1.
 fn within(mut field: Raster) -> Outline {
-    // Between two nodes the logarithm of a Gaussian is straighter than itself, so that its contours are
+    // Between two nodes the logarithm of a Gaussian is straighter than the Gaussian, so its contours are
     // smoother.
     field.values.iter_mut().for_each(|relative| *relative = relative.ln_1p());
     field.contours(LN_2)

@@ -5,32 +5,32 @@ use super::scene::ForecastDrawing;
 
 /// Nodes along the longer side of a density's raster.
 const NODES: usize = 260;
-/// Standard deviations of a component beyond which nothing is added.
+/// Number of standard deviations beyond which a component adds nothing.
 const REACH: f64 = 4.0;
-/// Variance added to every component, in squared spacings of the raster: nothing is finer than the raster.
+/// Variance added to every component, in squared raster spacings. Nothing is finer than the raster.
 const RASTER_VARIANCE: f64 = 0.6;
-/// Modes move by this many standard deviations between moments: what is drawn of neighbours overlaps.
+/// Movement of a mode between two moments, in standard deviations. Neighbouring moments overlap when drawn.
 const HOP: f64 = 0.5;
-/// Standard deviations below count as this for the number of moments.
+/// Lower bound of the standard deviation when the number of moments is computed.
 const FINEST_M: f64 = 0.05;
-/// Moments per step of the forecast, at most.
+/// Most moments per step of the forecast.
 const PER_STEP_MAX: f64 = 24.0;
 
 /// A Gaussian of a mixture.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Component {
-    /// Its probability.
+    /// The probability.
     pub weight: f64,
-    /// Its mean, m.
+    /// The mean, m.
     pub mean: Place,
-    /// Its covariance (xx, xy, yy), m².
+    /// The covariance (xx, xy, yy), m².
     pub covariance: [f64; 3],
 }
 
 /// The mixture at one time.
 pub type Mixture = Vec<Component>;
 
-/// The mixtures at the forecast's steps and at moments in between, over which modes move and widen evenly.
+/// The mixtures at the forecast's steps and at moments in between, with modes interpolated evenly.
 pub fn moments(now: Place, forecast: &ForecastDrawing) -> Vec<Mixture> {
     let steps_len = forecast.modes.first().map_or(0, Vec::len);
     let mut last = starting(now, forecast);
@@ -51,7 +51,7 @@ pub fn moments(now: Place, forecast: &ForecastDrawing) -> Vec<Mixture> {
     moments
 }
 
-/// The mixture at the forecast's last step; empty where it has none.
+/// The mixture at the forecast's last step; empty if the forecast has no steps.
 pub fn end(forecast: &ForecastDrawing) -> Mixture {
     let steps_len = forecast.modes.first().map_or(0, Vec::len);
     steps_len.checked_sub(1).map(|step| at_step(forecast, step)).unwrap_or_default()
@@ -74,7 +74,7 @@ fn at_step(forecast: &ForecastDrawing, step: usize) -> Mixture {
 }
 
 impl Component {
-    /// Standard deviation across its narrowest direction.
+    /// Standard deviation in the narrowest direction.
     fn narrowest_m(&self) -> f64 {
         let [xx, xy, yy] = self.covariance;
         let variance = (xx + yy) / 2.0 - ((xx - yy) / 2.0).hypot(xy);
@@ -91,7 +91,7 @@ impl Component {
     }
 }
 
-/// A raster of zeros that is large enough for all of the mixtures.
+/// A raster of zeros that is large enough for all mixtures.
 pub fn raster_for<'a>(mixtures: impl Iterator<Item = &'a Mixture>) -> Option<Raster> {
     let mut corners: Option<[Place; 2]> = None;
     for component in mixtures.flatten().filter(|component| component.weight > 0.0) {
@@ -129,8 +129,8 @@ pub fn add_density(mixture: &Mixture, share: f64, raster: &mut Raster) {
     }
 }
 
-/// For each of the `shares`, the density above which lies that share of the raster's mass; none where there
-/// is no mass.
+/// For each of the `shares`, the density above which this share of the raster's mass is found. Returns `None`
+/// if the raster has no mass.
 pub fn highest_density_levels<const N: usize>(raster: &Raster, shares: [f64; N]) -> Option<[f64; N]> {
     let mut densities: Vec<f64> = raster.values.iter().copied().filter(|density| *density > 0.0).collect();
     densities.sort_by(|a, b| b.total_cmp(a));
@@ -163,7 +163,7 @@ mod tests {
         raster
     }
 
-    /// Whether an odd number of the closed lines' sides lies to the right of a place.
+    /// Whether an odd number of sides of the closed lines is to the right of a position.
     fn contains(loops: &[Vec<Place>], [x, y]: Place) -> bool {
         let sides = loops.iter().flat_map(|line| line.iter().zip(line.iter().cycle().skip(1)));
         sides

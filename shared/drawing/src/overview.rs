@@ -1,4 +1,4 @@
-//! A recording as a whole: the ways of all agents and of the sensor, and the map.
+//! A whole recording: the paths of all agents and of the sensor, and the map.
 
 use std::collections::HashSet;
 
@@ -15,27 +15,27 @@ use super::view::View;
 
 /// Edge of the sheet, pt.
 const EDGE: f64 = 3.0;
-/// Height of the title, of the note and of a row of the legend, pt.
+/// Height of the title, of the note and of a legend row, pt.
 const ROW: f64 = 12.0;
-/// Width of an entry of the legend, pt.
+/// Width of a legend entry, pt.
 const ENTRY: f64 = 96.0;
-/// Least extent of the world, m.
+/// Smallest extent of the world, m.
 const EXTENT_MIN_M: f64 = 20.0;
-/// Points that are nearer on paper are one, pt.
+/// Points closer than this on paper count as one, pt.
 const NEAR: f64 = 0.6;
 
 /// A recording to draw.
 #[derive(Clone, Debug, Default)]
 pub struct Overview {
-    /// Its name.
+    /// The name of the recording.
     pub title: String,
     /// Further text, in smaller type.
     pub note: String,
     /// Lines on the ground, such as the bounds of lanes.
     pub lines: Vec<Vec<Point>>,
-    /// Ways of agents without a gap; a way of one point is a dot.
+    /// Paths of agents without a gap. A path of one point is drawn as a dot.
     pub ways: Vec<(AgentType, Vec<Point>)>,
-    /// Ways of the sensor.
+    /// Paths of the sensor.
     pub ego: Vec<Vec<Point>>,
 }
 
@@ -47,10 +47,10 @@ const fn colour(agent_type: AgentType) -> Colour {
     }
 }
 
-/// Draws a recording as one picture of that width, pt, with north up.
+/// Draws a recording as one picture of the given width, pt, with north up.
 ///
 /// # Errors
-/// [`PictureError`] if there is no place to draw, or the width is no width.
+/// [`PictureError`] if there is nothing to draw, or if the width is out of range.
 pub fn overview(drawing: &Overview, width: f64) -> Result<String, PictureError> {
     within("the width", width, 100.0, 2_000.0)?;
     let side = width - 2.0 * EDGE;
@@ -80,7 +80,7 @@ pub fn overview(drawing: &Overview, width: f64) -> Result<String, PictureError> 
     Ok(canvas.finish(&drawing.title))
 }
 
-/// The view of all ways. Lanes beyond it are cut off, unless none of them is in it: then all can be seen.
+/// The view of all paths. Lanes outside it are clipped. If no lane is in the view, the view covers all lanes.
 fn view(drawing: &Overview, frame: Frame) -> Option<View> {
     let ways = drawing.ways.iter().map(|(_, way)| way).chain(&drawing.ego);
     let [ways, lines] = [ways.collect::<Vec<_>>(), drawing.lines.iter().collect()].map(|lines| {
@@ -115,7 +115,7 @@ fn draw_ways(canvas: &mut Canvas, view: &View, ways: &[(AgentType, Vec<Point>)])
     }
 }
 
-/// The spots of a way, without those that can't be told apart.
+/// The spots of a path, without those that are indistinguishable on paper.
 fn thinned(view: &View, way: &[Point]) -> Vec<Spot> {
     let mut spots: Vec<Spot> = Vec::new();
     for point in way {
@@ -151,7 +151,7 @@ fn draw_legend(canvas: &mut Canvas, drawing: &Overview, baseline: f64) {
 mod tests {
     use super::*;
 
-    /// A pedestrian walks 40 m past a sensor; a lane begins 10 m beside its way.
+    /// A pedestrian walks 40 m past a sensor. A lane begins 10 m beside the pedestrian's path.
     fn drawing(lane_end_m: f32, ego: Vec<Point>) -> Overview {
         Overview {
             title: "walk".to_owned(),

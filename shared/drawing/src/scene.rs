@@ -1,4 +1,4 @@
-//! Forecast scenes, a panel each.
+//! Forecast scenes, one panel each.
 
 mod agent;
 mod check;
@@ -17,10 +17,10 @@ use agent::Sketch;
 use legend::Legend;
 pub(super) use panel::draw_scale_bar;
 
-/// A moment of a recording, and what was forecast then.
+/// A moment of a recording, with the forecasts made at that moment.
 #[derive(Clone, Debug, Default)]
 pub struct SceneDrawing<'a> {
-    /// What the panel shows.
+    /// The title of the panel.
     pub title: String,
     /// Further text, in smaller type.
     pub note: String,
@@ -28,34 +28,34 @@ pub struct SceneDrawing<'a> {
     pub map: Option<&'a ContextMap>,
     /// Lines on the ground, such as the bounds of lanes.
     pub lines: Vec<Vec<Point>>,
-    /// The agents. Those with a forecast are what the panel is about.
+    /// The agents. The panel is about the agents with a forecast.
     pub agents: Vec<AgentDrawing>,
 }
 
 /// An agent of a scene.
 #[derive(Clone, Debug)]
 pub struct AgentDrawing {
-    /// Identity.
+    /// The identity.
     pub id: u64,
-    /// Vehicles are drawn as boxes, others as discs.
+    /// The type. Vehicles are drawn as boxes, all others as discs.
     pub agent_type: AgentType,
-    /// Length along the heading; a usual one is taken where it is not known.
+    /// Length along the heading; a typical length is used if it is unknown.
     pub length_m: Option<f32>,
-    /// Width across the heading; likewise.
+    /// Width across the heading; a typical width is used if it is unknown.
     pub width_m: Option<f32>,
-    /// Heading at present, counter-clockwise from +x.
+    /// Present heading, counter-clockwise from +x.
     pub heading_rad: f32,
-    /// Position at present.
+    /// Present position.
     pub now: Point,
-    /// Positions before the present, oldest first; none where absent.
+    /// Earlier positions, oldest first; `None` if the agent was absent.
     pub history: Vec<Option<Point>>,
-    /// Positions that came true, a step apart.
+    /// Observed future positions, one per step.
     pub truth: Vec<Option<Point>>,
-    /// The forecast, where there is one.
+    /// The forecast, if there is one.
     pub forecast: Option<ForecastDrawing>,
 }
 
-/// The forecast of an agent: a mixture of as many Gaussians as there are modes at each step.
+/// The forecast of an agent: at each step, a mixture with one Gaussian per mode.
 #[derive(Clone, Debug, Default)]
 pub struct ForecastDrawing {
     /// Mean positions, \[mode, step\].
@@ -71,13 +71,14 @@ pub struct ForecastDrawing {
 pub struct SceneOptions {
     /// Width of the picture, pt. A column of a two-column paper has about 252 pt, a page 516 pt.
     pub width: f64,
-    /// Panels side by side.
+    /// Number of panels side by side.
     pub columns: usize,
     /// Height of a panel relative to its width.
     pub height_per_width: f64,
-    /// Least extent of the world in a panel, m; 30 m around vehicles and 12 m around others where not given.
+    /// Smallest extent of the world in a panel, m. The default is 30 m around vehicles and 12 m around
+    /// others.
     pub extent_min_m: Option<f64>,
-    /// What the mask stands for.
+    /// The times that the mask covers.
     pub mask: Mask,
     /// Whether the map's mean velocities are drawn as arrows.
     pub velocity: bool,
@@ -109,15 +110,15 @@ const GAP: f64 = 9.0;
 const HEADING_HEIGHT: f64 = 14.0;
 const TITLE_HEIGHT: f64 = 11.0;
 const NOTE_HEIGHT: f64 = 9.0;
-/// Sizes of type, pt.
+/// Font sizes, pt.
 const HEADING_SIZE: f64 = 9.0;
 const TITLE_SIZE: f64 = 8.0;
 pub(super) const LABEL_SIZE: f64 = 7.0;
 
-/// Draws scenes as one picture, in reading order, with one heading and one legend for all.
+/// Draws scenes as one picture in reading order, with one heading and one legend.
 ///
 /// # Errors
-/// [`PictureError`] if there is no scene, an option or a number can't be drawn, or a forecast's parts
+/// [`PictureError`] if there is no scene, an option or a number cannot be drawn, or the parts of a forecast
 /// differ in length.
 pub fn scenes(
     heading: &str,

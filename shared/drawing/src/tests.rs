@@ -6,7 +6,7 @@ use resvg::usvg::{Options, Tree};
 
 use super::*;
 
-/// A vehicle that turns left, forecast to go on in one of five directions.
+/// A vehicle that turns left, with a forecast in five directions.
 fn turning_vehicle() -> AgentDrawing {
     let steps_len = 8;
     let arc = |turn: f32| -> Vec<Point> {

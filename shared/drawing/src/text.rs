@@ -10,7 +10,7 @@ use super::canvas::{Path, Spot};
 /// A weight of the font.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Face {
-    /// For all but titles.
+    /// For everything except titles.
     Regular,
     /// For titles.
     Medium,
@@ -50,8 +50,8 @@ pub fn outline(face: Face, size: f64, words: &str, [x, y]: Spot) -> Path {
     path
 }
 
-/// Glyphs of a text and where along the baseline each of them ends. Characters that the font lacks show as
-/// its box.
+/// Glyphs of a text, each with the position of its end along the baseline. Characters that the font lacks
+/// appear as the font's box.
 fn glyphs(font: &'static Font<'static>, size: f64, words: &str) -> impl Iterator<Item = (GlyphId, f64)> {
     let scale = size / f64::from(font.units_per_em());
     let ids: Vec<GlyphId> =
@@ -64,8 +64,8 @@ fn glyphs(font: &'static Font<'static>, size: f64, words: &str) -> impl Iterator
     })
 }
 
-/// By how much the second glyph moves towards the first, in font units. The embedded font holds no
-/// positioning but kerning, so every lookup counts.
+/// The distance by which the second glyph moves towards the first, in font units. Kerning is the only
+/// positioning in the embedded font, so every lookup counts.
 fn kerning(font: &Font<'_>, first: GlyphId, second: GlyphId) -> f64 {
     let Some(table) = font.tables().gpos else { return 0.0 };
     let pairs = table.lookups.into_iter().flat_map(|lookup| lookup.subtables.into_iter());

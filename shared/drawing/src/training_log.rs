@@ -1,4 +1,4 @@
-//! The log that training writes: a JSON object per line, of training or of validation.
+//! The log that training writes: one JSON object per line, for training or for validation.
 
 use std::fs::File;
 use std::io::{BufRead, BufReader, Read};
@@ -7,10 +7,10 @@ use std::path::{Path, PathBuf};
 use serde::Deserialize;
 use thiserror::Error;
 
-/// Longest log that is read, bytes.
+/// Size of the longest accepted log, bytes.
 const BYTES_MAX: u64 = 256 << 20;
 
-/// How training went up to a step: means over the last few steps.
+/// The progress of training at a step: means over the last few steps.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
 pub struct Progress {
     /// Steps done.
@@ -25,18 +25,18 @@ pub struct Progress {
     pub trajectory: f64,
     /// Distance of the single best forecast.
     pub single: f64,
-    /// Of the modes' probabilities.
+    /// Term of the modes' probabilities.
     pub probability: f64,
-    /// Of the forecast distribution's width.
+    /// Term of the forecast distribution's width.
     pub spread: f64,
 }
 
-/// How good the weights were at a step.
+/// The quality of the weights at a step.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 pub struct Validation {
     /// Steps done.
     pub step: u64,
-    /// The figure by which the checkpoint is chosen; less is better.
+    /// The figure that selects the checkpoint; smaller is better.
     pub validation: f64,
     /// The errors on each data set.
     #[serde(default)]
@@ -48,31 +48,31 @@ pub struct Validation {
 pub struct SetErrors {
     /// Name of the set.
     pub set: String,
-    /// Of the best mode.
+    /// Error of the best mode.
     pub best_of_modes: Displacement,
-    /// Of the single best forecast.
+    /// Error of the single best forecast.
     pub single: Displacement,
 }
 
 /// Mean distances between forecasts and truth.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
 pub struct Displacement {
-    /// Over the forecast.
+    /// Mean over the forecast.
     pub ade_m: f64,
-    /// At its end.
+    /// Distance at the end of the forecast.
     pub fde_m: f64,
 }
 
-/// The entries of a log, by step, without those of abandoned branches of the training.
+/// The entries of a log in order of steps, without entries of abandoned branches of the training.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TrainingLog {
-    /// Lines of training.
+    /// Training lines.
     pub progress: Vec<Progress>,
-    /// Lines of validation.
+    /// Validation lines.
     pub validations: Vec<Validation>,
 }
 
-/// A log that can't be used.
+/// Why a log cannot be used.
 #[derive(Debug, Error)]
 pub enum LogError {
     /// The file can't be read.
@@ -80,7 +80,7 @@ pub enum LogError {
     Unreadable {
         /// The file.
         path: PathBuf,
-        /// Why.
+        /// The cause.
         source: std::io::Error,
     },
     /// The file is too long.
@@ -89,14 +89,14 @@ pub enum LogError {
         /// The file.
         path: PathBuf,
     },
-    /// A line is no line of a log.
+    /// A line is not a valid log line.
     #[error("{path}, line {line}: {reason}", path = path.display())]
     Line {
         /// The file.
         path: PathBuf,
         /// Number of the line, from 1.
         line: usize,
-        /// What is wrong with it.
+        /// The reason.
         reason: String,
     },
     /// There are no lines.
@@ -107,7 +107,7 @@ pub enum LogError {
     },
 }
 
-/// Fields that validations alone have distinguish the two.
+/// The two kinds are distinguished by the fields that only validations have.
 #[derive(Deserialize)]
 #[serde(untagged)]
 enum Entry {
@@ -118,13 +118,12 @@ enum Entry {
 impl TrainingLog {
     /// Reads a log.
     ///
-    /// Training that is resumed from a checkpoint goes back to its step; what an interrupted training had
-    /// written beyond it is left out. A last line without its end was cut off by an interruption and is left
-    /// out, too.
+    /// Training that resumes from a checkpoint goes back to the step of the checkpoint. Lines that the
+    /// interrupted training wrote after this step are discarded. A last line without a line end was cut off
+    /// by an interruption and is also discarded.
     ///
     /// # Errors
-    /// [`LogError`] if the file can't be read, is too long, has no lines, or has one that is none of a
-    /// log.
+    /// [`LogError`] if the file cannot be read, is too long, has no lines or has an invalid line.
     pub fn read(path: &Path) -> Result<Self, LogError> {
         let unreadable = |source| LogError::Unreadable { path: path.to_owned(), source };
         let mut lines = BufReader::new(File::open(path).map_err(unreadable)?.take(BYTES_MAX + 1));
@@ -153,7 +152,7 @@ impl TrainingLog {
         Ok(log)
     }
 
-    /// The validation of the chosen checkpoint: the first of the best.
+    /// The validation of the chosen checkpoint: the first one with the best figure.
     #[must_use]
     pub fn best(&self) -> Option<&Validation> {
         let finite = self.validations.iter().filter(|entry| entry.validation.is_finite());
@@ -176,7 +175,7 @@ impl TrainingLog {
     }
 }
 
-/// What is wrong with a line: the error of an untagged enum is only that nothing fits.
+/// What is wrong with a line. The error of an untagged enum only states that no variant fits.
 fn reason(line: &str, error: &serde_json::Error) -> String {
     if error.is_syntax() || error.is_eof() {
         return format!("no JSON: {error}");

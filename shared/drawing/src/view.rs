@@ -1,13 +1,13 @@
-//! Which part of the world a panel shows.
+//! The part of the world that a panel shows.
 
 use super::canvas::{Frame, Spot};
 use super::contour::Place;
 
-/// Free ground around what must be visible, as a share of its extent, and at least.
+/// Free ground around the visible places, as a share of their extent, and its minimum.
 const MARGIN: f64 = 0.06;
 const MARGIN_MIN_M: f64 = 1.0;
 
-/// The world as seen in a frame on the sheet: north is up, and a metre is as long everywhere.
+/// The world as seen in a frame on the sheet. North is up, and the scale is the same everywhere.
 #[derive(Clone, Copy, Debug)]
 pub struct View {
     /// The frame.
@@ -18,8 +18,8 @@ pub struct View {
 }
 
 impl View {
-    /// The view in which all places can be seen, at least `extent_min_m` of the world on the frame's shorter
-    /// side; none where there is no place.
+    /// The view that shows all places and at least `extent_min_m` of the world on the frame's shorter side.
+    /// Returns `None` if there are no places.
     pub fn of(places: impl Iterator<Item = Place>, frame: Frame, extent_min_m: f64) -> Option<Self> {
         let corners = places.fold(None, |corners: Option<(Place, Place)>, place| {
             let (low, high) = corners.unwrap_or((place, place));
@@ -46,7 +46,7 @@ impl View {
         self.scale
     }
 
-    /// Where a place of the world lies on the sheet.
+    /// The spot of a world position on the sheet.
     pub fn spot(&self, place: Place) -> Spot {
         [
             self.frame.centre_x() + (place[0] - self.centre[0]) * self.scale,
@@ -54,13 +54,13 @@ impl View {
         ]
     }
 
-    /// The corners of the visible part, smaller and greater coordinates.
+    /// The corners of the visible part: the smallest and the largest coordinates.
     pub fn corners(&self) -> (Place, Place) {
         let half = self.frame.size.map(|size| size / 2.0 / self.scale);
         ([0, 1].map(|axis| self.centre[axis] - half[axis]), [0, 1].map(|axis| self.centre[axis] + half[axis]))
     }
 
-    /// A round length that takes about a quarter of the frame's width, m.
+    /// A round length of about a quarter of the frame's width, m.
     pub fn round_length_m(&self) -> f64 {
         let most = 0.28 * self.frame.size[0] / self.scale;
         let power = 10.0_f64.powf(most.log10().floor());

@@ -10,25 +10,25 @@ use crate::contour::{Place, simplified};
 use crate::mask::{Mask, Outline};
 use crate::view::View;
 
-/// Lines, one look each; the legend shows the same.
+/// The look of each line. The legend uses the same looks.
 pub const HISTORY: Stroke = Stroke::solid(ORANGE, 1.5);
 pub const TRUTH: Stroke = Stroke::solid(BLUE, 1.3).dashed(&[3.2, 1.8]);
 pub const BEST: Stroke = Stroke::solid(VERMILION, 1.1);
 pub const LIKELIEST: Stroke = Stroke::solid(PURPLE, 1.1).dashed(&[0.9, 1.3]);
 pub const MODE: Stroke = Stroke::solid(Colour([0, 92, 66]), 0.5);
 pub const OTHER: Stroke = Stroke::solid(PALE, 0.8);
-/// Opacity of the regions of a mask, larger one first.
+/// Opacity of the regions of a mask, largest region first.
 pub const REGION_OPACITY: [f64; 2] = [0.28, 0.42];
-/// Opacity of the least and the most likely mode.
+/// Opacity of the least and the most probable mode.
 const MODE_OPACITY: [f64; 2] = [0.08, 0.8];
-/// White around lines that must be visible on any ground.
+/// White halo around lines that must be visible on any ground.
 const HALO: Stroke = Stroke::solid(WHITE, 2.6).faint(0.75);
 /// Radius of the mark at the end of a line, pt.
 const END_RADIUS: f64 = 1.5;
-/// Least half extent of a body on paper, pt.
+/// Smallest half extent of a body on paper, pt.
 const BODY_MIN: f64 = 1.5;
 
-/// An agent, ready to be drawn.
+/// An agent, prepared for drawing.
 pub struct Sketch<'a> {
     pub agent: &'a AgentDrawing,
     regions: Vec<Outline>,
@@ -50,7 +50,7 @@ impl<'a> Sketch<'a> {
         }
     }
 
-    /// All that the view must show of the agent.
+    /// All positions of the agent that the view must show.
     pub fn places(&self) -> impl Iterator<Item = Place> {
         let lines = self.best.into_iter().chain(self.likeliest).flatten();
         let known = self.agent.history.iter().chain(&self.agent.truth).flatten();
@@ -58,7 +58,7 @@ impl<'a> Sketch<'a> {
         lines.chain(known).chain([&self.agent.now]).map(|point| place(*point)).chain(regions)
     }
 
-    /// Draws the mask's region of a number: the larger one is 0, the smaller one 1.
+    /// Draws a region of the mask: number 0 is the larger region, number 1 the smaller one.
     pub fn draw_region(&self, number: usize, canvas: &mut Canvas, view: &View) {
         let Some(outline) = self.regions.get(number) else { return };
         let mut path = Path::default();
@@ -100,7 +100,7 @@ impl<'a> Sketch<'a> {
         }
     }
 
-    /// Draws where the truth and the forecasts end.
+    /// Marks the ends of the truth and the forecasts.
     pub fn draw_ends(&self, canvas: &mut Canvas, view: &View) {
         if self.agent.forecast.is_none() {
             return;
@@ -130,7 +130,7 @@ impl<'a> Sketch<'a> {
             (0.5 * f64::from(size_m) * view.scale()).max(BODY_MIN)
         };
         let (sin, cos) = f64::from(heading_rad).sin_cos();
-        // North is up on paper, where y points down.
+        // North is up on paper, but y points down.
         let at =
             |along: f64, left: f64| [spot[0] + along * cos - left * sin, spot[1] - along * sin - left * cos];
         if agent_type == AgentType::Vehicle {
@@ -158,7 +158,7 @@ impl<'a> Sketch<'a> {
         }
     }
 
-    /// The history and the way from its newest position to the present.
+    /// The history, extended to the present position.
     fn history(&self, view: &View) -> Path {
         broken(view, self.agent.history.iter().copied().chain([Some(self.agent.now)]))
     }
@@ -168,7 +168,8 @@ impl<'a> Sketch<'a> {
     }
 }
 
-/// The mode with the least mean distance from what came true; none where that is not known at any step.
+/// The mode with the smallest mean distance to the truth. Returns `None` if the truth is unknown at all
+/// steps.
 pub fn best<'a>(forecast: &'a ForecastDrawing, truth: &[Option<Point>]) -> Option<&'a [Point]> {
     let known_len = forecast.modes.first().map_or(0, Vec::len).min(truth.len());
     forecast
@@ -187,7 +188,7 @@ fn from_now(view: &View, now: Point, mode: &[Point]) -> Path {
     Path::line([now].iter().chain(mode).map(|point| view.spot(place(*point))))
 }
 
-/// A line through all known points, broken where one is not known.
+/// A line through all known points, broken at unknown points.
 fn broken(view: &View, points: impl Iterator<Item = Option<Point>>) -> Path {
     let mut path = Path::default();
     let mut part = Vec::new();

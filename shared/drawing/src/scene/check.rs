@@ -1,4 +1,4 @@
-//! Refuses what can't be drawn before anything is.
+//! Refuses invalid input before anything is drawn.
 
 use metrics::Point;
 

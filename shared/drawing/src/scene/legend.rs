@@ -8,12 +8,12 @@ use crate::ground;
 use crate::mask::{Mask, SHARES};
 use crate::text::{self, Face};
 
-/// Width and height of a sample, the space to its words and to the next entry, and the height of a line, pt.
+/// Width and height of a sample, the space to its text and to the next entry, and the height of a line, pt.
 const SAMPLE: [f64; 2] = [16.0, 6.0];
 const TO_WORDS: f64 = 3.5;
 const TO_NEXT: f64 = 11.0;
 const LINE_HEIGHT: f64 = 11.0;
-/// The words' height above the baseline, pt.
+/// Height of the text above the baseline, pt.
 const ASCENT: f64 = 5.0;
 
 /// A legend below the panels.
@@ -45,7 +45,7 @@ impl Entry {
 }
 
 impl Legend {
-    /// The entries for all that the drawings show.
+    /// The entries for everything that the drawings show.
     pub fn of(drawings: &[SceneDrawing<'_>], options: &SceneOptions, width: f64) -> Self {
         let mut entries = vec![Entry::new("history", Sample::Line(HISTORY))];
         let mut add = |words: &str, sample| entries.push(Entry::new(words, sample));
@@ -74,12 +74,12 @@ impl Legend {
         Self { entries, width }
     }
 
-    /// Its height, pt.
+    /// The height of the legend, pt.
     pub fn height(&self) -> f64 {
         self.lines().len() as f64 * LINE_HEIGHT
     }
 
-    /// Draws it, each line centred.
+    /// Draws the legend, with each line centred.
     pub fn draw(&self, canvas: &mut Canvas, [left, top]: Spot) {
         let look = Type { size: LABEL_SIZE, face: Face::Regular, colour: INK, align: Align::Left };
         for (number, line) in self.lines().into_iter().enumerate() {
@@ -93,7 +93,7 @@ impl Legend {
         }
     }
 
-    /// The entries in lines that are about equally full.
+    /// The entries, split into about equally full lines.
     fn lines(&self) -> Vec<&[Entry]> {
         let lines_len = (width(&self.entries) / self.width).ceil().max(1.0) as usize;
         (lines_len..=self.entries.len())

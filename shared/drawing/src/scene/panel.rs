@@ -58,7 +58,7 @@ fn label(canvas: &mut Canvas, view: &View, sketch: &Sketch<'_>) {
     canvas.text([x + 3.5, y - 3.5], look, &sketch.agent.id.to_string());
 }
 
-/// A bar of a round length in the lower left corner.
+/// Draws a scale bar of a round length in the lower left corner.
 pub fn draw_scale_bar(canvas: &mut Canvas, view: &View) {
     let length_m = view.round_length_m();
     let length = length_m * view.scale();
