@@ -18,8 +18,8 @@ const COLUMNS: usize = 3;
 
 /// Draws the learning curves of a training run.
 ///
-/// The upper panels show the loss, its terms and the learning rate. The lower panels show the figure that selects
-/// the checkpoint, with the selected checkpoint marked, and the errors on each validation set.
+/// The upper panels show the loss, its terms and the learning rate. The lower panels show the figure that
+/// selects the checkpoint, with the selected checkpoint marked, and the errors on each validation set.
 ///
 /// # Errors
 /// [`PictureError::Empty`] if the log has no entries.

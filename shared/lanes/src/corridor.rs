@@ -1,25 +1,26 @@
-//! The line that an agent drives along a route: smooth, from its own pose, within the lanes' bounds.
+//! The line that an agent drives along a route. It is smooth, starts at the agent's pose and stays within the
+//! lanes' bounds.
 
 use crate::Route;
 use crate::routes::{ROUTE_POINTS_MAX, ROUTE_STEP_M};
 
-/// Points to either side over which a route's middle is averaged: the joints of lanelets have corners.
+/// Points on either side over which a route's middle is averaged, because lanelets join at corners.
 const SMOOTHED: usize = 3;
-/// Distance that a line keeps from the bounds: half of a car.
+/// Distance between a line and the bounds: half a car width.
 const MARGIN_M: f32 = 1.0;
-/// Least room to either side, however narrow the lane.
+/// Smallest room on either side, even in a narrow lane.
 const ROOM_MIN_M: f32 = 0.4;
-/// Room for which [`STIFFNESS`] is meant.
+/// Room at which [`STIFFNESS`] applies.
 const ROOM_USUAL_M: f32 = 1.5;
-/// λ: weight of the distance to the wanted line beside that of the bend, 1/m⁴.
+/// λ: weight of the distance to the desired line, relative to the weight of the bend, 1/m⁴.
 const STIFFNESS: f32 = 3e-4;
-/// Share of its own offset that an agent wants to keep.
+/// Share of its offset that an agent keeps.
 const KEPT: f32 = 0.5;
-/// Factor of the stiffness where the line would leave the bounds.
+/// Factor on the stiffness if the line would leave the bounds.
 const STIFFER: f32 = 30.0;
-/// Largest slope of the agent's direction to the route.
+/// Largest slope of the agent's direction relative to the route.
 const SLOPE_MAX: f32 = 0.68;
-/// Solutions: the second one knows where the first left the bounds.
+/// Number of solutions: the second pass knows where the first one left the bounds.
 const PASSES: usize = 2;
 
 /// A polyline with the length up to each point.
@@ -38,7 +39,7 @@ pub(crate) struct Scratch {
     offsets_m: Vec<f64>,
     wanted_m: Vec<f32>,
     stiffness: Vec<f32>,
-    /// Rows of the factor: diagonal, and the two beside it.
+    /// Rows of the factor: the diagonal and its two neighbours.
     factors: Vec<[f64; 3]>,
 }
 
@@ -64,12 +65,12 @@ impl Corridor {
     /// The line of an agent along a route.
     ///
     /// ```text
-    /// least Σ (d_(i+1) − 2 d_i + d_(i−1) + κ_i)² + Σ λ_i (d_i − d*_i)²      d_0, d_1 by the agent's pose
+    /// minimise Σ (d_(i+1) − 2 d_i + d_(i−1) + κ_i)² + Σ λ_i (d_i − d*_i)²      d_0, d_1 given by the agent's pose
     /// ```
     ///
-    /// d is the offset to the left of the route's middle, κ the bend of the middle over a step, and d* half of
-    /// the agent's own offset. The wider the lane, the less λ: there agents cut corners. Where the solution
-    /// leaves the bounds, λ grows and d* is the bound, and it is solved again.
+    /// d is the offset to the left of the route's middle, κ the bend of the middle over one step, and d* half
+    /// of the agent's own offset. λ is smaller in wider lanes, where agents cut corners. If the solution
+    /// leaves the bounds, λ grows there, d* becomes the bound, and the system is solved again.
     pub(crate) fn draw(&mut self, route: &Route, position_m: [f32; 2], scratch: &mut Scratch) {
         let len = route.points_m.len();
         self.points_m.clear();
@@ -93,7 +94,7 @@ impl Corridor {
         }
     }
 
-    /// Writes the points at growing lengths; beyond the end straight on.
+    /// Writes the points at increasing lengths. Beyond the end the line is straight.
     pub(crate) fn at(&self, lengths_m: &[f32], out: &mut [[f32; 2]]) {
         let mut place = 0;
         let last = self.points_m.len() - 2;
@@ -110,7 +111,7 @@ impl Corridor {
 }
 
 impl Scratch {
-    /// Normals, bends and room of a middle line.
+    /// Computes normals, bends and room of a middle line.
     fn measure(&mut self, points_m: &[[f32; 2]], half_width_m: &[f32]) {
         let len = points_m.len();
         self.normals.clear();
@@ -133,7 +134,7 @@ impl Scratch {
         }
     }
 
-    /// Solves for the offsets that follow the first two.
+    /// Solves for the offsets after the first two.
     fn solve(&mut self, first_m: f32, second_m: f32) {
         let len = self.bends.len();
         let widest_m = self.rooms_m.iter().copied().fold(0.0, f32::max);
@@ -157,10 +158,10 @@ impl Scratch {
         }
     }
 
-    /// The symmetric system with five diagonals by L D Lᵀ.
+    /// Solves the symmetric system with five diagonals by L D Lᵀ.
     fn eliminate(&mut self, len: usize) {
         self.factors.clear();
-        // Differences about the places 1 to len − 2 hold the place i with weights 1, −2 and 1.
+        // Second differences at 1 to len − 2 contain the offset at `place` with weights 1, −2 and 1.
         let weight = |about: usize, place: usize| if about == place { -2.0 } else { 1.0 };
         for place in 2..len {
             let stiffness = f64::from(self.stiffness[place]);
@@ -189,7 +190,7 @@ impl Scratch {
                 right -= beyond * self.offsets_m[place - 2];
             }
             self.factors.push([row[0], row[1] / row[0], row[2] / row[0]]);
-            // Forward substitution; divided and substituted back below.
+            // Forward substitution. The division and the back substitution follow below.
             self.offsets_m.push(right);
         }
         for place in (2..len).rev() {
@@ -201,7 +202,7 @@ impl Scratch {
     }
 }
 
-/// A point of a line averaged with those around it; the line goes straight on at its ends.
+/// A point of a line, averaged with its neighbours. The line is extended straight at its ends.
 fn smoothed(points_m: &[[f32; 2]], place: usize) -> [f32; 2] {
     let last = points_m.len() as isize - 1;
     let at = |place: isize| {

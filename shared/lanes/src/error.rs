@@ -13,7 +13,7 @@ pub enum LaneMapError {
         /// The error of the operating system.
         source: std::io::Error,
     },
-    /// The file is larger than any map that is read.
+    /// The file is larger than the largest accepted map.
     #[error("{path}: {bytes} bytes, at most {most} are read")]
     TooLarge {
         /// The file.
@@ -23,7 +23,7 @@ pub enum LaneMapError {
         /// The limit.
         most: u64,
     },
-    /// The file is no OSM XML.
+    /// The file is not valid OSM XML.
     #[error("{path}:{line}:{column}: {problem}")]
     Syntax {
         /// The file.
@@ -32,32 +32,32 @@ pub enum LaneMapError {
         line: u32,
         /// The column, from 1.
         column: u32,
-        /// What is wrong.
+        /// The reason.
         problem: String,
     },
-    /// An element of the map can't be used.
+    /// An element of the map cannot be used.
     #[error("{path}:{line}: {element}: {problem}")]
     Element {
         /// The file.
         path: String,
-        /// Its line, from 1.
+        /// The line of the element, from 1.
         line: u32,
         /// The element.
         element: Element,
-        /// What is wrong with it, with the value.
+        /// The reason, with the value.
         problem: String,
     },
-    /// The map has more of a kind than are kept.
+    /// The map has too many items of one kind.
     #[error("{path}: more than {most} {what}")]
     TooMany {
         /// The file.
         path: String,
-        /// What there are too many of.
+        /// The kind of the items.
         what: &'static str,
         /// The limit.
         most: usize,
     },
-    /// The map has no lanelet that anybody uses.
+    /// The map has no lanelet that any agent uses.
     #[error("{path}: no lanelet")]
     NoLanelets {
         /// The file.
@@ -90,12 +90,12 @@ impl Kind {
     }
 }
 
-/// An element by kind and number; the number is 0 where it has none.
+/// An element by kind and number. The number is 0 if the element has none.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Element {
-    /// Its kind.
+    /// The kind.
     pub kind: Kind,
-    /// Its number in the file; negative ones are those of elements that were never uploaded.
+    /// The number in the file; negative for elements that were never uploaded.
     pub id: i64,
 }
 

@@ -6,7 +6,7 @@ use crate::map::{POINTS_MAX, SPACING_M};
 use crate::osm::Line;
 use crate::{Lane, Users};
 
-/// A lane's middle and bounds at points about [`SPACING_M`] apart.
+/// The middle and the bounds of a lane, at points about [`SPACING_M`] apart.
 #[derive(Clone)]
 pub(crate) struct Sampled {
     pub(crate) centre_m: Vec<[f32; 2]>,
@@ -38,7 +38,7 @@ impl Sampled {
             }
         }
         if let ([only], Some(end)) = (&sampled.centre_m[..], left.points_m.last()) {
-            // Bounds that cross: any second point gives the lane a direction.
+            // The bounds cross. Any second point gives the lane a direction.
             let beside = [only[0], only[1] + 0.01_f32.max((end[1].abs() * 1e-6) as f32)];
             sampled.centre_m.push(beside);
             sampled.half_width_m.push(0.0);
@@ -103,7 +103,7 @@ impl Measured {
     }
 }
 
-/// Turns two bounds into the direction of their lanelet: both the same way, the left one on the left.
+/// Orients two bounds in the direction of their lanelet: both the same way, with the left one on the left.
 pub(crate) fn align(left: &mut Line, right: &mut Line) -> Result<(), String> {
     let ends = |line: &Line| [line.points_m[0], line.points_m[line.points_m.len() - 1]];
     let ([l0, l1], [r0, r1]) = (ends(left), ends(right));
@@ -122,9 +122,9 @@ pub(crate) fn align(left: &mut Line, right: &mut Line) -> Result<(), String> {
     Ok(())
 }
 
-/// Twice the area inside a closed line; positive where it runs counter-clockwise.
+/// Twice the area inside a closed line; positive if the line runs counter-clockwise.
 fn signed_area<'p>(points_m: impl Iterator<Item = &'p [f64; 2]> + Clone) -> f64 {
-    // About the first point, so that nothing cancels far from the origin.
+    // Relative to the first point, so that nothing cancels far from the origin.
     let Some(&[x0, y0]) = points_m.clone().next() else { return 0.0 };
     let next = points_m.clone().cycle().skip(1);
     points_m.zip(next).map(|(a, b)| (a[0] - x0) * (b[1] - y0) - (b[0] - x0) * (a[1] - y0)).sum()

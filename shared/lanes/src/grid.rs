@@ -1,4 +1,4 @@
-//! Which lanes are near a place.
+//! Finds the lanes near a position.
 
 use std::collections::BTreeMap;
 
@@ -7,7 +7,7 @@ use crate::Lane;
 /// Side of a cell.
 const CELL_M: f32 = 8.0;
 
-/// Lanes by the cells that their middle passes through.
+/// Lanes by the cells that their middle crosses.
 #[derive(Clone, Debug)]
 pub(crate) struct Grid {
     cells: BTreeMap<[i32; 2], Vec<u32>>,
@@ -34,7 +34,7 @@ impl Grid {
         for x in low[0]..=high[0] {
             for y in low[1]..=high[1] {
                 let lanes = self.cells.get(&[x, y]).into_iter().flatten();
-                // Within the room that was reserved: a tick allocates nothing.
+                // Stays within the reserved capacity, so that a tick does not allocate.
                 lanes.for_each(|&lane| {
                     if found.len() < found.capacity() {
                         found.push(lane);

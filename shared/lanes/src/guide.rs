@@ -1,4 +1,4 @@
-//! Forecasts along lanes: each path on the route that it is nearest to, at its own speed.
+//! Forecasts along lanes: each path follows its nearest route at the path's own speed.
 
 use std::sync::Arc;
 
@@ -11,39 +11,39 @@ use crate::{LaneMap, Routes};
 /// Positions of a forecast, step by step.
 pub type GuidedPath = [[f32; 2]; HORIZON_MAX];
 
-/// Time after which a path is wholly on its route; before it in proportion, since an agent's own motion tells
-/// more of the next second than its lane does.
+/// Time after which a path is entirely on its route. Before that the share grows linearly, because an agent's
+/// own motion predicts the next second better than its lane does.
 const WHOLLY_S: f32 = 5.0;
-/// A path whose mean distance to its route is this follows it by exp(−½).
+/// Mean distance between a path and its route at which the path follows the route with weight exp(−½).
 const OFF_ROAD_M: f32 = 6.0;
-/// How much nearer a mode is to one route than to another to vote for it by exp(−½).
+/// A mode's vote for a route falls to exp(−½) if the route is this much farther than the nearest one.
 const VOTE_M: f32 = 1.0;
-/// The same of the best forecast.
+/// The same for the best forecast.
 const BEST_M: f32 = 1.5;
-/// Routes go on so far beyond the longest forecast.
+/// Distance by which routes extend beyond the longest forecast.
 const BEYOND_M: f32 = 15.0;
 
-/// Takes the forecasts of one agent after another onto its lanes, with scratch memory allocated once.
+/// Moves the forecasts of one agent after another onto its lanes. The scratch memory is allocated once.
 #[derive(Clone, Debug)]
 pub struct LaneGuide {
     map: Arc<LaneMap>,
     routes: Routes,
     corridors: Vec<Corridor>,
     scratch: Scratch,
-    /// Share of the modes' probability that is nearest to each route.
+    /// Share of the modes' probability that votes for each route.
     votes: [f32; ROUTES_MAX],
 }
 
-/// An agent, as far as lanes need it.
+/// The properties of an agent that lanes need.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Guided {
-    /// Its type.
+    /// The type.
     pub agent_type: AgentType,
-    /// Its position in the world frame.
+    /// The position in the world frame.
     pub position_m: [f32; 2],
-    /// Its heading.
+    /// The heading.
     pub heading_rad: f32,
-    /// Length of a step.
+    /// The length of a step.
     pub step_s: f32,
 }
 
@@ -56,21 +56,24 @@ impl LaneGuide {
         Self { map, routes, corridors, scratch, votes: [0.0; ROUTES_MAX] }
     }
 
-    /// Moves the paths of an agent's modes and of its single best forecast onto its routes; false where it is
-    /// on no lane, and nothing was changed. Allocates nothing.
+    /// Moves the paths of an agent's modes and of its single best forecast onto its routes. Returns `false`
+    /// and changes nothing if the agent is on no lane. Does not allocate.
     ///
     /// ```text
     /// mode m      p' = p + s_k g(D_mr) (c_r(ℓ_k) − p)        r the nearest route, ℓ_k the length of p up to k
     /// best        p' = p + s_k g(D_r) (Σ w_r c_r(ℓ_k) − p)   w_r ∝ π_r exp(−½ D_r²/1.5²)
-    /// votes       π_r = Σ_m P_m exp(−½ (D_mr − D_m)²)        made to sum to 1 over r for each m
+    /// votes       π_r = Σ_m P_m exp(−½ (D_mr − D_m)²)        normalised to sum to 1 over r for each m
     /// ```
     ///
-    /// c_r is the line that the agent would drive along route r; D is the mean distance between a path and
-    /// the line at the same lengths, D_m that of the nearest route; g(D) = exp(−½ D²/6²); s_k = t_k / 5 s,
-    /// at most 1.
+    /// * c_r is the line that the agent would drive along route r.
+    /// * D is the mean distance between a path and a line at equal lengths. D_m is the distance of the
+    ///   nearest route.
+    /// * g(D) = exp(−½ D²/6²).
+    /// * s_k = t_k / 5 s, at most 1.
     ///
     /// # Panics
-    /// If there are more modes, or longer paths, than a payload holds, or not a probability for each.
+    /// If there are more modes or longer paths than a payload can hold, or if the numbers of modes and
+    /// probabilities differ.
     pub fn guide(
         &mut self,
         agent: &Guided,
@@ -128,7 +131,7 @@ impl LaneGuide {
         true
     }
 
-    /// The routes' lines at the lengths of a path, and the mean distance of each to the path.
+    /// The routes' lines at the lengths of a path, and the mean distance between each line and the path.
     fn lines(&self, start_m: [f32; 2], path: &[[f32; 2]]) -> ([GuidedPath; ROUTES_MAX], [f32; ROUTES_MAX]) {
         let lengths_m = lengths_m(start_m, path);
         let mut lines = [[[0.0; 2]; HORIZON_MAX]; ROUTES_MAX];
@@ -145,7 +148,7 @@ impl LaneGuide {
     }
 }
 
-/// How far a path follows a route at that distance.
+/// The weight with which a path follows a route at this distance.
 fn off_road(apart_m: f32) -> f32 {
     (-0.5 * (apart_m / OFF_ROAD_M).powi(2)).exp()
 }
@@ -156,7 +159,7 @@ fn follow(path: &mut [[f32; 2]], line: &GuidedPath, part: f32, shares: &[f32; HO
     }
 }
 
-/// The first of the least.
+/// The place of the smallest distance, the first among equals.
 fn nearest(apart_m: &[f32]) -> usize {
     let places = apart_m.iter().copied().enumerate();
     places.reduce(|least, other| if other.1 < least.1 { other } else { least }).map_or(0, |(place, _)| place)

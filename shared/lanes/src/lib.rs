@@ -1,21 +1,22 @@
-//! Lanes of a site from a Lanelet2 map, and where an agent may go along them.
+//! Lanes of a site from a Lanelet2 map, and the routes of an agent along them.
 //!
-//! **In:** OSM XML as Lanelet2 and Autoware write it. **Out:** a [`LaneMap`]: lanes with their middle, width,
-//! limit and users, which lane follows which, and which lies beside one; in metres in the world frame of the
-//! recordings.
+//! **In:** OSM XML as written by Lanelet2 and Autoware. **Out:** a [`LaneMap`] in metres in the world frame
+//! of the recordings. It contains lanes with their middle, width, speed limit and users, and their successors
+//! and neighbours.
 //!
-//! * A *lanelet* is a stretch of lane between a left and a right bound, both ways of nodes. Its direction is
-//!   that in which the left bound is on the left. Lanelets that are used both ways become two [`Lane`]s.
-//! * A lane *follows* another one where both its bounds begin at the nodes at which the other's end.
-//! * Two lanes lie *beside* each other where they share a bound; whether one may change over depends on the
-//!   kind of line, and on `lane_change` tags.
-//! * Of *regulatory elements* only speed limits count.
+//! * A *lanelet* is a stretch of lane between a left and a right bound. Both bounds are ways of nodes. The
+//!   direction of the lanelet has the left bound on its left. A lanelet that is used both ways becomes two
+//!   [`Lane`]s.
+//! * A lane *follows* another lane if both its bounds begin at the nodes at which the other's bounds end.
+//! * Two lanes are *beside* each other if they share a bound. The kind of line and `lane_change` tags
+//!   determine whether an agent may change between them.
+//! * The only *regulatory elements* that count are speed limits.
 //!
-//! Only content that lanes need is read. What can't be used is skipped and counted in [`Skipped`]; the map is
+//! Only content that lanes need is read. Unusable content is skipped and counted in [`Skipped`]. The map is
 //! refused if no lane remains, or if a node of a lane has no position.
 //!
 //! Positions are projected from latitude and longitude about an [`Origin`], or taken from the tags `local_x`
-//! and `local_y`, as Autoware's maps have them: see [`Coordinates`].
+//! and `local_y` that Autoware's maps have: see [`Coordinates`].
 
 use std::str::FromStr;
 
@@ -43,23 +44,23 @@ pub use projection::{FROM_MERIDIAN_MAX_DEG, Origin, Projector, UnknownOrigin};
 pub use routes::{ROUTE_POINTS_MAX, ROUTE_STEP_M, ROUTES_MAX, Route, Routes};
 pub use skipped::{Skipped, SkippedKind};
 
-/// Where the positions of nodes come from.
+/// The source of the nodes' positions.
 ///
 /// As text, an origin is `LATITUDE,LONGITUDE` in degrees, or `X,Ym` in metres.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Coordinates {
-    /// The map's own frame: the tags `local_x` and `local_y`; if no node of a lane has them, latitude and
-    /// longitude about 0, 0.
+    /// The map's own frame: the tags `local_x` and `local_y`. If no node of a lane has them, the frame is
+    /// latitude and longitude about 0, 0.
     #[default]
     Default,
-    /// Latitude and longitude about an origin; the tags do not count.
+    /// Latitude and longitude about an origin. The tags are ignored.
     About(Origin),
-    /// The map's own frame less an origin in metres. The own frame of a map without the tags is UTM, unless
-    /// it lies within reach of 0, 0.
+    /// The map's own frame minus an origin in metres. The own frame of a map without the tags is UTM, unless
+    /// the map is within reach of 0, 0.
     Less(WorldOrigin),
 }
 
-/// A text that is no origin of a map.
+/// A text that is not the origin of a map.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 #[error(
     "`{0}`: expected LATITUDE,LONGITUDE in degrees, within ±84 and ±180, or X,Y in metres as in 81000,50000m"

@@ -1,4 +1,4 @@
-//! Lanes: what a Lanelet2 map says of where agents go.
+//! Lanes: where agents go according to a Lanelet2 map.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
@@ -15,11 +15,11 @@ use crate::positions::Positions;
 use crate::skipped::{Skipped, SkippedKind};
 use crate::{Coordinates, Element, Kind, LaneMapError, tags};
 
-/// Most lanes: a lanelet that is used both ways counts twice.
+/// Most lanes. A lanelet that is used both ways counts twice.
 pub const LANES_MAX: usize = 200_000;
 /// Most points of all lanes together.
 pub const POINTS_MAX: usize = 8_000_000;
-/// Distance between the points of a lane, at most.
+/// Largest distance between the points of a lane.
 pub const SPACING_M: f64 = 1.0;
 
 /// The lanes of a site, in the world frame.
@@ -38,9 +38,9 @@ pub struct Lane {
     pub id: i64,
     /// Types of agents that use it.
     pub users: Users,
-    /// Speed limit; none where neither the map nor its kind of road has one.
+    /// Speed limit; `None` if neither the map nor the kind of road has one.
     pub limit_mps: Option<f32>,
-    /// Points along the middle, at most [`SPACING_M`] apart, two or more, all different.
+    /// At least two points along the middle, at most [`SPACING_M`] apart, all different.
     pub centre_m: Vec<[f32; 2]>,
     /// Half of the width at each point.
     pub half_width_m: Vec<f32>,
@@ -50,7 +50,7 @@ pub struct Lane {
     pub bounds_m: [Vec<[f32; 2]>; 2],
     /// Places in [`LaneMap::lanes`] of the lanes that begin where this one ends.
     pub successors: Vec<u32>,
-    /// Places of the lanes to the left and to the right that one may change to.
+    /// Places of the lanes to the left and right that an agent may change to.
     pub beside: [Option<u32>; 2],
 }
 
@@ -59,24 +59,24 @@ pub struct Lane {
 pub struct Area {
     /// Number of the multipolygon in the file.
     pub id: i64,
-    /// Whether nothing drives there: a traffic island, or grass.
+    /// Whether vehicles must not enter the area, such as a traffic island or grass.
     pub is_keepout: bool,
-    /// Its outer bound, closed.
+    /// The outer bound, closed.
     pub outline_m: Vec<[f32; 2]>,
 }
 
-/// Types of agents, a bit each.
+/// A set of agent types, one bit each.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Users(u8);
 
 impl Users {
-    /// These types.
+    /// The set of these types.
     #[must_use]
     pub fn of(types: &[AgentType]) -> Self {
         Self(types.iter().fold(0, |bits, &agent_type| bits | 1 << agent_type as u8))
     }
 
-    /// Whether a type is among them.
+    /// Whether the set contains a type.
     #[must_use]
     pub const fn contain(self, agent_type: AgentType) -> bool {
         self.0 & 1 << agent_type as u8 != 0
@@ -91,7 +91,7 @@ impl LaneMap {
     /// Reads a map from a file.
     ///
     /// # Errors
-    /// [`LaneMapError`] with the file, and the line, number and value of the element that can't be used.
+    /// [`LaneMapError`] with the file, and the line, number and value of the unusable element.
     pub fn open(path: &Path, coordinates: Coordinates) -> Result<Self, LaneMapError> {
         let io = |source| LaneMapError::Io { path: path.into(), source };
         let mut bytes = Vec::new();
@@ -100,10 +100,10 @@ impl LaneMap {
         Self::parse(&path.display().to_string(), &bytes, coordinates)
     }
 
-    /// Reads a map from bytes; `path` is for errors.
+    /// Reads a map from bytes. `path` appears in errors.
     ///
     /// # Errors
-    /// As [`LaneMap::open`].
+    /// Like [`LaneMap::open`].
     pub fn parse(path: &str, bytes: &[u8], coordinates: Coordinates) -> Result<Self, LaneMapError> {
         if bytes.len() as u64 > XML_BYTES_MAX {
             let (bytes, most) = (bytes.len() as u64, XML_BYTES_MAX);
@@ -136,25 +136,25 @@ impl LaneMap {
         &self.areas
     }
 
-    /// What of the map did not become lanes.
+    /// The content of the map that did not become lanes.
     #[must_use]
     pub const fn skipped(&self) -> &Skipped {
         &self.skipped
     }
 
-    /// Writes into `found` the places of lanes with a point of their middle within about `reach_m` of a
-    /// position, each once, in order.
+    /// Writes the places of lanes near a position into `found`, each once, in order. A lane is near if a
+    /// point of its middle is within about `reach_m`.
     pub(crate) fn near(&self, position_m: [f32; 2], reach_m: f32, found: &mut Vec<u32>) {
         self.grid.near(position_m, reach_m, found);
     }
 }
 
 impl Area {
-    /// Whether a position lies inside the outer bound.
+    /// Whether a position is inside the outer bound.
     #[must_use]
     pub fn contains(&self, [x, y]: [f32; 2]) -> bool {
         let next = self.outline_m.iter().cycle().skip(1);
-        // A ray to the right crosses the bound an odd number of times.
+        // A ray to the right crosses the bound an odd number of times if the position is inside.
         self.outline_m.iter().zip(next).fold(false, |inside, (a, b)| {
             let is_crossed =
                 (a[1] > y) != (b[1] > y) && x < a[0] + (y - a[1]) / (b[1] - a[1]) * (b[0] - a[0]);
@@ -171,7 +171,7 @@ impl Lane {
     }
 }
 
-/// A lane, and where its bounds begin and end.
+/// A lane, and the nodes at which its bounds begin and end.
 struct Begun {
     lane: Lane,
     /// Left and right node at the start.
@@ -180,17 +180,17 @@ struct Begun {
     end: [i64; 2],
     /// Way of each bound, and its first node in the direction of the lane.
     bounds: [(i64, i64); 2],
-    /// Whether one may cross the bound from here.
+    /// Whether an agent may cross the bound from this lane.
     may_cross: [bool; 2],
 }
 
-/// The lanes as they are read.
+/// The lanes during reading.
 struct Reading<'a, 'e> {
     elements: &'e Elements<'a>,
     positions: Positions<'a, 'e>,
     begun: Vec<Begun>,
     points_len: usize,
-    /// What lanes and areas need.
+    /// The elements that lanes and areas need.
     used: BTreeSet<Element>,
     skipped: Skipped,
 }
@@ -235,7 +235,7 @@ impl<'a> Reading<'a, '_> {
         Ok(LaneMap { lanes, areas, skipped: self.skipped, grid })
     }
 
-    /// A relation that is used, with its members.
+    /// A used relation, with its members.
     fn relation(&mut self, id: i64) -> Result<(Tags<'a>, Vec<Member<'a>>), String> {
         let element = Element { kind: Kind::Relation, id };
         let node: XmlNode<'a, 'a> = self.elements.needed(element)?;
@@ -243,7 +243,7 @@ impl<'a> Reading<'a, '_> {
         Ok((Tags(node), members(node)?))
     }
 
-    /// Adds a lanelet, in both directions if it is used so.
+    /// Adds a lanelet, in both directions if it is used both ways.
     fn lanelet(&mut self, id: i64) -> Result<(), String> {
         let (tags, members) = self.relation(id)?;
         let mut odd = Vec::new();
@@ -304,8 +304,8 @@ impl<'a> Reading<'a, '_> {
         }
     }
 
-    /// The limit of the lanelet's own tag or of one of its regulatory elements, else that of its kind of
-    /// road.
+    /// The speed limit from the lanelet's own tag or one of its regulatory elements, or else the usual limit
+    /// of its kind of road.
     fn limit_mps(&mut self, id: i64, tags: Tags<'a>, members: &[Member<'a>]) -> Option<f32> {
         let elements = self.elements;
         let odd = |key: &str, value: &str| format!("{key} = \"{}\" is not a speed", shortened(value));
@@ -359,7 +359,7 @@ impl<'a> Reading<'a, '_> {
     }
 }
 
-/// Finds for each lane those that follow it and those beside it.
+/// Finds the successors and the neighbours of each lane.
 fn joined(begun: Vec<Begun>) -> Vec<Lane> {
     let mut by_start: BTreeMap<[i64; 2], Vec<u32>> = BTreeMap::new();
     let mut by_bound: [BTreeMap<(i64, i64), u32>; 2] = Default::default();
@@ -378,7 +378,7 @@ fn joined(begun: Vec<Begun>) -> Vec<Lane> {
         begun.lane.successors =
             next.filter(|&next| next != place as u32 && shares_users(next, own)).collect();
         begun.lane.beside = [0, 1].map(|side| {
-            // The left bound of this lane is the right one of the lane to its left.
+            // The left bound of this lane is the right bound of the lane to its left.
             let there = by_bound[1 - side].get(&begun.bounds[side]).copied();
             there.filter(|&there| begun.may_cross[side] && shares_users(there, own))
         });

@@ -8,33 +8,33 @@ use roxmltree::{Document, Node as XmlNode, ParsingOptions};
 use crate::skipped::{Skipped, SkippedKind};
 use crate::{Element, Kind, LaneMapError};
 
-/// Size of the largest file that is read: in memory it takes several times as much.
+/// Size of the largest accepted file. In memory it takes several times as much.
 pub const XML_BYTES_MAX: u64 = 256 << 20;
 /// Most elements, texts and comments of a file.
 const XML_NODES_MAX: u32 = 16_000_000;
 /// Most nodes of a bound, and members of a lanelet.
 pub const MEMBERS_MAX: usize = 10_000;
 
-/// The tags of an element; of two with the same key the first counts.
+/// The tags of an element. If a key occurs twice, the first tag counts.
 #[derive(Clone, Copy)]
 pub(crate) struct Tags<'a>(pub(crate) XmlNode<'a, 'a>);
 
-/// An element's part in a relation.
+/// A member of a relation.
 pub(crate) struct Member<'a> {
     pub(crate) element: Element,
     pub(crate) role: &'a str,
 }
 
-/// The elements of a file by number, without those that the file marks as deleted.
+/// The elements of a file by number, without elements that the file marks as deleted.
 ///
-/// Elements stay XML until a lane needs them: a map has much that lanes do not need, and its faults do not
-/// matter.
+/// Elements stay XML until a lane needs them. A map has much content that lanes do not need, and faults in
+/// that content do not matter.
 pub(crate) struct Elements<'a> {
     pub(crate) source: Source<'a>,
     pub(crate) nodes: BTreeMap<i64, XmlNode<'a, 'a>>,
     pub(crate) ways: BTreeMap<i64, XmlNode<'a, 'a>>,
     pub(crate) relations: BTreeMap<i64, XmlNode<'a, 'a>>,
-    /// Numbers that stand twice; the first element counts if no lane needs them.
+    /// Numbers that occur twice. If no lane needs them, the first element counts.
     twice: BTreeSet<Element>,
 }
 
@@ -63,7 +63,7 @@ impl<'a> Tags<'a> {
         self.iter().find(|(own, _)| *own == key).map(|(_, value)| value)
     }
 
-    /// Whether a tag says yes; none where it is not there.
+    /// Whether a tag has the value `yes`; `None` if there is no such tag.
     pub(crate) fn yes(self, key: &str) -> Result<Option<bool>, String> {
         match self.get(key) {
             None => Ok(None),
@@ -99,8 +99,8 @@ pub(crate) fn parse<'a>(path: &str, text: &'a str) -> Result<Document<'a>, LaneM
 }
 
 impl<'a> Elements<'a> {
-    /// The elements of a document. Those without a number are counted in `skipped`: nothing can refer to
-    /// them.
+    /// The elements of a document. Elements without a number are counted in `skipped`, because nothing can
+    /// refer to them.
     pub(crate) fn of(path: &'a str, document: &'a Document<'a>, skipped: &mut Skipped) -> Self {
         let source = Source { path, document };
         let (nodes, ways, relations) = (BTreeMap::new(), BTreeMap::new(), BTreeMap::new());
@@ -136,7 +136,7 @@ impl<'a> Elements<'a> {
     /// An element that a lane needs.
     ///
     /// # Errors
-    /// The problem, if the element is missing or its number stands twice.
+    /// The problem, if the element is missing or its number occurs twice.
     pub(crate) fn needed(&self, element: Element) -> Result<XmlNode<'a, 'a>, String> {
         let of_kind = match element.kind {
             Kind::Node => &self.nodes,
@@ -194,7 +194,7 @@ impl Line {
 }
 
 impl<'a> Member<'a> {
-    /// The member; `None` if it is of a kind that OSM does not have, or names no element.
+    /// The member; `None` if OSM does not have its kind, or if it does not name an element.
     fn of(node: XmlNode<'a, 'a>) -> Option<Self> {
         let kind = Kind::ALL.into_iter().find(|kind| node.attribute("type") == Some(kind.name()))?;
         let element = Element { kind, id: number(node, "ref").ok()? };
@@ -228,7 +228,7 @@ pub(crate) fn real(name: &str, value: &str) -> Result<f64, String> {
     number.ok_or_else(|| format!("{name} = \"{}\": expected a number", shortened(value)))
 }
 
-/// A value that fits an error.
+/// Shortens a value for an error.
 pub(crate) fn shortened(value: &str) -> String {
     const CHARACTERS_MAX: usize = 40;
     match value.char_indices().nth(CHARACTERS_MAX) {

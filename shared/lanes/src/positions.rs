@@ -1,8 +1,8 @@
-//! Where the nodes of lanes lie in the world frame.
+//! The positions of lane nodes in the world frame.
 //!
-//! A map has one *own frame*: the tags `local_x` and `local_y`, if a node of a lane has them, else metres
-//! that are projected from latitude and longitude. The [`Coordinates`] tell which origin is subtracted from
-//! it, in `f64`.
+//! A map has one *own frame*. It is the tags `local_x` and `local_y` if any node of a lane has them, and
+//! otherwise metres projected from latitude and longitude. [`Coordinates`] selects the origin that is
+//! subtracted from it, in `f64`.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -13,7 +13,7 @@ use crate::osm::{Elements, Line, Tags, members, nodes_of, real};
 use crate::projection::Projector;
 use crate::{Coordinates, Element, Kind, LaneMapError, Origin};
 
-/// Tags of a node with its position in the map's own frame.
+/// Tags of a node that contain its position in the map's own frame.
 const LOCAL: [&str; 2] = ["local_x", "local_y"];
 
 /// The positions of the nodes that lanes need.
@@ -21,11 +21,11 @@ pub(crate) struct Positions<'a, 'e> {
     elements: &'e Elements<'a>,
     frame: Frame,
     points_m: BTreeMap<i64, [f64; 2]>,
-    /// How to bring the lanes within reach; empty if they are.
+    /// A hint that brings the lanes within reach; empty if they are within reach.
     remedy: String,
 }
 
-/// The map's own frame, less an origin.
+/// The map's own frame minus an origin.
 struct Frame {
     /// The projection; `None` if the local tags count.
     projector: Option<Projector>,
@@ -36,8 +36,8 @@ impl<'a, 'e> Positions<'a, 'e> {
     /// The positions of all nodes of lanes.
     ///
     /// # Errors
-    /// [`LaneMapError::Element`] with the first node that has no position: what else has one is in doubt
-    /// then.
+    /// [`LaneMapError::Element`] with the first node that has no position. The other positions are then
+    /// doubtful.
     pub(crate) fn of(elements: &'e Elements<'a>, coordinates: Coordinates) -> Result<Self, LaneMapError> {
         let needed = nodes_of_lanes(elements);
         let has_local = |node: &XmlNode<'a, 'a>| LOCAL.iter().any(|name| Tags(*node).get(name).is_some());
@@ -62,8 +62,8 @@ impl<'a, 'e> Positions<'a, 'e> {
         Ok(Self { elements, frame, points_m, remedy })
     }
 
-    /// The positions of a way's nodes, without repeated ones, and its first and last node. All elements of
-    /// the way are added to `used`.
+    /// The positions of a way's nodes without repetitions, with its first and last node. Adds all elements of
+    /// the way to `used`.
     ///
     /// # Errors
     /// The problem, if the way or one of its nodes is missing or out of reach, or fewer than two differ.
@@ -126,7 +126,7 @@ impl Frame {
         Ok([0, 1].map(|axis| own_m[axis] - self.origin_m[axis]))
     }
 
-    /// The coordinates of a node as the map has them.
+    /// The coordinates of a node as written in the map.
     fn own(&self, node: XmlNode<'_, '_>) -> String {
         match &self.projector {
             None => local_m(node).map(|[x, y]| format!("{x}, {y}")).unwrap_or_default(),
@@ -134,7 +134,7 @@ impl Frame {
         }
     }
 
-    /// The option that brings most nodes within reach; empty if they are.
+    /// A hint with the option that brings most nodes within reach; empty if they are within reach.
     fn remedy(&self, needed: &BTreeMap<i64, XmlNode<'_, '_>>, points_m: &BTreeMap<i64, [f64; 2]>) -> String {
         let middle_m = medians(points_m.values().copied());
         if middle_m.is_none_or(is_in_reach) {
@@ -157,8 +157,8 @@ impl Frame {
     }
 }
 
-/// The projection of a map without local tags if its origin is in metres: about 0,0 if the map is there, as
-/// those of INTERACTION are, else UTM.
+/// The projection of a map without local tags if the origin is in metres. It is about 0, 0 if the map is near
+/// there (like the maps of INTERACTION), and otherwise UTM.
 fn own_projector(needed: &BTreeMap<i64, XmlNode<'_, '_>>) -> Projector {
     let about_zero = Projector::new(Origin::default());
     let Some([latitude, longitude]) = medians(needed.values().filter_map(|node| degrees(*node).ok())) else {
@@ -169,7 +169,7 @@ fn own_projector(needed: &BTreeMap<i64, XmlNode<'_, '_>>) -> Projector {
     middle.map_or(about_zero, Projector::utm)
 }
 
-/// The nodes of the bounds and middles of all lanelets, without those that are missing.
+/// The existing nodes of the bounds and middles of all lanelets.
 fn nodes_of_lanes<'a>(elements: &Elements<'a>) -> BTreeMap<i64, XmlNode<'a, 'a>> {
     let mut needed = BTreeMap::new();
     let lanelets = elements.relations.values().filter(|node| Tags(**node).get("type") == Some("lanelet"));

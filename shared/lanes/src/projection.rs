@@ -1,4 +1,4 @@
-//! From latitude and longitude to metres.
+//! Projection from latitude and longitude to metres.
 
 use std::str::FromStr;
 
@@ -21,11 +21,11 @@ pub const FROM_MERIDIAN_MAX_DEG: f64 = 30.0;
 /// Largest latitude of UTM, degrees.
 const LATITUDE_MAX_DEG: f64 = 84.0;
 
-/// The origin of a map's world frame on the ellipsoid WGS84: x points east, y north, in metres of the UTM
-/// zone that the origin lies in, less the origin's own coordinates.
+/// The origin of a map's world frame on the ellipsoid WGS84. In this frame x points east and y north.
+/// Coordinates are metres in the UTM zone of the origin, minus the origin's own coordinates.
 ///
 /// This is the projection of Lanelet2's `UtmProjector`. The maps of INTERACTION are drawn about latitude 0,
-/// longitude 0, the default.
+/// longitude 0, which is the default.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Origin {
     /// Latitude, degrees.
@@ -34,7 +34,7 @@ pub struct Origin {
     longitude_deg: f64,
 }
 
-/// A text or a place that is no origin.
+/// A text or a place that is not an origin.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 #[error("`{0}`: expected LATITUDE,LONGITUDE in degrees, within ±84 and ±180")]
 pub struct UnknownOrigin(String);
@@ -47,7 +47,7 @@ pub struct Projector {
 }
 
 impl Origin {
-    /// The origin at a latitude and a longitude; none beyond UTM.
+    /// The origin at a latitude and a longitude; `None` outside UTM.
     #[must_use]
     pub fn new(latitude_deg: f64, longitude_deg: f64) -> Option<Self> {
         let is_on_earth = latitude_deg.abs() <= LATITUDE_MAX_DEG && longitude_deg.abs() <= 180.0;
@@ -83,15 +83,15 @@ impl Projector {
         Self { meridian_deg, origin_m }
     }
 
-    /// The projection of the UTM zone of a place: the central meridian is at 500 km east, and the equator is
-    /// at 10,000 km north for places south of it.
+    /// The projection of the UTM zone of a place. The central meridian is at 500 km east. For places in the
+    /// south, the equator is at 10,000 km north.
     #[must_use]
     pub fn utm(place: Origin) -> Self {
         let south_m = if place.latitude_deg < 0.0 { SOUTH_M } else { 0.0 };
         Self { origin_m: [-EAST_M, -south_m], ..Self::new(place) }
     }
 
-    /// East and north of the origin, m; none where a point is too far from the zone.
+    /// Metres east and north of the origin; `None` if the point is too far from the zone.
     #[must_use]
     pub fn project(&self, latitude_deg: f64, longitude_deg: f64) -> Option<[f64; 2]> {
         let east_deg = (longitude_deg - self.meridian_deg + 180.0).rem_euclid(360.0) - 180.0;
@@ -103,8 +103,10 @@ impl Projector {
     }
 }
 
-/// East of the central meridian and north of the equator, m, by the series of Krüger (1912) to the third
-/// power of the flattening's third, n: exact to less than a millimetre within 30° of the meridian.
+/// East of the central meridian and north of the equator, m.
+///
+/// The series is that of Krüger (1912), up to the third power of the third flattening n. Its error is less
+/// than a millimetre within 30° of the meridian.
 fn transverse_mercator(latitude_deg: f64, east_deg: f64) -> [f64; 2] {
     let n = FLATTENING / (2.0 - FLATTENING);
     let (n2, n3) = (n * n, n * n * n);
@@ -112,7 +114,7 @@ fn transverse_mercator(latitude_deg: f64, east_deg: f64) -> [f64; 2] {
     let alpha =
         [n / 2.0 - 2.0 / 3.0 * n2 + 5.0 / 16.0 * n3, 13.0 / 48.0 * n2 - 3.0 / 5.0 * n3, 61.0 / 240.0 * n3];
     let (phi, lambda) = (latitude_deg.to_radians(), east_deg.to_radians());
-    // The sine of the conformal latitude's hyperbolic counterpart.
+    // The hyperbolic counterpart of the conformal latitude's sine.
     let e = 2.0 * n.sqrt() / (1.0 + n);
     let t = (phi.sin().atanh() - e * (e * phi.sin()).atanh()).sinh();
     let xi = t.atan2(lambda.cos());
@@ -130,7 +132,8 @@ fn transverse_mercator(latitude_deg: f64, east_deg: f64) -> [f64; 2] {
 mod tests {
     use super::*;
 
-    /// Published: the CN Tower, Toronto, is at 17T 630084 4833438; UTM counts 500 km east of the meridian.
+    /// Published position of the CN Tower, Toronto: 17T 630084 4833438. UTM counts 500 km east of the
+    /// meridian.
     #[test]
     fn a_known_place_has_its_published_coordinates() {
         let tower = Origin::new(43.642_567, -79.387_139).expect("a place");
@@ -140,7 +143,7 @@ mod tests {
         assert!((y - 4_833_438.0).abs() < 1.0, "{y}");
     }
 
-    /// Published: the opera house of Sydney is at 56H 334900 6252300 to 100 m.
+    /// Published position of the opera house of Sydney: 56H 334900 6252300, to 100 m.
     #[test]
     fn northings_in_the_south_count_from_ten_thousand_kilometres() {
         let opera = Origin::new(-33.856_8, 151.215_3).expect("a place");

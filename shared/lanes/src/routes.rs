@@ -1,4 +1,4 @@
-//! Where an agent may go: routes along the lanes that it can reach.
+//! Routes of an agent along the lanes that it can reach.
 
 use wire::AgentType;
 
@@ -8,35 +8,35 @@ use crate::{Lane, LaneMap};
 pub const ROUTES_MAX: usize = 16;
 /// Most points of a route.
 pub const ROUTE_POINTS_MAX: usize = 200;
-/// Distance between the points of a route along it.
+/// Distance between the points along a route.
 pub const ROUTE_STEP_M: f32 = 1.0;
-/// Most lanes that an agent is matched with.
+/// Most lanes that match one agent.
 const STARTS_MAX: usize = 12;
 /// Most lanes of a route.
 const ROUTE_LANES_MAX: usize = 48;
-/// Lanes in the cells around an agent that are looked at.
+/// Most lanes examined in the cells around an agent.
 const NEAR_MAX: usize = 256;
-/// Reach of that search.
+/// Reach of this search.
 const NEAR_M: f32 = 6.0;
-/// An agent is on a lane up to so far beyond its bounds.
+/// Distance beyond the bounds of a lane up to which an agent is still on the lane.
 const BESIDE_M: f32 = 1.0;
 /// Largest angle between an agent's heading and its lane.
 const ANGLE_MAX_RAD: f32 = 1.0;
-/// Routes that are nowhere farther apart are one.
+/// Routes that are never farther apart than this count as one.
 const SAME_M: f32 = 1.0;
 
-/// A way along lanes, from the place beside the agent on.
+/// A path along lanes that starts beside the agent.
 #[derive(Clone, Debug, Default)]
 pub struct Route {
-    /// Points [`ROUTE_STEP_M`] apart, straight on where the map ends.
+    /// Points [`ROUTE_STEP_M`] apart. The route is straight beyond the end of the map.
     pub points_m: Vec<[f32; 2]>,
     /// Half of the width at each point.
     pub half_width_m: Vec<f32>,
-    /// Distance of the agent to the left of the first point.
+    /// Offset of the agent to the left of the first point.
     pub offset_m: f32,
-    /// Direction of the agent to the left of the route's.
+    /// Heading of the agent relative to the route, positive to the left.
     pub turn_rad: f32,
-    /// Lanes that the route passes through, by their places.
+    /// Places of the lanes that the route passes through.
     pub lanes: Vec<u32>,
 }
 
@@ -81,13 +81,13 @@ impl Default for Routes {
 }
 
 impl Routes {
-    /// The routes that were found last, the best matching lanes first.
+    /// The most recently found routes, best matching lanes first.
     #[must_use]
     pub fn as_slice(&self) -> &[Route] {
         &self.routes[..self.len]
     }
 
-    /// Finds the routes of an agent over `reach_m`, at most [`ROUTES_MAX`]; allocates nothing.
+    /// Finds up to [`ROUTES_MAX`] routes of an agent over `reach_m`. Does not allocate.
     pub fn find(
         &mut self,
         map: &LaneMap,
@@ -105,7 +105,7 @@ impl Routes {
         }
     }
 
-    /// The lanes that the agent is on, and those it may change to, the best first.
+    /// Finds the lanes that the agent is on and the lanes that it may change to, best first.
     fn match_lanes(&mut self, map: &LaneMap, agent_type: AgentType, position_m: [f32; 2], heading_rad: f32) {
         let Self { near, starts, .. } = self;
         starts.clear();
@@ -135,7 +135,7 @@ impl Routes {
         self.stack.clear();
         self.stack.push((start.lane, 0));
         self.lanes.clear();
-        // Depth first; `lanes` is the branch that is being followed.
+        // Depth first. `lanes` is the current branch.
         while let Some((lane, depth)) = self.stack.pop() {
             if self.len == ROUTES_MAX {
                 return;
@@ -153,7 +153,7 @@ impl Routes {
         }
     }
 
-    /// Adds the route through `lanes`, unless there is one like it.
+    /// Adds the route through `lanes`, unless a similar one exists.
     fn add(&mut self, lanes: &[Lane], start: Start, points_len: usize) {
         let (routes, route) = self.routes.split_at_mut(self.len);
         let route = &mut route[0];
@@ -178,7 +178,7 @@ impl Route {
         let Self { points_m, half_width_m, lanes: through, .. } = self;
         points_m.clear();
         half_width_m.clear();
-        // `passed_m`: length of the lanes before this one.
+        // `passed_m` is the total length of the previous lanes.
         let (mut passed_m, mut direction, mut half_m) = (-from_m, [1.0, 0.0], 0.0);
         for &lane in &*through {
             let lane = &lanes[lane as usize];
@@ -210,7 +210,7 @@ impl Route {
 }
 
 impl Start {
-    /// The agent on a lane; none where it is not.
+    /// Places the agent on a lane; `None` if the agent is not on it.
     fn on(
         lanes: &[Lane],
         place: u32,
@@ -227,7 +227,7 @@ impl Start {
         is_on.then_some(start)
     }
 
-    /// The agent beside a lane.
+    /// Places the agent beside a lane.
     fn beside(
         lanes: &[Lane],
         place: u32,
@@ -239,7 +239,8 @@ impl Start {
         lanes[place as usize].users.contain(agent_type).then_some(start)
     }
 
-    /// The nearest point of a lane's middle, the half width there, and whether the agent is beyond its ends.
+    /// The nearest point of a lane's middle, the half width there, and whether the agent is beyond the lane's
+    /// ends.
     fn measure(
         lanes: &[Lane],
         place: u32,

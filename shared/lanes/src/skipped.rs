@@ -1,30 +1,30 @@
-//! What of a map did not become lanes.
+//! The content of a map that did not become lanes.
 
 use std::collections::BTreeMap;
 
 use crate::LaneMapError;
 
-/// Content of a map that was skipped: lanes do not need it, or can do without it.
+/// The skipped content of a map: lanes do not need it or can do without it.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Skipped {
     /// Nodes, ways and relations that lanes do not need.
     pub(crate) unneeded: [usize; 3],
-    /// Count of each kind of fault, and the first.
+    /// The count of each kind of fault, and the first fault.
     faults: BTreeMap<SkippedKind, (usize, String)>,
 }
 
-/// A kind of fault in a map that is skipped.
+/// A kind of skipped fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum SkippedKind {
-    /// A lanelet that can't be used.
+    /// A lanelet that cannot be used.
     Lanelet,
-    /// An area that can't be used.
+    /// An area that cannot be used.
     Area,
-    /// A speed limit that is not a speed: that of the kind of road counts.
+    /// A speed limit that is not a speed. The usual limit of the kind of road applies.
     Limit,
-    /// A reference to a regulatory element that the map lacks.
+    /// A reference to a regulatory element that is not in the map.
     Rule,
-    /// Another tag with an unusual value: the usual one counts.
+    /// Another tag with an unusual value. The usual value applies.
     Tag,
     /// An element without a number.
     Element,
@@ -56,7 +56,7 @@ impl Skipped {
         self.faults.get(&kind).map_or(0, |(count, _)| *count)
     }
 
-    /// A sentence for each kind of fault, with the first one.
+    /// One sentence per kind of fault, with the first fault.
     pub fn warnings(&self) -> impl Iterator<Item = String> {
         self.faults
             .iter()

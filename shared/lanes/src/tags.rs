@@ -1,19 +1,19 @@
-//! What the tags of Lanelet2 mean: <https://github.com/fzi-forschungszentrum-informatik/Lanelet2>, tagging.
+//! The meaning of Lanelet2 tags: <https://github.com/fzi-forschungszentrum-informatik/Lanelet2>, tagging.
 
 use wire::AgentType;
 
 use crate::Users;
 use crate::osm::Tags;
 
-/// Fastest limit that a map may set.
+/// Highest speed limit that a map may set.
 const LIMIT_MAX_MPS: f32 = 70.0;
 /// The limit `walk` of OSM.
 const WALK_MPS: f32 = 7.0 / KMH_PER_MPS;
 const KMH_PER_MPS: f32 = 3.6;
 const MPS_PER_MPH: f32 = 0.447_04;
 
-/// The agents that use a lanelet: those that its `participant` tags name, else the usual ones of its subtype.
-/// Unusual values are added to `odd`.
+/// The agents that use a lanelet. The `participant` tags name them; without these tags they are the usual
+/// agents of the subtype. Unusual values are added to `odd`.
 pub(crate) fn users(tags: Tags<'_>, odd: &mut Vec<String>) -> Users {
     use AgentType::{Cyclist, Pedestrian, Vehicle};
     let mut named = false;
@@ -26,7 +26,7 @@ pub(crate) fn users(tags: Tags<'_>, odd: &mut Vec<String>) -> Users {
             "pedestrian" => &[Pedestrian],
             _ => continue,
         };
-        // `no` takes nobody away who was not named.
+        // `no` removes only the named participant.
         match tags.yes(key) {
             Ok(yes) => {
                 named = true;
@@ -47,8 +47,8 @@ pub(crate) fn users(tags: Tags<'_>, odd: &mut Vec<String>) -> Users {
     Users::of(if named { &types } else { usual })
 }
 
-/// Whether a lanelet is used in its own direction alone: roads are unless a tag says otherwise, ways of
-/// pedestrians are not. An unusual value is added to `odd`.
+/// Whether a lanelet is used only in its own direction. The default is `true` for roads and `false` for ways
+/// of pedestrians. An unusual value is added to `odd`.
 pub(crate) fn is_one_way(tags: Tags<'_>, odd: &mut Vec<String>) -> bool {
     let of_subtype = !matches!(
         tags.get("subtype"),
@@ -61,11 +61,12 @@ pub(crate) fn is_one_way(tags: Tags<'_>, odd: &mut Vec<String>) -> bool {
     own.unwrap_or(of_subtype)
 }
 
-/// Whether a vehicle may cross a bound: `side` is 0 where it is on the vehicle's left, 1 on its right;
-/// `is_along` where the line runs in the vehicle's direction.
+/// Whether a vehicle may cross a bound. `side` is 0 if the bound is on the vehicle's left and 1 on its right.
+/// `is_along` is set if the line runs in the vehicle's direction.
 pub(crate) fn may_cross(tags: Tags<'_>, side: usize, is_along: bool) -> bool {
     let said = |key: &str| tags.yes(key).ok().flatten();
-    // Crossing a line on the left goes from its right to its left, if it runs along.
+    // A vehicle that crosses a line on its left moves from the line's right to its left, if the line runs
+    // along.
     let goes_left = (side == 0) == is_along;
     let of_direction = said(if goes_left { "lane_change:left" } else { "lane_change:right" });
     if let Some(allowed) = of_direction.or_else(|| said("lane_change")) {
@@ -73,14 +74,15 @@ pub(crate) fn may_cross(tags: Tags<'_>, side: usize, is_along: bool) -> bool {
     }
     match (tags.get("type"), tags.get("subtype")) {
         (Some("line_thin" | "line_thick"), Some("dashed")) => true,
-        // The half that is nearer to the vehicle counts: left, then right in the line's direction.
+        // The half nearer to the vehicle counts. The subtype names the left half first, in the line's
+        // direction.
         (Some("line_thin" | "line_thick"), Some("dashed_solid")) => !goes_left,
         (Some("line_thin" | "line_thick"), Some("solid_dashed")) => goes_left,
         _ => false,
     }
 }
 
-/// The limit where nothing else is said: 50 km/h in towns, 100 km/h elsewhere; none for other kinds.
+/// The limit if no tag sets one: 50 km/h in towns and 100 km/h elsewhere; `None` for ways of pedestrians.
 pub(crate) fn usual_limit_mps(tags: Tags<'_>) -> Option<f32> {
     match (tags.get("subtype"), tags.get("location")) {
         (Some("crosswalk" | "walkway" | "shared_walkway" | "stairs" | "pedestrian_lane"), _) => None,
@@ -89,7 +91,8 @@ pub(crate) fn usual_limit_mps(tags: Tags<'_>) -> Option<f32> {
     }
 }
 
-/// A speed as maps write it: `50`, `50 km/h`, `30kmh`, `25mph`, `13.9 m/s`, `walk`; without unit km/h.
+/// Parses a speed as maps write it: `50`, `50 km/h`, `30kmh`, `25mph`, `13.9 m/s`, `walk`. The default unit
+/// is km/h.
 pub(crate) fn speed_mps(text: &str) -> Option<f32> {
     let text = text.trim();
     if text == "walk" {

@@ -6,10 +6,10 @@ use lanes::{Coordinates, Guided, GuidedPath, LaneGuide, LaneMap, ROUTES_MAX, Rou
 use proptest::prelude::*;
 use wire::{AgentType, HORIZON_MAX};
 
-/// The point of a line at a length, so far to the left.
+/// The point of a line at a length, with an offset to the left.
 type Line = Box<dyn Fn(f64, f64) -> [f64; 2]>;
 
-/// A road to the east that forks at x = 40 into one straight on and one that bends to the left, 4 m wide.
+/// A road to the east, 4 m wide. At x = 40 it forks into a straight branch and a branch that bends left.
 fn fork() -> LaneMap {
     let mut text = "<osm>".to_owned();
     let mut ways = String::new();
@@ -23,7 +23,7 @@ fn fork() -> LaneMap {
         (2, Box::new(|s, side| [40.0 + s, side]), 60.0),
         (3, Box::new(bent), 31.4),
     ];
-    // Lanelets that follow one another share the nodes at their ends.
+    // Consecutive lanelets share the nodes at their ends.
     let start = |lane: i64, side: usize| if lane == 1 { 100 + side as i64 } else { 200 + side as i64 };
     let mut nodes = std::collections::BTreeMap::new();
     for (lane, at, length_m) in &lines {
@@ -55,7 +55,7 @@ fn fork() -> LaneMap {
     LaneMap::parse("fork.osm", text.as_bytes(), Coordinates::Default).expect("a good map")
 }
 
-/// A path at a speed that turns evenly.
+/// A path at a constant speed and turn rate.
 fn path(start_m: [f32; 2], speed_mps: f32, turn_radps: f32) -> GuidedPath {
     let (mut position, mut heading) = (start_m, 0.0_f32);
     std::array::from_fn(|_| {

@@ -1,9 +1,9 @@
-//! What is read of Lanelet2 maps, and which maps are refused.
+//! The content that is read from Lanelet2 maps, and the maps that are refused.
 
 use lanes::{Coordinates, LaneMap, LaneMapError, Origin, SkippedKind};
 use wire::AgentType;
 
-/// Two lanes side by side, one that follows the first, a crosswalk, and an island; in local coordinates.
+/// Two lanes side by side, a successor of the first, a crosswalk and an island, in local coordinates.
 ///
 /// ```text
 ///   3 ── 13 ── 23      y = 6       way 30: solid
@@ -38,7 +38,7 @@ fn site() -> String {
         (20, &[2, 12], "dashed"),
         (30, &[3, 13], "solid"),
         (11, &[11, 21], "solid"),
-        // Against the lane, which the reader turns round.
+        // Against the lane; the reader reverses these.
         (21, &[22, 12], "solid"),
         (41, &[31, 32], "solid"),
         (42, &[33, 34], "solid"),
@@ -108,7 +108,7 @@ fn lanes_follow_and_lie_beside_one_another() {
 fn latitude_and_longitude_count_about_an_origin() {
     let text = site().replace("lat='' lon=''", "lat='49.0001' lon='8.4'");
     let origin = Coordinates::About(Origin::new(49.0, 8.4).expect("an origin"));
-    // All nodes at one place: no lane has an area, and the first is named.
+    // All nodes are at one place: no lane has an area, and the error names the first one.
     let error = LaneMap::parse("site.osm", text.as_bytes(), origin).expect_err("no area").to_string();
     assert!(error.contains("relation 100: role `left`: way 20: 1 different nodes"), "{error}");
 }
@@ -127,7 +127,7 @@ fn maps_without_a_usable_lane_are_refused() {
     }
 }
 
-/// Edits of the site, the kind of what is skipped then, the first of it, and the lanelets that remain.
+/// Edits of the site, the kind of content skipped as a result, the first fault, and the remaining lanelets.
 const SKIPPED: [(&str, &str, SkippedKind, &str, &[i64]); 13] = [
     (
         "<nd ref='12'/><tag",
@@ -231,7 +231,7 @@ fn what_cannot_be_used_is_skipped_counted_and_named() {
     }
 }
 
-/// The site with a node that no lane needs.
+/// The site with an additional node that no lane needs.
 fn with_node_23() -> String {
     site().replace("<way id='10'>", "<node id='23' lat='1' lon='1'/>\n<way id='10'>")
 }
@@ -287,7 +287,7 @@ fn nodes_of_lanes_without_a_position_are_refused() {
     );
 }
 
-/// The site with other coordinates of all nodes: those of `place` by the local ones.
+/// The site with different coordinates of all nodes: `place` maps the local coordinates.
 fn moved(place: impl Fn(f64, f64) -> String) -> String {
     let text = site();
     let mut lines = text.lines().map(|line| {
@@ -303,7 +303,7 @@ fn moved(place: impl Fn(f64, f64) -> String) -> String {
     lines.by_ref().collect::<Vec<_>>().join("\n")
 }
 
-/// The site with local tags, its corner at a place of the map's own frame.
+/// The site with local tags and its corner at a given position of the map's own frame.
 fn local_at([x0, y0]: [f64; 2]) -> String {
     moved(|x, y| format!("><tag k='local_x' v='{}'/><tag k='local_y' v='{}'/></node>", x0 + x, y0 + y))
 }
@@ -327,7 +327,7 @@ fn an_origin_in_metres_is_subtracted_before_rounding() {
             assert_eq!(lane.centre_m, expected.centre_m);
             assert_eq!(lane.successors, expected.successors);
         }
-        // A difference of 1/8 mm to the origin is kept, which f32 would lose at these coordinates.
+        // A difference of 1/8 mm from the origin is kept. f32 would lose it at these coordinates.
         let near = [corner[0] - 0.000_125, corner[1]];
         let map = read_with(&local_at(corner), &format!("{},{}m", near[0], near[1])).expect("the site");
         let shift_m = map.lanes()[0].bounds_m[1][0][0];
@@ -377,7 +377,7 @@ fn a_map_in_degrees_less_metres_is_in_utm() {
     let map = read_with(&text, "630084,4833438m").expect("the site");
     let [x, y] = map.lanes()[0].bounds_m[1][0];
     assert!(x.abs() < 1.0 && y.abs() < 1.0, "{x} {y}");
-    // A map about 0, 0 stays there.
+    // A map near 0, 0 stays there.
     let text =
         moved(|x, y| format!("lat='{}' lon='{}'/>", (y + 1000.0) / 110_600.0, (x + 1000.0) / 111_300.0));
     let [plain, less] = [read(&text), read_with(&text, "1000,1000m")].map(|map| map.expect("the site"));

@@ -4,7 +4,7 @@ use lanes::{Coordinates, LaneMap, Routes};
 use testing::public_recording;
 use wire::AgentType;
 
-/// Sites, held-out ones first.
+/// The sites, held-out ones first.
 const SITES: [&str; 5] = [
     "DR_USA_Roundabout_FT",
     "DR_USA_Intersection_EP1",
