@@ -1,4 +1,4 @@
-//! What some samples say together.
+//! Statistics over a set of samples.
 
 use std::collections::BTreeMap;
 
@@ -13,12 +13,12 @@ const BANDS_MPS: [f32; 4] = [3.0, 8.0, 15.0, 25.0];
 pub(crate) const BAND_NAMES: [&str; 5] = ["0-3", "3-8", "8-15", "15-25", "> 25"];
 const SEED: u64 = 1;
 
-/// The number of a sample's speed band.
+/// The index of a sample's speed band.
 pub(crate) fn band_of(sample: &Sample) -> usize {
     BANDS_MPS.iter().filter(|&&bound| sample.speed_mps >= bound).count()
 }
 
-/// Some samples.
+/// A set of samples that are evaluated together.
 pub(crate) struct Cell<'a> {
     pub(crate) samples: &'a [&'a Sample],
 }
@@ -48,18 +48,18 @@ impl Cell<'_> {
         self.share(|sample| sample.is_held(level, step))
     }
 
-    /// The share of the truths that regions of a level held at a step, with its interval.
+    /// Share of truths inside the region of this level at a step, with its interval.
     pub(crate) fn held_with_interval(&self, level: f64, step: usize) -> Option<Interval> {
         self.ratio(|sample| [f64::from(u8::from(sample.is_held(level, step))), 1.0])
     }
 
-    /// The mean error of a method over that of another, of ADE and FDE.
+    /// Ratio of the mean errors of two methods, for ADE and for FDE.
     pub(crate) fn ratios(&self, ours: Method, theirs: Method) -> [Option<Interval>; 2] {
         [|errors: &Errors| errors.ade_m, |errors: &Errors| errors.fde_m]
             .map(|of| self.ratio(|sample| [ours, theirs].map(|method| of(&sample.errors[method as usize]))))
     }
 
-    /// The mean of the first of two figures over that of the second, resampled by agents.
+    /// Ratio of the means of two quantities. The interval resamples agents.
     fn ratio(&self, of: impl Fn(&Sample) -> [f64; 2]) -> Option<Interval> {
         let mut clusters: BTreeMap<u64, PairedErrors> = BTreeMap::new();
         for sample in self.samples {
@@ -70,14 +70,14 @@ impl Cell<'_> {
         paired_bootstrap_ratio(&clusters, RESAMPLES, SEED)
     }
 
-    /// Mean areas of the published region of 90 % at the end and of that of constant velocity that holds as
-    /// many, m².
+    /// Mean area at the end of the horizon, m², of the published 90 % region and of its constant-velocity
+    /// reference, which holds the same number of truths.
     pub(crate) fn areas_m2(&self) -> [f64; 2] {
         let steady_m2 = region_of_steady::mean_area_m2(self.samples, LEVEL, band_of, BAND_NAMES.len());
         [self.mean(|sample| sample.area_m2), steady_m2]
     }
 
-    /// The published forecast's ADE over that of the best kinematic expert.
+    /// Ratio of the published forecast's ADE to the ADE of the best kinematic expert.
     pub(crate) fn regret(&self) -> f64 {
         let experts = [Method::ConstantVelocity, Method::DecayingTurn, Method::DecayingAcceleration];
         let least = experts.map(|method| self.errors(method).ade_m).into_iter().fold(f64::INFINITY, f64::min);
@@ -85,7 +85,7 @@ impl Cell<'_> {
     }
 }
 
-/// A figure with its interval, as text; `-` where there is none.
+/// Formats a figure with its interval; `-` if there is none.
 pub(crate) fn interval(figure: &Option<Interval>) -> String {
     figure
         .as_ref()
@@ -106,7 +106,7 @@ mod tests {
             let levels = [if is_held { 0.5 } else { 0.95 }; STEPS.len()];
             Sample { agent, levels, ..Sample::of(AgentType::Vehicle, 10.0) }
         };
-        // Four agents of a hundred forecasts each: all of one are held, half of two, none of the last.
+        // Four agents with a hundred forecasts each: all held for one agent, half for two, none for the last.
         let held = |agent: u64, number: u64| agent == 0 || (agent < 3 && number.is_multiple_of(2));
         let samples: Vec<Sample> =
             (0..400).map(|number| of(number / 100, held(number / 100, number))).collect();

@@ -5,7 +5,7 @@ use nn::WeightsError;
 use onboard::ChainError;
 use run::OptionError;
 
-/// Why nothing could be evaluated.
+/// Why the evaluation fails.
 #[derive(Debug, thiserror::Error)]
 pub enum DrivingError {
     /// A folder can't be listed.
@@ -16,12 +16,12 @@ pub enum DrivingError {
         /// Why.
         source: std::io::Error,
     },
-    /// There is no such source.
+    /// No source has this name.
     #[error("{name}: no such source; there are {known}")]
     UnknownSource {
-        /// What was asked for.
+        /// The name that was given.
         name: String,
-        /// The sources' names.
+        /// Names of the known sources.
         known: String,
     },
     /// A recording can't be read.

@@ -21,19 +21,19 @@ use crate::sample::GAP_NS;
 use crate::source::Source;
 use crate::{DrivingError, Options, model_of, sources};
 
-/// Lengths of the gaps, by turns, s.
+/// Lengths of the gaps, s. An agent's gaps alternate between them.
 const GAPS_S: [f64; 2] = [0.8, 1.6];
-/// Time from gap to gap of an agent; agents take turns.
+/// Time between the starts of an agent's gaps. Each agent has its own phase.
 const PERIOD_S: f64 = 6.0;
-/// Time in a period at which the gap begins.
+/// Time in the period at which the gap begins.
 const BEGINS_S: f64 = 4.0;
 /// Standard deviation of a measured position per axis.
 const SIGMA_M: f32 = 0.1;
-/// A cell of fewer positions is left out.
+/// Cells with fewer positions are left out.
 const CELL_MIN: usize = 200;
 const SEED: u64 = 1;
 
-/// A position in a gap: the squared errors of the track with forecasts as its prior, and of the kinematic one.
+/// A position in a gap, with the squared errors of two tracks: prior from forecasts, and kinematic prior.
 #[derive(Clone, Copy, Debug)]
 struct Position {
     agent: u64,
@@ -49,7 +49,8 @@ pub struct GapReport {
     sources: Vec<(Source, Vec<Position>)>,
 }
 
-/// Tracks all sources from positions alone, with noise and gaps; calls `progress` with the name of each before.
+/// Tracks all sources from noisy positions with gaps. Calls `progress` with each source's name before it
+/// starts.
 ///
 /// # Errors
 /// [`DrivingError`] names the folder, recording or weights at fault.
@@ -115,9 +116,9 @@ fn track(source: &Source, options: &Options, model: &ModelConfig) -> Result<Vec<
     Ok(positions)
 }
 
-/// The gap that an agent is in.
+/// The gap that an agent is in at this time; `None` if it is detected.
 fn gap(agent: u64, time_s: f64) -> Option<usize> {
-    // Agents' gaps are spread evenly over the period (by the golden ratio).
+    // The golden ratio spreads the agents' phases evenly over the period.
     let phase_s = PERIOD_S * (agent as f64 * 0.618_033_988_75).fract();
     let since_s = time_s + phase_s;
     let gap = (since_s / PERIOD_S) as usize % GAPS_S.len();
@@ -125,7 +126,7 @@ fn gap(agent: u64, time_s: f64) -> Option<usize> {
     (0.0..GAPS_S[gap]).contains(&begun_s).then_some(gap)
 }
 
-/// What a sensor of positions makes of a detection.
+/// A detection as a sensor measures it that reports noisy positions only.
 fn measured(detection: &Detection, seq: u64) -> Detection {
     let mut normals = Normals::new(SEED, detection.id, seq);
     let [x, y] = [0, 1].map(|_| SIGMA_M * normals.draw());
@@ -139,7 +140,7 @@ fn measured(detection: &Detection, seq: u64) -> Detection {
 }
 
 impl GapReport {
-    /// The cells of enough positions: source, type, gap, and its positions.
+    /// The cells with enough positions: source, type, gap, and the positions.
     fn cells(&self) -> impl Iterator<Item = (&Source, AgentType, usize, Vec<&Position>)> {
         self.sources.iter().flat_map(|(source, positions)| {
             wire::AGENT_TYPES.into_iter().flat_map(move |agent_type| {
@@ -152,7 +153,7 @@ impl GapReport {
         })
     }
 
-    /// The table as Markdown.
+    /// The errors as a Markdown table.
     #[must_use]
     pub fn markdown(&self) -> String {
         let columns = ["positions", "forecasts m", "kinematic m", "ratio"].map(str::to_owned);
@@ -177,7 +178,7 @@ impl GapReport {
         )
     }
 
-    /// A line per source, type, gap and prior.
+    /// One line per source, type, gap and prior.
     #[must_use]
     pub fn csv(&self) -> String {
         let mut text = String::from("source,type,gap_s,prior,positions,rmse_m\n");

@@ -1,11 +1,11 @@
-//! Gaussians of two dimensions.
+//! Gaussians in two dimensions.
 
 use std::f64::consts::PI;
 
-/// Least variance: no position is known better than to a centimetre.
+/// Minimum variance: a position is known to 1 cm at best.
 const VARIANCE_MIN_M2: f64 = 1e-4;
 
-/// A Gaussian of positions.
+/// A Gaussian distribution of positions.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Gaussian {
     mean_m: [f64; 2],
@@ -14,12 +14,12 @@ pub(crate) struct Gaussian {
 }
 
 impl Gaussian {
-    /// With a covariance (xx, xy, yy), to which the least variance is added.
+    /// A Gaussian with this covariance (xx, xy, yy) plus the minimum variance.
     pub(crate) fn new(mean_m: [f64; 2], [xx, xy, yy]: [f64; 3]) -> Self {
         Self { mean_m, covariance_m2: [xx + VARIANCE_MIN_M2, xy, yy + VARIANCE_MIN_M2] }
     }
 
-    /// Of these positions, m.
+    /// Fits a Gaussian to positions in m.
     pub(crate) fn fit(points_m: &[[f32; 2]]) -> Self {
         let points = || points_m.iter().map(|point| point.map(f64::from));
         let len = points_m.len().max(1) as f64;
@@ -35,14 +35,14 @@ impl Gaussian {
         (xx * yy - xy * xy).max(VARIANCE_MIN_M2 * VARIANCE_MIN_M2)
     }
 
-    /// Squared distance of a position in deviations.
+    /// Squared Mahalanobis distance of a position.
     pub(crate) fn square(&self, point_m: [f32; 2]) -> f64 {
         let [x, y] = [0, 1].map(|axis| f64::from(point_m[axis]) - self.mean_m[axis]);
         let [xx, xy, yy] = self.covariance_m2;
         (yy * x * x - 2.0 * xy * x * y + xx * y * y) / self.determinant()
     }
 
-    /// Area of the ellipse at one deviation, m².
+    /// Area of the ellipse at one standard deviation, m².
     pub(crate) fn area_m2(&self) -> f64 {
         PI * self.determinant().sqrt()
     }

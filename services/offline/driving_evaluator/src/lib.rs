@@ -1,17 +1,21 @@
 //! Evaluates forecasts as a car gets them: recordings of many roads, played through the online pipeline.
 //!
-//! **In:** the sources of the data set [`driving`](data::sets::DataSet::Driving), a folder of recordings each.
-//! **Out:** a [`Report`]: by source, type and speed the errors of what was published, beside those of kinematic
-//! forecasts and of [anchors](metrics::Anchors) that were fitted to the other sources; coverage of the
-//! regions; and what the first seconds are like.
+//! * **In:** the sources of the data set [`driving`](data::sets::DataSet::Driving). A source is a folder of
+//!   recordings.
+//! * **Out:** a [`Report`] by source, type and speed. It contains the errors of the published forecasts, of
+//!   kinematic forecasts and of [anchors](metrics::Anchors) fitted to the other sources, the coverage of the
+//!   regions, and the errors in the first seconds.
 //!
-//! A source is played as one run: each recording goes through the chain of `stgdat predict` from detections to
-//! forecasts, tracker included, with new tracks, map and retrieval memory, as every recording is another
-//! place; what the sampler has learned of its experts goes on to the next one. Before the first it expects what the
-//! *other* sources have [shown](evidence::Priors). The motorway is missing: fast
-//! sources are also shown at twice their scale, as sources of their own.
+//! A source is played as one run. Each recording goes through the chain of `stgdat predict`, from detections
+//! to forecasts, tracker included. Every recording is another place, so each has new tracks, a new map and a
+//! new retrieval memory. The sampler keeps its evidence from one recording to the next. Before the first one,
+//! its prior comes from the [evidence](evidence::Priors) of the *other* sources.
 //!
-//! [`through_gaps`] says what forecasts are worth to the tracker on the same sources: a [`GapReport`].
+//! No source has motorway speeds. Fast sources are therefore also shown at twice their scale, as separate
+//! sources.
+//!
+//! [`through_gaps`] evaluates how much forecasts help the tracker on the same sources. It returns a
+//! [`GapReport`].
 
 mod cell;
 mod error;
@@ -36,28 +40,29 @@ use evaluator::threads;
 use evidence::Prior;
 use nn::Weights;
 
-/// What is evaluated, and how.
+/// The options of an evaluation.
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// Folder with a folder of recordings for each source.
+    /// Folder that contains one folder of recordings per source.
     pub folder: PathBuf,
-    /// Names of the sources; all of them where there are none.
+    /// Names of the sources; all sources if empty.
     pub sources: Vec<String>,
-    /// Weights; the embedded ones where there are none.
+    /// Weights; `None` uses the embedded weights.
     pub weights: Option<PathBuf>,
     /// Precision of the decoder.
     pub precision: nn::Precision,
     /// Whether the network reads the online map.
     pub map: bool,
-    /// Whether the sampler heeds matured forecasts.
+    /// Whether the sampler uses evidence from matured forecasts.
     pub evidence: bool,
-    /// Whether a source begins with what the others have shown; else with nothing, so that it shows its own alone.
+    /// Whether a source begins with a prior from the other sources. If not, it begins without a prior, so its
+    /// evidence is independent of them.
     pub priors: bool,
-    /// Threads that share the work; results do not depend on it.
+    /// Threads that share the work; results do not depend on their number.
     pub threads: usize,
 }
 
-/// Plays all sources; calls `progress` with the name of each before it is played.
+/// Plays all sources. Calls `progress` with each source's name before it is read and before it is played.
 ///
 /// # Errors
 /// [`DrivingError`] names the folder, recording or weights at fault.
@@ -85,5 +90,5 @@ fn model_of(options: &Options) -> Result<Weights, DrivingError> {
     Weights::open(path).map_err(|source| DrivingError::Weights { path: path.clone(), source })
 }
 
-/// What evidence a source leaves, to expect at others.
+/// The evidence of a source, as a prior for others.
 pub(crate) type Learned = Option<Prior>;

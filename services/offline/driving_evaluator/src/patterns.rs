@@ -1,4 +1,4 @@
-//! Typical residuals of several sources together, by k-medians: what a fan of modes begins with.
+//! Typical residuals of several sources together, by k-medians. The fan of modes starts from them.
 
 use evidence::{BANDS, Context, FAN, KNOTS, OUTLIER, Pattern, Patterns, fill_unknown};
 use scene::AgentType;
@@ -9,21 +9,21 @@ use crate::Sample;
 /// Positions at the knots along and across the course.
 type Knots = [[f32; 2]; KNOTS];
 
-/// Residuals of a source at a speed that are enough for a part in a pattern.
+/// Minimum number of residuals that a source needs at a speed to contribute to a pattern.
 const RESIDUALS_MIN: usize = 60;
-/// Most of them that are taken, evenly over all.
+/// Maximum number of residuals used per source and speed, spread evenly over all.
 const RESIDUALS_MAX: usize = 400;
-/// No residual deviates less than this, m.
+/// Minimum deviation of residuals, m.
 const DEVIATION_MIN_M: f32 = 0.02;
-/// Share that the residuals of the next slower and the next faster speed have beside those of one.
+/// Weight of the residuals of the next slower and next faster band, relative to the band itself.
 const NEIGHBOUR_SHARE: f32 = 0.3;
-/// Sources that a pattern is of, at least: the default stands for those that lack.
+/// Minimum number of sources in a pattern. The default fan stands in for missing sources.
 const SOURCES_MIN: usize = 5;
-/// Passes of the deviations: each lets a jump count less.
+/// Passes of the robust deviations. Each pass clamps outliers more tightly.
 const DEVIATION_PASSES: usize = 12;
-/// Steps of the medians.
+/// Steps of the k-medians descent.
 const STEPS: usize = 30;
-/// Times that the points begin elsewhere; the best end counts.
+/// Random starts of the descent; the best result counts.
 const STARTS: u64 = 8;
 
 /// The residuals of one source in units of their deviations, by type.
@@ -31,28 +31,28 @@ pub(crate) struct Residuals([Units; AGENT_TYPES.len()]);
 
 /// The residuals of one source and type in units of their deviations.
 struct Units {
-    /// By speed; none where there are too few.
+    /// By speed band; `None` if there are too few residuals.
     deviations_m: [Option<Knots>; BANDS],
     residuals: [Vec<Knots>; BANDS],
 }
 
-/// Residuals with what each counts.
+/// Residuals with their weights.
 #[derive(Default)]
 struct Weighted {
     residuals: Vec<Knots>,
     weights: Vec<f32>,
 }
 
-/// Points among residuals.
+/// The result of k-medians.
 struct Medians {
     points_m: [Knots; MODES_MAX],
-    /// What the residuals count to which each is the nearest.
+    /// Total weight of the residuals whose nearest point this is.
     weights: [f32; MODES_MAX],
-    /// Sum of the distances of all residuals to the nearest.
+    /// Weighted sum of the residuals' distances to their nearest points.
     missed_m: f32,
 }
 
-/// The patterns of sources together, of each type that any of them has.
+/// The patterns of all these sources together, for each type that at least one source has.
 pub(crate) fn patterns(sources: &[&Residuals]) -> Patterns {
     let mut patterns = Patterns::default();
     for (place, of_type) in patterns.iter_mut().enumerate() {
@@ -67,7 +67,7 @@ pub(crate) fn patterns(sources: &[&Residuals]) -> Patterns {
 }
 
 impl Residuals {
-    /// Those of a source's forecasts.
+    /// The residuals of a source's forecasts.
     pub(crate) fn of(samples: &[Sample]) -> Self {
         Self(AGENT_TYPES.map(|agent_type| Units::of(samples, agent_type)))
     }
@@ -94,14 +94,14 @@ impl Units {
                     (residual_m[knot][axis] / deviation_m(knot, axis)).clamp(-OUTLIER, OUTLIER)
                 })
             });
-            // The same to the left as to the right.
+            // Mirrored, so that patterns are symmetric to the left and right.
             units.flat_map(|unit| [unit, unit.map(|[along, across]| [along, -across])]).collect()
         });
         Self { deviations_m, residuals }
     }
 }
 
-/// Root mean squares at the knots, of residuals of at most [`OUTLIER`] of them.
+/// Root mean squares at the knots, of residuals clamped to [`OUTLIER`] deviations.
 fn deviations_m(residuals_m: &[(Context, Knots)]) -> Knots {
     let mut most_m = [[f32::INFINITY; 2]; KNOTS];
     let mut deviations_m = most_m;
@@ -119,10 +119,11 @@ fn deviations_m(residuals_m: &[(Context, Knots)]) -> Knots {
     deviations_m
 }
 
-/// The pattern at a speed of all that know it: k-medians of their residuals, each source counting the same.
+/// The pattern at a speed, over all sources that have it: k-medians of their residuals. Each source has the
+/// same weight.
 fn together(sources: &[&Units], band: usize) -> Pattern {
     let deviations_m: Vec<Knots> = sources.iter().filter_map(|source| source.deviations_m[band]).collect();
-    // Units of along and across differ: what is near is told in metres, those that are typical of the sources.
+    // Along and across have different units. Distances are in metres, by the sources' typical deviations.
     let typical_m = knots(|knot, axis| {
         let logs: f32 = deviations_m.iter().map(|deviation_m| deviation_m[knot][axis].ln()).sum();
         (logs / deviations_m.len() as f32).exp()
@@ -148,7 +149,7 @@ impl Weighted {
         self.weights.push(weight);
     }
 
-    /// Twenty points of which one is near each residual, by distances in these units.
+    /// Twenty points that are medians of the residuals, by distance in metres.
     fn medians(&self, typical_m: &Knots) -> Pattern {
         let in_metres = |unit: &Knots| knots(|knot, axis| unit[knot][axis] * typical_m[knot][axis]);
         let places_m: Vec<Knots> = self.residuals.iter().map(in_metres).collect();
@@ -162,15 +163,15 @@ impl Weighted {
         }
     }
 
-    /// Points to begin with, each as probable as it is far from those before
-    /// ([k-means++](https://dl.acm.org/doi/10.5555/1283383.1283494)).
+    /// Starting points by [k-means++](https://dl.acm.org/doi/10.5555/1283383.1283494): the probability of a
+    /// point is proportional to its distance from the points already chosen.
     fn start(&self, places_m: &[Knots], seed: u64) -> [Knots; MODES_MAX] {
         let mut random = seed;
         let mut points_m = [[[0.0; 2]; KNOTS]; MODES_MAX];
         let mut chances = self.weights.clone();
         let mut nearest_m = vec![f32::INFINITY; places_m.len()];
         for point_m in &mut points_m {
-            // Knuth's constants (MMIX); the high bits are the random ones.
+            // Knuth's constants (MMIX). Only the high bits are random enough.
             random = random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
             let mut left = (random >> 40) as f32 / (1_u64 << 24) as f32 * chances.iter().sum::<f32>();
             let place = chances.iter().position(|chance| {
@@ -188,13 +189,13 @@ impl Weighted {
         points_m
     }
 
-    /// Moves the points to the medians of what is nearest to each, step by step.
+    /// Moves each point to the median of the residuals nearest to it, in [`STEPS`] steps.
     fn descend(&self, places_m: &[Knots], points_m: [Knots; MODES_MAX]) -> Medians {
         let mut medians = Medians { points_m, weights: [0.0; MODES_MAX], missed_m: 0.0 };
         let Medians { points_m, weights, missed_m } = &mut medians;
         for _ in 0..STEPS {
             (*weights, *missed_m) = ([0.0; MODES_MAX], 0.0);
-            // Sums of the places, by one over their distances, and of these: Weiszfeld's step, at each knot.
+            // Weiszfeld's step at each knot: sums of position / distance, and of 1 / distance.
             let mut sums = [[[0.0_f32; 3]; KNOTS]; MODES_MAX];
             for (place_m, weight) in places_m.iter().zip(&self.weights) {
                 let distances_m = points_m.iter().map(|point_m| distance_m(place_m, point_m)).enumerate();
@@ -218,7 +219,7 @@ impl Weighted {
     }
 }
 
-/// Sum over the knots.
+/// Sum of the distances at the knots.
 fn distance_m(one: &Knots, other: &Knots) -> f32 {
     let squares =
         one.iter().zip(other).map(|([x, y], [ox, oy])| ((x - ox) * (x - ox) + (y - oy) * (y - oy)).sqrt());
@@ -233,10 +234,10 @@ fn knots(of: impl Fn(usize, usize) -> f32) -> Knots {
 mod tests {
     use super::*;
 
-    /// Vehicles at 6 m/s that do one of some things, all as often, `scale` times as far.
+    /// Vehicles at 6 m/s with each of these residuals equally often, `scale` times as large.
     fn source(residuals_m: &[[f32; 2]], scale: f32) -> Vec<Sample> {
         let of = |residual_m: [f32; 2], number: usize| {
-            // Never the same twice.
+            // Residuals are never exactly equal.
             let more = 1.0 + 0.01 * (number % 7) as f32;
             let residuals_m = [0.1, 0.3, 0.5, 1.0].map(|share| residual_m.map(|x| scale * share * more * x));
             Sample { residuals_m, ..Sample::of(AgentType::Vehicle, 6.0) }
@@ -253,7 +254,7 @@ mod tests {
         let sources = sources.map(|samples| Residuals::of(&samples));
         let patterns = patterns(&sources.each_ref());
         let Pattern { points, probability } = patterns[AgentType::Vehicle.index()][2];
-        // Root mean squares at the end: 5.3 m along and 1.2 m across, of scale 1.
+        // Root mean squares at the end for scale 1: 5.3 m along and 1.2 m across.
         for [along, across] in [[0.0, 0.0], [0.76, 0.0], [-1.5, 1.7], [-1.5, -1.7]] {
             let near = |point: &Knots| (point[3][0] - along).hypot(point[3][1] - across) < 0.15;
             let p: f32 =
@@ -261,7 +262,8 @@ mod tests {
             assert!(p > if across == 0.0 { 0.3 } else { 0.15 }, "{along} {across}: {p} of {points:?}");
         }
         assert!((probability.iter().sum::<f32>() - 1.0).abs() < 1e-4);
-        // Speeds that none knows have the nearest that one does; types that none knows the default.
+        // A speed without residuals takes the nearest speed that has some. A type without residuals keeps the
+        // default.
         assert_eq!(patterns[AgentType::Vehicle.index()][5], patterns[AgentType::Vehicle.index()][2]);
         assert_eq!(patterns[AgentType::Cyclist.index()], Patterns::default()[AgentType::Cyclist.index()]);
     }

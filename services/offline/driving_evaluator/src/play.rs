@@ -1,4 +1,4 @@
-//! Plays the recordings of a source through the chain.
+//! Plays the recordings of a source through the pipeline.
 
 use std::collections::{BTreeMap, VecDeque};
 
@@ -18,12 +18,12 @@ use crate::{DrivingError, Learned, Options};
 
 /// Time between two forecasts of an agent that count.
 const EVERY_NS: i64 = 400_000_000;
-/// Time over which turn rate and acceleration of the kinematic yardsticks are taken.
+/// Time over which the kinematic baselines measure turn rate and acceleration.
 const RATES_NS: i64 = 800_000_000;
-/// Forecasts from which on a context is learned of.
+/// Minimum number of forecasts that a context needs to enter a prior.
 const LEARNED_MIN: f64 = 30.0;
 
-/// A source's matured forecasts, and what the sampler learned of its experts.
+/// A source's matured forecasts, and the sampler's evidence after it.
 pub(crate) struct Played {
     pub(crate) samples: Vec<Sample>,
     pub(crate) seconds: f64,
@@ -86,9 +86,9 @@ pub(crate) fn run(playback: &Playback, options: &Options) -> Result<Run, Driving
 
 /// One recording.
 struct Session<'a> {
-    /// Added to agents' numbers, which recordings share.
+    /// Added to agents' ids, which are unique only within a recording.
     agents: u64,
-    /// Time that the source played before.
+    /// Time that earlier recordings of the source took.
     before_s: f64,
     tracks: &'a BTreeMap<u64, RecordedTrack>,
 }
@@ -101,7 +101,7 @@ struct Recent {
 }
 
 impl Session<'_> {
-    /// Plays a recording to its end and returns how long it is, s.
+    /// Plays a recording to its end and returns its duration, s.
     fn play(
         &self,
         mut playback: Playback,
@@ -134,7 +134,7 @@ impl Session<'_> {
 }
 
 impl Recent {
-    /// Adds the velocity of a time, and returns one some time ago.
+    /// Adds the current velocity. Returns the velocity about [`RATES_NS`] earlier, and its age in s.
     fn add(&mut self, stamp_ns: i64, forecast: &Forecast) -> Option<([f32; 2], f32)> {
         let oldest_ns = stamp_ns - RATES_NS;
         while self.velocities_mps.len() > 1 && self.velocities_mps[1].0 <= oldest_ns {

@@ -1,17 +1,18 @@
-//! How large a region about constant velocity must be to hold as many truths: the yardstick of the published
-//! regions.
+//! A reference for the size of the published regions: regions about constant velocity that hold the same
+//! number of truths.
 
 use crate::gaussian::Gaussian;
 use crate::sample::{STEPS, Sample};
 
-/// A speed band of fewer forecasts has the Gaussian of all.
+/// A speed band with fewer forecasts uses the Gaussian of all forecasts.
 const BAND_MIN: usize = 20;
 
-/// Mean area of regions at the end of the horizon that hold as many truths in each speed band as the
-/// published ones of this level do, m².
+/// Mean area at the end of the horizon, m², of regions that hold the same number of truths in each speed band
+/// as the published regions of this level.
 ///
-/// They are ellipses of a Gaussian of what the truth is beyond constant velocity, along and across the
-/// course. It is fitted in hindsight to the same forecasts of the band, and scaled until it holds as many.
+/// The regions are ellipses of a Gaussian. It models the truth's residual to constant velocity, along and
+/// across the course. For each band the Gaussian is fitted in hindsight to the band's forecasts. It is then
+/// scaled until it holds that number of truths.
 pub(crate) fn mean_area_m2(
     samples: &[&Sample],
     level: f64,
@@ -42,8 +43,8 @@ mod tests {
 
     use super::*;
 
-    /// Forecasts of two speeds, whose truths lie within circles of these radii about a point; of each speed
-    /// the first of so many are held.
+    /// 200 forecasts at each of two speeds. The truths of a speed lie within a circle of this radius about a
+    /// point, and the first `held` of them are held.
     fn samples(radii_m: [f32; 2], held: [usize; 2]) -> Vec<Sample> {
         let of = |number: usize| {
             let (fast, angle) = (number % 2, 0.1 * number as f32);
@@ -70,7 +71,7 @@ mod tests {
         assert!((apart_m2 / (PI * 50.5) - 1.0).abs() < 0.05, "{apart_m2}");
         let together_m2 = area_m2([200, 200], 1);
         assert!((together_m2 / (PI * 100.0) - 1.0).abs() < 0.1, "{together_m2}");
-        // Half of them lie within three quarters of the radius.
+        // Half of the truths lie within three quarters of the radius.
         let half_m2 = area_m2([100, 100], 2);
         assert!((half_m2 / (PI * 50.5 * 0.5625) - 1.0).abs() < 0.05, "{half_m2}");
         assert_eq!(area_m2([0, 0], 2), 0.0);

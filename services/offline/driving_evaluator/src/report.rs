@@ -18,17 +18,17 @@ use crate::sample::{LEVEL, METHODS, Method, STEPS, Sample};
 use crate::source::Source;
 use crate::{Errors, Options};
 
-/// A cell with fewer forecasts is left out.
+/// Cells with fewer forecasts are left out.
 const CELL_MIN: usize = 200;
-/// Time of a source from which on its regions must hold.
+/// Time of a source after which its regions count as settled.
 const SETTLED_S: f64 = 60.0;
-/// The first seconds of a recording that are told apart.
+/// Upper bounds of the parts of a recording in the table of first seconds.
 const FIRST_S: [f64; 4] = [5.0, 10.0, 30.0, f64::INFINITY];
-/// What regions of 90 % must hold once settled, and before.
+/// Target coverage of the 90 % regions once settled, and before.
 const HELD_SETTLED: [f64; 2] = [0.88, 0.92];
 const HELD_AT_FIRST: [f64; 2] = [0.8, 0.97];
 
-/// What was published, beside its yardsticks, by source, type and speed.
+/// The published forecasts and their baselines, by source, type and speed.
 #[derive(Debug)]
 pub struct Report {
     sources: Vec<(Source, Played)>,
@@ -65,7 +65,7 @@ impl Report {
         Self { sources: sources.into_iter().zip(played).collect(), made }
     }
 
-    /// All samples of a source and type, none of fewer than [`CELL_MIN`].
+    /// All samples of a source and type; cells with fewer than [`CELL_MIN`] are left out.
     fn cells(&self) -> impl Iterator<Item = (&Source, AgentType, Vec<&Sample>)> {
         let types = wire::AGENT_TYPES;
         self.sources.iter().flat_map(move |(source, played)| {
@@ -304,7 +304,7 @@ impl Report {
         )
     }
 
-    /// A line per source, type and method.
+    /// One line per source, type and method.
     #[must_use]
     pub fn csv(&self) -> String {
         let mut text = String::from("source,type,method,forecasts,ade_m,fde_m\n");
@@ -344,8 +344,8 @@ impl Report {
         json!({ "made": self.made, "cells": cells.collect::<Vec<_>>() })
     }
 
-    /// What the sampler learned of its experts, by source, and the patterns of all sources and of all but each.
-    /// The work is shared by so many threads.
+    /// The evidence of each source, and the patterns of all sources and of all but each one. `threads` share
+    /// the work.
     #[must_use]
     pub fn priors(&self, threads: usize) -> Priors {
         let learned = self
@@ -372,7 +372,7 @@ impl Report {
     }
 }
 
-/// How many of some shares lie within bounds, and how many more may by their intervals.
+/// Reports how many shares are within the bounds, and how many others have an interval that reaches them.
 fn within(shares: &[Interval], [low, high]: [f64; 2]) -> String {
     let percent = |share: f64| (100.0 * share).round();
     let lies =

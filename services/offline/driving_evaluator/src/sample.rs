@@ -10,26 +10,26 @@ use wire::{Expert, Forecast, MODES_MAX, Quality};
 
 use crate::gaussian::Gaussian;
 
-/// Steps at which regions are judged, beside the last: 0.4, 1.2 and 2.4 s.
+/// Steps at which coverage is evaluated: 0.4, 1.2, 2.4 s and the last.
 pub(crate) const STEPS: [usize; 4] = [0, 2, 5, 11];
-/// A final position farther away than this is a miss.
+/// The forecast misses if its final position is farther away than this.
 const MISS_M: f64 = 2.0;
-/// Longest gap of a recording between whose frames the truth is taken, ns.
+/// Longest gap between two frames over which the truth is interpolated, ns.
 pub(crate) const GAP_NS: i64 = 1_000_000_000;
-/// Level of the region whose area is told.
+/// Level of the region whose area is reported.
 pub(crate) const LEVEL: f64 = 0.9;
 const SEED: u64 = 1;
 
-/// What is compared.
+/// The methods that are compared.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Method {
-    /// The single best forecast that was published.
+    /// The published single best forecast.
     Best,
-    /// The mode with the least error of those that were published.
+    /// The published mode with the least error.
     BestOf,
     /// Constant velocity.
     ConstantVelocity,
-    /// A turn that decays.
+    /// A turn whose rate decays.
     DecayingTurn,
     /// An acceleration that decays.
     DecayingAcceleration,
@@ -52,47 +52,47 @@ pub const METHODS: [Method; 6] = [
 pub struct Errors {
     /// Over all steps.
     pub ade_m: f64,
-    /// At the last.
+    /// At the last step.
     pub fde_m: f64,
 }
 
 /// A matured forecast.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sample {
-    /// The agent, the same for all of its forecasts.
+    /// The agent's identity, the same in all of its samples.
     pub agent: u64,
-    /// Its type.
+    /// Type of the agent.
     pub agent_type: AgentType,
-    /// Its speed as tracked, m/s.
+    /// Tracked speed of the agent, m/s.
     pub speed_mps: f32,
     /// Time since the recording began, s.
     pub recording_s: f64,
     /// Time since the source began, s.
     pub source_s: f64,
-    /// By [`METHODS`].
+    /// Errors of each of [`METHODS`].
     pub errors: [Errors; METHODS.len()],
-    /// Level of the highest-density region on whose border the truth was, at each of four steps.
+    /// Level of the highest-density region whose border passes through the truth, at each of the `STEPS`.
     pub levels: [f64; STEPS.len()],
-    /// Area of the highest-density region of 90 % at the end, m².
+    /// Area of the 90 % highest-density region at the end, m².
     pub area_m2: f64,
     /// Negative logarithm of the mixture's density at the truth at the end.
     pub nll: f64,
-    /// Whether the single best forecast missed at the end.
+    /// Whether the single best forecast ends more than 2 m off.
     pub missed: bool,
-    /// Whether it was called learned.
+    /// Whether the forecast was published as learned.
     pub learned: bool,
-    /// The network's weight.
+    /// Weight of the network.
     pub network: f32,
-    /// The published measure.
+    /// Published out-of-distribution measure.
     pub out_of_distribution: f32,
-    /// What the truth is beyond constant velocity at the end, along and across the course, m.
+    /// Residual of the truth to constant velocity at the end, along and across the course, m.
     pub beyond_steady_m: [f32; 2],
-    /// What the truth is beyond halfway from constant velocity to the single best forecast, along and across the course,
-    /// at the steps of [`evidence::knots`], m.
+    /// Residual of the truth to the mean of constant velocity and the single best forecast, at the steps of
+    /// [`evidence::knots`], along and across the course, m.
     pub residuals_m: [[f32; 2]; KNOTS],
 }
 
-/// Judges forecasts in memory that is used again.
+/// Turns forecasts into samples; reuses its memory.
 pub(crate) struct Judge<'a> {
     pub(crate) anchors: &'a BTreeMap<AgentType, Anchors>,
     pub(crate) levels: HighestDensity,
@@ -102,7 +102,7 @@ pub(crate) struct Judge<'a> {
 
 #[cfg(test)]
 impl Sample {
-    /// A forecast of which nothing else is known.
+    /// A sample of this type and speed with default values.
     pub(crate) fn of(agent_type: AgentType, speed_mps: f32) -> Self {
         Self {
             agent: 1,
@@ -125,7 +125,7 @@ impl Sample {
 }
 
 impl Sample {
-    /// Whether the published region of a level held the truth at the step of this number among [`STEPS`].
+    /// Whether the published region of this level held the truth at `STEPS[step]`.
     pub(crate) fn is_held(&self, level: f64, step: usize) -> bool {
         self.levels[step] <= level
     }
@@ -138,7 +138,7 @@ impl Errors {
 }
 
 impl Judge<'_> {
-    /// What became of a forecast; none where the recording does not have the agent to the end.
+    /// The sample of a forecast; `None` if the recording does not have the agent for the whole horizon.
     pub(crate) fn judge(
         &mut self,
         stamp_ns: i64,
@@ -234,7 +234,7 @@ fn at_step(forecast: &Forecast, step: usize) -> ([[f32; 2]; MODES_MAX], [[f32; 3
     (forecast.modes.map(|mode| mode[step]), forecast.mode_covariance.map(|mode| mode[step]))
 }
 
-/// Negative logarithm of the density of a mixture; no mode is known better than to 1 cm.
+/// Negative log density of a mixture. The variance of each mode is at least (1 cm)².
 fn nll(means: &[[f32; 2]], covariances: &[[f32; 3]], probability: &[f32], truth: [f32; 2]) -> f64 {
     let parts = means.iter().zip(covariances).zip(probability).map(|((mean, covariance), p)| {
         let gaussian = Gaussian::new(mean.map(f64::from), covariance.map(f64::from));

@@ -1,4 +1,4 @@
-//! Sources: folders of recordings of like roads.
+//! Sources: folders of recordings of similar roads.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -11,15 +11,15 @@ use scene::AgentType;
 
 use crate::DrivingError;
 
-/// Sources of fast roads, which are also played at twice their scale.
+/// Sources with fast roads, which are also played at twice their scale.
 const FAST: [&str; 2] = ["ngsim_us101", "mona"];
-/// Bounds of the speed bins of vehicles' anchors, up to motorways.
+/// Bounds of the speed bins of vehicles' anchors; they include motorway speeds.
 const SPEED_CUTS_MPS: [f32; metrics::SPEED_BINS - 1] = [1.0, 3.5, 6.5, 10.0, 14.5, 20.0, 28.0];
-/// Windows of a source and type that anchors are fitted to at most.
+/// Maximum number of windows per source and type that anchors are fitted to.
 const WINDOWS_MAX: usize = 4_000;
 const SEED: u64 = 1;
 
-/// A folder of recordings, at its own scale or at another.
+/// A folder of recordings, at original or changed scale.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Source {
     /// Name in tables.
@@ -28,14 +28,15 @@ pub struct Source {
     pub folder: PathBuf,
     /// The recordings, sorted by name.
     pub files: Vec<PathBuf>,
-    /// Factor of all distances; agents keep their sizes.
+    /// Factor on all distances; agents keep their sizes.
     pub scale: f32,
 }
 
-/// The sources in a folder, those of fast roads twice; of all or, where there are any, of those `named`.
+/// The sources in a folder, including fast sources at twice their scale. If `named` is not empty, only the
+/// sources that it names.
 ///
 /// # Errors
-/// [`DrivingError`] where the folder can't be listed or has no source of that name.
+/// [`DrivingError`] if the folder can't be listed or has no source of a given name.
 pub fn sources(folder: &Path, named: &[String]) -> Result<Vec<Source>, DrivingError> {
     let mut all = Vec::new();
     for folder in list(folder)?.into_iter().filter(|path| path.is_dir()) {
@@ -75,7 +76,7 @@ fn list(folder: &Path) -> Result<Vec<PathBuf>, DrivingError> {
 }
 
 impl Source {
-    /// Name of its folder, the same at any scale.
+    /// Name of the folder, the same at any scale.
     pub(crate) fn folder_name(&self) -> String {
         self.folder.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
     }
@@ -95,7 +96,7 @@ impl Source {
         Ok(recording)
     }
 
-    /// Complete agents of its windows, a few of each type.
+    /// Complete agents of the source's windows, at most [`WINDOWS_MAX`] per type, spread evenly.
     pub(crate) fn windows(&self, model: &ModelConfig) -> Result<Vec<Agent>, DrivingError> {
         let mut of_type: BTreeMap<AgentType, Vec<Agent>> = BTreeMap::new();
         for path in &self.files {
@@ -113,7 +114,7 @@ impl Source {
     }
 }
 
-/// 20 anchors on constant velocity for each speed bin, by type, fitted to windows of sources.
+/// Fits 20 anchors on constant velocity per speed bin and type to windows of sources.
 pub(crate) fn anchors<'a>(
     sources: impl Iterator<Item = &'a [Agent]>,
     model: &ModelConfig,

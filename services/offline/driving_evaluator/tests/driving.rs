@@ -5,7 +5,7 @@ use driving_evaluator::{DrivingError, Options, evaluate, sources};
 use evidence::Prior;
 use scene::AgentType;
 
-/// A recording of 30 s at 10 Hz: some vehicles in lanes, each at a steady speed.
+/// A 30 s recording at 10 Hz: vehicles in separate lanes, each at a constant speed.
 fn steady(path: &Path, agents: u64) {
     let mut rows = String::from("stamp_s,id,type,x_m,y_m,heading_rad,speed_mps,length_m,width_m\n");
     for tick in 0..300 {
@@ -47,20 +47,20 @@ fn steady_vehicles_are_no_further_than_constant_velocity_has_them() {
         assert!(ade_m("ConstantVelocity") < 0.1, "{cell}");
         assert!(ade_m("Best") < 0.3, "{cell}");
         assert!(ade_m("BestOf") < 0.5, "{cell}");
-        // 6 agents, 2 recordings, about 25 s of forecasts every 0.4 s.
+        // 6 agents in 2 recordings, with about 25 s of forecasts, one every 0.4 s.
         assert!((500..900).contains(&cell["forecasts"].as_u64().unwrap()), "{cell}");
     }
     assert_eq!(cells.as_array().unwrap().len(), 2);
     assert!(report.markdown().contains("| one "), "{}", report.markdown());
     let priors = report.priors(2);
     assert!(priors.sources.keys().eq(["one", "two"]) && priors.pattern_without.keys().eq(["one", "two"]));
-    // Vehicles alone are seen.
+    // The recordings contain vehicles only.
     let [of_vehicles, of_cyclists] =
         [AgentType::Vehicle, AgentType::Cyclist].map(|agent_type| priors.pattern[agent_type.index()]);
     let default = Prior::default().0[0].map(|context| context.pattern);
     assert!(of_vehicles != default && of_cyclists == default);
     assert!(priors == report.priors(1), "any number of threads makes the same");
-    // Nobody walks: what is told of pedestrians is what a source began with.
+    // The recordings contain no pedestrians, so their prior is the one that the source began with.
     let began_with_nothing = Options { priors: false, ..options(folder.path(), true) };
     let nothing = evaluate(&began_with_nothing, |_| ()).unwrap().priors(2);
     let of_pedestrians =

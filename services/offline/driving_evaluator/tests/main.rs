@@ -1,3 +1,3 @@
-//! Driving, judged on recordings whose answers are known.
+//! Tests of the driving evaluation on recordings with known answers.
 
 mod driving;
