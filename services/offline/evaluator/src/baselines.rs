@@ -1,4 +1,4 @@
-//! Forecasts without the network, made for the very same agents.
+//! Forecasts without the network, for exactly the same agents.
 
 use std::collections::BTreeMap;
 
@@ -10,21 +10,21 @@ use scene::AgentType;
 use crate::forecaster::{Forecast, Variants};
 use crate::{Agent, Cut, Method, Scene};
 
-/// Agents of a type that anchors are fitted to, at most; spread evenly over the training part.
+/// Maximum number of agents per type that anchors are fitted to, spread evenly over the training part.
 pub const ANCHOR_AGENTS: usize = 60_000;
 
-/// What one method forecasts for an agent.
+/// The forecasts of one method for one agent.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Candidate {
-    /// Its 20 modes, where it has any.
+    /// The 20 modes; empty if the method has none.
     pub(crate) modes: Vec<Vec<Point>>,
-    /// Their probabilities, where it knows any.
+    /// Probabilities of the modes; `None` if the method has none.
     pub(crate) probability: Option<Vec<f32>>,
-    /// Its single forecast, where it has one.
+    /// The single forecast; `None` if the method has none.
     pub(crate) single: Option<Vec<Point>>,
 }
 
-/// The baselines, fitted where they need fitting.
+/// The baselines, with fitted anchors.
 #[derive(Clone, Debug)]
 pub struct Baselines {
     anchors: BTreeMap<AgentType, Anchors>,
@@ -56,7 +56,7 @@ impl Baselines {
         Self { anchors, dt_s: cut.dt_s as f32, horizon_len: cut.horizon_len, seed }
     }
 
-    /// What every method forecasts for an agent, in the order of [`Method::ALL`].
+    /// The forecasts of every method for an agent, in the order of [`Method::ALL`].
     pub(crate) fn candidates(
         &self,
         scene: &Scene,

@@ -4,7 +4,7 @@ use nn::WeightsError;
 use onboard::ChainError;
 use thiserror::Error;
 
-/// Why nothing could be evaluated.
+/// Why an evaluation fails.
 #[derive(Debug, Error)]
 pub enum EvaluateError {
     /// A recording can't be read.
@@ -13,7 +13,7 @@ pub enum EvaluateError {
     /// A map of lanes can't be read.
     #[error(transparent)]
     Lanes(#[from] LaneMapError),
-    /// A map of lanes gives no context map.
+    /// No context map can be made from a map of lanes.
     #[error("{site}: {source}")]
     Map {
         /// The site.
@@ -21,7 +21,7 @@ pub enum EvaluateError {
         /// Why.
         source: mapper::MapError,
     },
-    /// Weights that a table needs are not there.
+    /// The weights that a table needs do not exist.
     #[error("{path}: no such weights; `stgdat train --recipe {recipe}` makes them, --weights names others")]
     NoWeights {
         /// The file.
@@ -37,7 +37,7 @@ pub enum EvaluateError {
         /// What is wrong with it.
         source: WeightsError,
     },
-    /// The stages that run on board can't run the weights.
+    /// The onboard stages can't run the weights.
     #[error("{path}: {source}")]
     Stages {
         /// The file.
@@ -45,7 +45,7 @@ pub enum EvaluateError {
         /// What is wrong.
         source: ChainError,
     },
-    /// The model is of another kind than the data set asks for.
+    /// The model's steps differ from the steps of the data set.
     #[error("{path}: the model has {own}, {set} has {wanted}")]
     Steps {
         /// The weights file.
@@ -54,7 +54,7 @@ pub enum EvaluateError {
         own: String,
         /// The data set.
         set: &'static str,
-        /// The set's steps.
+        /// The data set's steps.
         wanted: String,
     },
     /// The size of a pixel is unknown.
@@ -63,14 +63,14 @@ pub enum EvaluateError {
         /// The recording.
         name: String,
     },
-    /// No agent is there from the first history step to the last forecast step.
+    /// No agent is present from the first history step to the last forecast step.
     #[error("{name}: no agent is present over {steps} steps of {dt_s} s")]
     NoWindows {
         /// The recordings.
         name: String,
         /// Steps of history and forecast.
         steps: usize,
-        /// The step.
+        /// Length of a step, s.
         dt_s: f64,
     },
     /// A tracker failed on a recording.
@@ -78,7 +78,7 @@ pub enum EvaluateError {
     Contender {
         /// The tracker.
         name: &'static str,
-        /// What it was to track.
+        /// The recording that it failed on.
         recording: String,
         /// What is wrong.
         source: Box<dyn std::error::Error + Send + Sync>,

@@ -1,8 +1,7 @@
-//! Forecasts of windows by the stages that run on board.
+//! Forecasts of windows by the onboard stages.
 //!
-//! A window becomes a `tracks` payload, which the shipped stages take to `forecasts` payloads: this crate has
-//! no path of its own. What differs from a run is what comes before: recorded states in place of a tracker's
-//! estimates.
+//! A window becomes a `tracks` payload. The shipped stages compute its `forecasts` payload, so this crate has
+//! no forecasting code. Only the input differs from a run: recorded states replace a tracker's estimates.
 
 use std::sync::Arc;
 
@@ -23,10 +22,10 @@ use crate::maps::MapInput;
 use crate::tracks::{Publisher, TracksPayload};
 use crate::{Crowding, Scene, threads};
 
-/// Windows that are decoded together before the samplers go on: bounds the memory.
+/// Windows that are decoded together before the samplers continue. Bounds the memory use.
 pub(crate) const TOGETHER: usize = 32;
 
-/// What is forecast for one agent, off a `forecasts` payload.
+/// The forecast of one agent, read from a `forecasts` payload.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Forecast {
     /// The K modes.
@@ -39,31 +38,31 @@ pub struct Forecast {
     pub best: Vec<Point>,
 }
 
-/// The forecasts of one agent by the same controls with different retrieval memories.
+/// The forecasts of one agent, from the same controls with different corrections.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Variants {
     /// Without retrieval.
     pub network: Forecast,
-    /// With the network switched off, where the model has base controls: ridge regression and anchors,
-    /// baseline B*.
+    /// By baseline B*: ridge regression and anchors, with the network switched off. `None` if the model has
+    /// no base controls.
     pub base: Option<Forecast>,
-    /// With the memory of the recording alone.
+    /// With a retrieval memory that contains this recording only.
     pub retrieved: Option<Forecast>,
-    /// With a memory that began with earlier recordings, where there is one.
+    /// With a retrieval memory that begins with earlier recordings; `None` if there is none.
     pub warm_started: Option<Forecast>,
-    /// With the memory of the recording alone and its evidence.
+    /// With a retrieval memory that contains this recording only, and with evidence.
     pub with_evidence: Option<Forecast>,
 }
 
-/// A model, ready to forecast windows.
+/// A model that can forecast windows.
 pub struct Forecaster {
     weights: Weights,
     run: Run,
-    /// Along which its forecasts go.
+    /// Lanes that the forecasts of vehicles follow.
     lanes: Option<Arc<LaneMap>>,
 }
 
-/// The stages up to the decoder over the windows of one recording, in time order.
+/// The stages up to the decoder, for the windows of one recording in time order.
 pub(crate) struct Session {
     features: TracksToFeatures,
     networks: Vec<Network>,
@@ -71,28 +70,28 @@ pub(crate) struct Session {
     publisher: Publisher,
 }
 
-/// Encoder and decoder of a thread, and the decoder with its network switched off.
+/// A thread's encoder and decoder, and its decoder with the network switched off.
 struct Network {
     controls: FeaturesToControls,
     base: Option<BaseDecoder>,
 }
 
-/// A window up to its controls.
+/// A window with its controls.
 pub(crate) struct Decoded {
     pub(crate) payload: TracksPayload,
     pub(crate) controls: Vec<AgentControls>,
-    /// Of the agents that count alone.
+    /// Base controls of the counted agents only.
     base: Vec<AgentControls>,
-    /// Tracks of the agents that count, by their place among the tracks.
+    /// Indices of the counted agents' tracks.
     counting: Vec<usize>,
-    /// Edges that the frame had no room for.
+    /// Edges for which the frame had no room.
     edges_left_out: usize,
 }
 
-/// What corrects the network's forecasts.
+/// The corrections of the network's forecasts.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Correction {
-    /// Nothing does.
+    /// Uncorrected.
     None,
     /// The retrieval memory.
     Retrieval,
@@ -100,7 +99,7 @@ enum Correction {
     RetrievalAndEvidence,
 }
 
-/// A sampler for each of the variants.
+/// One sampler per variant.
 pub(crate) struct Samplers {
     network: Sampler,
     base: Sampler,
@@ -111,11 +110,10 @@ pub(crate) struct Samplers {
 }
 
 impl Forecaster {
-    /// Checks that the stages can run the weights; `seed` is that of latent variables where the model draws
-    /// them.
+    /// Checks that the stages can run the weights. `seed` draws the latent variables if the model draws them.
     ///
     /// # Errors
-    /// [`ChainError`] where the weights do not hold the model, or it does not fit the payloads.
+    /// [`ChainError`] if the weights do not hold the model, or if the model does not fit the payloads.
     pub fn new(weights: Weights, seed: u64) -> Result<Self, ChainError> {
         let run = Run { lockstep: true, seed, ..Run::default() };
         let forecaster = Self { weights, run, lanes: None };
@@ -124,17 +122,17 @@ impl Forecaster {
         Ok(forecaster)
     }
 
-    /// Computes the decoder in this precision from now on.
+    /// Sets the precision of the decoder.
     ///
     /// # Errors
-    /// [`ChainError`] where this process can't compute in it.
+    /// [`ChainError`] if this process can't compute in this precision.
     pub fn decode_in(&mut self, precision: Precision) -> Result<(), ChainError> {
         let options = decoder::Options { precision, ..decoder::Options::default() };
         self.run.stages = vec![StageRun::with_options(&decoder::STAGE, &options)?];
         self.features_to_controls().map(|_| ())
     }
 
-    /// Takes the forecasts of vehicles along these lanes from now on.
+    /// Makes vehicles' forecasts follow these lanes.
     pub fn guide_along(&mut self, map: Arc<LaneMap>) {
         self.lanes = Some(map);
     }
@@ -157,10 +155,10 @@ impl Forecaster {
         RetrievalMemory::new(self.config().horizon_len, self.config().step_ns())
     }
 
-    /// Forecasts the agents of a recording's scenes, which come in time order, without retrieval: by scene
-    /// and by place in it, `None` for agents that are absent.
+    /// Forecasts the agents of a recording's scenes without retrieval. The scenes are in time order. The
+    /// result is indexed by scene and by the agent's place in it; `None` for absent agents.
     ///
-    /// Only scenes whose number is `wanted` are forecast; the others have no entries.
+    /// `wanted` selects scenes by index. Other scenes have no entries.
     #[must_use]
     pub fn forecast(
         &self,
@@ -192,16 +190,16 @@ impl Forecaster {
         forecasts
     }
 
-    /// The `tracks` payloads of a recording's scenes, which come in time order.
+    /// The `tracks` payloads of a recording's scenes, which are in time order.
     #[must_use]
     pub fn payloads(&self, recording: &Recording, scenes: &[Scene]) -> Vec<TracksPayload> {
         let mut publisher = Publisher::new(self.header(), recording);
         scenes.iter().map(|scene| publisher.next(scene)).collect()
     }
 
-    /// Forecasts the complete agents of a recording's scenes, which come in time order, without and with
-    /// retrieval: by scene, with their places in it. `memory` is what the warm-started forecasts retrieve
-    /// from at first.
+    /// Forecasts the complete agents of a recording's scenes in all variants. The scenes are in time order.
+    /// Each forecast comes with its agent's place in the scene. `memory` is the initial memory of the
+    /// warm-started variant.
     #[must_use]
     pub fn variants(
         &self,
@@ -221,7 +219,8 @@ impl Forecaster {
         scenes.chunks(TOGETHER).flat_map(part).collect()
     }
 
-    /// Fills a memory with a recording as its forecasts would have stored it, and ends the session.
+    /// Adds a recording to a retrieval memory, as its own forecasts would have stored it, and ends the
+    /// session.
     pub fn visit(
         &self,
         recording: &Recording,
@@ -245,7 +244,7 @@ impl Forecaster {
         memory.end_session();
     }
 
-    /// The stages from `tracks` on, with a memory to retrieve from if there is one.
+    /// The stages from `tracks` to `forecasts`, with retrieval from `memory` if there is one.
     pub fn stages(&self, map: MapInput<'_>, memory: Option<RetrievalMemory>) -> TracksToForecasts {
         let correction = if memory.is_some() { Correction::Retrieval } else { Correction::None };
         let mut sampler = self.sampler(correction);
@@ -256,7 +255,7 @@ impl Forecaster {
         stages.expect("stages that started before start again")
     }
 
-    /// The sampler of a run.
+    /// A sampler as in a run, with this correction.
     fn sampler(&self, correction: Correction) -> Sampler {
         let options = sampler::Options {
             retrieval: correction != Correction::None,
@@ -280,7 +279,7 @@ impl Forecaster {
         Ok(TracksToFeatures::new(&self.weights, localiser, extractor)?)
     }
 
-    /// Encoder and decoder on one thread: the threads of an evaluation have a pair each.
+    /// An encoder and decoder on one thread. Each thread of an evaluation has its own pair.
     fn features_to_controls(&self) -> Result<FeaturesToControls, ChainError> {
         let decoder = DecoderOptions { workers: 1, ..decoder::stage::settings(&self.run)? };
         Ok(FeaturesToControls::new(&self.weights, EncoderOptions { workers: 1 }, decoder)?)
@@ -295,7 +294,7 @@ impl Forecaster {
 }
 
 impl Session {
-    /// Stages that have seen nothing of a recording; so many threads share their work.
+    /// Stages without any state of a recording; `threads` share their work.
     pub(crate) fn new(
         forecaster: &Forecaster,
         recording: &Recording,
@@ -316,8 +315,8 @@ impl Session {
         }
     }
 
-    /// Takes the next scenes, and those that are `wanted` to their controls; `counts` names the agents, by
-    /// their place in a scene, whose forecasts are of interest.
+    /// Passes the next scenes through the extractor and decodes those that are `wanted`. `counts` returns the
+    /// places of the agents whose forecasts are needed.
     pub(crate) fn decode(
         &mut self,
         scenes: &[Scene],
@@ -355,7 +354,7 @@ impl Session {
 }
 
 impl Network {
-    /// The controls of a tick, and the base controls of the agents that count.
+    /// The controls of a tick, and the base controls of the counted agents.
     fn step(&mut self, frame: &FeatureFrame, decoded: &Decoded) -> (Vec<AgentControls>, Vec<AgentControls>) {
         let Ok(made) = self.controls.step(frame, |_| ()) else { return (Vec::new(), Vec::new()) };
         let base = self.base.iter_mut().flat_map(|base| {
@@ -366,8 +365,8 @@ impl Network {
 }
 
 impl Samplers {
-    /// Samplers of a recording; `memory` is what the warm-started one begins with, and `lanes` are those of
-    /// the site, along which all but the base go.
+    /// Samplers for a recording. `memory` is the initial memory of the warm-started one. Forecasts follow
+    /// `lanes`, except those of the base.
     pub(crate) fn new(
         forecaster: &Forecaster,
         memory: Option<RetrievalMemory>,
@@ -393,13 +392,13 @@ impl Samplers {
         }
     }
 
-    /// What the warm-started sampler's memory holds by now.
+    /// The current memory of the warm-started sampler.
     pub(crate) fn memory(&self) -> Option<&RetrievalMemory> {
         self.warm_started.as_ref()?.memory()
     }
 
-    /// The forecasts of the agents that count, with their places in the scene: scene by scene. An agent is
-    /// missing where a sampler refuses the payload.
+    /// The forecasts of the counted agents, scene by scene, with their places in the scene. If a sampler
+    /// refuses a payload, the scene's agents are missing.
     pub(crate) fn forecast(&mut self, decoded: &[Decoded], threads: usize) -> Vec<Vec<(usize, Variants)>> {
         let Self { network, base, retrieved, warm_started, with_evidence, horizon_len } = self;
         let alone = |decoded: &Decoded| decoded.counting_tracks();
@@ -458,7 +457,7 @@ impl Samplers {
 }
 
 impl Decoded {
-    /// What the stages did not see of the window, counted.
+    /// Counts what the stages left out of the window.
     pub(crate) fn crowding(&self) -> Crowding {
         let (agents_len, edges_len) = (self.payload.left_out as u64, self.edges_left_out as u64);
         Crowding { windows_len: u64::from(agents_len + edges_len > 0), agents_len, edges_len }
@@ -470,10 +469,10 @@ impl Decoded {
 }
 
 impl Forecast {
-    /// What a payload contains, with so many steps.
+    /// The first `horizon_len` steps of a payload.
     ///
     /// # Panics
-    /// Where the payload has fewer.
+    /// If the payload has fewer steps.
     #[must_use]
     pub fn of(payload: &Payload, horizon_len: usize) -> Self {
         let modes = 0..payload.modes_len as usize;
@@ -490,7 +489,7 @@ fn forecasts(payloads: &[Payload], horizon_len: usize) -> Vec<Forecast> {
     payloads.iter().map(|payload| Forecast::of(payload, horizon_len)).collect()
 }
 
-/// A forecast per track; none where the sampler refuses the payload.
+/// One forecast per track; empty if the sampler refuses the payload.
 fn sample(
     sampler: &mut Sampler,
     header: &Header,

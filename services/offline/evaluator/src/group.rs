@@ -5,38 +5,38 @@ use metrics::{Interval, PairedErrors, paired_bootstrap, paired_bootstrap_ratio};
 use crate::judge::Block;
 use crate::{Crowding, Measure, Method, Subset, Tally};
 
-/// Resamples of an interval.
+/// Resamples per interval.
 pub const RESAMPLES: usize = 1000;
 
 /// Seed of the resamples.
 const SEED: u64 = 1;
 
-/// How our errors compare with those of another method on the same agents, with 95 % intervals.
+/// Our errors compared with the errors of another method on the same agents, with 95 % intervals.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Contrast {
-    /// Ours less theirs.
+    /// Our error minus the other error.
     pub difference: Interval,
-    /// Ours over theirs.
+    /// Our error divided by the other error.
     pub ratio: Interval,
 }
 
-/// Some agents with their errors.
+/// A set of agents with their errors.
 #[derive(Clone, Debug)]
 pub struct Group {
-    /// What part of the data they are of.
+    /// The part of the data that they belong to.
     pub part: String,
-    /// Which of its agents.
+    /// The rule that selects them.
     pub subset: Subset,
     /// Unit of the lengths.
     pub unit: &'static str,
-    /// All together.
+    /// All agents together.
     pub total: Tally,
-    /// By block, what intervals resample.
+    /// By block; intervals resample blocks.
     blocks: Vec<Tally>,
 }
 
 impl Group {
-    /// The agents of one subset of some blocks; `subset` is its place among the blocks' tallies.
+    /// The agents of one subset over these blocks. `place` is the subset's index among each block's tallies.
     #[must_use]
     pub fn new(part: &str, subset: Subset, place: usize, blocks: &[Block]) -> Self {
         let tallies = || blocks.iter().map(|block| &block.tallies[place]);
@@ -51,19 +51,19 @@ impl Group {
         let blocks = groups.iter().flat_map(|group| group.blocks.iter().cloned()).collect();
         let horizons_len = horizons_len(groups.iter().map(|group| &group.total));
         let mut pooled = Self::of_tallies(part, subset, unit, horizons_len, blocks);
-        // What payloads had no room for is reported with the parts.
+        // Each part reports its own crowding.
         pooled.total.crowding = Crowding::default();
         pooled
     }
 
-    /// The same errors in another unit, so many of which make a metre.
+    /// The same errors in another unit, with `per_m` units per metre.
     #[must_use]
     pub fn scaled(&self, unit: &'static str, per_m: f64) -> Self {
         let blocks = self.blocks.iter().map(|tally| tally.clone().scaled(per_m)).collect();
         Self::of_tallies(&self.part, self.subset, unit, self.total.horizons_len(), blocks)
     }
 
-    /// The sum of `blocks`; it has its horizons even where there is no block.
+    /// Sums `blocks`. The total has `horizons_len` horizons even without blocks.
     fn of_tallies(
         part: &str,
         subset: Subset,
@@ -76,8 +76,8 @@ impl Group {
         Self { part: part.to_owned(), subset, unit, total, blocks }
     }
 
-    /// Compares our ADE and FDE with those of `theirs` on the same agents; `None` if `theirs` has none, or if a single
-    /// block gives no interval.
+    /// Compares our ADE and FDE with the errors of `theirs` on the same agents. `None` if `theirs` has none,
+    /// or if a single block gives no interval.
     #[must_use]
     pub fn compare(&self, theirs: Method, measure: Measure, horizon: usize) -> Option<[Contrast; 2]> {
         if self.blocks.len() < 2 {
@@ -101,14 +101,14 @@ impl Group {
         Some([contrast(0)?, contrast(1)?])
     }
 
-    /// Blocks with an agent that counts.
+    /// Number of blocks with a counted agent.
     #[must_use]
     pub const fn blocks_len(&self) -> usize {
         self.blocks.len()
     }
 }
 
-/// The number of horizons of tallies that have the same.
+/// The number of horizons, which all these tallies share.
 fn horizons_len<'a>(mut tallies: impl Iterator<Item = &'a Tally>) -> usize {
     tallies.next().map_or(0, Tally::horizons_len)
 }

@@ -1,4 +1,4 @@
-//! Forecasts every agent that counts in a recording's scenes and sums up the errors.
+//! Forecasts every counted agent in a recording's scenes and sums the errors.
 
 use std::sync::Arc;
 
@@ -14,7 +14,7 @@ use crate::forecaster::{Decoded, Forecast, Samplers, Session, TOGETHER, Variants
 use crate::maps::MapInput;
 use crate::{Agent, Forecaster, Method, Scene, Tally, threads};
 
-/// Speed from which on an agent counts as moving, at its last observed step.
+/// Speed at the last observed step from which an agent counts as moving.
 pub const MOVING_MPS: f32 = 0.5;
 
 /// Which of a scene's complete agents count.
@@ -22,11 +22,11 @@ pub const MOVING_MPS: f32 = 0.5;
 pub enum Subset {
     /// All.
     All,
-    /// All where there are two or more, otherwise none: the rule of S-GAN.
+    /// All if there are two or more, otherwise none: the rule of S-GAN.
     Company,
-    /// Those that moved at their last observed step.
+    /// Agents that move at their last observed step.
     Moving,
-    /// Those of a type.
+    /// Agents of a type.
     Of(AgentType),
 }
 
@@ -42,7 +42,7 @@ impl Subset {
         }
     }
 
-    /// Those of the complete agents that count.
+    /// The counted agents among the complete ones.
     fn of(self, scene: &Scene, complete: &[usize]) -> Vec<usize> {
         let moves = |agent: &Agent| agent.newest().is_some_and(|state| state.speed_mps() >= MOVING_MPS);
         match self {
@@ -63,40 +63,40 @@ impl Subset {
     }
 }
 
-/// What happened over a stretch of a recording as long as one window: the unit that intervals resample.
+/// The errors over one window's length of a recording. Intervals resample blocks.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Block {
-    /// A tally for each subset.
+    /// One tally per subset.
     pub tallies: Vec<Tally>,
 }
 
-/// An evaluation: the model, the baselines and the agents that count.
+/// An evaluation: the model, the baselines and the rules that select agents.
 pub struct Judge<'a> {
     /// The model.
     pub forecaster: &'a Forecaster,
-    /// The others.
+    /// The baselines.
     pub baselines: &'a Baselines,
-    /// Numbers of steps up to which errors are summed, growing.
+    /// Numbers of steps up to which errors are summed, in ascending order.
     pub horizons: &'a [usize],
-    /// Which agents count.
+    /// The subsets that are tallied.
     pub subsets: &'a [Subset],
-    /// The type whose agents count; all types where it is `None`.
+    /// The type of the counted agents; `None` counts all types.
     pub of_type: Option<AgentType>,
-    /// The lanes of the site, along which our forecasts go.
+    /// The lanes of the site, which our forecasts follow.
     pub lanes: Option<Arc<LaneMap>>,
-    /// Threads that share the scenes; results do not depend on it.
+    /// Threads that share the scenes; results do not depend on their number.
     pub threads: usize,
 }
 
 impl Judge<'_> {
-    /// Evaluates a recording's scenes that have an agent to count, block by block.
+    /// Evaluates a recording's scenes block by block.
     #[must_use]
     pub fn recording(&self, recording: &Recording, scenes: &[Scene], map: MapInput<'_>) -> Vec<Block> {
         self.revisit(recording, scenes, map, None)
     }
 
-    /// As [`Judge::recording`], and also warm-started from a retrieval memory, which the recording extends;
-    /// its session has to have ended.
+    /// As [`Judge::recording`], with another variant that is warm-started from a retrieval memory. The
+    /// recording extends this memory, whose previous session must have ended.
     #[must_use]
     pub fn revisit(
         &self,
@@ -126,7 +126,7 @@ impl Judge<'_> {
         blocks.into_iter().map(|(_, block)| block).collect()
     }
 
-    /// The tallies of the scenes, with their stamps, that have an agent to count.
+    /// The tallies of the scenes with counted agents, with the scenes' stamps.
     fn part(
         &self,
         scenes: &[Scene],
@@ -149,14 +149,14 @@ impl Judge<'_> {
         cases.iter().map(|((scene, _), _)| scene.stamp_ns).zip(tallies).collect()
     }
 
-    /// Places of the agents that can count.
+    /// Places of the complete agents of the evaluated type.
     fn complete(&self, scene: &Scene) -> Vec<usize> {
         let is_of_type =
             |&place: &usize| self.of_type.is_none_or(|of_type| scene.agents[place].agent_type == of_type);
         scene.complete().into_iter().filter(is_of_type).collect()
     }
 
-    /// A tally of the scene for each subset, of its agents that count with their places.
+    /// One tally per subset. `forecasts` has the agents' places in the scene.
     fn scene(&self, scene: &Scene, forecasts: &[(usize, Variants)]) -> Vec<Tally> {
         let complete: Vec<usize> = forecasts.iter().map(|(place, _)| *place).collect();
         let judged =
@@ -175,7 +175,7 @@ impl Judge<'_> {
         self.subsets.iter().map(tally).collect()
     }
 
-    /// The sums of some agents of a scene. Its futures are made for all who are there, whether they stay or
+    /// The sums of these agents of a scene. Joint futures depend on all agents that are present, complete or
     /// not.
     fn together(&self, scene: &Scene, members: &[&Judged<'_>]) -> Tally {
         let mut tally = Tally::new(self.horizons.len());
@@ -223,7 +223,7 @@ impl Judge<'_> {
         Judged { agent, candidates, tally }
     }
 
-    /// `ours` is the place of the method in [`Method::OURS`].
+    /// `ours` is the index of the method in [`Method::OURS`].
     fn add_calibration(
         &self,
         scene: &Scene,
@@ -261,14 +261,14 @@ impl Judge<'_> {
     }
 }
 
-/// An agent with what all methods made of it.
+/// An agent with the forecasts and errors of all methods.
 struct Judged<'a> {
     agent: &'a Agent,
     candidates: [Candidate; Method::ALL.len()],
     tally: Tally,
 }
 
-/// Physical limits of an agent; of a vehicle as far as its length is known.
+/// Physical limits of an agent. A vehicle of unknown length has the default length.
 fn limits(agent: &Agent, config: &ModelConfig) -> Limits {
     match agent.agent_type {
         AgentType::Vehicle => {
@@ -278,7 +278,7 @@ fn limits(agent: &Agent, config: &ModelConfig) -> Limits {
     }
 }
 
-/// Half the width of an agent of a type: what it surely occupies.
+/// Half the width that an agent of a type certainly occupies.
 const fn radius_m(agent_type: AgentType) -> f32 {
     match agent_type {
         AgentType::Vehicle => 0.9,

@@ -1,13 +1,15 @@
-//! Evaluates forecasts against recorded futures, and baselines on the very same agents.
+//! Evaluates forecasts against recorded futures, and baselines on exactly the same agents.
 //!
-//! [`eth_ucy`], [`sdd`], [`interaction`] and [`files`] are *protocols*: each reads recordings and cuts them
-//! into [`Scene`]s. The [`Forecaster`] runs the shipped stages on the `tracks` payloads of scenes; the
-//! [`Judge`] does so for every agent that counts, lets the baselines forecast the very same agents and adds
-//! up all errors in [`Tally`]s, a [`Block`] of a recording at a time. [`Group`]s of blocks (a fold, a site)
-//! make the tables of a [`Report`].
+//! 1. A *protocol* ([`eth_ucy`], [`sdd`], [`interaction`] or [`files`]) reads recordings and cuts them into
+//!    [`Scene`]s.
+//! 2. The [`Forecaster`] runs the shipped stages on the `tracks` payloads of scenes.
+//! 3. The [`Judge`] compares the forecasts and the baselines for every counted agent. It sums all errors in
+//!    [`Tally`]s, one per subset and [`Block`] of a recording.
+//! 4. [`Group`]s of blocks (a fold, a site) make the tables of a [`Report`].
 //!
-//! What other evaluations share lies here too: [`Options`] and [`Footage`] read data sets and weights,
-//! [`Table`] writes Markdown, [`threads`] splits work with results that do not depend on their number.
+//! Other evaluations share some of this crate. [`Options`] and [`Footage`] read data sets and weights,
+//! [`Table`] writes Markdown, and [`threads`] splits work, with results that do not depend on the number of
+//! threads.
 
 mod baselines;
 mod error;

@@ -1,19 +1,18 @@
-//! Maps that the model reads: which one a recording is forecast with, and how one is made of a site's
-//! recordings.
+//! Context maps for the model: which map a recording's forecasts use, and how a site's recordings make one.
 
 use localiser::MapSource;
 use scene::{ContextMap, MapBuilder, State};
 
 use crate::Scene;
 
-/// Where local map patches are cut from.
+/// The source of local map patches.
 #[derive(Clone, Copy, Debug)]
 pub enum MapInput<'a> {
-    /// Nowhere: every patch is empty.
+    /// No map: every patch is empty.
     None,
-    /// The map of what the recording showed before the patch's own time.
+    /// The map of the recording up to the patch's own time.
     Online,
-    /// The map of a site, made of other recordings.
+    /// The map of a site, made from other recordings.
     Site(&'a ContextMap),
 }
 
@@ -28,8 +27,8 @@ impl MapInput<'_> {
     }
 }
 
-/// The map of all places where the scenes' agents were, a visit per step; `None` where they span more than a
-/// map holds.
+/// The map of all places where the scenes' agents were, with one visit per step. `None` if there are no
+/// agents or they span more than a map holds.
 #[must_use]
 pub fn site_map<'a>(scenes: impl IntoIterator<Item = &'a Scene>) -> Option<ContextMap> {
     let states: Vec<State> = scenes.into_iter().flat_map(newest).map(|(_, state)| state).collect();

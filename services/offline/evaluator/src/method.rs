@@ -5,19 +5,18 @@
 pub enum Method {
     /// The model.
     Network,
-    /// The model with a retrieval memory that begins empty: residuals of forecasts earlier in the recording
+    /// The model with a retrieval memory that begins empty. Residuals of forecasts earlier in the recording
     /// correct new ones.
     OnlineRetrieval,
-    /// The same with a memory that begins with the residuals of earlier recordings of the site.
+    /// The same, but the memory begins with the residuals of earlier recordings of the site.
     WarmStartedRetrieval,
-    /// The model with a retrieval memory that begins empty and with evidence on what forecasts have been worth, as a
-    /// run is by default.
+    /// The model with a retrieval memory that begins empty, and with evidence: the default of a run.
     Evidence,
     /// The model's base control with the network switched off: ridge regression and anchors, B*.
     Base,
     /// Constant velocity plus 20 typical residuals.
     Anchors,
-    /// Constant velocity in 20 directions drawn around the true one.
+    /// Constant velocity in 20 directions, drawn around the observed one.
     SampledVelocity,
     /// Constant velocity.
     ConstantVelocity,
@@ -25,7 +24,7 @@ pub enum Method {
     ConstantAcceleration,
     /// Constant turn rate and speed.
     TurnRate,
-    /// Turn rate and acceleration that die away.
+    /// Decaying turn rate and acceleration.
     TurnRateAcceleration,
 }
 

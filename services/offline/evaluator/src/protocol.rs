@@ -1,4 +1,4 @@
-//! Protocols: which windows of which recordings are forecast with which weights, and which agents count.
+//! Protocols: which windows, weights and agents each evaluation uses.
 
 mod eth_ucy;
 mod files;
@@ -24,36 +24,35 @@ use crate::maps::{MapInput, site_map};
 use crate::weights::{Model, WeightsChoice};
 use crate::{Baselines, Cut, EvaluateError, Judge, Scene, Subset, threads};
 
-/// Seed of what is drawn or clustered on the way: latent variables, directions, anchors.
+/// Seed of latent variables, drawn directions and anchors.
 pub const SEED: u64 = 1;
 
-/// The map that the network reads, from none to the richest.
+/// The map that the network reads.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum MapChoice {
-    /// None.
+    /// No map.
     None,
     /// The map of the recording so far.
     Online,
-    /// The map of the site's training recordings, none where there are none; the online map in data sets
-    /// without sites.
+    /// The map of the site's training recordings, or none if there are no such recordings. In data sets
+    /// without sites, the online map.
     Site,
 }
 
-/// How an evaluation is run.
+/// The options of an evaluation.
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// Folder that holds the data sets, laid out as published.
+    /// Folder with the data sets in their published layout.
     pub data: PathBuf,
-    /// The part of the data set that is forecast: the test part to report on, the validation part to choose
-    /// by.
+    /// The evaluated part of the data set: the test part for reports, the validation part to choose options.
     pub part: Part,
     /// The weights.
     pub weights: WeightsChoice,
     /// The map for models that read one.
     pub map: MapChoice,
-    /// Whether forecasts go along the lanes of each site's Lanelet2 map; INTERACTION has them in `maps`.
+    /// Whether forecasts follow the lanes of each site's Lanelet2 map. INTERACTION has these maps in `maps`.
     pub lanes: bool,
-    /// Threads that share the work; results do not depend on it.
+    /// Threads that share the work; results do not depend on their number.
     pub threads: usize,
 }
 
@@ -66,7 +65,7 @@ pub struct Footage {
 }
 
 impl Footage {
-    /// The site of a recording whose name begins with it: `DR_USA_Roundabout_FT`.
+    /// The site, which is the first part of the recording's name: `DR_USA_Roundabout_FT`.
     #[must_use]
     pub fn site(&self) -> String {
         self.recording.name.split('/').next().unwrap_or_default().to_owned()
@@ -74,9 +73,8 @@ impl Footage {
 }
 
 impl MapChoice {
-    /// The map that was chosen. Without one of the site there is none at all: what a model has learned of
-    /// maps it has learned at other sites, and there it forecasts worse with the online map than with
-    /// nothing.
+    /// The chosen map. `Site` without a map of the site means no map: such a model learned from the maps of
+    /// other sites, and an online map makes it worse than no map.
     #[must_use]
     pub const fn input(self, site: Option<&ContextMap>) -> MapInput<'_> {
         match (self, site) {
@@ -86,7 +84,7 @@ impl MapChoice {
         }
     }
 
-    /// Its name in reports.
+    /// The name in reports.
     #[must_use]
     pub const fn label(self) -> &'static str {
         match self {
@@ -97,7 +95,7 @@ impl MapChoice {
     }
 }
 
-/// The map of a site's recordings among `training`.
+/// The map made from a site's recordings in `training`.
 #[must_use]
 pub fn map_of(training: &[Footage], site: &str) -> Option<ContextMap> {
     let of_site = training.iter().filter(|footage| footage.site() == site);
@@ -105,7 +103,7 @@ pub fn map_of(training: &[Footage], site: &str) -> Option<ContextMap> {
 }
 
 impl Options {
-    /// The lanes of a site of INTERACTION, where they are asked for.
+    /// The lanes of a site of INTERACTION; `None` if the options do not use lanes.
     fn lanes_of(&self, site: &str) -> Result<Option<Arc<LaneMap>>, EvaluateError> {
         if !self.lanes {
             return Ok(None);
@@ -114,7 +112,7 @@ impl Options {
         Ok(Some(Arc::new(LaneMap::open(&path, Coordinates::default())?)))
     }
 
-    /// Reads and cuts recordings, telling of each before.
+    /// Reads recordings and cuts them into scenes.
     fn read(&self, paths: &[PathBuf], open: OpenOptions, cut: &Cut) -> Result<Vec<Footage>, EvaluateError> {
         let read = |path: &PathBuf, (): &mut ()| {
             let recording = data::open_with(path, open)?;
@@ -124,16 +122,16 @@ impl Options {
         threads::each(paths, self.threads, read).into_iter().collect()
     }
 
-    /// Reads and cuts the recordings of a part of a data set.
+    /// Reads the recordings of a part of a data set and cuts them into scenes.
     ///
     /// # Errors
-    /// [`EvaluateError`] where one can't be read.
+    /// [`EvaluateError`] if a recording can't be read.
     pub fn read_part(&self, set: DataSet, part: Part, cut: &Cut) -> Result<Vec<Footage>, EvaluateError> {
         self.read(&set.files(&self.data, part)?, OpenOptions::of(set.format()), cut)
     }
 }
 
-/// A protocol's agents and horizons.
+/// A protocol's counted agents and horizons.
 #[derive(Clone, Copy)]
 struct Rules<'a> {
     horizons: &'a [usize],
@@ -143,7 +141,7 @@ struct Rules<'a> {
 }
 
 impl Rules<'_> {
-    /// Evaluates a recording; one without an agent that counts is no error here.
+    /// Evaluates a recording; a recording without a counted agent is accepted.
     fn judge(
         &self,
         model: &Model,
@@ -154,7 +152,7 @@ impl Rules<'_> {
         self.judge_with(model, baselines).recording(&footage.recording, &footage.scenes, map)
     }
 
-    /// The evaluation of a model by these rules.
+    /// The evaluation of a model with these rules.
     fn judge_with<'a>(&'a self, model: &'a Model, baselines: &'a Baselines) -> Judge<'a> {
         Judge {
             forecaster: &model.forecaster,
@@ -172,7 +170,7 @@ impl Rules<'_> {
         self.horizons.iter().map(|&steps| (steps as i64 * cut.step_ns()) as f64 / 1e9).collect()
     }
 
-    /// The longest horizon's place.
+    /// Index of the longest horizon.
     const fn last(&self) -> usize {
         self.horizons.len() - 1
     }
@@ -182,7 +180,7 @@ fn fit(training: &[Footage], cut: &Cut) -> Baselines {
     Baselines::fit(training.iter().flat_map(|footage| &footage.scenes), cut, SEED)
 }
 
-/// Refuses recordings without an agent that counts.
+/// Fails if the recordings have no counted agent.
 fn need_agents(blocks: &[Block], name: &str, cut: &Cut) -> Result<(), EvaluateError> {
     if blocks.iter().any(|block| block.tallies.iter().any(|tally| !tally.is_empty())) {
         return Ok(());

@@ -1,4 +1,4 @@
-//! The tables of the paper, to print beside ours.
+//! The tables of the paper, printed with our results.
 
 use crate::Errors;
 
@@ -9,13 +9,13 @@ const INTERACTION: &str = include_str!("reference/paper_interaction.csv");
 /// A row of the paper's tables.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct PaperRow {
-    /// The scene (`ETH` … `AVG`, `RA`, `UI`); empty where the table has one only.
+    /// The scene (`ETH` … `AVG`, `RA`, `UI`); empty if the table has only one.
     pub(crate) scene: &'static str,
-    /// The horizon, where the table has several.
+    /// The horizon, if the table has several.
     pub(crate) horizon_s: Option<f64>,
-    /// The method as the paper calls it.
+    /// The paper's name of the method.
     pub(crate) method: &'static str,
-    /// In the unit of the table: metres, or pixels of SDD.
+    /// Errors in the unit of the table: metres, or pixels for SDD.
     pub(crate) errors: Errors,
 }
 
@@ -34,7 +34,7 @@ pub(crate) fn interaction() -> Vec<PaperRow> {
     rows(INTERACTION)
 }
 
-/// The methods of a table, in its order.
+/// The methods of a table, in the table's order.
 pub(crate) fn methods(rows: &[PaperRow]) -> Vec<&'static str> {
     let mut methods = Vec::new();
     for row in rows {
@@ -45,7 +45,7 @@ pub(crate) fn methods(rows: &[PaperRow]) -> Vec<&'static str> {
     methods
 }
 
-/// The header names the columns; those of ADE and FDE come last.
+/// Parses a table. Its header names the columns; ADE and FDE are last.
 fn rows(table: &'static str) -> Vec<PaperRow> {
     let mut lines = table.lines();
     let head: Vec<&str> = lines.next().unwrap_or_default().split(',').collect();

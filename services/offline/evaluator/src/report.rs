@@ -1,4 +1,4 @@
-//! Reports: tables for people, and every figure in a line of its own for machines.
+//! Reports: tables for people, and one line per figure for machines.
 
 mod table;
 
@@ -25,34 +25,34 @@ pub struct Figure {
     pub quantity: String,
     /// The method that made the forecasts.
     pub method: &'static str,
-    /// How forecasts are compared with the truth; empty where the quantity needs none.
+    /// How forecasts are compared with the truth; empty if the quantity needs no measure.
     pub measure: &'static str,
-    /// Up to this time ahead.
+    /// Time ahead up to which the figure counts, s.
     pub horizon_s: f64,
     /// The number.
     pub value: f64,
-    /// Its 95 % interval, where it has one.
+    /// The 95 % interval, if the figure has one.
     pub interval: Option<[f64; 2]>,
     /// Number of agents.
     pub agents: u64,
 }
 
-/// What an evaluation found.
+/// The results of an evaluation.
 #[derive(Clone, Debug, Default)]
 pub struct Report {
     /// What was evaluated.
     pub title: String,
-    /// By which weights.
+    /// The weights that made the forecasts.
     pub provenance: Vec<Provenance>,
-    /// What is probably wrong with the recordings, a line each.
+    /// Probable defects of the recordings, one line each.
     pub warnings: Vec<String>,
-    /// What the tables leave out and why, a line each.
+    /// What the tables leave out and why, one line each.
     pub left_out: Vec<String>,
-    /// What a run publishes, beside constant velocity; of recordings alone.
+    /// The published forecasts and constant velocity. Only the protocol for recordings has this table.
     published: Option<Table>,
-    /// For people.
+    /// Tables for people.
     tables: Vec<Table>,
-    /// For machines.
+    /// Figures for machines.
     pub figures: Vec<Figure>,
 }
 
@@ -65,7 +65,7 @@ impl Report {
         self.tables.push(table);
     }
 
-    /// Adds a line on windows of a part that do not fit a payload, once.
+    /// Adds one line about a part's windows that do not fit a payload, unless the report has it.
     fn add_crowding(&mut self, group: &Group) {
         let Crowding { windows_len, agents_len, edges_len } = group.total.crowding;
         let mark = format!("{}: of ", group.part);
@@ -77,7 +77,7 @@ impl Report {
         }
     }
 
-    /// Adds every figure of a group, and what payloads had no room for.
+    /// Adds every figure of a group, and a line on its windows that do not fit a payload.
     pub(crate) fn add_figures(&mut self, group: &Group, horizons_s: &[f64]) {
         self.add_crowding(group);
         for (horizon, &horizon_s) in horizons_s.iter().enumerate() {
@@ -123,9 +123,8 @@ impl Report {
         }
     }
 
-    /// Adds what the same protocol made of other trainings of the same recipes, other seeds for example: our
-    /// own rows of its main tables, training by training. [`Report::csv`] and [`Report::json`] stay those of
-    /// the first.
+    /// Adds our rows of the main tables by other trainings of the same recipes, for example with other seeds.
+    /// The results are listed training by training. [`Report::csv`] and [`Report::json`] do not change.
     pub fn add_beside(&mut self, others: &[Self]) {
         if others.is_empty() {
             return;
@@ -144,7 +143,7 @@ impl Report {
         self.provenance.extend(others.iter().flat_map(|other| other.provenance.iter().cloned()));
     }
 
-    /// The seed of all its weights, else the fingerprint of the first.
+    /// The seed that all weights share, or the first weights' fingerprint.
     fn training(&self) -> String {
         let seeds: BTreeSet<Option<u64>> = self.provenance.iter().map(|provenance| provenance.seed).collect();
         match seeds.first().copied().flatten().filter(|_| seeds.len() == 1) {
@@ -157,8 +156,7 @@ impl Report {
         self.published = Some(table);
     }
 
-    /// The forecasts that a run publishes beside constant velocity, and what is left out; `None` of data
-    /// sets.
+    /// The published forecasts compared with constant velocity, and what is left out. `None` for data sets.
     #[must_use]
     pub fn brief(&self) -> Option<String> {
         let table = self.published.as_ref()?;
@@ -167,19 +165,19 @@ impl Report {
         Some(text)
     }
 
-    /// The report as Markdown that also reads well in a terminal.
+    /// The report as Markdown that is also readable in a terminal.
     #[must_use]
     pub fn markdown(&self) -> String {
         self.written(&self.tables, "#")
     }
 
-    /// The main tables with their main rows, as Markdown one heading lower.
+    /// The main tables with their main rows as Markdown, one heading level lower.
     #[must_use]
     pub fn summary(&self) -> String {
         self.written(&self.tables.iter().filter_map(Table::summary).collect::<Vec<_>>(), "##")
     }
 
-    /// The title as a heading, the tables below it.
+    /// The title as a heading, followed by the tables.
     fn written(&self, tables: &[Table], heading: &str) -> String {
         let mut text = format!("{heading} {}\n\n", self.title);
         let made = self.made();
@@ -201,7 +199,7 @@ impl Report {
         text
     }
 
-    /// How the 20 forecasts of each agent were made, in a line for every table.
+    /// How the 20 forecasts of each agent were made; a line for every table.
     fn made(&self) -> String {
         let mut draws: Vec<&str> = self.provenance.iter().map(|provenance| &provenance.draws[..]).collect();
         draws.dedup();
@@ -215,7 +213,7 @@ impl Report {
         )
     }
 
-    /// Every figure, a line each, and behind it what makes it: weights, draws, map.
+    /// One line per figure, with the fingerprint of its weights.
     #[must_use]
     pub fn csv(&self) -> String {
         let mut text =
@@ -233,14 +231,14 @@ impl Report {
         text
     }
 
-    /// Everything as JSON.
+    /// The whole report as JSON.
     #[must_use]
     pub fn json(&self) -> serde_json::Value {
         let Self { title, provenance, left_out, figures, .. } = self;
         serde_json::json!({ "title": title, "provenance": provenance, "left_out": left_out, "figures": figures })
     }
 
-    /// Of the weights of a part; a part is named like its provenance or begins like it.
+    /// The provenance of a part: the one with the longest name that the part's name begins with.
     fn provenance_of(&self, part: &str) -> Option<&Provenance> {
         let of = |provenance: &&Provenance| part.starts_with(&provenance.part);
         self.provenance.iter().filter(of).max_by_key(|provenance| provenance.part.len())

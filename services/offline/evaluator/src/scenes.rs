@@ -1,4 +1,4 @@
-//! Scenes: moments of a recording as a forecaster may see them, and what came after.
+//! Scenes: what a forecaster sees at a time of a recording, and the true future.
 
 use data::{Recording, Reported, Window, WindowAgent, WindowOptions};
 use metrics::Point;
@@ -10,9 +10,9 @@ use scene::{AgentType, State};
 pub struct Agent {
     /// Identity in the recording.
     pub id: u64,
-    /// Its type as known at the scene's time.
+    /// Type as known at the scene's time.
     pub agent_type: AgentType,
-    /// `None` where unknown.
+    /// Length; `None` if unknown.
     pub length_m: Option<f32>,
     /// States at the history steps, oldest first.
     pub history: Vec<Option<State>>,
@@ -20,12 +20,12 @@ pub struct Agent {
     pub future: Vec<Option<Point>>,
 }
 
-/// A moment of a recording.
+/// A recording at one time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Scene {
     /// Time of the newest history step.
     pub stamp_ns: i64,
-    /// All agents that are present then.
+    /// All agents that are present at this time.
     pub agents: Vec<Agent>,
 }
 
@@ -38,7 +38,7 @@ pub struct Cut {
     pub horizon_len: usize,
     /// Spacing of the steps, Δt.
     pub dt_s: f64,
-    /// Whether velocities and headings come from the positions even where the recording has its own.
+    /// Whether velocities and headings come from positions even if the recording has its own.
     pub from_positions: bool,
 }
 
@@ -57,8 +57,8 @@ impl Agent {
 }
 
 impl Scene {
-    /// Places of the agents that a measure can count: those present from the first history step to the last
-    /// forecast step.
+    /// Places of the agents that can count: those present from the first history step to the last forecast
+    /// step.
     #[must_use]
     pub fn complete(&self) -> Vec<usize> {
         (0..self.agents.len()).filter(|&agent| self.agents[agent].is_complete()).collect()
@@ -66,7 +66,7 @@ impl Scene {
 }
 
 impl Cut {
-    /// The steps of a model, with the motion that recordings contain.
+    /// The steps of a model, with recorded motion.
     #[must_use]
     pub fn of(config: &ModelConfig) -> Self {
         Self {
@@ -83,11 +83,11 @@ impl Cut {
         (self.dt_s * 1e9).round() as i64
     }
 
-    /// The scenes of a recording, a step apart, in time order.
+    /// The scenes of a recording, one step apart and in time order.
     ///
-    /// Velocities and headings are the recording's where it contains both for the agent at every time so far.
-    /// Otherwise they are backward differences over the steps of the scene itself, the first step copying the
-    /// second, so that nothing before the history enters.
+    /// If the recording has velocity and heading of an agent at every time up to the scene, the scene uses
+    /// them. Otherwise they are backward differences between the scene's own steps, and the first step copies
+    /// the second. So a scene never depends on data before its history.
     #[must_use]
     pub fn scenes(&self, recording: &Recording) -> Vec<Scene> {
         let options = WindowOptions {

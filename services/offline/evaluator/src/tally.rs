@@ -1,4 +1,4 @@
-//! Sums of errors over agents, from which every table is made.
+//! Sums of errors over agents. Every table is made from them.
 
 use metrics::{Displacement, Mean, Share, displacement, joint_min_displacement};
 
@@ -8,7 +8,7 @@ use crate::{Agent, Method};
 /// How the forecasts of a method are compared with the truth.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Measure {
-    /// minADE₂₀ and minFDE₂₀: minima over the modes of each agent, ADE and FDE each their own.
+    /// minADE₂₀ and minFDE₂₀: minima over the modes of each agent, separately for ADE and FDE.
     BestOf,
     /// The single best forecast, K = 1.
     Single,
@@ -18,9 +18,9 @@ pub enum Measure {
     Joint,
     /// The best of 20 futures of the scene: the k-th most probable mode of every agent together.
     JointRanked,
-    /// The best of 20 futures of the scene: mode k of every agent together, which serves deviations that all
-    /// share; every other one is moved towards the single forecasts as [`metrics::joint_spread`] has it for
-    /// those that are each agent's own.
+    /// The best of 20 futures of the scene: mode k of every agent together. In every second future, modes
+    /// move towards the single forecasts as in [`metrics::joint_spread`]. Unmoved futures suit deviations
+    /// that all agents share, and moved ones suit deviations of each agent alone.
     JointNarrowed,
 }
 
@@ -62,8 +62,7 @@ pub struct Errors {
     pub fde_m: f64,
 }
 
-/// How well the probabilities and covariances of a method's forecasts are calibrated, over the steps since
-/// the previous horizon.
+/// Calibration of a method's probabilities and covariances, over the steps since the previous horizon.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Calibration {
     /// Negative log density of the truth under the kernel density of the modes, over agents and steps.
@@ -79,7 +78,7 @@ pub struct Calibration {
 }
 
 impl Calibration {
-    /// Adds the steps that `other` counted; the miss rates stay those of the later horizon.
+    /// Adds the steps of `other`. The miss rates do not change, because they belong to the later horizon.
     fn merge_steps(&mut self, other: &Self) {
         self.kde_nll.merge(&other.kde_nll);
         self.covered_50.merge(&other.covered_50);
@@ -90,16 +89,16 @@ impl Calibration {
 /// Windows that do not fit a payload, and what the stages did not see of them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Crowding {
-    /// Windows.
+    /// Number of windows.
     pub windows_len: u64,
-    /// Agents beyond those of a `tracks` payload: neighbours of nobody.
+    /// Agents for which the `tracks` payload has no room. They are not seen as neighbours.
     pub agents_len: u64,
-    /// Edges beyond those of a `features` payload: of the farthest neighbours.
+    /// Edges for which the `features` payload has no room. They belong to the farthest neighbours.
     pub edges_len: u64,
 }
 
 impl Crowding {
-    /// Counts all that `other` counted.
+    /// Adds the counts of `other`.
     fn merge(&mut self, other: &Self) {
         self.windows_len += other.windows_len;
         self.agents_len += other.agents_len;
@@ -107,31 +106,32 @@ impl Crowding {
     }
 }
 
-/// Errors of all methods on some agents.
+/// Errors of all methods on a set of agents.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Tally {
-    /// Scenes with an agent that counts.
+    /// Scenes with a counted agent.
     pub scenes_len: u64,
-    /// Agents that count.
+    /// Counted agents.
     pub agents_len: u64,
-    /// Agents that a method forecast, by method and measure.
+    /// Agents with a forecast, by method and measure.
     counts: [[u64; MEASURES]; METHODS],
     /// Sums of (ADE, FDE), by horizon, method and measure.
     sums: Vec<[[[f64; 2]; MEASURES]; METHODS]>,
-    /// By horizon and method of [`Method::OURS`].
+    /// By horizon and index in [`Method::OURS`].
     calibration: Vec<[Calibration; OURS]>,
-    /// Single forecasts that run into another of the same scene.
+    /// Share of single forecasts that collide with another one in the same scene.
     pub collided: Share,
-    /// Recorded futures that do so by the same rule.
+    /// Share of recorded futures that collide by the same rule.
     pub truly_collided: Share,
-    /// Modes and single forecasts that violate a limit of their agent's type, by method of [`Method::OURS`].
+    /// Share of modes and single forecasts that violate a limit of the agent's type, by index in
+    /// [`Method::OURS`].
     pub broken: [Share; OURS],
     /// Windows of the scenes that do not fit a payload.
     pub crowding: Crowding,
 }
 
 impl Tally {
-    /// Nothing counted, over so many horizons.
+    /// An empty tally for this number of horizons.
     #[must_use]
     pub fn new(horizons_len: usize) -> Self {
         Self {
@@ -147,7 +147,7 @@ impl Tally {
         }
     }
 
-    /// Counts all that `other` counted.
+    /// Adds the counts and sums of `other`.
     pub fn merge(&mut self, other: &Self) {
         self.scenes_len += other.scenes_len;
         self.agents_len += other.agents_len;
@@ -168,7 +168,8 @@ impl Tally {
         self.broken.iter_mut().zip(&other.broken).for_each(|(broken, more)| broken.merge(more));
     }
 
-    /// The same sums in another unit of length, so many of which make a metre. What has no length stays.
+    /// The same errors in another unit of length, with `per_m` units per metre. Counts and shares do not
+    /// change.
     #[must_use]
     pub fn scaled(mut self, per_m: f64) -> Self {
         let sums = self.sums.iter_mut().flat_map(|sums| sums.as_flattened_mut().as_flattened_mut());
@@ -176,7 +177,7 @@ impl Tally {
         self
     }
 
-    /// Mean errors up to a horizon; `None` where the method has no such forecast.
+    /// Mean errors up to a horizon; `None` if the method has no such forecast.
     #[must_use]
     pub fn errors(&self, method: Method, measure: Measure, horizon: usize) -> Option<Errors> {
         let [ade_m, fde_m] = self.sum(method, measure, horizon);
@@ -190,25 +191,25 @@ impl Tally {
         self.sums[horizon][method.index()][measure.index()]
     }
 
-    /// Agents that a method forecast.
+    /// Number of agents with a forecast by this method and measure.
     #[must_use]
     pub const fn len(&self, method: Method, measure: Measure) -> u64 {
         self.counts[method.index()][measure.index()]
     }
 
-    /// Whether nothing was counted.
+    /// Whether no agent was counted.
     #[must_use]
     pub const fn is_empty(&self) -> bool {
         self.agents_len == 0
     }
 
-    /// Horizons.
+    /// Number of horizons.
     #[must_use]
     pub fn horizons_len(&self) -> usize {
         self.sums.len()
     }
 
-    /// The calibration of a method, given by its place in [`Method::OURS`], over all steps up to a horizon.
+    /// The calibration of `Method::OURS[ours]`, over all steps up to a horizon.
     #[must_use]
     pub fn calibration(&self, ours: usize, horizon: usize) -> Calibration {
         let mut all = self.calibration[horizon][ours];
@@ -216,12 +217,12 @@ impl Tally {
         all
     }
 
-    /// The calibration over the steps between the previous horizon and this one, to add to.
+    /// The calibration over the steps between the previous horizon and this one.
     pub(crate) fn calibration_mut(&mut self, ours: usize, horizon: usize) -> &mut Calibration {
         &mut self.calibration[horizon][ours]
     }
 
-    /// Counts the marginal errors of one agent, `horizons` being numbers of steps.
+    /// Adds the marginal errors of one agent; `horizons` are numbers of steps.
     pub(crate) fn add_agent(&mut self, agent: &Agent, candidates: &[Candidate; METHODS], horizons: &[usize]) {
         self.agents_len += 1;
         for (method, candidate) in candidates.iter().enumerate() {
@@ -248,7 +249,8 @@ impl Tally {
         }
     }
 
-    /// Counts the joint errors of the agents of a scene in which `present` agents are forecast.
+    /// Adds the joint errors of a scene's counted agents; `present` is the number of agents that are
+    /// forecast.
     pub(crate) fn add_scene(
         &mut self,
         scene: &[(&Agent, &[Candidate; METHODS])],
@@ -297,7 +299,7 @@ impl Tally {
     }
 }
 
-/// The modes by falling probability; `None` where there are no probabilities.
+/// The modes by descending probability; `None` without probabilities.
 fn by_rank(candidate: &Candidate) -> Option<Vec<&[metrics::Point]>> {
     let probability = candidate.probability.as_ref()?;
     let mut order: Vec<usize> = (0..candidate.modes.len()).collect();
@@ -305,8 +307,7 @@ fn by_rank(candidate: &Candidate) -> Option<Vec<&[metrics::Point]>> {
     Some(order.into_iter().map(|mode| &candidate.modes[mode][..]).collect())
 }
 
-/// The modes as the futures of a scene of `present` agents have them; `None` where there is no single
-/// forecast.
+/// The modes in [`Measure::JointNarrowed`] for a scene of `present` agents; `None` without a single forecast.
 fn narrowed(candidate: &Candidate, present: usize) -> Option<Vec<Vec<metrics::Point>>> {
     let single = candidate.single.as_ref()?;
     let own = metrics::joint_spread(present, candidate.modes.len());
@@ -324,7 +325,7 @@ mod tests {
     use super::*;
     use scene::{AgentType, State};
 
-    /// An agent that stands at the origin and will be at `future`.
+    /// An agent that stands at the origin and moves to `future`.
     fn agent(future: [metrics::Point; 2]) -> Agent {
         Agent {
             id: 1,
@@ -335,7 +336,7 @@ mod tests {
         }
     }
 
-    /// Two modes of the network, 1 m and 3 m to the left of where the agent goes, the farther one likelier.
+    /// Two modes of the network, 1 m and 3 m to the left of the truth. The farther one is more probable.
     fn candidates(near_first: bool) -> [Candidate; METHODS] {
         let mut candidates: [Candidate; METHODS] = Default::default();
         let (near, far) = (vec![[1.0, 1.0], [2.0, 1.0]], vec![[1.0, 3.0], [2.0, 3.0]]);

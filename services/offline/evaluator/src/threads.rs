@@ -1,9 +1,9 @@
-//! Work shared among threads, with results in the order of the items.
+//! Shares work among threads. Results are in the order of the items.
 
-/// What `work` makes of each item; every thread has a memory of its own.
+/// Calls `work` on each item and returns the results. Each thread has its own memory.
 ///
-/// The result of an item must not depend on what its memory saw before: then it is the same for any number of
-/// threads.
+/// A result must not depend on the memory's earlier contents. Then any number of threads gives the same
+/// results.
 pub fn each<T: Sync, R: Send, M: Default + Send>(
     items: &[T],
     threads: usize,
@@ -13,7 +13,7 @@ pub fn each<T: Sync, R: Send, M: Default + Send>(
     each_with(items, &mut memories, work)
 }
 
-/// As [`each`], with the memories of as many threads; there must be one.
+/// As [`each`], with one thread per memory; at least one is needed.
 pub fn each_with<T: Sync, R: Send, M: Send>(
     items: &[T],
     memories: &mut [M],
@@ -35,7 +35,7 @@ pub fn each_with<T: Sync, R: Send, M: Send>(
     (0..items.len()).filter_map(|item| shares[item % threads].next()).collect()
 }
 
-/// What a thread returned; panics as it panicked.
+/// The thread's result; resumes its panic if it panicked.
 pub(crate) fn joined<R>(handle: std::thread::ScopedJoinHandle<'_, R>) -> R {
     handle.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
 }

@@ -1,4 +1,4 @@
-//! `tracks` payloads of windows: what the tracker would publish if it knew the recorded states for certain.
+//! `tracks` payloads of windows, as a tracker would publish them if it knew the recorded states exactly.
 
 use std::collections::BTreeMap;
 
@@ -11,9 +11,9 @@ use crate::{Agent, Scene};
 /// The `tracks` payload of a scene.
 #[derive(Clone, Debug)]
 pub struct TracksPayload {
-    /// The tick.
+    /// Header of the tick.
     pub header: Header,
-    /// All agents that are present, as far as there is room.
+    /// The agents that are present, as far as there is room.
     pub tracks: Vec<Track>,
     /// The place of each track among the scene's agents.
     pub places: Vec<usize>,
@@ -21,16 +21,16 @@ pub struct TracksPayload {
     pub left_out: usize,
 }
 
-/// Publishes the scenes of a recording, one after the other.
+/// Publishes the scenes of a recording one after the other.
 pub(crate) struct Publisher {
     header: Header,
     egos: BTreeMap<i64, [f32; 2]>,
-    /// Histories of the scene before.
+    /// Agents' histories in the previous scene.
     before: BTreeMap<u64, Vec<Option<State>>>,
 }
 
 impl Publisher {
-    /// Publishes scenes of a recording in ticks like that of `header`.
+    /// Publishes scenes of a recording with headers like `header`.
     pub(crate) fn new(header: Header, recording: &Recording) -> Self {
         let egos = recording.frames.iter().map(|frame| (frame.stamp_ns, frame.ego.position_m));
         Self { header, egos: egos.collect(), before: BTreeMap::new() }
@@ -38,9 +38,9 @@ impl Publisher {
 
     /// The next scene as a payload.
     ///
-    /// Published states never change, and the extractor keeps what it made of them. Where a scene's history
-    /// contains a state that an earlier scene's contained otherwise, as histories made of positions alone do,
-    /// it is a run of its own.
+    /// The extractor caches its results for published states, because a tracker never changes them. Histories
+    /// from positions alone do change: a scene can contain another version of a state than an earlier scene.
+    /// Such a scene, or one that does not follow the previous scene, starts a new run.
     pub(crate) fn next(&mut self, scene: &Scene) -> TracksPayload {
         let step_ns = self.header.step_ns.cast_signed();
         let is_next = self.header.stamp_ns.checked_add(step_ns) == Some(scene.stamp_ns);
@@ -62,11 +62,12 @@ impl Publisher {
 }
 
 impl TracksPayload {
-    /// All agents that are present, in the scene's order: recorded states, certain and confirmed. As by the tracker,
-    /// those are forecast that were there at an earlier step.
+    /// The payload with all agents that are present, in the scene's order. Their recorded states count as
+    /// certain, and the tracks as confirmed. As in a run, an agent is forecast if it was present at an
+    /// earlier step.
     ///
-    /// A payload has room for [`AGENTS_MAX`]. Where more are present, those that count, which are there over
-    /// a whole window, come first, and among equals the nearest to the scene's middle.
+    /// A payload has room for [`AGENTS_MAX`]. If more agents are present, complete agents come first, then
+    /// the nearest to the scene's middle.
     pub fn of(scene: &Scene, header: Header) -> Self {
         let present = |&place: &usize| scene.agents[place].newest().is_some();
         let mut places: Vec<usize> = (0..scene.agents.len()).filter(present).collect();
@@ -81,7 +82,7 @@ impl TracksPayload {
     }
 }
 
-/// Reduces places to as many as a payload has room for.
+/// Reduces places to the number that a payload has room for.
 fn keep_nearest(scene: &Scene, places: &mut Vec<usize>) {
     let position = |place: usize| scene.agents[place].newest().map_or([0.0; 2], |state| state.position_m);
     let middle = [0, 1].map(|axis| {
@@ -97,7 +98,7 @@ fn keep_nearest(scene: &Scene, places: &mut Vec<usize>) {
     places.sort_unstable();
 }
 
-/// An agent as a track; `None` where it is absent.
+/// An agent as a track; `None` if it is absent.
 pub fn track(agent: &Agent) -> Option<Track> {
     let now = agent.newest()?;
     let states_len = agent.history.iter().flatten().count() as u32;

@@ -1,4 +1,4 @@
-//! Which weights a table is made with, and their provenance in reports.
+//! The weights behind a table, and their provenance in reports.
 
 use std::path::PathBuf;
 
@@ -7,26 +7,26 @@ use nn::{Latents, ModelConfig, Precision, Weights};
 
 use crate::{EvaluateError, Forecaster};
 
-/// The recipe whose weights the executable carries.
+/// The recipe of the weights that are embedded in the executable.
 pub const EMBEDDED: &str = "onboard";
 
-/// Where weights come from.
+/// Selects weights.
 #[derive(Clone, Debug, PartialEq)]
 pub struct WeightsChoice {
-    /// The weights for everything.
+    /// One weights file for all recipes.
     pub file: Option<PathBuf>,
-    /// Otherwise the folder that holds a file per recipe; the onboard weights are always at hand.
+    /// If `file` is `None`, the folder with one file per recipe. The onboard weights are always embedded.
     pub folder: PathBuf,
-    /// Precision of the decoder that runs them.
+    /// Precision of the decoder.
     pub precision: Precision,
 }
 
-/// Weights, ready to forecast.
+/// Loaded weights that can forecast.
 pub struct Model {
-    /// Its forecaster.
+    /// Forecaster with these weights.
     pub forecaster: Forecaster,
     pub(crate) path: String,
-    /// Precision of the decoder, where it is not f32.
+    /// Precision of the decoder; `None` if it is f32.
     precision: Option<Precision>,
     sha256: String,
     recipe: Option<String>,
@@ -38,34 +38,34 @@ pub struct Model {
 /// Provenance of the weights behind a part of a report's figures.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct Provenance {
-    /// The part.
+    /// Name of the part.
     pub part: String,
     /// The weights file.
     pub weights: String,
-    /// Its fingerprint.
+    /// Fingerprint of the weights file.
     pub sha256: String,
-    /// The recipe that its card names.
+    /// The recipe named by its card.
     pub recipe: Option<String>,
-    /// The seed that its card names.
+    /// The seed named by its card.
     pub seed: Option<u64>,
     /// How the 20 forecasts of an agent were made.
     pub draws: String,
-    /// What the network saw of the ground.
+    /// The map that the network read.
     pub map: String,
-    /// Precision of the decoder, where it is not f32.
+    /// Precision of the decoder; `None` if it is f32.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub precision: Option<Precision>,
-    /// Recordings that the figures are of.
+    /// Number of recordings behind the figures.
     pub recordings: usize,
-    /// How many of them the card names as seen in training.
+    /// Number of these recordings that the card lists as training data.
     pub seen_in_training: usize,
 }
 
 impl WeightsChoice {
-    /// Opens the weights that `recipe` makes, or those that were asked for in their place.
+    /// Opens the weights of `recipe`, or `file` if it is set.
     ///
     /// # Errors
-    /// [`EvaluateError`] where they are missing or can't be used.
+    /// [`EvaluateError`] if the weights are missing or can't be used.
     pub fn open(&self, recipe: &str, seed: u64) -> Result<Model, EvaluateError> {
         let path = self.file.clone().unwrap_or_else(|| self.folder.join(format!("{recipe}.safetensors")));
         let mut shown = path.display().to_string();
@@ -108,7 +108,7 @@ impl Model {
         &self.sha256
     }
 
-    /// The model's provenance for a part of a report.
+    /// The provenance of these weights for a part of a report.
     #[must_use]
     pub fn provenance(&self, part: &str, map: &str, recordings: &[&Recording]) -> Provenance {
         let seen = recordings.iter().filter(|recording| self.trained_on.contains(&recording.sha256));
@@ -126,7 +126,7 @@ impl Model {
         }
     }
 
-    /// Refuses a model whose steps are not those of a data set.
+    /// Fails unless the model has the steps of the data set.
     pub(crate) fn check_steps(
         &self,
         set: &'static str,
@@ -152,7 +152,7 @@ fn steps(history_len: usize, horizon_len: usize, dt_s: f64) -> String {
     format!("{history_len} + {horizon_len} steps of {dt_s} s")
 }
 
-/// How a model's forecasts of an agent are made, and how many of how many are kept.
+/// How a model's forecasts of an agent are made, and how many are kept.
 fn draws(config: &ModelConfig) -> String {
     let modes_len = config.modes;
     match config.latents {
@@ -162,7 +162,7 @@ fn draws(config: &ModelConfig) -> String {
 }
 
 impl Provenance {
-    /// In one line.
+    /// The provenance in one line.
     #[must_use]
     pub fn line(&self) -> String {
         let recipe = self.recipe.as_deref().unwrap_or("unknown");

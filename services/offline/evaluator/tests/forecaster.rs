@@ -1,4 +1,4 @@
-//! Properties of the forecaster on generated traffic, which has all agent types.
+//! Properties of the forecaster on generated traffic with all agent types.
 
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should panic")]
 
@@ -24,7 +24,7 @@ fn scenes(forecaster: &Forecaster) -> Vec<Scene> {
     scenes.into_iter().filter(|scene| scene.complete().len() > 3).collect()
 }
 
-/// Forecasts of all complete agents; nothing is known of the ground.
+/// Forecasts of all complete agents, without a map.
 fn forecast(forecaster: &Forecaster, scene: &Scene) -> Vec<Forecast> {
     let scenes = std::slice::from_ref(scene);
     let mut forecasts =
@@ -198,7 +198,8 @@ fn missing_velocities_are_differences_within_the_scene() {
     }
 }
 
-/// The trainer makes models that forecast farther than a payload: what can't be shipped is not evaluated.
+/// The trainer can make models with a longer horizon than a payload holds. They can't be shipped, so they are
+/// refused.
 #[test]
 fn a_longer_horizon_than_a_payloads_is_refused() {
     let longer = |model: &mut nn::ModelConfig| {

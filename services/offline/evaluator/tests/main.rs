@@ -1,4 +1,4 @@
-//! The evaluator: windows of recordings, forecasts, figures and reports.
+//! Tests of the evaluator: windows of recordings, forecasts, figures and reports.
 
 mod support {
     pub mod weights;

@@ -1,4 +1,4 @@
-//! Evaluations from end to end, on recordings that are written here.
+//! End-to-end evaluations on recordings that the tests write.
 
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should panic")]
 
@@ -20,7 +20,7 @@ fn options(folder: &Path, weights: Option<PathBuf>, threads: usize) -> Options {
     }
 }
 
-/// Vehicles that go straight on at a constant speed, each on its own line, for `steps` tenths of a second.
+/// Vehicles that drive straight at a constant speed, each on its own line, for `steps` tenths of a second.
 fn straight(folder: &Path, steps: usize) -> PathBuf {
     let mut text = "stamp_s,id,type,x_m,y_m,heading_rad,speed_mps,length_m,width_m\n".to_owned();
     for step in 0..steps {
@@ -35,7 +35,7 @@ fn straight(folder: &Path, steps: usize) -> PathBuf {
     path
 }
 
-/// The same vehicles for 16 s at any rate, whose frames are off their grid by up to 2 ms.
+/// The same vehicles for 16 s at this frame rate. Frames are up to 4 ms off their grid.
 fn straight_at(folder: &Path, hertz: f64, has_motion: bool) -> PathBuf {
     let mut text = "stamp_s,id,type,x_m,y_m,heading_rad,speed_mps\n".to_owned();
     for frame in 0..(16.0 * hertz) as usize {
@@ -80,7 +80,7 @@ fn evaluate(options: &Options, path: &Path) -> Result<Report, EvaluateError> {
     evaluator::files(options, &[path.to_owned()], OpenOptions::default(), false, |_| ())
 }
 
-/// The figure of all agents over the whole horizon.
+/// A figure of all agents at the whole horizon.
 fn figure(report: &Report, method: &str, measure: &str, quantity: &str) -> Figure {
     let wanted = |figure: &&Figure| {
         (figure.method, figure.measure, &figure.quantity[..]) == (method, measure, quantity)
@@ -101,7 +101,7 @@ fn constant_velocity_predicts_straight_motion_exactly() {
             assert!(error.value < 2e-3, "{error:?}");
         }
     }
-    // What is printed first: a row per type that is present.
+    // The brief report has one row per type that is present.
     let brief = report.brief().unwrap();
     let rows: Vec<&str> = brief.lines().filter(|line| line.starts_with("| ")).skip(1).collect();
     assert!(rows.len() == 2 && brief.lines().count() <= 15, "{brief}");
@@ -112,7 +112,7 @@ fn constant_velocity_predicts_straight_motion_exactly() {
         let shown: f64 = cells[3].rsplit(" / ").next().unwrap().parse().unwrap();
         assert!((shown - published).abs() < 2e-3, "{brief}");
     }
-    // Eleven windows, at 2.8 to 6.8 s, two vehicles each.
+    // Eleven windows, at 2.8 to 6.8 s, with two vehicles each.
     assert_eq!(figure(&report, "ours", "K = 1", "ADE, m").agents, 22);
     assert_eq!(figure(&report, "ours", "", "collision rate, recorded futures, %").value, 0.0);
     assert_eq!(figure(&report, "ours", "", "forecasts that violate a limit, %").value, 0.0);
@@ -123,7 +123,7 @@ fn constant_velocity_predicts_straight_motion_exactly() {
 #[test]
 fn straight_motion_is_predicted_exactly_from_any_rate() {
     let folder = tempfile::tempdir().unwrap();
-    // 8 + 12 steps of 0.4 s fit into 16 s as many times as there are windows in 8.4 s.
+    // A window of 8 + 12 steps of 0.4 s can begin in the first 8.4 s of 16 s.
     for (hertz, agents) in [(2.0, 34), (2.5, 42), (3.0, 50), (10.0, 42), (23.98, 40), (25.0, 42), (29.97, 42)]
     {
         for has_motion in [true, false] {
@@ -164,7 +164,7 @@ fn every_table_names_the_source_of_its_modes() {
     assert_eq!(report.json()["figures"].as_array().unwrap().len(), report.figures.len());
 }
 
-/// Rows of our own of one training stand unchanged beside those of another, and name the training.
+/// Our rows of one training are unchanged next to the rows of another training, and name their training.
 #[test]
 fn another_training_gets_rows_of_its_own() {
     let folder = tempfile::tempdir().unwrap();
@@ -174,7 +174,7 @@ fn another_training_gets_rows_of_its_own() {
     std::fs::write(&other, weights::changed(halved, |_| ())).unwrap();
     let mut report = evaluate(&options(folder.path(), None, 2), &path).unwrap();
     let other = evaluate(&options(folder.path(), Some(other), 2), &path).unwrap();
-    // What stands in the row of our minADE₂₀ / minFDE₂₀ after the name of the method.
+    // The cells after the method's name in our row of minADE₂₀ / minFDE₂₀.
     let row = |markdown: &str, method: &str| {
         let mut rows = markdown.lines().map(|line| line.split('|').map(str::trim).collect::<Vec<_>>());
         let found = rows.find(|row| row.get(1..3) == Some(&["minADE₂₀ / minFDE₂₀", method]));
@@ -258,7 +258,7 @@ fn a_recording_without_moving_agents_has_no_table_of_them() {
     assert!(report.figures.iter().all(|figure| figure.subset == "all"));
     assert_eq!(figure(&report, "constant velocity", "K = 1", "FDE, m").value, 0.0);
     assert_eq!(figure(&report, "ours", "K = 1", "FDE, m").agents, 11);
-    // Beside one where somebody does, its column of moving agents is empty.
+    // Together with a recording that has moving agents, its column of moving agents is empty.
     let moves = straight(folder.path(), 120);
     let report = evaluator::files(&options, &[stands, moves], OpenOptions::default(), false, |_| ()).unwrap();
     assert!(report.left_out.is_empty());

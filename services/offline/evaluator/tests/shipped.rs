@@ -1,5 +1,4 @@
-//! Published is shipped: from the same `tracks` payloads, the evaluator's forecasts are those of the chain
-//! that `predict` runs.
+//! From the same `tracks` payloads, the evaluator's forecasts equal those of the chain that `predict` runs.
 
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should panic")]
 
@@ -26,7 +25,7 @@ fn run(sampler: &sampler::Options) -> Run {
     }
 }
 
-/// The forecasts of the complete agents by the shipped chain, scene by scene.
+/// The shipped chain's forecasts of the complete agents, scene by scene.
 fn shipped(run: &Run, scenes: &[Scene], payloads: &[TracksPayload]) -> Vec<Vec<(usize, Forecast)>> {
     let weights = Weights::onboard();
     let mut stages = TracksToForecasts::new(run, weights.config()).unwrap();
@@ -40,7 +39,7 @@ fn shipped(run: &Run, scenes: &[Scene], payloads: &[TracksPayload]) -> Vec<Vec<(
     scenes.iter().zip(payloads).map(of_scene).collect()
 }
 
-/// The complete agents of a type, all of whose forecasts are the same from both.
+/// Checks that both give the same forecasts, and returns the number of complete agents of a type.
 fn same(recording: &Recording, of_type: AgentType) -> usize {
     let forecaster = Forecaster::new(Weights::onboard(), 1).unwrap();
     let scenes = Cut::of(forecaster.config()).scenes(recording);
@@ -62,7 +61,7 @@ fn same(recording: &Recording, of_type: AgentType) -> usize {
             assert_eq!(evaluated, shipped);
         }
     };
-    // As a run is by default, and with less.
+    // The default options of a run, and options with less.
     let as_it_is = sampler::Options::default();
     let with_retrieval = sampler::Options { evidence: false, ..as_it_is.clone() };
     check(&sampler::Options { retrieval: false, ..with_retrieval.clone() }, |variants| &variants.network);

@@ -1,4 +1,4 @@
-//! The windows and agents of the published protocols, counted on the real recordings.
+//! Counts windows and agents of the published protocols in the real recordings.
 
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should panic")]
 
@@ -10,12 +10,12 @@ use testing::{public_recording, recordings_folder};
 
 const CUT: Cut = Cut { history_len: 8, horizon_len: 12, dt_s: 0.4, from_positions: false };
 
-/// The folder with the recordings, where it is there.
+/// The folder with the recordings; `None` if they are not there.
 fn recordings(set: &str) -> Option<PathBuf> {
     public_recording(set).map(|_| recordings_folder())
 }
 
-/// Numbers of windows with at least so many complete agents, and of those agents.
+/// Counts windows with at least `least` complete agents, and the agents in them.
 fn count(scenes: &[Scene], least: usize) -> (usize, usize) {
     let lens = scenes.iter().map(|scene| scene.complete().len()).filter(|len| *len >= least);
     lens.fold((0, 0), |(windows, agents), len| (windows + 1, agents + len))

@@ -4,7 +4,7 @@ use nn::Weights;
 use super::*;
 use crate::Cut;
 
-/// A generated recording of so many frames, and its scenes.
+/// A generated recording with this number of frames, and its scenes.
 fn footage(forecaster: &Forecaster, seed: u64, frames: usize) -> (Recording, Vec<Scene>) {
     let options =
         SceneOptions { agents: 24, seed, identities: true, miss_probability: 0.0, ..SceneOptions::default() };
@@ -13,7 +13,7 @@ fn footage(forecaster: &Forecaster, seed: u64, frames: usize) -> (Recording, Vec
     (recording, scenes)
 }
 
-/// The forecasts of each scene of a recording that ends after so many frames, another one having come before.
+/// The forecasts of each scene of a recording with this number of frames, after a visit to another one.
 fn variants(forecaster: &Forecaster, frames: usize) -> Vec<Vec<(usize, Variants)>> {
     let (recording, scenes) = footage(forecaster, 3, frames);
     let mut memory = forecaster.memory();

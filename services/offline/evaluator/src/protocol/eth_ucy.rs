@@ -1,4 +1,4 @@
-//! ETH/UCY: five folds, each tested on the scene that its training left out.
+//! ETH/UCY: five folds, each tested on the scene that its training leaves out.
 
 use data::sets::{DataSet, Fold, Part};
 use data::{Format, OpenOptions};
@@ -12,17 +12,17 @@ use crate::{Cut, Errors, EvaluateError, Subset};
 
 /// Steps of the protocol: 8 + 12 annotated frames.
 const STEPS: (usize, usize, f64) = (8, 12, 0.4);
-/// The ETH scene with its real 0.4 s between frames.
+/// The ETH scene with the true 0.4 s between frames.
 const TRUE_TIME: &str = "eth_ucy/obsmat/eth_0.4s.txt";
 
-/// Evaluates the weights of the five folds under both window rules, and those of ETH on the scene in
-/// its true time as well.
+/// Evaluates the weights of the five folds under both window rules. The ETH weights are also evaluated on
+/// their scene in true time.
 ///
-/// A window is 20 annotated frames in a row, one frame after the other; pedestrians count that are present
-/// in all of them. The network sees all that are present at the newest of the 8.
+/// A window is 20 consecutive annotated frames, with stride 1. Pedestrians that are present in all of them
+/// count. The network sees all pedestrians that are present at the newest of the 8 history frames.
 ///
 /// # Errors
-/// Where weights or recordings are missing or of another kind.
+/// If weights or recordings are missing or of another kind.
 pub fn eth_ucy(options: &Options, mut progress: impl FnMut(&str)) -> Result<Report, EvaluateError> {
     let (history_len, horizon_len, dt_s) = STEPS;
     let subsets = [Subset::Company, Subset::All];

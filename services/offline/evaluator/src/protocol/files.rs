@@ -11,12 +11,12 @@ use crate::report::{Column, Report, Table};
 use crate::weights::EMBEDDED;
 use crate::{Baselines, Cut, EvaluateError, Subset};
 
-/// Evaluates one set of weights on the recordings at `paths`, in steps of the model; there is no training
-/// part for anchors or a site map. The report lists recordings without an agent over a whole window as left
-/// out.
+/// Evaluates one set of weights on the recordings at `paths`, in steps of the model. Anchors and a site map
+/// are not available, because there is no training part. The report lists recordings without an agent over a
+/// whole window as left out.
 ///
 /// # Errors
-/// Where weights or recordings can't be read, or no recording has an agent over a whole window.
+/// If weights or recordings can't be read, or no recording has an agent over a whole window.
 pub fn files(
     options: &Options,
     paths: &[PathBuf],
@@ -28,7 +28,7 @@ pub fn files(
     let cut = Cut { from_positions, ..Cut::of(model.forecaster.config()) };
     let horizons = quarters(cut.horizon_len);
     let types = wire::AGENT_TYPES.map(Subset::Of);
-    // The tables are of the first two.
+    // Only the first two subsets have tables.
     let subsets = [&[Subset::All, Subset::Moving], &types[..]].concat();
     let rules = Rules { horizons: &horizons, subsets: &subsets, of_type: None, threads: options.threads };
     let baselines = Baselines::fit(std::iter::empty(), &cut, SEED);
@@ -81,7 +81,7 @@ pub fn files(
     Ok(report)
 }
 
-/// The forecasts that a run publishes beside constant velocity, by type and together.
+/// The published forecasts and constant velocity, by type and in total.
 fn published(groups: &[Vec<Group>], (horizon_s, horizon): (f64, usize)) -> Table {
     let pooled = |groups: &Vec<Group>| Group::pooled("all", &groups.iter().collect::<Vec<_>>());
     let pooled: Vec<Group> = groups.iter().map(pooled).collect();
@@ -94,7 +94,7 @@ fn published(groups: &[Vec<Group>], (horizon_s, horizon): (f64, usize)) -> Table
     Table::published("Published forecasts", &note, &rows, horizon)
 }
 
-/// The horizon and, where they are whole steps, its quarters or fifths.
+/// Splits the horizon into quarters, or into fifths, if these are whole steps.
 fn quarters(horizon_len: usize) -> Vec<usize> {
     let parts = [4, 5].into_iter().find(|parts| horizon_len.is_multiple_of(*parts)).unwrap_or(1);
     (1..=parts).map(|part| horizon_len * part / parts).collect()

@@ -1,5 +1,4 @@
-//! INTERACTION: vehicles at roundabouts (RA) and intersections (UI), at the sites of
-//! training and at a held-out one.
+//! INTERACTION: vehicles at roundabouts (RA) and intersections (UI), at training sites and at held-out sites.
 
 use std::path::{Path, PathBuf};
 
@@ -21,29 +20,29 @@ const STEPS: (usize, usize, f64) = (4, 10, 0.5);
 const SET: DataSet = DataSet::Interaction;
 const SUBSETS: [Subset; 2] = [Subset::All, Subset::Moving];
 
-/// Which weights are evaluated where.
+/// Which weights are evaluated on which recordings.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum InteractionPart {
-    /// The weights of all sites, on held-out recordings of these sites.
+    /// The weights of all sites, on recordings of these sites that training did not use.
     Seen,
-    /// The weights whose training left a site out, on all recordings of this site.
+    /// The weights whose training left out a site, on all recordings of this site.
     HeldOut(String),
 }
 
-/// Recordings that are evaluated together, by subset.
+/// The errors of recordings that are evaluated together, by subset.
 struct Judged {
     part: String,
     site: String,
     groups: [Group; 2],
 }
 
-/// Evaluates forecasts of 1 to 5 s, with the recorded speed and once more with motion from positions alone.
+/// Evaluates forecasts of 1 to 5 s, with the recorded speed and with motion from positions alone.
 ///
-/// Vehicles count that are present over all 14 steps; the network sees all agents at the newest of the 4.
-/// Moving agents have at least [`MOVING_MPS`] at the last observed step, whatever the future.
+/// Vehicles that are present in all 14 steps count. The network sees all agents at the newest of the 4
+/// history steps. Moving agents have at least [`MOVING_MPS`] at the last observed step.
 ///
 /// # Errors
-/// Where weights or recordings are missing or of another kind.
+/// If weights or recordings are missing or of another kind.
 pub fn interaction(
     options: &Options,
     parts: &[InteractionPart],
@@ -88,7 +87,7 @@ pub fn interaction(
     Ok(report)
 }
 
-/// What all parts have in common.
+/// State that all parts share.
 struct Protocol<'a> {
     options: &'a Options,
     rules: Rules<'a>,
@@ -103,7 +102,7 @@ impl Protocol<'_> {
         let baselines = fit(training, cut);
         let footage = options.read_part(SET, options.part, cut)?;
         let mut sites: Vec<(String, Vec<Block>)> = Vec::new();
-        // Recordings come site by site.
+        // Recordings are sorted by site.
         let mut visited: Option<(String, RetrievalMemory)> = None;
         for footage in &footage {
             let site = footage.site();
@@ -118,7 +117,7 @@ impl Protocol<'_> {
                 }
                 visited = Some((site.clone(), memory));
             }
-            // Other recordings of the part must not enter the memory.
+            // Other recordings of the evaluated part must not enter the memory.
             let mut memory = visited.as_ref().map(|(_, memory)| memory.clone());
             let blocks = judge.revisit(&footage.recording, &footage.scenes, map, memory.as_mut());
             match sites.iter_mut().find(|(name, _)| *name == site) {
@@ -135,7 +134,7 @@ impl Protocol<'_> {
         sites.into_iter().map(judge).collect()
     }
 
-    /// All recordings of a site, and those of the evaluated part by themselves.
+    /// All recordings of a site together, and the recordings of the evaluated part separately.
     fn held_out(&self, model: &Model, site: &str, report: &mut Report) -> Result<Vec<Judged>, EvaluateError> {
         let Self { options, rules, cut, training } = self;
         let others = training.iter().filter(|footage| short(&footage.site()) != site);
@@ -155,7 +154,8 @@ impl Protocol<'_> {
                     let of_lanes = judge.lanes.as_deref().map(mapper::of_lanes).transpose();
                     drawn = of_lanes.map_err(|source| EvaluateError::Map { site: name.clone(), source })?;
                 }
-                // The site's earlier recordings are part of no training: no site map but that of its lanes.
+                // Training used no recording of this site, so the only possible site map is the map of its
+                // lanes.
                 let Footage { recording, scenes } = &footage;
                 let map = options.map.input(drawn.as_ref());
                 let blocks = judge.revisit(recording, scenes, map, Some(&mut memory));
@@ -182,7 +182,7 @@ impl Protocol<'_> {
 }
 
 impl InteractionPart {
-    /// The recipe of its weights.
+    /// The recipe of the part's weights.
     fn recipe(&self) -> String {
         match self {
             Self::Seen => "interaction".to_owned(),
@@ -269,7 +269,7 @@ fn tables(
     }
 }
 
-/// Errors over the horizon, with the rows of the paper, which are of all vehicles.
+/// Errors by horizon. The rows of the paper are for all vehicles.
 fn growth(title: &str, columns: &[Column<'_>], horizons_s: &[f64]) -> Table {
     let mut table = Table::horizons(title, "", columns, horizons_s, &GROWTH);
     let paper = reference::interaction();
@@ -286,7 +286,7 @@ fn of_paper(paper: &[PaperRow], method: &str, scene: &str, horizon_s: f64) -> Op
     paper.iter().find(wanted).map(|row| row.errors)
 }
 
-/// Adds a provenance once, however often its weights are used.
+/// Adds a provenance unless the report already has it.
 fn add_provenance(report: &mut Report, provenance: crate::Provenance) {
     if !report.provenance.contains(&provenance) {
         report.provenance.push(provenance);

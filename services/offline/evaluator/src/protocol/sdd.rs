@@ -14,11 +14,11 @@ const STEPS: (usize, usize, f64) = (8, 12, 0.4);
 
 /// Evaluates the weights `sdd` in pixels and in metres.
 ///
-/// Each test track is one window; the network sees all agents that are present at its eighth point. The
-/// scale of each video converts metres to pixels.
+/// Each test track is one window. The network sees all agents that are present at its eighth point. The scale
+/// of each video converts metres to pixels.
 ///
 /// # Errors
-/// Where weights or recordings are missing or of another kind, or a video has no scale.
+/// If weights or recordings are missing or of another kind, or if a video has no scale.
 pub fn sdd(options: &Options, mut progress: impl FnMut(&str)) -> Result<Report, EvaluateError> {
     let (history_len, horizon_len, dt_s) = STEPS;
     let subsets = [Subset::All];

@@ -6,7 +6,7 @@ use crate::group::{Group, RESAMPLES};
 use crate::reference::PaperRow;
 use crate::{Calibration, Errors, Measure, Method, Tally};
 
-/// What our forecasts are compared with, and by which measure.
+/// The baselines that our forecasts are compared with, and the measures.
 pub(crate) const COMPARED: [(Measure, Method); 6] = [
     (Measure::BestOf, Method::Base),
     (Measure::BestOf, Method::Anchors),
@@ -16,7 +16,7 @@ pub(crate) const COMPARED: [(Measure, Method); 6] = [
     (Measure::Single, Method::ConstantVelocity),
 ];
 
-/// The methods that a summary contains.
+/// The methods in a summary.
 const SUMMARISED: [&str; 9] = [
     Method::Network.name(),
     Method::OnlineRetrieval.name(),
@@ -29,22 +29,22 @@ const SUMMARISED: [&str; 9] = [
     "STG-DAT T+C+K (paper)",
 ];
 
-/// A table of text.
+/// A table of strings.
 #[derive(Clone, Debug)]
 pub struct Table {
     title: String,
     note: String,
     head: Vec<String>,
-    /// Columns of names, before those of figures.
+    /// Columns of names; they come before the columns of figures.
     names_len: usize,
     rows: Vec<Vec<String>>,
-    /// Whether it belongs into a summary.
+    /// Whether a summary contains the table.
     is_main: bool,
-    /// Whether a summary contains all its rows.
+    /// Whether a summary contains all rows.
     is_brief: bool,
 }
 
-/// A column: the mean over some groups.
+/// A column: the mean over its groups.
 #[derive(Clone, Debug)]
 pub(crate) struct Column<'a> {
     pub(crate) name: String,
@@ -66,7 +66,7 @@ impl<'a> Column<'a> {
 }
 
 impl Table {
-    /// An empty table with the `names` of its first columns.
+    /// An empty table. `names` are the titles of its first columns.
     pub fn new(title: &str, note: &str, names: &[&str], columns: impl Iterator<Item = String>) -> Self {
         let head = names.iter().map(|name| (*name).to_owned()).chain(columns).collect();
         Self {
@@ -80,12 +80,12 @@ impl Table {
         }
     }
 
-    /// The same table as one that belongs into a summary.
+    /// Marks the table for summaries.
     pub fn main(self) -> Self {
         Self { is_main: true, ..self }
     }
 
-    /// What of the table belongs into a summary: the rows of few methods, or nothing.
+    /// The table's rows for a summary; `None` unless the table is a main table.
     pub(crate) fn summary(&self) -> Option<Self> {
         let is_included =
             |row: &&Vec<String>| self.is_brief || self.names_len < 2 || SUMMARISED.contains(&&row[1][..]);
@@ -105,7 +105,7 @@ impl Table {
         table
     }
 
-    /// What a run publishes by default beside constant velocity, a row per group that has agents.
+    /// The published forecasts and constant velocity; one row per group with agents.
     pub(crate) fn published(title: &str, note: &str, groups: &[&Group], horizon: usize) -> Self {
         let head =
             ["forecasts", "published", "constant velocity", "ratio of FDE", "published, minADE₂₀ / minFDE₂₀"];
@@ -134,8 +134,8 @@ impl Table {
         table
     }
 
-    /// Of a main table of errors, the rows of our own forecasts beside those of the same table by other
-    /// weights; each comes with the name of its training.
+    /// The rows of our own forecasts in a main table, followed by the same rows by other weights. Each row
+    /// contains the name of its training.
     pub(crate) fn beside(&self, name: &str, others: &[(&str, &Self)]) -> Option<Self> {
         let rows = self.rows.iter().enumerate().flat_map(|(place, row)| {
             let ours =
@@ -157,7 +157,7 @@ impl Table {
         })
     }
 
-    /// ADE / FDE of `rows` over all horizons, column after column.
+    /// ADE / FDE of `rows` at all horizons, for one column after the other.
     pub(crate) fn horizons(
         title: &str,
         note: &str,
@@ -182,7 +182,7 @@ impl Table {
         table
     }
 
-    /// Adds the rows of the paper's methods; `cell` finds what belongs into a column.
+    /// Adds the rows of the paper's methods. `cell` returns the entry of a method and column.
     pub(crate) fn add_paper<'a>(
         &mut self,
         paper: &'a [PaperRow],
@@ -218,7 +218,7 @@ impl Table {
         table
     }
 
-    /// Our errors compared with those of baselines, with 95 % intervals.
+    /// Our errors compared with the errors of baselines, with 95 % intervals.
     pub(crate) fn comparisons(title: &str, columns: &[Column<'_>], horizon: usize) -> Self {
         let note = format!(
             "Difference of the errors (ADE / FDE) on the same agents, ours minus the baseline's, in % of the baseline's. Negative: \
@@ -248,7 +248,7 @@ impl Table {
         self.rows.push(row);
     }
 
-    /// Adds a row of errors unless it is empty.
+    /// Adds a row of errors unless all its cells are empty.
     fn push(&mut self, names: [&str; 2], cells: impl Iterator<Item = Option<Errors>>) {
         let cells: Vec<Option<Errors>> = cells.collect();
         if cells.iter().all(Option::is_none) {
@@ -260,13 +260,13 @@ impl Table {
         self.rows.push(names.map(str::to_owned).into_iter().chain(cells.iter().map(text)).collect());
     }
 
-    /// The table as Markdown under a heading of the first level; `made` describes how its figures were made.
+    /// The table as Markdown under a first-level heading. `made` describes the origin of its figures.
     pub fn markdown(&self, made: &str) -> String {
         let space = if self.note.is_empty() { "" } else { " " };
         format!("# {}\n\n{}{space}{made}\n\n{}", self.title, self.note, self.grid())
     }
 
-    /// Head and rows alone.
+    /// Only the head and the rows.
     pub fn grid(&self) -> String {
         let columns_len = self.head.len();
         let rows = || std::iter::once(&self.head).chain(&self.rows);
@@ -274,7 +274,7 @@ impl Table {
         let widths: Vec<usize> = (0..columns_len).map(width).collect();
         let line = |row: &Vec<String>| {
             let cells = row.iter().zip(&widths).enumerate().map(|(column, (cell, &width))| {
-                // Names to the left, figures to the right.
+                // Names are aligned left, figures right.
                 if column < self.names_len {
                     format!(" {cell:<width$} |")
                 } else {
@@ -293,18 +293,18 @@ fn names(columns: &[Column<'_>]) -> impl Iterator<Item = String> {
     columns.iter().map(|column| column.name.clone())
 }
 
-/// Three decimals, or two from 10 on.
+/// Three decimals below 10, two from 10 on.
 pub fn digits(value: f64) -> String {
     if value < 10.0 { format!("{value:.3}") } else { format!("{value:.2}") }
 }
 
-/// A ratio as what is more or less than the whole.
+/// A ratio as the change in percent, with its interval.
 pub fn percent(&Interval { low, mean, high }: &Interval) -> String {
     let [low, mean, high] = [low, mean, high].map(|ratio| 100.0 * (ratio - 1.0));
     format!("{mean:+.1} [{low:+.1}, {high:+.1}]")
 }
 
-/// A figure of our forecasts besides errors.
+/// A figure of our forecasts that is not an error.
 pub(crate) struct Rate {
     pub(crate) name: &'static str,
     pub(crate) method: Method,
@@ -312,7 +312,7 @@ pub(crate) struct Rate {
     decimals: usize,
 }
 
-/// The figures of our forecasts besides errors, and the numbers of scenes and agents.
+/// Our forecasts' figures that are not errors, and the numbers of scenes and agents.
 pub(crate) fn rates(tally: &Tally, horizon: usize) -> Vec<Rate> {
     let rate = |name, method, value: Option<f64>, decimals: usize| Rate { name, method, value, decimals };
     let count = |name, len: u64| rate(name, Method::Network, Some(len as f64), 0);

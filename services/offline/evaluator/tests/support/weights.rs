@@ -1,4 +1,4 @@
-//! Weights made of the onboard ones.
+//! Weights derived from the onboard ones.
 #![expect(clippy::unwrap_used, reason = "a test ends at what it can't do")]
 
 use std::collections::BTreeMap;
@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use nn::{ModelConfig, Weights};
 use safetensors::tensor::{Dtype, TensorView};
 
-/// The onboard weights with each tensor's values (and its shape) and the configuration changed.
+/// The onboard weights with changed tensors (values and shapes) and configuration.
 pub fn changed(
     tensor: impl Fn(&str, &mut Vec<usize>, &mut Vec<f32>),
     config: impl FnOnce(&mut ModelConfig),
