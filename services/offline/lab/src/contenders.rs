@@ -1,4 +1,4 @@
-//! The trackers that `stgdat evaluate tracking` compares: ours with either prior, in this process.
+//! The trackers that `stgdat evaluate tracking` compares: our tracker with either prior, in this process.
 
 use std::path::PathBuf;
 
@@ -13,10 +13,10 @@ use wire::{AgentType, Track};
 use launch::failure::Failure;
 use launch::tracking::Tracking;
 
-/// Tracks count from this existence probability on.
+/// Minimum existence probability of a published track.
 const EXISTENCE_MIN: f32 = 0.5;
 
-/// Our tracker without forecasts, and last with those of the weights.
+/// Our tracker with the kinematic prior, then with forecasts of the weights as its prior.
 pub fn contenders<'a>(weights: Option<&'a PathBuf>, model: &'a ModelConfig) -> Vec<Contender<'a>> {
     let contender = |name, prior| Contender {
         name,

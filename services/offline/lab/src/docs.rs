@@ -1,5 +1,5 @@
-//! Tests of the pages: links and anchors resolve, command lines parse, every page of the book is in its
-//! summary.
+//! Tests of the documentation: links and anchors resolve, command lines parse, and the book's summary lists
+//! every page.
 
 mod commands;
 mod links;
@@ -14,7 +14,7 @@ fn root() -> PathBuf {
 
 /// A page of Markdown.
 struct Page {
-    /// Its path below the root, for messages.
+    /// Its path relative to the root, for messages.
     name: String,
     path: PathBuf,
     text: String,
@@ -27,7 +27,7 @@ impl Page {
         Self { name, path, text }
     }
 
-    /// The lines with their numbers from 1, and of lines in a code block its language.
+    /// The lines with their numbers, starting at 1. A line in a code block comes with the block's language.
     fn lines(&self) -> Vec<(usize, Option<String>, &str)> {
         let mut fence: Option<(String, String)> = None;
         let mut lines = Vec::new();
@@ -50,7 +50,7 @@ impl Page {
     }
 }
 
-/// All files below a folder whose name ends so.
+/// All files below a folder with this ending.
 fn below(folder: &Path, end: &str) -> Vec<PathBuf> {
     let Ok(entries) = std::fs::read_dir(folder) else { return Vec::new() };
     let mut paths: Vec<PathBuf> = entries.flatten().map(|entry| entry.path()).collect();

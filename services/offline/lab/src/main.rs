@@ -1,4 +1,4 @@
-//! `stgdat-lab`: trains and evaluates models, draws pictures and builds maps; nothing of this runs on a vehicle.
+//! `stgdat-lab` trains and evaluates models, draws pictures and builds maps. None of it runs on a vehicle.
 //!
 //! Each verb is a module of [`verbs`]. `stgdat VERB` runs this program for them.
 

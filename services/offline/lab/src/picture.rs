@@ -1,4 +1,4 @@
-//! Pictures as files: SVG as it is, PNG rasterised.
+//! Writes pictures to files: SVG unchanged, PNG rasterised.
 
 use std::path::Path;
 
@@ -6,7 +6,7 @@ use launch::failure::Failure;
 use resvg::tiny_skia::{Pixmap, Transform};
 use resvg::usvg::{Options, Tree};
 
-/// Pixels per inch of a PNG: what journals ask of line art in colour.
+/// Pixels per inch of a PNG, as journals require for line art in colour.
 const DOTS_PER_INCH: f32 = 300.0;
 /// Maximum number of pixels of a PNG: 400 MB in memory.
 const PIXELS_MAX: f64 = 1e8;
@@ -28,7 +28,7 @@ pub fn save(svg: &str, path: &Path) -> Result<(), Failure> {
 /// Rasterises a picture.
 fn png(svg: &str) -> Result<Vec<u8>, String> {
     let tree = Tree::from_str(svg, &Options::default()).map_err(|error| error.to_string())?;
-    // CSS has 96 pixels to the inch.
+    // CSS has 96 pixels per inch.
     let scale = DOTS_PER_INCH / 96.0;
     let [width, height] =
         [tree.size().width(), tree.size().height()].map(|size| (size * scale).ceil() as u32);

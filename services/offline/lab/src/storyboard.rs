@@ -1,4 +1,4 @@
-//! From a recording to drawings: which moments are shown, and what was forecast then.
+//! Selects scenes of a recording and forecasts them for drawing.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -9,7 +9,7 @@ use metrics::{Displacement, Point};
 use scene::{ContextMap, MapBuilder, State};
 use thiserror::Error;
 
-/// Scenes of a recording that are ranked at most, evenly spread.
+/// Maximum number of a recording's scenes that are ranked, evenly spread.
 pub const RANKED_MAX: usize = 240;
 
 /// A recording, cut into scenes that can be forecast.
@@ -23,76 +23,76 @@ pub struct Storyboard<'a> {
     threads: usize,
 }
 
-/// A moment of a recording with its forecasts.
+/// One time of a recording with its forecasts.
 #[derive(Clone, Debug)]
 pub struct Shot {
     /// Time since the recording's first frame.
     pub time_s: f64,
-    /// Number of the recording's frame, from 0.
+    /// Index of the recording's frame.
     pub frame: usize,
-    /// The agents that the shot is about.
+    /// The agents whose forecasts are drawn.
     pub about: Vec<u64>,
-    /// All agents; those that the shot is about have their forecast.
+    /// All agents; those in `about` have a forecast.
     pub agents: Vec<AgentDrawing>,
-    /// Means over the agents with forecast and known future.
+    /// Mean errors over the agents with a forecast and a known future.
     pub errors: Option<ShotErrors>,
-    /// The map of what the recording showed up to then, where forecasts read the online map.
+    /// The map of the recording up to this time, if forecasts read the online map.
     pub online_map: Option<ContextMap>,
 }
 
 /// Errors of a shot's forecasts.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ShotErrors {
-    /// Agents.
+    /// Number of agents.
     pub agents_len: usize,
-    /// Modes of each forecast.
+    /// Modes per forecast.
     pub modes_len: usize,
-    /// Of the best mode, ADE and FDE each of its own.
+    /// ADE and FDE of the best mode, which is chosen separately for each.
     pub best: [f64; 2],
-    /// Of the most likely mode.
+    /// ADE and FDE of the most probable mode.
     pub likeliest: [f64; 2],
 }
 
-/// A moment or an agent that a recording does not have.
+/// A time or an agent that can't be drawn.
 #[derive(Debug, Error, PartialEq)]
 pub enum StoryboardError {
     /// No scene can be cut from the recording.
     #[error("the recording has no agents with identities")]
     NoScenes,
-    /// The time is not within the recording.
+    /// The time is outside the recording.
     #[error(
         "no scene at {time_s} s: the recording has agents that can be forecast from {first_s} s to {last_s} s"
     )]
     Outside {
-        /// The time asked for.
+        /// The requested time.
         time_s: f64,
         /// Time of the first scene.
         first_s: f64,
         /// Time of the last scene.
         last_s: f64,
     },
-    /// The agent can't be forecast then.
+    /// The agent can't be forecast at this time.
     #[error(
         "agent {agent} can't be forecast at {time_s} s: it needs two states; those that have them: {able}"
     )]
     Agent {
-        /// The agent asked for.
+        /// The requested agent.
         agent: u64,
         /// The time of the scene.
         time_s: f64,
-        /// The agents that can be forecast then.
+        /// The agents that can be forecast at this time.
         able: String,
     },
-    /// Nothing can be ranked.
+    /// No agent can be ranked.
     #[error("no agent moves and is seen over a whole history and horizon")]
     NothingToRank,
 }
 
 impl<'a> Storyboard<'a> {
-    /// Cuts a recording into scenes a step of the model apart.
+    /// Cuts a recording into scenes one step of the model apart.
     ///
     /// # Errors
-    /// [`StoryboardError::NoScenes`] where there are none.
+    /// [`StoryboardError::NoScenes`] if there are none.
     pub fn new(
         forecaster: &'a Forecaster,
         recording: &Recording,
@@ -106,11 +106,11 @@ impl<'a> Storyboard<'a> {
         Ok(Self { forecaster, map, scenes, recording: recording.clone(), tracks, start_ns, threads })
     }
 
-    /// The first scene at or after a time with an agent that can be forecast. It is about the given agents,
-    /// or all that can be forecast where none are given.
+    /// The first scene at or after a time with an agent that can be forecast. It shows the forecasts of the
+    /// given agents, or of all if none are given.
     ///
     /// # Errors
-    /// [`StoryboardError`] where the recording has no such moment, or an agent can't be forecast then.
+    /// [`StoryboardError`] if there is no such scene, or if one of the agents can't be forecast in it.
     pub fn at(&self, time_s: f64, agents: &[u64]) -> Result<Shot, StoryboardError> {
         let is_then = |scene: &Scene| self.time_s(scene) >= time_s - 1e-6 && !able(scene).is_empty();
         let number = self.scenes.iter().position(is_then);
@@ -133,8 +133,7 @@ impl<'a> Storyboard<'a> {
         Ok(self.shot(number, &wanted, &forecasts[&number]))
     }
 
-    /// The time of the scene in the middle of those with an agent that can be forecast; `None` if no scene
-    /// has one.
+    /// The time of the middle one of the scenes with an agent that can be forecast; `None` if there are none.
     #[must_use]
     pub fn middle_s(&self) -> Option<f64> {
         let usable_s: Vec<f64> = self.usable_s().collect();
@@ -146,14 +145,14 @@ impl<'a> Storyboard<'a> {
         self.scenes.iter().filter(|scene| !able(scene).is_empty()).map(|scene| self.time_s(scene))
     }
 
-    /// The agents that were forecast best and worst, `len` of each and the extreme first, a shot about each
-    /// of them.
+    /// The agents with the best and the worst forecasts, `len` of each, the extreme ones first. Each agent
+    /// has its own shot.
     ///
-    /// Ranked by the ADE of the best mode are agents that move and go on moving, seen over a whole history
-    /// and horizon, in at most [`RANKED_MAX`] scenes; no agent is shown twice.
+    /// Agents are ranked by the ADE of the best mode. Ranked agents keep moving and are present over a whole
+    /// history and horizon. At most [`RANKED_MAX`] scenes are ranked, and no agent is shown twice.
     ///
     /// # Errors
-    /// [`StoryboardError::NothingToRank`] where there are none.
+    /// [`StoryboardError::NothingToRank`] if there are no such agents.
     pub fn extremes(&self, len: usize) -> Result<[Vec<Shot>; 2], StoryboardError> {
         let spacing = self.scenes.len().div_ceil(RANKED_MAX).max(1);
         let numbers: Vec<usize> = (0..self.scenes.len()).step_by(spacing).collect();
@@ -194,8 +193,8 @@ impl<'a> Storyboard<'a> {
         wanted.iter().filter_map(rank).collect()
     }
 
-    /// The forecasts of some scenes by their numbers, which must grow: an entry per agent, none where it is
-    /// absent.
+    /// The forecasts of scenes with these numbers, in ascending order. Each scene has one entry per agent;
+    /// `None` if the agent is absent.
     fn forecasts(&self, numbers: &[usize]) -> BTreeMap<usize, Vec<Option<Forecast>>> {
         let len = numbers.last().map_or(0, |last| last + 1);
         let scenes = &self.scenes[..len];
@@ -252,7 +251,7 @@ impl<'a> Storyboard<'a> {
         })
     }
 
-    /// The map of all places where agents were seen up to a time, whether at a step or in between.
+    /// The map of all places where agents were detected up to this time, also between steps.
     fn ground_before(&self, stamp_ns: i64) -> Option<ContextMap> {
         let states: Vec<State> = self
             .tracks
@@ -281,7 +280,7 @@ impl<'a> Storyboard<'a> {
     }
 }
 
-/// How well an agent of a scene was forecast.
+/// The error of an agent's forecast in a scene.
 #[derive(Clone, Copy, Debug)]
 struct Ranked {
     ade_m: f64,
@@ -329,7 +328,7 @@ mod tests {
 
     use super::*;
 
-    /// Two pedestrians who walk, and one that is observed once.
+    /// Two walking pedestrians, and a third one that is observed once.
     fn walkers() -> data::Recording {
         let detection = |id: u64, x_m: f32, y_m: f32| Detection {
             id,

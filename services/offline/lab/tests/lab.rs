@@ -1,4 +1,4 @@
-//! `stgdat-lab` from outside: files that are refused, rates, origins, closed pipes.
+//! Tests of the program `stgdat-lab`: refused files, frame rates, origins, closed pipes.
 #![expect(clippy::unwrap_used, reason = "a test ends at what it can't do")]
 
 use std::fmt::Write as _;

@@ -1,4 +1,4 @@
-//! The layers that are compared, with our numbers in them and faer's products.
+//! The compared layers, by our kernels, and their products in faer.
 
 use std::hint::black_box;
 use std::time::Instant;
@@ -19,7 +19,7 @@ use launch::failure::Failure;
 
 /// Side of the square matrices.
 const SIDE: usize = 512;
-/// Agents of the decoder, the forecasts of each (20 modes and the best one), and its steps.
+/// Agents of the decoder, forecasts per agent (20 modes and the single best one), and steps.
 const AGENTS: usize = 32;
 const DRAWS: usize = 21;
 const HISTORY: usize = 8;
@@ -31,18 +31,18 @@ const EDGES: usize = 4096;
 /// Images of the CNN.
 const PATCHES: usize = 64;
 
-/// Runs a layer for [`TIME`]; the best call counts, ms.
+/// Runs a layer for [`TIME`] and returns the duration of the fastest call, ms.
 pub(super) type Best = Box<dyn FnMut() -> f64>;
 
-/// A layer with a batch; `peers.py` has the same.
+/// A layer with a batch; `peers.py` defines the same ones.
 pub(super) struct Layer {
     /// Its name in `peers.py`.
     pub key: &'static str,
     pub title: &'static str,
-    /// Operations that all do: those of the recurrence alone for the decoder.
+    /// Operations that all libraries perform; for the decoder, those of the recurrence only.
     pub operations: f64,
     pub ours: Best,
-    /// Its products in faer; none for convolutions.
+    /// The layer's products in faer; `None` for convolutions.
     pub faer: Option<Best>,
 }
 
@@ -128,7 +128,7 @@ fn context(weights: &Weights) -> Result<Layer, Failure> {
     })
 }
 
-/// The best call of a layer over [`TIME`].
+/// Times calls of `work` for [`TIME`] and returns the fastest.
 fn best(mut work: impl FnMut() + 'static) -> Best {
     Box::new(move || {
         let (start, mut least) = (Instant::now(), f64::INFINITY);
@@ -143,7 +143,7 @@ fn best(mut work: impl FnMut() + 'static) -> Best {
     })
 }
 
-/// Products of [rows, inner, columns] in faer, one after the other.
+/// Consecutive products of shape [rows, inner, columns] in faer.
 fn products(shapes: Vec<[usize; 3]>) -> Best {
     let matrix = |rows, columns| Mat::from_fn(rows, columns, |i, j| value(i * 31 + j));
     let mut all: Vec<[Mat<f32>; 3]> =

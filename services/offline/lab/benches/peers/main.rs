@@ -1,11 +1,12 @@
-//! The same layers and batches in faer, ONNX Runtime and PyTorch, alternating in the same run, one thread each.
+//! Compares the same layers and batches in our kernels, faer, ONNX Runtime and PyTorch. The libraries
+//! alternate within one run, on one thread each.
 //!
 //! ```console
 //! $ cargo bench --package stgdat-lab --bench peers -- --table docs/results/speed.md
 //! ```
 //!
-//! ONNX Runtime and PyTorch are in a Python environment, which is made once (up to 7 GB), or in that of `--python`.
-//! They are skipped if there is neither.
+//! ONNX Runtime and PyTorch run in a Python environment: the one of `--python`, or one that the bench makes
+//! once (up to 7 GB). Without an environment they are skipped.
 
 mod layers;
 mod python;
@@ -25,15 +26,15 @@ use run::Exit;
 use layers::Layer;
 use python::Python;
 
-/// Turns in which each library has each layer once.
+/// Number of turns. In each turn every library runs every layer once.
 const TURNS: usize = 15;
-/// How long a library repeats a layer in a turn; the best call counts.
+/// Time for which a library repeats a layer in a turn; the fastest call counts.
 const TIME: Duration = Duration::from_millis(80);
 
-/// Who is timed, in the order of the table's columns.
+/// The libraries, in the order of the table's columns.
 const NAMES: [&str; 4] = ["ours", "faer", "ONNX Runtime", "PyTorch"];
 
-/// Times of one layer: the best call of each turn, ms; none where the library has no such layer.
+/// Times of one layer: the fastest call of each turn, ms. `None` if the library does not have the layer.
 #[derive(Default)]
 struct Times([Vec<Option<f64>>; NAMES.len()]);
 
@@ -46,7 +47,7 @@ impl Times {
         self.0[library].iter().flatten().copied().reduce(f64::min)
     }
 
-    /// Median over the turns of our time over the library's in the same turn.
+    /// Median over the turns of our time divided by the library's time in the same turn.
     fn ratio(&self, library: usize) -> Option<f64> {
         let pairs = self.0[0].iter().zip(&self.0[library]);
         let mut ratios: Vec<f64> = pairs.filter_map(|(ours, theirs)| Some((*ours)? / (*theirs)?)).collect();
@@ -63,7 +64,7 @@ struct Arguments {
     /// Markdown file whose marks `stgdat bench peers` get the table, as the section of this processor
     #[arg(long, value_name = "FILE")]
     table: Option<PathBuf>,
-    // Cargo adds it.
+    // Cargo passes this flag.
     #[arg(long, hide = true)]
     bench: bool,
 }
@@ -75,7 +76,7 @@ fn main() -> ExitCode {
 
 fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let text = table(arguments.python.clone())?;
-    // The layers are in f32.
+    // All layers compute in f32.
     let heading = machine(&[])?;
     let exit = show::show(&format!("### {heading}\n\n{text}"))?;
     if let Some(path) = &arguments.table {
@@ -138,7 +139,7 @@ fn text(layers: &[Layer], times: &[Times], peak_gflops: f64, versions: &str) -> 
             heads, theirs the recurrence alone, and faer's its products alone, as for the relation MLP.\n"
 }
 
-/// The load of the last minute, which says whether something else ran.
+/// The load average of the last minute; a high value reveals other work on the machine.
 fn load_average() -> String {
     let text = std::fs::read_to_string("/proc/loadavg").unwrap_or_default();
     text.split(' ').next().unwrap_or("unknown").to_owned()

@@ -11,7 +11,7 @@ use launch::note;
 /// The script, which makes the environment and answers requests.
 const SCRIPT: &str = include_str!("peers.py");
 
-/// A running script; dropping it ends it.
+/// A running script, which ends when this is dropped.
 pub(super) struct Python {
     process: Child,
     requests: Option<ChildStdin>,
@@ -19,11 +19,11 @@ pub(super) struct Python {
 }
 
 impl Python {
-    /// Starts the script by an interpreter, or by that of an environment which it makes first; with what it has, in
-    /// words.
+    /// Starts the script with this interpreter, or with the interpreter of an environment that it makes
+    /// first. Returns the versions of the libraries.
     ///
     /// # Errors
-    /// Why it can't be started, in words: the comparison goes on without it.
+    /// Why the script can't start. The comparison then continues without it.
     pub fn start(interpreter: Option<PathBuf>) -> Result<(Self, String), String> {
         let interpreter = match interpreter {
             Some(interpreter) => interpreter,
@@ -44,7 +44,7 @@ impl Python {
         Ok((python, versions))
     }
 
-    /// The best time of a call of a layer, over `time`; none where the library is missing.
+    /// The duration of a layer's fastest call within `time`; `None` if the library is missing.
     pub fn best_ms(&mut self, library: &str, layer: &str, time: Duration) -> Result<Option<f64>, Failure> {
         let broken = |error: std::io::Error| Failure::unavailable_about(format!("{library}, {layer}"), error);
         let requests = self.requests.as_mut().ok_or_else(|| Failure::unavailable("no pipe to the script"))?;
@@ -68,20 +68,20 @@ impl Python {
 
 impl Drop for Python {
     fn drop(&mut self) {
-        // The script ends with its input.
+        // The script ends when its input is closed.
         self.requests = None;
         let _ = self.process.wait();
     }
 }
 
-/// Where the environment is kept.
+/// The folder of the environment.
 fn cache() -> Option<PathBuf> {
     let set = |name| std::env::var_os(name).filter(|path| !path.is_empty()).map(PathBuf::from);
     let folder = set("XDG_CACHE_HOME").or_else(|| Some(set("HOME")?.join(".cache")))?;
     Some(folder.join("stgdat").join("peers"))
 }
 
-/// Makes the environment unless it is there; its interpreter.
+/// Makes the environment unless it exists. Returns its interpreter.
 fn environment(folder: &Path) -> Result<PathBuf, String> {
     if !folder.join("complete").exists() {
         note!(

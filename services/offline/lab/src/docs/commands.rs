@@ -5,15 +5,15 @@ use clap::error::ErrorKind;
 use super::Page;
 use crate::verbs::manual;
 
-/// Languages of blocks that are commands, each line.
+/// Languages of blocks in which each line is a command.
 const SHELLS: [&str; 3] = ["sh", "bash", "shell"];
-/// Languages of blocks whose commands follow a prompt.
+/// Languages of blocks in which commands follow a prompt.
 const SESSIONS: [&str; 2] = ["console", "text"];
 
-/// The command lines of this program with the numbers of their lines: its words, `stgdat` first.
+/// The command lines of this program as words, `stgdat` first, with their line numbers.
 pub fn of_page(page: &Page) -> Vec<(usize, Vec<String>)> {
     let mut commands = Vec::new();
-    // A command whose line ended in a backslash.
+    // A command whose last line ends in a backslash.
     let mut open: Option<(usize, String)> = None;
     for (number, language, line) in page.lines() {
         let language = language.unwrap_or_default();
@@ -37,8 +37,8 @@ pub fn of_page(page: &Page) -> Vec<(usize, Vec<String>)> {
     ours.collect()
 }
 
-/// The commands of a line that `|`, `&&`, `||`, `;` and `&` join, without comments and redirections, as
-/// words.
+/// Splits a line at `|`, `&&`, `||`, `;` and `&` and returns the commands as words, without comments and
+/// redirections.
 fn simple_commands(line: &str) -> Vec<Vec<String>> {
     let mut commands = vec![Vec::new()];
     let (mut word, mut is_word) = (String::new(), false);
@@ -47,7 +47,7 @@ fn simple_commands(line: &str) -> Vec<Vec<String>> {
         |word: &mut String, is_word: &mut bool, commands: &mut Vec<Vec<String>>, redirects: bool| {
             if std::mem::take(is_word) {
                 let word = std::mem::take(word);
-                // The number of a redirected stream, or the file that it goes to, is no argument.
+                // The number of a redirected stream and the target file are not arguments.
                 let is_stream = redirects && word.chars().all(|c| c.is_ascii_digit());
                 if !std::mem::take(&mut skips_next) && !is_stream {
                     commands.last_mut().expect("there is one from the start").push(word);
@@ -91,8 +91,8 @@ fn simple_commands(line: &str) -> Vec<Vec<String>> {
     commands
 }
 
-/// The words from `stgdat` on, where that is the program: `stgdat …`, `target/release/stgdat …`,
-/// `cargo run … -- …`.
+/// The words from `stgdat` on, if this is the program: `stgdat …`, `target/release/stgdat …`, `cargo run … --
+/// …`.
 fn of_program(words: Vec<String>) -> Option<Vec<String>> {
     let is_variable = |word: &String| {
         let name = word.split_once('=').map(|(name, _)| name);

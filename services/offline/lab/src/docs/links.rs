@@ -1,10 +1,10 @@
-//! Links of a page, and where they lead.
+//! The links of a page and their targets.
 
 use std::collections::BTreeMap;
 
 use super::Page;
 
-/// Links with the numbers of their lines; code is passed over.
+/// Links outside of code, with their line numbers.
 pub fn of_page(page: &Page) -> Vec<(usize, String)> {
     let prose = page.lines().into_iter().filter(|(_, language, _)| language.is_none());
     prose.flat_map(|(number, _, line)| of_line(line).into_iter().map(move |link| (number, link))).collect()
@@ -31,7 +31,7 @@ fn of_line(line: &str) -> Vec<String> {
     links
 }
 
-/// The text up to `end`, brackets within it in pairs.
+/// The text up to `end`, which may contain pairs of brackets.
 fn target(text: &str, end: char) -> &str {
     let mut depth = 0;
     for (place, c) in text.char_indices() {
@@ -43,16 +43,16 @@ fn target(text: &str, end: char) -> &str {
     text
 }
 
-/// The line with its code in backticks left out.
+/// The line without its code in backticks.
 fn without_code(line: &str) -> String {
     let parts: Vec<&str> = line.split('`').collect();
-    // An odd number of backticks: the last one opens nothing.
+    // With an odd number of backticks, the last one does not start code.
     let closed = if parts.len() % 2 == 1 { parts.len() } else { parts.len() - 1 };
     let is_prose = |(place, _): &(usize, &&str)| place % 2 == 0 || *place >= closed;
     parts.iter().enumerate().filter(is_prose).map(|(_, part)| *part).collect()
 }
 
-/// The links that lead nowhere, a message each.
+/// One message per broken link.
 pub fn broken(page: &Page) -> Vec<String> {
     let links = of_page(page).into_iter();
     links
@@ -60,7 +60,7 @@ pub fn broken(page: &Page) -> Vec<String> {
         .collect()
 }
 
-/// What is wrong with a link of a page; links out of the repository are not followed.
+/// The defect of a link, if any; links out of the repository are not checked.
 fn fault(page: &Page, link: &str) -> Option<String> {
     if link.contains("://") || link.starts_with("mailto:") {
         return None;
@@ -78,7 +78,7 @@ fn fault(page: &Page, link: &str) -> Option<String> {
     (!anchors.iter().any(|known| known == anchor)).then(|| "no such heading".to_owned())
 }
 
-/// The anchors of a page: of its headings, as GitHub and mdBook make them, and of `id="…"` and `name="…"`.
+/// The anchors of a page: headings as GitHub and mdBook name them, and `id="…"` and `name="…"`.
 fn anchors(page: &Page) -> Vec<String> {
     let (mut anchors, mut seen) = (Vec::new(), BTreeMap::<String, usize>::new());
     for (_, _, line) in page.lines().into_iter().filter(|(_, language, _)| language.is_none()) {
@@ -97,9 +97,9 @@ fn anchors(page: &Page) -> Vec<String> {
     anchors
 }
 
-/// A heading's anchor: lower case, blanks as hyphens, nothing but letters, digits, `_` and `-`.
+/// A heading's anchor: lower case, hyphens for blanks; only letters, digits, `_` and `-` remain.
 fn slug(heading: &str) -> String {
-    // Of a link the text alone counts.
+    // Only the text of a link counts.
     let mut text = String::new();
     let mut rest = heading.trim().trim_end_matches('#').trim_end();
     while let Some((before, after)) = rest.split_once("](") {

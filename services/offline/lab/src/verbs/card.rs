@@ -38,7 +38,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     show(&(heading + &text))
 }
 
-/// The mark, heading and text of one card.
+/// The mark, heading and text of a card.
 fn one(
     arguments: &Arguments,
     weights: &Weights,
@@ -50,7 +50,7 @@ fn one(
     Ok(("card", format!("weights {}\n\n", weights.sha256()), text(&card(weights, name)?)))
 }
 
-/// The table of several cards, or all of them as JSON.
+/// A table of several cards, or all cards as JSON.
 fn several(arguments: &Arguments, paths: &[PathBuf]) -> Result<String, Failure> {
     let (mut cards, mut by_file) = (Vec::new(), serde_json::Map::new());
     for path in paths {
@@ -80,7 +80,7 @@ fn pretty(json: &serde_json::Value) -> Result<String, Failure> {
     Ok(serde_json::to_string_pretty(json).map_err(Failure::data)? + "\n")
 }
 
-/// The card as Markdown that also reads well in a terminal.
+/// The card as Markdown that is also readable in a terminal.
 pub fn text(card: &ModelCard) -> String {
     let training = card.training;
     let mut text = format!(
@@ -127,7 +127,7 @@ pub fn text(card: &ModelCard) -> String {
     text
 }
 
-/// The update that the weights are of, or the files that they are the mean of.
+/// The update that made the weights, or the files that were averaged.
 fn origin(card: &ModelCard) -> String {
     let begun: Vec<String> = card.options.begin_with.iter().map(|path| path.display().to_string()).collect();
     let begun = begun.join(", ");
@@ -138,12 +138,12 @@ fn origin(card: &ModelCard) -> String {
     }
 }
 
-/// For which motion and rate the weights are fit for use.
+/// The motion and rate for which the weights are suitable.
 fn fitness(card: &ModelCard) -> String {
     let model = &card.options.model;
     let types = card.fitness.iter().map(|(name, fit)| {
         let speed = format!("{name}s to {:.1} m/s", fit.speed_max_mps);
-        // The others' accelerations are mostly noise of their positions.
+        // Accelerations of other agents are mostly noise of their positions.
         if name != AgentType::Vehicle.name() {
             return speed;
         }

@@ -17,11 +17,11 @@ use launch::options::{Setting, StageOptions};
 use launch::show::show;
 use launch::tables;
 
-/// Deviations of measured positions that make sense, m.
+/// Sensible standard deviations of measured positions, m.
 const SIGMAS_M: std::ops::RangeInclusive<f64> = 0.001..=10.0;
-/// Parts of `interaction`, by default all of them.
+/// Parts of `interaction` that run by default.
 const INTERACTION_PARTS: [&str; 3] = ["seen", "FT", "EP1"];
-/// Parts of `tracking`, by default all of them.
+/// All parts of `tracking`, which run by default.
 const TRACKING_PARTS: [&str; 3] = ["interaction", "kitti", "driving"];
 
 /// Arguments of `stgdat evaluate`.
@@ -106,7 +106,7 @@ enum Map {
     Site,
 }
 
-/// Measures forecasts, or filters that take them as their prior, against the recorded future, under the
+/// Measures forecasts, or filters with forecasts as their prior, against the recorded future, under the
 /// protocol of a data set or on any recordings.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let name = match &arguments.targets[..] {
@@ -148,7 +148,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     Ok(exit)
 }
 
-/// Refuses options that would change nothing.
+/// Refuses options that have no effect.
 fn refuse_unused(name: &str, arguments: &Arguments) -> Result<(), Failure> {
     let (is_tracking, is_driving) = (name == "tracking", name == "driving");
     let has_parts = is_tracking || is_driving || name == "interaction";
@@ -181,7 +181,7 @@ fn refuse_unused(name: &str, arguments: &Arguments) -> Result<(), Failure> {
     }
 }
 
-/// One report as it is, several by their names.
+/// A single report unchanged, several reports by name.
 fn json(written: &[Written]) -> serde_json::Value {
     match written {
         [one] => one.json.clone(),
@@ -191,11 +191,11 @@ fn json(written: &[Written]) -> serde_json::Value {
 
 /// A report in all its forms.
 struct Written {
-    /// Among several.
+    /// Name among several reports.
     name: &'static str,
-    /// Its place in a Markdown file.
+    /// Its mark in a Markdown file.
     mark: String,
-    /// What is printed first, of recordings.
+    /// The tables that are printed by default, if the targets are recordings.
     brief: Option<String>,
     markdown: String,
     summary: String,
@@ -253,7 +253,7 @@ impl Written {
     }
 }
 
-/// The precision of the decoder, which is all that may be set of the stages here.
+/// The precision of the decoder, the only option of a stage that evaluations accept.
 fn precision(arguments: &Arguments) -> Result<Precision, Failure> {
     let others = |set: &&Setting| !set.is_of(StageId::Decoder, "precision");
     if let Some(set) = arguments.set.iter().find(others) {
@@ -284,7 +284,7 @@ fn options(arguments: &Arguments, weights_dir: &Path) -> Result<Options, Failure
     })
 }
 
-/// Sources of driving recordings, by default all.
+/// The options for driving recordings; all sources if none are named.
 fn driving(arguments: &Arguments, sources: &[String]) -> Result<driving_evaluator::Options, Failure> {
     let Options { data, threads, weights, .. } = options(arguments, &arguments.weights_dir)?;
     Ok(driving_evaluator::Options {
@@ -317,7 +317,7 @@ fn drive(arguments: &Arguments) -> Result<Written, Failure> {
     })
 }
 
-/// The parts of `tracking`, in one table of figures.
+/// The parts of `tracking`, whose figures share one table.
 fn track(arguments: &Arguments) -> Result<Vec<Written>, Failure> {
     if let Some(sigma_m) = arguments.sigmas.iter().find(|sigma_m| !(SIGMAS_M.contains(sigma_m))) {
         return Err(Failure::Usage(format!(
@@ -358,7 +358,7 @@ fn track(arguments: &Arguments) -> Result<Vec<Written>, Failure> {
     Ok(written)
 }
 
-/// Our tracker beside a plain one.
+/// Compares our trackers with a plain one.
 fn evaluate_trackers(options: &Options) -> Result<KittiReport, Failure> {
     let weights = options.weights.file.as_ref();
     let model = match weights {
@@ -391,14 +391,13 @@ fn evaluate(name: &str, arguments: &Arguments, weights_dir: &Path) -> Result<Rep
     report.map_err(Failure::data)
 }
 
-/// The parts that are asked for, else all of them.
+/// The parts that the arguments name, or all of them.
 fn parts<'a>(arguments: &'a Arguments, all: &'a [&str]) -> impl Iterator<Item = &'a str> {
     let all = all.iter().copied().filter(|_| arguments.parts.is_empty());
     arguments.parts.iter().map(String::as_str).chain(all)
 }
 
-/// A part by its name; sites beside the usual ones only where weights are named, as no recipe leaves them
-/// out.
+/// The part with this name. Other sites need `--weights`, because no recipe leaves them out.
 fn interaction_part(name: &str, arguments: &Arguments) -> Result<InteractionPart, Failure> {
     match name {
         "seen" => Ok(InteractionPart::Seen),

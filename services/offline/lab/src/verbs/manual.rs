@@ -1,7 +1,7 @@
-//! The command line as a page of Markdown: `docs/cli.md` is what this verb prints.
+//! Prints the command line as a Markdown page, `docs/cli.md`.
 //!
-//! All of it comes from the definitions of clap and the schemas of the stages' options, wrapped here: neither
-//! the terminal's width nor the environment changes a byte.
+//! The page comes from the definitions in clap and the schemas of the stages' options. Lines are wrapped
+//! here, so the terminal's width and the environment do not change the page.
 
 use std::collections::BTreeMap;
 
@@ -13,10 +13,10 @@ use launch::failure::Failure;
 use launch::show::show;
 use launch::stages;
 
-/// Longest line of the page; single words and usages may be longer.
+/// Maximum length of a line; single words and usages may be longer.
 const WIDTH: usize = 110;
 
-/// The verbs by what they are for; a unit test finds the ones that are in no group.
+/// The verbs by purpose. A unit test finds verbs without a group.
 const GROUPS: [(&str, &[&str]); 5] = [
     ("Run", &["run", "predict", "track", "check", "graph", "stage", "wire"]),
     ("Observe", &["top", "trace", "tick"]),
@@ -25,7 +25,7 @@ const GROUPS: [(&str, &[&str]); 5] = [
     ("Laboratory", &["train", "evaluate", "card", "plot", "map", "manual"]),
 ];
 
-/// What the page begins with.
+/// The beginning of the page.
 const HEAD: &str = "\
 # Command line
 
@@ -58,7 +58,7 @@ pub fn execute(_: &Arguments) -> Result<Exit, Failure> {
     show(&page())
 }
 
-/// The command line of `stgdat`, with the verbs of `stgdat-lab` as that program defines them.
+/// The command line of `stgdat`, in which the verbs of `stgdat-lab` have that program's definitions.
 pub fn command() -> Command {
     let with_verb =
         |program: Command, verb: &Command| program.mut_subcommand(verb.get_name(), |_| verb.clone());
@@ -91,7 +91,7 @@ pub fn page() -> String {
     text + &stage_options()
 }
 
-/// A verb: what it does, its usage, its arguments, and the verbs below it.
+/// A verb: its purpose, usage and arguments, and its subcommands.
 fn section(verb: &mut Command, heading: &str) -> String {
     let name = verb.get_bin_name().unwrap_or(verb.get_name()).to_owned();
     let about = verb.get_about().map(ToString::to_string).unwrap_or_default();
@@ -113,7 +113,7 @@ fn section(verb: &mut Command, heading: &str) -> String {
     text
 }
 
-/// An argument as an item of a list.
+/// An argument as a list item.
 fn item(arg: &Arg) -> String {
     let takes_values = arg.get_action().takes_values();
     let mut notes = Vec::new();
@@ -149,7 +149,7 @@ fn item(arg: &Arg) -> String {
     text
 }
 
-/// What may be set of the stages.
+/// The options of the stages.
 fn stage_options() -> String {
     let intro = "Set by `options = { … }` of the stage in pipeline.toml, or on the command line of `run`, `predict`, `track` \
                  and `bench` by `--set STAGE.OPTION=VALUE`. `stgdat stage --help` prints them too.";
@@ -170,8 +170,8 @@ fn stage_options() -> String {
     text
 }
 
-/// Words in lines of at most [`WIDTH`], the first after `start`, the others after `indent`. Code in backticks
-/// is not broken.
+/// Wraps words to lines of at most [`WIDTH`]. The first line begins with `start`, the others with `indent`.
+/// Code in backticks is not broken.
 fn wrapped(text: &str, start: &str, indent: &str) -> String {
     let (mut lines, mut line) = (Vec::new(), start.to_owned());
     let mut is_empty = true;
@@ -190,7 +190,7 @@ fn wrapped(text: &str, start: &str, indent: &str) -> String {
     lines.join("\n")
 }
 
-/// The words of a text; code in backticks stays one word. Outside of code `<` is escaped.
+/// The words of a text. Code in backticks is one word; outside of code, `<` is escaped.
 fn words(text: &str) -> Vec<String> {
     let mut words: Vec<String> = Vec::new();
     let mut in_code = false;
@@ -216,7 +216,7 @@ mod tests {
         let mut grouped: Vec<&str> = GROUPS.iter().flat_map(|(_, names)| *names).copied().collect();
         grouped.sort_unstable();
         let program = command();
-        // What only the launcher itself calls is hidden and on no page.
+        // Hidden verbs that only the launcher calls are not on the page.
         let is_known = |verb: &&Command| !verb.is_hide_set() || grouped.contains(&verb.get_name());
         let mut verbs: Vec<&str> =
             program.get_subcommands().filter(is_known).map(Command::get_name).collect();

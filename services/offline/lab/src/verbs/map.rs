@@ -37,7 +37,7 @@ pub struct Arguments {
 }
 
 impl Arguments {
-    /// The origin, in the notation of recordings or of maps.
+    /// The origin in the notation of recordings or of maps.
     fn origin<T: FromStr<Err: Display>>(&self) -> Result<Option<T>, Failure> {
         let parse =
             |text: &String| text.parse().map_err(|error| Failure::Usage(format!("--origin: {error}")));
@@ -45,8 +45,7 @@ impl Arguments {
     }
 }
 
-/// Builds the context map of a site: density and mean velocity of the agents per square metre, from recordings
-/// or from its lanes.
+/// Builds the context map of a site from recordings or from its lanes: density and mean velocity per m².
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     if let Some(path) = &arguments.lanelet2 {
         return draw_lanes(path, arguments);
@@ -65,7 +64,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     Ok(Exit::Done)
 }
 
-/// The map of a site's lanes.
+/// Builds the map from a site's lanes.
 fn draw_lanes(path: &Path, arguments: &Arguments) -> Result<Exit, Failure> {
     let lanes = open_lanes(path, arguments.origin::<Coordinates>()?.unwrap_or_default())?;
     let map = mapper::of_lanes(&lanes).map_err(Failure::data)?;

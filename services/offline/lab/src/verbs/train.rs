@@ -83,7 +83,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     Ok(Exit::Done)
 }
 
-/// The recordings of the command line, folders by what they hold.
+/// The recordings of the command line, including those in its folders.
 fn own_files(arguments: &Arguments) -> Result<Vec<PathBuf>, Failure> {
     let mut files = Vec::new();
     for path in &arguments.files {
@@ -98,7 +98,7 @@ fn own_files(arguments: &Arguments) -> Result<Vec<PathBuf>, Failure> {
     Ok(files)
 }
 
-/// The file's options, a recipe's or the defaults, as presets and the rest of the command line change them.
+/// The options of a file, a recipe or the defaults, changed by presets and the rest of the command line.
 fn options(arguments: &Arguments) -> Result<TrainOptions, Failure> {
     let mut options = match &arguments.recipe {
         Some(name) => recipe(name)?,
@@ -143,7 +143,7 @@ pub(super) fn recipe(name: &str) -> Result<TrainOptions, Failure> {
     })
 }
 
-/// The options as a preset changes them.
+/// The options changed by a preset.
 pub(super) fn with_preset(options: TrainOptions, name: &str) -> Result<TrainOptions, Failure> {
     options.with_preset(name).ok_or_else(|| {
         let known = trainer::PRESETS.join(", ");
@@ -151,7 +151,7 @@ pub(super) fn with_preset(options: TrainOptions, name: &str) -> Result<TrainOpti
     })
 }
 
-/// The options with one of them set, `option.part=value`: a JSON value, or else a string.
+/// The options with one of them set by `option.part=value`. The value is JSON, or else a string.
 pub(super) fn changed(options: &TrainOptions, set: &str) -> Result<TrainOptions, Failure> {
     let refused = |reason: &dyn std::fmt::Display| Failure::Usage(format!("--set {set}: {reason}"));
     let (option, value) = set.split_once('=').ok_or_else(|| refused(&"expected OPTION=VALUE"))?;

@@ -1,14 +1,14 @@
 use trainer::{Errors, ModelCard, SetScore};
 
-/// A card with facts of its file.
+/// A card with properties of its file.
 pub(super) struct Row {
-    /// The file's name, shown where the card names no recipe.
+    /// The file's name, shown if the card has no recipe.
     pub(super) stem: String,
     pub(super) card: ModelCard,
     pub(super) bytes: u64,
 }
 
-/// Several cards, a row each: cost of the training and validation errors.
+/// A table of cards, one row each: cost of the training and validation errors.
 pub(super) fn text(rows: &[Row]) -> String {
     let mut text = "ADE / FDE in m over the model's horizon, mean of all agents that validated, online map.\n\n\
                     | recipe | best update | seed | windows | agents | minutes | peak MiB | machine | minADE₂₀ / minFDE₂₀ | K = 1 | file, MiB |\n\
@@ -33,7 +33,7 @@ pub(super) fn text(rows: &[Row]) -> String {
     text
 }
 
-/// The update of the weights and how many were made, or of how many files they are the mean.
+/// The update of the weights and the number of updates, or the number of averaged files.
 fn updates(card: &ModelCard) -> String {
     match (card.step, card.options.begin_with.len()) {
         (0, files_len @ 1..) => format!("mean of {files_len}"),
@@ -41,7 +41,7 @@ fn updates(card: &ModelCard) -> String {
     }
 }
 
-/// The CPU and the threads of it that training used.
+/// The CPU and the number of threads that training used.
 fn machine(card: &ModelCard) -> String {
     let threads = match card.options.workers {
         1 => "1 thread".to_owned(),

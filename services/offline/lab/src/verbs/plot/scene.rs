@@ -77,7 +77,7 @@ enum MaskChoice {
     None,
 }
 
-/// Draws moments of a recording with what was forecast then.
+/// Draws scenes of a recording with their forecasts.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let (_, weights) = arguments.model.open_weights(None)?;
     let recording = arguments.read.open(&arguments.recording)?;
@@ -133,7 +133,7 @@ impl Arguments {
     }
 
     fn options(&self, panels_len: usize) -> SceneOptions {
-        // The best stand above the worst.
+        // The best are above the worst.
         let usual = self.best_worst.map_or(panels_len.clamp(1, 2), usize::from).min(4);
         SceneOptions {
             width: self.width,
