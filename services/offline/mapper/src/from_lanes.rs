@@ -1,4 +1,4 @@
-//! A map without visits: every lane as if agents drove along it, most of them in its middle.
+//! A map without recordings: every lane as if agents drove along it, most of them in its middle.
 
 use lanes::{Lane, LaneMap};
 use scene::{AgentType, ContextMap, MapBuilder};
@@ -11,20 +11,21 @@ const ACROSS_M: f32 = 0.5;
 const SPREAD: f32 = 0.5;
 /// Visits at a point in the middle of a lane.
 const VISITS_MAX: f32 = 8.0;
-/// Lateral acceleration at which agents take bends.
+/// Lateral acceleration of agents in bends.
 const LATERAL_MPS2: f32 = 2.0;
-/// Slowest visit.
+/// Minimum speed of a visit.
 const SPEED_MIN_MPS: f32 = 2.0;
-/// Points of a lane over which its bend is taken, to either side.
+/// Number of points to either side over which the bend at a point is measured.
 const BEND_POINTS: usize = 4;
-/// Speed where a lane has no limit.
+/// Speed on lanes without a limit.
 const SPEED_USUAL_MPS: f32 = 13.9;
 
-/// The map of all lanes that vehicles or cyclists use: velocity along the lane, at its limit or as its bends
-/// allow, most visits in the middle; none in areas where nothing drives.
+/// The map of all lanes that vehicles or cyclists use. Velocities point along the lane, at its limit or
+/// slower in bends. Most visits are in the middle of a lane, and there are none in areas that traffic must
+/// not enter.
 ///
 /// # Errors
-/// [`MapError`] where there are no such lanes, or they span more than a map can hold.
+/// [`MapError`] if no lane is for vehicles or cyclists, or if the lanes span more than a map can hold.
 pub fn of_lanes(map: &LaneMap) -> Result<ContextMap, MapError> {
     let mut visits = Vec::new();
     let is_road = |lane: &&Lane| {
@@ -74,7 +75,7 @@ fn direction(lane: &Lane, from: usize, to: usize) -> [f32; 2] {
     [x / length_m, y / length_m]
 }
 
-/// The speed at which a bend has the usual lateral acceleration.
+/// The speed at which the lateral acceleration in a bend is [`LATERAL_MPS2`], but at least the minimum.
 fn bend_speed_mps(lane: &Lane, [from, to]: [usize; 2]) -> f32 {
     if to < from + 2 {
         return f32::INFINITY;

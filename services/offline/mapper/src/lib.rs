@@ -1,14 +1,15 @@
-//! The context map of a site, from recordings of it or from its lanes (`stgdat map`).
+//! The context map of a site, from recordings or from its lanes (`stgdat map`).
 //!
-//! **In:** recordings that share one world frame. **Out:** a [`SiteMap`]: density and mean velocity (m/s) per
-//! cell of 1 m × 1 m, arrays as [row = y, column = x] \[model §2\].
+//! **In:** recordings in one world frame. **Out:** a [`SiteMap`]: density and mean velocity (m/s) per cell of
+//! 1 m × 1 m, as arrays [row = y, column = x] \[model §2\].
 //!
-//! A *visit* is an agent at a position at a time. Every trajectory gives at most one per tick of the
-//! pipeline, whatever the rate of its recording, so that a map from recordings and one gathered online weigh
-//! the same ground alike. Velocities are those of the recording where it has them, else backward differences;
-//! detections with neither identity nor velocity are left out and counted.
+//! A *visit* is an agent's position at a time. A trajectory has at most one visit per tick of the pipeline,
+//! whatever the rate of its recording. So maps from recordings and maps gathered online weigh the same ground
+//! equally. If the recording has velocities, visits use them. If not, velocities are backward differences.
+//! Detections with neither identity nor velocity are left out and counted.
 //!
-//! A map contains the whole recordings: use those of the training part, never the one that is to be forecast.
+//! A map contains whole recordings. Build it from the training part, never from a recording that is to be
+//! forecast.
 
 mod from_lanes;
 
@@ -19,21 +20,21 @@ use scene::{CELLS_MAX, ContextMap, MapBuilder};
 use thiserror::Error;
 use wire::detection_flags::{HAS_HEADING, HAS_ID, HAS_SPEED};
 
-/// Least time between visits of one trajectory: a tick of the pipeline.
+/// Minimum time between visits of one trajectory: a tick of the pipeline.
 const VISIT_INTERVAL_NS: i64 = wire::TICK_NS.cast_signed();
 
-/// A map and what went into it.
+/// A map and statistics of its recordings.
 #[derive(Clone, Debug)]
 pub struct SiteMap {
-    /// The map, as large as the ground that was visited.
+    /// The map; it covers the visited ground.
     pub map: ContextMap,
-    /// Visits counted.
+    /// Number of visits.
     pub visits_len: usize,
-    /// Detections left out because their velocity is unknown.
+    /// Detections that are left out because their velocity is unknown.
     pub left_out_len: usize,
 }
 
-/// Why recordings give no map.
+/// Why no map can be built.
 #[derive(Debug, Error, PartialEq, Eq)]
 pub enum MapError {
     /// No detection has a velocity.
@@ -42,7 +43,7 @@ pub enum MapError {
     /// No lane is for vehicles or cyclists.
     #[error("the map has no lane that vehicles or cyclists use")]
     NoRoads,
-    /// The visits are too far apart.
+    /// The map would be too large.
     #[error(
         "the visits span {rows} × {cols} cells of 1 m, at most {CELLS_MAX} cells allowed: map one site at a time"
     )]
@@ -63,7 +64,7 @@ struct Visit {
 /// The map of all visits in recordings that share one world frame.
 ///
 /// # Errors
-/// [`MapError`] where there are no visits, or they span more than a map can hold.
+/// [`MapError`] if there are no visits, or if they span more than a map can hold.
 pub fn build(recordings: &[Recording]) -> Result<SiteMap, MapError> {
     let mut visits = Vec::new();
     let mut left_out_len = 0;
@@ -80,7 +81,7 @@ pub fn build(recordings: &[Recording]) -> Result<SiteMap, MapError> {
     Ok(SiteMap { map: builder.build(), visits_len, left_out_len })
 }
 
-/// Appends a trajectory's visits; returns the number of states without velocity.
+/// Appends a trajectory's visits. Returns the number of states without velocity.
 fn visit_track(track: &RecordedTrack, visits: &mut Vec<Visit>) -> usize {
     if track.starts_unmoved && track.states.len() == 1 {
         return 1;
@@ -90,7 +91,7 @@ fn visit_track(track: &RecordedTrack, visits: &mut Vec<Visit>) -> usize {
         if last_ns.is_some_and(|last_ns| stamp_ns - last_ns < VISIT_INTERVAL_NS) {
             continue;
         }
-        // With all states known, the first has the velocity of the second.
+        // All states are known here, so the first one has the velocity of the second.
         if let Some(state) = track.state_at(*stamp_ns, i64::MAX, 0) {
             visits.push(Visit { position_m: state.position_m, velocity_mps: state.velocity_mps });
             last_ns = Some(*stamp_ns);
@@ -99,7 +100,7 @@ fn visit_track(track: &RecordedTrack, visits: &mut Vec<Visit>) -> usize {
     0
 }
 
-/// Appends the visits of detections without identity; returns the number of those without velocity.
+/// Appends the visits of detections without identity. Returns the number of those without velocity.
 fn visit_loose_detections(recording: &Recording, visits: &mut Vec<Visit>) -> usize {
     let mut left_out_len = 0;
     for detection in recording.frames.iter().flat_map(|frame| &frame.detections) {
@@ -119,7 +120,7 @@ fn visit_loose_detections(recording: &Recording, visits: &mut Vec<Visit>) -> usi
     left_out_len
 }
 
-/// Lower left corner on whole metres, and cells along x and y.
+/// Lower left corner in whole metres, and numbers of cells along x and y.
 fn extent(visits: &[Visit]) -> Option<([f32; 2], [usize; 2])> {
     let first = visits.first()?.position_m;
     let (low, high) = visits.iter().fold((first, first), |(low, high), visit| {

@@ -1,4 +1,4 @@
-//! Maps of synthetic and of real recordings.
+//! Maps of synthetic and real recordings.
 
 use data::sets::{DataSet, Part};
 use data::{Frame, Recording};
@@ -8,7 +8,7 @@ use testing::{public_recording, recordings_folder};
 use wire::Detection;
 use wire::detection_flags::{HAS_HEADING, HAS_ID, HAS_SPEED};
 
-/// Frames `dt_ns` apart, each with the detections that `detections` gives for its time in seconds.
+/// Frames `dt_ns` apart. `detections` returns the detections at a time in seconds.
 fn recording(frames_len: i64, dt_ns: i64, detections: impl Fn(f32) -> Vec<Detection>) -> Recording {
     let frames = (0..frames_len).map(|k| Frame {
         stamp_ns: k * dt_ns,
@@ -35,7 +35,8 @@ fn a_trajectory_is_mapped_with_its_velocity() {
     let density: Vec<f32> = site.map.density().collect();
     let velocity: Vec<[f32; 2]> = site.map.velocity_mps().collect();
     assert!((density.iter().sum::<f32>() - 1.0).abs() < 1e-6);
-    // The walk crosses the lowest row, five visits a cell; the first visit has the velocity of the second.
+    // The walk crosses the lowest row with five visits per cell. The first visit has the velocity of the
+    // second.
     assert!((density[1] - 5.0 / 50.0).abs() < 1e-6, "{density:?}");
     assert!((velocity[0][0] - 2.0).abs() < 1e-3 && velocity[0][1].abs() < 1e-3, "{velocity:?}");
     assert!((density[3 * 6 + 4] - 0.5).abs() < 1e-6);
@@ -91,7 +92,7 @@ fn real_recordings_make_plausible_maps() {
     }
 }
 
-/// A lane to the east, 4 m wide and 40 m long, with another limit and users if need be.
+/// A lane to the east, 4 m wide and 40 m long, with these additional tags.
 fn lane(tags: &str) -> LaneMap {
     let node = |id: u8, x: f32, y: f32| {
         format!("<node id='{id}'><tag k='local_x' v='{x}'/><tag k='local_y' v='{y}'/></node>")
