@@ -1,4 +1,4 @@
-//! A recording as a noisy sensor with gaps reports it.
+//! A recording as reported by a noisy sensor with gaps.
 
 use std::collections::BTreeMap;
 
@@ -9,44 +9,44 @@ use wire::{AgentType, detection_flags};
 
 use super::Place;
 
-/// A vehicle is measured for so long before its first gap, at least, and between two gaps.
+/// Minimum time for which a vehicle is measured before its first gap.
 const MEASURED_FIRST_S: f64 = 3.0;
-/// See [`MEASURED_FIRST_S`].
+/// Time for which a vehicle is measured between two gaps.
 const MEASURED_BETWEEN_S: f64 = 4.0;
 
-/// What a sensor does to the truth.
+/// The sensor's errors.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Sensor {
-    /// Standard deviation of a measured position, per axis.
+    /// Standard deviation of a measured position per axis.
     pub(crate) sigma_m: f64,
-    /// How long a gap lasts; 0 for none.
+    /// Length of a gap; 0 for no gaps.
     pub(crate) gap_s: f64,
-    /// Of the noise, and of when gaps begin.
+    /// Seed of the noise and of the gaps' phases.
     pub(crate) seed: u64,
 }
 
-/// An agent at one instant.
+/// An agent at one time.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Seen {
     pub(crate) id: u64,
     pub(crate) agent_type: AgentType,
     pub(crate) length_m: Option<f32>,
-    /// `None` at the ends of a track, where its velocity is not known.
+    /// `None` at the ends of a track, because its velocity is unknown there.
     pub(crate) truth: Option<PlanarState>,
     /// Position, if it was measured.
     pub(crate) measured_m: Option<[f64; 2]>,
 }
 
-/// All agents of an instant, in the order of their ids.
+/// All agents at one time, ordered by id.
 #[derive(Clone, Debug)]
 pub(crate) struct Instant {
     pub(crate) stamp_ns: i64,
-    /// Where the sensor is.
+    /// Position of the sensor.
     pub(crate) ego_m: [f32; 2],
     pub(crate) agents: Vec<Seen>,
 }
 
-/// Instants in the order of time.
+/// Instants in time order.
 #[derive(Clone, Debug)]
 pub(crate) struct Course<'a> {
     pub(crate) sensor: Sensor,
@@ -58,8 +58,8 @@ pub(crate) struct Course<'a> {
 impl<'a> Course<'a> {
     /// The frames between two times of a recording with identities, as the sensor reports them.
     ///
-    /// The true velocity is the central difference of positions, which is neither late nor smoothed as the
-    /// recording's is.
+    /// The true velocity is the central difference of positions. Unlike the recording's velocity it is
+    /// neither late nor smoothed.
     pub(crate) fn new(
         recording: &Recording,
         [from_ns, to_ns]: [i64; 2],
@@ -110,7 +110,7 @@ impl<'a> Course<'a> {
 }
 
 impl Instant {
-    /// Whether an agent is measured.
+    /// Whether an agent is measured at this instant.
     pub(crate) fn measures(&self, id: u64) -> bool {
         let place = self.agents.binary_search_by_key(&id, |seen| seen.id);
         place.is_ok_and(|place| self.agents[place].measured_m.is_some())
@@ -121,7 +121,7 @@ impl Sensor {
     /// Whether an agent is in a gap `age_s` after its first frame.
     fn occludes(&self, id: u64, age_s: f64) -> bool {
         let period_s = MEASURED_BETWEEN_S + self.gap_s;
-        // From 0 to 1, evenly.
+        // A phase from 0 to 1.
         let phase = f64::from(Normals::new(self.seed, id, 0).draw().abs()).fract();
         let since_s = age_s - MEASURED_FIRST_S - phase * MEASURED_BETWEEN_S;
         since_s >= 0.0 && since_s.rem_euclid(period_s) < self.gap_s
@@ -143,7 +143,7 @@ pub(crate) mod tests {
 
     const INTERVAL_NS: i64 = 100_000_000;
 
-    /// A site without map and memory.
+    /// A site without map and retrieval memory.
     pub(crate) const NOWHERE: Place<'static> = Place { map: MapInput::None, memory: None };
 
     /// A vehicle that drives straight at 10 m/s for 20 s.
@@ -152,8 +152,7 @@ pub(crate) mod tests {
         recording_of(frames)
     }
 
-    /// So many vehicles, one after the other, that turn left around the same corner at 7 m/s, 6.5 s after
-    /// they appear.
+    /// Consecutive vehicles that turn left at the same corner at 7 m/s, 6.5 s after they appear.
     pub(crate) fn corner(vehicles: usize) -> Recording {
         const RADIUS_M: f32 = 12.0;
         const SPEED_MPS: f32 = 7.0;
@@ -166,7 +165,7 @@ pub(crate) mod tests {
         };
         let frames = (0..vehicles * 140).map(|frame| {
             let (number, since) = (frame / 140, frame % 140);
-            // No vehicle for the last 2 s.
+            // The last 2 s of each period are empty.
             let there = (since < 120).then(|| vehicle(number as u64, place(since as f32 / 10.0)));
             there.into_iter().collect()
         });

@@ -1,4 +1,4 @@
-//! A filter per agent over a course.
+//! Runs one filter per agent over a course.
 
 use std::collections::BTreeMap;
 
@@ -14,16 +14,15 @@ use super::method::{Settings, TrackingMethod, UNKNOWN, control_gains};
 use super::smoother::smooth;
 use evaluator::Forecaster;
 
-/// Largest deviation of a known direction of motion; a state with a heading takes over at
-/// [`COURSE_KNOWN_MPS`].
+/// Maximum standard deviation of a known course. States with a heading also need [`COURSE_KNOWN_MPS`].
 const COURSE_KNOWN_RAD: f64 = 0.3;
-/// Least speed of a known direction of motion.
+/// Minimum speed of a known course.
 const COURSE_KNOWN_MPS: f64 = 0.5;
-/// Particles of a vehicle.
+/// Particles per vehicle.
 const PARTICLES: usize = 200;
 /// Degrees of freedom of a position.
 pub(crate) const DEGREES: u32 = 2;
-/// A track counts from this age on.
+/// Age from which a track's errors count.
 pub(crate) const SETTLED_S: f64 = 1.0;
 
 /// The error of an estimate at an instant.
@@ -39,11 +38,11 @@ pub(crate) struct Error {
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Outcome {
     pub(crate) errors: Vec<Error>,
-    /// Normalised squares of the positions' errors, instant by instant: where they are measured, and in gaps.
+    /// Normalised squared errors of positions, at measured instants and in gaps.
     pub(crate) nees: [Consistency; 2],
-    /// The same of the innovations.
+    /// Normalised squared innovations.
     pub(crate) nis: Consistency,
-    /// Of the logarithms of each measurement's predicted density.
+    /// Sum of the log-likelihoods of measurements.
     pub(crate) log_likelihood_sum: f64,
     pub(crate) measured_len: u64,
     /// Predictions and updates that failed.
@@ -51,7 +50,7 @@ pub(crate) struct Outcome {
 }
 
 impl Outcome {
-    /// Mean negative logarithm of the likelihood of a measurement.
+    /// Mean negative log-likelihood of a measurement.
     pub(crate) fn nll(outcomes: &[Self]) -> f64 {
         let measured_len: u64 = outcomes.iter().map(|outcome| outcome.measured_len).sum();
         -outcomes.iter().map(|outcome| outcome.log_likelihood_sum).sum::<f64>() / measured_len.max(1) as f64
@@ -69,7 +68,7 @@ pub(crate) struct Follower<'a> {
 /// The state estimate of one agent.
 enum Estimator {
     Filter(Box<Filter>),
-    /// Of a single filter where nothing is forecast.
+    /// A mixture with one component if there is no forecast.
     Mixture(Box<Mixture<SingerBicycle, 7>>),
     Particles(Box<Particles<SingerBicycle, 7>>),
 }
@@ -79,14 +78,15 @@ struct Track {
     length_m: Option<f32>,
     born_ns: i64,
     estimator: Estimator,
-    /// Held where the state has none.
+    /// Last known heading, for states without a heading.
     heading_rad: f64,
-    /// Whether it was measured since its last forecast: only then a new one contains more.
+    /// Whether the vehicle was measured since its last forecast. Otherwise a new forecast adds no
+    /// information.
     is_fresh: bool,
 }
 
 impl Follower<'_> {
-    /// Follows all agents of a course; vehicles count.
+    /// Follows all agents of a course. Only the errors of vehicles count.
     pub(crate) fn follow(&self, course: &Course) -> Outcome {
         if self.method == TrackingMethod::Smoother {
             let [jerk_density, ..] = self.settings.of(self.method.tuned_as());
@@ -102,8 +102,8 @@ impl Follower<'_> {
             let elapsed_ns = last_ns.map_or(0, |last: i64| instant.stamp_ns - last).cast_unsigned();
             last_ns = Some(instant.stamp_ns);
             self.advance((tick, instant), elapsed_ns, course.sensor.sigma_m, &mut tracks, &mut outcome);
-            // One forecast per step of the model: modes live long enough for measurements to distinguish
-            // them.
+            // One forecast per step of the model, so that modes exist long enough for measurements to
+            // distinguish them.
             if self.method.is_learned() && instant.stamp_ns >= next_ns {
                 next_ns += step_ns;
                 self.adopt(&mut forecasts, instant, &mut tracks);
@@ -162,7 +162,7 @@ impl Follower<'_> {
         }
     }
 
-    /// Forecasts all agents from their estimates; the forecasts become the vehicles' priors.
+    /// Forecasts all agents from their estimates. The forecasts become the vehicles' priors.
     fn adopt(&self, forecasts: &mut OnboardForecasts, instant: &Instant, tracks: &mut BTreeMap<u64, Track>) {
         let estimates: Vec<Estimate> = tracks
             .iter_mut()
@@ -193,7 +193,7 @@ impl Follower<'_> {
                     particles.adopt(&forecast)
                 }
             };
-            // One that can't be used leaves the forecast before in its place.
+            // If a forecast can't be used, the previous one remains.
             track.is_fresh = adopted.is_err();
         }
     }
@@ -220,7 +220,7 @@ impl Track {
         }
     }
 
-    /// Normalised innovation squared and log-likelihood.
+    /// Normalised squared innovation and log-likelihood.
     fn update(&mut self, seen: &Observation, settings: &Settings) -> Option<(f64, f64)> {
         match &mut self.estimator {
             Estimator::Filter(filter) => {
@@ -238,7 +238,7 @@ impl Track {
         }
     }
 
-    /// Takes on the state of the method once the motion shows a heading.
+    /// Switches to the method's state once the motion determines a heading.
     fn initialise(&mut self, method: TrackingMethod, settings: &Settings, id: u64) {
         let Estimator::Filter(filter) = &self.estimator else { return };
         let kind = method.kind();
@@ -277,7 +277,7 @@ impl Track {
         }
     }
 
-    /// What the model is told.
+    /// The state that the model receives.
     fn state(&mut self) -> State {
         let motion = self.filter().motion();
         let [vx, vy] = motion.velocity_mps;
@@ -308,7 +308,7 @@ impl Track {
     }
 }
 
-/// Normalised square of the innovation.
+/// Normalised squared innovation.
 fn innovation_squared(predicted: &Gaussian<7>, seen: &Observation) -> Option<f64> {
     let innovation = [0, 1].map(|axis| seen.position_m[axis] - predicted.mean[axis]);
     let noise = Matrix2::from_diagonal_element(seen.position_variance);
@@ -376,13 +376,13 @@ mod tests {
         for method in [TrackingMethod::Learned, TrackingMethod::WarmStarted] {
             let whole = follow(method);
             let half = follow_until(10_000_000_000, method);
-            // The last instant's true velocity needs the one after it.
+            // The last instant's true velocity needs the next instant.
             assert_eq!(half.errors.len(), 90);
             assert_eq!(half.errors[..], whole.errors[..90]);
         }
     }
 
-    /// Where earlier vehicles turned, one that is occluded for 3.2 s is predicted to turn as well.
+    /// An occluded vehicle at a corner where earlier vehicles turned is predicted to turn as well.
     #[test]
     fn retrieval_predicts_a_known_corner_during_occlusion() {
         let forecaster = Forecaster::new(nn::Weights::onboard(), 1).unwrap();

@@ -1,4 +1,4 @@
-//! The forecasts of filtered agents, as controls of each mode.
+//! The forecasts of filtered agents, as the controls of each mode.
 
 use std::collections::BTreeMap;
 
@@ -10,7 +10,7 @@ use wire::{AgentType, Forecast as Payload, Header, Quality, TrackStatus};
 
 use evaluator::{Agent, Forecaster, MapInput, Scene, TracksPayload};
 
-/// Controls of all modes of one agent, as [`filters::Forecast`] wants them.
+/// Controls of all modes of one agent, in the layout of [`filters::Forecast`].
 #[derive(Clone, Debug)]
 pub(crate) struct Hypotheses {
     pub(crate) heading_rad: f64,
@@ -25,26 +25,26 @@ pub(crate) struct Estimate {
     pub(crate) agent_type: AgentType,
     pub(crate) length_m: Option<f32>,
     pub(crate) state: State,
-    /// Whether a measurement of it exists at this instant.
+    /// Whether the agent is measured at this instant.
     pub(crate) is_measured: bool,
-    /// Whether a forecast of the agent is wanted.
+    /// Whether a forecast of the agent is needed.
     pub(crate) wanted: bool,
 }
 
 /// Prior knowledge of a site.
 #[derive(Clone, Debug)]
 pub(crate) struct Place<'a> {
-    /// An online map contains the filters' estimates so far.
+    /// The map; an online map contains the filters' estimates up to now.
     pub(crate) map: MapInput<'a>,
-    /// Residuals of earlier recordings, if there are some.
+    /// Retrieval memory with residuals of earlier recordings, if any.
     pub(crate) memory: Option<RetrievalMemory>,
 }
 
-/// Estimates by stamp.
+/// An agent's estimates by stamp.
 type Past = BTreeMap<i64, State>;
 
-/// Forecasts from estimates by the stages that run on board: one `tracks` payload of the filters' estimates
-/// per instant, at a site.
+/// Forecasts filtered agents with the onboard stages. Each instant has one `tracks` payload with the filters'
+/// estimates.
 pub(crate) struct OnboardForecasts {
     stages: TracksToForecasts,
     header: Header,
@@ -54,7 +54,7 @@ pub(crate) struct OnboardForecasts {
 }
 
 impl OnboardForecasts {
-    /// Stages before their first frame; they retrieve from the site's memory only if `warm_started`.
+    /// Stages before their first frame. They retrieve from the site's memory only if `warm_started`.
     pub(crate) fn new(forecaster: &Forecaster, place: &Place<'_>, warm_started: bool) -> Self {
         let memory = place.memory.clone().filter(|_| warm_started);
         Self {
@@ -66,10 +66,10 @@ impl OnboardForecasts {
         }
     }
 
-    /// Adds the estimates of now, with the sensor at `ego_m`, and forecasts the agents that are wanted.
+    /// Adds the current estimates, with the sensor at `ego_m`, and forecasts the agents that need it.
     ///
-    /// Estimates are never revised, as on board. A history contains those that were made whole steps of the
-    /// model ago.
+    /// As in a run, estimates are never revised. A history consists of the estimates that are whole steps of
+    /// the model old.
     pub(crate) fn forecast(
         &mut self,
         now_ns: i64,
@@ -112,7 +112,7 @@ impl OnboardForecasts {
 }
 
 impl Hypotheses {
-    /// The controls that a payload contains.
+    /// The controls in a payload.
     fn of(payload: &Payload, horizon_len: usize) -> Self {
         let modes_len = payload.modes_len as usize;
         let step = |control: &wire::ControlGaussian| ControlStep {

@@ -1,9 +1,10 @@
-//! Evaluates trackers on a detector's output from a moving car, by KITTI's labels.
+//! Evaluates trackers on a detector's output from a moving car, against KITTI's labels.
 //!
-//! A *contender* makes tracks of a recording. For each it may choose one number per class, the score
-//! threshold of the detections that it is given, among the same few for all and on sequences outside its
-//! evaluation. Its tracks are matched with the labels within 2 m on the ground, class by class, and counted
-//! by all measures ([`Counts`]).
+//! 1. A *contender* makes tracks from a recording.
+//! 2. It may choose one score threshold per class for its detections. All contenders choose among the same
+//!    few thresholds, on sequences outside their evaluation.
+//! 3. The tracks of each class are matched with the labels within 2 m on the ground.
+//! 4. All measures count the matches ([`Counts`]).
 
 mod counts;
 mod nearest;

@@ -1,15 +1,15 @@
-//! Evaluates tracking, beside filters and trackers without forecasts; `stgdat evaluate tracking` calls it.
+//! Evaluates tracking, compared with filters and trackers without forecasts (`stgdat evaluate tracking`).
 //!
-//! In go recordings in the layout of their data sets and weights ([`evaluator::Options`]), out come reports
-//! as Markdown, CSV and JSON.
+//! **In:** recordings in the layout of their data sets, and weights ([`evaluator::Options`]). **Out:**
+//! reports as Markdown, CSV and JSON.
 //!
-//! [`interaction()`] measures how well filters estimate the motion of vehicles whose positions are measured
-//! with noise and, during gaps, not at all. A `Course` is a recording as such a sensor reports it. A
-//! `Follower` runs one filter per agent over it, all agents at once, since the learned prior of one depends
-//! on the positions of the others. Every method is tuned with the same number of trials on recordings outside
-//! the evaluation, and all get the same noise and the same gaps.
+//! [`interaction()`] measures how well filters estimate vehicles' motion from noisy positions with gaps. A
+//! `Course` is a recording as such a sensor reports it. A `Follower` runs one filter per agent over it. It
+//! runs all agents together, because the learned prior of an agent depends on the positions of the others.
+//! Every method is tuned with the same number of trials on recordings outside the evaluation. All methods get
+//! the same noise and the same gaps.
 //!
-//! [`kitti()`] evaluates whole trackers by identities and positions, from a detector's output.
+//! [`kitti()`] evaluates whole trackers on a detector's output, by identities and positions.
 
 mod course;
 mod follower;
@@ -35,6 +35,6 @@ pub(crate) use method::TrackingMethod;
 pub(crate) use report::MethodErrors;
 pub(crate) use tuning::{TRIALS, Trials, tune};
 
-/// The head of the figures of [`TrackingReport::csv`] and [`KittiReport::csv`], which are lines of one table.
+/// The header of [`TrackingReport::csv`] and [`KittiReport::csv`], whose lines form one table.
 pub const COLUMNS: &str =
     "part,sigma_m,gap_s,sequences,least_score,class,method,quantity,measure,value,len,weights_sha256\n";

@@ -1,15 +1,15 @@
-//! The methods that are compared, and what of each is tuned.
+//! The compared methods and their tuned settings.
 
 use filters::{
     Bicycle, ConstantAcceleration, ConstantTurnRate, ConstantVelocity, Gaussian, Integrator, Kind, Models,
     Priors, SingerBicycle, Unknown, control_gain,
 };
 
-/// Prior standard deviations of what no measurement of a vehicle contains.
+/// Prior standard deviations of a vehicle's unmeasured components.
 pub(crate) const UNKNOWN: Unknown =
     Unknown { speed_mps: 10.0, acceleration_mps2: 2.0, turn_rate_radps: 0.3, slip_rad: 0.05 };
 
-/// A way to estimate motion.
+/// A method that estimates motion.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum TrackingMethod {
     /// Constant velocity, Kalman filter.
@@ -22,32 +22,33 @@ pub(crate) enum TrackingMethod {
     Bicycle,
     /// Bicycle whose acceleration and slip rate decay (Singer), extended Kalman filter.
     SingerBicycle,
-    /// The same, these decaying towards those of the model's forecasts: a mixture of extended Kalman filters.
+    /// The same, but acceleration and slip rate decay towards the controls of the model's forecasts: a
+    /// mixture of extended Kalman filters.
     Learned,
-    /// The same, the forecasts with a retrieval memory that begins with earlier recordings.
+    /// The same, and the forecasts use a retrieval memory that begins with earlier recordings.
     WarmStarted,
-    /// The processes of [`TrackingMethod::Learned`] by Monte Carlo: particles, with the settings of the
-    /// mixture.
+    /// The processes of [`TrackingMethod::Learned`] by Monte Carlo: particles with the mixture's settings.
     LearnedParticles,
-    /// Constant acceleration with later measurements as well: no filter, but a bound for them (oracle).
+    /// Constant acceleration that also uses later measurements: not a filter, but a bound for filters
+    /// (oracle).
     Smoother,
 }
 
-/// The numbers of a method that are tuned; what they are, and how many of them count, is the method's own.
+/// The tuned numbers of a method. Each method defines their meaning and how many it uses.
 pub(crate) type Setting = [f64; 3];
 
-/// Middle of a length that is not known, m, and the rear axle's share of it.
+/// Length of a vehicle of unknown length, m.
 const LENGTH_M: f32 = 4.5;
-/// See [`LENGTH_M`].
+/// Distance from the reference point to the rear axle, as a share of the length.
 const REAR_AXLE_RATIO: f32 = 0.26;
-/// Largest slip of the bicycle.
+/// Maximum slip of the bicycle.
 const SLIP_MAX_RAD: f64 = 0.5;
-/// Standard deviations of speed, m/s, and heading, rad, at which the gain of a control is one half: those of
-/// the pipeline's tracker.
+/// Standard deviations of speed, m/s, and heading, rad, at which the gain of a control is one half, as in the
+/// pipeline's tracker.
 const HALF_GAIN_SIGMA: [f64; 2] = [0.7, 0.02];
 /// Time constant with which a forecast's controls fade in.
 const FADE_IN_S: f64 = 1.0;
-/// Variances added to the bicycle in 80 ms whatever its noise.
+/// Variances added to the bicycle per 80 ms in addition to its noise.
 const FLOOR: [f64; 5] = [1e-6, 1e-6, 1e-6, 0.0, 0.0];
 
 impl TrackingMethod {
@@ -64,7 +65,7 @@ impl TrackingMethod {
         Self::Smoother,
     ];
 
-    /// The methods that are evaluated; particles take several times as long as all others together.
+    /// The methods to evaluate. Particles take several times as long as all other methods together.
     pub(crate) fn evaluated(particles: bool) -> Vec<Self> {
         Self::ALL.into_iter().filter(|&method| particles || method != Self::LearnedParticles).collect()
     }
@@ -85,17 +86,17 @@ impl TrackingMethod {
         }
     }
 
-    /// Whether forecasts of the model take part.
+    /// Whether the method uses forecasts of the model.
     pub(crate) const fn is_learned(self) -> bool {
         matches!(self, Self::Learned | Self::WarmStarted | Self::LearnedParticles)
     }
 
-    /// Whether nothing of the future and no forecast takes part.
+    /// Whether the method uses neither forecasts nor later measurements.
     pub(crate) const fn is_kinematic(self) -> bool {
         !self.is_learned() && !matches!(self, Self::Smoother)
     }
 
-    /// The method whose settings are this one's.
+    /// The method with the same settings as this one.
     pub(crate) const fn tuned_as(self) -> Self {
         match self {
             Self::LearnedParticles => Self::Learned,
@@ -104,12 +105,12 @@ impl TrackingMethod {
         }
     }
 
-    /// Whether the retrieval memory takes part in the forecasts.
+    /// Whether forecasts use the retrieval memory.
     pub(crate) const fn retrieves(self) -> bool {
         matches!(self, Self::WarmStarted)
     }
 
-    /// The names of the numbers of its setting.
+    /// The names of the tuned numbers.
     pub(crate) const fn setting_names(self) -> &'static [&'static str] {
         match self {
             Self::ConstantVelocity => &["acceleration density, m²/s³"],
@@ -126,7 +127,7 @@ impl TrackingMethod {
         }
     }
 
-    /// Where tuning begins.
+    /// The setting with which tuning begins.
     pub(crate) const fn first_setting(self) -> Setting {
         match self {
             Self::ConstantVelocity | Self::ConstantAcceleration => [1.0; 3],
@@ -138,7 +139,7 @@ impl TrackingMethod {
         }
     }
 
-    /// The process of a state that has one, where the model's is the bicycle.
+    /// The kind of the method's filter once its state is initialised.
     pub(crate) const fn kind(self) -> Kind {
         match self {
             Self::ConstantVelocity => Kind::ConstantVelocity,
@@ -158,7 +159,7 @@ impl TrackingMethod {
 pub(crate) struct Settings([Setting; TrackingMethod::ALL.len()]);
 
 impl Settings {
-    /// Where tuning begins.
+    /// The settings with which tuning begins.
     pub(crate) fn first() -> Self {
         Self(TrackingMethod::ALL.map(TrackingMethod::first_setting))
     }
@@ -191,11 +192,11 @@ impl Settings {
 
     /// The processes of a Singer bicycle with and without forecasts, at these gains of the controls.
     ///
-    /// Under a forecast, acceleration and slip rate decay towards the forecast's means, with one time
-    /// constant at first and another once the controls have faded in. A share (of standard deviations) of the
-    /// white noise of the Singer bicycle drives both: its density σ² / τ determines how fast a manoeuvre may
-    /// change, whatever the decay. The spread among the modes represents the uncertainty of the controls,
-    /// that noise represents the rest.
+    /// With a forecast, acceleration and slip rate decay towards the forecast's means. The time constant
+    /// changes once the controls have faded in. Both are driven by a share of the Singer bicycle's white
+    /// noise, in standard deviations. The density σ² / τ of this noise determines how fast a manoeuvre may
+    /// change, whatever the decay. The spread among the modes represents the uncertainty of the controls, and
+    /// the noise represents the rest.
     pub(crate) fn priors(
         &self,
         method: TrackingMethod,
@@ -224,7 +225,7 @@ impl Settings {
     }
 }
 
-/// Gains of a forecast's acceleration and slip rate, by how well the vehicle's speed and heading are known.
+/// Gains of a forecast's acceleration and slip rate, given the uncertainty of speed and heading.
 pub(crate) fn control_gains(state: &Gaussian<7>) -> [f64; 2] {
     let gain = |component: usize, sigma: f64| control_gain(sigma, state.covariance[(component, component)]);
     [gain(3, HALF_GAIN_SIGMA[0]), gain(2, HALF_GAIN_SIGMA[1])]
@@ -246,7 +247,7 @@ fn bicycle(acceleration_mps2: f64, slip_rate_radps: f64, length_m: Option<f32>) 
 mod tests {
     use super::*;
 
-    /// At a share of 1 of the noise and with its own decay at first.
+    /// With a noise share of 1 and the Singer bicycle's own decay at first.
     #[test]
     fn without_controls_the_learned_prior_is_the_singer_bicycle() {
         let [acceleration_mps2, slip_rate_radps, decay_s] = [0.7, 0.03, 1.6];
@@ -256,7 +257,7 @@ mod tests {
         let priors = settings.priors(TrackingMethod::Learned, Some(4.0), [0.0; 2]);
         assert_eq!(priors.uncontrolled, priors.kinematic);
         assert_eq!(priors.kinematic.decay_s, [decay_s; 2]);
-        // Once steered it decays faster, and is driven as before.
+        // With controls the acceleration decays faster; the process noise is unchanged.
         let ratio = priors.learned.acceleration_mps2 / acceleration_mps2;
         assert!((ratio.powi(2) - 0.5 / decay_s).abs() < 1e-12 && priors.learned.decay_s == [0.5; 2]);
     }

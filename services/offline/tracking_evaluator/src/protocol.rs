@@ -1,4 +1,4 @@
-//! Protocols: which recordings are tracked from what, and what tracks are compared with.
+//! Protocols: the recordings, the input of the trackers and the truth of each evaluation.
 
 mod interaction;
 mod kitti;

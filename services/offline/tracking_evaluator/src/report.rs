@@ -7,12 +7,12 @@ use super::follower::Error;
 use super::{Outcome, Sensor, TRIALS, TrackingMethod, Trials};
 use evaluator::{Provenance, RESAMPLES, Table, digits, percent};
 
-/// Of the bootstrap.
+/// Seed of the bootstrap.
 const SEED: u64 = 1;
-/// The χ² bounds within which squares should lie.
+/// Probability within the χ² bounds of the normalised squares.
 const BOUNDS: f64 = 0.95;
-/// The noise whose errors a summary reports, m: a constant-velocity filter errs there as much as in the
-/// paper.
+/// The noise whose errors a summary contains, m. With it a constant-velocity filter has about the error of
+/// the paper.
 const SUMMARISED_M: f64 = 0.02;
 
 /// The errors of one method under one sensor.
@@ -20,9 +20,10 @@ const SUMMARISED_M: f64 = 0.02;
 pub(crate) struct MethodErrors {
     sensor: Sensor,
     method: TrackingMethod,
-    /// Track by track.
+    /// The errors of each track.
     tracks: Vec<Vec<Error>>,
-    /// Of the positions that the column reports, and of the innovations; `None` where there are none.
+    /// Consistency of the positions that the column reports, and of the innovations; `None` if there are
+    /// none.
     nees: Option<ConsistencySummary>,
     nis: Option<ConsistencySummary>,
     faults_len: u64,
@@ -38,7 +39,7 @@ pub struct TrackingReport {
     trials: Vec<(f64, Trials)>,
 }
 
-/// A quantity that is estimated.
+/// An estimated quantity.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Quantity {
     Position,
@@ -55,7 +56,7 @@ impl Quantity {
         }
     }
 
-    /// The heading of its table.
+    /// The heading of the quantity's table.
     const fn title(self) -> &'static str {
         match self {
             Self::Position => "Position error, m",
@@ -72,7 +73,7 @@ impl Quantity {
 }
 
 impl MethodErrors {
-    /// The outcomes of all recordings together; for the χ² bounds, vehicles at the same tick number are
+    /// The outcomes of all recordings together. For the χ² bounds, vehicles at the same tick number are
     /// parallel runs.
     pub(crate) fn new<'a>(
         sensor: Sensor,
@@ -83,7 +84,7 @@ impl MethodErrors {
         let (mut nees, mut nis) = (Consistency::default(), Consistency::default());
         for outcome in outcomes {
             let mut errors = outcome.errors.clone();
-            // Instants stay in their order.
+            // The sort is stable, so instants remain in order.
             errors.sort_by_key(|error| error.id);
             tracks.extend(errors.chunk_by(|a, b| a.id == b.id).map(<[Error]>::to_vec));
             nees.merge(&outcome.nees[usize::from(sensor.gap_s > 0.0)]);
@@ -94,7 +95,7 @@ impl MethodErrors {
         Self { sensor, method, tracks, nees, nis, faults_len }
     }
 
-    /// Whether a column counts an error: occluded instants where there are gaps, else all.
+    /// Whether a column counts an error: only occluded instants if there are gaps, otherwise all.
     fn counts(&self, error: &Error) -> bool {
         error.visible == (self.sensor.gap_s == 0.0)
     }
@@ -106,7 +107,7 @@ impl MethodErrors {
         norms
     }
 
-    /// Track by track, beside another method on the same instants.
+    /// Summed errors of each track, paired with another method's errors at the same instants.
     fn paired(&self, other: &Self, quantity: Quantity) -> Vec<PairedErrors> {
         let of_track = |(ours, theirs): (&Vec<Error>, &Vec<Error>)| {
             let mut sum = PairedErrors::default();
@@ -132,7 +133,7 @@ impl TrackingReport {
         self.trials.push((sigma_m, trials));
     }
 
-    /// The sensors of a noise, one per column.
+    /// The sensors with this noise, one per column.
     fn sensors(&self, sigma_m: f64) -> Vec<Sensor> {
         let mut sensors: Vec<Sensor> =
             self.evaluated.iter().map(|of| of.sensor).filter(|sensor| sensor.sigma_m == sigma_m).collect();
@@ -144,12 +145,12 @@ impl TrackingReport {
         self.evaluated.iter().find(|evaluated| evaluated.sensor == sensor && evaluated.method == method)
     }
 
-    /// In the order of the tables.
+    /// The methods, in the order of the tables.
     fn methods(&self) -> impl Iterator<Item = TrackingMethod> + '_ {
         self.trials.first().into_iter().flat_map(|(_, trials)| &trials.figures).map(|&(method, _)| method)
     }
 
-    /// The kinematic filter whose mean error is the least.
+    /// The kinematic filter with the least mean error.
     fn best_kinematic(&self, sensor: Sensor, quantity: Quantity) -> Option<&MethodErrors> {
         let kinematic = TrackingMethod::ALL.into_iter().filter(|method| method.is_kinematic());
         let evaluated = kinematic.filter_map(|method| self.of(sensor, method));
@@ -166,13 +167,13 @@ impl TrackingReport {
         self.sensors(sigma_m).iter().map(name).collect()
     }
 
-    /// The report as a Markdown page that also reads well in a terminal.
+    /// The report as a Markdown page that is also readable in a terminal.
     #[must_use]
     pub fn markdown(&self) -> String {
         self.written(&self.tables(), "#")
     }
 
-    /// The errors at one deviation and the comparisons at all, with headings from the second level on.
+    /// The errors at one noise and the comparisons at all, with headings from the second level on.
     #[must_use]
     pub fn summary(&self) -> String {
         let is_reported = |sigma_m: f64| sigma_m == SUMMARISED_M;
@@ -220,7 +221,7 @@ impl TrackingReport {
         table
     }
 
-    /// A row with a cell for each sensor of a noise.
+    /// A row with one cell per sensor with this noise.
     fn row(&self, sigma_m: f64, name: &str, cell: impl Fn(Sensor) -> Option<String>) -> Vec<String> {
         let cells =
             self.sensors(sigma_m).into_iter().map(|sensor| cell(sensor).unwrap_or_else(|| "-".to_owned()));
@@ -311,7 +312,7 @@ impl TrackingReport {
         table
     }
 
-    /// Every figure, a line each, in the columns of [`crate::COLUMNS`].
+    /// One line per figure, in the columns of [`crate::COLUMNS`].
     #[must_use]
     pub fn csv(&self) -> String {
         let sha256 = &self.provenance.sha256;
@@ -332,7 +333,7 @@ impl TrackingReport {
         self.figures().map(lines).collect()
     }
 
-    /// Everything as JSON.
+    /// The whole report as JSON.
     #[must_use]
     pub fn json(&self) -> serde_json::Value {
         serde_json::json!({ "provenance": self.provenance, "figures": self.figures().collect::<Vec<_>>() })
@@ -370,7 +371,7 @@ struct Figures {
     quantity: &'static str,
     rmse: f64,
     mae: f64,
-    /// Instants.
+    /// Number of instants.
     len: u64,
     /// Normalised squares per degree of freedom.
     nees: Option<f64>,
@@ -380,12 +381,12 @@ struct Figures {
     nis_inside: Option<f64>,
 }
 
-/// Per degree of freedom, and how often within the bounds.
+/// The square per degree of freedom, and the share within the bounds.
 fn consistency(squares: &ConsistencySummary) -> String {
     format!("{} ({:.0} %)", digits(squares.per_degree), 100.0 * squares.inside)
 }
 
-/// Four decimals below 1: some errors are of millimetres.
+/// Four decimals below 1, because some errors are millimetres.
 fn fine(value: f64) -> String {
     if value < 1.0 { format!("{value:.4}") } else { digits(value) }
 }

@@ -1,8 +1,9 @@
 //! The smoother bound (oracle): the motion of each vehicle from all of its measurements, earlier and later
 //! ones.
 //!
-//! No filter of the same process has as many. It is the smoother of Rauch, Tung and Striebel for the process
-//! of [`filters::ConstantAcceleration`]: both axes are independent of each other and share their covariance.
+//! A filter of the same process has fewer measurements, so the smoother bounds it. This is the
+//! Rauch-Tung-Striebel smoother for the process of [`filters::ConstantAcceleration`]. The two axes are
+//! independent and have the same covariance.
 
 use std::collections::BTreeMap;
 
@@ -15,23 +16,23 @@ use super::course::{Course, Seen};
 use super::follower::{DEGREES, Error, Outcome, SETTLED_S};
 use super::method::UNKNOWN;
 
-/// Position, velocity and acceleration by axis, and their covariance along each.
+/// Position, velocity and acceleration of both axes, and the covariance that the axes share.
 #[derive(Clone, Copy)]
 struct AxisGaussian {
     mean: Matrix3x2<f64>,
     covariance: Matrix3<f64>,
 }
 
-/// A vehicle at an instant.
+/// A vehicle at one instant.
 struct SmootherStep<'a> {
     tick: u64,
     stamp_ns: i64,
     seen: &'a Seen,
-    /// Before it is measured.
+    /// Prior, before the measurement.
     predicted: AxisGaussian,
-    /// By all that is measured up to now.
+    /// Posterior, given all measurements up to now.
     filtered: AxisGaussian,
-    /// From the instant before.
+    /// Transition from the previous instant.
     transition: Matrix3<f64>,
 }
 
@@ -75,7 +76,7 @@ pub(crate) fn smooth(course: &Course<'_>, jerk_density: f64) -> Outcome {
     outcome
 }
 
-/// Backward pass over a track; its errors count from the age of [`SETTLED_S`] on.
+/// Backward pass over a track. Errors count from the age [`SETTLED_S`] on.
 fn finish(track: &[SmootherStep<'_>], outcome: &mut Outcome) {
     let Some((last, first)) = track.last().zip(track.first()) else { return };
     let mut smoothed = last.filtered;
@@ -115,7 +116,7 @@ fn finish(track: &[SmootherStep<'_>], outcome: &mut Outcome) {
 }
 
 impl AxisGaussian {
-    /// That of a vehicle that was measured once.
+    /// The state of a vehicle after its first measurement.
     fn start(position_m: [f64; 2], variance: f64) -> Self {
         let [speed, acceleration] = [UNKNOWN.speed_mps, UNKNOWN.acceleration_mps2];
         let mut mean = Matrix3x2::zeros();
@@ -131,7 +132,7 @@ impl AxisGaussian {
         }
     }
 
-    /// Takes in a measured position; returns its normalised innovation squared and its log-likelihood.
+    /// Updates with a measured position. Returns its normalised squared innovation and its log-likelihood.
     fn update(&mut self, position_m: [f64; 2], variance: f64) -> (f64, f64) {
         let innovation = RowVector2::from(position_m) - self.mean.row(0);
         let of_innovation = self.covariance[(0, 0)] + variance;
@@ -143,7 +144,7 @@ impl AxisGaussian {
     }
 }
 
-/// Of position, velocity and acceleration over a time.
+/// Transition matrix of position, velocity and acceleration.
 fn transition(dt_s: f64) -> Matrix3<f64> {
     Matrix3::new(1.0, dt_s, dt_s.powi(2) / 2.0, 0.0, 1.0, dt_s, 0.0, 0.0, 1.0)
 }
@@ -159,7 +160,7 @@ mod tests {
 
     const SENSOR: Sensor = Sensor { sigma_m: 0.05, gap_s: 1.6, seed: 1 };
 
-    /// Its forward pass is the filter of the process; later measurements help most of all in gaps.
+    /// The forward pass is the filter of the process. Later measurements help most in gaps.
     #[test]
     fn the_smoother_errs_less_than_the_filter() {
         let forecaster = Forecaster::new(nn::Weights::onboard(), 1).unwrap();

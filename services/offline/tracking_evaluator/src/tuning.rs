@@ -1,27 +1,28 @@
-//! Finds each method's setting by the likelihood of measurements, with the same number of trials for all.
+//! Tunes each method's setting by the likelihood of measurements, with the same number of trials for all
+//! methods.
 
 use super::follower::Follower;
 use super::method::{Setting, Settings, TrackingMethod};
 use super::{Course, Outcome};
 use evaluator::{Forecaster, threads};
 
-/// Settings that each method may try.
+/// Number of settings that each method may try.
 pub(crate) const TRIALS: usize = 36;
-/// Factors by which a number is changed, each until neither direction is better.
+/// Factors by which a number is changed. The next one is used when neither direction improves.
 const FACTORS: [f64; 2] = [2.0, std::f64::consts::SQRT_2];
 
-/// What tuning found.
+/// The result of tuning.
 #[derive(Clone, Debug)]
 pub(crate) struct Trials {
     /// The best settings of all methods.
     pub(crate) settings: Settings,
-    /// The methods, and their mean negative log-likelihoods of a measured position.
+    /// Mean negative log-likelihood of a measured position, by method.
     pub(crate) figures: Vec<(TrackingMethod, f64)>,
 }
 
-/// Tunes methods on courses of one noise.
+/// Tunes methods on courses with the same noise.
 ///
-/// The Singer bicycle must come before the learned prior, which it is part of.
+/// The Singer bicycle must precede the learned prior, which contains it.
 pub(crate) fn tune(
     courses: &[Course<'_>],
     forecaster: &Forecaster,
@@ -45,7 +46,7 @@ pub(crate) fn tune(
     Trials { settings, figures }
 }
 
-/// Changes one number after the other by ever smaller factors, as long as that helps.
+/// Changes one number after the other, by decreasing factors, as long as the likelihood improves.
 fn search(first: Setting, axes: usize, mut nll: impl FnMut(Setting) -> f64) -> (Setting, f64) {
     let mut best = (first, nll(first));
     let mut left = TRIALS - 1;

@@ -1,4 +1,4 @@
-//! Trackers on a detector's output: which thresholds they choose, and on what they are evaluated.
+//! Trackers on a detector's output: their choice of thresholds and the evaluated sequences.
 #![expect(clippy::unwrap_used, reason = "a test that can't write its files has failed")]
 
 use std::path::Path;
@@ -13,7 +13,7 @@ const CALIBRATION: &str = "P2: 721.5 0 609.5 44.8 0 721.5 172.8 0.2 0 0 1 0.003\
 const EGO_MOTION: &str = "49.0 8.4 112.8 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0.1 0.1 4 10 4 4 0\n";
 const LABELS: &str = "0 0 Car 0 0 0 500 100 600 200 1.5 1.8 4.2 0 1.65 20 0\n";
 
-/// A sequence of one frame: the car with a high score, and a false detection.
+/// A sequence of one frame: the car with a high score and a false detection.
 fn write_sequence(root: &Path, name: &str, score_of_ghost: f32) {
     let detections = format!(
         "0,2,500,100,600,200,9.5,1.5,1.8,4.2,0,1.65,20,0,0\n\
@@ -32,7 +32,7 @@ fn write_sequence(root: &Path, name: &str, score_of_ghost: f32) {
     }
 }
 
-/// A sequence of each part, and the options of their evaluation.
+/// Writes one sequence per part. Returns the options to evaluate them.
 fn options(root: &Path) -> Options {
     write_sequence(root, "0000", 2.5);
     write_sequence(root, "0016", 0.5);
@@ -46,7 +46,7 @@ fn options(root: &Path) -> Options {
     }
 }
 
-/// Every detection is a track.
+/// A tracker that publishes every detection as a track.
 fn credulous(recording: &Recording) -> Published {
     let tracks = |frame: &data::Frame| {
         let track = |(id, detection): (u64, &wire::Detection)| PublishedTrack {
@@ -75,11 +75,11 @@ fn scores_are_chosen_on_one_part_for_the_other() {
         let found = report["figures"].as_array().unwrap().iter().find(wanted).unwrap();
         (found["value"].as_f64().unwrap(), found["least_scores"].as_str().unwrap().to_owned())
     };
-    // The ghost of 0016 is gone from 1 on, that of 0000 from 3 on.
+    // Thresholds from 1 on remove the ghost of 0016, thresholds from 3 on the ghost of 0000.
     assert_eq!(figure("0000 to 0000", "credulous", "false"), (1.0, "1".to_owned()));
     assert_eq!(figure("0016 to 0016", "credulous", "false"), (0.0, "3".to_owned()));
     assert_eq!(figure("all", "credulous", "MOTA"), (0.5, "1;3".to_owned()));
-    // One frame confirms nothing.
+    // A single frame does not confirm a track.
     assert_eq!(figure("all", "nearest neighbours", "misses").0, 2.0);
 }
 

@@ -1,3 +1,3 @@
-//! Trackers on made-up recordings with a known result.
+//! Tests of trackers on synthetic recordings with a known result.
 
 mod kitti;

@@ -4,13 +4,13 @@ use metrics::tracking::{
     linear_similarity,
 };
 
-/// A track is matched with a truth at most so far away; there the similarity of HOTA is 0 and GOSPA and OSPA
-/// are cut off.
+/// Maximum distance of a track from its truth. At this distance the similarity of HOTA is 0, and GOSPA and
+/// OSPA are cut off.
 pub(crate) const GATE_M: f64 = 2.0;
 /// The order p of GOSPA and OSPA.
 const ORDER: f64 = 2.0;
 
-/// What all measures count of the tracks of one class; counts of several sequences can be merged.
+/// The counts of all measures for the tracks of one class. Counts of several sequences can be merged.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Counts {
     clear: ClearMotCounts,
@@ -20,7 +20,7 @@ pub(crate) struct Counts {
     ospa_m: Mean,
 }
 
-/// A figure that follows from [`Counts`].
+/// A figure computed from [`Counts`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum KittiMeasure {
     Mota,
@@ -43,7 +43,7 @@ impl Counts {
             clear.add(frame);
             identity.add(frame);
             hota.add(frame, |distance_m| linear_similarity(distance_m, GATE_M));
-            // Frames in which there are neither truths nor tracks would only thin out the mean.
+            // Frames without truths and tracks would only dilute the mean.
             if !(frame.truths().is_empty() && frame.tracks().is_empty()) {
                 gospa_m.add(distance.gospa(frame).distance_m);
                 ospa_m.add(distance.ospa(frame));
@@ -52,7 +52,7 @@ impl Counts {
         Ok(Self { clear: clear.finish(), identity: identity.finish(), hota: hota.finish(), gospa_m, ospa_m })
     }
 
-    /// Counts all that `other`, of another sequence, counted.
+    /// Adds the counts of another sequence.
     pub(crate) fn merge(&mut self, other: &Self) {
         self.clear.merge(&other.clear);
         self.identity.merge(&other.identity);
@@ -61,7 +61,7 @@ impl Counts {
         self.ospa_m.merge(&other.ospa_m);
     }
 
-    /// The sum of several.
+    /// The sum of several counts.
     pub(crate) fn sum<'a>(counts: impl Iterator<Item = &'a Self>) -> Self {
         counts.fold(Self::default(), |mut sum, counts| {
             sum.merge(counts);
@@ -69,12 +69,12 @@ impl Counts {
         })
     }
 
-    /// Truths, all frames together.
+    /// Number of truths in all frames together.
     pub(crate) const fn truths_len(&self) -> u64 {
         self.clear.truths_len()
     }
 
-    /// A figure; `None` where it would be one of nothing.
+    /// A figure; `None` if there is nothing to count.
     pub(crate) fn figure(&self, measure: KittiMeasure) -> Option<f64> {
         let count = |len: u64| Some(len as f64);
         match measure {
@@ -102,7 +102,7 @@ impl KittiMeasure {
         Self::False,
         Self::Switches,
     ];
-    /// Those that are compared.
+    /// The measures in the comparison of trackers.
     pub(crate) const COMPARED: [Self; 5] = [Self::Mota, Self::Idf1, Self::Hota, Self::Gospa, Self::Ospa];
 
     /// The name in tables.
@@ -119,7 +119,7 @@ impl KittiMeasure {
         }
     }
 
-    /// A figure as text.
+    /// Formats a figure.
     pub(crate) fn text(self, figure: f64) -> String {
         match self {
             Self::Mota | Self::Idf1 | Self::Hota | Self::Gospa | Self::Ospa => format!("{figure:.3}"),

@@ -6,11 +6,11 @@ use super::{ByClass, CLASSES, Published, PublishedTrack};
 
 /// Standard deviation of a detection's position per axis, m.
 const SIGMA_M: f64 = 0.25;
-/// The same of a velocity before any measurement, m/s, class by class.
+/// Standard deviation of a velocity before any measurement, m/s, by class.
 const SPEED_MPS: ByClass<f64> = [10.0, 2.0, 5.0];
-/// Density of the acceleration, m²/s³, class by class.
+/// Density of the acceleration, m²/s³, by class.
 const DENSITY: ByClass<f64> = [4.0, 0.5, 2.0];
-/// A detection belongs to a track at most so far away, m, class by class.
+/// Maximum distance between a track and its detection, m, by class.
 const NEAR_M: ByClass<f64> = [3.0, 1.0, 2.0];
 /// Detections that confirm a track.
 const HITS_TO_CONFIRM: u32 = 3;
@@ -24,8 +24,8 @@ struct Target {
     misses_len: u32,
 }
 
-/// The baseline: a Kalman filter of constant velocity per track, each detection to the
-/// nearest track, the nearest pairs first, and fixed numbers of hits and misses.
+/// The baseline: a constant-velocity Kalman filter per track, nearest-neighbour assignment starting with the
+/// nearest pairs, and fixed numbers of hits and misses.
 pub(crate) fn nearest_neighbours(recording: &Recording) -> Published {
     let mut published = vec![Vec::new(); recording.frames.len()];
     let mut next_id = 1;
@@ -35,7 +35,7 @@ pub(crate) fn nearest_neighbours(recording: &Recording) -> Published {
         let mut last_ns = None;
         for (frame, tracks) in recording.frames.iter().zip(&mut published) {
             let elapsed_ns = last_ns.replace(frame.stamp_ns).map_or(0, |last_ns| frame.stamp_ns - last_ns);
-            // A fault leaves a state as it was; there is none within a recording's span.
+            // A target whose prediction fails is dropped. This can't happen within a recording's duration.
             targets.retain_mut(|target| target.state.predict(elapsed_ns.unsigned_abs(), &process).is_ok());
             let of_class = |detection: &&Detection| detection.agent_type == agent_type as u32;
             let seen: Vec<Observation> = frame.detections.iter().filter(of_class).map(observation).collect();
@@ -68,7 +68,7 @@ fn observation(detection: &Detection) -> Observation {
     }
 }
 
-/// (target, detection), the nearest first, each at most once.
+/// Pairs (target, detection), the nearest first. Each target and detection occurs at most once.
 fn nearest_pairs(targets: &[Target], seen: &[Observation], near_m: f64) -> Vec<(usize, usize)> {
     let distance_m = |target: &Target, seen: &Observation| {
         let [x, y] = target.position_m();
@@ -98,7 +98,7 @@ impl Target {
 
     fn take(&mut self, seen: &Observation, process: &ConstantVelocity) {
         self.misses_len = 0;
-        // A detection that the filter can't take leaves the prediction as it is.
+        // If the filter can't use a detection, the prediction remains.
         self.hits_len += u32::from(self.state.update(seen, process).is_ok());
     }
 
@@ -120,7 +120,7 @@ mod tests {
 
     const INTERVAL_NS: i64 = 100_000_000;
 
-    /// Two cars that drive side by side, 4 m apart; `seen` selects which of them a frame shows.
+    /// Two cars that drive side by side, 4 m apart. `seen` selects the cars that a frame contains.
     fn recording(frames_len: i64, seen: impl Fn(i64, u32) -> bool) -> Recording {
         let car = |frame: i64, lane: u32| Detection {
             x_m: frame as f32,

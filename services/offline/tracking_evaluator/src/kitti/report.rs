@@ -5,15 +5,15 @@ use metrics::{Interval, cluster_bootstrap};
 use super::{ByClass, CLASSES, Counts, KittiMeasure, class_name};
 use evaluator::{Provenance, RESAMPLES, Table};
 
-/// Of the bootstrap.
+/// Seed of the bootstrap.
 const SEED: u64 = 1;
-/// Fewer sequences allow no interval.
+/// Minimum number of sequences for an interval.
 const SEQUENCES_MIN: usize = 3;
 
 /// The result of an evaluation of trackers.
 #[derive(Clone, Debug)]
 pub struct KittiReport {
-    /// Of the weights behind the forecasts, part by part.
+    /// Provenance of the weights behind the forecasts, for each part.
     provenance: Vec<Provenance>,
     parts: Vec<KittiPart>,
 }
@@ -21,27 +21,27 @@ pub struct KittiReport {
 /// Sequences whose figures are reported together.
 #[derive(Clone, Debug)]
 pub(crate) struct KittiPart {
-    /// Which they are.
+    /// Range of the sequences' numbers.
     pub(crate) name: String,
-    /// One per contender.
+    /// One row per contender.
     pub(crate) rows: Vec<KittiRow>,
 }
 
-/// What one contender made of a part.
+/// The results of one contender on a part.
 #[derive(Clone, Debug)]
 pub(crate) struct KittiRow {
     /// The contender.
     pub(crate) name: &'static str,
-    /// Chosen elsewhere; several where parts are reported together.
+    /// Score thresholds, chosen on the other part. Several if parts are reported together.
     pub(crate) least_scores: ByClass<Vec<f32>>,
-    /// Sequence by sequence.
+    /// Counts of each sequence.
     pub(crate) counts: Vec<ByClass<Counts>>,
-    /// What the last contender makes of the very same detections.
+    /// Counts of the last contender on exactly the same detections.
     pub(crate) last_on_same: Vec<ByClass<Counts>>,
 }
 
 impl KittiPart {
-    /// The sequences of both, contender by contender.
+    /// The sequences of both parts, for each contender.
     fn joined(mut self, other: Self) -> Self {
         for (row, more) in self.rows.iter_mut().zip(other.rows) {
             row.counts.extend(more.counts);
@@ -54,7 +54,7 @@ impl KittiPart {
     }
 }
 
-/// Of the sequences with these numbers, as often as they stand there.
+/// The summed counts of these sequences, which may contain repetitions.
 fn drawn(counts: &[ByClass<Counts>], class: usize, drawn: &[usize]) -> Counts {
     Counts::sum(drawn.iter().map(|&sequence| &counts[sequence][class]))
 }
@@ -64,7 +64,8 @@ impl KittiRow {
         Counts::sum(self.counts.iter().map(|counts| &counts[class]))
     }
 
-    /// The last contender's figure less this one's, with its interval where enough sequences have the class.
+    /// The last contender's figure minus this one's. It has an interval if enough sequences contain the
+    /// class.
     fn lead_of_last(&self, class: usize, measure: KittiMeasure) -> Option<String> {
         let lead = |sequences: &[usize]| {
             let of = |counts| drawn(counts, class, sequences).figure(measure);
@@ -81,20 +82,20 @@ impl KittiRow {
 }
 
 impl KittiReport {
-    /// Reports the parts one by one and all together.
+    /// Reports each part and all parts together.
     pub(crate) fn new(mut parts: Vec<KittiPart>, provenance: Vec<Provenance>) -> Self {
         let all = parts.iter().cloned().reduce(KittiPart::joined);
         parts.extend(all.map(|all| KittiPart { name: "all".to_owned(), ..all }));
         Self { provenance, parts }
     }
 
-    /// The report as a Markdown page that also reads well in a terminal.
+    /// The report as a Markdown page that is also readable in a terminal.
     #[must_use]
     pub fn markdown(&self) -> String {
         self.written("#")
     }
 
-    /// The same with headings from the second level on, for a page that has a title.
+    /// The same for a page that has a title: headings start at the second level.
     #[must_use]
     pub fn summary(&self) -> String {
         self.written("##")
@@ -165,7 +166,7 @@ impl KittiReport {
         table
     }
 
-    /// Every figure, a line each, in the columns of [`crate::COLUMNS`].
+    /// One line per figure, in the columns of [`crate::COLUMNS`].
     #[must_use]
     pub fn csv(&self) -> String {
         let sha256 = self.provenance.first().map_or("", |provenance| &provenance.sha256);
@@ -178,7 +179,7 @@ impl KittiReport {
         self.values().map(line).collect()
     }
 
-    /// Every figure: sequences, class, contender, measure, value.
+    /// All figures, with sequences, class, contender and measure.
     fn values(&self) -> impl Iterator<Item = KittiValue<'_>> {
         self.rows().flat_map(|(part, row)| {
             CLASSES.into_iter().enumerate().flat_map(move |(class, agent_type)| {
@@ -198,14 +199,14 @@ impl KittiReport {
         })
     }
 
-    /// Everything as JSON.
+    /// The whole report as JSON.
     #[must_use]
     pub fn json(&self) -> serde_json::Value {
         serde_json::json!({ "provenance": self.provenance, "figures": self.values().collect::<Vec<_>>() })
     }
 }
 
-/// A figure with what it is of.
+/// A figure and what it belongs to.
 #[derive(Clone, Debug, serde::Serialize)]
 struct KittiValue<'a> {
     sequences: &'a str,
@@ -217,7 +218,7 @@ struct KittiValue<'a> {
     value: f64,
 }
 
-/// The scores that were chosen for a class, part by part.
+/// The score thresholds of a class, part by part.
 fn scores(row: &KittiRow, class: usize, separator: &str) -> String {
     let scores: Vec<String> = row.least_scores[class].iter().map(|score| format!("{score:.0}")).collect();
     scores.join(separator)

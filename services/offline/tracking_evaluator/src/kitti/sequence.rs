@@ -15,24 +15,25 @@ use evaluator::EvaluateError;
 pub(crate) const CLASSES: [AgentType; 3] = [AgentType::Vehicle, AgentType::Pedestrian, AgentType::Cyclist];
 /// One value for each of [`CLASSES`].
 pub(crate) type ByClass<T> = [T; CLASSES.len()];
-/// The least scores that are tried; the detectors' own scale, on which 0 is a toss-up.
+/// Candidate score thresholds, on the detectors' own scale. A detection with score 0 is as likely false as
+/// true.
 pub(crate) const LEAST_SCORES: [f32; 8] = [-1.0, 0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0];
 
-/// What is evaluated of a track in a frame.
+/// The evaluated properties of a track in a frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PublishedTrack {
     /// The track's identity.
     pub id: u64,
-    /// What the agent is taken for.
+    /// The estimated type.
     pub agent_type: AgentType,
-    /// Where it is, in the world.
+    /// Position in the world frame.
     pub position_m: [f64; 2],
 }
 
 /// The tracks of each frame of a recording.
 pub type Published = Vec<Vec<PublishedTrack>>;
 
-/// Makes tracks of a recording, or returns why it can't.
+/// Makes tracks from a recording. Fails with the reason if it can't.
 pub type MakeTracks<'a> =
     Box<dyn Fn(&Recording) -> Result<Published, Box<dyn Error + Send + Sync>> + Sync + 'a>;
 
@@ -40,7 +41,7 @@ pub type MakeTracks<'a> =
 pub struct Contender<'a> {
     /// The name in tables.
     pub name: &'static str,
-    /// What it does.
+    /// The tracker.
     pub track: MakeTracks<'a>,
 }
 
@@ -50,7 +51,7 @@ pub(crate) struct Sequence {
     annotations: Annotations,
 }
 
-/// The name of a class in KITTI's words.
+/// KITTI's name of a class.
 pub(crate) const fn class_name(agent_type: AgentType) -> &'static str {
     match agent_type {
         AgentType::Vehicle => "car",
@@ -60,14 +61,14 @@ pub(crate) const fn class_name(agent_type: AgentType) -> &'static str {
 }
 
 impl Sequence {
-    /// Reads the detectors' output at `path`, and the labels that belong to it.
+    /// Reads the detectors' output at `path` and its labels.
     pub(crate) fn open(path: &Path) -> Result<Self, EvaluateError> {
         let recording = data::open(path, Some(Format::KittiDetections))?;
         Ok(Self { recording, annotations: Annotations::open(path)? })
     }
 
-    /// Evaluates the tracks that a contender makes of the detections with at least these scores, class by
-    /// class.
+    /// Evaluates a contender's tracks for each class. The contender gets the detections with at least these
+    /// scores.
     pub(crate) fn evaluate(
         &self,
         contender: &Contender<'_>,
@@ -91,7 +92,7 @@ impl Sequence {
         Ok(counts)
     }
 
-    /// The recording without the detections of lower scores.
+    /// The recording without detections of lower scores.
     fn with_scores(&self, least_scores: ByClass<f32>) -> Recording {
         let mut recording = self.recording.clone();
         for frame in &mut recording.frames {
@@ -103,10 +104,10 @@ impl Sequence {
         recording
     }
 
-    /// The objects and tracks of a class that count in a frame.
+    /// The truths and tracks of a class that count in a frame.
     ///
-    /// A track that is best matched with an optional object does not count, nor does that object; one that is
-    /// matched with none is false only where its object would have been labelled.
+    /// Optional objects do not count, nor do tracks that are matched with one. An unmatched track is false
+    /// only if its object would have been labelled.
     fn frame(
         &self,
         index: usize,
@@ -132,7 +133,7 @@ impl Sequence {
     }
 }
 
-/// The object of each track, so that what the pairs' distances leave of the gate is most.
+/// The object of each track. The assignment maximises the sum of the gate minus the distance over all pairs.
 fn matches(tracks: &[&PublishedTrack], objects_m: &[[f64; 2]]) -> Vec<Option<u32>> {
     let distance_m = |a: [f64; 2], b: [f64; 2]| (a[0] - b[0]).hypot(a[1] - b[1]);
     let mut candidates = Vec::new();
@@ -155,7 +156,7 @@ mod tests {
     const CALIBRATION: &str = "P2: 721.5 0 609.5 44.8 0 721.5 172.8 0.2 0 0 1 0.003\nR_rect 1 0 0 0 1 0 0 0 1\n\
         Tr_velo_cam 0 -1 0 0 0 0 -1 -0.08 1 0 0 -0.27\nTr_imu_velo 1 0 0 -0.81 0 1 0 0.32 0 0 1 -0.8\n";
     const EGO_MOTION: &str = "49.0 8.4 112.8 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0.1 0.1 4 10 4 4 0\n";
-    /// A car 20 m ahead, a van to its right, and the left of the image without labels.
+    /// A car 20 m ahead, a van to its right, and a region without labels at the left of the image.
     const LABELS: &str = "0 0 Car 0 0 0 500 100 600 200 1.5 1.8 4.2 0 1.65 20 0\n\
         0 1 Van 0 0 0 700 100 800 200 2 1.8 4.2 5 1.65 25 0\n\
         0 -1 DontCare -1 -1 -10 0 100 200 300 -1000 -1000 -1000 -10 -1 -1 -1\n";
@@ -173,12 +174,12 @@ mod tests {
         Sequence::open(&root.path().join("detection/Car/0000.txt")).unwrap()
     }
 
-    /// The world position of what stands at x and z before the camera.
+    /// World position of an object at x and z in front of the camera.
     const fn ahead(x: f64, z: f64) -> [f64; 2] {
         [z + 1.08, -x - 0.32]
     }
 
-    /// Figures of cars for a tracker that publishes tracks at these places.
+    /// Figures of cars for a tracker with tracks at these places.
     fn figures(places_m: &[[f64; 2]]) -> [Option<f64>; 3] {
         let track = |(&position_m, id)| PublishedTrack { id, agent_type: AgentType::Vehicle, position_m };
         let contender = Contender {
@@ -195,7 +196,7 @@ mod tests {
         assert_eq!(figures(&[CAR]), [Some(0.0), Some(0.0), Some(1.0)]);
         let [missed, wrong, _] = figures(&[]);
         assert_eq!((missed, wrong), (Some(1.0), Some(0.0)));
-        // On the van, in the region without labels, behind the camera, too far to be seen well.
+        // On the van, in the region without labels, behind the camera, and too far away to be seen well.
         let free = figures(&[CAR, ahead(5.0, 25.0), ahead(-12.0, 20.0), ahead(0.0, -20.0), ahead(0.0, 60.0)]);
         assert_eq!(free, [Some(0.0), Some(0.0), Some(1.0)]);
         let [missed, wrong, _] = figures(&[CAR, ahead(-3.0, 20.0), ahead(0.5, 20.5)]);

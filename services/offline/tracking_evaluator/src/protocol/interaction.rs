@@ -1,5 +1,4 @@
-//! Tracking: the motion of INTERACTION's vehicles from noisy positions, with gaps, by filters with and
-//! without forecasts.
+//! Tracking of INTERACTION's vehicles from noisy positions with gaps, by filters with and without forecasts.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -11,30 +10,31 @@ use evaluator::{Cut, EvaluateError, Footage, Model, Options, SEED, map_of, threa
 use crate::{Course, Follower, MethodErrors, Place, Sensor, TrackingMethod, TrackingReport, Trials, tune};
 
 const SET: DataSet = DataSet::Interaction;
-/// The recipe of the weights whose forecasts are the prior: they trained on the same data set's training
-/// part.
+/// The recipe of the weights whose forecasts are the prior. It trains on the training part of the same data
+/// set.
 const RECIPE: &str = "interaction";
-/// Deviations of the measured positions, m.
+/// Standard deviations of the measured positions, m.
 const SIGMAS_M: [f64; 5] = [0.01, 0.02, 0.05, 0.1, 0.3];
 /// Lengths of the gaps, s.
 const GAPS_S: [f64; 4] = [0.0, 0.8, 1.6, 3.2];
-/// How much of each recording is followed, from its middle, s.
+/// Evaluated time from the middle of each recording, s.
 const EVALUATED_S: f64 = 60.0;
-/// The same of the recordings that settings are tuned on, s.
+/// Time from the middle of each recording on which settings are tuned, s.
 const TUNED_S: f64 = 40.0;
 
 /// Prior knowledge of each site.
 type Places<'a> = BTreeMap<String, Place<'a>>;
 
-/// Estimates motion with every method under every noise and gap, and reports their errors.
+/// Estimates motion with every method for every noise and gap, and reports the errors.
 ///
-/// Settings are tuned on the validation part, which neither the model's training nor the figures use; a gap
-/// of each length takes part. Map and retrieval memory of a site come from the training part. `sigmas_m` are
-/// standard deviations of the measured positions, m; without any, those of the protocol are taken. With
-/// `particles` the learned prior runs by Monte Carlo as well.
+/// Settings are tuned on the validation part, which neither the model's training nor the figures use. Tuning
+/// includes gaps of each length. Map and retrieval memory of a site come from the training part.
+///
+/// `sigmas_m` are standard deviations of the measured positions, m; if empty, the protocol's values are used.
+/// With `particles` the learned prior also runs by Monte Carlo.
 ///
 /// # Errors
-/// Where weights or recordings are missing or of another kind.
+/// If weights or recordings are missing or of another kind.
 pub fn interaction(
     options: &Options,
     sigmas_m: &[f64],
@@ -88,7 +88,7 @@ fn places<'a>(
     maps.iter().map(place).collect()
 }
 
-/// A recording of each site to tune on, with gaps of one length after the other.
+/// One recording per site to tune on. The gap lengths alternate from site to site.
 fn courses<'a>(footage: &[Footage], places: &'a Places<'_>, sigma_m: f64) -> Vec<Course<'a>> {
     let sites: BTreeMap<String, &Footage> = footage.iter().map(|footage| (footage.site(), footage)).collect();
     let course = |(footage, &gap_s): (&&Footage, &f64)| {
@@ -97,7 +97,7 @@ fn courses<'a>(footage: &[Footage], places: &'a Places<'_>, sigma_m: f64) -> Vec
     sites.values().zip(GAPS_S.iter().cycle()).map(course).collect()
 }
 
-/// So many seconds from the middle of a recording.
+/// `seconds` from the middle of a recording.
 fn course<'a>(footage: &Footage, places: &'a Places<'_>, seconds: f64, sensor: Sensor) -> Course<'a> {
     let frames = &footage.recording.frames;
     let ends =
@@ -112,7 +112,7 @@ fn course<'a>(footage: &Footage, places: &'a Places<'_>, seconds: f64, sensor: S
     )
 }
 
-/// Every method on every recording.
+/// Runs every method on every recording.
 fn evaluate(
     footage: &[Footage],
     places: &Places<'_>,

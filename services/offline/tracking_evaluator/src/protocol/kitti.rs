@@ -1,4 +1,4 @@
-//! KITTI: trackers on a detector's output, from a moving car.
+//! KITTI: trackers on a detector's output from a moving car.
 
 use std::path::PathBuf;
 
@@ -13,16 +13,16 @@ use crate::{
 };
 
 const SET: DataSet = DataSet::KittiDetections;
-/// The parts that the set has: each is evaluated with the thresholds that were chosen on the other.
+/// The parts of the set. Each is evaluated with the thresholds chosen on the other.
 const PARTS: [Part; 2] = [Part::Train, Part::Validation];
 
-/// Evaluates trackers on KITTI's sequences, beside a plain one by nearest neighbours.
+/// Evaluates trackers on KITTI's sequences, together with a plain nearest-neighbour tracker.
 ///
-/// The last of `contenders` is compared with all others on the very same detections; its forecasts come from
-/// the weights of `options` (the recipe `onboard` where none are named), which the report names.
+/// The last of `contenders` is compared with all others on exactly the same detections. Its forecasts come
+/// from the weights of `options`, by default of the recipe `onboard`. The report names these weights.
 ///
 /// # Errors
-/// Where weights or recordings are missing or of another kind, or a contender fails.
+/// If weights or recordings are missing or of another kind, or if a contender fails.
 pub fn kitti(
     options: &Options,
     contenders: Vec<Contender<'_>>,
@@ -43,7 +43,7 @@ pub fn kitti(
         for part in &parts {
             choices.push(part.choose(contender, options.threads)?);
         }
-        // Each part gets the thresholds that were chosen on the other.
+        // Each part gets the thresholds chosen on the other part.
         for (part, least_scores) in parts.iter_mut().zip(choices.into_iter().rev()) {
             let counts = part.evaluate(contender, least_scores, options.threads)?;
             let last = contenders.last().filter(|last| last.name != contender.name);
@@ -62,7 +62,7 @@ pub fn kitti(
     Ok(KittiReport::new(parts.collect(), provenance))
 }
 
-/// A part of the set, and what was found of it so far.
+/// A part of the set and its results so far.
 struct PartEvaluation {
     name: String,
     paths: Vec<PathBuf>,
@@ -82,7 +82,7 @@ impl PartEvaluation {
         Ok(Self { name, paths, sequences, rows: Vec::new() })
     }
 
-    /// The least scores by which a contender's MOTA is greatest here, class by class; the lowest of several.
+    /// The score thresholds with a contender's greatest MOTA on this part, by class; on a tie, the lowest.
     fn choose(&self, contender: &Contender<'_>, threads: usize) -> Result<ByClass<f32>, EvaluateError> {
         let mut best = [(f64::NEG_INFINITY, LEAST_SCORES[0]); CLASSES.len()];
         for least_score in LEAST_SCORES {
@@ -98,7 +98,7 @@ impl PartEvaluation {
         Ok(best.map(|(_, least_score)| least_score))
     }
 
-    /// Sequence by sequence.
+    /// The counts of each sequence.
     fn evaluate(
         &self,
         contender: &Contender<'_>,
@@ -109,7 +109,8 @@ impl PartEvaluation {
         threads::each(&self.sequences, threads, counts).into_iter().collect()
     }
 
-    /// Whether the weights' training used the sequences: it reads their labels, not the detectors' output.
+    /// Provenance with the number of sequences that the weights' training used. Training reads their labels,
+    /// not the detectors' output.
     fn provenance(&self, model: &Model) -> Result<Provenance, EvaluateError> {
         let labels = |path: &PathBuf| {
             let root = path.ancestors().nth(3).unwrap_or(path);
