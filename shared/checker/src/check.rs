@@ -1,4 +1,4 @@
-//! The promises, each a rule about what was seen.
+//! The promises of a run, each as a rule about its history.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -6,40 +6,40 @@ use wire::{Cause, Quality, StageId};
 
 use crate::{ForecastSeen, Line, Outage, Output, Told};
 
-/// An agent that has moved so far is not forecast by the same controls again.
+/// Movement of an agent after which the same controls cannot be a new forecast.
 const MOVED_MIN_M: f32 = 0.05;
 
-/// What a run promises.
+/// A promise that a run must keep.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Promise {
-    /// No tick comes twice, or after a later one.
+    /// No tick arrives twice or after a later one.
     TicksInOrder,
-    /// Each stamp is after the one before.
+    /// Each stamp is later than the previous one.
     StampsInOrder,
-    /// A tick without forecasts lies in an outage, a fault acted on it, or a stage has counted it.
+    /// A missing tick is within an outage, was hit by a fault, or was counted by a stage.
     MissingTicksExplained,
-    /// A forecast that is not learned says why.
+    /// A forecast that is not learned names its cause.
     CausesSaid,
-    /// What forecasts say as their cause, the run has counted.
+    /// The run has counted every cause that forecasts name.
     CausesCounted,
-    /// A learned forecast has no age, a held one that of the learned forecast which it is of.
+    /// A learned forecast has age 0. A held one has the age of the learned forecast that it repeats.
     AgesRight,
-    /// A learned forecast is of this tick.
+    /// A learned forecast belongs to its own tick.
     LearnedAreOfTheirTick,
-    /// Nothing is older than the policy allows when it comes out, unless it is counted as late.
+    /// No output is older on arrival than the policy allows, unless it is counted as late.
     NothingStale,
     /// No number is impossible.
     NumbersPossible,
-    /// A stage is restarted only where the run reports a death.
+    /// A stage is restarted only if the run reports a death.
     RestartsTold,
-    /// Stages that no fault is aimed at are not restarted.
+    /// Stages that are not the target of a fault are not restarted.
     OthersUntouched,
     /// No file and no process is left.
     NothingLeft,
 }
 
 impl Promise {
-    /// All of them.
+    /// All promises.
     pub const ALL: [Self; 12] = [
         Self::TicksInOrder,
         Self::StampsInOrder,
@@ -55,7 +55,7 @@ impl Promise {
         Self::NothingLeft,
     ];
 
-    /// What breaks it, as a count is named.
+    /// Name of the count of its violations.
     #[must_use]
     pub const fn broken_by(self) -> &'static str {
         match self {
@@ -75,28 +75,28 @@ impl Promise {
     }
 }
 
-/// A promise with how often it was broken.
+/// A promise, and how often it was broken.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Finding {
     /// The promise.
     pub promise: Promise,
-    /// How often it was broken.
+    /// Number of violations.
     pub count: u64,
-    /// The first time, in words; empty where it was kept.
+    /// The first violation in words; empty if the promise was kept.
     pub first: String,
 }
 
-/// What is gathered of a history before it is judged.
+/// Data gathered from a history before the checks.
 struct History<'a> {
     lines: &'a [Line],
     told: &'a Told,
-    /// Outputs that hold something of their tick, in the order in which they came.
+    /// Outputs that belong to their tick, in order of arrival.
     valid: Vec<&'a Output>,
-    /// Ticks that any output was seen of.
+    /// Ticks with at least one output.
     seen: BTreeSet<u64>,
 }
 
-/// Holds a history against all promises: a finding for each, in their order.
+/// Checks a history against all promises. Returns one finding per promise, in their order.
 #[must_use]
 pub fn check(lines: &[Line]) -> Vec<Finding> {
     let nothing = Told::default();
@@ -106,7 +106,7 @@ pub fn check(lines: &[Line]) -> Vec<Finding> {
     let history = History {
         lines,
         told: told.unwrap_or(&nothing),
-        // A void frame says itself that it holds nothing of its tick.
+        // A void frame does not belong to its tick.
         valid: outputs().filter(|output| !output.void).collect(),
         seen: outputs().map(|output| output.tick).collect(),
     };
@@ -125,7 +125,7 @@ pub fn check(lines: &[Line]) -> Vec<Finding> {
     Promise::ALL.map(finding).into()
 }
 
-/// How often each promise was broken, and how first.
+/// For each promise, the number of violations and the first one.
 #[derive(Default)]
 struct Broken(BTreeMap<Promise, (u64, String)>);
 
@@ -162,7 +162,7 @@ impl History<'_> {
         self.lines.iter().filter_map(tick).collect()
     }
 
-    /// A run that was to end early is looked at up to its newest tick.
+    /// Checks a run up to its newest tick if the run was ended early.
     fn missing(&self, broken: &mut Broken) {
         let (acted_on, alone): (_, BTreeSet<u64>) =
             (self.acted_on(), self.told.recorded_alone.iter().copied().collect());
@@ -176,7 +176,8 @@ impl History<'_> {
         let missing: Vec<u64> = (0..self.told.ticks.unwrap_or(newest))
             .filter(|tick| !self.seen.contains(tick) && !alone.contains(tick) && !is_explained(tick))
             .collect();
-        // What another stage loses is answered without it, and what the sampler loses of the controls as well.
+        // A loss in another stage does not suppress the answer, and neither does a loss of controls in the
+        // sampler.
         let of =
             |counts: &BTreeMap<String, u64>, stage: StageId| counts.get(stage.name()).copied().unwrap_or(0);
         let counted = of(&self.told.lost, StageId::Tracker)
@@ -199,7 +200,7 @@ impl History<'_> {
                 });
             }
         }
-        // A recorder that has died, or lost a frame, has not counted all.
+        // The counts are incomplete if the recorder has died or lost a frame.
         let is_complete = self.told.reported
             && self.told.ticks.is_some()
             && self.told.outages_unlisted == 0
@@ -213,7 +214,7 @@ impl History<'_> {
         }
     }
 
-    /// Ages against the newest forecast by the model of each track that was seen.
+    /// Checks ages against the newest observed model forecast of each track.
     fn ages(&self, broken: &mut Broken) {
         let mut learned: BTreeMap<u64, &Output> = BTreeMap::new();
         for output in &self.valid {
@@ -236,8 +237,8 @@ impl History<'_> {
         }
     }
 
-    /// What is wrong with the age of a held forecast. It may be less than since the newest learned one that was
-    /// seen, where ticks were missed in between.
+    /// What is wrong with the age of a held forecast. The age may be less than the time since the newest
+    /// observed learned forecast if ticks in between were missed.
     fn wrong_age(
         &self,
         output: &Output,
@@ -256,7 +257,7 @@ impl History<'_> {
     }
 
     fn freshness(&self, broken: &mut Broken) {
-        // Where the decoder is a program that leaves no trace, none of the run's frames has one.
+        // If the decoder is a program that leaves no trace, no frame of the run has one.
         let decoder = StageId::Decoder.name();
         let has_traces = self.valid.iter().any(|output| output.incarnations.contains_key(decoder));
         let mut prints: BTreeMap<u64, (u32, [f32; 2], u64)> = BTreeMap::new();

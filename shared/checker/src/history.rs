@@ -7,19 +7,19 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 use wire::{Cause, Forecast, Header, Quality, StageId, Steering, flags};
 
-/// One line.
+/// One line of a history.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Line {
-    /// The forecasts of a tick have come.
+    /// The forecasts of a tick have arrived.
     Forecasts(Output),
-    /// The source has released a tick, or a stage has finished one: by a heartbeat.
+    /// The source has released a tick, or a stage has finished one, according to a heartbeat.
     Reached {
         /// The stage.
         stage: String,
         /// The tick.
         tick: u64,
-        /// How often the stage had been started before.
+        /// Number of earlier starts of the stage.
         incarnation: u32,
     },
     /// Faults acted on a frame.
@@ -31,34 +31,34 @@ pub enum Line {
         /// The kinds of the faults.
         kinds: Vec<String>,
     },
-    /// What an injector cost.
+    /// The cost of an injector.
     Cost {
         /// The topic.
         topic: String,
-        /// Frames that came through it.
+        /// Number of frames that passed through it.
         frames: u64,
-        /// Median of the time that it had a frame in hand, without a delay that was injected.
+        /// Median time that the injector held a frame, without an injected delay.
         us_p50: u64,
-        /// The longest time.
+        /// The longest such time.
         us_max: u64,
     },
-    /// A process was sent a signal or given a limit.
+    /// A process received a signal or a limit.
     Signalled {
         /// The process.
         target: String,
-        /// What was done.
+        /// The signal or limit.
         what: String,
         /// The newest tick.
         tick: u64,
     },
-    /// The verb that replaces a stage has ended.
+    /// The command that replaces a stage has ended.
     Replaced {
         /// The stage.
         stage: String,
-        /// Its exit code: 0 where the new process stays.
+        /// Its exit code: 0 if the new process stays.
         exit: i32,
     },
-    /// What the run's processes took, now and then.
+    /// The resources of the run's processes, sampled now and then.
     Resources {
         /// The newest tick.
         tick: u64,
@@ -66,27 +66,27 @@ pub enum Line {
         launcher_bytes: u64,
         /// Open descriptors of the launcher.
         descriptors: u64,
-        /// Resident memory of all stages, what they share counted in each.
+        /// Resident memory of all stages. Shared memory counts in each of them.
         stages_bytes: u64,
         /// The run's files in shared memory and in its folder.
         files: u64,
         /// Bytes in shared memory.
         shared_bytes: u64,
     },
-    /// At the end: what the run itself reports, and what it has left.
+    /// The run's own report at its end, and what the run has left behind.
     Told(Box<Told>),
 }
 
-/// The forecasts of one tick as they came.
+/// The observed forecasts of one tick.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Output {
     /// The tick.
     pub tick: u64,
     /// Its time of validity.
     pub stamp_ns: i64,
-    /// When the source released it, `CLOCK_MONOTONIC`.
+    /// Release time at the source, `CLOCK_MONOTONIC`.
     pub released_ns: u64,
-    /// When they came, on the same clock.
+    /// Arrival time, on the same clock.
     pub received_ns: u64,
     /// Whether a stage had refused the tick.
     #[serde(default, skip_serializing_if = "is_default")]
@@ -94,86 +94,87 @@ pub struct Output {
     /// Whether its tracks are predicted.
     #[serde(default, skip_serializing_if = "is_default")]
     pub predicted: bool,
-    /// The first number that is not finite or impossible.
+    /// The first number that is not finite or is impossible.
     #[serde(default, skip_serializing_if = "is_default")]
     pub impossible: Option<String>,
-    /// The incarnations of the stages that the tick has passed.
+    /// The incarnations of the stages that the tick has passed through.
     pub incarnations: BTreeMap<String, u32>,
     /// The forecasts.
     pub forecasts: Vec<ForecastSeen>,
 }
 
-/// What was seen of one forecast.
+/// One observed forecast.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ForecastSeen {
     /// The track.
     pub id: u64,
     /// `learned`, `held` or `kinematic`.
     pub quality: String,
-    /// Why it is not learned; `none` where it says nothing.
+    /// Why it is not learned; `none` if no cause is given.
     #[serde(default = "none", skip_serializing_if = "is_none")]
     pub cause: String,
-    /// Its age as it says.
+    /// Its stated age.
     #[serde(default, skip_serializing_if = "is_default")]
     pub age_ns: u64,
-    /// Where the agent is.
+    /// Position of the agent.
     pub at_m: [f32; 2],
-    /// A number that two forecasts share by the same controls, or by chance; 0 where there are none.
+    /// A hash of the controls; 0 if there are no controls. Equal hashes mean equal controls, except by
+    /// chance.
     pub print: u32,
 }
 
-/// What a run reports of itself at its end, and what it has left.
+/// A run's own report at its end, and what the run has left behind.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Told {
-    /// Ticks that it was to have; none for a run that was to end early.
+    /// Planned number of ticks; `None` for a run that was to end early.
     pub ticks: Option<u64>,
     /// Whether it ran in lockstep.
     pub lockstep: bool,
-    /// Greatest age of a held forecast by its policy.
+    /// Maximum age of a held forecast according to its policy.
     pub held_max_ns: Option<u64>,
-    /// Stages whose restarts are expected: a fault is aimed at them.
+    /// Stages that are the target of a fault, so their restarts are expected.
     pub targets: Vec<String>,
-    /// Restarts of other stages that may be.
+    /// Number of allowed restarts of other stages.
     pub restarts_of_others: u64,
-    /// Files that may be left.
+    /// Number of files that may be left.
     pub leftovers: u64,
-    /// Whether there is a report: all that follows is from it.
+    /// Whether there is a report. All fields below come from it.
     pub reported: bool,
-    /// Deaths of stages after which they were started again.
+    /// Deaths of stages that were followed by a restart.
     pub outages: Vec<Outage>,
-    /// Further ones that are only counted.
+    /// Number of further outages without details.
     pub outages_unlisted: u64,
     /// Frames that never arrived or were refused, by stage.
     pub lost: BTreeMap<String, u64>,
-    /// Of these, ticks of which the frame that begins a step is missing, so that nothing was sent for them.
+    /// Ticks without an answer, by stage: the frame that begins a step was lost. They are included in `lost`.
     pub unanswered: BTreeMap<String, u64>,
-    /// Forecasts that are not learned, by cause.
+    /// Number of forecasts that are not learned, by cause.
     pub causes: BTreeMap<String, u64>,
-    /// Ticks that came later than they may.
+    /// Number of ticks that arrived too late.
     pub late_ticks: u64,
-    /// Topics that no forecast waits for: what is done to their frames explains nothing.
+    /// Topics that no forecast waits for. A fault on their frames explains nothing.
     pub beside: Vec<String>,
-    /// Ticks that the recorder has written and the follower has not seen.
+    /// Ticks that the recorder has written but the follower has not seen.
     pub recorded_alone: Vec<u64>,
-    /// Files left in shared memory and the run's folder.
+    /// Number of files left in shared memory and the run's folder.
     pub files_left: u64,
-    /// Stages that were there 2 s after the launcher.
+    /// Number of stages that still ran 2 s after the launcher had ended.
     pub stages_left: u64,
 }
 
-/// A death of a stage, as reported.
+/// A reported death of a stage.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Outage {
     /// The stage.
     pub stage: String,
-    /// The newest tick with forecasts when it was noticed.
+    /// The newest tick with forecasts when the death was noticed.
     pub tick: u64,
-    /// Ticks until forecasts were learned again; none where they never were.
+    /// Ticks until forecasts were learned again; `None` if they never were.
     pub ticks_to_learned: Option<u64>,
 }
 
-/// Why a history can't be used.
+/// Why a history cannot be used.
 #[derive(Debug, Error)]
 pub enum HistoryError {
     /// The file can't be read.
@@ -184,7 +185,7 @@ pub enum HistoryError {
         /// The system's error.
         source: std::io::Error,
     },
-    /// A line is none of a history.
+    /// A line is not a valid history line.
     #[error("{}:{line}: {source}", path.display())]
     Line {
         /// The file.
@@ -199,7 +200,7 @@ pub enum HistoryError {
 /// Reads a history.
 ///
 /// # Errors
-/// [`HistoryError`] names the file and, for a line that is none, its number.
+/// [`HistoryError`] names the file and, if a line is invalid, its number.
 pub fn read(path: &Path) -> Result<Vec<Line>, HistoryError> {
     let of_file = |source| HistoryError::File { path: path.to_owned(), source };
     let lines = BufReader::new(File::open(path).map_err(of_file)?).lines();
@@ -211,7 +212,7 @@ pub fn read(path: &Path) -> Result<Vec<Line>, HistoryError> {
 }
 
 impl Line {
-    /// The forecasts of a tick, where the line has them.
+    /// The forecasts of a tick, if the line has them.
     #[must_use]
     pub const fn output(&self) -> Option<&Output> {
         if let Self::Forecasts(output) = self { Some(output) } else { None }
@@ -219,7 +220,7 @@ impl Line {
 }
 
 impl Output {
-    /// What is seen of a frame.
+    /// The observation of a frame.
     #[must_use]
     pub fn of(header: &Header, received_ns: u64, forecasts: &[Forecast]) -> Self {
         let stages = header.hops().iter().filter_map(|hop| {
@@ -241,13 +242,13 @@ impl Output {
         }
     }
 
-    /// Forecasts of a quality.
+    /// Number of forecasts of a quality.
     #[must_use]
     pub fn count(&self, quality: Quality) -> u64 {
         self.forecasts.iter().filter(|forecast| forecast.quality == quality.name()).count() as u64
     }
 
-    /// Forecasts that are not learned, by cause.
+    /// Number of forecasts that are not learned, by cause.
     #[must_use]
     pub fn causes(&self) -> BTreeMap<&str, u64> {
         let mut causes = BTreeMap::new();
@@ -257,7 +258,7 @@ impl Output {
         causes
     }
 
-    /// Forecasts that are not learned for another cause than a young track or a better expert.
+    /// Number of degraded forecasts ([`ForecastSeen::is_degraded`]).
     #[must_use]
     pub fn degraded(&self) -> u64 {
         self.forecasts.iter().filter(|forecast| forecast.is_degraded()).count() as u64
@@ -270,7 +271,8 @@ impl Output {
         held.map(|forecast| forecast.age_ns as f64 / 1e6).fold(0.0, f64::max)
     }
 
-    /// Whether the forecasts are learned again: all but those of young tracks, and one at least.
+    /// Whether the forecasts are learned again: no forecast is degraded, and at least one is learned if there
+    /// are any.
     #[must_use]
     pub fn is_learned(&self) -> bool {
         let some = self.count(Quality::Learned) > 0 || self.forecasts.is_empty();
@@ -294,20 +296,20 @@ impl ForecastSeen {
         }
     }
 
-    /// Whether it says that it is the model's forecast of this tick.
+    /// Whether the forecast claims to be the model's forecast of this tick.
     #[must_use]
     pub fn is_learned(&self) -> bool {
         self.quality == Quality::Learned.name()
     }
 
-    /// Whether the model has forecast in this tick, be it that another expert proved better: what is held later is
-    /// the newest of these.
+    /// Whether the model made a forecast in this tick, even if another expert proved better. A later held
+    /// forecast repeats the newest of these.
     #[must_use]
     pub fn is_of_the_model(&self) -> bool {
         self.is_learned() || self.cause == Cause::Outdone.name()
     }
 
-    /// Whether it is not learned for another cause than a young track or a better expert.
+    /// Whether it is not learned for a cause other than a young track or a better expert.
     #[must_use]
     pub fn is_degraded(&self) -> bool {
         let excused = [Cause::Young, Cause::Outdone].map(Cause::name);

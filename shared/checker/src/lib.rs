@@ -1,10 +1,10 @@
-//! Whether a run has kept its promises, by its history: every output, every event of the supervisor, every fault
-//! that was injected.
+//! Checks from a run's history whether the run has kept its promises. The history contains every output,
+//! every event of the supervisor and every injected fault.
 //!
-//! It shares no code with the pipeline but the payloads: what the stages decide (which forecast is held, when a tick
-//! is lost, who is restarted) is looked at from outside. A [history](Line) has a line of JSON for each thing that was
-//! seen while the run went on, and at its end what the run itself reports of it; [`check()`] holds one against the
-//! other.
+//! The checker shares only the payloads with the pipeline. It observes the decisions of the stages from
+//! outside: which forecast is held, when a tick is lost, which stage is restarted. A [history](Line) is a
+//! JSON line per observation during the run, and ends with the run's own report. [`check()`] compares the
+//! observations with the report.
 
 mod check;
 mod history;

@@ -1,7 +1,7 @@
-//! Lies planted in a true history, each of which must be found as what it is.
+//! Lies planted in a true history. Each must be found as the violation that it is.
 //!
-//! `true.jsonl` is what `stgdat fault run --keep` wrote of a run in which the decoder was killed twice, the sampler
-//! and the tracker once, and some controls were dropped.
+//! `true.jsonl` was written by `stgdat fault run --keep`. In that run the decoder was killed twice, the
+//! sampler and the tracker once, and some controls were dropped.
 
 use std::path::Path;
 
@@ -28,7 +28,7 @@ fn is_output(line: &Line) -> bool {
     line.output().is_some()
 }
 
-/// The first output from the middle of the history on that is as it must be.
+/// The first suitable output in the last two thirds of the history.
 fn output(history: &mut [Line], is_fit: impl Fn(&Output) -> bool) -> &mut Output {
     let middle = history.len() / 3;
     let output = history[middle..].iter_mut().find_map(|line| match line {
@@ -38,7 +38,7 @@ fn output(history: &mut [Line], is_fit: impl Fn(&Output) -> bool) -> &mut Output
     output.expect("the history has such an output")
 }
 
-/// Whether nothing but a better expert kept it from being learned, and some of it is.
+/// Whether the forecasts are learned and there is at least one.
 fn is_learned(output: &Output) -> bool {
     output.is_learned() && !output.forecasts.is_empty()
 }
@@ -56,7 +56,7 @@ fn held(output: &mut Output) -> &mut ForecastSeen {
     held.expect("it has a held forecast")
 }
 
-/// Places of two outputs in a row with learned forecasts, far from any fault.
+/// Places of two consecutive outputs with learned forecasts, far from any fault.
 fn calm_pair(history: &[Line]) -> (usize, usize) {
     let outputs: Vec<usize> = (0..history.len()).filter(|place| is_output(&history[*place])).collect();
     let calm = |place: usize| history[place].output().is_some_and(is_learned);
@@ -158,7 +158,7 @@ const LIES: [(&str, Lie, Promise); 21] = [
     ("a file left", |h| told(h).files_left = 1, Promise::NothingLeft),
 ];
 
-/// All ticks from a calm one on are one later.
+/// Delays all ticks from a calm one on by one tick number.
 fn shift(history: &mut [Line]) {
     let from = calm_pair(history).0;
     for line in &mut history[from..] {
@@ -169,7 +169,7 @@ fn shift(history: &mut [Line]) {
     told(history).ticks = None;
 }
 
-/// A burst of old ticks, more than are counted as late.
+/// Delays more outputs than are counted as late.
 fn delay(history: &mut [Line]) {
     let late = told(history).late_ticks as usize + 1;
     let from = calm_pair(history).0;
@@ -184,7 +184,7 @@ fn call_learned(forecast: &mut ForecastSeen) {
     (forecast.quality, forecast.cause, forecast.age_ns) = ("learned".into(), "none".into(), 0);
 }
 
-/// The forecasts of a tick again in the next one, the agents where they really are.
+/// Repeats the controls of one tick in the next one, with the agents at their true positions.
 fn repeat(history: &mut [Line]) {
     let (a, b) = calm_pair(history);
     let before = history[a].output().expect("an output").clone();
@@ -195,7 +195,7 @@ fn repeat(history: &mut [Line]) {
     }
 }
 
-/// The report lacks a death of the decoder.
+/// Removes a death of the decoder from the report.
 fn forget_outage(history: &mut [Line]) {
     let outages = &mut told(history).outages;
     let place = outages.iter().rposition(|outage| outage.stage == "decoder").expect("it was killed");

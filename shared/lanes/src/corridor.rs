@@ -65,7 +65,7 @@ impl Corridor {
     /// The line of an agent along a route.
     ///
     /// ```text
-    /// minimise Σ (d_(i+1) − 2 d_i + d_(i−1) + κ_i)² + Σ λ_i (d_i − d*_i)²      d_0, d_1 given by the agent's pose
+    /// minimise Σ (d_(i+1) − 2 d_i + d_(i−1) + κ_i)² + Σ λ_i (d_i − d*_i)²     d_0, d_1 from the pose
     /// ```
     ///
     /// d is the offset to the left of the route's middle, κ the bend of the middle over one step, and d* half

@@ -9,18 +9,19 @@ use wire::StageId;
 use crate::Run;
 use crate::options::OptionsSchema;
 
-/// A stage in one constant: which it is, the topics of its program, and the struct of its options.
+/// A stage in one constant: its id, the topics of its program, and the struct of its options.
 pub struct Declaration<O> {
-    /// None for a stage that a pipeline file adds: the process that runs it learns which it is.
+    /// `None` for a stage that a pipeline file adds. The process that runs the stage gets the id from its
+    /// environment.
     id: Option<StageId>,
     reads: &'static [&'static str],
     writes: &'static [&'static str],
     rule: fn(&O) -> Result<(), Conflict>,
 }
 
-/// The declaration of any stage, whatever the type of its options.
+/// The declaration of any stage, regardless of the type of its options.
 pub trait Declared: fmt::Debug + Sync {
-    /// Which stage it is.
+    /// The stage's id.
     fn id(&self) -> StageId;
     /// The topics that its program reads.
     fn reads(&self) -> &'static [&'static str];
@@ -28,7 +29,7 @@ pub trait Declared: fmt::Debug + Sync {
     fn writes(&self) -> &'static [&'static str];
     /// Its options.
     fn schema(&self) -> OptionsSchema;
-    /// Refuses a table that its program would not start with.
+    /// Refuses a table of options with which the program would not start.
     ///
     /// # Errors
     /// [`OptionError`] names the first key that is wrong.
@@ -41,13 +42,13 @@ pub trait Declared: fmt::Debug + Sync {
 pub struct Conflict {
     /// Key of the option at fault.
     pub key: &'static str,
-    /// What is wrong.
+    /// The reason.
     pub reason: &'static str,
-    /// The other setting that rules it out.
+    /// The other setting, which rules it out.
     pub because: &'static str,
 }
 
-/// What is wrong with a stage's options.
+/// Why a stage's options cannot be used.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 pub enum OptionError {
     /// The stage has no such option.
@@ -57,10 +58,10 @@ pub enum OptionError {
         stage: StageId,
         /// The key.
         key: String,
-        /// The keys that there are.
+        /// The existing keys.
         known: Vec<String>,
     },
-    /// The value is of another kind than the option's.
+    /// The value does not have the option's type.
     #[error("`{key}` of the {}: {}", stage.name(), first_line(source))]
     Invalid {
         /// The stage.
@@ -69,21 +70,21 @@ pub enum OptionError {
         key: String,
         /// The error of the option's type.
         source: Box<toml::de::Error>,
-        /// What a value must be.
+        /// The expected value.
         expected: String,
     },
-    /// The number is not within the option's range.
+    /// The number is outside the option's range.
     #[error("`{key}` is out of range")]
     OutOfRange {
         /// The key.
         key: String,
-        /// What a value must be.
+        /// The expected value.
         expected: String,
     },
     /// The values exclude each other.
     #[error(transparent)]
     Conflict(#[from] Conflict),
-    /// The run's record holds options that this program can't read.
+    /// The run's record has options that this program cannot read.
     #[error("options of the {}: {}", stage.name(), first_line(source))]
     Unreadable {
         /// The stage.
@@ -91,23 +92,23 @@ pub enum OptionError {
         /// The parser's error.
         source: Box<toml::de::Error>,
     },
-    /// TOML can't hold the options.
+    /// TOML cannot represent the options.
     #[error("options of the {}: {source}", stage.name())]
     Unwritable {
         /// The stage.
         stage: StageId,
-        /// The error of the writer.
+        /// The writer's error.
         source: toml::ser::Error,
     },
 }
 
-/// The message without the excerpt of the text, which is no file that anybody wrote.
+/// The message without the excerpt of the text. The text is not a file that a user wrote.
 fn first_line(error: &toml::de::Error) -> &str {
     error.message().lines().next().unwrap_or_default()
 }
 
 impl OptionError {
-    /// The key at fault, where it is one.
+    /// The key at fault, if the error concerns a key.
     #[must_use]
     pub fn key(&self) -> Option<&str> {
         match self {
@@ -117,7 +118,7 @@ impl OptionError {
         }
     }
 
-    /// What to write instead, as part of a sentence or a list.
+    /// The valid choices, as part of a sentence or a list.
     #[must_use]
     pub fn advice(&self) -> String {
         match self {
@@ -133,17 +134,17 @@ impl OptionError {
     }
 }
 
-/// The environment variable that holds the name of a process's stage. The names of added stages are known once the
-/// run's record has been read.
+/// The environment variable that holds the name of a process's stage. The names of added stages are known
+/// only after the run's record has been read.
 pub const STAGE_VARIABLE: &str = "STGDAT_STAGE";
 
-/// The stage that this process was started as, by its environment; none where it was not started as one.
+/// The stage as which this process was started, from its environment; `None` if there is none.
 #[must_use]
 pub fn own_stage() -> Option<StageId> {
     StageId::from_name(&std::env::var(STAGE_VARIABLE).ok()?)
 }
 
-/// The options of a stage that has none.
+/// The options of a stage without options.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct NoOptions {}
@@ -156,29 +157,29 @@ impl<O> fmt::Debug for Declaration<O> {
 }
 
 impl<O> Declaration<O> {
-    /// A stage whose program reads and writes these topics, by their names.
+    /// A stage whose program reads and writes the topics of these names.
     #[must_use]
     pub const fn new(id: StageId, reads: &'static [&'static str], writes: &'static [&'static str]) -> Self {
         Self { id: Some(id), reads, writes, rule: |_| Ok(()) }
     }
 
-    /// A stage that a pipeline file adds. Its name is that of the file; the topics are those that the program opens,
-    /// under the names that it knows them by.
+    /// A stage that a pipeline file adds. The file sets its name. The topics are the ones that the program
+    /// opens, under the program's own names.
     #[must_use]
     pub const fn added(reads: &'static [&'static str], writes: &'static [&'static str]) -> Self {
         Self { id: None, reads, writes, rule: |_| Ok(()) }
     }
 
-    /// The same, with a rule that goes beyond one option.
+    /// Adds a rule that involves several options.
     #[must_use]
     pub const fn with_rule(self, rule: fn(&O) -> Result<(), Conflict>) -> Self {
         Self { rule, ..self }
     }
 
-    /// Which stage it is: of an added one, the one that this process runs as ([`own_stage`]).
+    /// The stage's id. For an added stage this is the id that this process runs as ([`own_stage`]).
     ///
     /// # Panics
-    /// If the stage is an added one and this process was not started as one.
+    /// If the stage is an added one and this process was not started as a stage.
     #[must_use]
     pub fn id(&self) -> StageId {
         self.id.or_else(own_stage).unwrap_or_else(|| panic!("{STAGE_VARIABLE} names no stage of this run"))
@@ -198,11 +199,11 @@ impl<O> Declaration<O> {
 }
 
 impl<O: Default + DeserializeOwned> Declaration<O> {
-    /// The stage's options in a run; the defaults where the run does not have the stage.
+    /// The stage's options in a run, or the defaults if the run does not have the stage.
     ///
     /// # Errors
-    /// [`OptionError::Unreadable`] if the record holds options that this program does not have,
-    /// [`OptionError::Conflict`] if they exclude each other.
+    /// [`OptionError::Unreadable`] if the record has options that this program does not have,
+    /// [`OptionError::Conflict`] if the options exclude each other.
     pub fn options(&self, run: &Run) -> Result<O, OptionError> {
         let id = self.id();
         let Some(stage) = run.stage(id) else { return Ok(O::default()) };
@@ -239,7 +240,7 @@ impl<O: DeserializeOwned + JsonSchema> Declared for Declaration<O> {
                 return Err(OptionError::Unknown { stage, key: key.clone(), known: schema.names() });
             };
             let expected = option.expected.clone();
-            // One option at a time, so that an error is that of this one.
+            // One option at a time, so that an error belongs to this option.
             if let Err(error) = parsed(&toml::Table::from_iter([(key.clone(), value.clone())])) {
                 let source = Box::new(error);
                 return Err(OptionError::Invalid { stage, key: key.clone(), source, expected });

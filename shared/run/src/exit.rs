@@ -1,4 +1,4 @@
-/// How a program of this project ends; the numbers follow sysexits.h where it has one.
+/// The exit codes of this project's programs. The numbers follow sysexits.h if it has a suitable one.
 ///
 /// | code | meaning |
 /// |---|---|
@@ -41,7 +41,7 @@ pub enum Exit {
 }
 
 impl Exit {
-    /// The variant of a process's exit code, if it is one of these.
+    /// The variant of a process's exit code, if there is one.
     #[must_use]
     pub fn from_code(code: i32) -> Option<Self> {
         [

@@ -1,14 +1,15 @@
-//! What a run is: the record that every stage is started with, what a stage declares of itself, and the exit
-//! codes.
+//! The definition of a run: the record with which every stage is started, the declaration of a stage, and the
+//! exit codes.
 //!
-//! [`Run`] is everything that all stages of one run must agree on (where its shared memory lies, which
-//! weights); the launcher writes it once and every stage reads it. What concerns one stage alone are its
-//! *options*: a table of TOML in the run's record, which that stage reads as a struct of its own.
+//! [`Run`] contains everything on which all stages of one run must agree, such as the location of its shared
+//! memory and the weights. The launcher writes it once, and every stage reads it. Settings that concern only
+//! one stage are its *options*. They are a TOML table in the run's record, which the stage reads as its own
+//! struct.
 //!
-//! One constant per stage, its [`Declaration`], names the stage, the topics that it reads and writes, and the
-//! struct of its options. The struct's fields, their documentation, defaults and ranges are the only
-//! definition of an option: pipeline.toml and the command line are checked against it, and
-//! `stgdat stage --help` is generated from it.
+//! Each stage has one constant, its [`Declaration`]. It names the stage, the topics that the stage reads and
+//! writes, and the struct of its options. The fields of this struct, with their documentation, defaults and
+//! ranges, are the only definition of an option. pipeline.toml and the command line are checked against it,
+//! and `stgdat stage --help` is generated from it.
 //!
 //! ```
 //! use run::{Declaration, Declared, Run, StageRun};

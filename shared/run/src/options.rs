@@ -1,11 +1,12 @@
-//! The options of a stage as data, made of the schema of its struct.
+//! The options of a stage as data, read from the schema of its struct.
 //!
-//! The struct derives `schemars::JsonSchema`; this module reads each option's description from the schema.
-//! Beside the keywords of JSON Schema it reads some of its own, given by `#[schemars(extend("key" = …))]`:
+//! The struct derives `schemars::JsonSchema`. This module reads each option's description from the schema. In
+//! addition to the keywords of JSON Schema it reads some keywords of its own, given by
+//! `#[schemars(extend("key" = …))]`:
 //!
 //! | key | value |
 //! |---|---|
-//! | `expected` | what a value must be, where type and range do not say it |
+//! | `expected` | the expected value, if type and range do not describe it |
 //! | `format` | `"path"` for the path of a file, which the launcher makes absolute |
 
 use schemars::JsonSchema;
@@ -15,17 +16,17 @@ use serde_json::Value as Json;
 /// One option of a stage.
 #[derive(Clone, Debug, PartialEq)]
 pub struct OptionSchema {
-    /// Its key.
+    /// The key.
     pub name: String,
     /// The documentation of its field.
     pub about: String,
-    /// What kind of value it takes.
+    /// The kind of value that it takes.
     pub kind: &'static str,
-    /// What a value must be, to follow "expected".
+    /// The expected value, worded to follow "expected".
     pub expected: String,
-    /// Its default as TOML; none where it is unset by default.
+    /// The default as TOML; `None` if the option is unset by default.
     pub default: Option<String>,
-    /// Whether its values are text, whatever they look like.
+    /// Whether its values are text, even if they look like numbers.
     pub is_text: bool,
     /// Whether its values are paths.
     pub is_path: bool,
@@ -59,13 +60,13 @@ impl OptionsSchema {
         self.0.iter()
     }
 
-    /// Their keys.
+    /// The keys.
     #[must_use]
     pub fn names(&self) -> Vec<String> {
         self.iter().map(|option| option.name.clone()).collect()
     }
 
-    /// The option with that key.
+    /// The option with this key.
     #[must_use]
     pub fn get(&self, name: &str) -> Option<&OptionSchema> {
         self.iter().find(|option| option.name == name)
@@ -80,7 +81,7 @@ impl OptionSchema {
         let default = field.get("default").filter(|default| !default.is_null());
         Self {
             name: name.to_owned(),
-            // A sentence is broken over lines where its source was.
+            // A sentence is broken into lines as in its source.
             about: text("description").unwrap_or_default().replace('\n', " "),
             kind: kind(field),
             expected: text("expected").unwrap_or_else(|| expected(field, &bounds)),
@@ -91,7 +92,7 @@ impl OptionSchema {
         }
     }
 
-    /// Whether a number is within the option's range; any other value is.
+    /// Whether a number is within the option's range. Other values are always allowed.
     #[must_use]
     pub fn allows(&self, value: &toml::Value) -> bool {
         match value {
@@ -120,7 +121,7 @@ impl Bounds {
             && self.less_than.is_none_or(|limit| number < limit)
     }
 
-    /// The range in words; empty where there is none.
+    /// The range in words; empty if there is none.
     fn words(&self) -> String {
         let lower = match (self.least, self.more_than) {
             (Some(least), None) => Some(format!("at least {least}")),
@@ -139,7 +140,7 @@ impl Bounds {
     }
 }
 
-/// What a value must be, by type, names and range.
+/// The expected value, described by type, names and range.
 fn expected(field: &Json, bounds: &Bounds) -> String {
     let names = names(field);
     if let [others @ .., last] = &names[..] {

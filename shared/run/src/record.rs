@@ -1,7 +1,7 @@
 //! The run's record: written by the launcher, read by every stage.
 //!
 //! The encoding (bincode) is private to this module. The file starts with [`MAGIC`] and the schema as text,
-//! so that a stage of another version refuses it instead of misreading it.
+//! so a stage of another version refuses the file instead of misreading it.
 
 use std::collections::BTreeMap;
 use std::error::Error;
@@ -16,27 +16,26 @@ use crate::{Declaration, OptionError};
 
 /// First bytes of a record's file, before the schema's number and a line break.
 const MAGIC: &str = "stgdat-run ";
-/// Version of the record; counts up with every change of [`Run`].
+/// Version of the record. It increases with every change of [`Run`].
 const SCHEMA: u32 = 9;
-/// Largest record that is read; real ones have a few kilobytes.
+/// Size of the largest accepted record. Real records have a few kilobytes.
 const BYTES_MAX: u64 = 1 << 20;
 
-/// Topics that are protected where pipeline.toml does not say: what comes in from a sensor, and what leaves
-/// for a planner.
+/// Topics that are protected by default: the input from a sensor, and the output to a planner.
 pub const PROTECTED: [&str; 2] = ["detections", "forecasts"];
 
-/// How one stage is run.
+/// The settings of one stage.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct StageRun {
     /// [`StageId`] as a number.
     pub stage: u32,
-    /// The stage's share of the tick; none for stages that no forecast waits for.
+    /// The stage's share of the tick; `None` for a stage that no forecast waits for.
     pub budget_ms: Option<f64>,
     /// Whether it is this project's own program, which sends heartbeats.
     pub built_in: bool,
-    /// Its options as TOML, which no other program reads.
+    /// The options as TOML. No other program reads them.
     pub options: String,
-    /// Its name; empty where it is that of one of stgdat's own stages.
+    /// The name; empty for one of stgdat's own stages.
     #[serde(default)]
     pub name: String,
     /// Topics that it reads, by their names in shared memory.
@@ -58,42 +57,42 @@ pub struct TopicRun {
     pub element_size: usize,
 }
 
-/// What follows a topic's name under which its writer opens it, where a program stands between it and the
-/// readers.
+/// Suffix of the topic name that the writer opens if a program is placed between the writer and the readers.
 const INJECTED_SUFFIX: &str = "-injected";
 
-/// The name under which a topic's writer opens it where an injector stands between it and the readers.
+/// The name under which a topic's writer opens it if an injector is placed between the writer and the
+/// readers.
 #[must_use]
 pub fn injected_name(topic: &str) -> String {
     format!("{topic}{INJECTED_SUFFIX}")
 }
 
-/// The topic whose writer opens it under this name because of an injector.
+/// The topic that a writer opens under this name because of an injector.
 #[must_use]
 pub fn injected_topic(name: &str) -> Option<&str> {
     name.strip_suffix(INJECTED_SUFFIX)
 }
 
-/// What all stages of one run agree on.
+/// The settings on which all stages of one run agree.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Run {
-    /// Number in the header of every frame, which tells apart the frames of two runs.
+    /// Number in the header of every frame, which distinguishes the frames of two runs.
     pub id: u64,
-    /// What the names of the run's shared memory start with.
+    /// Prefix of the names of the run's shared memory.
     pub prefix: String,
     /// The run's own directory.
     pub root: PathBuf,
     /// Interval between frames.
     pub interval_ns: u64,
-    /// Whether each tick waits for the end of the one before, and no stage gives up waiting.
+    /// Whether each tick waits for the end of the previous one, and no stage gives up waiting.
     pub lockstep: bool,
     /// Seed of all random numbers.
     pub seed: u64,
-    /// Topics whose frames carry a check value, which their readers demand.
+    /// Topics whose frames carry a check value. Their readers require it.
     pub protected: Vec<String>,
-    /// Whether a tick that has no time for all agents serves some and leaves out the others.
+    /// Whether a tick that is short of time leaves out some agents to serve the others.
     pub shed: bool,
-    /// The weights; the embedded ones where none.
+    /// The file of the weights; `None` for the embedded weights.
     pub weights: Option<PathBuf>,
     /// The world frame's origin in the frame of maps, recordings and detections, m: see [`Run::origin`].
     #[serde(default)]
@@ -103,14 +102,14 @@ pub struct Run {
     /// The topics that the pipeline file declares.
     #[serde(default)]
     pub topics: Vec<TopicRun>,
-    /// The spares: processes beside the stages, which take places on topics of their own.
+    /// The spares: processes in addition to the stages, with their own places on topics.
     pub spares: Vec<SpareRun>,
-    /// Places for readers that a topic has besides its usual ones, by its name.
+    /// Number of additional reader places of a topic, by its name.
     #[serde(default)]
     pub readers: BTreeMap<String, u32>,
 }
 
-/// A process that waits to take the place of a stage's.
+/// A process that waits to take the place of a stage's process.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SpareRun {
     /// [`StageId`] as a number.
@@ -120,14 +119,14 @@ pub struct SpareRun {
 }
 
 impl SpareRun {
-    /// Whether it takes a place on a topic. All may on that of the heartbeats: they send, and some listen.
+    /// Whether it takes a place on a topic. All spares may open the heartbeats: they send, and some listen.
     #[must_use]
     pub fn opens(&self, topic: &str) -> bool {
         topic == HeartbeatsTopic::NAME || self.topics.iter().any(|name| name == topic)
     }
 }
 
-/// Why a run's record can't be used.
+/// Why a run's record cannot be used.
 #[derive(Debug, Error)]
 pub enum RecordError {
     /// The file can't be read or written.
@@ -138,7 +137,7 @@ pub enum RecordError {
         /// The system's error.
         source: std::io::Error,
     },
-    /// The file is no record.
+    /// The file is not a record.
     #[error("{}: not the record of a run", path.display())]
     Foreign {
         /// The file.
@@ -152,7 +151,7 @@ pub enum RecordError {
         /// The record's schema.
         found: u32,
     },
-    /// The record does not encode: a path is not UTF-8.
+    /// The record cannot be encoded because a path is not UTF-8.
     #[error("{}: {source}", path.display())]
     Unwritable {
         /// The record's file.
@@ -160,7 +159,7 @@ pub enum RecordError {
         /// The encoder's error.
         source: Box<dyn Error + Send + Sync>,
     },
-    /// The record does not decode.
+    /// The record cannot be decoded.
     #[error("{}: damaged record: {source}", path.display())]
     Damaged {
         /// The record's file.
@@ -173,13 +172,13 @@ pub enum RecordError {
     TooLong {
         /// The record's file.
         path: PathBuf,
-        /// Bytes after the record's end.
+        /// Number of bytes after the record's end.
         excess_len: usize,
     },
 }
 
 impl Default for Run {
-    /// The embedded weights in real time, by no stage at all.
+    /// A run with the embedded weights in real time, without any stage.
     fn default() -> Self {
         Self {
             id: 0,
@@ -201,10 +200,10 @@ impl Default for Run {
 }
 
 impl StageRun {
-    /// This project's own program of a stage with these options, and no share of the tick.
+    /// This project's own program of a stage, with these options and without a share of the tick.
     ///
     /// # Errors
-    /// [`OptionError::Unwritable`] if TOML can't hold them: paths that are not UTF-8.
+    /// [`OptionError::Unwritable`] if TOML cannot represent the options because a path is not UTF-8.
     pub fn with_options<O: Serialize>(
         declaration: &Declaration<O>,
         options: &O,
@@ -217,29 +216,32 @@ impl StageRun {
 }
 
 impl Run {
-    /// The world frame's origin in the frame of the run's map, recording or detections. It is subtracted, in
-    /// `f64`, from all positions that come in, and added to the positions of files that the run writes.
+    /// The world frame's origin in the frame of the run's map, recording or detections. It is subtracted in
+    /// `f64` from all incoming positions, and added to the positions in files that the run writes.
     #[must_use]
     pub fn origin(&self) -> WorldOrigin {
         WorldOrigin::new(self.origin_m).unwrap_or_default()
     }
 
-    /// How a stage is run, where the pipeline has it.
+    /// The settings of a stage, if the pipeline has it.
     #[must_use]
     pub fn stage(&self, stage: StageId) -> Option<&StageRun> {
         self.stages.iter().find(|s| s.stage == stage.number())
     }
 
-    /// Each stage's share of the tick, of those that have one.
+    /// The shares of the tick, for stages that have one.
     #[must_use]
     pub fn budgets_ms(&self) -> BTreeMap<StageId, f64> {
         let stages = self.stages.iter();
         stages.filter_map(|stage| Some((StageId::from_number(stage.stage)?, stage.budget_ms?))).collect()
     }
 
-    /// Time after the release of a tick by which a stage has to be done with it, so that agents that it has
-    /// not served by then are left out: the budgets up to its own, scaled to the interval where that is
-    /// shorter than a tick. None in lockstep, where nothing is to be shed, and for a stage without a budget.
+    /// The deadline of a stage, as time after the release of a tick. Agents that it has not served by then
+    /// are left out.
+    ///
+    /// The deadline is the sum of the budgets up to the stage's own. It is scaled to the interval if that is
+    /// shorter than a tick. Returns `None` in lockstep, if nothing is to be shed, and for a stage without a
+    /// budget.
     #[must_use]
     pub fn deadline_ns(&self, stage: StageId) -> Option<u64> {
         let budgets_ms = self.budgets_ms();
@@ -253,15 +255,15 @@ impl Run {
         Some((sum_ms * 1e6 * scale) as u64)
     }
 
-    /// What of a tick is left after [`Run::deadline_ns`] of the decoder, for the sampler; 0 where that is
-    /// none.
+    /// The time of a tick that remains for the sampler after the decoder's [`Run::deadline_ns`]; 0 if the
+    /// decoder has no deadline.
     #[must_use]
     pub fn left_for_sampler_ns(&self) -> u64 {
         let decoder_ns = self.deadline_ns(StageId::Decoder).unwrap_or(u64::MAX);
         self.interval_ns.min(TICK_NS).saturating_sub(decoder_ns)
     }
 
-    /// Lets this process know the names of the added stages.
+    /// Registers the names of the added stages in this process.
     pub fn name_stages(&self) {
         for stage in self.stages.iter().filter(|stage| !stage.name.is_empty()) {
             if let Some(id) = StageId::from_number(stage.stage).filter(|id| id.is_added()) {
@@ -270,7 +272,7 @@ impl Run {
         }
     }
 
-    /// The topic of that name that the pipeline file declares.
+    /// The topic of this name that the pipeline file declares.
     #[must_use]
     pub fn topic(&self, name: &str) -> Option<&TopicRun> {
         self.topics.iter().find(|topic| topic.name == name)
@@ -296,8 +298,8 @@ impl Run {
         ids.zip(&self.stages).filter_map(|(id, stage)| Some((id.filter(|id| id.is_added())?, stage)))
     }
 
-    /// The stages whose output reaches `stage` on a tick's way, itself included. The forecasts that go back
-    /// to the tracker are those of earlier ticks.
+    /// The stages whose output reaches `stage` within a tick, including `stage`. The forecasts that go back
+    /// to the tracker belong to earlier ticks.
     #[must_use]
     pub fn before(&self, stage: StageId) -> Vec<StageId> {
         let (mut found, mut open) = (Vec::new(), vec![stage]);
@@ -316,7 +318,7 @@ impl Run {
         found
     }
 
-    /// The stages of stgdat's own and the added ones, in the order in which a tick passes them.
+    /// stgdat's own stages and the added ones, in the order in which a tick passes them.
     #[must_use]
     pub fn order(&self) -> Vec<StageId> {
         let mut order: Vec<StageId> =
@@ -325,7 +327,7 @@ impl Run {
         order
     }
 
-    /// The added stages that no forecast waits for: they are beside a tick's way.
+    /// The added stages that no forecast waits for.
     #[must_use]
     pub fn beside(&self) -> Vec<StageId> {
         let way = self.before(StageId::Sampler);
@@ -348,7 +350,7 @@ impl Run {
     /// Reads a record that [`Run::write`] wrote.
     ///
     /// # Errors
-    /// [`RecordError`] if the file can't be read, is no record, is of another schema or damaged.
+    /// [`RecordError`] if the file cannot be read, is not a record, has another schema or is damaged.
     pub fn read(path: &Path) -> Result<Self, RecordError> {
         let file = |source| RecordError::File { path: path.to_owned(), source };
         let foreign = || RecordError::Foreign { path: path.to_owned() };
@@ -443,7 +445,7 @@ mod tests {
             reads: Vec::new(),
             writes: Vec::new(),
         };
-        // Not in the order of the chain: a pipeline file may have any.
+        // Not in the order of the chain, because a pipeline file may have any order.
         let stages = vec![
             stage(StageId::Decoder, Some(20.0)),
             stage(StageId::Source, Some(1.0)),

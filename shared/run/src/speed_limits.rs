@@ -20,8 +20,8 @@ impl Default for SpeedLimits {
 }
 
 impl SpeedLimits {
-    /// The limits that a run's tracker has, for the stages after it; the defaults if its program is another
-    /// one.
+    /// The limits of a run's tracker, for the stages after it. These are the defaults if the tracker is
+    /// another program.
     #[must_use]
     pub fn of_run(run: &Run) -> Self {
         let tracker = run.stage(StageId::Tracker).map(|stage| stage.options.parse::<toml::Table>());

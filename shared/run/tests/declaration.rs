@@ -62,7 +62,7 @@ impl Options {
 const STAGE: Declaration<Options> =
     Declaration::new(StageId::Sampler, &["tracks"], &["forecasts"]).with_rule(Options::check);
 
-/// Message and advice for a table; none where it is accepted.
+/// Message and advice for a table; `None` if the table is accepted.
 fn refusal(table: &str) -> Option<(String, String)> {
     let refused = STAGE.check(&table.parse().unwrap()).err()?;
     assert!(refused.key().is_some_and(|key| table.contains(key)), "{refused:?}");

@@ -1,25 +1,25 @@
 use serde::Serialize;
 
-/// How far numbers are off from their reference.
+/// The deviation of numbers from their reference.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Comparison {
-    /// The tensor's name in the folder; of tracking: the file, and what of it.
+    /// The tensor's name in the folder. For tracking, the file and the quantity in it.
     pub name: String,
-    /// Its shape.
+    /// The shape.
     pub shape: Vec<usize>,
-    /// Its largest magnitude.
+    /// The largest magnitude.
     pub largest: f64,
-    /// Largest error. Of a model: relative to `largest`, of covariances to the largest entry of each matrix.
-    /// Of tracking: of a number above 1 relative to it, else absolute.
+    /// Largest error. For a model it is relative to `largest`, and for covariances to the largest entry of
+    /// each matrix. For tracking it is relative to a number above 1 and otherwise absolute.
     pub error: f64,
-    /// Where the number with that error stands, an index per dimension.
+    /// Position of the number with this error, one index per dimension.
     pub worst: Vec<usize>,
-    /// Largest error that is accepted.
+    /// Largest accepted error.
     pub tolerance: f64,
 }
 
 impl Comparison {
-    /// Of numbers with the given magnitudes and errors; an error that is no number is infinite.
+    /// Compares numbers with the given magnitudes and errors. A NaN error counts as infinite.
     pub(super) fn new(
         name: String,
         shape: Vec<usize>,
@@ -45,7 +45,7 @@ impl Comparison {
     }
 }
 
-/// The index per dimension of the number at a place in memory, where the last index moves fastest.
+/// The index per dimension of the number at a place in memory. The last index moves fastest.
 fn indices(shape: &[usize], mut at: usize) -> Vec<usize> {
     let mut indices = vec![0; shape.len()];
     for (index, len) in indices.iter_mut().zip(shape).rev() {

@@ -1,8 +1,8 @@
-//! Recomputes golden vectors with the very code that runs on board; `stgdat verify FOLDER` calls it.
+//! Recomputes golden vectors with the code that runs on board. `stgdat verify FOLDER` calls it.
 //!
-//! In goes a folder of golden vectors: inputs, and what an independent implementation computed from them. Out
-//! comes a [`Comparison`] per vector. A folder has one of two forms, recognised by its files: the tensors of
-//! a `model`, or the numbers of `tracking`.
+//! The input is a folder of golden vectors: inputs, and the results of an independent implementation. The
+//! output is one [`Comparison`] per vector. A folder has one of two forms, recognised by its files: the
+//! tensors of a `model`, or the numbers of `tracking`.
 
 mod comparison;
 mod model;
@@ -16,7 +16,7 @@ use thiserror::Error;
 
 pub use comparison::Comparison;
 
-/// Why a folder can't be verified.
+/// Why a folder cannot be verified.
 #[derive(Debug, Error)]
 pub enum VerifyError {
     /// A file can't be read.
@@ -27,14 +27,14 @@ pub enum VerifyError {
         /// The error of the system.
         source: std::io::Error,
     },
-    /// A file is not of the form that its name requires.
+    /// A file does not have the form that its name requires.
     #[error("{path}: {reason}")]
     Malformed {
         /// The file.
         path: String,
-        /// What is wrong with it.
+        /// The reason.
         reason: String,
-        /// The error behind it, where there is one; `reason` contains its text.
+        /// The underlying error, if there is one. `reason` contains its text.
         source: Option<Box<dyn Error + Send + Sync>>,
     },
     /// The weights can't be used.
@@ -42,10 +42,10 @@ pub enum VerifyError {
     Weights {
         /// The file.
         path: String,
-        /// What is wrong with it.
+        /// The reason.
         source: WeightsError,
     },
-    /// The folder is of neither form.
+    /// The folder has neither form.
     #[error(
         "{path}: there are no golden vectors: neither {} of a model nor a folder {} of tracking",
         model::FILES.join(", "), tracking::PARTS.join(", ")
@@ -65,7 +65,7 @@ impl VerifyError {
         Self::Malformed { path: path.display().to_string(), reason: reason.into(), source: None }
     }
 
-    /// A malformed file that `source` refuses; `context` precedes its text.
+    /// A malformed file that `source` refuses. `context` precedes the text of `source`.
     fn caused(path: &Path, context: &str, source: impl Error + Send + Sync + 'static) -> Self {
         let reason = if context.is_empty() { source.to_string() } else { format!("{context}: {source}") };
         Self::Malformed { path: path.display().to_string(), reason, source: Some(Box::new(source)) }
@@ -75,8 +75,8 @@ impl VerifyError {
 /// Compares every number of a golden folder.
 ///
 /// # Errors
-/// [`VerifyError`] if a file can't be read or is malformed, the parts of the folder do not fit one
-/// another, or nothing computes the numbers of a file.
+/// [`VerifyError`] if a file cannot be read or is malformed, the parts of the folder do not fit together, or
+/// no code computes the numbers of a file.
 pub fn verify(folder: &Path) -> Result<Vec<Comparison>, VerifyError> {
     std::fs::read_dir(folder).map_err(|source| VerifyError::unreadable(folder, source))?;
     if tracking::PARTS.iter().any(|part| folder.join(part).is_dir()) {

@@ -1,10 +1,10 @@
 //! Recomputes the tensors of a model.
 //!
-//! A folder holds `scene.json` (agents, states, constants), `weights.safetensors` and `tensors.safetensors`
-//! (what an independent implementation computed). Sizes, widths, stems and options are those of the folder:
-//! the weights contain their configuration. Each step computes from our own results of the step before, as on
-//! board; only the scene, the map's points, the latent draws and the samples of the losses come from the
-//! folder.
+//! A folder contains `scene.json` (agents, states, constants), `weights.safetensors` and
+//! `tensors.safetensors` (the results of an independent implementation). Sizes, widths, stems and options
+//! come from the folder, because the weights contain their configuration. Each step starts from our own
+//! results of the previous step, as on board. Only the scene, the map's points, the latent draws and the
+//! samples of the losses come from the folder.
 
 mod folder;
 mod graphs;
@@ -24,7 +24,7 @@ use ledger::Ledger;
 /// The files of a folder.
 pub(super) const FILES: [&str; 3] = ["scene.json", "weights.safetensors", "tensors.safetensors"];
 
-/// Compares every tensor of a folder, in the order in which they are computed.
+/// Compares every tensor of a folder, in the order of computation.
 pub(super) fn verify(folder: &Path) -> Result<Vec<Comparison>, VerifyError> {
     let folder = Folder::open(folder)?;
     let mut ledger = Ledger::new(&folder);

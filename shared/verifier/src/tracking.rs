@@ -1,10 +1,14 @@
-//! Recomputes the numbers of filters, assignments and measures of tracking.
+//! Recomputes the numbers of filters, assignments and tracking measures.
 //!
-//! A folder holds one to four *parts*, folders themselves: `filters` (runs of Kalman filters over recorded
-//! measurements), `assignment` (cost matrices and their optima), `metrics` (measures of one scenario,
-//! distances of sets) and `unit` (Jacobians, association probabilities, a particle filter with its random
-//! numbers, moments of samples). Every file is compared; one that nothing computes is refused, so that none
-//! stays unverified.
+//! A folder contains one to four *parts*, which are folders:
+//!
+//! * `filters`: runs of Kalman filters over recorded measurements;
+//! * `assignment`: cost matrices and their optima;
+//! * `metrics`: measures of one scenario, and distances of sets;
+//! * `unit`: Jacobians, association probabilities, a particle filter with its random numbers, moments of
+//!   samples.
+//!
+//! Every file is compared. A file whose numbers no code computes is refused, so no file stays unverified.
 
 mod assignments;
 mod figures;
@@ -23,7 +27,7 @@ use super::{Comparison, VerifyError};
 use ledger::Ledger;
 use part::Part;
 
-/// The folders that a folder of tracking may hold.
+/// The parts that a folder of tracking may contain.
 pub(super) const PARTS: [&str; 4] = ["filters", "assignment", "metrics", "unit"];
 
 /// Compares every number of a folder, part by part.

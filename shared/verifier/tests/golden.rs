@@ -1,4 +1,4 @@
-//! `verify` on the four golden folders, and on folders that are off.
+//! `verify` on the four golden folders, and on folders with errors.
 
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should panic")]
 
@@ -10,7 +10,7 @@ fn golden(folder: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/golden").join(folder)
 }
 
-/// A copy of a golden folder whose file `name` went through `change`.
+/// A copy of a golden folder whose file `name` was modified by `change`.
 fn changed(folder: &str, name: &str, change: impl FnOnce(&mut Vec<u8>)) -> tempfile::TempDir {
     let copy = tempfile::tempdir().unwrap();
     for file in ["scene.json", "weights.safetensors", "tensors.safetensors"] {

@@ -1,4 +1,4 @@
-//! `verify` on the reference vectors of filters and of measures of tracking, and on folders that are off.
+//! `verify` on the reference vectors of filters and tracking measures, and on folders with errors.
 
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should panic")]
 
@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use verifier::{Comparison, VerifyError, verify};
 
-/// A cell of a file, what it becomes, the vector that is then off, and where in it.
+/// A cell of a file, its new content, the vector that is then wrong, and the place in the vector.
 type WrongCell = (&'static str, [usize; 2], &'static str, &'static str, &'static [usize]);
 
 fn shared(path: &str) -> PathBuf {
@@ -24,7 +24,7 @@ fn copy_all(from: &Path, to: &Path) {
     }
 }
 
-/// A folder of the vectors that lie beside the crates which they test.
+/// A folder with the vectors that are stored beside the crates that they test.
 fn folder() -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     let filters = shared("filters/tests/golden");
@@ -50,7 +50,7 @@ fn folder() -> tempfile::TempDir {
     folder
 }
 
-/// Replaces the first `from` of a file by `to`.
+/// Replaces the first `from` in a file by `to`.
 fn change(folder: &Path, file: &str, from: &str, to: &str) {
     let path = folder.join(file);
     let text = fs::read_to_string(&path).unwrap();
@@ -58,7 +58,7 @@ fn change(folder: &Path, file: &str, from: &str, to: &str) {
     fs::write(path, text.replacen(from, to, 1)).unwrap();
 }
 
-/// Replaces a cell of a CSV file, counted from 0 with the head line.
+/// Replaces a cell of a CSV file. Lines count from 0 at the header line.
 fn change_cell(folder: &Path, file: &str, [line, column]: [usize; 2], to: &str) {
     let path = folder.join(file);
     let text = fs::read_to_string(&path).unwrap();
@@ -121,7 +121,7 @@ fn a_wrong_number_is_found_and_named() {
     }
 }
 
-/// A track that is moved by a wrong measurement differs from there on, in all estimates of the filters.
+/// A wrong measurement moves the track, so all later estimates of the filters differ.
 #[test]
 fn a_wrong_measurement_is_found_by_every_filter() {
     let folder = folder();

@@ -1,4 +1,4 @@
-//! Golden vectors of the network and of tracking: those of the repository agree, and changed ones do not.
+//! Golden vectors of the network and of tracking: the repository's vectors agree, and modified ones do not.
 
 mod golden;
 mod golden_tracking;

@@ -85,7 +85,7 @@ impl Folder {
         self.weights.config()
     }
 
-    /// An agent's state at a step of history and horizon together, where it is present.
+    /// An agent's state at a step, if the agent is present. Steps count through history and horizon.
     pub(super) fn state(&self, step: usize, agent: usize) -> Option<State> {
         self.scene.present[step][agent].then(|| State {
             position_m: self.scene.position_m[step][agent],

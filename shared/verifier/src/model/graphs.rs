@@ -28,14 +28,14 @@ pub(super) fn map(folder: &Folder, ledger: &mut Ledger<'_>) -> Result<ContextMap
     Ok(map)
 }
 
-/// Which of the two graphs.
+/// The two graphs.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum Part {
     History,
     Future,
 }
 
-/// What later stages need of a graph.
+/// The results of a graph that later stages need.
 pub(super) struct Summary {
     /// State features s, \[step, agent\].
     pub(super) states: Vec<[f32; STATE_FEATURES]>,
@@ -244,7 +244,7 @@ fn compare_rounds(
     ledger: &mut Ledger<'_>,
 ) -> Result<(), VerifyError> {
     for (number, round) in trace.rounds.iter().enumerate() {
-        // The folder has α as [step, head, receiver, sender].
+        // The folder stores α as [step, head, receiver, sender].
         let pairs = inputs.agents_len * inputs.agents_len;
         let mut alpha = vec![0.0; inputs.steps_len * heads * pairs];
         for (edge, values) in edges.iter().zip(round.alpha.chunks_exact(heads)) {

@@ -3,13 +3,13 @@ use std::collections::BTreeSet;
 use super::folder::Folder;
 use crate::{Comparison, VerifyError};
 
-/// Largest error that is accepted, relative to the tensor's (or matrix's) largest magnitude.
+/// Largest accepted error, relative to the largest magnitude of the tensor or matrix.
 const TOLERANCE: f64 = 1e-4;
 
-/// What the folder gives and nothing computes.
+/// The tensors that the folder provides and no code computes.
 const INPUTS: [&str; 5] = ["map.points", "map.velocities", "latent.z", "loss.posterior", "loss.prior"];
 
-/// Collects the comparisons and notices tensors that were forgotten.
+/// Collects the comparisons and notices forgotten tensors.
 pub(super) struct Ledger<'a> {
     folder: &'a Folder,
     rows: Vec<Comparison>,

@@ -41,7 +41,7 @@ pub(super) fn controls(
     Ok(Controls { gaussians, draws_len })
 }
 
-/// Runs the agents of one type and lays their rows where they belong, \[draw, agent, step\].
+/// Runs the agents of one type and places their rows, \[draw, agent, step\].
 fn decode(
     folder: &Folder,
     decoder: &Decoder,
@@ -75,7 +75,8 @@ fn decode(
 
 /// Compares the linearised Gaussians of the vehicles under both integrators.
 ///
-/// The folder's bicycles start without slip, have no slip limit and the limits of `scene.json`.
+/// The folder's bicycles start without slip and have no slip limit. Their other limits come from
+/// `scene.json`.
 pub(super) fn bicycles(
     folder: &Folder,
     controls: &Controls,
@@ -122,7 +123,7 @@ fn propagate(
             for gaussian in &controls.gaussians[(draw * agents_len + agent) * horizon_len..][..horizon_len] {
                 belief.advance(vehicle, &ControlGaussian::new(gaussian.mean, gaussian.cholesky));
                 means.extend(belief.mean.iter());
-                // Symmetric, so that column-major is row-major.
+                // Symmetric, so column-major equals row-major.
                 covariances.extend(belief.covariance.iter());
             }
         }

@@ -9,8 +9,8 @@ use super::part::{Part, document};
 use super::table::{Matrix, Table};
 use crate::VerifyError;
 
-/// A problem of `gated.json`: costs at the gate or above make no pair; a row without a pair has a cost of its
-/// own.
+/// A problem of `gated.json`. Costs at or above the gate do not form a pair. A row without a pair has its own
+/// cost.
 #[derive(Deserialize)]
 struct Gated {
     file: String,
@@ -30,7 +30,7 @@ pub(super) fn compare(part: &mut Part, ledger: &mut Ledger) -> Result<(), Verify
     compare_gated(part, ledger)
 }
 
-/// Problems in which as many pairs are made as there are rows or columns.
+/// Problems whose number of pairs equals the smaller of the numbers of rows and columns.
 fn compare_dense(part: &mut Part, ledger: &mut Ledger) -> Result<(), VerifyError> {
     let Some(path) = part.find("index.csv") else { return Ok(()) };
     let table = Table::read(&path)?;
@@ -46,7 +46,7 @@ fn compare_dense(part: &mut Part, ledger: &mut Ledger) -> Result<(), VerifyError
             let own = format!("{} × {}", matrix.rows_len, matrix.columns_len);
             return Err(table.malformed(row, format!("{file} is {own}, not {rows} × {columns}")));
         }
-        // A miss dearer than any pair is chosen only by rows that find no column left.
+        // A miss costs more than any pair, so only rows without a free column choose it.
         let dearest = matrix.numbers().iter().fold(0.0_f64, |most, cost| most.max(cost.abs()));
         let pairs = solve(&matrix, f64::INFINITY, 2.0 * dearest + 1.0);
         let all_paired = pairs.len() == matrix.rows_len.min(matrix.columns_len);
@@ -74,7 +74,7 @@ fn compare_gated(part: &mut Part, ledger: &mut Ledger) -> Result<(), VerifyError
         };
         let found = with_misses(&solve(&matrix, problem.gate, problem.miss_cost_per_row));
         ledger.compare(part.vector(&problem.file, "cost"), &[1], &[found], &[problem.opt], &EXACT);
-        // Several pairings may be optimal: that of the folder has to cost as much as ours.
+        // Several pairings may be optimal. The folder's pairing must have the same cost as ours.
         let theirs = with_misses(&problem.pairs);
         ledger.compare(part.vector(&problem.file, "pairs"), &[1], &[found], &[theirs], &EXACT);
     }
@@ -101,7 +101,7 @@ fn solve(matrix: &Matrix, gate: f64, miss_cost: f64) -> Vec<[usize; 2]> {
     paired.iter().enumerate().filter_map(pair).collect()
 }
 
-/// What pairs cost together, infinite where two share a row or column.
+/// The total cost of pairs; infinite if two pairs share a row or column.
 fn cost(matrix: &Matrix, pairs: &[[usize; 2]]) -> f64 {
     let shared = |side: usize| {
         let mut taken: Vec<_> = pairs.iter().map(|pair| pair[side]).collect();

@@ -7,7 +7,7 @@ use serde::Deserialize;
 use super::table::Table;
 use crate::VerifyError;
 
-/// How far the runs were from the truth, by their keys in `parameters.json`.
+/// The deviations of the runs from the truth, by their keys in `parameters.json`.
 #[derive(Default, Deserialize)]
 #[serde(transparent)]
 pub(super) struct Figures(BTreeMap<String, OfRun>);
@@ -26,7 +26,7 @@ struct OfRun {
 }
 
 impl Figures {
-    /// The figures of a run, as [`Truth::figures`] orders them.
+    /// The figures of a run, in the order of [`Truth::figures`].
     pub(super) fn of(&self, run: &str) -> Option<[f64; 8]> {
         self.0.get(run).map(|of| {
             [
@@ -48,10 +48,10 @@ pub(super) struct Sample<'a> {
     /// The tick's row.
     pub(super) at: usize,
     pub(super) visible: bool,
-    /// Whether the errors of the track's begin are over.
+    /// Whether the burn-in of the track is over.
     pub(super) burnt_in: bool,
     pub(super) motion: Option<&'a Motion>,
-    /// No number (NaN) where nothing was updated.
+    /// NaN if nothing was updated.
     pub(super) nis: f64,
 }
 
@@ -65,8 +65,8 @@ impl Truth {
         Ok(Self(rows.into_iter().map(state).collect()))
     }
 
-    /// The figures of a run: errors after the burn-in, the NIS of every update. A figure without a value is
-    /// NaN, as are all errors where one of them is not finite.
+    /// The figures of a run: errors after the burn-in, and the NIS of every update. A figure without a value
+    /// is NaN. If an error is not finite, all figures are NaN.
     pub(super) fn figures<'a>(&self, samples: impl Iterator<Item = Sample<'a>>) -> [f64; 8] {
         let mut errors = StateErrors::default();
         let (mut nis_sum, mut updates_len) = (0.0, 0_u64);

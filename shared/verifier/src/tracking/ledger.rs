@@ -2,7 +2,7 @@ use filters::wrapped;
 
 use crate::Comparison;
 
-/// How numbers are compared.
+/// The rule for comparing numbers.
 #[derive(Clone, Copy)]
 pub(super) struct Rule<'a> {
     /// Indices of the last dimension that are angles.
@@ -10,7 +10,7 @@ pub(super) struct Rule<'a> {
     pub(super) tolerance: f64,
 }
 
-/// Numbers that f64 reproduces but for rounding.
+/// Numbers that f64 reproduces except for rounding.
 pub(super) const EXACT: Rule<'static> = Rule { angles: &[], tolerance: 1e-9 };
 
 /// Collects the comparisons.
@@ -20,10 +20,10 @@ pub(super) struct Ledger {
 }
 
 impl Ledger {
-    /// Compares as many numbers as the shape has; no number (NaN) agrees with no number.
+    /// Compares the numbers of a shape. NaN agrees with NaN.
     ///
     /// # Panics
-    /// If there are more or fewer on either side.
+    /// If either side does not have the number of values that the shape requires.
     pub(super) fn compare(
         &mut self,
         name: String,

@@ -1,4 +1,4 @@
-//! Measures of tracking: of the scenario in `gt.csv` and `tracks.csv`, and distances of sets.
+//! Tracking measures: the scenario in `gt.csv` and `tracks.csv`, and distances of sets.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -14,10 +14,10 @@ use super::part::{Part, document};
 use super::table::Table;
 use crate::VerifyError;
 
-/// Of measures that other programs round on their way.
+/// For measures that other programs round internally.
 const MEASURE: Rule<'static> = Rule { tolerance: 1e-6, ..EXACT };
 
-/// `mot_expected.json`: what other programs measured in the scenario, by their own names.
+/// `mot_expected.json`: the results of other programs for the scenario, by the programs' own names.
 #[derive(Deserialize)]
 struct Expected {
     /// Largest distance of a pair, in metres.
@@ -55,7 +55,7 @@ struct SetCase {
     ospa: f64,
 }
 
-/// Figures by the names of the program that they are compared with.
+/// Figures by the names that the compared program uses.
 type Found = BTreeMap<&'static str, Vec<f64>>;
 
 pub(super) fn compare(part: &mut Part, ledger: &mut Ledger) -> Result<(), VerifyError> {
@@ -128,7 +128,7 @@ struct Scenario {
     clear: ClearMotCounts,
     identity: IdentityCounts,
     hota: HotaCounts,
-    /// The distance at which nothing is similar any more.
+    /// The distance at and beyond which the similarity is 0.
     zero_m: f64,
 }
 
@@ -180,7 +180,7 @@ impl Scenario {
         let [truths, switches, matched] =
             [clear.truths_len(), clear.switches_len, clear.matched_len].map(|len| len as f64);
         let lives = (clear.mostly_tracked_len + clear.partly_tracked_len + clear.mostly_lost_len) as f64;
-        // Of distances below the gate, where the similarity is linear.
+        // Sum over distances below the gate, where the similarity is linear.
         let similarity_sum = matched - clear.distance_sum_m / self.zero_m;
         one_each([
             ("MOTA", clear.mota()),
@@ -249,7 +249,7 @@ fn count(len: u64) -> Option<f64> {
     Some(len as f64)
 }
 
-/// Figures of one number; one without a value is no number (NaN).
+/// Figures of one number each. A figure without a value is NaN.
 fn one_each<const N: usize>(figures: [(&'static str, Option<f64>); N]) -> Found {
     figures.into_iter().map(|(name, figure)| (name, vec![figure.unwrap_or(f64::NAN)])).collect()
 }

@@ -5,10 +5,10 @@ use serde::de::DeserializeOwned;
 
 use crate::VerifyError;
 
-/// Ends of the names of files that hold numbers.
+/// Endings of the names of files that contain numbers.
 const NUMBERS: [&str; 2] = [".csv", ".json"];
 
-/// A part of a folder, and which of its files were asked for.
+/// A part of a folder, with a note of which files were requested.
 pub(super) struct Part {
     name: &'static str,
     path: PathBuf,
@@ -16,7 +16,7 @@ pub(super) struct Part {
 }
 
 impl Part {
-    /// A part, where it is there.
+    /// Opens a part, if it exists.
     pub(super) fn open(folder: &Path, name: &'static str) -> Result<Option<Self>, VerifyError> {
         let path = folder.join(name);
         if !path.is_dir() {
@@ -38,13 +38,13 @@ impl Part {
         self.files.keys().map(String::as_str)
     }
 
-    /// The path of a file, where it is there.
+    /// The path of a file, if it exists.
     pub(super) fn find(&mut self, file: &str) -> Option<PathBuf> {
         *self.files.get_mut(file)? = true;
         Some(self.path.join(file))
     }
 
-    /// The path of a file that another one makes necessary.
+    /// The path of a file that another file requires.
     pub(super) fn expect(&mut self, file: &str) -> Result<PathBuf, VerifyError> {
         self.find(file).ok_or_else(|| VerifyError::malformed(&self.path.join(file), "there is no such file"))
     }
@@ -55,17 +55,17 @@ impl Part {
         format!("{}/{stem}.{what}", self.name)
     }
 
-    /// The path of the part as a whole.
+    /// The path of the part.
     pub(super) fn path(&self) -> &Path {
         &self.path
     }
 
-    /// What is wrong with the part as a whole.
+    /// The error of the part as a whole.
     pub(super) fn malformed(&self, reason: &str) -> VerifyError {
         VerifyError::malformed(&self.path, reason)
     }
 
-    /// Refuses a part with files that were not asked for, or without any.
+    /// Refuses a part that is empty or has files that were not requested.
     pub(super) fn finish(&self) -> Result<(), VerifyError> {
         if self.files.is_empty() {
             return Err(self.malformed("there are no numbers"));
@@ -79,7 +79,7 @@ impl Part {
     }
 }
 
-/// A JSON file.
+/// Parses a JSON file.
 pub(super) fn document<T: DeserializeOwned>(path: &Path) -> Result<T, VerifyError> {
     let bytes = std::fs::read(path).map_err(|source| VerifyError::unreadable(path, source))?;
     serde_json::from_slice(&bytes).map_err(|error| VerifyError::caused(path, "", error))

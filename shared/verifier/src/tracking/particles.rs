@@ -10,7 +10,7 @@ use super::ledger::{EXACT, Ledger};
 use super::part::{Part, document};
 use crate::VerifyError;
 
-/// The only model of `pf_small.json` that is known, as the file names it.
+/// The only known model of `pf_small.json`, as the file names it.
 const MODEL: &str =
     "x+=noise; z=x+N(0,.3^2 I); log w += -|x-z|^2/(2*.09); resample systematically iff ESS<N/2";
 
@@ -23,7 +23,7 @@ struct Reference {
     model: String,
     /// The particles at the start.
     x0: Vec<[f64; 2]>,
-    /// What each particle moves by, per step.
+    /// The movement of each particle, per step.
     noise: Vec<Vec<[f64; 2]>>,
     /// The offset of the resampling, per step.
     u: Vec<f64>,
@@ -32,10 +32,10 @@ struct Reference {
     steps: Vec<Step>,
 }
 
-/// What comes out of a step.
+/// The results of a step.
 #[derive(Deserialize)]
 struct Step {
-    /// Before the resampling, as all but `idx`.
+    /// Before the resampling, like all fields except `idx`.
     mean: [f64; 2],
     ess: f64,
     /// Without the constant of the Gaussian density.
@@ -45,7 +45,7 @@ struct Step {
     idx: Vec<usize>,
 }
 
-/// Moves by a standard normal step per axis; its position is measured.
+/// Moves by a standard normal step per axis. Its position is measured.
 #[derive(Clone, Copy)]
 struct RandomWalk;
 
@@ -64,7 +64,7 @@ impl Process<2> for RandomWalk {
     fn constrain(&self, _: &mut Vector2<f64>) {}
 }
 
-/// No control acts on it.
+/// No control acts on the random walk.
 impl Controlled<2> for RandomWalk {
     fn step_controlled(&self, state: &Gaussian<2>, _: &Control, dt_s: f64) -> Gaussian<2> {
         self.step(state, dt_s)
@@ -103,13 +103,13 @@ pub(super) fn compare(part: &mut Part, ledger: &mut Ledger) -> Result<(), Verify
     Ok(())
 }
 
-/// What our own particles come to, step by step.
+/// The results of our own particles, step by step.
 #[derive(Default)]
 struct Found {
     means: Vec<f64>,
     sizes: Vec<f64>,
     logs: Vec<f64>,
-    /// 1 where the particles are resampled.
+    /// 1 if the particles are resampled.
     resampled: Vec<f64>,
     chosen: Vec<f64>,
 }
@@ -140,14 +140,14 @@ impl Reference {
         }
     }
 
-    /// Runs the filter; a fault comes with the number of its step.
+    /// Runs the filter. A fault is returned with the number of its step.
     fn run(&self) -> Result<Found, (usize, FilterFault)> {
         let states: Vec<_> = self.x0.iter().map(|state| Vector2::from(*state)).collect();
         let mut particles = Particles::of(&states, Priors::new(RandomWalk, RandomWalk), 0);
         let mut found = Found::default();
         let constant = (std::f64::consts::TAU * POSITION_VARIANCE).ln();
         for (k, noise) in self.noise.iter().enumerate() {
-            // The lengths are checked: a number per axis and particle.
+            // The lengths were checked: there is one number per axis and particle.
             let mut normals = noise.as_flattened().iter().copied();
             let moved = particles.predict_with(STEP_MAX_NS, || normals.next().unwrap_or(f64::NAN));
             moved.map_err(|fault| (k, fault))?;

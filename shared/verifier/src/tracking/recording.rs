@@ -6,7 +6,7 @@ use super::part::Part;
 use super::table::Table;
 use crate::VerifyError;
 
-/// What is measured of a track at one tick.
+/// The measurement of a track at one tick.
 pub(super) struct Tick {
     track: u64,
     k: u64,
@@ -15,17 +15,17 @@ pub(super) struct Tick {
     pub(super) heading_rad: f64,
 }
 
-/// A filter, and where its reference stands.
+/// A filter and its reference.
 pub(super) struct Run<P, const N: usize> {
     /// Start of the file's name.
     pub(super) file: &'static str,
-    /// How far the reference is from the truth, where it is given.
+    /// The reference's deviation from the truth, if given.
     pub(super) figures: Option<[f64; 8]>,
     pub(super) process: P,
     pub(super) start: fn(&Tick) -> [f64; N],
     pub(super) start_variance: [f64; N],
     pub(super) heading_variance: Option<f64>,
-    /// The filter of that kind.
+    /// The filter of this kind.
     pub(super) filter: fn(Gaussian<N>) -> Filter,
 }
 
@@ -35,15 +35,15 @@ struct Estimates {
     means: Vec<f64>,
     /// Upper triangles, row by row.
     covariances: Vec<f64>,
-    /// No number (NaN) where nothing was updated.
+    /// NaN if nothing was updated.
     nis: Vec<f64>,
     /// `None` before the first detection.
     motions: Vec<Option<Motion>>,
 }
 
-/// The measurements, and the true motion where it is given.
+/// The measurements, and the true motion if it is given.
 pub(super) struct Recording {
-    /// What the names of its files end with.
+    /// Ending of the names of its files.
     end: String,
     dt_ns: u64,
     position_variance: f64,
@@ -78,7 +78,7 @@ impl Recording {
         Ok(Self { end, dt_ns, position_variance, burn_in_ticks, ticks, truth })
     }
 
-    /// Compares a run, where its reference is there.
+    /// Compares a run, if its reference exists.
     pub(super) fn compare<P: Process<N>, const N: usize>(
         &self,
         run: &Run<P, N>,
@@ -110,7 +110,7 @@ impl Recording {
         Ok(())
     }
 
-    /// The figures of the odd tracks, which those of the reference are of.
+    /// The figures of the odd tracks, to which the reference's figures refer.
     fn figures(&self, truth: &Truth, estimates: &Estimates) -> [f64; 8] {
         let rows = self.ticks.iter().zip(&estimates.motions).zip(&estimates.nis).enumerate();
         let samples = rows.map(|(at, ((tick, motion), nis))| Sample {
@@ -154,8 +154,8 @@ impl Recording {
         estimates
     }
 
-    /// Predicts and, where there is a detection, updates: returns its NIS. A step that fails leaves the state
-    /// behind, so that the comparison shows it.
+    /// Predicts and, if there is a detection, updates. Returns the NIS. A failed step leaves the state as it
+    /// is, so that the comparison reveals the failure.
     fn advance<P: Process<N>, const N: usize>(
         &self,
         run: &Run<P, N>,
@@ -197,7 +197,7 @@ fn ticks(table: &Table) -> Result<Vec<Tick>, VerifyError> {
     Ok(ticks)
 }
 
-/// Whether a table has a row per tick, in their order.
+/// Checks that a table has one row per tick, in order.
 fn check_ticks(table: &Table, ticks: &[Tick]) -> Result<(), VerifyError> {
     let rows: Vec<_> = table.whole_numbers("track")?.into_iter().zip(table.whole_numbers("k")?).collect();
     let differs = |(row, tick): (&(u64, u64), &Tick)| *row != (tick.track, tick.k);

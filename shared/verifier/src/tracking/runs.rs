@@ -1,6 +1,6 @@
 //! Runs of Kalman filters over recorded measurements.
 //!
-//! `parameters.json` contains the noise, `meas*.csv` the measurements at every tick of every track;
+//! `parameters.json` contains the noise. `meas*.csv` contains the measurements at every tick of every track.
 //! `cv_kf*.csv` and the other files contain mean, covariance and normalised innovation squared (NIS) of each
 //! filter after each tick. A track starts with its first detection.
 
@@ -13,10 +13,10 @@ use super::part::{Part, document};
 use super::recording::{Recording, Run};
 use crate::VerifyError;
 
-/// The step to which the noise of [`Bicycle`] refers, and the longest of a process.
+/// The step to which the noise of [`Bicycle`] refers, and the longest step of a process.
 const STEP_S: f64 = 0.08;
 
-/// `parameters.json`; a filter's parameters are there where the filter is.
+/// `parameters.json`. It contains a filter's parameters if the folder has the filter.
 #[derive(Deserialize)]
 struct Parameters {
     dt_s: f64,
@@ -41,13 +41,13 @@ struct AxisNoise {
     q: f64,
 }
 
-/// Noise of a bicycle in one step, and its first variances.
+/// Noise of a bicycle in one step, and its initial variances.
 #[derive(Clone, Copy, Deserialize)]
 struct BicycleNoise {
     sig_a: f64,
     sig_bd: f64,
     q_floor: [f64; 5],
-    /// Of the first heading, and of every measured one.
+    /// Of the initial heading, and of every measured one.
     sig_psi: f64,
     #[serde(rename = "Pv0")]
     speed_variance: f64,
@@ -116,7 +116,7 @@ pub(super) fn compare(part: &mut Part, ledger: &mut Ledger) -> Result<(), Verify
     Ok(())
 }
 
-/// The bicycle whose noise in a step of `dt_s` is the given one; the slip has no limit.
+/// The bicycle with the given noise in a step of `dt_s`. The slip has no limit.
 fn bicycle(noise: &BicycleNoise, rear_axle_m: f64, dt_s: f64) -> Bicycle {
     let steps = dt_s / STEP_S;
     Bicycle {

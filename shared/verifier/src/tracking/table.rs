@@ -3,7 +3,7 @@ use std::path::{Path, PathBuf};
 
 use crate::VerifyError;
 
-/// A CSV file with a head line.
+/// A CSV file with a header line.
 pub(super) struct Table {
     path: PathBuf,
     columns: Vec<String>,
@@ -51,12 +51,12 @@ impl Table {
         self.rows.iter().map(|(line, text)| Ok(self.cells(*line, text)?[column])).collect()
     }
 
-    /// What is wrong with a row.
+    /// The error of a row.
     pub(super) fn malformed(&self, row: usize, reason: impl AsRef<str>) -> VerifyError {
         malformed(&self.path, self.rows[row].0, reason)
     }
 
-    /// What is wrong with the file.
+    /// The error of the file.
     pub(super) fn malformed_file(&self, reason: impl Into<String>) -> VerifyError {
         VerifyError::malformed(&self.path, reason)
     }
@@ -76,7 +76,7 @@ impl Table {
     }
 }
 
-/// A matrix from a CSV file without head line, row by row.
+/// A matrix from a CSV file without a header line, row by row.
 #[derive(Debug, PartialEq)]
 pub(super) struct Matrix {
     pub(super) rows_len: usize,

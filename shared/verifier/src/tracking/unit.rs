@@ -13,10 +13,10 @@ use super::part::{Part, document};
 use super::particles;
 use crate::VerifyError;
 
-/// The heading's place in a bicycle's state [x, y, ψ, v, β].
+/// Index of the heading in a bicycle's state [x, y, ψ, v, β].
 const HEADING: usize = 2;
 
-/// Of rows that are bicycle states.
+/// For rows that are bicycle states.
 const STATE: Rule<'static> = Rule { angles: &[HEADING], ..EXACT };
 
 /// `jacobian.json`: steps of a bicycle without control.
@@ -31,11 +31,11 @@ struct Jacobians {
 
 #[derive(Deserialize)]
 struct Jacobian {
-    /// The state before.
+    /// The state before the step.
     s: [f64; 5],
     #[serde(rename = "J")]
     by_state: [[f64; 5]; 5],
-    /// The state after.
+    /// The state after the step.
     f: [f64; 5],
     /// f − J s.
     affine: [f64; 5],
@@ -65,12 +65,12 @@ struct AssociationCase {
     beta: Vec<Vec<f64>>,
 }
 
-/// `sample_prior.json`: bicycle states at equal steps, and moments of these samples interpolated between
+/// `sample_prior.json`: bicycle states at equal steps, and moments of these samples, interpolated between
 /// steps.
 #[derive(Deserialize)]
 struct Samples {
     step: f64,
-    /// Per sample and step, the first at time 0.
+    /// Per sample and step. The first step is at time 0.
     samples: Vec<Vec<[f64; 5]>>,
     queries: Vec<Moments>,
 }
@@ -175,7 +175,7 @@ fn compare_samples(part: &mut Part, ledger: &mut Ledger) -> Result<(), VerifyErr
         let points: Vec<Vector5<f64>> = samples.iter().map(point).collect();
         let found = sample_moments(&points, STATE.angles);
         means.extend(found.mean.iter());
-        // Symmetric, so that column-major is row-major.
+        // Symmetric, so column-major equals row-major.
         covariances.extend(found.covariance.iter());
     }
     let expected: Vec<_> = queries.iter().flat_map(|query| query.mean).collect();
@@ -185,7 +185,7 @@ fn compare_samples(part: &mut Part, ledger: &mut Ledger) -> Result<(), VerifyErr
     Ok(())
 }
 
-/// The numbers of rows of equal length, checked against that shape.
+/// The numbers of rows of equal length. The shape is checked.
 fn rows(path: &Path, name: &str, rows: &[Vec<f64>], shape: [usize; 2]) -> Result<Vec<f64>, VerifyError> {
     let [rows_len, row_len] = shape;
     if rows.len() != rows_len || rows.iter().any(|row| row.len() != row_len) {
