@@ -1,4 +1,4 @@
-//! Time of one tick of 100 tracks, predicted, updated and moment-matched, by each prior.
+//! Time of one tick of 100 tracks for each prior: prediction, update and moment matching.
 
 #[path = "../tests/support/bicycle.rs"]
 mod bicycle;

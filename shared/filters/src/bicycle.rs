@@ -19,34 +19,34 @@ const SLIP: usize = 4;
 /// β̇ = −λ β + u + w      β' = β + s (u − λ β) Δt,  s = (1 − e^(−λ Δt)) / (λ Δt)
 /// ```
 ///
-/// u is the slip rate of a control, 0 without one, and w the noise. The step from β to β' is exact. Position
-/// and heading use the constant slip rate that leads there, so that [`Integrator::Midpoint`] takes the mean
-/// of both slips. The Jacobian is evaluated at the mean before the step.
+/// u is the slip rate of a control (0 without a control), and w is the noise. The step from β to β' is exact.
+/// Position and heading use the constant slip rate that leads from β to β', so [`Integrator::Midpoint`] takes
+/// the mean of both slips. The Jacobian is evaluated at the mean before the step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Bicycle {
     /// From the reference point to the rear axle, l_r.
     pub rear_axle_m: f64,
-    /// Where in a step the motion is evaluated. Euler's steps are the paper's; under an acceleration they lag
-    /// behind.
+    /// The point within a step at which the motion is evaluated. The paper uses Euler steps, which lag behind
+    /// during acceleration.
     pub integrator: Integrator,
-    /// Standard deviation of the acceleration over a step of 80 ms; shorter steps keep its spectral density.
+    /// Standard deviation of the acceleration over a step of 80 ms. Shorter steps keep its spectral density.
     pub acceleration_mps2: f64,
     /// Standard deviation of the slip rate over a step of 80 ms.
     pub slip_rate_radps: f64,
-    /// Rate λ at which the slip angle decays; 0 where it stays.
+    /// Rate λ at which the slip angle decays; 0 for a constant slip.
     pub slip_decay_per_s: f64,
-    /// Variances of \[x, y, ψ, v, β\] added in 80 ms: without them a position gets no noise in one step.
+    /// Variances of \[x, y, ψ, v, β\] added in 80 ms. Without them a position gets no noise in one step.
     pub floor: [f64; 5],
-    /// Largest magnitude of the mean slip; also bounds the spread that the slip gains at rest, where it is
+    /// Largest magnitude of the mean slip. It also bounds the spread that the slip gains at rest, when it is
     /// unobservable.
     pub slip_max_rad: f64,
 }
 
-/// The length of a step, and what follows from it.
+/// The length of a step and the values derived from it.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Step {
     dt_s: f64,
-    /// s = (1 − e^(−λ Δt)) / (λ Δt), the mean over the step of what decays as the slip does.
+    /// s = (1 − e^(−λ Δt)) / (λ Δt), the mean over the step of a quantity that decays like the slip.
     slip_share: f64,
 }
 
@@ -79,14 +79,15 @@ impl Bicycle {
         if state.covariance[(SLIP, SLIP)] >= self.slip_max_rad.powi(2) {
             return (noise, 0.0);
         }
-        // Noise from early in the step has decayed in part at its end, and its variance twice as fast: s at 2
-        // λ is s (1 − s λ Δt / 2).
+        // Noise from early in the step has partly decayed at the end, and its variance decays twice as fast:
+        // s at 2 λ is s (1 − s λ Δt / 2).
         let acting_s = dt_s * slip_share * (1.0 - slip_share * self.slip_decay_per_s * dt_s / 2.0);
         noise[SLIP] += self.slip_rate_radps.powi(2) * acting_s * STEP_MAX_S + of_slip * acting_s;
         (noise, cross * (dt_s * slip_share))
     }
 
-    /// The mean after a step under a control, and its derivatives by the mean before and by the control.
+    /// The mean after a step under a control, and its derivatives with respect to the previous mean and the
+    /// control.
     #[inline]
     pub(crate) fn linearised(&self, mean: &Vector5<f64>, rate: [f64; 2], step: &Step) -> Linearised<f64, 5> {
         let [acceleration, slip_rate] = rate;
@@ -135,7 +136,7 @@ impl Controlled<5> for Bicycle {
         Gaussian { mean: moved.next, covariance }
     }
 
-    /// A control holds over its step. Its covariance is that of one draw per step; divided into shorter steps
+    /// A control holds over its step. Its covariance refers to one draw per step; divided into shorter steps
     /// it keeps its spectral density.
     fn control(steps: &[ControlStep], number: usize, step_s: f64, _: f64) -> Control {
         let step = steps.get(number).or(steps.last()).copied().unwrap_or_default();
@@ -147,9 +148,9 @@ impl Controlled<5> for Bicycle {
     }
 }
 
-/// (1 − e^(−x)) / x, the mean over a time of what decays by that exponent in it.
+/// (1 − e^(−x)) / x, the mean over a time in which a quantity decays by the exponent x.
 fn mean_decayed(exponent: f64) -> f64 {
-    // Little decays in a tick: for small exponents these terms of the series, 1 / (n + 1)!, are exact to the
+    // Little decays in a tick. For small exponents these terms of the series, 1 / (n + 1)!, are exact to the
     // last digit.
     const TERMS: [f64; 7] = [1.0, 1.0 / 2.0, 1.0 / 6.0, 1.0 / 24.0, 1.0 / 120.0, 1.0 / 720.0, 1.0 / 5040.0];
     if exponent.abs() < 0.02 {
@@ -159,10 +160,10 @@ fn mean_decayed(exponent: f64) -> f64 {
     }
 }
 
-/// The same motion of a bicycle with front and back exchanged.
+/// The same motion of a bicycle with front and rear exchanged.
 ///
-/// (ψ, v, β) becomes (ψ + π + 2β, −v, −β): course, velocity and yaw rate stay as they are, and the covariance
-/// is transformed by the Jacobian of that change.
+/// (ψ, v, β) becomes (ψ + π + 2β, −v, −β). Course, velocity and yaw rate remain unchanged. The covariance is
+/// transformed by the Jacobian of the exchange.
 #[must_use]
 pub fn reversed(state: &Gaussian<5>) -> Gaussian<5> {
     let mut mean = state.mean;
@@ -215,7 +216,7 @@ mod tests {
         }
     }
 
-    /// β = u/λ + (β_0 − u/λ) e^(−λt), and a variance that goes from the first to the stationary one.
+    /// β = u/λ + (β_0 − u/λ) e^(−λt), and the variance moves from its initial to its stationary value.
     #[test]
     fn slip_decay_is_exact_in_steps_of_any_length() {
         let start = Gaussian::new([0.0, 0.0, 0.0, 0.0, 0.2], [0.0, 0.0, 0.0, 0.0, 1e-4]);

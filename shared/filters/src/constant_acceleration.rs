@@ -42,8 +42,8 @@ impl Process<6> for ConstantAcceleration {
     fn constrain(&self, _: &mut Vector6<f64>) {}
 }
 
-/// Covariance that white noise of spectral density q at the input of a chain of three integrators causes in
-/// `dt_s`: that of position, velocity and acceleration along an axis under white jerk.
+/// The covariance that white jerk of spectral density q causes in `dt_s`, for position, velocity and
+/// acceleration along one axis. In general this is white noise at the input of a chain of three integrators.
 #[must_use]
 pub fn chain_noise(density: f64, dt_s: f64) -> [[f64; 3]; 3] {
     let of = |power: i32, divisor: f64| density * dt_s.powi(power) / divisor;

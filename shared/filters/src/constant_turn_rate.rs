@@ -20,10 +20,10 @@ pub struct ConstantTurnRate {
 }
 
 impl ConstantTurnRate {
-    /// The state after `dt_s` without noise, and its derivative by the state before.
+    /// The state after `dt_s` without noise, and its derivative with respect to the previous state.
     ///
-    /// The agent runs an arc; with the half turn h = ω Δt / 2 its chord has the length v Δt sin h / h and the
-    /// direction ψ + h, which needs no other formula for a straight course:
+    /// The agent moves along an arc. With the half turn h = ω Δt / 2, the chord of the arc has the length v
+    /// Δt sin h / h and the direction ψ + h. The same formula holds for a straight course:
     ///
     /// ```text
     /// x' = x + v Δt sinc h cos(ψ + h)      ψ' = ψ + ω Δt
@@ -54,9 +54,9 @@ impl ConstantTurnRate {
         (next, jacobian)
     }
 
-    /// Covariance that a step's noise adds, to first order about a straight course along (cos, sin): the
-    /// acceleration integrates to speed and distance, the yaw acceleration to turn rate, heading and, by the
-    /// speed, lateral distance.
+    /// The covariance that a step's noise adds, to first order about a straight course along (cos, sin). The
+    /// acceleration integrates to speed and distance. The yaw acceleration integrates to turn rate and
+    /// heading, and, multiplied by the speed, to lateral distance.
     fn noise(&self, speed: f64, (sin, cos): (f64, f64), dt_s: f64) -> Matrix5<f64> {
         let density = self.acceleration_density;
         let mut body = Matrix5::zeros();

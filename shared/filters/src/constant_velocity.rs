@@ -59,9 +59,9 @@ impl Controlled<4> for ConstantVelocity {
         Gaussian { mean: transition * state.mean + pushed, covariance }
     }
 
-    /// Converts displacements to accelerations. A step's displacement over its duration is the velocity in
-    /// the middle of the step, relative to that at the stamp; between these times the velocity changes
-    /// linearly. The displacement's covariance grows with time.
+    /// Converts displacements to accelerations. A step's displacement divided by its duration is the velocity
+    /// in the middle of the step, relative to the velocity at the stamp. Between these times the velocity
+    /// changes linearly. The displacement's covariance grows with time.
     fn control(steps: &[ControlStep], number: usize, step_s: f64, heading_rad: f64) -> Control {
         let (sin, cos) = heading_rad.sin_cos();
         let world_from_agent = Matrix2::new(cos, -sin, sin, cos);

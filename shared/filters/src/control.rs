@@ -3,15 +3,15 @@ use thiserror::Error;
 
 use crate::{Gaussian, Priors, Process};
 
-/// Most hypotheses of one forecast.
+/// Largest number of hypotheses in one forecast.
 pub const HYPOTHESES_MAX: usize = 32;
 
 /// The Gaussian u = μ + L ε of a control over one step of a forecast.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ControlStep {
-    /// Mean μ after saturation: acceleration m/s² and slip rate rad/s for a [`crate::Bicycle`]; for a
-    /// [`crate::ConstantVelocity`] displacement in m relative to that of the velocity at the forecast's
-    /// stamp, along and across the agent.
+    /// Mean μ after saturation. For a [`crate::Bicycle`] it is acceleration in m/s² and slip rate in rad/s.
+    /// For a [`crate::ConstantVelocity`] it is the displacement in m along and across the agent, relative to
+    /// the displacement by the velocity at the forecast's stamp.
     pub mean: [f64; 2],
     /// Lower Cholesky factor L as \[l11, l21, l22\].
     pub cholesky: [f64; 3],
@@ -29,22 +29,22 @@ impl ControlStep {
     }
 }
 
-/// Gain of a forecast's control, within \[0, 1\], given the variance of the estimate that it was inferred
-/// from.
+/// Gain of a forecast's control, within \[0, 1\]. `variance` is the variance of the estimate from which the
+/// control was inferred.
 ///
 /// ```text
 /// g = S² / (S² + σ²)      one half at the standard deviation S = half_gain_sigma
 /// ```
 ///
-/// The network takes its history as exact, and much of what it infers from a noisy one undoes motion that
-/// never was. The gain is the share of a control's variance that is not the noise of that history.
+/// The network treats its history as exact. Much of what it infers from a noisy history undoes motion that
+/// never happened. The gain is the share of a control's variance that is not due to the noise of the history.
 #[must_use]
 #[inline]
 pub fn control_gain(half_gain_sigma: f64, variance: f64) -> f64 {
     half_gain_sigma.powi(2) / (half_gain_sigma.powi(2) + variance.max(0.0))
 }
 
-/// Share of the process noise (standard deviations) that a control of that gain leaves: 1 at gain 0,
+/// Share of the process noise (standard deviations) that remains at this gain of a control: 1 at gain 0 and
 /// `noise_share` at gain 1.
 #[must_use]
 #[inline]
@@ -52,14 +52,14 @@ pub fn noise_left(control_gain: f64, noise_share: f64) -> f64 {
     (1.0 - control_gain * (1.0 - noise_share.powi(2))).max(0.0).sqrt()
 }
 
-/// The control input of a process over a stretch of time, besides its noise.
+/// The control input of a process over a stretch of time, in addition to its noise.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Control {
     /// Constant rates: (a, β̇) of a bicycle, acceleration (x, y) of a constant velocity.
     pub rate: [f64; 2],
-    /// Covariance per second (11, 21, 22) of the control's noise: on (v, β) of a bicycle, on the position of
-    /// a constant velocity. For a [`crate::SingerBicycle`], which has the rates in its state, the covariance
-    /// of the rates themselves.
+    /// Covariance per second (11, 21, 22) of the control's noise. It acts on (v, β) of a bicycle and on the
+    /// position of a constant velocity. For a [`crate::SingerBicycle`], whose state contains the rates, it is
+    /// the covariance of the rates.
     pub density: [f64; 3],
 }
 
@@ -71,26 +71,26 @@ impl Control {
 
 /// A process with a control input.
 pub trait Controlled<const N: usize>: Process<N> + Copy {
-    /// As [`Process::step`], under a control.
+    /// Like [`Process::step`], under a control.
     #[must_use]
     fn step_controlled(&self, state: &Gaussian<N>, control: &Control, dt_s: f64) -> Gaussian<N>;
 
-    /// The process for controls of those gains: this one at gain 1, `uncontrolled` at gain 0, component by
-    /// component.
+    /// The process for controls of these gains, component by component. Gain 1 gives this process and gain 0
+    /// gives `uncontrolled`.
     ///
-    /// By default it is this one at any gain: the gain is then that of a whole forecast, for which the
+    /// By default every gain gives this process. The gain is then that of a whole forecast, for which the
     /// [`Priors`] were made.
     #[must_use]
     fn blended(&self, _uncontrolled: &Self, _control_gain: [f64; 2]) -> Self {
         *self
     }
 
-    /// The `number`th control input of a forecast; `steps` of `step_s` each are those of one hypothesis, in
-    /// axes along `heading_rad`.
+    /// The control input with this `number` in a forecast. `steps` belong to one hypothesis, last `step_s`
+    /// each, and have axes along `heading_rad`.
     #[must_use]
     fn control(steps: &[ControlStep], number: usize, step_s: f64, heading_rad: f64) -> Control;
 
-    /// Duration of the first control input; the others take a step each.
+    /// Duration of the first control input. The others last one step each.
     #[must_use]
     fn first_ns(step_ns: u64) -> u64;
 }
@@ -104,21 +104,21 @@ pub struct Forecast<'a> {
     pub step_ns: u64,
     /// Heading of the agent at the forecast's start.
     pub heading_rad: f64,
-    /// Probability of each hypothesis, up to a common factor; at most [`HYPOTHESES_MAX`].
+    /// Probability of each hypothesis, up to a common factor. There are at most [`HYPOTHESES_MAX`].
     pub probability: &'a [f64],
-    /// The steps of the first hypothesis, then those of the next.
+    /// The steps of the first hypothesis, then the steps of the next.
     pub controls: &'a [ControlStep],
 }
 
-/// Why a forecast can't be a prior.
+/// Why a forecast cannot be a prior.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
 pub enum ForecastFault {
-    /// There is no control, more hypotheses than fit, or sequences of unequal length.
+    /// There is no control, there are too many hypotheses, or the sequences differ in length.
     #[error("{controls_len} controls of {hypotheses_len} hypotheses")]
     Shape {
-        /// Hypotheses given.
+        /// Number of hypotheses.
         hypotheses_len: usize,
-        /// Controls given.
+        /// Number of controls.
         controls_len: usize,
     },
     /// A probability is negative or not finite, or all are 0.
@@ -130,18 +130,18 @@ pub enum ForecastFault {
         /// Number of the hypothesis.
         hypothesis: usize,
     },
-    /// The age is past the forecast's horizon.
+    /// The age exceeds the forecast's horizon.
     #[error("forecast of {horizon_ns} ns is {age_ns} ns old")]
     Over {
         /// Age.
         age_ns: u64,
-        /// Duration.
+        /// Duration of the forecast.
         horizon_ns: u64,
     },
 }
 
 impl Forecast<'_> {
-    /// Steps of each hypothesis.
+    /// Number of steps of each hypothesis.
     #[must_use]
     pub fn steps_len(&self) -> usize {
         self.controls.len() / self.probability.len().max(1)
@@ -175,11 +175,11 @@ impl Forecast<'_> {
     }
 }
 
-/// The controls of all hypotheses, by the time since the forecast's start.
+/// The controls of all hypotheses, by time since the forecast's start.
 #[derive(Debug, Default)]
 pub(crate) struct Plan {
     steps: Vec<ControlStep>,
-    /// Steps of each hypothesis.
+    /// Number of steps of each hypothesis.
     steps_len: usize,
     step_ns: u64,
     heading_rad: f64,
@@ -190,10 +190,10 @@ pub(crate) struct Plan {
 }
 
 impl Plan {
-    /// Copies a forecast, and how far the priors trust it.
+    /// Copies a forecast and the priors' trust in it.
     ///
     /// # Errors
-    /// [`ForecastFault`]; the plan is then as before.
+    /// [`ForecastFault`]; the plan is then unchanged.
     pub fn adopt<P>(&mut self, forecast: &Forecast, priors: &Priors<P>) -> Result<(), ForecastFault> {
         forecast.check()?;
         self.steps.clear();
@@ -214,7 +214,7 @@ impl Plan {
         self.control_gain.map(|gain| if self.fade_in_s > 0.0 { gain * faded_in } else { gain })
     }
 
-    /// The control input that a hypothesis gives the process `P` at a time since the forecast's start.
+    /// The control input of a hypothesis for the process `P`, at a time since the forecast's start.
     pub fn at<P: Controlled<N>, const N: usize>(&self, hypothesis: usize, time_ns: u64) -> Control {
         let number = match time_ns.checked_sub(P::first_ns(self.step_ns)) {
             None => 0,

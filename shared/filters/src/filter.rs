@@ -20,7 +20,7 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// All kinds, the plainest first.
+    /// All kinds, simplest first.
     pub const ALL: [Self; 4] =
         [Self::ConstantVelocity, Self::ConstantAcceleration, Self::ConstantTurnRate, Self::Bicycle];
 
@@ -49,20 +49,20 @@ pub struct Models {
     pub bicycle: Bicycle,
 }
 
-/// Standard deviations about 0 of what the first observation leaves open.
+/// Standard deviations about 0 of the quantities that the first observation does not measure.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Unknown {
-    /// Speed, and velocity per axis.
+    /// Standard deviation of the speed, and of the velocity per axis.
     pub speed_mps: f64,
-    /// Acceleration per axis.
+    /// Standard deviation of the acceleration per axis.
     pub acceleration_mps2: f64,
-    /// Turn rate.
+    /// Standard deviation of the turn rate.
     pub turn_rate_radps: f64,
-    /// Slip angle.
+    /// Standard deviation of the slip angle.
     pub slip_rad: f64,
 }
 
-/// One agent's filter: its state, by the kind of its process model.
+/// The filter of one agent: its state, by the kind of its process model.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Filter {
     /// \[x, y, vx, vy\]
@@ -78,9 +78,9 @@ pub enum Filter {
 impl Filter {
     /// The state after a first observation.
     ///
-    /// Where the kind's state has a heading and none was observed, the filter starts as
-    /// [`Kind::ConstantVelocity`]: a linearised heading of unknown value is worse than none.
-    /// [`Filter::into_kind`] converts it once the motion shows one.
+    /// If the kind's state has a heading but none was observed, the filter starts as
+    /// [`Kind::ConstantVelocity`], because linearising about an unknown heading is worse than having no
+    /// heading. [`Filter::into_kind`] converts the filter once the motion shows a heading.
     #[must_use]
     pub fn start(kind: Kind, observation: &Observation, unknown: &Unknown) -> Self {
         let ([x, y], var) = (observation.position_m, observation.position_variance);
@@ -117,7 +117,7 @@ impl Filter {
     /// Predicts the state `dt_ns` ahead.
     ///
     /// # Errors
-    /// [`FilterFault`]; the state is then as before.
+    /// [`FilterFault`]; the state is then unchanged.
     pub fn predict(&mut self, dt_ns: u64, models: &Models) -> Result<(), FilterFault> {
         match self {
             Self::ConstantVelocity(state) => state.predict(dt_ns, &models.constant_velocity),
@@ -127,7 +127,7 @@ impl Filter {
         }
     }
 
-    /// The state `dt_s` later, or earlier if that is negative, without process noise.
+    /// The state `dt_s` later (earlier if `dt_s` is negative), without process noise.
     #[must_use]
     pub fn shifted(&self, dt_s: f64, models: &Models) -> Self {
         match self {
@@ -135,14 +135,14 @@ impl Filter {
                 Self::ConstantVelocity(state.shifted(dt_s, &models.constant_velocity.noiseless()))
             }
             Self::Bicycle(state) => Self::Bicycle(state.shifted(dt_s, &models.bicycle.noiseless())),
-            // No tracker uses these: their positions move at the present velocity.
+            // No tracker uses these kinds. Their positions move at the present velocity.
             Self::ConstantAcceleration(_) | Self::ConstantTurnRate(_) => {
                 Self::ConstantVelocity(self.cartesian()).shifted(dt_s, models)
             }
         }
     }
 
-    /// The same motion at another position, which is measured with that variance per axis.
+    /// The same motion at another position, measured with this variance per axis.
     #[must_use]
     pub fn moved_to(mut self, position_m: [f64; 2], variance: f64) -> Self {
         match &mut self {
@@ -153,7 +153,7 @@ impl Filter {
         self
     }
 
-    /// The same motion at that share of its speed.
+    /// The same motion at this share of its speed.
     #[must_use]
     pub fn slowed(mut self, share: f64) -> Self {
         match &mut self {
@@ -169,7 +169,7 @@ impl Filter {
     /// Updates the state by an observation.
     ///
     /// # Errors
-    /// [`FilterFault`]; the state is then as before.
+    /// [`FilterFault`]; the state is then unchanged.
     pub fn update(&mut self, observation: &Observation, models: &Models) -> Result<Evidence, FilterFault> {
         match self {
             Self::ConstantVelocity(state) => state.update(observation, &models.constant_velocity),
@@ -179,15 +179,15 @@ impl Filter {
         }
     }
 
-    /// Updates the state by observations of which at most one is of the agent, each with the probability that
-    /// it is: [`Gaussian::update_jointly`].
+    /// Updates the state by several observations. At most one of them is an observation of the agent; each
+    /// comes with the probability that it is. See [`Gaussian::update_jointly`].
     ///
     /// # Errors
-    /// [`FilterFault`] if the update by any of them fails; the state is then as before.
+    /// [`FilterFault`] if the update by any observation fails; the state is then unchanged.
     ///
     /// # Panics
-    /// If there are more than [`OBSERVATIONS_MAX`](crate::OBSERVATIONS_MAX) observations, or their
-    /// probabilities are none or add up to more than 1.
+    /// If there are more than [`OBSERVATIONS_MAX`](crate::OBSERVATIONS_MAX) observations, a probability is
+    /// invalid, or the probabilities add up to more than 1.
     pub fn update_jointly(
         &mut self,
         observations: &[(f64, Observation)],
@@ -214,7 +214,7 @@ impl Filter {
         }
     }
 
-    /// The mean's motion.
+    /// The motion of the mean.
     #[must_use]
     #[inline]
     pub fn motion(&self) -> Motion {
@@ -226,7 +226,7 @@ impl Filter {
         }
     }
 
-    /// Standard deviation of the direction of motion; large at low speed.
+    /// Standard deviation of the direction of motion. It is large at low speed.
     #[must_use]
     pub fn course_sigma_rad(&self) -> f64 {
         match self {
@@ -242,7 +242,7 @@ impl Filter {
         }
     }
 
-    /// Mean and covariance of \[x, y, vx, vy\] in the world frame, which all kinds have.
+    /// Mean and covariance of \[x, y, vx, vy\] in the world frame. All kinds have these components.
     #[must_use]
     pub fn cartesian(&self) -> Gaussian<4> {
         match self {
@@ -256,8 +256,8 @@ impl Filter {
         }
     }
 
-    /// The same motion in the state of another kind. Components that it adds are 0 with the standard
-    /// deviations of `unknown`; a heading points along the course.
+    /// The same motion in the state of another kind. Added components are 0 with the standard deviations of
+    /// `unknown`. An added heading points along the course.
     #[must_use]
     pub fn into_kind(self, kind: Kind, unknown: &Unknown) -> Self {
         if self.kind() == kind {
@@ -309,7 +309,7 @@ fn polar_motion(m: &Vector5<f64>, slip_rad: f64) -> Motion {
     }
 }
 
-/// \[x, y, vx, vy\] of a state \[x, y, ψ, v, …\]; the components `turns` add up to the course.
+/// Converts a state \[x, y, ψ, v, …\] to \[x, y, vx, vy\]. The components `turns` add up to the course.
 fn cartesian(state: &Gaussian<5>, slip_rad: f64, turns: &[usize]) -> Gaussian<4> {
     let m = &state.mean;
     let (sin, cos) = (m[2] + slip_rad).sin_cos();
@@ -326,8 +326,8 @@ fn cartesian(state: &Gaussian<5>, slip_rad: f64, turns: &[usize]) -> Gaussian<4>
     state.transformed(mean, &jacobian)
 }
 
-/// \[x, y, ψ, v, …\] of a state \[x, y, vx, vy\]; the last component is 0 with the standard deviation
-/// `sigma`.
+/// Converts a state \[x, y, vx, vy\] to \[x, y, ψ, v, …\]. The last component is 0 with the standard
+/// deviation `sigma`.
 fn polar(state: &Gaussian<4>, sigma: f64) -> Gaussian<5> {
     let m = &state.mean;
     let speed = hypot(m[2], m[3]).max(1e-6);

@@ -2,13 +2,13 @@ use kinematics::semidefinite_cholesky;
 use nalgebra::{Const, SMatrix, SVector};
 use thiserror::Error;
 
-/// Why a prediction or update failed; the state is as before.
+/// Why a prediction or update failed. The state is unchanged.
 #[derive(Clone, Copy, Debug, Error, PartialEq, Eq)]
 pub enum FilterFault {
     /// The innovation's covariance has no Cholesky factor.
     #[error("innovation covariance is not positive definite")]
     NotPositive,
-    /// The time to predict over exceeds [`GAP_MAX_NS`](crate::GAP_MAX_NS): its steps would take longer than a
+    /// The prediction time exceeds [`GAP_MAX_NS`](crate::GAP_MAX_NS). Its steps would take longer than a
     /// tick.
     #[error("prediction over {0} ns")]
     TooLong(u64),
@@ -35,13 +35,14 @@ impl<const N: usize> Gaussian<N> {
 
     /// The covariance after a step with the given Jacobian and diagonal process noise: J P Jᵀ + Q.
     ///
-    /// The Jacobian must be upper triangular, as it is where each component depends on itself and those after
-    /// it: position on velocity, velocity on acceleration. The values below its diagonal are not read.
+    /// The Jacobian must be upper triangular. This holds if each component depends only on itself and on
+    /// later components, as position does on velocity and velocity on acceleration. The values below the
+    /// diagonal are not read.
     #[must_use]
     #[inline]
     pub fn propagated(&self, jacobian: &SMatrix<f64, N, N>, noise: &SVector<f64, N>) -> SMatrix<f64, N, N> {
         debug_assert!(*jacobian == jacobian.upper_triangle(), "{jacobian} is not upper triangular");
-        // The upper triangle of a symmetric product, and of J P, is enough.
+        // The upper triangles of J P and of a symmetric product are enough.
         let mut moved = SMatrix::<f64, N, N>::zeros();
         for j in 0..N {
             for i in 0..=j {
@@ -60,7 +61,7 @@ impl<const N: usize> Gaussian<N> {
         propagated
     }
 
-    /// A state drawn from the Gaussian with standard normal numbers; directions without variance keep the
+    /// A state drawn from the Gaussian, using standard normal numbers. Directions without variance keep the
     /// mean.
     #[must_use]
     pub fn sample(&self, mut normal: impl FnMut() -> f64) -> SVector<f64, N> {
@@ -71,7 +72,7 @@ impl<const N: usize> Gaussian<N> {
     #[must_use]
     #[inline]
     pub fn is_finite(&self) -> bool {
-        // A sum with a number that is not finite is not finite either.
+        // A sum that contains a non-finite number is not finite.
         (self.mean + self.covariance.column_sum()).sum().is_finite()
     }
 

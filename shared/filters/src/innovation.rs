@@ -3,21 +3,21 @@ use std::f64::consts::TAU;
 
 use crate::{FilterFault, Gaussian};
 
-/// Most values of one observation: x, y, ψ, v.
+/// Largest number of values in one observation: x, y, ψ, v.
 pub const MEASURED_MAX: usize = 4;
 
 /// The innovation of a measurement: residuals of measured components of the state, with independent errors.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Innovation<const N: usize> {
-    /// Residual and variance of each component that was measured.
+    /// Residual and variance of each measured component.
     values: [Option<(f64, f64)>; MEASURED_MAX],
 }
 
 /// How well a measurement fits the prediction.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Evidence {
-    /// Normalised innovation squared, yᵀ S⁻¹ y: chi-squared with `measured_len` degrees of freedom where the
-    /// model holds.
+    /// Normalised innovation squared, yᵀ S⁻¹ y. It is χ² distributed with `measured_len` degrees of freedom
+    /// if the model holds.
     pub nis: f64,
     /// Logarithm of the measurement's density under the prediction: −½ (NIS + ln |S| + m ln 2π).
     pub log_likelihood: f64,
@@ -26,24 +26,24 @@ pub struct Evidence {
 }
 
 impl<const N: usize> Innovation<N> {
-    /// The innovation of a position, the first two components: measured less predicted, and variance per
-    /// axis.
+    /// The innovation of a position, which is the first two components: measured minus predicted, with the
+    /// variance per axis.
     #[must_use]
     pub fn of_position(residual: [f64; 2], variance: f64) -> Self {
         let [x, y] = residual.map(|residual| Some((residual, variance)));
         Self { values: [x, y, None, None] }
     }
 
-    /// Adds a measured component: measured less predicted, angles wrapped, and its variance.
+    /// Adds a measured component: measured minus predicted (angles wrapped), with its variance.
     ///
     /// # Panics
-    /// If the component is none of the first [`MEASURED_MAX`] of the state.
+    /// If the component is not one of the first [`MEASURED_MAX`] of the state.
     pub fn set(&mut self, component: usize, residual: f64, variance: f64) {
         assert!(component < MEASURED_MAX.min(N), "the first {MEASURED_MAX} of {N} components");
         self.values[component] = Some((residual, variance));
     }
 
-    /// Logarithm of the measurement's density given the exact state; not finite where a variance is not
+    /// Logarithm of the measurement's density given the exact state. It is not finite if a variance is not
     /// positive.
     #[must_use]
     pub fn log_density(&self) -> f64 {
@@ -79,16 +79,16 @@ impl Misfit {
 impl<const N: usize> Gaussian<N> {
     /// Replaces the prior by the posterior, in Joseph form.
     ///
-    /// The measured values update the state sequentially: as their errors are independent, the result is that
-    /// of all at once, and no matrix is factored. For a component r, measured with the variance R:
+    /// The measured values update the state sequentially. Their errors are independent, so the result equals
+    /// a joint update, and no matrix is factored. For a component r, measured with the variance R:
     ///
     /// ```text
     /// s = P_rr + R      k = P e_r / s      x' = x + k y      P' = (I − k e_rᵀ) P (I − k e_rᵀ)ᵀ + k R kᵀ
     /// ```
     ///
     /// # Errors
-    /// [`FilterFault`] if the innovation's covariance is not positive definite or a result is not finite;
-    /// the state is then as before.
+    /// [`FilterFault`] if the innovation's covariance is not positive definite or a result is not finite. The
+    /// state is then unchanged.
     pub(crate) fn correct(&mut self, innovation: &Innovation<N>) -> Result<Misfit, FilterFault> {
         let mut correction = Correction {
             covariance: self.covariance,
@@ -110,17 +110,17 @@ impl<const N: usize> Gaussian<N> {
     }
 }
 
-/// The posterior after some of the values.
+/// The posterior after the first few values.
 struct Correction<const N: usize> {
     covariance: SMatrix<f64, N, N>,
     /// Change of the mean.
     shift: SVector<f64, N>,
-    /// With S = L D Lᵀ, the variance of each value given those before is its entry of D.
+    /// With S = L D Lᵀ, the variance of a value given the previous values is its entry of D.
     misfit: Misfit,
 }
 
 impl<const N: usize> Correction<N> {
-    /// Updates by a value of the component `ROW`, if there is one: residual and variance.
+    /// Updates by a value of the component `ROW`, if there is one. The value is a residual and its variance.
     #[inline]
     fn update<const ROW: usize>(&mut self, value: Option<(f64, f64)>) -> Result<(), FilterFault> {
         let Some((residual, variance)) = value else { return Ok(()) };
@@ -135,7 +135,7 @@ impl<const N: usize> Correction<N> {
         self.misfit.nis += residual * residual / innovation_variance;
         self.misfit.det *= innovation_variance;
         self.misfit.measured_len += 1;
-        // Column `ROW` of (I − k e_rᵀ) P, less k R.
+        // Column `ROW` of (I − k e_rᵀ) P, minus k R.
         let rest = (column - gain * column[ROW]) - gain * variance;
         for j in 0..N {
             for i in 0..=j {

@@ -1,4 +1,4 @@
-//! Recursive Bayesian filters of an agent's motion, with process models or forecasts as the prior, in f64.
+//! Recursive Bayesian filters of an agent's motion in f64. The prior is a process model or a forecast.
 //!
 //! A filter keeps a belief about the state of one agent and repeats two steps:
 //!
@@ -8,25 +8,25 @@
 //!
 //! | belief | update | for |
 //! |---|---|---|
-//! | [`Gaussian`] | Kalman filter, extended where the process is not linear | one process |
+//! | [`Gaussian`] | Kalman filter, extended if the process is not linear | one process |
 //! | [`Mixture`] | Rao-Blackwellised: one extended Kalman filter per hypothesis | a forecast, linearised |
-//! | [`Particles`] | bootstrap, with kernels where it degenerates | a forecast, by Monte Carlo |
+//! | [`Particles`] | bootstrap, with kernels if it degenerates | a forecast, by Monte Carlo |
 //!
 //! **Processes.** [`ConstantVelocity`], [`ConstantAcceleration`], [`ConstantTurnRate`], the kinematic
 //! [`Bicycle`] and the [`SingerBicycle`] with correlated controls. [`Filter`] is a [`Gaussian`] under a
 //! [`Kind`] chosen at run time.
 //!
 //! **The learned prior.** A [`Forecast`] is a set of weighted hypotheses about an agent's controls. As the
-//! prior of a [`Mixture`] it bridges a gap in which no process model knows what the agent does, as below: the
-//! vehicle brakes while it is hidden for 1.6 s. Its controls predict the filter's own posterior, so that no
-//! measurement is lost, and measurements weigh the hypotheses.
+//! prior of a [`Mixture`] it bridges a gap in which no process model knows the agent's motion. In the example
+//! below, the vehicle brakes while it is hidden for 1.6 s. The forecast's controls predict the filter's own
+//! posterior, so no measurement is lost. Measurements weigh the hypotheses.
 //!
-//! **Joint updates.** Where several observations may be of the agent, `update_jointly` weighs them by the
+//! **Joint updates.** If several observations may belong to the agent, `update_jointly` weighs them by the
 //! probabilities of an association (probabilistic data association).
 //!
-//! Each step works on a copy that replaces the belief only when every number in it is finite, so that a
-//! failure costs one step and never the track. Covariances are updated in Joseph form and kept exactly
-//! symmetric: they stay positive over millions of steps.
+//! Each step works on a copy. The copy replaces the belief only if every number in it is finite, so a failure
+//! costs one step and never the track. Covariances are updated in Joseph form and kept exactly symmetric.
+//! They stay positive over millions of steps.
 //!
 //! ```
 //! use filters::{

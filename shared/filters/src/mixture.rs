@@ -1,11 +1,13 @@
 //! The learned prior, linearised: a mixture of Kalman filters, one per draw of a forecast.
 //!
 //! Every draw of a forecast is a hypothesis about the agent's controls. Given the controls, the state is
-//! nearly Gaussian; so only the hypothesis is sampled, and the filter is *Rao-Blackwellised*. Measurements
-//! weigh the hypotheses by their evidence, w_k ∝ w_k N(y; 0, S_k). One more component, predicted by the
-//! kinematic process alone, covers the case that no draw is right. When a new forecast is adopted, the
-//! mixture collapses to the Gaussian of its moments. The forecast's controls then predict the posterior; its
-//! own states are never used, which would drop every measurement since its stamp.
+//! nearly Gaussian. Only the hypothesis is therefore sampled, and the filter is *Rao-Blackwellised*.
+//! Measurements weigh the hypotheses by their evidence, w_k ∝ w_k N(y; 0, S_k). One more component, predicted
+//! by the kinematic process alone, covers the case that no draw is right.
+//!
+//! When a new forecast is adopted, the mixture collapses to the Gaussian of its moments. The forecast's
+//! controls then predict this posterior. The forecast's own states are never used, because they would discard
+//! every measurement since its stamp.
 
 use nalgebra::SVector;
 use rand::{RngExt, SeedableRng};
@@ -19,12 +21,12 @@ use crate::{
     Control, Controlled, FilterFault, Forecast, ForecastFault, Gaussian, HYPOTHESES_MAX, Observation, moments,
 };
 
-/// The processes of a mixture, and how far it trusts a forecast.
+/// The processes of a mixture, and its trust in a forecast.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Priors<P> {
     /// Process of the component without a forecast.
     pub kinematic: P,
-    /// Process of the hypotheses: its noise adds to that of their controls.
+    /// Process of the hypotheses. Its noise adds to the noise of their controls.
     pub learned: P,
     /// Process of the hypotheses at control gain 0, see [`Controlled::blended`].
     pub uncontrolled: P,
@@ -35,17 +37,17 @@ pub struct Priors<P> {
     /// Gain of each component of a forecast's controls, within \[0, 1\], see
     /// [`control_gain`](crate::control_gain).
     pub control_gain: [f64; 2],
-    /// Time constant T with which the gain fades in, by 1 − e^(−t/T) at the time t after the forecast's
-    /// start; 0 for at once.
+    /// Time constant T with which the gain fades in: by 1 − e^(−t/T) at the time t after the forecast's
+    /// start. 0 applies the full gain immediately.
     ///
-    /// At first the filtered state is the better predictor of its motion, less so the longer ago it was
-    /// measured.
+    /// At first the filtered state predicts its motion better than the forecast. This advantage shrinks as
+    /// the last measurement ages.
     pub fade_in_s: f64,
 }
 
 impl<P: Copy> Priors<P> {
-    /// A kinematic component of weight 0.05, and controls at gain 1; at gain 0 the hypotheses are
-    /// `kinematic`.
+    /// A kinematic component of weight 0.05, and controls at gain 1. At gain 0 the process of the hypotheses
+    /// is `kinematic`.
     #[must_use]
     pub const fn new(kinematic: P, learned: P) -> Self {
         Self {
@@ -59,7 +61,7 @@ impl<P: Copy> Priors<P> {
         }
     }
 
-    /// Process of the hypotheses at that gain of their controls.
+    /// Process of the hypotheses at this gain of their controls.
     pub(crate) fn controlled<const N: usize>(&self, control_gain: [f64; 2]) -> P
     where
         P: Controlled<N>,
@@ -75,12 +77,12 @@ impl<P: Copy> Priors<P> {
     }
 }
 
-/// Where an agent will be, by either prior.
+/// The predicted position of an agent, by either prior.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ahead {
-    /// By its forecast.
+    /// Position by the forecast.
     pub learned_m: [f64; 2],
-    /// By the kinematic process alone.
+    /// Position by the kinematic process alone.
     pub kinematic_m: [f64; 2],
 }
 
@@ -90,17 +92,17 @@ struct Component<const N: usize> {
     log_weight: f64,
     /// `None`: the kinematic component.
     hypothesis: Option<usize>,
-    /// Number of particles that it stands for: those resampled from one hypothesis stay equal for ever.
+    /// Number of particles that it stands for. Particles resampled from one hypothesis stay equal forever.
     copies: usize,
 }
 
 /// A mixture of Kalman filters, one per hypothesis of a forecast and one without.
 #[derive(Debug)]
 pub struct Mixture<P, const N: usize> {
-    /// Processes and trust; may be changed between calls.
+    /// Processes and trust. They may be changed between calls.
     pub priors: Priors<P>,
     components: Vec<Component<N>>,
-    /// The components of the next state; they replace the others once the step succeeds.
+    /// The components of the next state. They replace the others once the step succeeds.
     next: Vec<Component<N>>,
     plan: Plan,
     age_ns: u64,
@@ -123,16 +125,16 @@ impl<P: Controlled<N>, const N: usize> Mixture<P, N> {
         mixture
     }
 
-    /// Drops the forecast and goes on from `state`.
+    /// Drops the forecast and continues from `state`.
     pub fn reset(&mut self, state: Gaussian<N>) {
         self.components.clear();
         self.components.push(Component { state, log_weight: 0.0, hypothesis: None, copies: 1 });
     }
 
-    /// Adopts a forecast as the prior from now on; the mixture collapses to its moments before.
+    /// Adopts a forecast as the prior from now on. The mixture first collapses to its moments.
     ///
     /// # Errors
-    /// [`ForecastFault`]; the mixture then goes on as before.
+    /// [`ForecastFault`]; the mixture is then unchanged.
     pub fn adopt(&mut self, forecast: &Forecast) -> Result<(), ForecastFault> {
         self.plan.adopt(forecast, &self.priors)?;
         self.age_ns = forecast.age_ns;
@@ -154,12 +156,13 @@ impl<P: Controlled<N>, const N: usize> Mixture<P, N> {
         Ok(())
     }
 
-    /// Predicts all components `dt_ns` ahead; beyond the forecast's horizon by the kinematic process alone.
+    /// Predicts all components `dt_ns` ahead. Beyond the forecast's horizon it uses the kinematic process
+    /// alone.
     ///
     /// A component that fails is dropped.
     ///
     /// # Errors
-    /// [`FilterFault`] if all fail; the mixture is then as before, or collapsed to its moments.
+    /// [`FilterFault`] if all components fail; the mixture is then unchanged, or collapsed to its moments.
     pub fn predict(&mut self, dt_ns: u64) -> Result<(), FilterFault> {
         let (steps_len, dt_s) = steps(dt_ns)?;
         let age_ns = self.age_ns.saturating_add(dt_ns);
@@ -177,7 +180,8 @@ impl<P: Controlled<N>, const N: usize> Mixture<P, N> {
                 }
                 Some(hypothesis) => {
                     for i in 0..steps_len {
-                        // The control at the middle of the step, which no step shares with the next control.
+                        // The control at the middle of the step, because a step's end may belong to the next
+                        // control.
                         let middle_ns = self.age_ns + dt_ns * (2 * i + 1) / (2 * steps_len);
                         let control = self.plan.at::<P, N>(hypothesis, middle_ns);
                         let process = self.priors.controlled(self.plan.gain(middle_ns));
@@ -198,18 +202,18 @@ impl<P: Controlled<N>, const N: usize> Mixture<P, N> {
         Ok(())
     }
 
-    /// Moves all components `dt_s` ahead, or back if that is negative, by a process that adds no noise; the
-    /// forecast's age stays.
+    /// Moves all components `dt_s` ahead (back if `dt_s` is negative) by a process without noise. The
+    /// forecast's age does not change.
     pub fn shift(&mut self, dt_s: f64, noiseless: &P) {
         for component in &mut self.components {
             component.state = component.state.shifted(dt_s, noiseless);
         }
     }
 
-    /// Where the forecast takes the mixture's mean, and where the kinematic process alone does, after one to
-    /// `PARTS` times `part_ns`; none without a forecast that reaches so far.
+    /// The positions after 1 to `PARTS` times `part_ns`, by the forecast and by the kinematic process alone.
+    /// Returns `None` if there is no forecast or its horizon is too short.
     ///
-    /// The forecast is followed by the mean of its hypotheses' controls, which to first order leads to the
+    /// The forecast is followed by the mean of its hypotheses' controls. To first order this leads to the
     /// mean of their positions.
     #[must_use]
     pub fn ahead<const PARTS: usize>(&self, part_ns: u64) -> Option<[Ahead; PARTS]> {
@@ -246,13 +250,13 @@ impl<P: Controlled<N>, const N: usize> Mixture<P, N> {
         are_finite.then_some(ahead)
     }
 
-    /// Updates all components and their weights by an observation; returns the logarithm of its density under
+    /// Updates all components and their weights by an observation. Returns the logarithm of its density under
     /// the mixture.
     ///
     /// A component that fails is dropped.
     ///
     /// # Errors
-    /// [`FilterFault`] if all fail; the mixture is then as before.
+    /// [`FilterFault`] if all components fail; the mixture is then unchanged.
     pub fn update(&mut self, observation: &Observation) -> Result<f64, FilterFault> {
         let mut fault = FilterFault::NotFinite;
         self.next.clear();
@@ -275,12 +279,14 @@ impl<P: Controlled<N>, const N: usize> Mixture<P, N> {
         Ok(log_likelihood)
     }
 
-    /// Updates all components and their weights by observations of which at most one is of the agent, each
-    /// with the probability β that it is; the rest of 1 is the probability that none is.
+    /// Updates all components and their weights by several observations. At most one of them is an
+    /// observation of the agent. Each comes with the probability β that it is; the remaining probability is
+    /// that none is.
     ///
-    /// A component gains weight w by the observations that it predicted better than the mixture did, and
-    /// these count for more in its own [`Gaussian::update_jointly`]. Together the components have the moments
-    /// of the mixture's posteriors under each observation and of the mixture itself:
+    /// A component gains weight w by the observations that it predicted better than the mixture did. These
+    /// observations also count for more in the component's own [`Gaussian::update_jointly`]. Together the
+    /// components have the moments of the mixture's posteriors under each observation and of the mixture
+    /// itself:
     ///
     /// ```text
     /// s_kj = w_k β_j N_k(y_j) / Σ_i w_i N_i(y_j)      s_k0 = w_k β_0
@@ -290,11 +296,11 @@ impl<P: Controlled<N>, const N: usize> Mixture<P, N> {
     /// A component that fails is dropped.
     ///
     /// # Errors
-    /// [`FilterFault`] if all fail, even at a single observation; the mixture is then as before.
+    /// [`FilterFault`] if all components fail, even at a single observation. The mixture is then unchanged.
     ///
     /// # Panics
-    /// If there are more than [`OBSERVATIONS_MAX`] observations, or their probabilities are none or add up to
-    /// more than 1.
+    /// If there are more than [`OBSERVATIONS_MAX`] observations, a probability is invalid, or the
+    /// probabilities add up to more than 1.
     pub fn update_jointly(&mut self, observations: &[(f64, Observation)]) -> Result<(), FilterFault> {
         let [first, ..] = observations else { return Ok(()) };
         if observations.len() == 1 && first.0 == 1.0 {
@@ -308,7 +314,7 @@ impl<P: Controlled<N>, const N: usize> Mixture<P, N> {
             if !log_weight.is_finite() {
                 continue;
             }
-            // The difference of two large logarithms is coarse: the shares are normalised again.
+            // The difference of two large logarithms is imprecise, so the shares are normalised again.
             let share = |log_share: &f64| (log_share - log_weight).exp();
             let sum: f64 = log_shares.iter().map(share).sum();
             for ((own, observed), log_share) in own.iter_mut().zip(observations).zip(log_shares) {
@@ -328,7 +334,7 @@ impl<P: Controlled<N>, const N: usize> Mixture<P, N> {
         Ok(())
     }
 
-    /// ln s of each component, by observation, and last that of none.
+    /// ln s of each component: one value per observation, and last the value for no observation.
     fn log_shares(
         &self,
         observations: &[(f64, Observation)],
@@ -373,13 +379,13 @@ impl<P: Controlled<N>, const N: usize> Mixture<P, N> {
         self.moments().mean
     }
 
-    /// The remaining components: number of the hypothesis, `None` for the kinematic one, with weight and
-    /// state. The weights sum to 1.
+    /// The remaining components with number, weight and state. The number of the kinematic component is
+    /// `None`. The weights sum to 1.
     pub fn components(&self) -> impl Iterator<Item = (Option<usize>, f64, &Gaussian<N>)> {
         self.components.iter().map(|c| (c.hypothesis, c.log_weight.exp(), &c.state))
     }
 
-    /// Weight of a hypothesis, 0 where it was dropped.
+    /// Weight of a hypothesis; 0 if it was dropped.
     #[must_use]
     pub fn weight(&self, hypothesis: usize) -> f64 {
         self.components().find(|c| c.0 == Some(hypothesis)).map_or(0.0, |c| c.1)
@@ -397,15 +403,15 @@ impl<P: Controlled<N>, const N: usize> Mixture<P, N> {
         self.is_learned().then_some(self.age_ns)
     }
 
-    /// Replaces the components by the next ones, with weights that sum to 1.
+    /// Replaces the components by the next ones and normalises the weights to the sum 1.
     fn commit(&mut self) {
         std::mem::swap(&mut self.components, &mut self.next);
         normalise(&mut self.components, |component| &mut component.log_weight);
         self.components.retain(|component| component.log_weight > f64::NEG_INFINITY);
     }
 
-    /// Resamples the hypotheses where their effective number is below half of their particles; the kinematic
-    /// component keeps its weight.
+    /// Resamples the hypotheses if their effective number is below half the number of their particles. The
+    /// kinematic component keeps its weight.
     fn resample(&mut self) {
         let learned = |component: &&Component<N>| component.hypothesis.is_some();
         let hypotheses = || self.components.iter().filter(learned);

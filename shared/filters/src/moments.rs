@@ -3,7 +3,7 @@ use nalgebra::{SMatrix, SVector};
 use crate::gaussian::symmetrised;
 use crate::{Gaussian, wrapped};
 
-/// The mean of weighted points, on the circle for the components `angles`; the weights sum to 1.
+/// The mean of weighted points. It is circular for the components `angles`. The weights sum to 1.
 #[must_use]
 pub fn mean<'a, const N: usize>(
     points: impl Iterator<Item = (f64, &'a SVector<f64, N>)>,
@@ -23,7 +23,7 @@ pub fn mean<'a, const N: usize>(
     mean
 }
 
-/// `point` less `from`; the components `angles` take the shorter way around the circle.
+/// `point` minus `from`. The components `angles` take the shorter way around the circle.
 #[must_use]
 pub fn difference<const N: usize>(
     point: &SVector<f64, N>,
@@ -37,8 +37,8 @@ pub fn difference<const N: usize>(
     difference
 }
 
-/// Moment matching: the Gaussian with the moments of a mixture, the covariances of its components and the
-/// spread of their means. The weights sum to 1.
+/// Moment matching: the Gaussian with the moments of a mixture. Its covariance contains the components'
+/// covariances and the spread of their means. The weights sum to 1.
 #[must_use]
 pub fn moments<'a, const N: usize>(
     components: impl Iterator<Item = (f64, &'a Gaussian<N>)> + Clone,
@@ -53,7 +53,7 @@ pub fn moments<'a, const N: usize>(
     Gaussian { mean, covariance: symmetrised(&covariance) }
 }
 
-/// Sample mean of equally likely points, and their sample covariance over n − 1.
+/// Sample mean of equally likely points, and their sample covariance with divisor n − 1.
 #[must_use]
 pub fn sample_moments<const N: usize>(points: &[SVector<f64, N>], angles: &[usize]) -> Gaussian<N> {
     let weight = 1.0 / points.len().max(1) as f64;
@@ -63,7 +63,7 @@ pub fn sample_moments<const N: usize>(points: &[SVector<f64, N>], angles: &[usiz
     Gaussian { mean, covariance: scatter(weighted(), &mean, angles) * unbiased }
 }
 
-/// Covariance of weighted points about their mean; the weights sum to 1.
+/// Covariance of weighted points about their mean. The weights sum to 1.
 pub(crate) fn scatter<'a, const N: usize>(
     points: impl Iterator<Item = (f64, &'a SVector<f64, N>)>,
     mean: &SVector<f64, N>,
@@ -77,7 +77,7 @@ pub(crate) fn scatter<'a, const N: usize>(
     symmetrised(&covariance)
 }
 
-/// The point at `share` of the way from `before` to `after`; the components `angles` take the shorter way
+/// The point at `share` of the way from `before` to `after`. The components `angles` take the shorter way
 /// around the circle.
 #[must_use]
 pub fn interpolated<const N: usize>(

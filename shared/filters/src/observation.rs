@@ -2,10 +2,10 @@ use nalgebra::SVector;
 
 use crate::{Innovation, wrapped};
 
-/// Most observations of which at most one is of the agent, in one update.
+/// Largest number of observations in one joint update. At most one of them is an observation of the agent.
 pub const OBSERVATIONS_MAX: usize = 5;
 
-/// What a detection measures of an agent's motion. Each optional value comes with its variance.
+/// The measurement of an agent's motion by a detection. Each optional value comes with its variance.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Observation {
     /// Position (x, y) in the world frame.
@@ -19,7 +19,7 @@ pub struct Observation {
 }
 
 impl Observation {
-    /// The velocity in the world frame and its variance per axis, where heading and speed were observed both.
+    /// The velocity in the world frame and its variance per axis, if both heading and speed were observed.
     #[must_use]
     pub fn velocity_mps(&self) -> Option<([f64; 2], f64)> {
         let ((heading, _), (speed, variance)) = self.heading_rad.zip(self.speed_mps)?;
@@ -29,8 +29,8 @@ impl Observation {
 
     /// The innovation relative to a state that begins with x, y, vx, vy.
     ///
-    /// Heading and speed together measure the velocity. Either alone is left out: a pedestrian may look
-    /// elsewhere than it goes, and at rest neither has a derivative.
+    /// Heading and speed together measure the velocity. A single one of them is ignored: a pedestrian may
+    /// face away from its direction of motion, and at rest neither has a derivative.
     #[must_use]
     pub fn against_cartesian<const N: usize>(&self, mean: &SVector<f64, N>) -> Innovation<N> {
         let mut innovation = self.position_against(mean);
@@ -60,17 +60,17 @@ impl Observation {
     }
 }
 
-/// An agent's motion, whatever the kind of its filter.
+/// An agent's motion, regardless of the kind of its filter.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Motion {
     /// Position (x, y) in the world frame.
     pub position_m: [f64; 2],
     /// Velocity (vx, vy) in the world frame.
     pub velocity_mps: [f64; 2],
-    /// Heading, where the state has one.
+    /// Heading, if the state has one.
     pub heading_rad: Option<f64>,
-    /// Speed along the heading, or along the course where the state has no heading.
+    /// Speed along the heading, or along the course if the state has no heading.
     pub speed_mps: f64,
-    /// Slip angle, 0 where the state has none.
+    /// Slip angle; 0 if the state has none.
     pub slip_rad: f64,
 }

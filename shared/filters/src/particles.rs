@@ -1,13 +1,13 @@
 //! The learned prior by Monte Carlo: a particle filter whose particles follow the controls of a forecast's
 //! draws.
 //!
-//! Every particle is a state and the number of a hypothesis, or of none for the kinematic process. It draws
-//! its own noise, so nothing is linearised; the measurement weighs it by its density. The processes and the
+//! Every particle is a state and the number of a hypothesis (`None` for the kinematic process). It draws its
+//! own noise, so nothing is linearised. A measurement weighs a particle by its density. The processes and the
 //! forecast are those of the [`crate::Mixture`].
 //!
 //! A measurement that is sharp relative to the cloud leaves few particles with any weight (degeneracy). The
-//! cloud then represents a smooth density instead: every particle is the centre of a Gaussian *kernel*,
-//! shrunk towards the mean so that the cloud's moments stay. Kernels are updated as Kalman filters are, and a
+//! cloud then represents a smooth density instead. Every particle becomes the centre of a Gaussian *kernel*,
+//! shrunk towards the mean so that the cloud's moments remain. Kernels are updated like Kalman filters, and a
 //! particle is drawn from each \[K. Dahia, C. Musso, D. Pham: *The Kalman-particle kernel filter*, 2005\].
 
 use kinematics::semidefinite_cholesky;
@@ -25,34 +25,34 @@ use crate::{
     Controlled, FilterFault, Forecast, ForecastFault, Gaussian, Observation, Priors, difference, mean,
 };
 
-/// Effective number of kernels up to which they are widened: width blurs, while more particles resolve more.
+/// Kernels are widened up to this effective number. Width blurs, while more particles resolve more.
 const EFFECTIVE_SIZE_ENOUGH: f64 = 250.0;
 /// Factor on the covariance of the kernels from one width to the next.
 const WIDENING: f64 = 1.5;
-/// Most particles of one filter.
+/// Largest number of particles in one filter.
 pub const PARTICLES_MAX: usize = 10_000;
 
 #[derive(Clone, Copy, Debug)]
 struct Particle<const N: usize> {
     state: SVector<f64, N>,
     log_weight: f64,
-    /// `None`: the kinematic process.
+    /// `None` for the kinematic process.
     hypothesis: Option<usize>,
 }
 
-/// The evidence of a cloud's kernels for an observation, and their common covariance after it.
+/// The evidence of a cloud's kernels for an observation, and their common covariance after the update.
 struct Kernels<const N: usize> {
     log_likelihood: f64,
     covariance: SMatrix<f64, N, N>,
 }
 
-/// A particle filter: bootstrap, with kernels where a measurement is too sharp for that.
+/// A particle filter: bootstrap, with kernels if a measurement is too sharp.
 #[derive(Clone, Debug)]
 pub struct Particles<P, const N: usize> {
-    /// Processes and trust; may be changed between calls.
+    /// Processes and trust. They may be changed between calls.
     pub priors: Priors<P>,
     particles: Vec<Particle<N>>,
-    /// The particles of the next state; they replace the others once the step succeeds.
+    /// The particles of the next state. They replace the others once the step succeeds.
     next: Vec<Particle<N>>,
     /// Hypotheses drawn for the particles.
     drawn: Vec<Option<usize>>,
@@ -95,10 +95,10 @@ impl<P: Controlled<N>, const N: usize> Particles<P, N> {
         }
     }
 
-    /// Adopts a forecast as the prior from now on: every particle keeps its state and draws a hypothesis.
+    /// Adopts a forecast as the prior from now on. Every particle keeps its state and draws a hypothesis.
     ///
     /// # Errors
-    /// [`ForecastFault`]; the particles then go on as before.
+    /// [`ForecastFault`]; the particles are then unchanged.
     pub fn adopt(&mut self, forecast: &Forecast) -> Result<(), ForecastFault> {
         self.plan.adopt(forecast, &self.priors)?;
         self.age_ns = forecast.age_ns;
@@ -109,7 +109,7 @@ impl<P: Controlled<N>, const N: usize> Particles<P, N> {
         self.drawn.clear();
         let drawn = systematic(shares, self.rng.random(), self.particles.len());
         self.drawn.extend(drawn.map(|number| number.checked_sub(1)));
-        // Particles resampled from one are neighbours, and must get different hypotheses.
+        // Particles resampled from one particle are neighbours and must get different hypotheses.
         self.drawn.shuffle(&mut self.rng);
         for (particle, &hypothesis) in self.particles.iter_mut().zip(&self.drawn) {
             particle.hypothesis = hypothesis;
@@ -117,10 +117,11 @@ impl<P: Controlled<N>, const N: usize> Particles<P, N> {
         Ok(())
     }
 
-    /// Predicts all particles `dt_ns` ahead; beyond the forecast's horizon by the kinematic process alone.
+    /// Predicts all particles `dt_ns` ahead. Beyond the forecast's horizon it uses the kinematic process
+    /// alone.
     ///
     /// # Errors
-    /// [`FilterFault`]; the particles are then as before.
+    /// [`FilterFault`]; the particles are then unchanged.
     pub fn predict(&mut self, dt_ns: u64) -> Result<(), FilterFault> {
         let mut rng = self.rng.clone();
         let done = self.predict_with(dt_ns, || StandardNormal.sample(&mut rng));
@@ -128,11 +129,11 @@ impl<P: Controlled<N>, const N: usize> Particles<P, N> {
         done
     }
 
-    /// As [`Particles::predict`], with given standard normal numbers: one per component, particle after
-    /// particle, in each step.
+    /// Like [`Particles::predict`], with given standard normal numbers. Each step uses one number per
+    /// component, particle after particle.
     ///
     /// # Errors
-    /// [`FilterFault`]; the particles are then as before.
+    /// [`FilterFault`]; the particles are then unchanged.
     pub fn predict_with(&mut self, dt_ns: u64, mut normal: impl FnMut() -> f64) -> Result<(), FilterFault> {
         let age_ns = self.age_ns.saturating_add(dt_ns);
         let (steps_len, dt_s) = steps(dt_ns)?;
@@ -164,13 +165,13 @@ impl<P: Controlled<N>, const N: usize> Particles<P, N> {
         Ok(())
     }
 
-    /// Updates the particles by an observation; returns the logarithm of its density.
+    /// Updates the particles by an observation. Returns the logarithm of its density.
     ///
-    /// The observation weighs them. Where the weights degenerate, it updates kernels instead, just wide
-    /// enough that they do not.
+    /// The observation weighs the particles. If the weights degenerate, the observation updates kernels
+    /// instead, which are just wide enough to avoid degeneracy.
     ///
     /// # Errors
-    /// As [`Particles::weigh`].
+    /// Like [`Particles::weigh`].
     pub fn update(&mut self, observation: &Observation) -> Result<f64, FilterFault> {
         let log_likelihood = self.weighed(observation)?;
         if !is_degenerate(&self.next) {
@@ -193,17 +194,17 @@ impl<P: Controlled<N>, const N: usize> Particles<P, N> {
         Ok(updated.log_likelihood)
     }
 
-    /// Weighs the particles by an observation; returns the logarithm of its density.
+    /// Weighs the particles by an observation. Returns the logarithm of its density.
     ///
     /// # Errors
-    /// [`FilterFault`] if no particle has a finite density; the particles are then as before.
+    /// [`FilterFault`] if no particle has a finite density; the particles are then unchanged.
     pub fn weigh(&mut self, observation: &Observation) -> Result<f64, FilterFault> {
         let log_likelihood = self.weighed(observation)?;
         std::mem::swap(&mut self.particles, &mut self.next);
         Ok(log_likelihood)
     }
 
-    /// Writes to `next` the particles, weighed by an observation.
+    /// Writes the particles to `next`, weighed by an observation.
     fn weighed(&mut self, observation: &Observation) -> Result<f64, FilterFault> {
         self.next.clone_from(&self.particles);
         for particle in &mut self.next {
@@ -216,8 +217,8 @@ impl<P: Controlled<N>, const N: usize> Particles<P, N> {
         self.normalised()
     }
 
-    /// Writes to `next` the kernels about the particles, updated by an observation. A kernel's covariance is
-    /// this share of the cloud's.
+    /// Writes the kernels about the particles to `next`, updated by an observation. A kernel's covariance is
+    /// the share `share` of the cloud's covariance.
     fn updated_kernels(&mut self, observation: &Observation, share: f64) -> Result<Kernels<N>, FilterFault> {
         let cloud = self.moments();
         let covariance = cloud.covariance * share;
@@ -245,9 +246,9 @@ impl<P: Controlled<N>, const N: usize> Particles<P, N> {
         }
     }
 
-    /// Shifts and scales the cloud so that it has exactly the moments of the density that it was drawn from
-    /// \[J. Barraquand: *Numerical valuation of high dimensional multivariate European securities*, 1995\]; a
-    /// cloud too small to have moments stays. States are constrained to their range.
+    /// Shifts and scales the cloud so that it has exactly the moments of the density from which it was drawn
+    /// \[J. Barraquand: *Numerical valuation of high dimensional multivariate European securities*, 1995\]. A
+    /// cloud that is too small to have moments stays unchanged. States are constrained to their range.
     fn match_moments(&mut self, exact: &Gaussian<N>) {
         let cloud = self.moments();
         let root = cloud.covariance.cholesky();
@@ -264,7 +265,7 @@ impl<P: Controlled<N>, const N: usize> Particles<P, N> {
         }
     }
 
-    /// Normalises the weights of `next` to the sum 1; returns the logarithm of their sum before.
+    /// Normalises the weights of `next` to the sum 1. Returns the logarithm of their previous sum.
     fn normalised(&mut self) -> Result<f64, FilterFault> {
         let log_sum = log_sum_exp(self.next.iter().map(|particle| particle.log_weight));
         if !log_sum.is_finite() {
@@ -274,7 +275,8 @@ impl<P: Controlled<N>, const N: usize> Particles<P, N> {
         Ok(log_sum)
     }
 
-    /// Effective sample size: number of equally weighted particles that would carry as much information.
+    /// Effective sample size: the number of equally weighted particles that carry the same amount of
+    /// information.
     #[must_use]
     pub fn effective_size(&self) -> f64 {
         effective_size(weights(&self.particles))
@@ -286,8 +288,8 @@ impl<P: Controlled<N>, const N: usize> Particles<P, N> {
         is_degenerate(&self.particles)
     }
 
-    /// Resamples the particles by their weights, systematically from `offset` within
-    /// \[0, 1); all then weigh the same.
+    /// Resamples the particles by their weights, systematically from `offset` within \[0, 1). All weights are
+    /// then equal.
     pub fn resample(&mut self, offset: f64) {
         let Self { particles, next, .. } = self;
         let len = particles.len();
@@ -299,7 +301,7 @@ impl<P: Controlled<N>, const N: usize> Particles<P, N> {
         std::mem::swap(particles, next);
     }
 
-    /// The particles: hypothesis, weight and state. The weights sum to 1.
+    /// The particles with hypothesis, weight and state. The weights sum to 1.
     pub fn particles(&self) -> impl Iterator<Item = (Option<usize>, f64, &SVector<f64, N>)> {
         self.particles.iter().map(|p| (p.hypothesis, p.log_weight.exp(), &p.state))
     }
@@ -321,8 +323,8 @@ fn is_degenerate<const N: usize>(particles: &[Particle<N>]) -> bool {
     effective_size(weights(particles)) < particles.len() as f64 / 2.0
 }
 
-/// Share of a cloud's covariance for its kernels: the square of the bandwidth that is optimal for a Gaussian
-/// density of which `len` draws in `dimensions` are known \[B. Silverman: *Density estimation*, 1986, §4.3\].
+/// Share of a cloud's covariance that its kernels get. It is the square of the optimal bandwidth for a
+/// Gaussian density with `len` draws in `dimensions` \[B. Silverman: *Density estimation*, 1986, §4.3\].
 fn kernel_share(len: f64, dimensions: usize) -> f64 {
     let dimensions = dimensions as f64;
     (4.0 / ((dimensions + 2.0) * len)).powf(2.0 / (dimensions + 4.0)).min(1.0)

@@ -6,14 +6,14 @@ use crate::{
     Evidence, FilterFault, GAP_MAX_NS, Gaussian, Innovation, Observation, STEP_MAX_NS, STEP_MAX_S, moments,
 };
 
-/// A process and measurement model: how a state of `N` components moves, the first two being the position,
-/// and how observations measure it.
+/// A process and measurement model. It defines how a state of `N` components moves and how observations
+/// measure it. The first two components are the position.
 pub trait Process<const N: usize> {
-    /// The components that are angles on the full circle: their means are circular. An angle that stays small
-    /// is none of these.
+    /// The components that are angles on the full circle and therefore have circular means. An angle that
+    /// stays small does not count.
     const ANGLES: &'static [usize];
 
-    /// The state `dt_s` later, at most 80 ms.
+    /// The state `dt_s` later. `dt_s` is at most 80 ms.
     #[must_use]
     fn step(&self, state: &Gaussian<N>, dt_s: f64) -> Gaussian<N>;
 
@@ -29,7 +29,7 @@ impl<const N: usize> Gaussian<N> {
     /// Predicts the state `dt_ns` ahead, in equal steps of at most 80 ms.
     ///
     /// # Errors
-    /// [`FilterFault`]; the state is then as before.
+    /// [`FilterFault`]; the state is then unchanged.
     pub fn predict(&mut self, dt_ns: u64, process: &impl Process<N>) -> Result<(), FilterFault> {
         let (steps_len, dt_s) = steps(dt_ns)?;
         if steps_len == 0 {
@@ -46,8 +46,8 @@ impl<const N: usize> Gaussian<N> {
         Ok(())
     }
 
-    /// The state `dt_s` later, or earlier if that is negative, by a process that adds no noise: there and
-    /// back again is the same state.
+    /// The state `dt_s` later (earlier if `dt_s` is negative) by a process without noise. Shifting ahead and
+    /// back gives the same state.
     #[must_use]
     pub fn shifted(&self, dt_s: f64, noiseless: &impl Process<N>) -> Self {
         let steps_len = (dt_s.abs() / STEP_MAX_S).ceil().max(1.0);
@@ -61,7 +61,7 @@ impl<const N: usize> Gaussian<N> {
     /// Updates the state by an observation.
     ///
     /// # Errors
-    /// [`FilterFault`]; the state is then as before.
+    /// [`FilterFault`]; the state is then unchanged.
     pub fn update(
         &mut self,
         observation: &Observation,
@@ -80,21 +80,22 @@ impl<const N: usize> Gaussian<N> {
         Ok(misfit)
     }
 
-    /// Updates the state by observations of which at most one is of the agent, each with the probability that
-    /// it is; the rest of 1 is the probability that none is.
+    /// Updates the state by several observations. At most one of them is an observation of the agent. Each
+    /// comes with the probability that it is; the remaining probability is that none is.
     ///
     /// The state becomes the Gaussian with the [`moments`](fn@crate::moments) of its posteriors under each
-    /// observation and of itself. Where all have the same noise, that is the probabilistic data association
-    /// filter \[Y. Bar-Shalom, E. Tse: *Tracking in a cluttered environment with probabilistic data
-    /// association*, 1975\], its spread of the innovations included. A single observation of probability 1
-    /// is an [update](Gaussian::update) to the bit; without any the state stays.
+    /// observation and of the state itself. If all observations have the same noise, this is the
+    /// probabilistic data association filter \[Y. Bar-Shalom, E. Tse: *Tracking in a cluttered environment
+    /// with probabilistic data association*, 1975\], including the spread of the innovations. A single
+    /// observation of probability 1 is an [update](Gaussian::update) to the bit. Without observations the
+    /// state is unchanged.
     ///
     /// # Errors
-    /// [`FilterFault`] if the update by any of them fails; the state is then as before.
+    /// [`FilterFault`] if the update by any observation fails; the state is then unchanged.
     ///
     /// # Panics
-    /// If there are more than [`OBSERVATIONS_MAX`] observations, or their probabilities are none or add up to
-    /// more than 1.
+    /// If there are more than [`OBSERVATIONS_MAX`] observations, a probability is invalid, or the
+    /// probabilities add up to more than 1.
     pub fn update_jointly<P: Process<N>>(
         &mut self,
         observations: &[(f64, Observation)],
@@ -126,7 +127,8 @@ impl<const N: usize> Gaussian<N> {
     }
 }
 
-/// Probability that none of the observations is of the agent; exactly 0 for a single one of probability 1.
+/// Probability that no observation is of the agent. It is exactly 0 for a single observation of probability
+/// 1.
 pub(crate) fn miss_probability(observations: &[(f64, Observation)]) -> f64 {
     let len = observations.len();
     assert!(len <= OBSERVATIONS_MAX, "{len} observations, at most {OBSERVATIONS_MAX}");

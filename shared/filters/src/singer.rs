@@ -8,33 +8,33 @@ const SLIP: usize = 4;
 const ACCELERATION: usize = 5;
 const SLIP_RATE: usize = 6;
 
-/// \[x, y, ψ, v, β, a, β̇\]: a [`Bicycle`] with its acceleration and slip rate as states, which decay towards
-/// the control input.
+/// \[x, y, ψ, v, β, a, β̇\]: a [`Bicycle`] whose acceleration and slip rate are states that decay towards the
+/// control input.
 ///
 /// ```text
 /// ȧ = −(a − u₁) / τ + w₁      β̈ = −(β̇ − u₂) / τ + w₂
 /// ```
 ///
-/// u is the control, 0 without one. The noise w keeps the deviations a − u₁ and β̇ − u₂ at their stationary
-/// σ; a control's own covariance adds to their variance. Without a control it is Singer's model of a
-/// manoeuvring target
-/// \[R. Singer: *Estimating optimal tracking filter performance for manned maneuvering targets*, 1970\],
-/// along the path and across it: neither the wheels nor the steering jump. A new forecast changes the
-/// control, not the estimated acceleration and slip rate.
+/// u is the control (0 without a control). The noise w keeps the deviations a − u₁ and β̇ − u₂ at their
+/// stationary σ. A control's own covariance adds to their variance.
+///
+/// Without a control this is Singer's model of a manoeuvring target \[R. Singer: *Estimating optimal tracking
+/// filter performance for manned maneuvering targets*, 1970\], along and across the path: acceleration and
+/// steering do not jump. A new forecast changes the control but not the estimated acceleration and slip rate.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SingerBicycle {
-    /// Geometry and other noise; its white acceleration and slip rate add to those here.
+    /// Geometry and other noise. Its white acceleration and slip rate add to the ones here.
     pub bicycle: Bicycle,
-    /// Stationary standard deviation σ of the acceleration from the control.
+    /// Stationary standard deviation σ of the difference between acceleration and control.
     pub acceleration_mps2: f64,
-    /// Stationary standard deviation σ of the slip rate from the control.
+    /// Stationary standard deviation σ of the difference between slip rate and control.
     pub slip_rate_radps: f64,
     /// Times τ in which these two deviations decay to 1/e.
     pub decay_s: [f64; 2],
 }
 
 impl SingerBicycle {
-    /// A bicycle's state with an acceleration and a slip rate about 0.
+    /// A bicycle's state, extended by an acceleration and a slip rate with mean 0.
     #[must_use]
     pub fn of(&self, state: &Gaussian<5>) -> Gaussian<7> {
         let mut mean = SVector::<f64, 7>::zeros();
@@ -55,7 +55,7 @@ impl SingerBicycle {
         }
     }
 
-    /// The mean after `dt_s` under a control, and its derivative by the mean before.
+    /// The mean after `dt_s` under a control, and its derivative with respect to the previous mean.
     fn linearised(
         &self,
         mean: &SVector<f64, 7>,
@@ -65,7 +65,7 @@ impl SingerBicycle {
         let control = Vector2::from(control);
         let deviation = mean.fixed_rows::<2>(ACCELERATION) - control;
         let kept = self.decay_s.map(|decay_s| (-dt_s / decay_s).exp());
-        // Mean of a deviation over the step, as a share of it.
+        // Mean of a deviation over the step, as a share of the deviation.
         let share = [0, 1].map(|of| (1.0 - kept[of]) * self.decay_s[of] / dt_s);
         let mean_rate = control + deviation.component_mul(&Vector2::from(share));
         let planar: SVector<f64, 5> = mean.fixed_rows::<5>(0).into_owned();
@@ -125,8 +125,8 @@ impl Controlled<7> for SingerBicycle {
         Gaussian { mean, covariance }
     }
 
-    /// Interpolates the decay rates 1 / τ and the spectral densities σ² / τ of the driving noise: at gain 0
-    /// it is `uncontrolled` itself.
+    /// Interpolates the decay rates 1 / τ and the spectral densities σ² / τ of the driving noise. At gain 0
+    /// the result is `uncontrolled`.
     fn blended(&self, uncontrolled: &Self, control_gain: [f64; 2]) -> Self {
         let sigma = |process: &Self| [process.acceleration_mps2, process.slip_rate_radps];
         let [of_acceleration, of_slip_rate] = [0, 1].map(|of| {
@@ -143,7 +143,7 @@ impl Controlled<7> for SingerBicycle {
         }
     }
 
-    /// The density is the covariance of the control itself: it adds to the stationary variance of the
+    /// The density is the covariance of the control itself. It adds to the stationary variance of the
     /// deviations.
     fn control(steps: &[ControlStep], number: usize, _: f64, _: f64) -> Control {
         let step = steps.get(number).or(steps.last()).copied().unwrap_or_default();
@@ -225,7 +225,7 @@ mod tests {
         assert!((state.covariance[(SLIP_RATE, SLIP_RATE)] - 0.01).abs() < 1e-9);
     }
 
-    /// Rates and densities are interpolated component by component; gains 0 and 1 give the two processes
+    /// Rates and densities are interpolated component by component. Gains 0 and 1 give the two processes
     /// themselves.
     #[test]
     fn blending_interpolates_decay_rates_and_noise_densities() {
@@ -239,7 +239,7 @@ mod tests {
         };
         assert!(near(&calm.blended(&SINGER, [0.0; 2]), &SINGER));
         assert!(near(&calm.blended(&SINGER, [1.0; 2]), &calm));
-        // Rates 0.5 and 2 meet at 0.875 per s; densities 1 / 2 and 0.25 / 0.5 are the same.
+        // Rates 0.5 and 2 give 0.875 per s. Densities 1 / 2 and 0.25 / 0.5 are equal.
         let quarter = SingerBicycle {
             acceleration_mps2: (0.5_f64 / 0.875).sqrt(),
             decay_s: [1.0 / 0.875, 2.0],

@@ -1,6 +1,6 @@
 //! Weights of hypotheses and particles: sums in the log domain, effective size and resampling.
 
-/// ln Σ exp(x), without overflow or underflow on the way; −∞ of nothing.
+/// ln Σ exp(x), without intermediate overflow or underflow. It is −∞ for no values.
 #[must_use]
 pub fn log_sum_exp(values: impl Iterator<Item = f64> + Clone) -> f64 {
     let most = values.clone().fold(f64::NEG_INFINITY, f64::max);
@@ -10,10 +10,11 @@ pub fn log_sum_exp(values: impl Iterator<Item = f64> + Clone) -> f64 {
     most + values.map(|value| (value - most).exp()).sum::<f64>().ln()
 }
 
-/// Shifts the logarithms of weights so that the weights sum to 1, where any is above 0; `of` finds one in an
-/// item.
+/// Shifts the logarithms of weights so that the weights sum to 1, if any weight is above 0. `of` returns the
+/// logarithm in an item.
 ///
-/// The largest is subtracted first: it may be so far from 0 that the sum would round the others off.
+/// The largest logarithm is subtracted first. It may be so far from 0 that the sum would round the others
+/// off.
 pub fn normalise<T>(items: &mut [T], of: impl Fn(&mut T) -> &mut f64) {
     let most = items.iter_mut().map(|item| *of(item)).fold(f64::NEG_INFINITY, f64::max);
     if !most.is_finite() {
@@ -30,15 +31,15 @@ pub fn normalise<T>(items: &mut [T], of: impl Fn(&mut T) -> &mut f64) {
     }
 }
 
-/// Effective size of weights that sum to 1: the number of equal weights that carry as much information, 1 / Σ
-/// w².
+/// Effective size of weights that sum to 1, 1 / Σ w²: the number of equal weights that carry the same amount
+/// of information.
 #[must_use]
 pub fn effective_size(weights: impl Iterator<Item = f64>) -> f64 {
     1.0 / weights.map(|weight| weight * weight).sum::<f64>()
 }
 
-/// Systematic resampling: the numbers chosen by `chosen_len` equally spaced points (i + u) / len against the
-/// cumulative weights, in rising order. `offset` is u, within \[0, 1); the weights sum to 1.
+/// Systematic resampling: the numbers that `chosen_len` equally spaced points (i + u) / len select in the
+/// cumulative weights, in rising order. `offset` is u, within \[0, 1). The weights sum to 1.
 pub fn systematic(
     weights: impl Iterator<Item = f64>,
     offset: f64,
@@ -49,7 +50,7 @@ pub fn systematic(
     (0..chosen_len).map(move |i| {
         let point = (i as f64 + offset) / chosen_len as f64;
         while reached < point {
-            // A point beyond the last weight by rounding belongs to it.
+            // A point beyond the last weight by rounding belongs to the last weight.
             let Some((number, weight)) = weights.next() else { break };
             (last, reached) = (number, reached + weight);
         }

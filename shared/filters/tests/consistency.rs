@@ -1,8 +1,8 @@
-//! Consistency of covariances: a thousand runs of each filter, with truths drawn from the process that it
-//! assumes.
+//! Consistency of covariances: a thousand runs of each filter, with truths drawn from the process that the
+//! filter assumes.
 //!
-//! At every tick the normalised squares (NEES) of all runs of an exact filter add up to a χ² variable, so
-//! that 95 % of the ticks lie within its bounds. Only linear filters are exact; the others are near.
+//! If the filter is exact, the normalised squares (NEES) of all runs at one tick add up to a χ² variable, so
+//! 95 % of the ticks are within its bounds. Only linear filters are exact; the others are nearly exact.
 
 use filters::{
     Bicycle, ConstantAcceleration, ConstantTurnRate, ConstantVelocity, Control, ControlStep, Controlled,
@@ -33,7 +33,7 @@ const BICYCLE: Bicycle = Bicycle {
 };
 /// A bicycle whose slip decays.
 const DECAYING: Bicycle = Bicycle { slip_decay_per_s: 0.8, ..BICYCLE };
-/// As [`BICYCLE`] without noise of its own, for forecasts.
+/// Like [`BICYCLE`] without process noise, for forecasts.
 const NOISELESS: Bicycle = Bicycle { acceleration_mps2: 0.0, slip_rate_radps: 0.0, ..BICYCLE };
 const SINGER: SingerBicycle = SingerBicycle {
     bicycle: Bicycle { acceleration_mps2: 0.2, slip_rate_radps: 0.1, ..BICYCLE },
@@ -55,7 +55,7 @@ const POSITIONS: Sensor = Sensor { position_m: 0.2, heading_rad: None, speed_mps
 const ALL: Sensor = Sensor { position_m: 0.2, heading_rad: Some(0.1), speed_mps: Some(0.5) };
 
 impl Sensor {
-    /// Measures a state, which begins with x, y, ψ, v where more than the position is measured.
+    /// Measures a state. The state begins with x, y, ψ, v if more than the position is measured.
     fn measure<const N: usize>(&self, state: &SVector<f64, N>, rng: &mut ChaCha8Rng) -> Observation {
         let mut noisy = |component: usize, sigma: f64| state[component] + sigma * normal(rng);
         Observation {
@@ -71,7 +71,7 @@ fn normal(rng: &mut ChaCha8Rng) -> f64 {
     StandardNormal.sample(rng)
 }
 
-/// The next state of a truth: one step of the process with its noise drawn.
+/// The next state of a truth: one step of the process with drawn noise.
 fn drawn<const N: usize>(
     process: &impl Process<N>,
     state: &SVector<f64, N>,
@@ -84,7 +84,7 @@ fn drawn<const N: usize>(
     next
 }
 
-/// The normalised squares of many runs, of the states (NEES) and of the innovations (NIS).
+/// The normalised squares of many runs, for states (NEES) and innovations (NIS).
 #[derive(Default)]
 struct Squares {
     states: Consistency,
@@ -116,8 +116,8 @@ impl Squares {
     }
 }
 
-/// Runs of an extended Kalman filter that assumes `filter`, for agents that move by `truth` from a state
-/// drawn of `start`.
+/// Runs an extended Kalman filter that assumes `filter`. The agents move by `truth` from a state drawn from
+/// `start`.
 #[expect(clippy::unwrap_used, reason = "a failure here is the test's")]
 fn kalman<P: Process<N>, const N: usize>(
     (truth, filter): (&P, &P),
@@ -141,8 +141,8 @@ fn kalman<P: Process<N>, const N: usize>(
     squares
 }
 
-/// Linear filters are exact: innovations are independent, so the sum of all their squares and the number of
-/// ticks inside have known distributions; 99.9 % of all seeds pass.
+/// Linear filters are exact. Innovations are independent, so the sum of all their squares and the number of
+/// ticks within the bounds have known distributions. 99.9 % of all seeds pass.
 #[expect(clippy::unwrap_used, reason = "a failure here is the test's")]
 fn assert_exact(name: &str, squares: &Squares) {
     const SIGMAS: f64 = 3.29;
@@ -154,7 +154,7 @@ fn assert_exact(name: &str, squares: &Squares) {
     let degrees = 2 * innovations.squares_len;
     let bounds = chi_square_bounds(degrees, 0.999).unwrap();
     assert!(bounds.contain(innovations.per_degree * degrees as f64), "{name}: {innovations:?}");
-    // Errors of neighbouring ticks are correlated: the same share, with a greater variance.
+    // Errors of neighbouring ticks are correlated: the share is the same, but its variance is greater.
     let states = squares.summary(name);
     assert!((states.inside - 0.95).abs() < 2.0 * spread, "{name}: {states:?}");
     assert!((states.per_degree - 1.0).abs() < 0.01, "{name}: {states:?}");
@@ -178,7 +178,7 @@ fn linear_filters_are_consistent() {
     }
 }
 
-/// The bounds must not pass a filter that is slightly wrong.
+/// The bounds must reject a filter that is slightly wrong.
 #[test]
 fn too_small_a_process_noise_is_inconsistent() {
     let start = Gaussian::new([3.0, -1.0, 1.0, 0.5], [0.04, 0.04, 0.5, 0.5]);
@@ -203,14 +203,14 @@ fn linearised_filters_are_nearly_consistent() {
     }
 }
 
-/// The forecast of a [`Scene`]: its controls last for 0.4 s each.
+/// Duration of each control in the forecast of a [`Scene`].
 const STEP_NS: u64 = 400_000_000;
 const STEPS: usize = 4;
 const HYPOTHESES: usize = 20;
-/// Ticks from one forecast, and decision of the agent, to the next.
+/// Number of ticks between forecasts, and between decisions of the agent.
 const FORECAST_TICKS: u64 = 10;
 
-/// Agents with calibrated forecasts: they follow one of the hypotheses, as often as it is probable.
+/// Agents with calibrated forecasts. They follow one of the hypotheses, with its probability.
 struct Scene<P, const N: usize> {
     priors: Priors<P>,
     start: Gaussian<N>,
@@ -219,7 +219,7 @@ struct Scene<P, const N: usize> {
 }
 
 impl<P: Controlled<N> + Copy, const N: usize> Scene<P, N> {
-    /// Hypotheses about a circle of the given radii in the plane of controls, some likelier than others.
+    /// Hypotheses about a circle of the given radii in the plane of controls, with different probabilities.
     fn new(priors: Priors<P>, start: Gaussian<N>, radius: [f64; 2], cholesky: [f64; 3]) -> Self {
         let controls = std::array::from_fn(|i| {
             let turn = (i / STEPS) as f64 / HYPOTHESES as f64 * std::f64::consts::TAU;
@@ -240,7 +240,7 @@ impl<P: Controlled<N> + Copy, const N: usize> Scene<P, N> {
         }
     }
 
-    /// One of the hypotheses, or none.
+    /// Draws one of the hypotheses, or none.
     fn decide(&self, rng: &mut ChaCha8Rng) -> Option<&[ControlStep]> {
         if rng.random_bool(self.priors.kinematic_weight) {
             return None;
@@ -253,7 +253,7 @@ impl<P: Controlled<N> + Copy, const N: usize> Scene<P, N> {
         self.controls.chunks(STEPS).nth(chosen.unwrap_or(HYPOTHESES - 1))
     }
 
-    /// The next state of an agent that decided `age_ns` ago.
+    /// The next state of an agent whose last decision is `age_ns` old.
     fn step(
         &self,
         state: &SVector<f64, N>,
@@ -277,7 +277,7 @@ impl<P: Controlled<N> + Copy, const N: usize> Scene<P, N> {
         drawn(process, state, |from| process.step_controlled(from, &control, TICK_S), rng)
     }
 
-    /// Runs of a filter made of the seed, which adopts forecasts, predicts and updates.
+    /// Runs filters built from a seed. They adopt forecasts, predict and update.
     fn evaluate<F>(
         &self,
         sensor: Sensor,
@@ -337,7 +337,7 @@ fn vehicles() -> Scene<Bicycle, 5> {
     Scene::new(Priors::new(BICYCLE, NOISELESS), start, [2.0, 0.1], [0.5, 0.0, 0.05])
 }
 
-/// As [`vehicles`], at control gains below 1 and with the slip decay that they leave.
+/// Like [`vehicles`], at control gains below 1 and with the slip decay that remains at these gains.
 fn vehicles_at_partial_gain() -> Scene<Bicycle, 5> {
     let Scene { start, .. } = vehicles();
     let learned = Bicycle { slip_decay_per_s: 0.4 * DECAYING.slip_decay_per_s, ..NOISELESS };
@@ -376,8 +376,8 @@ fn five_hundred_particles_are_nearly_consistent() {
     }
 }
 
-/// It takes this many for the sums over all seeds to lie within their bounds as often as those of the other
-/// filters.
+/// Fewer particles are not enough: the sums over all seeds must be within their bounds as often as for the
+/// other filters.
 #[test]
 fn four_thousand_particles_are_as_consistent_as_the_mixture() {
     let vehicles = vehicles();

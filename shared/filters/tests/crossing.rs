@@ -1,4 +1,4 @@
-//! Two agents that cross in clutter, by assignment and by joint probabilistic data association.
+//! Two agents that cross in clutter, tracked by assignment and by joint probabilistic data association.
 
 use association::Candidate;
 use association::assignment::Assigner;
@@ -15,9 +15,9 @@ const TICK_NS: u64 = 80_000_000;
 const PROCESS: ConstantVelocity = ConstantVelocity { density: 0.2 };
 const SIGMA_M: f64 = 0.3;
 const DETECTED: f64 = 0.9;
-/// False detections per m².
+/// Number of false detections per m².
 const CLUTTER: f64 = 0.1;
-/// Side of the square in which they lie.
+/// Side of the square that contains the false detections.
 const SIDE_M: f64 = 14.0;
 const GATE: f64 = 16.0;
 
@@ -69,7 +69,8 @@ enum By {
 
 #[derive(Debug, Default)]
 struct Outcome {
-    /// Tracks that after a crossing are nearer to the other agent, or near neither.
+    /// Number of tracks that are nearer to the other agent after a crossing. `lost_len` counts tracks near
+    /// neither.
     swapped_len: usize,
     lost_len: usize,
     squares: Consistency,
@@ -132,8 +133,8 @@ fn cross(by: By, apart_m: f64) -> Outcome {
     outcome
 }
 
-/// Tracks that may have each other's detections are correlated, which one Gaussian each can't represent;
-/// still JPDA is nearly consistent. An assignment takes the nearest false detection as certain.
+/// Tracks that may share detections are correlated, which one Gaussian per track cannot represent. JPDA is
+/// still nearly consistent. An assignment treats the nearest false detection as certain.
 #[test]
 fn jpda_loses_fewer_tracks_and_is_nearly_consistent() {
     for apart_m in [0.0, 1.0, 2.0] {

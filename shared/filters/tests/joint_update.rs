@@ -1,4 +1,4 @@
-//! Joint updates by observations of which at most one is of the agent, against updates by each.
+//! Joint updates by several observations of which at most one belongs to the agent, against updates by each.
 
 use association::Candidate;
 use association::jpda::{Associator, Share};
@@ -56,7 +56,7 @@ fn equal_noise_gives_the_textbook_pda_update() {
     assert_near(&found, &expected);
 }
 
-/// Headings about π, and values that only some of the observations have.
+/// Headings near π, and values that only some of the observations have.
 #[test]
 fn update_has_the_moments_of_all_posteriors() {
     let prior = vehicle();
@@ -104,7 +104,7 @@ fn one_certain_observation_is_a_plain_update_to_the_bit() {
     plain.update(&observed).unwrap();
     joint.update_jointly(&[(1.0, observed)]).unwrap();
     assert_eq!(joint.moments(), plain.moments());
-    // A second one of probability 0 changes no more than the rounding.
+    // A second observation of probability 0 changes only the rounding.
     let mut beside = vehicle();
     beside.update_jointly(&[(1.0, observed), (0.0, at(9.0, 9.0, 0.1))], &BICYCLE).unwrap();
     let mut plain = vehicle();
@@ -156,8 +156,8 @@ fn mixture() -> Mixture<Bicycle, 5> {
     mixture_of(BICYCLE, vehicle())
 }
 
-/// The moments of a mixture after a joint update, and those expected of its updates by each observation;
-/// asserts the weights.
+/// The moments of a mixture after a joint update, and the moments expected from its updates by each
+/// observation. Also asserts the weights.
 #[expect(clippy::unwrap_used, reason = "a failure here is the test's")]
 fn jointly<P: Controlled<N> + Copy, const N: usize>(
     prior: &Mixture<P, N>,
@@ -194,13 +194,13 @@ fn mixture_has_the_moments_of_its_updates() {
         (0.25, at(-1.2, 1.7, 0.7)),
         (0.05, Observation { speed_mps: Some((5.0, 1.0)), ..at(-0.9, 2.0, 0.8) }),
     ];
-    // A circular mean of circular means differs slightly from that of all at once.
+    // A circular mean of circular means differs slightly from the circular mean of all points at once.
     let (found, expected) = jointly(&mixture(), &observed);
     let off = (found.covariance - expected.covariance).amax();
     assert!(difference(&found.mean, &expected.mean, Bicycle::ANGLES).amax() < 1e-6 && off < 1e-5, "{off:e}");
 }
 
-/// Two pedestrians, three detections, and all joint events enumerated here.
+/// Two pedestrians, three detections. All joint events are enumerated here.
 #[test]
 fn two_agents_have_the_moments_of_all_joint_events() {
     let mut second = pedestrian();

@@ -17,7 +17,7 @@ fn golden(name: &str) -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("tests/golden").join(name)
 }
 
-/// The numbers of a CSV file, without its head line.
+/// The numbers of a CSV file, without its header line.
 fn rows(name: &str) -> Vec<Vec<f64>> {
     let text = std::fs::read_to_string(golden(name)).expect("golden file");
     text.lines()
@@ -31,13 +31,13 @@ fn parameters() -> serde_json::Value {
     serde_json::from_str(&text).expect("JSON")
 }
 
-/// Mean, upper triangle of the covariance row by row, NIS: as in the reference files.
+/// Mean, upper triangle of the covariance row by row, and NIS, as in the reference files.
 fn figures<const N: usize>(state: &Gaussian<N>, nis: f64) -> Vec<f64> {
     let upper = (0..N).flat_map(|row| (row..N).map(move |column| state.covariance[(row, column)]));
     state.mean.iter().copied().chain(upper).chain([nis]).collect()
 }
 
-/// Largest deviation of a run from the reference, relative above 1; angles on the circle.
+/// Largest deviation of a run from the reference. It is relative for numbers above 1 and circular for angles.
 fn deviation(found: &[f64], expected: &[f64], angle: Option<usize>) -> f64 {
     assert_eq!(found.len(), expected.len());
     let mut worst = 0.0_f64;
@@ -401,7 +401,7 @@ proptest! {
         let back = reversed(&turned);
         prop_assert!((back.covariance - start.covariance).amax() < 1e-9);
 
-        // The noise depends on the end, so the motion alone is compared.
+        // The noise depends on the end of the step, so only the motion is compared.
         let still =
             Bicycle { acceleration_mps2: 0.0, slip_rate_radps: 0.0, floor: [0.0; 5], ..MODEL };
         let (mut start, mut turned) = (start, turned);

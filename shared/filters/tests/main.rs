@@ -1,5 +1,5 @@
-//! Tests of the filters: against reference runs of independent implementations, by their laws, and under
-//! stress.
+//! Tests of the filters: against reference runs of independent implementations, of their mathematical
+//! properties, and under stress.
 
 mod support {
     pub mod bicycle;

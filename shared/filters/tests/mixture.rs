@@ -16,11 +16,11 @@ const TICK_NS: u64 = 80_000_000;
 const STEP_NS: u64 = 400_000_000;
 const STEPS: usize = 12;
 
-/// As [`BICYCLE`] without noise of its own.
+/// Like [`BICYCLE`] without process noise.
 const NOISELESS: Bicycle =
     Bicycle { acceleration_mps2: 0.0, slip_rate_radps: 0.0, floor: [0.0; 5], ..BICYCLE };
 
-/// Hypotheses of equal probability, each with the same control in all its steps.
+/// Hypotheses of equal probability. Each has the same control in all its steps.
 fn steady(controls: &[[f64; 2]], cholesky: [f64; 3]) -> (Vec<f64>, Vec<ControlStep>) {
     let steps = controls.iter().flat_map(|&mean| [ControlStep { mean, cholesky }; STEPS]);
     (vec![1.0; controls.len()], steps.collect())
@@ -124,7 +124,7 @@ fn bicycle_controls_reproduce_the_forecast_trajectory() {
     }
 }
 
-/// Gains are powers of two, so that both sides are equal to the bit.
+/// Gains are powers of two, so both sides are equal to the bit.
 #[test]
 fn control_gain_scales_mean_and_covariance() {
     let start = Gaussian::new([0.0, 0.0, 0.4, 6.0, 0.01], [0.1, 0.1, 0.01, 0.2, 0.001]);
@@ -194,7 +194,7 @@ fn displacements_reproduce_the_forecast_trajectory() {
     }
 }
 
-/// The weights sum to 1 at every tick, and a second run is the same to the bit.
+/// The weights sum to 1 at every tick, and a second run gives the same bits.
 #[test]
 fn the_true_hypothesis_gains_weight_and_bridges_a_gap() {
     let rates = [-3.0, -2.0, -1.0, 0.0, 1.0, 2.0, 3.0];
@@ -355,7 +355,7 @@ fn a_forecast_leads_ahead_where_predictions_without_measurements_go() {
             assert!((ahead.kinematic_m[axis] - plain.mean[axis]).abs() < 1e-9, "{ahead:?}");
         }
     }
-    // Of two hypotheses the mean of their controls leads near the mean of their positions.
+    // For two hypotheses, the mean of their controls leads near the mean of their positions.
     let two = steady(&[[-2.0, 0.05], [2.0, -0.02]], [0.0; 3]);
     let mut mixture = Mixture::new(start, priors, 1);
     mixture.adopt(&forecast(&two)).expect("a forecast");

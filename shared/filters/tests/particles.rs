@@ -1,5 +1,5 @@
-//! The particle filter against a reference run with all its random numbers and against the exact filter;
-//! moments of samples against reference values.
+//! The particle filter against a reference run with all its random numbers, and against the exact filter.
+//! Moments of samples against reference values.
 
 use std::path::PathBuf;
 
@@ -219,7 +219,7 @@ fn invalid_observations_are_refused_and_far_ones_are_found() {
     }
     assert_eq!(particles.update(&at(f64::NAN, 0.0, 1.0)), Err(FilterFault::NotPositive));
     assert_eq!(particles.moments(), before);
-    // A far and sharp observation moves the cloud, though no particle was near.
+    // A far and sharp observation moves the cloud although no particle was near it.
     particles.update(&at(1e6, -1e6, 1e-6)).unwrap();
     let found = particles.moments();
     assert!((found.mean.fixed_rows::<2>(0) - Vector2::new(1e6, -1e6)).amax() < 1e-3, "{}", found.mean);

@@ -2,7 +2,7 @@
 
 use filters::{Bicycle, Integrator};
 
-/// A bicycle with process noise of its own.
+/// A bicycle with process noise.
 pub const BICYCLE: Bicycle = Bicycle {
     rear_axle_m: 1.2,
     integrator: Integrator::Midpoint,

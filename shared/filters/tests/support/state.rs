@@ -1,4 +1,4 @@
-//! What tests of states and their updates share.
+//! Shared code for tests of states and their updates.
 
 use filters::{ConstantVelocity, Gaussian, Observation};
 use nalgebra::SMatrix;
