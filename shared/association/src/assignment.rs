@@ -1,17 +1,21 @@
-//! Optimal assignment of detections to tracks, with a cost for each track that is left unpaired.
+//! Optimal assignment of detections to tracks, with a cost for each track that remains unpaired.
 //!
 //! Gating leaves few possible pairs, so the problem separates into *connected components* that share no track
-//! and no detection. An uncontested pair is solved at once, a component with a single track or detection by
-//! its least cost, any other by the optimal assignment of the `lsap` crate. Five hundred agents are then
-//! hundreds of tiny problems, not one dense one.
+//! and no detection:
+//!
+//! * an uncontested pair is assigned immediately;
+//! * a component with a single track or detection takes its cheapest candidate;
+//! * any other component is solved by the optimal assignment of the `lsap` crate.
+//!
+//! Five hundred agents are then hundreds of tiny problems instead of one dense problem.
 
 use crate::Candidate;
 use crate::components::Components;
 
-/// Solves assignments; holds only scratch memory.
+/// Solves assignments. Holds only scratch memory.
 #[derive(Clone, Debug, Default)]
 pub struct Assigner {
-    /// Number of candidates of each track and of each detection.
+    /// Number of candidates of each track. `of_detection` counts them for each detection.
     of_track: Vec<u32>,
     of_detection: Vec<u32>,
     components: Components,
@@ -21,14 +25,14 @@ pub struct Assigner {
 /// Scratch memory of one component.
 #[derive(Clone, Debug, Default)]
 struct Scratch {
-    /// Column of each detection of the frame, in the component at hand.
+    /// Column of each detection of the frame in the current component.
     column: Vec<u32>,
     detections: Vec<u32>,
     costs: Vec<f64>,
 }
 
 impl Assigner {
-    /// Scratch for so many tracks and detections.
+    /// Scratch memory for this number of tracks and detections.
     #[must_use]
     pub fn with_capacity(tracks_len: usize, detections_len: usize) -> Self {
         Self {
@@ -43,12 +47,12 @@ impl Assigner {
         }
     }
 
-    /// Writes to `paired[track]` the detection of each track, minimising the sum of the candidates' costs and
-    /// of `miss_cost` for each track without detection.
+    /// Writes the detection of each track to `paired[track]`. The assignment minimises the sum of the chosen
+    /// candidates' costs plus `miss_cost` for each track without a detection.
     ///
-    /// `paired` has one entry per track. The candidates are consumed; one whose cost is not finite, or not
-    /// below `miss_cost`, is ignored. Allocates only for components of two and more tracks and detections
-    /// (inside `lsap`).
+    /// `paired` has one entry per track. The candidates are consumed. A candidate is ignored if its cost is
+    /// not finite or not below `miss_cost`. Only components with at least two tracks and two detections
+    /// allocate (inside `lsap`).
     ///
     /// # Panics
     /// If a candidate names a track or detection beyond the given numbers.
@@ -76,7 +80,7 @@ impl Assigner {
         }
     }
 
-    /// Pairs each track and detection that have no candidate but each other, and removes these candidates.
+    /// Pairs each track and detection whose only candidate is each other, and removes these candidates.
     fn pair_uncontested(
         &mut self,
         candidates: &mut Vec<Candidate>,
@@ -119,8 +123,8 @@ impl Scratch {
             }
         }
         let rows_len = 1 + component.windows(2).filter(|pair| pair[0].track != pair[1].track).count();
-        // One more column per track represents a miss. A pair beyond the gate costs as much as a miss and
-        // counts as one, so that all costs stay of one magnitude.
+        // One additional column per track represents a miss. A pair beyond the gate costs as much as a miss
+        // and counts as one, so all costs have a similar magnitude.
         let columns_len = self.detections.len() + rows_len;
         self.costs.clear();
         self.costs.resize(rows_len * columns_len, miss_cost);
@@ -130,7 +134,7 @@ impl Scratch {
                 self.costs[row * columns_len + self.column[c.detection as usize] as usize] = c.cost;
             }
         }
-        // The solver can't fail: every cost is finite and there are more columns than rows.
+        // The solver cannot fail: every cost is finite, and there are more columns than rows.
         let Ok((rows, columns)) = lsap::solve(rows_len, columns_len, &self.costs, false) else { return };
         let mut chosen = rows.into_iter().zip(columns);
         for (row, of_track) in by_track().enumerate() {

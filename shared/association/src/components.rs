@@ -1,8 +1,9 @@
 use crate::Candidate;
 
-/// The connected components of tracks and detections, which candidates connect; holds only scratch memory.
+/// The connected components of tracks and detections that candidates connect. Holds only scratch memory.
 ///
-/// Union-find over the tracks, then the detections; the root of a component is its first track.
+/// The structure is a union-find over the tracks, followed by the detections. The root of a component is its
+/// first track.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Components {
     parent: Vec<u32>,
@@ -17,7 +18,7 @@ impl Components {
         Self { parent: Vec::with_capacity(len), sides: Vec::with_capacity(len), tracks_len: 0 }
     }
 
-    /// Makes every track and detection a component of its own.
+    /// Makes every track and detection a separate component.
     pub(crate) fn clear(&mut self, tracks_len: usize, detections_len: usize) {
         self.tracks_len = tracks_len as u32;
         self.parent.clear();
@@ -28,10 +29,10 @@ impl Components {
     }
 
     /// Joins the components that a candidate connects, unless the result would have more than `side_max`
-    /// tracks or detections; returns whether they are one component.
+    /// tracks or detections. Returns whether they are one component.
     ///
     /// # Panics
-    /// If the candidate names a track or detection beyond the numbers given before.
+    /// If the candidate names a track or detection beyond the numbers given to [`Components::clear`].
     pub(crate) fn join(&mut self, candidate: &Candidate, side_max: usize) -> bool {
         assert!(candidate.track < self.tracks_len, "track {} of {}", candidate.track, self.tracks_len);
         let (a, b) = (self.root(candidate.track), self.root(self.tracks_len + candidate.detection));
@@ -49,9 +50,9 @@ impl Components {
         true
     }
 
-    /// Whether a component holds more than `side_max` tracks or detections.
+    /// Whether a component has more than `side_max` tracks or detections.
     pub(crate) fn exceed(&self, side_max: usize) -> bool {
-        // A root that was joined to another one keeps its smaller numbers from before.
+        // A root that was joined to another root keeps its smaller, earlier numbers.
         self.sides.iter().flatten().any(|&len| len as usize > side_max)
     }
 

@@ -1,18 +1,18 @@
 //! Joint probabilistic data association (JPDA): the probability that each detection belongs to each track,
-//! over all ways to pair them at once.
+//! over all joint pairings.
 //!
-//! A *joint event* pairs every track with one detection or none, and no detection with two tracks. Its weight
-//! is
+//! A *joint event* pairs every track with one detection or none, and pairs no detection with two tracks. Its
+//! weight is
 //!
 //! ```text
 //! Π_paired P_D N(y_ij; 0, S_ij) / λ · Π_missed (1 − P_D)
 //! ```
 //!
-//! and the probability β_ij of a pair is the share of the events that contain it, by weight. A track is then
-//! updated to the moments of its posteriors under each detection, weighted by β, and of its prior, weighted
-//! by the β of the miss.
+//! The probability β_ij of a pair is the weight of all events that contain the pair, divided by the weight of
+//! all events. A track is then updated to the moments of a mixture: its posteriors under each detection and
+//! its prior, weighted by β of the detections and of the miss.
 //!
-//! A [`JointAssociation`] enumerates the events of one small component; an [`Associator`] separates a frame
+//! A [`JointAssociation`] enumerates the events of one small component. An [`Associator`] separates a frame
 //! into components.
 
 mod associator;
@@ -21,10 +21,10 @@ pub use associator::{Associator, Share};
 
 use thiserror::Error;
 
-/// Most tracks, and most detections, of a component whose events are enumerated.
+/// Largest number of tracks, and of detections, in a component whose events are enumerated.
 pub const SIDE_MAX: usize = 5;
-/// Least log-likelihood of a pair relative to the best of its track: less never matters, and events can't
-/// underflow.
+/// Smallest log-likelihood of a pair, relative to the best pair of its track. Smaller values never matter,
+/// and the limit prevents underflow of the events.
 const LOG_RATIO_MIN: f64 = -100.0;
 /// Options of one track: a detection, or the miss.
 const OPTIONS_MAX: usize = SIDE_MAX + 1;
@@ -34,19 +34,19 @@ const OPTIONS_MAX: usize = SIDE_MAX + 1;
 pub struct Sensor {
     /// Probability that a track is detected, P_D, below 1.
     pub detection_probability: f64,
-    /// False detections per unit of the measured space, λ; above 0.
+    /// False detections per unit of the measured space, λ. It is above 0.
     pub clutter_density: f64,
 }
 
-/// Why there is no association.
+/// Why an association failed.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
 pub enum JpdaFault {
-    /// More events than are enumerated.
+    /// The component has too many events to enumerate.
     #[error("{tracks_len} tracks and {detections_len} detections, at most {SIDE_MAX} each")]
     TooLarge {
-        /// Tracks given.
+        /// Number of tracks.
         tracks_len: usize,
-        /// Detections given.
+        /// Number of detections.
         detections_len: usize,
     },
     /// The sensor's numbers are not a probability and a density.
@@ -65,8 +65,8 @@ pub struct JointAssociation {
 impl JointAssociation {
     /// Enumerates the joint events of a component.
     ///
-    /// `log_likelihood(track, detection)` is ln N(y; 0, S), `None` beyond the gate; one that is not finite
-    /// counts as beyond it.
+    /// `log_likelihood(track, detection)` is ln N(y; 0, S). It is `None` beyond the gate; a value that is not
+    /// finite also counts as beyond the gate.
     ///
     /// # Errors
     /// [`JpdaFault`]
@@ -88,8 +88,8 @@ impl JointAssociation {
         Ok(Self::enumerate(tracks_len, detections_len, log_miss, log_weight))
     }
 
-    /// As [`JointAssociation::new`], for a component within [`SIDE_MAX`], given the log-weights of the pairs
-    /// and of a miss.
+    /// Like [`JointAssociation::new`], for a component within [`SIDE_MAX`], given the log-weights of the
+    /// pairs and of a miss.
     fn enumerate(
         tracks_len: usize,
         detections_len: usize,
@@ -109,15 +109,15 @@ impl JointAssociation {
         let mut association = Self { beta: [[0.0; OPTIONS_MAX]; SIDE_MAX], tracks_len, detections_len };
         let sum = association.accumulate(&weights, 0, 0, 1.0);
         for beta in association.beta.as_flattened_mut() {
-            // Rounding may bring a certain pair above 1.
+            // Rounding may move a certain pair above 1.
             *beta = (*beta / sum).min(1.0);
         }
         association
     }
 
-    /// Adds to β every event that continues the pairs of the tracks before `track`, which have the weight
-    /// `before` and the detections of the mask `taken`; returns the sum of the events' weights from `track`
-    /// on.
+    /// Adds every event that continues the pairs of the tracks before `track` to β. These pairs have the
+    /// weight `before` and the detections of the mask `taken`. Returns the sum of the events' weights from
+    /// `track` on.
     fn accumulate(
         &mut self,
         weights: &[[f64; OPTIONS_MAX]; SIDE_MAX],
@@ -154,10 +154,10 @@ impl JointAssociation {
         self.of_track(track)[self.detections_len]
     }
 
-    /// Probabilities of a track's detections, then of its miss; they sum to 1.
+    /// Probabilities of a track's detections, then of its miss. They sum to 1.
     ///
     /// # Panics
-    /// If there is no such track.
+    /// If the track does not exist.
     #[must_use]
     pub fn of_track(&self, track: usize) -> &[f64] {
         &self.beta[..self.tracks_len][track][..=self.detections_len]

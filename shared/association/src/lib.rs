@@ -1,16 +1,16 @@
 //! Data association: which detection belongs to which track.
 //!
-//! Gating leaves for each track the few detections that may be its own, each pair with a cost: a
-//! [`Candidate`]. Two ways lead from there to what corrects the tracks:
+//! Gating leaves a few possible detections for each track. Each possible pair has a cost and is a
+//! [`Candidate`]. Two algorithms turn the candidates into corrections of the tracks:
 //!
 //! * [`assignment`] chooses one detection or none for each track, at the least total cost (global nearest
 //!   neighbour, GNN).
-//! * [`jpda`] gives each pair the probability that it is right, over all ways to pair tracks and detections
-//!   at once (joint probabilistic data association).
+//! * [`jpda`] gives each pair its probability, over all joint pairings of tracks and detections (joint
+//!   probabilistic data association).
 //!
-//! Both solve each *connected component*, tracks and detections that candidates connect, by itself. Neither
-//! knows what a track is: costs come from the caller, [`assignment`] also matches truths with tracks when
-//! tracking is evaluated.
+//! Both solve each *connected component* (tracks and detections that candidates connect) separately. Neither
+//! depends on the meaning of a track, because the caller computes the costs. [`assignment`] also matches
+//! truths with tracks in the evaluation of tracking.
 //!
 //! ```
 //! use association::Candidate;
@@ -28,7 +28,7 @@ pub mod assignment;
 mod components;
 pub mod jpda;
 
-/// A pair of track and detection that the gate lets through.
+/// A pair of track and detection within the gate.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Candidate {
     /// Number of the track.

@@ -18,7 +18,7 @@ fn matrix(name: &str) -> Vec<Vec<f64>> {
         .collect()
 }
 
-/// The pairing and its total cost: costs of the pairs, `miss_cost` for each row without.
+/// The pairing and its total cost: the costs of the pairs, plus `miss_cost` for each unpaired row.
 fn solve(costs: &[Vec<f64>], gate: f64, miss_cost: f64) -> (Vec<Option<u32>>, f64) {
     let mut candidates = Vec::new();
     for (row, track) in costs.iter().zip(0..) {
@@ -78,8 +78,8 @@ fn dense_problems_reach_the_reference_optimum() {
         }
         let costs = matrix(cells[3]);
         let optimum: f64 = cells[4].parse().unwrap();
-        // A miss that costs more than any pair makes the gated problem the dense one, up to rows without a
-        // column.
+        // If a miss costs more than any pair, the gated problem equals the dense one, except for rows without
+        // a column.
         let miss_cost = 1e4;
         let left_over = costs.len().saturating_sub(costs[0].len());
         let (_, total) = solve(&costs, f64::INFINITY, miss_cost);
@@ -90,7 +90,7 @@ fn dense_problems_reach_the_reference_optimum() {
     assert_eq!(solved, 10);
 }
 
-/// The least total cost over all pairings.
+/// The smallest total cost over all pairings.
 fn brute_force(costs: &[Vec<f64>], gate: f64, miss_cost: f64, taken: u32) -> f64 {
     let Some((row, rest)) = costs.split_first() else { return 0.0 };
     let mut best = miss_cost + brute_force(rest, gate, miss_cost, taken);

@@ -61,7 +61,8 @@ fn invalid_inputs_are_refused_or_ignored() {
 }
 
 proptest! {
-    /// A track's probabilities sum to 1, a detection's to at most 1; the order of the tracks changes none.
+    /// A track's probabilities sum to 1, and a detection's to at most 1. The order of the tracks has no
+    /// effect.
     #[test]
     fn probabilities_sum_to_one_in_any_order_of_tracks(
         tracks in 1_usize..6, detections in 0_usize..6,
@@ -85,7 +86,7 @@ proptest! {
     }
 }
 
-/// A frame's probabilities, `[track][detection]`, last that of the miss.
+/// A frame's probabilities, `[track][detection]`, with the miss last.
 fn associated(mut candidates: Vec<Candidate>, tracks_len: usize, detections_len: usize) -> Vec<Vec<f64>> {
     let mut associator = Associator::default();
     associator.associate(&mut candidates, tracks_len, detections_len, miss_cost());
@@ -100,7 +101,7 @@ fn associated(mut candidates: Vec<Candidate>, tracks_len: usize, detections_len:
     (0..tracks_len).map(of_track).collect()
 }
 
-/// Cost of a miss of [`SENSOR`] where a pair costs −2 ln N.
+/// Cost of a miss of [`SENSOR`] if a pair costs −2 ln N.
 fn miss_cost() -> f64 {
     -2.0 * ((1.0 - SENSOR.detection_probability) * SENSOR.clutter_density / SENSOR.detection_probability).ln()
 }
@@ -132,7 +133,7 @@ fn candidate(track: usize, detection: usize, cost: f64) -> Candidate {
     Candidate { track: track as u32, detection: detection as u32, cost }
 }
 
-/// Adds to β every event that continues from `track`; returns the sum of their weights.
+/// Adds every event that continues from `track` to β. Returns the sum of their weights.
 fn accumulate(
     costs: &[Vec<Option<f64>>],
     track: usize,
@@ -154,11 +155,11 @@ fn accumulate(
     sum
 }
 
-/// A queue of nine whose neighbours are within each other's gate: one component of nine, too large to be
-/// enumerated.
+/// A queue of nine agents in which neighbours are within each other's gate. It forms one component, which is
+/// too large to enumerate.
 #[test]
 fn cutting_a_large_component_errs_by_less_than_a_tenth() {
-    // Innovations of 0.5 m standard deviation; each detection is near its track.
+    // Innovations with a standard deviation of 0.5 m. Each detection is near its track.
     let off_m = [0.3, -0.2, 0.4, 0.1, -0.5, 0.2, 0.0, -0.3, 0.4];
     let (spacing_m, sigma_m) = (0.8, 0.5_f64);
     let log_det = 2.0 * std::f64::consts::TAU.ln() + 4.0 * sigma_m.ln();
@@ -181,7 +182,7 @@ fn cutting_a_large_component_errs_by_less_than_a_tenth() {
     println!("a queue of nine: off by {worst:.4} at most");
     assert!(worst < 0.1, "{worst}");
 
-    // The pairs of the assignment stay, and the order of the candidates changes nothing.
+    // The pairs of the assignment remain, and the order of the candidates has no effect.
     let mut paired = [None; 9];
     Assigner::default().solve(&mut candidates.clone(), 9, miss_cost(), &mut paired);
     for (row, detection) in found.iter().zip(paired) {
@@ -191,7 +192,7 @@ fn cutting_a_large_component_errs_by_less_than_a_tenth() {
     assert_eq!(associated(candidates, 9, 9), found);
 }
 
-/// Three hundred tracks and detections with every pair possible, and one pair far away.
+/// Three hundred tracks and detections with every pair possible, and one distant pair.
 #[test]
 fn components_are_cut_to_the_bound() {
     let dense = |i: usize| candidate(i / 300, i % 300, ((i * 7919) % 1000) as f64 * 0.02);

@@ -18,21 +18,21 @@ impl<const N: usize> Belief<N> {
         Self { mean, covariance: SMatrix::zeros() }
     }
 
-    /// Carries the belief one step further: the linearised Gaussian.
+    /// Moves the belief one step ahead: the linearised Gaussian.
     ///
     /// ```text
     /// m' = f(m, u)      Σ' = F_s Σ F_sᵀ + F_u S F_uᵀ,  S = J L Lᵀ J
     /// ```
     ///
-    /// u is the saturated mean of `control` and J the saturation's slope there. \[model §4\]
+    /// u is the saturated mean of `control`, and J is the slope of the saturation there. \[model §4\]
     ///
-    /// Differs from \[paper\]: the mean goes through f itself; its product with the Jacobian drops the affine
-    /// term.
+    /// Differs from \[paper\]: the mean is f of the previous mean. Its product with the Jacobian would drop
+    /// the affine term.
     pub fn advance(&mut self, motion: &impl Motion<N>, control: &ControlGaussian) {
         self.advance_by(motion, &motion.acting(control));
     }
 
-    /// As [`Belief::advance`], by a control [as it acts](Motion::acting).
+    /// Like [`Belief::advance`], by an [acting](Motion::acting) control.
     pub fn advance_by(&mut self, motion: &impl Motion<N>, acting: &ControlGaussian) {
         let at = motion.linearise(&self.mean, &acting.mean);
         let noise = at.by_control * acting.cholesky;
@@ -58,14 +58,14 @@ impl<const N: usize> Belief<N> {
     }
 }
 
-/// The lower factor of a positive semidefinite matrix; a pivot that is not positive leaves its column zero.
+/// The lower factor of a positive semidefinite matrix. A pivot that is not positive leaves its column zero.
 #[must_use]
 pub fn semidefinite_cholesky<T: RealField + Copy, const N: usize>(
     matrix: &SMatrix<T, N, N>,
 ) -> SMatrix<T, N, N> {
     let mut factor = SMatrix::<T, N, N>::zeros();
     for column in 0..N {
-        // The part of an entry that the columns before account for.
+        // The part of an entry that is explained by the previous columns.
         let known = |factor: &SMatrix<T, N, N>, row: usize| {
             (0..column).fold(T::zero(), |sum, k| sum + factor[(row, k)] * factor[(column, k)])
         };

@@ -1,17 +1,17 @@
 //! The kinematic bicycle: a vehicle whose centre moves at a slip angle β to its heading ψ.
 //!
-//! Within a step all motion is taken at one *evaluation point* (v*, β*) along one course γ*:
+//! Within a step all motion is evaluated at one *evaluation point* (v*, β*), along one course γ*:
 //!
 //! ```text
 //! x' = x + v* cos γ* Δt      ψ' = ψ + ω* Δt,  ω* = v* sin β* / l_r      β' = β + β̇ Δt
 //! y' = y + v* sin γ* Δt      v' = v + a Δt
 //! ```
 //!
-//! `Euler` takes the state before the step: v* = v, β* = β, γ* = ψ + β \[paper, Eq. discretesystem\].
-//! `Midpoint` takes the middle: v* = (v + v')/2, β* = (β + β')/2, γ* = ψ + ω* Δt/2 + β*.
+//! `Euler` uses the state before the step: v* = v, β* = β, γ* = ψ + β \[paper, Eq. discretesystem\].
+//! `Midpoint` uses the middle: v* = (v + v')/2, β* = (β + β')/2, γ* = ψ + ω* Δt/2 + β*.
 //!
 //! Differs from \[paper, Eq. discretesystem\]: with Euler the first control cannot move the first position,
-//! so midpoint is the default; and the derivative of x' by v is cos γ Δt, where the paper prints v_x Δt.
+//! so midpoint is the default. The derivative of x' with respect to v is cos γ Δt; the paper prints v_x Δt.
 
 use nalgebra::{RealField, SMatrix, SVector, Vector2, convert};
 
@@ -25,12 +25,12 @@ const HEADING: usize = 2;
 const SPEED: usize = 3;
 const SLIP: usize = 4;
 
-/// Where in a step the right-hand sides are taken.
+/// The point within a step at which the right-hand sides are evaluated.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Integrator {
-    /// At its beginning.
+    /// The beginning of the step.
     Euler,
-    /// At its middle.
+    /// The middle of the step.
     #[default]
     Midpoint,
 }
@@ -42,11 +42,11 @@ pub struct Bicycle<T> {
     pub rear_axle_m: T,
     /// Largest magnitude of the slip angle after a step, if there is a limit.
     pub slip_limit_rad: Option<T>,
-    /// Where in a step the right-hand sides are taken.
+    /// The point within a step at which the right-hand sides are evaluated.
     pub integrator: Integrator,
 }
 
-/// Speed, slip, turn rate and course that hold over a step, and the state that does not depend on them.
+/// Speed, slip, turn rate and course over a step, and the part of the state that does not depend on them.
 struct Evaluation<T> {
     speed: T,
     slip_sin: T,
@@ -60,19 +60,20 @@ struct Evaluation<T> {
 }
 
 impl<T: RealField + Copy> Bicycle<T> {
-    /// The state after `dt_s` under (a, β̇). Finite inputs give a finite result; the heading is not wrapped.
+    /// The state after `dt_s` under (a, β̇). Finite inputs give a finite result. The heading is not wrapped.
     #[must_use]
     pub fn step(&self, state: &BicycleState<T>, control: &Vector2<T>, dt_s: T) -> BicycleState<T> {
         Self::advance(state, &self.evaluate(state, control, dt_s), dt_s)
     }
 
-    /// As [`Bicycle::step`], with the derivatives by state and control. A slip angle at its limit has none.
+    /// Like [`Bicycle::step`], with derivatives with respect to state and control. A saturated slip angle has
+    /// none.
     #[must_use]
     pub fn linearise(&self, state: &BicycleState<T>, control: &Vector2<T>, dt_s: T) -> Linearised<T, 5> {
         let at = self.evaluate(state, control, dt_s);
         let (zero, one, half) = (T::zero(), T::one(), convert::<f64, T>(0.5));
         let free = if at.slip_is_free { one } else { zero };
-        // How the evaluation point follows the state before the step and the control.
+        // Derivatives of the evaluation point with respect to the state before the step and the control.
         let (slip_by_slip, slip_by_rate, speed_by_accel, course_by_turn) = match self.integrator {
             Integrator::Euler => (one, zero, zero, zero),
             Integrator::Midpoint => ((one + free) * half, free * dt_s * half, dt_s * half, dt_s * half),
@@ -145,14 +146,14 @@ impl<T: RealField + Copy> Bicycle<T> {
     }
 }
 
-/// The slip angle with which a vehicle begins a forecast, from the turn rates of its newest two history
+/// The slip angle at the start of a vehicle's forecast, from the turn rates of its newest two history
 /// intervals.
 ///
 /// ```text
 /// β_0 = asin(clip(l_r ω̂ / v, ±0.45)),  ω̂ = 1.5 d₁ − 0.5 d₂          [model §4]
 /// ```
 ///
-/// `turn_rates_radps` is \[d₁ (newest), d₂\]; v is signed. A vehicle at rest has none.
+/// `turn_rates_radps` is \[d₁ (newest), d₂\]; v is signed. The slip of a vehicle at rest is 0.
 #[must_use]
 pub fn initial_slip(rear_axle_m: f32, speed_mps: f32, turn_rates_radps: [f32; 2]) -> f32 {
     let turn_rate = 1.5 * turn_rates_radps[0] - 0.5 * turn_rates_radps[1];
@@ -162,7 +163,7 @@ pub fn initial_slip(rear_axle_m: f32, speed_mps: f32, turn_rates_radps: [f32; 2]
     (rear_axle_m * turn_rate / speed_mps).clamp(-0.45, 0.45).asin()
 }
 
-/// The angle in (−π, π] that points the same way.
+/// The angle in (−π, π] with the same direction.
 #[must_use]
 pub fn wrap_angle(angle_rad: f32) -> f32 {
     use std::f32::consts::{PI, TAU};

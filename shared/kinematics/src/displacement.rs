@@ -2,21 +2,21 @@ use nalgebra::{SVector, Vector2};
 
 use crate::{Linearised, Motion};
 
-/// \[x, y, vx, vy\] in the world frame; the velocity is that of the last observed step and stays.
+/// \[x, y, vx, vy\] in the world frame. The velocity is that of the last observed step and stays constant.
 pub type DisplacementState = SVector<f32, 4>;
 
-/// What a displacement control is relative to.
+/// The reference of a displacement control.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum DisplacementKind {
-    /// The step's displacement beyond that of constant velocity.
+    /// The displacement of the step beyond constant velocity.
     #[default]
     Residual,
     /// The whole displacement of the step, as in the paper.
     Absolute,
 }
 
-/// The motion of cyclists and pedestrians: p' = p + v Δt + R u, or p' = p + R u where displacements are
-/// absolute, with u in the agent frame of the last observed step. \[model §4\]
+/// The motion of cyclists and pedestrians: p' = p + v Δt + R u, or p' = p + R u for absolute displacements. u
+/// is in the agent frame of the last observed step. \[model §4\]
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Displacement {
     kind: DisplacementKind,
@@ -26,7 +26,7 @@ pub struct Displacement {
 }
 
 impl Displacement {
-    /// Displacements in the axes of an agent frame that points along `heading_rad`, in steps of `dt_s`.
+    /// Displacements in the axes of an agent frame with heading `heading_rad`, in steps of `dt_s`.
     #[must_use]
     pub fn new(kind: DisplacementKind, heading_rad: f32, dt_s: f32) -> Self {
         let (sin, cos) = heading_rad.sin_cos();
@@ -39,14 +39,14 @@ impl Displacement {
         self.sin.atan2(self.cos)
     }
 
-    /// A control as displacement beyond that of an agent's velocity, in the agent frame.
+    /// A control as the displacement beyond an agent's velocity, in the agent frame.
     #[must_use]
     pub fn residual(&self, control: &Vector2<f32>, [vx_mps, vy_mps]: [f32; 2]) -> Vector2<f32> {
         let beyond_s = self.dt_s - self.carried_s();
         control - self.in_agent_frame(Vector2::new(vx_mps, vy_mps)) * beyond_s
     }
 
-    /// A vector of the world frame in the agent frame.
+    /// Rotates a vector from the world frame to the agent frame.
     pub(crate) fn in_agent_frame(&self, world: Vector2<f32>) -> Vector2<f32> {
         Vector2::new(self.cos * world.x + self.sin * world.y, self.cos * world.y - self.sin * world.x)
     }

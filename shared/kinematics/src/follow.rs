@@ -1,28 +1,29 @@
 //! Controls along a path: the inverse of [`MotionModel::positions`](crate::MotionModel::positions).
 //!
-//! A bicycle can't take any path. Before each step it is moved on two steps without control; how far that
-//! ends from the path, along its course (e₁, e₂) and to the left (n₁, n₂), is taken away by the acceleration
-//! and the slip rate that do it best, in least squares, if they are kept for the two steps:
+//! A bicycle cannot follow every path. Before each step it is predicted two steps ahead without control. The
+//! deviation from the path after one and two steps is e₁ and e₂ along the course, and n₁ and n₂ to the left.
+//! The acceleration and slip rate below, if held for two steps, correct this deviation best in the
+//! least-squares sense:
 //!
 //! ```text
 //! a = (e₁/2 + 2 e₂) / (17/4 Δt²)        β̇ = (g₁ n₁ + g₂ n₂) / (g₁² + g₂² + ε²)
 //! g₁ = A₁ Δt / 2,  g₂ = (A₁ + d₁ κ₁ + 3 A₂) Δt / 2,  A = d (1 + κ/2),  κ = d / l_r,  d = v Δt
 //! ```
 //!
-//! The control holds for one step, and what is left is seen by the next. Looking two steps ahead damps what
-//! a control that meets each position in turn would do: overshoot, and reverse at the next.
+//! The control is applied for one step, and the next step sees the remaining deviation. A control that meets
+//! each position in turn would overshoot and reverse at the next step; looking two steps ahead damps this.
 
 use nalgebra::{Matrix2, Vector2};
 
 use crate::{BicycleState, Displacement, DisplacementState, Motion, Vehicle};
 
-/// ε: an agent that moves less in two steps than this does not turn to where it should be, m s.
+/// ε: an agent that moves less than this in two steps does not turn towards its path, m s.
 const TURN_MIN_MS: f32 = 0.05;
-/// No control is nearer to where it saturates than this share of it.
+/// Largest control, as a share of its saturation.
 const SHARE_MAX: f32 = 0.999;
 
 impl Vehicle {
-    /// Writes controls, before saturation, that lead from a state along a path of one position a step.
+    /// Writes controls, before saturation, that lead from a state along a path of one position per step.
     pub(crate) fn follow(&self, start: &BicycleState<f32>, path_m: &[[f32; 2]], controls: &mut [[f32; 2]]) {
         let mut state = *start;
         for (step, control) in controls.iter_mut().enumerate().take(path_m.len()) {
@@ -42,7 +43,7 @@ impl Vehicle {
         }
     }
 
-    /// The saturated control towards positions after one step and two.
+    /// The saturated control towards the positions after one and two steps.
     fn towards(&self, state: &BicycleState<f32>, near_m: Vector2<f32>, far_m: Vector2<f32>) -> Vector2<f32> {
         let free = Vector2::zeros();
         let after = self.step(state, &free);
@@ -67,7 +68,7 @@ impl Vehicle {
 }
 
 impl Displacement {
-    /// Writes the displacements that lead from a state along a path of one position a step, exactly.
+    /// Writes the displacements that lead exactly along a path of one position per step.
     pub(crate) fn follow(&self, start: &DisplacementState, path_m: &[[f32; 2]], controls: &mut [[f32; 2]]) {
         let mut state = *start;
         for (control, &to_m) in controls.iter_mut().zip(path_m) {
@@ -83,7 +84,7 @@ fn position(state: &BicycleState<f32>) -> Vector2<f32> {
     Vector2::new(state[0], state[1])
 }
 
-/// The control that saturates to this one: limit · artanh(acting / limit).
+/// The control whose saturation is `acting`: limit · artanh(acting / limit).
 fn before_saturation(acting: f32, limit: f32) -> f32 {
     limit * (acting / limit).atanh()
 }

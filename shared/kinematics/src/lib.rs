@@ -1,13 +1,14 @@
 //! From controls to trajectories: the kinematic layer behind the network.
+//!
 //! The network predicts a Gaussian control u = μ + L ε per step and mode. This crate turns controls into
-//! trajectories: a [`MotionModel`] is an agent with its equations of motion and its state at the end of its
-//! history. Lengths are in m, times in s, angles in rad, counter-clockwise from +x of the world frame.
+//! trajectories. A [`MotionModel`] is an agent with its equations of motion and its state at the end of its
+//! history. Lengths are in m, times in s, and angles in rad, counter-clockwise from +x of the world frame.
 //!
 //! # Equations
 //!
 //! Vehicles are kinematic bicycles ([`Bicycle`], [`Vehicle`]). The state \[x, y, ψ, v, β\] is position,
-//! heading, speed along the heading (negative in reverse) and slip angle; the control (a, β̇) is
-//! acceleration, m/s², and slip rate, rad/s; l_r is the distance from the centre to the rear axle.
+//! heading, speed along the heading (negative in reverse) and slip angle. The control (a, β̇) is acceleration
+//! in m/s² and slip rate in rad/s. l_r is the distance from the centre to the rear axle.
 //!
 //! ```text
 //! x' = x + v* cos γ* Δt      ψ' = ψ + ω* Δt,  ω* = v* sin β* / l_r      β' = clip(β + β̇ Δt, ±β_max)
@@ -17,8 +18,8 @@
 //! (v*, β*, γ*) are speed, slip angle and course at the beginning of the step (`Euler`) or in its middle
 //! (`Midpoint`). Controls saturate smoothly, u ← u_max tanh(u / u_max).
 //!
-//! Cyclists and pedestrians move by [`Displacement`]s in the agent frame, R turning them into the world; the
-//! velocity is the one last observed and stays.
+//! Cyclists and pedestrians move by [`Displacement`]s in the agent frame. R rotates them into the world
+//! frame. The velocity is the last observed velocity and stays constant.
 //!
 //! ```text
 //! p' = p + v Δt + R u   (residual)      p' = p + R u   (absolute)
@@ -26,17 +27,17 @@
 //!
 //! # From controls to trajectories
 //!
-//! A [`MotionModel`] gives, step by step,
+//! A [`MotionModel`] computes, step by step:
 //!
-//! * [`positions`](MotionModel::positions), the trajectory of the controls' means;
-//! * [`moments`](MotionModel::moments), mean and covariance of the position as a *linearised Gaussian*
-//!   ([`Belief::advance`]): the mean by the equations of motion, the covariance by their Jacobians;
-//! * [`particle_moments`](MotionModel::particle_moments), the same by *Monte Carlo* ([`advance_particles`]):
-//!   particles that draw controls of their own.
+//! * [`positions`](MotionModel::positions): the trajectory of the controls' means.
+//! * [`moments`](MotionModel::moments): mean and covariance of the position as a *linearised Gaussian*
+//!   ([`Belief::advance`]). The mean follows the equations of motion, the covariance their Jacobians.
+//! * [`particle_moments`](MotionModel::particle_moments): the same by *Monte Carlo* ([`advance_particles`]),
+//!   with particles that draw separate controls.
 //!
-//! The other way, [`follow`](MotionModel::follow) finds controls that lead along a path.
+//! The inverse, [`follow`](MotionModel::follow), finds controls that lead along a path.
 //!
-//! The modes of an agent make a [`mixture()`].
+//! The modes of an agent form a [`mixture()`].
 //!
 //! A vehicle at 8 m/s that brakes at 2 m/s² and is uncertain of it:
 //!
@@ -60,7 +61,7 @@
 //! assert!(along_m2 > 0.1 && across_m2 > 0.1);
 //! ```
 //!
-//! The bicycle is generic over the number type, so that a filter can run the same equations in `f64`.
+//! The bicycle is generic over the number type, so a filter can run the same equations in `f64`.
 
 mod belief;
 mod bicycle;

@@ -7,8 +7,8 @@ pub struct Moments {
     pub covariance: [f32; 3],
 }
 
-/// The moments of a mixture of Gaussians whose weights sum to 1: its components' covariances and their
-/// spread.
+/// The moments of a mixture of Gaussians whose weights sum to 1. The covariance contains the components'
+/// covariances and the spread of their means.
 #[must_use]
 pub fn mixture(components: impl Iterator<Item = (f32, Moments)> + Clone) -> Moments {
     let mut mixed = Moments::default();
@@ -26,7 +26,7 @@ pub fn mixture(components: impl Iterator<Item = (f32, Moments)> + Clone) -> Mome
     mixed
 }
 
-/// The moments of equally likely points; zeros where there are none.
+/// The moments of equally likely points; zeros if there are no points.
 #[must_use]
 pub fn spread(points_m: impl ExactSizeIterator<Item = [f32; 2]> + Clone) -> Moments {
     let weight = 1.0 / points_m.len().max(1) as f32;

@@ -5,7 +5,7 @@ use crate::{
     MotionOptions, Normals, PARTICLES_MAX, Vehicle, advance_particles, spread,
 };
 
-/// The state of an agent at the end of its history, in the world frame, from which its motion begins.
+/// The state of an agent at the end of its history, in the world frame. Its motion starts from this state.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct MotionStart {
     /// Position (x, y).
@@ -16,15 +16,15 @@ pub struct MotionStart {
     pub heading_rad: f32,
     /// Turn rates of the newest two history intervals, newest first.
     pub turn_rates_radps: [f32; 2],
-    /// Direction of the agent frame's x-axis, in which displacements are given.
+    /// Direction of the x-axis of the agent frame, in which displacements are given.
     pub frame_heading_rad: f32,
-    /// Length, where it is known.
+    /// Length, if it is known.
     pub length_m: Option<f32>,
 }
 
-/// The equations of motion of an agent, and the state from which they begin.
+/// The equations of motion of an agent, and the state from which its motion starts.
 ///
-/// This is the one place where controls become trajectories. \[model §4\]
+/// This is the only place where controls become trajectories. \[model §4\]
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum MotionModel {
     /// By acceleration and slip rate.
@@ -44,10 +44,10 @@ pub enum MotionModel {
 }
 
 impl MotionModel {
-    /// An agent whose start is known for certain.
+    /// An agent whose start is known exactly.
     ///
-    /// The speed of a bicycle is the velocity along its heading, negative in reverse; its slip angle is that
-    /// of [`MotionOptions::start_slip_rad`].
+    /// The speed of a bicycle is the velocity along its heading, negative in reverse. Its slip angle is
+    /// [`MotionOptions::start_slip_rad`].
     #[must_use]
     pub fn new(kind: MotionKind, start: &MotionStart, options: &MotionOptions, dt_s: f32) -> Self {
         let ([x, y], [vx, vy]) = (start.position_m, start.velocity_mps);
@@ -69,7 +69,7 @@ impl MotionModel {
         }
     }
 
-    /// What the controls are.
+    /// The kind of the controls.
     #[must_use]
     pub const fn kind(&self) -> MotionKind {
         match self {
@@ -78,8 +78,8 @@ impl MotionModel {
         }
     }
 
-    /// World heading of the frame of the controls: of a bicycle its own at the start, of displacements that
-    /// of the agent frame.
+    /// World heading of the frame of the controls. For a bicycle it is the bicycle's heading at the start,
+    /// and for displacements the heading of the agent frame.
     #[must_use]
     pub fn frame_heading_rad(&self) -> f32 {
         match self {
@@ -98,8 +98,8 @@ impl MotionModel {
         }
     }
 
-    /// The same agent, a bicycle with its heading turned by its slip angle, so that its course is the
-    /// observed heading: without turn it goes straight along that heading.
+    /// The same agent with the heading of a bicycle turned by the slip angle. The course is then the observed
+    /// heading, and without turning the bicycle goes straight along it.
     #[must_use]
     pub fn with_course_along_heading(mut self) -> Self {
         if let Self::Bicycle { start, .. } = &mut self {
@@ -108,8 +108,8 @@ impl MotionModel {
         self
     }
 
-    /// The same agent with more variance of a start velocity; a bicycle's speed gets its own from the
-    /// controls.
+    /// The same agent with additional variance of the start velocity. It applies to displacements only,
+    /// because a bicycle's speed gets its variance from the controls.
     #[must_use]
     pub fn with_velocity_deviation(mut self, deviation_mps: f32) -> Self {
         if let Self::Displacement { start, .. } = &mut self {
@@ -119,7 +119,7 @@ impl MotionModel {
         self
     }
 
-    /// A control as it acts, after saturation: see [`Motion::acting`].
+    /// A control after saturation: see [`Motion::acting`].
     #[must_use]
     #[inline]
     pub fn acting(&self, control: &ControlGaussian) -> ControlGaussian {
@@ -129,9 +129,9 @@ impl MotionModel {
         }
     }
 
-    /// An acting control with its mean relative to constant velocity: displacements become those beyond the
-    /// start velocity's, whatever their [`DisplacementKind`](crate::DisplacementKind); a bicycle's controls
-    /// are relative already.
+    /// An acting control with its mean relative to constant velocity. Displacements of any
+    /// [`DisplacementKind`](crate::DisplacementKind) become displacements beyond the start velocity. A
+    /// bicycle's controls are already relative.
     #[must_use]
     #[inline]
     pub fn relative_to_start(&self, acting: &ControlGaussian) -> ControlGaussian {
@@ -146,7 +146,8 @@ impl MotionModel {
 
     /// Writes the position after each control, before saturation: the trajectory of the means.
     ///
-    /// As many positions as the shorter of the two has; the start itself is none of them.
+    /// The number of positions is the smaller of the lengths of `controls` and `out`. The start is not
+    /// written.
     pub fn positions(&self, controls: impl Iterator<Item = [f32; 2]>, out: &mut [[f32; 2]]) {
         match self {
             Self::Bicycle { motion, start } => positions(motion, start, controls, out),
@@ -154,10 +155,10 @@ impl MotionModel {
         }
     }
 
-    /// Writes controls, before saturation, that lead along a path of one position a step: displacements lead
-    /// there, a bicycle as near as it can get.
+    /// Writes controls, before saturation, that lead along a path of one position per step. Displacements
+    /// follow the path exactly, and a bicycle follows it as closely as it can.
     ///
-    /// As many controls as the shorter of the two has.
+    /// The number of controls is the smaller of the lengths of `path_m` and `controls`.
     pub fn follow(&self, path_m: &[[f32; 2]], controls: &mut [[f32; 2]]) {
         match self {
             Self::Bicycle { motion, start } => motion.follow(&start.mean, path_m, controls),
@@ -165,7 +166,7 @@ impl MotionModel {
         }
     }
 
-    /// Writes mean and covariance of the position after each control [that acts](MotionModel::acting):
+    /// Writes mean and covariance of the position after each [acting](MotionModel::acting) control as
     /// linearised Gaussians, see [`Belief::advance`].
     pub fn moments(&self, acting: impl Iterator<Item = ControlGaussian>, out: &mut [Moments]) {
         match self {
@@ -174,8 +175,8 @@ impl MotionModel {
         }
     }
 
-    /// Writes the position after each control [that acts](MotionModel::acting): the means of
-    /// [`MotionModel::moments`], and no covariance.
+    /// Writes the position after each [acting](MotionModel::acting) control: the means of
+    /// [`MotionModel::moments`], without covariance.
     pub fn means(&self, acting: impl Iterator<Item = ControlGaussian>, out: &mut [Moments]) {
         match self {
             Self::Bicycle { motion, start } => means(motion, start, acting, out),
@@ -183,11 +184,11 @@ impl MotionModel {
         }
     }
 
-    /// Writes mean and covariance of the position after each control, before saturation: those of `particles`
-    /// particles that are drawn from the start, see [`advance_particles`].
+    /// Writes mean and covariance of the position after each control, before saturation. The moments come
+    /// from `particles` particles drawn from the start, see [`advance_particles`].
     ///
     /// # Panics
-    /// If there are more than [`PARTICLES_MAX`].
+    /// If `particles` is above [`PARTICLES_MAX`].
     pub fn particle_moments(
         &self,
         controls: impl Iterator<Item = ControlGaussian>,

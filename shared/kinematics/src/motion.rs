@@ -28,20 +28,21 @@ impl ControlGaussian {
 pub struct Linearised<T: RealField, const N: usize> {
     /// The state after the step.
     pub next: SVector<T, N>,
-    /// Derivative of the next state by the state, F_s.
+    /// Derivative of the next state with respect to the state, F_s.
     pub by_state: SMatrix<T, N, N>,
-    /// Derivative of the next state by the control, F_u.
+    /// Derivative of the next state with respect to the control, F_u.
     pub by_control: SMatrix<T, N, 2>,
 }
 
-/// A motion model of `N` state components, whose first two are the position, driven by two control
-/// components.
+/// A motion model with `N` state components and two control components. The first two state components are
+/// the position.
 pub trait Motion<const N: usize> {
-    /// The saturated `control`, and the derivative of each component by itself.
+    /// The saturated `control`, and the derivative of each component with respect to the same unsaturated
+    /// component.
     fn saturate(&self, control: &Vector2<f32>) -> (Vector2<f32>, Vector2<f32>);
 
-    /// The Gaussian of the saturated control: the saturated mean, and the factor J L, where J is the
-    /// saturation's slope there. \[model §4\]
+    /// The Gaussian of the saturated control: the saturated mean and the factor J L. J is the slope of the
+    /// saturation at the mean. \[model §4\]
     #[must_use]
     fn acting(&self, control: &ControlGaussian) -> ControlGaussian {
         let (mean, slope) = self.saturate(&control.mean);
@@ -56,7 +57,7 @@ pub trait Motion<const N: usize> {
     #[must_use]
     fn step(&self, state: &SVector<f32, N>, control: &Vector2<f32>) -> SVector<f32, N>;
 
-    /// As [`Motion::step`], with derivatives.
+    /// Like [`Motion::step`], with derivatives.
     #[must_use]
     fn linearise(&self, state: &SVector<f32, N>, control: &Vector2<f32>) -> Linearised<f32, N>;
 }

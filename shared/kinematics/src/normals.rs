@@ -1,7 +1,8 @@
-/// Standard normal numbers by a counter: the same key gives the same numbers, whatever was drawn for other
+/// Counter-based standard normal numbers. The same key gives the same numbers, independent of draws for other
 /// keys.
 ///
-/// SplitMix64 hashes (key, counter) to bits; Box and Muller's transform makes a pair of normals of each hash.
+/// SplitMix64 hashes (key, counter) to bits. Box and Muller's transform turns each hash into a pair of
+/// normals.
 #[derive(Clone, Debug)]
 pub struct Normals {
     key: u64,
@@ -16,14 +17,15 @@ impl Normals {
         Self { key: hash(hash(hash(seed) ^ id) ^ seq), counter: 0, spare: None }
     }
 
-    /// The next number; its magnitude is below 6.
+    /// The next number. Its magnitude is below 6.
     pub fn draw(&mut self) -> f32 {
         if let Some(spare) = self.spare.take() {
             return spare;
         }
         self.counter += 1;
         let bits = hash(self.key ^ self.counter);
-        // 24 bits each: the first in (0, 1], so that its logarithm is finite, the second in [0, 1).
+        // 24 bits each: the first number in (0, 1], so that its logarithm is finite, and the second in [0,
+        // 1).
         let unit = |bits: u64| (bits & 0xff_ffff) as f32 / 16_777_216.0;
         let radius = (-2.0 * (1.0 - unit(bits)).ln()).sqrt();
         let (sin, cos) = (std::f32::consts::TAU * unit(bits >> 24)).sin_cos();

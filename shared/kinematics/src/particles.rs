@@ -2,11 +2,11 @@ use nalgebra::{SVector, Vector2};
 
 use crate::{ControlGaussian, Motion, Normals};
 
-/// Most particles of a mode.
+/// Largest number of particles of a mode.
 pub const PARTICLES_MAX: usize = 32;
 
-/// Carries particles one step further: each draws its own control, saturates it and moves.
-/// \[paper, Monte Carlo\]
+/// Moves particles one step ahead. Each particle draws its own control, saturates it and moves. \[paper,
+/// Monte Carlo\]
 pub fn advance_particles<const N: usize>(
     motion: &impl Motion<N>,
     control: &ControlGaussian,

@@ -5,9 +5,9 @@ use crate::{Bicycle, BicycleState, Linearised, Motion};
 /// Largest magnitudes of a vehicle's controls.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ControlLimits {
-    /// Of the acceleration, m/s².
+    /// Largest acceleration, m/s².
     pub accel_mps2: f32,
-    /// Of the slip rate, rad/s.
+    /// Largest slip rate, rad/s.
     pub slip_rate_radps: f32,
 }
 
@@ -16,7 +16,7 @@ pub struct ControlLimits {
 pub struct Vehicle {
     /// The equations of motion.
     pub bicycle: Bicycle<f32>,
-    /// Where the controls saturate.
+    /// The limits at which the controls saturate.
     pub limits: ControlLimits,
     /// The step, Δt.
     pub dt_s: f32,
@@ -38,7 +38,8 @@ impl Motion<5> for Vehicle {
     }
 }
 
-/// limit · tanh(value / limit) and its slope sech²(value / limit): smooth, so that it trains. \[model §4\]
+/// limit · tanh(value / limit) and its slope sech²(value / limit). It is smooth, so training can use it.
+/// \[model §4\]
 #[must_use]
 pub fn saturate(value: f32, limit: f32) -> (f32, f32) {
     let share = (value / limit).tanh();

@@ -37,8 +37,8 @@ proptest! {
     ) {
         let slip_limit_rad = limited.then_some(0.3);
         let bicycle = Bicycle { rear_axle_m: 1.4, slip_limit_rad, integrator };
-        // At the very limit the derivative is one-sided, and a slip outside jumps to it: neither has a
-        // derivative.
+        // At the limit itself the derivative is one-sided, and a slip outside jumps to the limit. Neither
+        // case has a derivative.
         let next = state[4] + control[1] * 0.5;
         prop_assume!(slip_limit_rad.is_none_or(|limit: f64| (next.abs() - limit).abs() > 1e-3));
         let at = bicycle.linearise(&state, &control, 0.5);
@@ -100,7 +100,7 @@ fn a_steady_turn_keeps_its_circle_under_midpoint() {
     for step in 1..=12 {
         state = bicycle.step(&state, &Vector2::zeros(), 0.1);
         let angle = turn_rate * 0.1 * f64::from(step);
-        // The course starts along +x, so the circle's centre lies at (0, radius).
+        // The course starts along +x, so the centre of the circle is at (0, radius).
         let expected = Vector2::new(radius_m * angle.sin(), radius_m * (1.0 - angle.cos()));
         assert!((state.xy() - expected).norm() < 5e-3, "step {step}: {state:?}");
     }
@@ -127,7 +127,7 @@ fn displacements_add_to_constant_velocity_in_the_agents_axes() {
     let next = absolute.step(&start, &control);
     assert!((next.xy() - Vector2::new(0.9, 2.3)).norm() < 1e-6);
 
-    // An uncertain velocity spreads with time; the displacements' own noise adds up in the world's axes.
+    // An uncertain velocity spreads with time. The displacements' own noise adds up in the world's axes.
     let mut belief = Belief::certain(start);
     belief.covariance[(2, 2)] = 0.04;
     for _ in 0..5 {
@@ -190,7 +190,7 @@ fn a_mixture_has_the_moments_of_its_parts_and_of_their_spread() {
     assert_eq!(spread([[1.0, 5.0], [3.0, 5.0]].into_iter()).covariance, [1.0, 0.0, 0.0]);
 }
 
-/// A bicycle that turns in reverse, and an agent that moves by displacements of either kind.
+/// A bicycle that turns in reverse, and one agent for each kind of displacement.
 fn models() -> [MotionModel; 3] {
     let start = MotionStart {
         position_m: [3.0, -2.0],
@@ -229,8 +229,7 @@ fn a_model_starts_as_its_history_ends() {
     assert_eq!(options.rear_axle_m(None), 0.26 * 4.5);
 }
 
-/// Positions, linearised Gaussians and particles of the same controls; without any uncertainty all three
-/// agree.
+/// Positions, linearised Gaussians and particles of the same controls. Without uncertainty all three agree.
 #[test]
 fn trajectories_agree_whichever_way_they_are_made() {
     let means = [[0.8, 0.05], [-0.5, 0.1], [9.0, -0.2], [0.0, 0.0]];
@@ -275,7 +274,8 @@ proptest! {
         speed_mps in 1.0..40.0_f32, turn in -1.0..1.0_f32,
         controls in prop::array::uniform4((-1.0..1.0_f32, -1.0..1.0_f32)),
     ) {
-        // Each holds for three steps. None puts it into reverse, or turns it by more than 8 m/s².
+        // Each control holds for three steps. No control causes reverse motion or more than 8 m/s² across the
+        // path.
         let (time_s, most_mps2, rear_axle_m) = (12.0 * DT_S, 3.0, 1.17);
         let slip_rad = turn * (4.0 * rear_axle_m / (speed_mps + time_s * most_mps2).powi(2)).min(0.2);
         let taken = (0..12).map(|step| controls[step / 3]).map(|(effort, turn)| {

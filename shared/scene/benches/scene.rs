@@ -1,4 +1,4 @@
-//! Cost of the scene's inner loops: patches of both kinds of map and the interaction graph of a full frame.
+//! Cost of the scene's inner loops: patches of both kinds of map, and the interaction graph of a full frame.
 
 #![expect(clippy::unwrap_used, reason = "a broken fixture should fail at once")]
 

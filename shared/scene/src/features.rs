@@ -1,16 +1,17 @@
 //! State features s and relation features φ: the network's inputs for one agent and for a pair of agents.
 //!
-//! Both are relative: s to the *agent frame* (the agent's own pose at its last observed step), φ to the
-//! receiver's pose at the same step. Moving or turning the whole scene changes neither.
+//! Both are relative. s is relative to the *agent frame* (the agent's own pose at its last observed step),
+//! and φ to the receiver's pose at the same step. Moving or turning the whole scene changes neither.
 
 use wire::{RELATION_FEATURES, STATE_FEATURES};
 
 use crate::State;
 
-/// Below this speed, m/s, an agent counts as at rest and its direction of motion as undefined.
+/// Speed in m/s below which an agent counts as at rest and its direction of motion as undefined.
 pub const MOVING_MPS: f32 = 0.1;
 
-/// Factors that bring features to similar magnitudes; 1 leaves them in metres and metres per second.
+/// Factors that bring features to similar magnitudes. A factor of 1 leaves them in metres and metres per
+/// second.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FeatureScales {
     /// Factor of positions.
@@ -44,24 +45,24 @@ impl AgentFrame {
         Self { origin_m, heading_rad, cos, sin }
     }
 
-    /// Turns a vector from world into agent axes.
+    /// Rotates a vector from world axes to agent axes.
     #[must_use]
     pub fn rotate_into(&self, [x, y]: [f32; 2]) -> [f32; 2] {
         [self.cos * x + self.sin * y, self.cos * y - self.sin * x]
     }
 
-    /// Turns a vector from agent into world axes.
+    /// Rotates a vector from agent axes to world axes.
     #[must_use]
     pub fn rotate_out(&self, [x, y]: [f32; 2]) -> [f32; 2] {
         [self.cos * x - self.sin * y, self.sin * x + self.cos * y]
     }
 }
 
-/// The frame of an agent's last observed step, or `None` where it has no state.
+/// The frame of an agent's last observed step. Returns `None` if the agent has no state.
 ///
-/// The x-axis points along the heading of that step. An agent that stands there (below [`MOVING_MPS`]) has a
-/// heading that is old or arbitrary: the x-axis then follows the mean velocity of its history, if that is a
-/// motion.
+/// The x-axis points along the heading of this step. If the agent is at rest (below [`MOVING_MPS`]), its
+/// heading is old or arbitrary. The x-axis then follows the mean velocity of the history, if that is fast
+/// enough.
 #[must_use]
 pub fn agent_frame(history: &[Option<State>]) -> Option<AgentFrame> {
     let last = history.iter().rev().flatten().next()?;
@@ -85,7 +86,7 @@ pub fn state_features(frame: &AgentFrame, state: &State, scales: FeatureScales) 
     relative(frame, state.position_m, state.velocity_mps, state.heading_rad, scales)
 }
 
-/// Relation features \[Δx', Δy', Δvx', Δvy', cos Δψ, sin Δψ\] of an edge, in the receiver's pose; Δ is sender
+/// Relation features \[Δx', Δy', Δvx', Δvy', cos Δψ, sin Δψ\] of an edge, in the receiver's pose. Δ is sender
 /// minus receiver. The self edge has \[0, 0, 0, 0, 1, 0\]. \[model §2\]
 #[must_use]
 pub fn relation_features(

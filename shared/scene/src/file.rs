@@ -1,4 +1,4 @@
-//! Files of a site, context maps and retrieval memories: safetensors, written whole or not at all.
+//! Files of a site, such as context maps and retrieval memories: safetensors, written atomically.
 
 use std::fs::{self, File};
 use std::io::{self, Read, Write};
@@ -10,7 +10,7 @@ use thiserror::Error;
 /// Why a file could not be read or written.
 #[derive(Debug, Error)]
 pub enum FileError {
-    /// The operating system refused.
+    /// The operating system reported an error.
     #[error("{}: {source}", path.display())]
     Io {
         /// The file.
@@ -18,53 +18,53 @@ pub enum FileError {
         /// The system's error.
         source: io::Error,
     },
-    /// The file is no safetensors file, or lacks a tensor.
+    /// The file is not a safetensors file, or lacks a tensor.
     #[error("{}: not a {what}: {source}", path.display())]
     Format {
         /// The file.
         path: PathBuf,
-        /// What it should hold.
+        /// The expected content.
         what: &'static str,
-        /// What is wrong with it.
+        /// The reason.
         source: SafeTensorError,
     },
-    /// The file's tensors do not make what it should hold.
+    /// The tensors of the file do not form the expected content.
     #[error("{}: not a {what}: {reason}", path.display())]
     Content {
         /// The file.
         path: PathBuf,
-        /// What it should hold.
+        /// The expected content.
         what: &'static str,
-        /// What is wrong with them.
+        /// The reason.
         reason: String,
     },
 }
 
-/// A file, and what it should hold.
+/// A file and its expected content.
 #[derive(Clone, Copy, Debug)]
 pub struct Target<'a> {
     /// The file.
     pub path: &'a Path,
-    /// What it should hold, as errors name it.
+    /// The expected content, as errors name it.
     pub what: &'static str,
 }
 
 impl Target<'_> {
-    /// Writes the file, all of it or nothing: a reader never meets half of it. Of a link the target is
-    /// written; the link stays.
+    /// Writes the file atomically: a reader never sees half of it. If the path is a link, its target is
+    /// written and the link remains.
     ///
     /// # Errors
-    /// [`FileError::Io`] if the folder can't be written.
+    /// [`FileError::Io`] if the folder cannot be written.
     pub fn write(self, bytes: &[u8]) -> Result<(), FileError> {
         let path = fs::canonicalize(self.path).unwrap_or_else(|_| self.path.to_owned());
         let mut partial = path.clone().into_os_string();
-        // Two processes that write the same file have partial files of their own.
+        // Two processes that write the same file use separate partial files.
         partial.push(format!(".{}.partial", std::process::id()));
         let written = File::create(&partial)
             .and_then(|mut file| file.write_all(bytes).and_then(|()| file.sync_all()))
             .and_then(|()| fs::rename(&partial, path));
         written.map_err(|source| {
-            // The partial file is of no use; the first error is the one to report.
+            // The partial file is useless. The first error is the one to report.
             let _ = fs::remove_file(&partial);
             self.io(source)
         })
@@ -73,7 +73,7 @@ impl Target<'_> {
     /// Reads the file unless it has more than `bytes_max` bytes.
     ///
     /// # Errors
-    /// [`FileError::Io`] if it can't be read, [`FileError::Content`] if it is larger.
+    /// [`FileError::Io`] if the file cannot be read, [`FileError::Content`] if it is larger.
     pub fn read(self, bytes_max: u64) -> Result<Vec<u8>, FileError> {
         let mut bytes = Vec::new();
         let file = File::open(self.path).map_err(|source| self.io(source))?;
@@ -88,23 +88,23 @@ impl Target<'_> {
         FileError::Io { path: self.path.into(), source }
     }
 
-    /// The error of a file that is no safetensors file, or lacks a tensor.
+    /// The error of a file that is not a safetensors file or lacks a tensor.
     #[must_use]
     pub fn format(self, source: SafeTensorError) -> FileError {
         FileError::Format { path: self.path.into(), what: self.what, source }
     }
 
-    /// The error of a file whose tensors do not make what it should hold.
+    /// The error of a file whose tensors do not form the expected content.
     #[must_use]
     pub fn content(self, reason: String) -> FileError {
         FileError::Content { path: self.path.into(), what: self.what, reason }
     }
 }
 
-/// The numbers of a tensor of this shape, whatever they are.
+/// The numbers of a tensor of this shape. Any values are accepted.
 ///
 /// # Errors
-/// If it is of another type or shape, in words.
+/// A text, if the tensor has another type or shape.
 pub fn numbers(name: &str, view: &TensorView<'_>, shape: &[usize]) -> Result<Vec<f32>, String> {
     if view.dtype() != Dtype::F32 || view.shape() != shape {
         return Err(format!("{name} is {:?} {:?}, expected F32 {shape:?}", view.dtype(), view.shape()));
@@ -113,10 +113,10 @@ pub fn numbers(name: &str, view: &TensorView<'_>, shape: &[usize]) -> Result<Vec
     Ok(words.iter().map(|word| f32::from_le_bytes(*word)).collect())
 }
 
-/// As [`numbers`], all of them finite.
+/// Like [`numbers`], with finite values only.
 ///
 /// # Errors
-/// As [`numbers`], or if one is not finite.
+/// Like [`numbers`], or if a value is not finite.
 pub fn finite_numbers(name: &str, view: &TensorView<'_>, shape: &[usize]) -> Result<Vec<f32>, String> {
     let numbers = numbers(name, view, shape)?;
     match numbers.iter().position(|x| !x.is_finite()) {

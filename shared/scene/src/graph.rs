@@ -1,4 +1,4 @@
-//! The interaction graph: which agents are neighbours at a step.
+//! The interaction graph: the neighbours of each agent at a step.
 
 use wire::{AGENTS_MAX, AgentType, EDGES_MAX, Edge, HISTORY_MAX};
 
@@ -11,30 +11,30 @@ pub struct Vertex {
     pub agent_type: AgentType,
 }
 
-/// When two agents are neighbours.
+/// The rule that makes two agents neighbours.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EdgeRule {
     /// Largest distance between neighbours, d.
     pub radius_m: f32,
-    /// Largest distance where both are pedestrians.
+    /// Largest distance if both agents are pedestrians.
     pub pedestrian_radius_m: f32,
-    /// Most edges that an agent receives at a step, its self edge included; the nearest are kept.
+    /// Most edges that an agent receives at a step, including its self edge. The nearest ones are kept.
     pub neighbours_max: usize,
 }
 
-/// Most neighbours of an agent with which every scene fits a frame: [`EDGES_MAX`] shared by all agents and
-/// steps.
+/// Largest number of neighbours per agent with which every scene fits a frame: [`EDGES_MAX`] divided by the
+/// numbers of agents and steps.
 pub const NEIGHBOURS_MAX: usize = EDGES_MAX / (AGENTS_MAX * HISTORY_MAX);
 
 impl EdgeRule {
-    /// One radius for all pairs, and no limit on the number of neighbours: the model as the paper has it.
+    /// One radius for all pairs, and no limit on the number of neighbours, as in the paper.
     #[must_use]
     pub const fn within(radius_m: f32) -> Self {
         Self { radius_m, pedestrian_radius_m: radius_m, neighbours_max: usize::MAX }
     }
 
     /// Appends the edges of a step, sorted by (receiver, sender). Every present agent has its self edge;
-    /// agents that are absent have none. Allocates only where `edges` lacks room.
+    /// absent agents have no edges. Allocates only if `edges` lacks capacity.
     ///
     /// Costs n² distances: 128 agents take about 30 µs.
     ///
@@ -73,7 +73,7 @@ fn distance_squared(a: &Vertex, b: &Vertex) -> f32 {
     dx * dx + dy * dy
 }
 
-/// Leaves the `most` nearest of the edges from `start` on, in order of senders. The self edge is among them.
+/// Keeps the `most` nearest edges from `start` on, ordered by sender. The self edge is among them.
 fn keep_nearest(
     receiver: &Vertex,
     vertices: &[Option<Vertex>],

@@ -1,10 +1,10 @@
-//! The global context map and the local patches that are cut from it.
+//! The global context map and the local patches cut from it.
 //!
-//! A map has cells of 1 m × 1 m with two fields: the *density* B, the share of all visits that fell into the
-//! cell, and the *mean velocity* VF of those visits. They show where lanes and paths are. A [`ContextMap`] is
-//! built offline from training tracks ([`MapBuilder`]) and read from a file; an [`OnlineMap`] grows from what
-//! was observed so far and follows the ego. A *patch* is a small window of either, placed and turned with an
-//! agent. \[paper, App. A; model §2\]
+//! A map has cells of 1 m × 1 m with two fields. The *density* B is the share of all visits that fell into
+//! the cell. The *mean velocity* VF is the mean over these visits. The fields show the positions of lanes and
+//! paths. A [`ContextMap`] is built offline from training tracks ([`MapBuilder`]) and read from a file. An
+//! [`OnlineMap`] grows from the observations so far and follows the ego. A *patch* is a small window of
+//! either map, placed and turned with an agent. \[paper, App. A; model §2\]
 
 mod build;
 mod file;
@@ -19,7 +19,7 @@ use patch::{CHANNEL_LANES, Cells};
 
 use crate::State;
 
-/// A map that is complete: row = y, column = x, lower left corner at its origin.
+/// A complete map: row = y, column = x, lower left corner at its origin.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ContextMap {
     origin_m: [f32; 2],
@@ -30,8 +30,8 @@ pub struct ContextMap {
 }
 
 impl ContextMap {
-    /// The map of the given densities and velocities (x, y), row-major; B̄ is the mean of the densities that
-    /// are not zero.
+    /// The map of the given densities and velocities (x, y), row-major. B̄ is the mean of the non-zero
+    /// densities.
     fn new(
         origin_m: [f32; 2],
         cols: usize,
@@ -68,7 +68,7 @@ impl ContextMap {
         self.cols
     }
 
-    /// B of each cell, row-major; sums to 1, or to 0 where nothing was ever visited.
+    /// B of each cell, row-major. The sum is 1, or 0 if nothing was ever visited.
     pub fn density(&self) -> impl ExactSizeIterator<Item = f32> + '_ {
         self.cells.iter().map(|cell| cell[3])
     }
@@ -78,10 +78,10 @@ impl ContextMap {
         self.cells.iter().map(|cell| [cell[1], cell[2]])
     }
 
-    /// Writes the patch of an agent, \[channel, row, column\]; zeros outside the map.
+    /// Writes the patch of an agent, \[channel, row, column\], with zeros outside the map.
     ///
     /// # Panics
-    /// If `out` has not the patch's length.
+    /// If `out` does not have the length of the patch.
     pub fn patch(&self, state: &State, options: PatchOptions, out: &mut [f32]) {
         patch::sample(self, state, options, out);
     }

@@ -4,17 +4,19 @@ use kinematics::MotionStart;
 
 use crate::{MOVING_MPS, State, agent_frame};
 
-/// Fills `states` with the velocities and headings that follow from `positions_m`, a row per step of `dt_s`.
+/// Fills `states` with the velocities and headings that follow from `positions_m`, one row per step of
+/// `dt_s`.
 ///
 /// ```text
 /// v^k = (p^k − p^j) / ((k − j) Δt),  j the last present step before k
 /// ψ^k = atan2(vy, vx) if |v| ≥ 0.1 m/s
 /// ```
 ///
-/// Backward differences only: row k depends on rows up to k. The first present row copies the velocity of the
-/// second, unless that lies beyond the first `observed_len` rows while the first does not; it is then at
-/// rest. So no row of the first `observed_len` depends on a later one. The heading of an agent at rest is the
-/// last defined one, 0 where none is. \[model §1\]
+/// The differences are backward only: row k depends on rows up to k. The first present row copies the
+/// velocity of the second present row. If the first row is within the first `observed_len` rows and the
+/// second is not, the first row is at rest instead. No row of the first `observed_len` therefore depends on a
+/// later one. The heading of an agent at rest is its last defined heading, or 0 if there is none. \[model
+/// §1\]
 ///
 /// # Panics
 /// If the slices differ in length.
@@ -57,7 +59,7 @@ fn velocity(from: (usize, [f32; 2]), to: (usize, [f32; 2]), dt_s: f32) -> [f32; 
     [0, 1].map(|axis| (to.1[axis] - from.1[axis]) / elapsed_s)
 }
 
-/// Turn rates of the newest two history intervals, newest first, rad/s; 0 where either end is absent.
+/// Turn rates of the newest two history intervals, newest first, rad/s. A rate is 0 if either end is absent.
 #[must_use]
 pub fn turn_rates(history: &[Option<State>], dt_s: f32) -> [f32; 2] {
     let back = |steps: usize| history.len().checked_sub(steps).and_then(|step| history[step]);
@@ -77,7 +79,7 @@ pub fn turn(from_rad: f32, to_rad: f32) -> f32 {
 
 /// The start of the motion of an agent whose history ends at `now`, in steps of `dt_s`.
 ///
-/// Without history the agent frame is that of its present state.
+/// If there is no history, the agent frame is the frame of the present state.
 #[must_use]
 pub fn motion_start(now: &State, history: &[Option<State>], length_m: Option<f32>, dt_s: f32) -> MotionStart {
     MotionStart {

@@ -7,12 +7,12 @@ pub struct State {
     pub position_m: [f32; 2],
     /// Velocity (vx, vy).
     pub velocity_mps: [f32; 2],
-    /// Heading, counter-clockwise from +x; defined also at rest.
+    /// Heading, counter-clockwise from +x. It is also defined at rest.
     pub heading_rad: f32,
 }
 
 impl State {
-    /// The state of a history step; `None` where the track was absent.
+    /// The state of a history step; `None` if the track was absent.
     #[must_use]
     pub fn of(step: &HistoryState) -> Option<Self> {
         (step.present != 0).then_some(Self {
@@ -29,7 +29,7 @@ impl State {
     }
 }
 
-/// The states of a track's history, oldest first; its first `history_len` entries are in use.
+/// The states of a track's history, oldest first. The first `history_len` entries are valid.
 #[must_use]
 pub fn track_history(track: &Track) -> [Option<State>; HISTORY_MAX] {
     std::array::from_fn(|step| State::of(&track.history[step]))

@@ -62,7 +62,7 @@ impl Golden {
         agent_frame(&history).unwrap()
     }
 
-    /// The two parts of the window: name, first step, steps.
+    /// The two parts of the window: name, first step, number of steps.
     fn parts(&self) -> [(&'static str, usize, usize); 2] {
         let history_len = self.len("history_len");
         [("history", 0, history_len), ("future", history_len, self.len("horizon_len"))]

@@ -1,4 +1,4 @@
-//! Properties of any scene: invariance, causality, and maps that agree with one another.
+//! Properties of any scene: invariance, causality, and agreement between maps.
 
 #![expect(clippy::unwrap_used, reason = "a broken fixture should fail at once")]
 
@@ -21,7 +21,7 @@ fn states(len: usize) -> impl Strategy<Value = Vec<State>> {
     prop::collection::vec(state, len)
 }
 
-/// The state in a world that is turned about its origin and then moved.
+/// The state in a world that is turned about its origin and then shifted.
 fn moved(state: &State, turn_rad: f32, shift_m: [f32; 2]) -> State {
     let (sin, cos) = turn_rad.sin_cos();
     let turn = |[x, y]: [f32; 2]| [cos * x - sin * y, sin * x + cos * y];
@@ -168,7 +168,7 @@ fn velocities_are_backward_differences_across_gaps_too() {
     assert_eq!(states[4].unwrap().heading_rad, 0.0);
     assert_eq!((states[0], states[3]), (None, None));
 
-    // At rest the last heading stays; an agent that never moved has heading 0.
+    // At rest the last heading remains. An agent that never moved has heading 0.
     let rows = [Some([0.0, 0.0]), Some([0.0, 0.4]), Some([0.0, 0.41]), None, None];
     states_from_positions(&rows, 5, 0.4, &mut states);
     assert_eq!(states[2].unwrap().heading_rad, std::f32::consts::FRAC_PI_2);
@@ -228,7 +228,7 @@ fn an_online_map_moves_with_the_ego_and_clears_the_rest() {
         assert!(brightest(&map, x) > 0.0, "the window holds the ego's surroundings at {x} m");
     }
     assert_eq!(brightest(&map, 10.0), 0.0, "left behind");
-    // Only the window's visits count: a fresh map of these alone is the same.
+    // Only the window's visits count: a fresh map of only these visits is identical.
     let mut fresh = OnlineMap::new();
     let (x, brink) = (2_999.0 * 0.8, brink(&map, 2_999.0 * 0.8));
     let held = (0..3_000).map(|tick| tick as f32 * 0.8).filter(|seen| *seen >= brink);
@@ -236,7 +236,7 @@ fn an_online_map_moves_with_the_ego_and_clears_the_rest() {
     assert_eq!(brightest(&map, x), brightest(&fresh, x));
 }
 
-/// The first metre along x that the map still holds, found by its patches.
+/// The first metre along x that the map still contains, found with patches.
 fn brink(map: &OnlineMap, ego_x_m: f32) -> f32 {
     let fine = PatchOptions { side: 1, cell_m: 1.0, ahead_m: 0.0 };
     let held = |x: &f32| {

@@ -3,7 +3,7 @@ use crate::Candidate;
 use crate::assignment::Assigner;
 use crate::components::Components;
 
-/// A detection that may be of a track, and the probability that it is.
+/// A detection that may belong to a track, with the probability that it does.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Share {
     /// Number of the detection.
@@ -12,27 +12,28 @@ pub struct Share {
     pub probability: f64,
 }
 
-/// Finds the probability of each pair of a frame; holds the last result and scratch memory.
+/// Finds the probability of each pair of a frame. Holds the last result and scratch memory.
 ///
-/// The weight of an event is exp(−½ Σ cost), the cost being what the [assignment](Assigner::solve) of the
-/// same candidates minimises: that finds the likeliest event, this sums over all. Components of up to
-/// [`SIDE_MAX`] tracks and detections are exact. A larger one is cut into such: the pairs of its optimal
-/// assignment stay, then the cheapest of the others that keep within the bound; a pair that is cut counts as
-/// beyond the gate.
+/// The weight of an event is exp(−½ Σ cost). The [assignment](Assigner::solve) of the same candidates
+/// minimises the same cost. It finds the most likely event, while this sums over all events.
+///
+/// Components of up to [`SIDE_MAX`] tracks and detections are exact. A larger component is cut into such
+/// components. The pairs of its optimal assignment remain, followed by the cheapest other pairs that keep
+/// within the bound. A removed pair counts as beyond the gate.
 #[derive(Clone, Debug, Default)]
 pub struct Associator {
     components: Components,
     assigner: Assigner,
-    /// Candidates and result of the assignment where a component is too large.
+    /// Candidates for the assignment of a component that is too large. `paired` holds its result.
     for_assigner: Vec<Candidate>,
     paired: Vec<Option<u32>>,
     shares: Vec<Share>,
-    /// Begin and end of each track's shares.
+    /// Start and end of each track's shares.
     of_track: Vec<[u32; 2]>,
 }
 
 impl Associator {
-    /// Scratch for so many tracks and detections.
+    /// Scratch memory for this number of tracks and detections.
     #[must_use]
     pub fn with_capacity(tracks_len: usize, detections_len: usize) -> Self {
         Self {
@@ -51,7 +52,7 @@ impl Associator {
     /// cost − miss_cost = −2 ln (P_D N(y; 0, S) / λ) + 2 ln (1 − P_D)
     /// ```
     ///
-    /// Candidates are sorted in place; one whose cost is not finite is left out, as is one that is cut.
+    /// Candidates are sorted in place. A candidate is ignored if its cost is not finite or if it was cut.
     ///
     /// # Panics
     /// If a candidate names a track or detection beyond the given numbers.
@@ -82,17 +83,18 @@ impl Associator {
         }
     }
 
-    /// The detections that may be of a track, in rising order; the rest of 1 is the probability of its miss.
+    /// The detections that may belong to a track, in rising order. The remaining probability is that of its
+    /// miss.
     ///
     /// # Panics
-    /// If there is no such track.
+    /// If the track does not exist.
     #[must_use]
     pub fn of_track(&self, track: usize) -> &[Share] {
         let [begin, end] = self.of_track[track];
         &self.shares[begin as usize..end as usize]
     }
 
-    /// Removes candidates of the components that are too large, until none is.
+    /// Removes candidates of oversized components until every component is within the bound.
     fn cut(
         &mut self,
         candidates: &mut Vec<Candidate>,
@@ -142,7 +144,7 @@ fn probabilities(
     })
 }
 
-/// Column of a candidate's detection among those of its component, the next free one for a new detection.
+/// Column of a candidate's detection in its component. A new detection gets the next free column.
 fn column(detections: &[Option<u32>; SIDE_MAX], candidate: &Candidate) -> usize {
     let found = detections.iter().position(|d| d.is_none_or(|d| d == candidate.detection));
     found.expect("a component within the bound")

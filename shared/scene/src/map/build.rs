@@ -1,6 +1,6 @@
 use super::ContextMap;
 
-/// Most cells of a map: a square of 2 km.
+/// Largest number of cells in a map: a square of 2 km.
 pub const CELLS_MAX: usize = 1 << 22;
 
 #[derive(Clone, Copy, Default)]
@@ -19,16 +19,16 @@ pub struct MapBuilder {
 }
 
 impl MapBuilder {
-    /// A map without visits, its lower left corner at `origin_m`; `None` where it has more than [`CELLS_MAX`]
-    /// cells.
+    /// A map without visits, with its lower left corner at `origin_m`. Returns `None` if it has more than
+    /// [`CELLS_MAX`] cells.
     #[must_use]
     pub fn new(origin_m: [f32; 2], rows: usize, cols: usize) -> Option<Self> {
         let cells_len = rows.checked_mul(cols).filter(|len| *len <= CELLS_MAX)?;
         Some(Self { origin_m, rows, cols, sums: vec![Sums::default(); cells_len] })
     }
 
-    /// Counts an agent that was at a position with a velocity. One outside the map is dropped. Returns
-    /// whether it counted.
+    /// Counts one visit: an agent at a position with a velocity. A visit outside the map is dropped. Returns
+    /// whether the visit was counted.
     pub fn visit(&mut self, position_m: [f32; 2], velocity_mps: [f32; 2]) -> bool {
         let [col, row] = [0, 1].map(|axis| f64::from(position_m[axis]) - f64::from(self.origin_m[axis]));
         let inside = |index: f64, len: usize| index >= 0.0 && index < len as f64;

@@ -13,14 +13,14 @@ use crate::file::{Target, finite_numbers};
 const DENSITY: &str = "map.density";
 const VELOCITY: &str = "map.velocity";
 const ORIGIN: &str = "map.origin_m";
-/// Three numbers a cell and a generous header.
+/// Three numbers per cell and a generous header.
 const BYTES_MAX: u64 = CELLS_MAX as u64 * 12 + (1 << 20);
 
 impl ContextMap {
-    /// Writes the map to a file, all of it or nothing: a reader never meets half a map.
+    /// Writes the map to a file atomically: a reader never sees half a map.
     ///
     /// # Errors
-    /// [`FileError::Io`] if the folder can't be written.
+    /// [`FileError::Io`] if the folder cannot be written.
     pub fn save(&self, path: &Path) -> Result<(), FileError> {
         let target = target(path);
         let bytes = self.to_bytes().map_err(|source| target.format(source))?;
@@ -30,7 +30,7 @@ impl ContextMap {
     /// Reads a map from a file.
     ///
     /// # Errors
-    /// [`FileError`] if the file can't be read, is no map, or holds numbers that no map has.
+    /// [`FileError`] if the file cannot be read, is not a map, or contains invalid numbers.
     pub fn load(path: &Path) -> Result<Self, FileError> {
         let target = target(path);
         Self::from_bytes(&target.read(BYTES_MAX)?, target)

@@ -6,7 +6,7 @@ pub const ONLINE_SIDE: usize = 512;
 
 /// The window moves once its centre is this far from the ego, in cells.
 const SLACK: i32 = ONLINE_SIDE as i32 / 4;
-/// Visits for which the density channel is tabulated.
+/// Number of visits for which the density channel is tabulated.
 const TABULATED: usize = 256;
 
 #[derive(Clone, Copy, Default)]
@@ -15,12 +15,12 @@ struct Cell {
     velocity_mps: [f32; 2],
 }
 
-/// A map of what was observed so far, causal by construction: a patch shows only the visits added before it
+/// A map of the observations so far. It is causal by construction: a patch shows only visits added before it
 /// was cut.
 ///
-/// Memory is bounded: the map is a window of [`ONLINE_SIDE`]² cells around the ego, and cells that leave it
-/// are cleared. Cells lie on whole metres of the world frame and are stored modulo the window's side, so that
-/// moving the window clears the strips that leave and copies nothing.
+/// Memory is bounded, because the map is a window of [`ONLINE_SIDE`]² cells around the ego. Cells that leave
+/// the window are cleared. Cells are aligned to whole metres of the world frame and stored modulo the
+/// window's side. Moving the window therefore clears the strips that leave and copies nothing.
 #[derive(Clone)]
 pub struct OnlineMap {
     cells: Vec<Cell>,
@@ -29,7 +29,7 @@ pub struct OnlineMap {
     placed: bool,
     visits: u64,
     occupied: u64,
-    /// ln(1 + B/B̄) of a cell by its visits.
+    /// ln(1 + B/B̄) of a cell, indexed by its visits.
     channel: [f32; TABULATED],
 }
 
@@ -40,7 +40,7 @@ impl Default for OnlineMap {
 }
 
 impl OnlineMap {
-    /// A map without visits; the first call of [`OnlineMap::observe`] places it.
+    /// A map without visits. The first call of [`OnlineMap::observe`] places it.
     #[must_use]
     pub fn new() -> Self {
         Self {
@@ -65,10 +65,10 @@ impl OnlineMap {
         }
     }
 
-    /// Writes the patch of an agent, \[channel, row, column\]; zeros where nothing was observed.
+    /// Writes the patch of an agent, \[channel, row, column\], with zeros where nothing was observed.
     ///
     /// # Panics
-    /// If `out` has not the patch's length.
+    /// If `out` does not have the length of the patch.
     pub fn patch(&self, state: &State, options: PatchOptions, out: &mut [f32]) {
         patch::sample(self, state, options, out);
     }
@@ -90,7 +90,7 @@ impl OnlineMap {
         }
     }
 
-    /// ln(1 + B/B̄): with B = visits / all visits, B̄ is 1 / occupied cells.
+    /// ln(1 + B/B̄), with B = visits / all visits and B̄ = 1 / occupied cells.
     fn relative_density(&self, visits: u32) -> f32 {
         let per_mean = self.occupied as f64 / self.visits.max(1) as f64;
         (f64::from(visits) * per_mean).ln_1p() as f32

@@ -2,7 +2,7 @@ use wire::PATCH_CHANNELS;
 
 use crate::State;
 
-/// Numbers of a cell as they are interpolated: the three channels and a spare that fills the vector register.
+/// Numbers per cell in the interpolation: the three channels, and a spare one that fills the vector register.
 pub(super) const CHANNEL_LANES: usize = 4;
 
 /// Size of local patches.
@@ -12,12 +12,12 @@ pub struct PatchOptions {
     pub side: usize,
     /// Side of a patch's cell.
     pub cell_m: f32,
-    /// Distance of a patch's centre ahead of the agent, towards where it will be.
+    /// Distance of a patch's centre ahead of the agent, in the direction of its future.
     pub ahead_m: f32,
 }
 
 impl PatchOptions {
-    /// Numbers of a patch: three channels of P × P.
+    /// Length of a patch: three channels of P × P.
     #[must_use]
     pub const fn len(&self) -> usize {
         PATCH_CHANNELS * self.side * self.side
@@ -30,7 +30,7 @@ impl PatchOptions {
     }
 }
 
-/// A grid of 1 m cells that patches are cut from.
+/// A grid of 1 m cells from which patches are cut.
 pub(super) trait Cells {
     /// Lower left corner of cell (0, 0) in the world frame.
     fn origin_m(&self) -> [f32; 2];
@@ -46,7 +46,8 @@ pub(super) trait Cells {
 /// row r, column c  ←  p + R(ψ) (((P−1)/2 − r) · cell + ahead, ((P−1)/2 − c) · cell)       [model §2]
 /// ```
 ///
-/// Row 0 is farthest ahead, column 0 leftmost; bilinear between cell centres; velocities in the agent's axes.
+/// Row 0 is farthest ahead, and column 0 is leftmost. Values are bilinear between cell centres. Velocities
+/// are in the agent's axes.
 pub(super) fn sample(map: &impl Cells, state: &State, options: PatchOptions, out: &mut [f32]) {
     assert_eq!(out.len(), options.len(), "room for one patch");
     let area = options.side * options.side;
@@ -55,8 +56,8 @@ pub(super) fn sample(map: &impl Cells, state: &State, options: PatchOptions, out
     let (sin, cos) = state.heading_rad.sin_cos();
     let half = (options.side as f32 - 1.0) * 0.5;
     let origin_m = map.origin_m();
-    // In units of cells from the centre of cell (0, 0). Whole and fraction are kept apart, so that the
-    // fractions are as exact far from the origin as they are near it.
+    // In units of cells from the centre of cell (0, 0). Integer and fraction are separate, so fractions far
+    // from the origin are as exact as near it.
     let [(whole_x, centre_x), (whole_y, centre_y)] = [0, 1].map(|axis| {
         let (position, origin) = (floor(state.position_m[axis]), floor(origin_m[axis]));
         let fraction = (state.position_m[axis] - position as f32) - (origin_m[axis] - origin as f32);
@@ -78,7 +79,7 @@ pub(super) fn sample(map: &impl Cells, state: &State, options: PatchOptions, out
     }
 }
 
-/// The cells around the point at (x, y) from the centre of cell `whole` (column, row), weighted by nearness.
+/// The cells around the point at (x, y) from the centre of cell `whole` (column, row), weighted bilinearly.
 #[inline]
 fn interpolate(map: &impl Cells, whole: [i32; 2], x: f32, y: f32) -> [f32; CHANNEL_LANES] {
     let (left, low) = (floor(x), floor(y));
@@ -93,7 +94,7 @@ fn interpolate(map: &impl Cells, whole: [i32; 2], x: f32, y: f32) -> [f32; CHANN
     let [rows, cols] = map.size();
     let mut sum = [0.0; CHANNEL_LANES];
     for (row, col, weight) in corners {
-        // A negative index becomes one beyond any size.
+        // A negative index becomes larger than any size.
         let (row, col) = (row as u32 as usize, col as u32 as usize);
         if row < rows && col < cols {
             let corner = map.cell(row, col);
@@ -105,7 +106,7 @@ fn interpolate(map: &impl Cells, whole: [i32; 2], x: f32, y: f32) -> [f32; CHANN
     sum
 }
 
-/// The integer at or below; `f32::floor` is a call into the C library on the oldest x86-64 machines.
+/// The largest integer at or below `value`. `f32::floor` calls the C library on the oldest x86-64 machines.
 #[inline]
 fn floor(value: f32) -> i32 {
     let truncated = value as i32;
