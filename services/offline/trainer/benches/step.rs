@@ -1,7 +1,7 @@
-//! Time of a training step of whole configurations, on generated road users that move in circles.
+//! Times a training step of whole configurations, on generated road users that move in circles.
 //!
-//! The times are those of the run's log, which has one every few updates. Other load on the machine only adds
-//! time, so the shortest interval counts. `step_in_pytorch.py` beside this file times the same step in
+//! The times come from the run's log, which has one line every few updates. Other load on the machine only
+//! adds time, so the shortest interval counts. `step_in_pytorch.py` in this folder times the same step in
 //! PyTorch.
 
 use std::error::Error;
@@ -38,7 +38,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         ("pedestrians", &mut pedestrians),
     ];
     for (name, options) in cases {
-        // Whole histories: every step is as large as in the script.
+        // Whole histories, so that every step is as large as in the script.
         (options.short_history, options.noisy_history) = (0.0, 0.0);
         (options.steps, options.validate_every, options.validation_agents) = (STEPS, u64::MAX, 8);
         options.data = folder.path().to_owned();

@@ -1,4 +1,4 @@
-//! The trainer's layers and the onboard layers compute the same from every shipped weights file.
+//! Tests that the trainer's and the onboard layers compute the same from every shipped weights file.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -28,22 +28,22 @@ use crate::samples::{Ground, MapKind, Scene, Selection, cut};
 use crate::spool::{Spool, Spooling};
 use crate::view;
 
-/// Largest error, as a share of an agent's largest value; of positions, as a share of at least one metre.
+/// Maximum error, relative to an agent's largest value; for positions, relative to at least one metre.
 const TOLERANCE: f32 = 1e-4;
-/// Neighbours of an agent, itself included, at most.
+/// Maximum number of an agent's neighbours, itself included.
 const NEIGHBOURS_MAX: usize = 5;
 
-/// What the network computes of one agent.
+/// The network's outputs for one agent.
 #[derive(Debug, Default)]
 struct Computed {
     /// ṽ.
     encoding: Vec<f32>,
-    /// Of the modes, `[modes]`.
+    /// Probabilities of the modes, `[modes]`.
     probability: Vec<f32>,
-    /// Output of the decoder's head for every mode and step, then for the single best forecast, `[(modes + 1)
-    /// × horizon × 5]`.
+    /// Output of the decoder's head for the steps of all modes, then of the single best forecast, `[(modes +
+    /// 1) × horizon × 5]`.
     raw: Vec<f32>,
-    /// Positions in the agent frame, m: of every mode, then of the single best forecast, `[(modes + 1) ×
+    /// Positions of all modes, then of the single best forecast, in the agent frame, m, `[(modes + 1) ×
     /// horizon × 2]`.
     positions: Vec<f32>,
 }
@@ -95,7 +95,7 @@ fn check(name: &str, ours: &[f32], theirs: &[f32], least: f32) {
     assert!(worst <= TOLERANCE * largest, "{name}: off by {worst} of {largest}");
 }
 
-/// Scenes of agents of all types, all of them with a target, and the patches of their ground.
+/// Scenes of agents of all types, each with a target, and the patches of their ground.
 fn recorded(config: &ModelConfig) -> (Vec<Scene>, Ground, Spool) {
     let folder = tempfile::tempdir().unwrap();
     let mut random = ChaCha8Rng::seed_from_u64(7);

@@ -1,9 +1,9 @@
-//! The base control: the forecast before the network adds to it. \[model §3, Base control\]
+//! The base control: the forecast to which the network adds a residual. \[model §3, Base control\]
 //!
 //! A ridge regression per history class and speed bin maps 26 features of the newest states to a control
 //! sequence `[horizon × 2]`. The residuals between its forecasts and the recorded futures form 20 clusters
-//! per bin of (speed, acceleration, yaw rate); the mean control residual of a cluster is an *anchor*. Ridge
-//! plus anchors is a forecaster with modes of its own (B\*), and the network starts from it.
+//! per bin of (speed, acceleration, yaw rate). The mean control residual of a cluster is an *anchor*. Ridge
+//! plus anchors is a forecaster with modes (B\*), and the network starts from it.
 
 mod fit;
 mod targets;
@@ -27,9 +27,9 @@ use fit::Sample;
 
 type Features = [f32; binning::FEATURES];
 
-/// Bounds of a feature that nothing lies outside of, in half precision too.
+/// Bounds that contain every value of a feature, also in half precision.
 const EVERYWHERE: [f32; 2] = [-65504.0, 65504.0];
-/// Agents of a type that the fit uses at most; they are spread evenly.
+/// Maximum number of agents per type in the fit, spread evenly.
 pub(crate) const FITTED_MAX: usize = 60_000;
 
 /// The base control of all agent types.
@@ -46,7 +46,7 @@ struct TypeBase {
     ridge: Vec<f32>,
     /// `[bins, modes + 1, controls]`; the last of each bin is zero, for the single best forecast.
     anchors: Vec<f32>,
-    /// `[classes, features]`: lower and upper bounds; none where the model has none.
+    /// `[classes, features]`: lower and upper bounds; `None` if the model has none.
     support: Option<Vec<[f32; 2]>>,
 }
 
@@ -57,7 +57,7 @@ pub(crate) struct AgentBase<'a> {
     pub(crate) ridge: Vec<f32>,
     /// `[(modes + 1) × horizon × 2]`.
     pub(crate) anchors: &'a [f32],
-    /// What is kept of the network's controls, at this distance from the support.
+    /// Share of the network's controls that is kept at this distance from the support.
     pub(crate) share: f32,
 }
 
@@ -68,9 +68,9 @@ impl BaseControl {
         Self { config: config.clone(), types: AGENT_TYPES.iter().map(zero).collect() }
     }
 
-    /// Fits ridge and anchors to the agents whose future is known, each with its history cut to every class.
+    /// Fits ridge and anchors to the agents with a known future. Each history is also cut to every class.
     ///
-    /// `agents` reads those of a type; the fit uses [`FITTED_MAX`] of them at most.
+    /// `agents` reads the agents of a type; the fit uses at most [`FITTED_MAX`] of them.
     pub(crate) fn fit<A>(
         config: &ModelConfig,
         agents: impl Fn(AgentType) -> A,
@@ -101,7 +101,7 @@ impl BaseControl {
         Ok(Self { config: config.clone(), types: types.collect::<Result<_, TrainError>>()? })
     }
 
-    /// Fits the support alone to the windows that [`BaseControl::fit`] would take.
+    /// Fits only the support, to the windows that [`BaseControl::fit`] would use.
     pub(crate) fn fit_support<A>(
         &mut self,
         agents: impl Fn(AgentType) -> A,
@@ -145,7 +145,7 @@ impl BaseControl {
         AgentBase { ridge, anchors, share }
     }
 
-    /// What the support allows of each agent type with a whole history; none where there is no support.
+    /// The motion within the support of each agent type, for whole histories; empty without a support.
     pub(crate) fn fitness(&self) -> BTreeMap<String, Fitness> {
         let of_type = |(name, base): (&&str, &TypeBase)| {
             let whole = (binning::CLASSES - 1) * binning::FEATURES;
@@ -176,7 +176,7 @@ impl BaseControl {
         }
     }
 
-    /// Reads the tensors `base.*` back; `None` where they are missing.
+    /// Reads the tensors `base.*`; `None` if they are missing.
     pub(crate) fn load(weights: &Tensors, config: &ModelConfig) -> Option<Self> {
         let controls_len = 2 * config.horizon_len;
         let types = TYPE_NAMES.iter().map(|name| {
@@ -217,7 +217,7 @@ fn samples(
     Ok(samples)
 }
 
-/// The bins of an agent in the tables.
+/// An agent's bins in the tables.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Bins {
     class: usize,
@@ -256,7 +256,7 @@ impl TypeBase {
         }
     }
 
-    /// The features within the support, and how far outside they lay.
+    /// The features clamped to the support, and their distance outside of it.
     fn supported(&self, features: &Features, bins: Bins) -> (Features, f32) {
         self.support.as_ref().map_or((*features, 0.0), |support| {
             Support::new(&support[bins.class * binning::FEATURES..]).clamp(features)

@@ -1,14 +1,14 @@
 //! Training scenes as matrices. \[model §2\]
 //!
-//! **In:** [`SceneView`]s, states in the world frame (m, m/s, rad). **Out:** a [`Batch`]: scaled features and
-//! targets in agent frames, shapes at its fields.
+//! **In:** [`SceneView`]s, with states in the world frame (m, m/s, rad). **Out:** a [`Batch`]: scaled
+//! features and targets in agent frames; its fields document the shapes.
 //!
 //! A batch is ragged. The agents of many scenes are one list, sorted by type, those with a target first. A
 //! *row* is an agent at one step where it is present; rows are sorted by (agent, step), so that the rows of
 //! each type are contiguous. Edges join rows of the same scene and step.
 //!
-//! Neighbouring windows of a recording share most of their steps: the features of a map patch, or of a pair
-//! of agents at one step, are computed once for all rows and edges that share them.
+//! Neighbouring windows of a recording share most of their steps. So the features of a map patch, or of a
+//! pair of agents at one step, are computed once for all rows and edges that share them.
 
 mod graph;
 #[cfg(test)]
@@ -29,7 +29,7 @@ use crate::samples::{Agent, MapView};
 pub(crate) use graph::Graph;
 use graph::{Placed, Steps};
 
-/// One agent as a training step shows it to the network, possibly with a shortened history.
+/// One agent as the network sees it in a training step, possibly with a shortened history.
 #[derive(Clone, Debug)]
 pub(crate) struct AgentView {
     pub(crate) agent: Arc<Agent>,
@@ -56,7 +56,7 @@ fn in_frame(frame: &AgentFrame, position_m: [f32; 2]) -> [f32; 2] {
 #[derive(Clone, Debug)]
 pub(crate) struct SceneView<'a> {
     pub(crate) agents: Vec<AgentView>,
-    /// The map patches; `None` where the scene is shown without a map.
+    /// The map patches; `None` if the scene is shown without a map.
     pub(crate) map: Option<MapView<'a>>,
     /// Whether left and right are swapped.
     pub(crate) mirrored: bool,
@@ -66,9 +66,9 @@ pub(crate) struct SceneView<'a> {
 #[derive(Debug)]
 pub(crate) struct Batch<'a> {
     pub(crate) graph: Graph,
-    /// The graph of the forecast steps, where the objective needs it.
+    /// The graph of the forecast steps, if the objective needs it.
     pub(crate) future: Option<Graph>,
-    /// Ranges of the agents of each type that are forecast.
+    /// Ranges of the forecast agents of each type.
     pub(crate) forecast: [Range<usize>; 3],
     /// State features `[agents, history × 6]`, zeros where absent.
     pub(crate) state: Matrix,
@@ -86,20 +86,20 @@ pub(crate) struct Batch<'a> {
     pub(crate) origin: Vec<(usize, usize)>,
 }
 
-/// What [`Batch::new`] needs besides the scenes.
+/// The inputs of [`Batch::new`] besides the scenes.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct BatchOptions<'a> {
     pub(crate) config: &'a ModelConfig,
     pub(crate) base: &'a BaseControl,
-    /// Most neighbours of an agent, itself included.
+    /// Maximum number of an agent's neighbours, itself included.
     pub(crate) neighbours_max: usize,
-    /// Whether the graph of the forecast steps is made too.
+    /// Whether the batch includes the graph of the forecast steps.
     pub(crate) with_future: bool,
 }
 
 impl<'a> Batch<'a> {
     /// # Errors
-    /// [`TrainError::Scratch`] where a map patch can't be read.
+    /// [`TrainError::Scratch`] if a map patch can't be read.
     pub(crate) fn new(scenes: &[SceneView<'_>], options: BatchOptions<'a>) -> Result<Self, TrainError> {
         let mut origin: Vec<(usize, usize)> = scenes
             .iter()

@@ -2,10 +2,10 @@
 //!
 //! **In:** weights and validation scenes. **Out:** one factor per agent type, dimensionless.
 //!
-//! The energy score trains the shape of the covariances; their scale on held-out scenes is one factor per
-//! agent type. The control deviations of a type are multiplied by it, so that the 90 % highest-density
-//! regions of the mixtures hold 90 % of the validation's positions, pooled over agents and steps. The factor
-//! is folded into the last layer of the decoder: readers of the weights need not know it.
+//! The energy score trains the shape of the covariances. Their scale on held-out scenes is one factor per
+//! agent type, by which all control deviations of the type are multiplied. It is chosen so that the 90 %
+//! highest-density regions of the mixtures hold 90 % of the validation's positions, pooled over agents and
+//! steps. The factor is folded into the last layer of the decoder, so readers of the weights do not need it.
 
 use std::collections::BTreeMap;
 
@@ -29,15 +29,15 @@ use crate::view;
 
 /// Share of the positions inside the regions after calibration.
 const LEVEL: f64 = 0.9;
-/// Agents of a type that calibration uses at most.
+/// Maximum number of agents per type in the calibration.
 const AGENTS_MAX: usize = 1000;
 /// A type with fewer agents is not calibrated.
 const AGENTS_MIN: usize = 50;
-/// Agents of a crowd that are shown at most.
+/// Maximum number of agents shown from a crowd.
 const SCENE_AGENTS: usize = 48;
 /// Smallest and largest factor.
 const FACTORS: [f64; 2] = [0.2, 5.0];
-/// Bisection steps over the factor: to 0.1 %.
+/// Bisection steps for the factor, which then has a precision of 0.1 %.
 const HALVINGS: usize = 12;
 
 /// The mixture over the positions of one step, and the true position.
@@ -62,7 +62,7 @@ pub(crate) struct Calibration<'a> {
 }
 
 impl Calibration<'_> {
-    /// Calibrates every type that has enough agents; returns the factors by the types' names.
+    /// Calibrates every type with enough agents. Returns the factors by type name.
     pub(crate) fn apply(&self, weights: &mut Tensors) -> Result<BTreeMap<String, f64>, TrainError> {
         let forecasts = self.forecasts(weights)?;
         let mut factors = BTreeMap::new();
@@ -163,7 +163,7 @@ fn moments(
         });
         return steps.collect();
     }
-    // Displacements are independent: their covariances add up.
+    // Displacements are independent, so their covariances add up.
     let mut covariance = [0.0; 3];
     let positions = rollout.positions.row(row).as_chunks::<2>().0;
     let steps = controls.zip(positions).map(|(control, position)| {
@@ -176,7 +176,7 @@ fn moments(
     steps.collect()
 }
 
-/// The factor with which the regions hold the share [`LEVEL`] of the positions.
+/// The factor at which the regions hold the share [`LEVEL`] of the positions.
 fn factor(forecasts: &[Forecast]) -> f64 {
     let [mut low, mut high] = FACTORS.map(f64::ln);
     for _ in 0..HALVINGS {
@@ -190,7 +190,7 @@ fn factor(forecasts: &[Forecast]) -> f64 {
     (0.5 * (low + high)).exp()
 }
 
-/// Share of the positions inside the regions, with all deviations times `factor`.
+/// Share of the positions inside the regions if all deviations are multiplied by `factor`.
 fn covered(forecasts: &[Forecast], factor: f64) -> f64 {
     let square = (factor * factor) as f32;
     let (mut inside, mut steps_len) = (0_usize, 0_usize);
@@ -213,7 +213,8 @@ fn covered(forecasts: &[Forecast], factor: f64) -> f64 {
     inside as f64 / steps_len.max(1) as f64
 }
 
-/// Multiplies the Cholesky factors of a type's controls: ln l₁₁ and ln l₂₂ by their biases, l₂₁ by its row.
+/// Multiplies the Cholesky factors of a type's controls by `factor`: ln l₁₁ and ln l₂₂ by their biases, l₂₁
+/// by its row.
 fn widen(weights: &mut Tensors, type_name: &str, factor: f32) {
     let name = |part: &str| format!("decoder.{type_name}.head.{part}");
     if let Some(bias) = weights.0.get_mut(&name("bias")) {
@@ -235,7 +236,7 @@ mod tests {
 
     use super::*;
 
-    /// One Gaussian with half of the true deviation.
+    /// A Gaussian with half of the true standard deviation.
     #[test]
     fn a_deviation_of_half_the_true_one_is_doubled() {
         let mut random = ChaCha8Rng::seed_from_u64(1);

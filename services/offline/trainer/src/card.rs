@@ -16,19 +16,19 @@ use crate::validate::{BASELINE_MIN_M, SetScore, rounded};
 /// Provenance and figures of a set of weights.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct ModelCard {
-    /// What the model forecasts.
+    /// A sentence on what the model forecasts.
     pub about: String,
     /// Options of the training run.
     pub options: TrainOptions,
-    /// The update whose averaged weights these are.
+    /// The update whose averaged weights the file contains.
     pub step: u64,
     /// Time that training took.
     pub wall_s: f64,
-    /// Largest resident memory since the training began or was resumed; absent from cards of the first
+    /// Largest resident memory since the training began or was resumed. Absent from cards of the first
     /// versions.
     #[serde(default)]
     pub peak_rss_mib: Option<u64>,
-    /// CPU that training ended on.
+    /// The CPU on which training ended.
     #[serde(default)]
     pub cpu: Option<String>,
     /// Calibration factors of each type's covariances, fitted to the validation.
@@ -46,17 +46,17 @@ pub struct ModelCard {
     pub gains: Vec<Gain>,
     /// Every recording of the training data.
     pub recordings: Vec<Source>,
-    /// The licence of each data set that the weights were trained on, by name; of `driving` by source. Absent
-    /// from cards of the first versions.
+    /// The licence of each data set that the weights were trained on, by name. `driving` has one entry per
+    /// source. Absent from cards of the first versions.
     #[serde(default)]
     pub licences: BTreeMap<String, String>,
-    /// The motion that nearly all training windows had, by agent type: within it the weights are fit for use.
-    /// Absent where the model has no support.
+    /// The range of motion in nearly all training windows, by agent type. The weights are suitable for motion
+    /// in this range. Absent if the model has no support.
     #[serde(default)]
     pub fitness: BTreeMap<String, Fitness>,
 }
 
-/// Motion within which nearly all training windows of a type lie.
+/// Range of motion of nearly all training windows of a type.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Fitness {
     /// Largest speed.
@@ -68,10 +68,10 @@ pub struct Fitness {
 }
 
 impl Fitness {
-    /// The motion within the bounds of the base control's features.
+    /// The range of motion within the bounds of the base control's features.
     ///
     /// # Panics
-    /// Where there are fewer bounds than features.
+    /// If there are fewer bounds than features.
     #[must_use]
     pub(crate) fn within(bounds: &[[f32; 2]]) -> Self {
         use nn::base::{ACCELERATION, LATERAL_ACCELERATION, SPEED_SQUARED};
@@ -84,7 +84,7 @@ impl Fitness {
     }
 }
 
-/// The licences of data sets, by name; of a set with several sources those of which there are recordings.
+/// The licences of data sets, by name. A set with several sources has those of the sources with recordings.
 fn licences(sets: &[String], recordings: &[Source]) -> BTreeMap<String, String> {
     let known = sets.iter().filter_map(|name| set_named(name).ok());
     let licences = known.flat_map(|set| {
@@ -108,7 +108,7 @@ fn add_missing<T: PartialEq>(to: &mut Vec<T>, from: Vec<T>) {
 pub struct Seen {
     /// Windows.
     pub windows: usize,
-    /// Agents in them whose future is known.
+    /// Agents in these windows whose future is known.
     pub agents: usize,
 }
 
@@ -170,8 +170,8 @@ impl ModelCard {
         }
     }
 
-    /// The card of the mean of the weights in `files`: the last one's, with the data sets and recordings of all and
-    /// the time that all took. None of none.
+    /// The card of the mean of the weights in `files`. It is the last card, with the data sets, recordings
+    /// and training time of all. `None` without cards.
     pub(crate) fn of_mean(mut cards: Vec<Self>, files: &[PathBuf]) -> Option<Self> {
         let mut card = cards.pop()?;
         let Some(last) = files.last().filter(|_| !cards.is_empty()) else { return Some(card) };
@@ -189,7 +189,7 @@ impl ModelCard {
         Some(card)
     }
 
-    /// The card of weights that were trained earlier and have got the support of these options since.
+    /// The card of weights that were trained earlier and now get the support of these options.
     pub(crate) fn revised(
         self,
         options: &TrainOptions,

@@ -34,7 +34,7 @@ pub(crate) struct RunProgress {
     pub(crate) step: u64,
     /// Updates that moved the weights.
     pub(crate) adam_steps: u64,
-    /// Figure of the best validation, `None` before the first.
+    /// Figure of the best validation; `None` before the first validation.
     pub(crate) best_figure: Option<f64>,
     /// Update of the best validation.
     pub(crate) best_step: u64,
@@ -42,15 +42,15 @@ pub(crate) struct RunProgress {
     pub(crate) stale: u32,
     /// Time spent so far.
     pub(crate) seconds: f64,
-    /// Seed and model that the run began with.
+    /// Seed and model at the start of the run.
     pub(crate) seed: u64,
     pub(crate) model: nn::ModelConfig,
-    /// Scores before the first update, and those of the best validation.
+    /// Scores before the first update.
     #[serde(default)]
     pub(crate) first_scores: Vec<SetScore>,
     #[serde(default)]
     pub(crate) best_scores: Vec<SetScore>,
-    /// SHA-256 of the user's own recordings that it trains on.
+    /// SHA-256 of the user's own recordings in the training data.
     #[serde(default)]
     pub(crate) recordings: Vec<String>,
 }
@@ -75,7 +75,7 @@ impl RunState {
         Self { best: weights.clone(), weights, adam, progress }
     }
 
-    /// Writes the checkpoint; an older one is replaced only by a complete new one.
+    /// Writes the checkpoint. An older one is replaced only by a complete one.
     pub(crate) fn save(&self, folder: &Path) -> Result<(), TrainError> {
         let mut all = Tensors::default();
         let mut add = |prefix: &str, tensors: &Tensors| {
@@ -104,7 +104,7 @@ impl RunState {
         write_whole(&path, &bytes)
     }
 
-    /// Reads the checkpoint of a run with the same seed and model; `None` where there is none.
+    /// Reads the checkpoint of a run with the same seed and model; `None` if there is none.
     pub(crate) fn load(options: &TrainOptions) -> Result<Option<Self>, TrainError> {
         let path = options.checkpoints.join(FILE);
         if !path.exists() {

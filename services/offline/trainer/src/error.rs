@@ -3,7 +3,7 @@ use std::path::{Path, PathBuf};
 use data::ReadError;
 use nn::{ConfigError, WeightsError};
 
-/// Why a training run ended early.
+/// Why a training fails.
 #[derive(Debug, thiserror::Error)]
 pub enum TrainError {
     /// A recording could not be read.
@@ -31,7 +31,7 @@ pub enum TrainError {
         /// Why not.
         source: WeightsError,
     },
-    /// The weights to begin with are of another model.
+    /// The weights to begin with belong to another model.
     #[error("begin_with {}: its model is another one than the options ask for", path.display())]
     OtherModel {
         /// The weights file.
@@ -43,7 +43,7 @@ pub enum TrainError {
         /// The weights file.
         path: PathBuf,
     },
-    /// The data hold no agent whose future is known.
+    /// The data contain no agent with a known future.
     #[error("no {part} window has an agent with a known future below {}", root.display())]
     NoWindows {
         /// Part of the data sets.
@@ -74,7 +74,7 @@ pub enum TrainError {
     Checkpoint {
         /// The checkpoint's file.
         path: PathBuf,
-        /// How it differs.
+        /// The difference.
         reason: &'static str,
     },
     /// A file could not be read or written.
@@ -123,7 +123,7 @@ pub enum TensorError {
         /// Shape in the file.
         found: Vec<usize>,
     },
-    /// A tensor holds something else than f32 or f16.
+    /// A tensor has an element type other than f32 and f16.
     #[error("tensor `{name}`: expected F32 or F16, found {found:?}")]
     ElementType {
         /// Name of the tensor.
@@ -134,7 +134,7 @@ pub enum TensorError {
 }
 
 impl TensorError {
-    /// The error with the file that it is about.
+    /// Adds the file to the error.
     pub(crate) fn of(self, path: &Path) -> TrainError {
         TrainError::Tensors { path: path.to_owned(), source: self }
     }

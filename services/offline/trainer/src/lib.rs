@@ -1,18 +1,22 @@
 //! Training of the STG-DAT network, from recordings to a weights file. \[model §5\]
 //!
-//! **In:** [`TrainOptions`] (a [recipe](recipe()), perhaps with [`PRESETS`]) and a folder of data sets, which
-//! crate `data` reads. **Out:** [`TrainOptions::out`], a safetensors file with the tensors of \[model §3\] in
-//! half precision, the model's configuration and a [`ModelCard`]; checkpoints and a log of JSON lines beside
-//! them. Errors are in metres.
+//! * **In:** [`TrainOptions`] (a [recipe](recipe()), possibly with [`PRESETS`]) and a folder of data sets,
+//!   which crate `data` reads.
+//! * **Out:** [`TrainOptions::out`], a safetensors file with the tensors of \[model §3\] in half precision,
+//!   the model's configuration and a [`ModelCard`]. Checkpoints and a log of JSON lines are in the checkpoint
+//!   folder. Errors are in metres.
 //!
-//! The layers are implemented a second time here, each with its backward pass (`net`), under the tensor names
-//! of the weights file. Features, maps, base control and equations of motion are the code that runs onboard,
-//! and both forward passes are tested against the same golden vectors.
+//! This crate has its own implementation of the layers, each with its backward pass (`net`), under the tensor
+//! names of the weights file. Features, maps, base control and equations of motion are the onboard code. Both
+//! forward passes are tested against the same golden vectors.
 //!
-//! [`train`] has three parts. Recordings become scenes (windows, and a causal map patch for every agent and
-//! frame) in a scratch file beside the checkpoints: memory need only hold the largest recording. The *base
-//! control* — ridge regression and anchors — is fitted to them. Then the network learns what to add, batch by
-//! batch; the running average of its weights is validated now and then, and the best is written.
+//! [`train`] has three parts:
+//!
+//! 1. Recordings become scenes in a scratch file: windows, and a causal map patch for every agent and frame.
+//!    So only the largest recording must fit into memory.
+//! 2. The *base control*, ridge regression and anchors, is fitted to the scenes.
+//! 3. The network learns the residual to the base control, batch by batch. The running average of its weights
+//!    is validated periodically, and the best is written.
 //!
 //! One seed determines all random numbers: a run on one machine repeats to the bit.
 

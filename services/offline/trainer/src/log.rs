@@ -12,14 +12,14 @@ use crate::validate::SetScore;
 
 /// Name of the file in the checkpoint folder.
 const FILE: &str = "log.jsonl";
-/// Updates that a line averages over.
+/// Number of updates that a line averages over.
 const EVERY: u64 = 20;
 
 /// A line of the log.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(untagged)]
 pub(crate) enum Line {
-    /// Means over the last updates.
+    /// Mean losses over the last updates.
     Losses {
         step: u64,
         seconds: f64,
@@ -48,7 +48,7 @@ pub(crate) struct Log {
 }
 
 impl Log {
-    /// The log in a folder, without the lines of updates after `step`: a resumed run makes them again.
+    /// The log in a folder, without the lines of updates after `step`, which a resumed run repeats.
     pub(crate) fn open(folder: &Path, step: u64) -> Result<Self, TrainError> {
         let path = folder.join(FILE);
         let io = |source| TrainError::Io { path: path.clone(), source };
@@ -64,7 +64,7 @@ impl Log {
         Ok(Self { path, sum: LossParts::default(), summed: 0 })
     }
 
-    /// Counts the losses of an update, now that `step` of them are made.
+    /// Counts the losses of an update, after `step` updates.
     pub(crate) fn update(
         &mut self,
         step: u64,

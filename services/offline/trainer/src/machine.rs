@@ -1,21 +1,21 @@
-//! The machine of a training and the memory used, for the model card.
+//! The machine and the memory use of a training, for the model card.
 
 use std::fs;
 
-/// The largest resident memory of this process since [`forget_peak`], MiB; `None` where the system does not
+/// The largest resident memory of this process since [`forget_peak`], MiB; `None` if the system does not
 /// report it.
 pub(crate) fn peak_rss_mib() -> Option<u64> {
     peak_of(&fs::read_to_string("/proc/self/status").ok()?)
 }
 
-/// Resets the peak that [`peak_rss_mib`] reports, where the system allows it.
+/// Resets the peak that [`peak_rss_mib`] reports, if the system allows it.
 pub(crate) fn forget_peak() {
     const PEAK: &str = "5";
-    // Where it does not, the peak is that of the whole process, an upper bound.
+    // If the reset fails, the peak covers the whole process and is an upper bound.
     let _ = fs::write("/proc/self/clear_refs", PEAK);
 }
 
-/// The CPU's model as the system calls it, or else its architecture.
+/// The system's name of the CPU model, or the architecture if there is none.
 pub(crate) fn cpu() -> String {
     let cpuinfo = fs::read_to_string("/proc/cpuinfo").ok();
     cpuinfo.and_then(|text| model_of(&text)).unwrap_or_else(|| std::env::consts::ARCH.to_owned())

@@ -1,10 +1,10 @@
 //! The network in training: every layer as a pair of functions, forward and backward pass. \[model §3\]
 //!
-//! A forward function returns its result with a *trace* of what the backward pass needs. A backward function
-//! takes the gradient of the loss by the result, adds to the [`Gradients`] of the weights and returns the
-//! gradients by the layer's inputs. There is no tape: the model calls the layers backward in fixed order.
+//! A forward function returns its result and a *trace* for the backward pass. A backward function takes the
+//! gradient of the loss by the result. It adds to the [`Gradients`] of the weights and returns the gradients
+//! by the layer's inputs. There is no tape: the model calls the layers backward in a fixed order.
 //!
-//! The layers use the tensors of the weights file, under its names. Tests compare them with finite
+//! The layers use the tensors of the weights file under the same names. Tests compare them with finite
 //! differences, with the golden vectors and with the onboard network.
 
 #[cfg(test)]

@@ -43,10 +43,10 @@ pub enum Objective {
         probability: f64,
         /// Weight of the energy score, which calibrates the covariances.
         spread: f64,
-        /// Weight of a vehicle relative to any other agent: its errors, and even more their gradients, are
-        /// larger.
+        /// Weight of a vehicle relative to any other agent: a vehicle's errors are larger, and its gradients
+        /// even more so.
         vehicle: f64,
-        /// Modes, nearest by the base control, that are decoded to find the winner.
+        /// Number of modes, the nearest by the base control, that are decoded to find the winner.
         candidates: usize,
         /// Weight of the error of the last step relative to the mean over all steps; 0.5 in options that lack
         /// it.
@@ -96,7 +96,7 @@ impl Objective {
     }
 }
 
-/// The parts of a loss, for the progress line; the [`Objective`] decides which are used.
+/// The parts of a loss, for the progress line. The [`Objective`] determines which ones are used.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub(crate) struct LossParts {
     /// Error of the winner, or of the posterior draw.
@@ -122,7 +122,7 @@ impl LossParts {
         }
     }
 
-    /// The sum of these parts and those of another part of the same batch.
+    /// The sum with the losses of another part of the same batch.
     pub(crate) fn plus(self, other: Self) -> Self {
         Self {
             trajectory: self.trajectory + other.trajectory,
@@ -156,8 +156,8 @@ pub(crate) struct Differentiated {
     pub(crate) statistics: Vec<(String, Vec<f32>)>,
 }
 
-/// The loss of a part of a batch in which `counted` agents count in all, and its gradients, when the share
-/// `done` of the training is done.
+/// The loss of a part of a batch, and its gradients. `counted` is the number of counted agents in the whole
+/// batch, and `done` the completed share of the training.
 pub(crate) fn differentiate(
     objective: &Objective,
     config: &ModelConfig,
@@ -194,7 +194,7 @@ fn normal(rows: usize, cols: usize, random: &mut impl Rng) -> Matrix {
     Matrix::new(rows, cols, draws.collect())
 }
 
-/// Adds the gradient by the means of the controls to that by the head's output.
+/// Adds the gradient by the means of the controls to the gradient by the head's output.
 fn add_mean_gradient(d_raw: &mut Matrix, d_mean: &Matrix) {
     let (raw, _) = d_raw.values.as_chunks_mut::<{ crate::rollout::RAW }>();
     for (raw, mean) in raw.iter_mut().zip(d_mean.values.as_chunks::<2>().0) {

@@ -1,5 +1,5 @@
-//! Adam with gradient clipping, a warmed-up cosine schedule, and the running average of the weights, which is
-//! shipped.
+//! Adam with gradient clipping, a warmed-up cosine schedule, and the running average of the weights, which
+//! becomes the shipped weights.
 
 use std::collections::BTreeMap;
 
@@ -21,7 +21,7 @@ pub struct OptimiserOptions {
     pub clip_norm: f64,
     /// Decay of the running average of the weights, reached gradually.
     pub average_decay: f64,
-    /// Decoupled weight decay: share of a weight that an update at learning rate 1 subtracts; biases do not
+    /// Decoupled weight decay: share of a weight that an update at learning rate 1 subtracts. Biases do not
     /// decay.
     pub weight_decay: f64,
 }
@@ -47,7 +47,7 @@ const EPSILON: f32 = 1e-8;
 pub(crate) struct Moments {
     pub(crate) first: Vec<f32>,
     pub(crate) second: Vec<f32>,
-    /// Units in which the tensor is learned, see [`units`]; empty where all are 1.
+    /// Units in which the tensor is learned, see [`units`]; empty if all are 1.
     units: Vec<f32>,
 }
 
@@ -62,7 +62,7 @@ pub(crate) struct Adam {
 }
 
 impl Adam {
-    /// An optimiser that starts from `weights` of a model.
+    /// An optimiser that starts from a model's `weights`.
     pub(crate) fn new(options: OptimiserOptions, config: &ModelConfig, weights: &Tensors) -> Self {
         let learned = weights.0.iter().filter(|(_, tensor)| tensor.role == TensorRole::Learned);
         let moments = learned.map(|(name, tensor)| {
@@ -84,8 +84,8 @@ impl Adam {
         self.options.learning_rate * 0.5 * (1.0 + (std::f64::consts::PI * done.min(1.0)).cos())
     }
 
-    /// Moves `weights` against `gradients` at learning rate `rate`; returns the gradient's norm before
-    /// clipping. A gradient that is not finite moves nothing.
+    /// Moves `weights` against `gradients` at learning rate `rate`. Returns the gradient's norm before
+    /// clipping. A gradient that is not finite leaves the weights unchanged.
     pub(crate) fn step(&mut self, weights: &mut Tensors, gradients: &mut Gradients, rate: f64) -> f64 {
         let mut square = 0.0;
         for ((_, gradient), moments) in gradients.0.values_mut().zip(self.moments.values()) {
@@ -130,7 +130,7 @@ impl Adam {
     }
 }
 
-/// Multiplies values by the units that their parameters are learned in: the gradient by the chain rule, and
+/// Multiplies values by the units in which their parameters are learned: the gradient by the chain rule, and
 /// likewise the step.
 fn in_units(values: &mut [f32], units: &[f32]) {
     values.iter_mut().zip(units).for_each(|(value, unit)| *value *= unit);

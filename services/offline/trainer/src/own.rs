@@ -1,7 +1,7 @@
-//! A user's own recordings: which of them train and which validate, and how a training on them goes.
+//! A user's own recordings: the training options, and the split into training and validation.
 //!
-//! No frame is in both parts. Of several recordings the last fifth validates, at least one. A single
-//! recording is cut in time: its first four fifths train, the rest validates.
+//! No frame is in both parts. With several recordings, the last fifth validates, at least one recording. A
+//! single recording is cut in time: its first four fifths train, the rest validates.
 
 use std::path::{Path, PathBuf};
 
@@ -13,12 +13,12 @@ use crate::checkpoint::write_whole;
 use crate::options::TrainOptions;
 use crate::{OptimiserOptions, TrainError, recipe};
 
-/// One part in so many validates.
+/// One of this number of parts validates.
 const PARTS: usize = 5;
-/// Name of the embedded weights among the checkpoints.
+/// File name of the embedded weights in the checkpoint folder.
 const ONBOARD: &str = "onboard.safetensors";
 
-/// The options of a training on one's own recordings that begins with the weights of `onboard`.
+/// The options of a training on the user's own recordings, with the model of `onboard`.
 #[must_use]
 pub fn own(files: Vec<PathBuf>) -> TrainOptions {
     let sets = || vec![DataSet::Own.name().to_owned()];
@@ -44,7 +44,7 @@ pub fn own(files: Vec<PathBuf>) -> TrainOptions {
     }
 }
 
-/// Has a training begin with the embedded weights, which are written beside its checkpoints.
+/// Makes a training begin with the embedded weights, which are written to its checkpoint folder.
 ///
 /// # Errors
 /// [`TrainError::Io`] if they can't be written.
@@ -66,14 +66,14 @@ pub(crate) fn files_of(files: &[PathBuf], part: Part) -> &[PathBuf] {
     if part == Part::Train { train } else { validation }
 }
 
-/// What of a recording belongs to a part, if it is the only one.
+/// The frames of the only recording that belong to a part.
 pub(crate) fn cut_in_time(mut recording: Recording, part: Part) -> Recording {
     let cut_ns = cut_ns(&recording);
     recording.frames.retain(|frame| (frame.stamp_ns < cut_ns) == (part == Part::Train));
     recording
 }
 
-/// The time from which frames validate.
+/// The time from which frames belong to the validation.
 fn cut_ns(recording: &Recording) -> i64 {
     let stamp_ns = |frame: Option<&data::Frame>| frame.map_or(0, |frame| frame.stamp_ns);
     let (first, last) = (stamp_ns(recording.frames.first()), stamp_ns(recording.frames.last()));
@@ -81,7 +81,7 @@ fn cut_ns(recording: &Recording) -> i64 {
     last - part
 }
 
-/// The split in words.
+/// Describes the split.
 pub(crate) fn split(files: &[PathBuf]) -> String {
     let names = |part| {
         let names = files_of(files, part).iter().map(|path| Path::display(path).to_string());

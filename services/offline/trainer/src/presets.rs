@@ -1,7 +1,7 @@
 //! Named changes of a training: the paper's model, sizes, and ablations.
 //!
-//! A *preset* changes the model and the loss of a recipe, or of the defaults, and leaves its data unchanged.
-//! Each is nothing but values of [`TrainOptions`]. Presets can be chained: `paper` and then `T` is the
+//! A *preset* changes the model and the loss of a recipe, or of the defaults, and leaves the data unchanged.
+//! A preset only sets values of [`TrainOptions`]. Presets can be chained: `paper` and then `T` is the
 //! ablation T of the paper's model.
 
 use nn::{
@@ -16,16 +16,17 @@ const ALONE_M: f32 = 1e-3;
 
 /// Names of the presets.
 ///
-/// * `paper` is the model as printed, `plus` the default of training;
-/// * `compact` and `full` are sizes of the context CNN;
-/// * `T`, `T+C-ATT`, `T+C` and `T+C+K` are the paper's ablations: trajectories alone; with context but equal
-///   attention; with context; and with the kinematic layer, the whole model. The first three move vehicles by
-///   displacements;
-/// * `same-node` gives all types the same networks, `equal-attention` weighs all neighbours and steps alike,
-///   `no-attention` leaves out the neighbours, `literal` reads the paper's temporal attention literally;
+/// * `paper` is the model as printed, `plus` the default of training.
+/// * `compact` and `full` are sizes of the context CNN.
+/// * `T`, `T+C-ATT`, `T+C` and `T+C+K` are the paper's ablations: trajectories only; with context but equal
+///   attention; with context; and with the kinematic layer, which is the whole model. The first three move
+///   vehicles by displacements.
+/// * `same-node` uses the same networks for all types, `equal-attention` weighs all neighbours and steps
+///   equally, `no-attention` leaves out the neighbours, and `literal` reads the paper's temporal attention
+///   literally.
 /// * `no-map`, `site-map` and `online-map` train without context, with the map of the training recordings,
-///   and with the map of earlier observations; `centred-patch` centres the patch at the agent instead of
-///   ahead of it.
+///   and with the map of earlier observations.
+/// * `centred-patch` centres the patch at the agent instead of ahead of it.
 pub const PRESETS: [&str; 16] = [
     "paper",
     "plus",
@@ -46,8 +47,8 @@ pub const PRESETS: [&str; 16] = [
 ];
 
 impl TrainOptions {
-    /// These options changed by a preset, with files and recipe named after both; `None` for a name that is
-    /// not among [`PRESETS`].
+    /// These options changed by a preset, with files and recipe named after both; `None` if the name is not
+    /// in [`PRESETS`].
     #[must_use]
     pub fn with_preset(mut self, name: &str) -> Option<Self> {
         match name {
@@ -129,7 +130,7 @@ fn paper(options: &mut TrainOptions) {
     options.scale_deviation = 0.0;
 }
 
-/// The default model for the same steps, radii and context.
+/// The default model with the same steps, radii and context.
 fn plus(options: &mut TrainOptions) {
     let model = &options.model;
     options.model = ModelConfig {

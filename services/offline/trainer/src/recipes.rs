@@ -7,10 +7,13 @@ use crate::objective::Objective;
 use crate::optimiser::OptimiserOptions;
 use crate::options::{TrainOptions, onboard_config};
 
-/// Names of the shipped weights: `eth`, `hotel`, `univ`, `zara1` and `zara2` leave that scene out;
-/// `interaction` is trained at all sites, `interaction-without-FT` and `interaction-without-EP1` hold one
-/// out; `onboard` is what the pipeline runs; `onboard-free` is the same model, trained on nothing but data that
-/// anybody may use.
+/// Names of the shipped weights:
+///
+/// * `eth`, `hotel`, `univ`, `zara1` and `zara2` leave out the scene of this name.
+/// * `interaction` is trained at all sites; `interaction-without-FT` and `interaction-without-EP1` leave out
+///   one.
+/// * `onboard` is the pipeline's default; `onboard-free` is the same model, trained only on data that anybody
+///   may use.
 pub const RECIPES: [&str; 11] = [
     "eth",
     "hotel",
@@ -25,7 +28,7 @@ pub const RECIPES: [&str; 11] = [
     "onboard-free",
 ];
 
-/// The options of a recipe; `None` for a name that is not among [`RECIPES`].
+/// The options of a recipe; `None` if the name is not in [`RECIPES`].
 #[must_use]
 pub fn recipe(name: &str) -> Option<TrainOptions> {
     let fold = Fold::ALL.into_iter().find(|fold| fold.name() == name);
@@ -50,10 +53,10 @@ pub fn recipe(name: &str) -> Option<TrainOptions> {
     })
 }
 
-/// Speed bins of vehicles where motorways are among the training data.
+/// Speed bins of vehicles if the training data include motorways.
 const ROAD_SPEED_CUTS_MPS: [f32; 7] = [1.0, 3.5, 6.5, 10.0, 14.5, 20.0, 28.0];
 
-/// All types on roads that anybody may use the recordings of, and at the generated intersection.
+/// All types: recordings of roads that anybody may use, and the generated intersection.
 fn free() -> TrainOptions {
     let sets = || [DataSet::Ngsim, DataSet::Generated].map(|set| set.name().to_owned()).to_vec();
     TrainOptions {
@@ -71,7 +74,7 @@ fn free() -> TrainOptions {
     }
 }
 
-/// Pedestrians at 0.4 s, eight steps to twelve, from positions alone.
+/// Pedestrians at 0.4 s, eight steps to twelve, from positions only.
 fn pedestrians(set: DataSet) -> TrainOptions {
     TrainOptions {
         sets: vec![set.name().to_owned()],
@@ -97,7 +100,7 @@ fn pedestrians(set: DataSet) -> TrainOptions {
     }
 }
 
-/// The plus objective with these weights of vehicles and candidates for the winner.
+/// The plus objective with this weight of vehicles and this number of candidates for the winner.
 fn objective(of_vehicles: f64, len: usize) -> Objective {
     let mut objective = Objective::plus();
     if let Objective::Plus { vehicle, candidates, .. } = &mut objective {
@@ -113,8 +116,8 @@ fn pedestrian_config() -> ModelConfig {
 
 /// Vehicles at 0.5 s, four steps to ten, mostly with the recorded speed, at all sites or with one held out.
 ///
-/// A model for a held-out site draws all other sites uniformly and gets no site map: a patch ahead of the
-/// agent helps only where the site was seen in training.
+/// A model for a held-out site draws all other sites uniformly and has no site map, because a patch ahead of
+/// the agent helps only at sites seen in training.
 fn vehicles(without: Option<&str>, steps: u64) -> TrainOptions {
     TrainOptions {
         sets: vec![DataSet::Interaction.name().to_owned()],

@@ -1,4 +1,4 @@
-//! Small random recordings in every file format, and variants with another future.
+//! Small random recordings in every file format, and variants with a different future.
 
 use std::f64::consts::{PI, TAU};
 use std::fmt::Write;
@@ -10,11 +10,11 @@ use wire::{AGENT_TYPES, AgentType};
 
 /// Duration of a recording.
 const DURATION_S: f64 = 8.0;
-/// Agents of a recording, the types in turn.
+/// Number of agents in a recording; their types alternate.
 const AGENTS: u64 = 7;
 /// Scale of formats in pixels, m per px.
 const PIXEL_M: f64 = 0.04;
-/// Frames without a pose of the sensor at the beginning of a recording in the project's own format.
+/// Frames at the beginning of a recording in the project's own format that have no pose of the sensor.
 const UNPLACED: usize = 20;
 const CALIBRATION: &str = "R_rect 1 0 0 0 1 0 0 0 1\n\
     Tr_velo_cam 0 -1 0 0.1 0 0 -1 0.2 1 0 0 0.3\n\
@@ -38,11 +38,11 @@ struct Row {
     speed_mps: f64,
     heading_rad: f64,
     length_m: f64,
-    /// Whether speed, heading and size are written, in a format where they are optional.
+    /// Whether speed, heading and size are written in formats in which they are optional.
     is_detailed: bool,
 }
 
-/// The formats that are written; those of the others are read by the tests of `data`.
+/// The formats that these tests write. Tests of `data` cover the others.
 pub(crate) fn written() -> impl Iterator<Item = Format> {
     let others = [Format::LevelX, Format::HighD, Format::CommonRoad];
     Format::ALL.into_iter().filter(move |format| !others.contains(format))
@@ -89,7 +89,7 @@ impl Scenery {
         Self { rows, sensor: (0..frames_len).map(pose).collect() }
     }
 
-    /// The same up to frame `now`; after it every row differs or is missing, and identities are permuted.
+    /// The same up to frame `now`. After it, every row differs or is missing, and identities are permuted.
     pub(crate) fn with_another_future(&self, now: usize, random: &mut impl Rng) -> Self {
         let mut rows = Vec::new();
         for frame in self.rows.chunk_by(|a, b| a.frame == b.frame) {
@@ -115,7 +115,7 @@ impl Scenery {
         Self { rows, sensor }
     }
 
-    /// Writes the files of a recording; returns the one to open.
+    /// Writes the files of a recording. Returns the one to open.
     pub(crate) fn write(&self, format: Format, folder: &Path) -> PathBuf {
         let files = self.files(format);
         for (name, content) in &files {

@@ -18,7 +18,7 @@ use crate::net::tensors::{Gradients, Tensors};
 /// Outputs of the decoder's head per step.
 pub(crate) const RAW: usize = nn::RAW_CONTROL;
 
-/// The agents of one type in a batch that are forecast, encoded.
+/// The encoded agents of one type in a batch that are forecast.
 pub(crate) struct TypeForecast<'a> {
     config: &'a ModelConfig,
     batch: &'a Batch<'a>,
@@ -41,7 +41,7 @@ pub(crate) struct Rollout {
 }
 
 impl<'a> TypeForecast<'a> {
-    /// `None` where the batch has no agent of the type to forecast.
+    /// `None` if the batch has no agent of the type to forecast.
     pub(crate) fn new(
         weights: &'a Tensors,
         config: &'a ModelConfig,
@@ -72,13 +72,14 @@ impl<'a> TypeForecast<'a> {
         self.weights
     }
 
-    /// Prefix of the names of the decoder that serves the type.
+    /// Prefix of the tensor names of the type's decoder.
     pub(crate) fn name(&self) -> String {
         decoder(self.config, self.agent_type)
     }
 
-    /// Learned points as latent variables, each with the linear function of its base control: `modes` holds
-    /// the same number of modes per agent; [`ModelConfig::modes`] is the point of the single best forecast.
+    /// Learned points as latent variables, each with the linear function of its base control. `modes` holds
+    /// the same number of modes per agent. Mode [`ModelConfig::modes`] is the point of the single best
+    /// forecast.
     fn points(&self, modes: &[usize], base: Option<&Matrix>) -> Matrix {
         let name = self.name();
         let points = self.weights.matrix(&format!("{name}.latents"));
@@ -124,8 +125,8 @@ impl<'a> TypeForecast<'a> {
         Rollout { unroll, mean, positions }
     }
 
-    /// Scales the means of the network's controls, or gradients by them, `[agents × draws, horizon × 5]`, by what
-    /// is kept of them at the agents' distance from the base's support.
+    /// Scales the means of the network's controls, or gradients by them, `[agents × draws, horizon × 5]`. The
+    /// factor is the share that is kept at the agents' distance from the base's support.
     fn fade(&self, raw: &mut Matrix) {
         let draws_len = raw.rows / self.agents.len();
         for row in 0..raw.rows {
@@ -146,7 +147,7 @@ impl<'a> TypeForecast<'a> {
         self.decode(&self.points(modes, base.as_ref()), base, keep_trace)
     }
 
-    /// Base controls: `modes` holds the same number of modes per agent; the single best forecast has no
+    /// Base controls. `modes` holds the same number of modes per agent. The single best forecast has no
     /// anchor.
     pub(crate) fn base(&self, modes: &[usize]) -> Matrix {
         let controls_len = 2 * self.config.horizon_len;
@@ -166,21 +167,21 @@ impl<'a> TypeForecast<'a> {
         motion::positions(self.config, self.agent_type, self.starts(), draws_len, controls)
     }
 
-    /// Gradient by controls, given that by their positions.
+    /// Gradient by the controls, given the gradient by their positions.
     pub(crate) fn positions_backward(&self, controls: &Matrix, d_positions: &Matrix) -> Matrix {
         let draws_len = controls.rows / self.agents.len();
         let starts = self.starts();
         motion::positions_backward(self.config, self.agent_type, starts, draws_len, controls, d_positions)
     }
 
-    /// True positions `[agents, horizon × 2]` and which of them are known `[agents, horizon]`.
+    /// True positions `[agents, horizon × 2]`, and 1 for each known one `[agents, horizon]`.
     pub(crate) fn truth(&self) -> (Matrix, Matrix) {
         let of = |matrix: &Matrix| matrix.rows_of(self.agents.clone());
         (of(&self.batch.truth), of(&self.batch.counts))
     }
 
-    /// The backward pass of a rollout and of the burn-in: adds the gradients of the decoder, and to
-    /// `d_encoding` `[all agents, 64]`; returns the gradient by the latent variables.
+    /// The backward pass of a rollout and of the burn-in. Adds to the gradients of the decoder and to
+    /// `d_encoding` `[all agents, 64]`. Returns the gradient by the latent variables.
     pub(crate) fn backward(
         &self,
         gradients: &mut Gradients,
@@ -198,7 +199,8 @@ impl<'a> TypeForecast<'a> {
         back.latent
     }
 
-    /// Adds the gradients of learned points, given those by the latent variables of [`TypeForecast::points`].
+    /// Adds the gradients of learned points, given the gradients by the latent variables of
+    /// [`TypeForecast::points`].
     pub(crate) fn points_backward(&self, gradients: &mut Gradients, modes: &[usize], d_latent: &Matrix) {
         let name = self.name();
         for (row, &mode) in modes.iter().enumerate() {

@@ -1,12 +1,12 @@
-//! Training and validation scenes: windows of recordings with the map patches that belong to them.
+//! Training and validation scenes: windows of recordings with their map patches.
 //!
-//! **In:** the recordings of some data sets and one part. **Out:** per window the states of its agents at T_h
-//! history and T_f forecast steps (m, m/s, rad, world frame), and the map patch `[3, P, P]` of every agent
-//! and frame.
+//! **In:** the recordings of some data sets, for one part. **Out:** per window the states of its agents at
+//! T_h history and T_f forecast steps (m, m/s, rad, world frame), and the map patch `[3, P, P]` of every
+//! agent and frame.
 //!
-//! Scenes are kept in a [spool](crate::spool). Memory holds their offsets and how many agents of a window
-//! count, and all of one recording only while that is cut. A batch reads the scenes and patches that it
-//! shows; passes over all of the data read one scene after the other.
+//! Scenes are kept in a [spool](crate::spool). Memory holds only their offsets and the numbers of counted
+//! agents. A recording is in memory only while it is cut. A batch reads the scenes and patches that it shows.
+//! Passes over all data read one scene after the other.
 
 mod agents;
 mod cut;
@@ -45,7 +45,7 @@ pub struct Source {
 pub(crate) struct SetSamples {
     pub(crate) set: DataSet,
     pub(crate) windows: Vec<Window>,
-    /// The windows of each site; all of them where the set has no sites.
+    /// The windows of each site; all windows together if the set has no sites.
     pub(crate) sites: Vec<Range<usize>>,
 }
 
@@ -64,13 +64,13 @@ pub(crate) struct Samples {
     spool: Spool,
     /// Steps of history and future.
     steps: [usize; 2],
-    /// Recording by recording.
+    /// The ground of each recording.
     grounds: Vec<Ground>,
-    /// Site of every recording, where its set has several of one.
+    /// Site of every recording, if its set has several recordings per site.
     sites: Vec<Option<PathBuf>>,
 }
 
-/// The folder of a recording is what its set is drawn evenly by: a site or a source.
+/// The folder of a recording in sets that are drawn evenly by site or source.
 fn folder(set: DataSet, path: &Path) -> Option<PathBuf> {
     matches!(set, DataSet::Interaction | DataSet::Driving | DataSet::Ngsim)
         .then(|| path.parent().map(Path::to_owned))?
@@ -87,9 +87,9 @@ pub(crate) struct Selection<'a> {
     pub(crate) part: Part,
     /// Recordings whose path contains one of these are left out.
     pub(crate) leave_out: &'a [String],
-    /// Windows of each set, at most; they are spread evenly.
+    /// Maximum number of windows per set, spread evenly.
     pub(crate) windows_max: usize,
-    /// Whether velocities and headings come from the positions even where the recording has its own.
+    /// Whether velocities and headings come from positions even if the recording has its own.
     pub(crate) from_positions: bool,
     /// Whether only agents with a whole history count.
     pub(crate) whole_history: bool,
@@ -110,7 +110,7 @@ impl Selection<'_> {
 }
 
 impl Samples {
-    /// Reads recordings one after the other into the spool; calls `progress` with the path of each file
+    /// Reads recordings one after the other into the spool. Calls `progress` with the path of each file
     /// before it is read.
     pub(crate) fn read(
         selection: Selection<'_>,
@@ -171,7 +171,7 @@ impl Samples {
         site_map(&from.spool, &others)
     }
 
-    /// The patches of a recording by one kind of map; `None` where there is no such map.
+    /// The patches of a recording by one kind of map; `None` if there is no such map.
     pub(crate) fn map(&self, recording: u32, kind: MapKind) -> Option<MapView<'_>> {
         self.grounds[recording as usize].view(&self.spool, recording, kind)
     }
@@ -181,8 +181,8 @@ impl Samples {
         Scene::read(&self.spool, window, self.steps)
     }
 
-    /// Reads agents of a type in `sets` that have a target: `len_max` at most, spread evenly. Scenes without
-    /// any of them are not read.
+    /// Reads agents of a type in `sets` that have a target: at most `len_max`, spread evenly. Scenes without
+    /// such agents are not read.
     pub(crate) fn spread<'a>(
         &'a self,
         sets: &'a [SetSamples],
@@ -220,7 +220,7 @@ fn runs<T>(values: &[T], together: impl FnMut(&T, &T) -> bool) -> Vec<Range<usiz
     values.chunk_by(together).map(run).collect()
 }
 
-/// The folder of a recording is its site, in data sets that have several recordings of one.
+/// The site of a recording, which is its folder in data sets with several recordings per site.
 fn site(set: DataSet, path: &Path) -> Option<PathBuf> {
     (set == DataSet::Interaction).then(|| path.parent().map(Path::to_owned))?
 }

@@ -1,8 +1,8 @@
 //! A scratch file for values that a run reads repeatedly and that do not fit into memory.
 //!
-//! A spool is written once, front to back, and then read at any offset by any thread. Its file has no name,
-//! so that it is removed with the process, however that ends. Frequently read parts stay in the system's page
-//! cache: a data set that fits into memory is read from there, and a larger one costs time, not memory.
+//! A spool is written once, front to back. Then any thread can read it at any offset. Its file has no name,
+//! so it is removed when the process ends, for whatever reason. Frequently read parts stay in the system's
+//! page cache. A data set that fits into memory is read from there; a larger one costs time, not memory.
 
 use std::fs::File;
 use std::io::{BufWriter, Error, ErrorKind, Write};
@@ -32,7 +32,7 @@ pub(crate) struct Spool {
 }
 
 impl Spooling {
-    /// An empty spool on the disk of `folder`, which is created where missing.
+    /// An empty spool on the disk of `folder`, which is created if it is missing.
     pub(crate) fn create(folder: &Path) -> Result<Self, TrainError> {
         let file = std::fs::create_dir_all(folder).and_then(|()| tempfile::tempfile_in(folder));
         let file = file.map_err(|source| failed(folder, source))?;
@@ -49,7 +49,7 @@ impl Spooling {
         self.len
     }
 
-    /// Adds values at the end; returns their offset.
+    /// Appends values. Returns their offset.
     pub(crate) fn append<T: NoUninit>(&mut self, values: &[T]) -> Result<u64, TrainError> {
         let bytes: &[u8] = bytemuck::cast_slice(values);
         self.file.write_all(bytes).map_err(|source| failed(&self.folder, source))?;
@@ -81,12 +81,12 @@ impl Spool {
         Ok(values)
     }
 
-    /// The error of content that differs from what was written.
+    /// The error for content that differs from the written content.
     pub(crate) fn damaged(&self, reason: impl std::error::Error + Send + Sync + 'static) -> TrainError {
         failed(&self.folder, Error::new(ErrorKind::InvalidData, reason))
     }
 
-    /// Cuts the file off.
+    /// Truncates the file.
     #[cfg(test)]
     pub(crate) fn truncate(&self, len: u64) {
         self.file.set_len(len).unwrap();

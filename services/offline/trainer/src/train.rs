@@ -31,9 +31,9 @@ use crate::validate::{Baselines, SetScore, Validation, choose_by};
 use crate::view::Clip;
 use crate::{TrainError, own};
 
-/// Agents of each set in the validation that the model card reports.
+/// Number of agents per set in the validation on the model card.
 const CARD_AGENTS: usize = 4000;
-/// Consecutive non-finite losses after which a run is given up.
+/// Number of consecutive non-finite losses after which a run fails.
 const DIVERGED_STEPS: u32 = 10;
 
 /// Result of a finished run.
@@ -41,14 +41,14 @@ const DIVERGED_STEPS: u32 = 10;
 pub struct Summary {
     /// Updates made.
     pub steps: u64,
-    /// The card of the weights that were written.
+    /// The card of the written weights.
     pub card: ModelCard,
-    /// The validation before the first update, and the best one, of the same agents; empty without updates.
+    /// The validation before the first update, and the best one, on the same agents; empty without updates.
     pub scores: [Vec<SetScore>; 2],
 }
 
-/// Trains a model and writes its weights to [`TrainOptions::out`], whenever a validation is the best so far
-/// and at the end.
+/// Trains a model. Writes its weights to [`TrainOptions::out`] whenever a validation is the best so far, and
+/// at the end.
 ///
 /// # Errors
 /// [`TrainError`] names the recording, option, checkpoint or file at fault.
@@ -72,7 +72,7 @@ pub fn train(options: &TrainOptions) -> Result<Summary, TrainError> {
     Ok(Summary { steps: state.progress.step, card, scores })
 }
 
-/// What stays the same through a run.
+/// State that does not change during a run.
 struct Run<'a> {
     options: &'a TrainOptions,
     training: Samples,
@@ -131,7 +131,8 @@ impl<'a> Run<'a> {
         Ok(Self { options, training, validation, baselines })
     }
 
-    /// The checkpoint, if there is one to resume, else new weights with a base control fitted to the data.
+    /// The checkpoint if there is one to resume, otherwise new weights with a base control fitted to the
+    /// data.
     fn begin(&self, progress: &Progress) -> Result<(RunState, BaseControl), TrainError> {
         let Self { options, .. } = *self;
         if options.resume
@@ -210,7 +211,7 @@ impl<'a> Run<'a> {
         self.validate(state, base, progress, &log)
     }
 
-    /// One update. Its random numbers are seeded by the run's seed and the number of the update.
+    /// One update. The seed of the run and the number of the update determine its random numbers.
     fn update(&self, state: &mut RunState, base: &BaseControl) -> Result<(LossParts, bool), TrainError> {
         let options = self.options;
         let mut random = ChaCha8Rng::seed_from_u64(options.seed);
@@ -279,8 +280,8 @@ impl<'a> Run<'a> {
         })
     }
 
-    /// Clips of at least [`TrainOptions::batch_agents`] agents that count, from sets drawn by the root of
-    /// their size.
+    /// Clips with at least [`TrainOptions::batch_agents`] counted agents. The probability of a set is
+    /// proportional to the root of its size.
     fn draw(&self, random: &mut impl Rng) -> Result<Vec<Vec<SceneView<'_>>>, TrainError> {
         let options = self.options;
         let sets: Vec<&SetSamples> =
@@ -396,8 +397,8 @@ impl<'a> Run<'a> {
         Ok(card)
     }
 
-    /// Writes the weights to begin with and what they have got since, with their own card revised; of several with
-    /// the last one's, which tells the others.
+    /// Writes the weights to begin with, including a base support fitted now, with a revised card. With
+    /// several files, the card is the last one's and lists the others.
     fn write_revised(
         &self,
         weights: &Tensors,
@@ -440,7 +441,8 @@ fn mean_of_files(paths: &[PathBuf], model: &ModelConfig) -> Result<Tensors, Trai
     Ok(mean)
 }
 
-/// The tensors of a weights file, whose model must be `model`; the support of its base control may lack.
+/// The tensors of a weights file, whose model must be `model`. The support of its base control may be
+/// missing.
 fn read_weights(path: &Path, model: &ModelConfig) -> Result<Tensors, TrainError> {
     let weights = open(path)?;
     let bytes = std::fs::read(path).map_err(|source| TrainError::Io { path: path.to_owned(), source })?;
@@ -450,7 +452,7 @@ fn read_weights(path: &Path, model: &ModelConfig) -> Result<Tensors, TrainError>
     Tensors::from_safetensors(&bytes, &layout(model)).map_err(|error| error.of(path))
 }
 
-/// Whether weights have no bounds of the base control's features.
+/// Whether the weights lack the bounds of the base control's features.
 fn lacks_support(weights: &Tensors) -> bool {
     !weights.0.keys().any(|name| name.starts_with("base.") && name.ends_with(".support"))
 }
@@ -478,7 +480,7 @@ pub(crate) fn set_named(name: &str) -> Result<DataSet, TrainError> {
     })
 }
 
-/// Deals the clips out to `parts` parts of about as many agents each.
+/// Distributes the clips to `parts` parts with about the same number of agents.
 fn split(clips: Vec<Vec<SceneView<'_>>>, parts: usize) -> Vec<Vec<SceneView<'_>>> {
     let agents_len = |scenes: &[SceneView<'_>]| scenes.iter().map(|scene| scene.agents.len()).sum::<usize>();
     let mut dealt: Vec<Vec<SceneView<'_>>> = (0..parts).map(|_| Vec::new()).collect();
@@ -491,7 +493,7 @@ fn split(clips: Vec<Vec<SceneView<'_>>>, parts: usize) -> Vec<Vec<SceneView<'_>>
     dealt
 }
 
-/// A window, from sites drawn as [`TrainOptions::even_sites`] has it.
+/// Draws a window from sites whose probabilities depend on [`TrainOptions::even_sites`].
 fn draw_window(sites: &[Range<usize>], even_sites: f64, random: &mut impl Rng) -> usize {
     let weights: Vec<f64> = sites.iter().map(|site| (site.len() as f64).powf(1.0 - even_sites)).collect();
     let site = sites[weighted(&weights, random)].clone();
@@ -508,7 +510,7 @@ fn weighted(weights: &[f64], random: &mut impl Rng) -> usize {
     drawn.unwrap_or(weights.len() - 1)
 }
 
-/// The figures of a validation, a line per set.
+/// The figures of a validation, one line per set.
 fn table(scores: &[SetScore]) -> String {
     let line = |score: &SetScore| {
         let cell = |errors: crate::validate::Errors| format!("{:.3}/{:.3}", errors.ade_m, errors.fde_m);

@@ -1,4 +1,4 @@
-//! Errors of the weights on validation scenes, beside forecasts without a network. \[model §6\]
+//! Errors of the weights on validation scenes, compared with forecasts without a network. \[model §6\]
 //!
 //! **In:** weights and the validation samples. **Out:** a [`SetScore`] per data set: ADE and FDE in metres of
 //! the best mode, of the single best forecast, of the base control (B\*) and of two baselines, over the
@@ -27,14 +27,15 @@ use crate::rollout::TypeForecast;
 use crate::samples::{Agent, MapKind, Samples, SetSamples, Window};
 use crate::view;
 
-/// Agents of a crowd that a validation shows at most.
+/// Maximum number of agents shown from a crowd.
 const SCENE_AGENTS: usize = 48;
 /// Agents of a batch.
 const BATCH_AGENTS: usize = 96;
-/// Windows that the anchors of a set and type are fitted to at most.
+/// Maximum number of windows per set and type that anchors are fitted to.
 const ANCHOR_WINDOWS: usize = 20_000;
 
-/// Least error of a baseline that ours is compared with, m: smaller ones are made data, such as even motion.
+/// Minimum error of a baseline in a comparison, m. Smaller errors occur only in synthetic data, such as
+/// uniform motion.
 pub(crate) const BASELINE_MIN_M: f64 = 0.01;
 
 /// Mean errors, m.
@@ -51,9 +52,9 @@ pub struct Errors {
 pub struct SetScore {
     /// Name of the set.
     pub set: String,
-    /// Windows forecast.
+    /// Number of forecast windows.
     pub windows: usize,
-    /// Agents forecast.
+    /// Number of forecast agents.
     pub agents: usize,
     /// minADE₂₀ and minFDE₂₀ of the network's modes.
     pub best_of_modes: Errors,
@@ -81,12 +82,12 @@ impl SetScore {
     }
 }
 
-/// A figure to four decimals: further digits are noise.
+/// A figure rounded to four decimals, because further digits are noise.
 pub(crate) fn rounded(value: f64) -> f64 {
     (value * 1e4).round() / 1e4
 }
 
-/// Figure by which checkpoints are compared: the mean of [`SetScore::relative`] over the sets.
+/// The figure that compares checkpoints: the mean of [`SetScore::relative`] over the sets.
 #[must_use]
 pub(crate) fn choose_by(scores: &[SetScore]) -> f64 {
     scores.iter().map(SetScore::relative).sum::<f64>() / scores.len().max(1) as f64
@@ -119,7 +120,7 @@ impl Baselines {
         Ok(baselines)
     }
 
-    /// The anchors of the set, or of all sets where the training data have none of the type in this one.
+    /// The anchors of the set, or of all sets if the set's training data have no agent of this type.
     fn of(&self, set: DataSet, agent_type: AgentType) -> Option<&Anchors> {
         self.of_set.get(&(set, agent_type)).or_else(|| self.pooled.get(&agent_type))
     }
@@ -139,7 +140,7 @@ fn fit_anchors(
     Ok(Anchors::fit(&windows, config.dt_s as f32, config.horizon_len, cuts_mps, seed))
 }
 
-/// What a validation needs besides the samples.
+/// The inputs of a validation besides the samples.
 #[derive(Clone, Copy)]
 pub(crate) struct Validation<'a> {
     pub(crate) config: &'a ModelConfig,
@@ -147,7 +148,7 @@ pub(crate) struct Validation<'a> {
     pub(crate) baselines: &'a Baselines,
     /// The kind of map.
     pub(crate) map: Option<MapKind>,
-    /// Agents of each set at most.
+    /// Maximum number of agents per set.
     pub(crate) agents_max: usize,
     /// Number of threads.
     pub(crate) workers: usize,
@@ -177,7 +178,7 @@ impl Sums {
 }
 
 impl Validation<'_> {
-    /// Figures of every set of `samples` that has windows.
+    /// The scores of every set in `samples` that has windows.
     pub(crate) fn scores(&self, weights: &Tensors, samples: &Samples) -> Result<Vec<SetScore>, TrainError> {
         let sets = samples.sets.iter().filter(|set| !set.windows.is_empty());
         sets.map(|set| self.score(weights, set, samples)).collect()
@@ -289,7 +290,7 @@ impl Validation<'_> {
             return both(agents_len, modes_len)
                 .map(|modes| Trajectories::new(&forecast.by_points(&modes, false).positions, agents_len));
         }
-        // The same draws at every validation, so that figures of two checkpoints are comparable.
+        // Every validation uses the same draws, so that the figures of two checkpoints are comparable.
         let mut random = ChaCha8Rng::seed_from_u64(0);
         let draws = (0..agents_len * modes_len * LATENT).map(|_| StandardNormal.sample(&mut random));
         let draws = Matrix::new(agents_len * modes_len, LATENT, draws.collect());
@@ -304,7 +305,7 @@ impl Validation<'_> {
     }
 }
 
-/// All modes of every agent, and the single best one of every agent.
+/// All modes of every agent, and the single best forecast of every agent.
 fn both(agents_len: usize, modes_len: usize) -> [Vec<usize>; 2] {
     [(0..agents_len).flat_map(|_| 0..modes_len).collect(), vec![modes_len; agents_len]]
 }

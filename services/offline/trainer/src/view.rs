@@ -1,7 +1,8 @@
-//! Augmentation: which agents of a scene a batch shows, how much of their history, and how transformed.
+//! Augmentation: which agents of a scene a batch shows, how much of their history, and with which
+//! transformations.
 //!
-//! **In:** a recorded [`Scene`]. **Out:** a [`SceneView`] of the same window: cut, mirrored, scaled,
-//! differenced or noisy histories; futures transformed alike.
+//! **In:** a recorded [`Scene`]. **Out:** a [`SceneView`] of the same window, with cut, mirrored, scaled,
+//! differenced or noisy histories. Futures are mirrored and scaled in the same way.
 
 use std::sync::Arc;
 
@@ -13,37 +14,37 @@ use crate::batch::{AgentView, SceneView};
 use crate::options::TrainOptions;
 use crate::samples::{Agent, MapView, Scene};
 
-/// Deviations of the strongest noise: position (m), velocity (m/s), heading (rad).
+/// Standard deviations of the strongest noise: position (m), velocity (m/s), heading (rad).
 const NOISE: (f32, f32, f32) = (0.04, 0.12, 0.01);
-/// The same of a vehicle: the residual noise of filtered detections.
+/// The same for a vehicle: the residual noise of filtered detections.
 const VEHICLE_NOISE: (f32, f32, f32) = (0.1, 0.4, 0.03);
 /// Speed below which an agent that moves less than [`STANDING_M`] counts as standing.
 const STANDING_MPS: f32 = 0.3;
 /// See [`STANDING_MPS`].
 const STANDING_M: f32 = 0.5;
-/// Speed from which on a vehicle is fast: roads of such speeds, shown at a larger scale, look like a motorway.
+/// Speed from which a vehicle is fast. At a larger scale, roads with such speeds resemble a motorway.
 const FAST_MPS: f32 = 9.0;
 /// Largest scale of fast roads.
 const FASTER_MAX: f32 = 2.5;
 
-/// How some neighbouring scenes of a recording are shown, the same for all of them.
+/// How a clip of consecutive scenes is shown; the same for all of them.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Clip {
     /// The agent in the middle.
     centre: u64,
     centre_m: [f32; 2],
     mirrored: bool,
-    /// Factor of all lengths.
+    /// Factor on all lengths.
     scale: f32,
-    /// Whether that makes a fast road faster.
+    /// Whether this factor makes a fast road faster.
     faster: bool,
-    /// Whether motion is differences of positions.
+    /// Whether motion is differenced from positions.
     differenced: bool,
 }
 
 impl Clip {
-    /// Scenes around a random agent, those without vehicles mirrored half the time and at another scale:
-    /// pedestrians keep to no side of the road, and slow and fast ones walk alike.
+    /// Draws the view of scenes around a random agent. Scenes without vehicles are scaled, and mirrored half
+    /// of the time: pedestrians keep to neither side of the road, and slow and fast ones walk alike.
     pub(crate) fn draw(scenes: &[Scene], options: &TrainOptions, random: &mut impl Rng) -> Self {
         let counted: Vec<&Arc<Agent>> =
             scenes.iter().flat_map(|scene| &scene.agents).filter(|agent| agent.counts).collect();
@@ -89,19 +90,19 @@ impl Clip {
             view.counts &= moves(&view) || random.random_bool(options.standing);
             Some(view)
         });
-        // A map keeps its scale: a road that is shown faster than it is has none.
+        // A map is not scaled, so a road that is shown faster has no map.
         let map = map.filter(|_| !self.faster);
         SceneView { agents: agents.collect(), map, mirrored: self.mirrored }
     }
 }
 
-/// Whether an agent is a vehicle on a fast road.
+/// Whether an agent is a fast vehicle.
 pub(crate) fn is_fast(agent: &Agent) -> bool {
     let newest = agent.history.iter().rev().flatten().next();
     agent.agent_type == scene::AgentType::Vehicle && newest.is_some_and(|state| state.speed_mps() > FAST_MPS)
 }
 
-/// A scale of a fast road.
+/// A random scale for a fast road.
 pub(crate) fn faster_scale(random: &mut impl Rng) -> f32 {
     random.random_range(0.0..FASTER_MAX.ln()).exp()
 }
@@ -114,7 +115,7 @@ fn moves(view: &AgentView) -> bool {
     newest.speed_mps() > STANDING_MPS || x.hypot(y) > STANDING_M
 }
 
-/// Shows a scene as it was recorded; of crowds the `agents_max` agents nearest to the first that counts.
+/// Shows a scene as recorded. A crowd is reduced to the `agents_max` agents nearest to the first counted one.
 pub(crate) fn plain<'a>(scene: &Scene, map: Option<MapView<'a>>, agents_max: usize) -> SceneView<'a> {
     let centre_m = scene.agents.iter().find(|agent| agent.counts).map_or([0.0; 2], position_m);
     let agents = nearest(scene, centre_m, agents_max);
@@ -122,7 +123,7 @@ pub(crate) fn plain<'a>(scene: &Scene, map: Option<MapView<'a>>, agents_max: usi
     SceneView { agents: agents.collect(), map, mirrored: false }
 }
 
-/// An agent with its newest `history_len` states; `None` where it has none.
+/// An agent with its newest `history_len` states; `None` if it has none.
 pub(crate) fn shown(agent: &Arc<Agent>, history_len: usize, mirrored: bool) -> Option<AgentView> {
     let mut history = agent.history_of(history_len);
     let mut future = agent.future.clone();
@@ -133,14 +134,14 @@ pub(crate) fn shown(agent: &Arc<Agent>, history_len: usize, mirrored: bool) -> O
     Some(AgentView { agent: Arc::clone(agent), history, future, frame, counts: agent.counts })
 }
 
-/// The same agent as from a sensor that reports positions alone.
+/// The same agent as from a sensor that reports only positions.
 pub(crate) fn differenced(mut view: AgentView, dt_s: f64) -> AgentView {
     let positions_m: Vec<_> = view.history.iter().map(|state| state.map(|state| state.position_m)).collect();
     scene::states_from_positions(&positions_m, positions_m.len(), dt_s as f32, &mut view.history);
     AgentView { frame: agent_frame(&view.history).unwrap_or(view.frame), ..view }
 }
 
-/// The same agent as from a noisy sensor. The strength is random too, seldom as much as [`NOISE`].
+/// The same agent as from a noisy sensor. The strength is also random and rarely as large as [`NOISE`].
 pub(crate) fn noisy(mut view: AgentView, random: &mut impl Rng) -> AgentView {
     let level = random.random::<f32>().powi(2);
     let is_vehicle = view.agent.agent_type == scene::AgentType::Vehicle;
@@ -195,7 +196,7 @@ mod tests {
 
     use super::*;
 
-    /// A vehicle at 2, 4, 7 and 11 m whose recording reports 3 m/s northward all the time.
+    /// A vehicle at 2, 4, 7 and 11 m. Its recording always reports 3 m/s northward.
     fn vehicle() -> Arc<Agent> {
         let state = |x: f32| State { position_m: [x, 5.0], velocity_mps: [0.0, 3.0], heading_rad: 1.5 };
         Arc::new(Agent {

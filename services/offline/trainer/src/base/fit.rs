@@ -1,4 +1,4 @@
-//! The fit of ridge and anchors to windows.
+//! Fits ridge and anchors to windows.
 
 use std::sync::Arc;
 
@@ -23,9 +23,9 @@ const RIDGE: f64 = 1.0;
 const RIDGE_WINDOWS_MIN: usize = 300;
 /// A bin with fewer windows takes the anchors of the nearest other bin.
 const WINDOWS_MIN: usize = 60;
-/// Largest change of speed, m/s²: a recorded future that exceeds it has a jump in its annotation.
+/// Maximum change of speed, m/s²: a recorded future that exceeds it has a jump in its annotation.
 const ACCELERATION_MAX_MPS2: f32 = 9.0;
-/// Futures to which no controls come nearer than this, m, are left out of the fit.
+/// A future is left out of the fit if the error of its best controls exceeds this, m.
 const FIT_ERROR_MAX_M: f32 = 0.5;
 /// A bin with this many windows needs no augmented windows at other scales.
 const RECORDED_ENOUGH: usize = 2000;
@@ -59,24 +59,24 @@ impl Motion {
     }
 }
 
-/// Augmentation: further windows that are fitted beside each recorded one.
+/// Augmentation: further windows that are fitted with each recorded one.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Augmentation {
     /// Vehicles with noisy histories.
     pub(crate) noise: bool,
     /// Share of the vehicles whose motion is also shown as differences of positions.
     pub(crate) differenced: f64,
-    /// Pedestrians at other scales: deviation of the logarithm of the scale. Few pedestrians walk fast, and
-    /// they walk like the others; bins of frequent speeds have anchors of the recorded scale alone, see
-    /// [`RECORDED_ENOUGH`].
+    /// Pedestrians at other scales: standard deviation of the logarithm of the scale. Few pedestrians walk
+    /// fast, and they walk like the others. In bins of frequent speeds, anchors use the recorded scale only,
+    /// see [`RECORDED_ENOUGH`].
     pub(crate) scale_deviation: f32,
     /// Share of the fast vehicles that are also shown at a larger scale.
     pub(crate) faster: f64,
 }
 
 impl Augmentation {
-    /// The augmented windows of a view, and whether they are scaled; those of cyclists and pedestrians, which
-    /// keep to no side of the road, also `mirrored`.
+    /// The augmented windows of a view, and whether they are scaled. Cyclists and pedestrians keep to neither
+    /// side of the road, so their augmented windows include the `mirrored` one.
     fn of(
         self,
         view: &AgentView,
@@ -111,22 +111,22 @@ impl Augmentation {
     }
 }
 
-/// A window as the fit uses it.
+/// A window in the form that the fit uses.
 pub(super) struct Sample {
-    /// Whether its scale is another than the recorded one.
+    /// Whether its scale differs from the recorded one.
     scaled: bool,
     bins: Bins,
     features: Features,
     motion: Motion,
     /// Recorded positions in the agent frame, m.
     truth: Vec<[f32; 2]>,
-    /// The controls that lead through them.
+    /// The controls that lead through these positions.
     controls: Controls,
 }
 
 impl Sample {
-    /// The window with its whole history and, where that is long enough, cut to the shorter classes, and its
-    /// augmented windows.
+    /// The window with its whole history, the same window cut to the shorter classes if the history is long
+    /// enough, and their augmented windows.
     pub(super) fn of_every_class(
         agent: &Arc<Agent>,
         config: &ModelConfig,
@@ -195,9 +195,8 @@ fn jumps(velocity_mps: [f32; 2], positions: &[[f32; 2]], dt_s: f32) -> bool {
 impl TypeBase {
     /// Fills the tables from windows.
     ///
-    /// The ridge of pedestrians is constant velocity, and their anchors are one set per speed bin: the mean
-    /// of their motion is no better than constant velocity, and their accelerations and yaw rates are mostly
-    /// noise.
+    /// For pedestrians the ridge is constant velocity, because the mean of their motion is no better. Their
+    /// accelerations and yaw rates are mostly noise, so they have one set of anchors per speed bin.
     ///
     /// # Errors
     /// As [`ridge_regression`].
@@ -218,7 +217,7 @@ impl TypeBase {
         Ok(())
     }
 
-    /// Bounds of every feature: within them lie all windows of a history class.
+    /// Sets the bounds of every feature to its extremes over the windows of a history class.
     pub(super) fn fit_support(&mut self, samples: &[Sample]) {
         let Some(support) = &mut self.support else { return };
         for (class, bounds) in support.chunks_exact_mut(binning::FEATURES).enumerate() {
@@ -325,7 +324,7 @@ impl TypeBase {
     }
 }
 
-/// The present entry nearest to an absent one; the first of equals.
+/// The present entry nearest to an absent one; the first one if several are equally near.
 fn nearest<T>(entries: &[Option<T>], distance: impl Fn(usize) -> usize) -> Option<&T> {
     (0..entries.len())
         .filter(|&i| entries[i].is_some())
@@ -333,7 +332,7 @@ fn nearest<T>(entries: &[Option<T>], distance: impl Fn(usize) -> usize) -> Optio
         .and_then(|i| entries[i].as_ref())
 }
 
-/// Distance between two bins: a step of acceleration or yaw rate is shorter than one of speed.
+/// Distance between two bins. A step of acceleration or yaw rate counts less than a step of speed.
 fn bin_distance(a: usize, b: usize) -> usize {
     let per_speed = binning::BINS / binning::SPEED_BINS;
     let turn_or_accel = |bin: usize| ((bin % per_speed) / 3, bin % 3);
@@ -341,11 +340,11 @@ fn bin_distance(a: usize, b: usize) -> usize {
     4 * (a / per_speed).abs_diff(b / per_speed) + 2 * turn_a.abs_diff(turn_b) + accel_a.abs_diff(accel_b)
 }
 
-/// Coefficients W `[features × controls]` that minimise ‖X W − Y‖² + λ‖W‖², by the normal equations
-/// (XᵀX + λI) W = XᵀY.
+/// Coefficients W `[features × controls]` that minimise ‖X W − Y‖² + λ‖W‖², by the normal equations (XᵀX +
+/// λI) W = XᵀY.
 ///
 /// # Errors
-/// [`TrainError::Fit`] if XᵀX + λI is not positive definite, as when a feature is not finite.
+/// [`TrainError::Fit`] if XᵀX + λI is not positive definite, for example if a feature is not finite.
 fn ridge_regression(samples: &[&Sample], controls_len: usize) -> Result<Vec<f32>, TrainError> {
     let features = Mat::from_fn(samples.len(), binning::FEATURES, |i, j| f64::from(samples[i].features[j]));
     let controls =
@@ -362,7 +361,7 @@ fn ridge_regression(samples: &[&Sample], controls_len: usize) -> Result<Vec<f32>
 mod tests {
     use super::*;
 
-    /// A window with these features whose control is a linear function of the first two.
+    /// A window with these features. Its control is a linear function of the first two.
     fn sample(first: f32, second: f32) -> Sample {
         let mut features = [0.0; binning::FEATURES];
         (features[0], features[1]) = (first, second);

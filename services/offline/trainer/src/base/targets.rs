@@ -1,8 +1,8 @@
 //! The controls that lead through a recorded future: the targets of the base control's fit. \[model §4\]
 //!
-//! Cyclists and pedestrians: the displacements themselves, m. Vehicles: the controls before saturation that
-//! lead the bicycle through the recorded positions, by Levenberg-Marquardt from zero control with a weak
-//! penalty on controls, so that noise of the positions does not become steering.
+//! For cyclists and pedestrians they are the displacements themselves, m. For vehicles they are the controls
+//! before saturation that lead the bicycle through the recorded positions. Levenberg-Marquardt finds them
+//! from zero control. A weak penalty on the controls prevents noise of the positions from becoming steering.
 
 use kinematics::{BicycleState, Motion, Vehicle};
 use nalgebra::{DMatrix, DVector, SMatrix, Vector2};
@@ -14,17 +14,17 @@ use crate::net::motion::Start;
 pub(crate) type Controls = Vec<[f32; 2]>;
 
 const ITERATIONS: usize = 30;
-/// Squared deviation of positions over that of controls: 0.03 m against 0.5 m/s² and 0.15 rad/s.
+/// Ratio of the squared deviations of positions and controls: 0.03 m to 0.5 m/s² and to 0.15 rad/s.
 const PULL: [f32; 2] = [0.0036, 0.04];
 
-/// Displacements of every step beyond constant velocity that lead through `positions` (agent frame).
+/// Displacements of every step relative to constant velocity that lead through `positions` (agent frame).
 pub(crate) fn displacements(velocity_mps: [f32; 2], positions: &[[f32; 2]], dt_s: f32) -> Controls {
     let before = std::iter::once(&[0.0; 2]).chain(positions);
     let pairs = positions.iter().zip(before);
     pairs.map(|(p, b)| [0, 1].map(|axis| p[axis] - b[axis] - velocity_mps[axis] * dt_s)).collect()
 }
 
-/// Positions (agent frame) of displacements beyond constant velocity.
+/// Positions (agent frame) after these displacements relative to constant velocity.
 pub(crate) fn displaced(velocity_mps: [f32; 2], controls: &[[f32; 2]], dt_s: f32) -> Vec<[f32; 2]> {
     let steps = controls.iter().scan([0.0; 2], |position: &mut [f32; 2], control| {
         *position = [0, 1].map(|axis| position[axis] + velocity_mps[axis] * dt_s + control[axis]);
@@ -33,7 +33,7 @@ pub(crate) fn displaced(velocity_mps: [f32; 2], controls: &[[f32; 2]], dt_s: f32
     steps.collect()
 }
 
-/// A vehicle with its state at the start.
+/// A vehicle with its initial state.
 pub(crate) struct Driver {
     vehicle: Vehicle,
     start: BicycleState<f32>,
@@ -55,7 +55,7 @@ impl Driver {
         steps.collect()
     }
 
-    /// Controls before saturation that lead nearest to `truth` (agent frame).
+    /// The controls before saturation whose positions are nearest to `truth` (agent frame).
     pub(crate) fn controls(&self, truth: &[[f32; 2]]) -> Controls {
         let mut controls = vec![[0.0; 2]; truth.len()];
         let mut cost = self.cost(&controls, truth);

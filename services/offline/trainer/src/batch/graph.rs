@@ -18,7 +18,7 @@ pub(crate) struct Graph {
     pub(crate) state: Matrix,
     /// Rows of each type.
     pub(crate) type_rows: [Range<usize>; 3],
-    /// Relation features, each once `[relations, 6]`.
+    /// Relation features `[relations, 6]`, without duplicates.
     pub(crate) relation: Matrix,
     /// Relation of every edge.
     pub(crate) relation_of_edge: Vec<u32>,
@@ -28,7 +28,7 @@ pub(crate) struct Graph {
     pub(crate) steps: Vec<u32>,
     /// Steps per agent.
     pub(crate) steps_len: usize,
-    /// Map patches, each once `[patches, 3 × P × P]`; the first is empty.
+    /// Map patches `[patches, 3 × P × P]`, without duplicates; the first one is empty.
     pub(crate) patches: Matrix,
     /// Patch of every row.
     pub(crate) patch_of_row: Vec<u32>,
@@ -128,7 +128,7 @@ impl Placed<'_> {
         relations
     }
 
-    /// Patches of all rows, each (agent, frame) once, and the patch of every row.
+    /// The patches of all rows, once per (agent, frame), and the patch of every row.
     fn patches(
         &self,
         steps: Steps,
@@ -225,7 +225,7 @@ struct Relations {
     features: Vec<f32>,
     /// Relation of every edge.
     of_edge: Vec<u32>,
-    /// Number of the relation with these features, by their bits.
+    /// Index of the relation with these features, by their bits.
     known: HashMap<[u32; 6], u32>,
 }
 

@@ -1,4 +1,4 @@
-//! No input of the network depends on later frames.
+//! Tests that no input of the network depends on later frames.
 
 use std::path::Path;
 use std::sync::LazyLock;
@@ -17,7 +17,7 @@ use crate::samples::{Ground, MapKind, Scene, Selection, cut};
 use crate::spool::{Spool, Spooling};
 use crate::view;
 
-/// A base control that was fitted to other data.
+/// A base control fitted to other data.
 static BASE: LazyLock<BaseControl> = LazyLock::new(|| {
     let mut random = ChaCha8Rng::seed_from_u64(1);
     let recording = read(&Scenery::random(frame_rate(Format::Csv), &mut random), Format::Csv);
@@ -66,7 +66,7 @@ fn selection(from_positions: bool) -> Selection<'static> {
 struct Shown {
     /// By name, to the bit.
     inputs: Vec<(&'static str, Vec<u32>)>,
-    /// The parts that are no matrices, as text.
+    /// The inputs that are not matrices, as text.
     words: String,
     truth: Vec<u32>,
 }
@@ -84,8 +84,8 @@ impl Shown {
         let windows_len = windows.partition_point(|window| window.stamp_ns <= now_ns);
         let (mut scenes, ground, spool) = cut_all(recording, selection, &config);
         scenes.truncate(windows_len);
-        // Which agents have a target may depend on the future, and with it the order of a batch: here all
-        // have.
+        // The future may determine which agents have a target, and so the order of a batch. Here all agents
+        // have one.
         scenes
             .iter_mut()
             .flat_map(|scene| &mut scene.agents)
@@ -95,7 +95,7 @@ impl Shown {
             scenes.iter().map(|scene| view::plain(scene, map, usize::MAX)).collect();
         let options = BatchOptions { config: &config, base: &BASE, neighbours_max: 8, with_future: false };
         let batch = Batch::new(&views, options).unwrap();
-        // Neither lines nor poses are inputs: lines depend on what else is in the file, and a pose between
+        // Neither lines nor poses are inputs. Lines depend on other contents of the file, and a pose between
         // two poses is interpolated.
         let without = |frame: &data::Frame| data::Frame {
             lines: data::Lines::default(),
@@ -109,7 +109,7 @@ impl Shown {
     }
 }
 
-/// All attributes of the agents but their futures, as text.
+/// All attributes of the agents except their futures, as text.
 fn agents(scenes: &[Scene]) -> String {
     let agents = scenes.iter().flat_map(|scene| &scene.agents);
     agents
@@ -170,7 +170,7 @@ proptest! {
             for ((name, values), (_, others)) in shown.inputs.iter().zip(&other.inputs) {
                 prop_assert!(values == others, "{format}: {name} differ");
             }
-            // A detector gives no identities: its recordings have no windows.
+            // A detector reports no identities, so its recordings have no windows.
             if format == Format::KittiDetections {
                 prop_assert!(shown.truth.is_empty());
             } else {

@@ -1,4 +1,4 @@
-//! Gradients against central differences.
+//! Compares gradients with central differences.
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -14,8 +14,8 @@ pub(crate) fn weighted(outputs: &[f32], weights: &[f32]) -> f64 {
     outputs.iter().zip(weights).map(|(y, w)| f64::from(*y) * f64::from(*w)).sum()
 }
 
-/// Holds `gradient` of `loss` at `at` to central differences of width `step`, along each of `axes` axes drawn
-/// at random and along the gradient itself.
+/// Compares `gradient` of `loss` at `at` with central differences of width `step`, along the gradient itself
+/// and along `axes` axes drawn at random.
 pub(crate) fn check(
     name: &str,
     at: &[f32],

@@ -9,8 +9,8 @@
 //!
 //! Patches are `[patch, 3, row, column]` (channels and units: \[model §2\]), embeddings `[patch, 32]`.
 //!
-//! A stage has twice the channels of the one before. The first block of every stage but the first has stride
-//! 2 and a convolution 1×1 as shortcut; the shortcut of all others is the identity.
+//! Each stage has twice the channels of the previous one. From the second stage on, the first block has
+//! stride 2 and a 1×1 convolution as shortcut. All other shortcuts are the identity.
 
 mod block;
 mod convolution;
@@ -50,17 +50,17 @@ pub(crate) enum Normalisation {
 pub(crate) struct Embedded {
     /// \[patch, 32\].
     pub(crate) embedding: Matrix,
-    /// New running values of the batch norms: (tensor name, values); none where the running values normalise.
+    /// New running values of the batch norms: (tensor name, values). Empty if the running values normalise.
     pub(crate) statistics: Vec<(String, Vec<f32>)>,
     trace: Option<Trace>,
 }
 
-/// What the backward pass needs.
+/// The values that the backward pass needs.
 struct Trace {
     network: Network,
     patches: Vec<f32>,
     stem: NormTrace,
-    /// Input of the max-pool, where there is one.
+    /// Input of the max-pool, if there is one.
     unpooled: Option<Map>,
     blocks: Vec<BlockTrace>,
     /// The input of each block, and the output of the last.
@@ -113,7 +113,7 @@ impl Network {
 /// Embeds `patches` \[patch, 3, row, column\]. A backward pass needs `keep_trace`.
 ///
 /// # Panics
-/// Where `patches` does not hold whole patches, or none for batch norms to take their statistics from.
+/// If `patches` does not hold whole patches, or is empty when batch norms need its statistics.
 pub(crate) fn embed(
     weights: &Tensors,
     config: &ModelConfig,
@@ -156,7 +156,7 @@ impl Embedded {
     /// The backward pass: adds to the gradients of the weights.
     ///
     /// # Panics
-    /// Where no trace was kept.
+    /// If no trace was kept.
     pub(crate) fn backward(&self, weights: &Tensors, gradients: &mut Gradients, d_embedding: &Matrix) {
         let trace = self.trace.as_ref().expect("the caller asked for a trace");
         let Trace { network, patches, stem, unpooled, blocks, maps, means } = trace;

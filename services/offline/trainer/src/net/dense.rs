@@ -31,7 +31,7 @@ pub(crate) fn relu(values: &mut Matrix) {
     values.values.iter_mut().for_each(|value| *value = value.max(0.0));
 }
 
-/// Sets the gradient to zero where the rectified value is.
+/// Sets the gradient to zero at the zeros of the rectified values.
 pub(crate) fn relu_backward(rectified: &Matrix, gradient: &mut Matrix) {
     for (gradient, value) in gradient.values.iter_mut().zip(&rectified.values) {
         if *value <= 0.0 {
@@ -44,7 +44,7 @@ pub(crate) fn relu_backward(rectified: &Matrix, gradient: &mut Matrix) {
 #[derive(Debug)]
 pub(crate) struct PerceptronTrace(Vec<Matrix>);
 
-/// `layers` linear layers `name.0`, `name.1`, … with ReLU between them and none after the last.
+/// `layers` linear layers `name.0`, `name.1`, … with a ReLU between each two, but not after the last.
 pub(crate) fn perceptron(
     weights: &Tensors,
     name: &str,

@@ -65,7 +65,7 @@ impl Tensors {
         Ok(safetensors::serialize(views, Some(metadata))?)
     }
 
-    /// The tensors that `layout` lists, from the bytes of a safetensors file; others in the file are ignored.
+    /// The tensors of `layout` from the bytes of a safetensors file; other tensors in the file are ignored.
     pub(crate) fn from_safetensors(bytes: &[u8], layout: &[Entry]) -> Result<Self, TensorError> {
         let file = SafeTensors::deserialize(bytes)?;
         let mut tensors = Self::default();

@@ -11,10 +11,10 @@ use super::topological::Edges;
 
 const FOLDERS: [&str; 4] = ["vehicle", "pedestrian", "plus", "literal"];
 const TYPE_NAMES: [&str; 3] = ["vehicle", "cyclist", "pedestrian"];
-/// Largest error, as a share of the largest value.
+/// Maximum error, relative to the largest value.
 const TOLERANCE: f32 = 1e-4;
 
-/// One golden folder: a model, a scene and every tensor in between.
+/// One golden folder: a model, a scene and all intermediate tensors.
 pub(crate) struct Golden {
     pub(crate) name: &'static str,
     pub(crate) config: ModelConfig,
@@ -66,7 +66,7 @@ impl Golden {
         (view.shape().to_vec(), floats(view.data()))
     }
 
-    /// Values of `name` at the leading indices, each of a slice of the remaining dimensions.
+    /// Values of `name` at these leading indices. Each index selects a slice of the remaining dimensions.
     pub(crate) fn rows(&self, name: &str, indices: impl IntoIterator<Item = Vec<usize>>) -> Vec<f32> {
         let (shape, values) = self.tensor(name);
         let mut rows = Vec::new();
@@ -78,7 +78,7 @@ impl Golden {
         rows
     }
 
-    /// Asserts that `found` is `expected` within the tolerance.
+    /// Asserts that `found` equals `expected` within the tolerance.
     pub(crate) fn check(&self, name: &str, found: &[f32], expected: &[f32]) {
         assert_eq!(found.len(), expected.len(), "{} {name}: length", self.name);
         let largest = expected.iter().fold(0.0_f32, |most, value| most.max(value.abs()));

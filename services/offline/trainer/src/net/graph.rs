@@ -2,7 +2,7 @@
 //! \[model §3\]
 //!
 //! **In:** the rows, edges, relation features and map patches of [`Graph`](crate::batch::Graph). **Out:** ṽ
-//! `[agents, 64]`, dimensionless; backward the gradients of all weights up to ṽ.
+//! `[agents, 64]`, dimensionless; in the backward pass, the gradients of all weights up to ṽ.
 
 use nn::ModelConfig;
 
@@ -15,7 +15,7 @@ use super::tensors::{Gradients, Tensors};
 use super::topological::{self, AttentionShape, Round};
 use crate::batch::Graph;
 
-/// Least number of patches for batch statistics.
+/// Minimum number of patches for batch statistics.
 const NORMALISED_PATCHES_MIN: usize = 16;
 
 /// Output of the graph network for a batch.
@@ -75,7 +75,7 @@ pub(crate) fn encode(
     }
 }
 
-/// Prefix of the names of the state perceptron that serves a type.
+/// Prefix of the tensor names of a type's state perceptron.
 fn state_perceptron(config: &ModelConfig, of_type: usize) -> String {
     format!("fe.state.{}", config.network_of(wire::AGENT_TYPES[of_type]).name())
 }
@@ -107,7 +107,7 @@ impl Encoded {
         self.context.as_ref().map_or(&[], |context| &context.statistics)
     }
 
-    /// Adds the gradients of the weights, given that by the encodings.
+    /// Adds the gradients of the weights, given the gradient by the encodings.
     pub(crate) fn backward(
         &self,
         weights: &Tensors,

@@ -6,12 +6,14 @@
 //! rad/s for the bicycle model, in m for the displacement model.
 //!
 //! A gated recurrent unit reads the present steps of the history ([`burn_in`]), then ṽ and z once, then zeros
-//! ([`unroll`]); a linear *head* reads every state of the forecast. Agents are processed in blocks that stay
-//! in the second-level cache over all steps, forward and backward. What does not depend on the draw is
-//! computed once per agent: the part of ṽ and the first recurrent product.
+//! ([`unroll`]). A linear *head* reads every state of the forecast.
+//!
+//! Agents are processed in blocks that stay in the second-level cache over all steps, forward and backward.
+//! The part of ṽ and the first recurrent product do not depend on the draw, so they are computed once per
+//! agent.
 //!
 //! A step has two halves: the product of the state with W_h, on packed panels, and the element-wise [`step`]
-//! kernels. The head reads a state together with W_h, as five more rows of one stacked matrix.
+//! kernels. The head's five rows are stacked below W_h, so one product reads a state for both.
 
 mod burn_in;
 mod step;
@@ -65,7 +67,7 @@ pub(crate) fn mode_logits(
     perceptron(weights, &format!("{name}.mode"), MODE_LAYERS, input)
 }
 
-/// Some columns of W_i, packed, for a product with a part of the input.
+/// Packs some columns of W_i, for a product with a part of the input.
 fn by_input(weights: &Tensors, name: &str, columns: Range<usize>, bias: Option<&[f32]>) -> Panels {
     let matrix = weights.tensor(&format!("{name}.gru.weight_ih"));
     let weight = |out: usize, i: usize| matrix.values[out * matrix.shape[1] + columns.start + i];
@@ -86,7 +88,7 @@ fn to_state(matrix: &[f32]) -> Panels {
     Panels::pack([HIDDEN, 1, matrix.len() / HIDDEN], |i, _, out| matrix[out * HIDDEN + i], |_| 0.0)
 }
 
-/// out = input · panels + bias + residual, for rows of `input` that lie `stride` apart.
+/// out = input · panels + bias + residual; rows of `input` are `stride` apart.
 fn product(panels: &Panels, input: &[f32], stride: usize, residual: Option<&[f32]>, out: &mut [f32]) {
     Product { input, gather: Gather::Rows { stride }, panels, residual, relu: false, out }.run();
 }

@@ -21,9 +21,9 @@ const EDGE: usize = 16;
 const CONTEXT: usize = 32;
 pub(crate) const LATENT: usize = 32;
 const CONTROL: usize = 5;
-/// Initial softplus argument of λ and μ: both are then 1.
+/// Initial value of the softplus's argument in λ and μ, at which both are 1.
 const SOFTPLUS_OF_ONE: f32 = 0.541_324_9;
-/// Scale of the initial last layers that add to a base, so that training starts close to the base.
+/// Scale of the initial last layers that add to a base. Training therefore starts close to the base.
 const SMALL: f32 = 0.02;
 /// ln of the initial deviations of controls: acceleration (m/s²) and slip rate (rad/s).
 const VEHICLE_LN_DEVIATION: [f32; 2] = [-0.7, -2.5];
@@ -42,9 +42,9 @@ enum Fill {
     Constant(f32),
     /// Uniform in ± the value.
     Uniform(f32),
-    /// Normal with the value as deviation.
+    /// Normal with this standard deviation.
     Normal(f32),
-    /// The bias of a decoder's head: means zero, logarithms of the deviations as given, no correlation.
+    /// The bias of a decoder's head: means zero, these logarithms of the deviations, no correlation.
     Head([f32; 2]),
 }
 
@@ -60,7 +60,7 @@ pub(crate) struct Entry {
     fill: Fill,
 }
 
-/// All tensors of a model with this configuration, base control included.
+/// All tensors of a model with this configuration, including the base control.
 #[must_use]
 pub(crate) fn layout(config: &ModelConfig) -> Vec<Entry> {
     let mut entries = Entries::default();
@@ -84,7 +84,7 @@ pub(crate) fn layout(config: &ModelConfig) -> Vec<Entry> {
     entries.0
 }
 
-/// Weights to start training from; the same seed gives the same weights.
+/// Initial weights; the same seed gives the same weights.
 #[must_use]
 pub(crate) fn initial(config: &ModelConfig, seed: u64) -> Tensors {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
@@ -108,9 +108,9 @@ pub(crate) fn initial(config: &ModelConfig, seed: u64) -> Tensors {
     tensors
 }
 
-/// Units in which a tensor is learned, as if value / unit were the parameter; `None` where all are 1.
+/// Units in which a tensor is learned, as if value / unit were the parameter; `None` if all units are 1.
 ///
-/// The optimiser moves all its parameters by steps of about the same size; in a head's last layer such a step
+/// The optimiser moves all parameters by steps of about the same size. In a head's last layer such a step
 /// would shift every forecast by metres.
 pub(crate) fn units(config: &ModelConfig, name: &str, shape: &[usize]) -> Option<Vec<f32>> {
     let of_decoder = name.strip_prefix("decoder.")?;
@@ -119,7 +119,7 @@ pub(crate) fn units(config: &ModelConfig, name: &str, shape: &[usize]) -> Option
     let [first, second] = match (of_vehicles && config.drives(AgentType::Vehicle), config.node_types) {
         (false, _) => UNITS,
         (true, NodeTypes::Own) => VEHICLE_UNITS,
-        // The smallest, for all types.
+        // One network for all types uses the smallest units.
         (true, NodeTypes::Same) => [0, 1].map(|control| UNITS[control].min(VEHICLE_UNITS[control])),
     };
     let row_len: usize = shape[1..].iter().product();
@@ -143,7 +143,7 @@ impl Entries {
         self.push(name, shape, TensorRole::Learned, fill);
     }
 
-    /// Changes the initial values of a tensor that is listed already.
+    /// Changes the initial values of a tensor that is already listed.
     fn learned_as(&mut self, name: &str, fill: Fill) {
         self.0.iter_mut().filter(|entry| entry.name == name).for_each(|entry| entry.fill = fill);
     }

@@ -16,7 +16,7 @@ impl Matrix {
     }
 
     /// # Panics
-    /// Where `values` does not fill the matrix.
+    /// If `values` does not fill the matrix.
     pub(crate) fn new(rows: usize, cols: usize, values: Vec<f32>) -> Self {
         assert_eq!(values.len(), rows * cols, "values of a {rows} × {cols} matrix");
         Self { rows, cols, values }
@@ -76,7 +76,7 @@ pub(crate) struct View<'a> {
 
 impl<'a> View<'a> {
     /// # Panics
-    /// Where `values` does not fill the matrix.
+    /// If `values` does not fill the matrix.
     pub(crate) fn new(values: &'a [f32], rows: usize, cols: usize) -> Self {
         assert_eq!(values.len(), rows * cols, "values of a {rows} × {cols} matrix");
         Self { values, rows, cols, stride: cols }
@@ -111,7 +111,7 @@ pub(crate) struct ViewMut<'a> {
 
 impl<'a> ViewMut<'a> {
     /// # Panics
-    /// Where `values` does not fill the matrix.
+    /// If `values` does not fill the matrix.
     pub(crate) fn new(values: &'a mut [f32], rows: usize, cols: usize) -> Self {
         assert_eq!(values.len(), rows * cols, "values of a {rows} × {cols} matrix");
         Self { values, rows, cols, stride: cols }
@@ -142,7 +142,7 @@ pub(crate) enum Into {
     Add,
 }
 
-/// Rows of the batch per block of a matrix gradient: their panels stay in the cache.
+/// Rows of the batch per block of a matrix gradient. Their panels stay in the cache.
 const SUMMED: usize = 256;
 
 /// A linear layer: `out` `[n, o]` of `x` `[n, i]` · `w` `[o, i]`ᵀ.
@@ -151,7 +151,7 @@ pub(crate) fn forward(x: View<'_>, w: View<'_>, out: ViewMut<'_>, into: Into) {
     multiply(x, || Panels::of_rows(w.columns_of()), out, into);
 }
 
-/// Its gradient by the input: `out` `[n, i]` of `dy` `[n, o]` · `w` `[o, i]`.
+/// The layer's gradient by the input: `out` `[n, i]` of `dy` `[n, o]` · `w` `[o, i]`.
 pub(crate) fn by_input(dy: View<'_>, w: View<'_>, out: ViewMut<'_>, into: Into) {
     assert_eq!(
         (dy.cols, dy.rows, w.cols),
@@ -161,7 +161,7 @@ pub(crate) fn by_input(dy: View<'_>, w: View<'_>, out: ViewMut<'_>, into: Into) 
     multiply(dy, || Panels::of_columns(w.columns_of()), out, into);
 }
 
-/// Its gradient by the matrix, added to `out` `[o, i]`: `dy` `[n, o]`ᵀ · `x` `[n, i]`.
+/// The layer's gradient by the matrix, added to `out` `[o, i]`: `dy` `[n, o]`ᵀ · `x` `[n, i]`.
 pub(crate) fn by_matrix(dy: View<'_>, x: View<'_>, mut out: ViewMut<'_>) {
     assert_eq!((dy.rows, dy.cols, x.cols), (x.rows, out.rows, out.cols), "shapes of a matrix's gradient");
     if dy.is_empty() || x.is_empty() {
@@ -203,7 +203,7 @@ fn run(input: &[f32], stride: usize, panels: &Panels, out: &mut [f32]) {
     Product { input, gather: Gather::Rows { stride }, panels, residual: None, relu: false, out }.run();
 }
 
-/// Its gradient by the bias, added to `out` `[o]`: the column sums of `dy` `[n, o]`.
+/// The layer's gradient by the bias, added to `out` `[o]`: the column sums of `dy` `[n, o]`.
 pub(crate) fn by_bias(dy: &Matrix, out: &mut [f32]) {
     for row in dy.values.chunks_exact(dy.cols.max(1)) {
         out.iter_mut().zip(row).for_each(|(sum, value)| *sum += value);

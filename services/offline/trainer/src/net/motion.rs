@@ -1,10 +1,10 @@
 //! Controls to positions: the equations of the `kinematics` crate over a batch, in agent frames, and their
 //! gradients. \[model §4\]
 //!
-//! Each row of a matrix is one trajectory, two columns per step; the rows of an agent, its *draws*, are
+//! Each row of a matrix is one trajectory, with two columns per step. The rows of an agent, its *draws*, are
 //! consecutive and share one [`Start`]. Vehicles move by the bicycle model unless the model's configuration
-//! moves them by displacements. The backward pass takes the controls instead of a trace: recomputing the
-//! states costs less than keeping them.
+//! moves them by displacements. The backward pass takes the controls instead of a trace, because computing
+//! the states again costs less than keeping them.
 
 mod bicycle;
 mod noise;
@@ -18,8 +18,8 @@ use super::matrix::Matrix;
 
 pub(crate) use noise::{noisy_controls, noisy_controls_backward};
 
-/// State of an agent at the last observed step, at the origin of its frame. Of cyclists and pedestrians only
-/// the velocity is used.
+/// State of an agent at the last observed step, at the origin of its frame. Cyclists and pedestrians use only
+/// the velocity.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Start {
     /// In the agent frame, m/s.
@@ -29,7 +29,7 @@ pub(crate) struct Start {
     /// Along the heading, negative in reverse, m/s.
     pub(crate) speed_mps: f32,
     pub(crate) slip_rad: f32,
-    /// From the centre to the rear axle, m; positive for vehicles.
+    /// Distance from the centre to the rear axle, m; positive for vehicles.
     pub(crate) rear_axle_m: f32,
 }
 
@@ -41,11 +41,11 @@ impl Start {
     }
 }
 
-/// Positions `[rows, horizon × 2]` under `controls` of the same shape, those of vehicles before saturation;
-/// row r starts from `starts[r / draws_len]`. \[model §4\]
+/// Positions `[rows, horizon × 2]` under `controls` of the same shape; vehicles' controls are before
+/// saturation. Row r starts from `starts[r / draws_len]`. \[model §4\]
 ///
 /// # Panics
-/// Where the starts don't fit the rows.
+/// If the number of starts does not fit the rows.
 pub(crate) fn positions(
     config: &ModelConfig,
     agent_type: AgentType,
@@ -61,7 +61,8 @@ pub(crate) fn positions(
     }
 }
 
-/// Gradient by the controls of [`positions`], given that by the positions. Panics under the same condition.
+/// Gradient by the controls of [`positions`], given the gradient by the positions. Panics under the same
+/// condition.
 pub(crate) fn positions_backward(
     config: &ModelConfig,
     agent_type: AgentType,
@@ -79,7 +80,7 @@ pub(crate) fn positions_backward(
     }
 }
 
-/// Cumulative sums of the displacements, beyond those of constant velocity where they are residual.
+/// Cumulative sums of the displacements. Residual displacements are relative to constant velocity.
 fn displace(config: &ModelConfig, starts: &[Start], draws_len: usize, controls: &Matrix) -> Matrix {
     let carried_s = match config.displacement {
         Displacement::Residual => config.dt_s as f32,

@@ -1,8 +1,8 @@
 //! The terms of the loss and their gradients. \[model §5\]
 //!
-//! Trajectories are matrices `[rows, horizon × 2]` in agent frames, m, with the draws of an agent in
-//! consecutive rows. Each term is a sum over rows or agents, weighted by the caller, which knows the size of
-//! the whole batch; gradients are those of the weighted sum.
+//! Trajectories are matrices `[rows, horizon × 2]` in agent frames, m. The draws of an agent are in
+//! consecutive rows. Each term is a weighted sum over rows or agents. The caller chooses the weights, because
+//! it knows the size of the whole batch. Gradients are those of the weighted sum.
 
 mod distance;
 mod modes;
@@ -19,15 +19,15 @@ use super::matrix::Matrix;
 pub(crate) struct Truth<'a> {
     /// True positions `[agents, horizon × 2]`.
     pub(crate) positions: &'a Matrix,
-    /// 1 where the true position is known and counts, 0 elsewhere, `[agents, horizon]`.
+    /// 1 if the true position is known and counts, otherwise 0, `[agents, horizon]`.
     pub(crate) counts: &'a Matrix,
-    /// Trajectories of every agent: row r belongs to agent r / `draws_len`.
+    /// Trajectories per agent: row r belongs to agent r / `draws_len`.
     pub(crate) draws_len: usize,
 }
 
 impl Truth<'_> {
-    /// Weights of an agent's steps `[agents, horizon]`, with which a sum is the mean over the steps that
-    /// count plus `last` times the last one, if it does.
+    /// Weights of an agent's steps `[agents, horizon]`. The weighted sum is the mean over the counted steps,
+    /// plus `last` times the last one if it counts.
     fn step_weights(&self, last: f32) -> Matrix {
         let mut weights = self.counts.clone();
         for steps in weights.values.chunks_exact_mut(self.counts.cols.max(1)) {
@@ -40,8 +40,8 @@ impl Truth<'_> {
     }
 }
 
-/// Distance to the truth of every row, m: the mean over the steps that count plus `last_weight` times that of
-/// the last step.
+/// Distance to the truth of every row, m: the mean over the counted steps, plus `last_weight` times the
+/// distance at the last step.
 pub(crate) fn trajectory_error(positions: &Matrix, truth: &Truth<'_>, last_weight: f32) -> Vec<f32> {
     let weights = truth.step_weights(last_weight);
     let distances = distances(positions, truth.positions, truth.draws_len);
@@ -59,15 +59,15 @@ pub(crate) fn trajectory_error_backward(
     distances_backward(positions, truth.positions, truth.draws_len, &slopes)
 }
 
-/// Energy score of forecasts that are given as two draws X per row, and the gradients by the draws of its sum
-/// weighted by `row_weights`:
+/// Energy score of forecasts with two draws X per row, and the gradients by the draws of its sum weighted by
+/// `row_weights`:
 ///
 /// ```text
 /// ½ (‖X₁ − y‖ + ‖X₂ − y‖) − ½ ‖X₁ − X₂‖        mean over the steps that count
 /// ```
 ///
-/// A proper score: its expectation is least for the true distribution, so it calibrates the covariances of
-/// the controls by the positions that follow, correlations between steps included.
+/// This score is proper: its expectation is least for the true distribution. So it calibrates the covariances
+/// of the controls by the resulting positions, including correlations between steps.
 pub(crate) fn energy_score(
     draws: [&Matrix; 2],
     truth: &Truth<'_>,

@@ -4,9 +4,9 @@
 //! β_k = softmax over the present steps k of f_act(w v_k)    ṽ = Σ_k β_k f_act(V v_k)   [paper, Eq. temporal]
 //! ```
 //!
-//! The sum is that of messages from an agent's rows to the agent, as in [`super::topological`]. Every head
-//! has a w of its own and its rows of V. In the `literal` reading of the paper's formula there are as many
-//! heads as attributes, and w takes the place of V. Equal attention is the same with all scores 0.
+//! The sum is over messages from an agent's rows to the agent, as in [`super::topological`]. Each head has
+//! its own w and its own rows of V. In the `literal` reading of the paper's formula, w replaces V, so each
+//! attribute is a head. Equal attention sets all scores to 0.
 
 use nn::{Attention, ModelConfig, Temporal};
 
@@ -57,19 +57,19 @@ pub(crate) struct Summary {
     trace: Trace,
 }
 
-/// What the backward pass needs besides.
+/// The values that the backward pass also needs.
 #[derive(Debug)]
 struct Trace {
     reading: Reading,
     steps_len: usize,
-    /// w v `[rows, heads]`; where attention is equal, zeros of one head.
+    /// w v `[rows, heads]`; with equal attention, zeros of one head.
     score: Matrix,
-    /// V v `[rows, 64]`; `None` where it is the score.
+    /// V v `[rows, 64]`; `None` if it is the score.
     value: Option<Matrix>,
 }
 
-/// Sums `node` `[rows, 64]` over the steps of every agent; `steps` `[agents × steps_len]` are their rows,
-/// `u32::MAX` where the agent is absent.
+/// Sums `node` `[rows, 64]` over the steps of every agent. `steps` `[agents × steps_len]` are the agents'
+/// rows, `u32::MAX` if the agent is absent.
 pub(crate) fn temporal(
     weights: &Tensors,
     reading: Reading,
@@ -126,7 +126,7 @@ impl Trace {
 }
 
 impl Summary {
-    /// Gradient by `node`, which [`temporal`] was given with `steps`, from that by the encoding.
+    /// Gradient by the inputs `node` of [`temporal`], given the gradient by the encoding.
     pub(crate) fn backward(
         &self,
         weights: &Tensors,

@@ -7,7 +7,7 @@ use super::matrix::{View, ViewMut};
 /// How training changes a tensor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TensorRole {
-    /// Follows its gradient.
+    /// Learned along its gradient.
     Learned,
     /// Running mean or variance of a batch norm.
     Statistic,
@@ -31,14 +31,14 @@ impl Tensors {
     /// Adds or replaces a tensor.
     ///
     /// # Panics
-    /// Where `values` does not fill `shape`.
+    /// If `values` does not fill `shape`.
     pub(crate) fn insert(&mut self, name: &str, shape: &[usize], values: Vec<f32>, role: TensorRole) {
         assert_eq!(values.len(), shape.iter().product::<usize>(), "`{name}` does not fill {shape:?}");
         self.0.insert(name.to_owned(), Tensor { shape: shape.to_vec(), values, role });
     }
 
     /// # Panics
-    /// Where the model has no such tensor: `layout` lists the names.
+    /// If the model has no such tensor: `layout` lists the names.
     pub(crate) fn tensor(&self, name: &str) -> &Tensor {
         self.0.get(name).unwrap_or_else(|| panic!("the model has no tensor `{name}`"))
     }
@@ -48,7 +48,7 @@ impl Tensors {
         &self.tensor(name).values
     }
 
-    /// These tensors moved the share of the way to others of the same names and shapes.
+    /// These tensors, moved by `share` towards others with the same names and shapes.
     pub(crate) fn moved(mut self, to: &Self, share: f32) -> Self {
         for (tensor, to) in self.0.values_mut().zip(to.0.values()) {
             tensor.values.iter_mut().zip(&to.values).for_each(|(value, to)| *value += share * (to - *value));
@@ -79,12 +79,12 @@ impl Gradients {
     }
 
     /// # Panics
-    /// Where no learned tensor has this name.
+    /// If no learned tensor has this name.
     pub(crate) fn get_mut(&mut self, name: &str) -> &mut [f32] {
         &mut self.0.get_mut(name).unwrap_or_else(|| panic!("no learned tensor `{name}`")).1
     }
 
-    /// A gradient as a matrix: first dimension by all others. Panics as [`Gradients::get_mut`] does.
+    /// A gradient as a matrix: its first dimension by all others. Panics as [`Gradients::get_mut`] does.
     pub(crate) fn matrix_mut(&mut self, name: &str) -> ViewMut<'_> {
         let (rows, values) = self.0.get_mut(name).unwrap_or_else(|| panic!("no learned tensor `{name}`"));
         let cols = values.len() / *rows;

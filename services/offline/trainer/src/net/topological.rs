@@ -9,8 +9,8 @@
 //! ```
 //!
 //! (f(α x) = α f(x) since α ≥ 0.) Equal attention is the same with λ = μ = 0. Wide values per edge are never
-//! kept: blocks of edges that fit the cache go through the whole layer, and the backward pass recomputes
-//! their messages.
+//! kept. Blocks of edges that fit the cache go through the whole layer, and the backward pass computes their
+//! messages again.
 
 use nn::{Attention, ModelConfig};
 
@@ -85,7 +85,7 @@ impl Block<'_> {
         ends(self.receiver, self.sender)
     }
 
-    /// The block's part of a matrix by edge.
+    /// The block's rows of a matrix with one row per edge.
     pub(super) fn of<'m>(&self, matrix: &'m Matrix) -> &'m [f32] {
         &matrix.values[self.start * matrix.cols..][..self.len() * matrix.cols]
     }
@@ -108,7 +108,7 @@ impl Block<'_> {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct AttentionShape {
     pub(crate) attention: Attention,
-    /// Divides 64.
+    /// Number of heads; divides 64.
     pub(crate) heads: usize,
     pub(crate) leaky_slope: f32,
     /// Whether messages include U e.
@@ -146,7 +146,7 @@ pub(crate) struct Round {
     trace: Trace,
 }
 
-/// What the backward pass needs besides.
+/// The values that the backward pass also needs.
 #[derive(Debug)]
 struct Trace {
     /// Prefix of the tensors' names.
@@ -161,7 +161,7 @@ struct Trace {
     update: Option<Update>,
 }
 
-/// A round on `node` `[rows, 64]` and `edge` `[edges, 16]`, with the edge update unless it is the `last`.
+/// A round on `node` `[rows, 64]` and `edge` `[edges, 16]`. All rounds but the `last` update the edges.
 pub(crate) fn round(
     weights: &Tensors,
     shape: AttentionShape,
@@ -196,7 +196,7 @@ pub(crate) fn round(
 }
 
 impl Round {
-    /// Gradients by the node and edge attributes before the round, from those by the new ones.
+    /// Gradients by the node and edge attributes before the round, given the gradients by the new ones.
     pub(crate) fn backward(
         &self,
         weights: &Tensors,
@@ -232,7 +232,8 @@ impl Round {
         (by_node, by_edge)
     }
 
-    /// Gradients by the scores and by W v from that by v̄; adds to those of U and by the edges' attributes.
+    /// Gradients by the scores and by W v, given the gradient by v̄. Adds to the gradients of U and by the
+    /// edges' attributes.
     fn messages_backward(
         &self,
         weights: &Tensors,
@@ -258,12 +259,12 @@ impl Round {
     }
 }
 
-/// U, under the option `edge_in_message`.
+/// U, if the option `edge_in_message` is set.
 fn edge_matrix<'w>(weights: &'w Tensors, shape: AttentionShape, name: &str) -> Option<View<'w>> {
     shape.edge_in_message.then(|| weights.matrix(&format!("{name}.u_e.weight")))
 }
 
-/// U e of the block's edges, zeros without U, `[block, 64]` in `memory`.
+/// U e of the block's edges, `[block, 64]` in `memory`; zeros without U.
 fn own_messages<'m>(
     u: Option<View<'_>>,
     block: Block<'_>,

@@ -23,12 +23,12 @@ pub(super) struct Paper<'a> {
     pub(super) objective: &'a Objective,
     pub(super) config: &'a ModelConfig,
     pub(super) weights: &'a Tensors,
-    /// Agents that count in the whole batch.
+    /// Number of counted agents in the whole batch.
     pub(super) counted: f32,
 }
 
 impl Paper<'_> {
-    /// Adds all gradients but those through the encodings of the history, which it adds to `d_encoding`.
+    /// Adds all gradients except those through the encodings of the history, which are added to `d_encoding`.
     pub(super) fn backward(
         &self,
         batch: &Batch<'_>,
@@ -60,7 +60,7 @@ impl Paper<'_> {
         let divergence = kl(&mean, sigma as f32).iter().sum::<f32>() * per_agent;
         let mut spread = 0.0;
         if latent.rows > 1 {
-            // The share of this part of the batch in the discrepancy of all of it.
+            // The weight of this part of the batch in the discrepancy of the whole batch.
             let share = latent.rows as f32 * per_agent;
             let (discrepancy, gradient) = mmd(&latent, &normal(latent.rows, LATENT, random));
             spread = discrepancy * share;
@@ -81,7 +81,7 @@ impl Paper<'_> {
         LossParts { trajectory, single: 0.0, probability: divergence, spread }
     }
 
-    /// Squared displacement of the forecasts by one latent variable of every agent.
+    /// Squared displacement of the forecasts, with one latent variable per agent.
     fn displacement(
         &self,
         forecasts: &[TypeForecast<'_>],

@@ -15,7 +15,7 @@ use crate::net::score::{
 use crate::net::tensors::Gradients;
 use crate::rollout::{Rollout, TypeForecast};
 
-/// Draws of every agent that are differentiated: the winner by the mean error, the winner by that of the last
+/// Differentiated draws of every agent: the winner by the mean error, the winner by the error of the last
 /// step, a random mode and the single best forecast.
 const DRAWS: usize = 4;
 
@@ -23,9 +23,9 @@ const DRAWS: usize = 4;
 pub(super) struct Plus<'a> {
     pub(super) objective: &'a Objective,
     pub(super) config: &'a ModelConfig,
-    /// Agents that count in the whole batch.
+    /// Number of counted agents in the whole batch.
     pub(super) counted: f32,
-    /// Share of the training that is done.
+    /// Completed share of the training.
     pub(super) done: f32,
 }
 
@@ -35,11 +35,11 @@ struct Winners {
     mean: Vec<usize>,
     /// By the error of the last step.
     last: Vec<usize>,
-    /// By both, as the loss weighs them.
+    /// By the sum that the loss weighs.
     both: Vec<usize>,
 }
 
-/// The weights of [`Objective::Plus`] for one agent of a type, the number of agents included.
+/// The weights of [`Objective::Plus`] for one agent of a type, divided by the number of agents.
 struct Scale {
     draws: [f32; DRAWS],
     probability: f32,
@@ -48,7 +48,7 @@ struct Scale {
 }
 
 impl Plus<'_> {
-    /// Adds the gradients of the agents of one type; returns their parts of the loss.
+    /// Adds the gradients of the agents of one type. Returns their parts of the loss.
     pub(super) fn backward(
         &self,
         forecast: &TypeForecast<'_>,
@@ -90,8 +90,8 @@ impl Plus<'_> {
         }
     }
 
-    /// The best modes of every agent, by the network's own forecasts of the modes that are nearest by the
-    /// base control.
+    /// The best modes of every agent by the network's own forecasts. Only the modes that are nearest by the
+    /// base control are compared.
     fn winners(&self, forecast: &TypeForecast<'_>, last_step: f32) -> Winners {
         let modes_len = self.config.modes;
         let candidates = match *self.objective {
@@ -148,9 +148,9 @@ impl Plus<'_> {
     }
 }
 
-/// Displacement of the draws: adds its gradient to `d_raw`; returns the mean errors of the winners and of the
-/// single best forecast. The first winner is scored by the mean over the steps, the second by the last step,
-/// the others by both.
+/// Displacement of the draws. Adds its gradient to `d_raw` and returns the mean errors of the winners and of
+/// the single best forecast. The first winner is scored by the mean over the steps, the second by the last
+/// step, and the others by both.
 fn displacement(
     forecast: &TypeForecast<'_>,
     rollout: &Rollout,
@@ -161,7 +161,7 @@ fn displacement(
     let truth = Truth { positions: &positions, counts: &counts, draws_len: DRAWS };
     let [by_mean, by_last, any, single] = scale.draws;
     let agents_len = forecast.agents.len();
-    // (mean + last) less the mean leaves the last step.
+    // (mean + last) minus mean leaves the last step.
     let parts = [(scale.last_step, [0.0, by_last, any, single]), (0.0, [by_mean, -by_last, 0.0, 0.0])];
     let mut d_positions = Matrix::zeros(rollout.positions.rows, rollout.positions.cols);
     let mut sums = [0.0; 2];
@@ -181,8 +181,8 @@ fn displacement(
     sums
 }
 
-/// Energy score of the positions under controls drawn about their means: adds its gradient by the covariances
-/// to `d_raw`; returns its mean.
+/// Energy score of the positions under controls drawn about their means. Adds its gradient by the covariances
+/// to `d_raw` and returns its mean.
 fn energy(
     forecast: &TypeForecast<'_>,
     rollout: &Rollout,

@@ -15,10 +15,10 @@ use crate::view;
 
 /// Width of the differences.
 const STEP: f32 = 2e-3;
-/// Share of the whole gradient below which a tensor's part is below the rounding of the differences.
+/// Relative size of a tensor's gradient below which it disappears in the rounding of the differences.
 const SILENT: f32 = 3e-4;
 
-/// A vehicle that turns, a cyclist and two pedestrians, one of which appears late.
+/// A turning vehicle, a cyclist and two pedestrians, one of which appears late.
 fn agents(config: &ModelConfig) -> Vec<Arc<Agent>> {
     let types = [AgentType::Vehicle, AgentType::Cyclist, AgentType::Pedestrian, AgentType::Pedestrian];
     let agent = |(number, agent_type): (usize, AgentType)| {
@@ -86,7 +86,7 @@ fn check(objective: &Objective, config: &ModelConfig) {
         if norm < SILENT * total {
             continue;
         }
-        // A steep loss has more curvature.
+        // A steep loss has a larger curvature.
         let step = STEP / norm.max(1.0);
         let moved = |sign: f32| {
             let mut weights = weights.clone();
@@ -142,7 +142,7 @@ fn gradients_of_the_paper_objective_agree_with_differences() {
         context: false,
         ..onboard_config()
     };
-    // The squared displacement of a vehicle has too much curvature for differences at its full weight.
+    // At full weight, the squared displacement of a vehicle has too much curvature for differences.
     let objective = Objective::Paper { gamma: 0.1, alpha: 0.1, beta: 1.0, sigma: 1.0 };
     check(&objective, &config);
 }

@@ -16,22 +16,22 @@ pub(crate) struct Agent {
     /// Identity in the recording.
     pub(crate) id: u64,
     pub(crate) agent_type: AgentType,
-    /// `None` where unknown.
+    /// Length; `None` if unknown.
     pub(crate) length_m: Option<f32>,
     /// States at the history steps, oldest first.
     pub(crate) history: Vec<Option<State>>,
     /// States at the forecast steps, velocities and headings by backward differences.
     pub(crate) future: Vec<Option<State>>,
-    /// Number of the map patch of every history and forecast step.
+    /// Index of the map patch of every history and forecast step.
     pub(crate) patches: Vec<Option<u32>>,
-    /// Whether the agent has a target: two newest states, and a future that is known to the end.
+    /// Whether the agent has a target: its two newest states exist, and its future is known to the end.
     pub(crate) counts: bool,
 }
 
 impl Agent {
-    /// Recorded motion is used where the recording reported it at every time so far, unless `from_positions`.
-    /// Else velocities and headings are differences over the model's step: those over the frames of a fast
-    /// recording would be mostly noise, which trackers filter out.
+    /// Uses recorded motion if the recording reports it at every time so far and `from_positions` is false.
+    /// Otherwise velocities and headings are differences over the model's step. Differences over the frames
+    /// of a fast recording would be mostly noise, which trackers filter out.
     pub(super) fn new(
         agent: &WindowAgent,
         patches: Vec<Option<u32>>,
@@ -91,12 +91,12 @@ pub(crate) struct Scene {
     pub(crate) agents: Vec<Arc<Agent>>,
 }
 
-/// Offset of a window in the spool, and what is needed before it is read.
+/// Offset of a window in the spool, and the values that are needed before it is read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Window {
     offset: u64,
     agents_len: u32,
-    /// Number of its recording.
+    /// Index of its recording.
     pub(crate) recording: u32,
     /// Agents of each type that have a target.
     pub(crate) counted: [u32; 3],
@@ -123,13 +123,13 @@ struct StoredAgent {
 /// A state in the spool: position (m), velocity (m/s) and heading (rad).
 pub(super) type StoredState = [f32; 5];
 
-/// One step of an agent in the spool; the steps follow agent by agent behind the agents of a scene.
+/// One step of an agent in the spool. The steps of all agents follow the agents of a scene.
 #[derive(Clone, Copy, Pod, Zeroable)]
 #[repr(C)]
 struct StoredStep {
     state: StoredState,
     is_present: u32,
-    /// [`u32::MAX`] where there is none.
+    /// [`u32::MAX`] if there is none.
     patch: u32,
 }
 
@@ -152,7 +152,7 @@ impl Scene {
         counted
     }
 
-    /// Writes the scene as one of the recording with this number.
+    /// Writes the scene as a scene of the recording with this index.
     pub(super) fn append_to(&self, spooling: &mut Spooling, recording: u32) -> Result<Window, TrainError> {
         let agents: Vec<StoredAgent> = self.agents.iter().map(|agent| stored_agent(agent)).collect();
         let steps: Vec<StoredStep> = self.agents.iter().flat_map(|agent| stored_steps(agent)).collect();

@@ -1,4 +1,4 @@
-//! Recordings to scenes and map patches.
+//! Cuts recordings into scenes and map patches.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -13,7 +13,7 @@ use super::ground::{Ground, GroundSpooling};
 use crate::TrainError;
 use crate::spool::Spooling;
 
-/// Scenes of a recording, one for each of its windows, and its ground, whose patches go to the spool.
+/// The scenes of a recording, one per window, and its ground, whose patches are written to the spool.
 pub(crate) fn cut<'a>(
     recording: &Recording,
     selection: Selection<'_>,
@@ -43,7 +43,7 @@ pub(crate) fn cut<'a>(
     Ok((windows.into_iter().map(scene), ground))
 }
 
-/// Numbers of the patches by (identity, stamp).
+/// Indices of the patches by (identity, stamp).
 type Numbers = BTreeMap<(u64, i64), u32>;
 
 /// Writes the patches of every agent and window.

@@ -1,4 +1,4 @@
-//! The map patches of agents: one for every agent and frame. \[model §2\]
+//! The map patches of agents, one per agent and frame. \[model §2\]
 
 use half::f16;
 use scene::{ContextMap, MapBuilder, PatchOptions, State};
@@ -12,7 +12,7 @@ use crate::spool::{Spool, Spooling};
 pub(crate) struct Ground {
     /// The patches of the online map, from observations before each patch's time.
     online: u64,
-    /// State of the agent that each patch is of.
+    /// The state of each patch's agent.
     states: u64,
     patches_len: usize,
     /// Bounding box of all agents: lower left and upper right.
@@ -68,10 +68,10 @@ pub(crate) enum MapKind {
     Site,
 }
 
-/// The patches of a recording, of one kind of map.
+/// The patches of a recording from one kind of map.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct MapView<'a> {
-    /// Number of the recording.
+    /// Index of the recording.
     pub(crate) recording: u32,
     ground: &'a Ground,
     spool: &'a Spool,
@@ -79,7 +79,7 @@ pub(crate) struct MapView<'a> {
 }
 
 impl Ground {
-    /// The patches as those of a recording with this number; `None` where there is no such map.
+    /// The patches, for the recording with this index; `None` if there is no such map.
     pub(crate) fn view<'a>(&'a self, spool: &'a Spool, recording: u32, kind: MapKind) -> Option<MapView<'a>> {
         let known = match kind {
             MapKind::Online => self.patches_len > 0,
@@ -94,8 +94,8 @@ impl Ground {
     }
 }
 
-/// The map of all positions of agents; `None` where there are none, or where they span more ground than a map
-/// can hold.
+/// The map of all positions of agents; `None` if there are none, or if they span more ground than a map can
+/// hold.
 pub(super) fn site_map(spool: &Spool, grounds: &[&Ground]) -> Result<Option<ContextMap>, TrainError> {
     let corner = |number: usize, pick: fn(f32, f32) -> f32, from: f32| {
         let corners = grounds.iter().map(|ground| ground.corners_m[number]);

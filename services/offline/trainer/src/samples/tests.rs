@@ -10,7 +10,7 @@ use crate::options::onboard_config;
 const STEPS: [usize; 2] = [4, 3];
 const PATCH: PatchOptions = PatchOptions { side: 4, cell_m: 2.0, ahead_m: 0.0 };
 
-/// Any bits, those of infinities and NaN included.
+/// Any bits, including infinities and NaN.
 fn float() -> impl Strategy<Value = f32> {
     any::<u32>().prop_map(f32::from_bits)
 }
@@ -51,7 +51,7 @@ fn attributes(agent: &Agent) -> impl PartialEq + std::fmt::Debug + use<> {
     ((id, agent_type, length_m.map(f32::to_bits), counts), states(history), states(future), patches)
 }
 
-/// The scenes after writing and reading.
+/// The scenes after being written and read.
 fn spooled(scenes: &[Scene]) -> Samples {
     let folder = tempfile::tempdir().unwrap();
     let mut spooling = Spooling::create(folder.path()).unwrap();

@@ -12,7 +12,7 @@ use crate::net::tensors::TensorRole;
 use crate::rollout::TypeForecast;
 use crate::view;
 
-/// Pedestrians that walk in circles at 1.2 m/s: constant velocity errs by metres.
+/// Pedestrians that walk in circles at 1.2 m/s. Constant velocity has errors of metres.
 fn circles(folder: &Path) {
     let mut rows = String::new();
     for frame in 0..60 {
@@ -142,7 +142,7 @@ fn a_run_begins_with_given_weights_of_the_same_model() {
     assert!(std::error::Error::source(&refused).is_some());
 }
 
-/// Twice the same file counts twice; the card tells the files and the data of all.
+/// The same file counts twice if it is given twice. The card lists the files and the data of all.
 #[test]
 fn the_mean_of_weights_is_written_without_a_training() {
     let folder = tempfile::tempdir().unwrap();
@@ -170,14 +170,14 @@ fn the_mean_of_weights_is_written_without_a_training() {
     for (name, tensor) in &mean.0 {
         for ((mean, first), second) in tensor.values.iter().zip(first.get(name)).zip(second.get(name)) {
             let expected = 0.25 * first + 0.75 * second;
-            // Files hold 11 bits of a value, subnormal ones fewer.
+            // Files hold 11 bits of a value, and fewer bits of subnormal values.
             assert!((mean - expected).abs() <= 6e-4 * expected.abs() + 1e-7, "{name}: {mean} {expected}");
         }
     }
 }
 
-/// The golden vectors have no learned points, mode head or base control; here both implementations are
-/// compared.
+/// The golden vectors have no learned points, mode head or base control, so this test compares both
+/// implementations.
 #[test]
 fn forecasts_by_points_agree_with_the_onboard_decoder() {
     let folder = tempfile::tempdir().unwrap();
@@ -185,7 +185,7 @@ fn forecasts_by_points_agree_with_the_onboard_decoder() {
     let summary = train(&options).unwrap();
     assert_eq!(summary.steps, 1);
     let score = &summary.card.validation[0];
-    // The base of pedestrians is constant velocity and what deviates from it.
+    // The base of pedestrians is constant velocity plus deviations from it.
     assert!(score.base_best_of_modes.ade_m < 0.5 * score.constant_velocity.ade_m, "{score:?}");
     let bytes = std::fs::read(&options.out).unwrap();
     let weights = nn::Weights::from_bytes(&bytes).unwrap();
@@ -241,7 +241,7 @@ fn both_objectives_reach_every_learned_tensor_of_their_model() {
     let folder = tempfile::tempdir().unwrap();
     for objective in [Objective::plus(), Objective::paper()] {
         let mut options = TrainOptions { without_map: 0.0, objective, ..options(folder.path(), 1) };
-        // A step large enough to change every tensor, however small its gradient.
+        // A step that is large enough to change every tensor, however small its gradient.
         (options.optimiser.warm_up_steps, options.optimiser.learning_rate) = (1, 0.1);
         if matches!(options.objective, Objective::Paper { .. }) {
             options.model.latents = nn::Latents::Normal;
@@ -254,7 +254,7 @@ fn both_objectives_reach_every_learned_tensor_of_their_model() {
         let before = state.weights.clone();
         assert!(run.update(&mut state, &base).unwrap().1);
         let unused = |name: &str| {
-            // The data have no cyclists and vehicles; only the paper's objective encodes the future, and its
+            // The data have no cyclists and vehicles. Only the paper's objective encodes the future, and its
             // mean trajectories do not depend on the spread.
             let of_others = ["vehicle", "cyclist"].iter().any(|other| name.contains(other));
             of_others || (name.starts_with("encoder.") && options.model.base)
@@ -267,7 +267,7 @@ fn both_objectives_reach_every_learned_tensor_of_their_model() {
     }
 }
 
-/// One update of every preset, written and read by the onboard layers.
+/// Trains every preset for one update and reads the weights with the onboard layers.
 #[test]
 fn every_preset_trains_a_model_that_runs_onboard() {
     let folder = tempfile::tempdir().unwrap();

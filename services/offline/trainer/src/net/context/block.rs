@@ -4,7 +4,7 @@ use super::convolution::{Convolution, Geometry};
 use super::map::Map;
 use super::norm::{BackwardPass, Norm, NormTrace, Pass, Then};
 
-/// A convolution with the batch norm behind it.
+/// A convolution and its batch norm.
 struct Unit {
     convolution: Convolution,
     norm: Norm,
@@ -25,7 +25,7 @@ impl Unit {
         self.norm.forward(pass, convolved, then)
     }
 
-    /// Gradient by the input `x`, added to `sum` where there is one; `rectified` and `dy` as for the norm.
+    /// Gradient by the input `x`, added to `sum` if there is one. `rectified` and `dy` are as in the norm.
     fn backward(
         &self,
         pass: &mut BackwardPass<'_>,
@@ -44,12 +44,12 @@ impl Unit {
 pub(super) struct Block {
     first: Unit,
     second: Unit,
-    /// The shortcut where the shape changes.
+    /// The shortcut; `None` if it is the identity.
     projection: Option<Unit>,
     out_side: usize,
 }
 
-/// What the backward pass of a block needs besides its input and output.
+/// The values that the backward pass of a block needs besides its input and output.
 pub(super) struct BlockTrace {
     first: NormTrace,
     inner: Map,

@@ -1,8 +1,8 @@
 //! Convolutions between maps: forward pass, gradient by the input, gradient by the kernel.
 //!
-//! Forward pass and gradient by the input are the onboard network's indirect convolution; the latter reads
-//! the gradient of the output through the transposed taps. The gradient by the kernel is a sum of outer
-//! products over images and positions.
+//! Forward pass and gradient by the input are the onboard network's indirect convolution. The gradient by the
+//! input reads the gradient of the output through the transposed taps. The gradient by the kernel is a sum of
+//! outer products over images and positions.
 
 use nn::kernels::product::{Gather, PANEL, Panels, Product, Taps};
 use nn::kernels::{Kernel, Lanes, dispatch};
@@ -35,7 +35,7 @@ pub(super) struct Convolution {
     in_channels: usize,
     out_channels: usize,
     kernel_len: usize,
-    /// The taps that read input somewhere, and their positions in the kernel.
+    /// The taps that read any input, and their positions in the kernel.
     taps: Taps,
     places: Vec<usize>,
 }
@@ -61,7 +61,7 @@ impl Convolution {
         convolve(x, &self.taps, &panels, None, y)
     }
 
-    /// Gradient by the input, added to `sum` where there is one.
+    /// Gradient by the input, added to `sum` if there is one.
     pub(super) fn by_input(&self, weights: &Tensors, dy: &Map, sum: Option<&Map>) -> Map {
         let kernel = weights.get(&self.name);
         let weight = |c, tap, out| {

@@ -12,7 +12,7 @@ pub(super) struct Map {
 }
 
 impl Map {
-    /// Zeros, for `channels` channels that are padded here.
+    /// Zeros for this number of channels, padded.
     pub(super) fn zeros(positions: usize, images: usize, channels: usize) -> Self {
         let channels = channels.next_multiple_of(PANEL);
         Self { positions, images, channels, values: vec![0.0; positions * images * channels] }
@@ -78,7 +78,7 @@ pub(super) fn max_pool_backward([x, y]: [&Map; 2], taps: &Taps, mut dy: Map) -> 
     dx
 }
 
-/// Mean over the positions: a map of one.
+/// Mean over the positions: a map with one position.
 pub(super) fn average(x: &Map) -> Map {
     let mut means = Map::zeros(1, x.images, x.channels);
     for position in 0..x.positions {
@@ -89,7 +89,7 @@ pub(super) fn average(x: &Map) -> Map {
     means
 }
 
-/// The backward pass of [`average`] over so many positions.
+/// The backward pass of [`average`] over this number of positions.
 pub(super) fn average_backward(d_means: &Map, positions: usize) -> Map {
     let share = 1.0 / positions as f32;
     let dx: Vec<f32> = d_means.values.iter().map(|mean| share * mean).collect();

@@ -1,10 +1,10 @@
-//! Batch norm with the residual and the ReLU that follow it.
+//! Batch norm, with the residual and the ReLU after it.
 //!
 //! ```text
 //! y = γ (x − mean) / √(var + ε) + β
 //! ```
 //!
-//! Where mean and variance are those of the batch, they depend on its N rows:
+//! If mean and variance come from the batch, they depend on its N rows:
 //!
 //! ```text
 //! dx = γ / √(var + ε) · (dy − Σ dy / N − (x − mean) / (var + ε) · Σ dy (x − mean) / N)
@@ -22,7 +22,7 @@ use super::map::Map;
 use crate::net::tensors::{Gradients, Tensors};
 use rows::{Line, Panel, Plane, Slopes, Spread, Sums, Total};
 
-/// What PyTorch adds to the variance.
+/// PyTorch's addition to the variance.
 const EPSILON: f64 = 1e-5;
 /// Weight of a new batch in the running mean and variance.
 const MOMENTUM: f32 = 0.1;
@@ -35,7 +35,7 @@ pub(super) struct Pass<'a> {
     pub(super) statistics: Vec<(String, Vec<f32>)>,
 }
 
-/// A backward pass through it.
+/// A backward pass through the network.
 pub(super) struct BackwardPass<'a> {
     pub(super) weights: &'a Tensors,
     pub(super) gradients: &'a mut Gradients,
@@ -44,7 +44,7 @@ pub(super) struct BackwardPass<'a> {
 /// A batch norm with the tensors `name.weight`, `.bias`, `.running_mean` and `.running_var`.
 pub(super) struct Norm(pub(super) String);
 
-/// What follows a batch norm.
+/// The operations after a batch norm.
 #[derive(Clone, Copy)]
 pub(super) enum Then<'a> {
     Nothing,
@@ -53,14 +53,14 @@ pub(super) enum Then<'a> {
     AddRelu(&'a Map),
 }
 
-/// What the backward pass of a batch norm needs.
+/// The values that the backward pass of a batch norm needs.
 pub(super) struct NormTrace {
     x: Map,
     moments: ChannelMoments,
     normalisation: Normalisation,
 }
 
-/// Mean and deviation of each channel.
+/// Mean and variance of each channel.
 struct ChannelMoments {
     mean: Vec<Panel>,
     variance: Vec<Panel>,
@@ -98,8 +98,8 @@ impl Norm {
 
     /// The backward pass: gradient by the input.
     ///
-    /// `dy` is the gradient by the output `rectified` of the ReLU, if there is one; it becomes the gradient
-    /// before the ReLU, which is also that by the shortcut.
+    /// `dy` is the gradient by the output `rectified` of the ReLU, if there is one. It becomes the gradient
+    /// before the ReLU, which is also the gradient by the shortcut.
     pub(super) fn backward(
         &self,
         pass: &mut BackwardPass<'_>,
@@ -146,7 +146,7 @@ impl Norm {
         }
     }
 
-    /// The running moments, moved towards those of a batch with `rows_len` rows.
+    /// Moves the running moments towards the moments of a batch with `rows_len` rows.
     fn move_running(&self, pass: &mut Pass<'_>, batch: &ChannelMoments, rows_len: usize) {
         let unbiased = (rows_len as f64 / (rows_len as f64 - 1.0).max(1.0)) as f32;
         for (part, new, factor) in
@@ -177,7 +177,7 @@ impl Norm {
 }
 
 impl ChannelMoments {
-    /// Those of the rows of a map.
+    /// The moments of a map's rows.
     fn of(x: &Map) -> Self {
         assert!(x.rows() > 0, "moments of no rows");
         let share = 1.0 / x.rows() as f64;

@@ -1,8 +1,8 @@
-//! The first convolution, which reads patches as they come: \[image, channel, row, column\].
+//! The first convolution, which reads patches in their layout \[image, channel, row, column\].
 //!
-//! Its three input channels would leave most of a vector empty. The receptive field of each output position
-//! is therefore copied to rows \[image, (channel, row, column)\], in the order of the kernel, and multiplied
-//! as by a linear layer.
+//! Its three input channels would leave most of a vector empty. So the receptive field of each output
+//! position is copied to rows \[image, (channel, row, column)\], in the order of the kernel, and multiplied
+//! as in a linear layer.
 
 use nn::kernels::product::{Gather, PANEL, Panels, Product};
 use wire::PATCH_CHANNELS;
@@ -59,7 +59,7 @@ impl Stem {
         let Geometry { side, kernel, stride, padding } = self.geometry;
         let out_side = self.geometry.out_side();
         field.fill(0.0);
-        // Kernel cells that lie on the patch, and the first patch cell that they read.
+        // Kernel cells inside the patch, and the first patch cell that they read.
         let inside = |out: usize| {
             let first = padding.saturating_sub(out * stride);
             let end = kernel.min(side + padding - out * stride);
@@ -91,12 +91,12 @@ impl Stem {
         PATCH_CHANNELS * self.geometry.side * self.geometry.side
     }
 
-    /// Cells of the receptive field.
+    /// Number of cells in the receptive field.
     const fn in_len(&self) -> usize {
         PATCH_CHANNELS * self.geometry.kernel * self.geometry.kernel
     }
 
-    /// The same in whole panels.
+    /// The same, rounded up to whole panels.
     const fn stride(&self) -> usize {
         self.in_len().next_multiple_of(PANEL)
     }

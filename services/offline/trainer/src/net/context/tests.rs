@@ -13,7 +13,7 @@ use crate::options::onboard_config;
 
 const EMBEDDING: usize = 32;
 
-/// A small model with channels that fill no panel.
+/// A small model whose channels do not fill a panel.
 fn small(stem: StemKind) -> ModelConfig {
     let patch_size = if stem == StemKind::Imagenet { 20 } else { 10 };
     ModelConfig { stem, width: 4, patch_size, ..onboard_config() }
@@ -41,7 +41,7 @@ fn random(config: &ModelConfig) -> Tensors {
     weights
 }
 
-/// Patches with mostly empty cells, as those of a map.
+/// Patches with mostly empty cells, like those of a map.
 fn patches(config: &ModelConfig, patches_len: usize) -> Vec<f32> {
     let len = patches_len * 3 * config.patch_size * config.patch_size;
     values(len, 1.0, 99).iter().map(|value| value.max(0.0)).collect()
@@ -79,8 +79,8 @@ fn running_normalisation_agrees_with_the_onboard_network() {
     }
 }
 
-/// Every tensor has a gradient. Tests of the layers hold each gradient to a percent; here the differences
-/// cross kinks of seventeen ReLUs in a row, hence the tolerance of a tenth.
+/// Every tensor has a gradient. Tests of the layers compare each gradient to a percent. Here the differences
+/// cross the kinks of seventeen consecutive ReLUs, so the tolerance is a tenth.
 #[test]
 fn gradients_by_all_tensors_agree_with_differences() {
     const PATCHES: usize = 64;
@@ -146,7 +146,7 @@ fn statistics_are_those_of_the_batch() {
         };
         (21 * side * side) as f32
     };
-    // Running values that are the batch's own give what the batch gave.
+    // Running values equal to the batch's own give the same output.
     for (name, moved) in &batch.statistics {
         let old = weights.tensor(name).clone();
         let biased = if name.ends_with("var") { (rows(name) - 1.0) / rows(name) } else { 1.0 };

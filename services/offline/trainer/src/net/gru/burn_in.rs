@@ -57,7 +57,7 @@ pub(crate) fn burn_in(weights: &Tensors, name: &str, state: &Matrix, present: &M
 }
 
 impl BurnIn {
-    /// Adds to the gradients of the recurrent unit, given that of `hidden`.
+    /// Adds to the gradients of the recurrent unit, given the gradient by `hidden`.
     pub(crate) fn backward(&self, weights: &Tensors, gradients: &mut Gradients, mut d_hidden: Matrix) {
         let steps_len = self.state.cols / FEATURES;
         let recurrent = to_state(weights.get(&format!("{}.gru.weight_hh", self.name)));
@@ -82,7 +82,7 @@ impl BurnIn {
                     sums: &mut sums,
                 });
                 by_features.add(d_input, GATES, columns(state, self.state.cols, step * FEATURES, FEATURES));
-                // Before the first step the state is 0, whatever the weights.
+                // The state before the first step is always 0, so this step has no such gradient.
                 if step > 0 {
                     by_hidden.add(d_recurrent, GATES, columns(kept, KEPT, KEPT_STATE, HIDDEN));
                     product(&recurrent, d_recurrent, GATES, Some(d_state), d_earlier);

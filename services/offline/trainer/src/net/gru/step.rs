@@ -6,11 +6,11 @@ use nn::kernels::{Kernel, Lanes, sigmoid, tanh};
 pub(super) const HIDDEN: usize = 128;
 /// Length of the three gates.
 pub(super) const GATES: usize = 3 * HIDDEN;
-/// Floats that the forward pass keeps of a step of a row for the backward pass: r ‖ z ‖ n ‖ Hₙ ‖ h.
+/// Floats per row and step that the forward pass keeps for the backward pass: r ‖ z ‖ n ‖ Hₙ ‖ h.
 pub(super) const KEPT: usize = 5 * HIDDEN;
-/// Offset of h among them.
+/// Offset of h in these floats.
 pub(super) const KEPT_STATE: usize = 4 * HIDDEN;
-/// Length of the column sums of the backward pass: those of I and, behind them, of Hₙ.
+/// Length of the column sums of the backward pass: first the sums of I, then those of Hₙ.
 pub(super) const SUMS: usize = 4 * HIDDEN;
 
 /// One step of a batch of hidden states, in place:
@@ -19,15 +19,15 @@ pub(super) const SUMS: usize = 4 * HIDDEN;
 /// r = σ(Iᵣ + Hᵣ)   z = σ(I_z + H_z)   n = tanh(Iₙ + r Hₙ)   h' = n + z (h − n)
 /// ```
 pub(super) struct Step<'a> {
-    /// I = W_i x + b_i, `[rows, 384]`; a single row serves all.
+    /// I = W_i x + b_i, `[rows, 384]`, or a single row for all.
     pub(super) input: &'a [f32],
     /// H = W_h h + b_h in the first columns, `[rows, …]`.
     pub(super) recurrent: &'a [f32],
     /// h, then h', `[rows, 128]`.
     pub(super) state: &'a mut [f32],
-    /// Where 0, the row keeps its state, `[rows]`; `None` where no row does.
+    /// 0 if the row keeps its state, `[rows]`; `None` if all rows change.
     pub(super) present: Option<&'a [f32]>,
-    /// Gets `[rows, KEPT]` for the backward pass.
+    /// Output: `[rows, KEPT]` for the backward pass.
     pub(super) kept: Option<&'a mut Vec<f32>>,
 }
 
@@ -70,7 +70,7 @@ impl Kernel for Step<'_> {
     }
 }
 
-/// The trace of a row that keeps its state: z = 1 passes the gradient through and gives the gates none.
+/// The trace of a row that keeps its state. z = 1 passes the gradient through and leaves none for the gates.
 fn idle(state: &[f32; HIDDEN]) -> [f32; KEPT] {
     let mut kept = [0.0; KEPT];
     kept[HIDDEN..2 * HIDDEN].fill(1.0);
@@ -80,15 +80,15 @@ fn idle(state: &[f32; HIDDEN]) -> [f32; KEPT] {
 
 /// The backward pass of [`Step`].
 pub(super) struct StepBackward<'a> {
-    /// What the step kept, `[rows, KEPT]`.
+    /// The trace of the step, `[rows, KEPT]`.
     pub(super) kept: &'a [f32],
-    /// The gradient by h', replaced by the part of that by h which does not go through H, `[rows, 128]`.
+    /// Gradient by h'. It becomes the part of the gradient by h that does not pass through H, `[rows, 128]`.
     pub(super) d_state: &'a mut [f32],
-    /// Gets the gradient by H in the first columns, `[rows, …]`.
+    /// Output: the gradient by H in the first columns, `[rows, …]`.
     pub(super) d_recurrent: &'a mut [f32],
-    /// Gets the gradient by I, `[rows, 384]`.
+    /// Output: the gradient by I, `[rows, 384]`.
     pub(super) d_input: Option<&'a mut [f32]>,
-    /// Column sums of the gradients by I and by Hₙ are added to this.
+    /// The column sums of the gradients by I and by Hₙ are added to these sums.
     pub(super) sums: &'a mut [f32; SUMS],
 }
 

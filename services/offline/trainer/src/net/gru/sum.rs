@@ -1,4 +1,4 @@
-//! The gradient by a matrix, block by block.
+//! Gradients by a matrix, summed block by block.
 
 use std::ops::Range;
 
@@ -19,8 +19,7 @@ impl MatrixSum {
         Self { sum: zeros.clone(), next: zeros, stride }
     }
 
-    /// Adds dyᵀ x, for rows of dy that are `stride` floats apart; columns of dy beyond the sum's rows are
-    /// ignored.
+    /// Adds dyᵀ x. Rows of dy are `stride` floats apart. Columns of dy beyond the sum's rows are ignored.
     pub(super) fn add(&mut self, dy: &[f32], stride: usize, x: Columns<'_>) {
         if x.rows_len == 0 {
             return;
@@ -37,7 +36,7 @@ impl MatrixSum {
         std::mem::swap(&mut self.sum, &mut self.next);
     }
 
-    /// Adds some rows of the sum to `columns` of a gradient that has as many rows.
+    /// Adds these rows of the sum to `columns` of a gradient with the same number of rows.
     pub(super) fn add_to(&self, rows: Range<usize>, gradient: &mut [f32], columns: Range<usize>) {
         let row_len = gradient.len() / rows.len();
         let sums = self.sum[rows.start * self.stride..rows.end * self.stride].chunks_exact(self.stride);
@@ -48,7 +47,7 @@ impl MatrixSum {
     }
 }
 
-/// Some columns of the matrix with these values and rows of `row_len`.
+/// Some columns of a matrix with these values and rows of length `row_len`.
 pub(super) fn columns(values: &[f32], row_len: usize, start: usize, len: usize) -> Columns<'_> {
     let rows_len = values.len() / row_len;
     Columns { values: values.get(start..).unwrap_or_default(), rows_len, cols_len: len, stride: row_len }

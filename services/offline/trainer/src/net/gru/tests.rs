@@ -151,15 +151,15 @@ fn gradients_of_the_mode_head_agree_with_differences() {
     );
 }
 
-/// Largest difference, as a share of the largest value.
+/// Largest difference, relative to the largest value.
 fn apart(found: &[f32], expected: &[f32]) -> f32 {
     assert_eq!(found.len(), expected.len());
     let largest = expected.iter().fold(0.0_f32, |most, value| most.max(value.abs()));
     found.iter().zip(expected).fold(0.0_f32, |most, (a, b)| most.max((a - b).abs())) / largest
 }
 
-/// Burn-in and forecast, forward and backward: forecast, gradients by the weights, gradients by the latent
-/// variables.
+/// Burn-in and forecast, forward and backward. Returns the forecast, the gradients by the weights and the
+/// gradients by the latent variables.
 fn forward_and_backward(weights: &Tensors, agents: &[u32], draws_len: usize) -> (Matrix, Gradients, Matrix) {
     let (state, present) = history(2 * BLOCK, 5);
     let [_, encoding, latent] = inputs(2 * BLOCK, draws_len);

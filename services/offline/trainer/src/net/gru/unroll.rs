@@ -32,7 +32,7 @@ pub(crate) struct Unroll {
 /// Inputs of the recurrent unit.
 #[derive(Clone, Debug)]
 pub(super) struct Inputs {
-    /// Prefix of the names of its weights.
+    /// Prefix of the tensor names of the unit's weights.
     pub(super) name: String,
     /// `[agents, 128]`
     pub(super) hidden: Matrix,
@@ -42,7 +42,7 @@ pub(super) struct Inputs {
     pub(super) latent: Matrix,
 }
 
-/// What the backward pass needs.
+/// The values that the backward pass needs.
 #[derive(Debug)]
 struct Kept {
     inputs: Inputs,
@@ -55,10 +55,10 @@ struct Kept {
 /// Controls of all draws over `horizon_len` steps: `hidden` `[agents, 128]`, `encoding` `[agents, 64]`,
 /// `latent` `[agents × draws, 32]`.
 ///
-/// Without `keep_trace` there is no backward pass, and less to write.
+/// Without `keep_trace`, less is written and no backward pass is possible.
 ///
 /// # Panics
-/// Where the shapes do not fit one another or there is no step.
+/// If the shapes do not fit one another, or if there is no step.
 pub(crate) fn unroll(
     weights: &Tensors,
     (name, hidden, encoding, latent): (&str, &Matrix, &Matrix, &Matrix),
@@ -67,7 +67,7 @@ pub(crate) fn unroll(
 ) -> Unroll {
     assert!(horizon_len > 0, "a step to forecast");
     let draws_len = draws_len(hidden, encoding, latent);
-    // Copied for the backward pass alone.
+    // Only the backward pass needs the copies.
     let inputs = keep_trace.then(|| Inputs {
         name: name.to_owned(),
         hidden: hidden.clone(),
@@ -107,14 +107,14 @@ fn draws_len(hidden: &Matrix, encoding: &Matrix, latent: &Matrix) -> usize {
     latent.rows / hidden.rows.max(1)
 }
 
-/// The agents of each block; none where there are no draws.
+/// The agents of each block; empty without draws.
 fn blocks(agents_len: usize, draws_len: usize) -> impl Iterator<Item = Range<usize>> {
     let block = (BLOCK / draws_len.max(1)).max(1);
     let agents_len = if draws_len == 0 { 0 } else { agents_len };
     (0..agents_len).step_by(block).map(move |first| first..agents_len.min(first + block))
 }
 
-/// W_h and the head, one above the other.
+/// W_h with the head's matrix below it, or their biases.
 pub(super) fn stacked(weights: &Tensors, name: &str, part: &str) -> Vec<f32> {
     let gru = if part == "weight" { "weight_hh" } else { "bias_hh" };
     [weights.get(&format!("{name}.gru.{gru}")), weights.get(&format!("{name}.head.{part}"))].concat()
@@ -124,13 +124,13 @@ pub(super) fn stacked(weights: &Tensors, name: &str, part: &str) -> Vec<f32> {
 struct Entering<'a> {
     /// The columns of W_i that read z.
     latent: Panels,
-    /// I after the first step: the bias alone.
+    /// I after the first step, which is the bias only.
     idle: &'a [f32],
     /// I of the first step without z, `[agents, 384]`.
     context: Matrix,
 }
 
-/// What all blocks share.
+/// The matrices that all blocks share.
 struct Network<'a> {
     entering: Entering<'a>,
     stacked: Panels,
@@ -142,13 +142,13 @@ struct Network<'a> {
 /// Buffers of a block.
 #[derive(Default)]
 struct Memory {
-    /// I of the first step, without z and with it.
+    /// I of the first step, without and with z.
     context: Vec<f32>,
     input: Vec<f32>,
     /// Output of the stacked matrix.
     recurrent: Vec<f32>,
     state: Vec<f32>,
-    /// Output of the head alone.
+    /// Output of the head for the last states.
     head: Vec<f32>,
 }
 
@@ -161,7 +161,7 @@ impl<'a> Entering<'a> {
         Self { latent: by_input(weights, name, LATENT_COLUMNS, None), idle, context }
     }
 
-    /// Writes I of the first step of all draws of `agents` to `input`, and its part without z to `context`.
+    /// Writes I of the first step for all draws of `agents` to `input`, and its part without z to `context`.
     fn put(&self, agents: Range<usize>, latent: &[f32], context: &mut Vec<f32>, input: &mut Vec<f32>) {
         let rows_len = latent.len() / LATENT;
         let draws_len = rows_len / agents.len().max(1);
@@ -183,7 +183,7 @@ impl<'a> Network<'a> {
         Self { entering, stacked, head: by_state(&matrix[GATES * HIDDEN..], &bias[GATES..]), first }
     }
 
-    /// Sets state, I and H of the first step of all draws of `agents`.
+    /// Sets state, I and H of the first step for all draws of `agents`.
     fn start(&self, agents: Range<usize>, hidden: &Matrix, latent: &[f32], memory: &mut Memory) {
         let rows_len = latent.len() / LATENT;
         let draws_len = rows_len / agents.len().max(1);
@@ -221,7 +221,7 @@ impl<'a> Network<'a> {
     }
 }
 
-/// Copies the head's output at a step, one row every `stride` floats.
+/// Copies the head's output at a step. Rows of `from` are `stride` floats apart.
 fn copy_controls(raw: &mut [f32], horizon_len: usize, step: usize, from: &[f32], stride: usize) {
     for (raw, from) in raw.chunks_exact_mut(horizon_len * CONTROL).zip(from.chunks(stride)) {
         raw[step * CONTROL..][..CONTROL].copy_from_slice(&from[..CONTROL]);

@@ -1,7 +1,7 @@
-//! The kinematic bicycle of `kinematics::Bicycle` with saturated controls, many vehicles side by side.
+//! The kinematic bicycle of `kinematics::Bicycle` with saturated controls, for many vehicles in parallel.
 //! \[model §4\]
 //!
-//! A step is evaluated at the share h of its duration: 0 by Euler's integrator, ½ by the midpoint rule.
+//! A step is evaluated at the share h of its duration: 0 for Euler's integrator, ½ for the midpoint rule.
 //!
 //! ```text
 //! v' = v + a Δt                 v* = v + h (v' − v)       x' = x + v* cos γ* Δt
@@ -52,9 +52,9 @@ struct Bicycle {
     dt_s: f32,
     accel_limit_mps2: f32,
     slip_rate_limit_radps: f32,
-    /// [`f32::MAX`] where there is no limit.
+    /// [`f32::MAX`] if there is no limit.
     slip_limit_rad: f32,
-    /// h: evaluation point of a step, as a share of it.
+    /// h: evaluation point of a step, as a share of its duration.
     evaluated_at: f32,
 }
 
@@ -69,9 +69,9 @@ struct State<L: Lanes> {
 /// Intermediate values of a step.
 #[derive(Clone, Copy)]
 struct Step<L: Lanes> {
-    /// Controls over their limits, in ± 1.
+    /// Controls divided by their limits, in ± 1.
     shares: [Reals<L>; 2],
-    /// 1 where the slip is within its limit after the step, 0 where it is cut.
+    /// 1 if the slip after the step is within its limit, 0 if it is clipped.
     slip_is_free: Reals<L>,
     speed: Reals<L>,
     slip_sin: Reals<L>,
@@ -94,8 +94,7 @@ impl Bicycle {
         }
     }
 
-    /// Intermediate values of the step from `state` under `controls` before saturation, and the state after
-    /// it.
+    /// Intermediate values of the step from `state` under `controls` before saturation, and the next state.
     #[inline(always)]
     fn step<L: Lanes>(
         &self,
@@ -127,8 +126,8 @@ impl Bicycle {
         [travelled * step.course_cos, travelled * step.course_sin]
     }
 
-    /// Gradients by the state before a step and by the controls, given those by the state after it and by the
-    /// position.
+    /// Gradients by the state before a step and by the controls, given the gradients by the next state and by
+    /// the position.
     #[inline(always)]
     fn backward<L: Lanes>(
         &self,
@@ -157,7 +156,7 @@ impl Bicycle {
     }
 }
 
-/// Trajectories of vehicles, one a row of the controls.
+/// Trajectories of vehicles, one per row of the controls.
 #[derive(Clone, Copy)]
 struct Vehicles<'a> {
     bicycle: Bicycle,
@@ -167,7 +166,7 @@ struct Vehicles<'a> {
 }
 
 impl Vehicles<'_> {
-    /// States at the start and distances of the rear axle of the rows from `first` on.
+    /// Initial states and rear axle distances of the rows from `first` on.
     #[inline(always)]
     fn start<L: Lanes>(&self, lanes: L, first: usize) -> (State<L>, Reals<L>) {
         let of_rows = |value: fn(&Start) -> f32| {
@@ -187,7 +186,7 @@ impl Vehicles<'_> {
     }
 }
 
-/// Some rows of a matrix as columns, to load from and store to lane by lane.
+/// Some rows of a matrix as columns, for loads and stores of whole vectors.
 struct Columns(Vec<[f32; LANES_MAX]>);
 
 impl Columns {
@@ -195,7 +194,7 @@ impl Columns {
         Self(vec![[0.0; LANES_MAX]; len])
     }
 
-    /// Takes as many rows from `first` on as there are lanes, repeating the last where the matrix ends.
+    /// Gathers one row per lane from `first` on. The last row repeats at the end of the matrix.
     #[inline(always)]
     fn gather<L: Lanes>(&mut self, matrix: &Matrix, first: usize) {
         for lane in 0..L::LEN {
@@ -204,7 +203,7 @@ impl Columns {
         }
     }
 
-    /// Writes the rows from `first` on, as far as the matrix goes.
+    /// Writes the rows from `first` on, up to the end of the matrix.
     #[inline(always)]
     fn scatter<L: Lanes>(&self, matrix: &mut Matrix, first: usize) {
         for lane in 0..L::LEN.min(matrix.rows - first) {

@@ -1,4 +1,4 @@
-//! Samples of the Gaussian controls that the decoder's head gives. \[model §3, Decoder\]
+//! Samples the Gaussian controls of the decoder's head. \[model §3, Decoder\]
 
 use std::ops::RangeInclusive;
 
@@ -16,7 +16,7 @@ const LN_DIAGONAL: RangeInclusive<f32> = -5.0..=2.0;
 ///     | l₂₁ l₂₂ |
 /// ```
 ///
-/// Only L is taken from the head's output `raw` `[rows, horizon × 5]`: `mean`, of the shape of the noise,
+/// Only L comes from the head's output `raw` `[rows, horizon × 5]`. `mean` has the shape of the noise and
 /// includes the base control.
 pub(crate) fn noisy_controls(raw: &Matrix, mean: &Matrix, noise: &Matrix) -> Matrix {
     assert_shapes(raw, [mean, noise]);
@@ -31,8 +31,8 @@ pub(crate) fn noisy_controls(raw: &Matrix, mean: &Matrix, noise: &Matrix) -> Mat
     controls
 }
 
-/// The backward pass of [`noisy_controls`]: adds to the gradient by the columns of L in `d_raw`. The mean
-/// gets none.
+/// The backward pass of [`noisy_controls`]: adds to the gradient by the columns of L in `d_raw`. The mean has
+/// no gradient here.
 pub(crate) fn noisy_controls_backward(raw: &Matrix, noise: &Matrix, d_controls: &Matrix, d_raw: &mut Matrix) {
     assert_shapes(raw, [noise, d_controls]);
     assert_eq!((raw.rows, raw.cols), (d_raw.rows, d_raw.cols), "shape of the gradient");

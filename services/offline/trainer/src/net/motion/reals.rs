@@ -1,4 +1,4 @@
-//! Real numbers side by side in the lanes of a vector, so that kernels read as formulas.
+//! Real numbers in the lanes of a vector, so that kernels read like formulas.
 
 use std::ops::{Add, Div, Mul, Sub};
 
@@ -35,12 +35,13 @@ impl<L: Lanes> Reals<L> {
         self.lanes.store(to, self.values);
     }
 
-    /// The nearest number within ± `limit`, and 1 where that is the number itself, 0 elsewhere.
+    /// The nearest number within ± `limit`, and 1 if the number is unchanged, otherwise 0.
     #[inline(always)]
     pub(super) fn clamp(self, limit: f32) -> (Self, Self) {
         let l = self.lanes;
         let clamped = Self::new(l, l.max(l.min(self.values, l.splat(limit)), l.splat(-limit)));
-        // Lanes have no comparison; the difference of a float to the limit, times 1e15, is more than 1.
+        // Lanes have no comparison. A float's distance to the limit times 1e15 is more than 1 if it exceeds
+        // the limit.
         let excess = (self - clamped) * 1e15;
         let outside = Self::new(l, l.min((excess * excess).values, l.splat(1.0)));
         (clamped, Self::splat(l, 1.0) - outside)

@@ -31,7 +31,7 @@ fn controls() -> Matrix {
     Matrix::new(ROWS, STEPS * 2, values.collect())
 }
 
-/// Vehicles by either integrator with and without a limit of the slip.
+/// Vehicles with either integrator, with and without a limit of the slip.
 fn vehicle_configs() -> [ModelConfig; 4] {
     let choices = [
         (Integrator::Euler, Some(0.3)),
@@ -76,7 +76,7 @@ fn vehicles_agree_with_the_golden_vectors() {
         let vehicles: Vec<usize> =
             (0..golden.types.len()).filter(|&agent| golden.types[agent] == 0).collect();
         let draws_len = golden.tensor("bicycle.mean").0[0];
-        // Ours are by agent and then draw, the vectors by draw and then agent.
+        // Our rows are sorted by agent and then draw, the vectors by draw and then agent.
         let rows = |name: &str, agents: &[usize]| {
             golden.rows(
                 name,
@@ -109,7 +109,7 @@ fn vehicles_agree_with_the_golden_vectors() {
                 ..golden.config.clone()
             };
             let found = positions(&config, AgentType::Vehicle, &starts, draws_len, &controls);
-            // Ours begin at the origin.
+            // Our trajectories begin at the origin.
             let states = rows(name, &(0..vehicles.len()).collect::<Vec<usize>>());
             let expected = states.as_chunks::<5>().0.iter().enumerate().flat_map(|(number, state)| {
                 let vehicle = number / golden.config.horizon_len / draws_len;
@@ -174,7 +174,7 @@ fn no_rows_give_no_positions() {
     }
 }
 
-/// What the decoder's head puts out, with some ln l beyond the limits.
+/// Outputs of the decoder's head, with some ln l beyond the limits.
 fn raw() -> Matrix {
     Matrix::new(ROWS, STEPS * 5, values(ROWS * STEPS * 5, 3.0, 4))
 }

@@ -4,10 +4,10 @@ use nn::kernels::{Kernel, Lanes, dispatch};
 
 use super::super::matrix::Matrix;
 
-/// Keeps the square root of a distance differentiable at zero.
+/// Keeps the square root differentiable at distance zero.
 const ROOT_EPSILON_M2: f32 = 1e-6;
 
-/// Distances `[rows, horizon]` between the positions of `a` and `b`; row r of `a` goes with row r /
+/// Distances `[rows, horizon]` between the positions of `a` and `b`. Row r of `a` belongs to row r /
 /// `draws_len` of `b`.
 pub(super) fn distances(a: &Matrix, b: &Matrix, draws_len: usize) -> Matrix {
     assert_shapes(a, b, draws_len);
@@ -16,7 +16,8 @@ pub(super) fn distances(a: &Matrix, b: &Matrix, draws_len: usize) -> Matrix {
     distances
 }
 
-/// Gradient by `a`, given the `slopes` by its [`distances`] to `b`; that by `b` is its opposite.
+/// Gradient by `a`, given the `slopes` by its [`distances`] to `b`. The gradient by `b` is the negative of
+/// it.
 pub(super) fn distances_backward(a: &Matrix, b: &Matrix, draws_len: usize, slopes: &Matrix) -> Matrix {
     assert_shapes(a, b, draws_len);
     assert_eq!((a.rows, a.cols), (slopes.rows, slopes.cols * 2), "a slope for every position");

@@ -2,8 +2,8 @@
 
 use super::super::matrix::Matrix;
 
-/// Cross-entropy of mode logits `[agents, modes]` to the probabilities of `target`, whose rows sum to 1: its
-/// sum over the agents, weighted by `agent_weights`, and the gradient of that by the logits.
+/// Cross-entropy of mode logits `[agents, modes]` to the probabilities of `target`, whose rows sum to 1.
+/// Returns the sum over the agents, weighted by `agent_weights`, and its gradient by the logits.
 ///
 /// ```text
 /// Σ_i w_i Σ_k −t_ik ln softmax(l_i)_k        by l_ik:  w_i (softmax(l_i)_k − t_ik)

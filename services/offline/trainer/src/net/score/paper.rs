@@ -8,7 +8,7 @@ use super::Truth;
 /// Scales s of the inverse multiquadric kernels C/(C + ‖·‖²), C = 2 · 32 · s for latents of 32 components.
 const KERNEL_SCALES: [f32; 7] = [0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0];
 
-/// Squared displacements from the truth, summed over the steps that count and multiplied by `weight`, and the
+/// Squared displacements from the truth, summed over the counted steps and multiplied by `weight`, and the
 /// gradient by the positions. The paper's mean has `weight` = 1 / number of steps.
 pub(crate) fn squared_displacement(positions: &Matrix, truth: &Truth<'_>, weight: f32) -> (f32, Matrix) {
     assert_eq!(positions.rows, truth.positions.rows * truth.draws_len, "rows of trajectories");
@@ -28,7 +28,7 @@ pub(crate) fn squared_displacement(positions: &Matrix, truth: &Truth<'_>, weight
     (weight * sum, gradient)
 }
 
-/// KL(N(m, σ²) ‖ N(0, I)) of every agent's `mean` `[agents, latent]`: ½‖m‖² and what σ adds. Its gradient by
+/// KL(N(m, σ²) ‖ N(0, I)) of every agent's `mean` `[agents, latent]`: ½‖m‖² plus a term of σ. The gradient by
 /// m is m.
 pub(crate) fn kl(mean: &Matrix, sigma: f32) -> Vec<f32> {
     let of_sigma = 0.5 * mean.cols as f32 * (sigma * sigma - 1.0 - 2.0 * sigma.ln());
@@ -52,7 +52,7 @@ pub(crate) fn mmd(a: &Matrix, b: &Matrix) -> (f32, Matrix) {
     (value as f32, gradient)
 }
 
-/// The kernels, summed over the scales, of all pairs of rows of `a` and `b`.
+/// The kernels of all pairs of rows of `a` and `b`, summed over the scales.
 struct Pairs<'a> {
     a: &'a Matrix,
     b: &'a Matrix,
@@ -78,7 +78,7 @@ impl<'a> Pairs<'a> {
         Self { a, b, values, slopes }
     }
 
-    /// Pairs of one set, none of a row with itself.
+    /// Pairs within one set; a row is not paired with itself.
     fn within(a: &'a Matrix) -> Self {
         let mut pairs = Self::new(a, a);
         for row in 0..a.rows {
@@ -103,11 +103,11 @@ impl<'a> Pairs<'a> {
     }
 }
 
-/// Replaces products a·b by the sum of the kernels of ‖a − b‖², and sets its slopes by ‖a − b‖².
+/// Replaces products a·b by the sum of the kernels of ‖a − b‖², and sets the slopes by ‖a − b‖².
 struct Kernels<'a> {
     values: &'a mut Matrix,
     slopes: &'a mut Matrix,
-    /// Squared norms of the a and of the b.
+    /// Squared norms of the rows of a and of b.
     norms: [&'a [f32]; 2],
     latent_len: usize,
 }

@@ -15,15 +15,15 @@ fn trajectories(seed: u64) -> Matrix {
     matrix(ROWS, STEPS * 2, 2.0, seed)
 }
 
-/// True positions and counts: an agent with a complete truth, some without a first or last step, and one that
-/// doesn't count.
+/// True positions and counts: one agent with a complete truth, some without a first or last step, and one
+/// that does not count.
 fn truth() -> (Matrix, Matrix) {
     let counts = [[1, 1, 1, 1, 1], [0, 1, 0, 1, 1], [1, 1, 1, 0, 0], [0; 5]];
     let counts = counts.as_flattened().iter().map(|&counts| counts as f32).collect();
     (matrix(AGENTS, STEPS * 2, 2.0, 1), Matrix::new(AGENTS, STEPS, counts))
 }
 
-/// √(‖a − b‖² + 10⁻⁶) of a step of two rows, in double precision.
+/// √(‖a − b‖² + 10⁻⁶) at a step of two rows, in double precision.
 fn distance(a: &[f32], b: &[f32], step: usize) -> f64 {
     let squared = |axis: usize| (f64::from(a[2 * step + axis]) - f64::from(b[2 * step + axis])).powi(2);
     (squared(0) + squared(1) + 1e-6).sqrt()

@@ -12,7 +12,7 @@ const ROWS: usize = 4;
 const USUAL: Reading =
     Reading { leaky_slope: SLOPE, attention: Attention::Dual, temporal: Temporal::ValueMatrix };
 
-/// Every reading with the heads of its scores.
+/// All readings, with the number of heads of their scores.
 const READINGS: [(Reading, usize); 5] = [
     (USUAL, 4),
     (USUAL, 2),

@@ -25,20 +25,20 @@ pub(in crate::net) struct Messages<'a> {
 }
 
 impl Messages<'_> {
-    /// Adds the messages, weighted, to `attended` `[rows, 64]`; `own` is U e of the block.
+    /// Adds the weighted messages to `attended` `[rows, 64]`. `own` is U e of the block.
     pub(in crate::net) fn sum(self, own: &[f32], attended: &mut Matrix) {
         dispatch(Sum { messages: self, own: own.as_chunks().0, attended: attended.values.as_chunks_mut().0 });
     }
 }
 
-/// The backward pass of all messages, and through the softmax to the scores s of which α is the result.
+/// The backward pass of all messages, and through the softmax α to the scores s:
 ///
 /// ```text
 /// ∂m_ij = α_ij ∂v̄_i
 /// ∂s_ij = α_ij (∂α_ij − Σ_k α_ik ∂α_ik) = α_ij (∂v̄_i · m_ij − ∂v̄_i · v̄_i)
 /// ```
 ///
-/// with products over the attributes of a head.
+/// The products are over the attributes of a head.
 pub(in crate::net) struct MessagesBackward {
     /// By the scores, `[edges, heads]`.
     pub(in crate::net) by_scores: Matrix,
@@ -46,7 +46,7 @@ pub(in crate::net) struct MessagesBackward {
     pub(in crate::net) by_values: Matrix,
     /// The terms of the products, `[block, 64]`.
     terms: Vec<f32>,
-    /// Their sums by head are their product with this, `[heads, 64]`.
+    /// Matrix `[heads, 64]` that sums the terms by head.
     head_sums: Matrix,
 }
 
@@ -60,8 +60,8 @@ impl MessagesBackward {
         Self { by_scores, by_values, terms: vec![0.0; BLOCK * NODE], head_sums }
     }
 
-    /// Processes a block, given v̄ and the gradient by it, `[rows, 64]`; `own` is U e of the block and
-    /// becomes the gradient by it.
+    /// Processes a block, given v̄ and the gradient by v̄, `[rows, 64]`. `own` is U e of the block and
+    /// becomes the gradient by U e.
     pub(in crate::net) fn run(
         &mut self,
         messages: Messages<'_>,
@@ -85,13 +85,13 @@ impl MessagesBackward {
     }
 }
 
-/// The derivative of f_act at x, which is also its factor.
+/// The derivative of f_act at x, which is also the factor that f_act applies to x.
 #[inline(always)]
 pub(in crate::net) const fn leaky_factor(slope: f32, x: f32) -> f32 {
     if x > 0.0 { 1.0 } else { slope }
 }
 
-/// The attributes of every head.
+/// The range of attributes of every head.
 #[inline(always)]
 fn sections(heads: usize) -> impl Iterator<Item = Range<usize>> {
     let len = NODE / heads;
@@ -128,9 +128,9 @@ impl Sum<'_> {
     }
 }
 
-/// Adds one message, weighted.
+/// Adds one weighted message.
 ///
-/// A function of its own: its arguments are known not to overlap, and so it vectorises.
+/// As a separate function, its arguments are known not to overlap, so it vectorises.
 #[inline(always)]
 fn add_message(slope: f32, alpha: &[f32], value: &Attributes, own: &Attributes, sum: &mut Attributes) {
     for (alpha, section) in alpha.iter().zip(sections(alpha.len())) {
@@ -176,8 +176,8 @@ impl Backward<'_> {
     }
 }
 
-/// The backward pass of one message; `terms` are those of ∂v̄_i · m_ij − ∂v̄_i · v̄_i. A function of its own
-/// as [`add_message`] is.
+/// The backward pass of one message. `terms` are the terms of ∂v̄_i · m_ij − ∂v̄_i · v̄_i. It is a separate
+/// function for the same reason as [`add_message`].
 #[inline(always)]
 fn message_backward(
     slope: f32,

@@ -8,18 +8,18 @@ use super::{AttentionShape, EDGE, Edges, NODE};
 use crate::net::matrix::{Into, Matrix, by_input, by_matrix, forward};
 use crate::net::tensors::{Gradients, Tensors};
 
-/// λ and μ, learned as softplus of these.
+/// The tensors whose softplus are λ and μ.
 const RAW: [&str; 2] = ["lambda_raw", "mu_raw"];
 
 /// The linear map of the scores.
 pub(super) struct Coefficients {
-    /// −λ and −μ `[heads, 2]`, divided by the dimensions of node and edge under `distance_scale`.
+    /// −λ and −μ `[heads, 2]`. With `distance_scale` they are divided by the dimensions of node and edge.
     matrix: Matrix,
     attention: Attention,
     scale: [f32; 2],
 }
 
-/// The columns of the linear map that are learned, and from which tensors.
+/// The learned columns of the linear map, and their tensors.
 fn learned(attention: Attention) -> impl Iterator<Item = (usize, &'static str)> {
     RAW.into_iter().enumerate().filter(move |_| attention == Attention::Dual)
 }
@@ -49,7 +49,7 @@ impl Coefficients {
         alpha
     }
 
-    /// Gradient by the squares, from that by the scores; adds to those of the coefficients.
+    /// Gradient by the squares, given the gradient by the scores. Adds to the gradients of the coefficients.
     pub(super) fn backward(
         &self,
         weights: &Tensors,
@@ -73,8 +73,8 @@ impl Coefficients {
     }
 }
 
-/// Softmax over groups of rows, column by column; a group begins at each of `first` but the last, which is
-/// the end.
+/// Softmax over groups of rows, column by column. Each entry of `first` begins a group, except the last,
+/// which is the end.
 pub(in crate::net) fn softmax(scores: &mut Matrix, first: &[u32]) {
     let columns = scores.cols;
     let groups = || first.windows(2).map(|ends| ends[0] as usize * columns..ends[1] as usize * columns);
@@ -109,7 +109,7 @@ pub(super) fn squares(node: &Matrix, edge: &Matrix, edges: &Edges) -> Matrix {
     squares
 }
 
-/// Adds to the gradients by `node` and `edge`, from that by the squares.
+/// Adds to the gradients by `node` and `edge`, given the gradient by the squares.
 pub(super) fn squares_backward(
     (node, edge): (&Matrix, &Matrix),
     edges: &Edges,
@@ -157,7 +157,7 @@ fn squared_distance(a: &[f32; NODE], b: &[f32; NODE]) -> f32 {
     sum(&sums)
 }
 
-/// The sum, in halves so that it vectorises.
+/// The sum, computed in halves so that it vectorises.
 #[inline(always)]
 fn sum(values: &[f32; 16]) -> f32 {
     let mut sums: [f32; 8] = std::array::from_fn(|i| values[i] + values[i + 8]);

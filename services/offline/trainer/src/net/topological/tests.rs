@@ -15,7 +15,7 @@ const EQUAL: AttentionShape = AttentionShape {
     distance_scale: true,
 };
 
-/// Rows with three, one, no, four and two incoming edges.
+/// Rows with three, one, zero, four and two incoming edges.
 fn edges() -> Edges {
     Edges {
         receiver: vec![0, 0, 0, 1, 3, 3, 3, 3, 4, 4],
@@ -57,13 +57,13 @@ fn weights(shape: AttentionShape) -> Tensors {
     insert("edge.0.bias", &[128], 0.5);
     insert("edge.1.weight", &[EDGE, 128], 0.2);
     insert("edge.1.bias", &[EDGE], 0.2);
-    // Hidden units are kept away from their kinks.
+    // Keeps hidden units away from their kinks.
     let bias = weights.0.get_mut(&format!("gdat.topological.{ROUND}.edge.0.bias")).unwrap();
     bias.values.iter_mut().for_each(|bias| *bias += 0.5_f32.copysign(*bias));
     weights
 }
 
-/// Node and edge attributes close enough to one another for no weight to vanish.
+/// Node and edge attributes that are close enough for all weights to matter.
 fn attributes(edges: &Edges) -> (Matrix, Matrix) {
     let node = Matrix::new(ROWS, NODE, values(ROWS * NODE, 0.2, 20));
     (node, Matrix::new(edges.len(), EDGE, values(edges.len() * EDGE, 0.4, 21)))
@@ -142,7 +142,7 @@ fn equal_attention_is_a_mean() {
     }
 }
 
-/// More edges than a block: every row receives from all rows, so equal attributes are their own mean.
+/// More edges than one block. Every row receives from all rows, so equal attributes are their own mean.
 #[test]
 fn blocks_of_edges_agree_with_one_block() {
     let rows = 20_u32;

@@ -4,7 +4,7 @@
 //! e'_ij = W₁ ReLU(W₀ [v̄_i ‖ v̄_j ‖ e_ij] + b₀) + b₁
 //! ```
 //!
-//! The columns of W₀ that multiply a node are applied once per node.
+//! The columns of W₀ that multiply a node's attributes are applied once per node.
 
 use nn::kernels::{Kernel, Lanes, dispatch};
 
@@ -24,7 +24,7 @@ const OWN: usize = 2 * NODE;
 /// The nodes' part of the hidden units.
 #[derive(Debug)]
 pub(super) struct Update {
-    /// b₀ included, `[rows, 128]`.
+    /// Parts of the receivers, including b₀, `[rows, 128]`.
     receivers: Matrix,
     senders: Matrix,
 }
@@ -70,8 +70,8 @@ impl Update {
         hidden
     }
 
-    /// Adds to the gradients by `node` and `edge`, the attributes before the update, given `d_edge` by the
-    /// new ones.
+    /// Adds to the gradients by `node` and `edge`, the attributes before the update, given the gradient
+    /// `d_edge` by the new ones.
     pub(super) fn backward(
         &self,
         weights: &Tensors,
@@ -119,7 +119,7 @@ impl Update {
     }
 }
 
-/// Adds the parts of receiver and sender to the edges' own, and rectifies.
+/// Adds the parts of receiver and sender to the edges' own part, and rectifies the sum.
 struct Hidden<'a> {
     block: Block<'a>,
     receivers: &'a [Units],
@@ -138,7 +138,7 @@ impl Kernel for Hidden<'_> {
     }
 }
 
-/// Of one edge.
+/// The same for one edge.
 #[inline(always)]
 fn add_rectified(hidden: &mut Units, receiver: &Units, sender: &Units) {
     for i in 0..HIDDEN {
@@ -146,7 +146,7 @@ fn add_rectified(hidden: &mut Units, receiver: &Units, sender: &Units) {
     }
 }
 
-/// Stops the gradient where a hidden unit is 0, and adds it to those of receiver and sender.
+/// Stops the gradient if a hidden unit is 0, and adds it to the gradients of receiver and sender.
 struct HiddenBackward<'a> {
     block: Block<'a>,
     hidden: &'a [Units],
@@ -172,7 +172,7 @@ impl Kernel for HiddenBackward<'_> {
     }
 }
 
-/// Of one edge. A function of its own: arguments are known not to overlap, and so it vectorises.
+/// The same for one edge. As a separate function, its arguments are known not to overlap, so it vectorises.
 #[inline(always)]
 fn rectified_backward(hidden: &Units, d_hidden: &mut Units, by_receiver: &mut Units, by_sender: &mut Units) {
     for i in 0..HIDDEN {

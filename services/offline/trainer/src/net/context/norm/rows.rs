@@ -7,13 +7,13 @@ use nn::kernels::{Kernel, Lanes};
 
 /// Sixteen channels of a row.
 pub(super) type Panel = [f32; PANEL];
-/// Sums over all rows, of sixteen channels.
+/// Sums of sixteen channels over all rows.
 pub(super) type Sums = [f64; PANEL];
 
-/// Rows that are summed in single precision.
+/// Number of rows that are summed in single precision.
 const ROWS: usize = 256;
 
-/// Sums over rows that are processed block by block: K of them for each panel of channels.
+/// Sums over rows that are processed block by block, K for each panel of channels.
 struct Totals<const K: usize>(Vec<[Sums; K]>);
 
 impl<const K: usize> Totals<K> {
@@ -92,7 +92,7 @@ impl Kernel for Spread<'_> {
     }
 }
 
-/// Σ dy and Σ dy (x − mean), after `dy` is set to zero where `rectified` is.
+/// Σ dy and Σ dy (x − mean). First sets `dy` to zero at the zeros of `rectified`.
 pub(super) struct Slopes<'a> {
     pub(super) x: &'a [Panel],
     pub(super) mean: &'a [Panel],
@@ -125,7 +125,7 @@ impl Kernel for Slopes<'_> {
     }
 }
 
-/// out = a x + b + z, and no less than `floor`; `line` is a and b.
+/// out = a x + b + z, at least `floor`; `line` is a and b.
 pub(super) struct Line<'a> {
     pub(super) line: [&'a [Panel]; 2],
     pub(super) x: &'a [Panel],

@@ -25,7 +25,7 @@ fn map(seed: u64) -> Map {
     map
 }
 
-/// Output of the norm for `x` and, where there is one, a shortcut.
+/// Output of the norm for `x` and an optional shortcut.
 fn forward(
     weights: &Tensors,
     normalisation: Normalisation,

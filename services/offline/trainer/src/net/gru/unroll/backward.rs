@@ -26,10 +26,11 @@ pub(crate) struct UnrollGradients {
 }
 
 impl Unroll {
-    /// Adds to the gradients of recurrent unit and head, given that of `raw`; returns those by the inputs.
+    /// Adds to the gradients of recurrent unit and head, given the gradient by `raw`. Returns the gradients
+    /// by the inputs.
     ///
     /// # Panics
-    /// Where no trace was kept.
+    /// If no trace was kept.
     pub(crate) fn backward(
         &self,
         weights: &Tensors,
@@ -87,8 +88,7 @@ struct HorizonBackward<'a> {
 pub(in super::super) struct First {
     /// By the state before it, `[agents × draws, 128]`.
     pub(in super::super) d_state: Matrix,
-    /// By H, `[agents × draws, 384]`, where neither the gradient by the state nor that by W_h includes it
-    /// yet.
+    /// By H, `[agents × draws, 384]`, until the gradients by the state and by W_h include it.
     pub(in super::super) d_recurrent: Option<Matrix>,
     /// By I, `[agents × draws, 384]`.
     pub(in super::super) d_input: Matrix,
@@ -129,7 +129,7 @@ impl HorizonBackward<'_> {
         self.first.set(rows, &kept[..len * KEPT], &d_state, &mut self.sums);
     }
 
-    /// Adds to the gradients what all steps share.
+    /// Adds the sums over all steps to the gradients.
     fn add_to(&self, gradients: &mut Gradients, d_raw: &Matrix) {
         let name = &self.kept.inputs.name;
         add_biases(gradients, name, &self.sums);
@@ -146,7 +146,8 @@ impl HorizonBackward<'_> {
 }
 
 impl First {
-    /// Processes the first step's gates of a block of rows; `d_state` is the gradient by the state after it.
+    /// Processes the first step's gates for a block of rows. `d_state` is the gradient by the state after the
+    /// step.
     fn set(&mut self, rows: Range<usize>, kept: &[f32], d_state: &Matrix, sums: &mut [f32; SUMS]) {
         let through = &mut self.d_state.values[rows.start * HIDDEN..rows.end * HIDDEN];
         through.copy_from_slice(&d_state.values);
@@ -160,7 +161,7 @@ impl First {
         });
     }
 
-    /// The products of the first step: those with z row by row, the others with the sum over an agent's
+    /// The products of the first step. Products with z use each row, the others the sum over an agent's
     /// draws.
     pub(in super::super) fn backward(
         &self,
@@ -196,7 +197,7 @@ impl First {
     }
 }
 
-/// The sum of the rows of each agent, as many for each.
+/// The sum of each agent's rows. All agents have the same number of rows.
 fn sum_of_draws(rows: &Matrix, agents_len: usize) -> Matrix {
     let mut sums = Matrix::zeros(agents_len, rows.cols);
     let draws_len = rows.rows / agents_len.max(1);
