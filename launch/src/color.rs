@@ -7,7 +7,7 @@ use std::sync::OnceLock;
 
 use clap::ColorChoice;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
-use miette::{GraphicalReportHandler, GraphicalTheme};
+use config::SourceError;
 use ports::Color;
 use ratatui::crossterm::style::force_color_output;
 
@@ -53,14 +53,10 @@ pub const fn for_clap(color: Color) -> ColorChoice {
     }
 }
 
-/// Returns the renderer, for standard error, of errors in files.
-pub fn error_renderer() -> GraphicalReportHandler {
+/// Formats a mistake in a file for standard error.
+pub fn report(error: &SourceError) -> String {
     let output = std::io::stderr();
-    GraphicalReportHandler::new_themed(match (choice().is_on(&output), output.is_terminal()) {
-        (true, _) => GraphicalTheme::unicode(),
-        (false, true) => GraphicalTheme::unicode_nocolor(),
-        (false, false) => GraphicalTheme::none(),
-    })
+    error.report(output.is_terminal(), choice().is_on(&output))
 }
 
 /// Returns the line without its colour escape sequences.

@@ -4,7 +4,7 @@ use std::error::Error;
 use std::fmt::Display;
 use std::path::Path;
 
-use config::PipelineError;
+use config::SourceError;
 use nn::{StartError, WeightsError};
 use onboard::ChainError;
 use ports::{PortError, SpaceError, StageError};
@@ -13,8 +13,7 @@ use run::{Exit, OptionError};
 use thiserror::Error;
 use wire::StageId;
 
-use crate::color::error_renderer;
-use crate::faults::spec::SpecError;
+use crate::color;
 
 /// The underlying error, from any crate.
 type Cause = Box<dyn Error + Send + Sync>;
@@ -28,12 +27,9 @@ pub enum Failure {
     /// A recording, map or weights file can't be used, or an output file can't be written.
     #[error(transparent)]
     Data(Cause),
-    /// pipeline.toml can't be used.
+    /// pipeline.toml or the specification of a fault run can't be used.
     #[error(transparent)]
-    Pipeline(#[from] PipelineError),
-    /// The specification of a fault run can't be used.
-    #[error(transparent)]
-    Spec(#[from] SpecError),
+    Source(#[from] SourceError),
     /// An option of a stage can't be used.
     #[error(transparent)]
     Option(#[from] OptionError),
@@ -150,7 +146,7 @@ impl Failure {
         match self {
             Self::Usage(_) => Exit::Usage,
             Self::Data(_) => Exit::Data,
-            Self::Pipeline(_) | Self::Spec(_) | Self::Option(_) | Self::Config(_) => Exit::Config,
+            Self::Source(_) | Self::Option(_) | Self::Config(_) => Exit::Config,
             Self::Space(_) | Self::Port(_) | Self::Unavailable(_) => Exit::Unavailable,
             Self::Death(StageDeath {
                 exit: Some(exit @ (Exit::Data | Exit::Config | Exit::Unavailable)),
@@ -171,15 +167,7 @@ impl Failure {
     fn message(&self) -> String {
         let mut text = String::new();
         match self {
-            Self::Pipeline(error) => {
-                // Writing to a string does not fail.
-                let _ = error_renderer().render_report(&mut text, error);
-                return text;
-            }
-            Self::Spec(error) => {
-                let _ = error_renderer().render_report(&mut text, error);
-                return text;
-            }
+            Self::Source(error) => return color::report(error),
             Self::Death(death) => {
                 text = format!("error: {death}");
                 death.last_lines.iter().for_each(|line| text += &format!("\n  {line}"));

@@ -1,12 +1,12 @@
 //! The specification of a fault run, in TOML.
 
 mod check;
-mod error;
 mod table;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use config::SourceError;
 use ports::Point;
 use run::TopicRun;
 use serde::{Deserialize, Serialize};
@@ -14,7 +14,6 @@ use wire::StageId;
 
 use crate::failure::Failure;
 use crate::faults::effect::Effect;
-pub use error::SpecError;
 pub use table::{Counted, Expect};
 
 /// The run, its faults and the expectation.
@@ -241,7 +240,7 @@ impl Spec {
     /// Reads and checks a specification.
     ///
     /// # Errors
-    /// [`Failure::Spec`] points to the first place in the text that is wrong.
+    /// [`Failure::Source`] points to the first place in the text that is wrong.
     pub fn read(path: &Path) -> Result<Self, Failure> {
         let text =
             std::fs::read_to_string(path).map_err(|error| Failure::config_about(path.display(), error))?;
@@ -249,7 +248,7 @@ impl Spec {
     }
 
     /// Checks the text of a specification.
-    pub fn parse(path: &Path, text: &str) -> Result<Self, SpecError> {
+    pub fn parse(path: &Path, text: &str) -> Result<Self, SourceError> {
         check::parse(path, text)
     }
 

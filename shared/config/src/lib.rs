@@ -3,10 +3,12 @@
 //! [`Pipeline`] is the content of the file, checked as a whole: an accepted file can be started. The topics
 //! and options of this project's own programs come from their declarations ([`run::Declared`]).
 
+mod mistake;
 mod pipeline;
 mod restart;
 mod scheduling;
 
-pub use pipeline::{BUDGET_MAX_MS, Pipeline, PipelineError, Stage};
+pub use mistake::{Mistake, SourceError};
+pub use pipeline::{BUDGET_MAX_MS, Pipeline, Stage};
 pub use restart::{Restart, RestartPolicy};
 pub use scheduling::Scheduling;

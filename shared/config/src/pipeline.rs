@@ -2,7 +2,6 @@
 
 mod added;
 mod check;
-mod error;
 mod file;
 mod options;
 
@@ -10,11 +9,10 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 pub use check::BUDGET_MAX_MS;
-pub use error::PipelineError;
 use run::{Declared, TopicRun};
 use wire::{StageId, WorldOrigin};
 
-use crate::{RestartPolicy, Scheduling};
+use crate::{Mistake, RestartPolicy, Scheduling, SourceError};
 
 /// A process of the pipeline.
 #[derive(Clone, Debug, PartialEq)]
@@ -73,26 +71,26 @@ impl Pipeline {
     /// stages that this project has programs for.
     ///
     /// # Errors
-    /// [`PipelineError`] points to the first place in the text that is wrong.
-    pub fn parse(name: &str, text: &str, declared: &[&dyn Declared]) -> Result<Self, PipelineError> {
-        let file: file::File = toml::from_str(text).map_err(|e| PipelineError::syntax(name, text, &e))?;
-        check::check(&file, declared).map_err(|fault| fault.at(name, text))
+    /// [`SourceError`] points to the first place in the text that is wrong.
+    pub fn parse(name: &str, text: &str, declared: &[&dyn Declared]) -> Result<Self, SourceError> {
+        let file: file::File = toml::from_str(text).map_err(|e| Mistake::syntax(text, &e).at(name, text))?;
+        check::check(&file, declared).map_err(|mistake| mistake.at(name, text))
     }
 
     /// Refuses a file that this machine can't run: with a `command` that `find` does not find, or a processor
     /// that `has_cpu` does not know.
     ///
     /// # Errors
-    /// [`PipelineError`] points to the first such place in the text; the text must be one that
+    /// [`SourceError`] points to the first such place in the text; the text must be one that
     /// [`Pipeline::parse`] accepts.
     pub fn check_here(
         name: &str,
         text: &str,
         find: &dyn Fn(&str) -> Result<(), String>,
         has_cpu: &dyn Fn(u32) -> bool,
-    ) -> Result<(), PipelineError> {
-        let file: file::File = toml::from_str(text).map_err(|e| PipelineError::syntax(name, text, &e))?;
-        check::check_here(&file, find, has_cpu).map_err(|fault| fault.at(name, text))
+    ) -> Result<(), SourceError> {
+        let file: file::File = toml::from_str(text).map_err(|e| Mistake::syntax(text, &e).at(name, text))?;
+        check::check_here(&file, find, has_cpu).map_err(|mistake| mistake.at(name, text))
     }
 
     /// The topics that a stage reads, by their names in shared memory.

@@ -4,15 +4,14 @@ use std::collections::BTreeMap;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-use config::Pipeline;
+use config::{Mistake, Pipeline, SourceError};
 use ports::Point;
 use run::TopicRun;
 use toml::Spanned;
 use wire::{RefusalCause, StageId, TABLE};
 
-use super::error::Mistake;
 use super::table::{At, Expect, FaultTable, File};
-use super::{Fault, RunSpec, Spec, SpecError, Target, TopicFault, When};
+use super::{Fault, RunSpec, Spec, Target, TopicFault, When};
 use crate::faults::effect::{Effect, Part};
 use crate::stages::declared;
 
@@ -51,12 +50,10 @@ const COUNTERS: [&str; 3] = ["gap", "refused", "restart"];
 /// Threads per core of a CPU fault, enough to leave a stage only a small share.
 const HOGS_PER_CORE: usize = 8;
 
-pub(super) fn parse(path: &Path, text: &str) -> Result<Spec, SpecError> {
-    let file: File = toml::from_str(text).map_err(|error| {
-        let message = error.message().lines().next().unwrap_or("not a specification").to_owned();
-        Mistake::new(error.span().unwrap_or(0..text.len().min(1)), message, "here").at(path, text)
-    })?;
-    check(path, file).map_err(|mistake| mistake.at(path, text))
+pub(super) fn parse(path: &Path, text: &str) -> Result<Spec, SourceError> {
+    let name = path.display().to_string();
+    let file: File = toml::from_str(text).map_err(|error| Mistake::syntax(text, &error).at(&name, text))?;
+    check(path, file).map_err(|mistake| mistake.at(&name, text))
 }
 
 fn check(path: &Path, file: File) -> Result<Spec, Mistake> {
@@ -106,13 +103,11 @@ fn check(path: &Path, file: File) -> Result<Spec, Mistake> {
 /// from now on.
 fn added_to_pipeline(path: &Path, span: &Range<usize>) -> Result<(Vec<String>, Vec<TopicRun>), Mistake> {
     let refused = |why: String| {
-        let why = why.lines().next().unwrap_or_default().to_owned();
         Mistake::new(span.clone(), format!("`pipeline`: {why}"), "expected a pipeline.toml that can be used")
     };
     let name = path.display().to_string();
     let text = std::fs::read_to_string(path).map_err(|error| refused(format!("{name}: {error}")))?;
-    let pipeline =
-        Pipeline::parse(&name, &text, &declared()).map_err(|error| refused(format!("{name}: {error}")))?;
+    let pipeline = Pipeline::parse(&name, &text, &declared()).map_err(|error| refused(error.to_string()))?;
     pipeline.name_stages();
     let added = pipeline.stages.iter().filter(|stage| stage.id.is_added());
     let added = added.map(|stage| stage.id.name().to_owned()).collect();

@@ -6,10 +6,10 @@ use toml::Spanned;
 use wire::{ForecastsTopic, HOPS_MAX, StageId, TICK_MS, Topic, UnknownWorldOrigin};
 
 use super::added::{self, name_of};
-use super::error::Fault;
 use super::file::{File, StageTable};
 use super::options::options;
 use super::{Pipeline, Stage};
+use crate::Mistake;
 use crate::{Restart, RestartPolicy, Scheduling};
 
 /// What all budgets together may be: one tick.
@@ -19,7 +19,7 @@ pub const BUDGET_MAX_MS: f64 = TICK_MS;
 const READERS_MAX: u32 = 64;
 
 /// Checks stage by stage, then the graph as a whole.
-pub(super) fn check(file: &File, declared: &[&dyn Declared]) -> Result<Pipeline, Fault> {
+pub(super) fn check(file: &File, declared: &[&dyn Declared]) -> Result<Pipeline, Mistake> {
     let mut warnings = Vec::new();
     let topics = added::topics(file)?;
     let tables: Vec<&StageTable> = file.stages.iter().map(Spanned::get_ref).collect();
@@ -43,7 +43,7 @@ pub(super) fn check(file: &File, declared: &[&dyn Declared]) -> Result<Pipeline,
     for needed in [StageId::Source, StageId::Sampler, StageId::Recorder] {
         if !stages.iter().any(|s| s.id == needed) {
             let message = format!("there is no stage \"{}\"", needed.name());
-            return Err(Fault::new(0..0, message, "needed in every pipeline"));
+            return Err(Mistake::new(0..0, message, "needed in every pipeline"));
         }
     }
     let protected = match &file.protect {
@@ -58,7 +58,7 @@ pub(super) fn check(file: &File, declared: &[&dyn Declared]) -> Result<Pipeline,
         warnings.extend(late_controls(&tables));
     }
     let parse = |origin: &Spanned<String>| {
-        let refused = |error: UnknownWorldOrigin| Fault::new(origin.span(), error.to_string(), "no origin");
+        let refused = |error: UnknownWorldOrigin| Mistake::new(origin.span(), error.to_string(), "no origin");
         origin.get_ref().parse().map_err(refused)
     };
     let origin = file.origin.as_ref().map(parse).transpose()?;
@@ -72,13 +72,13 @@ fn readers(
     file: &File,
     topics: &[TopicRun],
     declared: &[&dyn Declared],
-) -> Result<BTreeMap<String, u32>, Fault> {
+) -> Result<BTreeMap<String, u32>, Mistake> {
     let number = |(topic, places): (&Spanned<String>, &Spanned<u64>)| {
         known(topic, topics, declared)?;
         let found = u32::try_from(*places.get_ref()).ok().filter(|found| (1..=READERS_MAX).contains(found));
         let found = found.ok_or_else(|| {
             let message = format!("{} further readers of \"{}\"", places.get_ref(), topic.get_ref());
-            Fault::new(places.span(), message, format!("expected 1 to {READERS_MAX}"))
+            Mistake::new(places.span(), message, format!("expected 1 to {READERS_MAX}"))
         })?;
         Ok((topic.get_ref().clone(), found))
     };
@@ -90,11 +90,11 @@ fn stage(
     added_len: usize,
     topics: &[TopicRun],
     declared: &[&dyn Declared],
-) -> Result<Stage, Fault> {
+) -> Result<Stage, Mistake> {
     let id = added::stage_id(table, added_len)?;
     table.reads.iter().chain(&table.writes).try_for_each(|topic| known(topic, topics, declared))?;
     if let Some(command) = table.command.as_ref().filter(|c| c.get_ref().is_empty()) {
-        return Err(Fault::new(
+        return Err(Mistake::new(
             command.span(),
             "`command` is empty",
             "expected [\"program\", \"argument\", …]",
@@ -111,7 +111,7 @@ fn stage(
         }
         (None, None) => {
             let message = format!("there is no program for the {}", id.name());
-            return Err(Fault::new(table.name.span(), message, "needs a `command`"));
+            return Err(Mistake::new(table.name.span(), message, "needs a `command`"));
         }
     };
     Ok(Stage {
@@ -134,22 +134,22 @@ fn renamed(
     table: &StageTable,
     topics: &[TopicRun],
     declared: &[&dyn Declared],
-) -> Result<BTreeMap<String, String>, Fault> {
+) -> Result<BTreeMap<String, String>, Mistake> {
     for (topic, name) in &table.topics {
         if !table.reads.iter().chain(&table.writes).any(|own| own.get_ref() == topic.get_ref()) {
             let message =
                 format!("the {} neither reads nor writes \"{}\"", table.name.get_ref(), topic.get_ref());
-            return Err(Fault::new(topic.span(), message, "not one of its `reads` and `writes`"));
+            return Err(Mistake::new(topic.span(), message, "not one of its `reads` and `writes`"));
         }
         let is_plain = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '-' || c == '_';
         let (text, span) = (name.get_ref(), name.span());
         if text.is_empty() || !text.chars().all(is_plain) {
             let message = format!("\"{text}\" can't be the name of a topic");
-            return Err(Fault::new(span, message, "expected lower case letters, digits, \"-\" and \"_\""));
+            return Err(Mistake::new(span, message, "expected lower case letters, digits, \"-\" and \"_\""));
         }
         if known(name, &[], declared).is_ok() {
             let message = format!("\"{text}\" is a topic of its own");
-            return Err(Fault::new(span, message, "expected another name"));
+            return Err(Mistake::new(span, message, "expected another name"));
         }
         same_type(table, topic, name, topics)?;
     }
@@ -162,7 +162,7 @@ fn same_type(
     topic: &Spanned<String>,
     name: &Spanned<String>,
     topics: &[TopicRun],
-) -> Result<(), Fault> {
+) -> Result<(), Mistake> {
     let declared = added::declared_name(name.get_ref(), topics);
     let Some(other) = topics.iter().find(|other| declared == Some(&other.name)) else { return Ok(()) };
     let own = topics.iter().find(|own| own.name == *topic.get_ref());
@@ -171,17 +171,17 @@ fn same_type(
     if expected.is_some_and(|expected| expected != other.type_name) {
         let message = format!("\"{}\" has the type \"{}\"", other.name, other.type_name);
         let expected = expected.unwrap_or_default();
-        return Err(Fault::new(name.span(), message, format!("\"{}\" is \"{expected}\"", topic.get_ref())));
+        return Err(Mistake::new(name.span(), message, format!("\"{}\" is \"{expected}\"", topic.get_ref())));
     }
     if table.name.get_ref() == StageId::Tracker.name() && topic.get_ref() == ForecastsTopic::NAME {
         let message = "the forecasts that go back to the tracker have no other name";
-        return Err(Fault::new(name.span(), message, "the tracker reads those of the sampler"));
+        return Err(Mistake::new(name.span(), message, "the tracker reads those of the sampler"));
     }
     Ok(())
 }
 
 /// Refuses a topic that no stage reads or writes, and that the file does not declare.
-fn known(topic: &Spanned<String>, added: &[TopicRun], declared: &[&dyn Declared]) -> Result<(), Fault> {
+fn known(topic: &Spanned<String>, added: &[TopicRun], declared: &[&dyn Declared]) -> Result<(), Mistake> {
     let mut topics: Vec<&str> = Vec::new();
     for topic in declared.iter().flat_map(|stage| stage.writes().iter().chain(stage.reads())) {
         if !topics.contains(topic) {
@@ -193,19 +193,19 @@ fn known(topic: &Spanned<String>, added: &[TopicRun], declared: &[&dyn Declared]
         return Ok(());
     }
     let message = format!("unknown topic \"{}\"", topic.get_ref());
-    Err(Fault::new(topic.span(), message, "no topic has this name")
+    Err(Mistake::new(topic.span(), message, "no topic has this name")
         .help(format!("the topics are {}; one of your own is declared by [[topic]]", topics.join(", "))))
 }
 
 /// The stage's restart policy: the defaults where the file says nothing.
-fn restart(table: &StageTable) -> Result<RestartPolicy, Fault> {
+fn restart(table: &StageTable) -> Result<RestartPolicy, Mistake> {
     let defaults = RestartPolicy::default();
     let number = |value: &Option<Spanned<u64>>, default: u64, [least, most]: [u64; 2]| match value {
         None => Ok(default),
         Some(value) if (least..=most).contains(value.get_ref()) => Ok(*value.get_ref()),
         Some(value) => {
             let advice = format!("expected {least} to {most}");
-            Err(Fault::new(value.span(), "a number of the restart policy is out of range", advice))
+            Err(Mistake::new(value.span(), "a number of the restart policy is out of range", advice))
         }
     };
     let ms = |of: Duration| of.as_millis() as u64;
@@ -226,32 +226,32 @@ fn restart(table: &StageTable) -> Result<RestartPolicy, Fault> {
 }
 
 /// Whether the stage has a spare, which takes its place only where it is started again at all.
-fn spare(table: &StageTable) -> Result<bool, Fault> {
+fn spare(table: &StageTable) -> Result<bool, Mistake> {
     match &table.spare {
         Some(spare) if *spare.get_ref() && table.restart == Some(Restart::Never) => {
             let message = format!("the spare of the {} would never take its place", table.name.get_ref());
-            Err(Fault::new(spare.span(), message, "not with restart = \"never\""))
+            Err(Mistake::new(spare.span(), message, "not with restart = \"never\""))
         }
         spare => Ok(spare.as_ref().is_some_and(|spare| *spare.get_ref())),
     }
 }
 
 /// The stage's place among the processors, and its priority.
-fn scheduling(table: &StageTable) -> Result<Scheduling, Fault> {
+fn scheduling(table: &StageTable) -> Result<Scheduling, Mistake> {
     let mut cpus = Vec::new();
     if let Some(list) = &table.cpu {
         if list.get_ref().is_empty() {
             let advice = "expected numbers of processors such as [0, 1]";
-            return Err(Fault::new(list.span(), "`cpu` is empty", advice));
+            return Err(Mistake::new(list.span(), "`cpu` is empty", advice));
         }
         for cpu in list.get_ref() {
             let number = u32::try_from(*cpu.get_ref()).ok().filter(|&cpu| cpu <= Scheduling::CPU_MAX);
             let Some(number) = number else {
                 let advice = format!("expected 0 to {}", Scheduling::CPU_MAX);
-                return Err(Fault::new(cpu.span(), "no processor has such a number", advice));
+                return Err(Mistake::new(cpu.span(), "no processor has such a number", advice));
             };
             if cpus.contains(&number) {
-                return Err(Fault::new(cpu.span(), format!("processor {number} is listed twice"), "again"));
+                return Err(Mistake::new(cpu.span(), format!("processor {number} is listed twice"), "again"));
             }
             cpus.push(number);
         }
@@ -261,7 +261,7 @@ fn scheduling(table: &StageTable) -> Result<Scheduling, Fault> {
     let priority = table.priority.as_ref().map(|priority| {
         let number = u8::try_from(*priority.get_ref()).ok().filter(|number| (least..=most).contains(number));
         let message = "a real-time priority is out of range";
-        number.ok_or_else(|| Fault::new(priority.span(), message, format!("expected {least} to {most}")))
+        number.ok_or_else(|| Mistake::new(priority.span(), message, format!("expected {least} to {most}")))
     });
     Ok(Scheduling { cpus, priority: priority.transpose()? })
 }
@@ -271,7 +271,7 @@ pub(super) fn check_here(
     file: &File,
     find: &dyn Fn(&str) -> Result<(), String>,
     has_cpu: &dyn Fn(u32) -> bool,
-) -> Result<(), Fault> {
+) -> Result<(), Mistake> {
     for table in file.stages.iter().map(Spanned::get_ref) {
         let name = table.name.get_ref();
         if let Some(command) = &table.command
@@ -279,12 +279,12 @@ pub(super) fn check_here(
             && let Err(why) = find(program)
         {
             let message = format!("the {name} can't be started: {program}: {why}");
-            return Err(Fault::new(command.span(), message, "expected a program of this machine"));
+            return Err(Mistake::new(command.span(), message, "expected a program of this machine"));
         }
         for cpu in table.cpu.iter().flat_map(Spanned::get_ref) {
             if !u32::try_from(*cpu.get_ref()).is_ok_and(has_cpu) {
                 let message = format!("the {name} can't have processor {}", cpu.get_ref());
-                return Err(Fault::new(cpu.span(), message, "not one of this machine's, or not allowed"));
+                return Err(Mistake::new(cpu.span(), message, "not one of this machine's, or not allowed"));
             }
         }
     }
@@ -296,7 +296,7 @@ fn names(topics: &[Spanned<String>]) -> Vec<String> {
 }
 
 /// This project's own programs have fixed topics: a file with others would not describe what runs.
-fn topics_of(stage: &dyn Declared, table: &StageTable) -> Result<(), Fault> {
+fn topics_of(stage: &dyn Declared, table: &StageTable) -> Result<(), Mistake> {
     let id = stage.id();
     for (key, written, real) in
         [("reads", &table.reads, stage.reads()), ("writes", &table.writes, stage.writes())]
@@ -309,7 +309,7 @@ fn topics_of(stage: &dyn Declared, table: &StageTable) -> Result<(), Fault> {
             (None, None) => continue,
         };
         let message = format!("`{key}` is not what the {} {key}", id.name());
-        return Err(Fault::new(span, message, label).help(format!("{key} = {real:?}, or give a `command`")));
+        return Err(Mistake::new(span, message, label).help(format!("{key} = {real:?}, or give a `command`")));
     }
     Ok(())
 }
@@ -318,17 +318,17 @@ fn verb(key: &str) -> &str {
     key.trim_end_matches('s')
 }
 
-fn unique_names(tables: &[&StageTable]) -> Result<(), Fault> {
+fn unique_names(tables: &[&StageTable]) -> Result<(), Mistake> {
     for (i, table) in tables.iter().enumerate() {
         if tables[..i].iter().any(|earlier| earlier.name == table.name) {
             let message = format!("the stage \"{}\" is defined twice", table.name.get_ref());
-            return Err(Fault::new(table.name.span(), message, "defined before"));
+            return Err(Mistake::new(table.name.span(), message, "defined before"));
         }
     }
     Ok(())
 }
 
-fn producers(file: &File, topics: &[TopicRun]) -> Result<(), Fault> {
+fn producers(file: &File, topics: &[TopicRun]) -> Result<(), Mistake> {
     let mut producer: BTreeMap<&str, &str> = BTreeMap::new();
     let tables = || file.stages.iter().map(Spanned::get_ref);
     for table in tables() {
@@ -336,7 +336,7 @@ fn producers(file: &File, topics: &[TopicRun]) -> Result<(), Fault> {
             let name = name_of(table, topic.get_ref(), topics);
             if let Some(other) = producer.insert(name, table.name.get_ref()) {
                 let message = format!("\"{name}\" is written by two stages");
-                return Err(Fault::new(topic.span(), message, format!("the {other} writes it already")));
+                return Err(Mistake::new(topic.span(), message, format!("the {other} writes it already")));
             }
         }
     }
@@ -345,7 +345,7 @@ fn producers(file: &File, topics: &[TopicRun]) -> Result<(), Fault> {
             let name = name_of(table, topic.get_ref(), topics);
             if !producer.contains_key(name) {
                 let message = format!("no stage writes \"{name}\"");
-                return Err(Fault::new(topic.span(), message, "read here"));
+                return Err(Mistake::new(topic.span(), message, "read here"));
             }
         }
     }
@@ -354,7 +354,7 @@ fn producers(file: &File, topics: &[TopicRun]) -> Result<(), Fault> {
 
 /// Removes, one by one, the stages whose inputs all come from stages removed before; those that remain form a
 /// cycle.
-fn acyclic(tables: &[&StageTable], topics: &[TopicRun]) -> Result<(), Fault> {
+fn acyclic(tables: &[&StageTable], topics: &[TopicRun]) -> Result<(), Mistake> {
     let mut open = tables.to_vec();
     while let Some(ready) = open.iter().position(|table| open_input(table, &open, topics).is_none()) {
         open.remove(ready);
@@ -366,7 +366,7 @@ fn acyclic(tables: &[&StageTable], topics: &[TopicRun]) -> Result<(), Fault> {
     };
     let message = format!("a cycle: the {} needs its own output", stage.name.get_ref());
     let label = format!("\"{}\" is made from what this stage writes", topic.get_ref());
-    Err(Fault::new(topic.span(), message, label)
+    Err(Mistake::new(topic.span(), message, label)
         .help("the only cycle allowed is that of the tracker, which reads \"forecasts\""))
 }
 
@@ -428,13 +428,13 @@ fn late_controls(tables: &[&StageTable]) -> Option<String> {
 }
 
 /// Those on a tick's way share it; each of the others has one for itself.
-fn budgets(tables: &[&StageTable], way: &[&str]) -> Result<f64, Fault> {
+fn budgets(tables: &[&StageTable], way: &[&str]) -> Result<f64, Mistake> {
     let mut sum_ms = 0.0;
     for table in tables {
         let Some(budget) = &table.budget_ms else { continue };
         let ms = *budget.get_ref();
         if !(ms.is_finite() && ms > 0.0) {
-            return Err(Fault::new(
+            return Err(Mistake::new(
                 budget.span(),
                 "a budget must be a positive number of milliseconds",
                 "here",
@@ -443,12 +443,12 @@ fn budgets(tables: &[&StageTable], way: &[&str]) -> Result<f64, Fault> {
         let is_beside = !way.contains(&table.name.get_ref().as_str());
         if is_beside && ms > BUDGET_MAX_MS {
             let message = format!("a budget of more than the {BUDGET_MAX_MS} ms of a tick");
-            return Err(Fault::new(budget.span(), message, format!("{ms} ms")));
+            return Err(Mistake::new(budget.span(), message, format!("{ms} ms")));
         }
         sum_ms += if is_beside { 0.0 } else { ms };
         if sum_ms > BUDGET_MAX_MS {
             let message = format!("the budgets add up to more than the {BUDGET_MAX_MS} ms of a tick");
-            return Err(Fault::new(budget.span(), message, format!("{sum_ms} ms with this one")));
+            return Err(Mistake::new(budget.span(), message, format!("{sum_ms} ms with this one")));
         }
     }
     Ok(sum_ms)

@@ -1,15 +1,15 @@
 use run::{Declared, OptionError};
 use wire::StageId;
 
-use super::error::Fault;
 use super::file::OptionsTable;
+use crate::Mistake;
 
 /// The options of one of this project's own programs.
 pub(super) fn options(
     stage: &dyn Declared,
     table: &OptionsTable,
     declared: &[&dyn Declared],
-) -> Result<toml::Table, Fault> {
+) -> Result<toml::Table, Mistake> {
     let mut options = toml::Table::new();
     // The spans of each option's key and value in the text.
     let mut spans = Vec::new();
@@ -23,9 +23,9 @@ pub(super) fn options(
         let (message, advice) = (error.to_string(), error.advice());
         match &error {
             OptionError::Unknown { key: unknown, .. } => {
-                Fault::new(key, message, owners(unknown, declared)).help(advice)
+                Mistake::new(key, message, owners(unknown, declared)).help(advice)
             }
-            _ => Fault::new(value, message, advice),
+            _ => Mistake::new(value, message, advice),
         }
     })?;
     Ok(options)

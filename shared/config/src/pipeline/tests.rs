@@ -1,4 +1,3 @@
-use miette::{Diagnostic, GraphicalReportHandler, GraphicalTheme};
 use run::{Conflict, Declaration, NoOptions, TopicRun};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -83,12 +82,7 @@ fn stage(pipeline: &Pipeline, id: StageId) -> &Stage {
 
 fn error(text: &str) -> String {
     let error = Pipeline::parse("pipeline.toml", text, &STAGES).expect_err("the text is faulty");
-    let mut rendered = String::new();
-    GraphicalReportHandler::new_themed(GraphicalTheme::unicode_nocolor())
-        .with_width(100)
-        .render_report(&mut rendered, &error)
-        .unwrap();
-    rendered
+    error.report(true, false)
 }
 
 /// The shipped file with one text replaced; the replaced text must be there.
@@ -441,8 +435,8 @@ fn a_file_for_another_machine_is_refused_here() {
         let find = |program: &str| if program == "sh" { Ok(()) } else { Err("not found in PATH".to_owned()) };
         let checked = Pipeline::check_here("pipeline.toml", &text, &find, &|cpu| cpu < 2);
         checked.map_err(|error| {
-            let place = &error.labels().unwrap().next().unwrap();
-            (error.to_string(), text[place.offset()..place.offset() + place.len()].to_owned())
+            let mistake = error.mistake();
+            (mistake.message.clone(), text[mistake.span.clone()].to_owned())
         })
     };
     let encoder = "name = \"encoder\"\n";
