@@ -1,4 +1,4 @@
-//! One agent's detections, one after the other.
+//! The sequence of one agent's detections.
 
 use wire::{AgentType, Detection, detection_flags};
 
@@ -6,26 +6,26 @@ use crate::headings::Directed;
 use crate::speeds::{Chord, usual_mps};
 use crate::tally::Place;
 
-/// Shortest time of a chord.
+/// Shortest duration of a chord.
 const CHORD_NS: i64 = 1_000_000_000;
 /// Longest time between two detections of a chord.
 pub(crate) const GAP_MAX_NS: i64 = 3_000_000_000;
-/// Shortest way and lowest speed that have a direction.
+/// Shortest path in m and lowest speed in m/s that have a direction.
 const DIRECTED: [f64; 2] = [1.0, 0.8];
 /// Slower agents may be measured at the same place again.
 const MOVING_MPS: f64 = 1.0;
-/// Shorter steps may be those of coarse numbers.
+/// Shorter steps may come from coarsely rounded numbers.
 const STEP_MIN_M: f64 = 0.08;
-/// Positions are on a coarse grid if x alone and y alone have changed within this time.
+/// Positions are on a coarse grid if x alone and y alone have each changed within this time.
 const GRID_NS: i64 = 2_000_000_000;
-/// Longest first step of an agent without identity.
+/// Longest first step of an agent without an identity.
 const FIRST_STEP_M: f64 = 4.0;
-/// What a measurement may err beside the agent's motion.
+/// Measurement error that is allowed in addition to the agent's motion.
 const SLACK_M: f64 = 0.5;
-/// Positions that stand for a missing one.
+/// Coordinates that stand for a missing position.
 const PLACEHOLDERS_M: [f32; 2] = [0.0, -1.0];
 
-/// Greatest speed of a type: the tracker's limits.
+/// Highest speed of a type, equal to the tracker's limits.
 const fn limit_mps(agent_type: AgentType) -> f64 {
     match agent_type {
         AgentType::Vehicle => 70.0,
@@ -58,7 +58,7 @@ impl Spot {
         }
     }
 
-    /// Whether the position is one that stands for a missing one.
+    /// Whether the position stands for a missing one.
     pub fn is_placeholder(&self) -> bool {
         let [x_m, y_m] = self.position_m;
         PLACEHOLDERS_M.into_iter().any(|placeholder| x_m == placeholder && y_m == placeholder)
@@ -77,7 +77,7 @@ impl Spot {
         self.distance_m(to) / ((to.stamp_ns - self.stamp_ns) as f64 * 1e-9)
     }
 
-    /// Whether an agent can have come from here to there.
+    /// Whether an agent can have come from this spot to `to`.
     fn reaches(&self, to: &Self, agent_type: AgentType) -> bool {
         let elapsed_s = (to.stamp_ns - self.stamp_ns) as f64 * 1e-9;
         self.distance_m(to) <= limit_mps(agent_type) * elapsed_s + SLACK_M + 3.0 * to.sigma_m
@@ -93,12 +93,12 @@ pub(crate) struct Repeated {
     pub on_grid: Option<bool>,
 }
 
-/// What a detection means for its agent.
+/// The effect of a detection on its agent.
 #[derive(Debug, Default)]
 pub(crate) struct Step {
     /// Time since the agent's previous detection.
     pub interval_ns: Option<i64>,
-    /// Detections before this one that repeated their previous one.
+    /// Earlier detections that repeated their predecessor.
     pub repeated: Option<Repeated>,
     /// An earlier detection that was out of reach.
     pub outlier: Option<Place>,
@@ -106,32 +106,32 @@ pub(crate) struct Step {
     pub placeholder: Option<Place>,
     /// The first detection after the identity has jumped.
     pub jump: Option<Place>,
-    /// A chord that is complete.
+    /// A completed chord.
     pub chord: Option<Chord>,
-    /// The same with the headings at its ends.
+    /// The same chord with the headings at its ends.
     pub directed: Option<Directed>,
 }
 
-/// An agent, by its identity or by its way.
+/// An agent, followed by its identity or from place to place.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Agent {
     pub agent_type: AgentType,
-    /// When it was detected last.
+    /// Time of its newest detection.
     pub seen_ns: i64,
     /// The newest detection within reach.
     pub last: Spot,
-    /// Velocity of the step to it; `None` before the second detection.
+    /// Velocity of the step to `last`; `None` before the second detection.
     velocity_mps: Option<[f64; 2]>,
-    /// A detection out of reach.
+    /// A detection that is out of reach.
     pending: Option<Spot>,
-    /// Detections that repeat the newest, and the place of the first.
+    /// Place of the first detection that repeats the newest one, and the number of such detections.
     held: Option<(Place, u64)>,
-    /// When x alone and y alone changed last, if they did.
+    /// Times at which x alone and y alone last changed, if they did.
     alone_ns: [Option<i64>; 2],
     first: Spot,
-    /// By the reported speeds since `first`; `None` if one was missing.
+    /// Distance according to the reported speeds since `first`; `None` if a speed was missing.
     reported_m: Option<f64>,
-    /// Detections since `first`.
+    /// Number of detections since `first`.
     rows: u64,
 }
 
@@ -151,7 +151,7 @@ impl Agent {
         }
     }
 
-    /// The distance to where it is expected if it goes on, if that is near.
+    /// The distance from the agent's expected position, if the spot is near.
     pub fn is_near(&self, spot: &Spot) -> Option<f64> {
         let elapsed_s = (spot.stamp_ns - self.last.stamp_ns) as f64 * 1e-9;
         let way_m = self.last.way_m(spot);
@@ -171,7 +171,7 @@ impl Agent {
         self.velocity_mps.map_or(0.0, |[x_mps, y_mps]| x_mps.hypot(y_mps))
     }
 
-    /// Takes the next detection. Only an agent with an identity can be out of reach.
+    /// Adds the next detection. Only an agent with an identity can be out of reach.
     pub fn step(&mut self, spot: Spot, agent_type: AgentType, identified: bool) -> Step {
         let mut step = Step::default();
         let since_ns = spot.stamp_ns - self.seen_ns;
@@ -192,7 +192,7 @@ impl Agent {
             self.pending = None;
             return step;
         }
-        // After a step out of reach, both ways may have come into reach: the slower one is the agent's.
+        // After a step out of reach, both paths may have come into reach. The slower one is the agent's.
         let is_new_way = self.pending.is_some_and(|pending| {
             pending.reaches(&spot, agent_type) && pending.speed_mps(&spot) < self.last.speed_mps(&spot)
         });
@@ -228,7 +228,7 @@ impl Agent {
         }
     }
 
-    /// Goes on to a detection within reach.
+    /// Advances to a detection within reach.
     fn reach(&mut self, spot: Spot, step: &mut Step) {
         let elapsed_s = (spot.stamp_ns - self.last.stamp_ns) as f64 * 1e-9;
         let [x_m, y_m] = self.last.way_m(&spot);

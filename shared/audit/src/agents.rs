@@ -2,28 +2,28 @@ use wire::AgentType;
 
 use crate::agent::{Agent, GAP_MAX_NS, Spot, Step};
 
-/// Places of a set, among which an identity is looked up.
+/// Number of places in a set, among which an identity is looked up.
 const WAYS: usize = 4;
-/// Most agents without identities.
+/// Largest number of agents without identities.
 const LOOSE_MAX: usize = wire::DETECTIONS_MAX;
 
-/// The agents that are followed, in bounded memory: the one that was seen last gives its place to a new one.
+/// The followed agents, in bounded memory. A new identity replaces the least recently seen agent of its set.
 #[derive(Clone, Debug)]
 pub(crate) struct Agents {
     /// Sets of [`WAYS`] places, by the identity's hash.
     identified: Vec<Option<(u64, Agent)>>,
-    /// Agents without identity, with the number of the frame that detected them last.
+    /// Agents without an identity, with the number of the last frame that detected them.
     loose: Vec<(Agent, u64)>,
 }
 
 impl Agents {
-    /// Room for so many identities, a power of two.
+    /// Room for this number of identities, rounded up to a power of two.
     pub fn with_capacity(len: usize) -> Self {
         let identified = vec![None; len.next_power_of_two().max(WAYS)];
         Self { identified, loose: Vec::with_capacity(LOOSE_MAX) }
     }
 
-    /// Takes a detection with an identity; `None` for a new one.
+    /// Adds a detection with an identity. Returns `None` if the identity is new.
     pub fn identified(&mut self, id: u64, agent_type: AgentType, spot: Spot) -> Option<Step> {
         let sets = self.identified.len() / WAYS;
         // Fibonacci hashing: neighbouring identities go to different sets.
@@ -41,8 +41,8 @@ impl Agents {
         None
     }
 
-    /// Takes a detection without identity for the nearest agent of its type that this frame has not detected
-    /// yet; `None` for a new one.
+    /// Adds a detection without an identity to the nearest agent of its type that this frame has not detected
+    /// yet. Returns `None` if the agent is new.
     pub fn loose(&mut self, frame: u64, agent_type: AgentType, spot: Spot) -> Option<Step> {
         let mut nearest: Option<(f64, usize)> = None;
         let mut place = 0;

@@ -1,6 +1,6 @@
 use wire::doubts;
 
-/// A kind of fault of the input; the number is its bit in [`InputCounts::doubts`](wire::InputCounts::doubts).
+/// A kind of input fault. The number is its bit in [`InputCounts::doubts`](wire::InputCounts::doubts).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 #[repr(u32)]
 pub enum Doubt {
@@ -10,7 +10,7 @@ pub enum Doubt {
     HeadingsFromNorth = doubts::HEADINGS_FROM_NORTH,
     /// Headings mirror the motion: clockwise from +x, or y is flipped.
     HeadingsMirrored = doubts::HEADINGS_MIRRORED,
-    /// Headings are turned against the motion by a quarter or half turn.
+    /// Headings differ from the motion by a quarter or half turn.
     HeadingsTurned = doubts::HEADINGS_TURNED,
     /// Headings and motion do not agree.
     HeadingsUnrelated = doubts::HEADINGS_UNRELATED,
@@ -18,7 +18,7 @@ pub enum Doubt {
     SpeedsInKmh = doubts::SPEEDS_IN_KMH,
     /// Speeds are in mph.
     SpeedsInMph = doubts::SPEEDS_IN_MPH,
-    /// Positions move at another speed than is reported.
+    /// The speed of the positions differs from the reported speed.
     SpeedsDiffer = doubts::SPEEDS_DIFFER,
     /// Agents of a type move at unusual speeds.
     SpeedsUnusual = doubts::SPEEDS_UNUSUAL,
@@ -26,17 +26,17 @@ pub enum Doubt {
     Feet = doubts::FEET,
     /// Positions are in pixels.
     Pixels = doubts::PIXELS,
-    /// Stamps are in another unit than seconds.
+    /// Stamps are in a unit other than seconds.
     StampsInOtherUnit = doubts::STAMPS_IN_OTHER_UNIT,
-    /// Stamps are the numbers of frames.
+    /// Stamps are frame numbers.
     StampsAreFrames = doubts::STAMPS_ARE_FRAMES,
     /// Stamps go back in time.
     StampsGoBack = doubts::STAMPS_GO_BACK,
     /// Detections repeat the previous one of a moving agent.
     Repeated = doubts::REPEATED,
-    /// Positions that their agent can't have reached.
+    /// Positions are out of their agent's reach.
     Outliers = doubts::OUTLIERS,
-    /// Positions that stand for a missing one.
+    /// Positions stand for missing ones.
     Placeholders = doubts::PLACEHOLDERS,
     /// Identities jump from one agent to another.
     IdentitiesJump = doubts::IDENTITIES_JUMP,
@@ -65,13 +65,13 @@ impl Doubt {
         Self::IdentitiesJump,
     ];
 
-    /// Its bit in [`InputCounts::doubts`](wire::InputCounts::doubts).
+    /// The bit in [`InputCounts::doubts`](wire::InputCounts::doubts).
     #[must_use]
     pub const fn bit(self) -> u32 {
         self as u32
     }
 
-    /// The kinds of these bits; bits of newer versions are left out.
+    /// The kinds of these bits. Bits of newer versions are ignored.
     pub fn of_bits(bits: u32) -> impl Iterator<Item = Self> {
         Self::ALL.into_iter().filter(move |doubt| bits & doubt.bit() != 0)
     }
@@ -101,7 +101,7 @@ impl Doubt {
         }
     }
 
-    /// What is observed, without figures.
+    /// The observation, without figures.
     #[must_use]
     pub const fn observation(self) -> &'static str {
         match self {
@@ -126,7 +126,7 @@ impl Doubt {
         }
     }
 
-    /// What to do about it.
+    /// The advice to the user.
     #[must_use]
     pub const fn remedy(self) -> &'static str {
         match self {

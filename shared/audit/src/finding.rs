@@ -8,7 +8,7 @@ use crate::headings::Reading;
 use crate::speeds::{Unit, usual_mps};
 use crate::tally::{Place, Tally};
 
-/// A finding that concerns a greater share of the rows makes the input doubtful.
+/// Share of the rows above which a finding makes the input doubtful.
 pub const DOUBT_SHARE: f64 = 0.01;
 /// Longest time between two detections of an agent: the horizon of a forecast.
 pub(crate) const INTERVAL_MAX_S: f64 = 4.8;
@@ -24,21 +24,21 @@ pub(crate) enum Detail {
     Interval { interval_s: f64 },
 }
 
-/// A fault of the input, with its rows.
+/// A fault of the input and its rows.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Finding {
     /// The kind.
     pub doubt: Doubt,
-    /// Rows that it concerns.
+    /// Number of rows that it concerns.
     pub rows: u64,
-    /// Rows that were examined for it.
+    /// Number of examined rows.
     pub of: u64,
-    /// The first of its rows.
+    /// The first row that it concerns.
     pub first: Option<Place>,
     pub(crate) detail: Detail,
 }
 
-/// A finding as data, for reports.
+/// A finding as data for reports.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Found {
@@ -46,13 +46,13 @@ pub struct Found {
     pub kind: String,
     /// The observation and the remedy, in one sentence.
     pub sentence: String,
-    /// Rows that it concerns; `None` if only the kind is known.
+    /// Number of rows that it concerns; `None` if only the kind is known.
     pub rows: Option<u64>,
-    /// Rows that were examined for it.
+    /// Number of examined rows.
     pub of: Option<u64>,
     /// `rows` divided by `of`.
     pub share: Option<f64>,
-    /// The first of its rows: `FILE:LINE` of a recording, `tick N` of a run.
+    /// The first row that it concerns: `FILE:LINE` of a recording, or `tick N` of a run.
     pub first: Option<String>,
     /// Whether the share makes the input doubtful.
     pub doubtful: bool,
@@ -63,7 +63,7 @@ impl Finding {
         Self { doubt, rows: tally.rows, of, first: tally.first, detail }
     }
 
-    /// Its rows as a share of those examined.
+    /// Its share of the examined rows.
     #[must_use]
     pub fn share(&self) -> f64 {
         self.rows as f64 / self.of.max(1) as f64
@@ -75,7 +75,7 @@ impl Finding {
         self.share() > DOUBT_SHARE
     }
 
-    /// As data; `place` names the first row.
+    /// Converts the finding to data. `place` names the first row.
     #[must_use]
     pub fn found(&self, place: impl FnOnce(Place) -> String) -> Found {
         Found {
@@ -91,7 +91,7 @@ impl Finding {
 }
 
 impl Found {
-    /// A doubt of which only the kind is known.
+    /// A doubt for which only the kind is known.
     #[must_use]
     pub fn of_kind(doubt: Doubt) -> Self {
         Self {
@@ -187,7 +187,7 @@ impl fmt::Display for Finding {
     }
 }
 
-/// The sentence about stamps with such an interval between an agent's detections.
+/// The sentence about stamps, if an agent's detections have this interval.
 fn interval(f: &mut fmt::Formatter<'_>, doubt: Doubt, interval_s: f64) -> fmt::Result {
     if doubt == Doubt::StampsAreFrames {
         return write!(
@@ -203,7 +203,7 @@ fn interval(f: &mut fmt::Formatter<'_>, doubt: Doubt, interval_s: f64) -> fmt::R
             interval_s * 1e3
         );
     }
-    // At 0.5 to 50 Hz.
+    // For sensors from 0.5 to 50 Hz.
     let units = [("milliseconds", 1e3), ("microseconds", 1e6), ("nanoseconds", 1e9)];
     let unit = units.into_iter().find(|(_, per_s)| (0.02..=2.0).contains(&(interval_s / per_s)));
     write!(

@@ -1,26 +1,26 @@
-//! Headings against the direction of motion, in every convention that people use.
+//! Compares headings with the direction of motion, in all common conventions.
 //!
-//! A chord of an agent's way has a direction. The heading at its ends must agree with it within
-//! [`TOLERANCE_RAD`]. Where it does not, each other [`Reading`] of the same number is tried.
+//! A chord of an agent's path has a direction. The headings at its ends must agree with this direction within
+//! [`TOLERANCE_RAD`]. If they do not, every other [`Reading`] of the same number is tried.
 
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
 use crate::tally::{Place, Tally};
 
-/// Greatest difference of a heading to the direction of motion.
+/// Largest difference between a heading and the direction of motion.
 const TOLERANCE_RAD: f64 = 0.52;
-/// No number above is an angle in radians, unless turns were counted.
+/// Largest angle in radians, unless the headings count full turns.
 pub(crate) const RADIANS_MAX: f64 = TAU + 0.01;
-/// Headings of an agent whose turns were counted stay below.
+/// Largest heading of an agent whose headings count full turns.
 const COUNTED_MAX: f64 = 2.0 * TAU;
-/// Fewest chords that speak against radians.
+/// Smallest number of chords that contradict radians.
 const CHORDS_MIN: u64 = 8;
-/// Share of the chords that do not agree which another reading must explain.
+/// Share of the disagreeing chords that another reading must explain.
 const EXPLAINED: f64 = 0.65;
-/// Share of all chords that must not agree before another convention is considered: agents drive backwards
-/// and walk sideways.
+/// Share of all chords that must disagree before another convention is considered. Some chords always
+/// disagree, because agents drive backwards and walk sideways.
 const DISAGREEING: f64 = 0.15;
-/// The same for headings that are turned, or agree with nothing.
+/// The same share for headings that are turned or agree with no convention.
 const DISAGREEING_MOST: f64 = 0.5;
 
 /// A convention of headings.
@@ -44,7 +44,7 @@ impl Convention {
     const ALL: [Self; 6] =
         [Self::Plain, Self::FromNorth, Self::Mirrored, Self::Backwards, Self::Quarter, Self::QuarterBack];
 
-    /// The direction that a heading means.
+    /// The direction that a heading denotes.
     fn direction_rad(self, heading_rad: f64) -> f64 {
         match self {
             Self::Plain => heading_rad,
@@ -56,7 +56,7 @@ impl Convention {
         }
     }
 
-    /// In words, to follow a number's unit.
+    /// The convention in words, to follow a unit.
     pub const fn words(self) -> &'static str {
         match self {
             Self::Plain => "",
@@ -68,7 +68,7 @@ impl Convention {
         }
     }
 
-    /// What makes radians counter-clockwise from +x of it.
+    /// How to convert the convention to radians counter-clockwise from +x.
     pub const fn remedy(self) -> &'static str {
         match self {
             Self::Plain => "",
@@ -88,28 +88,28 @@ pub(crate) struct Reading {
     pub convention: Convention,
 }
 
-/// What the chords say of the headings.
+/// The comparison of headings with chords.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Headings {
     /// Rows with a heading.
     pub rows: u64,
-    /// Rows whose heading is no angle in radians, unless turns were counted.
+    /// Rows whose heading is not an angle in radians, unless the headings count full turns.
     beyond: Tally,
-    /// Rows whose heading is too large even then.
+    /// Rows whose heading is too large even if the headings count full turns.
     far_beyond: Tally,
-    /// Rows of chords that were compared.
+    /// Rows of compared chords.
     pub compared: u64,
     compared_chords: u64,
-    /// Rows of those that do not agree.
+    /// Rows of disagreeing chords.
     off: Tally,
     off_chords: u64,
-    /// Rows of those with a heading beyond what radians need.
+    /// Rows of disagreeing chords with a heading above [`RADIANS_MAX`].
     off_beyond: u64,
-    /// Rows of those by the reading that explains them, in radians and in degrees.
+    /// Rows of disagreeing chords by the reading that explains them, in radians and in degrees.
     explained: [[Tally; Convention::ALL.len()]; 2],
 }
 
-/// The chord of an agent's way with the headings at its ends.
+/// A chord of an agent's path, with the headings at its ends.
 #[derive(Debug)]
 pub(crate) struct Directed {
     pub direction_rad: f64,
@@ -119,7 +119,7 @@ pub(crate) struct Directed {
 }
 
 impl Headings {
-    /// Takes a row with a heading.
+    /// Counts a row with a heading.
     pub fn row(&mut self, heading: f64, place: Place) {
         self.rows += 1;
         if heading.abs() > RADIANS_MAX {
@@ -143,7 +143,7 @@ impl Headings {
         };
         let agrees = |unit: f64, convention: Convention| off_rad(unit, convention) <= TOLERANCE_RAD;
         let is_beyond = headings.iter().any(|heading| heading.abs() > RADIANS_MAX);
-        // A large number agrees by chance now and then: 90 is 2.04 rad, less than 30° from 90°.
+        // A large number sometimes agrees by chance: 90 rad wraps to 2.04 rad, less than 30° from 90°.
         let is_nearer_in_degrees =
             is_beyond && off_rad(PI / 180.0, Convention::Plain) < off_rad(1.0, Convention::Plain);
         self.compared += rows;
@@ -165,13 +165,14 @@ impl Headings {
         }
     }
 
-    /// Share of the compared rows that agree; `None` if none was compared.
+    /// Share of the compared rows that agree; `None` if no row was compared.
     pub fn agreeing(&self) -> Option<f64> {
         (self.compared > 0).then(|| 1.0 - self.off.rows as f64 / self.compared as f64)
     }
 
-    /// How the headings are probably meant, with the rows that speak for it and the rows that were examined;
-    /// `None` for radians counter-clockwise from +x. A reading of `None` agrees with no convention.
+    /// The probable meaning of the headings, with the rows that support it and the number of examined rows.
+    /// The result is `None` if the headings are radians counter-clockwise from +x. A reading of `None` agrees
+    /// with no convention.
     pub fn doubt(&self) -> Option<(Option<Reading>, Tally, u64)> {
         let best = |degrees: bool| {
             let tallies = self.explained[usize::from(degrees)];
@@ -186,7 +187,7 @@ impl Headings {
         let share = |rows: u64, of: u64| rows as f64 / of.max(1) as f64;
         let of = self.compared;
         if self.off_chords < CHORDS_MIN {
-            // Nothing moves: only the numbers themselves can tell.
+            // Nothing moves, so only the numbers themselves can show the unit.
             let is_far = self.far_beyond.rows >= CHORDS_MIN && self.compared_chords < CHORDS_MIN;
             let reading = Reading { degrees: true, convention: Convention::Plain };
             return is_far.then_some((Some(reading), self.beyond, self.rows));

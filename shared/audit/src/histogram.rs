@@ -1,6 +1,6 @@
-/// Bins of a histogram: each is 1.1 % wide.
+/// Number of bins of a histogram. Each bin is 1.1 % wide.
 const BINS: usize = 1_024;
-/// Smallest and largest value of its own bin.
+/// Smallest and largest value with a separate bin.
 const VALUES: [f64; 2] = [1e-2, 1e3];
 
 /// Percentiles of positive values in bounded memory.
@@ -33,7 +33,7 @@ impl Histogram {
         self.len += 1;
     }
 
-    /// A percentile, as the mean of the values of its bin; `None` without values.
+    /// A percentile, as the mean of the values in its bin; `None` if there are no values.
     pub fn percentile(&self, percent: u64) -> Option<f64> {
         let rank = self.len.checked_sub(1)? * percent / 100;
         let mut before = 0;

@@ -1,24 +1,24 @@
-//! The audit of detections: are they what stgdat expects, metres, radians and seconds of agents that can move
-//! so?
+//! The audit of detections. It checks that the input is what stgdat expects: metres, radians and seconds of
+//! agents with plausible motion.
 //!
-//! Inputs fail quietly. A heading in degrees is a number like any other, a stamp in milliseconds too; a tracker
-//! makes tracks of both, or none. The content gives such faults away: headings that never follow the motion,
-//! speeds that differ from the positions by the factor 3.6, agents that jump and come back.
+//! Faulty inputs produce no error. A heading in degrees is a valid number, and so is a stamp in milliseconds.
+//! A tracker makes wrong tracks of them, or none. The content reveals such faults: headings that never follow
+//! the motion, speeds that differ from the positions by the factor 3.6, or agents that jump and come back.
 //!
-//! An [`Audit`] takes detections one by one, in the order of their stamps, from a recording or from a running
-//! producer alike. It follows each agent by its identity, or, without one, from place to place. Its memory is
-//! bounded, and it allocates nothing after its construction.
+//! An [`Audit`] reads detections one by one, in the order of their stamps, from a recording or from a running
+//! producer. It follows each agent by its identity or, without an identity, from place to place. Its memory
+//! is bounded, and it does not allocate after its construction.
 //!
-//! 1. **Reach.** A detection that its agent can't have reached, by the greatest speed of its type, waits for
-//!    the next one: if that returns to the old way, the detection was an outlier; if it agrees with the
-//!    detection, the identity has jumped.
-//! 2. **Repetition.** Detections at the very place of the previous one count as repeated once the agent moves
-//!    on, if it has moved before. On a coarse grid, such as that of pixels, slow agents stay at a place too, but
-//!    x and y do not change together: then only detections that are on no grid count.
-//! 3. **Chords.** A *chord* joins two detections of an agent that are at least a second apart. Its direction is
-//!    compared with the headings (`headings`), its speed with reported and with usual speeds (`speeds`).
+//! 1. **Reach.** A detection is out of reach if its agent would exceed the highest speed of its type. The
+//!    next detection decides: if it returns to the old path, the detection was an outlier; if it agrees with
+//!    the detection, the identity has jumped.
+//! 2. **Repetition.** Detections at exactly the previous place count as repeated once the agent moves again,
+//!    if it had moved before. On a coarse grid, such as pixels, slow agents also stay at a place. However, x
+//!    and y then do not change together, so only detections without a grid count.
+//! 3. **Chords.** A *chord* joins two detections of an agent that are at least a second apart. Its direction
+//!    is compared with the headings (`headings`), and its speed with reported and usual speeds (`speeds`).
 //!
-//! A [`Finding`] is a fault with the number of its rows and the place of the first. It is a doubt if it
+//! A [`Finding`] is a fault with the number of its rows and the place of the first row. It is a doubt if it
 //! concerns more than [`DOUBT_SHARE`] of the rows. [`LiveAudit`] keeps the doubts of a run as bits.
 
 mod agent;
@@ -46,39 +46,39 @@ use stamps::Stamps;
 pub use tally::Place;
 use tally::Tally;
 
-/// Fewest rows of which all positions are whole numbers.
+/// Smallest number of rows for the check that all positions are whole numbers.
 const WHOLE_MIN: u64 = 100;
-/// Fewest detections at a placeholder's position without identities.
+/// Smallest number of detections without identities at a placeholder's position.
 const PLACEHOLDERS_MIN: u64 = 3;
-/// Fewest vehicles with a length.
+/// Smallest number of vehicles with a length.
 const SIZED_MIN: u64 = 20;
-/// Median lengths of vehicles in feet.
+/// Range of the median vehicle length if lengths are in feet.
 const LENGTHS_FT: std::ops::RangeInclusive<f64> = 12.0..=20.0;
 /// All types.
 const TYPES: [AgentType; 3] = [AgentType::Vehicle, AgentType::Cyclist, AgentType::Pedestrian];
 
-/// What was seen of a type.
+/// Figures of the detections of a type.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TypeFigures {
     /// The type.
     pub agent_type: AgentType,
-    /// Detections.
+    /// Number of detections.
     pub rows: u64,
-    /// Agents: identities, or ways without identity.
+    /// Number of agents: identities, or paths without an identity.
     pub agents: u64,
     /// Median and 95th percentile of the speeds of moving agents, over a second or more.
     pub moving_mps: Option<[f64; 2]>,
-    /// Median ratio of that speed to the reported one.
+    /// Median ratio between this speed and the reported one.
     pub reported_ratio: Option<f64>,
     /// Median length.
     pub length_m: Option<f64>,
 }
 
-/// Examines detections; see the [crate].
+/// Examines detections, see the [crate].
 #[derive(Clone, Debug)]
 pub struct Audit {
     agents: Agents,
-    /// At which the frames are numbered, if the stamps come from numbers.
+    /// Rate by which frames are numbered, if the stamps come from frame numbers.
     frame_rate: Option<f64>,
     frames: u64,
     rows: u64,
@@ -89,7 +89,7 @@ pub struct Audit {
     whole: Tally,
     backwards: Tally,
     repeated: Tally,
-    /// Those of agents that are on no grid.
+    /// Repeated detections of agents that are not on a grid.
     repeated_off_grid: Tally,
     on_grid_rows: u64,
     outliers: Tally,
@@ -99,8 +99,8 @@ pub struct Audit {
 }
 
 impl Audit {
-    /// An audit that follows so many identities at a time. `frame_rate` is that of recordings that number their
-    /// frames.
+    /// An audit that follows up to this number of identities at a time. `frame_rate` is given for recordings
+    /// that number their frames.
     #[must_use]
     pub fn new(identities: usize, frame_rate: Option<f64>) -> Self {
         Self {
@@ -124,7 +124,7 @@ impl Audit {
         }
     }
 
-    /// Forgets what was found, and goes on with the same agents.
+    /// Discards the findings and continues with the same agents.
     pub fn restart(&mut self) {
         self.speeds.iter_mut().for_each(Speeds::clear);
         (self.frames, self.rows) = (0, 0);
@@ -136,17 +136,17 @@ impl Audit {
         self.loose_placeholders = Tally::default();
     }
 
-    /// Begins a frame: the detections that follow were made at about the same time.
+    /// Starts a frame. The detections that follow were made at about the same time.
     pub const fn frame(&mut self) {
         self.frames += 1;
     }
 
-    /// Rows that go back in time, in the order in which they were written.
+    /// Adds rows that go back in time, in the order in which they were written.
     pub fn went_back(&mut self, rows: u64, place: Place) {
         self.backwards.add(rows, place);
     }
 
-    /// Takes a detection that was made at this time. The heading is as it was written, not wrapped.
+    /// Adds a detection made at this time. Its heading is as written and not wrapped.
     pub fn detection(&mut self, stamp_ns: i64, detection: &Detection, place: Place) {
         let Ok(agent_type) = detection.agent_type() else { return };
         let of_type = agent_type as usize;
@@ -208,19 +208,19 @@ impl Audit {
         }
     }
 
-    /// Detections so far.
+    /// Number of detections so far.
     #[must_use]
     pub const fn rows(&self) -> u64 {
         self.rows
     }
 
-    /// Share of the headings that agree with the motion; `None` without headings of moving agents.
+    /// Share of the headings that agree with the motion; `None` if no moving agent has a heading.
     #[must_use]
     pub fn agreeing_headings(&self) -> Option<f64> {
         self.headings.agreeing()
     }
 
-    /// What was seen of each type that there is.
+    /// The figures of each type that occurs.
     pub fn types(&self) -> impl Iterator<Item = TypeFigures> {
         TYPES
             .into_iter()
@@ -239,7 +239,7 @@ impl Audit {
             .filter(|figures| figures.rows > 0)
     }
 
-    /// All findings so far, doubts or not, in the order of their kinds.
+    /// All findings so far, whether they are doubts or not, in the order of their kinds.
     #[must_use]
     pub fn findings(&self) -> Vec<Finding> {
         let mut findings = Vec::new();
@@ -256,7 +256,7 @@ impl Audit {
         bits
     }
 
-    /// Gives every finding to `take`; allocates nothing.
+    /// Passes every finding to `take`. Does not allocate.
     fn visit(&self, mut take: impl FnMut(Finding)) {
         if let Some((reading, tally, of)) = self.headings.doubt() {
             let doubt = match reading {

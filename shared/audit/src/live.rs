@@ -2,27 +2,27 @@ use wire::{Detection, Header};
 
 use crate::{Audit, Finding, Place};
 
-/// Identities that are followed at a time.
+/// Largest number of identities that are followed at a time.
 const IDENTITIES: usize = 2 * wire::DETECTIONS_MAX;
-/// Frames after which doubts are looked for again.
+/// Number of frames between two checks for doubts.
 const LOOK_FRAMES: u64 = 32;
-/// Looks after which the figures begin again, so that a fault late in a long run still shows.
+/// Number of checks after which the figures start again, so that a fault late in a long run is still found.
 const LOOKS: u64 = 96;
-/// A stamp this much before the newest one is of a clock that was set back.
+/// A stamp this much before the newest one comes from a clock that was set back.
 const BACK_NS: i64 = 1_000_000_000;
 
-/// The audit of a running producer: its doubts, as bits.
+/// The audit of a running producer. Its doubts are bits.
 ///
-/// The figures begin again every 3,072 frames. A doubt of these frames is withdrawn if later ones lower its
-/// share, as a recording of the same frames would have it; at their end it stays.
+/// The figures start again every 3,072 frames. Within these frames, a doubt is withdrawn if later frames
+/// lower its share, as in the audit of a recording. At their end the remaining doubts become permanent.
 #[derive(Clone, Debug)]
 pub struct LiveAudit {
     audit: Audit,
     frames: u64,
     newest_ns: Option<i64>,
-    /// Doubts of earlier figures.
+    /// Permanent doubts, from earlier figures.
     settled: u32,
-    /// Doubts of the figures so far.
+    /// Doubts of the current figures.
     current: u32,
     /// Doubts that were found at any time.
     found: u32,
@@ -45,7 +45,7 @@ impl Default for LiveAudit {
 }
 
 impl LiveAudit {
-    /// Takes a frame; allocates nothing.
+    /// Adds a frame. Does not allocate.
     pub fn frame(&mut self, header: &Header, detections: &[Detection]) {
         let place = Place { file: 0, line: header.seq };
         self.audit.frame();
@@ -53,7 +53,7 @@ impl LiveAudit {
         if is_back {
             self.audit.went_back(detections.len() as u64, place);
         }
-        // All frames until the clock has caught up: the tracker refuses them.
+        // Counts all frames until the clock has caught up, because the tracker refuses them.
         self.newest_ns = self.newest_ns.max(Some(header.stamp_ns));
         for detection in detections {
             self.audit.detection(header.stamp_ns.saturating_add(detection.offset_ns), detection, place);
@@ -80,7 +80,7 @@ impl LiveAudit {
         self.settled | self.current
     }
 
-    /// The doubts that were found since this was called last. Allocates if there are any.
+    /// The doubts that were found since the last call. Allocates only if there are any.
     pub fn take_new(&mut self) -> Vec<Finding> {
         let new = std::mem::take(&mut self.new);
         if new == 0 {
@@ -99,7 +99,7 @@ mod tests {
     use super::*;
     use crate::Doubt;
 
-    /// A producer's cars on circles of 60 m, with identities or without; `write` changes what it sends.
+    /// A producer's cars on circles of 60 m, with or without identities. `write` modifies the detections.
     fn doubts(frames: u64, interval_ns: i64, id: u32, write: impl Fn(u64, &mut Detection)) -> LiveAudit {
         let mut audit = LiveAudit::default();
         let flags = detection_flags::HAS_HEADING | detection_flags::HAS_SPEED | id;
@@ -153,13 +153,13 @@ mod tests {
             assert_eq!(doubts(320, TENTH_NS, id, kmh).doubts(), Doubt::SpeedsInKmh.bit(), "{id}");
         }
         let micro = doubts(64, TENTH_NS / 1_000, detection_flags::HAS_ID, |_, _| ()).doubts();
-        // At such stamps nothing can have moved as it did.
+        // With such stamps, no motion is plausible.
         assert_eq!(micro, Doubt::StampsInOtherUnit.bit() | Doubt::Outliers.bit());
     }
 
     #[test]
     fn a_doubt_is_withdrawn_if_later_frames_lower_its_share_below_the_limit() {
-        // One position of one car, of 96 frames more than 1 %, of 128 less.
+        // One position of one car: more than 1 % of 96 frames, less than 1 % of 128 frames.
         let lone = |frames: u64| {
             let mut audit = LiveAudit::default();
             for seq in 0..frames {
@@ -191,7 +191,7 @@ mod tests {
 
     #[test]
     fn a_clock_that_is_set_back_is_found() {
-        // Also after so many frames that one alone is less than 1 %.
+        // Also after a number of frames of which a single one is less than 1 %.
         for (set_back, frames) in [(30, 64), (300, 320)] {
             let mut audit = LiveAudit::default();
             let detection = Detection { flags: detection_flags::HAS_ID, ..Detection::default() };

@@ -1,43 +1,43 @@
-//! Speeds of the agents of a type, from their positions and as reported.
+//! Speeds of the agents of a type: from their positions, and as reported.
 
 use wire::AgentType;
 
 use crate::histogram::Histogram;
 use crate::tally::{Place, Tally};
 
-/// Speed from which an agent moves.
+/// Speed from which an agent counts as moving.
 const MOVING_MPS: f64 = 0.3;
 /// Mean reported speed from which a chord is compared with it.
 const COMPARED_MPS: f64 = 1.0;
-/// Fewest chords from which percentiles count.
+/// Smallest number of chords for percentiles.
 const CHORDS_MIN: u64 = 20;
-/// Fewest chords in another unit.
+/// Smallest number of chords in another unit.
 const UNIT_CHORDS_MIN: u64 = 8;
-/// Usual ratios of positions' speeds to reported ones.
+/// Usual ratios between the speeds of the positions and the reported speeds.
 const RATIOS: std::ops::RangeInclusive<f64> = 0.87..=1.15;
 /// Share of the chords with another ratio that a unit must explain.
 const EXPLAINED: f64 = 0.65;
 /// Tolerance of a unit's ratio.
 const TOLERANCE: f64 = 0.045;
 
-/// Units of a reported speed by their number of units per m/s; the last is that of positions in feet.
+/// Units of a reported speed, each with the number of units per m/s. The last entry means positions in feet.
 const UNITS: [(Unit, f64); 4] =
     [(Unit::Kmh, 3.6), (Unit::Mph, 2.236_94), (Unit::FeetPerSecond, 3.280_84), (Unit::InFeet, 0.304_8)];
 
-/// A unit that explains the difference of positions and reported speeds.
+/// A unit that explains the difference between positions and reported speeds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Unit {
     /// Speeds in km/h.
     Kmh,
     /// Speeds in mph.
     Mph,
-    /// Speeds in feet a second.
+    /// Speeds in feet per second.
     FeetPerSecond,
     /// Positions in feet, speeds in m/s.
     InFeet,
 }
 
-/// A part of an agent's way with what was reported meanwhile.
+/// A part of an agent's path, with the values reported along it.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Chord {
     pub way_m: f64,
@@ -47,7 +47,7 @@ pub(crate) struct Chord {
     pub place: Place,
 }
 
-/// Usual speeds of the moving agents of a type: least and greatest median, greatest 95th percentile.
+/// Usual speeds of the moving agents of a type: smallest and largest median, largest 95th percentile.
 pub(crate) const fn usual_mps(agent_type: AgentType) -> [f64; 3] {
     match agent_type {
         AgentType::Vehicle => [0.0, 45.0, 60.0],
@@ -61,26 +61,26 @@ pub(crate) const fn usual_mps(agent_type: AgentType) -> [f64; 3] {
 pub(crate) struct Speeds {
     moving_mps: Histogram,
     moving: Tally,
-    /// Rows of chords that are faster than is usual.
+    /// Rows of chords that are faster than usual.
     fast: Tally,
     ratios: Histogram,
     /// Rows of compared chords.
     compared: Tally,
-    /// Rows of those whose ratio is not usual.
+    /// Rows of compared chords with an unusual ratio.
     off: Tally,
-    /// Rows of those by the unit that explains them, and the number of chords.
+    /// Rows of these chords by the unit that explains them, and the number of chords.
     by_unit: [(Tally, u64); UNITS.len()],
     lengths_m: Histogram,
     sized: Tally,
-    /// Whether some agents have no identity: joined by place, they may jump to false alarms.
+    /// Whether some agents have no identity. Agents joined by place may jump, which would cause false alarms.
     loose: bool,
 }
 
-/// What is wrong with the reported speeds of a type.
+/// The fault of a type's reported speeds.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct SpeedDoubt {
     pub unit: Option<Unit>,
-    /// Median ratio of positions' speeds to reported ones.
+    /// Median ratio between the speeds of the positions and the reported speeds.
     pub ratio: f64,
     pub tally: Tally,
     pub of: u64,
@@ -145,7 +145,7 @@ impl Speeds {
         }
     }
 
-    /// Median, 95th percentile and number of the speeds of moving agents.
+    /// Median and 95th percentile of the speeds of moving agents.
     pub fn moving_mps(&self) -> Option<[f64; 2]> {
         Some([self.moving_mps.percentile(50)?, self.moving_mps.percentile(95)?])
     }
@@ -155,22 +155,22 @@ impl Speeds {
         self.lengths_m.percentile(50)
     }
 
-    /// Median ratio of positions' speeds to reported ones.
+    /// Median ratio between the speeds of the positions and the reported speeds.
     pub fn ratio(&self) -> Option<f64> {
         self.ratios.percentile(50)
     }
 
-    /// Whether positions and reported speeds agree; `None` without enough reported speeds.
+    /// Whether positions and reported speeds agree; `None` if there are too few reported speeds.
     pub fn agree(&self) -> Option<bool> {
         (self.ratios.len() >= CHORDS_MIN).then(|| self.ratio().is_some_and(|ratio| RATIOS.contains(&ratio)))
     }
 
-    /// Rows with the length of vehicles.
+    /// Rows of vehicles that have a length.
     pub const fn sized(&self) -> Tally {
         self.sized
     }
 
-    /// The speeds if they are not usual for the type, with the rows.
+    /// The speeds and their rows, if they are unusual for the type.
     pub fn unusual(&self, agent_type: AgentType) -> Option<([f64; 2], Tally)> {
         let speeds_mps @ [median_mps, high_mps] = self.moving_mps()?;
         let [least_mps, most_mps, most_high_mps] = usual_mps(agent_type);
@@ -184,7 +184,7 @@ impl Speeds {
         (self.moving_mps.len() >= CHORDS_MIN).then_some((speeds_mps, tally))
     }
 
-    /// What is wrong with the reported speeds.
+    /// The fault of the reported speeds.
     pub fn reported(&self) -> Option<SpeedDoubt> {
         let ratio = self.ratio()?;
         let of = self.compared.rows;

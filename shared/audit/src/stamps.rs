@@ -3,17 +3,17 @@ use crate::finding::{Detail, Finding, INTERVAL_MAX_S};
 use crate::tally::{Place, Tally};
 
 const SECOND_NS: i64 = 1_000_000_000;
-/// Fewest intervals.
+/// Smallest number of intervals.
 const INTERVALS_MIN: u64 = 20;
-/// Intervals of a faster sensor do not exist.
+/// Shortest interval of a real sensor.
 const INTERVAL_MIN_S: f64 = 0.001;
-/// Longest interval of frame numbers, in frames.
+/// Longest interval between frame numbers, in frames.
 const FRAMES_MAX: f64 = 20.0;
 
 /// Intervals between the detections of an agent.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Stamps {
-    /// By the position of the highest bit.
+    /// Counts by the position of the highest bit.
     counts: Octaves,
     rows: u64,
     /// Rows whose stamp is a whole second.
@@ -37,7 +37,7 @@ impl Stamps {
         self.whole += u64::from(stamp_ns % SECOND_NS == 0);
     }
 
-    /// Takes the time between two detections of an agent.
+    /// Adds the time between two detections of an agent.
     pub fn interval(&mut self, interval_ns: i64, place: Place) {
         self.intervals.add(1, place);
         let octave = &mut self.counts.0[interval_ns.max(1).ilog2() as usize];
@@ -54,7 +54,7 @@ impl Stamps {
         median.map(|(count, sum_ns)| sum_ns / *count as f64 * 1e-9)
     }
 
-    /// Gives what is wrong with the stamps to `take`. `is_known` if speeds confirm that they are seconds.
+    /// Passes the faults of the stamps to `take`. `is_known` is set if speeds confirm that they are seconds.
     pub fn visit(&self, is_known: bool, rows: u64, take: &mut impl FnMut(Finding)) {
         let Some(interval_s) = self.interval_s().filter(|_| self.intervals.rows >= INTERVALS_MIN) else {
             return;

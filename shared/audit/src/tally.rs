@@ -1,17 +1,17 @@
-/// Where a detection stands: a line of a file, or a tick of a run.
+/// The location of a detection: a line of a file, or a tick of a run.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Place {
     /// Number of the file; 0 in a run.
     pub file: u32,
-    /// Line, from 1, or the number of the tick.
+    /// Line number (from 1), or the number of the tick.
     pub line: u64,
 }
 
-/// Rows that a finding concerns.
+/// The rows of a finding.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Tally {
     pub rows: u64,
-    /// The first of them by time.
+    /// The first row by time.
     pub first: Option<Place>,
 }
 

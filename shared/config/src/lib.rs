@@ -1,6 +1,6 @@
 //! The graph of stages in a pipeline.toml.
 //!
-//! [`Pipeline`] is the content of the file, checked as a whole: an accepted file can be started. The topics
+//! [`Pipeline`] is the content of the file, checked as a whole. An accepted file can be started. The topics
 //! and options of this project's own programs come from their declarations ([`run::Declared`]).
 
 mod mistake;

@@ -17,25 +17,25 @@ use crate::{Mistake, RestartPolicy, Scheduling, SourceError};
 /// A process of the pipeline.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Stage {
-    /// Which of the stages it is.
+    /// Its id.
     pub id: StageId,
     /// Its name.
     pub name: String,
-    /// The program that runs as this stage, with its arguments; this project's own where none.
+    /// The program that runs as this stage, with its arguments; `None` for this project's own program.
     pub command: Option<Vec<String>>,
     /// Names of the topics that it reads.
     pub reads: Vec<String>,
     /// Names of the topics that it writes.
     pub writes: Vec<String>,
-    /// Its share of the 80 ms of a tick; none for stages that no forecast waits for.
+    /// Its share of the 80 ms of a tick; `None` for a stage that no forecast waits for.
     pub budget_ms: Option<f64>,
-    /// Its options: checked by its declaration or, where it has a `command`, as written.
+    /// Its options. They are checked by its declaration, or unchecked if it has a `command`.
     pub options: toml::Table,
-    /// Topics that it opens under another name, with that name.
+    /// Topics that it opens under another name, with this name.
     pub topics: BTreeMap<String, String>,
-    /// What happens when it ends.
+    /// The action when it ends.
     pub restart: RestartPolicy,
-    /// Where and with what priority it runs.
+    /// Its processors and its priority.
     pub scheduling: Scheduling,
     /// Whether a second process waits to take its place.
     pub spare: bool,
@@ -44,45 +44,44 @@ pub struct Stage {
 /// A checked graph of stages, in the order of the file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Pipeline {
-    /// The weights; the embedded ones where none.
+    /// The file of the weights; `None` for the embedded weights.
     pub weights: Option<PathBuf>,
     /// The world frame's origin in the frame of detections and map.
     pub origin: Option<WorldOrigin>,
     /// Topics whose frames carry a check value.
     pub protected: Vec<String>,
-    /// Whether a tick that has no time for all agents serves some and leaves out the others.
+    /// Whether a tick that is short of time leaves out some agents to serve the others.
     pub shed: bool,
     /// Whether processors are kept from sleeping between ticks.
     pub awake: bool,
-    /// Places for readers that topics have besides their usual ones, by topic.
+    /// Number of additional reader places of topics, by topic.
     pub readers: BTreeMap<String, u32>,
     /// The stages.
     pub stages: Vec<Stage>,
     /// The topics that the file declares.
     pub topics: Vec<TopicRun>,
-    /// What the stages on a tick's way may take together.
+    /// Sum of the budgets on a tick's way.
     pub budget_ms: f64,
-    /// Warnings for the file's author: keys that have another name now.
+    /// Warnings for the file's author, such as about keys with a new name.
     pub warnings: Vec<String>,
 }
 
 impl Pipeline {
-    /// Reads and checks the text of a pipeline.toml; `name` is the file's name in errors, `declared` are the
-    /// stages that this project has programs for.
+    /// Reads and checks the text of a pipeline.toml. `name` is the file's name in errors. `declared` contains
+    /// the stages for which this project has programs.
     ///
     /// # Errors
-    /// [`SourceError`] points to the first place in the text that is wrong.
+    /// [`SourceError`] points to the first fault in the text.
     pub fn parse(name: &str, text: &str, declared: &[&dyn Declared]) -> Result<Self, SourceError> {
         let file: file::File = toml::from_str(text).map_err(|e| Mistake::syntax(text, &e).at(name, text))?;
         check::check(&file, declared).map_err(|mistake| mistake.at(name, text))
     }
 
-    /// Refuses a file that this machine can't run: with a `command` that `find` does not find, or a processor
-    /// that `has_cpu` does not know.
+    /// Refuses a file that this machine cannot run: `find` does not find a `command`, or `has_cpu` does not
+    /// know a processor.
     ///
     /// # Errors
-    /// [`SourceError`] points to the first such place in the text; the text must be one that
-    /// [`Pipeline::parse`] accepts.
+    /// [`SourceError`] points to the first fault in the text. [`Pipeline::parse`] must accept the text.
     pub fn check_here(
         name: &str,
         text: &str,
@@ -109,8 +108,8 @@ impl Pipeline {
         renamed.and_then(|name| added::declared_name(name, &self.topics)).unwrap_or(topic)
     }
 
-    /// The stage that writes a topic, by its name in shared memory, with the name of it that its program
-    /// knows.
+    /// The stage that writes a topic, by the topic's name in shared memory, and the name under which its
+    /// program knows the topic.
     #[must_use]
     pub fn writer<'a>(&'a self, topic: &str) -> Option<(&'a Stage, &'a str)> {
         let mut writes =
@@ -118,7 +117,7 @@ impl Pipeline {
         writes.find(|(stage, own)| self.name_of(stage, own) == topic)
     }
 
-    /// Lets this process know the names of the added stages.
+    /// Registers the names of the added stages in this process.
     pub fn name_stages(&self) {
         for stage in self.stages.iter().filter(|stage| stage.id.is_added()) {
             StageId::name_added((stage.id.number() - StageId::ADDED_FIRST) as usize, &stage.name);

@@ -1,18 +1,18 @@
-//! On which processors a stage runs and with what priority, as a pipeline.toml sets it.
+//! The processors and the priority of a stage, as set by pipeline.toml.
 
-/// What the kernel's scheduler is told of one stage; nothing by default.
+/// The settings of one stage for the kernel's scheduler. By default nothing is set.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Scheduling {
-    /// Numbers of the processors that all its threads keep to, in increasing order; all where empty.
+    /// Numbers of the processors for all its threads, in increasing order. Empty means all processors.
     pub cpus: Vec<u32>,
-    /// Its priority in the real-time class SCHED_FIFO; the normal class where none.
+    /// The priority in the real-time class SCHED_FIFO; `None` for the normal class.
     pub priority: Option<u8>,
 }
 
 impl Scheduling {
-    /// Greatest number of a processor: the kernel's sets of processors hold 1024.
+    /// Largest number of a processor. The kernel's processor sets have 1024 entries.
     pub const CPU_MAX: u32 = 1023;
-    /// Least and greatest priority of SCHED_FIFO on Linux.
+    /// Smallest and largest priority of SCHED_FIFO on Linux.
     pub const PRIORITIES: [u8; 2] = [1, 99];
 
     /// Whether nothing is set.

@@ -13,7 +13,7 @@ use crate::Mistake;
 const NAME_MAX: usize = 32;
 /// Longest name of a type, in bytes.
 const TYPE_NAME_MAX: usize = 128;
-/// Names of a run's processes that are no stages.
+/// Names of a run's processes that are not stages.
 const TAKEN: [&str; 7] = ["launcher", "tap", "cleaner", "injector", "consumer", "stgdat", "heartbeats"];
 
 /// The topics that the file declares.
@@ -55,7 +55,7 @@ pub(super) fn topics(file: &File) -> Result<Vec<TopicRun>, Mistake> {
     Ok(topics)
 }
 
-/// The size of an element: within its limit and, of a shipped type, that of the type.
+/// The size of an element. It must be within its limit, and equal to the size of a shipped type.
 fn element_size(bytes: &Spanned<u64>, type_name: &str) -> Result<usize, Mistake> {
     let found = *bytes.get_ref();
     let size = usize::try_from(found).ok().filter(|size| (1..=ELEMENT_SIZE_MAX).contains(size));
@@ -73,12 +73,13 @@ fn element_size(bytes: &Spanned<u64>, type_name: &str) -> Result<usize, Mistake>
     }
 }
 
-/// The shipped topic of that name.
+/// The shipped topic of this name.
 pub(super) fn shipped(name: &str) -> Option<&'static TopicEntry> {
     TABLE.topics.iter().find(|topic| topic.name == name)
 }
 
-/// The number of the stage of this table, the `added_len`th that the file adds where it is none of the shipped ones.
+/// The number of this table's stage. A stage that is not shipped is the `added_len`th stage that the file
+/// adds.
 pub(super) fn stage_id(table: &StageTable, added_len: usize) -> Result<StageId, Mistake> {
     let name = table.name.get_ref();
     if let Some(id) = StageId::ALL.into_iter().find(|id| id.name() == name) {
@@ -98,7 +99,7 @@ pub(super) fn stage_id(table: &StageTable, added_len: usize) -> Result<StageId, 
     })
 }
 
-/// Refuses what can't be a name in shared memory, on a command line and in a table.
+/// Refuses a text that cannot be a name in shared memory, on a command line and in a table.
 pub(super) fn plain(name: &Spanned<String>, of: &str) -> Result<(), Mistake> {
     let (text, span): (&str, Range<usize>) = (name.get_ref(), name.span());
     let is_plain = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '-' || c == '_';
@@ -120,14 +121,15 @@ pub(super) fn name_of<'a>(table: &'a StageTable, topic: &'a str, declared: &[Top
     renamed.and_then(|(_, to)| declared_name(to.get_ref(), declared)).unwrap_or(topic)
 }
 
-/// The declared topic that a stage opens by such a name: that of the name, or that of an injector behind it. Another
-/// name is that of a program between two stages, which the file does not show: to the file the topic is the stage's own.
+/// The declared topic that a stage opens by this name. The name is either the topic's name or the name of an
+/// injector behind it. Any other name belongs to a program between two stages, which the file does not show;
+/// the file then treats the topic as the stage's own.
 pub(super) fn declared_name<'a>(name: &'a str, declared: &[TopicRun]) -> Option<&'a str> {
     let names = [Some(name), injected_topic(name)].into_iter().flatten();
     names.into_iter().find(|name| declared.iter().any(|topic| topic.name == **name))
 }
 
-/// Refuses a declared topic that nobody writes.
+/// Refuses a declared topic that no stage writes.
 pub(super) fn written(file: &File, declared: &[TopicRun]) -> Result<(), Mistake> {
     for topic in &file.topics {
         let name = topic.get_ref().name.get_ref();

@@ -12,10 +12,10 @@ use super::{Pipeline, Stage};
 use crate::Mistake;
 use crate::{Restart, RestartPolicy, Scheduling};
 
-/// What all budgets together may be: one tick.
+/// Largest sum of all budgets: one tick.
 pub const BUDGET_MAX_MS: f64 = TICK_MS;
 
-/// Most places for readers that the file can add to a topic. A writer sets memory aside for each.
+/// Largest number of reader places that the file can add to a topic. A writer reserves memory for each.
 const READERS_MAX: u32 = 64;
 
 /// Checks stage by stage, then the graph as a whole.
@@ -67,7 +67,7 @@ pub(super) fn check(file: &File, declared: &[&dyn Declared]) -> Result<Pipeline,
     Ok(Pipeline { weights, origin, protected, shed, awake, readers, stages, topics, budget_ms, warnings })
 }
 
-/// The places for readers that the file adds.
+/// The reader places that the file adds.
 fn readers(
     file: &File,
     topics: &[TopicRun],
@@ -129,7 +129,7 @@ fn stage(
     })
 }
 
-/// The topics that the stage opens under another name: its own ones, under names that no shipped topic has.
+/// The topics that the stage opens under another name. Shipped topics' names are refused.
 fn renamed(
     table: &StageTable,
     topics: &[TopicRun],
@@ -156,7 +156,7 @@ fn renamed(
     Ok(table.topics.iter().map(|(topic, name)| (topic.get_ref().clone(), name.get_ref().clone())).collect())
 }
 
-/// Refuses a declared topic in the place of one of another type.
+/// Refuses a declared topic that replaces a topic of another type.
 fn same_type(
     table: &StageTable,
     topic: &Spanned<String>,
@@ -180,7 +180,7 @@ fn same_type(
     Ok(())
 }
 
-/// Refuses a topic that no stage reads or writes, and that the file does not declare.
+/// Refuses a topic that no stage reads or writes and that the file does not declare.
 fn known(topic: &Spanned<String>, added: &[TopicRun], declared: &[&dyn Declared]) -> Result<(), Mistake> {
     let mut topics: Vec<&str> = Vec::new();
     for topic in declared.iter().flat_map(|stage| stage.writes().iter().chain(stage.reads())) {
@@ -197,7 +197,7 @@ fn known(topic: &Spanned<String>, added: &[TopicRun], declared: &[&dyn Declared]
         .help(format!("the topics are {}; one of your own is declared by [[topic]]", topics.join(", "))))
 }
 
-/// The stage's restart policy: the defaults where the file says nothing.
+/// The stage's restart policy. Missing values have their defaults.
 fn restart(table: &StageTable) -> Result<RestartPolicy, Mistake> {
     let defaults = RestartPolicy::default();
     let number = |value: &Option<Spanned<u64>>, default: u64, [least, most]: [u64; 2]| match value {
@@ -225,7 +225,7 @@ fn restart(table: &StageTable) -> Result<RestartPolicy, Mistake> {
     })
 }
 
-/// Whether the stage has a spare, which takes its place only where it is started again at all.
+/// Whether the stage has a spare. A spare takes its place only if the stage is started again at all.
 fn spare(table: &StageTable) -> Result<bool, Mistake> {
     match &table.spare {
         Some(spare) if *spare.get_ref() && table.restart == Some(Restart::Never) => {
@@ -236,7 +236,7 @@ fn spare(table: &StageTable) -> Result<bool, Mistake> {
     }
 }
 
-/// The stage's place among the processors, and its priority.
+/// The stage's processors and its priority.
 fn scheduling(table: &StageTable) -> Result<Scheduling, Mistake> {
     let mut cpus = Vec::new();
     if let Some(list) = &table.cpu {
@@ -295,7 +295,7 @@ fn names(topics: &[Spanned<String>]) -> Vec<String> {
     topics.iter().map(|t| t.get_ref().clone()).collect()
 }
 
-/// This project's own programs have fixed topics: a file with others would not describe what runs.
+/// Refuses other topics than the fixed ones of this project's own program.
 fn topics_of(stage: &dyn Declared, table: &StageTable) -> Result<(), Mistake> {
     let id = stage.id();
     for (key, written, real) in
@@ -352,7 +352,7 @@ fn producers(file: &File, topics: &[TopicRun]) -> Result<(), Mistake> {
     Ok(())
 }
 
-/// Removes, one by one, the stages whose inputs all come from stages removed before; those that remain form a
+/// Repeatedly removes the stages whose inputs all come from removed stages. The remaining stages form a
 /// cycle.
 fn acyclic(tables: &[&StageTable], topics: &[TopicRun]) -> Result<(), Mistake> {
     let mut open = tables.to_vec();
@@ -370,8 +370,8 @@ fn acyclic(tables: &[&StageTable], topics: &[TopicRun]) -> Result<(), Mistake> {
         .help("the only cycle allowed is that of the tracker, which reads \"forecasts\""))
 }
 
-/// The first input of a stage that one of the open stages writes. The tracker reads the forecasts of earlier
-/// ticks: that cycle is meant.
+/// The first input of a stage that one of the open stages writes. The cycle through the tracker is intended,
+/// because the tracker reads the forecasts of earlier ticks.
 fn open_input<'a>(
     table: &'a StageTable,
     open: &[&StageTable],
@@ -388,7 +388,7 @@ fn writes(table: &StageTable, name: &str, topics: &[TopicRun]) -> bool {
     table.writes.iter().any(|written| name_of(table, written.get_ref(), topics) == name)
 }
 
-/// Names of the stages on a tick's way: the sampler, and those whose output reaches it.
+/// Names of the stages on a tick's way: the sampler, and the stages whose output reaches it.
 fn way<'a>(tables: &[&'a StageTable], topics: &[TopicRun]) -> Vec<&'a str> {
     let named = |name: &str| tables.iter().copied().find(|table| table.name.get_ref() == name);
     let (mut way, mut open) = (Vec::new(), Vec::from_iter(named(StageId::Sampler.name())));
@@ -406,7 +406,7 @@ fn way<'a>(tables: &[&'a StageTable], topics: &[TopicRun]) -> Vec<&'a str> {
     way
 }
 
-/// A warning where the sampler gives up waiting before the stages ahead of it stop serving agents.
+/// Returns a warning if the sampler gives up waiting before the preceding stages stop serving agents.
 fn late_controls(tables: &[&StageTable]) -> Option<String> {
     let sampler = tables.iter().find(|table| table.name.get_ref() == StageId::Sampler.name())?;
     let (_, deadline_ms) = sampler.options.iter().find(|(key, _)| key.get_ref() == "deadline_ms")?;
@@ -427,7 +427,7 @@ fn late_controls(tables: &[&StageTable]) -> Option<String> {
     })
 }
 
-/// Those on a tick's way share it; each of the others has one for itself.
+/// Stages on a tick's way share one tick. Each of the other stages has a whole tick.
 fn budgets(tables: &[&StageTable], way: &[&str]) -> Result<f64, Mistake> {
     let mut sum_ms = 0.0;
     for table in tables {

@@ -1,4 +1,4 @@
-//! pipeline.toml as it is written; every value has its span in the text.
+//! pipeline.toml as written. Every value has its span in the text.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -57,5 +57,5 @@ pub(super) struct StageTable {
     pub spare: Option<Spanned<bool>>,
 }
 
-/// A stage's options, which its declaration checks.
+/// A stage's options. The stage's declaration checks them.
 pub(super) type OptionsTable = BTreeMap<Spanned<String>, Spanned<toml::Value>>;

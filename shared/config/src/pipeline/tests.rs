@@ -68,7 +68,7 @@ const SAMPLER: Declaration<Deadline> =
 const RECORDER: Declaration<NoOptions> =
     Declaration::new(StageId::Recorder, &[ForecastsTopic::NAME, TruthTopic::NAME], &[]);
 
-/// Stages with the topics of the real ones and some options.
+/// Stages with the topics of the real stages and some options.
 const STAGES: [&dyn Declared; 8] =
     [&SOURCE, &TRACKER, &LOCALISER, &EXTRACTOR, &ENCODER, &DECODER, &SAMPLER, &RECORDER];
 
@@ -85,7 +85,7 @@ fn error(text: &str) -> String {
     error.report(true, false)
 }
 
-/// The shipped file with one text replaced; the replaced text must be there.
+/// The shipped file with one text replaced. The replaced text must exist.
 fn with(from: &str, to: &str) -> String {
     assert!(FULL.contains(from), "the shipped pipeline.toml has no {from:?}");
     FULL.replacen(from, to, 1)
@@ -301,7 +301,7 @@ fn a_topic_is_opened_under_another_name() {
     insta::assert_snapshot!(error(&renamed("encodings = \"a b\"")));
 }
 
-/// The shipped file with a topic and a stage of the user's own, whose lines `topic` and `stage` end.
+/// The shipped file with a user's topic and stage. `topic` and `stage` are their last lines.
 fn added(topic: &str, stage: &str) -> String {
     let topic = format!("[[topic]]\nname = \"risks\"\n{topic}\n");
     let stage = format!("[[stage]]\nname = \"monitor\"\ncommand = [\"./mine\"]\n{stage}\n");
@@ -359,7 +359,7 @@ fn an_injector_before_a_declared_topic_changes_nothing_in_the_graph() {
     let pipeline = parsed(&injected(&in_the_way(2), "risks-injected"));
     assert_eq!(pipeline.edges(), plain.edges());
 
-    // A stage of the pipeline's own that writes a declared topic in the place of its own one.
+    // A pipeline stage that writes a declared topic in place of its own topic.
     let behind = |name: &str| {
         let text = in_the_way(2).replace("topics = { tracks = \"risks\" }\n", "");
         let text = text.replace(
