@@ -1,4 +1,4 @@
-//! Choices between ways to build a model.
+//! Alternatives in the design of a model.
 
 use serde::{Deserialize, Serialize};
 
@@ -18,31 +18,31 @@ pub enum Stem {
 pub enum Temporal {
     /// Each head has a matrix of values.
     ValueMatrix,
-    /// 64 heads, each with its scores as values: the paper's formula to the letter.
+    /// 64 heads whose scores are also their values: the literal reading of the paper's formula.
     Literal,
 }
 
-/// How the bicycle is integrated.
+/// Integration of the bicycle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Integrator {
-    /// All right-hand sides from before the step: the paper's.
+    /// All right-hand sides use the state before the step, as in the paper.
     Euler,
-    /// Speed, slip and course from the middle of the step.
+    /// Speed, slip and course in the middle of the step.
     Midpoint,
 }
 
-/// What the control of a cyclist or pedestrian is.
+/// The control of a cyclist or pedestrian.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Displacement {
-    /// The step's displacement less that of constant velocity.
+    /// The step's displacement minus the displacement at constant velocity.
     Residual,
-    /// The step's displacement: the paper's.
+    /// The step's displacement, as in the paper.
     Absolute,
 }
 
-/// Where latent variables come from.
+/// The source of latent variables.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Latents {
@@ -56,22 +56,22 @@ pub enum Latents {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Feedback {
-    /// Nothing: zeros.
+    /// Zeros.
     Zeros,
 }
 
-/// How attention weighs neighbours and steps.
+/// The weights of neighbours and steps in the attention.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Attention {
     /// By the scores of both layers.
     #[default]
     Dual,
-    /// All alike: means over neighbours and over steps.
+    /// Equal weights: means over neighbours and over steps.
     Equal,
 }
 
-/// How vehicles move.
+/// Motion of vehicles.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum VehicleMotion {
@@ -82,13 +82,13 @@ pub enum VehicleMotion {
     Displacement,
 }
 
-/// Which networks the agent types have.
+/// Sharing of networks between agent types.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum NodeTypes {
-    /// A state MLP and a decoder each.
+    /// Each type has a state MLP and a decoder.
     #[default]
     Own,
-    /// Those of the pedestrian; the equations of motion still differ by type.
+    /// All types use those of the pedestrian. The equations of motion still differ by type.
     Same,
 }

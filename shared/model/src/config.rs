@@ -8,7 +8,7 @@ use crate::{
     Attention, Displacement, Feedback, Integrator, Latents, NodeTypes, Stem, Temporal, VehicleMotion,
 };
 
-/// A configuration that no model can have.
+/// A configuration with an invalid value.
 #[derive(Debug, Error, PartialEq)]
 #[error("{key} = {value}: {reason}")]
 pub struct ConfigError {
@@ -20,10 +20,9 @@ pub struct ConfigError {
     pub reason: &'static str,
 }
 
-/// The options of a model, as the JSON that its weights carry under the metadata key `config`.
+/// The options of a model. Weights contain them as JSON under the metadata key `config`.
 ///
-/// Unknown keys are refused. Keys that later models added have defaults which leave earlier ones as they
-/// were.
+/// Unknown keys are refused. Keys that were added later have defaults that leave earlier models unchanged.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ModelConfig {
@@ -35,13 +34,13 @@ pub struct ModelConfig {
     pub patch_size: usize,
     /// Side of a patch cell.
     pub patch_cell_m: f32,
-    /// How far ahead of the agent a patch's centre lies.
+    /// Distance of a patch's centre ahead of the agent.
     #[serde(default)]
     pub patch_ahead_m: f32,
-    /// Largest distance between neighbours, d. One that no two agents come within, such as 0.001, leaves self
-    /// edges alone: the topological attention is off.
+    /// Maximum distance between neighbours, d. A distance that is never reached, such as 0.001, leaves only
+    /// self edges and so disables the topological attention.
     pub edge_radius_m: f32,
-    /// Largest distance where both are pedestrians; `edge_radius_m` where it is null.
+    /// Maximum distance between two pedestrians; `edge_radius_m` if null.
     #[serde(default)]
     pub pedestrian_edge_radius_m: Option<f32>,
     /// Steps of the history, T_h.
@@ -58,10 +57,10 @@ pub struct ModelConfig {
     pub temporal_heads: usize,
     /// Reading of the temporal attention.
     pub temporal: Temporal,
-    /// How attention weighs neighbours and steps.
+    /// Weights of neighbours and steps in the attention.
     #[serde(default)]
     pub attention: Attention,
-    /// Which networks the agent types have.
+    /// Sharing of networks between agent types.
     #[serde(default)]
     pub node_types: NodeTypes,
     /// Whether the messages carry the edge attributes.
@@ -74,7 +73,7 @@ pub struct ModelConfig {
     pub velocity_scale: f32,
     /// Slope of the LeakyReLU f_act below 0.
     pub leaky_slope: f32,
-    /// How vehicles move.
+    /// Motion of vehicles.
     #[serde(default)]
     pub vehicle_motion: VehicleMotion,
     /// Integrator of the bicycle.
@@ -86,44 +85,44 @@ pub struct ModelConfig {
     /// Limit of the slip rate.
     #[serde(default = "slip_rate_limit_radps")]
     pub slip_rate_limit_radps: f32,
-    /// Limit of the slip angle; none where it is null.
+    /// Limit of the slip angle; unlimited if null.
     #[serde(default = "slip_limit_rad")]
     pub slip_limit_rad: Option<f32>,
-    /// Whether the first slip follows from the headings; 0 otherwise.
+    /// Whether the initial slip follows from the headings. If not, it is 0.
     #[serde(default = "yes")]
     pub initial_slip: bool,
-    /// Distance of the rear axle over the length.
+    /// Distance of the rear axle, as a share of the length.
     #[serde(default = "rear_axle_ratio")]
     pub rear_axle_ratio: f32,
     /// Length of vehicles whose length is unknown.
     #[serde(default = "default_length_m")]
     pub default_length_m: f32,
-    /// What the displacements of cyclists and pedestrians are relative to.
+    /// Whether displacements of cyclists and pedestrians are relative to constant velocity.
     #[serde(default = "residual")]
     pub displacement: Displacement,
-    /// Where latent variables come from.
+    /// The source of latent variables.
     #[serde(default = "normal")]
     pub latents: Latents,
     /// Latent draws per agent, K.
     #[serde(default = "modes")]
     pub modes: usize,
-    /// Whether a head predicts the modes' probabilities; they are equal otherwise.
+    /// Whether a head predicts the modes' probabilities. If not, they are equal.
     #[serde(default)]
     pub mode_head: bool,
-    /// Whether the single best forecast has a latent point of its own.
+    /// Whether the single best forecast has its own latent point.
     #[serde(default)]
     pub best_latent: bool,
     /// Whether controls are residuals to the base control.
     #[serde(default)]
     pub base: bool,
-    /// Whether latent points depend on the base control: a linear function of it is added to the point.
+    /// Whether a linear function of the base control is added to the latent points.
     #[serde(default)]
     pub base_latent: bool,
-    /// Whether the base control has bounds of the features that it was fitted to, beyond which it shrinks to
-    /// zero control.
+    /// Whether the base control has bounds of its features from the fit. Beyond them it shrinks to zero
+    /// control.
     #[serde(default)]
     pub base_support: bool,
-    /// Whether nodes carry a context embedding.
+    /// Whether node attributes include a context embedding.
     #[serde(default = "yes")]
     pub context: bool,
     /// Input of the decoder after the first forecast step.
@@ -167,10 +166,10 @@ const fn zeros() -> Feedback {
 }
 
 impl ModelConfig {
-    /// Refuses values that no model can have.
+    /// Checks that a model can have these values.
     ///
     /// # Errors
-    /// [`ConfigError`] names the first key that is off.
+    /// [`ConfigError`] names the first invalid key.
     pub fn check(&self) -> Result<(), ConfigError> {
         let counts = [
             ("width", self.width, 1, 512),
@@ -222,10 +221,10 @@ impl ModelConfig {
         }
     }
 
-    /// Refuses a model whose tensors do not fit the pipeline's frames.
+    /// Checks that the model's tensors fit the pipeline's frames.
     ///
     /// # Errors
-    /// [`ConfigError`] names the first key that is off.
+    /// [`ConfigError`] names the first invalid key.
     pub fn check_frames(&self) -> Result<(), ConfigError> {
         let limits = [
             ("patch_size", self.patch_size, wire::PATCH_SIDE_MAX),
@@ -243,13 +242,13 @@ impl ModelConfig {
         }
     }
 
-    /// Whether agents of a type are moved by the controls of a bicycle, and by displacements otherwise.
+    /// Whether agents of this type move by bicycle controls. If not, they move by displacements.
     #[must_use]
     pub fn drives(&self, agent_type: AgentType) -> bool {
         agent_type == AgentType::Vehicle && self.vehicle_motion == VehicleMotion::Bicycle
     }
 
-    /// The type whose state MLP and decoder serve agents of a type.
+    /// The type whose state MLP and decoder are used for agents of this type.
     #[must_use]
     pub const fn network_of(&self, agent_type: AgentType) -> AgentType {
         match self.node_types {

@@ -4,7 +4,7 @@ use thiserror::Error;
 
 use crate::{ConfigError, ModelConfig};
 
-/// Name of the file in a run's directory that holds the configuration of the run's model, as JSON.
+/// Name of the file in a run's directory that contains the model's configuration as JSON.
 pub const FILE: &str = "model.json";
 
 /// Why the model file of a run can't be read or written.
@@ -18,7 +18,7 @@ pub enum ModelFileError {
         /// The system's error.
         source: std::io::Error,
     },
-    /// The file holds no configuration of a model.
+    /// The file does not contain a model's configuration.
     #[error("{}: {source}", path.display())]
     Json {
         /// The file.
@@ -26,21 +26,21 @@ pub enum ModelFileError {
         /// The parser's error.
         source: serde_json::Error,
     },
-    /// A value of the configuration is impossible.
+    /// A value of the configuration is invalid.
     #[error("{}: {source}", path.display())]
     Value {
         /// The file.
         path: PathBuf,
-        /// Which value.
+        /// The invalid value.
         source: ConfigError,
     },
 }
 
 impl ModelConfig {
-    /// The model of the run with the directory `root`.
+    /// The model of the run in the directory `root`.
     ///
     /// # Errors
-    /// [`ModelFileError`] if its file is not there or can't be used.
+    /// [`ModelFileError`] if the file is missing or can't be used.
     pub fn of_run(root: &Path) -> Result<Self, ModelFileError> {
         let path = root.join(FILE);
         let text = match std::fs::read_to_string(&path) {
@@ -57,7 +57,7 @@ impl ModelConfig {
         }
     }
 
-    /// Writes the model of the run with the directory `root`, for [`ModelConfig::of_run`].
+    /// Writes the model of the run in the directory `root`, for [`ModelConfig::of_run`].
     ///
     /// # Errors
     /// [`ModelFileError`] if the file can't be written.

@@ -1,8 +1,7 @@
-//! A model's configuration, without its tensors: the sizes of its layers, its equations of motion, its
-//! history and horizon.
+//! A model's configuration without its tensors: sizes of layers, equations of motion, history and horizon.
 //!
-//! Weights carry the [`ModelConfig`] that they were trained for. The launcher of a run writes it as [`FILE`]
-//! into the run's directory, so that a stage that needs sizes alone opens no weights.
+//! Weights contain the [`ModelConfig`] that they were trained for. The launcher writes it to the run's
+//! directory as [`FILE`]. So a stage that needs only sizes does not open the weights.
 
 mod choices;
 mod config;
