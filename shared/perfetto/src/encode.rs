@@ -1,15 +1,16 @@
-//! Protobuf, as much as traces need: numbers, texts, doubles and nested messages.
+//! The part of Protobuf that traces need: numbers, texts, doubles and nested messages.
 
-/// Bytes that a nested message's length takes: seven bits each, padded, so that it can be filled in afterwards.
+/// Bytes of a nested message's length: seven bits each, padded so that the length can be filled in
+/// afterwards.
 const LENGTH_LEN: usize = 4;
 
-/// A message that is being appended to a buffer.
+/// A message that appends to a buffer.
 #[derive(Debug)]
 pub struct Message<'a> {
     bytes: &'a mut Vec<u8>,
 }
 
-/// How a field's value is laid out.
+/// The encoding of a field's value.
 #[derive(Clone, Copy)]
 enum Wire {
     Varint = 0,
@@ -35,34 +36,34 @@ impl<'a> Message<'a> {
         self.bytes.push(value as u8);
     }
 
-    /// A field of an unsigned number.
+    /// Appends a field with an unsigned number.
     pub fn number(&mut self, field: u32, value: u64) {
         self.key(field, Wire::Varint);
         self.varint(value);
     }
 
-    /// A field of type fixed64.
+    /// Appends a field of type fixed64.
     pub fn fixed(&mut self, field: u32, value: u64) {
         self.key(field, Wire::Fixed);
         self.bytes.extend_from_slice(&value.to_le_bytes());
     }
 
-    /// A field of type double.
+    /// Appends a field of type double.
     pub fn double(&mut self, field: u32, value: f64) {
         self.fixed(field, value.to_bits());
     }
 
-    /// A field of text.
+    /// Appends a field with a text.
     pub fn text(&mut self, field: u32, text: &str) {
         self.key(field, Wire::Length);
         self.varint(text.len() as u64);
         self.bytes.extend_from_slice(text.as_bytes());
     }
 
-    /// A field that is a message.
+    /// Appends a field that is a message; `fill` appends the message's fields.
     ///
     /// # Panics
-    /// If the message has 256 MiB.
+    /// If the message has 256 MiB or more.
     pub fn message(&mut self, field: u32, fill: impl FnOnce(&mut Message<'_>)) {
         self.key(field, Wire::Length);
         let place = self.bytes.len();

@@ -1,13 +1,14 @@
-//! Perfetto traces: spans, instants, counters and flows on tracks of processes, for <https://ui.perfetto.dev>.
+//! Perfetto traces: spans, instants, counters and flows on tracks of processes, for
+//! <https://ui.perfetto.dev>.
 //!
-//! A trace is a sequence of packets (protobuf messages of Perfetto's `trace_packet.proto`), so it can be written
-//! piece by piece and is readable up to wherever it ends. [`Trace`] appends packets to a buffer, from which the
-//! caller takes them. It knows nothing of files, clocks or pipelines.
+//! A trace is a sequence of packets (protobuf messages of Perfetto's `trace_packet.proto`). So it can be
+//! written piece by piece, and a truncated trace is readable. [`Trace`] appends packets to a buffer, from
+//! which the caller takes them. It does not depend on files, clocks or pipelines.
 //!
-//! Times are nanoseconds on `CLOCK_MONOTONIC`. [`Trace::clocks`] must come first: without a snapshot that relates
-//! the clocks, Perfetto drops every event.
+//! Times are nanoseconds on `CLOCK_MONOTONIC`. [`Trace::clocks`] must come first: without a snapshot that
+//! relates the clocks, Perfetto drops every event.
 //!
-//! Tracks are named by numbers of the caller's choice. Spans of one track must follow one another or nest.
+//! The caller chooses the numbers that identify tracks. Spans of one track must follow one another or nest.
 
 mod encode;
 
@@ -59,28 +60,28 @@ mod event {
     pub const COUNTER: u64 = 4;
 }
 
-/// `CLOCK_REALTIME`, `CLOCK_MONOTONIC` and `CLOCK_BOOTTIME` by Perfetto's numbers.
+/// Perfetto's numbers of `CLOCK_REALTIME`, `CLOCK_MONOTONIC` and `CLOCK_BOOTTIME`.
 const REALTIME: u64 = 1;
 const MONOTONIC: u64 = 3;
 const BOOTTIME: u64 = 6;
-/// Number of the only writer of these traces.
+/// Perfetto's number of the single writer of these traces.
 const SEQUENCE: u64 = 1;
 
-/// One reading of the three clocks, as near to one another as they can be read.
+/// One reading of the three clocks, as close together as possible.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Clocks {
     /// `CLOCK_MONOTONIC`.
     pub monotonic_ns: u64,
-    /// `CLOCK_BOOTTIME`, Perfetto's own time: monotonic and the time asleep.
+    /// `CLOCK_BOOTTIME`, Perfetto's default clock: monotonic time plus suspended time.
     pub boottime_ns: u64,
-    /// `CLOCK_REALTIME`, for the time of day; none where it is unknown.
+    /// `CLOCK_REALTIME`, for the time of day; `None` if unknown.
     pub realtime_ns: Option<u64>,
 }
 
 /// A number or text shown with a span or instant.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Value<'a> {
-    /// A count, or a number of something.
+    /// A count.
     Count(u64),
     /// A measured quantity.
     Number(f64),
@@ -88,10 +89,10 @@ pub enum Value<'a> {
     Text(&'a str),
 }
 
-/// What belongs to a span or instant beside its time and name.
+/// The properties of a span or instant besides time and name.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Details<'a> {
-    /// Its category.
+    /// The category.
     pub category: Option<&'a str>,
     /// The flow that passes through it.
     pub flow: Option<u64>,
@@ -101,7 +102,7 @@ pub struct Details<'a> {
     pub values: &'a [(&'a str, Value<'a>)],
 }
 
-/// Packets of a trace that have not been taken yet.
+/// Packets of a trace that the caller has not taken yet.
 #[derive(Clone, Debug, Default)]
 pub struct Trace {
     bytes: Vec<u8>,
@@ -114,13 +115,13 @@ impl Trace {
         Self { bytes: Vec::with_capacity(bytes_len) }
     }
 
-    /// The packets so far.
+    /// The packets in the buffer.
     #[must_use]
     pub fn bytes(&self) -> &[u8] {
         &self.bytes
     }
 
-    /// Takes the packets out.
+    /// Takes the packets out of the buffer.
     pub fn take(&mut self) -> Vec<u8> {
         std::mem::take(&mut self.bytes)
     }
@@ -157,7 +158,7 @@ impl Trace {
         });
     }
 
-    /// Names a track below another.
+    /// Names a track, which is shown below its parent.
     pub fn track(&mut self, track: u64, parent: u64, name: &str, rank: u64) {
         self.descriptor(track, |descriptor| {
             descriptor.text(track::NAME, name);
@@ -166,7 +167,7 @@ impl Trace {
         });
     }
 
-    /// Names a counter below another track.
+    /// Names a counter, which is shown below its parent.
     pub fn counter(&mut self, track: u64, parent: u64, name: &str, unit: &str, rank: u64) {
         self.descriptor(track, |descriptor| {
             descriptor.text(track::NAME, name);
@@ -182,12 +183,12 @@ impl Trace {
         self.event(end_ns.max(begin_ns), event::END, track, None, Details::default(), |_| {});
     }
 
-    /// Something that happens at a moment.
+    /// An event at one time.
     pub fn instant(&mut self, track: u64, at_ns: u64, name: &str, details: Details<'_>) {
         self.event(at_ns, event::INSTANT, track, Some(name), details, |_| {});
     }
 
-    /// The value of a counter from a moment on.
+    /// The value of a counter from this time on.
     pub fn count(&mut self, track: u64, at_ns: u64, value: f64) {
         let value = |event: &mut Message<'_>| event.double(event::COUNTER_VALUE, value);
         self.event(at_ns, event::COUNTER, track, None, Details::default(), value);

@@ -1,6 +1,6 @@
 use super::*;
 
-/// A field of a message, as a decoder of our own reads it.
+/// A field of a message, as the tests' own decoder reads it.
 #[derive(Clone, Debug, PartialEq)]
 enum Field {
     Varint(u64),
@@ -45,7 +45,7 @@ fn fields(mut bytes: &[u8]) -> Vec<(u64, Field)> {
     fields
 }
 
-/// The field of that number of every message below.
+/// The contents of every submessage with this field number.
 fn inner(message: &[(u64, Field)], number: u64) -> Vec<Vec<(u64, Field)>> {
     let of = |(found, field): &(u64, Field)| match field {
         Field::Bytes(bytes) if *found == number => Some(fields(bytes)),
