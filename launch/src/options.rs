@@ -33,7 +33,7 @@ enum Given {
     Written(String),
     /// A value.
     Value(Value),
-    /// The default, also where the file has another value.
+    /// The default, even if the file has another value.
     Default,
 }
 
@@ -207,7 +207,7 @@ impl StageOptions {
         Ok(())
     }
 
-    /// A stage's options as its struct; the defaults where the stage is missing or an external program.
+    /// A stage's options as its struct. Defaults if the stage is missing or an external program.
     pub fn read<O: Default + DeserializeOwned>(&self, declaration: &Declaration<O>) -> Result<O, Failure> {
         let options = self.0.get(&declaration.id()).filter(|options| options.declared.is_some());
         let Some(Options { table, .. }) = options else { return Ok(O::default()) };

@@ -7,7 +7,7 @@ use crate::KNOTS;
 /// Number of modes of both sets together.
 pub(crate) const BOTH_MAX: usize = 2 * MODES_MAX;
 
-/// The selected modes: as many as one set has, from the network's modes and the [`Fan`](crate::Fan)'s.
+/// The selected modes: half of all modes of the network and of the [`Fan`](crate::Fan).
 ///
 /// While more than half of the modes remain, drop the mode with the smallest p · d. Here p is its probability
 /// and d the distance of its nearest neighbour, which inherits p. This is a greedy descent for k-medoids: it

@@ -68,8 +68,8 @@ impl Waiting {
         }
     }
 
-    /// Takes forecasts at random, as many as the elapsed time allows. In order, the early ones of a frame
-    /// would wait longest and be replaced most often.
+    /// Takes forecasts at random, up to the number that the elapsed time allows. If they were taken in order,
+    /// the early ones of a frame would wait longest and be replaced most often.
     pub(crate) fn take(&mut self, passed_s: f64) -> impl Iterator<Item = Due> + '_ {
         let len = ((LEVELS_PER_S * passed_s).ceil() as usize).min(LEVELS_MAX);
         (0..len.min(self.due.len())).map(|_| {
@@ -112,7 +112,7 @@ mod tests {
     #[test]
     fn of_a_crowd_late_ones_have_the_chance_of_early_ones() {
         let (mut waiting, mut computed) = (Waiting::new(), [0_u32; 8]);
-        // A frame with twice the forecasts that its time allows, and one with eight times as many.
+        // Frames with two times and with eight times the number of forecasts that the time allows.
         for frame in 0..2000 {
             let len = if frame % 2 == 0 { 64 } else { 256 };
             (0..len).for_each(|number| waiting.push(due((8 * number / len) as f32)));

@@ -30,7 +30,7 @@ const DEVIATION_M: f32 = 0.1;
 const GAP_STEPS: i64 = 2;
 /// Maximum number of agents that are followed at a time.
 const TRACES_MAX: usize = 4 * AGENTS_MAX;
-/// Maximum number of pending forecasts with stored mixtures: those of all agents of a payload.
+/// Maximum number of pending forecasts with stored mixtures, enough for all agents of a payload.
 const MIXTURES_MAX: usize = AGENTS_MAX * (HORIZON_MAX + 1);
 /// Exponent of [`Shares::decided`](crate::share::Shares::decided) for the fan's centre. A larger exponent
 /// moves the centre more decidedly to the position whose fans have been nearest.
@@ -143,8 +143,8 @@ impl Evidence {
     }
 
     /// Records the positions of agents at a time, and learns from the forecasts that mature. `level` returns
-    /// the level, 0 to 1, of the region whose border contains the truth. It is called for as many forecasts
-    /// as the elapsed time allows. A time that is not newer than the last is ignored.
+    /// the level, 0 to 1, of the region whose border contains the truth. The elapsed time limits the number
+    /// of its calls. A time that is not newer than the last is ignored.
     pub fn observe_with(
         &mut self,
         now_ns: i64,

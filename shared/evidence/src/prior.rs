@@ -5,10 +5,10 @@ use crate::{BANDS, KNOTS, Pattern, Statistics, fill_unknown};
 
 /// Deviations for contexts without a source, m.
 const DEVIATIONS_M: [[f32; 2]; KNOTS] = [[0.1, 0.05], [0.5, 0.25], [1.8, 0.8], [6.0, 3.0]];
-/// Logarithms of the width factors for contexts without a source: those of most types and speeds.
+/// Logarithms of the width factors for contexts without a source. Most types and speeds have similar ones.
 const LOG_WIDTHS: [f32; KNOTS] = [0.3, 0.0, -0.25, -0.35];
-/// Minimum number of sources in the mean of a context's prior. The default replaces missing sources, so that
-/// a single source with poor positions does not dominate.
+/// Minimum number of sources in the average of a context's prior. The default replaces missing sources, so
+/// that a single source with poor positions does not dominate.
 const SOURCES_MIN: usize = 3;
 /// Significant digits of the numbers in a file.
 const DIGITS: i32 = 4;
@@ -215,7 +215,7 @@ impl Priors {
     }
 }
 
-/// Whether a name is that of `source`, at any scale.
+/// Whether `name` is the name of `source`, at any scale.
 fn is_of(name: &str, source: &str) -> bool {
     name.strip_prefix(source).is_some_and(|rest| rest.is_empty() || rest.starts_with(' '))
 }

@@ -284,7 +284,7 @@ impl<J: Job> Workers<J> {
         self.step.block_ns.store(0, Ordering::Relaxed);
         self.step.next.store(0, Ordering::Relaxed);
         self.step.blocks_len.store(blocks_len, Ordering::Relaxed);
-        // One block is for this thread; only as many workers are woken as there are other blocks.
+        // One block is for this thread, so at most one worker per other block is woken.
         let woken = &self.slots[..self.slots.len().min(blocks_len.saturating_sub(1))];
         if !woken.is_empty() {
             self.placement.keep_off();

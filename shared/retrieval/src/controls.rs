@@ -5,8 +5,8 @@ use wire::{ControlGaussian, HORIZON_MAX, MODES_MAX};
 
 use crate::{ControlChange, ModeSelection, RETRIEVED_MAX, Retrieved};
 
-/// The controls of one agent's forecast, step by step. Its length is that of the best forecast; modes may be
-/// longer.
+/// The controls of one agent's forecast, step by step. The best forecast determines the number of steps;
+/// modes may have more.
 #[derive(Clone, Copy, Debug)]
 pub struct ForecastControls<'a, M> {
     /// Controls of each mode.

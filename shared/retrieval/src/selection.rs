@@ -62,11 +62,11 @@ impl Default for ModeSelection {
 }
 
 impl ModeSelection {
-    /// Selects as many of `paths` as there are modes. A future drawn from all paths, by their weights, shall
-    /// have a selected path near it. The modes come first, with their probabilities; the neighbours' paths
-    /// follow, with their own weights.
+    /// Selects k of `paths`, where k is the number of modes. A future drawn from all paths by their weights
+    /// should be near a selected path. In `paths` the modes come first, with their probabilities. The
+    /// neighbours' paths follow, with their own weights.
     ///
-    /// This is the weighted k-medoids (k-median) problem, k being the number of modes:
+    /// This is the weighted k-medoids (k-median) problem:
     ///
     /// ```text
     /// least Σ_i w_i min_{c selected} d(i, c)  w = 4 p of modes (displacements 8 p), of neighbours their own
