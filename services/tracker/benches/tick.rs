@@ -1,8 +1,8 @@
-//! Time of a tick of the tracker with association by position: median and 99th percentile by the number of
-//! agents, in time of the processor, which excludes other programs on the machine.
+//! Median and 99th percentile of the time of a tracker tick with association by position, by the number of
+//! agents. The time is processor time, which excludes other programs on the machine.
 //!
-//! `cargo bench -p stgdat-tracker --bench tick -- --csv FOLDER` writes the detections as well, one file per
-//! scene, for `tick_in_filterpy.py` beside this file, which runs by hand on the very same input.
+//! `cargo bench -p stgdat-tracker --bench tick -- --csv FOLDER` also writes the detections, one file per
+//! scene. They are the input of `tick_in_filterpy.py` beside this file, which is run by hand.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -17,7 +17,7 @@ use wire::{
     detection_flags,
 };
 
-/// Frames of a scene: the time of one turn of each agent.
+/// Number of frames in a scene: the time of one turn of each agent.
 const FRAMES: usize = 400;
 const WARM_UP: usize = 100;
 const TICKS: usize = 2_000;
@@ -45,7 +45,7 @@ impl Scene {
         Self::new(format!("{agents_len}_crowd"), agents_len, side_m, 0.02, AgentType::Pedestrian)
     }
 
-    /// Agents on circles of their own, spread evenly over a square.
+    /// Agents on separate circles, spread evenly over a square.
     fn new(name: String, agents_len: usize, side_m: f32, step_m: f32, agent_type: AgentType) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(1);
         let turn = std::f32::consts::TAU / FRAMES as f32;
@@ -56,8 +56,8 @@ impl Scene {
                 [place(), place(), rng.random_range(-3.0..3.0)]
             })
             .collect();
-        // A frame has at most `DETECTIONS_MAX`: of more agents, every second is detected in every second
-        // frame.
+        // A frame has at most `DETECTIONS_MAX` detections. If there are more agents, each frame detects only
+        // a share of them, in turn.
         let share = agents_len.div_ceil(DETECTIONS_MAX);
         let mut frame = |number: usize| {
             let detected = centres.iter().skip(number % share).step_by(share);
@@ -95,7 +95,7 @@ impl Scene {
         std::fs::write(folder.join(format!("{}.csv", self.name)), rows)
     }
 
-    /// Seconds of each tick, sorted, and the number of tracks at the end.
+    /// Duration of each tick in seconds, sorted, and the number of tracks at the end.
     fn run(&self, prior: Prior) -> (Vec<f64>, usize) {
         let options = TrackerOptions { prior, tracks_max: TRACKS_MAX, ..TrackerOptions::default() };
         let mut tracker = Tracker::new(options);

@@ -1,4 +1,4 @@
-//! A million random ticks, a hundred times those of the tests, in which growing memory would show.
+//! A million random ticks, a hundred times as many as in the tests. Growing memory would show here.
 
 #[path = "../tests/support/torture.rs"]
 mod support;

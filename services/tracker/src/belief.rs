@@ -6,15 +6,15 @@ use wire::{MODES_MAX, Steering};
 
 use crate::options::ForecastTrust;
 
-/// The belief about an agent's motion: one Gaussian and, while a forecast is the prior, the mixture of
-/// hypotheses whose moments it has.
+/// The belief about an agent's motion: one Gaussian. While a forecast is the prior, the Gaussian has the
+/// moments of a mixture of hypotheses.
 #[derive(Debug)]
 pub struct Belief {
     filter: Filter,
     hypotheses: Option<Hypotheses>,
 }
 
-/// A filter for each mode of a forecast and one without, by the kind of its controls.
+/// One filter for each mode of a forecast and one without, by the kind of the controls.
 #[derive(Clone, Debug)]
 enum Hypotheses {
     Bicycle(Box<Mixture<Bicycle, 5>>),
@@ -34,10 +34,10 @@ impl Belief {
         &self.filter
     }
 
-    /// Predicts the belief `dt_ns` ahead; beyond the forecast's horizon by the process model alone.
+    /// Predicts the belief `dt_ns` ahead. Beyond the forecast's horizon it uses the process model alone.
     ///
     /// # Errors
-    /// [`FilterFault`]; the belief is then as before.
+    /// [`FilterFault`]; the belief is then unchanged.
     pub fn predict(&mut self, dt_ns: u64, models: &Models, trust: &ForecastTrust) -> Result<(), FilterFault> {
         match &mut self.hypotheses {
             None => return self.filter.predict(dt_ns, models),
@@ -54,11 +54,11 @@ impl Belief {
         Ok(())
     }
 
-    /// Updates the belief, and the weights of the hypotheses, by observations of which at most one is of the
-    /// agent, each with the probability that it is.
+    /// Updates the belief and the weights of the hypotheses by several observations. At most one of them is
+    /// an observation of the agent; each comes with the probability that it is.
     ///
     /// # Errors
-    /// [`FilterFault`]; the belief is then as before.
+    /// [`FilterFault`]; the belief is then unchanged.
     pub fn update(&mut self, possible: &[(f64, Observation)], models: &Models) -> Result<(), FilterFault> {
         match &mut self.hypotheses {
             None => return self.filter.update_jointly(possible, models),
@@ -69,11 +69,11 @@ impl Belief {
         Ok(())
     }
 
-    /// As [`Belief::update`], by observations that were made `lag_s` after the belief's time, or before it if that is
-    /// negative: the belief goes there and back without process noise.
+    /// Like [`Belief::update`], by observations made `lag_s` after the belief's time (before it if `lag_s` is
+    /// negative). The belief is shifted to the observations and back without process noise.
     ///
     /// # Errors
-    /// [`FilterFault`]; the belief is then as before.
+    /// [`FilterFault`]; the belief is then unchanged.
     pub fn update_at(
         &mut self,
         lag_s: f64,
@@ -89,7 +89,7 @@ impl Belief {
         outcome
     }
 
-    /// Moves the belief `dt_s` ahead, or back if that is negative, without process noise.
+    /// Moves the belief `dt_s` ahead (back if `dt_s` is negative) without process noise.
     pub fn shift(&mut self, dt_s: f64, models: &Models) {
         match &mut self.hypotheses {
             None => self.filter = self.filter.shifted(dt_s, models),
@@ -101,16 +101,17 @@ impl Belief {
         self.match_moments();
     }
 
-    /// Slows the motion to that speed if it is faster, and drops the forecast that led there.
+    /// Limits the speed of the motion to `most_mps`. If the motion is faster, this drops the forecast that
+    /// led there.
     pub fn limit_speed(&mut self, most_mps: f64) {
         let speed_mps = self.motion().speed_mps.abs();
         if speed_mps > most_mps {
-            // A hair below, so that the numbers of a wire, which are coarser, are not above.
+            // Slightly below the limit, so that the coarser numbers in a payload do not exceed it.
             *self = Self::new(self.filter.slowed(most_mps / speed_mps * (1.0 - 1e-6)));
         }
     }
 
-    /// Whether a forecast by such controls can predict the state.
+    /// Whether a forecast with this kind of control can predict the state.
     #[must_use]
     pub const fn accepts(&self, steering: Steering) -> bool {
         matches!(
@@ -122,7 +123,7 @@ impl Belief {
     /// Adopts a forecast as the prior from now on, if the belief [accepts](Belief::accepts) it.
     ///
     /// # Errors
-    /// [`ForecastFault`]; the belief then goes on as before.
+    /// [`ForecastFault`]; the belief is then unchanged.
     pub fn adopt(
         &mut self,
         forecast: &Forecast<'_>,
@@ -155,12 +156,12 @@ impl Belief {
         adopted
     }
 
-    /// Converts the motion to the state of another kind, and drops the forecast.
+    /// Converts the motion to the state of another kind and drops the forecast.
     pub fn convert_to(&mut self, kind: Kind, unknown: &Unknown) {
         *self = Self::new(self.filter.into_kind(kind, unknown));
     }
 
-    /// Exchanges front and back, and drops the forecast, which is relative to the old front.
+    /// Exchanges front and back. This drops the forecast, which is relative to the old front.
     pub fn reverse(&mut self) {
         if let Filter::Bicycle(state) = &self.filter {
             *self = Self::new(Filter::Bicycle(reversed(state)));
@@ -178,7 +179,7 @@ impl Belief {
         self.filter.position()
     }
 
-    /// The mean's motion.
+    /// The motion of the mean.
     #[must_use]
     pub fn motion(&self) -> Motion {
         self.filter.motion()
@@ -190,8 +191,8 @@ impl Belief {
         self.hypotheses.as_ref().and_then(Hypotheses::forecast_age_ns)
     }
 
-    /// Where the agent will be after one to `PARTS` times `part_ns`, by its forecast and by the process model alone;
-    /// none without a forecast that reaches so far.
+    /// The positions of the agent after one to `PARTS` times `part_ns`, by its forecast and by the process
+    /// model alone. Returns `None` if there is no forecast or its horizon is too short.
     #[must_use]
     pub fn ahead<const PARTS: usize>(&self, part_ns: u64) -> Option<[Ahead; PARTS]> {
         match self.hypotheses.as_ref()? {
@@ -200,7 +201,7 @@ impl Belief {
         }
     }
 
-    /// Weights of the forecast's modes, and last that of the process model alone.
+    /// Weights of the forecast's modes, followed by the weight of the process model alone.
     #[must_use]
     pub fn weights(&self) -> [f32; MODES_MAX + 1] {
         let mut weights = [0.0; MODES_MAX + 1];
@@ -215,7 +216,7 @@ impl Belief {
         weights
     }
 
-    /// Matches the Gaussian to the moments of the hypotheses, and drops those of a forecast that is over.
+    /// Matches the Gaussian to the moments of the hypotheses. Drops the hypotheses of an expired forecast.
     fn match_moments(&mut self) {
         let Some(hypotheses) = &self.hypotheses else { return };
         self.filter = match hypotheses {
@@ -247,7 +248,7 @@ impl Clone for Belief {
 }
 
 impl Hypotheses {
-    /// Time since the start of the forecast; none once it is over.
+    /// Time since the start of the forecast; `None` once the forecast has expired.
     fn forecast_age_ns(&self) -> Option<u64> {
         match self {
             Self::Bicycle(mixture) => mixture.forecast_age_ns(),
@@ -257,12 +258,12 @@ impl Hypotheses {
 }
 
 impl ForecastTrust {
-    /// Gains of the controls acceleration and slip rate, by how well the speed and heading of a vehicle are
-    /// known.
+    /// Gains of the controls acceleration and slip rate. They depend on how well a vehicle's speed and
+    /// heading are known.
     ///
-    /// The network infers the slip from how headings turned. The filter never had the slip that noise put
-    /// there, since it weighs every position by its noise; a control that undoes it would be an error of its
-    /// own.
+    /// The network infers the slip from past turns of the heading. The filter weighs every position by its
+    /// noise, so it never had the slip that noise put there. A control that removes this slip would be an
+    /// error.
     fn control_gain(&self, state: &Gaussian<5>) -> [f64; 2] {
         let gain = |component: usize, half_gain_sigma: f64| {
             control_gain(half_gain_sigma, state.covariance[(component, component)])
@@ -270,14 +271,15 @@ impl ForecastTrust {
         [gain(3, self.half_gain_speed_mps), gain(2, self.half_gain_heading_rad)]
     }
 
-    /// What the gain leaves out of a control stays with the process model, its noise and the decay of its
-    /// slip: at gain 0 a mode is the process model. At gain 1 a slip rate determines by itself how a turn
-    /// goes on and ends.
+    /// The part of a control that the gain leaves out stays with the process model, with its noise and the
+    /// decay of its slip. At gain 0 a mode is the process model. At gain 1 the slip rate alone determines how
+    /// a turn continues and ends.
     fn bicycle(&self, models: &Models, control_gain: [f64; 2]) -> Priors<Bicycle> {
         let kinematic = models.bicycle;
         let [of_acceleration, of_slip_rate] = control_gain.map(|gain| noise_left(gain, self.noise_share));
         let learned = Bicycle {
-            // The integrator that the controls were learned for; Euler's lags behind under an acceleration.
+            // The integrator for which the controls were learned. Euler steps lag behind under an
+            // acceleration.
             integrator: Integrator::Midpoint,
             acceleration_mps2: of_acceleration * kinematic.acceleration_mps2,
             slip_rate_radps: of_slip_rate * kinematic.slip_rate_radps,
@@ -308,7 +310,7 @@ mod tests {
 
     use crate::TrackerOptions;
 
-    /// A slip rate at gain 1 determines the slip, which must not decay as well.
+    /// A slip rate at gain 1 determines the slip, so the slip must not also decay.
     #[test]
     fn slip_decay_is_what_the_control_gain_leaves() {
         let input = TrackerOptions::default().detector;

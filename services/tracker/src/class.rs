@@ -1,22 +1,22 @@
 use wire::AgentType;
 
-/// Share of detections that name the right type.
+/// Share of detections with the right type.
 const RIGHT: f64 = 0.9;
-/// Share that name one of the two wrong ones.
+/// Share of detections with one of the two wrong types.
 const WRONG: f64 = 0.05;
-/// Bound of the log-odds between two types, so that a handful of detections can change the belief.
+/// Bound of the log-odds between two types, so that a few detections can change the belief.
 const LOG_ODDS_MAX: f64 = 6.0;
-/// Log-odds over its own type at which a track changes to another.
+/// Log-odds against its current type at which a track changes to another type.
 const CHANGE_LOG_ODDS: f64 = 2.0;
 
-/// The belief about an agent's type, from the types that its detections name.
+/// The belief about an agent's type, from the types of its detections.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Class {
     current: AgentType,
     /// Natural logarithms of the probabilities, the largest 0.
     log_weight: [f64; 3],
-    /// What follows from them, kept because most detections change nothing: the probabilities, and the cost
-    /// of each type.
+    /// Derived values, stored because most detections change nothing: the probabilities, and the cost of each
+    /// type.
     probability: [f64; 3],
     disagreement: [f64; 3],
 }
@@ -31,7 +31,7 @@ impl Class {
         class
     }
 
-    /// The belief of these probabilities, of a track of type `current`.
+    /// The belief with these probabilities, for a track of type `current`.
     #[must_use]
     pub fn of(current: AgentType, probability: [f64; 3]) -> Self {
         let log_weight = probability.map(|p| p.max(f64::MIN_POSITIVE).ln());
@@ -42,13 +42,13 @@ impl Class {
         class
     }
 
-    /// The type that the track has.
+    /// The current type of the track.
     #[must_use]
     pub const fn current(&self) -> AgentType {
         self.current
     }
 
-    /// Updates the belief by the type that a detection names; returns whether that changed the track's type.
+    /// Updates the belief by the type of a detection. Returns whether the track's type has changed.
     pub fn observe(&mut self, detected: AgentType) -> bool {
         let before = self.log_weight;
         for (index, log_weight) in self.log_weight.iter_mut().enumerate() {
@@ -75,7 +75,7 @@ impl Class {
         &self.probability
     }
 
-    /// −2 ln of the probability that a detection of this agent names that type.
+    /// −2 ln of the probability that a detection of this agent has this type.
     #[must_use]
     pub const fn disagreement(&self, detected: AgentType) -> f64 {
         self.disagreement[detected.index()]

@@ -26,73 +26,75 @@ use crate::options::{ForecastTrust, InputModel, TrackerOptions};
 use crate::track_management::TrackManagement;
 use crate::trials::{PART_NS, Shown, Trials};
 
-/// Standard deviations of what the first detection leaves open, by type.
+/// Standard deviations of the quantities that the first detection does not measure, by type.
 const UNKNOWN: [Unknown; 3] = [
     Unknown { speed_mps: 10.0, acceleration_mps2: 3.0, turn_rate_radps: 0.3, slip_rad: 0.05 },
     Unknown { speed_mps: 5.0, acceleration_mps2: 2.0, turn_rate_radps: 0.5, slip_rad: 0.05 },
     Unknown { speed_mps: 2.0, acceleration_mps2: 1.0, turn_rate_radps: 1.0, slip_rad: 0.05 },
 ];
-/// The course gives an unknown heading once it is known so well, from this speed on.
+/// The course sets an unknown heading once its standard deviation is this small, from the speed below on.
 const COURSE_SIGMA_MAX_RAD: f64 = 0.3;
 const COURSE_SPEED_MIN_MPS: f64 = 0.5;
-/// Below this speed a course means nothing, and the last heading holds.
+/// Below this speed a course is meaningless and the last heading is held.
 const COURSE_MIN_MPS: f64 = 0.1;
 /// Weight of a new detection's size.
 const SIZE_WEIGHT: f32 = 0.2;
 
-/// The detection that started an estimate: identifies an agent in whatever order frames arrive.
+/// The detection that started an estimate. It identifies an agent independent of the order in which frames
+/// arrive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Birth {
-    /// Stamp of its frame.
+    /// Stamp of the detection's frame.
     pub stamp_ns: i64,
-    /// Its place in the frame.
+    /// Index of the detection in the frame.
     pub detection: u32,
 }
 
-/// What is believed of an agent at the stamp of a frame. It depends on the frames up to that one and the
-/// forecasts that came with them, in the order of their stamps, and on nothing else, so that a replay
-/// reproduces it.
+/// The belief about an agent at the stamp of a frame.
+///
+/// It depends only on the frames up to this frame and the forecasts that came with them, in the order of
+/// their stamps. A replay therefore reproduces it.
 #[derive(Debug)]
 pub struct Estimate {
-    /// Its type.
+    /// The type.
     pub class: Class,
-    /// Its motion at `stamp_ns`.
+    /// The motion at `stamp_ns`.
     pub belief: Belief,
     birth: Birth,
-    /// The newest detection's own identity, 0 where it carries none.
+    /// The newest detection's own identity; 0 if it has none.
     source_id: u64,
-    /// Seed of what the belief draws at random.
+    /// Seed of the belief's random numbers.
     seed: u64,
     stamp_ns: i64,
-    /// Stamp of the frame at hand; the estimate's own may be before it while the frame is processed.
+    /// Stamp of the current frame. While the frame is processed, `stamp_ns` may be before it.
     frame_ns: i64,
     seen_ns: i64,
     /// Stamp of the controls of the newest adopted forecast.
     controls_ns: Option<i64>,
-    /// Forecasts of earlier stamps are relative to another front.
+    /// Forecasts with earlier stamps are relative to the other front.
     front_ns: i64,
     management: TrackManagement,
     front: Front,
-    /// Whether more than a single position was observed, so that the velocity means something.
+    /// Whether more than a single position was observed, so that the velocity is meaningful.
     has_velocity: bool,
-    /// Whether it was ready in an earlier frame, and so is published.
+    /// Whether it was ready in an earlier frame and is therefore published.
     was_ready: bool,
-    /// Time from the state before to this one.
+    /// Time from the previous state to this one.
     dt_ns: u64,
-    /// Share of the agent that is visible to the frame at hand; 1 where occlusion was not asked for.
+    /// Share of the agent that is visible in the current frame; 1 if occlusion is not computed.
     visibility: f64,
     /// The motion to publish at the end of the frame.
     motion: Motion,
     held: Held,
-    /// Heading, held where the filter has none.
+    /// Heading. It is held if the filter has none.
     heading_rad: f64,
-    /// The heading as it is published while frames come in sequence.
+    /// The published heading while frames arrive in sequence.
     published_heading_rad: f64,
     length_m: f32,
     width_m: f32,
-    /// What its forecasts are worth.
+    /// The agent's trials of its forecasts.
     trials: Trials,
-    /// What its detections reported.
+    /// The reports of its detections.
     reports: Reports,
     gate: Gate,
     /// Whether another estimate continues its identity.
@@ -100,7 +102,8 @@ pub struct Estimate {
 }
 
 impl Estimate {
-    /// The estimate that a detection starts; confirmed at once where the detection's identity can be trusted.
+    /// The estimate that a detection starts. It is confirmed immediately if the detection's identity can be
+    /// trusted.
     #[must_use]
     pub fn new((birth, seed): (Birth, u64), found: &Found<'_>, input: &InputModel, trusted: bool) -> Self {
         let &Found { detection, agent_type, own_ns } = found;
@@ -137,7 +140,7 @@ impl Estimate {
         }
     }
 
-    /// The estimate of a track that another tracker has published at `stamp_ns`, of a type that is known.
+    /// The estimate of a track of known type that another tracker has published at `stamp_ns`.
     #[must_use]
     pub fn of_track(
         (birth, seed): (Birth, u64),
@@ -184,11 +187,12 @@ impl Estimate {
         }
     }
 
-    /// Adopts one of the forecasts, the agent's own, as the prior from now on, where one is due; returns
-    /// false where its numbers are impossible. The estimate then goes on as before.
+    /// Adopts the agent's own forecast as the prior from now on, if a forecast is due. Returns `false` if the
+    /// forecast's numbers are impossible; the estimate is then unchanged.
     ///
-    /// One is due every Δt, so that measurements have time to weigh the hypotheses, and only if it knows of a
-    /// newer detection than the one before: through a gap the last forecast from before the gap holds.
+    /// A forecast is due every Δt, so that measurements have time to weigh the hypotheses. It must also be
+    /// based on a newer detection than the previous forecast. Through a gap the last forecast from before the
+    /// gap therefore stays in force.
     pub fn adopt(
         &mut self,
         (forecasts, forecast): (&Forecasts<'_>, &Forecast),
@@ -206,7 +210,7 @@ impl Estimate {
             && forecast.agent_type == agent_type as u32
             && self.belief.accepts(steering)
             // The forecast may be relative to a front that an out-of-sequence frame has since shown to be the
-            // back.
+            // rear.
             && (steering != Steering::Bicycle || turn_rad.abs() <= FRAC_PI_2);
         if !(is_due && is_newer && fits) {
             return true;
@@ -233,23 +237,23 @@ impl Estimate {
         adopted
     }
 
-    /// What a detection shows of the agent's forecasts, before it updates the estimate.
+    /// Compares a detection with the agent's forecasts, before the detection updates the estimate.
     pub fn mature(&mut self, found: &Found<'_>) -> impl Iterator<Item = Shown> {
         let velocity_mps = self.belief.motion().velocity_mps;
         self.trials.mature(found.own_ns, found.position_m(), velocity_mps)
     }
 
-    /// Begins a frame, before the motion is predicted to it.
+    /// Begins a frame, before the motion is predicted to the frame.
     pub const fn begin_frame(&mut self, frame_ns: i64) {
         self.frame_ns = frame_ns;
         self.dt_ns = if frame_ns > self.stamp_ns { frame_ns.abs_diff(self.stamp_ns) } else { 0 };
         self.visibility = 1.0;
     }
 
-    /// Predicts the motion at a later time, at most that of the frame.
+    /// Predicts the motion at a later time, at most the time of the frame.
     ///
     /// # Errors
-    /// [`FilterFault`]; the motion is then as before.
+    /// [`FilterFault`]; the motion is then unchanged.
     pub fn predict(&mut self, to_ns: i64, input: &InputModel) -> Result<(), FilterFault> {
         let to_ns = to_ns.min(self.frame_ns);
         if to_ns <= self.stamp_ns {
@@ -261,10 +265,11 @@ impl Estimate {
         self.belief.predict(dt_ns, &models, &input.trust)
     }
 
-    /// Predicts the motion of a new estimate at the stamp of its frame, which may be before the detection's own time.
+    /// Predicts the motion of a new estimate to the stamp of its frame. The stamp may be before the
+    /// detection's own time.
     ///
     /// # Errors
-    /// [`FilterFault`]; the motion is then as before.
+    /// [`FilterFault`]; the motion is then unchanged.
     pub fn predict_first(&mut self, input: &InputModel) -> Result<(), FilterFault> {
         if self.stamp_ns > self.frame_ns {
             let models = self.models(input);
@@ -274,8 +279,9 @@ impl Estimate {
         self.predict(self.frame_ns, input)
     }
 
-    /// Updates the estimate by a detection in a frame, at its own time. All that is `possible` corrects the motion:
-    /// observations of which at most one is of the agent, each with the probability that it is.
+    /// Updates the estimate by a detection in a frame, at the detection's own time. All `possible`
+    /// observations correct the motion. At most one of them is an observation of the agent; each comes with
+    /// the probability that it is.
     ///
     /// # Errors
     /// [`FilterFault`]; the motion is then as predicted.
@@ -313,8 +319,8 @@ impl Estimate {
         Ok(())
     }
 
-    /// Counts a miss by a frame that observed the agent's type; where something was `possible` after all,
-    /// that corrects the motion.
+    /// Counts a miss by a frame that observed the agent's type. If some observations were `possible`
+    /// nevertheless, they correct the motion.
     ///
     /// # Errors
     /// [`FilterFault`]; the motion is then as predicted.
@@ -343,7 +349,7 @@ impl Estimate {
         self.belief.update_at(lag_s, possible, &self.models(input))
     }
 
-    /// Ends a frame: finds the motion and heading to publish, within the limits of the type.
+    /// Ends a frame. Computes the motion and heading to publish, within the limits of the type.
     pub fn end_frame(&mut self, limits: &SpeedLimits) {
         self.belief.limit_speed(limits.of(self.class.current()));
         self.motion = self.held.motion(self.belief.motion(), self.stamp_ns);
@@ -351,7 +357,7 @@ impl Estimate {
         let last_rad = self.published_heading_rad;
         let limited_rad = if self.was_ready { rate_limited_rad(last_rad, self.heading_rad) } else { None };
         if limited_rad.is_some() {
-            // Forecasts from a heading that still turns do not fit the state.
+            // Forecasts relative to a heading that still turns do not fit the state.
             self.front_ns = self.stamp_ns.saturating_add(1);
         }
         self.published_heading_rad = limited_rad.unwrap_or(self.heading_rad);
@@ -366,19 +372,19 @@ impl Estimate {
             || !self.is_within_limits()
     }
 
-    /// The detection that started it.
+    /// The detection that started the estimate.
     #[must_use]
     pub const fn birth(&self) -> Birth {
         self.birth
     }
 
-    /// The newest detection's own identity, 0 where it carries none.
+    /// The newest detection's own identity; 0 if it has none.
     #[must_use]
     pub const fn source_id(&self) -> u64 {
         self.source_id
     }
 
-    /// The time for which it stands.
+    /// The time of the estimate.
     #[must_use]
     pub const fn stamp_ns(&self) -> i64 {
         self.stamp_ns
@@ -390,13 +396,13 @@ impl Estimate {
         &self.motion
     }
 
-    /// Heading, held where the motion has none.
+    /// Heading. It is held if the motion has none.
     #[must_use]
     pub const fn heading_rad(&self) -> f64 {
         self.heading_rad
     }
 
-    /// Whether the frame at hand has detected the agent so far.
+    /// Whether the current frame has detected the agent so far.
     #[must_use]
     pub const fn is_hit(&self) -> bool {
         self.seen_ns == self.frame_ns
@@ -414,13 +420,13 @@ impl Estimate {
         now_ns.saturating_sub(self.seen_ns).max(0).unsigned_abs()
     }
 
-    /// Whether it can be published: confirmed, with a velocity that means something.
+    /// Whether the estimate can be published: it is confirmed and its velocity is meaningful.
     #[must_use]
     pub const fn is_ready(&self) -> bool {
         self.management.is_confirmed() && self.has_velocity
     }
 
-    /// Resolves the heading and which end is the front, after an update.
+    /// Decides on the heading and the front, after an update.
     fn resolve_front(&mut self) {
         let agent_type = self.class.current();
         if kind(agent_type) == Kind::Bicycle
@@ -472,7 +478,7 @@ impl Clone for Estimate {
         Self { belief: self.belief.clone(), ..*self }
     }
 
-    /// Reuses the memory of its hypotheses.
+    /// Reuses the memory of the hypotheses.
     fn clone_from(&mut self, source: &Self) {
         let mut belief = std::mem::replace(&mut self.belief, Belief::new(*source.belief.filter()));
         belief.clone_from(&source.belief);

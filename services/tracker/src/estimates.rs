@@ -17,7 +17,7 @@ use crate::scan::Scan;
 use crate::tracked::Tracked;
 use crate::trials::Shown;
 
-// A filter takes all the detections that an association gives a track.
+// A filter accepts all detections that an association may assign to a track.
 const _: () = assert!(SIDE_MAX <= OBSERVATIONS_MAX);
 
 /// The estimates of all agents at the stamp of a frame.
@@ -26,27 +26,27 @@ pub struct Estimates {
     /// In the order of their births.
     all: Vec<Estimate>,
     started_len: u64,
-    /// What forecasts are worth as the prior, by type.
+    /// Results of the forecasts' trials, by type.
     shown: [Shown; 3],
     placeholders: Placeholders,
 }
 
-/// Memory that is used again.
+/// Reusable memory.
 #[derive(Debug)]
 pub struct Scratch {
     pairing: Pairing,
     occlusion: Occlusion,
-    /// Observations that may be of the agent at hand, each with the probability that it is.
+    /// Observations that may belong to the current agent, each with the probability that it does.
     possible: Vec<(f64, Observation)>,
     controls: Controls,
-    /// Detections that are not where their identity's estimate expects them.
+    /// Detections that do not fit the estimate of their identity.
     strays: Vec<Stray>,
-    /// Estimates that continue the identity of another one.
+    /// Estimates that continue the identity of another estimate.
     begun: Vec<Estimate>,
 }
 
 impl Scratch {
-    /// Scratch for so many estimates.
+    /// Scratch memory for this number of estimates.
     #[must_use]
     pub fn new(estimates_len: usize) -> Self {
         Self {
@@ -61,7 +61,7 @@ impl Scratch {
 }
 
 impl Estimates {
-    /// No estimates, and room for so many.
+    /// No estimates, with room for this number.
     #[must_use]
     pub fn with_capacity(len: usize) -> Self {
         Self { all: Vec::with_capacity(len), started_len: 0, ..Self::default() }
@@ -73,13 +73,14 @@ impl Estimates {
         &self.all
     }
 
-    /// Adds the estimate of a track that another tracker has published, in the order of their births.
+    /// Adds the estimate of a track that another tracker has published. Calls must follow the order of
+    /// births.
     pub fn add(&mut self, of_track: impl FnOnce(u64) -> Estimate) {
         self.started_len += 1;
         self.all.push(of_track(self.started_len));
     }
 
-    /// Becomes a copy of `source`, in the memory at hand.
+    /// Copies `source` into the existing memory.
     pub fn copy(&mut self, source: &Self) {
         self.all.clone_from(&source.all);
         self.started_len = source.started_len;
@@ -87,10 +88,10 @@ impl Estimates {
         self.placeholders = source.placeholders;
     }
 
-    /// Processes a scan that is newer than the estimates; returns what it did to them.
+    /// Processes a scan that is newer than the estimates. Returns its effects.
     ///
-    /// `publications` match forecasts with agents, and are transferred where the scan shows an older birth of
-    /// an agent.
+    /// `publications` match forecasts with agents. If the scan reveals an older birth of an agent, its
+    /// publication is transferred to this birth.
     pub fn process(
         &mut self,
         scan: &Scan,
@@ -115,8 +116,8 @@ impl Estimates {
         tracked
     }
 
-    /// Gives each estimate its forecast as the prior, where one is due. A wrong forecast is refused; its
-    /// agent goes on.
+    /// Adopts each estimate's forecast as the prior, if a forecast is due. A faulty forecast is refused, and
+    /// its agent continues without it.
     fn adopt_forecasts(
         &mut self,
         scan: &Scan,
@@ -158,7 +159,7 @@ impl Estimates {
         }
     }
 
-    /// Associates the detections with the estimates, and updates these.
+    /// Associates the detections with the estimates and updates the estimates.
     fn update(
         &mut self,
         Scan { header, detections, types, .. }: &Scan,
@@ -181,7 +182,8 @@ impl Estimates {
                 continue;
             }
             possible.clear();
-            // A single detection updates the estimate at its own time, several do so at the frame's.
+            // A single detection updates the estimate at the detection's own time, several update it at the
+            // frame's time.
             let single = pairing.paired(e).is_some() && pairing.shares(e).len() == 1;
             possible.extend(pairing.shares(e).iter().map(|share| {
                 let found = found(share.detection as usize);
@@ -213,7 +215,7 @@ impl Estimates {
         }
     }
 
-    /// Finds the visibility of the wanted estimates.
+    /// Computes the visibility of the selected estimates.
     fn update_visibility(
         &mut self,
         header: &Header,
@@ -236,7 +238,7 @@ impl Estimates {
         }
     }
 
-    /// Starts estimates by the detections that are left. Of an identity the first one starts it.
+    /// Starts estimates from the remaining detections. The first detection of an identity starts it.
     fn start(
         &mut self,
         Scan { header, detections, types, .. }: &Scan,
@@ -283,7 +285,7 @@ impl Estimates {
         }
     }
 
-    /// Ends tentative estimates of agents that have an older one.
+    /// Ends tentative estimates of agents that have an older estimate.
     fn end_twins(&mut self) {
         for younger in 1..self.all.len() {
             let (older, rest) = self.all.split_at_mut(younger);

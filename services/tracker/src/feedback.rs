@@ -1,11 +1,11 @@
-//! What the newest forecasts tell the stages that choose whom a tick has time for.
+//! Feedback from the newest forecasts, for the stages that select the agents of a tick.
 
 use wire::{Forecast, Header, Quality, StageId, Track};
 
 use crate::forecasts::Forecasts;
 
-/// Writes into a tick's header and tracks how old the newest forecasts are, what they cost, and how old the newest
-/// learned forecast of each track is. Without forecasts nothing is told.
+/// Writes feedback into a tick's header and tracks: the age and cost of the newest forecasts, and the age of
+/// the newest learned forecast of each track. Without forecasts it writes nothing.
 pub fn tell(header: &mut Header, tracks: &mut [Track], newest: Option<(&Header, &[Forecast])>) {
     let Some((of, forecasts)) = newest.filter(|(of, _)| of.stamp_ns < header.stamp_ns) else { return };
     let Ok(Some(mut found)) = Forecasts::new(of, forecasts) else { return };
@@ -65,7 +65,7 @@ mod tests {
         assert_eq!(tracks.map(|track| track.learned_age_ns / MS), [80, 320, 80, 0, 0]);
         assert_eq!((header.feedback_age_ns, header.chain_ns, header.chain_len), (80 * MS, 24 * MS, 2));
         assert_eq!(u64::from(header.sampling_ns), 3 * MS);
-        // A clock that went back: nothing is known.
+        // The clock went back, so nothing is known.
         let mut header = Header::new(1, 9, 0);
         tell(&mut header, &mut tracks, Some((&of, &forecasts)));
         assert_eq!(header, Header::new(1, 9, 0));

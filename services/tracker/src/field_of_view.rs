@@ -19,7 +19,7 @@ pub struct FieldOfView {
 /// How a field of view is written.
 const EXPECTED: &str = "WIDTH,RANGE, up to 360 degrees and 1000 m, as in 90,80";
 
-/// Text that stands for no field of view.
+/// A text that is not a field of view.
 #[derive(Debug, Error, PartialEq, Eq)]
 #[error("no field of view \"{0}\"")]
 pub struct UnknownFieldOfView(String);

@@ -1,7 +1,7 @@
 use filters::ControlStep;
 use wire::{Forecast, HORIZON_MAX, Header, MODES_MAX, Rejected, SPEED_MAX_MPS, Steering};
 
-/// Greatest acceleration, m/s², and slip rate, rad/s, of any road user.
+/// Largest acceleration, m/s², and slip rate, rad/s, of any road user.
 const BICYCLE_MAX: [f32; 2] = [50.0, 10.0];
 
 /// The forecasts of an earlier tick, from which estimates take their priors.
@@ -9,11 +9,11 @@ const BICYCLE_MAX: [f32; 2] = [50.0, 10.0];
 pub struct Forecasts<'a> {
     header: &'a Header,
     forecasts: &'a [Forecast],
-    /// Where the search begins: forecasts have the order of the tracks, which is that of the estimates.
+    /// Start of the next search. Forecasts have the order of the tracks, which is the order of the estimates.
     next: usize,
 }
 
-/// The forecast of one agent as controls, mode by mode, in memory that is used again.
+/// The forecast of one agent as controls, mode by mode, in reusable memory.
 #[derive(Clone, Debug)]
 pub struct Controls {
     probability: [f64; MODES_MAX],
@@ -22,10 +22,10 @@ pub struct Controls {
 }
 
 impl<'a> Forecasts<'a> {
-    /// The forecasts of a frame, none where it is no tick.
+    /// The forecasts of a frame. Returns `None` if the frame is not a tick or has no forecasts.
     ///
     /// # Errors
-    /// [`Rejected`] where the header is impossible.
+    /// [`Rejected`] if the header is impossible.
     pub fn new(header: &'a Header, forecasts: &'a [Forecast]) -> Result<Option<Self>, Rejected> {
         if !header.is_tick() || forecasts.is_empty() {
             return Ok(None);
@@ -39,7 +39,7 @@ impl<'a> Forecasts<'a> {
         Err(Rejected::Impossible { field, value })
     }
 
-    /// The forecast of a track, mostly the one after the last that was found.
+    /// The forecast of a track. It usually follows the one found last.
     pub fn find(&mut self, id: u64) -> Option<&'a Forecast> {
         let len = self.forecasts.len();
         let found = (self.next..len).chain(0..self.next.min(len)).find(|&i| self.forecasts[i].id == id)?;
@@ -75,10 +75,10 @@ impl Controls {
         }
     }
 
-    /// Reads the controls of a forecast. They fade in: `fade_in_s` after their stamp, 1 − 1/e of them.
+    /// Reads the controls of a forecast. They fade in: `fade_in_s` after their stamp, their share is 1 − 1/e.
     ///
     /// # Errors
-    /// [`Rejected`] where a number is not finite or impossible.
+    /// [`Rejected`] if a number is not finite or is impossible.
     pub fn read(
         &mut self,
         of: &Forecasts<'_>,

@@ -1,28 +1,28 @@
-//! Which end of an agent is its front.
+//! The decision which end of an agent is its front.
 //!
-//! Detectors often can't tell front from back and flip a heading by π. A flipped heading still gives the
-//! axis, so it is *folded* onto the estimated front for the filter and counted here as evidence against that
-//! front. Only accumulated evidence flips a track; one frame never does.
+//! Detectors often confuse front and rear, and flip a heading by π. A flipped heading still gives the axis.
+//! It is therefore *folded* onto the estimated front for the filter, and counted here as evidence against
+//! this front. Only accumulated evidence flips a track; one frame never does.
 
 use std::f64::consts::{FRAC_PI_2, FRAC_PI_3, PI};
 
 use filters::wrapped;
 
-/// Log-odds of a detected heading that agrees with the estimated front, or contradicts it: as if 30 % were
-/// flipped.
+/// Log-odds of a detected heading that agrees with the estimated front, or contradicts it. It corresponds to
+/// 30 % flipped headings.
 const HEADING_WEIGHT: f64 = 0.85;
-/// Log-odds of a frame of motion forwards, or backwards. It is less than a heading's: agents do reverse.
+/// Log-odds of a frame of forward or backward motion. It is less than a heading's, because agents do reverse.
 const MOTION_WEIGHT: f64 = 0.2;
-/// The same before the track is published: few agents come into view in reverse.
+/// The same before the track is published. Few agents come into view in reverse.
 const FIRST_MOTION_WEIGHT: f64 = 1.0;
-/// Slower motion is no evidence, nor is one of fewer standard deviations.
+/// Slower motion is not evidence, and neither is motion of fewer standard deviations.
 const MOTION_MIN_MPS: f64 = 1.0;
 const MOTION_MIN_SIGMAS: f64 = 3.0;
 /// Bound of the log-odds, so that later evidence can change them.
 const LOG_ODDS_MAX: f64 = 8.0;
 /// At these log-odds of its front, a published track flips.
 const FLIP_LOG_ODDS: f64 = -6.0;
-/// Most that a published heading turns in a frame: a flip takes three.
+/// Largest turn of a published heading in one frame. A flip takes three frames.
 const TURN_MAX_RAD: f64 = FRAC_PI_3;
 
 /// Evidence about the front of an agent, accumulated over frames.
@@ -33,18 +33,18 @@ pub struct Front {
 }
 
 impl Front {
-    /// The evidence of the detection that set the estimate.
+    /// The evidence after the detection that set the estimate.
     #[must_use]
     pub const fn new() -> Self {
         Self { log_odds: HEADING_WEIGHT }
     }
 
-    /// Adds which way a detected heading points.
+    /// Adds the direction of a detected heading.
     pub fn observe_heading(&mut self, detected_rad: f64, estimated_rad: f64) {
         self.add(if agree(detected_rad, estimated_rad) { HEADING_WEIGHT } else { -HEADING_WEIGHT });
     }
 
-    /// Adds a frame of motion along the estimated heading, at a speed with that standard deviation.
+    /// Adds a frame of motion along the estimated heading, with this speed and its standard deviation.
     pub fn observe_motion(&mut self, speed_mps: f64, sigma_mps: f64, published: bool) {
         if speed_mps.abs() > MOTION_MIN_MPS.max(MOTION_MIN_SIGMAS * sigma_mps) {
             let weight = if published { MOTION_WEIGHT } else { FIRST_MOTION_WEIGHT };
@@ -52,8 +52,8 @@ impl Front {
         }
     }
 
-    /// Whether the agent points the other way: before a track is published by any majority of the evidence,
-    /// then by a clear one. Taking the flip turns the evidence round as well.
+    /// Whether the agent points the other way. Before a track is published, any majority of the evidence is
+    /// enough; afterwards it must be clear. Taking the flip also reverses the evidence.
     #[must_use]
     pub fn take_flip(&mut self, published: bool) -> bool {
         let flips = if published { self.log_odds <= FLIP_LOG_ODDS } else { self.log_odds < 0.0 };
@@ -68,8 +68,8 @@ impl Front {
     }
 }
 
-/// The published heading on its way from the last one to `heading_rad`, rate-limited; none where it arrives
-/// at once.
+/// The published heading, rate-limited on its way from the last one to `heading_rad`. Returns `None` if the
+/// heading arrives immediately.
 #[must_use]
 pub fn rate_limited_rad(last_rad: f64, heading_rad: f64) -> Option<f64> {
     let turn_rad = wrapped(heading_rad - last_rad);

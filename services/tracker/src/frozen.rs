@@ -1,19 +1,19 @@
-//! Whether the content of the detections stands still while their stamps go on: a camera that hangs, a buffer that
-//! is sent again.
+//! Detects a frozen source: the content of the detections stays the same while their stamps advance. Causes
+//! are a camera that hangs, or a buffer that is sent again.
 
 use wire::{DETECTIONS_MAX, Detection, detection_flags};
 
-/// Slower agents may well be measured at the same place in several frames.
+/// Slower agents may be measured at the same position in several frames.
 const MOVING_MIN_MPS: f32 = 1.0;
 
-/// The newest detections that differ from those before.
+/// The newest detections that differ from the previous ones.
 #[derive(Debug)]
 pub(crate) struct Repetition {
     detections: Vec<Detection>,
     stamp_ns: i64,
-    /// Frames in a row with these detections.
+    /// Number of consecutive frames with these detections.
     frames: u32,
-    /// Whether something moves in them.
+    /// Whether an agent in them moves.
     moves: bool,
 }
 
@@ -23,15 +23,15 @@ impl Repetition {
         Self { detections, stamp_ns: i64::MIN, frames: 0, moves: false }
     }
 
-    /// Looks at the detections of a frame: with how many frames in a row they are the same, this one included; 1
-    /// where nothing moves in them. `tracks_move` says whether a track moves, for detections without speed.
+    /// Returns the number of consecutive frames with the same detections, including this one. The result is 1
+    /// if no agent in them moves. `tracks_move` returns whether a track moves, for detections without speed.
     pub fn look(
         &mut self,
         stamp_ns: i64,
         detections: &[Detection],
         tracks_move: impl FnOnce() -> bool,
     ) -> u32 {
-        // Bit by bit: a measurement that was made again differs somewhere.
+        // Bit by bit, because a repeated measurement differs somewhere.
         let bytes = bytemuck::cast_slice::<Detection, u8>;
         let is_same = bytes(detections) == bytes(&self.detections);
         if !is_same || stamp_ns <= self.stamp_ns {
@@ -39,7 +39,7 @@ impl Repetition {
             self.detections.extend_from_slice(detections);
             (self.frames, self.moves) = (0, false);
         } else if self.frames == 1 {
-            // Now, because the tracks soon believe that everything stands.
+            // Decided now, because the tracks will soon stand still.
             self.moves = moves(detections) || (!detections.is_empty() && tracks_move());
         }
         self.stamp_ns = stamp_ns;
@@ -48,12 +48,12 @@ impl Repetition {
     }
 }
 
-/// Whether a detection says itself that its agent moves.
+/// Whether a detection reports that its agent moves.
 fn moves(detections: &[Detection]) -> bool {
     detections.iter().any(|d| d.has(detection_flags::HAS_SPEED) && d.speed_mps.abs() >= MOVING_MIN_MPS)
 }
 
-/// Whether an agent of that speed moves.
+/// Whether an agent with this speed moves.
 pub(crate) fn is_moving(speed_mps: f64) -> bool {
     speed_mps.abs() >= f64::from(MOVING_MIN_MPS)
 }

@@ -2,45 +2,46 @@ use wire::{AgentType, POSITION_MAX_M};
 
 /// Side of a cell: about the gate of a track that was just detected.
 const CELL_M: f64 = 2.0;
-/// Cells per detection, at least.
+/// Minimum number of cells per detection.
 const CELLS_RATIO: usize = 2;
 
-/// What gating needs of a detection.
+/// The data of a detection that gating needs.
 #[derive(Clone, Copy, Debug)]
 pub struct Spot {
     /// Position in the world frame.
     pub position_m: [f64; 2],
-    /// Its variance per axis.
+    /// Variance of the position per axis.
     pub variance: f64,
     /// Number of the detection.
     pub detection: u32,
-    /// Type that the detection names.
+    /// Type of the detection.
     pub agent_type: AgentType,
 }
 
-/// A spatial hash of the detections of a frame, the pre-gate of the association; holds only scratch memory.
+/// A spatial hash of the detections of a frame, used as a pre-gate of the association. Holds only scratch
+/// memory.
 ///
-/// The plane is cut into cells of one size, and cells that lie a multiple of `side` apart share a list. So a
-/// frame of any extent needs few cells, and a stray detection far away changes nothing for the others.
+/// The plane is divided into cells of one size. Cells whose distance is a multiple of `side` share a list. A
+/// frame of any extent therefore needs few cells, and a distant stray detection does not affect the others.
 #[derive(Clone, Debug)]
 pub struct Grid {
     /// Cells along each axis, a power of two.
     side: u32,
-    /// Where the spots of each cell begin; those of the last end at the end.
+    /// Start of each cell's spots. The spots of the last cell end at the end of the list.
     first: Vec<u32>,
-    /// Cell by cell, in each in the order of the detections.
+    /// Spots cell by cell, and within a cell in the order of the detections.
     spots: Vec<Spot>,
 }
 
 impl Grid {
-    /// A grid for so many detections.
+    /// A grid for this number of detections.
     #[must_use]
     pub fn with_capacity(detections_len: usize) -> Self {
         let cells_len = (side(detections_len) as usize).pow(2);
         Self { side: 1, first: Vec::with_capacity(cells_len + 1), spots: Vec::with_capacity(detections_len) }
     }
 
-    /// Replaces the detections by those of a frame.
+    /// Replaces the detections by the detections of a frame.
     pub fn fill(&mut self, spots: impl DoubleEndedIterator<Item = Spot> + Clone) {
         let spots_len = spots.clone().count();
         self.side = side(spots_len);
@@ -50,8 +51,8 @@ impl Grid {
             let cell = self.cell(spot.position_m.map(line));
             self.first[cell] += 1;
         }
-        // Turns the counts into the end of each cell; placing its spots from behind moves that to its
-        // beginning.
+        // Turns the counts into the end of each cell. Placing a cell's spots from the back moves this to the
+        // start of the cell.
         let mut end = 0;
         for count in &mut self.first {
             end += *count;
@@ -68,11 +69,11 @@ impl Grid {
         }
     }
 
-    /// All spots no farther from a point than `reach_m` along each axis, and some that are.
+    /// All spots within `reach_m` of a point along each axis, and some others.
     pub fn near(&self, centre_m: [f64; 2], reach_m: [f64; 2]) -> impl Iterator<Item = &Spot> {
         let lines = |axis: usize| {
             let [from, to] = [-reach_m[axis], reach_m[axis]].map(|off_m| line(centre_m[axis] + off_m));
-            // Farther round, the cells are the same again.
+            // Beyond this the cells repeat.
             from..=to.min(from + self.side - 1)
         };
         let columns = lines(0);
@@ -94,7 +95,7 @@ impl Grid {
     }
 }
 
-/// Number of the line of cells in which a coordinate lies; grows with it.
+/// Number of the line of cells that contains a coordinate. It increases with the coordinate.
 fn line(coordinate_m: f64) -> u32 {
     ((coordinate_m + f64::from(POSITION_MAX_M)) / CELL_M) as u32
 }

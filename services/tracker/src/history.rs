@@ -3,16 +3,16 @@ use wire::HistoryState;
 /// States kept per track: 5 s at 80 ms, more than the longest window.
 const STATES_MAX: usize = 64;
 
-/// The filtered states of one track, in time order, as they were published.
+/// The published, filtered states of one track in time order.
 ///
-/// A published state is never rewritten: the window at a later time has the very same bits, so that whatever
-/// was computed for (track, stamp) stays valid. A time between two states gets their interpolation, which
-/// depends on these two alone and so stays the same as well.
+/// A published state is never rewritten. The window at a later time therefore has the same bits, and
+/// everything computed for (track, stamp) stays valid. A time between two states gets their interpolation. It
+/// depends only on these two states and therefore stays the same, too.
 #[derive(Clone, Copy, Debug)]
 pub struct History {
     /// States by their stamps.
     states: [(i64, HistoryState); STATES_MAX],
-    /// States pushed so far; the newest lies at (len − 1) modulo the ring's size.
+    /// Number of states pushed so far. The newest state is at (len − 1) modulo the ring's size.
     len: usize,
 }
 
@@ -25,15 +25,15 @@ impl History {
         Self { states: [(0, ABSENT); STATES_MAX], len: 0 }
     }
 
-    /// Appends the state of `stamp_ns`, which lies after all others; a full ring drops the oldest.
+    /// Appends the state of `stamp_ns`, which is later than all others. A full ring drops the oldest state.
     pub fn push(&mut self, stamp_ns: i64, state: HistoryState) {
         self.states[self.len % STATES_MAX] = (stamp_ns, HistoryState { present: 1, ..state });
         self.len += 1;
     }
 
-    /// Gives all states the velocity and heading of `known`, as long as none is published.
+    /// Sets the velocity and heading of all states to those of `known`, as long as no state is published.
     ///
-    /// The first state of a track whose first detection is a position has no velocity of its own.
+    /// If a track's first detection is only a position, its first state has no velocity.
     pub fn backfill(&mut self, known: &HistoryState) {
         for (_, state) in &mut self.states[..self.len.min(STATES_MAX)] {
             (state.vx_mps, state.vy_mps) = (known.vx_mps, known.vy_mps);
@@ -41,15 +41,15 @@ impl History {
         }
     }
 
-    /// Writes the states at now − (len − 1 − k) Δt, oldest first; absent ones are zero.
+    /// Writes the states at now − (len − 1 − k) Δt, oldest first. Absent states are zero.
     ///
-    /// A time without a state of its own takes the interpolation between its neighbours unless these lie more
-    /// than `gap_max_ns` apart.
+    /// A time between two states gets their interpolation, unless the two states are more than `gap_max_ns`
+    /// apart.
     pub fn window(&self, now_ns: i64, step_ns: u64, gap_max_ns: u64, window: &mut [HistoryState]) {
         let held = self.len.min(STATES_MAX);
-        // Steps back from the newest state; the window is filled from its newest end, so this only grows.
+        // Steps back from the newest state. The window is filled from its newest end, so this only grows.
         let mut back = 0;
-        // Frames at an even rate let it grow by as much each time.
+        // At an even frame rate the increment is the same each time.
         let mut stride = 0;
         for (k, entry) in window.iter_mut().rev().enumerate() {
             let wanted_ns = now_ns.saturating_sub_unsigned(step_ns.saturating_mul(k as u64));
@@ -74,7 +74,7 @@ impl History {
         }
     }
 
-    /// The state between the one `back` steps ago and the next.
+    /// The state between the one `back` steps ago and its successor.
     fn between(&self, back: usize, wanted_ns: i64, gap_max_ns: u64) -> HistoryState {
         let (before_ns, after_ns) = (self.stamp_ns(back), self.stamp_ns(back - 1));
         let gap_ns = after_ns.abs_diff(before_ns);

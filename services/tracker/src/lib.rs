@@ -1,26 +1,29 @@
-//! Multi-object tracking: makes tracks of detections, with forecasts as the prior.
+//! Multi-object tracking: builds tracks from detections, with forecasts as the prior.
 //!
-//! A *detection* is what the sensor measured of one object at one time. A *track* is the estimated past of
-//! one agent; its id is never reused. [`Tracker::step`] processes a frame of detections in the steps of a
+//! A *detection* is the sensor's measurement of one object at one time. A *track* is the estimated past of
+//! one agent. Its id is never reused. [`Tracker::step`] processes a frame of detections in the steps of a
 //! recursive Bayesian filter:
 //!
 //! 1. **Predict.** Each track's [filter](filters) is predicted to the frame's stamp. The prior is a process
-//!    model ([`Prior::Kinematic`]), or the forecast that the pipeline made of the track at an earlier tick
+//!    model ([`Prior::Kinematic`]), or the pipeline's forecast of the track from an earlier tick
 //!    ([`Prior::Learned`]).
-//! 2. **Associate.** Gating, then optimal assignment or joint probabilistic data association
-//!    ([`association`]); recordings whose detections carry identities go by these.
-//! 3. **Update.** A track with a detection is updated, one without counts a miss, a detection without a track
-//!    starts one.
-//! 4. **Manage.** A new track is *tentative*: unpublished until three of the last five frames that observed
-//!    its type have detected it and its existence is near certain, or at once where identities can be
-//!    trusted. A track that is missed *coasts*: it is predicted and published until its coast time is over,
-//!    at most to the forecast's horizon. Where the sensor's position is known, the miss probability depends
-//!    on occlusion: a track hidden behind others coasts for longer, and is less likely to take a detection.
-//! 5. **Publish.** Each track carries its history at exact Δt spacing, made of the states published before.
+//! 2. **Associate.** Gating is followed by optimal assignment or joint probabilistic data association
+//!    ([`association`]). If the detections have trusted identities, the identities replace the association.
+//! 3. **Update.** A track with a detection is updated. A track without a detection counts a miss. A detection
+//!    without a track starts one.
+//! 4. **Manage.** A new track is *tentative* and unpublished. It is confirmed when three of the last five
+//!    frames that observed its type have detected it and its existence is nearly certain, or immediately if
+//!    identities can be trusted. A missed track *coasts*: it is predicted and published until its coast time
+//!    ends, at most to the forecast's horizon. If the sensor's position is known, the miss probability
+//!    depends on occlusion. A track hidden behind others coasts for longer and is less likely to take a
+//!    detection.
+//! 5. **Publish.** Each track carries its history at exact Δt spacing, made of the previously published
+//!    states.
 //!
-//! **Out of sequence.** An *estimate*, the belief about one agent, depends on the frames and the forecasts
-//! that came with them, in the order of their stamps. A frame that arrives after newer ones is processed by
-//! rollback and replay. What is published of an agent, its *publication*, stays as it is.
+//! **Out of sequence.** An *estimate* is the belief about one agent. It depends on the frames and the
+//! forecasts that came with them, in the order of their stamps. A frame that arrives after newer ones is
+//! processed by rollback and replay. The *publication* of an agent, which is everything published about it,
+//! remains unchanged.
 //!
 //! # Modules
 //!
@@ -28,15 +31,15 @@
 //!
 //! ```text
 //! stage                 the ports
-//! feedback              what the newest forecasts tell the stages that follow
+//! feedback              feedback of the newest forecasts for the next stages
 //! settings              the run's options
 //! tracker               the steps above, frame by frame
 //! replay                out-of-sequence frames: scans, checkpoints, rollback
 //! estimates             predict, associate, update and manage all agents
-//! predecessor           the tracks of a process before
+//! predecessor           the tracks of a previous process
 //! publication           ids and histories as published      pairing   gating and association
 //! estimate              one agent: belief, type, front, visibility, track management
-//! belief  forecasts     motion and its prior           trials    what forecasts are worth
+//! belief  forecasts     motion and its prior           trials    trials of forecasts
 //! class  front  grid  history  observation  occlusion  placeholders  scan  tally  track_management
 //! tracked
 //! options

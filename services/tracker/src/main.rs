@@ -1,4 +1,4 @@
-//! The tracker as a program of its own.
+//! The tracker as a separate program.
 
 fn main() -> std::process::ExitCode {
     ports::stage_main(tracker::stage::run)

@@ -1,18 +1,18 @@
-//! Ticks without detections, once the source is gone.
+//! Ticks without detections, after the source is gone.
 
 use wire::{Counts, Header, flags};
 
-/// When the tracker goes on without detections, and with which ticks.
+/// Decides when the tracker continues without detections, and with which ticks.
 ///
-/// Two intervals after the last tick it looks whether the source is gone. If it is, ticks are predicted, one
-/// per interval, until the first one with detections.
+/// Two intervals after the last tick, it checks whether the source is gone. If so, it predicts one tick per
+/// interval until the next tick with detections.
 #[derive(Debug, Default)]
 pub struct Missing {
     last: Option<Last>,
     is_gone: bool,
 }
 
-/// The last tick with detections, and the ticks predicted since.
+/// The last tick with detections, and the number of ticks predicted since.
 #[derive(Clone, Copy, Debug)]
 struct Last {
     header: Header,
@@ -22,15 +22,16 @@ struct Last {
 }
 
 impl Missing {
-    /// A tick with detections has come, at `received_ns`. In lockstep nothing is missing, however late.
+    /// Records that a tick with detections has arrived at `received_ns`. In lockstep no tick is missing,
+    /// however late it is.
     pub fn came(&mut self, header: &Header, received_ns: u64) {
         let can_miss = header.interval_ns > 0 && !header.has(flags::LOCKSTEP);
         let last = Last { header: *header, received_ns, predicted_len: 0, look_ns: 0 };
         *self = Self { last: can_miss.then_some(last), is_gone: false };
     }
 
-    /// A frame has come that is no tick. The end of the recording: nothing follows. A warm-up frame: another
-    /// source begins, and until its first tick there is none.
+    /// Records a control frame, which is not a tick. Nothing follows the end of the recording. A warm-up
+    /// frame means that another source begins, and there is no source until its first tick.
     pub fn is_no_tick(&mut self, header: &Header) {
         if header.has(flags::END) {
             *self = Self::default();
@@ -38,24 +39,25 @@ impl Missing {
         self.is_gone |= header.has(flags::WARM_UP);
     }
 
-    /// When to look at the source, or to predict the next tick; none while nothing can be missing.
+    /// Time of the next check of the source, or of the next predicted tick; `None` while nothing can be
+    /// missing.
     pub fn until_ns(&self) -> Option<u64> {
         let last = self.last?;
         let interval_ns = last.header.interval_ns;
         let after_ns = last.received_ns + last.predicted_len * interval_ns;
-        // Once the source is known to be gone, half an interval after the tick was due: the first tick of the
-        // next source finds the one before it answered.
+        // Once the source is known to be gone, wait half an interval beyond the due time. The first tick of
+        // the next source then finds the previous tick answered.
         let due_ns = after_ns + if self.is_gone { interval_ns + interval_ns / 2 } else { 2 * interval_ns };
         Some(due_ns.max(last.look_ns))
     }
 
-    /// The header of a tick that is to be predicted now, at `now_ns`; none where the source is there and
-    /// merely silent, as in a gap of a recording.
+    /// The header of a tick to predict now, at `now_ns`. Returns `None` if the source exists and is merely
+    /// silent, as in a gap of a recording.
     pub fn predict(&mut self, is_gone: bool, now_ns: u64) -> Option<Header> {
         self.is_gone |= is_gone;
         let last = self.last.as_mut()?;
         if !self.is_gone {
-            // Looked at four times an interval: an outage is noticed soon, and looking costs little.
+            // Four checks per interval: an outage is noticed soon, and a check is cheap.
             last.look_ns = now_ns + last.header.interval_ns / 4;
             return None;
         }
@@ -66,7 +68,7 @@ impl Missing {
             seq: last.header.seq + last.predicted_len,
             stamp_ns: last.header.stamp_ns.saturating_add_unsigned(after_ns),
             flags: last.header.flags | flags::PREDICTED,
-            // No type was looked for, so no track is missed.
+            // No type was observed, so no track is missed.
             observed_types: 0,
             left_out_len: 0,
             counts: Counts::default(),

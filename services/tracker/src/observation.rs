@@ -3,40 +3,40 @@ use wire::{AgentType, Detection, detection_flags};
 
 use crate::options::InputModel;
 
-/// Bounds of a detection's own noise: beyond them, variances overflow or vanish in a published covariance.
+/// Bounds of a detection's own noise. Beyond them, variances overflow or vanish in a published covariance.
 const SIGMA_RANGE_M: (f64, f64) = (1e-6, 1e3);
 
 /// A detection with its own time.
 #[derive(Clone, Copy, Debug)]
 pub struct Found<'a> {
-    /// What was detected.
+    /// The detection.
     pub detection: &'a Detection,
-    /// Its type.
+    /// The type.
     pub agent_type: AgentType,
-    /// When it was measured: its own time.
+    /// Time of measurement: the detection's own time.
     pub own_ns: i64,
 }
 
 impl<'a> Found<'a> {
-    /// A detection of the frame with that stamp.
+    /// A detection of the frame with this stamp.
     #[must_use]
     pub const fn new(stamp_ns: i64, detection: &'a Detection, agent_type: AgentType) -> Self {
         Self { detection, agent_type, own_ns: stamp_ns.saturating_add(detection.offset_ns) }
     }
 
-    /// The bits of its position.
+    /// The bits of the position.
     #[must_use]
     pub const fn place(&self) -> [u32; 2] {
         [self.detection.x_m.to_bits(), self.detection.y_m.to_bits()]
     }
 
-    /// Its position.
+    /// The position.
     #[must_use]
     pub fn position_m(&self) -> [f64; 2] {
         [self.detection.x_m, self.detection.y_m].map(f64::from)
     }
 
-    /// The speed that it reports.
+    /// The reported speed.
     #[must_use]
     pub fn speed_mps(&self) -> Option<f64> {
         let has_speed = self.detection.has(detection_flags::HAS_SPEED);
@@ -44,7 +44,7 @@ impl<'a> Found<'a> {
     }
 }
 
-/// The observation of a detection, with the noise of its type where it has none of its own.
+/// The observation of a detection. If the detection has no noise of its own, it gets the noise of its type.
 #[must_use]
 pub fn observation(detection: &Detection, agent_type: AgentType, input: &InputModel) -> Observation {
     let noise = &input.sensor[agent_type.index()];
@@ -66,7 +66,7 @@ pub fn position_sigma_m(detection: &Detection, agent_type: AgentType, input: &In
     }
 }
 
-/// The identity that a detection carries, 0 where it carries none.
+/// The identity of a detection; 0 if it has none.
 #[must_use]
 pub fn source_id(detection: &Detection) -> u64 {
     if detection.has(detection_flags::HAS_ID) { detection.id } else { 0 }

@@ -1,15 +1,18 @@
 //! Occlusion: how much of an agent the sensor can see past the others.
 //!
 //! Seen from the sensor, every *outline* (a rectangle on the ground) covers an interval of bearings. The
-//! circle of bearings is cut into sectors, and each keeps its *reach*, the distance to behind the nearest
-//! outline that its ray meets. What lies beyond the reach is occluded. The *visibility* of an agent is the
-//! share of the bearings in which it may be that reach it: it falls and rises steadily as the agent passes
-//! behind another, and rises with the uncertainty of its position. Outside of the sensor's field of view, a
-//! sector of the ground about its heading, the reach is 0: an agent there counts as occluded.
+//! circle of bearings is divided into sectors. Each sector keeps its *reach*: the distance to the far side of
+//! the nearest outline that its ray meets. Everything beyond the reach is occluded. Outside the sensor's
+//! field of view, which is a sector of the ground about its heading, the reach is 0, so an agent there counts
+//! as occluded.
 //!
-//! Agents that overlap on the ground occlude nothing of each other, so that of two tracks of one agent
-//! neither excuses the misses of the other. The cost is linear in the number of agents and the sectors that
-//! they cover.
+//! The *visibility* of an agent is the share of its possible bearings at which it is within the reach. It
+//! falls and rises steadily as the agent passes behind another, and rises with the uncertainty of its
+//! position.
+//!
+//! Agents that overlap on the ground do not occlude each other. Of two tracks of one agent, neither therefore
+//! excuses the misses of the other. The cost is linear in the number of agents and the sectors that they
+//! cover.
 
 use std::f64::consts::{PI, TAU};
 
@@ -18,24 +21,24 @@ use filters::wrapped;
 
 use crate::FieldOfView;
 
-/// Sectors of the full circle: a third of a degree each, 0.3 m at 50 m.
+/// Number of sectors of the full circle. Each is a third of a degree wide, 0.3 m at 50 m.
 const SECTORS: usize = 1024;
 const SECTOR_RAD: f64 = TAU / SECTORS as f64;
 
 /// An agent's extent on the ground.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Outline {
-    /// Its centre.
+    /// The centre.
     pub centre_m: [f64; 2],
     /// Covariance of the centre as (xx, xy, yy).
     pub covariance_m2: [f64; 3],
-    /// Heading.
+    /// The heading.
     pub heading_rad: f64,
-    /// Half its length and half its width.
+    /// Half the length and half the width.
     pub half_m: [f64; 2],
 }
 
-/// How far the sensor can see at each bearing; holds only scratch memory.
+/// The distance that the sensor can see at each bearing. Holds only scratch memory.
 #[derive(Clone, Debug)]
 pub struct Occlusion {
     sensor_m: [f64; 2],
@@ -46,7 +49,7 @@ pub struct Occlusion {
 }
 
 impl Occlusion {
-    /// A sensor whose view nothing limits.
+    /// A sensor with an unlimited view.
     #[must_use]
     pub fn new() -> Self {
         let ray = |sector: usize| {
@@ -60,8 +63,8 @@ impl Occlusion {
         }
     }
 
-    /// Finds the reach of a sensor at a position among `opaque` outlines, within a view about its heading
-    /// where there is one.
+    /// Computes the reach of a sensor at a position among `opaque` outlines. If a view is given, the reach is
+    /// limited to it.
     pub fn update(
         &mut self,
         sensor_m: [f64; 2],
@@ -81,7 +84,7 @@ impl Occlusion {
         for outline in opaque {
             let [dx, dy] = self.offset_m(&outline);
             let (distance_m, radius_m) = (hypot(dx, dy), hypot(outline.half_m[0], outline.half_m[1]));
-            // A sensor within that radius may have the outline on all sides.
+            // For a sensor within this radius, the outline may be on all sides.
             let half_rad = if radius_m < distance_m { (radius_m / distance_m).asin() } else { PI };
             let relative = Relative::new([dx, dy], &outline);
             for (sector, _) in sectors(dy.atan2(dx), half_rad) {
@@ -141,7 +144,7 @@ impl Relative {
         }
     }
 
-    /// Distance at which a ray leaves the outline; none where it misses it or starts inside.
+    /// Distance at which a ray leaves the outline; `None` if it misses the outline or starts inside.
     fn exit_m(&self, [x, y]: [f64; 2]) -> Option<f64> {
         let [cos, sin] = self.axis;
         let along = [cos * x + sin * y, cos * y - sin * x];
@@ -155,7 +158,7 @@ impl Relative {
     }
 }
 
-/// The sectors within `half_rad`, at most π, of a bearing, each with the share of it that lies within.
+/// The sectors within `half_rad` (at most π) of a bearing, each with the covered share.
 fn sectors(bearing_rad: f64, half_rad: f64) -> impl Iterator<Item = (usize, f64)> {
     let [from, to] = [-half_rad, half_rad].map(|off_rad| (bearing_rad + off_rad) / SECTOR_RAD);
     let (first, last) = (from.floor() as i64, to.ceil() as i64);
@@ -192,7 +195,7 @@ mod tests {
         occlusion.visibility(&of)
     }
 
-    /// A lorry stands ahead to the left; the view reaches 45 degrees to either side of the heading, and 50 m
+    /// A lorry stands ahead on the left. The view reaches 45 degrees to either side of the heading, and 50 m
     /// far.
     #[test]
     fn outlines_out_of_view_are_occluded() {
@@ -232,10 +235,10 @@ mod tests {
         {
             assert_eq!(visibility([0.0; 2], &[LORRY], pedestrian(x, y, 0.1)), expected, "{x}, {y}");
         }
-        // Seen from the other side, before and behind change places.
+        // Seen from the other side, front and back are exchanged.
         assert_eq!(visibility([40.0, 0.0], &[LORRY], pedestrian(25.0, 0.0, 0.1)), 1.0);
         assert_eq!(visibility([40.0, 0.0], &[LORRY], pedestrian(15.0, 0.0, 0.1)), 0.0);
-        // Before the long side of a bus close by, though farther away than its middle.
+        // In front of the long side of a nearby bus, although farther away than the middle of the bus.
         let bus = Outline { centre_m: [5.0, 0.0], half_m: [9.0, 1.25], ..LORRY };
         assert_eq!(visibility([0.0; 2], &[bus], pedestrian(3.0, 7.0, 0.1)), 1.0);
         assert_eq!(visibility([0.0; 2], &[bus], pedestrian(7.0, 7.0, 0.1)), 0.0);
@@ -283,8 +286,8 @@ mod tests {
         }
     }
 
-    /// The sensor on an agent, in one, or as far away as possible; agents without extent, with a covariance
-    /// of zero.
+    /// The sensor on an agent, inside one, or as far away as possible. Agents without extent and with a
+    /// covariance of zero.
     #[test]
     fn visibility_of_degenerate_outlines_is_within_0_and_1() {
         let point = Outline { half_m: [0.0; 2], covariance_m2: [0.0; 3], ..LORRY };

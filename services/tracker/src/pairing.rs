@@ -10,27 +10,27 @@ use crate::grid::{Grid, Spot};
 use crate::observation::{Found, position_sigma_m};
 use crate::options::{Association, InputModel, TrackerOptions};
 
-/// 99 % of a chi-squared variable of two degrees of freedom: the gate for positions.
+/// 99 % quantile of a χ² variable with two degrees of freedom: the gate for positions.
 const GATE: f64 = 9.210_340_371_976_18;
-/// The gate of the second round, of confirmed tracks and detections that the first left unpaired: five
-/// standard deviations. A vehicle that brakes hard leaves the first gate, and would start a second track.
+/// The gate of the second round, for confirmed tracks and detections that the first round left unpaired: five
+/// standard deviations. A vehicle that brakes hard leaves the first gate and would start a second track.
 const WIDE_GATE: f64 = 25.0;
-/// Most rounds in which an estimate takes another detection, each of another own time.
+/// Largest number of rounds in which an estimate gets a further detection, each with another own time.
 const MORE_ROUNDS: usize = 8;
 
-/// Associates detections with estimates; holds only scratch memory.
+/// Associates detections with estimates. Holds only scratch memory.
 #[derive(Clone, Debug)]
 pub struct Pairing {
-    /// The unpaired detections, in an order that does not depend on that of the frame.
+    /// The unpaired detections, in an order that is independent of their order in the frame.
     unpaired: Vec<u32>,
     grid: Grid,
     /// (identity, estimate), sorted.
     identities: Vec<(u64, u32)>,
     /// The detections in the order of their identities and own times, without duplicates.
     ordered: Vec<u32>,
-    /// Where in `ordered` those of each estimate lie.
+    /// Range in `ordered` of the detections of each estimate.
     own: Vec<Range<usize>>,
-    /// Further detections of an estimate, of other own times: (estimate, detection).
+    /// Further detections of an estimate with other own times: (estimate, detection).
     more: Vec<(u32, u32)>,
     /// The positions of the frame's detections.
     places: PlaceFilter,
@@ -43,16 +43,16 @@ pub struct Pairing {
     associator: Associator,
     /// Detection of each estimate, as its only share.
     paired: Vec<Option<Share>>,
-    /// Whether each estimate has the shares of the associator instead.
+    /// Whether each estimate uses the shares of the associator instead.
     joint: Vec<bool>,
     /// The detection of each estimate in one round.
     round: Vec<Option<u32>>,
-    /// Whether each detection is paired, or left aside as a duplicate.
+    /// Whether each detection is paired or discarded as a duplicate.
     taken: Vec<bool>,
 }
 
 impl Pairing {
-    /// Scratch for so many estimates and detections.
+    /// Scratch memory for this number of estimates and detections.
     #[must_use]
     pub fn with_capacity(estimates_len: usize, detections_len: usize) -> Self {
         Self {
@@ -75,13 +75,13 @@ impl Pairing {
         }
     }
 
-    /// The detection of an estimate; no two have the same.
+    /// The detection of an estimate. No two estimates have the same one.
     #[must_use]
     pub fn paired(&self, estimate: usize) -> Option<u32> {
         self.paired[estimate].map(|share| share.detection)
     }
 
-    /// What updates an estimate: its detection, or all that may be its own.
+    /// The detections that update an estimate: its only one, or all that may belong to it.
     #[must_use]
     pub fn shares(&self, estimate: usize) -> &[Share] {
         if self.joint[estimate] {
@@ -91,7 +91,7 @@ impl Pairing {
         }
     }
 
-    /// The detections that start tracks, in an order that does not depend on that of the frame.
+    /// The detections that start tracks, in an order that is independent of their order in the frame.
     pub fn unpaired(&self) -> impl Iterator<Item = usize> + '_ {
         self.unpaired.iter().map(|&d| d as usize)
     }
@@ -102,28 +102,28 @@ impl Pairing {
         &self.ordered[self.own[estimate].clone()]
     }
 
-    /// Further detections of an estimate, of other own times than the paired one.
+    /// Further detections of an estimate, with own times other than the paired one's.
     pub fn more(&self, estimate: usize) -> impl Iterator<Item = usize> + '_ {
         let of_estimate = self.more.iter().filter(move |(e, _)| *e as usize == estimate);
         of_estimate.map(|(_, d)| *d as usize)
     }
 
-    /// Whether an estimate's last detection was sent again, though the agent moves.
+    /// Whether an estimate's last detection was sent again although the agent moves.
     #[must_use]
     pub fn is_resent(&self, estimate: usize) -> bool {
         self.resent[estimate]
     }
 
-    /// Whether several detections of the frame may be at one exact position.
+    /// Whether several detections of the frame may have exactly the same position.
     #[must_use]
     pub const fn shares_places(&self) -> bool {
         self.places.has_shared
     }
 
-    /// Groups by identity: detections belong to the estimate of the last detection of their identity. Those of one
-    /// identity and own time are duplicates: all but one are left aside.
+    /// Groups by identity: detections belong to the estimate of the last detection with their identity.
+    /// Detections with the same identity and own time are duplicates, and all but one are discarded.
     ///
-    /// Returns the number of these.
+    /// Returns the number of discarded detections.
     pub fn by_identity(&mut self, estimates: &[Estimate], detections: &[Detection]) -> usize {
         self.clear(estimates, detections);
         self.places.fill(detections);
@@ -146,7 +146,7 @@ impl Pairing {
             let own = from..from + run.len();
             from = own.end;
             let wanted = detections[run[0] as usize].id;
-            // Of several estimates with the identity, the newest holds it.
+            // If several estimates have the identity, the newest one holds it.
             let end = self.identities.partition_point(|&(id, _)| id <= wanted);
             let holder = end.checked_sub(1).and_then(|i| self.identities.get(i));
             if let Some(&(_, t)) = holder.filter(|(id, _)| *id == wanted) {
@@ -160,13 +160,13 @@ impl Pairing {
 
     /// Pairs by position and type: the optimal assignment of all pairs within the gate.
     ///
-    /// A pair costs d² + ln |S|, plus the cost of the detection's type and that of the agent's occlusion; d²
-    /// and S are those of the position, so that a wrong heading or speed does not cost a track its detection.
-    /// A second round with a wider gate pairs confirmed tracks and detections that are left. Occluded tracks
-    /// take no part in it: their miss needs no explanation.
+    /// A pair costs d² + ln |S|, plus the costs of the detection's type and of the agent's occlusion. d² and
+    /// S refer to the position, so a track does not lose its detection because of a wrong heading or speed. A
+    /// second round with a wider gate pairs the remaining confirmed tracks and detections. Occluded tracks do
+    /// not take part in it, because their miss needs no explanation.
     ///
-    /// Detections of different own times may be of one agent, seen by several sensors. Then published tracks come first,
-    /// and each may take one detection of each own time.
+    /// Detections with different own times may belong to one agent that several sensors see. In this case
+    /// published tracks come first, and each may take one detection per own time.
     pub fn by_position(
         &mut self,
         estimates: &[Estimate],
@@ -212,11 +212,11 @@ impl Pairing {
         });
     }
 
-    /// Finds the probability of each pair within the first gate, for the estimates that are ready.
+    /// Computes the probability of each pair within the first gate, for the estimates that are ready.
     ///
-    /// The assignment alone decides which tracks are hit, and what updates the tentative ones: updated by all
-    /// that may be theirs, those that clutter started would follow more of it. The same holds for a track
-    /// whose detection lies beyond the first gate.
+    /// The assignment alone decides which tracks are hit, and which detections update tentative tracks. A
+    /// tentative track that clutter started would otherwise follow more clutter. The assignment also updates
+    /// a track whose detection is beyond the first gate.
     fn associate(&mut self, estimates: &[Estimate], detections_len: usize, miss_cost: f64) {
         self.associator.associate(&mut self.possible, estimates.len(), detections_len, miss_cost);
         for (e, estimate) in estimates.iter().enumerate() {
@@ -226,7 +226,7 @@ impl Pairing {
         }
     }
 
-    /// Sets aside the detections that were sent again, with their estimates.
+    /// Sets aside the resent detections and their estimates.
     fn set_aside_resent(&mut self, estimates: &[Estimate], frame: &Frame<'_>) {
         self.places.fill(frame.detections);
         for (estimate, resent) in estimates.iter().zip(&mut self.resent) {
@@ -257,7 +257,7 @@ impl Pairing {
         }
     }
 
-    /// Gives paired estimates further detections, of other own times than those that they have.
+    /// Gives paired estimates further detections, with own times that they do not have yet.
     fn pair_more(&mut self, estimates: &[Estimate], wanted: Wanted, frame: &Frame<'_>) {
         for _ in 0..MORE_ROUNDS {
             self.find_candidates(estimates, GATE, wanted.again(), frame);
@@ -287,7 +287,7 @@ impl Pairing {
         }
     }
 
-    /// Finds all pairs within the gate, of wanted estimates and detections that are unpaired.
+    /// Finds all pairs within the gate, of selected estimates and unpaired detections.
     fn find_candidates(&mut self, estimates: &[Estimate], gate: f64, wanted: Wanted, frame: &Frame<'_>) {
         let Self { grid, candidates, paired, taken, resent, .. } = self;
         let largest = grid.spots().iter().fold(0.0, |largest, spot| spot.variance.max(largest));
@@ -340,7 +340,7 @@ impl Pairing {
     }
 }
 
-/// What is associated.
+/// The data to associate.
 struct Frame<'a> {
     detections: &'a [Detection],
     types: &'a [AgentType],
@@ -349,21 +349,21 @@ struct Frame<'a> {
 }
 
 impl Frame<'_> {
-    /// A detection of the frame with that stamp.
+    /// A detection of the frame with this stamp.
     fn found(&self, detection: usize, stamp_ns: i64) -> Found<'_> {
         Found::new(stamp_ns, &self.detections[detection], self.types[detection])
     }
 }
 
-/// Which estimates take part in a round.
+/// The estimates that take part in a round.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Wanted {
     /// All that are unpaired.
     All,
-    /// The ready or the tentative ones that are unpaired.
+    /// The unpaired estimates that are ready. `Tentative` selects the other unpaired ones.
     Ready,
     Tentative,
-    /// Those that are paired.
+    /// The paired estimates that are ready. `TentativeAgain` selects the other paired ones.
     ReadyAgain,
     TentativeAgain,
 }
@@ -390,7 +390,8 @@ impl Wanted {
     }
 }
 
-/// The exact positions of a frame's detections, as one bit each: a position that it does not hold is not there.
+/// The exact positions of a frame's detections as one bit each. A position without its bit is not in the
+/// frame.
 #[derive(Clone, Debug)]
 struct PlaceFilter {
     bits: [u64; 64],

@@ -1,8 +1,8 @@
-//! Positions that stand for "not seen": 0,0 or −1,−1, or any exact position to which detections jump again and again.
+//! Positions that mean "not seen": 0,0 or −1,−1, or any exact position to which detections jump repeatedly.
 
-/// Most positions that are remembered.
+/// Largest number of remembered positions.
 const PLACES_MAX: usize = 8;
-/// Jumps to an exact position that make it a placeholder.
+/// Number of jumps to an exact position that make it a placeholder.
 const JUMPS: u8 = 2;
 
 /// An exact position, as the bits of its coordinates.
@@ -11,9 +11,9 @@ type Place = [u32; 2];
 /// The positions to which detections have jumped.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Placeholders {
-    /// Each with the number of jumps to it.
+    /// Each position with the number of jumps to it.
     places: [Option<(Place, u8)>; PLACES_MAX],
-    /// Where the next one is written.
+    /// Place of the next write.
     next: usize,
 }
 
@@ -24,8 +24,8 @@ impl Placeholders {
         self.places.iter().flatten().any(|(known, jumps)| *known == place && *jumps >= JUMPS)
     }
 
-    /// Takes in that an agent's detection has jumped to a position, or away from one at which it always was; returns
-    /// whether that is a placeholder.
+    /// Records that an agent's detection has jumped to a position, or away from a position at which it always
+    /// was. Returns whether the position is a placeholder.
     pub fn add_jump(&mut self, place: Place) -> bool {
         if is_marked(place) {
             self.add(place);
@@ -39,7 +39,7 @@ impl Placeholders {
         false
     }
 
-    /// Takes in a placeholder.
+    /// Adds a placeholder.
     pub fn add(&mut self, place: Place) {
         match self.places.iter_mut().flatten().find(|(known, _)| *known == place) {
             Some((_, jumps)) => *jumps = JUMPS,
@@ -53,7 +53,8 @@ impl Placeholders {
     }
 }
 
-/// Whether both coordinates are a whole number that stands for none: 0, 1, −1, or 99 and more as in −999.
+/// Whether both coordinates are a typical value for "none": 0, 1, −1, or an integer of at least 99 such as
+/// −999.
 #[must_use]
 pub fn is_marked([x, y]: Place) -> bool {
     let [x_m, y_m] = [x, y].map(f32::from_bits);

@@ -1,28 +1,29 @@
-//! What a tracker goes on with that takes the place of another one: the tracks that the other has published.
+//! The published tracks of a previous tracker, with which its successor continues.
 //!
-//! A process that waits for its turn *follows* `tracks`: it keeps the newest frame and each track's states, and
-//! computes nothing. At its turn a new tracker [begins](crate::Tracker::begin_with) with them: every published track
-//! keeps its id, its history to the bit, its motion, covariance and type. What is not published begins anew: tracks
-//! that are tentative, the modes of forecasts (the next forecast brings them), the evidence about fronts, and frames
-//! to replay.
+//! A process that waits for its turn *follows* `tracks`. It keeps the newest frame and each track's states,
+//! and computes nothing. At its turn a new tracker [begins](crate::Tracker::begin_with) with them. Every
+//! published track keeps its id, its history to the bit, its motion, covariance and type. Unpublished state
+//! starts empty: tentative tracks, the modes of forecasts (the next forecast brings them), the evidence about
+//! fronts, and frames to replay.
 
 use wire::{Header, HistoryState, Track, flags};
 
 use crate::history::History;
 
-/// The tracks of the process before, as they were published.
+/// The tracks of the previous process, as they were published.
 #[derive(Debug, Default)]
 pub struct Predecessor {
     header: Header,
     tracks: Vec<Track>,
-    /// The states of each of the tracks, in their order.
+    /// The states of each track, in the order of the tracks.
     histories: Vec<History>,
-    /// Those of the frame before, and then memory that is used again.
+    /// The histories of the previous frame; then reusable memory.
     before: Vec<(u64, History)>,
 }
 
 impl Predecessor {
-    /// Takes a frame of the topic `tracks`. Frames without a tick or with an impossible number change nothing.
+    /// Follows a frame of the topic `tracks`. Control frames, and frames with an impossible number, change
+    /// nothing.
     pub fn follow(&mut self, header: &Header, tracks: &[Track]) {
         let is_older = !self.is_empty() && header.stamp_ns <= self.header.stamp_ns;
         if !header.is_tick() || header.has(flags::VOID) || is_older {
@@ -44,14 +45,14 @@ impl Predecessor {
         self.header = *header;
         self.tracks.clear();
         self.tracks.extend_from_slice(tracks);
-        // They are published in the order of their ids, and searched by it.
+        // They are published in the order of their ids, and searched by id.
         debug_assert!(
             self.tracks.is_sorted_by_key(|track| track.id),
             "tracks come in the order of their ids"
         );
     }
 
-    /// Whether there is nothing to go on with.
+    /// Whether there are no tracks to continue with.
     #[must_use]
     pub const fn is_empty(&self) -> bool {
         self.tracks.is_empty()
@@ -69,7 +70,7 @@ impl Predecessor {
     }
 }
 
-/// The states of a track that was not followed before: those of its window, Δt apart.
+/// The states of a track that was not followed before: the states of its window, Δt apart.
 fn of_window(header: &Header, track: &Track) -> History {
     let mut history = History::new();
     let len = (header.counts.history_len as usize).min(track.history.len());

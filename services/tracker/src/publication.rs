@@ -6,7 +6,7 @@ use crate::front::rate_limited_rad;
 use crate::history::History;
 use crate::options::TrackerOptions;
 
-/// What is published of an agent; no replay changes it.
+/// Everything that is published about an agent. A replay never changes it.
 #[derive(Clone, Debug)]
 pub struct Publication {
     /// The track's identity.
@@ -16,7 +16,7 @@ pub struct Publication {
     held_ns: i64,
     /// Whether the track is published.
     is_published: bool,
-    /// The heading last recorded.
+    /// The heading that was last recorded.
     heading_rad: f64,
     history: History,
 }
@@ -33,7 +33,7 @@ impl Publication {
         }
     }
 
-    /// Records the estimate's state of now for the window, so that it can be published.
+    /// Records the estimate's present state in the window, so that it can be published.
     pub fn record(&mut self, estimate: &Estimate) {
         let (now_ns, motion) = (estimate.stamp_ns(), estimate.motion());
         let heading_rad = estimate.heading_rad();
@@ -52,15 +52,15 @@ impl Publication {
             self.is_published = true;
             self.history.backfill(&state);
         }
-        // Before the first publication only detected states count: predictions without a velocity stand
-        // still.
+        // Before the first publication only detected states count, because predictions without a velocity
+        // stand still.
         if self.is_published || estimate.is_seen() {
             self.history.push(now_ns, state);
         }
         self.held_ns = now_ns;
     }
 
-    /// Writes the track to publish; the state of now must have been recorded.
+    /// Writes the track to publish. Its present state must have been recorded.
     pub fn write(&self, estimate: &Estimate, options: &TrackerOptions, track: &mut Track) {
         *track = Track { id: self.id, heading_rad: self.heading_rad as f32, ..Track::zeroed() };
         estimate.write(options.step_ns, track);
@@ -77,25 +77,25 @@ impl Publication {
 pub struct Publications {
     all: Vec<Publication>,
     next_id: u64,
-    /// Where the next search begins.
+    /// Start of the next search.
     next: usize,
-    /// Stamp of the last frame published.
+    /// Stamp of the last published frame.
     last_ns: i64,
 }
 
 impl Publications {
-    /// Room for those of so many estimates.
+    /// Room for the publications of this number of estimates.
     #[must_use]
     pub fn with_capacity(len: usize) -> Self {
         Self { all: Vec::with_capacity(len), next_id: 1, next: 0, last_ns: i64::MIN }
     }
 
-    /// Gives new publications ids from `first` on.
+    /// Sets the ids of new publications, which count from `first`.
     pub const fn set_next_id(&mut self, first: u64) {
         self.next_id = first;
     }
 
-    /// Goes on with a track that another tracker has published at `now_ns`.
+    /// Continues a track that another tracker has published at `now_ns`.
     pub fn resume(&mut self, track: &Track, birth: Birth, now_ns: i64, history: &History) {
         self.all.push(Publication {
             id: track.id,
@@ -113,8 +113,8 @@ impl Publications {
         self.index_of(birth).map(|index| &self.all[index])
     }
 
-    /// Records an estimate, under a new id where the agent has no publication; returns the publication's
-    /// index.
+    /// Records an estimate, under a new id if the agent has no publication. Returns the index of the
+    /// publication.
     pub fn record(&mut self, estimate: &Estimate) -> usize {
         let index = self.index_of(estimate.birth()).unwrap_or_else(|| {
             self.all.push(Publication::new(self.next_id, estimate.birth()));
@@ -132,16 +132,16 @@ impl Publications {
         &self.all[index]
     }
 
-    /// Whether a detection of that frame started a publication, which happens only in a replay.
+    /// Whether a detection of this frame started a publication. This happens only in a replay.
     #[must_use]
     pub fn has_births_at(&self, stamp_ns: i64) -> bool {
         stamp_ns <= self.last_ns && self.all.iter().any(|of| of.birth.stamp_ns == stamp_ns)
     }
 
-    /// Transfers the publication that a detection had started to an older birth of the same agent, which an
-    /// out-of-sequence frame has shown.
+    /// Transfers a publication from the detection that started it to an older birth of the same agent. An
+    /// out-of-sequence frame has shown the older birth.
     ///
-    /// Nothing happens where the older birth is published already.
+    /// Does nothing if the older birth is already published.
     pub fn transfer(&mut self, from: Birth, to: Birth) {
         let Some(heir) = self.index_of(from) else { return };
         match self.index_of(to) {
@@ -154,8 +154,8 @@ impl Publications {
         }
     }
 
-    /// Ends the publishing of a frame: drops the agents without an estimate, unless they are published and a
-    /// frame not before `oldest_ns` may bring them back.
+    /// Ends the publishing of a frame. Drops agents without an estimate, unless they are published and a
+    /// frame that is not older than `oldest_ns` may bring them back.
     pub fn prune(&mut self, now_ns: i64, oldest_ns: i64) {
         self.all.retain(|of| of.held_ns == now_ns || (of.is_published && of.held_ns >= oldest_ns));
         self.last_ns = now_ns;

@@ -1,41 +1,46 @@
-//! Out-of-sequence measurements (OOSM): a frame that arrives after newer ones is processed where its stamp
-//! belongs, by rollback and replay.
+//! Out-of-sequence measurements (OOSM). A frame that arrives after newer ones is processed at its stamp, by
+//! rollback and replay.
 //!
 //! The [`ReplayBuffer`] holds the newest scans in the order of their stamps, and two *checkpoints* of the
-//! estimates, [`LAG_MAX`] scans apart. An out-of-sequence scan is inserted by its stamp, the estimates are
-//! rolled back to the checkpoint before it, and every scan since is replayed: the result is to the bit that
-//! of the same frames and forecasts in sequence. While frames come in sequence, each costs one copy of it and
-//! its forecasts, and every eighth one copy of the estimates.
+//! estimates, [`LAG_MAX`] scans apart:
+//!
+//! 1. An out-of-sequence scan is inserted by its stamp.
+//! 2. The estimates are rolled back to the last checkpoint before the scan.
+//! 3. Every scan since the checkpoint is replayed.
+//!
+//! The result equals, to the bit, the result of the same frames and forecasts in sequence. While frames
+//! arrive in sequence, each costs one copy of the frame and its forecasts, and every eighth costs one copy of
+//! the estimates.
 
 use wire::{AgentType, Detection, Forecast, Header};
 
 use crate::estimates::Estimates;
 use crate::scan::Scan;
 
-/// Most frames that may be newer than an out-of-sequence one.
+/// Largest number of frames that may be newer than an out-of-sequence frame.
 pub const LAG_MAX: usize = 8;
-/// Most scans held: those between the two checkpoints, and as many after the second.
+/// Largest number of scans held: the scans between the two checkpoints, and as many after the second.
 const SCANS_MAX: usize = 2 * LAG_MAX;
 
 /// Why a frame is refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Refusal {
-    /// One of the same stamp was processed.
+    /// A frame with the same stamp was processed.
     Repeated,
-    /// Too many newer ones were processed, or far newer ones.
+    /// Too many newer frames were processed, or much newer ones.
     TooLate,
 }
 
-/// The last scans, in the order of their stamps, and the estimates to replay them from, in memory that is
-/// used again.
+/// The last scans in the order of their stamps, and the estimates from which they can be replayed. The memory
+/// is reused.
 #[derive(Debug)]
 pub struct ReplayBuffer {
-    /// Those beyond `len` hold nothing but memory.
+    /// Scans beyond `len` only keep their memory.
     scans: Vec<Scan>,
     len: usize,
     /// The estimates before the first scan.
     first: Estimates,
-    /// The estimates before scan [`LAG_MAX`], where there is one.
+    /// The estimates before scan [`LAG_MAX`], if there is such a scan.
     second: Estimates,
 }
 
@@ -59,11 +64,11 @@ impl ReplayBuffer {
         &self.scans[..self.len]
     }
 
-    /// The position of a frame with that stamp among the scans.
+    /// The position of a frame with this stamp among the scans.
     ///
     /// # Errors
-    /// [`Refusal`] where a scan of that stamp is held, more than [`LAG_MAX`] are newer, or one by more than
-    /// `lag_max_ns`.
+    /// [`Refusal`] if a scan with this stamp is held, more than [`LAG_MAX`] scans are newer, or one is newer
+    /// by more than `lag_max_ns`.
     pub fn position(&self, stamp_ns: i64, lag_max_ns: u64) -> Result<usize, Refusal> {
         let scans = self.scans();
         let position = scans.partition_point(|scan| scan.header.stamp_ns < stamp_ns);
@@ -77,7 +82,7 @@ impl ReplayBuffer {
         }
     }
 
-    /// Inserts a frame at its [position](ReplayBuffer::position); returns the position that it has now.
+    /// Inserts a frame at its [position](ReplayBuffer::position). Returns its resulting position.
     pub fn insert(
         &mut self,
         mut position: usize,
@@ -86,7 +91,7 @@ impl ReplayBuffer {
         prior: Option<(&Header, &[Forecast])>,
     ) -> usize {
         if self.len == SCANS_MAX {
-            // At most `LAG_MAX` are newer, so it lies behind the second checkpoint.
+            // At most `LAG_MAX` scans are newer, so the frame is after the second checkpoint.
             self.scans.rotate_left(LAG_MAX);
             std::mem::swap(&mut self.first, &mut self.second);
             self.len -= LAG_MAX;
@@ -98,7 +103,7 @@ impl ReplayBuffer {
         position
     }
 
-    /// Rolls the estimates back to a checkpoint before the scan at a position; returns the position of the
+    /// Rolls the estimates back to a checkpoint before the scan at a position. Returns the position of the
     /// first scan to replay.
     pub fn roll_back(&self, position: usize, estimates: &mut Estimates) -> usize {
         let (checkpoint, first) = if position < LAG_MAX { (&self.first, 0) } else { (&self.second, LAG_MAX) };
@@ -106,7 +111,7 @@ impl ReplayBuffer {
         first
     }
 
-    /// Copies the estimates before the scan at a position, where a checkpoint is due.
+    /// Copies the estimates before the scan at a position, if a checkpoint is due.
     pub fn checkpoint(&mut self, position: usize, estimates: &Estimates) {
         if position == LAG_MAX {
             self.second.copy(estimates);

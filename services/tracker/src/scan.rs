@@ -1,30 +1,30 @@
 use bytemuck::Zeroable;
 use wire::{AgentType, Detection, Forecast, Header};
 
-/// A frame of detections, and the forecasts at hand when it came, in memory that is used again.
+/// A frame of detections, and the forecasts that were available when it arrived, in reusable memory.
 #[derive(Clone, Debug)]
 pub struct Scan {
     /// Header of the frame.
     pub header: Header,
-    /// The frame.
+    /// The detections.
     pub detections: Vec<Detection>,
     /// Types of the detections.
     pub types: Vec<AgentType>,
-    /// Header of the forecasts, where there were any.
+    /// Header of the forecasts, if there were any.
     pub prior: Option<Header>,
     /// The forecasts.
     pub forecasts: Vec<Forecast>,
 }
 
 impl Scan {
-    /// A scan that holds nothing.
+    /// An empty scan.
     #[must_use]
     pub fn new() -> Self {
         let (detections, types, forecasts) = (Vec::new(), Vec::new(), Vec::new());
         Self { header: Header::zeroed(), detections, types, prior: None, forecasts }
     }
 
-    /// Whether some detections were made at other times than the frame's stamp.
+    /// Whether some detections were made at times other than the frame's stamp.
     #[must_use]
     pub fn has_own_times(&self) -> bool {
         self.detections.iter().any(|detection| detection.offset_ns != 0)

@@ -3,10 +3,10 @@ use run::{OptionError, Run};
 
 use crate::{STAGE, TrackerOptions};
 
-/// The tracker's settings in a run with that model.
+/// The tracker's settings in a run with this model.
 ///
 /// # Errors
-/// [`OptionError`] where the run's record holds options that the tracker does not have.
+/// [`OptionError`] if the run's record has options that the tracker does not have.
 pub fn settings(run: &Run, model: &ModelConfig) -> Result<TrackerOptions, OptionError> {
     let options = STAGE.options(run)?;
     let horizon_s = model.dt_s * model.horizon_len as f64;

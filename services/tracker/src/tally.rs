@@ -2,25 +2,25 @@ use wire::InputCounts;
 
 use crate::tracked::Tracked;
 
-/// Counts of what went wrong, from the start.
+/// Counts of faults since the start.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Tally {
     /// Out-of-sequence frames that were processed.
     pub out_of_sequence_len: u64,
     /// Frames that were refused as too late.
     pub too_late_len: u64,
-    /// Frames that were refused because their stamp was processed before.
+    /// Frames that were refused because a frame with their stamp was processed before.
     pub repeated_len: u64,
-    /// What the detections contained; the tracker's part.
+    /// The tracker's part of the counts about the input.
     pub input: InputCounts,
-    /// As [`Tracked::faults_len`](crate::Tracked::faults_len).
+    /// See [`Tracked::faults_len`](crate::Tracked::faults_len).
     pub faults_len: u64,
-    /// As [`Tracked::refused_len`](crate::Tracked::refused_len).
+    /// See [`Tracked::refused_len`](crate::Tracked::refused_len).
     pub refused_len: u64,
 }
 
 impl Tally {
-    /// Adds what the detections of a frame contained.
+    /// Adds the counts of a frame's detections.
     pub(crate) fn add_input(&mut self, tracked: &Tracked) {
         let InputCounts { detections, repeated, misfits, placeholders, reassigned, .. } = &mut self.input;
         for (sum, len) in [
@@ -35,8 +35,8 @@ impl Tally {
     }
 }
 
-/// The counts last warned of. Each is logged again when it has doubled, so that what happens in every frame
-/// does not fill the log.
+/// The counts at the last warnings. Each count is logged again when it has doubled, so that a fault in every
+/// frame does not fill the log.
 #[derive(Debug, Default)]
 pub(crate) struct Warned(Tally);
 

@@ -1,59 +1,60 @@
-//! Track management: whether an agent exists at all, when its track is confirmed, and how long it may coast.
+//! Track management: whether an agent exists, when its track is confirmed, and how long it may coast.
 //!
-//! **Existence.** The log-odds that there is an agent grow by ln(P_D p(z) / λ) with each hit, p(z) being the
-//! detection's density under the prediction, and by ln(1 − P_D) with each miss. The miss probability knows of
-//! occlusion: an agent of which less than half is visible is detected with a P_D that falls with its
-//! visibility.
+//! **Existence.** The log-odds of existence grow by ln(P_D p(z) / λ) with each hit, where p(z) is the
+//! detection's density under the prediction, and by ln(1 − P_D) with each miss. The miss probability accounts
+//! for occlusion: if less than half of an agent is visible, its P_D falls with its visibility.
 //!
 //! **Confirmation.** A track is tentative until three of the last five frames that observed its type have
-//! detected it and its existence is near certain.
+//! detected it and its existence is nearly certain.
 //!
-//! **Coast time.** Time in which a track is detected earns time in which it may coast. What clutter keeps
-//! alive is detected too seldom to earn much. Occluded time costs less of it, by how much was earned.
+//! **Coast time.** A track earns coast time while it is detected. A track that clutter keeps alive is
+//! detected too rarely to earn much. Occluded time uses up less coast time, depending on how much was earned.
 
 use crate::options::{InputModel, TrackerOptions};
 
-/// Coast time that a track earns by the time in which it is detected.
+/// Coast time earned per time in which a track is detected.
 const COAST_RATIO: u64 = 2;
-/// An agent this visible is detected as well as in full view. Chosen on KITTI, where half occluded tracks
-/// that are missed mostly have no agent.
+/// From this visibility on, an agent is detected as well as in full view. The value was chosen on KITTI,
+/// where missed tracks that are half occluded mostly have no agent.
 const VISIBILITY_TO_DETECT: f64 = 0.5;
 /// Bounds of the log-odds of existence and of each change, so that a few frames can change them.
 const EXISTENCE_MAX: f64 = 10.0;
-/// Log-odds of one in a hundred: so many of the detections that no track explains are agents, the others
-/// clutter.
+/// Log-odds of one in a hundred. This share of the detections that no track explains are agents; the others
+/// are clutter.
 const EXISTENCE_AT_BIRTH: f64 = -4.6;
-/// Log-odds of 99 %, from which on a track may be confirmed.
+/// Log-odds of 99 %, from which a track may be confirmed.
 const EXISTENCE_TO_CONFIRM: f64 = 4.6;
-/// Frames over which hits are counted, as a mask of the newest.
+/// Frames over which hits are counted, as a mask of the newest frames.
 const HITS_MASK: u8 = 0b1_1111;
-/// Hits among them that confirm a track.
+/// Number of hits among these frames that confirms a track.
 const HITS_TO_CONFIRM: u32 = 3;
-/// Misses among them that delete a tentative track: it can't be confirmed in time.
+/// Number of misses among these frames that deletes a tentative track, because it cannot be confirmed in
+/// time.
 const MISSES_TO_DELETE: u32 = 3;
 
 /// Existence, confirmation and coast time of one track.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TrackManagement {
-    /// Log-odds that there is an agent.
+    /// Log-odds that the agent exists.
     existence: f64,
-    /// One bit per frame that observed the type, the newest lowest: was it a hit?
+    /// One bit per frame that observed the type, newest in the lowest bit: 1 for a hit.
     hits: u8,
-    /// Frames that observed the type since birth, counted up to five.
+    /// Number of frames since birth that observed the type, counted up to five.
     frames: u8,
     confirmed: bool,
-    /// Whether detections carry an identity that can be trusted.
+    /// Whether detections have an identity that can be trusted.
     trusted: bool,
-    /// Coast time left, negative where the track coasted for longer.
+    /// Remaining coast time. It is negative if the track has coasted for longer.
     coast_left_ns: i64,
     /// Coast time at the last hit.
     coast_earned_ns: u64,
-    /// For so long since the last hit the agent was occluded.
+    /// Time since the last hit during which the agent was occluded.
     occluded_ns: u64,
 }
 
 impl TrackManagement {
-    /// The state after the first detection; confirmed at once where the detection's identity can be trusted.
+    /// The state after the first detection. It is confirmed immediately if the detection's identity can be
+    /// trusted.
     #[must_use]
     pub const fn new(trusted: bool) -> Self {
         let existence = if trusted { 0.0 } else { EXISTENCE_AT_BIRTH };
@@ -69,8 +70,8 @@ impl TrackManagement {
         }
     }
 
-    /// The state of a confirmed track of that existence probability and age, that long after its last hit: it is
-    /// taken to have been detected until then.
+    /// The state of a confirmed track with this existence probability and age, `unseen_ns` after its last
+    /// hit. The track is assumed to have been detected until then.
     #[must_use]
     pub fn of_confirmed(
         probability: f64,
@@ -92,7 +93,7 @@ impl TrackManagement {
         }
     }
 
-    /// Counts a detection of that log-density under the prediction, `dt_ns` after the state before.
+    /// Counts a detection with this log-density under the prediction, `dt_ns` after the previous state.
     pub fn hit(&mut self, log_density: f64, dt_ns: u64, input: &InputModel, options: &TrackerOptions) {
         self.add_evidence((options.detection_probability / options.clutter_density).ln() + log_density);
         self.count(true);
@@ -104,10 +105,12 @@ impl TrackManagement {
         self.occluded_ns = 0;
     }
 
-    /// Counts a miss by a frame `dt_ns` after the state before, to which that share of the agent was visible.
+    /// Counts a miss by a frame `dt_ns` after the previous state. `visibility` is the share of the agent
+    /// visible to the frame.
     ///
-    /// Occluded time is not free: a track that has earned the most coast time lasts to the forecast's horizon
-    /// on it, one that has earned little, as a false track behind a lorry, hardly longer than in view.
+    /// Occluded time is not free. A track with the maximum coast time lasts until the forecast's horizon. A
+    /// track with little earned coast time, such as a false track behind a lorry, lasts hardly longer than in
+    /// view.
     pub fn miss(&mut self, visibility: f64, dt_ns: u64, input: &InputModel, options: &TrackerOptions) {
         self.count(false);
         let detectable = (visibility / VISIBILITY_TO_DETECT).min(1.0);
@@ -122,7 +125,7 @@ impl TrackManagement {
         self.add_evidence(miss_probability.ln());
     }
 
-    /// Whether the track is to be deleted, that long after the last hit.
+    /// Whether the track is to be deleted, this long after the last hit.
     #[must_use]
     pub fn is_over(&self, unseen_ns: u64, input: &InputModel, options: &TrackerOptions) -> bool {
         let missed = !self.was_hit();
@@ -145,7 +148,7 @@ impl TrackManagement {
         self.hits & 1 == 1
     }
 
-    /// Whether existence is as certain as confirmation asks for.
+    /// Whether existence is certain enough for confirmation.
     #[must_use]
     pub fn is_certain(&self) -> bool {
         self.existence >= EXISTENCE_TO_CONFIRM

@@ -1,38 +1,39 @@
-/// What a frame did to the tracks.
+/// The effects of a frame on the tracks.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Tracked {
-    /// Tracks written.
+    /// Number of tracks written.
     pub tracks_len: usize,
-    /// Frames in a row with these detections, which are left aside because their source is frozen; 0 where it is
-    /// not.
+    /// Number of consecutive frames with these detections, which are ignored because their source is frozen;
+    /// 0 if it is not frozen.
     pub frozen_len: u32,
-    /// Newer frames that were replayed after this one, which came out of sequence; 0 for a frame in sequence.
+    /// Number of newer frames that were replayed after this out-of-sequence frame; 0 for a frame in sequence.
     pub replayed_len: usize,
-    /// Tracks that found no place in the frame: the farthest from the ego.
+    /// Number of tracks that did not fit into the frame: the ones farthest from the ego.
     pub left_out_len: usize,
-    /// Tracks held, the tentative and the left out included.
+    /// Number of tracks held, including tentative tracks and tracks that did not fit.
     pub held_len: usize,
-    /// Tracks started.
+    /// Number of tracks started.
     pub started_len: usize,
-    /// Tracks deleted.
+    /// Number of tracks deleted.
     pub ended_len: usize,
-    /// Detections that started no track because
-    /// [`TrackerOptions::tracks_max`](crate::TrackerOptions::tracks_max) are held.
+    /// Number of detections that started no track because
+    /// [`TrackerOptions::tracks_max`](crate::TrackerOptions::tracks_max) tracks are held.
     pub overflow_len: usize,
-    /// Detections left aside because another one of the frame carries the same identity.
+    /// Number of detections ignored because another detection of the frame has the same identity.
     pub duplicates_len: usize,
-    /// Detections taken in.
+    /// Number of detections processed.
     pub detections_len: usize,
-    /// Detections that repeat the last one of a moving track to the bit: no measurements.
+    /// Number of detections that repeat the last one of a moving track to the bit. They are not measurements.
     pub repeated_len: usize,
-    /// Detections that their track can't have reached: it was missed.
+    /// Number of detections out of their track's reach. They count as misses.
     pub misfits_len: usize,
-    /// Detections at a placeholder's position.
+    /// Number of detections at a placeholder's position.
     pub placeholders_len: usize,
-    /// Tracks whose state began again because misfits agreed, or that exchanged their identities.
+    /// Number of tracks whose state was restarted because misfits agreed, or whose identities were exchanged.
     pub reassigned_len: usize,
-    /// Predictions and updates that failed; their tracks kept the state before.
+    /// Number of failed predictions and updates. Their tracks kept the previous state.
     pub faults_len: usize,
-    /// Forecasts that could not become a prior; their tracks went on by the one before, or without.
+    /// Number of forecasts that could not become a prior. Their tracks continued with the previous prior, or
+    /// without one.
     pub refused_len: usize,
 }

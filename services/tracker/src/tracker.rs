@@ -26,7 +26,7 @@ struct Publishable {
     publication: usize,
 }
 
-/// A multi-object tracker: makes tracks of detections, frame by frame.
+/// A multi-object tracker: builds tracks from detections, frame by frame.
 #[derive(Debug)]
 pub struct Tracker {
     options: TrackerOptions,
@@ -38,11 +38,11 @@ pub struct Tracker {
     tally: Tally,
     scratch: Scratch,
     types: Vec<AgentType>,
-    /// What can be published, to choose the nearest.
+    /// The publishable estimates, from which the nearest are chosen.
     publishable: Vec<Publishable>,
-    /// Identity, time since the last detection and place of the published tracks that have one.
+    /// Identity, time since the last detection, and place of each published track that has an identity.
     identities: Vec<(u64, u64, usize)>,
-    /// Frames up to this stamp were processed by the tracker before.
+    /// The previous tracker processed frames up to this stamp.
     predecessor_ns: Option<i64>,
     audit: LiveAudit,
     /// Whether the frame of the last step can be audited.
@@ -53,8 +53,8 @@ impl Tracker {
     /// A tracker without tracks.
     ///
     /// # Panics
-    /// If the options ask for a window that a [`Track`] can't hold or that has no spacing, or for a half-gain
-    /// deviation that is not above 0.
+    /// If a [`Track`] cannot hold the window of the options, if the window has no spacing, or if a half-gain
+    /// deviation is not above 0.
     #[must_use]
     pub fn new(options: TrackerOptions) -> Self {
         assert!((1..=HISTORY_MAX).contains(&options.history_len), "history_len within 1..={HISTORY_MAX}");
@@ -81,16 +81,16 @@ impl Tracker {
         }
     }
 
-    /// The same tracker as the `incarnation`th successor of one that died: its tracks get ids that no
-    /// predecessor has used. Each incarnation has 2⁴⁰ of them, which also doubles hold exactly.
+    /// The same tracker as the `incarnation`th successor of one that died. Its tracks get ids that no
+    /// predecessor has used. Each incarnation has 2⁴⁰ ids, which a double can also represent exactly.
     #[must_use]
     pub const fn with_ids_of(mut self, incarnation: u32) -> Self {
         self.publications.set_next_id(((incarnation as u64) << 40) + 1);
         self
     }
 
-    /// Goes on with the tracks of the tracker before, under their ids; called before the first frame. Frames that
-    /// are not newer are refused then.
+    /// Continues with the tracks of the previous tracker, under their ids. Must be called before the first
+    /// frame. Frames that are not newer than these tracks are then refused.
     pub fn begin_with(&mut self, predecessor: &Predecessor) {
         if predecessor.is_empty() {
             return;
@@ -103,7 +103,8 @@ impl Tracker {
             Some((track, history, agent_type))
         });
         for (nth, (track, history, agent_type)) in known.take(self.options.tracks_max).enumerate() {
-            // Which of its frame's detections it was is not published: a number that no detection has.
+            // The index of this detection in its frame is not published, so this is an index that no
+            // detection has.
             let birth = Birth { stamp_ns: track.born_ns, detection: u32::MAX - nth as u32 };
             let trusted = trusts && track.source_id != 0;
             let of = (track, agent_type);
@@ -118,27 +119,27 @@ impl Tracker {
     /// Processes the detections of a frame and writes the tracks at its stamp to `out`, in the order of their
     /// ids.
     ///
-    /// Where [`flags::HAS_IDENTITIES`](wire::flags::HAS_IDENTITIES) is set, every detection has an id and the
-    /// options do not ask otherwise, tracks follow the ids and are confirmed by their first detection. A
-    /// track is published once it is confirmed and its velocity was observed: from the second detection on,
-    /// or from the first with heading and speed.
+    /// Tracks follow the identities of detections if [`flags::HAS_IDENTITIES`](wire::flags::HAS_IDENTITIES)
+    /// is set, every detection has an id, and the options do not disable this. The first detection then
+    /// confirms a track. A track is published once it is confirmed and its velocity was observed: from the
+    /// second detection on, or from the first if that has heading and speed.
     ///
-    /// `prior` are the newest forecasts at hand, of this tracker's own tracks: with [`Prior::Learned`] they
-    /// become priors, by their stamp. Frames without a tick (warm-up, end) change nothing.
+    /// `prior` contains the newest available forecasts of this tracker's own tracks. With [`Prior::Learned`]
+    /// they become priors, by their stamp. Control frames (warm-up, end) change nothing.
     ///
-    /// An out-of-sequence frame, of a stamp before that of at most eight others and before the newest by no
-    /// more than [`TrackerOptions::horizon_ns`], is processed by rollback and replay: the estimates return to
-    /// before it, and the newer frames are processed again, with the forecasts that came with them. No tracks
-    /// are written then. What is published stays as it is, histories and ids too; the frame takes effect from
-    /// the next one on. An agent whose first detection comes out of sequence keeps the id under which it was
-    /// published.
+    /// An out-of-sequence frame is processed by rollback and replay. At most eight other frames may have a
+    /// later stamp, and the newest stamp may be later by at most [`TrackerOptions::horizon_ns`]. The
+    /// estimates return to the state before the frame, and the newer frames are processed again with their
+    /// forecasts. No tracks are written. Everything published stays unchanged, including histories and ids.
+    /// The frame takes effect from the next frame on. An agent whose first detection arrives out of sequence
+    /// keeps the id under which it was published.
     ///
-    /// Of a frozen source, whose detections are the same for [`TrackerOptions::frozen_frames`] frames though
-    /// something moves in them, the detections are left aside: the tracks are predicted.
+    /// A source is frozen if its detections are the same for [`TrackerOptions::frozen_frames`] frames
+    /// although some agent in them moves. The detections are then ignored, and the tracks are predicted.
     ///
     /// # Errors
-    /// [`Rejected`] for a frame whose stamp was processed before, one that is too late, too large, or holds
-    /// an impossible number; the tracks are then as before.
+    /// [`Rejected`] if the frame's stamp was processed before, or the frame is too late, too large or
+    /// contains an impossible number. The tracks are then unchanged.
     ///
     /// # Panics
     /// If `out` has fewer than [`AGENTS_MAX`] elements.
@@ -161,7 +162,7 @@ impl Tracker {
         let prior = prior.filter(|_| self.options.prior == Prior::Learned);
         let frozen_len = self.frozen_len(header, detections);
         let given_len = detections.len();
-        // No type was looked for, so no track is missed.
+        // No type was observed, so no track is missed.
         let unseen = Header { observed_types: 0, ..*header };
         let (seen, detections) = if frozen_len > 0 {
             self.types.clear();
@@ -185,7 +186,7 @@ impl Tracker {
         Ok(tracked)
     }
 
-    /// Frames in a row with the same detections; 0 while their source is not frozen.
+    /// Number of consecutive frames with the same detections; 0 while their source is not frozen.
     fn frozen_len(&mut self, header: &Header, detections: &[Detection]) -> u32 {
         if self.options.frozen_frames == 0 {
             return 0;
@@ -195,8 +196,8 @@ impl Tracker {
         if frames >= self.options.frozen_frames.max(2) { frames } else { 0 }
     }
 
-    /// The header of the last frame's tracks, of which there are none where it was refused or out of
-    /// sequence: that of its detections, with the sizes and Δt of the tracks.
+    /// The header of the last frame's tracks: the header of its detections with the sizes and Δt of the
+    /// tracks. The frame has no tracks if it was refused or was out of sequence.
     #[must_use]
     pub fn header(&self, detections: &Header) -> Header {
         Header {
@@ -219,20 +220,20 @@ impl Tracker {
         }
     }
 
-    /// Audits the frame of the last [step](Tracker::step). Called once its tracks are published, so that nobody waits for
-    /// it; the headers of later frames contain its doubts.
+    /// Audits the frame of the last [step](Tracker::step). Call this after its tracks are published, so that
+    /// no stage waits for the audit. The headers of later frames contain the doubts.
     pub fn audit(&mut self, header: &Header, detections: &[Detection]) {
         if std::mem::take(&mut self.is_auditable) {
             self.audit.frame(header, detections);
         }
     }
 
-    /// Doubts about the input that were found since this was called last. Allocates if there are any.
+    /// Doubts about the input that were found since the last call. Allocates only if there are any.
     pub fn new_doubts(&mut self) -> Vec<Finding> {
         self.audit.take_new()
     }
 
-    /// Counts of what went wrong so far.
+    /// Counts of faults so far.
     #[must_use]
     pub const fn tally(&self) -> Tally {
         self.tally
@@ -252,7 +253,7 @@ impl Tracker {
         Ok(())
     }
 
-    /// The position of the frame among the last ones.
+    /// The position of the frame among the last frames.
     fn position(&mut self, header: &Header) -> Result<usize, Rejected> {
         let stamp_ns = header.stamp_ns;
         let last_ns = self.replay.scans().last().map_or(stamp_ns, |newest| newest.header.stamp_ns);
@@ -269,8 +270,8 @@ impl Tracker {
         })
     }
 
-    /// Processes the scan at a position, after a rollback where it is out of sequence, and replays all that
-    /// are newer; returns what the scan itself did.
+    /// Processes the scan at a position and replays all newer scans. If the scan is out of sequence, this
+    /// begins with a rollback. Returns the effects of the scan itself.
     fn process(&mut self, position: usize) -> Tracked {
         let Self { options, estimates, replay, publications, scratch, .. } = self;
         let newest = replay.scans().len() - 1;
@@ -317,7 +318,7 @@ impl Tracker {
     }
 }
 
-/// Leaves a source's identity to the track that was detected with it last.
+/// Leaves a source's identity only to the track that was last detected with it.
 fn name_once(tracks: &mut [Track], identities: &mut Vec<(u64, u64, usize)>) {
     identities.clear();
     let named = tracks.iter().enumerate().filter(|(_, track)| track.source_id != 0);

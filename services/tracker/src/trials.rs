@@ -1,32 +1,35 @@
-//! What forecasts are worth as a prior: agents are predicted ahead with their forecast and without, as through a
-//! gap, and compared with where they are then detected.
+//! Trials of forecasts as a prior. Agents are predicted ahead with and without their forecast, as through a
+//! gap. Both predictions are compared with the positions at which the agents are then detected.
 
 use filters::Ahead;
 
-/// Time ahead of trials: half a short gap, which shows sooner where forecasts begin to fail, and a whole one.
+/// Prediction time of a trial: half a short gap (which shows sooner that forecasts fail) and, after two
+/// parts, a whole one.
 pub const PART_NS: u64 = 400_000_000;
 const PARTS: usize = 2;
-/// Latest detection after a trial's end that still shows where the agent was at its end.
+/// Largest delay of a detection after a trial's end. An earlier detection still shows the position at the
+/// end.
 const LATE_MAX_NS: u64 = 200_000_000;
-/// Most trials of an agent at a time, one of each length per adopted forecast, at Δt of 0.2 s and more.
+/// Largest number of simultaneous trials of an agent: one of each length per adopted forecast, at Δt of 0.2 s
+/// and more.
 const TRIALS_MAX: usize = 6;
-/// Half an acceleration, m/s²: where the process model errs less than by this one, all trials of a length count
-/// alike, and where it errs more, the forecast's error counts as a share of its.
+/// Half an acceleration a, m/s². If the process model's error is below a t², all trials of a length t count
+/// alike. If it is larger, the forecast's error counts relative to it.
 const HALF_ACCELERATION_MPS2: f64 = 0.8;
-/// Weight of the process model before any trial of the type: forecasts earn theirs.
+/// Weight of the process model before any trial of the type. Forecasts must earn their weight.
 const EXPECTED: f64 = 0.9;
-/// How much the expectation counts beside trials of the type, and the type beside the agent's own, in
-/// [`Shown::apart`].
+/// Weights, in units of [`Shown::apart`]: of the expectation relative to trials of the type, and of the type
+/// relative to the agent's own trials.
 const TYPE_PRIOR: f64 = 1.0;
 const AGENT_PRIOR: f64 = 0.5;
-/// What is left of earlier trials when one more matures: of the type, and of the agent, where those of the last
-/// second are what counts.
+/// Share of earlier trials that remains when another trial matures: for the type, and for the agent. For the
+/// agent mainly the last second counts.
 const TYPE_KEEPS: f64 = 0.995;
 const AGENT_KEEPS: f64 = 0.6;
-/// Greatest weight of the process model: some stays with the forecast, so that trials go on.
+/// Largest weight of the process model. The forecast keeps some weight, so that trials continue.
 const WEIGHT_MAX: f64 = 0.98;
 
-/// A prediction that will be compared.
+/// A prediction that will be compared with a detection.
 #[derive(Clone, Copy, Debug)]
 struct Trial {
     due_ns: i64,
@@ -34,7 +37,7 @@ struct Trial {
     ahead: Ahead,
 }
 
-/// The trials of an agent, and what they have shown.
+/// The trials of an agent and their results.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Trials {
     open: [Option<Trial>; TRIALS_MAX],
@@ -42,10 +45,11 @@ pub struct Trials {
     shown: Shown,
 }
 
-/// What trials have shown, as sums whose earlier terms fade.
+/// Results of trials, as sums whose earlier terms fade.
 ///
-/// With the errors e of the forecast and k of the process model, each trial weighted by w = 1 / ((a t²)² + |k|²), the least
-/// squares of the blend α k + (1 − α) e are at α = Σ w e·(e − k) / Σ w |e − k|².
+/// e is the error of the forecast and k the error of the process model. Each trial has the weight w = 1 / ((a
+/// t²)² + |k|²). The blend α k + (1 − α) e has the smallest weighted square error at α = Σ w e·(e − k) / Σ w
+/// |e − k|².
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Shown {
     for_kinematic: f64,
@@ -53,7 +57,7 @@ pub struct Shown {
 }
 
 impl Shown {
-    /// What a trial of a length shows, by the errors of forecast and process model.
+    /// The result of a trial of this length, from the errors of forecast and process model.
     fn by(ahead_s: f64, learned_m: [f64; 2], kinematic_m: [f64; 2]) -> Self {
         let dot = |a: [f64; 2], b: [f64; 2]| a[0] * b[0] + a[1] * b[1];
         let apart_m = [0, 1].map(|axis| learned_m[axis] - kinematic_m[axis]);
@@ -62,25 +66,25 @@ impl Shown {
         Self { for_kinematic: weight * dot(learned_m, apart_m), apart: weight * dot(apart_m, apart_m) }
     }
 
-    /// Adds what another trial of the type has shown.
+    /// Adds the result of another trial of the type.
     pub fn add_of_type(&mut self, other: &Self) {
         self.add(other, TYPE_KEEPS);
     }
 
     fn add(&mut self, other: &Self, keeps: f64) {
         self.apart = keeps * self.apart + other.apart;
-        // No blend is beyond one of the two: merit that none can use is not kept for later.
+        // Clamped, because a blend cannot extrapolate beyond the two.
         self.for_kinematic = (keeps * self.for_kinematic + other.for_kinematic).clamp(0.0, self.apart);
     }
 
-    /// The weight of the process model with the least squared error, where `expected` counts as much as `prior`.
+    /// The process model's weight with the least square error. `expected` counts with the weight `prior`.
     fn kinematic_weight(&self, expected: f64, prior: f64) -> f64 {
         (prior * expected + self.for_kinematic) / (prior + self.apart)
     }
 }
 
 impl Trials {
-    /// Begins a trial of each length at `stamp_ns`, in the place of the oldest ones.
+    /// Begins a trial of each length at `stamp_ns`. They replace the oldest trials.
     pub fn begin(&mut self, stamp_ns: i64, ahead: [Ahead; PARTS]) {
         let mut ahead_ns = 0;
         for ahead in ahead {
@@ -91,8 +95,8 @@ impl Trials {
         }
     }
 
-    /// Ends the trials that are due, by a detection at `stamp_ns` of an agent of that velocity; returns what each
-    /// has shown.
+    /// Ends the due trials by a detection at `stamp_ns` of an agent with this velocity. Returns the result of
+    /// each.
     pub fn mature(
         &mut self,
         stamp_ns: i64,
@@ -116,8 +120,8 @@ impl Trials {
         })
     }
 
-    /// Weight of the process model beside the agent's forecasts, by its own trials and those of its type, where
-    /// `least` is what it has at least.
+    /// Weight of the process model relative to the agent's forecasts, by the agent's own trials and the
+    /// trials of its type. It is at least `least`.
     pub fn kinematic_weight(&self, of_type: &Shown, least: f64) -> f64 {
         let of_type = of_type.kinematic_weight(EXPECTED, TYPE_PRIOR);
         self.shown.kinematic_weight(of_type, AGENT_PRIOR).clamp(least, WEIGHT_MAX)
@@ -130,8 +134,8 @@ mod tests {
 
     const TICK_NS: i64 = 80_000_000;
 
-    /// Trials of an agent that moves along x, one each 0.4 s, whose forecast errs by this share of the process model's
-    /// error of 1 m, and what they have shown.
+    /// Trials of an agent that moves along x, one every 0.4 s, and their results. The process model's error
+    /// is 1 m, and the forecast's error is this share of it.
     fn trials(share: f64, trials_len: i64) -> (Trials, Vec<Shown>) {
         let (mut trials, mut all) = (Trials::default(), Vec::new());
         let at_m = |stamp_ns: i64| [stamp_ns as f64 * 5e-9, 0.0];
@@ -162,7 +166,8 @@ mod tests {
 
     #[test]
     fn the_blend_has_the_least_squared_error() {
-        // Errors of −1 and 1 m cancel out at equal weights; where one of two on the same side is the nearest, it has all.
+        // Errors of −1 m and 1 m cancel at equal weights. If both have the same sign, the nearer one gets the
+        // whole weight.
         for (share, expected) in [(-1.0, 0.5), (-3.0, 0.75), (0.5, 0.0), (2.0, 1.0)] {
             let found = of_type(share).kinematic_weight(EXPECTED, 1e-9);
             assert!((found - expected).abs() < 1e-3, "{share}: {found}");

@@ -1,6 +1,6 @@
 use std::f64::consts::TAU;
 
-/// How well a detection fits a predicted track, by its position.
+/// How well the position of a detection fits a predicted track.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Fit {
     /// Mahalanobis distance, squared.
@@ -10,7 +10,8 @@ pub struct Fit {
 }
 
 impl Fit {
-    /// The fit of a position that is so far from the predicted one, which has that covariance (xx, xy, yy).
+    /// The fit of a position with this offset from the prediction. The prediction has the covariance (xx, xy,
+    /// yy).
     #[must_use]
     pub fn new([dx, dy]: [f64; 2], [xx, xy, yy]: [f64; 3], variance: f64) -> Self {
         let (xx, yy) = (xx + variance, yy + variance);

@@ -1,8 +1,9 @@
-//! Impossible measurements: what an agent of a type can't have reached since its last detection is a *misfit*.
+//! Impossible measurements. A *misfit* is a detection that an agent of this type cannot have reached since
+//! its last detection.
 //!
-//! A misfit alone is a missed detection. Misfits that agree with one another are a new state: two that move as the
-//! track does show that the localisation jumped, three that move as an agent of the type can show that an identity
-//! was handed on.
+//! A single misfit is a missed detection. Several misfits that agree are a new state. Two misfits that move
+//! like the track show that the localisation jumped. Three misfits that move like an agent of their type show
+//! that an identity was handed on.
 
 use elementary::hypot;
 use filters::Observation;
@@ -14,39 +15,40 @@ use crate::observation::{Found, observation, position_sigma_m};
 use crate::options::{InputModel, TrackerOptions};
 use crate::placeholders::is_marked;
 
-/// Farther from the prediction than this the best of measurements may be, by type: annotations have errors.
+/// Distance from the prediction that even the best measurement may have, by type. Annotations have errors.
 const MARGIN_M: [f64; 3] = [1.5, 1.0, 0.6];
-/// Highest acceleration, turns included, by type.
+/// Highest acceleration by type, including turns.
 const ACCELERATION_MAX_MPS2: [f64; 3] = [8.0; 3];
-/// Speed with which agents begin, by type; those that begin faster at 0, 0 were not there.
+/// Highest initial speed by type, for an agent whose first position is the origin. A faster one was not
+/// there.
 const BEGINNING_MPS: [f64; 3] = [16.0, 8.0, 3.0];
-/// Standard deviations of the prediction and of earlier misses that the gate adds.
+/// Standard deviations of the prediction and of earlier residuals that the gate adds.
 const SIGMAS: f64 = 4.0;
-/// Weight of a new residual in the mean of those that the covariance does not explain.
+/// Weight of a new residual in the mean of the residuals that the covariance does not explain.
 const RESIDUAL_WEIGHT: f64 = 0.1;
-/// Measurements after which the prediction is good enough to judge by.
+/// Number of measurements after which the prediction is good enough to judge by.
 const SETTLED: u8 = 3;
-/// The gate, 95 %, beyond which a measurement may be another agent's.
+/// The 95 % gate. A measurement beyond it may belong to another agent.
 const STRANGE: f64 = 6.0;
-/// The gate, 99 %, for measurements of another identity.
+/// The 99 % gate, for measurements with another identity.
 const EXCHANGED: f64 = 9.21;
-/// A place to which the detections of a moving agent jump and at which they stay is believed after so long.
+/// Time after which a position is believed, if a moving agent's detections jump to it and stay there.
 const STAY_MIN_NS: u64 = 500_000_000;
 
-/// What the gate knows of an agent.
+/// The gate's data about an agent.
 #[derive(Clone, Copy, Debug)]
 pub struct Gate {
     /// Own time of the last measurement.
     measured_ns: i64,
     /// Mean square of the residuals beyond the covariance.
     residual_m2: f64,
-    /// Measurements so far, counted up to [`SETTLED`].
+    /// Number of measurements so far, up to [`SETTLED`].
     measured: u8,
-    /// The newest misfits in a row, oldest first.
+    /// The newest consecutive misfits, oldest first.
     misfits: [Option<Misfit>; 2],
 }
 
-/// A measurement that the agent can't have reached.
+/// A measurement that the agent cannot have reached.
 #[derive(Clone, Copy, Debug)]
 struct Misfit {
     detection: Detection,
@@ -64,14 +66,14 @@ impl Misfit {
     }
 }
 
-/// How a detection relates to the prediction of its track.
+/// The relation between a detection and the prediction of its track.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verdict {
     /// It is a measurement.
     Fits,
-    /// It could be, but another agent's rather.
+    /// It may be a measurement, but another agent's is more likely.
     Strange,
-    /// The agent can't have got there.
+    /// The agent cannot have reached it.
     Misfit,
 }
 
@@ -80,7 +82,7 @@ impl Gate {
         Self { measured_ns: own_ns, residual_m2: 0.0, measured: 1, misfits: [None; 2] }
     }
 
-    /// Takes in a measurement that lies so far beyond the covariance.
+    /// Adds a measurement with this distance beyond the covariance.
     pub fn add(&mut self, own_ns: i64, beyond_m: f64) {
         if self.measured >= SETTLED {
             self.residual_m2 += RESIDUAL_WEIGHT * (beyond_m * beyond_m - self.residual_m2);
@@ -96,13 +98,13 @@ impl Gate {
 }
 
 impl Estimate {
-    /// Whether a detection reports a speed that no agent of the type has.
+    /// Whether a detection reports a speed that its type cannot have.
     #[must_use]
     pub fn is_too_fast(found: &Found<'_>, options: &TrackerOptions) -> bool {
         found.speed_mps().is_some_and(|speed_mps| speed_mps > options.speed_limits.of(found.agent_type))
     }
 
-    /// How a detection with the agent's identity relates to the prediction.
+    /// Compares a detection that has the agent's identity with the prediction.
     #[must_use]
     pub fn judge(&self, found: &Found<'_>, input: &InputModel, options: &TrackerOptions) -> Verdict {
         if Self::is_too_fast(found, options) {
@@ -117,7 +119,7 @@ impl Estimate {
         let is_first = self.gate.measured < SETTLED;
         let least_m = MARGIN_M[agent_type.index()] + reach_m;
         let is_near = moved_m[0] * moved_m[0] + moved_m[1] * moved_m[1] <= least_m * least_m;
-        // Most detections: within three standard deviations, so within the wider limits below as well.
+        // The common case: within three standard deviations, and therefore within the wider limits below.
         if !is_first && is_near && distance2 <= STRANGE {
             return Verdict::Fits;
         }
@@ -128,7 +130,7 @@ impl Estimate {
         if is_placeholder || moved_m > margin_m + reach_m {
             return Verdict::Misfit;
         }
-        // Where it was before, the agent can be again: then its velocity is wrong.
+        // The agent can be where it was before. In that case its velocity estimate is wrong.
         if is_first || moved_m <= margin_m {
             return Verdict::Fits;
         }
@@ -140,8 +142,8 @@ impl Estimate {
         if distance2 > STRANGE { Verdict::Strange } else { Verdict::Fits }
     }
 
-    /// Whether one of the first detections is at a marked position and another one is not, and the agent has hardly gone
-    /// there from here.
+    /// Whether, among the first detections, one is at a marked position and another is not, and motion hardly
+    /// explains the step between them.
     fn meets_placeholder(&self, found: &Found<'_>, (moved_m, distance2): (f64, f64), since_s: f64) -> bool {
         let place = match self.placeholder_at_start() {
             Some(place) if place != found.place() => place,
@@ -154,19 +156,19 @@ impl Estimate {
             _ => return false,
         };
         let of_type = self.class.current().index();
-        // The origin is a place like others for those who choose it.
+        // The origin is an ordinary position for users who choose it.
         let is_origin = place.map(f32::from_bits) == [0.0; 2];
         let begun_m = if is_origin { BEGINNING_MPS[of_type] * since_s } else { 0.0 };
         moved_m > 0.5 * MARGIN_M[of_type] + begun_m
     }
 
-    /// The marked position at which all of the first detections are.
+    /// The marked position of all of the first detections, if there is one.
     #[must_use]
     pub fn placeholder_at_start(&self) -> Option<[u32; 2]> {
         self.standing_at().filter(|place| self.gate.measured < SETTLED && is_marked(*place))
     }
 
-    /// Whether the agent can have come from its last detection to this one.
+    /// Whether the agent can have moved from its last detection to this one.
     #[must_use]
     pub fn reaches(&self, found: &Found<'_>, options: &TrackerOptions) -> bool {
         let from_m = self.reports.last.position_m();
@@ -176,8 +178,8 @@ impl Estimate {
             <= MARGIN_M[self.class.current().index()] + most_mps * self.gate.since_measured_s(found.own_ns)
     }
 
-    /// By how much another agent's detection fits better than the own one, as a difference of squared Mahalanobis
-    /// distances; none if it does not fit at all.
+    /// How much better another identity's detection fits than the agent's own, as a difference of squared
+    /// Mahalanobis distances. Returns `None` if the other detection does not fit at all.
     #[must_use]
     pub fn prefers(&self, other: &Found<'_>, own: &Found<'_>, input: &InputModel) -> Option<f64> {
         let distance2 = |found: &Found<'_>| {
@@ -188,15 +190,16 @@ impl Estimate {
         fits.then(|| distance2(own) - distance2(other))
     }
 
-    /// How well the position of a detection, which has that variance per axis, fits the prediction at its own time.
+    /// How well a detection's position, with this variance per axis, fits the prediction at the detection's
+    /// own time.
     #[must_use]
     pub fn fit(&self, found: &Found<'_>, variance: f64, input: &InputModel) -> Fit {
         let ([x, y], covariance_m2) = self.position_at(found.own_ns, input);
         Fit::new([found.position_m()[0] - x, found.position_m()[1] - y], covariance_m2, variance)
     }
 
-    /// The observation of a detection that may be the agent's: if it was made at another time than the estimate's, moved
-    /// by the agent's motion, with the noise of that.
+    /// The observation of a detection that may be the agent's. If the detection was made at another time than
+    /// the estimate, the observation is moved by the agent's motion, with the noise of that motion.
     #[must_use]
     pub fn observe(&self, found: &Found<'_>, input: &InputModel) -> Observation {
         let mut seen = observation(found.detection, found.agent_type, input);
@@ -212,7 +215,7 @@ impl Estimate {
         seen
     }
 
-    /// Position and covariance at a time near the estimate's.
+    /// Position and covariance at a time near the estimate's time.
     #[must_use]
     pub fn position_at(&self, own_ns: i64, input: &InputModel) -> ([f64; 2], [f64; 3]) {
         if own_ns == self.stamp_ns {
@@ -221,31 +224,32 @@ impl Estimate {
         self.belief.filter().shifted(self.lag_s(own_ns), &self.models(input)).position()
     }
 
-    /// Time from the estimate's to another.
+    /// Time from the estimate to another time.
     pub(super) fn lag_s(&self, own_ns: i64) -> f64 {
         own_ns.saturating_sub(self.stamp_ns) as f64 / 1e9
     }
 
-    /// Distance of a detection from the prediction, and the largest standard deviation of that.
+    /// Distance of a detection from the prediction, and the largest standard deviation of this distance.
     pub(super) fn residual(&self, found: &Found<'_>, variance: f64, input: &InputModel) -> (f64, f64) {
         let ([x, y], [xx, xy, yy]) = self.position_at(found.own_ns, input);
         let largest = 0.5 * (xx + yy) + (0.25 * (xx - yy) * (xx - yy) + xy * xy).sqrt();
         (hypot(found.position_m()[0] - x, found.position_m()[1] - y), (largest + variance).max(0.0).sqrt())
     }
 
-    /// Takes in how far a measurement lies beyond the covariance.
+    /// Records how far a measurement is beyond the covariance.
     pub(super) fn settle_gate(&mut self, found: &Found<'_>, seen: &Observation, input: &InputModel) {
         let (residual_m, sigma_m) = self.residual(found, seen.position_variance, input);
         self.gate.add(found.own_ns, (residual_m - 2.0 * sigma_m).max(0.0));
     }
 
-    /// Whether an older estimate has the same position, by a detection of another own time: one agent that two sensors see.
+    /// Whether an older estimate has the same position from a detection with another own time: two sensors
+    /// see one agent.
     #[must_use]
     pub fn is_twin_of(&self, older: &Self) -> bool {
         let ([x, y], own_m2) = self.belief.position();
         let ([older_x, older_y], older_m2) = older.belief.position();
         let covariance_m2 = [0, 1, 2].map(|entry| own_m2[entry] + older_m2[entry]);
-        // From a single position an estimate may be anywhere soon.
+        // An estimate from a single position may soon be anywhere.
         self.has_velocity
             && older.has_velocity
             && self.is_hit()
@@ -255,19 +259,19 @@ impl Estimate {
             && Fit::new([x - older_x, y - older_y], covariance_m2, 0.0).distance2 <= EXCHANGED
     }
 
-    /// Ends the estimate, since another one continues its identity.
+    /// Ends the estimate because another estimate continues its identity.
     pub const fn replace(&mut self) {
         self.is_replaced = true;
     }
 
-    /// The place of the last misfit in a row.
+    /// The position of the last consecutive misfit.
     #[must_use]
     pub fn misfit_at(&self) -> Option<[u32; 2]> {
         self.gate.misfits[1].as_ref().map(|misfit| Reported::new(&misfit.detection).place())
     }
 
-    /// Takes in a misfit; returns the estimate that begins where this one and the misfits before agree, if they do.
-    /// This one is over then.
+    /// Adds a misfit. If it agrees with the previous misfits, this returns the new estimate that starts from
+    /// them, and the present estimate ends.
     pub fn add_misfit(
         &mut self,
         found: &Found<'_>,
@@ -282,7 +286,7 @@ impl Estimate {
         let new = Misfit::new(found);
         let is_same = |old: &Misfit| Reported::new(&old.detection) == Reported::new(&new.detection);
         let begun = match second {
-            // The same misfit again is no second one, unless it stays.
+            // The same misfit again does not count as a second one, unless it stays.
             Some(second) if is_same(&second) && self.moving_from().is_some() => {
                 if new.own_ns.saturating_sub(second.own_ns) < STAY_MIN_NS.cast_signed() {
                     return None;
@@ -307,7 +311,8 @@ impl Estimate {
         begun
     }
 
-    /// Deviation of a velocity from two misfits that far apart in time, and what the agent may accelerate in it.
+    /// Tolerance of a velocity from two misfits this far apart: its noise, and the possible acceleration
+    /// between them.
     fn tolerance_mps(&self, misfit: &Misfit, dt_s: f64, input: &InputModel) -> f64 {
         let sigma_m = position_sigma_m(&misfit.detection, misfit.agent_type, input);
         let noise_m = sigma_m.max(self.gate.residual_m2.sqrt());
@@ -315,13 +320,13 @@ impl Estimate {
         0.5 + accelerated_mps + SIGMAS * std::f64::consts::SQRT_2 * noise_m / dt_s
     }
 
-    /// Whether an agent can have come from one misfit to the next.
+    /// Whether an agent can have moved from one misfit to the next.
     fn connects(&self, before: &Misfit, new: &Misfit, options: &TrackerOptions) -> bool {
         let most_mps = options.speed_limits.of(new.agent_type);
         velocity_mps(before, new).is_some_and(|([x_mps, y_mps], _)| hypot(x_mps, y_mps) <= most_mps)
     }
 
-    /// Whether two misfits move as the track does.
+    /// Whether two misfits move like the track.
     fn has_jumped(&self, before: &Misfit, new: &Misfit, input: &InputModel) -> bool {
         let Some((velocity_mps, dt_s)) = velocity_mps(before, new) else { return false };
         let own_mps = self.belief.motion().velocity_mps;
@@ -331,7 +336,7 @@ impl Estimate {
             && off_mps <= self.tolerance_mps(new, dt_s, input)
     }
 
-    /// Whether three misfits are the way of an agent of their type.
+    /// Whether three misfits form the path of an agent of their type.
     fn is_handed_on(
         &self,
         [first, second, third]: [&Misfit; 3],
@@ -346,7 +351,7 @@ impl Estimate {
             && hypot(after_mps[0] - before_mps[0], after_mps[1] - before_mps[1]) <= 2.0 * tolerance_mps
     }
 
-    /// The estimate with the same motion at a misfit.
+    /// The estimate with the same motion at the position of a misfit.
     fn moved_to(&self, misfit: &Misfit, birth: (Birth, u64), input: &InputModel) -> Self {
         let found = misfit.found();
         let seen = observation(found.detection, found.agent_type, input);
@@ -360,7 +365,7 @@ impl Estimate {
         moved
     }
 
-    /// The estimate that misfits begin and continue.
+    /// The estimate that starts and continues with the given misfits.
     fn begun_at(
         &self,
         (birth, seed): (Birth, u64),
@@ -376,7 +381,7 @@ impl Estimate {
                 continue;
             };
             let seen = observation(found.detection, found.agent_type, input);
-            // A failure leaves the state as it was, and the next measurement corrects it.
+            // A failure leaves the state unchanged, and the next measurement corrects it.
             let _ = begun.predict(found.own_ns, input);
             let _ = begun.update(&found, &mut [(1.0, seen)], input, options);
         }
@@ -384,7 +389,7 @@ impl Estimate {
     }
 }
 
-/// The velocity between two misfits, and the time between them; none if there is none.
+/// The velocity between two misfits, and the time between them; `None` if no time has passed.
 fn velocity_mps(before: &Misfit, after: &Misfit) -> Option<([f64; 2], f64)> {
     let dt_s = after.own_ns.saturating_sub(before.own_ns) as f64 / 1e9;
     let ([x, y], [from_x, from_y]) = (after.found().position_m(), before.found().position_m());

@@ -7,17 +7,17 @@ use crate::estimate::Estimate;
 
 /// Time constant of the mean turn rate.
 const TURN_S: f64 = 3.0;
-/// Courses of slower agents mean nothing.
+/// Courses of slower agents are meaningless.
 const COURSE_MIN_MPS: f64 = 0.5;
-/// A larger turn from one measurement to the next is a front that was found to be the back.
+/// A larger turn between two measurements means that front and rear were exchanged.
 const TURN_MAX_RAD: f64 = 1.0;
 
-/// The motion at the last frame that was not a repetition, and how it turns until the next measurement.
+/// The motion at the last frame that was not a repetition, and its turn rate until the next measurement.
 ///
-/// The slip of a bicycle follows from few positions, so it is noisy. Between measurements nothing corrects the
-/// turn that it predicts: at noise of 0.03 m the course is off by 0.1 rad after 0.3 s, and forecasts from there
-/// end metres to the side. What is published turns at the mean rate of the last seconds instead. The belief
-/// itself continues as without repetitions.
+/// The slip of a bicycle follows from few positions, so it is noisy. Between measurements nothing corrects
+/// the turn that it predicts. With noise of 0.03 m the course is off by 0.1 rad after 0.3 s, and forecasts
+/// that start there end metres to the side. The published motion therefore turns at the mean rate of the last
+/// seconds. The belief itself continues as if there were no repetitions.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Held {
     from: Motion,
@@ -31,12 +31,12 @@ impl Held {
         Self { from, from_ns, turn_radps: 0.0, is_held: false }
     }
 
-    /// Ends at a measurement, or at a miss.
+    /// Ends the hold, because of a measurement or a miss.
     pub const fn end(&mut self) {
         self.is_held = false;
     }
 
-    /// The motion to publish where the belief has moved to `now`.
+    /// The motion to publish when the belief has moved to `now`.
     pub fn motion(&mut self, now: Motion, now_ns: i64) -> Motion {
         let Self { from, from_ns, turn_radps, is_held } = self;
         let dt_s = now_ns.saturating_sub(*from_ns).max(0) as f64 / 1e9;
@@ -72,7 +72,7 @@ impl Held {
 }
 
 impl Estimate {
-    /// Keeps the mean turn until the next measurement: the detection was sent again.
+    /// Holds the mean turn until the next measurement, because the detection was sent again.
     pub const fn hold_turn(&mut self) {
         self.held.is_held = true;
     }

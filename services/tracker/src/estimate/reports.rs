@@ -1,23 +1,25 @@
-//! Repeated measurements: a detector that is slower than the frames is often resent, sample and hold.
+//! Repeated measurements: a detector that is slower than the frames often resends its detections (sample and
+//! hold).
 //!
-//! A measurement that was made again differs somewhere, unless the agent rests. So a detection that equals its track's
-//! last one bit by bit, while the track moves, is not a measurement.
+//! Two measurements of a moving agent always differ somewhere. A detection that equals its track's last one
+//! bit by bit, while the track moves, is therefore not a measurement.
 
 use wire::{AgentType, Detection};
 
 use crate::estimate::Estimate;
 use crate::observation::Found;
 
-/// A repetition is believed after so long without a new report, or after the detector's own period: the agent rests.
+/// Without a new report for this time or the detector's own period, a repetition counts as a measurement: the
+/// agent rests.
 const HOLD_MAX_NS: u64 = 350_000_000;
-/// Slower agents may well be measured at the same place again.
+/// Slower agents may be measured at the same position again.
 const MOVING_MIN_MPS: f64 = 0.3;
 /// Share of the detector's period after which the next measurement may be due.
 const PERIOD_SHARE: f64 = 0.9;
-/// Speed and braking, by type, from which an agent can't have stopped since the detection before.
+/// Speed and braking, by type. A faster agent cannot have stopped since the previous detection.
 const STOPPING: [(f64, f64); 3] = [(1.0, 6.0), (0.7, 4.0), (0.5, 3.0)];
 
-/// What a detection reports, bit by bit.
+/// The report of a detection, bit by bit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Reported([u32; 6]);
 
@@ -53,11 +55,11 @@ impl Reported {
 #[derive(Clone, Copy, Debug)]
 pub struct Reports {
     pub last: Reported,
-    /// Own time of the first detection with it.
+    /// Own time of the first detection with this report.
     fresh_ns: i64,
-    /// Time from the report before to this one; 0 if there was none.
+    /// Time from the previous report to this one; 0 if there was none.
     period_ns: u64,
-    /// Whether all reports were of one position.
+    /// Whether all reports had the same position.
     pub stands: bool,
 }
 
@@ -68,7 +70,7 @@ impl Reports {
         Self { last, fresh_ns: found.own_ns, period_ns: 0, stands: true }
     }
 
-    /// Takes in the report of a measurement.
+    /// Adds the report of a measurement.
     pub fn add(&mut self, found: &Found<'_>) {
         let reported = Reported::new(found.detection);
         if reported != self.last {
@@ -83,7 +85,8 @@ impl Reports {
         (age_ns as f64) < PERIOD_SHARE * self.period_ns as f64
     }
 
-    /// Whether a detection with the same report is no new measurement, of an agent of that speed, if it is known.
+    /// Whether a detection with the same report is only resent. `speed_mps` is the agent's speed, if it is
+    /// known.
     fn is_resent(&self, own_ns: i64, agent_type: AgentType, speed_mps: Option<f64>) -> bool {
         let age_ns = own_ns.saturating_sub(self.fresh_ns).max(0).unsigned_abs();
         if age_ns > HOLD_MAX_NS.max(self.period_ns) {
@@ -97,7 +100,7 @@ impl Reports {
 }
 
 impl Estimate {
-    /// Whether a detection repeats the last one though the agent moves.
+    /// Whether a detection repeats the last one although the agent moves.
     #[must_use]
     pub fn is_resent(&self, found: &Found<'_>) -> bool {
         if Reported::new(found.detection) != self.reports.last {
@@ -111,7 +114,7 @@ impl Estimate {
         self.reports.is_resent(found.own_ns, self.class.current(), speed_mps)
     }
 
-    /// The bits of the last reported position, if the agent moves or may do so, or its next measurement is not due yet.
+    /// The bits of the last reported position, if the agent may move or its next measurement is not due yet.
     #[must_use]
     pub fn resent_from(&self) -> Option<[u32; 2]> {
         let age_ns = self.stamp_ns.saturating_sub(self.reports.fresh_ns).max(0).unsigned_abs();
@@ -119,14 +122,14 @@ impl Estimate {
         early.or_else(|| self.moving_from())
     }
 
-    /// The bits of the last reported position, if the agent moves or may do so.
+    /// The bits of the last reported position, if the agent may move.
     #[must_use]
     pub fn moving_from(&self) -> Option<[u32; 2]> {
         let is_moving = !self.has_velocity || self.belief.motion().speed_mps.abs() > MOVING_MIN_MPS;
         is_moving.then(|| self.reports.last.place())
     }
 
-    /// The bits of the position of all of the agent's detections, if they have but one.
+    /// The bits of the agent's only position, if all its detections have the same one.
     #[must_use]
     pub fn standing_at(&self) -> Option<[u32; 2]> {
         self.reports.stands.then(|| self.reports.last.place())

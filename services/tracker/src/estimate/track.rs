@@ -4,7 +4,7 @@ use wire::{Quality, Track, TrackStatus};
 use crate::estimate::Estimate;
 
 impl Estimate {
-    /// Writes the estimate into the track that is published; `step_ns` is Δt.
+    /// Writes the estimate to the published track. `step_ns` is Δt.
     pub fn write(&self, step_ns: u64, track: &mut Track) {
         let motion = &self.motion;
         let status = if self.management.was_hit() { TrackStatus::Confirmed } else { TrackStatus::Coasting };
@@ -30,7 +30,7 @@ impl Estimate {
 
     fn write_prior(&self, step_ns: u64, track: &mut Track) {
         let age_ns = self.belief.forecast_age_ns();
-        // By the age that it had when the step to this state began.
+        // Uses the age at the beginning of the step to this state.
         let prior = match age_ns.map(|age_ns| age_ns.saturating_sub(self.dt_ns)) {
             None => Quality::Kinematic,
             Some(age_ns) if age_ns < step_ns => Quality::Learned,
@@ -42,8 +42,8 @@ impl Estimate {
     }
 }
 
-/// Writes the covariance row by row, for a symmetric one the same as column by column, and 0 behind it;
-/// returns the number of its rows.
+/// Writes the covariance row by row, followed by zeros. For a symmetric matrix this equals column by column.
+/// Returns the number of rows.
 fn write_covariance<const N: usize>(state: &Gaussian<N>, numbers: &mut [f32; 25]) -> u32 {
     let (own, rest) = numbers.split_at_mut(N * N);
     for (number, value) in own.iter_mut().zip(state.covariance.as_slice()) {

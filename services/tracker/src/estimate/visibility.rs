@@ -2,28 +2,28 @@ use crate::estimate::Estimate;
 use crate::occlusion::{Occlusion, Outline};
 use crate::options::TrackerOptions;
 
-/// Length and width where none are known, by type.
+/// Length and width by type, used if the size is unknown.
 const EXTENT_M: [[f64; 2]; 3] = [[4.5, 1.8], [1.8, 0.6], [0.5, 0.5]];
-/// Least visibility that a cost assumes: outlines are not exact, and a sensor sees some agents over and
+/// Smallest visibility that a cost assumes. Outlines are not exact, and a sensor sees some agents over and
 /// through others.
 const VISIBILITY_MIN: f64 = 0.02;
-/// Visibility from which on an agent counts as in view.
+/// Visibility from which an agent counts as in view.
 const VISIBILITY_IN_VIEW: f64 = 0.8;
 
 impl Estimate {
-    /// Whether the agent occludes what is behind it.
+    /// Whether the agent occludes objects behind it.
     #[must_use]
     pub fn is_opaque(&self) -> bool {
         self.is_ready() && self.management.is_certain()
     }
 
-    /// Whether the track was missed by the last frame that observed its type.
+    /// Whether the last frame that observed the track's type missed the track.
     #[must_use]
     pub const fn is_coasting(&self) -> bool {
         self.is_ready() && !self.management.was_hit()
     }
 
-    /// Finds how much of the agent the sensor can see past the others.
+    /// Computes the share of the agent that the sensor can see past the others.
     pub fn update_visibility(&mut self, occlusion: &Occlusion) {
         self.visibility = occlusion.visibility(&self.outline());
     }
@@ -34,8 +34,8 @@ impl Estimate {
         self.visibility < VISIBILITY_IN_VIEW
     }
 
-    /// Cost that the agent's visibility adds to each of its pairs: −2 ln of the odds that it is detected,
-    /// relative to those in full view.
+    /// Cost that the agent's visibility adds to each of its pairs: −2 ln of the odds of a detection, relative
+    /// to the odds in full view.
     #[must_use]
     pub fn occlusion_cost(&self, options: &TrackerOptions) -> f64 {
         if self.visibility >= 1.0 {
@@ -48,8 +48,8 @@ impl Estimate {
         -2.0 * (odds(self.visibility.max(VISIBILITY_MIN)) / odds(1.0)).ln()
     }
 
-    /// The agent's outline on the ground, with the extent that is usual for its type where its own is
-    /// unknown.
+    /// The agent's outline on the ground. If its extent is unknown, the outline has the usual extent of its
+    /// type.
     #[must_use]
     pub fn outline(&self) -> Outline {
         let (centre_m, covariance_m2) = self.belief.position();

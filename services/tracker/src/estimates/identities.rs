@@ -1,4 +1,4 @@
-//! Frames whose detections carry identities that can be trusted.
+//! Processing of frames whose detections have trusted identities.
 
 use wire::{Detection, Header};
 
@@ -11,18 +11,18 @@ use crate::publication::Publications;
 use crate::scan::Scan;
 use crate::tracked::Tracked;
 
-/// A detection that its identity's estimate may not have made.
+/// A detection that may not belong to the estimate of its identity.
 #[derive(Clone, Copy, Debug)]
 pub struct Stray {
     estimate: usize,
     detection: usize,
-    /// Whose identity it has exchanged its own with, as a place among the strays.
+    /// The place, among the strays, of the estimate with which it has exchanged its identity.
     exchanged: Option<usize>,
 }
 
-/// Twice the logarithm of the likelihood ratio, 1000, from which on two identities were exchanged.
+/// Twice the log-likelihood ratio (of 1000) from which two identities count as exchanged.
 const EXCHANGE_EVIDENCE: f64 = 13.8;
-/// An exact position at which one detection of a moving agent lies is coincidence, so many are none.
+/// Number of detections at one exact position from which the position cannot be a coincidence.
 const SHARED_BY: usize = 3;
 
 impl Estimates {
@@ -54,7 +54,7 @@ impl Estimates {
                 hit = Some(other.detection);
             } else {
                 let own = scratch.pairing.of_identity(e);
-                // A single detection has been judged already.
+                // A single detection was judged before.
                 let fits = own.len() == 1 && stray.is_none();
                 for d in own.iter().map(|&d| d as usize) {
                     let found = (d, &found(d), fits);
@@ -85,7 +85,7 @@ impl Estimates {
         }
     }
 
-    /// Predicts each estimate to the first of its detections, and finds those that were exchanged with another one.
+    /// Predicts each estimate to the first of its detections, and finds exchanged detections.
     fn find_strays(
         &mut self,
         Scan { header, detections, types, .. }: &Scan,
@@ -138,7 +138,8 @@ impl Estimates {
         tracked.faults_len += usize::from(estimate.update(found, &mut seen, input, options).is_err());
     }
 
-    /// Updates an estimate by a detection of its identity, if that is a measurement; it `fits` if that is known already.
+    /// Updates an estimate by a detection of its identity, if it is a measurement. `fits` is set if this is
+    /// known already.
     fn take_own(
         &mut self,
         e: usize,
@@ -180,11 +181,12 @@ impl Estimates {
         Taken::No
     }
 
-    /// Whether an estimate was only at a placeholder's position, and the detection is the agent's first.
+    /// Whether an estimate was only at a placeholder's position, and the detection is the agent's first real
+    /// one.
     fn has_begun_at_placeholder(&mut self, e: usize, found: &Found<'_>, options: &TrackerOptions) -> bool {
         let estimate = &self.all[e];
         let Some(place) = estimate.placeholder_at_start() else { return false };
-        // Out of reach either of the two may be the wrong one.
+        // If they are out of reach of each other, either one may be the wrong one.
         let has_begun = !is_marked(found.place())
             && !self.placeholders.holds(found.place())
             && estimate.reaches(found, options);
@@ -194,7 +196,8 @@ impl Estimates {
         has_begun
     }
 
-    /// Whether a detection has jumped to a placeholder; or away from one, which is remembered.
+    /// Whether a detection has jumped to a placeholder. A jump away from the agent's only position is
+    /// recorded, too.
     fn has_jumped_to_placeholder(&mut self, e: usize, found: &Found<'_>) -> bool {
         let estimate = &self.all[e];
         let is_first = estimate.misfit_at().is_none();
@@ -204,7 +207,8 @@ impl Estimates {
         estimate.misfit_at() != Some(found.place()) && self.placeholders.add_jump(found.place())
     }
 
-    /// Positions that several identities share are placeholders, if they are marked or shared by many.
+    /// Marks positions that several identities share as placeholders, if the positions are marked or shared
+    /// by many.
     fn find_shared_placeholders(&mut self, detections: &[Detection]) {
         let place = |d: &Detection| [d.x_m.to_bits(), d.y_m.to_bits()];
         for (d, detection) in detections.iter().enumerate() {
@@ -219,7 +223,7 @@ impl Estimates {
     }
 }
 
-/// What became of a detection.
+/// The outcome of a detection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Taken {
     Measured,
