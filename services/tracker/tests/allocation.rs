@@ -1,4 +1,4 @@
-//! The memory of the tracker: none is allocated in steady state, and random ticks keep it bounded.
+//! The memory of the tracker: steady steps do not allocate, and random ticks keep it bounded.
 
 mod support {
     pub mod forecaster;
@@ -16,7 +16,7 @@ use crate::support::torture::torture;
 #[global_allocator]
 static ALLOCATOR: CountingAllocator = CountingAllocator;
 
-/// A hundred agents of all types, 4 m apart, each on a small circle of its own.
+/// A hundred agents of all types, 4 m apart, each on a separate small circle.
 fn detections(k: u32, missed: Option<u32>, out: &mut Vec<Detection>) {
     out.clear();
     for i in (0..100_u32).filter(|&i| missed != Some(i)) {
@@ -33,7 +33,7 @@ fn detections(k: u32, missed: Option<u32>, out: &mut Vec<Detection>) {
     }
 }
 
-// One test only: the allocations and memory of another in this process would count as well.
+// A single test: memory that another test in this process allocates would be counted, too.
 #[test]
 fn steady_steps_allocate_nothing_and_random_ticks_keep_memory() {
     steady_steps_allocate_nothing();
@@ -60,7 +60,7 @@ fn assert_steady_steps_allocate_nothing(identities: u32, prior: Prior, associati
     let mut made_ns = 0;
     let mut late_len = 0;
     let mut step = |number: u32| {
-        // In every ten frames there is one that comes before its turn.
+        // One in ten frames arrives early.
         let k = match number % 10 {
             2 => number + 5,
             3..8 => number - 1,
@@ -93,8 +93,8 @@ fn assert_steady_steps_allocate_nothing(identities: u32, prior: Prior, associati
     assert_eq!(learned > 50, prior == Prior::Learned, "{name}, {prior:?}: {learned} tracks by forecasts");
 }
 
-/// Random ticks: out-of-sequence, repeated, invalid, empty and crowded frames, targets that teleport, clocks
-/// that jump.
+/// Random ticks: out-of-sequence, repeated, invalid, empty and crowded frames, targets that teleport, and
+/// clocks that jump.
 fn random_ticks_keep_memory() {
     for (prior, association) in [
         (Prior::Kinematic, Association::Assignment),
@@ -107,8 +107,8 @@ fn random_ticks_keep_memory() {
         assert!(survived.out_of_sequence_len > 100, "{survived:?}");
         assert!(survived.published_len > 20_000 && survived.refused.len() >= 3, "{survived:?}");
         assert_eq!(survived.learned_len > 5_000, prior == Prior::Learned, "{survived:?}");
-        // Hypotheses of 20 KiB live as long as the track that has them: a few hundred at once. Those of all
-        // tracks ever would be hundreds of MiB. The last frames take memory as larger ones come.
+        // Hypotheses of 20 KiB live as long as their track, so a few hundred exist at once. The hypotheses of
+        // all tracks ever would be hundreds of MiB. The last frames use memory as larger ones arrive.
         if let [_, _, early, .., late] = survived.resident_kib[..] {
             assert!(late.saturating_sub(early) < 24 * 1_024, "{survived:?}");
         }

@@ -1,4 +1,4 @@
-//! The tracker audits what a producer sends: its tracks' headers hold the doubts.
+//! The tracker audits its input: the headers of its tracks contain the doubts.
 
 use audit::Doubt;
 use tracker::TrackerOptions;
@@ -6,7 +6,7 @@ use wire::{AgentType, flags};
 
 use crate::support::harness::{Harness, detected_at, with_heading};
 
-/// The doubts after ten seconds of a car on a circle whose headings are written so.
+/// The doubts after ten seconds of a car on a circle whose headings are written by `written`.
 fn doubts(flags: u32, written: fn(f64) -> f64) -> u32 {
     let mut run = Harness::new(TrackerOptions::default(), flags);
     for step in 0..128 {

@@ -1,4 +1,4 @@
-//! A source that sends the same detections again, under new stamps.
+//! A source that resends the same detections under new stamps.
 
 use tracker::{Prior, TrackerOptions};
 use wire::{AgentType, Detection, flags};
@@ -7,7 +7,7 @@ use crate::support::harness::{Harness, detected_at};
 
 const SPEED_MPS: f64 = 8.0;
 
-/// An agent that drives along x, without a speed of its own, and one that is parked.
+/// An agent that drives along x without a reported speed, and a parked agent.
 fn frame(tick: u32) -> [Detection; 2] {
     let x_m = SPEED_MPS * 0.08 * f64::from(tick);
     [detected_at(AgentType::Vehicle, 1, x_m, 0.0), detected_at(AgentType::Vehicle, 2, 30.0, 9.0)]
@@ -22,7 +22,7 @@ fn harness(frozen_frames: u32) -> Harness {
     harness
 }
 
-/// Where the driving agent is, and whether its tracks are predicted.
+/// Position of the driving agent, and whether its tracks are predicted.
 fn driving(harness: &Harness) -> (f64, bool) {
     let track = harness.published().iter().find(|track| track.source_id == 1).expect("it is published");
     (f64::from(track.x_m), harness.tracker.header(&harness.header()).has(flags::PREDICTED))

@@ -11,7 +11,7 @@ const TYPES: [(AgentType, f64); 3] =
     [(AgentType::Vehicle, 8.0), (AgentType::Cyclist, 5.0), (AgentType::Pedestrian, 1.4)];
 const INTERVALS_MS: [i64; 4] = [80, 100, 200, 500];
 
-/// A tracker of detections with trusted identities, at that interval.
+/// A tracker of detections with trusted identities, at this interval.
 fn trusting(interval_ms: i64) -> Harness {
     let options = TrackerOptions { prior: Prior::Kinematic, ..TrackerOptions::default() };
     let mut run = Harness::new(options, flags::HAS_IDENTITIES);
@@ -19,7 +19,7 @@ fn trusting(interval_ms: i64) -> Harness {
     run
 }
 
-/// An agent along x at that time.
+/// An agent that moves along x, at this time.
 fn along(agent_type: AgentType, speed_mps: f64, k: i64, interval_ms: i64) -> Detection {
     detected_at(agent_type, 1, speed_mps * (k * interval_ms) as f64 / 1e3, 0.0)
 }
@@ -37,7 +37,7 @@ fn input(run: &Harness) -> [u32; 4] {
     [of.repeated, of.misfits, of.placeholders, of.reassigned]
 }
 
-/// Asserts one track at most per identity, and no speed above the agents' own by more than a metre a second.
+/// Asserts at most one track per identity, and no speed more than one metre per second above the agents' own.
 fn assert_possible(tracks: &[Track], most_mps: f64, what: &str) {
     let ids: Vec<u64> = tracks.iter().map(|track| track.source_id).collect();
     assert_eq!(ids.len(), ids.iter().collect::<BTreeSet<_>>().len(), "{what}: {ids:?}");
@@ -115,7 +115,7 @@ fn a_jump_of_the_localisation_begins_the_state_again_there() {
     }
 }
 
-/// The identity goes to an agent that moves otherwise.
+/// The identity goes to an agent with a different motion.
 #[test]
 fn an_identity_that_was_handed_on_begins_again_after_three_misfits() {
     for interval_ms in [80, 100, 200] {
@@ -171,7 +171,7 @@ fn placeholders_are_no_measurements() {
         let mut run = trusting(100);
         for k in 0..60 {
             let cars = [1, 2].map(|id| detected_at(AgentType::Vehicle, id, 50.0 + k as f64, 9.0 * id as f64));
-            // Three frames in ten of one agent, one in ten of the other.
+            // Three of ten frames miss one agent, and one of ten misses the other.
             let is_missing = [k % 10 >= 7 && k >= 10, k % 10 == 9 && k >= 10];
             let mut seen = cars;
             for (detection, is_missing) in seen.iter_mut().zip(is_missing) {
@@ -226,7 +226,7 @@ fn placeholders_among_the_first_detections_give_no_speed() {
     }
 }
 
-/// Whoever chooses an origin may well drive through it, or begin there.
+/// An agent may drive through the origin, or begin there, if the user chooses it so.
 #[test]
 fn an_agent_may_begin_at_the_origin() {
     for (agent_type, speed) in TYPES {
@@ -255,7 +255,7 @@ fn an_agent_at_rest_is_tracked_wherever_it_is() {
         let mut run = trusting(100);
         for k in 0..60 {
             let parked = detected_at(AgentType::Vehicle, 1, place[0], place[1]);
-            // Another one is sent as 0,0 when it is missing.
+            // Another agent is sent as 0,0 when it is missing.
             let x_m = 30.0 + k as f64;
             let moving = detected_at(AgentType::Vehicle, 2, x_m, 9.0);
             let missing = detected_at(AgentType::Vehicle, 2, 0.0, 0.0);
@@ -299,7 +299,7 @@ fn no_track_is_faster_than_its_type() {
             let mut run = trusting(100);
             run.flags = identities;
             for k in 0..40 {
-                // Ever faster.
+                // The agent accelerates all the time.
                 let t_s = 0.1 * f64::from(k);
                 let mut seen = detected_at(agent_type, 1, 15.0 * t_s * t_s, 0.0);
                 seen.sigma_m = 0.5;
@@ -308,7 +308,7 @@ fn no_track_is_faster_than_its_type() {
                 }
             }
         }
-        // A speed that the detection itself reports is believed no more.
+        // An impossible reported speed is not believed, either.
         let mut run = trusting(100);
         for k in 0..20 {
             let mut seen = along(agent_type, 2.0, k, 100);

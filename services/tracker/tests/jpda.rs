@@ -13,22 +13,22 @@ use crate::support::harness::{Harness, TICK_NS, detected_at, noise, with_heading
 
 const TICK_S: f64 = TICK_NS as f64 / 1e9;
 const SEEDS: u64 = 100;
-/// Frames of a crossing, and those about it, in which ids are not compared.
+/// Number of frames of a crossing. `MEETING` contains the frames near it, in which ids are not compared.
 const FRAMES: u64 = 75;
 const MEETING: std::ops::Range<u64> = 20..55;
 /// The first frames, in which tracks start.
 const BEGIN: u64 = 10;
-/// False detections per m², and the distance of either agent along each axis within which they lie.
+/// False detections per m². `CLUTTER_REACH_M` is their largest distance from an agent along each axis.
 const CLUTTER: f64 = 0.01;
 const CLUTTER_REACH_M: f64 = 10.0;
-/// Distance within which a track is that of an agent.
+/// Distance within which a track belongs to an agent.
 const NEAR_M: f64 = 1.5;
 
 struct Meeting {
     name: &'static str,
     agent_type: AgentType,
     sigma_m: f64,
-    /// Position of each at the crossing, and its velocity.
+    /// Position of each agent at the crossing, and its velocity.
     agents: [([f64; 2], [f64; 2]); 2],
 }
 
@@ -62,9 +62,9 @@ const MEETINGS: [Meeting; 4] = [
 /// Results of all crossings.
 #[derive(Debug, Default)]
 struct Outcome {
-    /// Agents with another id after the crossing, or more than one before or after.
+    /// Agents that have another id after the crossing, or more than one id before or after it.
     switched_len: usize,
-    /// Crossings after which an id is that of the other agent.
+    /// Crossings after which an agent has the other agent's id.
     swapped_len: usize,
     /// Frames in which an agent had no track.
     lost_len: usize,
@@ -77,7 +77,7 @@ impl Outcome {
         (self.square_m2 / self.found_len as f64).sqrt()
     }
 
-    /// Finds an agent's track and counts its error; returns its id.
+    /// Finds an agent's track and counts its error. Returns the track's id.
     fn find(&mut self, tracks: &[Track], [x, y, ..]: &[f64; 4]) -> Option<u64> {
         let off_m = |track: &Track| (f64::from(track.x_m) - x).hypot(f64::from(track.y_m) - y);
         let near = tracks.iter().map(|track| (off_m(track), track.id)).min_by(|a, b| a.0.total_cmp(&b.0));
@@ -91,13 +91,13 @@ impl Outcome {
     }
 }
 
-/// A detection, with a heading where the agents have one.
+/// A detection. It has a heading if the agents have one.
 fn detected(agent_type: AgentType, id: u64, x: f64, y: f64, course: f64) -> Detection {
     let at = detected_at(agent_type, id, x, y);
     if agent_type == AgentType::Vehicle { with_heading(at, course) } else { at }
 }
 
-/// The detections of a frame: each agent in nine of ten, and clutter about them.
+/// The detections of a frame: each agent in nine of ten frames, and clutter around the agents.
 fn frame(meeting: &Meeting, states: &[[f64; 4]; 2], rng: &mut ChaCha8Rng) -> Vec<Detection> {
     let mut detections = Vec::new();
     for ([x, y, vx, vy], id) in states.iter().zip(1..) {

@@ -1,4 +1,4 @@
-//! Known failures of trackers: each is provoked over many seeds, and its rate is printed and bounded.
+//! Known failures of trackers. Each is provoked over many seeds, and its rate is printed and bounded.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::f64::consts::{FRAC_PI_2, PI};
@@ -13,10 +13,10 @@ use crate::support::harness::{Harness, TICK_NS, detected_at, noise, with_heading
 
 const TICK_S: f64 = TICK_NS as f64 / 1e9;
 
-/// Headings of 300 vehicles of which a detector flips 30 % by π.
+/// Headings of 300 vehicles. The detector flips 30 % of them by π.
 #[derive(Debug, Default)]
 struct Turns {
-    /// Published headings more than 90° from the one before.
+    /// Published headings that differ by more than 90° from the previous one.
     jumps_len: usize,
     largest_rad: f64,
     /// Published headings that are more than 90° wrong.
@@ -64,11 +64,11 @@ fn flipped_detections_never_flip_published_headings() {
     }
 }
 
-/// Two agents whose paths cross; each starts with a velocity and swerves slightly.
+/// Two agents with crossing paths. Each starts with a velocity and swerves slightly.
 struct Meeting {
     name: &'static str,
     agent_type: AgentType,
-    /// Position of each at the crossing, and its velocity.
+    /// Position of each agent at the crossing, and its velocity.
     agents: [([f64; 2], [f64; 2]); 2],
 }
 
@@ -95,7 +95,8 @@ const MEETINGS: [Meeting; 4] = [
     },
 ];
 
-/// Agents of 200 crossings that changed their id in 1.6 s without detections, and agents without a track.
+/// For 200 crossings: agents that changed their id during 1.6 s without detections, and agents without a
+/// track.
 fn switches(meeting: &Meeting) -> (usize, usize) {
     let (mut switched_len, mut lost_len) = (0, 0);
     for seed in 0..200 {
@@ -137,11 +138,11 @@ fn ids_persist_where_agents_cross_unseen() {
     }
 }
 
-/// False tracks of ten minutes.
+/// False tracks within ten minutes.
 #[derive(Debug)]
 struct FalseTracks {
     per_minute: f64,
-    /// Mean time for which each was published.
+    /// Mean time for which a false track was published.
     life_s: f64,
 }
 
@@ -164,7 +165,7 @@ fn false_tracks(agent_type: AgentType, clutter_len: usize) -> FalseTracks {
     FalseTracks { per_minute: ids.len() as f64 / 10.0, life_s: lived_s / ids.len().max(1) as f64 }
 }
 
-/// Clutter, evenly over a hectare, without heading or speed: a vehicle's gate is then metres wide. Ten
+/// Clutter without heading or speed, evenly over a hectare. A vehicle's gate is then metres wide. Ten
 /// detections are what [`TrackerOptions::clutter_density`] expects.
 #[test]
 fn clutter_makes_few_and_short_false_tracks() {
@@ -182,7 +183,7 @@ fn clutter_makes_few_and_short_false_tracks() {
     }
 }
 
-/// Five hundred pedestrians, 1.5 m apart, all of which are tracked.
+/// Five hundred pedestrians, 1.5 m apart. All are tracked.
 #[test]
 fn fewer_than_2_percent_of_a_crowd_switch_ids() {
     for association in [Association::Assignment, Association::Jpda] {

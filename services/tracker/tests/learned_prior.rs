@@ -1,4 +1,4 @@
-//! The learned prior: forecasts of earlier ticks as the prior of the next, in closed loop.
+//! The learned prior in closed loop: forecasts of earlier ticks are the prior of the next.
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -10,14 +10,14 @@ use crate::support::harness::{Harness, TICK_NS, detected_at, noise, with_heading
 
 const TICK_S: f64 = TICK_NS as f64 / 1e9;
 const STEP_S: f64 = STEP_NS as f64 / 1e9;
-/// Of a vehicle of unknown length.
+/// Rear axle of a vehicle of unknown length.
 const REAR_AXLE_M: f64 = 0.26 * 4.5;
 
 fn options(prior: Prior) -> TrackerOptions {
     TrackerOptions { prior, ..TrackerOptions::default() }
 }
 
-/// The tracks of a frame, after forecasts of the one before.
+/// The tracks of a frame, after forecasts of the previous frame.
 fn step_after<'a>(run: &'a mut Harness, made: &[Forecast], detections: &[Detection]) -> &'a [Track] {
     run.prior = Some((forecasts_header(run.stamp_ns, made.len()), made.to_vec()));
     run.step(detections)
@@ -64,15 +64,15 @@ impl Driven {
     }
 }
 
-/// Controls from the first tick of the gap on.
+/// Controls from the first tick of the gap.
 const MANOEUVRE: [f64; 2] = [-2.5, 0.05];
-/// Ticks in which an agent is seen, and its forecasts earn their weight.
+/// Ticks in which an agent is seen and its forecasts earn their weight.
 const EARNING_TICKS: usize = 150;
 const SEEN_TICKS: usize = EARNING_TICKS + 25;
 const HIDDEN_TICKS: usize = 20;
 
-/// Controls of a vehicle that is forecast, at a time in ticks: it speeds up and slows down in turn, goes on as it is,
-/// and then brakes and turns.
+/// Controls of the forecast vehicle at a time in ticks. It alternately accelerates and brakes, continues
+/// unchanged, and then brakes and turns.
 fn driven(tick: f64) -> [f64; 2] {
     match tick {
         tick if tick >= SEEN_TICKS as f64 => MANOEUVRE,
@@ -82,7 +82,7 @@ fn driven(tick: f64) -> [f64; 2] {
     }
 }
 
-/// Error of the track of a vehicle that brakes and turns, as forecast, while it is hidden for 1.6 s.
+/// Error of a track after 1.6 s in which the vehicle is hidden, brakes and turns, as forecast.
 fn error_after_gap_m(prior: Prior, seed: u64) -> f64 {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut run = Harness::new(options(prior), 0);
@@ -92,7 +92,7 @@ fn error_after_gap_m(prior: Prior, seed: u64) -> f64 {
         truth.tick(driven(tick as f64));
         let detections: Vec<Detection> = is_seen.then(|| truth.detected(&mut rng, 0.1)).into_iter().collect();
         let tracks = step_after(&mut run, &made, &detections);
-        // The first mode has the true controls, the second none.
+        // The first mode has the true controls, the second has none.
         let step = |k: usize| driven(tick as f64 + (k as f64 + 0.5) * STEP_NS as f64 / TICK_NS as f64);
         let knowing: Controls = std::array::from_fn(step);
         made = tracks
@@ -116,7 +116,7 @@ fn a_forecast_manoeuvre_is_tracked_through_a_gap() {
     assert!(learned_m < 0.8 * kinematic_m, "learned {learned_m:.2} m, kinematic {kinematic_m:.2} m");
 }
 
-/// Controls of a network that takes its history as exact: it infers the slip from the newest headings and
+/// Controls of a network that treats its history as exact. It infers the slip from the newest headings and
 /// removes it.
 fn straightening(track: &Track) -> Controls {
     let headings = track.history.map(|state| f64::from(state.heading_rad));
@@ -129,7 +129,8 @@ fn straightening(track: &Track) -> Controls {
     controls
 }
 
-/// Error of the track of a vehicle that goes straight, measured by positions alone and then hidden for 1.6 s.
+/// Error of the track of a vehicle that goes straight. Only positions are measured, and then it is hidden for
+/// 1.6 s.
 fn straight_on_error_m(options: TrackerOptions, sigma_m: f64, seed: u64) -> f64 {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut run = Harness::new(options, 0);
@@ -193,11 +194,11 @@ fn pedestrian_error_m(prior: Prior) -> f64 {
     (f64::from(track.x_m) - x_m).hypot(f64::from(track.y_m) - y_m)
 }
 
-/// Ticks in which forecasts are right, and from then on say the contrary.
+/// Number of ticks in which forecasts are right. Later forecasts are the opposite.
 const RIGHT_TICKS: usize = 130;
 const TICKS: usize = 200;
 
-/// Weight of the process model, tick by tick, of a vehicle that speeds up and slows down in turn.
+/// The process model's weight, tick by tick, for a vehicle that alternately accelerates and brakes.
 fn kinematic_weights() -> Vec<f32> {
     let mut rng = ChaCha8Rng::seed_from_u64(1);
     let mut run = Harness::new(options(Prior::Learned), 0);
@@ -235,8 +236,8 @@ fn displacements_move_pedestrians_through_a_gap() {
     assert!(learned_m < 0.6 * kinematic_m, "learned {learned_m:.2} m, kinematic {kinematic_m:.2} m");
 }
 
-/// One vehicle, detected at every tick; `at_hand` makes the prior of a tick of the forecasts of the tick
-/// before.
+/// One vehicle, detected at every tick. `at_hand` makes the prior of a tick from the forecasts of the
+/// previous tick.
 fn drive(
     options: TrackerOptions,
     ticks: usize,
@@ -274,22 +275,22 @@ fn tracks_report_the_prior_that_moved_them() {
     let of = |quality: Quality| reported.iter().filter(move |track| track.1 == quality as u32);
     let last_learned = of(Quality::Learned).next_back().expect("forecasts are taken");
     let last_held = of(Quality::Held).next_back().expect("the last forecast is held");
-    // Adopted once a step, then held until the end of its horizon.
+    // Adopted once per step, then held until the end of its horizon.
     assert!(last_learned.2 <= STEP_NS + TICK_NS as u64 && last_held.2 > 4_500_000_000, "{last_held:?}");
     assert!(reported.windows(2).all(|pair| pair[1].2 <= pair[0].2 + TICK_NS as u64));
     let last = reported.last().expect("tracks");
     assert_eq!((last.1, last.2, last.3[MODES_MAX]), (Quality::Kinematic as u32, 0, 1.0));
-    // The vehicle accelerates: the mode that brakes loses, although it was the more probable.
+    // The vehicle accelerates. The mode that brakes loses, although it was more probable.
     let later = reported.iter().find(|track| track.0 == 65).expect("a track");
     let [before, after] = [last_learned, later].map(|track| track.3[1] / track.3[0]);
     assert!(before > 1.0 && after < 0.1, "{last_learned:?}, {later:?}");
     assert!(of(Quality::Kinematic).all(|track| track.0 < 10 || track.0 > 105));
 }
 
-/// Makes a forecast, or the header of its frame, invalid.
+/// A change that makes a forecast, or the header of its frame, invalid.
 type Spoil = fn(&mut Header, &mut Forecast);
 
-/// Each fault of a forecast, and whether it counts as refused.
+/// The faults of a forecast, and whether each counts as refused.
 fn faults() -> Vec<(&'static str, bool, Spoil)> {
     vec![
         ("of another track", false, |_, forecast| forecast.id += 1),
@@ -375,7 +376,7 @@ fn the_order_of_forecasts_changes_no_bit() {
     assert_eq!(forwards, crowd(true));
 }
 
-/// A detector that flips the first headings: the track flips, and drops forecasts of the old front.
+/// The detector flips the first headings. The track flips and drops forecasts of the old front.
 #[test]
 fn a_flipped_track_adopts_only_forecasts_of_its_new_front() {
     let mut rng = ChaCha8Rng::seed_from_u64(2);
@@ -389,7 +390,7 @@ fn a_flipped_track_adopts_only_forecasts_of_its_new_front() {
             detection.heading_rad =
                 filters::wrapped(f64::from(detection.heading_rad) + std::f64::consts::PI) as f32;
         }
-        // Forecasts arrive a tick later.
+        // Forecasts arrive one tick later.
         let stamp_ns = run.stamp_ns - TICK_NS;
         let prior = (forecasts_header(stamp_ns, Vec::len(&late)), std::mem::replace(&mut late, made));
         run.prior = Some(prior);

@@ -1,5 +1,5 @@
 //! Tests of the tracker: scenes with a known result, known failures of trackers, recordings, and the stage
-//! over its ports.
+//! with its ports.
 
 mod support {
     pub mod forecaster;

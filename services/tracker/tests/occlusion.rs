@@ -1,5 +1,5 @@
-//! Agents that pass behind a parked vehicle, in clutter, with the position of the roadside sensor known and
-//! unknown; and agents out of the field of view for a while, with that known and unknown.
+//! Agents that pass behind a parked vehicle in clutter, with known and unknown position of the roadside
+//! sensor. Agents that are out of the field of view for a while, with known and unknown field of view.
 
 use std::collections::BTreeMap;
 use std::f64::consts::PI;
@@ -14,17 +14,18 @@ use crate::support::harness::{Harness, TICK_NS, detected_at, noise, with_heading
 
 const TICK_S: f64 = TICK_NS as f64 / 1e9;
 const SEEDS: u64 = 200;
-/// False detections in each frame, over a hectare about the parked vehicle.
+/// Number of false detections per frame, over a hectare around the parked vehicle.
 const CLUTTER: usize = 10;
 const DETECTED: f64 = 0.9;
-/// Position of the parked vehicle, across the view of the sensor at the origin, and of its near side.
+/// Position of the parked vehicle, across the view of the sensor at the origin, and position of its near
+/// side.
 const PARKED_M: [f64; 2] = [0.0, 20.0];
 const PARKED_WIDTH_M: f64 = 2.5;
 const NEAR_SIDE_M: f64 = PARKED_M[1] - PARKED_WIDTH_M / 2.0;
-/// Time of the parked vehicle alone, and of the agent after its occlusion.
+/// Time with the parked vehicle only. `AFTER_S` is the time after the agent's occlusion.
 const ALONE_S: f64 = 1.0;
 const AFTER_S: f64 = 2.0;
-/// Distance within which a track may be that of an agent, and beyond which it is false.
+/// Distance within which a track may belong to an agent. Beyond `FALSE_M` the track is false.
 const NEAR_M: f64 = 2.0;
 const FALSE_M: f64 = 4.0;
 
@@ -35,7 +36,7 @@ struct Passing {
     agent_type: AgentType,
     speed_mps: f64,
     behind_m: f64,
-    /// Ranges of the time in which an agent is visible, and then hidden: drawn evenly.
+    /// Ranges of the time in which an agent is visible and then hidden. Times are drawn uniformly.
     seen_s: (f64, f64),
     hidden_s: (f64, f64),
 }
@@ -59,14 +60,15 @@ const VEHICLES: Passing = Passing {
 /// Results for all agents.
 #[derive(Clone, Copy, Debug, Default)]
 struct Outcome {
-    /// Agents with a track before they were hidden, by the track after: the same, another, or none.
+    /// Agents with a track before they were hidden, by the track afterwards: the same, another, or none.
     kept_len: usize,
     switched_len: usize,
     lost_len: usize,
-    /// Frames with a hidden agent, and those of them with its track near.
+    /// Frames with a hidden agent. `bridged_len` counts those with its track nearby.
     hidden_len: usize,
     bridged_len: usize,
-    /// False tracks, never near anything, and the time for which tracks were published far from everything.
+    /// False tracks, which were never near anything, and the time for which tracks were published far from
+    /// everything.
     false_len: usize,
     false_s: f64,
 }
@@ -84,7 +86,7 @@ fn clutter(agent_type: AgentType, detections: &mut Vec<Detection>, rng: &mut Cha
     }
 }
 
-/// The parked vehicle, where it is detected.
+/// The parked vehicle, if it is detected.
 fn parked(length_m: f64, rng: &mut ChaCha8Rng) -> Option<Detection> {
     let at = detection(AgentType::Vehicle, PARKED_M, 0.0, rng);
     rng.random_bool(DETECTED).then_some(Detection {
@@ -106,7 +108,7 @@ fn pass(passing: &Passing, seed: u64, sees_from: u32, outcome: &mut Outcome) {
     let Passing { agent_type, speed_mps, behind_m, .. } = *passing;
     let mut draw = |(from, to): (f64, f64)| rng.random_range(from..to);
     let (seen_s, hidden_s) = (draw(passing.seen_s), draw(passing.hidden_s));
-    // The near side's ends throw the shadow's edges.
+    // The ends of the near side define the edges of the shadow.
     let shadow_m = speed_mps * hidden_s;
     let length_m = shadow_m * NEAR_SIDE_M / behind_m;
     let mut state = [-shadow_m / 2.0 - speed_mps * seen_s, behind_m, speed_mps, 0.0];
@@ -160,7 +162,7 @@ fn pass(passing: &Passing, seed: u64, sees_from: u32, outcome: &mut Outcome) {
     }
 }
 
-/// The same scenes with the sensor's position unknown, and known.
+/// The same scenes with unknown and with known position of the sensor.
 fn compare(passing: &Passing) -> [Outcome; 2] {
     [("unknown", 0), ("known", flags::SEEN_FROM_EGO)].map(|(name, sees_from)| {
         let mut outcome = Outcome::default();
@@ -185,10 +187,11 @@ fn ids_persist_behind_a_parked_vehicle() {
     }
 }
 
-/// A quarter of the circle, as of a camera.
+/// A quarter of the circle, like a camera.
 const VIEW: FieldOfView = FieldOfView { width_deg: 90.0, range_m: 60.0 };
 
-/// Whether a pedestrian ahead keeps its track while the sensor turns back for a time; `None` if it had none.
+/// Whether a pedestrian ahead keeps its track while the sensor turns away for a while; `None` if it had no
+/// track.
 fn looks_back(seed: u64, fov: Option<FieldOfView>) -> Option<bool> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut run = Harness::new(TrackerOptions { fov, ..TrackerOptions::default() }, flags::SEEN_FROM_EGO);
@@ -235,7 +238,7 @@ fn ids_persist_out_of_the_field_of_view() {
     assert!(2 * known > 3 * unknown && known > 100, "{known} with the view known, {unknown} without");
 }
 
-/// False tracks of ten minutes, and the mean time of each, where much of the view is behind a lorry.
+/// Number of false tracks in ten minutes, and their mean duration, with much of the view behind a lorry.
 fn false_tracks(sees_from: u32) -> (usize, f64) {
     let (mut found_len, mut lived_s) = (0, 0.0);
     for seed in 0..10 {
@@ -255,7 +258,7 @@ fn false_tracks(sees_from: u32) -> (usize, f64) {
     (found_len, lived_s / found_len as f64)
 }
 
-/// Forty false detections a frame, evenly over a hectare, a third of it behind a long lorry.
+/// Forty false detections per frame, evenly over a hectare. A third of the hectare is behind a long lorry.
 #[test]
 fn false_tracks_do_not_last_behind_a_lorry() {
     let [unknown, known] = [0, flags::SEEN_FROM_EGO].map(false_tracks);
@@ -266,7 +269,7 @@ fn false_tracks_do_not_last_behind_a_lorry() {
     assert!(known.0 <= unknown.0 + unknown.0 / 20 && known.1 < 1.25 * unknown.1, "{unknown:?} {known:?}");
 }
 
-/// Coast time of a pedestrian's track behind a lorry, after a time in view.
+/// Coast time of a pedestrian's track behind a lorry, after this time in view.
 fn coasts_s(seen_s: f64, sees_from: u32) -> f64 {
     let mut rng = ChaCha8Rng::seed_from_u64(4);
     let mut run = Harness::new(TrackerOptions::default(), sees_from);

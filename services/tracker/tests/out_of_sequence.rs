@@ -1,4 +1,4 @@
-//! Out-of-sequence frames: rollback and replay give what the frames in sequence would have given.
+//! Out-of-sequence frames: rollback and replay give the same result as the frames in sequence.
 
 use std::collections::BTreeMap;
 use std::f64::consts::FRAC_PI_3;
@@ -16,7 +16,7 @@ use wire::{
 use crate::support::forecaster::{HORIZON_LEN, STEP_NS, forecast, forecasts_header};
 use crate::support::harness::{Harness, TICK_NS, detected_at, noise, with_heading};
 
-/// Most frames that may be newer than an out-of-sequence one.
+/// Largest number of frames that may be newer than an out-of-sequence frame.
 const LAG_MAX: usize = 8;
 const FIRST_NS: i64 = 1_000_000_000;
 
@@ -24,7 +24,7 @@ fn stamp_ns(frame: usize) -> i64 {
     FIRST_NS + frame as i64 * TICK_NS
 }
 
-/// Agents on circles of their own that appear, disappear and are missed; some detections name a wrong type,
+/// Agents on separate circles that appear, disappear and are missed. Some detections have a wrong type, and
 /// some are clutter.
 struct Scene {
     frames: Vec<Vec<Detection>>,
@@ -75,7 +75,7 @@ impl Scene {
     }
 }
 
-/// The frames in an order in which at most [`LAG_MAX`] newer ones precede each.
+/// The frames in an order in which at most [`LAG_MAX`] newer frames precede each.
 fn shuffled(frames_len: usize, in_order: usize, rng: &mut ChaCha8Rng) -> Vec<usize> {
     let mut due: Vec<(usize, usize)> = (0..frames_len)
         .map(|frame| {
@@ -105,22 +105,22 @@ fn forecasts(frame: usize, tracks: &[Track]) -> (Header, Vec<Forecast>) {
     (forecasts_header(stamp_ns(frame), made.len()), made)
 }
 
-/// A track without what depends on the tracks published before: the history, and the heading, which is
-/// rate-limited. The velocity has the heading of the state.
+/// A track without the parts that depend on previously published tracks: the history, and the rate-limited
+/// heading. The velocity has the heading of the state.
 fn estimate(track: &Track) -> Track {
     Track { history: Track::zeroed().history, forecastable: 0, heading_rad: 0.0, ..*track }
 }
 
-/// Result of all frames in an order: tracks by frame, where any were published.
+/// Result of all frames in some order: tracks by frame, if any were published.
 struct Delivered {
     run: Harness,
     tracks: BTreeMap<usize, Vec<Track>>,
-    /// Frames published after all before them had arrived.
+    /// Frames that were published after all earlier frames had arrived.
     settled: Vec<usize>,
 }
 
-/// Delivers a scene in that order. Forecasts are of the tracks published at frame [`IN_ORDER`], and so the
-/// same in any order.
+/// Delivers a scene in this order. Forecasts belong to the tracks published at frame [`IN_ORDER`], so they
+/// are the same in any order.
 fn deliver(scene: &Scene, order: &[usize], options: TrackerOptions, identities: u32) -> Delivered {
     let mut run = Harness::new(options, identities);
     let mut delivered = vec![false; scene.frames.len()];
@@ -148,7 +148,8 @@ fn deliver(scene: &Scene, order: &[usize], options: TrackerOptions, identities: 
     Delivered { run, tracks, settled }
 }
 
-/// First frames, which arrive in sequence where forecasts are the prior: the forecasts are of their tracks.
+/// The first frames arrive in sequence if forecasts are the prior, because the forecasts belong to their
+/// tracks.
 const IN_ORDER: usize = 20;
 
 #[test]
@@ -173,7 +174,7 @@ fn frames_in_any_order_give_the_same_estimates_to_the_bit() {
             late_len += late.run.tracker.tally().out_of_sequence_len;
             let mut ids = [BTreeMap::new(), BTreeMap::new()];
             for frame in late.settled {
-                // Births are the same in any order; ids only where no birth is out of sequence.
+                // Births are the same in any order. Ids are the same only if no birth is out of sequence.
                 let mut pair = [&straight.tracks[&frame], &late.tracks[&frame]].map(|of| of.clone());
                 for tracks in &mut pair {
                     tracks.sort_by_key(|t| (t.born_ns, t.x_m.to_bits(), t.y_m.to_bits()));
@@ -197,8 +198,8 @@ fn frames_in_any_order_give_the_same_estimates_to_the_bit() {
     assert!(compared_len > 20_000 && late_len > 3_000 && learned_len > 5_000);
 }
 
-/// Root mean square error of 20 vehicles' positions, where a frame in three arrives up to four frames later
-/// and is replayed, or is dropped.
+/// Root mean square error of 20 vehicles' positions. One in three frames arrives up to four frames late and
+/// is either replayed or dropped.
 fn error_m(seed: u64, replay: bool) -> f64 {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut run = Harness::new(TrackerOptions::default(), 0);
@@ -283,8 +284,7 @@ fn out_of_sequence_frames_change_no_published_state() {
     assert!(compared_len > 10_000 && turns_len > 10, "{compared_len} {turns_len}");
 }
 
-/// The first detections of an agent arrive after others that have started its track, and after it was
-/// published.
+/// The first detections of an agent arrive after others have started its track and it was published.
 #[test]
 fn an_agent_keeps_its_id_when_its_birth_is_out_of_sequence() {
     for identities in [0, flags::HAS_IDENTITIES] {
@@ -344,7 +344,7 @@ fn too_late_and_repeated_frames_are_refused_and_counted() {
         Tally { input: InputCounts { detections: 40, ..InputCounts::default() }, ..Tally::default() };
     let tally = Tally { repeated_len: refused_len, too_late_len: refused_len, ..processed };
     assert_eq!((run.tracker.tally(), other.tracker.tally()), (tally, processed));
-    // At long intervals few frames are newer, but they are newer by far.
+    // At long intervals few frames are newer, but by a long time.
     run.stamp_ns += 60_000_000_000;
     run.step(&[]);
     run.stamp_ns -= 2 * TICK_NS + 4_800_000_000;

@@ -1,4 +1,4 @@
-//! Detections that were measured at other times than their frame's stamp.
+//! Detections that were measured at times other than their frame's stamp.
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -10,7 +10,7 @@ use crate::support::harness::{Harness, detected_at, noise};
 const TICK_NS: i64 = 100_000_000;
 const SPEEDS_MPS: [f64; 3] = [12.0, -7.0, 1.4];
 
-/// Where an agent is, and its detection with that offset from a frame.
+/// Position of an agent, and its detection with this offset from a frame.
 fn detect(agent: usize, frame: i64, offset_ns: i64, rng: &mut ChaCha8Rng, sigma_m: f64) -> Detection {
     let t_s = (frame * TICK_NS + offset_ns) as f64 / 1e9;
     let agent_type = if agent == 2 { AgentType::Pedestrian } else { AgentType::Vehicle };
@@ -98,7 +98,7 @@ fn two_sensors_make_one_track_of_an_agent() {
     }
 }
 
-/// A scan of a slow detector takes most of its period, so each agent has another own time.
+/// A scan of a slow detector takes most of its period, so each agent has a different own time.
 #[test]
 fn agents_of_one_scan_are_no_twins() {
     const SPEEDS_MPS: [f64; 5] = [10.0, 8.0, 6.0, 1.4, 1.2];

@@ -1,4 +1,4 @@
-//! A tracker goes on with the tracks that another one has published: ids, histories and motion stay.
+//! A tracker continues with the published tracks of another one: ids, histories and motion are kept.
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -11,7 +11,7 @@ const FRAMES: usize = 60;
 /// The frame after which another tracker takes over.
 const LAST: usize = 39;
 
-/// Nine agents of all types on straight ways apart from each other; the last one is not seen for the last ten frames
+/// Nine agents of all types on straight, separate paths. The last agent is not seen in the last ten frames
 /// before the take-over.
 fn frames(identities: bool) -> Vec<Vec<Detection>> {
     let mut rng = ChaCha8Rng::seed_from_u64(7);
@@ -33,13 +33,13 @@ fn frames(identities: bool) -> Vec<Vec<Detection>> {
     (0..FRAMES).map(|frame| of(frame, &mut rng)).collect()
 }
 
-/// A header of the tracks of the newest frame.
+/// The header of the newest frame's tracks.
 fn header(of: &Harness) -> Header {
     of.tracker.header(&of.header())
 }
 
-/// Runs a tracker to the end, and another one that takes over from it after `LAST`; calls `compare` with the tracks
-/// of both in each frame after it.
+/// Runs a tracker to the end, and another one that takes over from it after `LAST`. Calls `compare` with the
+/// tracks of both in each frame after `LAST`.
 fn taken_over(identities: u32, mut compare: impl FnMut(usize, &[Track], &[Track])) {
     let frames = frames(identities != 0);
     let mut before = Harness::new(TrackerOptions::default(), identities);
@@ -71,7 +71,7 @@ fn tracks_keep_ids_histories_and_motion() {
                 let of =
                     |track: &Track| (track.agent_type, track.born_ns, track.source_id, track.forecastable);
                 assert_eq!(of(track), of(expected), "frame {frame}");
-                // What was published before is never rewritten.
+                // Previously published states are never rewritten.
                 for (k, (state, expected)) in track.history.iter().zip(&expected.history).enumerate() {
                     assert_eq!(state.present, expected.present, "frame {frame}, step {k}");
                     let back = 5 * (track.history.len() - 1 - k);

@@ -1,4 +1,4 @@
-//! The tracker on real recordings, where they are available, and on generated ones.
+//! The tracker on real recordings, if they are available, and on generated ones.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -11,7 +11,7 @@ use testing::public_recording;
 use tracker::{Tracker, TrackerOptions};
 use wire::{AGENTS_MAX, AgentType, Header, Track, detection_flags, flags};
 
-/// The recording at `path` in the folder of recordings; prints that it skips where there is none.
+/// The recording at `path` in the folder of recordings. Prints a note and returns `None` if there is none.
 fn recording(path: &str) -> Option<Recording> {
     let path = public_recording(path)?;
     Some(data::open(&path, None).expect("a readable recording"))
@@ -40,7 +40,7 @@ fn track(recording: &Recording, options: TrackerOptions, mut show: impl FnMut(&F
     }
 }
 
-/// Root mean square of what was added.
+/// Root mean square of the added values.
 #[derive(Debug, Default)]
 struct Rms {
     sum: f64,
@@ -73,7 +73,7 @@ impl Identities {
 }
 
 /// Asserts that every agent with two detections is published under its identity, and that the filtered
-/// velocity forecasts its position better than the recording's velocity.
+/// velocity predicts its position better than the recording's velocity does.
 fn assert_follows_identities(path: &str, agent_type: AgentType) {
     let Some(recording) = recording(path) else { return };
     let ahead_ns = 800_000_000;
@@ -142,7 +142,7 @@ fn pedestrians_at_2_5_hz_are_tracked() {
     assert_follows_identities("eth_ucy/raw/biwi_hotel.txt", AgentType::Pedestrian);
 }
 
-/// Positions with noise of 0.2 m added.
+/// Adds noise of 0.2 m to the positions.
 #[test]
 fn filtering_reduces_noise_by_a_quarter() {
     let path = "interaction/recorded_trackfiles/DR_USA_Intersection_GL/vehicle_tracks_000.csv";
@@ -190,7 +190,7 @@ struct Followed {
     identities: Identities,
 }
 
-/// Compares tracks with the truth as CLEAR-MOT does: an agent keeps its track for as long as that is near.
+/// Compares tracks with the truth like CLEAR-MOT: an agent keeps its track as long as the track is near.
 fn follow(recording: &Recording, types: u32) -> Followed {
     let mut followed = Followed::default();
     track(recording, TrackerOptions::default(), |frame, tracks| {
@@ -243,7 +243,7 @@ fn a_detectors_output_is_tracked() {
     assert!(followed.identities.switches_len * 100 < followed.found_len);
 }
 
-/// Occlusion, misses, clutter and flipped headings at an intersection of 32 agents.
+/// Occlusion, misses, clutter and flipped headings at an intersection with 32 agents.
 #[test]
 fn a_generated_intersection_is_tracked() {
     for seed in [1, 2, 3] {
@@ -254,7 +254,8 @@ fn a_generated_intersection_is_tracked() {
         assert!(all.found_len * 100 > all.truths_len * 85);
         assert!(all.tracks_len * 100 < all.truths_len * 115, "too many false tracks");
         assert!(all.identities.switches_len * 200 < all.found_len);
-        // Pedestrians walk within 2 m of one another: the track of a neighbour would count for a hidden one.
+        // Pedestrians walk within 2 m of each other, so a neighbour's track would count for a hidden
+        // pedestrian.
         let vehicles_and_cyclists = follow(&recording, AgentType::Vehicle.bit() | AgentType::Cyclist.bit());
         assert!(vehicles_and_cyclists.filtered.value() < 0.8 * vehicles_and_cyclists.raw.value());
     }

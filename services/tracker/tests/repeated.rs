@@ -7,23 +7,23 @@ use wire::{AgentType, Detection, Header, Track, TrackStatus, detection_flags, fl
 
 use crate::support::harness::{Harness, detected_at, noise};
 
-/// Frames of 10 Hz.
+/// Interval of frames at 10 Hz.
 const TICK_S: f64 = 0.1;
 const FRAMES: usize = 120;
 const SPEEDS_MPS: [f64; 2] = [10.0, 8.0];
 
 #[derive(Clone, Copy, Debug)]
 struct Source {
-    /// Frames for which each agent's detection is sent.
+    /// Number of frames for which each agent's detection is sent.
     held: [usize; 2],
     identities: u32,
-    /// Whether detections contain heading and speed, and a deviation of their own.
+    /// Whether detections contain heading, speed and standard deviation.
     is_full: bool,
     sigma_m: f64,
 }
 
 impl Source {
-    /// An agent's detection, made in that frame.
+    /// An agent's detection, made in this frame.
     fn detect(&self, agent: usize, frame: usize, rng: &mut ChaCha8Rng) -> Detection {
         let x_m = SPEEDS_MPS[agent] * TICK_S * frame as f64 + noise(rng, self.sigma_m);
         let y_m = 6.0 * agent as f64 + noise(rng, self.sigma_m);
@@ -36,8 +36,9 @@ impl Source {
         Detection { speed_mps, sigma_m: self.sigma_m as f32, flags, ..position }
     }
 
-    /// Plays the source, each detection as often as it is held or once; root mean square error of the positions 4.8 s
-    /// ahead at the published velocity, over all frames, and how often tracks were repeated.
+    /// Plays the source and sends each detection once or for as long as it is held. Returns the root mean
+    /// square error of the positions predicted 4.8 s ahead with the published velocity, over all frames, and
+    /// the number of repetitions.
     fn error_m(&self, is_sent_again: bool) -> (f64, u32) {
         let options = TrackerOptions { prior: Prior::Kinematic, ..TrackerOptions::default() };
         let mut run = Harness::new(options, self.identities);
@@ -65,7 +66,8 @@ impl Source {
                 continue;
             }
             assert_eq!(tracks.len(), 2, "{self:?}: frame {frame}");
-            // Sent once, a slower agent's own frames alone count: it is missed in the others.
+            // If each detection is sent once, only the slower agent's frames count. It is missed in the
+            // others.
             if !is_sent_again && frame % slowest != 0 {
                 continue;
             }
@@ -89,7 +91,7 @@ fn a_detector_that_is_sent_again_is_as_good_as_at_its_own_rate() {
             for (is_full, sigma_m) in [(false, 0.03), (true, 0.03), (true, 0.2), (false, 0.1)] {
                 let source = Source { held, identities, is_full, sigma_m };
                 if held[0] != held[1] && identities == 0 {
-                    // Frames with a part of the agents count as misses of the others.
+                    // Frames with only some agents count as misses of the others.
                     continue;
                 }
                 let (own_m, _) = source.error_m(false);
@@ -102,8 +104,8 @@ fn a_detector_that_is_sent_again_is_as_good_as_at_its_own_rate() {
     }
 }
 
-/// Root mean square of how far 4.8 s at the published velocity end from where they should, for a car at 8 m/s on a
-/// circle of 40 m, or for a parked one, over all frames.
+/// Root mean square error of the positions predicted 4.8 s ahead with the published velocity, over all
+/// frames. The car is either parked or drives at 8 m/s on a circle of 40 m.
 fn error_of(is_parked: bool, held: usize, is_sent_again: bool, identities: u32) -> f64 {
     let options = TrackerOptions { prior: Prior::Kinematic, ..TrackerOptions::default() };
     let mut run = Harness::new(options, identities);
@@ -154,7 +156,7 @@ fn a_parked_agent_may_repeat_itself_and_one_that_stops_is_followed() {
         run.tick_ns = 100_000_000;
         for frame in 0..80 {
             let parked = detected_at(AgentType::Vehicle, 1, 20.0, 9.0);
-            // It brakes by 3 m/s² from 6 m/s, and rests from 2 s on.
+            // It brakes at 3 m/s² from 6 m/s and rests from 2 s on.
             let t_s = (TICK_S * f64::from(frame)).min(2.0);
             let x_m = 6.0 * t_s - 1.5 * t_s * t_s;
             let tracks = run.step(&[parked, detected_at(AgentType::Vehicle, 2, x_m, 0.0)]);

@@ -1,4 +1,4 @@
-//! The tracker on made scenes: what it publishes, keeps, refuses and deletes.
+//! The tracker on synthetic scenes: what it publishes, keeps, refuses and deletes.
 
 use filters::wrapped;
 use rand::{RngExt, SeedableRng, seq::SliceRandom};
@@ -18,7 +18,7 @@ fn with_speed(detection: Detection, speed_mps: f64) -> Detection {
     }
 }
 
-/// Two pedestrians cross at right angles, both hidden for 1.6 s.
+/// Two pedestrians cross at right angles. Both are hidden for 1.6 s.
 #[test]
 fn ids_persist_through_a_hidden_crossing() {
     for seed in 0..20 {
@@ -67,7 +67,7 @@ fn a_hidden_vehicle_coasts_with_its_id_and_is_then_deleted() {
             assert!((f64::from(track.x_m) - f64::from(k) * 0.8).abs() < 0.2, "frame {k}: {}", track.x_m);
         }
     }
-    // Deleted after the coast time of 2 s; a new detection starts a track with a new id.
+    // Deleted after the coast time of 2 s. A new detection starts a track with a new id.
     for k in 0..26 {
         assert_eq!(run.step(&[]).len(), usize::from(k < 25), "{k}");
     }
@@ -146,7 +146,7 @@ fn crowds_are_bounded_and_their_nearest_published() {
     let header = run.tracker.header(&run.header());
     assert_eq!(header.left_out_len as usize, tracked.left_out_len);
     assert_eq!(header.step_ns, 400_000_000);
-    // All stand still, so the published ones fill a disc around the ego at the origin.
+    // All agents stand still, so the published ones fill a disc around the ego at the origin.
     let radius = |t: &Track| f64::from(t.x_m).hypot(f64::from(t.y_m));
     let farthest = run.published().iter().map(radius).fold(0.0, f64::max);
     let inside = home.iter().filter(|(x, y)| x.hypot(*y) < farthest - 0.5).count();
@@ -298,8 +298,8 @@ fn frames_that_observe_other_types_count_no_misses() {
 
 /// 30 % of the headings are flipped by π, at speed, at walking pace and at rest.
 ///
-/// A track may begin with the wrong front, by a majority of flipped headings before it is published; only
-/// then, and only once, may it flip.
+/// A track may begin with the wrong front if the majority of headings before its publication is flipped. Only
+/// in this case, and only once, may it flip.
 #[test]
 fn flipped_headings_never_flip_a_published_track() {
     let mut begun_wrong = [0; 3];
@@ -335,8 +335,8 @@ fn flipped_headings_never_flip_a_published_track() {
         assert!(!wrong_end, "seed {seed}: the last published heading is {last:?}, the course {course}");
     }
     println!("tracks that begin with the wrong front, of 100: {begun_wrong:?}");
-    // Two or three of the first three headings are flipped in 22 % of the runs; motion corrects the front
-    // where there is some.
+    // Two or three of the first three headings are flipped in 22 % of the runs. Motion corrects the front if
+    // there is any.
     assert!(begun_wrong[0] <= 8 && begun_wrong[1] <= 30 && begun_wrong[2] <= 30, "{begun_wrong:?}");
 }
 
@@ -353,7 +353,7 @@ fn cyclists_become_bicycles_and_type_changes_convert_states() {
     assert_eq!(track.state_len, 5);
     assert!((f64::from(track.heading_rad) - 0.8_f64.atan2(0.6)).abs() < 0.1);
     assert!((track.speed_mps - 4.0).abs() < 0.5);
-    // The detector then names it a pedestrian, twenty times.
+    // The detector then reports it as a pedestrian, twenty times.
     let id = track.id;
     for k in 40..60 {
         let along = 4.0 * f64::from(k) * 0.08;
@@ -380,7 +380,7 @@ fn identities_can_be_ignored_and_duplicates_are_counted() {
     assert_eq!((tracked.duplicates_len, tracked.started_len), (1, 1));
 }
 
-/// Warm-up frames between those of a vehicle's track, against the same frames without them.
+/// Warm-up frames between the frames of a vehicle's track, compared with the same frames without them.
 #[test]
 fn frames_without_a_tick_change_nothing() {
     let at = |k: i32| with_heading(detected_at(AgentType::Vehicle, 7, f64::from(k) * 0.8, 3.0), 0.0);

@@ -1,4 +1,5 @@
-//! The stage over its ports: out-of-sequence and repeated frames reach the tracker, and every tick passes on.
+//! The stage with its ports: out-of-sequence and repeated frames reach the tracker, and every tick is passed
+//! on.
 
 use std::time::{Duration, Instant};
 
@@ -16,7 +17,7 @@ use crate::support::forecaster::{HORIZON_LEN, forecast, forecasts_header};
 use crate::support::harness::{ALL_TYPES, Harness, TICK_NS, detected_at, noise, with_heading};
 
 const FRAMES: u32 = 40;
-/// Longest wait for an answer; far beyond what it takes.
+/// Longest wait for an answer, far above the usual time.
 const LIMIT: Duration = Duration::from_secs(30);
 
 /// The other ends of the stage's ports.
@@ -42,7 +43,7 @@ impl Ends {
         }
     }
 
-    /// Sends forecasts of constant velocity for these tracks; none, and VOID, where the tick has none.
+    /// Sends forecasts of constant velocity for these tracks. A VOID frame without tracks stays VOID.
     fn forecast(&self, tracks: &Frame<TracksTopic>) {
         let straight = [(1.0, [[0.0; 2]; HORIZON_LEN])];
         let forecasts: Vec<Forecast> =
@@ -53,7 +54,7 @@ impl Ends {
         self.forecasts.send_copy(&forecasts, header).expect("the transport works");
     }
 
-    /// Sends a frame; returns the stage's tracks.
+    /// Sends a frame and returns the stage's tracks.
     fn give(&self, header: Header, frame: &[Detection]) -> Frame<TracksTopic> {
         let mut header = Header { observed_types: ALL_TYPES, ..header };
         header.counts.agents_len = frame.len() as u32;
@@ -80,12 +81,12 @@ impl Ends {
             assert!(begin.elapsed() < LIMIT, "the stage does not link");
             std::thread::sleep(Duration::from_millis(10));
         }
-        // What is left of them must not push a tick out of the queue.
+        // The remaining ones must not push a tick out of the queue.
         std::thread::sleep(Duration::from_millis(50));
         while self.tracks.receive().expect("the transport works").is_some() {}
     }
 
-    /// Number of frames that the stage reports as refused, once there are any.
+    /// Number of frames that the stage reports as refused, once it is above 0.
     fn rejected_len(&self) -> u64 {
         let begin = Instant::now();
         while begin.elapsed() < LIMIT {
@@ -101,7 +102,7 @@ impl Ends {
     }
 }
 
-/// Stops the stage, also where the test fails.
+/// Stops the stage, even if the test fails.
 struct Stop;
 
 impl Drop for Stop {
@@ -157,7 +158,8 @@ fn out_of_sequence_frames_pass_on_void_and_forecasts_hold() {
         }
         assert_eq!(ends.rejected_len(), 1, "the repeated frame alone");
 
-        // Of every two frames the second comes first: half of the ticks have no forecasts, those before hold.
+        // The second of every two frames comes first. Half of the ticks have no forecasts, so the previous
+        // ones hold.
         let mut learned_len = 0;
         for k in (20..frames.len()).map(|k| k ^ 1) {
             let tracks = ends.give(header(order.len() + k, k), &frames[k]);

@@ -1,4 +1,4 @@
-//! Forecasts of given controls, in place of the stages behind the tracker.
+//! Forecasts with given controls, in place of the stages after the tracker.
 
 use bytemuck::Zeroable;
 use wire::{ControlGaussian, Counts, Forecast, Header, Quality, Steering, Track};
@@ -9,14 +9,14 @@ pub const HORIZON_LEN: usize = 12;
 /// The controls of a mode, step by step.
 pub type Controls = [[f64; 2]; HORIZON_LEN];
 
-/// The header of so many forecasts.
+/// The header of forecasts for this number of agents.
 pub fn forecasts_header(stamp_ns: i64, agents_len: usize) -> Header {
     let counts =
         Counts { agents_len: agents_len as u32, horizon_len: HORIZON_LEN as u32, ..Counts::default() };
     Header { step_ns: STEP_NS, counts, ..Header::new(1, 0, stamp_ns) }
 }
 
-/// A learned forecast of a track by modes of given probability.
+/// A learned forecast of a track, with modes of given probability.
 pub fn forecast(track: &Track, steering: Steering, modes: &[(f32, Controls)]) -> Forecast {
     let mut forecast = Forecast {
         id: track.id,

@@ -66,8 +66,8 @@ impl Harness {
     }
 }
 
-/// A detection with a position only. The id identifies the agent for the test; the tracker uses it only where
-/// a header sets `HAS_IDENTITIES`.
+/// A detection with only a position. The id identifies the agent for the test. The tracker uses it only if a
+/// header sets `HAS_IDENTITIES`.
 pub fn detected_at(agent_type: AgentType, id: u64, x_m: f64, y_m: f64) -> Detection {
     Detection {
         id,
@@ -85,7 +85,7 @@ pub fn with_heading(detection: Detection, heading_rad: f64) -> Detection {
     Detection { heading_rad: filters::wrapped(heading_rad) as f32, flags, ..detection }
 }
 
-/// Normal noise of that standard deviation.
+/// Normal noise with this standard deviation.
 pub fn noise(rng: &mut ChaCha8Rng, sigma: f64) -> f64 {
     Normal::new(0.0, sigma).expect("a finite sigma").sample(rng)
 }

@@ -11,27 +11,27 @@ use wire::{AGENTS_MAX, DETECTIONS_MAX, Detection, Forecast, Header, Quality, Tra
 
 const AGENTS: usize = 30;
 const TICK_NS: i64 = 80_000_000;
-/// Numbers that must not get from a frame into a track.
+/// Numbers that must never get from a frame into a track.
 const BAD: [f32; 6] = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, f32::MAX, 1e12, -1e9];
 /// Extreme but possible numbers.
 const EXTREME: [f32; 6] = [0.0, 1e-38, 1e-12, 1e-3, 1e3, 1e6];
 
-/// What a tracker did under random frames.
+/// Results of a tracker under random frames.
 #[derive(Debug, Default)]
 pub struct Survived {
     pub published_len: usize,
-    /// Of these, those with a forecast as the prior.
+    /// Published tracks with a forecast as the prior.
     pub learned_len: usize,
     pub faults_len: usize,
     /// Out-of-sequence frames that were processed.
     pub out_of_sequence_len: u64,
-    /// Frames that were refused, by the reason.
+    /// Number of refused frames, by reason.
     pub refused: BTreeMap<String, usize>,
-    /// Memory of the process in KiB at each fifth of the frames, where the system reports it.
+    /// Memory of the process in KiB at each fifth of the frames, if the system reports it.
     pub resident_kib: Vec<usize>,
 }
 
-/// Steps a tracker through random frames and forecasts; asserts that every track that it publishes is sound.
+/// Steps a tracker through random frames and forecasts. Asserts that every published track is sound.
 pub fn torture(prior: Prior, association: Association, seed: u64, ticks_len: usize) -> Survived {
     let mut torture = Torture::new(seed);
     let options = TrackerOptions { prior, association, ..TrackerOptions::default() };
@@ -76,7 +76,7 @@ fn resident_kib() -> Option<usize> {
     line.split_ascii_whitespace().nth(1)?.parse().ok()
 }
 
-/// A sensor and forecaster that produce anything.
+/// A sensor and a forecaster with arbitrary output.
 struct Torture {
     rng: ChaCha8Rng,
     stamp_ns: i64,
@@ -92,7 +92,7 @@ impl Torture {
         Self { rng, stamp_ns: 0, agents, detections: Vec::new(), forecasts: Vec::new() }
     }
 
-    /// Makes the detections of the next frame; returns its header.
+    /// Makes the detections of the next frame and returns its header.
     fn frame(&mut self) -> Header {
         let rng = &mut self.rng;
         let mut late_ns = 0;
@@ -154,7 +154,7 @@ impl Torture {
         }
     }
 
-    /// Makes forecasts of some tracks, and of some that never existed; returns their header.
+    /// Makes forecasts of some tracks, and of some that never existed. Returns their header.
     fn forecast(&mut self, tracks: &[Track]) -> Header {
         let rng = &mut self.rng;
         self.forecasts.clear();
@@ -193,7 +193,7 @@ impl Torture {
     }
 }
 
-/// Any possible detection, mostly near the origin.
+/// Any possible detection, usually near the origin.
 fn any(rng: &mut ChaCha8Rng) -> Detection {
     let side = if rng.random_ratio(1, 20) { 32_000.0 } else { 40.0 };
     Detection {
@@ -212,7 +212,7 @@ fn any(rng: &mut ChaCha8Rng) -> Detection {
     }
 }
 
-/// Makes one of a detection's numbers impossible, or as extreme as can be.
+/// Makes one number of a detection impossible, or extreme.
 fn spoil(detection: &mut Detection, rng: &mut ChaCha8Rng) {
     let value = *BAD.choose(rng).expect("some");
     match rng.random_range(0..7) {
@@ -226,8 +226,8 @@ fn spoil(detection: &mut Detection, rng: &mut ChaCha8Rng) {
     }
 }
 
-/// What is wrong with a track's covariance: it must be symmetric to the bit, and positive up to the rounding
-/// of an f32.
+/// The fault of a track's covariance. It must be symmetric to the bit, and positive up to the rounding of an
+/// f32.
 fn fault(track: &Track) -> Option<&'static str> {
     let n = track.state_len as usize;
     let entry = |i: usize, j: usize| f64::from(track.covariance[i * 5 + j]);
