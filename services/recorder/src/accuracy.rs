@@ -1,11 +1,12 @@
 //! Errors of the published forecasts against the recording's later truth.
 //!
-//! Forecasts wait until the truth has passed their horizon. A forecast is matched with the truth of the same
-//! identity where its detections carried one, else with the nearest truth of the same type at its stamp, at
-//! most 2 m away. The truth at step k is interpolated linearly at stamp + (k + 1) Δt.
+//! Forecasts wait until the truth has passed their horizon. If a forecast's detections carried an identity,
+//! it is matched with the truth of the same identity. Otherwise it is matched with the nearest truth of the
+//! same type at its stamp, at most 2 m away. The truth at step k is interpolated linearly at stamp + (k + 1)
+//! Δt.
 //!
 //! A forecast is scored if the truth covers *all* steps of its horizon. Otherwise an agent that leaves the
-//! scene early would contribute only the easy first steps; such forecasts are counted as uncovered.
+//! scene early would contribute only the easy first steps. Such forecasts are counted as uncovered.
 
 mod agents;
 mod truth;
@@ -20,21 +21,22 @@ use crate::report::{Accuracy, Errors};
 use agents::Agents;
 use truth::{GAP_MAX_NS, Paths};
 
-/// Largest distance between a forecast and the truth it is matched with, where identities are missing.
+/// Largest distance between a forecast and the truth with which it is matched, if identities are missing.
 const MATCH_RADIUS_M: f32 = 2.0;
 /// Largest lag between the truth of a tick and its forecasts, in either direction.
 const LAG_MAX_NS: i64 = 2_000_000_000;
-/// Most ticks whose forecasts wait for truth; beyond, the oldest are scored as they are.
+/// Largest number of ticks whose forecasts wait for truth. If there are more, the oldest are scored as they
+/// are.
 const WAITING_MAX: usize = 256;
 
-/// Levels of the regions that the report tells the coverage of.
+/// Levels of the regions whose coverage the report contains.
 const LEVELS: [f64; 2] = [0.5, 0.9];
-/// Forecasts of a tick at most whose regions are scored, spread evenly over its agents.
+/// Largest number of forecasts per tick whose regions are scored, spread evenly over the agents.
 const REGIONS_MAX: usize = 8;
-/// Seed of the draws that find a region's border.
+/// Seed of the draws that determine the border of a region.
 const SEED: u64 = 1;
 
-/// What is scored of a forecast.
+/// The scored data of a forecast.
 #[derive(Clone, Copy, Debug)]
 struct Scored {
     source_id: u64,
@@ -67,7 +69,7 @@ impl From<&Forecast> for Scored {
 }
 
 impl Scored {
-    /// The level of the highest-density region at a step on whose border a position lies.
+    /// The level of the highest-density region at a step that has the position on its border.
     fn level(&self, step: usize, position_m: Point, levels: &mut HighestDensity) -> f64 {
         let len = (self.modes_len as usize).min(MODES_MAX);
         let means_m = self.modes.map(|mode| mode[step]);
@@ -97,7 +99,7 @@ impl Waiting {
     }
 }
 
-/// Scores forecasts against later truth. Its memory is bounded, also where truth is missing.
+/// Scores forecasts against later truth. Its memory is bounded, even if truth is missing.
 #[derive(Clone, Debug)]
 pub struct Scorer {
     paths: Paths,
@@ -116,14 +118,14 @@ impl Default for Scorer {
 }
 
 impl Scorer {
-    /// Takes the truth at the frame's stamp, and scores the forecasts whose horizon has passed.
+    /// Adds the truth at the frame's stamp, and scores the forecasts whose horizon has passed.
     ///
     /// # Errors
-    /// [`Rejected`] where a number is impossible or the frame is not newer than the last; nothing changes
-    /// then.
+    /// [`Rejected`] if a number is impossible or the frame is not newer than the last; nothing changes then.
     pub fn truth(&mut self, header: &Header, truths: &[Truth]) -> Result<(), Rejected> {
         self.paths.add(header.stamp_ns, truths)?;
-        // The truth at the horizon's end is interpolated: the next sample may come a whole gap later.
+        // The truth at the end of the horizon is interpolated, and the next sample may arrive a whole gap
+        // later.
         while self
             .waiting
             .front()
@@ -147,7 +149,7 @@ impl Scorer {
         kept.extend(forecasts.iter().map(Scored::from));
         let (seq, stamp_ns) = (header.seq, header.stamp_ns);
         let tick = Waiting { seq, stamp_ns, step_ns, horizon_len, forecasts: kept };
-        // Without truth, a tick is dropped once the truth of its whole horizon is overdue.
+        // If there is no truth, a tick is dropped once the truth of its whole horizon is overdue.
         let due =
             |oldest: &Waiting| oldest.end_ns().saturating_add(GAP_MAX_NS + LAG_MAX_NS) < header.stamp_ns;
         while self.waiting.len() >= WAITING_MAX || self.waiting.front().is_some_and(due) {
@@ -164,8 +166,8 @@ impl Scorer {
         }
     }
 
-    /// The errors so far, with the forecasts whose horizon the truth covers already. All `None` without
-    /// truth.
+    /// The errors so far, including the waiting forecasts whose horizon the truth already covers. All values
+    /// are `None` if there is no truth.
     #[must_use]
     pub fn accuracy(&self) -> Accuracy {
         let Some(newest_ns) = self.paths.newest_ns() else {
@@ -186,7 +188,7 @@ impl Scorer {
         ScorerCheckpoint(tally)
     }
 
-    /// Forecasts that wait for truth.
+    /// Number of forecasts that wait for truth.
     #[cfg(test)]
     fn waiting_len(&self) -> usize {
         self.waiting.len()
@@ -209,7 +211,7 @@ struct Group {
     best_mode: DisplacementMean,
     single: DisplacementMean,
     constant_velocity: DisplacementMean,
-    /// Regions of each of [`LEVELS`] that held the truth, and all that were scored.
+    /// Number of regions of each of [`LEVELS`] that contained the truth, and number of scored regions.
     held: ([u64; LEVELS.len()], u64),
 }
 
@@ -246,7 +248,7 @@ impl Group {
     }
 }
 
-/// Errors are told to a tenth of a millimetre.
+/// Rounds errors to a tenth of a millimetre.
 fn rounded(value: Option<f64>) -> Option<f64> {
     value.map(|v| (v * 1e4).round() / 1e4)
 }
@@ -282,7 +284,7 @@ impl Tally {
                 continue;
             }
             self.add(tick, (id, forecast), truth);
-            // Another place in each tick, so that every agent is scored now and then.
+            // A different place in each tick, so that every agent is scored from time to time.
             let turn = (tick.stamp_ns / tick.step_ns.max(1)).unsigned_abs() as usize;
             if let Some(Some(end_m)) = truth.last().filter(|_| (number + turn).is_multiple_of(stride)) {
                 let level = forecast.level(tick.horizon_len - 1, *end_m, levels);
@@ -304,7 +306,7 @@ impl Tally {
         self.horizon_ns = self.horizon_ns.max(tick.end_ns() - tick.stamp_ns);
     }
 
-    /// The groups that a forecast belongs to.
+    /// The groups to which a forecast belongs.
     fn groups(&mut self, forecast: &Scored) -> impl Iterator<Item = &mut Group> {
         let is_learned = forecast.quality == Quality::Learned as u32;
         let learned = is_learned.then_some(&mut self.learned);
@@ -342,7 +344,7 @@ fn agent_of(forecast: &Scored, stamp_ns: i64, paths: &Paths) -> Option<u64> {
     paths.nearest(forecast.agent_type, forecast.position_m, stamp_ns, MATCH_RADIUS_M)
 }
 
-/// The baseline: the agent keeps the velocity that its forecast starts from.
+/// The baseline: the agent keeps the velocity at the start of its forecast.
 fn constant_velocity(forecast: &Scored, step_ns: i64) -> [Point; HORIZON_MAX] {
     std::array::from_fn(|step| {
         let t_s = ((step as i64 + 1) * step_ns) as f64 / 1e9;

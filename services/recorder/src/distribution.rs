@@ -3,9 +3,9 @@ use serde::{Deserialize, Serialize};
 
 use crate::report::Percentiles;
 
-/// Longest time that is resolved; longer ones count as this.
+/// Longest time that is resolved. Longer times count as this one.
 const LONGEST_NS: u64 = 60_000_000_000;
-/// Fewest values for a 99.9th percentile that rests on at least ten of them.
+/// Smallest number of values for a 99.9th percentile, so that at least ten values are above it.
 const P999_LEAST_LEN: u64 = 10_000;
 
 /// Histogram of times, to three significant digits and in bounded memory.
@@ -25,7 +25,7 @@ impl Default for Distribution {
     }
 }
 
-/// A distribution as it is kept in a file: values with their counts.
+/// A distribution as stored in a file: values with their counts.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct Kept {
     values: Vec<(u64, u32)>,
@@ -48,7 +48,7 @@ impl From<Kept> for Distribution {
     fn from(kept: Kept) -> Self {
         let mut distribution = Self::default();
         for (value, count) in kept.values {
-            // Only values beyond the bounds are refused, and none was recorded.
+            // Only values beyond the bounds are refused, and no such value was recorded.
             let _ = distribution.histogram.record_n(value.min(LONGEST_NS), count);
         }
         let Kept { least_ns, most_ns, sum_ns, .. } = kept;
@@ -64,7 +64,7 @@ impl Distribution {
         self.sum_ns = self.sum_ns.saturating_add(time_ns);
     }
 
-    /// Median; 0 where nothing was recorded.
+    /// Median; 0 if nothing was recorded.
     pub fn median_ns(&self) -> u64 {
         self.histogram.value_at_quantile(0.5).min(self.most_ns)
     }
@@ -74,7 +74,7 @@ impl Distribution {
         self.sum_ns
     }
 
-    /// How many times are at most each of `bounds_ns`, which increase, to the histogram's three digits.
+    /// For each of the increasing `bounds_ns`, the number of times up to it, to the histogram's three digits.
     pub fn counts_up_to<const N: usize>(&self, bounds_ns: &[u64; N]) -> [u64; N] {
         let mut counts = [0; N];
         for step in self.histogram.iter_recorded() {
@@ -89,7 +89,7 @@ impl Distribution {
         counts
     }
 
-    /// Times recorded.
+    /// Number of recorded times.
     pub fn len(&self) -> u64 {
         self.histogram.len()
     }
@@ -98,12 +98,12 @@ impl Distribution {
         self.histogram.is_empty()
     }
 
-    /// The percentiles in ms; `None` all where nothing was recorded.
+    /// The percentiles in ms; all `None` if nothing was recorded.
     pub fn percentiles_ms(&self) -> Percentiles {
         if self.is_empty() {
             return Percentiles::default();
         }
-        // The histogram returns the upper end of a bucket, which may lie beyond the greatest value recorded.
+        // The histogram returns the upper end of a bucket, which may be above the largest recorded value.
         let quantile_ms = |q| ms(self.histogram.value_at_quantile(q).clamp(self.least_ns, self.most_ns));
         Percentiles {
             p50: Some(quantile_ms(0.5)),
@@ -114,7 +114,7 @@ impl Distribution {
     }
 }
 
-/// Milliseconds, rounded to 0.1 µs: clocks of different processes agree no better.
+/// Converts to milliseconds, rounded to 0.1 µs. Clocks of different processes do not agree better.
 pub(crate) fn ms(time_ns: u64) -> f64 {
     (time_ns as f64 / 100.0).round() / 10_000.0
 }

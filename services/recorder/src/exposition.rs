@@ -1,7 +1,7 @@
-//! A run in progress as metrics in Prometheus' text format, version 0.0.4.
+//! A running pipeline as metrics in Prometheus' text format, version 0.0.4.
 //!
-//! Names start with `stgdat_`, units are seconds and bytes, counters end in `_total`. Histograms are of the
-//! whole run, `recent` gauges of the last ten seconds.
+//! Names start with `stgdat_`, units are seconds and bytes, and counters end in `_total`. Histograms cover
+//! the whole run. `recent` gauges cover the last ten seconds.
 
 use std::fmt::{Display, Write};
 
@@ -16,7 +16,7 @@ use crate::status::{RunStatus, StageStatus};
 /// Media type of the text.
 pub const CONTENT_TYPE: &str = "text/plain; version=0.0.4; charset=utf-8";
 
-/// Upper bounds of the histograms' buckets, beside infinity.
+/// Upper bounds of the histograms' buckets, except infinity.
 const BOUNDS_NS: [u64; 17] = [
     50_000,
     100_000,
@@ -55,7 +55,7 @@ impl Kind {
     }
 }
 
-/// Text of metrics that is being written.
+/// The text of the metrics while it is written.
 #[derive(Default)]
 struct Text(String);
 
@@ -63,9 +63,9 @@ struct Text(String);
 type Labels<'a> = &'a [(&'a str, &'a str)];
 
 impl Text {
-    /// Begins a metric; its samples must follow at once.
+    /// Begins a metric. Its samples must follow immediately.
     fn metric(&mut self, kind: Kind, name: &str, help: &str) {
-        // Writing to a string does not fail, here and below.
+        // Here and below: writing to a string does not fail.
         let _ = writeln!(self.0, "# HELP {name} {help}\n# TYPE {name} {}", kind.name());
     }
 
@@ -78,7 +78,7 @@ impl Text {
         let _ = writeln!(self.0, "{close} {value}");
     }
 
-    /// A metric of one sample.
+    /// A metric with one sample.
     fn single(&mut self, kind: Kind, name: &str, help: &str, value: impl Display) {
         self.metric(kind, name, help);
         self.sample(name, &[], value);
@@ -106,7 +106,7 @@ impl Text {
     }
 }
 
-/// A label's value as the format wants it.
+/// Escapes the value of a label.
 fn escaped(text: &str) -> String {
     text.replace('\\', "\\\\").replace('"', "\\\"").replace('\n', "\\n")
 }
@@ -115,7 +115,7 @@ fn seconds(time_ns: u64) -> f64 {
     time_ns as f64 / 1e9
 }
 
-/// The metrics of a run, of its status and what was measured of it.
+/// The metrics of a run, from its status and its measurements.
 #[must_use]
 pub fn metrics(status: &RunStatus, measured: &Recorder) -> String {
     let mut text = Text::default();

@@ -1,43 +1,43 @@
 //! Forecasts as JSON lines: `stgdat predict --out FILE` and `stgdat run --forecasts FILE`.
 //!
-//! One line per tick, in time order, also without agents. Lines contain no clock, run id or incarnation, so
-//! the same recording, seed and weights give the same bytes. Version 2:
+//! There is one line per tick in time order, even if the tick has no agents. Lines contain no clock, run id or
+//! incarnation, so the same recording, seed and weights give the same bytes. Version 2:
 //!
 //! | field | meaning |
 //! |---|---|
 //! | `version` | [`FORECASTS_VERSION`] |
 //! | `seq` | number of the tick, from 0 |
 //! | `stamp_ns` | time of validity on the recording's clock |
-//! | `step_s` | Δt: step k of a forecast lies at stamp + (k + 1) Δt |
+//! | `step_s` | Δt: step k of a forecast is at stamp + (k + 1) Δt |
 //! | `agents` | one object per track, in the order of the frame |
 //!
 //! | field of an agent | meaning |
 //! |---|---|
 //! | `id` | the track, never reused within a run (64 bits) |
-//! | `source_id` | the agent's identity in the recording, 0 where it has none (64 bits) |
+//! | `source_id` | the agent's identity in the recording; 0 if it has none (64 bits) |
 //! | `type` | `vehicle`, `cyclist`, `pedestrian` |
 //! | `quality` | `learned`, `held` (from an earlier tick), `kinematic` (constant control) |
-//! | `cause` | why the forecast is held or kinematic: `late`, `rejected`, `missing`, `young`, `outdone`; else `none` |
+//! | `cause` | why the forecast is held or kinematic: `late`, `rejected`, `missing`, `young`, `outdone`; otherwise `none` |
 //! | `experts` | weights of the experts that have any, by name; empty without a blend |
 //! | `out_of_distribution` | how far the agent moves from what the network was trained on; from 0.25 on the network adds less than half |
-//! | `age_s` | age of a held forecast, else 0 |
-//! | `prior` | what predicted the track's state: `learned`, `held` (a forecast older than Δt), `kinematic` |
-//! | `prior_age_s` | age of the forecast that is the prior, else 0 |
+//! | `age_s` | age of a held forecast; otherwise 0 |
+//! | `prior` | prior of the track's state: `learned`, `held` (a forecast older than Δt), `kinematic` |
+//! | `prior_age_s` | age of the forecast that is the prior; otherwise 0 |
 //! | `x_m`, `y_m` | position at the stamp, own frame |
 //! | `vx_mps`, `vy_mps` | velocity at the stamp, world frame |
 //! | `heading_rad` | heading at the stamp, counter-clockwise from +x |
-//! | `length_m`, `width_m` | extent along and across the heading, 0 where unknown |
-//! | `probability` | of each mode; they sum to 1 |
+//! | `length_m`, `width_m` | extent along and across the heading; 0 if unknown |
+//! | `probability` | probability of each mode; the sum is 1 |
 //! | `modes_m` | \[mode\]\[step\] = \[x, y\], own frame |
 //! | `best_m` | \[step\] = \[x, y\]: the single best forecast |
 //! | `mean_m` | \[step\] = \[x, y\]: mean of the mixture of all modes |
 //! | `covariance_m2` | \[step\] = \[xx, xy, yy\] of the mixture |
 //!
-//! Positions are in the recording's own frame: the run's origin (`--origin`) is added again. Without an
-//! origin it is the world frame.
+//! Positions are in the recording's own frame, because the run's origin (`--origin`) is added again. Without
+//! an origin this is the world frame.
 //!
-//! Numbers are rounded to four decimals (0.1 mm, well below what f32 resolves at the edge of the world
-//! frame), and probabilities and covariances to six.
+//! Numbers are rounded to four decimals (0.1 mm, well below the resolution of f32 at the edge of the world
+//! frame). Probabilities and covariances are rounded to six decimals.
 
 use std::io::{self, Write};
 use std::path::Path;
@@ -52,7 +52,7 @@ use crate::whole_file::WholeFile;
 /// Version of the lines' fields.
 pub const FORECASTS_VERSION: u32 = 2;
 
-/// Writes a line per tick. Until it is finished the file is called `NAME.partial`. Pipes and devices are
+/// Writes one line per tick. The file is named `NAME.partial` until it is finished. Pipes and devices are
 /// written directly.
 #[derive(Debug)]
 pub struct ForecastWriter {
@@ -61,8 +61,8 @@ pub struct ForecastWriter {
 }
 
 impl ForecastWriter {
-    /// Starts a file; it will replace one of that name. `origin` is the world frame's in the recording's own
-    /// frame.
+    /// Starts a file. It will replace a file of this name. `origin` is the world frame's origin in the
+    /// recording's own frame.
     ///
     /// # Errors
     /// The error of the file system.
@@ -70,7 +70,7 @@ impl ForecastWriter {
         Ok(Self { file: WholeFile::create(path)?, origin })
     }
 
-    /// Goes on with the file of a recorder that was killed.
+    /// Continues the file of a recorder that was killed.
     ///
     /// # Errors
     /// The error of the file system.
@@ -78,7 +78,7 @@ impl ForecastWriter {
         Ok(Self { file: WholeFile::resume(path)?, origin })
     }
 
-    /// Writes what is buffered, so that it outlives this process.
+    /// Writes the buffered data, so that it outlives this process.
     ///
     /// # Errors
     /// The error of the file system, such as a full disk.
@@ -86,7 +86,7 @@ impl ForecastWriter {
         self.file.flush()
     }
 
-    /// Writes the forecasts of a tick; warm-up and END frames have no line.
+    /// Writes the forecasts of a tick. Warm-up and END frames have no line.
     ///
     /// # Errors
     /// The error of the file system, such as a full disk.
@@ -94,7 +94,7 @@ impl ForecastWriter {
         if header.is_tick() { write_line(&mut self.file, header, forecasts, self.origin) } else { Ok(()) }
     }
 
-    /// Writes what is buffered and gives the file its name.
+    /// Writes the buffered data and gives the file its name.
     ///
     /// # Errors
     /// The error of the file system, such as a full disk.
@@ -188,7 +188,7 @@ impl<'a> Agent<'a> {
     }
 }
 
-/// Weights of experts by name, those that are 0 left out.
+/// Weights of experts by name, without those that are 0.
 struct Experts<'a>(&'a [f32; EXPERTS_MAX]);
 
 impl Serialize for Experts<'_> {
@@ -205,19 +205,19 @@ fn quality_name(number: u32) -> &'static str {
     Quality::try_from(number).map_or("unknown", Quality::name)
 }
 
-/// A number of `DECIMALS` decimals.
+/// A number with `DECIMALS` decimals.
 struct Rounded<const DECIMALS: i32, T = f32>(T);
 
 impl<const DECIMALS: i32, T: Copy + Into<f64>> Serialize for Rounded<DECIMALS, T> {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         let scale = 10_f64.powi(DECIMALS);
-        // The quotient is the f64 nearest to the decimal number, so its shortest form is that number. Adding
-        // 0 turns -0 to 0.
+        // The quotient is the f64 nearest to the decimal number, so its shortest form is this number. Adding
+        // 0 turns -0 into 0.
         serializer.serialize_f64((self.0.into() * scale).round() / scale + 0.0)
     }
 }
 
-/// A list whose items are made while it is written.
+/// A list whose items are created while it is written.
 struct Each<'a, T, F>(&'a [T], F);
 
 impl<'a, T, U: Serialize, F: Fn(&'a T) -> U> Serialize for Each<'a, T, F> {
@@ -235,7 +235,7 @@ impl<const DECIMALS: i32> Serialize for Numbers<'_, DECIMALS> {
     }
 }
 
-/// A list of rows of `WIDTH` numbers.
+/// A list of rows with `WIDTH` numbers each.
 struct Rows<'a, const WIDTH: usize, const DECIMALS: i32>(&'a [[f32; WIDTH]]);
 
 impl<const WIDTH: usize, const DECIMALS: i32> Serialize for Rows<'_, WIDTH, DECIMALS> {
@@ -244,7 +244,7 @@ impl<const WIDTH: usize, const DECIMALS: i32> Serialize for Rows<'_, WIDTH, DECI
     }
 }
 
-/// Positions of the world frame, written in the own frame.
+/// Positions in the world frame, written in the recording's own frame.
 struct Points<'a>(&'a [[f32; 2]], WorldOrigin);
 
 impl Serialize for Points<'_> {

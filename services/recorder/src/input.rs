@@ -1,4 +1,4 @@
-//! What the input contained: counts by source and tracker, and the findings of the audit.
+//! The content of the input: counts by source and tracker, and the findings of the audit.
 
 use std::collections::BTreeMap;
 
@@ -6,33 +6,33 @@ use audit::{Doubt, Found};
 use serde::{Deserialize, Serialize};
 use wire::{Header, InputCounts};
 
-/// What the reason of a verdict begins with that is a doubt about the input.
+/// Start of a verdict's reason that is a doubt about the input.
 pub(crate) const DOUBT: &str = "input: ";
 
-/// What the input contained, and what is probably wrong with it.
+/// The content of the input, and its probable faults.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct InputReport {
-    /// Detections that the tracker has taken in.
+    /// Number of detections that the tracker has processed.
     pub detections: u64,
-    /// Detections that repeat the previous one of a moving track: no measurements.
+    /// Number of detections that repeat the previous one of a moving track. They are not measurements.
     pub repeated: u64,
-    /// Detections out of their track's reach: treated as missed.
+    /// Number of detections out of their track's reach. They count as missed.
     pub misfits: u64,
-    /// Detections at a placeholder's position.
+    /// Number of detections at a placeholder's position.
     pub placeholders: u64,
-    /// Tracks whose state began again because misfits agreed with one another.
+    /// Number of tracks whose state was restarted because misfits agreed.
     pub reassigned: u64,
-    /// Detections of unplayed frames that no played frame contains.
+    /// Number of detections in unplayed frames that no played frame contains.
     pub unplayed: u64,
-    /// Detections of unplayed frames that went out with another frame.
+    /// Number of detections in unplayed frames that were sent with another frame.
     pub merged: u64,
-    /// Rows of the recording that its format leaves out, by reason.
+    /// Rows of the recording that its format omits, by reason.
     pub rows_left_out: BTreeMap<String, u64>,
-    /// Frames of the recording that no pose of its moving sensor is near enough to: the frames are not seen
-    /// from the sensor.
+    /// Number of frames of the recording without a pose of its moving sensor nearby. These frames are not
+    /// seen from the sensor.
     pub poses_missing: u64,
-    /// What is wrong with the input, doubts or not.
+    /// The findings about the input, whether they are doubts or not.
     pub findings: Vec<Found>,
     /// Whether the recording was audited before it was played.
     #[serde(skip)]
@@ -40,7 +40,7 @@ pub struct InputReport {
 }
 
 impl InputReport {
-    /// What is known of a recording before it is played.
+    /// Information about a recording before it is played.
     #[must_use]
     pub fn of_recording(
         findings: Vec<Found>,
@@ -66,7 +66,7 @@ impl InputReport {
         self.doubts().map(|found| format!("{DOUBT}{found}"))
     }
 
-    /// Counts that a user should know of, with their names.
+    /// Counts of interest to a user, with their names.
     #[must_use]
     pub const fn counts(&self) -> [(&'static str, u64); 7] {
         [
@@ -80,8 +80,8 @@ impl InputReport {
         ]
     }
 
-    /// Adds what is known of the recording. Its audit takes the place of the tracker's, which has seen headings
-    /// that the reader has wrapped, and fewer rows.
+    /// Adds the information about the recording. Its audit replaces the tracker's audit, which saw fewer rows
+    /// and headings that the reader had wrapped.
     pub(crate) fn add(&mut self, recording: &Self) {
         if recording.is_audited {
             self.findings.clone_from(&recording.findings);
@@ -90,7 +90,7 @@ impl InputReport {
         self.poses_missing = recording.poses_missing;
     }
 
-    /// Whether all detections were taken in as measurements, no row was left out and no pose is missing.
+    /// Whether all detections were processed as measurements, no row was omitted and no pose is missing.
     #[must_use]
     pub fn is_clean(&self) -> bool {
         let [_, others @ ..] = self.counts();
@@ -98,7 +98,7 @@ impl InputReport {
         is_whole && others.iter().all(|(_, count)| *count == 0)
     }
 
-    /// One line for people; `None` if there is nothing to report.
+    /// One line of text; `None` if there is nothing to report.
     #[must_use]
     pub fn line(&self) -> Option<String> {
         let meaning = |name: &'static str| match name {
@@ -127,17 +127,17 @@ impl InputReport {
 #[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
 pub struct InputTally {
     newest: [u32; 7],
-    /// Of the incarnations before.
+    /// Counts of earlier incarnations.
     before: [u64; 7],
-    /// Of the newest header: the audit withdraws a doubt if later rows remove it.
+    /// Doubts in the newest header. The audit withdraws a doubt if later rows remove it.
     doubts: u32,
-    /// Of the incarnations before.
+    /// Doubts of earlier incarnations.
     #[serde(default)]
     doubts_before: u32,
 }
 
 impl InputTally {
-    /// Takes the header of a tick.
+    /// Adds the header of a tick.
     pub fn tick(&mut self, header: &Header) {
         let InputCounts { detections, repeated, misfits, placeholders, reassigned, unplayed, merged, doubts } =
             header.input;
@@ -146,7 +146,7 @@ impl InputTally {
             self.doubts_before |= self.doubts;
         }
         for ((newest, before), count) in self.newest.iter_mut().zip(&mut self.before).zip(counts) {
-            // A stage that was started again counts from 0.
+            // A restarted stage counts from 0.
             if count < *newest {
                 *before += u64::from(*newest);
             }
@@ -155,7 +155,7 @@ impl InputTally {
         self.doubts = doubts;
     }
 
-    /// The counts so far; doubts without figures, unless those of the recording are known.
+    /// The counts so far. Doubts have no figures, unless the recording was audited.
     #[must_use]
     pub fn report(&self, recording: &InputReport) -> InputReport {
         let mut place = 0;

@@ -5,18 +5,18 @@ use wire::Forecast;
 
 use crate::input::DOUBT;
 
-/// A map is doubtful if a smaller share of the forecasts is along its lanes.
+/// Share of the forecasts along lanes below which the map is doubtful.
 const SHARE_MIN: f64 = 0.02;
-/// Fewest forecasts for a doubt.
+/// Smallest number of forecasts for a doubt.
 const FORECASTS_MIN: u64 = 10;
 
-/// Forecasts of vehicles by their place on a map of lanes; zeros without a map.
+/// Forecasts of vehicles by their place on a map of lanes. The counts are 0 without a map.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct LaneCounts {
-    /// Forecasts that went along lanes.
+    /// Number of forecasts along lanes.
     pub along: u64,
-    /// Forecasts of moving vehicles that are on no lane.
+    /// Number of forecasts of moving vehicles that are on no lane.
     pub off: u64,
 }
 
@@ -28,7 +28,7 @@ impl LaneCounts {
         self.off += count(Forecast::OFF_LANES);
     }
 
-    /// The counts in words; `None` without any.
+    /// The counts in words; `None` if there are none.
     #[must_use]
     pub fn line(&self) -> Option<String> {
         let Self { along, off } = self;
@@ -42,7 +42,7 @@ impl LaneCounts {
         self.doubt().map(|doubt| format!("{DOUBT}{doubt}"))
     }
 
-    /// Why the map is probably not that of the place; `None` if vehicles are on its lanes.
+    /// Why the map probably belongs to another place; `None` if vehicles are on its lanes.
     #[must_use]
     pub fn doubt(&self) -> Option<String> {
         let Self { along, off } = *self;

@@ -1,13 +1,16 @@
 //! The recorder: measures latency, losses and accuracy of a run, and reports them.
 //!
-//! The [`Recorder`] reads three topics: `forecasts`, whose headers hold the times of each tick in every stage
-//! ([`passage`]); `truth`, against which forecasts are scored once their horizon has passed ([`accuracy`]);
-//! and `heartbeats`, which count lost frames and restarts. Its [`Report`] is JSON for scripts and tables for
-//! people ([`Report::render`]). [`live`] shows the same during the run; [`ForecastWriter`] writes the
-//! forecasts themselves.
+//! The [`Recorder`] reads three topics:
 //!
-//! A run may last for days: percentiles come from histograms, forecasts wait in bounded queues, and nothing
-//! else grows.
+//! * `forecasts`: their headers contain the times of each tick in every stage ([`passage`]);
+//! * `truth`: forecasts are scored against it once their horizon has passed ([`accuracy`]);
+//! * `heartbeats`: they count lost frames and restarts.
+//!
+//! Its [`Report`] is JSON for scripts and tables for people ([`Report::render`]). [`live`] shows the same
+//! during the run. [`ForecastWriter`] writes the forecasts.
+//!
+//! A run may last for days. Percentiles therefore come from histograms, forecasts wait in bounded queues, and
+//! nothing else grows.
 
 pub mod accuracy;
 mod distribution;

@@ -1,6 +1,6 @@
-//! The state of a run in progress, for a table of stages or one line per second.
+//! The state of a running pipeline, for a table of stages or one line per second.
 //!
-//! [`LiveView`] keeps the last ten seconds and some counts; [`draw`] shows it on a terminal,
+//! [`LiveView`] keeps the last ten seconds and some counts. [`draw`] shows it on a terminal, and
 //! [`LiveView::plain_line`] elsewhere. The caller reads the topics and the clock.
 
 mod draw;
@@ -17,23 +17,23 @@ use crate::record::{TICK_LIMIT_NS, is_outside, is_shed};
 use crate::report::{Errors, Percentiles, RefusedFrames, ReplacementOutcome};
 use crate::text::{count, number};
 
-/// Ticks in the window that the view shows: ten seconds at 12.5 Hz.
+/// Number of ticks in the window of the view: ten seconds at 12.5 Hz.
 const WINDOW_LEN: usize = 125;
-/// A stage is silent when its last heartbeat is older than this: two heartbeat intervals and some.
+/// Age of the last heartbeat from which a stage counts as silent: slightly more than two heartbeat intervals.
 const SILENT_NS: u64 = 200_000_000;
 
-/// What the view shows of a run beside its topics.
+/// The data that the view shows in addition to the topics of a run.
 #[derive(Clone, Debug)]
 pub struct LiveOptions {
-    /// Title: the recording or scene.
+    /// The title: the recording or scene.
     pub title: String,
     /// The stages, in the order in which a tick passes them.
     pub stages: Vec<StageId>,
-    /// Each stage's share of the tick limit; these stages have a row from the start.
+    /// Each stage's share of the tick limit. These stages have a row from the start.
     pub budgets_ms: BTreeMap<StageId, f64>,
-    /// A tick is late beyond this or the frame interval, whichever is shorter.
+    /// Limit above which a tick is late: this or the frame interval, whichever is smaller.
     pub tick_limit_ns: u64,
-    /// Ticks after which the run ends, if that is known.
+    /// Number of ticks after which the run ends, if it is known.
     pub ticks_limit: Option<u64>,
 }
 
@@ -49,30 +49,30 @@ impl Default for LiveOptions {
     }
 }
 
-/// One stage's row.
+/// The row of a stage.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct LiveStage {
     /// Median of compute within the window.
     pub compute_ms_p50: Option<f64>,
     /// 99th percentile of compute within the window.
     pub compute_ms_p99: Option<f64>,
-    /// Its share of the tick limit.
+    /// The stage's share of the tick limit.
     pub budget_ms: Option<f64>,
-    /// Frames that it finished.
+    /// Number of frames that the stage finished.
     pub frames: u64,
-    /// Ticks whose compute exceeded the budget.
+    /// Number of ticks whose compute exceeded the budget.
     pub late: u64,
-    /// Frames lost in it.
+    /// Number of frames lost in the stage.
     pub lost: u64,
-    /// What it refused most: of which stage, and why.
+    /// The most frequent refusal: sender and cause.
     pub refused: Option<RefusedFrames>,
     /// Number of restarts.
     pub restarts: u32,
-    /// Times that it was replaced.
+    /// Number of replacements.
     pub replaced: u32,
-    /// What its spare is doing, and times that one took its place; none where it has none.
+    /// State of the spare, and the number of times that a spare took over; `None` if there is no spare.
     pub spare: Option<(&'static str, u32)>,
-    /// Whether its last heartbeat is recent; `None` before the first.
+    /// Whether the stage's last heartbeat is recent; `None` before the first.
     pub alive: Option<bool>,
 }
 
@@ -85,30 +85,30 @@ pub struct LiveView {
     window: VecDeque<Passage>,
     beats: [Option<Heartbeat>; StageId::PLACES_LEN],
     late_by_stage: [u64; StageId::PLACES_LEN],
-    /// Times that each stage was replaced, and the incarnations that were no restarts.
+    /// Number of replacements of each stage, and number of incarnations that were not restarts.
     replaced: [(u32, u32); StageId::PLACES_LEN],
     spares: [Option<(&'static str, u32)>; StageId::PLACES_LEN],
     first_released_ns: Option<u64>,
     now_ns: u64,
     limit_ns: u64,
-    /// Number of the next tick, once it is known.
+    /// Number of the next tick, if it is known.
     next_seq: Option<u64>,
     ticks: u64,
     late_ticks: u64,
     /// Forecasts of the newest tick by quality.
     newest: [u64; Quality::ALL.len()],
-    /// Forecasts of the newest tick of agents that move as none did in training.
+    /// Number of forecasts of the newest tick whose agents are out of distribution.
     newest_outside: u64,
-    /// Agents that the newest tick left out to save time, and all ticks.
+    /// Number of agents that the newest tick left out to save time. `total_shed` counts all ticks.
     newest_shed: u64,
     total_shed: u64,
     /// Forecasts of the newest tick that are held or kinematic, by cause.
     newest_causes: [u64; Cause::ALL.len()],
     /// Forecasts of all ticks by quality.
     total: [u64; Quality::ALL.len()],
-    /// Those that are constant velocity because it proved better.
+    /// Number of forecasts that are constant velocity because it proved better.
     total_outdone: u64,
-    /// Of the forecasts whose horizon is over, as the recorder last told.
+    /// Errors of the forecasts whose horizon has passed, as last reported by the recorder.
     errors: Option<Errors>,
 }
 
@@ -142,12 +142,12 @@ impl LiveView {
         }
     }
 
-    /// Takes the errors of the forecasts whose horizon is over, as the recorder last told.
+    /// Sets the errors of the forecasts whose horizon has passed, as last reported by the recorder.
     pub fn errors(&mut self, errors: Option<Errors>) {
         self.errors = errors;
     }
 
-    /// Takes the forecasts of a tick. Losses are counted as by [`crate::Recorder::forecasts`].
+    /// Adds the forecasts of a tick. Losses are counted as in [`crate::Recorder::forecasts`].
     pub fn forecasts(&mut self, header: &Header, forecasts: &[Forecast]) {
         if header.has(flags::WARM_UP) {
             self.next_seq.get_or_insert(0);
@@ -191,7 +191,7 @@ impl LiveView {
         self.total_outdone += self.newest_causes[Cause::Outdone as usize];
     }
 
-    /// Takes the header of a frame that an added stage has sent beside a tick's way.
+    /// Adds the header of a frame from an added stage for which no forecast waits.
     pub fn beside(&mut self, header: &Header) {
         if header.check().is_err() || !header.is_tick() {
             return;
@@ -208,7 +208,7 @@ impl LiveView {
         }
     }
 
-    /// Takes a stage's heartbeat.
+    /// Adds a stage's heartbeat.
     pub fn heartbeat(&mut self, heartbeat: &Heartbeat) {
         self.losses.heartbeat(heartbeat);
         if let Some(stage) = StageId::from_number(heartbeat.stage) {
@@ -216,25 +216,24 @@ impl LiveView {
         }
     }
 
-    /// Takes what came of a stage's replacement.
+    /// Adds the outcome of a stage's replacement.
     pub fn replaced(&mut self, stage: StageId, outcome: ReplacementOutcome) {
         let (times, incarnations) = &mut self.replaced[stage.place()];
         *times += u32::from(outcome == ReplacementOutcome::Replaced);
         *incarnations += outcome.incarnations();
     }
 
-    /// Takes what the spares are doing: each with its stage, a word, and times that it took the stage's
-    /// place.
+    /// Sets the states of the spares: each with its stage, a word, and the number of times that it took over.
     pub fn spares(&mut self, spares: impl Iterator<Item = (StageId, &'static str, u32)>) {
         spares.for_each(|(stage, state, promotions)| self.spares[stage.place()] = Some((state, promotions)));
     }
 
-    /// Takes the time (`CLOCK_MONOTONIC`), from which the run's duration and silent stages follow.
+    /// Sets the time (`CLOCK_MONOTONIC`), which determines the run's duration and the silent stages.
     pub const fn clock(&mut self, now_ns: u64) {
         self.now_ns = now_ns;
     }
 
-    /// Ticks whose forecasts were received.
+    /// Number of ticks whose forecasts were received.
     #[must_use]
     pub const fn ticks(&self) -> u64 {
         self.ticks
@@ -246,7 +245,7 @@ impl LiveView {
         self.first_released_ns.map_or(0.0, |first| self.now_ns.saturating_sub(first) as f64 / 1e9)
     }
 
-    /// The stages that have a budget, sent a heartbeat or passed the last tick, in the order of the chain.
+    /// The stages that have a budget, sent a heartbeat or processed the last tick, in the order of the chain.
     #[must_use]
     pub fn stages(&self) -> Vec<(StageId, LiveStage)> {
         let drops = self.losses.by_stage(&self.options.stages);
@@ -289,7 +288,7 @@ impl LiveView {
         &self.options.title
     }
 
-    /// Ticks after which the run ends, if that is known.
+    /// Number of ticks after which the run ends, if it is known.
     #[must_use]
     pub const fn ticks_limit(&self) -> Option<u64> {
         self.options.ticks_limit
@@ -307,25 +306,25 @@ impl LiveView {
         self.beats[stage.place()].as_ref()
     }
 
-    /// Forecasts of the newest tick by quality.
+    /// Numbers of forecasts of the newest tick by quality.
     #[must_use]
     pub const fn newest_qualities(&self) -> &[u64] {
         &self.newest
     }
 
-    /// Forecasts of the newest tick that are held or kinematic, by cause.
+    /// Numbers of forecasts of the newest tick that are held or kinematic, by cause.
     #[must_use]
     pub const fn newest_causes(&self) -> &[u64] {
         &self.newest_causes
     }
 
-    /// Forecasts of the newest tick of agents that move as none did in training.
+    /// Number of forecasts of the newest tick whose agents are out of distribution.
     #[must_use]
     pub const fn newest_outside(&self) -> u64 {
         self.newest_outside
     }
 
-    /// Ticks in the window of the last ten seconds.
+    /// Number of ticks in the window of the last ten seconds.
     #[must_use]
     pub fn recent_ticks(&self) -> u64 {
         self.window.len() as u64
@@ -369,7 +368,7 @@ impl LiveView {
         )
     }
 
-    /// Median and 99th percentile of the window.
+    /// Median and 99th percentile of the latency in the window.
     fn end_to_end_ms(&self) -> [Option<f64>; 2] {
         percentiles(self.window.iter().filter_map(|tick| tick.end_to_end_ns))
     }

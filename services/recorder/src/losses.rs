@@ -11,7 +11,7 @@ use crate::report::{RefusedFrames, StageDrops};
 struct Counters {
     incarnation: u32,
     newest: StageDrops,
-    /// Of the incarnations before.
+    /// Counters of earlier incarnations.
     before: StageDrops,
 }
 
@@ -32,7 +32,7 @@ impl Counters {
             self.incarnation = heartbeat.incarnation;
         }
         if heartbeat.incarnation == self.incarnation {
-            // Fewer where a frame has come after all, late.
+            // The count falls if a frame has arrived late after all.
             self.newest.gap = heartbeat.dropped_len.into();
             self.newest.unanswered = heartbeat.unanswered_len.into();
             self.newest.refused = self.newest.refused.max(heartbeat.rejected_len);
@@ -44,15 +44,15 @@ impl Counters {
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub(crate) struct Losses {
     stages: [Counters; StageId::PLACES_LEN],
-    /// Ticks without forecasts that died with a stage, by the stage.
+    /// Ticks without forecasts that were lost in the death of a stage, by stage.
     restart: [u64; StageId::PLACES_LEN],
-    /// The newest incarnation of each stage that the forecasts have passed.
+    /// The newest incarnation of each stage through which forecasts have passed.
     passed: [u32; StageId::PLACES_LEN],
     refusals: RefusalCounts,
 }
 
 impl Losses {
-    /// Takes a stage's own counters. A heartbeat of an earlier incarnation is stale and ignored.
+    /// Adds a stage's own counters. A stale heartbeat of an earlier incarnation is ignored.
     pub fn heartbeat(&mut self, heartbeat: &Heartbeat) {
         if let Some(stage) = StageId::from_number(heartbeat.stage) {
             self.stages[stage.place()].heartbeat(heartbeat);
@@ -65,8 +65,8 @@ impl Losses {
         self.refusals.list()
     }
 
-    /// Counts ticks whose forecasts never arrived at the recorder before those of `header`. Where a stage was
-    /// restarted meanwhile, they died with it; the first such stage on the way counts.
+    /// Counts ticks before `header` whose forecasts never arrived at the recorder. If a stage was restarted
+    /// in the meantime, the ticks were lost in its death. The first such stage on the way counts.
     pub fn forecast_gap(&mut self, header: &Header, len: u64) {
         let mut restarted = None;
         for hop in header.hops() {
@@ -83,7 +83,7 @@ impl Losses {
         }
     }
 
-    /// Counts ticks whose forecasts came while the recorder was restarted.
+    /// Counts ticks whose forecasts arrived while the recorder was restarted.
     pub const fn unrecorded(&mut self, len: u64) {
         self.restart[StageId::Recorder.place()] += len;
     }
@@ -98,18 +98,19 @@ impl Losses {
         self.stages[stage.place()].incarnation
     }
 
-    /// Losses of each stage, by its place; `order` is that in which a tick passes the stages.
+    /// Losses of each stage, by its place. `order` is the order in which a tick passes the stages.
     ///
-    /// A frame lost in one stage is a gap in all later ones; it counts where it was lost first. A refused
-    /// frame is no gap: it is passed on as VOID. The sampler publishes also without controls, so a tick is
-    /// missing at the recorder only if the tracker has lost its detections or the sampler its tracks.
+    /// A frame lost in one stage is a gap in all later stages, and counts only in the first. A refused frame
+    /// is not a gap, because it is passed on as VOID. The sampler publishes even without controls. A tick is
+    /// therefore missing at the recorder only if the tracker has lost its detections or the sampler its
+    /// tracks.
     pub fn by_stage(&self, order: &[StageId]) -> [StageDrops; StageId::PLACES_LEN] {
         let mut lost_before = 0;
         let mut own = [StageDrops::default(); StageId::PLACES_LEN];
         let tracks_lost = self.stages[StageId::Tracker.place()].total().gap;
         for stage in order {
             let StageDrops { gap, unanswered, refused, .. } = self.stages[stage.place()].total();
-            // Of the sampler's two inputs, the tracks come from the tracker alone.
+            // Of the sampler's two inputs, the tracks come directly from the tracker.
             let lost_in_tracks = if *stage == StageId::Sampler { tracks_lost } else { lost_before };
             let unanswered = unanswered.saturating_sub(lost_in_tracks);
             let gap_here = gap.saturating_sub(lost_before).max(unanswered);
@@ -119,7 +120,7 @@ impl Losses {
         let before_recorder = own[StageId::Tracker.place()].gap + own[StageId::Sampler.place()].unanswered;
         let missed = self.stages[StageId::Recorder.place()].total().gap;
         own[StageId::Recorder.place()].gap = missed.saturating_sub(before_recorder);
-        // What was refused whole is a gap as well, and counts once.
+        // A frame refused as a whole is also a gap, and must count only once.
         for &stage in order {
             let own = &mut own[stage.place()];
             own.gap = own.gap.saturating_sub(self.refusals.ticks_len(stage));
@@ -162,7 +163,7 @@ mod tests {
         assert_eq!(of(&losses, StageId::Recorder), StageDrops { gap: 1, ..NONE });
     }
 
-    /// Of a tick without controls the sampler says something, of one without tracks it can't.
+    /// The sampler answers a tick without controls, but cannot answer a tick without tracks.
     #[test]
     fn what_the_sampler_loses_of_the_tracks_is_told_apart() {
         let mut losses = Losses::default();

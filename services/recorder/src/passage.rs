@@ -1,26 +1,28 @@
 //! The passage of one tick through the pipeline, from the hops of its header.
 //!
-//! Every stage stamps when it received its input, started and finished its computation, and sent its output.
-//! From the sending of the stage before, four phases follow one another without gap or overlap:
+//! Every stage stamps four times: it received its input, started its computation, finished it, and sent its
+//! output. Starting at the time when the previous stage sent its output, four phases follow without gap or
+//! overlap:
 //!
-//! * *waiting*: the stage was busy with an earlier tick, or had its input and waited for another (the sampler
+//! * *waiting*: the stage was busy with an earlier tick, or had one input and waited for another (the sampler
 //!   for controls, until its deadline);
 //! * *wake-up*: transport, scheduling and the check of the frame;
 //! * *compute*;
 //! * *publish*: writing the header and sending the frame.
 //!
-//! So the phases of all stages add up to the latency from release to forecast; all but compute is *overhead*.
+//! The phases of all stages therefore add up to the latency from release to forecast. All phases except
+//! compute are *overhead*.
 
 use serde::{Deserialize, Serialize};
 use wire::{Header, Hop, StageId};
 
-/// When one stage went from one phase of a tick to the next; `CLOCK_MONOTONIC`. No time is before the one above
-/// it but `taken_ns`, which a stage with two inputs has of the first.
+/// The times at which one stage moved to the next phase of a tick, `CLOCK_MONOTONIC`. The times increase in
+/// this order. The exception is `taken_ns`: a stage with two inputs has it from the first input.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Timestamps {
-    /// The stage before had sent the input.
+    /// The previous stage had sent the input.
     pub ready_ns: u64,
-    /// The input was there, and the stage had sent the tick before.
+    /// The input was available, and the stage had sent the previous tick.
     pub free_ns: u64,
     /// The stage had taken the input from its queue.
     pub taken_ns: u64,
@@ -33,9 +35,9 @@ pub struct Timestamps {
 }
 
 impl Timestamps {
-    /// Those of `hop`, whose input was sent at `ready_ns` and whose stage was free from `free_ns` on.
+    /// The timestamps of `hop`, whose input was sent at `ready_ns` and whose stage was free from `free_ns`.
     fn of(hop: &Hop, ready_ns: u64, free_ns: u64) -> Self {
-        // A stage with two inputs may receive one before the other is sent: the rest is wake-up.
+        // A stage with two inputs may receive one before the other is sent. The remaining time is wake-up.
         let taken_ns = if hop.received_ns < ready_ns { hop.started_ns } else { hop.received_ns };
         let free_ns = ready_ns.max(free_ns.min(taken_ns));
         let Hop { started_ns, finished_ns, sent_ns, .. } = *hop;
@@ -46,9 +48,9 @@ impl Timestamps {
 /// Phases of one tick in one stage.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Phases {
-    /// Time in which the input was there, but the stage was busy or waited for other input.
+    /// Time in which the input was available, but the stage was busy or waited for other input.
     pub waiting_ns: u64,
-    /// From the sending of the input to its receipt by a stage that was free.
+    /// From the sending of the input to its receipt by a free stage.
     pub wake_up_ns: u64,
     /// From the start to the end of the computation.
     pub compute_ns: u64,
@@ -57,7 +59,7 @@ pub struct Phases {
 }
 
 impl Phases {
-    /// Their names, in the order of [`Phases::each_ns`].
+    /// The names, in the order of [`Phases::each_ns`].
     pub const NAMES: [&str; 4] = ["waiting", "wake-up", "compute", "publish"];
 
     /// Waiting, wake-up, compute and publish.
@@ -83,16 +85,16 @@ impl From<Timestamps> for Phases {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Passage {
     stages: [Option<Phases>; StageId::PLACES_LEN],
-    /// From release at the source to the sending of the forecasts; `None` for a tick that did not pass the
+    /// From release at the source to the sending of the forecasts; `None` if the tick did not pass the
     /// sampler.
     pub end_to_end_ns: Option<u64>,
-    /// Whether the tick passed every stage from the tracker to the sampler, so that its forecasts are made of
-    /// its own controls. A sensor that replaces the source need not stamp a hop.
+    /// Whether the tick passed every stage from the tracker to the sampler. Its forecasts then come from its
+    /// own controls. A sensor that replaces the source does not have to stamp a hop.
     pub complete: bool,
 }
 
 impl Passage {
-    /// Adds the phases of a stage beside the tick's way.
+    /// Adds the phases of a stage for which no forecast waits.
     pub(crate) fn add(&mut self, stage: StageId, phases: Phases) {
         self.stages[stage.place()] = Some(phases);
     }
@@ -103,14 +105,14 @@ impl Passage {
         self.stages[stage.place()].as_ref()
     }
 
-    /// Compute of all stages: a tick passes them one after the other, so all of it is on the critical path.
+    /// Compute of all stages. A tick passes them in sequence, so all of it is on the critical path.
     #[must_use]
     pub fn compute_ns(&self) -> u64 {
         self.stages.iter().flatten().map(|phases| phases.compute_ns).sum()
     }
 
-    /// End-to-end latency less compute. `None` where the sampler's deadline passed: that time is no cost of
-    /// transport.
+    /// End-to-end latency minus compute. `None` if the sampler's deadline passed, because that time is not a
+    /// cost of transport.
     #[must_use]
     pub fn overhead_ns(&self) -> Option<u64> {
         self.end_to_end_ns
@@ -119,7 +121,8 @@ impl Passage {
     }
 }
 
-/// Reads passages tick by tick, as the time at which a stage became free is known from the tick before.
+/// Reads passages tick by tick, because the time at which a stage became free is known from the previous
+/// tick.
 #[derive(Clone, Debug, Default)]
 pub struct Timeline {
     free_ns: [u64; StageId::PLACES_LEN],
@@ -138,7 +141,8 @@ impl Timeline {
         passage
     }
 
-    /// The phases of the stage that has sent a frame beside a tick's way; none where it has not stamped its passage.
+    /// The phases of a stage that has sent a frame for which no forecast waits; `None` if it has not stamped
+    /// its passage.
     pub fn beside(&mut self, header: &Header) -> Option<(StageId, Timestamps)> {
         let stage = StageId::from_number(header.sender)?;
         let index = header.hops().iter().rposition(|hop| hop.stage == header.sender)?;
@@ -149,7 +153,7 @@ impl Timeline {
         Some((stage, Timestamps::of(hop, ready_ns, free_ns)))
     }
 
-    /// Tells the timestamps of a tick, stage by stage.
+    /// Passes the timestamps of a tick to `tell`, stage by stage.
     pub fn follow(&mut self, header: &Header, mut tell: impl FnMut(StageId, &Hop, Timestamps)) {
         let mut ready_ns = header.released_ns;
         for hop in header.hops() {

@@ -25,23 +25,23 @@ pub(crate) use shed::is_shed;
 /// The time that a tick may take from release to forecast at 12.5 Hz.
 pub const TICK_LIMIT_NS: u64 = wire::TICK_NS;
 
-/// What the recorder knows of the run beside its topics.
+/// The recorder's information about the run in addition to its topics.
 #[derive(Clone, Debug)]
 pub struct RecorderOptions {
-    /// Copied to the report; interval, durations and lockstep are measured where they are `None`.
+    /// Copied to the report. Interval, durations and lockstep are measured if they are `None`.
     pub run: RunInfo,
     /// The stages, in the order in which a tick passes them.
     pub stages: Vec<StageId>,
     /// Each stage's share of the tick limit.
     pub budgets_ms: BTreeMap<StageId, f64>,
-    /// A tick is late beyond this or the frame interval, whichever is shorter.
+    /// Limit above which a tick is late: this or the frame interval, whichever is smaller.
     pub tick_limit_ns: u64,
-    /// Whether forecasts are kept until truth comes and then scored. Without, only times and counts are
-    /// taken, and the forecasts' numbers are not checked.
+    /// Whether forecasts are kept and scored when truth arrives. Otherwise only times and counts are
+    /// recorded, and the forecasts' numbers are not checked.
     pub scores: bool,
-    /// What is known of the recording's input.
+    /// Information about the recording's input.
     pub input: InputReport,
-    /// A tick whose cause [`Recorder::explained`] tells.
+    /// A tick whose cause [`Recorder::explained`] returns.
     pub explain: Option<u64>,
 }
 
@@ -87,7 +87,7 @@ struct Span {
     released_ns: [u64; 2],
 }
 
-/// Measures a run and reports on it.
+/// Measures a run and reports the results.
 #[derive(Clone, Debug)]
 pub struct Recorder {
     options: RecorderOptions,
@@ -98,7 +98,7 @@ pub struct Recorder {
     losses: Losses,
     scorer: Scorer,
     span: Option<Span>,
-    /// Number of the next tick, once it is known.
+    /// Number of the next tick, if it is known.
     next_seq: Option<u64>,
     interval_ns: u64,
     lockstep: bool,
@@ -119,14 +119,14 @@ pub struct Recorder {
     out_of_distribution: OutOfDistribution,
     lanes: LaneCounts,
     worst: Worst,
-    /// Whether it goes on with what a recorder before has kept, and no tick has come yet.
+    /// Whether the recorder continues from a previous recorder's checkpoint and has not received a tick yet.
     resumed: bool,
 }
 
-/// From this measure on the network adds less than half of what it would.
+/// Measure from which the network adds less than half of its normal residual.
 const OUTSIDE: f32 = 0.25;
 
-/// Whether the forecast's agent moves as none did in training.
+/// Whether the forecast's agent is out of distribution.
 pub(crate) fn is_outside(forecast: &Forecast) -> bool {
     forecast.out_of_distribution >= OUTSIDE
 }
@@ -181,24 +181,24 @@ impl Recorder {
         }
     }
 
-    /// Takes the truth at the frame's stamp. Frames that are no ticks are ignored.
+    /// Adds the truth at the frame's stamp. Control frames are ignored.
     ///
     /// # Errors
-    /// [`Rejected`] where a number is invalid or the frame is not newer than the last; nothing changes then.
+    /// [`Rejected`] if a number is invalid or the frame is not newer than the last; nothing changes then.
     pub fn truth(&mut self, header: &Header, truths: &[Truth]) -> Result<(), Rejected> {
         header.check()?;
         if header.is_tick() { self.scorer.truth(header, truths) } else { Ok(()) }
     }
 
-    /// Takes the forecasts of a tick and, from their header, its passage through the pipeline.
+    /// Adds the forecasts of a tick and, from their header, its passage through the pipeline.
     ///
-    /// Lost ticks are gaps in the sequence: after a warm-up frame from tick 0 on, else from the first tick
-    /// received (a recorder that starts during a run). The END frame of a recording reveals ticks lost before
-    /// it. A VOID tick that is not newer than the last arrived late at the tracker: it is not lost, and is
-    /// not counted otherwise.
+    /// Lost ticks are gaps in the sequence. After a warm-up frame the sequence starts at tick 0. Otherwise it
+    /// starts at the first tick received, because the recorder may start during a run. The END frame of a
+    /// recording reveals ticks lost before it. A VOID tick that is not newer than the last arrived late at
+    /// the tracker. It is not lost, and is not counted in any other way.
     ///
     /// # Errors
-    /// [`Rejected`] where the frame is invalid or has forecasts that are not newer than the last; it is
+    /// [`Rejected`] if the frame is invalid or has forecasts that are not newer than the last. The frame is
     /// counted as refused.
     pub fn forecasts(&mut self, header: &Header, forecasts: &[Forecast]) -> Result<(), Rejected> {
         if header.has(flags::WARM_UP) {
@@ -229,14 +229,14 @@ impl Recorder {
         Ok(())
     }
 
-    /// Whether the recorder before has recorded the tick, which a topic keeps for new readers.
+    /// Whether the previous recorder has recorded the tick. A topic keeps such ticks for new readers.
     #[must_use]
     pub fn is_recorded(&self, header: &Header) -> bool {
         self.resumed && self.newer_ns(header).is_some()
     }
 
-    /// Takes the header of a frame that an added stage has sent beside a tick's way. One that is off is left
-    /// out: it is its readers' to refuse.
+    /// Adds the header of a frame from an added stage for which no forecast waits. An invalid header is
+    /// ignored, because the frame's readers refuse it.
     pub fn beside(&mut self, header: &Header) {
         if header.check().is_err() || !header.is_tick() {
             return;
@@ -247,7 +247,7 @@ impl Recorder {
         }
     }
 
-    /// Takes a stage's heartbeat.
+    /// Adds a stage's heartbeat.
     pub fn heartbeat(&mut self, heartbeat: &Heartbeat) {
         self.losses.heartbeat(heartbeat);
     }
@@ -264,7 +264,7 @@ impl Recorder {
         if self.options.scores { forecasts.iter().try_for_each(Forecast::check) } else { Ok(()) }
     }
 
-    /// Stamp of the newest tick so far, where this tick is not newer.
+    /// Stamp of the newest tick so far, if this tick is not newer.
     fn newer_ns(&self, header: &Header) -> Option<i64> {
         let last_ns = self.span?.stamp_ns[1];
         (header.is_tick() && header.stamp_ns <= last_ns).then_some(last_ns)
@@ -337,7 +337,7 @@ impl Recorder {
         }
     }
 
-    /// The report so far. May be called at any time; it changes nothing.
+    /// The report so far. It may be called at any time and changes nothing.
     #[must_use]
     pub fn report(&self) -> Report {
         let stages = self.stage_reports();
@@ -385,7 +385,7 @@ impl Recorder {
         run
     }
 
-    /// The tick that was to be explained, with what took it longest; none where it has not come.
+    /// The requested tick, with the phase that took longest; `None` if the tick has not arrived.
     #[must_use]
     pub fn explained(&self) -> Option<WorstTick> {
         self.worst.explained(&self.usual())
@@ -397,18 +397,18 @@ impl Recorder {
         self.scorer.accuracy()
     }
 
-    /// The latency from release to forecasts, and that less the compute of all stages.
+    /// The latency from release to forecasts, and this latency minus the compute of all stages.
     pub(crate) const fn latencies(&self) -> [&Distribution; 2] {
         [&self.end_to_end, &self.overhead]
     }
 
-    /// A stage's times of waiting, wake-up, compute and publish; none where no tick has passed it.
+    /// A stage's times of waiting, wake-up, compute and publish; `None` if no tick has passed the stage.
     pub(crate) fn phases(&self, stage: StageId) -> Option<[&Distribution; 4]> {
         let times = self.stages.get(&stage)?;
         Some([&times.waiting, &times.wake_up, &times.compute, &times.publish])
     }
 
-    /// What is usual in this run.
+    /// The usual values in this run.
     fn usual(&self) -> Usual {
         let median = |times: &StageTimes| {
             [&times.waiting, &times.wake_up, &times.compute, &times.publish].map(Distribution::median_ns)
@@ -498,7 +498,7 @@ impl Recorder {
     }
 }
 
-/// Scorers a report: everything that a user of the forecasts should know of is a reason.
+/// The verdict on a report. Every fact that a user of the forecasts should know is a reason.
 fn verdict(report: &Report) -> Verdict {
     let mut reasons = Vec::new();
     let by_stage = |count: fn(&StageReport) -> u64| {
@@ -509,7 +509,7 @@ fn verdict(report: &Report) -> Verdict {
         reasons.push(format!("frames lost: {} ({})", report.drops, by_stage(|stage| stage.drops.total())));
     }
     reasons.extend(restarts(&report.stages));
-    // In lockstep the source waits for every tick: there is no deadline.
+    // In lockstep the source waits for every tick, so there is no deadline.
     if let Some(limit_ms) = report.late_limit_ms
         && report.late_ticks > 0
         && report.run.lockstep != Some(true)
@@ -547,9 +547,9 @@ fn verdict(report: &Report) -> Verdict {
     Verdict::new(!has_agents, reasons)
 }
 
-/// Whether a held or kinematic forecast with this cause is a fault. It is none if the track is young, or if
-/// constant velocity proved better. "Not learned" counts faults, in the verdict, the report and the worst
-/// ticks.
+/// Whether a held or kinematic forecast with this cause is a fault. It is not a fault if the track is young
+/// or if constant velocity proved better. "Not learned" counts faults in the verdict, the report and the
+/// worst ticks.
 pub(crate) const fn is_fault(cause: Cause) -> bool {
     !matches!(cause, Cause::Young | Cause::Outdone)
 }

@@ -5,19 +5,19 @@ use wire::{Heartbeat, RefusalCause, StageId};
 
 use crate::report::RefusedFrames;
 
-/// Most triples of reader, sender and cause: senders may write any number.
+/// Largest number of triples of reader, sender and cause. Senders may write any number.
 const ENTRIES_MAX: usize = 256;
 
-/// What one reader refused of one sender for one cause.
+/// The refusals of one reader, for one sender and one cause.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 struct Entry {
     reader: u32,
     sender: u32,
     cause: u32,
-    /// Of the reader.
+    /// Incarnation of the reader.
     incarnation: u32,
     newest: u64,
-    /// Of the reader's incarnations before.
+    /// Count of the reader's earlier incarnations.
     before: u64,
 }
 
@@ -26,7 +26,7 @@ struct Entry {
 pub(crate) struct RefusalCounts(Vec<Entry>);
 
 impl RefusalCounts {
-    /// Takes a reader's own counts. Those of an earlier incarnation are stale and ignored.
+    /// Adds a reader's own counts. Stale counts of an earlier incarnation are ignored.
     pub fn heartbeat(&mut self, heartbeat: &Heartbeat) {
         let Heartbeat { stage: reader, incarnation, refusals, .. } = *heartbeat;
         for refusal in refusals.iter().filter(|refusal| refusal.cause > 0) {
@@ -49,7 +49,8 @@ impl RefusalCounts {
         }
     }
 
-    /// Frames that a reader refused before it could tell of which tick they are: those ticks are gaps to it.
+    /// Number of frames that a reader refused before it could read their tick. These ticks are gaps for the
+    /// reader.
     pub fn ticks_len(&self, reader: StageId) -> u64 {
         let hides_the_tick = |entry: &&Entry| {
             entry.reader == reader.number()
@@ -61,7 +62,7 @@ impl RefusalCounts {
         self.0.iter().filter(hides_the_tick).map(|entry| entry.before + entry.newest).sum()
     }
 
-    /// The counts, the most frames first.
+    /// The counts, largest first.
     pub fn list(&self) -> Vec<RefusedFrames> {
         let name = |stage| {
             StageId::from_number(stage)

@@ -14,18 +14,18 @@ use crate::report::{
 };
 use crate::text::{bar, count, number, percent, subscript};
 
-/// Narrowest and widest lines of the report.
+/// Smallest and largest width of the report's lines.
 const WIDTHS: std::ops::RangeInclusive<usize> = 80..=120;
-/// From this width on the stages' table shows every phase.
+/// Width from which the stages' table shows every phase.
 const ALL_PHASES_WIDTH: usize = 96;
 const LABEL_WIDTH: usize = 12;
-/// Most rows of refusals; the JSON has all.
+/// Largest number of rows of refusals. The JSON contains all.
 const ROWS_MAX: usize = 8;
-/// Rows of the worst ticks of a run in which nothing was late.
+/// Number of worst ticks listed for a run without late ticks.
 const SLOWEST_LEN: usize = 3;
 
 impl Report {
-    /// The report as plain text, laid out for lines of `width` characters, at least 80 and at most 120.
+    /// The report as plain text for lines of `width` characters, limited to 80 to 120.
     #[must_use]
     pub fn render(&self, width: usize) -> String {
         let width = width.clamp(*WIDTHS.start(), *WIDTHS.end());
@@ -78,7 +78,7 @@ impl Report {
         writeln!(text, "{rule}")
     }
 
-    /// The reasons of the verdict; doubts about the input in lines that fit.
+    /// The reasons of the verdict. Doubts about the input are wrapped.
     fn reason_lines(&self, width: usize) -> Vec<String> {
         let lines = |reason: &String| match reason.starts_with(DOUBT) {
             true => wrapped(reason, width - LABEL_WIDTH - 2),
@@ -87,7 +87,7 @@ impl Report {
         self.verdict.reasons.iter().flat_map(lines).collect()
     }
 
-    /// What the input contained, and what of it is no doubt.
+    /// The content of the input, and the findings that are not doubts.
     fn input(&self, text: &mut String, width: usize) -> fmt::Result {
         let notes = self.input.findings.iter().filter(|found| !found.doubtful).map(ToString::to_string);
         for (place, words) in self.input.line().into_iter().chain(notes).enumerate() {
@@ -101,7 +101,7 @@ impl Report {
     fn facts(&self, text: &mut String) -> fmt::Result {
         let run = &self.run;
         if let Some(recording) = &run.recording {
-            // A generated scene has its agents and seed in its name.
+            // The name of a generated scene contains its agents and seed.
             let seed = run.seed.filter(|_| run.scene_agents.is_none()).map(|seed| format!("seed {seed}"));
             fact(text, "recording", &[Some(recording.clone()), seed])?;
         }
@@ -306,7 +306,7 @@ impl Report {
         Ok(())
     }
 
-    /// Page faults of the stages, what is locked, and settings that were not allowed.
+    /// Page faults of the stages, locked memory, and settings that were not allowed.
     fn memory(&self, text: &mut String, width: usize) -> fmt::Result {
         let Supervision { memory, notes, .. } = &self.supervision;
         for (i, note) in notes.iter().enumerate() {
@@ -347,7 +347,7 @@ impl Report {
         fact(text, "", &[Some(format!("{resident} MiB resident")), Some(locked)])
     }
 
-    /// Late and degraded ticks and those without forecasts; of a run that had none, the slowest few.
+    /// Late and degraded ticks, and ticks without forecasts. If the run had none, the slowest few.
     fn worst_ticks(&self, text: &mut String, width: usize) -> fmt::Result {
         let is_lockstep = self.run.lockstep == Some(true);
         let is_late = |tick: &WorstTick| {
@@ -410,7 +410,7 @@ impl Report {
         })
     }
 
-    /// What each spare did, and what all of them take.
+    /// The actions of each spare, and the memory of all spares.
     fn spares(&self, text: &mut String) -> fmt::Result {
         let spares = &self.supervision.spares;
         if spares.is_empty() {
@@ -520,18 +520,18 @@ fn stage_row(text: &mut String, stage: &StageReport, all: bool, cells: usize) ->
     writeln!(text)
 }
 
-/// A count of at most five characters, below a million.
+/// A count below a million in at most five characters.
 fn narrow(n: u64) -> String {
     if n < 10_000 { count(n) } else { format!("{} k", n / 1_000) }
 }
 
-/// `label  part · part`; unknown parts are left out.
+/// `label  part · part`, without the unknown parts.
 fn fact(text: &mut String, label: &str, parts: &[Option<String>]) -> fmt::Result {
     let known: Vec<&str> = parts.iter().flatten().map(String::as_str).collect();
     writeln!(text, " {label:LABEL_WIDTH$}{}", known.join(" · "))
 }
 
-/// A sentence in lines of at most `width` characters, where its words allow.
+/// A sentence in lines of at most `width` characters, if its words allow this.
 fn wrapped(sentence: &str, width: usize) -> Vec<String> {
     let mut lines: Vec<String> = Vec::new();
     for word in sentence.split(' ') {
@@ -546,7 +546,7 @@ fn wrapped(sentence: &str, width: usize) -> Vec<String> {
     lines
 }
 
-/// At most two decimals, without zeros at the end.
+/// At most two decimals, without trailing zeros.
 fn trimmed(value: f64) -> String {
     let fixed = format!("{value:.2}");
     fixed.trim_end_matches('0').trim_end_matches('.').to_owned()

@@ -1,10 +1,10 @@
 //! The report of a run as data.
 //!
-//! As JSON (`stgdat run --report FILE`) these top-level keys stay as they are within a [`REPORT_VERSION`]:
+//! As JSON (`stgdat run --report FILE`) these top-level keys stay unchanged within a [`REPORT_VERSION`]:
 //! `ticks`, `late_ticks`, `drops`, `forecasts {learned, held, kinematic}`, `end_to_end_ms {p50, p99, max}`,
-//! `overhead_ms {p50, p99}`, `stages [{name, compute_ms {p50, p99}, budget_ms}]` and
-//! `accuracy {ade_m, fde_m, cv_ade_m, cv_fde_m, draws}`. Units end the names; shares are 0 to 1; what is
-//! unknown is `null`, never NaN.
+//! `overhead_ms {p50, p99}`, `stages [{name, compute_ms {p50, p99}, budget_ms}]` and `accuracy {ade_m, fde_m,
+//! cv_ade_m, cv_fde_m, draws}`. Names end in their units. Shares are 0 to 1. An unknown value is `null`,
+//! never NaN.
 
 use std::collections::BTreeMap;
 
@@ -17,41 +17,41 @@ use crate::text::percent;
 /// Version of the report's fields.
 pub const REPORT_VERSION: u32 = 1;
 
-/// What the recorder measured of a run.
+/// The recorder's measurements of a run.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Report {
     /// [`REPORT_VERSION`].
     pub version: u32,
     /// Version of the program.
     pub stgdat_version: String,
-    /// Whether everything worked, and what did not.
+    /// Whether everything worked, and the faults.
     pub verdict: Verdict,
-    /// What was run.
+    /// The data of the run.
     pub run: RunInfo,
-    /// Ticks whose forecasts were received.
+    /// Number of ticks whose forecasts were received.
     pub ticks: u64,
-    /// Ticks whose forecasts were sent later than `late_limit_ms` after their release.
+    /// Number of ticks whose forecasts were sent later than `late_limit_ms` after their release.
     pub late_ticks: u64,
-    /// The tick limit or the frame interval, whichever is shorter.
+    /// The tick limit or the frame interval, whichever is smaller.
     pub late_limit_ms: Option<f64>,
-    /// Frames lost, summed over all stages; `stages` has them by stage and cause.
+    /// Number of lost frames, summed over all stages. `stages` contains them by stage and cause.
     pub drops: u64,
     /// Refused frames by reader, sender and cause.
     #[serde(default)]
     pub refusals: Vec<RefusedFrames>,
-    /// Agents left out of full frames, summed over ticks.
+    /// Number of agents left out of full frames, summed over ticks.
     pub agents_left_out: u64,
-    /// Passages of ticks through stages for which their headers had no room.
+    /// Number of passages of ticks through stages for which their headers had no room.
     #[serde(default)]
     pub hops_missing: u64,
-    /// What the input contained, and what is probably wrong with it.
+    /// The content of the input, and its probable faults.
     #[serde(default)]
     pub input: InputReport,
     /// Agents per tick.
     pub agents: Agents,
     /// Forecasts by quality, and the causes of those that are held or kinematic.
     pub forecasts: ForecastCounts,
-    /// Forecasts of agents that move as none did in training.
+    /// Forecasts of agents that are out of distribution.
     #[serde(default)]
     pub out_of_distribution: OutOfDistribution,
     /// Forecasts of vehicles on the map of lanes.
@@ -62,16 +62,16 @@ pub struct Report {
     pub priors: PriorCounts,
     /// Time from release at the source to the sending of the forecasts.
     pub end_to_end_ms: Percentiles,
-    /// End to end less the compute of all stages, over the ticks that passed them all.
+    /// End-to-end latency minus the compute of all stages, over the ticks that passed all stages.
     pub overhead_ms: Percentiles,
     /// The stages in the order in which a tick passes them.
     pub stages: Vec<StageReport>,
     /// Errors of the forecasts against the recording's later truth.
     pub accuracy: Accuracy,
-    /// The worst ticks, the worst first: those without forecasts, then those with the longest latency.
+    /// The worst ticks, worst first: ticks without forecasts, then ticks with the longest latency.
     #[serde(default)]
     pub worst_ticks: Vec<WorstTick>,
-    /// Deaths, restarts and other events of the stages, as the launcher saw them.
+    /// Deaths, restarts and other events of the stages, as observed by the launcher.
     #[serde(default)]
     pub supervision: Supervision,
 }
@@ -79,23 +79,23 @@ pub struct Report {
 /// One of the worst ticks of a run.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct WorstTick {
-    /// Its number; of several ticks without forecasts, the first.
+    /// Its number. For several ticks without forecasts, the number of the first.
     pub tick: u64,
-    /// Its stamp; of ticks without forecasts, that of the next tick.
+    /// Its stamp. For ticks without forecasts, the stamp of the next tick.
     pub stamp_ns: i64,
-    /// From its release to the sending of its forecasts; none without forecasts.
+    /// From its release to the sending of its forecasts; `None` if it has no forecasts.
     pub end_to_end_ms: Option<f64>,
-    /// Ticks without forecasts; 0 for a tick with forecasts.
+    /// Number of ticks without forecasts; 0 for a tick with forecasts.
     pub ticks_lost: u64,
-    /// Its forecasts.
+    /// Number of its forecasts.
     pub agents: u64,
-    /// Those that are not learned for another cause than `young` and `outdone`.
+    /// Number of forecasts that are not learned, for a cause other than `young` and `outdone`.
     pub not_learned: u64,
-    /// The stage that cost most.
+    /// The stage that cost the most time.
     pub stage: Option<String>,
     /// The phase in which it did: `waiting`, `wake-up`, `compute` or `publish`; or `restart`.
     pub phase: Option<String>,
-    /// What happened, in a sentence.
+    /// The cause, in a sentence.
     pub cause: String,
 }
 
@@ -106,108 +106,109 @@ pub struct RefusedFrames {
     pub reader: String,
     /// The stage that sent them, or `unknown`.
     pub sender: String,
-    /// Why: `schema`, `foreign run`, `old incarnation`, `size`, `value`, `order`, `check value`,
+    /// The cause: `schema`, `foreign run`, `old incarnation`, `size`, `value`, `order`, `check value`,
     /// `unprotected`, `repeated` or `frozen`.
     pub cause: String,
-    /// How many.
+    /// Number of frames.
     pub frames: u64,
 }
 
-/// What the launcher saw of the stages.
+/// The launcher's observations of the stages.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Supervision {
-    /// What ended the run before its time; none where the recording ended or a signal asked for it.
+    /// The reason why the run ended early; `None` if the recording ended or a signal asked for the end.
     pub ended_by: Option<String>,
-    /// Stages that were given up for good, with the reason.
+    /// Stages that the launcher has given up on, with the reason.
     pub given_up: BTreeMap<String, String>,
-    /// Each death of a stage after which it was started again.
+    /// Each death of a stage that was followed by a restart.
     pub outages: Vec<Outage>,
-    /// Outages beyond those listed.
+    /// Number of outages that are not listed.
     pub outages_unlisted: u64,
-    /// How often a stage got no CPU for longer than its `hang_after`, by stage.
+    /// Number of times that a stage got no CPU for longer than its `hang_after`, by stage.
     pub starved: BTreeMap<String, u64>,
     /// Settings of pipeline.toml that the system did not allow.
     pub notes: Vec<String>,
     /// Page faults and memory of each stage.
     pub memory: BTreeMap<String, StageMemory>,
-    /// Stages that were replaced while the run went on, or were to be.
+    /// Stages that were replaced during the run, or should have been.
     pub replacements: Vec<Replacement>,
-    /// Replacements beyond those listed.
+    /// Number of replacements that are not listed.
     pub replacements_unlisted: u64,
     /// The spares, by stage.
     pub spares: BTreeMap<String, SpareReport>,
-    /// Processes that read topics, were no stages, and have died. Their places on the topics were given back.
+    /// Number of processes other than stages that read topics and have died. Their places on the topics were
+    /// released.
     pub dead_readers: u64,
 }
 
-/// The spare of a stage: a process that waits to take its place.
+/// The spare of a stage: a process that waits to take the stage's place.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct SpareReport {
-    /// What it did in the end: `ready`, `starting`, `waiting` or `given up`.
+    /// Its final state: `ready`, `starting`, `waiting` or `given up`.
     pub state: String,
-    /// Times that it took the stage's place after a death.
+    /// Number of times that it took the stage's place after a death.
     pub promotions: u32,
-    /// Times that it died while it waited.
+    /// Number of times that it died while it waited.
     pub deaths: u32,
-    /// Why it was given up, if it was.
+    /// Why the launcher gave up on it, if it did.
     pub given_up: Option<String>,
     /// Time from its start until it was ready.
     pub warm_up_ms: Option<f64>,
-    /// Memory of its own that lies in RAM, at the last look.
+    /// Its private resident memory at the last check.
     pub memory_kib: u64,
-    /// Memory that it shares with others.
+    /// Its memory that is shared with other processes.
     pub shared_kib: u64,
 }
 
 /// Memory of a stage's newest process, after its first ticks.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct StageMemory {
-    /// Ticks in which its faults were counted.
+    /// Number of ticks in which its faults were counted.
     pub ticks: u64,
-    /// Page faults that needed no file or swap.
+    /// Number of page faults that needed no file or swap.
     pub minor_faults: u64,
-    /// Page faults that had to read.
+    /// Number of page faults that had to read.
     pub major_faults: u64,
     /// Resident memory.
     pub resident_kib: u64,
-    /// How much of it is locked.
+    /// Locked part of the resident memory.
     pub locked_kib: u64,
 }
 
-/// A stage that was replaced while the run went on, or was to be.
+/// A stage that was replaced during the run, or should have been.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Replacement {
     /// The new program with its arguments; empty for the built-in one.
     pub command: Vec<String>,
-    /// What came of it.
+    /// The outcome.
     pub outcome: ReplacementOutcome,
     /// Time from the start of the new process until it was ready.
     pub warm_up_ms: Option<f64>,
-    /// Time from the request to the old process to end until the new one was told to begin.
+    /// Time from the request that the old process end until the new one was told to begin.
     pub hand_over_ms: Option<f64>,
-    /// The ticks from the hand-over until the forecasts are learned again, by the incarnation that stays; its
-    /// `cause` is why the new one is not used.
+    /// The ticks from the hand-over until the incarnation that stays makes learned forecasts again. `cause`
+    /// states why the new one is not used.
     #[serde(flatten)]
     pub outage: Outage,
 }
 
-/// What came of a replacement.
+/// The outcome of a replacement.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ReplacementOutcome {
-    /// The new process is linked, and stays.
+    /// The new process is linked and stays.
     Replaced,
-    /// The new process failed before its turn: the old one went on, untouched.
+    /// The new process failed before its turn. The old process continued unchanged.
     #[default]
     NotUsed,
-    /// The new process failed after its turn: the old program was started again.
+    /// The new process failed after its turn. The old program was started again.
     RolledBack,
 }
 
 impl ReplacementOutcome {
-    /// In words.
+    /// The outcome in words.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -217,7 +218,8 @@ impl ReplacementOutcome {
         }
     }
 
-    /// Incarnations of the stage that were no restarts: the new process, and the old program after it.
+    /// Number of the stage's incarnations that were not restarts: the new process, and the old program after
+    /// it.
     #[must_use]
     pub const fn incarnations(self) -> u32 {
         match self {
@@ -229,14 +231,14 @@ impl ReplacementOutcome {
 }
 
 impl Replacement {
-    /// The program, as a person would call it.
+    /// The program as text for people.
     #[must_use]
     pub fn program(&self) -> String {
         program_name(&self.command)
     }
 }
 
-/// A command as a person would call it: "the built-in one" where it is empty.
+/// A command as text for people: "the built-in one" if it is empty.
 #[must_use]
 pub fn program_name(command: &[String]) -> String {
     if command.is_empty() { "the built-in one".to_owned() } else { command.join(" ") }
@@ -249,19 +251,19 @@ pub struct Outage {
     pub stage: String,
     /// The incarnation that takes over.
     pub incarnation: u32,
-    /// How the one before ended.
+    /// How the previous incarnation ended.
     pub cause: String,
-    /// Number of the newest tick with forecasts when its death was noticed.
+    /// Number of the newest tick with forecasts when the death was noticed.
     pub tick: u64,
-    /// Ticks without forecasts.
+    /// Number of ticks without forecasts.
     pub ticks_lost: u64,
-    /// Ticks with forecasts that are not learned through a fault.
+    /// Number of ticks with forecasts that are not learned because of a fault.
     pub ticks_not_learned: u64,
-    /// Ticks of predicted tracks: their detections are missing.
+    /// Number of ticks with predicted tracks. Their detections are missing.
     pub ticks_predicted: u64,
-    /// Ticks from its end until forecasts are learned again; none where the run ended before.
+    /// Number of ticks from its end until forecasts are learned again; `None` if the run ended before.
     pub ticks_to_learned: Option<u64>,
-    /// Whether its spare took its place.
+    /// Whether a spare took its place.
     #[serde(default)]
     pub by_spare: bool,
 }
@@ -270,9 +272,10 @@ pub struct Outage {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Status {
-    /// Every tick in time, nothing lost, every forecast learned once its agent was old enough.
+    /// Every tick was in time, nothing was lost, and every forecast was learned once its agent was old
+    /// enough.
     Ok,
-    /// As `ok`, but the input is doubtful: a finding of the audit concerns more than [`audit::DOUBT_SHARE`]
+    /// Like `ok`, but the input is doubtful: a finding of the audit concerns more than [`audit::DOUBT_SHARE`]
     /// of its rows.
     Doubtful,
     /// Forecasts were received, but some were late, lost or not learned.
@@ -287,12 +290,12 @@ pub enum Status {
 pub struct Verdict {
     /// The status.
     pub status: Status,
-    /// What went wrong, the worst first.
+    /// The faults, worst first.
     pub reasons: Vec<String>,
 }
 
 impl Verdict {
-    /// The verdict for these reasons. A fault of the run counts more than a doubt about its input.
+    /// The verdict for these reasons. A fault of the run takes precedence over a doubt about its input.
     #[must_use]
     pub fn new(is_empty: bool, reasons: Vec<String>) -> Self {
         let mut verdict = Self { status: if is_empty { Status::Empty } else { Status::Ok }, reasons };
@@ -300,7 +303,7 @@ impl Verdict {
         verdict
     }
 
-    /// Finds the status again after the reasons have changed.
+    /// Determines the status again after the reasons have changed.
     fn settle(&mut self) {
         self.status = match self.status {
             Status::Empty => Status::Empty,
@@ -311,7 +314,7 @@ impl Verdict {
     }
 }
 
-/// What was run; `None` where the caller does not know.
+/// The data of the run. A value is `None` if the caller does not know it.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct RunInfo {
@@ -325,11 +328,12 @@ pub struct RunInfo {
     pub weights: Option<String>,
     /// SHA-256 of the weights.
     pub weights_sha256: Option<String>,
-    /// In which precision the stages multiply, where not all of them do so in f32.
+    /// Precision of the stages' matrix products, unless all of them use f32.
     pub precision: Option<String>,
     /// Whether the retrieval memory corrects forecasts.
     pub retrieval: Option<bool>,
-    /// Entries that the retrieval memory began with, where it has a file: they may be of this recording.
+    /// Number of entries with which the retrieval memory began, if it has a file. They may come from this
+    /// recording.
     pub memory_entries: Option<u64>,
     /// Seed of the run.
     pub seed: Option<u64>,
@@ -341,7 +345,7 @@ pub struct RunInfo {
     pub scene_agents: Option<u64>,
     /// Frames in the recording.
     pub recorded_frames: Option<u64>,
-    /// One frame in this many was played: more than 1 where the recording is faster than 12.5 Hz.
+    /// One frame in this many was played. It is more than 1 if the recording is faster than 12.5 Hz.
     pub thinned_by: Option<u32>,
     /// Interval between frames.
     pub interval_ms: Option<f64>,
@@ -353,7 +357,7 @@ pub struct RunInfo {
     pub lockstep: Option<bool>,
 }
 
-/// Agents forecast per tick.
+/// Number of agents forecast per tick.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Agents {
     /// Mean over all ticks.
@@ -362,51 +366,52 @@ pub struct Agents {
     pub max: Option<u64>,
 }
 
-/// Forecasts of single agents by quality.
+/// Numbers of single forecasts by quality.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ForecastCounts {
-    /// Forecast by the model at the same tick.
+    /// Number of forecasts by the model at the same tick.
     pub learned: u64,
-    /// Forecast by the model at an earlier tick and shifted in time.
+    /// Number of forecasts by the model at an earlier tick, shifted in time.
     pub held: u64,
-    /// Constant control.
+    /// Number of forecasts with constant control.
     pub kinematic: u64,
-    /// Forecasts that are held or kinematic by cause: `late`, `rejected`, `missing`, `shed`, or `young` and
-    /// `outdone`, which are no fault.
+    /// Numbers of held or kinematic forecasts by cause: `late`, `rejected`, `missing`, `shed`, or `young` and
+    /// `outdone`, which are not faults.
     pub causes: BTreeMap<String, u64>,
-    /// Forecasts that are held or kinematic through a fault: for another cause than `young` and `outdone`.
+    /// Number of held or kinematic forecasts because of a fault: for a cause other than `young` and
+    /// `outdone`.
     #[serde(default)]
     pub not_learned: u64,
     /// Share of the forecasts that are constant velocity because it proved better.
     #[serde(default)]
     pub constant_velocity_share: Option<f64>,
-    /// Ticks with a forecast that is not learned through a fault.
+    /// Number of ticks with a forecast that is not learned because of a fault.
     pub degraded_ticks: u64,
-    /// Ticks of predicted tracks: their detections are missing.
+    /// Number of ticks with predicted tracks. Their detections are missing.
     #[serde(default)]
     pub predicted_ticks: u64,
-    /// Agents of which nothing was said, by the policy of degradation, summed over ticks.
+    /// Number of agents without any forecast according to the degradation policy, summed over ticks.
     #[serde(default)]
     pub silent: u64,
     /// Greatest age of a held forecast.
     pub age_ms_max: Option<f64>,
-    /// What was left out because ticks had no time for all agents.
+    /// Forecasts that were shed because ticks had no time for all agents.
     #[serde(default)]
     pub shed: Shed,
 }
 
-/// Agents that were left out of ticks that had no time for all.
+/// Agents that were left out of ticks without enough time for all agents.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Shed {
-    /// Agents left out, summed over ticks.
+    /// Number of agents left out, summed over ticks.
     pub forecasts: u64,
-    /// Ticks that left out any.
+    /// Number of ticks that left out any agent.
     pub ticks: u64,
     /// Share of all forecasts.
     pub share: Option<f64>,
-    /// Most agents that a tick left out.
+    /// Largest number of agents that a tick left out.
     pub agents_max: u64,
-    /// Greatest age of the forecast that stands for one left out.
+    /// Greatest age of a forecast that replaces one left out.
     pub age_ms_max: Option<f64>,
 }
 
@@ -418,10 +423,11 @@ impl ForecastCounts {
     }
 }
 
-/// Forecasts whose out-of-distribution measure says that the network adds less than half of what it would.
+/// Forecasts whose out-of-distribution measure is so large that the network adds less than half of its normal
+/// residual.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct OutOfDistribution {
-    /// Forecasts beyond what was trained.
+    /// Number of out-of-distribution forecasts.
     pub forecasts: u64,
     /// The highest measure.
     pub measure_max: Option<f64>,
@@ -432,15 +438,15 @@ pub struct OutOfDistribution {
 /// Track states by the prior that predicted them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PriorCounts {
-    /// A forecast of an earlier tick, at most a step old.
+    /// Number of states predicted by a forecast of an earlier tick, at most a step old.
     pub learned: u64,
-    /// An older forecast.
+    /// Number of states predicted by an older forecast.
     pub held: u64,
-    /// The kinematic prior: the process model alone.
+    /// Number of states predicted by the kinematic prior: the process model alone.
     pub kinematic: u64,
 }
 
-/// Percentiles of a time; all `null` where none was measured.
+/// Percentiles of a time. All are `null` if no time was measured.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Percentiles {
     /// Median.
@@ -464,7 +470,7 @@ pub struct StageReport {
     pub budget_share_p50: Option<f64>,
     /// 99th percentile of compute over budget.
     pub budget_share_p99: Option<f64>,
-    /// Time in which the input was there, but the stage was busy or waited for other input.
+    /// Time in which the input was available, but the stage was busy or waited for other input.
     pub waiting_ms: Percentiles,
     /// Transport, scheduling and the check of the frame.
     pub wake_up_ms: Percentiles,
@@ -472,25 +478,25 @@ pub struct StageReport {
     pub compute_ms: Percentiles,
     /// Writing the header and sending the output.
     pub publish_ms: Percentiles,
-    /// Ticks that passed the stage on their way to the forecast.
+    /// Number of ticks that passed the stage on their way to the forecast.
     pub ticks: u64,
-    /// Ticks whose compute exceeded the budget.
+    /// Number of ticks whose compute exceeded the budget.
     pub late_ticks: u64,
-    /// Frames lost in this stage, by cause: `gap` (never arrived: the queue was full or the sender had ended)
-    /// and `refused` (invalid content). A frame counts only in the stage that lost it first. `unanswered` is
-    /// part of these.
+    /// Frames lost in this stage, by cause: `gap` (never arrived, because the queue was full or the sender
+    /// had ended) and `refused` (invalid content). A frame counts only in the stage that lost it first.
+    /// `unanswered` is included in these.
     pub drops: StageDrops,
     /// Number of restarts after a death.
     pub restarts: u32,
-    /// Times that it was replaced while the run went on.
+    /// Number of replacements during the run.
     #[serde(default)]
     pub replacements: u32,
 }
 
-/// What the reason of a verdict begins with that counts restarts.
+/// Start of a verdict's reason that counts restarts.
 const RESTARTS: &str = "restarts: ";
 
-/// The restarts of all stages as a reason of the verdict; none where there were none.
+/// The restarts of all stages as a reason of the verdict; `None` if there were none.
 pub(crate) fn restarts(stages: &[StageReport]) -> Option<String> {
     let all: u32 = stages.iter().map(|stage| stage.restarts).sum();
     let named = stages.iter().filter(|stage| stage.restarts > 0);
@@ -501,21 +507,22 @@ pub(crate) fn restarts(stages: &[StageReport]) -> Option<String> {
 /// Frames lost in one stage.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct StageDrops {
-    /// Never arrived.
+    /// Number of frames that never arrived.
     pub gap: u64,
-    /// Ticks of which the frame that begins a step never arrived or was refused whole: the stage has sent
-    /// nothing for them. They are part of the others.
+    /// Number of ticks for which the stage has sent nothing, because the frame that begins a step never
+    /// arrived or was refused as a whole. They are included in the other counts.
     #[serde(default)]
     pub unanswered: u64,
-    /// Arrived and were refused.
+    /// Number of frames that arrived and were refused.
     pub refused: u64,
-    /// Ticks without forecasts because the stage had died; of the recorder: ticks that it did not record.
+    /// Number of ticks without forecasts because the stage had died. For the recorder: ticks that it did not
+    /// record.
     #[serde(default)]
     pub restart: u64,
 }
 
 impl StageDrops {
-    /// All causes together.
+    /// Sum over all causes.
     #[must_use]
     pub const fn total(&self) -> u64 {
         self.gap + self.refused + self.restart
@@ -528,11 +535,11 @@ pub struct Accuracy {
     /// Errors of all forecasts.
     #[serde(flatten)]
     pub errors: Errors,
-    /// Most modes of a forecast, K.
+    /// Largest number of modes of a forecast, K.
     pub draws: Option<u32>,
     /// Time from the stamp to the last step.
     pub horizon_s: Option<f64>,
-    /// A forecast whose last position is farther from the truth is a miss.
+    /// Distance between the last position of a forecast and the truth above which the forecast is a miss.
     pub miss_radius_m: f64,
     /// Errors of the learned forecasts alone.
     pub learned: Errors,
@@ -541,12 +548,13 @@ pub struct Accuracy {
     /// Errors of each agent, by its identity in the truth.
     #[serde(default)]
     pub agents: Vec<AgentErrors>,
-    /// Agents beyond those listed.
+    /// Number of agents that are not listed.
     #[serde(default)]
     pub agents_unlisted: u64,
-    /// Forecasts whose agent has no truth for the whole horizon: it left the scene, or the run ended.
+    /// Number of forecasts whose agent lacks truth for the whole horizon. It left the scene, or the run
+    /// ended.
     pub uncovered: u64,
-    /// Forecasts that match no agent of the truth: false alarms, or no truth near.
+    /// Number of forecasts that match no agent of the truth. They are false alarms, or no truth was near.
     pub unmatched: u64,
 }
 
@@ -555,10 +563,10 @@ pub struct Accuracy {
 pub struct AgentErrors {
     /// Its identity in the truth.
     pub agent: u64,
-    /// Its type, as it was forecast last.
+    /// Its type in its last forecast.
     #[serde(rename = "type")]
     pub agent_type: String,
-    /// Forecasts compared.
+    /// Number of forecasts compared.
     pub forecasts: u64,
     /// minADE_K.
     pub ade_m: Option<f64>,
@@ -575,24 +583,24 @@ pub struct WorstForecast {
     pub tick: u64,
     /// The tick's stamp.
     pub stamp_ns: i64,
-    /// Where the agent was.
+    /// Position of the agent, x.
     pub x_m: f32,
-    /// Where the agent was.
+    /// Position of the agent, y.
     pub y_m: f32,
     /// minFDE_K of this forecast.
     pub fde_m: f64,
 }
 
-/// Errors of a group of forecasts, and those of constant velocity for the same agents.
+/// Errors of a group of forecasts, and errors of constant velocity for the same agents.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Errors {
-    /// Forecasts compared.
+    /// Number of forecasts compared.
     pub forecasts: u64,
     /// minADE_K: mean distance over the horizon of each forecast's best mode.
     pub ade_m: Option<f64>,
     /// minFDE_K: distance at the end of the horizon of each forecast's best mode.
     pub fde_m: Option<f64>,
-    /// Miss rate: share of forecasts none of whose modes ends within the miss radius.
+    /// Miss rate: share of forecasts of which no mode ends within the miss radius.
     pub miss_rate: Option<f64>,
     /// ADE of the single best forecast (K = 1).
     pub single_ade_m: Option<f64>,
@@ -606,15 +614,15 @@ pub struct Errors {
     pub cv_fde_m: Option<f64>,
     /// Miss rate of constant velocity.
     pub cv_miss_rate: Option<f64>,
-    /// Share of the regions of 50 % at the end of the horizon that held the truth.
+    /// Share of the 50 % regions at the end of the horizon that contained the truth.
     #[serde(default)]
     pub held_50: Option<f64>,
-    /// Share of the regions of 90 % that held it.
+    /// Share of the 90 % regions that contained it.
     #[serde(default)]
     pub held_90: Option<f64>,
 }
 
-/// A report file could not be written or read.
+/// Why a report file could not be written or read.
 #[derive(Debug, thiserror::Error)]
 pub enum ReportError {
     /// The file can't be read or written.
@@ -625,7 +633,7 @@ pub enum ReportError {
         /// The system's error.
         source: std::io::Error,
     },
-    /// The file holds no report of this version.
+    /// The file does not contain a report of this version.
     #[error("{path}: not a report: {source}")]
     Format {
         /// The report's path.
@@ -639,7 +647,7 @@ impl Report {
     /// The report as indented JSON, ending with a line feed.
     ///
     /// # Panics
-    /// Never: the report holds nothing that JSON can't.
+    /// Never: JSON can represent every report.
     #[must_use]
     pub fn to_json(&self) -> String {
         let mut json =
@@ -648,7 +656,7 @@ impl Report {
         json
     }
 
-    /// What an OK means, in lines.
+    /// The meaning of an OK, in lines.
     #[must_use]
     pub fn ok_lines(&self) -> Vec<String> {
         let ticks = if self.run.lockstep == Some(true) { "forecast" } else { "in time" };
@@ -662,8 +670,8 @@ impl Report {
         }
     }
 
-    /// Completes the report with what the launcher saw; the verdict begins with what ended the run, and with
-    /// stages that were given up.
+    /// Completes the report with the launcher's observations. The verdict then begins with the reason for the
+    /// end of the run and with stages that the launcher gave up on.
     pub fn supervised(&mut self, supervision: Supervision) {
         let mut reasons = Vec::new();
         if let Some(ended_by) = &supervision.ended_by {
@@ -678,7 +686,7 @@ impl Report {
                 reasons.push(format!("the replacement of the {stage} was rolled back: it {cause}"));
             }
         }
-        // Restarts of which no heartbeat told.
+        // Restarts that no heartbeat has reported.
         for outage in &supervision.outages {
             if !self.stages.iter().any(|stage| stage.name == outage.stage) {
                 self.stages.push(StageReport { name: outage.stage.clone(), ..StageReport::default() });
@@ -693,7 +701,7 @@ impl Report {
         self.without_replacements();
     }
 
-    /// Takes back what the recorder has counted as restarts, by their incarnations, and were replacements.
+    /// Subtracts replacements from the restarts that the recorder has counted by incarnations.
     fn without_replacements(&mut self) {
         let outcomes = self.supervision.replacements.iter();
         let outcomes: Vec<_> = outcomes.map(|of| (of.outage.stage.clone(), of.outcome)).collect();
@@ -713,7 +721,7 @@ impl Report {
         self.verdict.settle();
     }
 
-    /// Completes the report with what is known of the recording: its doubts come last in the verdict.
+    /// Completes the report with the information about the recording. Its doubts are last in the verdict.
     pub fn audited(&mut self, recording: &InputReport) {
         self.input.add(recording);
         self.verdict.reasons.retain(|reason| !reason.starts_with(DOUBT));
@@ -732,7 +740,7 @@ impl Report {
         self.verdict.status == Status::Empty || !self.doubts().is_empty()
     }
 
-    /// Writes the report as JSON. The file appears whole or not at all.
+    /// Writes the report as JSON. The file is written atomically.
     ///
     /// # Errors
     /// [`ReportError::File`] with the path.
@@ -744,7 +752,7 @@ impl Report {
     /// Reads a report written by [`Report::write`].
     ///
     /// # Errors
-    /// [`ReportError`] with the path, and the place in the file where its content is at fault.
+    /// [`ReportError`] with the path, and the position of the fault in the file.
     pub fn read(path: &std::path::Path) -> Result<Self, ReportError> {
         let shown = || path.display().to_string();
         let json = std::fs::read(path).map_err(|source| ReportError::File { path: shown(), source })?;

@@ -9,23 +9,23 @@ use wire::{ForecastsTopic, Header, Rejected, StageId, Topic, TruthTopic, flags};
 
 use crate::{Checkpoint, ForecastWriter, Options, Recorder, RecorderOptions, Report, STAGE};
 
-/// Time between checkpoints: what a death of the recorder loses at most.
+/// Time between checkpoints: the most that a death of the recorder loses.
 const KEEP_NS: u64 = 1_000_000_000;
 /// Name of the checkpoint in the run's directory.
 const CHECKPOINT: &str = "recorder-checkpoint.json";
-/// Name of the file in the run's directory that tells the forecasts' errors so far, for the launcher.
+/// Name of the file in the run's directory with the forecasts' errors so far, for the launcher.
 const ACCURACY: &str = "accuracy.json";
 /// Name of the report in the run's directory.
 const REPORT: &str = "report.json";
 
-/// Runs the stage until the recording ends or the process is asked to end; then writes the report.
+/// Runs the stage until the recording ends or the process is asked to end. Then it writes the report.
 ///
 /// # Errors
-/// [`StageError`] where the run's options or shared memory can't be used or a file can't be written.
+/// [`StageError`] if the run's options or shared memory cannot be used, or a file cannot be written.
 pub fn run(run: &Run) -> Result<(), StageError> {
     let options = STAGE.options(run)?;
     let stop = Stop::on_signals().map_err(|source| StageError::File { path: run.root.clone(), source })?;
-    // It goes on with what the process before leaves at its end.
+    // It continues from the final checkpoint of the previous process.
     await_turn(StageId::Recorder, &stop)?;
     let checkpoint = checkpoint_path(run);
     let kept = (ports::incarnation() > 0).then(|| Checkpoint::read(&checkpoint).ok()).flatten();
@@ -50,7 +50,7 @@ pub fn run(run: &Run) -> Result<(), StageError> {
     let mut kept_ns = monotonic_ns();
 
     while let Some(frame) = stage.take(&forecasts)? {
-        // The truth of a tick is sent before its detections, so it is there when the forecasts come.
+        // The truth of a tick is sent before its detections, so it is available when the forecasts arrive.
         while let Some(frame) = truth.receive()? {
             let result = recorder.truth(frame.header(), &frame);
             count(&mut stage, frame.header(), TruthTopic::NAME, result);
@@ -85,13 +85,13 @@ pub fn run(run: &Run) -> Result<(), StageError> {
         }
     }
     if stage.stop().requested() {
-        // Another process may go on where this one is asked to end.
+        // If this process is asked to end, another process may continue.
         recorder.checkpoint().write(&checkpoint).map_err(StageError::data)?;
     }
     if let Some(writer) = writer {
         writer.finish().map_err(unwritable)?;
     }
-    // What it refused itself since its own last heartbeat.
+    // The refusals since its own last heartbeat.
     recorder.heartbeat(&stage.heartbeat());
     recorder.report().write(&report_path(run, &options)).map_err(StageError::data)
 }
@@ -104,13 +104,13 @@ fn count(stage: &mut Stage, header: &Header, topic: &'static str, result: Result
     }
 }
 
-/// Tells the launcher what the forecasts are worth so far.
+/// Writes the forecasts' errors so far, for the launcher.
 fn tell_accuracy(run: &Run, recorder: &Recorder) -> io::Result<()> {
     let json = serde_json::to_vec(&recorder.accuracy().errors)?;
     crate::whole_file::write(&accuracy_path(run), &json)
 }
 
-/// Path of the file that tells the forecasts' errors so far, as JSON of [`crate::Errors`].
+/// Path of the file with the forecasts' errors so far, as JSON of [`crate::Errors`].
 #[must_use]
 pub fn accuracy_path(run: &Run) -> PathBuf {
     run.root.join(ACCURACY)
@@ -120,15 +120,15 @@ fn checkpoint_path(run: &Run) -> PathBuf {
     run.root.join(CHECKPOINT)
 }
 
-/// The report of a run whose recorder died and was not restarted, of what it had kept; none where it had kept
-/// nothing.
+/// The report of a run whose recorder died and was not restarted, from its last checkpoint; `None` if there
+/// is no checkpoint.
 #[must_use]
 pub fn kept_report(run: &Run) -> Option<Report> {
     let kept = Checkpoint::read(&checkpoint_path(run)).ok()?;
     Some(Recorder::resume(settings(run), kept).report())
 }
 
-/// The report of a run whose recorder has kept nothing.
+/// The report of a run whose recorder has left no checkpoint.
 #[must_use]
 pub fn empty_report(run: &Run) -> Report {
     Recorder::new(settings(run)).report()

@@ -1,8 +1,10 @@
-//! The state of a run in progress as data: what `stgdat top` shows, and what the metrics are made of.
+//! The state of a running pipeline as data. `stgdat top` shows it, and the metrics are made from it.
 //!
-//! A [`RunStatus`] joins three views: the whole run so far ([`Report`]), the last ten seconds ([`LiveView`]),
-//! and what only the launcher knows ([`Facts`]): processes, their CPU time and memory, and what happened to
-//! them.
+//! A [`RunStatus`] combines three views:
+//!
+//! * the whole run so far ([`Report`]);
+//! * the last ten seconds ([`LiveView`]);
+//! * facts that only the launcher knows ([`Facts`]): processes with their CPU time, memory and events.
 
 use std::collections::BTreeMap;
 
@@ -31,9 +33,9 @@ pub struct RunStatus {
     pub linked: bool,
     /// Time since the release of the first tick.
     pub elapsed_s: f64,
-    /// Ticks after which the run ends, if that is known.
+    /// Number of ticks after which the run ends, if it is known.
     pub ticks_limit: Option<u64>,
-    /// Ticks that `recent` values are of: at most the last ten seconds.
+    /// Number of ticks that the `recent` values cover: at most the last ten seconds.
     pub recent_ticks: u64,
     /// End-to-end latency of the recent ticks.
     pub recent_end_to_end_ms: Percentiles,
@@ -41,9 +43,10 @@ pub struct RunStatus {
     pub stages: Vec<StageStatus>,
     /// The forecasts of the newest tick.
     pub newest: Newest,
-    /// Errors and coverage of the forecasts so far, as the recorder last told; none before it has.
+    /// Errors and coverage of the forecasts so far, as last reported by the recorder; `None` before the first
+    /// report.
     pub accuracy: Option<Errors>,
-    /// The newest of what happened to stages, the newest last.
+    /// The newest events of stages, newest last.
     pub events: Vec<StatusEvent>,
     /// The whole run so far.
     pub report: Report,
@@ -54,13 +57,13 @@ pub struct RunStatus {
 pub struct StageStatus {
     /// The stage's name.
     pub name: String,
-    /// Whether its last heartbeat is recent; none before the first.
+    /// Whether its last heartbeat is recent; `None` before the first.
     pub alive: Option<bool>,
-    /// Ticks that it has not finished of those that have forecasts, by its last heartbeat.
+    /// Number of ticks that have forecasts but that it has not finished, according to its last heartbeat.
     pub behind_ticks: Option<u64>,
     /// Its share of the tick limit.
     pub budget_ms: Option<f64>,
-    /// Recent times in which its input was there, but it was busy or waited for other input.
+    /// Recent times in which its input was available, but it was busy or waited for other input.
     pub recent_waiting_ms: Percentiles,
     /// Recent times from the sending of the input to its receipt.
     pub recent_wake_up_ms: Percentiles,
@@ -75,24 +78,24 @@ pub struct StageStatus {
 /// The process of a stage.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ProcessStatus {
-    /// `running`, `restarting`, `given up` or `ended`; empty where nobody supervises it.
+    /// `running`, `restarting`, `given up` or `ended`; empty if the stage is not supervised.
     pub state: String,
     /// Process number, while it runs.
     pub pid: Option<u32>,
-    /// Restarts. The launcher counts replacements too, a [`RunStatus`] does not.
+    /// Number of restarts. The launcher also counts replacements; a [`RunStatus`] does not.
     pub restarts: u32,
     /// CPU time of all its threads since it was started.
     pub cpu_s: Option<f64>,
-    /// CPU time per time, since the last look: 1 is one processor.
+    /// CPU time per elapsed time since the last check: 1 is one processor.
     pub cpu: Option<f64>,
-    /// Memory of its own that lies in RAM.
+    /// Its private resident memory.
     pub memory_bytes: Option<u64>,
-    /// Memory that it shares with others, such as the frames, and files that it has mapped.
+    /// Its memory that is shared with other processes, such as the frames, and mapped files.
     pub shared_bytes: Option<u64>,
-    /// What its spare is doing: `ready`, `starting`, `waiting` or `given up`; none where it has none.
+    /// State of its spare: `ready`, `starting`, `waiting` or `given up`; `None` if it has no spare.
     #[serde(default)]
     pub spare: Option<String>,
-    /// Times that a spare took its place after a death.
+    /// Number of times that a spare took its place after a death.
     #[serde(default)]
     pub promotions: u32,
 }
@@ -100,26 +103,26 @@ pub struct ProcessStatus {
 /// The forecasts of the newest tick.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Newest {
-    /// The tick's number; none before the first.
+    /// The tick's number; `None` before the first.
     pub tick: Option<u64>,
-    /// Forecasts by quality.
+    /// Numbers of forecasts by quality.
     pub qualities: BTreeMap<String, u64>,
-    /// Forecasts that are held or kinematic, by cause.
+    /// Numbers of held or kinematic forecasts, by cause.
     pub causes: BTreeMap<String, u64>,
-    /// Forecasts of agents that move as none did in training.
+    /// Number of forecasts of agents that are out of distribution.
     pub outside: u64,
 }
 
-/// Something that happened to a stage.
+/// An event of a stage.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct StatusEvent {
-    /// Since the start of the launcher.
+    /// Time since the start of the launcher.
     pub elapsed_s: f64,
-    /// What happened, in a sentence.
+    /// The event, in a sentence.
     pub text: String,
 }
 
-/// What only the launcher knows.
+/// Facts that only the launcher knows.
 #[derive(Clone, Debug, Default)]
 pub struct Facts {
     /// The run's name.
@@ -130,16 +133,16 @@ pub struct Facts {
     pub linked: bool,
     /// The processes of the stages.
     pub processes: BTreeMap<StageId, ProcessStatus>,
-    /// What the recorder last told of the forecasts.
+    /// The errors last reported by the recorder.
     pub accuracy: Option<Errors>,
     /// Deaths, restarts and replacements so far.
     pub supervision: Supervision,
-    /// What happened to stages.
+    /// Events of stages.
     pub events: Vec<StatusEvent>,
 }
 
 impl RunStatus {
-    /// The status of a run, of what was seen of it.
+    /// The status of a run, from the observations.
     #[must_use]
     pub fn new(view: &LiveView, measured: &Recorder, facts: Facts) -> Self {
         let mut report = measured.report();

@@ -1,6 +1,6 @@
 //! Numbers and bars of the report and the live table.
 
-/// A bar of `width` cells, filled to `share`, in steps of an eighth of a cell. Beyond 1 it ends in an arrow.
+/// A bar of `width` cells, filled to `share` in steps of an eighth of a cell. Above 1 it ends in an arrow.
 #[must_use]
 pub fn bar(share: f64, width: usize) -> String {
     const PARTS: [char; 8] = [' ', '▏', '▎', '▍', '▌', '▋', '▊', '▉'];
@@ -18,7 +18,7 @@ pub fn bar(share: f64, width: usize) -> String {
     bar + &"·".repeat(rest)
 }
 
-/// Three significant digits and at most three decimals, or `–` where unknown.
+/// Three significant digits and at most three decimals; `–` if unknown.
 #[must_use]
 pub fn number(value: Option<f64>) -> String {
     match value {
@@ -30,7 +30,7 @@ pub fn number(value: Option<f64>) -> String {
     }
 }
 
-/// A share in percent, or `–` where unknown.
+/// A share in percent; `–` if unknown.
 #[must_use]
 pub fn percent(share: Option<f64>) -> String {
     match share.map(|share| share * 100.0) {

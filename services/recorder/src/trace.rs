@@ -1,13 +1,17 @@
 //! A run as a Perfetto trace, from the hops of its forecasts' headers and from heartbeats.
 //!
-//! One process writes the trace of all: every stage is a process with its own number, with a track of its work
-//! (*wake-up*, *compute*, *publish*, and *waiting* for a second input), tracks of frames that wait while it is
-//! busy, and a counter of them. A flow leads each tick through the compute of all stages. The process `pipeline`
-//! has a span for every tick from its release to its forecasts, counters of agents, qualities, age and latency,
-//! and instants for late ticks and for forecasts that are not learned. Restarts, refused and missing frames are
-//! instants of their stage.
+//! One process writes the trace of all stages:
 //!
-//! [`Tracer`] turns each frame into packets, which the caller takes: it keeps no more than the newest ticks.
+//! * Every stage is a process with its own number. It has a track of its work (*wake-up*, *compute*,
+//!   *publish*, and *waiting* for a second input), tracks of frames that wait while it is busy, and a counter
+//!   of these frames.
+//! * A flow connects the compute of all stages for each tick.
+//! * The process `pipeline` has a span for every tick from its release to its forecasts. It also has counters
+//!   of agents, qualities, age and latency, and instants for late ticks and for forecasts that are not
+//!   learned.
+//! * Restarts, refused frames and missing frames are instants of their stage.
+//!
+//! [`Tracer`] converts each frame to packets, which the caller takes. It keeps only the newest ticks.
 
 use perfetto::{Clocks, Details, Trace, Value};
 use wire::{
@@ -18,16 +22,17 @@ use crate::distribution::ms;
 use crate::passage::{Timeline, Timestamps};
 use crate::record::TICK_LIMIT_NS;
 
-/// Tracks side by side of frames that wait for one stage, or of ticks under way: more overlap only in the trace.
+/// Number of parallel tracks of frames that wait for one stage, or of ticks in progress. Further ones
+/// overlap.
 const LANES: usize = 4;
-/// A wait for a second input that is shorter has no span.
+/// Shortest wait for a second input that has a span.
 const SHORT_NS: u64 = 20_000;
-/// Numbers of processes that nobody has told, beyond any that Linux gives.
+/// Start of the process numbers for unknown processes, beyond any number that Linux assigns.
 const UNKNOWN_PID: u32 = 1_000_000_000;
-/// Most changes of a queue that wait for their order in time.
+/// Largest number of queue changes that wait to be sorted by time.
 const CHANGES_MAX: usize = 64;
 
-/// Tracks within a process, added to its number.
+/// Tracks within a process. They are added to the number of the process.
 mod lane {
     pub const WORK: u64 = 1;
     pub const QUEUE: u64 = 2;
@@ -36,16 +41,16 @@ mod lane {
     pub const COUNTERS: u64 = 32;
 }
 
-/// What is known of a stage.
+/// The data of a stage.
 #[derive(Clone, Debug, Default)]
 struct StageTracks {
-    /// The newest incarnation with its process number.
+    /// The newest incarnation and its process number.
     pid: Option<(u32, u32)>,
     /// The newest incarnation that has tracks.
     declared: Option<u32>,
     work_end_ns: u64,
     waiting_end_ns: [u64; LANES],
-    /// Changes of the queue's length that may still be overtaken, by time.
+    /// Changes of the queue's length, by time. Earlier changes may still arrive.
     changes: Vec<(u64, i64)>,
     queue_len: i64,
     /// The newest heartbeat.
@@ -78,7 +83,7 @@ const COUNTERS: [(&str, &str); 3 + Quality::ALL.len()] = {
 };
 
 impl Tracer {
-    /// The trace of a run that the process `pid` supervises.
+    /// The trace of a run supervised by the process `pid`.
     #[must_use]
     pub fn new(clocks: Clocks, pid: Option<u32>) -> Self {
         let mut trace = Trace::with_room(1 << 16);
@@ -100,12 +105,12 @@ impl Tracer {
         }
     }
 
-    /// Takes the packets that are complete.
+    /// Returns the complete packets.
     pub fn take(&mut self) -> Vec<u8> {
         self.trace.take()
     }
 
-    /// Takes the last packets.
+    /// Returns the last packets.
     pub fn finish(mut self) -> Vec<u8> {
         for stage in StageId::known() {
             self.count_queue(stage, u64::MAX);
@@ -113,7 +118,7 @@ impl Tracer {
         self.trace.take()
     }
 
-    /// Takes the forecasts of a tick.
+    /// Adds the forecasts of a tick.
     pub fn forecasts(&mut self, header: &Header, forecasts: &[Forecast]) {
         if !header.is_tick() {
             return;
@@ -130,7 +135,7 @@ impl Tracer {
         self.tick(header, forecasts);
     }
 
-    /// Takes the header of a frame that an added stage has sent beside the tick's way.
+    /// Adds the header of a frame from an added stage for which no forecast waits.
     pub fn beside(&mut self, header: &Header) {
         if !header.is_tick() {
             return;
@@ -142,7 +147,8 @@ impl Tracer {
         }
     }
 
-    /// Takes a stage's heartbeat: its process number, and what it refused or missed since the one before.
+    /// Adds a stage's heartbeat: its process number, and its refused and missed frames since the previous
+    /// one.
     pub fn heartbeat(&mut self, heartbeat: &Heartbeat) {
         let Some(stage) = StageId::from_number(heartbeat.stage) else { return };
         let known = &mut self.stages[stage.place()];
@@ -174,13 +180,13 @@ impl Tracer {
         }
     }
 
-    /// Marks something that happened to a stage, such as its death.
+    /// Marks an event of a stage, such as its death.
     pub fn event(&mut self, stage: StageId, at_ns: u64, name: &str, why: &str) {
         let incarnation = self.stages[stage.place()].declared.unwrap_or(0);
         self.mark(stage, incarnation, at_ns, name, &[("why", Value::Text(why))]);
     }
 
-    /// Marks something that happened to the run.
+    /// Marks an event of the run.
     pub fn note(&mut self, at_ns: u64, name: &str, why: &str) {
         let values = [("why", Value::Text(why))];
         let values = if why.is_empty() { &values[..0] } else { &values[..] };
@@ -201,7 +207,7 @@ impl Tracer {
         self.trace.instant(process + lane::WORK, at_ns, name, details);
     }
 
-    /// Tracks of one stage's passage.
+    /// Writes the tracks of one stage's passage.
     fn hop(&mut self, stage: StageId, hop: &Hop, times: Timestamps, flow: &Flow) {
         let restarted = self.stages[stage.place()].declared.is_some_and(|newest| hop.incarnation > newest);
         let process = self.process(stage, hop.incarnation);
@@ -218,7 +224,7 @@ impl Tracer {
             known.changes.extend([(times.ready_ns, 1), (times.free_ns, -1)]);
             known.changes.sort_unstable();
         }
-        // A stage does one thing after another, whatever the clocks of its header tell.
+        // The spans of a stage do not overlap, regardless of the clocks in its header.
         let mut span = |[begin_ns, end_ns]: [u64; 2], name, details: Details<'_>, least_ns| {
             let begin_ns = begin_ns.max(known.work_end_ns);
             let end_ns = end_ns.max(begin_ns);
@@ -233,11 +239,11 @@ impl Tracer {
         let computes = Details { flow: Some(flow.tick + 1), ends_flow: flow.ends, ..phase };
         span([started_ns, finished_ns], "compute", computes, 0);
         span([finished_ns, sent_ns], "publish", phase, 1);
-        // What comes later can't have been ready before.
+        // Later input cannot have been ready before this one.
         self.count_queue(stage, ready_ns);
     }
 
-    /// Tells the length of a stage's queue up to a time.
+    /// Writes the length of a stage's queue up to a time.
     fn count_queue(&mut self, stage: StageId, until_ns: u64) {
         let known = &mut self.stages[stage.place()];
         let Some(incarnation) = known.declared else { return };
@@ -249,7 +255,7 @@ impl Tracer {
         }
     }
 
-    /// The number of a stage's process; names its tracks where they are new.
+    /// The number of a stage's process. Names its tracks if they are new.
     fn process(&mut self, stage: StageId, incarnation: u32) -> u64 {
         let known = &mut self.stages[stage.place()];
         let process = number_of(stage, incarnation);
@@ -276,7 +282,7 @@ impl Tracer {
         process
     }
 
-    /// The span of a whole tick, and the counters.
+    /// Writes the span of a whole tick, and the counters.
     fn tick(&mut self, header: &Header, forecasts: &[Forecast]) {
         let Some(sampler) = header.hop(StageId::Sampler) else { return };
         let span_ns = [header.released_ns, sampler.sent_ns.max(header.released_ns)];
@@ -339,7 +345,7 @@ const fn number_of(stage: StageId, incarnation: u32) -> u64 {
     (stage.number() as u64) << 48 | (incarnation as u64) << 8
 }
 
-/// A lane that is free for a span; the one that gets free first where none is.
+/// A free lane for a span. If no lane is free, the one that becomes free first.
 fn free_lane(ends_ns: &mut [u64; LANES], [begin_ns, end_ns]: [u64; 2]) -> u64 {
     let free = ends_ns.iter().position(|&end| end <= begin_ns);
     let soonest = || (0..LANES).min_by_key(|&nth| ends_ns[nth]).unwrap_or(0);

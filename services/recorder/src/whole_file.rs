@@ -1,4 +1,4 @@
-//! Files that appear complete or not at all.
+//! Files that are written atomically.
 
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Read, Seek, SeekFrom, Write};
@@ -7,9 +7,9 @@ use std::path::{Path, PathBuf};
 
 /// A file that gets its name when it is finished.
 ///
-/// Until then its content lies beside the target as `NAME.partial`: an interrupted run leaves the partial
-/// file and never a short one under the real name. [Standard output](is_standard_output), pipes and devices
-/// are written directly. A link is kept; its target is replaced.
+/// Until then its content is stored beside the target as `NAME.partial`. An interrupted run leaves the
+/// partial file, and never a short file under the real name. [Standard output](is_standard_output), pipes and
+/// devices are written directly. A link is kept, and its target is replaced.
 #[derive(Debug)]
 pub struct WholeFile {
     output: BufWriter<File>,
@@ -39,8 +39,8 @@ impl WholeFile {
         Ok(Self { output, rename: Some((partial, path)) })
     }
 
-    /// Goes on with the content that a process of this run left which was killed or replaced, from its last whole
-    /// line on; starts the file where there is none.
+    /// Continues the content of a process of this run that was killed or replaced, from its last whole line.
+    /// Starts the file if there is no such content.
     ///
     /// # Errors
     /// The error of the file system.
@@ -70,7 +70,7 @@ impl WholeFile {
         Self { output: BufWriter::new(output), rename: None }
     }
 
-    /// Writes what is buffered and gives the file its name.
+    /// Writes the buffered data and gives the file its name.
     ///
     /// # Errors
     /// The error of the file system, such as a full disk.
@@ -93,7 +93,7 @@ impl Write for WholeFile {
     }
 }
 
-/// Bytes up to the last line feed, which is searched from the end.
+/// Number of bytes up to the last line feed, which is searched from the end.
 fn whole_lines_len(file: &mut File) -> io::Result<u64> {
     const BLOCK: u64 = 1 << 16;
     let mut end = file.seek(SeekFrom::End(0))?;

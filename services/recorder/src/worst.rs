@@ -1,11 +1,11 @@
 //! The worst ticks of a run, each with its cause in a sentence.
 //!
-//! Ticks without forecasts are the worst, then those with the longest end-to-end latency. A tick's cause is
-//! the phase of a stage that took longest beyond its median over the run. Where the controls of a tick did
-//! not come, its own header does not tell why: the next tick that passes all stages does, by the stage that
-//! takes it late or that has been restarted.
+//! Ticks without forecasts are the worst, followed by the ticks with the longest end-to-end latency. A tick's
+//! cause is the stage and phase with the largest excess over its median in the run. If the controls of a tick
+//! did not arrive, its own header does not show the cause. The next tick that passes all stages shows it: by
+//! a stage that was restarted, or by the stage that takes the tick late.
 //!
-//! The list has room for [`WORST_LEN`] ticks from the start: a tick allocates nothing.
+//! The list reserves room for [`WORST_LEN`] ticks at the start, so a tick does not allocate.
 
 use serde::{Deserialize, Serialize};
 use wire::{Cause, Forecast, Header, Quality, StageId, flags};
@@ -16,48 +16,48 @@ use crate::record::is_fault;
 use crate::report::WorstTick;
 use crate::text::{count, number};
 
-/// Ticks that are kept.
+/// Number of ticks that are kept.
 pub const WORST_LEN: usize = 20;
-/// A stage took the next tick late where it took more than this.
+/// A stage that takes the next tick more than this late is behind.
 const BEHIND_NS: u64 = 5_000_000;
-/// Excess over the median below which a phase is as usual.
+/// Excess over the median below which a phase counts as usual.
 const USUAL_NS: u64 = 300_000;
 
 /// One of the worst ticks.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 struct Bad {
-    /// Of several ticks without forecasts, the first.
+    /// Number of the tick. For several ticks without forecasts, the number of the first.
     seq: u64,
     stamp_ns: i64,
     flags: u32,
-    /// Ticks without forecasts; 0 for a tick with forecasts.
+    /// Number of ticks without forecasts; 0 for a tick with forecasts.
     lost: u64,
     agents: u32,
     not_learned: u32,
-    /// The most frequent cause of those, as a number.
+    /// Most frequent cause of the forecasts that are not learned, as a number.
     cause: u32,
     passage: Passage,
-    /// The first stage on its way that had been restarted since the tick before.
+    /// The first stage on its way that was restarted since the previous tick.
     restarted: Option<StageNumber>,
-    /// What held up the controls of this tick, as the next one shows.
+    /// The reason why the controls of this tick were missing, as shown by the next tick.
     blame: Option<Blame>,
 }
 
 /// A stage as its number, for the checkpoint.
 type StageNumber = u32;
 
-/// What held up the controls of a tick.
+/// The reason why the controls of a tick were missing.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 enum Blame {
     /// The stage was restarted.
     Restarted(StageNumber),
-    /// The stage took its next frame that much later than it was sent.
+    /// The stage took its next frame this much later than it was sent.
     Behind(StageNumber, u64),
-    /// No stage was behind: the frame was a little late, lost, or refused on its way.
+    /// No stage was behind: the frame was slightly late, lost, or refused on its way.
     Nobody,
 }
 
-/// What is usual in a run, to compare a tick with.
+/// The usual values in a run, with which a tick is compared.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Usual {
     /// Medians of the phases by stage.
@@ -66,13 +66,13 @@ pub(crate) struct Usual {
     pub agents: f64,
 }
 
-/// The worst ticks so far, the worst first.
+/// The worst ticks so far, worst first.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct Worst {
     ticks: Vec<Bad>,
-    /// The newest incarnation of each stage that a tick has passed.
+    /// The newest incarnation of each stage through which a tick has passed.
     passed: [u32; StageId::PLACES_LEN],
-    /// A tick that is kept in any case, if it has come.
+    /// A tick that is kept in any case, if it has arrived.
     #[serde(skip)]
     explained: Option<Bad>,
 }
@@ -84,15 +84,15 @@ impl Default for Worst {
 }
 
 impl Bad {
-    /// The greater, the worse.
+    /// A larger value is worse.
     fn badness(&self) -> (u64, u64) {
         (self.lost, self.passage.end_to_end_ns.unwrap_or(0))
     }
 }
 
 impl Worst {
-    /// Takes a tick with its passage, and the ticks without forecasts before it. The tick `explain` is kept
-    /// however good it is.
+    /// Adds a tick with its passage, and the ticks without forecasts before it. The tick `explain` is always
+    /// kept.
     pub fn take(
         &mut self,
         header: &Header,
@@ -131,7 +131,7 @@ impl Worst {
         }
     }
 
-    /// The first stage on a tick's way that has been restarted since the tick before.
+    /// The first stage on a tick's way that was restarted since the previous tick.
     fn restarted(&mut self, header: &Header) -> Option<StageId> {
         let mut first = None;
         for hop in header.hops() {
@@ -145,7 +145,8 @@ impl Worst {
         first
     }
 
-    /// Finds what held up the controls of earlier ticks, by a tick that has come through.
+    /// Finds the reason why the controls of earlier ticks were missing, from a tick that has passed all
+    /// stages.
     fn explain(&mut self, next: &Passage, restarted: Option<StageId>) {
         let behind = |stage: &StageId| {
             let phases = next.phases(*stage)?;
@@ -171,21 +172,21 @@ impl Worst {
 
     fn insert(&mut self, bad: Bad) {
         if self.is_bad(&bad) {
-            // Of equals the earlier one stays before.
+            // Among equal ticks the earlier one stays first.
             let place = self.ticks.partition_point(|other| other.badness() >= bad.badness());
             self.ticks.insert(place, bad);
             self.ticks.truncate(WORST_LEN);
         }
     }
 
-    /// The same, with room for all ticks that it may ever hold.
+    /// The same, with room for the largest number of ticks.
     pub fn with_room(mut self) -> Self {
         self.ticks.truncate(WORST_LEN);
         self.ticks.reserve_exact(WORST_LEN + 1 - self.ticks.len());
         self
     }
 
-    /// The tick that was asked for, if it has come.
+    /// The requested tick, if it has arrived.
     pub fn explained(&self, usual: &Usual) -> Option<WorstTick> {
         self.explained.map(|bad| bad.told(usual))
     }
@@ -196,7 +197,7 @@ impl Worst {
     }
 }
 
-/// How many forecasts are not learned though they could be, and the most frequent cause.
+/// Number of forecasts that are not learned because of a fault, and their most frequent cause.
 fn not_learned(forecasts: &[Forecast]) -> (u32, u32) {
     let mut by_cause = [0_u32; Cause::ALL.len()];
     for forecast in forecasts.iter().filter(|forecast| forecast.quality != Quality::Learned as u32) {
@@ -211,7 +212,7 @@ fn not_learned(forecasts: &[Forecast]) -> (u32, u32) {
     (by_cause.iter().sum(), most)
 }
 
-/// The phase of a stage that took longest beyond what is usual.
+/// The phase of a stage with the largest excess over the usual time.
 #[derive(Clone, Copy, Debug)]
 struct Excess {
     stage: StageId,
@@ -225,7 +226,7 @@ impl Excess {
         self.took_ns.saturating_sub(self.usual_ns)
     }
 
-    /// What the stage did, to follow its name.
+    /// The action of the stage, to follow its name.
     fn told(&self) -> String {
         let took = format!("{} ms", number(Some(ms(self.took_ns))));
         let usual = format!("(usually {})", number(Some(ms(self.usual_ns))));
@@ -245,7 +246,7 @@ impl Bad {
         self.lost == 0 && !self.passage.complete && self.flags & flags::VOID == 0
     }
 
-    /// The phases that took longer than usual, the longest excess first.
+    /// The phases that took longer than usual, largest excess first.
     fn excesses(&self, usual: &Usual) -> Vec<Excess> {
         let of_stage = |stage: StageId| {
             let each_ns = self.passage.phases(stage).map_or([0; 4], Phases::each_ns);
@@ -332,13 +333,13 @@ impl Bad {
         format!("{} ticks without forecasts", count(self.lost))
     }
 
-    /// What made the tick slow, of what its own phases tell.
+    /// Why the tick was slow, according to its own phases.
     fn slow(&self, excesses: &[Excess], usual: &Usual) -> String {
         let Some(first) = excesses.first() else { return "no phase took longer than usual".to_owned() };
         let total_ns: u64 = excesses.iter().map(Excess::ns).sum();
         let stages_len = StageId::known().filter(|&stage| excesses.iter().any(|e| e.stage == stage)).count();
         let told = format!("the {} {}", first.stage.name(), first.told());
-        // More agents make every stage slower, and so does a machine that is busy.
+        // More agents make every stage slower, and so does a busy machine.
         let many = f64::from(self.agents) > 1.25 * usual.agents && self.agents > 8;
         if many && first.phase == 2 {
             let usual_agents = usual.agents.round() as u64;

@@ -7,7 +7,8 @@ use wire::AgentType;
 use super::{Scored, Waiting, rounded};
 use crate::report::{AgentErrors, WorstForecast};
 
-/// Agents whose errors are kept, the first ones; beyond as many again, further ones are not counted either.
+/// Largest number of agents whose errors are kept: the first ones. The same number of further agents is
+/// counted.
 const AGENTS_MAX: usize = 512;
 
 /// Errors of single agents, by their identity in the truth.
@@ -42,7 +43,7 @@ impl Agents {
         }
     }
 
-    /// The errors, by identity.
+    /// The errors by identity.
     pub fn errors(&self) -> Vec<AgentErrors> {
         let errors = |(id, agent): (&u64, &Agent)| AgentErrors {
             agent: *id,
@@ -58,7 +59,7 @@ impl Agents {
         self.agents.iter().map(errors).collect()
     }
 
-    /// Agents that are not listed.
+    /// Number of agents that are not listed.
     pub fn unlisted(&self) -> u64 {
         self.unlisted.len() as u64
     }

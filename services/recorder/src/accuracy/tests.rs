@@ -6,7 +6,7 @@ use super::*;
 const TICK_NS: i64 = 80_000_000;
 const STEP_NS: i64 = 400_000_000;
 const HORIZON_LEN: usize = 12;
-/// Ticks that a horizon spans.
+/// Number of ticks within a horizon.
 const HORIZON_TICKS: i64 = HORIZON_LEN as i64 * STEP_NS / TICK_NS;
 
 fn header(tick: i64, agents_len: usize) -> Header {
@@ -21,7 +21,7 @@ fn truth(id: u64, tick: i64, y_m: f32) -> Truth {
     Truth { id, agent_type: AgentType::Vehicle as u32, x_m, y_m, ..Truth::default() }
 }
 
-/// The exact forecast of that agent, its second mode 3 m to the left and its single best 1 m to the left.
+/// The exact forecast of this agent. Its second mode is 3 m to the left, and its single best 1 m to the left.
 fn forecast(source_id: u64, tick: i64, y_m: f32) -> Forecast {
     let now_s = (tick * TICK_NS) as f64 / 1e9;
     let path = |offset_m: f32| {
@@ -45,7 +45,7 @@ fn forecast(source_id: u64, tick: i64, y_m: f32) -> Forecast {
     forecast
 }
 
-/// Plays `ticks` of truth with the forecasts of each.
+/// Plays `ticks` ticks of truth with their forecasts.
 fn play(ticks: i64, truths: impl Fn(i64) -> Vec<Truth>, forecasts: impl Fn(i64) -> Vec<Forecast>) -> Scorer {
     let mut scorer = Scorer::default();
     for tick in 0..ticks {
@@ -80,7 +80,7 @@ fn exact_forecasts_have_no_error() {
 
 #[test]
 fn known_offsets_are_the_errors() {
-    // Without the exact mode the best is 3 m off; constant velocity at 9 m/s loses 1 m a second.
+    // Without the exact mode, the best mode is 3 m off. Constant velocity at 9 m/s loses 1 m per second.
     let scorer = play(
         100,
         |tick| vec![truth(7, tick, 2.0)],
@@ -97,7 +97,7 @@ fn known_offsets_are_the_errors() {
 
 #[test]
 fn steps_between_recorded_truths_are_interpolated() {
-    // Every third tick has truth (240 ms): only every fifth step falls on one.
+    // Every third tick has truth (240 ms), so only every fifth step coincides with one.
     let scorer = play(
         120,
         |tick| if tick % 3 == 0 { vec![truth(7, tick, 2.0)] } else { Vec::new() },

@@ -1,15 +1,15 @@
-//! True positions of all agents, kept as long as a waiting forecast may need them.
+//! True positions of all agents, kept while a waiting forecast may need them.
 
 use std::collections::{BTreeMap, VecDeque};
 
 use metrics::Point;
 use wire::{Rejected, Truth};
 
-/// Longest gap between two samples of an agent that is interpolated. Annotations at 2.5 Hz are 0.4 s apart.
+/// Longest gap between two samples of an agent for interpolation. Annotations at 2.5 Hz are 0.4 s apart.
 pub const GAP_MAX_NS: i64 = 500_000_000;
-/// Most samples kept of one agent.
+/// Largest number of samples per agent.
 const SAMPLES_MAX: usize = 512;
-/// Most agents kept; further ones are ignored.
+/// Largest number of agents. Further agents are ignored.
 const AGENTS_MAX: usize = 4_096;
 
 #[derive(Clone, Copy, Debug)]
@@ -57,7 +57,7 @@ impl Paths {
     /// Adds the truth of the frame at `stamp_ns`, each position at its own time.
     ///
     /// # Errors
-    /// [`Rejected`] where a position is not finite or the stamp is not after the last one; nothing is added
+    /// [`Rejected`] if a position is not finite or the stamp is not later than the last one; nothing is added
     /// then.
     pub fn add(&mut self, stamp_ns: i64, truths: &[Truth]) -> Result<(), Rejected> {
         if let Some(last_ns) = self.newest_ns.filter(|&last_ns| stamp_ns <= last_ns) {
@@ -93,7 +93,7 @@ impl Paths {
         self.newest_ns
     }
 
-    /// Removes samples that no position at `stamp_ns` or later depends on.
+    /// Removes samples on which no position at `stamp_ns` or later depends.
     pub fn forget_before(&mut self, stamp_ns: i64) {
         let oldest_ns = stamp_ns.saturating_sub(GAP_MAX_NS);
         self.paths.retain(|_, path| {
@@ -114,8 +114,8 @@ impl Paths {
         self.paths.get(&id)?.at(stamp_ns)
     }
 
-    /// The agent of a type nearest to `position_m` at `stamp_ns`, at most `radius_m` away; of two at the same
-    /// distance the one with the smaller identity.
+    /// The agent of a type that is nearest to `position_m` at `stamp_ns`, at most `radius_m` away. Of two
+    /// agents at the same distance, this is the one with the smaller identity.
     pub fn nearest(&self, agent_type: u32, position_m: Point, stamp_ns: i64, radius_m: f32) -> Option<u64> {
         let distance_m = |[x, y]: Point| (x - position_m[0]).hypot(y - position_m[1]);
         self.paths

@@ -9,7 +9,7 @@ use crate::status::{Facts, ProcessStatus};
 
 const MS: u64 = 1_000_000;
 
-/// A run of a few ticks, with a refusal, a restart and a title that has to be escaped.
+/// A run of a few ticks, with a refusal, a restart and a title that requires escapes.
 fn run_so_far() -> (RunStatus, Recorder) {
     let options = RecorderOptions { scores: false, ..RecorderOptions::default() };
     let mut measured = Recorder::new(options);
@@ -77,7 +77,7 @@ fn text() -> String {
     metrics(&status, &measured)
 }
 
-/// The value of the sample that begins so.
+/// The value of the sample that begins with this text.
 fn value(text: &str, sample: &str) -> Option<f64> {
     text.lines().find_map(|line| line.strip_prefix(sample)?.strip_prefix(' ')?.parse().ok())
 }

@@ -7,11 +7,11 @@ use ratatui::widgets::{Paragraph, RenderDirection, Sparkline};
 use super::{LiveStage, LiveView};
 use crate::text::{bar, count, number, percent};
 
-/// Fewest and most cells of a budget bar.
+/// Smallest and largest number of cells of a budget bar.
 const BAR_WIDTHS: [usize; 2] = [8, 24];
-/// Cells of a line without its bar.
+/// Number of cells of a line without its bar.
 const FIXED_WIDTH: usize = 62;
-/// Fewest and most rows of the latency curve, with its caption and the row above.
+/// Smallest and largest number of rows of the latency curve, including its caption and the row above.
 const CURVE_HEIGHTS: [u16; 2] = [4, 6];
 
 const DIM: Style = Style::new().fg(Color::DarkGray);
@@ -21,7 +21,7 @@ const BOLD: Style = Style::new().add_modifier(Modifier::BOLD);
 pub fn draw(view: &LiveView, frame: &mut Frame<'_>, area: Rect) {
     let stages = view.stages();
     let table_height = u16::try_from(stages.len()).unwrap_or(u16::MAX).saturating_add(2);
-    // Where the terminal is low, the curve gives way first.
+    // On a low terminal the curve shrinks first.
     let [least, most] = CURVE_HEIGHTS;
     let left = area.height.saturating_sub(table_height.saturating_add(5)).min(most);
     let [title, table, curve, forecasts] = Layout::vertical([
@@ -139,7 +139,7 @@ fn budget_spans(share: Option<f64>, cells: usize) -> [Span<'static>; 2] {
     ]
 }
 
-/// A count that ought to be 0.
+/// A count that should be 0.
 fn fault(n: u64, width: usize) -> Span<'static> {
     Span::styled(format!("{:>width$}", count(n)), if n > 0 { BOLD.fg(Color::Red) } else { DIM })
 }
@@ -150,7 +150,7 @@ fn draw_curve(view: &LiveView, frame: &mut Frame<'_>, area: Rect) {
     if area.height == 0 {
         return;
     }
-    // Newest on the right: the sparkline draws its data from there.
+    // The newest value is on the right, because the sparkline draws its data from there.
     let width = curve.width.saturating_sub(6) as usize;
     let newest_us: Vec<u64> = view
         .window
@@ -161,7 +161,7 @@ fn draw_curve(view: &LiveView, frame: &mut Frame<'_>, area: Rect) {
         .collect();
     let limit_us = view.limit_ns / 1_000;
     let most_us = newest_us.iter().copied().max().unwrap_or(limit_us);
-    // Small latencies fill the curve too: its height is the limit, halved while that leaves room above.
+    // Small latencies also fill the curve. Its height is the limit, halved while all values still fit.
     let mut scale_us = limit_us;
     while scale_us / 2 > most_us && scale_us > 2_000 {
         scale_us /= 2;
@@ -209,7 +209,7 @@ fn draw_forecasts(view: &LiveView, frame: &mut Frame<'_>, area: Rect) {
     frame.render_widget(Paragraph::new(lines), area);
 }
 
-/// What forecasts were worth whose horizon is over.
+/// The errors of forecasts whose horizon has passed.
 fn worth(view: &LiveView) -> Line<'static> {
     let label = Span::raw("   matured    ");
     let Some(errors) = view.errors.as_ref().filter(|errors| errors.forecasts > 0) else {

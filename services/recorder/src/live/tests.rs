@@ -17,7 +17,7 @@ fn view() -> LiveView {
     })
 }
 
-/// A tick whose stages compute a little longer each, the decoder longest.
+/// A tick whose stages differ slightly in compute. The decoder takes longest.
 fn tick(seq: u64) -> Header {
     let released_ns = 1_000 * MS + seq * 80 * MS;
     let counts = Counts { agents_len: 3, ..Counts::default() };

@@ -1,7 +1,7 @@
-//! What a recorder needs to go on where one that died has stopped.
+//! The data with which a recorder continues after a previous one has died.
 //!
-//! The stage writes it once a second, so that a death loses at most one second of the report. Forecasts that
-//! wait for their truth are left out, being large: they count as uncovered.
+//! The stage writes it once a second, so a death loses at most one second of the report. Forecasts that wait
+//! for their truth are omitted because they are large. They count as uncovered.
 
 use std::path::Path;
 
@@ -22,7 +22,7 @@ use crate::worst::Worst;
 pub struct Checkpoint {
     end_to_end: Kept,
     overhead: Kept,
-    /// By the stage's number: waiting, wake-up, compute, publish, ticks over the budget.
+    /// By the stage's number: waiting, wake-up, compute, publish, and number of ticks over the budget.
     stages: Vec<(u32, [Kept; 4], u64)>,
     losses: Losses,
     scorer: ScorerCheckpoint,
@@ -52,7 +52,7 @@ pub struct Checkpoint {
 }
 
 impl Checkpoint {
-    /// Writes it as JSON. The file appears whole or not at all.
+    /// Writes it as JSON. The file is written atomically.
     ///
     /// # Errors
     /// [`ReportError::File`] with the path.
@@ -62,10 +62,10 @@ impl Checkpoint {
         crate::whole_file::write(path, &json).map_err(file)
     }
 
-    /// Reads what [`Checkpoint::write`] has written.
+    /// Reads the result of [`Checkpoint::write`].
     ///
     /// # Errors
-    /// [`ReportError`] where the file can't be read or holds something else.
+    /// [`ReportError`] if the file cannot be read or has other content.
     pub fn read(path: &Path) -> Result<Self, ReportError> {
         let shown = || path.display().to_string();
         let json = std::fs::read(path).map_err(|source| ReportError::File { path: shown(), source })?;
@@ -111,8 +111,8 @@ impl Recorder {
         }
     }
 
-    /// A recorder that goes on from the counts of one that died. Ticks up to the first that it receives are
-    /// counted as not recorded.
+    /// A recorder that continues from the counts of one that died. Ticks before the first one that it
+    /// receives are counted as not recorded.
     #[must_use]
     pub fn resume(options: RecorderOptions, kept: Checkpoint) -> Self {
         let stages = kept.stages.into_iter().filter_map(|(stage, times, late_ticks)| {

@@ -4,7 +4,7 @@ use wire::{Cause, Forecast, Quality};
 use crate::distribution::ms;
 use crate::report::Shed;
 
-/// Agents that were left out to save time.
+/// Counts of agents that were left out to save time.
 #[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
 pub(super) struct ShedCounts {
     forecasts: u64,
@@ -14,7 +14,7 @@ pub(super) struct ShedCounts {
 }
 
 impl ShedCounts {
-    /// Takes in the forecasts of a tick.
+    /// Adds the forecasts of a tick.
     pub(super) fn add(&mut self, forecasts: &[Forecast]) {
         let shed = forecasts.iter().filter(|forecast| is_shed(forecast));
         let len = shed.clone().count() as u64;

@@ -9,11 +9,11 @@ use crate::report::Shed;
 const TICK_NS: u64 = 80_000_000;
 const MS: u64 = 1_000_000;
 
-/// Wake-up of every stage, and time to publish.
+/// Wake-up of every stage. `PUBLISH_NS` is its time to publish.
 const WAKE_UP_NS: u64 = 50_000;
 const PUBLISH_NS: u64 = 10_000;
 
-/// The header of a tick that passed `stages` with a compute of so many ms each.
+/// The header of a tick that passed `stages`, each with its compute in ms.
 fn header(seq: u64, agents_len: u32, stages: &[(StageId, u64)]) -> Header {
     let counts = Counts { agents_len, horizon_len: 12, ..Counts::default() };
     let released_ns = 1_000 * MS + seq * TICK_NS;
@@ -79,7 +79,7 @@ fn truth_header(seq: u64) -> Header {
     Header::new(1, seq, (seq * TICK_NS) as i64)
 }
 
-/// A run with one of everything that can go wrong; the agent stands still at the origin.
+/// A run with one of each possible fault. The agent stands still at the origin.
 pub(crate) fn eventful() -> Report {
     let mut recorder = recorder();
     let truth = Truth { id: 5, agent_type: AgentType::Pedestrian as u32, ..Truth::zeroed() };
@@ -96,7 +96,7 @@ pub(crate) fn eventful() -> Report {
             60 | 61 => continue,
             _ => (whole_chain(2), learned()),
         };
-        // At rest in truth, but believed to drift: constant velocity errs by 0.3 m a second.
+        // In truth at rest, but estimated to drift: the error of constant velocity grows by 0.3 m per second.
         let forecast = Forecast { vx_mps: 0.3, best: [[0.5, 0.0]; 12], ..forecast };
         recorder.forecasts(&header(seq, 1, &stages), &[forecast]).unwrap();
     }
@@ -285,7 +285,7 @@ fn doubts_about_the_input_make_a_run_doubtful() {
     assert_eq!((report.verdict.clone(), report.input.detections), (expected, 100));
     assert!(report.is_doubtful() && report.render(80).contains(" DOUBTFUL    input: headings look"));
     assert!(!with_doubts(0).report().is_doubtful());
-    // A fault of the run counts more; the doubt remains a reason.
+    // A fault of the run takes precedence, and the doubt remains a reason.
     let mut report = report;
     report.supervised(Supervision { ended_by: Some("a test".to_owned()), ..Supervision::default() });
     assert_eq!((report.verdict.status, report.verdict.reasons.len()), (Status::Degraded, 2));

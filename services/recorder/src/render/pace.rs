@@ -1,20 +1,20 @@
-//! By how much a machine was too slow, and what to do about it.
+//! How much a machine was too slow, and advice.
 
 use wire::{Cause, StageId};
 
 use crate::passage::Phases;
 use crate::report::{Report, StageReport, WorstTick};
 
-/// Share of the limit that the median of a tick may take so that its slowest percent keeps it: measured runs
-/// have a 99th percentile of 1.4 times the median.
+/// Share of the limit that the median tick may take so that the slowest percent of ticks keeps the limit.
+/// Measured runs have a 99th percentile of 1.4 times the median.
 const COMFORTABLE: f64 = 0.7;
 
 /// Place of the wake-up among the phases of a stage.
 const WAKE_UP: usize = 1;
 
 impl Report {
-    /// Lines that say how far the run was from keeping its time, and what to do, where forecasts came late
-    /// and no stage had died.
+    /// Two lines on how far the run was from keeping its time, and advice. Returns `None` unless forecasts
+    /// were late and no stage had died.
     pub(super) fn too_slow(&self) -> Option<[String; 2]> {
         let late = self.forecasts.causes.get(Cause::Late.name()).copied().unwrap_or(0);
         let is_real_time = self.run.lockstep != Some(true);
@@ -51,8 +51,8 @@ impl Report {
         })
     }
 
-    /// The same for a machine whose computation fits: late ticks come from other programs. A stage that wakes
-    /// late had its input and no processor.
+    /// The same for a machine that is fast enough: late ticks are caused by other programs. A stage that
+    /// wakes up late had its input but no processor.
     fn disturbed(&self, took: &str) -> [String; 2] {
         let is_late = |tick: &&WorstTick| {
             tick.not_learned > 0

@@ -5,7 +5,7 @@ use super::*;
 const MS: u64 = 1_000_000;
 const CLOCKS: Clocks = Clocks { monotonic_ns: 5, boottime_ns: 5, realtime_ns: None };
 
-/// A tick whose stages take a millisecond each; the decoder is restarted from tick 3 on, and slow in tick 1.
+/// A tick whose stages take a millisecond each. The decoder is restarted at tick 3 and is slow in tick 1.
 fn tick(seq: u64) -> Header {
     let released_ns = 1_000 * MS + seq * 80 * MS;
     let mut header = Header { released_ns, interval_ns: 80 * MS, ..Header::new(1, seq, 0) };
@@ -58,8 +58,8 @@ fn every_stage_has_its_process_and_every_tick_its_spans() {
     }
     assert_eq!(count(&bytes, "decoder (restart 1)"), 1);
     assert_eq!(count(&bytes, "compute"), 5 * 7);
-    // By its hops, tick 2 passes decoder and sampler while they still work on tick 1: a stage does one thing after
-    // another, so that these two spans have no room.
+    // According to its hops, tick 2 passes decoder and sampler while they still work on tick 1. The spans of
+    // a stage do not overlap, so these two spans have no room.
     assert_eq!(count(&bytes, "publish"), 5 * 7 - 2);
     assert_eq!((count(&bytes, "restarted"), count(&bytes, "died")), (1, 1));
     // Only tick 1 took more than the interval.

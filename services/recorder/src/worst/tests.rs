@@ -6,14 +6,14 @@ use crate::passage::Timeline;
 
 const MS: u64 = 1_000_000;
 
-/// A run of ticks 80 ms apart, with a millisecond of compute in each stage.
+/// A run with ticks 80 ms apart and a millisecond of compute in each stage.
 #[derive(Default)]
 struct Ticks {
     timeline: Timeline,
     worst: Worst,
 }
 
-/// What is unusual about a tick.
+/// The unusual properties of a tick.
 #[derive(Clone, Copy, Default)]
 struct Odd {
     slow: Option<(StageId, u64)>,
