@@ -1,7 +1,7 @@
 //! Forecasts as JSON lines: `stgdat predict --out FILE` and `stgdat run --forecasts FILE`.
 //!
-//! There is one line per tick in time order, even if the tick has no agents. Lines contain no clock, run id or
-//! incarnation, so the same recording, seed and weights give the same bytes. Version 2:
+//! There is one line per tick in time order, even if the tick has no agents. Lines contain no clock, run id
+//! or incarnation, so the same recording, seed and weights give the same bytes. Version 2:
 //!
 //! | field | meaning |
 //! |---|---|

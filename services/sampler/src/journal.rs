@@ -5,13 +5,13 @@
 //! that the tick has changed. Two records are stored side by side and written alternately. The check value of
 //! a record is its *commit mark*. If a process is killed while it writes one record, the other one remains.
 //!
-//! The *slots* are a ring for all entries. A record's entries are copied to their slots only when the next
-//! commit begins, and always before the record is overwritten. The slots and the newest whole record together
-//! are the state after exactly one tick. The slots and the other whole record are the state after the
-//! previous tick. Copying is idempotent, so an interrupted copy can be repeated.
+//! The *slots* are a ring for all entries. A record's entries are copied to their slots when the next commit
+//! begins, and always before the record is overwritten. The slots and the newest whole record together are
+//! the state after exactly one tick. Until the next commit begins, the slots and the other whole record are
+//! the state after the previous tick. Copying is idempotent, so an interrupted copy can be repeated.
 //!
-//! Forecasts that wait for their truth are not kept. The entries of a path up to the tick remain, and no
-//! further entries are added.
+//! Forecasts that wait for their truth are not kept. An entry with an incomplete path keeps the steps that it
+//! has at the tick, and gets no further steps.
 
 use std::mem::size_of;
 use std::sync::atomic::{Ordering, compiler_fence};
@@ -23,7 +23,7 @@ use retrieval::{CHANGED_MAX, RetrievalMemory, StoredEntry, StoredState};
 
 use crate::SamplerOptions;
 
-/// First bytes, and the version of what follows.
+/// The first bytes, which contain the version of the format.
 const MAGIC: [u8; 8] = *b"stgdatJ1";
 const RECORDS_AT: usize = 4096;
 /// Size of a record with the maximum number of changed entries.
@@ -34,9 +34,9 @@ const SLOTS_AT: usize = RECORDS_AT + 2 * RECORD_BYTES;
 /// Number of slots by which the memory grows, ahead of need: about 1 MiB.
 const GROWTH_SLOTS: usize = 8192;
 
-/// Bytes that outlive who writes them.
+/// Bytes that outlive their writer.
 pub trait Storage {
-    /// All of them, on an address that suits numbers of 64 bits.
+    /// All bytes, aligned for 64-bit numbers.
     fn bytes(&mut self) -> &mut [u8];
 
     /// Adds zeros up to this length.
@@ -46,7 +46,7 @@ pub trait Storage {
     fn grow_to(&mut self, len: usize) -> Result<(), String>;
 }
 
-/// Of this process alone.
+/// Storage within this process only.
 impl Storage for Vec<u64> {
     fn bytes(&mut self) -> &mut [u8] {
         cast_slice_mut(self)
@@ -67,7 +67,7 @@ pub struct Identity {
     run_id: u64,
     /// Steps of a forecast.
     horizon_len: u32,
-    /// What there is: bits of [`MEMORY`] and [`EVIDENCE`].
+    /// The parts of the state, as bits of [`MEMORY`] and [`EVIDENCE`].
     parts: u32,
 }
 
@@ -79,7 +79,7 @@ struct Head {
     check: u64,
 }
 
-/// What a record begins with; the numbers of the evidence and the entries follow.
+/// The head of a record. The numbers of the evidence and the entries follow.
 #[derive(Clone, Copy, Pod, Zeroable)]
 #[repr(C)]
 struct Record {
@@ -103,7 +103,7 @@ struct Slot {
     check: u64,
 }
 
-/// What was kept of a sampler.
+/// The stored state of a sampler.
 pub struct Resumed {
     /// Number of ticks of the run that the state includes.
     pub ticks: u64,
@@ -116,7 +116,7 @@ pub struct Resumed {
 pub struct Journal<S> {
     storage: S,
     identity: Identity,
-    /// Of the newest record; 0 before the first.
+    /// Generation of the newest record; 0 before the first.
     generation: u64,
 }
 
@@ -149,7 +149,7 @@ impl<S: Storage> Journal<S> {
     /// Returns the newest state, or the state after `ticks`; `None` if there is none.
     ///
     /// # Errors
-    /// The reason why the stored state can't be used.
+    /// The reason why the stored state cannot be used.
     pub fn resume(&mut self, ticks: Option<u64>) -> Result<Option<Resumed>, &'static str> {
         let bytes = self.storage.bytes();
         if bytes.is_empty() {
@@ -187,7 +187,8 @@ impl<S: Storage> Journal<S> {
     /// Commits the state after `ticks` ticks.
     ///
     /// # Errors
-    /// The reason, if no space is available. The journal is then empty, and the caller must not commit again.
+    /// The reason, if no space is available or a tick has changed more than [`CHANGED_MAX`] entries. The
+    /// stored state is then invalid, and the caller must not commit again.
     pub fn commit(
         &mut self,
         ticks: u64,
@@ -209,14 +210,14 @@ impl<S: Storage> Journal<S> {
     ) -> Result<(), String> {
         match memory {
             _ if self.generation > 0 => self.copy_to_slots()?,
-            // What it began with was never changed.
+            // Entries from before the first commit are in no record.
             Some(memory) => {
                 let StoredState { oldest, next, .. } = memory.state();
                 (oldest..next).filter_map(|number| memory.entry(number)).try_for_each(|e| self.put(e))?;
             }
             None => {}
         }
-        // The slots first, then the record that nobody needs any more.
+        // The slots are written first, then the record that is no longer needed.
         compiler_fence(Ordering::SeqCst);
         let generation = self.generation + 1;
         let record = record(self.storage.bytes(), generation);
@@ -322,12 +323,12 @@ fn slot_at(number: u64) -> usize {
     SLOTS_AT + (number % RetrievalMemory::ENTRIES_MAX as u64) as usize * size_of::<Slot>()
 }
 
-/// The place of a record.
+/// The bytes of a record.
 fn record(bytes: &mut [u8], generation: u64) -> &mut [u8] {
     &mut bytes[RECORDS_AT + (generation % 2) as usize * RECORD_BYTES..][..RECORD_BYTES]
 }
 
-/// Head, numbers and entries of a record's place.
+/// Head, numbers and entries in the bytes of a record.
 fn parts(record: &mut [u8]) -> (&mut Record, &mut [f64], &mut [StoredEntry]) {
     let (head, rest) = record.split_at_mut(size_of::<Record>());
     let (numbers, entries) = rest.split_at_mut(NUMBERS_LEN * size_of::<f64>());

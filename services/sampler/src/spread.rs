@@ -1,39 +1,40 @@
-//! How wide the modes of a forecast with evidence are.
+//! The widths of the modes of a forecast with evidence.
 
 use evidence::{Fan, RADIUS_90};
 use kinematics::Moments;
 use wire::{HORIZON_MAX, MODES_MAX};
 
-/// Least and largest factor of the distances to the next modes.
+/// Smallest and largest factor of the distances to the nearest modes.
 const FACTORS: [f32; 2] = [0.3, 8.0];
 /// Maximum acceleration relative to motion without control. It bounds an agent's position.
 const REACH_MPS2: f32 = 10.0;
-/// Standard deviation of a position that is not bounded by physics: the present one.
+/// Error of the present position, which physics does not bound. It adds to the distance that the acceleration
+/// covers. The sum is the largest 90 % radius of a mode.
 const REACH_M: f32 = 2.0;
-/// Largest ratio of how far a mode reaches along the course to how far across, and the other way round.
+/// Largest ratio between the standard deviations of a mode along and across the course, in either direction.
 const ELONGATION_MAX: f32 = 20.0;
 
 /// The widths of an agent's modes.
 ///
 /// A mode represents the area between itself and its neighbours. Its standard deviation is a factor times the
-/// mean distance to the two nearest other modes. A mode is thus narrow among many modes and wide if it is
-/// alone. Similar agents deviate less across the course than along it. Let r be the square root of the ratio
-/// of the two deviations, across to along. Distances across the course are divided by r, and standard
-/// deviations across it are multiplied by r.
+/// mean distance to the two nearest other modes. A mode is thus narrow among many modes and wide if the
+/// others are far. Similar agents deviate less across the course than along it. Let r be the square root of
+/// the ratio of the two deviations, across to along. Distances across the course are divided by r, and
+/// standard deviations across it are multiplied by r.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Spread {
-    /// Factors of the distances to the next modes, step by step.
+    /// Factors of the distances to the nearest modes, step by step.
     pub(crate) factors: [f32; HORIZON_MAX],
     /// Largest variance of a position, step by step, m².
     variance_max_m2: [f32; HORIZON_MAX],
     /// Cosine and sine of the course.
     course: [f32; 2],
-    /// Deviation across the course for each along it, step by step.
+    /// The ratio r of the widths across and along the course, step by step.
     across: [f32; HORIZON_MAX],
 }
 
 impl Spread {
-    /// The spread by which regions widen by these factors, of an agent with this fan.
+    /// The spread of an agent with this fan. `widths` are the factors, which are clamped.
     pub(crate) fn of(widths: &[f32; HORIZON_MAX], fan: &Fan, dt_s: f32) -> Self {
         let variance_max_m2 = std::array::from_fn(|step| {
             let time_s = (step + 1) as f32 * dt_s;
@@ -51,7 +52,7 @@ impl Spread {
     /// (xx, xy, yy) of the present position.
     pub(crate) fn widen(&self, step: usize, modes: &mut [[Moments; HORIZON_MAX]], present_m2: [f32; 3]) {
         let ([cos, sin], across) = (self.course, self.across[step]);
-        // About one of them, for far from the origin of the world numbers are coarse.
+        // Relative to one of the modes, because numbers far from the world's origin are coarse.
         let middle_m = modes.first().map_or([0.0; 2], |moments| moments[step].mean);
         let mut at = [[f32::NAN; MODES_MAX]; 2];
         for (mode, moments) in modes.iter().enumerate() {
@@ -105,8 +106,8 @@ mod tests {
 
     const STEP: usize = 11;
 
-    /// The covariances at the last step of modes at these positions, by a spread of this factor, of a vehicle
-    /// that goes along `course`.
+    /// The covariances at the last step for modes at these positions, by a spread with this factor. The
+    /// vehicle moves along `course`.
     fn widened(factor: f32, course: [f32; 2], means_m: &[[f32; 2]], present_m2: [f32; 3]) -> Vec<[f32; 3]> {
         let agent = Agent { id: 1, agent_type: AgentType::Vehicle, speed_mps: 10.0, course };
         let path_m = [[0.0; 2]; HORIZON_MAX];
@@ -128,7 +129,7 @@ mod tests {
     fn a_mode_is_as_wide_as_its_neighbours_are_far() {
         let means_m = [[0.0, 0.0], [2.0, 0.0], [6.0, 0.0], [20.0, 0.0]];
         let along_m = [4.0, 3.0, 5.0, 16.0];
-        // Agents alike deviate four times as far along the course as across it: modes reach half as far
+        // Similar agents deviate four times as much along the course as across it, so modes are half as wide
         // across.
         let covariances_m2 = widened(0.5, [1.0, 0.0], &means_m, [0.04, 0.01, 0.09]);
         for (given, along_m) in covariances_m2.into_iter().zip(along_m) {
@@ -139,7 +140,7 @@ mod tests {
 
     #[test]
     fn distances_across_the_course_count_as_agents_deviate() {
-        // A metre across is as far as two along.
+        // A metre across counts like two metres along.
         let means_m = [[0.0, 0.0], [0.0, 1.0], [2.0, 0.0]];
         assert_near(widened(1.0, [1.0, 0.0], &means_m, [0.0; 3])[0], [4.0, 0.0, 1.0]);
         let turned_m = means_m.map(|[x, y]| [-y, x]);

@@ -187,7 +187,7 @@ impl Gdat {
     /// Temporal summaries ṽ of all agents, from the node attributes of [`Gdat::attend`], \[step, agent\].
     ///
     /// # Panics
-    /// If the sizes of `nodes` and `present` do not match, or `out` is empty and they are not.
+    /// If the lengths of `nodes` and `present` differ, or if `out` is empty but `nodes` is not.
     pub fn summarise_attended(
         &self,
         present: &[bool],
