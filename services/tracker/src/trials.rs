@@ -47,9 +47,12 @@ pub struct Trials {
 
 /// Results of trials, as sums whose earlier terms fade.
 ///
-/// e is the error of the forecast and k the error of the process model. Each trial has the weight w = 1 / ((a
-/// t²)² + |k|²). The blend α k + (1 − α) e has the smallest weighted square error at α = Σ w e·(e − k) / Σ w
-/// |e − k|².
+/// e is the error of the forecast and k the error of the process model. The blend α k + (1 − α) e has the
+/// smallest weighted square error at
+///
+/// ```text
+/// α = Σ w e·(e − k) / Σ w |e − k|²      w = 1 / ((a t²)² + |k|²)
+/// ```
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Shown {
     for_kinematic: f64,

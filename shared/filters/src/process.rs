@@ -127,8 +127,7 @@ impl<const N: usize> Gaussian<N> {
     }
 }
 
-/// Probability that no observation is of the agent. It is exactly 0 for a single observation of probability
-/// 1.
+/// Probability that no observation is of the agent. One observation of probability 1 gives exactly 0.
 pub(crate) fn miss_probability(observations: &[(f64, Observation)]) -> f64 {
     let len = observations.len();
     assert!(len <= OBSERVATIONS_MAX, "{len} observations, at most {OBSERVATIONS_MAX}");

@@ -7,8 +7,8 @@ use wire::AgentType;
 use super::{Scored, Waiting, rounded};
 use crate::report::{AgentErrors, WorstForecast};
 
-/// Largest number of agents whose errors are kept: the first ones. The same number of further agents is
-/// counted.
+/// Largest number of agents whose errors are kept: the first ones. Up to the same number of further agents is
+/// only counted.
 const AGENTS_MAX: usize = 512;
 
 /// Errors of single agents, by their identity in the truth.
