@@ -19,8 +19,8 @@ use crate::placeholders::is_marked;
 const MARGIN_M: [f64; 3] = [1.5, 1.0, 0.6];
 /// Highest acceleration by type, including turns.
 const ACCELERATION_MAX_MPS2: [f64; 3] = [8.0; 3];
-/// Highest initial speed by type, for an agent whose first position is the origin. A faster agent was never at
-/// the origin.
+/// Highest initial speed by type, for an agent whose first position is the origin. A faster agent was never
+/// at the origin.
 const BEGINNING_MPS: [f64; 3] = [16.0, 8.0, 3.0];
 /// Standard deviations of the prediction and of earlier residuals that the gate adds.
 const SIGMAS: f64 = 4.0;
