@@ -243,7 +243,7 @@ impl ReadArguments {
 /// Warns about probable defects of a recording.
 pub fn warn_of_doubts(recording: &Recording) {
     for found in data::findings(recording).iter().filter(|found| found.doubtful) {
-        note!("warning: {}: {found}", recording.name);
+        tracing::warn!("{}: {found}", recording.name);
     }
 }
 
@@ -384,7 +384,7 @@ impl PlaybackArguments {
 /// random.
 fn note_unused_seed(sampler: &sampler::Options, model: &ModelConfig) {
     if model.latents == Latents::Points && sampler.propagation != sampler::PropagationKind::MonteCarlo {
-        note!(
+        tracing::info!(
             "note: --seed changes nothing here: with these weights, nothing random is drawn on a recording"
         );
     }
@@ -419,9 +419,9 @@ pub fn canonical(path: &Path) -> Result<PathBuf, Failure> {
 pub fn open_lanes(path: &Path, coordinates: Coordinates) -> Result<LaneMap, Failure> {
     let map = LaneMap::open(path, coordinates).map_err(Failure::data)?;
     let skipped = map.skipped();
-    skipped.warnings().for_each(|warning| note!("warning: {warning}"));
+    skipped.warnings().for_each(|warning| tracing::warn!("{warning}"));
     let [nodes, ways, relations] = skipped.unneeded();
-    note!(
+    tracing::info!(
         "{}: lanes {}; not needed: nodes {nodes}, ways {ways}, relations {relations}",
         path.display(),
         map.lanes().len()

@@ -23,9 +23,8 @@ use run::{Exit, Run, STAGE_VARIABLE};
 use rustix::process::{Pid, PidfdFlags, Signal, kill_process, pidfd_open, set_parent_process_death_signal};
 use wire::StageId;
 
-use crate::color;
 use crate::failure::{Failure, StageDeath};
-use crate::scheduling;
+use crate::{color, log, scheduling};
 
 /// Number of output lines kept per stage, to be shown if the stage dies.
 const LAST_LINES_MAX: usize = 12;
@@ -128,6 +127,7 @@ impl Child {
             .stderr(Stdio::piped())
             // A separate process group, so Ctrl-C reaches only the launcher, which ends the stages in order.
             .process_group(0);
+        log::pass_on(&mut command);
         if std::env::var_os(ALLOCATOR_VARIABLE).is_none() {
             command.env(ALLOCATOR_VARIABLE, ALLOCATOR);
         }
@@ -231,7 +231,7 @@ fn read_lines(output: impl Read, stage: StageId, kept: &Mutex<VecDeque<String>>,
         if kept.len() == LAST_LINES_MAX {
             kept.pop_front();
         }
-        kept.push_back(line.clone());
+        kept.push_back(log::message(&line));
         // The receiver is gone once the run has ended.
         let _ = lines.send((stage, line));
     }

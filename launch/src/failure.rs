@@ -2,18 +2,19 @@
 
 use std::error::Error;
 use std::fmt::Display;
+use std::io::Write as _;
 use std::path::Path;
 
 use config::SourceError;
 use nn::{StartError, WeightsError};
 use onboard::ChainError;
-use ports::{PortError, SpaceError, StageError};
+use ports::{LogFormat, PortError, SpaceError, StageError};
 use recorder::is_standard_output;
 use run::{Exit, OptionError};
 use thiserror::Error;
 use wire::StageId;
 
-use crate::color;
+use crate::{color, log};
 
 /// The underlying error, from any crate.
 type Cause = Box<dyn Error + Send + Sync>;
@@ -157,9 +158,12 @@ impl Failure {
         }
     }
 
-    /// Prints the failure on standard error.
+    /// Prints the failure on standard error, whatever `RUST_LOG` selects.
     pub fn print(&self) {
-        note!("{}", self.message());
+        match log::format() {
+            LogFormat::Text => drop(writeln!(std::io::stderr().lock(), "{}", self.message())),
+            LogFormat::Json => tracing::error!("{}", self.message()),
+        }
     }
 
     /// Returns the message. It includes the last output lines of a dead stage, and underlying errors if they

@@ -1,6 +1,7 @@
 mod replace;
 mod spare;
 
+use std::fmt;
 use std::os::fd::BorrowedFd;
 use std::path::{Path, PathBuf};
 use std::process::ExitStatus;
@@ -132,7 +133,33 @@ pub enum Event {
     },
 }
 
+impl fmt::Display for Event {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Died { stage, how, .. } => write!(f, "the {} {how}: it is started again", stage.name()),
+            Self::GivenUp { stage, how, why } => {
+                write!(f, "the {} {how} and is given up: {why}", stage.name())
+            }
+            Self::Starved { stage } => write!(f, "the {} gets no CPU", stage.name()),
+            Self::HandedOver(replaced) | Self::Tried(replaced) => write!(f, "{replaced}"),
+            Self::Promoted { stage } => write!(f, "the spare of the {} takes its place", stage.name()),
+            Self::CleanUpHung(hung) => write!(f, "{hung}"),
+            Self::ReaderDied(reader) => write!(f, "{reader}"),
+            Self::SpareGivenUp { stage, how } => write!(f, "the {}: {how}", stage.name()),
+        }
+    }
+}
+
 impl Event {
+    /// Whether the log has it. A replacement is logged once it has an outcome.
+    pub fn is_logged(&self) -> bool {
+        match self {
+            Self::HandedOver(_) => false,
+            Self::ReaderDied(reader) => reader.is_logged(),
+            _ => true,
+        }
+    }
+
     /// Returns the event for the run's tools; `None` for unfinished events.
     pub fn happened(&self) -> Option<Happened> {
         let name = |stage: &StageId| stage.name().to_owned();

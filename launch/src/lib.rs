@@ -3,7 +3,7 @@
 //! Each verb is a module of `verbs`. `stgdat` without a verb is `stgdat run`. `stgdat-lab`, the laboratory,
 //! has the verbs that a vehicle does not need. Its command line uses the public modules of this library.
 
-// These panic on a closed pipe; `say!` and `note!` do not.
+// These panic on a closed pipe; `say!` and the log do not.
 #![warn(clippy::print_stdout, clippy::print_stderr)]
 
 #[macro_use]
@@ -23,6 +23,7 @@ mod fleet;
 #[cfg(test)]
 mod fuzz;
 mod health;
+mod log;
 mod memory;
 mod observe;
 pub mod options;

@@ -18,7 +18,7 @@ pub fn load(path: Option<&Path>) -> Result<Pipeline, Failure> {
     let pipeline = Pipeline::parse(&name, &text, &declared)?;
     pipeline.name_stages();
     for warning in &pipeline.warnings {
-        note!("warning: {name}: {warning}");
+        tracing::warn!("{name}: {warning}");
     }
     Ok(pipeline)
 }

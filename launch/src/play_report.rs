@@ -73,7 +73,7 @@ impl PlayReport {
         self.input = self.tally.report(&self.input);
         let is_empty = self.agents == 0;
         self.verdict = Verdict::new(is_empty, self.reasons());
-        self.lines().iter().for_each(|line| note!("{line}"));
+        self.lines().iter().for_each(|line| tracing::info!("{line}"));
         if let Some(file) = file {
             let json = serde_json::to_string_pretty(&self).map_err(Failure::data)? + "\n";
             std::fs::write(file, json).map_err(|error| Failure::file(file, error))?;

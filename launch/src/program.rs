@@ -8,8 +8,8 @@ use clap::{Args, ColorChoice};
 use nn::kernels::{self, Isa};
 use run::Exit;
 
-use crate::color;
 use crate::failure::Failure;
+use crate::{color, log};
 
 /// Arguments that every verb takes.
 #[derive(Debug, Args)]
@@ -20,14 +20,18 @@ pub struct GlobalArguments {
     /// Colours of the output: `auto` means on a terminal, unless the variable NO_COLOR is set
     #[arg(long, value_name = "WHEN", global = true, env = ports::COLOR_VARIABLE, value_parser = color::choices())]
     color: Option<ports::Color>,
+    /// Format of the log on standard error; RUST_LOG selects its events
+    #[arg(long, value_name = "FORMAT", global = true, env = ports::LOG_VARIABLE, value_parser = log::formats())]
+    log: Option<ports::LogFormat>,
 }
 
 impl GlobalArguments {
-    /// Selects the kernels named on the command line.
+    /// Starts the log and selects the kernels named on the command line.
     ///
     /// # Errors
     /// [`Failure::Usage`] if this processor lacks them.
     pub fn apply(&self) -> Result<(), Failure> {
+        log::begin(self.log);
         let forced = self.kernels.map_or(Ok(()), kernels::force);
         forced.map_err(|error| Failure::Usage(error.to_string()))
     }
@@ -38,21 +42,22 @@ fn instruction_set() -> impl TypedValueParser<Value = Isa> {
     PossibleValuesParser::new(Isa::ALL.map(Isa::key)).try_map(|key| key.parse::<Isa>())
 }
 
-/// Chooses colours by the command line and the environment, and starts the log. Returns clap's colour choice.
+/// Chooses colours by the command line and the environment. Returns clap's colour choice.
 #[must_use]
 pub fn begin() -> ColorChoice {
-    let color = color::choose(std::env::args_os());
-    ports::begin_logging(color);
-    color::for_clap(color)
+    color::for_clap(color::choose(std::env::args_os()))
 }
+
+/// The flags of [`GlobalArguments`].
+const GLOBAL: [&str; 3] = ["--kernels", "--color", "--log"];
 
 /// Moves the global options before a verb behind it. Before a verb, the parser takes them for options of `run`.
 pub(crate) fn verb_first(mut arguments: Vec<OsString>, is_verb: fn(&str) -> bool) -> Vec<OsString> {
     let mut verb = 1;
     while let Some(word) = arguments.get(verb).and_then(|word| word.to_str()) {
         verb += match word {
-            "--color" | "--kernels" => 2,
-            _ if word.starts_with("--color=") || word.starts_with("--kernels=") => 1,
+            _ if GLOBAL.contains(&word) => 2,
+            _ if word.split_once('=').is_some_and(|(flag, _)| GLOBAL.contains(&flag)) => 1,
             _ if is_verb(word) => {
                 arguments[1..=verb].rotate_right(1);
                 break;
@@ -92,6 +97,8 @@ mod tests {
                 "stgdat inspect --color=never --kernels avx2 a.csv",
             ),
             ("stgdat inspect --color always a.csv", "stgdat inspect --color always a.csv"),
+            ("stgdat --log=json inspect a.csv", "stgdat inspect --log=json a.csv"),
+            ("stgdat --log json inspect a.csv", "stgdat inspect --log json a.csv"),
             ("stgdat --color always a.csv", "stgdat --color always a.csv"),
             ("stgdat --ticks 5 inspect", "stgdat --ticks 5 inspect"),
             ("stgdat --color", "stgdat --color"),

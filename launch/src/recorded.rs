@@ -19,7 +19,7 @@ pub fn open_and_check(path: &Path) -> Result<(Recording, Vec<ReadError>), Failur
 pub fn open(path: &Path) -> Result<Recording, Failure> {
     let recording = Recording::open(path).map_err(Failure::data)?;
     if let Ending::Incomplete { at, why } = recording.ending() {
-        note!("warning: {}: INCOMPLETE: readable up to byte {at}: {why}", path.display());
+        tracing::warn!("{}: INCOMPLETE: readable up to byte {at}: {why}", path.display());
     }
     if !recording.has_topic(ForecastsTopic::NAME) {
         let why = "the forecasts were not recorded, whose headers tell what each stage did";
@@ -35,7 +35,7 @@ pub fn told(damages: Vec<ReadError>) -> Result<Exit, Failure> {
         None => Ok(Exit::Done),
         Some(first) => {
             if more > 0 {
-                note!("warning: {more} more parts of the file are damaged");
+                tracing::warn!("{more} more parts of the file are damaged");
             }
             Err(Failure::data(first))
         }

@@ -15,12 +15,6 @@ macro_rules! say {
     ($($text:tt)*) => { $crate::show::say(format_args!($($text)*)) };
 }
 
-/// Prints a line on standard error. The line is dropped if nobody can read it.
-#[macro_export]
-macro_rules! note {
-    ($($text:tt)*) => { $crate::show::note(format_args!($($text)*)) };
-}
-
 /// Writes the result of a verb to standard output. A closed pipe is not an error.
 pub fn show(text: &str) -> Result<Exit, Failure> {
     let mut output = std::io::stdout().lock();
@@ -43,9 +37,4 @@ pub fn say(line: Arguments<'_>) {
     let mut output = std::io::stdout().lock();
     // The verb's work is done, even if nobody reads the output.
     let _ = writeln!(output, "{line}").and_then(|()| output.flush());
-}
-
-/// As [`note!`].
-pub fn note(line: Arguments<'_>) {
-    let _ = writeln!(std::io::stderr().lock(), "{line}");
 }

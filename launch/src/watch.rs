@@ -1,4 +1,5 @@
 use std::io::{IsTerminal, Stdout, stdout};
+use std::sync::mpsc::Receiver;
 use std::time::{Duration, Instant};
 
 use ports::{Beside, Node, Peers, Subscriber, monotonic_ns};
@@ -11,9 +12,9 @@ use run::Run;
 use wire::{ForecastsTopic, Header, Heartbeat, HeartbeatsTopic, StageId, Topic};
 
 use crate::child::Line;
-use crate::color;
 use crate::failure::Failure;
 use crate::fleet::{Event, Fleet};
+use crate::log;
 use crate::observe::Observer;
 use crate::outages::Outages;
 
@@ -46,9 +47,9 @@ pub struct Watch {
 /// How the progress is shown.
 #[derive(Debug)]
 enum Display {
-    /// A table at the bottom of the terminal.
-    Table(Box<Terminal<CrosstermBackend<Stdout>>>),
-    /// A line per second on standard error.
+    /// A table at the bottom of the terminal, and the lines of the log that go above it.
+    Table(Box<Terminal<CrosstermBackend<Stdout>>>, Receiver<String>),
+    /// A line per second in the log.
     Lines,
     /// No display.
     Quiet,
@@ -94,13 +95,11 @@ impl Watch {
         }
         self.take_forecasts()?;
         self.view.clock(monotonic_ns());
-        if self.told.elapsed() >= ERRORS && matches!(self.display, Display::Table(_)) {
+        if self.told.elapsed() >= ERRORS && matches!(self.display, Display::Table(..)) {
             self.view.errors(self.observer.accuracy());
             self.told = Instant::now();
         }
-        for (stage, line) in lines {
-            self.display.line(&format!("{}: {line}", stage.name()));
-        }
+        lines.for_each(|(stage, line)| log::relay(stage, &line));
         self.show();
         Ok(heartbeats)
     }
@@ -146,65 +145,49 @@ impl Watch {
         self.newest.as_ref()?.hop(stage).map(|hop| hop.incarnation)
     }
 
-    /// Shows an event of the launcher and keeps it for the report.
+    /// Logs an event of the launcher and keeps it for the report.
     pub fn say(&mut self, event: &Event) {
         self.observer.event(event);
         match event {
-            Event::Died { stage, how, next } => {
-                self.outages.begin(*stage, *next, how);
-                self.display.line(&format!("launcher: the {} {how}: it is started again", stage.name()));
-            }
-            Event::GivenUp { stage, how, why } => {
-                self.outages.give_up(*stage, format!("{how}; {why}"));
-                self.display.line(&format!("launcher: the {} {how} and is given up: {why}", stage.name()));
-            }
+            Event::Died { stage, how, next } => self.outages.begin(*stage, *next, how),
+            Event::GivenUp { stage, how, why } => self.outages.give_up(*stage, format!("{how}; {why}")),
             Event::HandedOver(replaced) => self.outages.handed_over(replaced),
             Event::Tried(replaced) => {
                 self.outages.tried(replaced);
                 self.view.replaced(replaced.stage, replaced.outcome);
-                self.display.line(&format!("launcher: {replaced}"));
             }
-            Event::Promoted { stage } => {
-                self.outages.promoted(*stage);
-                self.display.line(&format!("launcher: the spare of the {} takes its place", stage.name()));
-            }
-            Event::CleanUpHung(hung) => self.display.line(&format!("launcher: {hung}")),
-            Event::ReaderDied(reader) if reader.is_logged() => {
-                self.display.line(&format!("launcher: {reader}"));
-            }
-            Event::ReaderDied(_) => {}
-            Event::SpareGivenUp { stage, how } => {
-                self.display.line(&format!("launcher: the {}: {how}", stage.name()));
-            }
-            Event::Starved { stage } => {
-                self.outages.starved(*stage);
-                self.display.line(&format!("launcher: the {} gets no CPU", stage.name()));
-            }
+            Event::Promoted { stage } => self.outages.promoted(*stage),
+            Event::Starved { stage } => self.outages.starved(*stage),
+            Event::CleanUpHung(_) | Event::ReaderDied(_) | Event::SpareGivenUp { .. } => {}
+        }
+        if event.is_logged() {
+            tracing::warn!(target: "launcher", "{event}");
         }
     }
 
-    /// Shows a setting of pipeline.toml that the system refused, and keeps it for the report.
+    /// Logs a setting of pipeline.toml that the system refused, and keeps it for the report.
     pub fn note(&mut self, note: String) {
-        self.display.line(&format!("launcher: {note}"));
+        tracing::warn!(target: "launcher", "{note}");
         self.outages.note(note);
     }
 
-    /// Shows that files of the run's folder were removed and restored.
+    /// Logs that files of the run's folder were removed and restored.
     pub fn restored(&mut self, files: usize) {
         let text = format!("another program has removed files of the run's folder; restored: {files}");
-        self.display.line(&format!("launcher: {text}"));
+        tracing::warn!(target: "launcher", "{text}");
         self.observer.list(text);
     }
 
     fn show(&mut self) {
         match &mut self.display {
-            Display::Table(terminal) if self.shown.elapsed() >= UPDATE => {
+            Display::Table(terminal, lines) if self.shown.elapsed() >= UPDATE => {
+                insert(terminal, lines);
                 // A closed terminal can't be drawn to. The run does not depend on it.
                 let _ = terminal.draw(|frame| draw(&self.view, frame, frame.area()));
             }
             Display::Lines if self.shown.elapsed() >= LINE && self.view.ticks() > self.printed_ticks => {
                 self.printed_ticks = self.view.ticks();
-                note!("{}", self.view.plain_line());
+                tracing::info!("{}", self.view.plain_line());
             }
             _ => return,
         }
@@ -215,10 +198,10 @@ impl Watch {
     /// failures of files about the run.
     pub fn close(mut self, lines: impl Iterator<Item = Line>, fleet: &Fleet) -> (Outages, Vec<Failure>) {
         let unwritten = self.observer.close(&self.view, fleet, &self.outages);
-        for (stage, line) in lines {
-            self.display.line(&format!("{}: {line}", stage.name()));
-        }
-        if let Display::Table(terminal) = &mut self.display {
+        lines.for_each(|(stage, line)| log::relay(stage, &line));
+        log::to_standard_error();
+        if let Display::Table(terminal, lines) = &mut self.display {
+            insert(terminal, lines);
             let top = terminal.get_frame().area().as_position();
             let _ = terminal.clear();
             let _ = terminal.set_cursor_position(top);
@@ -236,19 +219,13 @@ impl Display {
         }
         // Fails on terminals that do not report their cursor position.
         Terminal::with_options(CrosstermBackend::new(stdout()), options)
-            .map_or(Self::Lines, |terminal| Self::Table(Box::new(terminal)))
+            .map_or(Self::Lines, |terminal| Self::Table(Box::new(terminal), log::above_table()))
     }
+}
 
-    /// Shows a line of a stage's output.
-    fn line(&mut self, line: &str) {
-        match self {
-            Self::Table(terminal) => {
-                let _ = terminal.insert_before(1, |buffer| Text::from(line).render(buffer.area, buffer));
-            }
-            Self::Lines | Self::Quiet if color::choice().is_on(&std::io::stderr()) => {
-                note!("{}", color::with_level(line));
-            }
-            Self::Lines | Self::Quiet => note!("{line}"),
-        }
+/// Inserts lines above the table.
+fn insert(terminal: &mut Terminal<CrosstermBackend<Stdout>>, lines: &Receiver<String>) {
+    for line in lines.try_iter() {
+        let _ = terminal.insert_before(1, |buffer| Text::from(line).render(buffer.area, buffer));
     }
 }

@@ -4,6 +4,8 @@ use std::fs::Permissions;
 use std::os::unix::fs::PermissionsExt as _;
 use std::path::Path;
 use std::process::{Command, Stdio};
+
+use serde_json::{Map, Value};
 use testing::Scratch;
 
 use crate::started::{piped, run, run_well, stderr, stdout, stgdat};
@@ -105,6 +107,41 @@ fn colours_appear_only_if_asked_for_or_on_a_terminal() {
         stgdat().args(arguments).env("RUST_LOG", "info").output().unwrap().stderr
     };
     assert!(!logged("never").contains(&0x1b) && !logged("auto").contains(&0x1b));
+}
+
+#[test]
+fn the_log_of_a_run_is_json_if_asked_for() {
+    let scratch = Scratch::new("log");
+    // Every second detection of the vehicle repeats the previous one.
+    let row = |sweep: u32| format!("{},1,vehicle,{},0\n", f64::from(sweep) * 0.1, f64::from(sweep / 2) * 2.0);
+    let csv = "stamp_s,id,type,x_m,y_m\n".to_owned() + &(0..40).map(row).collect::<String>();
+    let recording = scratch.file("repeated.csv", csv);
+    // A stage that does not use our log.
+    let shell = "echo 'the map is old' >&2; exec \"$0\" stage localiser";
+    let localiser = ["sh", "-c", shell, env!("CARGO_BIN_EXE_stgdat")];
+    let pipeline = scratch.pipeline_with("localiser", &localiser);
+    let output = stgdat()
+        .args(["--log", "json", "run", &recording, "--speed", "max", "--pipeline", &pipeline])
+        .output()
+        .unwrap();
+    let object = |line: &str| serde_json::from_str::<Map<String, Value>>(line);
+    let errors = stderr(&output);
+    let lines: Vec<_> =
+        errors.lines().map(|line| object(line).unwrap_or_else(|error| panic!("{line}: {error}"))).collect();
+    let has = |line: &Map<String, Value>, key: &str| line.get(key).is_some_and(Value::is_string);
+    assert!(lines.iter().all(|line| has(line, "timestamp") && has(line, "level") && has(line, "message")));
+    let find = |target: &str| lines.iter().find(|line| line["target"] == target).expect(target);
+    let of_stage = find("tracker::tally");
+    assert_eq!((&of_stage["stage"], &of_stage["level"]), (&"tracker".into(), &"WARN".into()), "{of_stage:?}");
+    let of_launcher = find("launch::arguments");
+    assert!(of_launcher["message"].as_str().unwrap().contains("repeated"), "{of_launcher:?}");
+    let foreign = find("output");
+    assert_eq!((&foreign["stage"], &foreign["message"]), (&"localiser".into(), &"the map is old".into()));
+    // The last line of a command that fails, and no line that the variable excludes.
+    let mut failing = stgdat();
+    failing.args(["run", "missing.csv"]).env("RUST_LOG", "error").env("STGDAT_LOG", "json");
+    let failure = object(stderr(&failing.output().unwrap()).trim()).unwrap();
+    assert_eq!((&failure["level"], has(&failure, "message")), (&"ERROR".into(), true), "{failure:?}");
 }
 
 /// The program in a folder of its own, perhaps beside another `stgdat-lab`, with only that folder in PATH.

@@ -238,7 +238,7 @@ fn a_killed_sampler_goes_on_with_what_it_had_learned_and_so_does_the_replay() {
     let resumed: Vec<[u64; 3]> = told
         .lines()
         .filter_map(|line| {
-            let numbers = line.split_once("restarted: goes on with")?.1;
+            let numbers = line.split_once("restarted with")?.1;
             let numbers = numbers.split(|c: char| !c.is_ascii_digit()).filter_map(|n| n.parse().ok());
             numbers.collect::<Vec<_>>().try_into().ok()
         })

@@ -46,7 +46,7 @@ impl MetricsFile {
                 if let Err(failure) = write_whole(&own, &text)
                     && !std::mem::replace(&mut is_told, true)
                 {
-                    note!("warning: the metrics are not written: {failure}");
+                    tracing::warn!("the metrics are not written: {failure}");
                 }
             }
         };

@@ -128,7 +128,7 @@ pub fn follow(
             // Reported once per kind of error, because a full disk stays full.
             if said != Some(error.kind()) {
                 said = Some(error.kind());
-                note!("recording: {error}: frames are lost until the disk takes them again");
+                tracing::warn!("recording: {error}: frames are lost until the disk has space again");
             }
         }
     };

@@ -16,6 +16,7 @@ use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
 
 use crate::child::die_with_this_process;
 use crate::failure::Failure;
+use crate::log;
 use crate::tap::RingArguments;
 use crate::tap::server::Told;
 
@@ -66,7 +67,7 @@ impl Tap {
         command.arg("tap").arg("--run").arg(&self.record);
         // A separate process group, so Ctrl-C reaches only the launcher, which ends the tap last.
         command.stdin(Stdio::piped()).stdout(Stdio::null()).process_group(0);
-        die_with_this_process(&mut command);
+        die_with_this_process(log::pass_on(&mut command));
         let mut process = command.spawn().map_err(Failure::unavailable)?;
         if let Some(input) = process.stdin.take() {
             // A stopped tap must not block the launcher.
@@ -179,14 +180,14 @@ impl Recording {
         command.arg("record").arg(file).arg("--run").arg(root).args(["--topics", topics]);
         ring.pass_on(&mut command);
         command.stdin(Stdio::null()).stdout(Stdio::piped()).process_group(0);
-        let mut process = command.spawn().map_err(Failure::unavailable)?;
+        let mut process = log::pass_on(&mut command).spawn().map_err(Failure::unavailable)?;
         let lines = process.stdout.take().map(read).unwrap_or_else(|| channel().1);
         // The first line reports that the recording is attached. Without a first line, standard error has the
         // reason.
         match lines.recv_timeout(START_LIMIT) {
             Ok(line) => {
                 if ring.limits().is_some() {
-                    note!("{line}");
+                    tracing::info!("{line}");
                 }
                 Ok(Self { process, lines })
             }

@@ -304,7 +304,7 @@ impl Server {
             }
         });
         for tool in gone {
-            tracing::info!("{} has gone; it lost {} frames in its queue", tool.name, tool.lost());
+            tracing::debug!("{} has gone; it lost {} frames in its queue", tool.name, tool.lost());
         }
         let hub = &self.hub;
         self.inputs.retain(|input| {

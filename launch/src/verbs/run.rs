@@ -448,7 +448,7 @@ fn report(
     let width = rustix::termios::tcgetwinsize(std::io::stdout())
         .map_or(REPORT_WIDTH, |size| usize::from(size.ws_col).max(1));
     say!("{}", report.render(width).trim_end_matches('\n'));
-    report.lanes.doubt().iter().for_each(|doubt| note!("warning: {doubt}"));
+    report.lanes.doubt().iter().for_each(|doubt| tracing::warn!("{doubt}"));
     if let Some(path) = &arguments.report {
         report.write(path).map_err(Failure::data)?;
     }

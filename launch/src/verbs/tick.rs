@@ -124,7 +124,7 @@ impl Search {
         let forecasts = match frame.elements::<ForecastsTopic>() {
             Ok(forecasts) => forecasts,
             Err(error) => {
-                note!("warning: {error}");
+                tracing::warn!("{error}");
                 return;
             }
         };

@@ -40,7 +40,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         };
         let tracer = tracer.get_or_insert_with(|| Tracer::new(clocks(&recording, &message), None));
         if let Err(error) = take(tracer, &message, &mut ticks) {
-            note!("warning: {}: {error}", arguments.file.display());
+            tracing::warn!("{}: {error}", arguments.file.display());
         }
         file.write_all(&tracer.take()).map_err(failed)?;
     }

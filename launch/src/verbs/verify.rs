@@ -22,7 +22,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         let rows = match verifier::verify(folder) {
             // A shell's `golden/*` also matches the README beside the folders.
             Err(error) if arguments.folders.len() > 1 && holds_no_vectors(folder, &error) => {
-                note!("{}: skipped, no golden vectors\n", folder.display());
+                tracing::info!("{}: skipped, no golden vectors", folder.display());
                 continue;
             }
             rows => rows.map_err(Failure::data)?,

@@ -61,26 +61,29 @@ pub(crate) fn journal(run: &Run, sampler: &mut Sampler, incarnation: u32) -> Opt
     let identity = Identity::of(run.id, sampler.options()).filter(|_| !run.lockstep)?;
     let opened = KeptMemory::open(run, KEPT).map_err(|error| error.to_string()).and_then(|kept| {
         let mut journal = Journal::over(Kept(kept), identity);
-        let why = match journal.resume(None).and_then(|resumed| resumed.map(|r| sampler.resume(r)).transpose()) {
-            Ok(Some(())) => {
-                let entries_len = sampler.memory().map_or(0, RetrievalMemory::entries_len);
-                let matured_len = sampler.evidence().map_or(0.0, Evidence::matured_len);
-                eprintln!(
-                    "restarted: goes on with {entries_len} entries of the retrieval memory and the evidence of \
+        let why =
+            match journal.resume(None).and_then(|resumed| resumed.map(|r| sampler.resume(r)).transpose()) {
+                Ok(Some(())) => {
+                    let entries_len = sampler.memory().map_or(0, RetrievalMemory::entries_len);
+                    let matured_len = sampler.evidence().map_or(0.0, Evidence::matured_len);
+                    tracing::warn!(
+                        "restarted with {entries_len} entries of the retrieval memory and the evidence of \
                      {matured_len:.0} forecasts, as of tick {}",
-                    sampler.resumed_ticks().saturating_sub(1)
-                );
-                return Ok(journal);
-            }
-            Ok(None) => "nothing was kept",
-            Err(why) => why,
-        };
+                        sampler.resumed_ticks().saturating_sub(1)
+                    );
+                    return Ok(journal);
+                }
+                Ok(None) => "nothing was kept",
+                Err(why) => why,
+            };
         if incarnation > 0 {
-            eprintln!("restarted: retrieval memory and evidence begin anew; what was kept is no use: {why}");
+            tracing::warn!("restarted with an empty retrieval memory and no evidence: {why}");
         }
         journal.clear().map(|()| journal)
     });
-    opened.map_err(|why| eprintln!("a restart will begin without retrieval memory and evidence: {why}")).ok()
+    opened
+        .map_err(|why| tracing::warn!("a restart will begin without retrieval memory and evidence: {why}"))
+        .ok()
 }
 
 /// Saves the sampler's memory to the file that the run's options name, if they do, for later runs to start

@@ -87,7 +87,7 @@ fn follow(run: &Run, model: &ModelConfig, sampler: &mut Sampler) -> Result<(), S
         if let Some(kept) = &mut journal
             && let Err(why) = sampler.commit(header.seq + 1, kept)
         {
-            eprintln!("what is learned is kept no more: {why}");
+            tracing::warn!("learned state is no longer saved: {why}");
             journal = None;
         }
     }

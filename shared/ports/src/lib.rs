@@ -49,6 +49,7 @@ mod element;
 mod error;
 mod keep;
 mod kept;
+mod log;
 mod memory;
 mod names;
 mod node;
@@ -72,14 +73,16 @@ pub use clock::monotonic_ns;
 pub use color::{COLOR_VARIABLE, Color, UnknownColor};
 pub use error::{Awaiting, PortError, StageError};
 pub use kept::KeptMemory;
+pub use log::{
+    LOG_VARIABLE, LogFormat, OUTPUT_TARGET, UnknownLogFormat, begin_command_logging, begin_logging,
+};
 pub use names::TOPICS_VARIABLE;
 pub use node::{HALF_MADE_LIMIT, Node, Topics, clean_dead_nodes};
 pub use nodes::{NodeNumber, NodeProcess, NodeWatch};
 pub use peers::{Peers, TAP};
 pub use points::{POINTS_VARIABLE, Point};
 pub use program::{
-    INCARNATION_VARIABLE, LAUNCHER_VARIABLE, RUN_VARIABLE, begin_logging, die_with_launcher, incarnation,
-    stage_main,
+    INCARNATION_VARIABLE, LAUNCHER_VARIABLE, RUN_VARIABLE, die_with_launcher, incarnation, stage_main,
 };
 pub use publisher::{Loan, Publisher};
 pub use raw::RawSubscriber;

@@ -4,9 +4,8 @@ use std::process::ExitCode;
 
 use run::{Exit, Run};
 use rustix::process::{Pid, Signal, getppid, set_parent_process_death_signal};
-use tracing_subscriber::EnvFilter;
 
-use crate::{Color, StageError};
+use crate::{Color, LogFormat, StageError, begin_logging};
 
 /// The environment variable that names the run's record, for stages that get no `--run`.
 pub const RUN_VARIABLE: &str = "STGDAT_RUN";
@@ -25,7 +24,7 @@ pub fn incarnation() -> u32 {
 
 /// The main function of a stage's own program: `program [--run FILE]`.
 pub fn stage_main(stage: fn(&Run) -> Result<(), StageError>) -> ExitCode {
-    begin_logging(Color::of_environment());
+    begin_logging(LogFormat::of_environment(), Color::of_environment());
     let mut arguments = std::env::args_os().skip(1);
     let path = match (arguments.next(), arguments.next(), arguments.next()) {
         (None, ..) => std::env::var_os(RUN_VARIABLE).map(PathBuf::from),
@@ -61,18 +60,4 @@ pub fn die_with_launcher() -> Result<(), StageError> {
     // Fails only for signals that do not exist.
     let _ = set_parent_process_death_signal(Some(Signal::KILL));
     if getppid() == launcher { Ok(()) } else { Err(StageError::LauncherGone) }
-}
-
-/// Writes the process's log to standard error: warnings, or what `RUST_LOG` selects.
-pub fn begin_logging(color: Color) {
-    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("warn"));
-    // Fails if a test or an embedding program has already installed a log, which is then used.
-    let _ = tracing_subscriber::fmt()
-        .with_env_filter(filter)
-        .with_writer(std::io::stderr)
-        .with_ansi(color.is_on(&std::io::stderr()))
-        // A closed pipe would make a second message about it panic.
-        .log_internal_errors(false)
-        .with_target(false)
-        .try_init();
 }

@@ -1,13 +1,13 @@
-//! Progress of a run: a bar in a terminal, plain lines elsewhere.
+//! Progress of a run: a bar in a terminal, lines of the log elsewhere.
 
-use std::io::{IsTerminal, Write as _};
+use std::io::IsTerminal;
 use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressStyle};
 
 use crate::objective::LossParts;
 
-/// Interval of the plain lines.
+/// Interval of the lines.
 const LINE_EVERY: Duration = Duration::from_secs(30);
 /// Weight of a new loss in the running mean that is shown.
 const SMOOTHING: f32 = 0.02;
@@ -50,7 +50,7 @@ impl Progress {
         if self.is_terminal {
             self.bar.println(text);
         } else {
-            let _ = writeln!(std::io::stderr(), "{text}");
+            tracing::info!("{text}");
         }
     }
 
@@ -72,11 +72,7 @@ impl Progress {
             let steps = self.bar.length().unwrap_or(step);
             let rate = (step - self.begun_at) as f64 / self.begun.elapsed().as_secs_f64().max(1e-9);
             let left_s = (steps.saturating_sub(step)) as f64 / rate.max(1e-9);
-            let _ = writeln!(
-                std::io::stderr(),
-                "step {step}/{steps}  {rate:.1}/s  {:.0} min left  {losses}",
-                left_s / 60.0
-            );
+            tracing::info!("step {step}/{steps}  {rate:.1}/s  {:.0} min left  {losses}", left_s / 60.0);
             self.last_line = Instant::now();
         }
         self.bar.set_message(losses);

@@ -6,7 +6,6 @@ use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 use std::time::Duration;
 
 use launch::failure::Failure;
-use launch::note;
 
 /// The script, which makes the environment and answers requests.
 const SCRIPT: &str = include_str!("peers.py");
@@ -84,7 +83,8 @@ fn cache() -> Option<PathBuf> {
 /// Makes the environment unless it exists. Returns its interpreter.
 fn environment(folder: &Path) -> Result<PathBuf, String> {
     if !folder.join("complete").exists() {
-        note!(
+        let _ = writeln!(
+            std::io::stderr(),
             "making a Python environment with ONNX Runtime and PyTorch in {}: once, up to 7 GB",
             folder.display()
         );

@@ -12,7 +12,6 @@ use wire::StageId;
 use crate::contenders::contenders;
 use launch::arguments::ReadArguments;
 use launch::failure::Failure;
-use launch::note;
 use launch::options::{Setting, StageOptions};
 use launch::show::show;
 use launch::tables;
@@ -121,8 +120,8 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
             let mut report = evaluate(name, arguments, &arguments.weights_dir)?;
             let beside = arguments.beside.iter().map(|folder| evaluate(name, arguments, folder));
             report.add_beside(&beside.collect::<Result<Vec<_>, _>>()?);
-            report.warnings.iter().for_each(|line| note!("warning: {line}"));
-            report.left_out.iter().for_each(|line| note!("warning: left out: {line}"));
+            report.warnings.iter().for_each(|line| tracing::warn!("{line}"));
+            report.left_out.iter().for_each(|line| tracing::warn!("left out: {line}"));
             vec![Written::of_forecasts(&report, name, arguments.lanes)]
         }
     };
@@ -370,7 +369,7 @@ fn evaluate_trackers(options: &Options) -> Result<KittiReport, Failure> {
 }
 
 fn progress(step: &str) {
-    note!("{step} …");
+    tracing::info!("{step} …");
 }
 
 fn evaluate(name: &str, arguments: &Arguments, weights_dir: &Path) -> Result<Report, Failure> {

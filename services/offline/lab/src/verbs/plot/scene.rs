@@ -8,7 +8,7 @@ use evaluator::{Forecaster, MapInput};
 use lanes::LaneMap;
 use launch::arguments::{ModelArguments, ReadArguments};
 use launch::failure::Failure;
-use launch::{note, say};
+use launch::say;
 use localiser::MapChoice;
 use run::Exit;
 
@@ -122,7 +122,7 @@ impl Arguments {
                     return self.at.iter().map(shot).collect();
                 }
                 let middle = shot(&storyboard.middle_s().unwrap_or_default())?;
-                note!(
+                tracing::info!(
                     "shown: t = {:.1} s, frame {}; --at SECONDS shows other times",
                     middle.time_s,
                     middle.frame

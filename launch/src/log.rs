@@ -1,0 +1,152 @@
+//! The log of this program and of the processes that it starts.
+//!
+//! Every line goes through `tracing`, except the failure with which a command ends (`Failure::print`). A line of
+//! a stage, which its own process has formatted, is relayed. While the table of a run is drawn, lines stand
+//! above it; otherwise, they go to standard error.
+
+use std::io::Write;
+use std::process::Command;
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::sync::{Mutex, OnceLock, PoisonError};
+
+use clap::builder::{PossibleValuesParser, TypedValueParser};
+use ports::{LAUNCHER_VARIABLE, LOG_VARIABLE, LogFormat, OUTPUT_TARGET};
+use serde_json::{Map, Value};
+use wire::StageId;
+
+use crate::color;
+
+/// The events of the log unless `RUST_LOG` selects others: what the programs report, and warnings of the rest.
+const EVENTS: &str = "warn,launch=info,stgdat_lab=info,trainer=info";
+
+/// The format of this process.
+static FORMAT: OnceLock<LogFormat> = OnceLock::new();
+
+/// Takes the lines while a table is drawn.
+static ABOVE_TABLE: Mutex<Option<Sender<String>>> = Mutex::new(None);
+
+/// The formats as the values of an argument.
+pub fn formats() -> impl TypedValueParser<Value = LogFormat> {
+    PossibleValuesParser::new(LogFormat::ALL.map(LogFormat::name)).try_map(|name| name.parse::<LogFormat>())
+}
+
+/// The format of this process.
+pub fn format() -> LogFormat {
+    FORMAT.get().copied().unwrap_or_default()
+}
+
+/// Starts the log of this process.
+pub fn begin(format: Option<LogFormat>) {
+    let format = *FORMAT.get_or_init(|| format.unwrap_or_default());
+    if std::env::var_os(LAUNCHER_VARIABLE).is_some() {
+        ports::begin_logging(format, color::choice());
+    } else {
+        ports::begin_command_logging(format, EVENTS, || Output);
+    }
+}
+
+/// Gives the format to a process that this one starts.
+pub fn pass_on(command: &mut Command) -> &mut Command {
+    command.env(LOG_VARIABLE, format().name())
+}
+
+/// Sends all further lines to the receiver.
+pub fn above_table() -> Receiver<String> {
+    let (sender, lines) = channel();
+    *ABOVE_TABLE.lock().unwrap_or_else(PoisonError::into_inner) = Some(sender);
+    lines
+}
+
+/// Sends all further lines to standard error again.
+pub fn to_standard_error() {
+    *ABOVE_TABLE.lock().unwrap_or_else(PoisonError::into_inner) = None;
+}
+
+/// Writes a line of a stage's output: as text with the stage's name before it, as JSON with the field `stage`.
+/// A line that is not an object becomes the message.
+pub fn relay(stage: StageId, line: &str) {
+    let line = match format() {
+        LogFormat::Text => {
+            let line = format!("{}: {line}", stage.name());
+            match color::choice().is_on(&std::io::stderr()) && !is_above_table() {
+                true => color::with_level(&line).into_owned(),
+                false => line,
+            }
+        }
+        LogFormat::Json => match with_stage(stage, line) {
+            Some(object) => object.to_string(),
+            None => return tracing::info!(target: OUTPUT_TARGET, stage = stage.name(), "{line}"),
+        },
+    };
+    write(&format!("{line}\n"));
+}
+
+/// The message of a stage's line.
+pub fn message(line: &str) -> String {
+    let parsed = parse(line);
+    let message = parsed.as_ref().and_then(|line| line.get("message")?.as_str());
+    message.unwrap_or(line).to_owned()
+}
+
+fn parse(line: &str) -> Option<Map<String, Value>> {
+    serde_json::from_str(line).ok()
+}
+
+/// The object of a stage's line with the stage's name; `None` if the stage did not write the line with `tracing`.
+fn with_stage(stage: StageId, line: &str) -> Option<Value> {
+    let mut object = parse(line)?;
+    object.insert("stage".to_owned(), stage.name().into());
+    Some(object.into())
+}
+
+fn is_above_table() -> bool {
+    ABOVE_TABLE.lock().unwrap_or_else(PoisonError::into_inner).is_some()
+}
+
+/// Writes whole lines. They are dropped if nobody can read them.
+fn write(text: &str) {
+    match &*ABOVE_TABLE.lock().unwrap_or_else(PoisonError::into_inner) {
+        Some(sender) => text.lines().for_each(|line| {
+            let _ = sender.send(line.to_owned());
+        }),
+        None => {
+            let _ = std::io::stderr().lock().write_all(text.as_bytes());
+        }
+    }
+}
+
+/// Output of `tracing`, which writes each event as a whole.
+struct Output;
+
+impl Write for Output {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        write(&String::from_utf8_lossy(bytes));
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_relayed_object_names_its_stage() {
+        let line = r#"{"timestamp":"2026-11-27T00:00:00Z","level":"WARN","message":"late"}"#;
+        let relayed = with_stage(StageId::Decoder, line).expect("an object");
+        assert_eq!(relayed["stage"], "decoder");
+        assert_eq!((&relayed["message"], &relayed["level"]), (&"late".into(), &"WARN".into()));
+        assert_eq!(message(line), "late");
+    }
+
+    #[test]
+    fn a_line_without_an_object_is_the_message() {
+        for line in ["panicked at 'x'", "{broken", "[1, 2]", ""] {
+            assert_eq!(with_stage(StageId::Tracker, line), None);
+            assert_eq!(message(line), line);
+        }
+    }
+}

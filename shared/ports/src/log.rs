@@ -1,0 +1,184 @@
+//! The log of a process: events of `tracing` as lines of text or as JSON.
+//!
+//! `RUST_LOG` selects the events, `--log` or [`LOG_VARIABLE`] the format. A line of JSON is one object with
+//! `timestamp`, `level`, `target`, `message` and the other fields of the event.
+
+use std::fmt;
+use std::str::FromStr;
+
+use thiserror::Error;
+use tracing::{Event, Level, Subscriber};
+use tracing_subscriber::EnvFilter;
+use tracing_subscriber::fmt::format::Writer;
+use tracing_subscriber::fmt::{FmtContext, FormatEvent, FormatFields, MakeWriter};
+use tracing_subscriber::registry::LookupSpan;
+
+use crate::Color;
+
+/// The environment variable that holds a [`LogFormat`], for programs that get no `--log`.
+pub const LOG_VARIABLE: &str = "STGDAT_LOG";
+
+/// Target of the lines of other programs that a command logs, whatever `RUST_LOG` selects.
+pub const OUTPUT_TARGET: &str = "output";
+
+/// Format of the log.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum LogFormat {
+    /// Lines for people.
+    #[default]
+    Text,
+    /// A JSON object per line.
+    Json,
+}
+
+/// The text does not name a [`LogFormat`].
+#[derive(Debug, Error, PartialEq, Eq)]
+#[error("expected text or json")]
+pub struct UnknownLogFormat;
+
+impl LogFormat {
+    /// All formats.
+    pub const ALL: [Self; 2] = [Self::Text, Self::Json];
+
+    /// Its name on the command line.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Text => "text",
+            Self::Json => "json",
+        }
+    }
+
+    /// The format in [`LOG_VARIABLE`]; `Text` if there is none.
+    #[must_use]
+    pub fn of_environment() -> Self {
+        std::env::var(LOG_VARIABLE).ok().and_then(|name| name.parse().ok()).unwrap_or_default()
+    }
+}
+
+impl FromStr for LogFormat {
+    type Err = UnknownLogFormat;
+
+    fn from_str(name: &str) -> Result<Self, UnknownLogFormat> {
+        Self::ALL.into_iter().find(|format| format.name() == name).ok_or(UnknownLogFormat)
+    }
+}
+
+/// Starts the log of a stage's process on standard error, with time and level in each line. Without
+/// `RUST_LOG`, it has warnings and errors.
+pub fn begin_logging(format: LogFormat, color: Color) {
+    let builder = tracing_subscriber::fmt()
+        .with_env_filter(filter("warn"))
+        .with_writer(std::io::stderr)
+        .with_ansi(color.is_on(&std::io::stderr()))
+        // A closed pipe would make a second message about it panic.
+        .log_internal_errors(false);
+    // Starting fails if a test or an embedding program has already installed a log, which is then used.
+    let _ = match format {
+        LogFormat::Text => builder.with_target(false).try_init(),
+        LogFormat::Json => builder.json().flatten_event(true).with_span_list(false).try_init(),
+    };
+}
+
+/// Starts the log of a command. As text, a line is the message alone, after `warning: ` or `error: `, and
+/// after `launcher: ` if that is the target. Without `RUST_LOG`, the directives `default` select the events.
+pub fn begin_command_logging(
+    format: LogFormat,
+    default: &str,
+    writer: impl for<'w> MakeWriter<'w> + Send + Sync + 'static,
+) {
+    let filter = match "output=info".parse() {
+        Ok(directive) => filter(default).add_directive(directive),
+        Err(_) => filter(default),
+    };
+    let builder = tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(writer)
+        .with_ansi(false)
+        .log_internal_errors(false);
+    // As above.
+    let _ = match format {
+        LogFormat::Text => builder.event_format(Message).try_init(),
+        LogFormat::Json => builder.json().flatten_event(true).with_span_list(false).try_init(),
+    };
+}
+
+/// The selection of `RUST_LOG`, else the default.
+fn filter(default: &str) -> EnvFilter {
+    EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(default))
+}
+
+/// The text of a command's event.
+struct Message;
+
+impl<S, N> FormatEvent<S, N> for Message
+where
+    S: Subscriber + for<'a> LookupSpan<'a>,
+    N: for<'a> FormatFields<'a> + 'static,
+{
+    fn format_event(
+        &self,
+        context: &FmtContext<'_, S, N>,
+        mut writer: Writer<'_>,
+        event: &Event<'_>,
+    ) -> fmt::Result {
+        let metadata = event.metadata();
+        writer.write_str(match *metadata.level() {
+            _ if metadata.target() == "launcher" => "launcher: ",
+            Level::ERROR => "error: ",
+            Level::WARN => "warning: ",
+            _ => "",
+        })?;
+        context.format_fields(writer.by_ref(), event)?;
+        writeln!(writer)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::Write;
+    use std::sync::{Arc, Mutex};
+
+    use super::*;
+
+    /// Output that is kept.
+    #[derive(Clone, Default)]
+    struct Kept(Arc<Mutex<Vec<u8>>>);
+
+    impl Write for Kept {
+        fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+            self.0.lock().unwrap().write(bytes)
+        }
+
+        fn flush(&mut self) -> std::io::Result<()> {
+            Ok(())
+        }
+    }
+
+    #[test]
+    fn a_command_prints_messages_with_their_level_or_the_launcher() {
+        let kept = Kept::default();
+        let writer = kept.clone();
+        let builder = tracing_subscriber::fmt().with_ansi(false).event_format(Message);
+        let subscriber = builder.with_writer(move || writer.clone()).finish();
+        tracing::subscriber::with_default(subscriber, || {
+            tracing::info!("lanes 3");
+            tracing::warn!("a.csv: 3 rows skipped");
+            tracing::error!("no space");
+            tracing::warn!(target: "launcher", stage = "decoder", "the decoder gets no CPU");
+        });
+        let text = String::from_utf8(kept.0.lock().unwrap().clone()).unwrap();
+        assert_eq!(
+            text,
+            "lanes 3\nwarning: a.csv: 3 rows skipped\nerror: no space\n\
+             launcher: the decoder gets no CPU stage=\"decoder\"\n"
+        );
+    }
+
+    #[test]
+    fn formats_are_read_by_name() {
+        assert_eq!("json".parse(), Ok(LogFormat::Json));
+        assert_eq!("text".parse(), Ok(LogFormat::Text));
+        assert_eq!("xml".parse::<LogFormat>(), Err(UnknownLogFormat));
+    }
+}
