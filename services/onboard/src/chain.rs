@@ -13,15 +13,16 @@ pub struct Chain {
     rest: TracksToForecasts,
     tracks: Vec<Track>,
     tracks_len: usize,
-    /// Header and number of the newest forecasts; `None` for a late tick.
+    /// Header and number of the newest forecasts; `None` before the first ones, or if the sampler refused the
+    /// last tick that it received.
     prior: Option<(Header, usize)>,
 }
 
 impl Chain {
-    /// Sets up all stages of a run with that model from its record.
+    /// Sets up all stages of a run with this model from its record.
     ///
     /// # Errors
-    /// [`ChainError`] where weights, options, map or retrieval memory can't be used.
+    /// [`ChainError`] if weights, options, map or retrieval memory can't be used.
     pub fn new(run: &Run, model: &ModelConfig) -> Result<Self, ChainError> {
         let rest = TracksToForecasts::new(run, model)?;
         Ok(Self {

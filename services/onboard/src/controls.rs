@@ -6,7 +6,7 @@ use wire::{AGENTS_MAX, AgentControls, AgentEncoding, Header, Rejected, StageId};
 
 use crate::{FeatureFrame, Load};
 
-/// Encoder and decoder. What they make of a tick does not depend on other ticks.
+/// Encoder and decoder. Their output for a tick does not depend on other ticks.
 pub struct FeaturesToControls {
     encoder: Encoder,
     decoder: Decoder,
@@ -74,12 +74,12 @@ impl FeaturesToControls {
         Ok(Controls { encodings, controls })
     }
 
-    /// Steps of the model's horizon, and its modes.
+    /// Number of steps of the model's horizon, and number of its modes.
     pub(crate) const fn lens(&self) -> (u32, u32) {
         (self.horizon_len, self.modes_len)
     }
 
-    /// How large the last tick was.
+    /// The size of the last tick.
     #[must_use]
     pub fn load(&self, frame: &FeatureFrame) -> Load {
         let Some(Ok(features)) = frame.features() else { return Load::default() };

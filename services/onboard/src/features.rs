@@ -14,7 +14,7 @@ pub struct TracksToFeatures {
     context: Vec<Row>,
 }
 
-/// The `features` payload of a tick, in memory that is used again.
+/// The `features` payload of a tick, in reused memory.
 #[derive(Default)]
 pub struct FeatureFrame {
     header: Header,
@@ -23,13 +23,13 @@ pub struct FeatureFrame {
 }
 
 impl FeatureFrame {
-    /// The header that the extractor hands on.
+    /// The header that the extractor sends.
     #[must_use]
     pub const fn header(&self) -> &Header {
         &self.header
     }
 
-    /// Agents of the frame.
+    /// Number of agents in the frame.
     #[must_use]
     pub fn agents_len(&self) -> usize {
         self.shape.map_or(0, |shape| shape.agents_len)
@@ -47,7 +47,7 @@ impl FeatureFrame {
 }
 
 impl TracksToFeatures {
-    /// Stages before their first frame.
+    /// Stages before their first tick.
     ///
     /// # Errors
     /// [`StartError`] if the weights do not contain the model or a thread can't be started.
@@ -89,7 +89,7 @@ impl TracksToFeatures {
         Ok(())
     }
 
-    /// The extractor's work for the last tick, and the agents that it left out.
+    /// The extractor's work for the last tick, and the number of edges that it left out.
     #[must_use]
     pub const fn effort(&self) -> Effort {
         self.extractor.effort()

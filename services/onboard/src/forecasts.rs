@@ -17,10 +17,10 @@ pub struct TracksToForecasts {
 }
 
 impl TracksToForecasts {
-    /// Sets up the stages of a run with that model from its record.
+    /// Sets up the stages of a run with this model from its record.
     ///
     /// # Errors
-    /// [`ChainError`] where weights, options, map or retrieval memory can't be used.
+    /// [`ChainError`] if weights, options, map or retrieval memory can't be used.
     pub fn new(run: &Run, model: &ModelConfig) -> Result<Self, ChainError> {
         let weights = Weights::of_model(run.weights.as_deref(), model)?;
         let localiser = localiser::stage::settings(run, model)?;

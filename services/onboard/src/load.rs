@@ -1,19 +1,19 @@
 use wire::{AgentEncoding, Edge, Features};
 
-/// How large the last tick was, for callers that count its work.
+/// The size of the last tick, for callers that count its work.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Load {
-    /// Agents.
+    /// Number of agents.
     pub agents_len: usize,
-    /// Agents at the history steps at which they are present.
+    /// Number of agents present, summed over the history steps.
     pub nodes_len: usize,
-    /// Edges of all history steps.
+    /// Number of edges of all history steps.
     pub edges_len: usize,
-    /// Edges of the newest step.
+    /// Number of edges of the newest step.
     pub new_edges_len: usize,
-    /// Agents that are forecast.
+    /// Number of agents that are forecast.
     pub forecast_len: usize,
-    /// States that the decoder's burn-in reads.
+    /// Number of states that the decoder's burn-in reads.
     pub burn_in_len: usize,
 }
 

@@ -68,7 +68,7 @@ pub enum ReplayError {
     },
 }
 
-/// What a replay has found.
+/// The results of a replay.
 #[derive(Debug, Default)]
 pub struct Replayed {
     /// The recorded frames (first) and the replayed ones (second).
@@ -77,19 +77,19 @@ pub struct Replayed {
     pub ticks: u64,
     /// Ticks before the file that were replayed first, to restore the state of the stages.
     pub ticks_before: u64,
-    /// Of these ticks the headers and identities, recorded and replayed.
+    /// Comparison of the ticks before the file. It contains only headers and identities.
     pub before: Comparison,
     /// Ticks for which the recording does not show the stages that received them, because intermediate topics
     /// are missing.
     pub guessed: u64,
     /// The last tick that was replayed.
     pub newest: Option<u64>,
-    /// The first tick that the run has had and the recording not from its begin.
+    /// The first tick of the replay, if earlier ticks of the run are missing.
     pub missing_before: Option<u64>,
     /// Whether the recorded tracks were used. If a recording starts in the middle of a run, the tracker's
     /// state is unknown.
     pub tracks_are_recorded: bool,
-    /// Numbers of detections without which a tick was replayed that had some.
+    /// Ticks with detections that were replayed without them, because the file lacks them.
     pub without_detections: Vec<u64>,
     /// Ticks whose prior arrived while the tracker started. It is unknown whether the tracker used that
     /// prior.
@@ -98,7 +98,7 @@ pub struct Replayed {
     pub not_resumed: Vec<u64>,
     /// The first frame that no stage can have taken: a fault that was injected, or a faulty sender.
     pub impossible: Option<FrameError>,
-    /// Of a replay in its own time what that took.
+    /// How long a replay in the rhythm of its stamps took; `None` for other replays.
     pub own_time: Option<OwnTime>,
 }
 
@@ -109,7 +109,7 @@ pub struct Replay<'a> {
     /// The only stage that is replayed; `None` for all.
     alone: Option<StageId>,
     incarnations: BTreeMap<StageId, u32>,
-    /// The newest forecasts: when they were sent, and the frame; VOID ones are not among them.
+    /// The newest forecasts that are not VOID, each with the time at which it was sent.
     forecasts: VecDeque<(u64, OwnFrame<ForecastsTopic>)>,
     prior: Option<OwnFrame<ForecastsTopic>>,
     /// `None` if the ticks are replayed without pauses.
@@ -159,14 +159,14 @@ impl<'a> Replay<'a> {
         })
     }
 
-    /// The same replay with its ticks in the rhythm of their stamps; those before the file follow one another
-    /// at once.
+    /// The same replay, with its ticks in the rhythm of their stamps. The ticks before the file follow one
+    /// another at once.
     #[must_use]
     pub fn in_own_time(self) -> Self {
         Self { pace: Some(Pace::new()), ..self }
     }
 
-    /// Replays all ticks; `each` is called with every frame that a stage has made. Damaged parts of the file
+    /// Replays all ticks; `each` is called with every frame of a replayed stage. Damaged parts of the file
     /// are skipped; [`Recording::damages`] returns them.
     ///
     /// # Errors
@@ -186,7 +186,7 @@ impl<'a> Replay<'a> {
                 Ok(Message::Event(_) | Message::Line(_)) | Err(_) => continue,
             };
             let (seq, name) = (frame.header().seq, frame.topic().name);
-            // Heartbeats count for themselves.
+            // Heartbeats have their own sequence numbers.
             if !frame.header().is_tick() || name == HeartbeatsTopic::NAME {
                 continue;
             }
@@ -199,7 +199,7 @@ impl<'a> Replay<'a> {
                 && let Some(tick) = ticks.remove(&seq)
             {
                 self.timed_tick(seq, &tick, &mut each)?;
-                // What came before the first tick of the file, or was never answered.
+                // These came before the first tick of the file, or were never answered.
                 ticks.retain(|older, _| *older + (2 * LATER as u64) > seq);
             }
         }
@@ -257,7 +257,7 @@ impl<'a> Replay<'a> {
             (None, None) => None,
         };
         let sampled = match (&tracks, &recorded_forecasts) {
-            // A tick that the run's sampler had not answered.
+            // The run's sampler did not answer this tick.
             (_, None) if self.recording.has_topic(ForecastsTopic::NAME) => None,
             (Some(tracks), recorded) if samples_here => {
                 // A frame that is passed on as VOID leaves no trace in the sampler, and does not show the
@@ -265,7 +265,7 @@ impl<'a> Replay<'a> {
                 if let Some(recorded) = recorded.as_ref().filter(|f| !f.header.has(flags::VOID)) {
                     self.renew_sampler(seq, &recorded.header)?;
                 }
-                // The hops say whether the controls had come.
+                // The hops show whether the controls had arrived.
                 let came = recorded.as_ref().is_none_or(|f| f.header.hop(StageId::Decoder).is_some());
                 Some(self.stages.sample(tracks, controls.as_ref().filter(|_| came)))
             }
@@ -275,7 +275,7 @@ impl<'a> Replay<'a> {
             self.compare(tick, sampled.as_ref(), each);
         }
         let sent_ns = recorded_forecasts.as_ref().and_then(|f| Some(f.header.hop(StageId::Sampler)?.sent_ns));
-        // The tracker reports their cost from the run's own hops.
+        // The tracker reports the cost of the forecasts from the run's own hops.
         let with_hops = |mut frame: OwnFrame<ForecastsTopic>| {
             if let Some(recorded) = &recorded_forecasts {
                 frame.header = frame.header.with_hops_of(&recorded.header);
@@ -310,7 +310,7 @@ impl<'a> Replay<'a> {
                 (detections.header, detections.elements)
             }
             _ => match recorded {
-                // Predicted, or its detections are missing in the file.
+                // The tick was predicted, or its detections are missing in the file.
                 Some(tracks) => {
                     if !tracks.header.has(flags::PREDICTED) {
                         self.found.without_detections.push(seq);
@@ -320,7 +320,7 @@ impl<'a> Replay<'a> {
                 None => return Ok(None),
             },
         };
-        // What a stage before has refused passes on.
+        // An earlier stage refused the tick.
         if header.has(flags::VOID) {
             return Ok(None);
         }
@@ -395,7 +395,7 @@ impl<'a> Replay<'a> {
         Ok(Some(controls))
     }
 
-    /// One stage of the network with its input from the file.
+    /// Replays a single stage of the network with its input from the file.
     fn one(&mut self, stage: StageId, tick: &Tick, each: &mut impl FnMut(&Frame)) -> Result<(), ReplayError> {
         let Some((_, _, writes)) = STAGES.iter().find(|(of, ..)| *of == stage) else { return Ok(()) };
         if matches!(stage, StageId::Tracker | StageId::Sampler) || !self.has_passed(stage, tick, writes)? {
@@ -433,7 +433,7 @@ impl<'a> Replay<'a> {
             self.renew(stage, incarnation)?;
             return Ok(true);
         }
-        // Of a tick before the file the outputs between are not kept.
+        // For ticks before the file, the outputs of intermediate stages are not kept.
         if self.recording.has_topic(writes) && !tick.is_before() {
             return Ok(false);
         }
@@ -449,8 +449,8 @@ impl<'a> Replay<'a> {
         Ok(())
     }
 
-    /// Restarts the sampler. It resumes with the evidence that the previous sampler had learned up to the
-    /// reported tick.
+    /// Restarts the sampler if its incarnation has changed. The new sampler resumes with the state after the
+    /// number of ticks that the recorded header contains.
     fn renew_sampler(&mut self, seq: u64, header: &Header) -> Result<(), ReplayError> {
         let before = self.incarnations.get(&StageId::Sampler).copied().unwrap_or(0);
         self.renew(StageId::Sampler, header.incarnation)?;

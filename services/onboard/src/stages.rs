@@ -20,14 +20,14 @@ use crate::ChainError;
 /// A frame in owned memory.
 #[derive(Clone, Debug)]
 pub struct OwnFrame<T: Topic> {
-    /// Its header, without clocks and hops but those that came in.
+    /// Its header, without clocks, and without hops except those of the input.
     pub header: Header,
     /// Its elements.
     pub elements: Vec<T::Element>,
 }
 
 impl<T: Topic> OwnFrame<T> {
-    /// What a stage makes of a tick that it refuses or that was refused before.
+    /// A stage's output for a tick that it refuses or that an earlier stage refused.
     fn void(header: &Header) -> Self {
         let (flags, counts) = (header.flags | flags::VOID, Counts::default());
         Self { header: Header { flags, counts, ..*header }, elements: Vec::new() }
@@ -38,9 +38,10 @@ impl<T: Topic> OwnFrame<T> {
     }
 }
 
-/// The compute stages, each from frame to frame as its process does it, in this process and without a clock.
+/// The compute stages in this process and without a clock. Each works from frame to frame, as in its own
+/// process.
 ///
-/// A stage can be renewed on its own, as its process is when it is restarted.
+/// A stage can be renewed alone, as its process is when it is restarted.
 pub struct Stages {
     run: Run,
     model: ModelConfig,
@@ -60,7 +61,7 @@ impl Stages {
     /// Sets up all stages of a run from its record.
     ///
     /// # Errors
-    /// [`ChainError`] where weights, options, map or retrieval memory can't be used.
+    /// [`ChainError`] if weights, options, map or retrieval memory can't be used.
     pub fn new(run: &Run, weights: Weights) -> Result<Self, ChainError> {
         let model = weights.config().clone();
         let sampler = sampler::stage::open(run, &model)?;
@@ -80,8 +81,8 @@ impl Stages {
         })
     }
 
-    /// Puts a new stage in the place of one, as its process that was started so often before. Encoder and decoder
-    /// keep nothing from tick to tick.
+    /// Replaces a stage by a new one, as a restart of its process does; `incarnation` counts these restarts.
+    /// Encoder and decoder are kept, because they keep nothing from tick to tick.
     ///
     /// # Errors
     /// As [`Stages::new`].
@@ -134,7 +135,7 @@ impl Stages {
                 }
                 OwnFrame { header, elements: tracks.to_vec() }
             }
-            // Out of sequence, or refused.
+            // The detections are out of sequence, or refused.
             Ok(_) | Err(_) => OwnFrame::void(&header),
         }
     }
@@ -262,13 +263,14 @@ impl Stages {
         }
     }
 
-    /// Steps of the model's horizon, and its modes.
+    /// Number of steps of the model's horizon, and number of its modes.
     fn lens(&self) -> (u32, u32) {
         (self.model.horizon_len as u32, self.model.modes as u32)
     }
 }
 
-/// Where the sampler's state is kept, as its process keeps it.
+/// The journal of the sampler's state, with the same identity as in the sampler's process; `None` if that
+/// process keeps none.
 fn journal(run: &Run, options: &SamplerOptions) -> Option<Journal<Vec<u64>>> {
     let identity = Identity::of(run.id, options).filter(|_| !run.lockstep)?;
     let mut journal = Journal::over(Vec::new(), identity);

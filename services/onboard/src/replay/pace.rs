@@ -3,12 +3,13 @@ use std::time::{Duration, Instant};
 
 use hdrhistogram::Histogram;
 
-/// A longer time between two ticks is not waited for: the run was at rest, or its clock was set.
+/// If two ticks are further apart than this, the replay does not wait: the run was at rest, or its clock was
+/// set.
 const GAP_MAX: Duration = Duration::from_secs(10);
-/// Longest computation that is resolved; longer ones count as this.
+/// Longest computation that is resolved; longer ones count as this long.
 const LONGEST_US: u64 = 60_000_000;
 
-/// What a replay in its own time took.
+/// How long a replay in the rhythm of its stamps took.
 #[derive(Debug)]
 pub struct OwnTime {
     /// Ticks that began late, because the previous tick took longer to compute than the recording's interval.

@@ -15,7 +15,7 @@ pub struct Tick {
 }
 
 impl Tick {
-    /// Adds a frame; of a topic the first counts.
+    /// Adds a frame. Only the first frame of a topic counts.
     pub fn add(&mut self, frame: Frame, is_before: bool) {
         let topic = frame.topic().name;
         if self.frame(topic).is_none() {
@@ -26,7 +26,7 @@ impl Tick {
         }
     }
 
-    /// Whether some of its frames were before the file: others may be missing then.
+    /// Whether some of its frames precede the file. Others may then be missing.
     pub fn is_before(&self) -> bool {
         !self.before.is_empty()
     }
@@ -36,7 +36,7 @@ impl Tick {
         self.frames.first().map_or(0, |frame| frame.header().stamp_ns)
     }
 
-    /// Whether it has the frame of a topic as it was sent.
+    /// Whether the file contains the frame of a topic as it was sent.
     pub fn is_recorded(&self, topic: &str) -> bool {
         self.frame(topic).is_some() && !self.before.contains(&topic)
     }
