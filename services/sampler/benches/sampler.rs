@@ -1,4 +1,4 @@
-//! Cost of a tick: 32 agents of a type, 20 modes and the best, 12 steps.
+//! Cost of a tick: 32 agents of a type, 20 modes and the best forecast, 12 steps.
 
 #![expect(clippy::unwrap_used, reason = "a broken fixture should fail at once")]
 
@@ -68,7 +68,7 @@ fn retrieving(c: &mut Criterion) {
         let mut tick = |seq: u64| {
             (header.seq, header.stamp_ns) = (seq, seq as i64 * 80_000_000);
             for (i, track) in tracks.iter_mut().enumerate() {
-                // Each walks its 12 m in 12 s, over and over, as somebody new each time.
+                // Each agent walks its 12 m in 12 s repeatedly, each time as a new agent.
                 let (round, along) = (seq / 150, (seq % 150) as f32 * 0.08);
                 (track.id, track.x_m, track.y_m) = (i as u64 + 1_000 * round, along, i as f32 * 0.5);
                 (track.vx_mps, track.speed_mps) = (1.0, 1.0);
@@ -103,7 +103,7 @@ fn commit(c: &mut Criterion) {
     let (mut header, mut tracks, controls) = fixture(AgentType::Pedestrian);
     let mut out = vec![Forecast::zeroed(); AGENTS];
     let mut sampler = Sampler::new(options);
-    // One tick each 80 ms, all agents' steps fall into the same tick: the most that there is to copy.
+    // With one tick every 80 ms, all agents complete their steps in the same tick: the most data to copy.
     for seq in 0..101_u64 {
         (header.seq, header.stamp_ns) = (seq, seq as i64 * 80_000_000);
         tracks.iter_mut().for_each(|track| {

@@ -4,29 +4,29 @@
 //! planner can therefore see that a forecast is missing. A new learned forecast returns the agent to the
 //! learned level at once.
 
-/// What is published of an agent.
+/// The kind of forecast that is published for an agent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Level {
     /// The learned forecast of this tick.
     Learned,
-    /// The last learned one, moved on to now.
+    /// The last learned forecast, moved on to the present.
     Held,
     /// Zero control.
     Kinematic,
-    /// Nothing.
+    /// No forecast.
     Silent,
 }
 
-/// What leads from one level to another.
+/// The reason for a change of level.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Change {
     /// The controls of the tick can be used.
     Controls,
-    /// They are late, missing or refused.
+    /// The controls are late, missing or refused.
     NoControls,
     /// The last learned forecast is older than `held_s`, or there is none.
     TooOld,
-    /// There has been none for `kinematic_s` longer than that.
+    /// There has been no learned forecast for `kinematic_s` longer than that.
     TooLong,
 }
 
@@ -57,8 +57,8 @@ impl Default for Degradation {
 }
 
 impl Degradation {
-    /// The level of an agent without controls in this tick, whose last learned forecast has this age. Where it
-    /// never had one, `without_ns` is the time for which the whole scene has had none.
+    /// The level of an agent without controls in this tick, whose last learned forecast has this age. For an
+    /// agent that never had one, `without_ns` counts: the time for which the whole scene has had none.
     #[must_use]
     pub fn level(&self, age_ns: Option<u64>, without_ns: u64) -> Level {
         let over_ns = match age_ns {
@@ -91,7 +91,8 @@ mod tests {
     }
 
     proptest! {
-        /// Without controls a level only ever gets worse, one transition of the table at a time or more.
+        /// Without controls the level never improves. It follows the table, possibly by several transitions
+        /// at once.
         #[test]
         fn levels_only_fall_and_by_the_table(
             held_ns in 0..5_000 * MS,

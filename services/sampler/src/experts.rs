@@ -1,5 +1,5 @@
-//! Evidence on the experts in the sampler: the past accuracy of the network's forecasts and of the other
-//! experts'.
+//! Evidence on the experts in the sampler: how accurate the network's forecasts and those of the other
+//! experts have been.
 
 use evidence::{Agent, EXPERTS, Evidence, Fan, Mixture, MotionNow, Paths, Prior};
 use kinematics::MotionModel;
@@ -22,19 +22,19 @@ pub(crate) struct Experts {
     horizon_len: usize,
 }
 
-/// What the evidence makes of one agent.
+/// The results of the evidence for one agent.
 pub(crate) struct Blended {
     agent: Agent,
     paths: Paths,
     weights: [[f32; EXPERTS]; HORIZON_MAX],
     /// The single best forecast.
     pub(crate) best_m: [[f32; 2]; HORIZON_MAX],
-    /// How wide the modes are.
+    /// The widths of the modes.
     pub(crate) spread: Spread,
     fan: Fan,
-    /// The modes that are of the fan, a bit each.
+    /// Bit set of the modes that come from the fan.
     fan_modes: u32,
-    /// The network's modes, once the forecast has been changed.
+    /// The network's modes, computed by [`Experts::change`].
     network_m: [[[f32; 2]; HORIZON_MAX]; MODES_MAX],
 }
 
@@ -97,7 +97,7 @@ impl Experts {
         Blended { agent, paths, weights, best_m, spread, fan, fan_modes: 0, network_m }
     }
 
-    /// Replaces modes that others stand for by modes of the fan.
+    /// Replaces the modes that the evidence does not select by modes of the fan.
     pub(crate) fn change<M: AsRef<[wire::ControlGaussian]>>(
         &self,
         model: &MotionModel,
@@ -130,7 +130,8 @@ impl Experts {
         }
     }
 
-    /// Writes into a forecast the single best one, and who made it.
+    /// Writes the single best forecast and the weights of the experts into a forecast, and marks the modes of
+    /// the fan. The forecast is marked as kinematic if constant velocity has most of the weight.
     pub(crate) fn sign(&self, blended: &Blended, out: &mut Forecast) {
         out.best[..self.horizon_len].copy_from_slice(&blended.best_m[..self.horizon_len]);
         out.expert_weights = self.evidence.slots(&blended.weights);
@@ -159,7 +160,7 @@ impl Experts {
     }
 }
 
-/// The present motion of a track, its rates from the newest steps of its history.
+/// The present motion of a track. The newest steps of its history determine its rates.
 fn motion_now(track: &Track, history: &[Option<State>], dt_s: f32) -> MotionNow {
     let before = (1..=RATE_STEPS).rev().find_map(|back| {
         let state = (*history.len().checked_sub(back + 1).and_then(|step| history.get(step))?)?;

@@ -14,7 +14,8 @@ use crate::{Level, SamplerOptions, kinematic};
 pub(crate) struct Fallback {
     options: SamplerOptions,
     held: HeldForecasts,
-    /// When an agent had a learned forecast last or, before the first, the time of the first tick.
+    /// Time of the newest learned forecast of any agent; before the first forecast, the time of the first
+    /// tick.
     newest_learned_ns: Option<i64>,
 }
 
@@ -23,7 +24,7 @@ impl Fallback {
         Self { options, held: HeldForecasts::new(), newest_learned_ns: None }
     }
 
-    /// The clock of the policy begins at the first tick.
+    /// Starts the clock of the policy at the first tick.
     pub(crate) fn begin(&mut self, stamp_ns: i64) {
         self.newest_learned_ns.get_or_insert(stamp_ns);
     }
@@ -34,7 +35,8 @@ impl Fallback {
         self.newest_learned_ns = self.newest_learned_ns.max(Some(stamp_ns));
     }
 
-    /// Held, kinematic or nothing, by the policy; whether something was written.
+    /// Writes a held or kinematic forecast, or nothing, as the policy demands. Returns whether a forecast was
+    /// written.
     pub(crate) fn write(
         &self,
         tick: Tick,
@@ -69,7 +71,7 @@ impl Fallback {
     fn write_kinematic(&self, tick: Tick, track: &Track, agent_type: AgentType, out: &mut Forecast) {
         let motion = MotionOptions { displacement: DisplacementKind::Residual, ..self.options.motion };
         let options = SamplerOptions { vehicle_motion: MotionKind::Bicycle, motion, ..self.options };
-        // Recorded headings are courses. A learned forecast begins at the recorded heading all the same, as
+        // Recorded headings are courses. A learned forecast nevertheless starts at the recorded heading, as
         // in training: the network compensates for the slip.
         let model = certain_motion(track, agent_type, &options, tick.dt_s()).with_course_along_heading();
         let model = with_track_covariance(model, track);

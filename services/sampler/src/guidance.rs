@@ -8,10 +8,10 @@ use retrieval::{ControlChanges, ForecastControls, Residuals};
 use scene::AgentType;
 use wire::{ControlGaussian, Forecast, HORIZON_MAX, MODES_MAX, Track};
 
-/// Corrections of the controls: one leaves some metres at the end, since residuals are of speed and
-/// curvature.
+/// Number of corrections of the controls. One correction leaves an error of some metres at the end, because
+/// residuals are of speed and curvature.
 const PASSES: usize = 2;
-/// Speed from which a vehicle on no lane is worth a report: parked ones seldom are on a lane.
+/// Minimum speed at which a vehicle on no lane is reported: parked vehicles are seldom on a lane.
 const MOVES_MPS: f32 = 1.0;
 
 /// The lanes of a site, and scratch memory.

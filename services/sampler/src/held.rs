@@ -3,7 +3,8 @@ use wire::{AGENTS_MAX, Forecast, HORIZON_MAX, MODES_MAX};
 
 /// The last learned forecast of each track, for the maximum number of tracks in a frame.
 pub(crate) struct HeldForecasts {
-    /// Track and stamp of each forecast, apart from the forecasts: a search reads these few bytes alone.
+    /// Track and stamp of each forecast. They are separate from the forecasts, so that a search reads only
+    /// these few bytes.
     keys: Vec<Key>,
     forecasts: Vec<Forecast>,
 }
@@ -23,8 +24,8 @@ impl HeldForecasts {
         Self { keys: Vec::with_capacity(AGENTS_MAX), forecasts: Vec::with_capacity(AGENTS_MAX) }
     }
 
-    /// Keeps a learned forecast in place of an older one of the track or, for a new track, of the oldest of
-    /// all.
+    /// Keeps a learned forecast. It replaces the track's previous one or, if the track is new and all places
+    /// are taken, the oldest one. A newer forecast is never replaced.
     pub(crate) fn keep(&mut self, stamp_ns: i64, forecast: &Forecast) {
         let key = Key { id: forecast.id, stamp_ns };
         let known = self.keys.iter().position(|held| held.id == key.id);
@@ -138,23 +139,23 @@ impl Later {
     }
 }
 
-/// A place in a trajectory: linear between its steps and beyond the last.
+/// A point of a trajectory, which is linear between its steps and beyond the last one.
 #[derive(Clone, Copy, Default)]
 struct Between {
-    /// Steps before the place; 0 for the origin.
+    /// Number of steps before the point; 0 at the origin.
     before: usize,
     /// Share of the way to the next step.
     share: f32,
 }
 
 impl Between {
-    /// The place `steps` after the origin of a trajectory of `len` steps.
+    /// The point `steps` after the origin of a trajectory of `len` steps.
     fn knots(steps: f32, len: usize) -> Self {
         let before = (steps.max(0.0) as usize).min(len - 1);
         Self { before, share: steps.max(0.0) - before as f32 }
     }
 
-    /// The trajectory at the place.
+    /// The value of a trajectory at the point.
     fn of<const D: usize>(&self, origin: [f32; D], knots: &[[f32; D]; HORIZON_MAX]) -> [f32; D] {
         let from = if self.before == 0 { origin } else { knots[self.before - 1] };
         let to = knots[self.before];

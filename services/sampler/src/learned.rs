@@ -42,7 +42,7 @@ impl<'a> LearnedControls<'a> {
         &self.controls.probability[..self.controls.modes_len as usize]
     }
 
-    /// The controls as the decoder made them.
+    /// The controls as decoded.
     pub(crate) fn as_decoded(&self) -> ForecastControls<'a, [wire::ControlGaussian; HORIZON_MAX]> {
         ForecastControls {
             modes: &self.controls.modes[..self.controls.modes_len as usize],
@@ -56,7 +56,7 @@ impl<'a> LearnedControls<'a> {
         self.controls.out_of_distribution
     }
 
-    /// The controls of the model's base alone.
+    /// The controls of the model's base only.
     pub(crate) fn base(&self) -> impl Iterator<Item = [f32; 2]> {
         self.controls.base[..self.horizon_len].iter().copied()
     }

@@ -4,9 +4,9 @@
 //! as the policy of [`Degradation`] allows. The [`Sampler`] takes the first of these that it has, and the
 //! forecast contains its quality, cause and age:
 //!
-//! * *learned*: the controls of this tick, carried through the kinematic layer mode by mode, as wide as the
-//!   evidence calls for or, without it, as linearised Gaussians or particles ([`Propagation`]);
-//! * *held*: the last forecast of the track from controls, moved on to now, while it is not too old;
+//! * *learned*: the controls of this tick, taken through the kinematic layer mode by mode. The widths of the
+//!   modes come from the evidence or, without it, from linearised Gaussians or particles ([`Propagation`]);
+//! * *held*: the last forecast of the track from controls, moved on to the present, until it is too old;
 //! * *kinematic*: zero control, with a covariance that grows.
 //!
 //! With evidence, the single best forecast is a blend of the network and kinematic experts, weighted by their
@@ -15,7 +15,7 @@
 //!
 //! If the sampler has a lane map, forecasts of vehicles follow its lanes: see [`lanes`].
 //!
-//! The modes of an agent make a mixture; its mean and covariance are published beside them.
+//! The modes of an agent form a mixture. Its mean and covariance are published as well.
 
 mod degradation;
 mod experts;

@@ -1,5 +1,5 @@
-//! Files of a run's sampler: the retrieval memory that it begins with and saves at the end, what outlives its process,
-//! and the lanes.
+//! Files of a run's sampler: the retrieval memory that it starts from and saves at the end, the state that
+//! outlives its process, and the lanes.
 
 use std::sync::Arc;
 
@@ -37,10 +37,10 @@ pub fn open(run: &Run, model: &ModelConfig) -> Result<Sampler, StageError> {
     Ok(sampler)
 }
 
-/// Name of the file in the run's shared memory with what outlives the sampler's process.
+/// Name of the file in the run's shared memory for the state that outlives the sampler's process.
 const KEPT: &str = "sampler_kept";
 
-/// The run's memory with what its sampler learns.
+/// The run's memory for the sampler's learned state.
 pub(crate) struct Kept(KeptMemory);
 
 impl Storage for Kept {

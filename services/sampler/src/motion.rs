@@ -5,14 +5,14 @@ use wire::Track;
 
 use crate::SamplerOptions;
 
-/// Below this speed the heading of a velocity is taken to be as uncertain as at it.
+/// At lower speeds, the heading of a velocity is taken to be as uncertain as at this speed.
 const STEADY_MPS: f32 = 1.0;
 /// A covariance with a larger entry is not a valid estimate.
 const VARIANCE_MAX: f32 = 1e6;
 
-/// Largest acceleration across the course that tyres hold.
+/// Maximum lateral acceleration that tyres permit.
 const LATERAL_MAX_MPS2: f32 = 8.0;
-/// Largest speed backwards of a vehicle that goes ahead.
+/// Maximum reverse speed of a vehicle that drives forward.
 const REVERSE_MAX_MPS: f32 = 2.0;
 
 /// Moves a vehicle along the controls of a mode, limited to the grip of its tyres.
@@ -43,7 +43,7 @@ impl LateralLimit {
         }
     }
 
-    /// Cuts the controls of the next step, and takes the step.
+    /// Limits the controls of the next step, and takes the step.
     pub(crate) fn cut(&mut self, acting: &mut ControlGaussian) {
         let mut next_mps = self.speed_mps + acting.mean[0] * self.dt_s;
         if next_mps < self.least_mps {
@@ -51,7 +51,7 @@ impl LateralLimit {
             acting.mean[0] = (next_mps - self.speed_mps) / self.dt_s;
         }
         let middle_mps = 0.5 * (self.speed_mps + next_mps);
-        // Acceleration across by a radian of slip, and by a radian that it changes in this step.
+        // Lateral acceleration per radian of slip, and per radian by which the slip changes in this step.
         let by_slip = middle_mps * middle_mps / self.rear_axle_m;
         let by_change = middle_mps.abs() / self.dt_s;
         let sine = LATERAL_MAX_MPS2 / by_slip.max(f32::MIN_POSITIVE);
@@ -62,7 +62,7 @@ impl LateralLimit {
         let held = self.slip_rad * (by_change - 0.5 * by_slip);
         let [least_turned_rad, most_turned_rad] =
             [-LATERAL_MAX_MPS2, LATERAL_MAX_MPS2].map(|most| (most + held) / turn.max(f32::MIN_POSITIVE));
-        // Where the track begins beyond the limit, its slip falls no faster than tyres turn it.
+        // If the track starts beyond the limit, its slip falls no faster than tyres permit.
         let cut_rad = next_rad.max(-most_rad).min(most_rad).max(least_turned_rad).min(most_turned_rad);
         if cut_rad != next_rad {
             acting.mean[1] = (cut_rad - self.slip_rad) / self.dt_s;

@@ -4,7 +4,7 @@ use wire::{Cause, Forecast, MODES_MAX, POSITION_MAX_M, Quality, Track, finite};
 
 /// Begins a forecast with the fields that come from its track. All other fields are 0.
 pub(crate) fn begin(track: &Track, quality: Quality, cause: Cause, out: &mut Forecast) {
-    // In place: as a value it would be written twice.
+    // Zeroed in place, because a value would be written twice.
     bytemuck::write_zeroes(out);
     (out.id, out.source_id, out.agent_type) = (track.id, track.source_id, track.agent_type);
     (out.quality, out.cause, out.causes) = (quality as u32, cause as u32, cause.bit());
@@ -14,7 +14,7 @@ pub(crate) fn begin(track: &Track, quality: Quality, cause: Cause, out: &mut For
     (out.prior, out.prior_age_ns) = (track.prior, track.prior_age_ns);
 }
 
-/// Shortens the steps of a forecast that are longer than `most_m`: no agent of its type is so fast.
+/// Limits each step of a forecast to `most_m`, the longest step that is possible for its type of agent.
 pub(crate) fn limit_steps(out: &mut Forecast, horizon_len: usize, most_m: f32) {
     let (from_m, modes_len) = ([out.x_m, out.y_m], (out.modes_len as usize).min(MODES_MAX));
     let modes = out.modes[..modes_len].iter_mut();
@@ -40,9 +40,9 @@ fn limit_path(from_m: [f32; 2], path: &mut [[f32; 2]], most_m: f32) {
     }
 }
 
-/// Whether all numbers of a forecast are possible.
+/// Whether the positions of a forecast lie within the world, and its covariances are finite.
 pub(crate) fn is_within_the_world(forecast: &Forecast) -> bool {
-    // Without an early end, so that it vectorises.
+    // No early exit, so that the loop vectorises.
     let inside = |points: &[[f32; 2]]| {
         points.as_flattened().iter().fold(true, |inside, x| inside & (x.abs() <= POSITION_MAX_M))
     };

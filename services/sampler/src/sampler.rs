@@ -24,13 +24,13 @@ pub struct Sampler {
     fallback: Fallback,
     /// `None` if retrieval is off, or before the first tick.
     memory: Option<Box<RetrievalMemory>>,
-    /// What is expected of the experts before any forecast has matured.
+    /// The experts' prior, used until forecasts have matured.
     prior: Prior,
     /// `None` if evidence is off, or before the first tick.
     experts: Option<Box<Experts>>,
     resumed_ticks: u64,
     workers: Workers<Forecaster>,
-    /// Scratch: the turn of each track, or why it has none.
+    /// Scratch memory: the turn of each track, or why it has none.
     turns: Vec<Result<usize, Cause>>,
 }
 
@@ -49,10 +49,10 @@ impl Tick {
 }
 
 impl Sampler {
-    /// A sampler that holds no forecasts yet, and works on the caller's thread alone.
+    /// A sampler that holds no forecasts yet, and works only on the caller's thread.
     ///
     /// # Panics
-    /// Where history, horizon or particles are more than the payloads can hold.
+    /// If history, horizon or particles exceed the capacity of the payloads.
     #[must_use]
     pub fn new(options: SamplerOptions) -> Self {
         Self::with_workers(options, 1).expect("no thread is started")
@@ -85,12 +85,12 @@ impl Sampler {
         })
     }
 
-    /// Retrieves from now on from a memory of forecasts of the same model.
+    /// Retrieves from now on from a memory with forecasts of the same model.
     pub fn warm_start(&mut self, memory: RetrievalMemory) {
         self.memory = Some(Box::new(memory));
     }
 
-    /// Takes the forecasts of vehicles along these lanes from now on.
+    /// Guides the forecasts of vehicles along these lanes from now on.
     pub fn guide_along(&mut self, map: &Arc<LaneMap>) {
         self.workers.each(|forecaster| forecaster.guidance = Some(Guidance::new(Arc::clone(map))));
     }
@@ -100,8 +100,8 @@ impl Sampler {
         self.prior = prior;
     }
 
-    /// Goes on with what an earlier sampler of the same model has learned of its experts, as after the end of
-    /// its session.
+    /// Continues with the evidence on the experts that an earlier sampler of the same model has learned, as
+    /// after the end of its session.
     pub fn continue_from(&mut self, earlier: Self) {
         if self.options.evidence {
             self.experts = earlier.experts;
@@ -109,8 +109,9 @@ impl Sampler {
         }
     }
 
-    /// Keeps the forecasts by the network's controls that the sampler before has sent, to hold them as it would
-    /// have. A process that waits for its turn does so with every frame, and computes nothing.
+    /// Keeps the forecasts from controls that the previous sampler has sent, so that this sampler can hold
+    /// them as the previous one would. A spare process calls this for every frame while it waits, and
+    /// computes nothing.
     pub fn follow(&mut self, header: &Header, forecasts: &[Forecast]) {
         if !header.is_tick() || header.has(flags::VOID) {
             return;
@@ -121,7 +122,7 @@ impl Sampler {
         }
     }
 
-    /// Its settings.
+    /// The settings.
     #[must_use]
     pub const fn options(&self) -> &SamplerOptions {
         &self.options
@@ -136,10 +137,11 @@ impl Sampler {
         journal.commit(ticks, self.memory.as_deref(), evidence)
     }
 
-    /// Goes on with what an earlier process of the run's sampler has learned, as if all agents were new.
+    /// Continues with the state that an earlier process of the run's sampler has learned. All agents count as
+    /// new.
     ///
     /// # Errors
-    /// What is impossible in it; then nothing has changed.
+    /// The reason why the state is impossible; the sampler is then unchanged.
     pub fn resume(&mut self, resumed: Resumed) -> Result<(), &'static str> {
         if let Some(numbers) = resumed.evidence {
             let mut experts = Experts::new(self.options.horizon_len, resumed.step_ns, &self.prior);
@@ -171,8 +173,8 @@ impl Sampler {
         self.experts.as_deref().map(Experts::evidence)
     }
 
-    /// Writes a forecast per track, in the tracks' order, by the controls of the same tick, and returns how
-    /// many: agents that the degradation policy silences are left out.
+    /// Writes a forecast per track, in the tracks' order, from the controls of the same tick. Returns the
+    /// number of forecasts: agents that the degradation policy silences are left out.
     ///
     /// A track gets a held or kinematic forecast with its cause if its controls are missing, refused or lead
     /// out of the world. Other tracks are not affected. [`Header::shed`] marks agents without controls that
@@ -231,7 +233,7 @@ impl Sampler {
         turns.clear();
         let mut next = 0;
         for (place, track) in tracks.iter().enumerate() {
-            // Controls come in the order of the tracks, so the search mostly ends at once.
+            // Controls come in the order of the tracks, so the search mostly ends at its first step.
             let found = (next..controls.len())
                 .chain(0..next.min(controls.len()))
                 .find(|i| controls[*i].id == track.id);
@@ -251,8 +253,8 @@ impl Sampler {
         (*memory, *experts) = (input.memory.take(), input.experts.take());
     }
 
-    /// Writes a forecast per track, in the tracks' order, without controls, and returns how many, as
-    /// [`Sampler::learned`] does.
+    /// Writes a forecast per track, in the tracks' order, without controls. Returns the number of forecasts,
+    /// as [`Sampler::learned`] does.
     ///
     /// # Errors
     /// [`Rejected`] if header or tracks are impossible; nothing was written or changed.
@@ -275,7 +277,8 @@ impl Sampler {
         Ok(written)
     }
 
-    /// Gives the retrieval memory and the evidence the positions of all agents that were detected in this tick.
+    /// Passes the positions of all agents that were detected in this tick to the retrieval memory and the
+    /// evidence.
     fn observe(&mut self, tick: Tick, tracks: &[Track]) {
         self.fallback.begin(tick.stamp_ns);
         let detected = tracks.iter().filter(|track| track.unseen_ns == 0);

@@ -4,7 +4,7 @@ use wire::AgentType;
 
 use crate::{Options, Propagation, PropagationKind, SamplerOptions};
 
-/// The sampler's settings in a run with that model.
+/// The sampler's settings in a run with this model.
 #[must_use]
 pub fn settings(options: &Options, model: &ModelConfig, run: &Run) -> SamplerOptions {
     SamplerOptions {

@@ -1,4 +1,5 @@
-//! The sampler as a process: `tracks` and `controls` in, `forecasts` out, with controls or without.
+//! The sampler as a process: it receives `tracks` and `controls`, and sends `forecasts` with or without
+//! controls.
 
 use model::ModelConfig;
 use ports::{Awaited, Loan, PortError, Publisher, Stage, StageError};
@@ -30,15 +31,15 @@ fn follow(run: &Run, model: &ModelConfig, sampler: &mut Sampler) -> Result<(), S
     let tracks = stage.subscribe::<TracksTopic>()?;
     let controls = stage.subscribe::<ControlsTopic>()?;
     let output = stage.publish_after::<ForecastsTopic>(|header, sent| sampler.follow(header, sent))?;
-    // Of a spare: from now on.
+    // A spare process opens the journal only now, when it takes over.
     let mut journal = journal(run, sampler, stage.incarnation());
 
     loop {
         let input = match stage.next_until(&tracks, &output, None)? {
             Awaited::Frame(input) => input,
             Awaited::Void(tracks) => {
-                // Their controls are VOID as well. Left in the queue, they would push out later ones: gaps
-                // that are none.
+                // Their controls are VOID as well. They are removed from the queue, because they would push
+                // out later controls there, which would look like gaps.
                 if tracks.header().is_tick() {
                     controls.of_tick(tracks.header().seq)?;
                 }
@@ -94,7 +95,7 @@ fn follow(run: &Run, model: &ModelConfig, sampler: &mut Sampler) -> Result<(), S
     Ok(())
 }
 
-/// The first forecasts of a loan as a frame of their own: the length of a loan can't be changed.
+/// Returns the first forecasts of a loan as a new frame, because the length of a loan can't be changed.
 fn shortened(
     output: &Publisher<ForecastsTopic>,
     loan: Loan<ForecastsTopic>,

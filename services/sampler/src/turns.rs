@@ -17,7 +17,8 @@ use crate::motion::{certain_motion, with_track_covariance};
 use crate::published::{begin, is_within_the_world, limit_steps};
 use crate::sampler::Tick;
 
-/// Turns that a worker takes at a time: one of 40 µs or more is worth a hand-over, so that two surely are.
+/// Number of turns that a worker takes at a time. A hand-over is worthwhile for 40 µs or more, so two turns
+/// suffice.
 const BLOCK: usize = 2;
 
 /// The inputs and outputs of a tick's forecasts.
@@ -41,18 +42,18 @@ struct Turn {
     controls: AgentControls,
     /// `None` if nothing is retrieved for the agent.
     key: Option<Key>,
-    /// Agents that are stored before it.
+    /// Number of agents that are stored before it.
     stored_len: usize,
 }
 
-/// What came of a turn.
+/// The results of a turn.
 pub(crate) struct Made {
     pub(crate) forecast: Forecast,
     /// Whether it can be published.
     pub(crate) is_possible: bool,
-    /// What evidence is to keep of it until it matures.
+    /// To be kept by the evidence until the forecast matures.
     pub(crate) blended: Option<Blended>,
-    /// What the retrieval memory is to store.
+    /// To be stored in the retrieval memory.
     pub(crate) unstored: Option<Unstored>,
 }
 
@@ -71,7 +72,7 @@ impl Turns {
         }
     }
 
-    /// Begins with the turns of a tick.
+    /// Prepares for the turns of a tick.
     pub(crate) fn begin(&mut self, tick: Tick) {
         self.tick = tick;
         self.turns.clear();
@@ -99,12 +100,12 @@ impl Turns {
         Ok(self.turns.len() - 1)
     }
 
-    /// Blocks of turns.
+    /// Number of blocks of turns.
     pub(crate) fn blocks_len(&self) -> usize {
         self.turns.len().div_ceil(BLOCK)
     }
 
-    /// What came of a turn.
+    /// The results of a turn.
     pub(crate) fn made(&mut self, turn: usize) -> &mut Made {
         self.made[turn].get_mut().unwrap_or_else(PoisonError::into_inner)
     }
@@ -116,7 +117,7 @@ pub(crate) struct Forecaster {
     retrieval: Retrieval,
     /// `None` without a lane map.
     pub(crate) guidance: Option<Guidance>,
-    /// The changes of the agent in hand.
+    /// The changes to the controls of the current agent.
     changes: ControlChanges,
 }
 

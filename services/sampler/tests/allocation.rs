@@ -1,4 +1,4 @@
-//! A steady step allocates nothing.
+//! A step in steady state allocates nothing.
 
 mod road;
 
@@ -37,7 +37,7 @@ fn write_tick(tick: u64, tracks: &mut [Track], controls: &mut [AgentControls]) {
     }
 }
 
-// One test only: another in this process would count as well.
+// The only test in this process, because allocations of another test would be counted as well.
 #[test]
 fn a_thousand_steady_steps_allocate_nothing() {
     let kinds = [

@@ -1,4 +1,4 @@
-//! What outlives the sampler's process: the state of one tick, whatever the process was killed in.
+//! The state that outlives the sampler's process is the state of one tick, whenever the process was killed.
 
 #![expect(clippy::unwrap_used, reason = "a broken fixture should fail at once")]
 
@@ -50,7 +50,7 @@ fn tick(sampler: &mut Sampler, seq: u64) -> Vec<Forecast> {
     out
 }
 
-/// All that a commit is to hold of a sampler, but the evidence.
+/// Everything of a sampler that a commit must contain, except the evidence.
 fn stored(memory: Option<&RetrievalMemory>) -> Vec<u8> {
     let Some(memory) = memory else { return Vec::new() };
     let state = memory.state();
@@ -79,12 +79,12 @@ fn a_new_sampler_goes_on_with_what_the_one_before_had_learned() {
     let matured = sampler.evidence().unwrap().matured_len();
     assert!(matured > 20.0 && next.evidence().unwrap().matured_len() == matured, "{matured}");
 
-    // Whom neither has seen is forecast alike by both: all that counts for them was kept.
+    // Both samplers forecast agents that they have not seen in the same way: all state that counts was kept.
     let [resumed, other, new] =
         [&mut next, &mut sampler, &mut Sampler::new(options())].map(|sampler| tick(sampler, 300));
     assert!(resumed == other, "the forecasts differ");
     assert!(resumed != new, "it had learned something");
-    // And it is kept on.
+    // The new sampler continues to commit.
     next.commit(301, &mut journal).unwrap();
     let mut last = Sampler::new(options());
     last.resume(journal.resume(None).unwrap().unwrap()).unwrap();
@@ -144,7 +144,7 @@ fn a_slot_that_is_damaged_is_never_resumed() {
         sampler.commit(seq + 1, &mut journal).unwrap();
     }
     let mut bytes = journal.into_storage();
-    // The first entry's number, at the begin of the slots.
+    // The number of the first entry, at the start of the slots.
     let slots_at = bytes.len() - 8192 * 160 / 8;
     bytes[slots_at + 1] ^= 4;
     let resumed = Journal::over(bytes, identity()).resume(None);
@@ -160,7 +160,7 @@ fn entries_go_round_once_there_are_too_many() {
     let steps = RetrievalMemory::ENTRIES_MAX as u64 / 128 + 20;
     for step in 0..steps {
         let stamp_ns = (step * STEP_NS) as i64;
-        // Far from each other, so that nothing is to be searched.
+        // Far from each other, so that a search finds nothing.
         let at = |agent: u64| [(agent * 100) as f32, (step * 20) as f32];
         memory.observe(stamp_ns, (0..128).map(|agent| (agent, at(agent))));
         for agent in 0..128 {
@@ -180,7 +180,7 @@ fn entries_go_round_once_there_are_too_many() {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 64, ..ProptestConfig::default() })]
 
-    /// A commit that was written in part, in whatever order, leaves the state of this tick or of the one before.
+    /// A partly written commit, in any order of writes, leaves the state of this tick or of the previous one.
     #[test]
     fn a_commit_that_is_torn_leaves_one_of_two_states(
         ticks in 1..40_u64,

@@ -1,4 +1,5 @@
-//! The sampler by its public interface: forecasts of every quality, and of several modes; what outlives its process.
+//! Tests of the sampler's public interface: forecasts of every quality and with several modes, and the state
+//! that outlives its process.
 
 mod journal;
 mod modes;

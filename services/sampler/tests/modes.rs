@@ -33,7 +33,7 @@ fn track(agent_type: AgentType) -> Track {
     track
 }
 
-/// Modes of unlike means, deviations and probabilities.
+/// Modes with different means, deviations and probabilities.
 fn controls(agent_type: AgentType) -> AgentControls {
     let step = |mode: usize| {
         let (deviation, mean) = (0.02 * (mode + 1) as f32, [0.1 - 0.05 * mode as f32, 0.003 * mode as f32]);
@@ -51,7 +51,7 @@ fn controls(agent_type: AgentType) -> AgentControls {
     controls
 }
 
-/// The learned forecast of a tick, and what becomes of it `age_ns` later without controls.
+/// The learned forecast of a tick, and the forecast without controls `age_ns` later.
 fn learned_and_held(agent_type: AgentType, propagation: Propagation, age_ns: i64) -> [Forecast; 2] {
     let mut sampler = Sampler::new(SamplerOptions { propagation, ..SamplerOptions::default() });
     let (tracks, mut out) = ([track(agent_type)], [Forecast::default(); 2]);
@@ -77,14 +77,14 @@ fn a_sampler_that_follows_another_holds_its_forecasts_to_the_bit() {
     // A forecast that is itself held must not be held again.
     spare.follow(&header(80_000_000), &[Forecast { quality: Quality::Held as u32, ..learned }]);
     assert_eq!(hold(&mut spare), held);
-    // That constant velocity was known to be nearer does not make it less of a forecast.
+    // A learned forecast is held even if constant velocity was known to be more accurate.
     let (quality, cause) = (Quality::Kinematic as u32, Cause::Outdone as u32);
     let mut spare = Sampler::new(SamplerOptions::default());
     spare.follow(&header(0), &[Forecast { quality, cause, causes: Cause::Outdone.bit(), ..learned }]);
     assert_eq!(hold(&mut spare).quality, Quality::Held as u32);
 }
 
-/// The mixture of the modes as they are published, by the law of total covariance.
+/// The covariance of the mixture of the published modes, by the law of total covariance.
 fn total(forecast: &Forecast, step: usize) -> [f32; 3] {
     let mut total = [0.0; 3];
     for mode in 0..MODES {

@@ -618,7 +618,7 @@ fn retrieval_corrects_forecasts_of_pedestrians() {
     );
 }
 
-/// At 30 m/s a slip rate that a street's corner takes would be beyond what tyres hold.
+/// At 30 m/s, the slip rate of a turn at a street corner would exceed the grip of the tyres.
 #[test]
 fn vehicles_turn_no_harder_than_tyres_hold() {
     let options = SamplerOptions { evidence: true, retrieval: false, ..SamplerOptions::default() };
@@ -640,7 +640,8 @@ fn vehicles_turn_no_harder_than_tyres_hold() {
             for step in 1..12 {
                 let (from, to) = (velocity(step - 1), velocity(step));
                 let across = (from[0] * to[1] - from[1] * to[0]) / from[0].hypot(from[1]).max(0.1) / DT_S;
-                // 8 m/s² in each step; chords of two steps, of which the later is slower, measure up to 6 % more.
+                // The limit holds in each step. A chord spans two steps and the later one is slower, so that
+                // it measures up to 6 % more.
                 assert!(across.abs() < 8.5, "{across} m/s² at {speed_mps} m/s");
             }
         }

@@ -1,4 +1,4 @@
-//! Workers share a tick and change no bit of it.
+//! Workers share a tick without changing a bit of its forecasts.
 
 #![expect(clippy::unwrap_used, reason = "a broken fixture should fail at once")]
 
@@ -62,7 +62,7 @@ fn agent(number: u64, seq: u64) -> (Track, AgentControls) {
     (track, controls)
 }
 
-/// The forecasts of 300 ticks, of which some agents have no controls, and one impossible ones.
+/// The forecasts of 300 ticks, in which some agents have no controls, and one has impossible controls.
 fn forecasts(options: SamplerOptions, workers: usize, is_guided: bool) -> (Vec<u8>, [usize; 2]) {
     let mut sampler = Sampler::with_workers(options, workers).unwrap();
     if is_guided {
