@@ -28,7 +28,7 @@ use crate::{HEARTBEAT, PortError, Publisher, Stop, Subscriber};
 pub(crate) const BORROWED_MAX: usize = 3;
 /// Frames that a publisher may prepare at a time.
 pub(crate) const LOANED_MAX: usize = 1;
-/// Frames sent earlier that a new reader receives.
+/// Number of earlier frames that a new reader receives.
 pub(crate) const HISTORY: usize = 1;
 /// Processes of a run that may use a topic: all stages, the launcher, and spares for tools.
 pub(crate) const NODES_MAX: usize = 20;
@@ -399,9 +399,9 @@ pub(crate) fn transport_config(run: &Run) -> Result<Config, SemanticStringError>
 /// Frees the resources of a run's dead processes in shared memory: their places on the topics and the frames
 /// that they had borrowed. Calls `found` with each process before its files are removed. Returns the number
 /// of processes that were cleaned, and the number that could not be. A service is removed if a process was
-/// killed while it created it, so that others can create it.
+/// killed while creating it, so that others can create it.
 ///
-/// May block forever on a connection if a process was killed while it created the connection
+/// May block forever on a connection if a process was killed while creating the connection
 /// ([`remove_half_made_connections`](crate::remove_half_made_connections)). Call it in a process that can be
 /// killed.
 ///

@@ -87,7 +87,8 @@ pub(crate) fn sending(point: Point, header: &Header) {
     }
 }
 
-/// Called when the stage reaches a point before it knows the next frame: that of the next tick.
+/// Called when the stage reaches a point before it has the next frame. The point counts for the next tick,
+/// except [`Point::Idle`], which counts for the finished one.
 #[inline]
 pub(crate) fn reach(point: Point) {
     if ARMED.load(Relaxed) != 0 {

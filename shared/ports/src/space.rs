@@ -191,7 +191,7 @@ pub(crate) fn remove_half_made_services(root: &Path, age: Duration) -> usize {
     files.filter(|path| is_half_made(path) && std::fs::remove_file(path).is_ok()).count()
 }
 
-/// Whether a file is unchanged for longer than `age`.
+/// Whether a file has been unchanged for longer than `age`.
 pub(crate) fn is_older(metadata: &Metadata, age: Duration) -> bool {
     metadata.modified().is_ok_and(|at| at.elapsed().is_ok_and(|elapsed| elapsed > age))
 }
@@ -213,7 +213,7 @@ pub fn leftovers() -> io::Result<Vec<Leftover>> {
     Ok(prefixes()?.into_iter().filter_map(leftover).collect())
 }
 
-/// The running runs of this user.
+/// The live runs of this user.
 ///
 /// # Errors
 /// If the directories can't be read.

@@ -20,8 +20,8 @@ const KEPT: [(&str, usize); 3] = [
 ];
 
 /// The inputs of a run's stages from the start of the run, compressed in memory. They are the detections, and
-/// the headers of tracks and forecasts, which contain the action of each stage at each tick. A replay of
-/// these frames brings the stages to the same state, for any length of their memory.
+/// the headers of tracks and forecasts, which show what each stage did in each tick. A replay of these frames
+/// brings the stages to the same state, for any length of their memory.
 #[derive(Debug)]
 pub struct Before {
     limit_bytes: usize,

@@ -31,7 +31,7 @@ pub struct Difference {
 }
 
 impl Difference {
-    /// The absolute difference of the values; infinite if one of them is NaN.
+    /// The absolute difference of the values; infinite if the difference is not a number.
     #[must_use]
     pub fn apart(&self) -> f64 {
         let apart = (self.a - self.b).abs();

@@ -398,7 +398,7 @@ impl Recording {
 }
 
 impl Scan {
-    /// Checks a range against its check value; 0 means that the writer computed none.
+    /// Adds a range with its check value; 0 means that the writer computed none.
     fn check(&mut self, begin: u64, end: u64, expected: u32, what: &'static str) {
         if expected != 0 {
             self.checks.push(Check { begin, end, expected, what });

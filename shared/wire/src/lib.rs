@@ -55,9 +55,9 @@
 //!
 //! * *Reserved bytes* get a name and a meaning in which 0 stands for "not reported" or for the previous
 //!   behaviour. Writers fill unknown bytes with zeros; in headers they copy the bytes of the received tick.
-//!   Readers ignore unknown bytes. A writer may thus not know [`Header::protection`], [`Header::shed`],
-//!   [`Heartbeat::refusals`], [`Track::learned_age_ns`], [`Forecast::expert_weights`] and
-//!   [`Forecast::out_of_distribution`].
+//!   Readers ignore unknown bytes. [`Header::protection`], [`Header::shed`], [`Heartbeat::refusals`],
+//!   [`Track::learned_age_ns`], [`Forecast::expert_weights`] and [`Forecast::out_of_distribution`] were added
+//!   in this way; older writers leave them 0.
 //! * *New numbers* of [`StageId`], [`StampSource`], [`TrackStatus`], [`Cause`] and [`Expert`]. Readers treat
 //!   a number that they do not know as unknown, and do not refuse frames for it.
 //! * *New flags*, if a reader may ignore them: their absence means the previous behaviour.
