@@ -1,13 +1,14 @@
 //! A stage allocates nothing in a steady tick, neither in its step nor in the loop around it with its waits,
 //! frames and heartbeats.
 //!
-//! All stages that compute run as threads of this process, each with its own ports, as in a lockstep run; the
-//! test is the source before them and the reader after them. Allocations are counted by thread, so that each
-//! count is one stage's.
+//! All compute stages run as threads of this process, each with its own ports, as in a lockstep run. The test
+//! is the source before them and the reader after them. Allocations are counted per thread, so each count
+//! belongs to one stage.
 //!
 //! The transport (iceoryx2 0.10.0) allocates 48 bytes for every loan, and nothing for sending, receiving,
-//! notifying or waiting. There is one loan per frame sent, a tick or a heartbeat. The test measures their
-//! size by a loan of its own and counts allocations of that size separately; there may be no others.
+//! notifying or waiting. Each sent frame is one loan: a tick or a heartbeat. The test measures the size of
+//! this allocation by its own loan and counts allocations of that size separately. It accepts no other
+//! allocations.
 #![expect(clippy::unwrap_used, reason = "a test ends at what it can't do")]
 
 use std::time::{Duration, Instant};
@@ -25,12 +26,12 @@ use wire::{
 #[global_allocator]
 static ALLOCATOR: CountingAllocator = CountingAllocator;
 
-/// Longest wait for an answer, far longer than one takes.
+/// Time limit for an answer, far longer than an answer takes.
 const LIMIT: Duration = Duration::from_secs(60);
 const AGENTS: u64 = 24;
-/// The test's own place among the threads that are counted.
+/// The test's own index among the counted threads.
 const HERE: usize = 7;
-/// Ticks until all caches have been filled once.
+/// Ticks until all caches are filled.
 const WARM_UP: u64 = 150;
 const TICKS: u64 = 400;
 
@@ -45,7 +46,7 @@ const STAGES: [(&str, Body); 6] = [
     ("sampler", sampler::stage::run),
 ];
 
-/// Agents of all types, each on a small circle of its own.
+/// Agents of all types, each on its own small circle.
 fn detections(tick: u64) -> Vec<Detection> {
     let agent = |i: u64| {
         let turn = tick as f64 * 0.02 + i as f64;
@@ -94,12 +95,12 @@ impl Ends {
             }
             assert!(begin.elapsed() < LIMIT, "linked are {linked:?}");
         }
-        // Warm-up frames still on their way must not push a tick out of a queue.
+        // Warm-up frames that are still in a queue must not displace a tick.
         std::thread::sleep(Duration::from_millis(100));
         while self.forecasts.receive().unwrap().is_some() {}
     }
 
-    /// Takes a tick through all stages.
+    /// Passes a tick through all stages.
     fn tick(&self, tick: u64) {
         let observed_types =
             AgentType::Vehicle.bit() | AgentType::Cyclist.bit() | AgentType::Pedestrian.bit();
@@ -125,14 +126,14 @@ impl Ends {
     }
 }
 
-/// Bytes that the transport allocates for a loan, in one allocation.
+/// Size of the one allocation that the transport makes for a loan.
 fn loan_bytes(ends: &Ends) -> usize {
     let counts = AllocationCounts::during(|| drop(ends.detections.loan(1).unwrap()));
     assert_eq!(counts[HERE], [0, 1], "a loan takes one allocation");
     AllocationCounts::newest_bytes()
 }
 
-/// Ends the stages, also where the test fails.
+/// Ends the stages when dropped, even if the test fails.
 struct Stop;
 
 impl Drop for Stop {
@@ -141,7 +142,7 @@ impl Drop for Stop {
     }
 }
 
-// One test only: another in this process would be ended with the stages.
+// The only test: a second one in this process would end with the stages.
 #[test]
 fn the_loops_of_all_stages_allocate_nothing_in_steady_ticks() {
     let id = u64::from(std::process::id());

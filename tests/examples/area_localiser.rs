@@ -1,8 +1,9 @@
-//! A stage in place of the project's: a localiser that knows a round drivable area,
-//! `command = ["target/release/examples/area_localiser"]` in its table of pipeline.toml.
+//! A replacement of the shipped localiser that knows a round drivable area: `command =
+//! ["target/release/examples/area_localiser"]` in the localiser's table of pipeline.toml.
 //!
-//! It shows what every stage does: declare its topics and options, open the ports, take a frame, write the
-//! next one straight into shared memory, send it. `ports::Stage` does heartbeats, warm-up frames and the end.
+//! It shows the tasks of every stage: declare topics and options, open the ports, take a frame, write the
+//! next frame directly into shared memory, and send it. `ports::Stage` handles heartbeats, warm-up frames and
+//! the end.
 
 use std::process::ExitCode;
 
@@ -12,7 +13,7 @@ use run::{Conflict, Declaration, Run};
 use serde::Deserialize;
 use wire::{ContextMut, ContextShape, ContextTopic, HistoryState, StageId, Topic, TracksTopic, context_rows};
 
-/// The stage that it replaces, the topics that it reads and writes, and what its options must hold to.
+/// The stage that this program replaces, the topics that it reads and writes, and the rule for its options.
 const STAGE: Declaration<Options> =
     Declaration::new(StageId::Localiser, &[TracksTopic::NAME], &[ContextTopic::NAME])
         .with_rule(Options::check);
@@ -63,7 +64,7 @@ fn run(run: &Run) -> Result<(), StageError> {
         let mut loan = output.loan(context_rows(&shape))?;
         let result = ContextMut::over(&mut loan, shape).map(|mut context| {
             context.tracks.copy_from_slice(&input);
-            // A loan may still hold an earlier frame.
+            // The loan may still contain an earlier frame.
             context.patches.fill(0.0);
             for (agent, track) in input.iter().enumerate() {
                 let history = track.history[..shape.history_len].iter().enumerate();
@@ -76,19 +77,19 @@ fn run(run: &Run) -> Result<(), StageError> {
         });
         stage.finish(passage, &output, result.map(|()| loan))?;
     }
-    // The launcher shows it, with the stage's name before it.
+    // The launcher prints this with the stage's name in front.
     drawn.print(options.radius_m, model.patch_size);
     Ok(())
 }
 
-/// What the stage has drawn.
+/// Counts and an example of the drawn patches.
 #[derive(Default)]
 struct Drawn {
     patches: u64,
     cells: u64,
-    /// Cells of the area.
+    /// Number of cells in the area.
     inside: u64,
-    /// The newest patch that the area's edge crosses, and its agent.
+    /// The newest patch that the edge of the area crosses, and its agent.
     edge: Option<(u64, Vec<f32>)>,
 }
 
@@ -117,8 +118,8 @@ impl Drawn {
     }
 }
 
-/// Writes channel 0 of a patch, \[channel, row, column\]: 1 where the area is, 0 elsewhere. Row 0 is farthest
-/// ahead of the agent, column 0 leftmost. Channels 1 and 2, the velocities, stay 0.
+/// Writes channel 0 of a patch, \[channel, row, column\]: 1 in the area, 0 elsewhere. Row 0 is farthest ahead
+/// of the agent, and column 0 is leftmost. Channels 1 and 2, the velocities, stay 0.
 fn write_density(state: &HistoryState, options: &Options, model: &ModelConfig, patch: &mut [f32]) {
     let side = model.patch_size;
     let half = (side as f32 - 1.0) / 2.0;

@@ -1,5 +1,5 @@
-//! A stage beside the way: reads the forecasts and writes a topic of its own, how near each agent comes to the ego
-//! vehicle. No forecast waits for it. Its lines in pipeline.toml:
+//! A stage beside the ticks' path: it reads the forecasts and writes its own topic, the closest approach of
+//! each agent to the ego vehicle. No forecast waits for it. Its lines in pipeline.toml:
 //!
 //! ```toml
 //! [[topic]]
@@ -22,22 +22,22 @@ use ports::{Stage, StageError, stage_main};
 use run::{Declaration, NoOptions, Run};
 use wire::{AGENTS_MAX, Forecast, ForecastsTopic, Header, Topic};
 
-/// Which stage it is, pipeline.toml says.
+/// The stage's identity comes from pipeline.toml.
 const STAGE: Declaration<NoOptions> = Declaration::added(&[ForecastsTopic::NAME], &[Approaches::NAME]);
 
-/// How near an agent comes to the ego vehicle on its most probable trajectory: an element of the topic.
+/// An element of the topic: the agent's closest approach to the ego vehicle on its most probable trajectory.
 #[derive(Clone, Copy, Debug, Pod, Zeroable)]
 #[repr(C)]
 struct Approach {
     /// The agent's number.
     id: u64,
-    /// The least distance.
+    /// The smallest distance.
     distance_m: f32,
-    /// Time until then, from the frame's stamp.
+    /// Time from the frame's stamp until then.
     in_s: f32,
 }
 
-/// The topic: an element for each agent of the forecasts.
+/// The topic, with one element per agent of the forecasts.
 #[derive(Debug)]
 enum Approaches {}
 
@@ -45,7 +45,7 @@ impl Topic for Approaches {
     type Element = Approach;
     const NAME: &'static str = "approaches";
     const DOC: &'static str = "How near each agent comes to the ego vehicle.";
-    // Another layout gets another name, so that old readers do not connect.
+    // A new layout needs a new name, so that old readers do not connect.
     const TYPE_NAME: &'static str = "approach.1";
     const ELEMENTS_MAX: usize = AGENTS_MAX;
     const ELEMENTS_START: usize = AGENTS_MAX;
@@ -66,7 +66,7 @@ fn run(run: &Run) -> Result<(), StageError> {
     Ok(())
 }
 
-/// The nearest step of the most probable trajectory; the ego vehicle stands where it is.
+/// The nearest step of the most probable trajectory. The ego vehicle is assumed to stand.
 fn nearest(header: &Header, forecast: &Forecast) -> Approach {
     let [ego_x_m, ego_y_m] = header.ego_m;
     let step_s = header.step_ns as f32 / 1e9;

@@ -1,9 +1,9 @@
-//! A reader such as a planner: prints the forecasts of a run, tick by tick.
-//! `consumer --run /tmp/stgdat_*/run`, beside `stgdat run`.
+//! A reader such as a planner: prints the forecasts of a run, tick by tick. Start it beside `stgdat run` as
+//! `consumer --run /tmp/stgdat_*/run`.
 //!
-//! Positions are metres, printed in the frame of map and detections: the run's origin is added to them. Step
-//! k of a forecast lies at the frame's stamp + (k + 1) Δt. A planner does the same: wait, take the newest
-//! frame, use it where it lies in shared memory, drop it.
+//! Positions are in metres. They are printed in the frame of map and detections: the run's origin is added.
+//! The time of step k of a forecast is the frame's stamp + (k + 1) Δt. A planner does the same: it waits,
+//! takes the newest frame, reads it in shared memory, and drops it.
 
 use std::process::ExitCode;
 use std::time::Duration;
@@ -16,7 +16,7 @@ fn run(run: &Run) -> Result<(), StageError> {
     let node = Node::open(run, "consumer")?;
     let forecasts = node.subscriber::<ForecastsTopic>(2)?;
     while !node.stop().requested() {
-        // Asleep until a frame comes; the subscriber drops frames with an impossible header.
+        // Sleeps until a frame arrives. The subscriber drops frames with an impossible header.
         forecasts.sleep(Duration::from_secs(2))?;
         while let Some(frame) = forecasts.receive()? {
             let header = frame.header();

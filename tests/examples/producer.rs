@@ -1,12 +1,15 @@
-//! A detector in the source's place: `command = ["target/release/examples/producer"]` in its table of
-//! pipeline.toml.
+//! A detector that replaces the source: `command = ["target/release/examples/producer"]` in the source's
+//! table of pipeline.toml.
 //!
-//! Positions are metres in the world frame (right-handed, z up, fixed to the ground): a detector with UTM or
-//! MGRS coordinates subtracts the run's origin (`stgdat run --origin X,Y`) in f64. Headings are
-//! counter-clockwise from +x. The header of each frame contains the ego pose in that frame and the stamp, on
-//! the sensor's clock, different in every frame. Each detection contains its own time of measurement as an
-//! offset from the stamp: two sensors that are merged into one frame need not measure at the same time. Put
-//! your detectors in the place of [`detect`], or play a recording of your own.
+//! Positions are in metres in the world frame (right-handed, z up, fixed to the ground). A detector with UTM
+//! or MGRS coordinates subtracts the run's origin (`stgdat run --origin X,Y`) in f64. Headings are
+//! counter-clockwise from +x.
+//!
+//! The header of each frame contains the ego pose in that frame and the stamp. The stamp is a time on the
+//! sensor's clock and differs in every frame. Each detection contains its own measurement time as an offset
+//! from the stamp, so two sensors that are merged into one frame can measure at different times.
+//!
+//! Replace [`detect`] by your detectors, or play your own recording.
 
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -22,19 +25,19 @@ use wire::{
     flags,
 };
 
-/// The stage that it replaces, with the topics that it writes.
+/// The stage that this program replaces, with the topics that it writes.
 const STAGE: Declaration<Options> =
     Declaration::new(StageId::Source, &[], &[DetectionsTopic::NAME, TruthTopic::NAME]);
 
-/// Options of its own: `options = { ticks = 60, offsets_ms = [0, -30] }` in its table of pipeline.toml, or
+/// The program's options: `options = { ticks = 60, offsets_ms = [0, -30] }` in its table of pipeline.toml, or
 /// `--set source.ticks=60`.
 #[derive(Deserialize)]
 #[serde(default)]
 struct Options {
     ticks: u64,
-    /// When the sensor of the car and the sensor of the pedestrian measure, from the frame's stamp.
+    /// Measurement times of the car's and the pedestrian's sensor, from the frame's stamp.
     offsets_ms: [f64; 2],
-    /// A recording whose frames are sent instead, at most 12.5 Hz.
+    /// A recording whose frames are sent instead, at most at 12.5 Hz.
     play: Option<PathBuf>,
 }
 
@@ -44,7 +47,7 @@ impl Default for Options {
     }
 }
 
-/// Detections of two sensors, each at its own time: a car that passes, and a pedestrian.
+/// Detections of two sensors, each at its own time: a passing car, and a pedestrian.
 fn detect(stamp_ns: i64, offsets_ns: [i64; 2]) -> Vec<Detection> {
     let [car_s, pedestrian_s] = offsets_ns.map(|offset_ns| (stamp_ns + offset_ns) as f32 / 1e9);
     let car = Detection {
@@ -97,7 +100,7 @@ fn run(run: &Run) -> Result<(), StageError> {
     let frames = &scene.frames[..scene.frames.len().min(options.ticks as usize)];
     let mut stage = Stage::open(run, &STAGE)?;
     let detections = stage.publish::<DetectionsTopic>()?;
-    // A sensor has no truth: that topic carries only the frames that link the run.
+    // A sensor has no truth. Its truth topic carries only the frames that link the run.
     let truth = stage.publish::<TruthTopic>()?;
     let mut peers = stage.peers(run)?;
     let header = |seq: u64, stamp_ns: i64, flags: u32| Header {
@@ -107,8 +110,8 @@ fn run(run: &Run) -> Result<(), StageError> {
         ..Header::new(run.id, seq, stamp_ns)
     };
 
-    // Frames reach a reader once it has mapped the connection: warm-up frames pass until every stage has had
-    // one.
+    // A frame reaches a reader only after the reader has mapped the connection. So warm-up frames are sent
+    // until every stage has received one.
     while !peers.unlinked().is_empty() {
         truth.send_copy(&[], header(0, 0, flags::WARM_UP))?;
         stage.pass_empty(stage.release(header(0, 0, flags::WARM_UP)), &detections)?;
@@ -132,7 +135,7 @@ fn run(run: &Run) -> Result<(), StageError> {
             ego_heading_rad: frame.ego.heading_rad,
             ..header(seq, frame.stamp_ns, seen_from_ego)
         });
-        // As a detector would send them: the tracker's audit sees what the file contains.
+        // As a detector would send them, so the tracker's audit sees the file's content.
         let measured: Vec<Detection> =
             (0..frame.detections.len()).filter_map(|place| frame.written(place)).collect();
         passage.header.counts.agents_len = measured.len() as u32;

@@ -1,5 +1,6 @@
-//! A stage in the way: reads the tracks and writes tracks in which nobody is faster than a limit, as wheels and
-//! reflections make a radar believe. The localiser reads those instead. Its lines in pipeline.toml:
+//! A stage on the ticks' path: it reads the tracks and writes tracks in which no agent exceeds a speed limit.
+//! (Wheels and reflections make a radar report such speeds.) The localiser reads these tracks instead. Its
+//! lines in pipeline.toml:
 //!
 //! ```toml
 //! [[topic]]
@@ -16,7 +17,7 @@
 //! options = { speed_max_mps = 40 }
 //! ```
 //!
-//! and, in the table of the localiser, `topics = { tracks = "limited-tracks" }`.
+//! The table of the localiser also needs `topics = { tracks = "limited-tracks" }`.
 
 use std::process::ExitCode;
 
@@ -25,7 +26,7 @@ use run::{Conflict, Declaration, Run};
 use serde::Deserialize;
 use wire::{Topic, Track, TracksTopic};
 
-/// Which stage it is, pipeline.toml says.
+/// The stage's identity comes from pipeline.toml.
 const STAGE: Declaration<Options> =
     Declaration::added(&[TracksTopic::NAME], &[LimitedTracks::NAME]).with_rule(Options::check);
 
@@ -33,7 +34,7 @@ const STAGE: Declaration<Options> =
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields, default)]
 struct Options {
-    /// Greatest speed of an agent.
+    /// Highest speed of an agent.
     speed_max_mps: f32,
 }
 
@@ -53,7 +54,7 @@ impl Options {
     }
 }
 
-/// The topic: that of the tracks under another name.
+/// The topic: the type of `tracks` under another name.
 #[derive(Debug)]
 enum LimitedTracks {}
 
@@ -80,7 +81,7 @@ fn run(run: &Run) -> Result<(), StageError> {
     Ok(())
 }
 
-/// Scales the velocities that are greater than the limit.
+/// Scales velocities above the limit down to it.
 fn limit(track: &mut Track, most_mps: f32) {
     let factor = |vx_mps: f32, vy_mps: f32| (most_mps / vx_mps.hypot(vy_mps)).min(1.0);
     for state in &mut track.history {

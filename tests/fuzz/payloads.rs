@@ -1,9 +1,9 @@
-//! Fuzz targets of what comes in through shared memory: headers, records and sections, any of whose bytes may
-//! be wrong.
+//! Fuzz targets for all input through shared memory: headers, elements and sections. Any byte of these can be
+//! wrong.
 //!
-//! Each target writes words of the fuzzer into a good record: at places where a number lies, or anywhere.
-//! Checks must not panic, and whatever they let through has no number that is not finite, and no count or
-//! place beyond its limit. The sections of `context` and `features` are read by headers of any sizes.
+//! Each target writes words of the fuzzer into a good element, at the places of its numbers or anywhere.
+//! Checks must not panic. An element that they accept has only finite numbers, and its counts and indices are
+//! within their limits. The sections of `context` and `features` are read with headers of any sizes.
 //!
 //! `readers.rs` has the command for a longer search.
 
@@ -18,7 +18,7 @@ use wire::{
 const ITERATIONS: usize = 20_000;
 /// Longest list of edits, in bytes.
 const EDITS_BYTES_MAX: usize = 70;
-/// What tends to break checks.
+/// Values that often break checks.
 const WORDS: [u32; 12] = [
     0,
     1,
@@ -34,7 +34,7 @@ const WORDS: [u32; 12] = [
     1 << 20,
 ];
 
-/// Applies edits of seven bytes each: where (two bytes), how, and what (four bytes).
+/// Applies edits of seven bytes each: position (two bytes), kind, and value (four bytes).
 fn edit(record: &mut [u8], edits: &[u8]) {
     for edit in edits.chunks_exact(7) {
         let [low, high, how, word @ ..] = edit else { continue };
@@ -48,7 +48,7 @@ fn edit(record: &mut [u8], edits: &[u8]) {
     }
 }
 
-/// Edits a good record; what the check lets through has finite numbers and holds to `invariant`.
+/// Edits a good element. If the check accepts the result, it has finite numbers and satisfies `invariant`.
 fn fuzz<T: Pod + Send + Sync + std::panic::RefUnwindSafe>(
     record: &Record,
     good: T,
@@ -116,7 +116,7 @@ fn forecast() {
     });
 }
 
-/// Headers of any bytes are passed on and describe sections that either fit their payload or are refused.
+/// A header of any bytes describes sections that fit their payload, or is refused.
 #[test]
 fn header_and_sections() {
     let mut good = Header::new(1, 2, 3);

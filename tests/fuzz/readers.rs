@@ -1,13 +1,14 @@
-//! Fuzz targets, one per reader of recordings, and one of maps of lanes.
+//! Fuzz targets, one per reader of recordings, and one for maps of lanes.
 //!
-//! Each target starts from a small good recording and lets the fuzzer edit it: bytes overwritten, inserted
-//! and removed, lines repeated, words put in that break number parsers; and hands the reader the fuzzer's
-//! bytes as they are. Nothing may panic, and what is read must hold to what the pipeline relies on.
+//! Each target starts from a small good recording, which the fuzzer edits: it overwrites, inserts and removes
+//! bytes, repeats lines, and inserts words that break number parsers. The target also passes the fuzzer's
+//! bytes to the reader unchanged. A reader must not panic, and its result must satisfy the pipeline's
+//! assumptions.
 //!
 //! A test run does a bounded number of iterations. To search for longer:
 //!
 //! ```sh
-//! # Ten minutes, one target after the other; says how many inputs there were.
+//! # Ten minutes, one target after the other; prints the number of inputs.
 //! BOLERO_RANDOM_TEST_TIME_MS=600000 BOLERO_RANDOM_ITERATIONS=100000000000 \
 //!     cargo test --release -p stgdat-tests --test fuzz_readers csv -- --nocapture
 //! # Coverage-guided; needs cargo-bolero and a nightly compiler.
@@ -21,7 +22,7 @@ use lanes::{Coordinates, LaneMap, Routes};
 const ITERATIONS: usize = 20_000;
 /// Longest list of edits, in bytes.
 const EDITS_BYTES_MAX: usize = 64;
-/// What tends to break parsers.
+/// Texts that often break parsers.
 const WORDS: [&[u8]; 20] = [
     b"nan",
     b"-inf",
@@ -166,7 +167,8 @@ fn csv() {
     fuzz(Format::Csv, &[(Role::Rows, rows)]);
 }
 
-/// A lanelet with its successor in degrees, a node with local coordinates beside them, an island and a limit.
+/// A lanelet with its successor, in degrees. It also has a node with local coordinates, an island and a
+/// limit.
 const LANES: &str = "<?xml version='1.0'?>\n<osm version='0.6'><node id='1' lat='0.0000' lon='0.0000'><tag k='local_x' v='0'/><tag k='local_y' v='0'/></node>\n\
     <node id='2' lat='0.0001' lon='0.0000'><tag k='local_x' v='0'/><tag k='local_y' v='11.1'/></node><node id='3' lat='0.0000' lon='0.00003'><tag k='local_x' v='3.3'/><tag k='local_y' v='0'/></node>\n\
     <node id='4' lat='0.0001' lon='0.00003'><tag k='local_x' v='3.3'/><tag k='local_y' v='11.1'/></node><node id='5' lat='0.0002' lon='0.0'><tag k='local_x' v='0'/><tag k='local_y' v='22.2'/></node><node id='6' lat='0.0002' lon='0.00003'><tag k='local_x' v='3.3'/><tag k='local_y' v='22.2'/></node>\n\
@@ -199,7 +201,7 @@ fn lanelet2() {
     });
 }
 
-/// What those who follow lanes rely on.
+/// Asserts the assumptions of code that uses lanes.
 fn check_lanes(map: &LaneMap) {
     assert!(!map.lanes().is_empty());
     let mut routes = Routes::default();
@@ -238,7 +240,7 @@ fn fuzz(format: Format, files: &[(Role, &str)]) {
     });
 }
 
-/// Applies edits of four bytes each: where (two bytes), what, and with which byte or word.
+/// Applies edits of four bytes each: position (two bytes), kind, and the byte or word.
 fn edit(text: &mut Vec<u8>, edits: &[u8]) {
     for edit in edits.chunks_exact(4) {
         let place = usize::from(u16::from_le_bytes([edit[0], edit[1]])) % (text.len() + 1);
@@ -257,7 +259,7 @@ fn edit(text: &mut Vec<u8>, edits: &[u8]) {
     }
 }
 
-/// What the pipeline relies on.
+/// Asserts the pipeline's assumptions.
 fn check(recording: &Recording) {
     assert!(!recording.frames.is_empty());
     assert_eq!(recording.sha256.len(), 64);

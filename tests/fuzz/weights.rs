@@ -1,7 +1,7 @@
-//! Fuzz targets of what a weights file may hold: its header, the model's options in it, and its numbers.
+//! Fuzz targets for the content of a weights file: its header, the model's options in it, and its numbers.
 //!
-//! Each target starts from the embedded model and lets the fuzzer edit it. Nothing may panic, neither while it is
-//! read nor while layers are built of what was read, and every number that is let through is finite.
+//! Each target starts from the embedded model, which the fuzzer edits. Nothing may panic, neither while the
+//! file is read nor while layers are built from it. All accepted numbers are finite.
 //!
 //! `readers.rs` has the command for a longer search.
 
@@ -10,13 +10,13 @@ use safetensors::Dtype;
 use serde_json::{Value, json};
 use testing::Model;
 
-/// Iterations of a target in an ordinary test run: each reads some megabytes.
+/// Iterations of a target in an ordinary test run. Each one reads some megabytes.
 const ITERATIONS: usize = 200;
 /// Longest list of edits, in bytes.
 const EDITS_BYTES_MAX: usize = 24;
-/// Bytes before the header: its length.
+/// Bytes before the header, which hold its length.
 const LENGTH_BYTES: usize = 8;
-/// What tends to break readers of the header.
+/// Texts that often break readers of the header.
 const WORDS: [&[u8]; 16] = [
     b"0",
     b"-1",
@@ -36,7 +36,7 @@ const WORDS: [&[u8]; 16] = [
     b"\xff",
 ];
 
-/// Reads a file; builds all layers of what can be read.
+/// Reads a file and builds all layers from a readable one.
 fn read(bytes: &[u8]) {
     match Weights::from_bytes(bytes) {
         Ok(weights) => {
@@ -80,8 +80,8 @@ fn file(length: u64, header: &[u8], data: &[u8]) -> Vec<u8> {
     [&length.to_le_bytes()[..], header, data].concat()
 }
 
-/// Edits of four bytes each: where (two bytes), how, and with which byte or word. The header's length follows its
-/// content, but for one edit in eight.
+/// Edits of four bytes each: position (two bytes), kind, and the byte or word. The header's length matches
+/// its content, except in one of eight edits.
 #[test]
 fn weights_header() {
     let good = Model::onboard().bytes(Dtype::F16);
@@ -109,7 +109,7 @@ fn weights_header() {
     });
 }
 
-/// The model's options, by which layers are built: a byte chooses the option, one its value.
+/// The model's options, which determine the layers: one byte selects the option, one its value.
 #[test]
 fn weights_options() {
     let model = Model::with_all_options();
@@ -144,7 +144,8 @@ fn weights_options() {
     });
 }
 
-/// Shapes and numbers of the tensors: a byte chooses the tensor, one what becomes of it, one the number or its place.
+/// Shapes and numbers of the tensors: one byte selects the tensor, one the kind of edit, one the number or
+/// its index.
 #[test]
 fn weights_tensors() {
     let good = Model::with_all_options().bytes(Dtype::F16);
@@ -152,7 +153,7 @@ fn weights_tensors() {
     let header: Value = serde_json::from_slice(header).expect("JSON");
     let names: Vec<&String> =
         header.as_object().expect("tensors").keys().filter(|n| *n != "__metadata__").collect();
-    // Not a number, both infinities, the largest, the least above 0, 0, −1 and 1 in half precision.
+    // Half precision: not a number, both infinities, the largest number, the smallest above 0, 0, −1 and 1.
     let numbers: [u16; 8] = [0x7E00, 0x7C00, 0xFC00, 0x7BFF, 1, 0, 0xBC00, 0x3C00];
     fuzz(|edits| {
         let (mut header, mut data) = (header.clone(), data.to_vec());

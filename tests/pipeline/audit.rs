@@ -1,11 +1,11 @@
-//! Inputs that look wrong: what `inspect`, `predict`, `track` and `run` find in them, and their exit codes.
+//! Inputs that look wrong: the findings of `inspect`, `predict`, `track` and `run`, and their exit codes.
 
 use std::fmt::Write as _;
 use testing::Scratch;
 
 use crate::started::{run, run_well, stderr, stdout};
 
-/// Two cars in two directions for 10 s, with headings multiplied by `unit` and stamps by `per_s`.
+/// Two cars in two directions for 10 s. Headings are multiplied by `unit`, and stamps by `per_s`.
 fn cars(scratch: &Scratch, name: &str, unit: f64, per_s: f64) -> String {
     let mut text = "stamp_s,id,type,x_m,y_m,heading_rad,speed_mps\n".to_owned();
     for step in 0..100 {

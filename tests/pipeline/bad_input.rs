@@ -1,4 +1,4 @@
-//! Input that can't be used is refused with its place and an exit code, and leaves no files behind.
+//! Unusable input is refused with its location and an exit code, and leaves no files behind.
 
 use safetensors::SafeTensors;
 use safetensors::tensor::TensorView;
@@ -8,8 +8,8 @@ use crate::started::{LeftoverWatch, piped, run, run_well, stderr, stdout};
 
 const WEIGHTS: &[u8] = include_bytes!("../../shared/weights/onboard.safetensors");
 
-/// `stgdat` with these arguments ends with that code and a message that contains these texts, and leaves no
-/// files.
+/// Asserts that `stgdat` with these arguments ends with this code and a message that contains these texts,
+/// and leaves no files.
 fn assert_refused(arguments: &[&str], code: i32, texts: &[&str]) {
     let watch = LeftoverWatch::begin();
     let output = run(arguments);
@@ -25,7 +25,7 @@ fn assert_refused(arguments: &[&str], code: i32, texts: &[&str]) {
     watch.assert_nothing_new();
 }
 
-/// The embedded weights with one tensor laid out as a single row.
+/// The embedded weights with one tensor as a single row.
 fn with_wrong_shape(tensor: &str) -> Vec<u8> {
     let file = SafeTensors::deserialize(WEIGHTS).expect("the embedded weights are safetensors");
     let (_, header) = SafeTensors::read_metadata(WEIGHTS).expect("the embedded weights are safetensors");

@@ -1,4 +1,4 @@
-//! A day's use: pipes that close, files and misspelt verbs as arguments, colours.
+//! Everyday use: closed pipes, files and misspelt verbs as arguments, colours.
 
 use std::fs::Permissions;
 use std::os::unix::fs::PermissionsExt as _;
@@ -10,7 +10,7 @@ use testing::Scratch;
 
 use crate::started::{piped, run, run_well, stderr, stdout, stgdat};
 
-/// Output that nobody reads.
+/// An output without a reader.
 fn closed() -> Stdio {
     let (reader, writer) = std::io::pipe().expect("there are descriptors");
     drop(reader);
@@ -144,7 +144,8 @@ fn the_log_of_a_run_is_json_if_asked_for() {
     assert_eq!((&failure["level"], has(&failure, "message")), (&"ERROR".into(), true), "{failure:?}");
 }
 
-/// The program in a folder of its own, perhaps beside another `stgdat-lab`, with only that folder in PATH.
+/// The program in its own folder, optionally with a different `stgdat-lab` beside it. PATH contains only this
+/// folder.
 fn copied(scratch: &Scratch, lab: Option<&str>) -> Command {
     let program = scratch.path("stgdat");
     std::fs::copy(env!("CARGO_BIN_EXE_stgdat"), &program).expect("the program can be copied");

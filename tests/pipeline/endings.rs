@@ -1,4 +1,4 @@
-//! Ends of a run: all of its processes end and none of its files are left.
+//! Ends of a run: all its processes end, and none of its files are left.
 
 use std::os::unix::process::ExitStatusExt;
 use std::time::Duration;
@@ -10,13 +10,13 @@ use crate::started::{
     LeftoverWatch, Started, assert_nothing_left, run_well, shared_files, stderr, stdout, stgdat, wait_for,
 };
 
-/// Whether a process still runs. A zombie does not; its new parent has not waited for it yet.
+/// Whether a process still runs. A zombie does not run: its new parent has not waited for it yet.
 fn lives(pid: Pid) -> bool {
     let state = std::fs::read_to_string(format!("/proc/{}/stat", pid.as_raw_nonzero()));
     state.is_ok_and(|state| state.rsplit(") ").next().is_some_and(|rest| !rest.starts_with('Z')))
 }
 
-/// Whether this process ignores SIGHUP, as under `nohup`; so do the programs that it starts.
+/// Whether this process ignores SIGHUP, as under `nohup`. Programs that it starts then ignore it too.
 fn ignores_hangups() -> bool {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let ignored = status.lines().find_map(|line| line.strip_prefix("SigIgn:")).map(str::trim);
@@ -64,7 +64,7 @@ fn a_run_whose_terminal_is_gone_ends_with_its_report() {
     }
     let scratch = Scratch::new("no-terminal");
     let report = scratch.path("report.json");
-    // As a terminal that is gone, this file refuses everything.
+    // This file refuses every write, like a terminal that is gone.
     let refuses = || std::fs::File::options().write(true).open("/dev/full").expect("Linux has the file");
     let mut command = stgdat();
     command.args(["run", "--agents", "6", "--report", &report]).stdout(refuses()).stderr(refuses());
@@ -87,10 +87,10 @@ fn a_signal_during_the_start_ends_the_run() {
         std::thread::sleep(Duration::from_millis(delay_ms));
         run.signal(Signal::TERM);
         let output = run.output();
-        // Before its handler is installed, the signal kills a process that has done nothing yet.
+        // Before the handler is installed, the signal kills a process that has done nothing yet.
         let ended = output.status.code() == Some(143) || output.status.signal() == Some(15);
         assert!(ended, "after {delay_ms} ms: {:?}: {}", output.status, stderr(&output));
-        // A stage may report that it was interrupted; for the launcher a requested end is no error.
+        // A stage may report that it was interrupted. For the launcher, a requested end is not an error.
         let printed = stderr(&output);
         assert!(!printed.lines().any(|line| line.starts_with("error")), "after {delay_ms} ms: {printed}");
     }

@@ -1,4 +1,5 @@
-//! `stgdat fault`: the scenarios of `tests/faults` meet what they expect; mistakes and failures are told.
+//! `stgdat fault`: the scenarios of `tests/faults` give the expected results, and mistakes and failures are
+//! reported.
 
 use serde_json::Value;
 use testing::Scratch;
@@ -6,7 +7,7 @@ use testing::Scratch;
 use crate::programs::example;
 use crate::started::{run, run_well, stderr, stdout};
 
-/// Scenarios of each kind of fault that take the least time. The others are run by `stgdat fault run`.
+/// The shortest scenarios of each kind of fault. `stgdat fault run` runs the others.
 const SHORT: [&str; 9] = [
     "02-kill-in-a-step",
     "04-broken-command",
@@ -19,7 +20,7 @@ const SHORT: [&str; 9] = [
     "16-launcher-killed",
 ];
 
-/// Runs a scenario without asserting numbers of ticks, which must pass: its verdict.
+/// Runs a scenario without assertions on tick numbers, and returns its verdict. The scenario must pass.
 fn verdict(scratch: &Scratch, name: &str) -> Value {
     let json = scratch.path("verdicts.json");
     let output = run(&["fault", "run", "--no-timing", "--json", &json, name]);
@@ -81,7 +82,7 @@ fn a_failure_is_told_kept_and_repeatable() {
     }
 }
 
-/// A program that knows nothing of this project, beside a tick's way.
+/// A program beside a tick's path that does not know this project.
 #[test]
 fn an_added_stage_is_the_target_of_signals_and_has_no_points() {
     let scratch = Scratch::new("added-faults");
@@ -111,7 +112,7 @@ fn an_added_stage_is_the_target_of_signals_and_has_no_points() {
     );
 }
 
-/// Their pipeline has the two added stages of the examples.
+/// The pipeline of these scenarios has the two added stages of the examples.
 #[test]
 fn faults_act_on_topics_that_the_pipeline_file_declares() {
     let scratch = Scratch::new("added-topics");

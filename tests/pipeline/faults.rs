@@ -1,4 +1,4 @@
-//! Deaths and stops of stages in a run: the output goes on, and the report tells what each cost.
+//! Deaths and stops of stages in a run: the output continues, and the report contains the cost of each.
 
 use rustix::process::Signal;
 use serde_json::Value;
@@ -9,14 +9,14 @@ use crate::started::{Started, assert_nothing_left, stderr, stdout, wait_for};
 const STAGES: [&str; 8] =
     ["source", "tracker", "localiser", "extractor", "encoder", "decoder", "sampler", "recorder"];
 
-/// A run in which `disturb` is done once forecasts come: its exit code and its report.
+/// A run in which `disturb` is called once forecasts arrive. Returns its exit code and its report.
 fn disturbed(name: &str, arguments: &[&str], disturb: impl FnOnce(&Started)) -> (Option<i32>, Value) {
     let scratch = Scratch::new(name);
     let (report, forecasts) = (scratch.path("report.json"), scratch.path("forecasts.jsonl"));
     let files = ["--report", &report, "--forecasts", &forecasts, "--agents", "6"];
     let run = Started::run(&[&files[..], arguments].concat());
     let root = run.wait_until_it_runs();
-    // The recorder has kept its first second.
+    // The recorder has saved its first second.
     let kept = root.join("recorder-checkpoint.json");
     wait_for("no forecasts come", || kept.exists().then_some(()));
     disturb(&run);
@@ -99,7 +99,7 @@ fn a_death_without_which_there_is_no_output_ends_the_run_with_a_report() {
 
 #[test]
 fn the_restart_limit_and_exit_code_78_give_a_stage_up() {
-    // The first process of the stage runs; later ones end with the code.
+    // The stage's first process runs. Later processes end with the code.
     for (code, restarts) in [(3, 2), (78, 1)] {
         let scratch = Scratch::new(&format!("limit-{code}"));
         let stgdat = env!("CARGO_BIN_EXE_stgdat");
@@ -117,13 +117,13 @@ fn the_restart_limit_and_exit_code_78_give_a_stage_up() {
     }
 }
 
-/// Removes the regular files below a folder, as programs do that remove old files.
+/// Removes the regular files in a folder and its subfolders, like programs that remove old files.
 fn remove_files(folder: &std::path::Path) {
     for entry in std::fs::read_dir(folder).expect("the run's folder").filter_map(Result::ok) {
         match entry.file_type().expect("a type") {
             kind if kind.is_dir() => remove_files(&entry.path()),
             kind if kind.is_file() => {
-                // The recorder may have renamed it just now.
+                // The recorder may have just renamed the file.
                 let _ = std::fs::remove_file(entry.path());
             }
             _ => {}
@@ -145,7 +145,7 @@ fn a_run_whose_files_were_removed_restarts_a_stage() {
         });
         let (exit, report) = &run;
         assert_eq!(*exit, Some(0), "{name}: {:#}", report["supervision"]);
-        // A decoder that is started before its files are back ends, and is started once more.
+        // A decoder that starts before its files are restored ends and is started again.
         let restarts = restarts(report);
         assert!(matches!(&restarts[..], [(stage, 1 | 2)] if stage == "decoder"), "{name}: {restarts:?}");
         let outages = report["supervision"]["outages"].as_array().expect("outages");

@@ -1,5 +1,5 @@
-//! Recordings of several sensors, of stamps by object, and with poses at another rate: all agents in every
-//! tick.
+//! Recordings of several sensors, with stamps per object, and with poses at another rate: all agents are in
+//! every tick.
 
 use std::fmt::Write as _;
 
@@ -12,7 +12,7 @@ use crate::started::run_well;
 const SPEEDS_MPS: [f64; 5] = [10.0, 8.0, 6.0, 1.4, 1.2];
 const SWEEPS: u32 = 100;
 
-/// Ten seconds at 10 Hz, each agent measured its offset after the sweep.
+/// Rows of ten seconds at 10 Hz. Each agent is measured at its offset after the sweep.
 fn rows(offsets_s: [f64; 5], with_ids: bool) -> String {
     let mut csv = "stamp_s,id,type,x_m,y_m\n".to_owned();
     for sweep in 0..SWEEPS {
@@ -27,8 +27,9 @@ fn rows(offsets_s: [f64; 5], with_ids: bool) -> String {
     csv
 }
 
-/// Ticks, ticks with all five agents after the first three, and the mean distance of states and of the ends
-/// of the single best forecasts from where the agents are then.
+/// Returns the number of ticks; the number of ticks with all five agents, after the first three ticks; and
+/// two mean distances from the agents' true positions. The first distance is of the states, and the second of
+/// the ends of the single best forecasts.
 fn predicted(name: &str, csv: &str) -> (usize, usize, [f64; 2]) {
     let scratch = Scratch::new(name);
     let recording = scratch.file("own.csv", csv);

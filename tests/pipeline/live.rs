@@ -1,4 +1,4 @@
-//! Recordings that a producer sends live: the tracks, forecasts and doubts of `predict`.
+//! Recordings that a producer sends live: tracks, forecasts and doubts are the same as with `predict`.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -10,15 +10,16 @@ use crate::programs::example;
 use crate::python::{EXAMPLES, python};
 use crate::started::run_well;
 
-/// Two looks of the tracker's audit.
+/// Sweeps for two checks of the tracker's audit.
 const SWEEPS: u32 = 64;
 /// Three vehicles and two pedestrians along +y, 6 m apart.
 const SPEEDS_MPS: [f64; 5] = [10.0, 8.0, 6.0, 1.4, 1.2];
-/// In lockstep, forecasts move a state to the next stamp; live, the newest that came in time.
+/// Largest distance between live and lockstep states. In lockstep the previous tick's forecasts move a state
+/// to the next stamp; live, the newest forecasts that arrived in time do.
 const APART_MAX_M: f64 = 0.3;
 
-/// The pedestrians' sensor measures 30 ms later. One position of a pedestrian is 12 m off. The second vehicle is
-/// sent again in every other row. Headings of the first vehicle are in degrees.
+/// The pedestrians' sensor measures 30 ms later. One position of a pedestrian is 12 m off. Every other row of
+/// the second vehicle repeats the previous one. Headings of the first vehicle are in degrees.
 fn rows() -> String {
     let mut csv = "stamp_s,id,type,x_m,y_m,heading_rad\n".to_owned();
     for sweep in 0..SWEEPS {
@@ -37,7 +38,7 @@ fn rows() -> String {
     csv
 }
 
-/// By stamp and identity: position and speed of the published state.
+/// Position and speed of the published states, by stamp and identity.
 fn states(lines: &[u8]) -> BTreeMap<i64, BTreeMap<u64, [f64; 3]>> {
     let number = |value: &Value| value.as_f64().expect("a number");
     let mut states = BTreeMap::new();

@@ -5,7 +5,7 @@ use testing::Scratch;
 
 use crate::started::{Started, run_well, stderr};
 
-/// The stages that a forecast passes.
+/// The stages on the path of a forecast.
 const PASSED: [&str; 7] = ["source", "tracker", "localiser", "extractor", "encoder", "decoder", "sampler"];
 
 /// A number of the report, which must exist and be finite.
@@ -14,7 +14,7 @@ fn number(report: &Value, pointer: &str) -> f64 {
     value.filter(|x| x.is_finite()).unwrap_or_else(|| panic!("no number at {pointer}: {report}"))
 }
 
-/// Runs a generated scene to its end; its report and its forecasts, a line a tick.
+/// Runs a generated scene to its end. Returns its report and its forecasts, one line per tick.
 fn lockstep(name: &str, ticks: usize, agents: usize) -> (Value, Vec<Value>) {
     let scratch = Scratch::new(name);
     let (report, forecasts) = (scratch.path("report.json"), scratch.path("forecasts.jsonl"));
@@ -49,7 +49,7 @@ fn the_report_has_what_scripts_rely_on() {
     assert_eq!(stages.iter().map(|stage| &stage["name"]).collect::<Vec<_>>(), PASSED);
     for stage in stages {
         let [p50, p99] = ["p50", "p99"].map(|key| number(stage, &format!("/compute_ms/{key}")));
-        // 1 % for the resolution of percentiles.
+        // The factor of 1.01 allows for the resolution of percentiles.
         assert!(0.0 <= p50 && p50 <= p99 && p99 <= 1.01 * in_order[2], "{stage} in {in_order:?} ms");
         assert!(number(stage, "/budget_ms") > 0.0, "{stage}");
     }
@@ -77,7 +77,7 @@ fn a_full_scene_has_valid_forecasts_and_no_losses() {
     }
 }
 
-/// A forecast has finite numbers, valid covariances and probabilities that sum to 1.
+/// Asserts that a forecast has finite numbers, valid covariances and probabilities that sum to 1.
 fn assert_valid(agent: &Value) {
     let probability = agent["probability"].as_array().expect("a list");
     let sum: f64 = probability.iter().filter_map(Value::as_f64).sum();

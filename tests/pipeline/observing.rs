@@ -1,4 +1,4 @@
-//! A run told to others: its status, metrics and trace.
+//! The status, the metrics and the trace of a run.
 
 use std::net::TcpListener;
 

@@ -6,7 +6,7 @@ use testing::Scratch;
 
 use crate::started::{run, run_well, stderr, stdout, stgdat};
 
-/// `stgdat` with these arguments ends with that code and a message that contains these texts.
+/// Asserts that `stgdat` with these arguments ends with this code and a message that contains these texts.
 fn assert_refused(arguments: &[&str], code: i32, texts: &[&str]) {
     let output = run(arguments);
     assert_eq!(output.status.code(), Some(code), "{arguments:?}: {}", stderr(&output));
@@ -104,7 +104,7 @@ fn help_lists_the_options_of_the_stages() {
 fn a_stage_refuses_weights_of_another_model() {
     let scratch = Scratch::new("other-model");
     let record = scratch.path("run");
-    // The stages end before they join it.
+    // The stages end before they join the run.
     let of_run = Run { root: scratch.path("").into(), ..Run::default() };
     of_run.write(record.as_ref()).expect("the scratch folder can be written to");
     let mut model = nn::Weights::onboard().config().clone();

@@ -5,7 +5,7 @@ use testing::{Scratch, lane};
 
 use crate::started::{run, run_well, stderr, stdout};
 
-/// A vehicle along that lane at 10 m/s, .3 m to its left, and the ego vehicle behind it.
+/// A vehicle along the map's lane at 10 m/s, .3 m to the left of its middle, and the ego vehicle behind it.
 fn recording([x0, y0]: [f64; 2]) -> String {
     let mut rows = "stamp_s,id,type,x_m,y_m,heading_rad,speed_mps\n".to_owned();
     for step in 0..100 {
@@ -15,7 +15,7 @@ fn recording([x0, y0]: [f64; 2]) -> String {
     rows
 }
 
-/// The forecasts of `predict` with these arguments, without the positions of `origin`.
+/// The forecasts of `predict` with these arguments, relative to `origin`.
 fn forecasts(file: &str, origin: [f64; 2]) -> Vec<[f64; 2]> {
     let text = std::fs::read_to_string(file).expect("forecasts");
     let mut points = Vec::new();
@@ -53,7 +53,7 @@ fn forecasts_go_along_lanes_in_any_metric_frame() {
     ] {
         let found = predict(name, place, &["--origin", origin]);
         assert_eq!(found.len(), local.len(), "{name}");
-        // f32 resolves .03 mm within 512 m of the origin, and filters carry that on.
+        // f32 resolves .03 mm within 512 m of the origin, and filters propagate this error.
         let most = local
             .iter()
             .zip(&found)

@@ -61,7 +61,7 @@ fn every_stage_runs_as_a_command_of_its_own() {
     }
 }
 
-/// A consumer has printed learned forecasts of the detector's vehicle and pedestrian.
+/// Asserts that a consumer has printed learned forecasts of the detector's vehicle and pedestrian.
 fn assert_forecasts_of_both(printed: &str) {
     let learned = |name: &str| {
         let lines = printed.lines().filter(|line| line.trim_start().starts_with(name));
@@ -71,8 +71,8 @@ fn assert_forecasts_of_both(printed: &str) {
     assert!(learned("vehicle") > 5 && learned("pedestrian") > 5, "{printed}");
 }
 
-/// The pedestrian walks 5 m to the right of the place, and the car passes 2 m to its left: to .1 m, in which
-/// they are printed.
+/// Asserts that the pedestrian walks 5 m to the right of the position and the car passes 2 m to its left, to
+/// .1 m as printed.
 fn assert_around(printed: &str, [x_m, y_m]: [f64; 2]) {
     let positions = |kind: &'static str| {
         let of_kind = printed.lines().filter(move |line| line.trim_start().starts_with(kind));
@@ -122,7 +122,7 @@ fn a_detector_and_a_planner_in_python_join_a_run() {
     let prefix = format!("{}_", root.file_name().and_then(|name| name.to_str()).expect("a run has a name"));
     consumer.arg(program("consumer.py")).env("STGDAT_ROOT", &root).env("STGDAT_PREFIX", prefix);
     let consumer = Started::spawn(&mut consumer);
-    // A detector that pauses for longer than its readers' deadline goes on.
+    // A detector that pauses for longer than its readers' deadline can continue.
     std::thread::sleep(std::time::Duration::from_secs(1));
     run.signal_stage(&program("producer.py"), Signal::STOP);
     std::thread::sleep(std::time::Duration::from_millis(400));

@@ -7,7 +7,7 @@ use testing::Scratch;
 
 use crate::started::{Started, piped, run, run_well, stderr, wait_for};
 
-/// Builds a new project; returns the path of its program and the text of its pipeline.toml.
+/// Builds a new project. Returns the path of its program and the text of its pipeline.toml.
 fn built(scratch: &Scratch, name: &str, of: &str) -> (String, String) {
     let cargo = std::env::var("CARGO").unwrap_or_else(|_| "cargo".into());
     run_well(&["stage", "new", name, "--of", of, "--dir", &scratch.path("")]);
@@ -37,7 +37,7 @@ fn added_stages_are_reported_and_come_back() {
     let pipeline = scratch.file("both.toml", format!("{text}\n[[topic]]{added}"));
     let report = scratch.path("report.json");
 
-    // In lockstep nothing is lost, on the way and beside it.
+    // In lockstep nothing is lost, neither on the ticks' path nor beside it.
     let scene = ["run", "--agents", "5", "--quiet", "--pipeline", &pipeline, "--report", &report];
     run_well(&[&scene[..], &["--ticks", "20", "--speed", "max"]].concat());
     let told = Report::read(report.as_ref()).expect("a report");
@@ -48,7 +48,7 @@ fn added_stages_are_reported_and_come_back() {
     }
     assert_eq!((told.ticks, told.forecasts.held + told.hops_missing), (20, 0));
 
-    // In real time both are started again after a kill.
+    // In real time both stages are restarted after a kill.
     let started = Started::run(&[&scene[1..], &["--ticks", "60"]].concat());
     let pid_of = |program: &str| {
         let stages = started.stages();
@@ -83,7 +83,7 @@ fn a_new_project_builds_and_runs() {
     assert_eq!(refused.status.code(), Some(2), "{}", stderr(&refused));
     assert!(stderr(&refused).contains("is there already"), "{}", stderr(&refused));
 
-    // What the workspace has built is not built again.
+    // The project uses the workspace's build, so nothing is built twice.
     let profile = Path::new(env!("CARGO_BIN_EXE_stgdat")).parent().expect("a program lies in a folder");
     let target = profile.parent().expect("the folder of a profile lies in target");
     let mut build = piped(cargo);

@@ -1,4 +1,4 @@
-//! Programs in Python: a stage in the sampler's place gives the moments of the built-in one.
+//! Programs in Python: a sampler in Python gives the same moments as the built-in one.
 
 use std::path::Path;
 use std::sync::OnceLock;
@@ -11,8 +11,8 @@ use crate::started::{piped, run_well, stderr, stdout};
 /// The folder of the examples.
 pub const EXAMPLES: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/examples");
 
-/// A Python with iceoryx2 and numpy: that of STGDAT_PYTHON, else of a virtual environment that is made once. None,
-/// which is said, where there is no Python or its packages can't be had.
+/// A Python with iceoryx2 and numpy: STGDAT_PYTHON, or else a virtual environment that is created once.
+/// `None`, with a printed note, if there is no Python or its packages are not available.
 pub fn python() -> Option<String> {
     static PYTHON: OnceLock<Option<String>> = OnceLock::new();
     PYTHON.get_or_init(find).clone()
@@ -73,7 +73,8 @@ fn learned(text: &[u8]) -> Vec<((u64, u64), Moments)> {
 }
 
 impl Moments {
-    /// The variance within the modes at a step along an axis: the mixture's less that of its means.
+    /// The variance within the modes at a step along an axis: the mixture's variance minus the variance of
+    /// its means.
     fn within(&self, step: usize, axis: usize) -> f64 {
         let modes = self.probability.iter().zip(&self.modes_m);
         let between: f64 =
@@ -93,7 +94,7 @@ fn a_sampler_in_python_gives_the_moments_of_the_built_in_one() {
     let program = format!("{EXAMPLES}/sampler.py");
     let in_python = scratch.pipeline_with("sampler", &[&python, &program, &particles]);
     let (forecasts, report) = (scratch.path("forecasts.jsonl"), scratch.path("report.json"));
-    // Without forecasts as a prior the tracks, and so the controls, of both runs are the same.
+    // Without forecasts as a prior, both runs have the same tracks and therefore the same controls.
     let shared = [
         "run",
         "--ticks",
@@ -124,8 +125,8 @@ fn a_sampler_in_python_gives_the_moments_of_the_built_in_one() {
         built_in.iter().map(|(key, _)| key).eq(own.iter().map(|(key, _)| key)),
         "the same tracks are forecast"
     );
-    // The means differ by their Monte Carlo errors: their squares, in units of the variance that is expected,
-    // average 1. The variances within the modes agree on average.
+    // The means differ by their Monte Carlo errors. The squared differences, in units of the expected
+    // variance, average 1. The variances within the modes agree on average.
     let (mut squares, mut len, mut ratio) = (0.0, 0.0, 0.0);
     for ((_, a), (_, b)) in built_in.iter().zip(&own) {
         let modes: f64 = a.probability.iter().map(|p| p * p).sum();
@@ -141,7 +142,7 @@ fn a_sampler_in_python_gives_the_moments_of_the_built_in_one() {
             }
         }
     }
-    // The variance of n particles about their own mean is too small by n - 1 of n.
+    // The variance of n particles about their own mean is too small by the factor (n − 1) / n.
     let bias = ((PYTHON_PARTICLES - 1.0) / PYTHON_PARTICLES) / ((RUST_PARTICLES - 1.0) / RUST_PARTICLES);
     let (mean_square, ratio) = (squares / len, (ratio / len).exp() / bias);
     println!(

@@ -1,5 +1,5 @@
-//! Readers that come and go: one that dies gives its places back and is counted, one that finds no place is
-//! told why.
+//! Readers that come and go. The places of a reader that dies become free, and the death is counted. A reader
+//! that finds no place gets an error with the reason.
 
 use std::io::{BufRead as _, BufReader, Read as _};
 use std::path::Path;
@@ -12,7 +12,7 @@ use testing::Scratch;
 use crate::programs::example;
 use crate::started::{Started, assert_nothing_left, piped, run_well, stderr, stdout, wait_for};
 
-/// A consumer of forecasts beside a run; killed when this is dropped.
+/// A consumer of forecasts beside a run, killed when dropped.
 struct Consumer(Child);
 
 impl Consumer {
@@ -20,7 +20,7 @@ impl Consumer {
         Self(command.spawn().unwrap_or_else(|error| panic!("{command:?}: {error}")))
     }
 
-    /// Its first line, which it prints once it has a frame; what went wrong if there is none.
+    /// The consumer's first line, which it prints once it has a frame; or its errors.
     fn first_line(&mut self) -> Result<String, String> {
         let mut line = String::new();
         let output = self.0.stdout.as_mut().expect("its output is kept");
@@ -75,7 +75,7 @@ fn readers_that_die_give_their_places_back_and_are_counted() {
         assert!(line.starts_with("tick "), "{line}");
         deaths += 1;
     };
-    // Of the six places three are taken: without a clean-up the fourth start fails.
+    // Three of the six places are taken, so the fourth start would fail without clean-up.
     (0..8).for_each(|_| kill(&mut in_rust(&root)));
     wait_for("deaths are not counted", || (dead_readers(&root) == deaths).then_some(()));
     // A recording takes one more place.

@@ -1,4 +1,4 @@
-//! Processors of a stage, its memory, and conditions on a run's figures.
+//! A stage's processors and memory, and conditions on a run's figures.
 
 use recorder::Report;
 use testing::Scratch;

@@ -1,4 +1,4 @@
-//! Runs that are recorded: what is in the file, that it replays, and that it costs the run nothing.
+//! Recorded runs: the content of the file, its replay, and no cost for the run.
 
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -10,7 +10,7 @@ use testing::Scratch;
 
 use crate::started::{Started, assert_nothing_left, piped, run, run_well, stderr, stdout, stgdat, wait_for};
 
-/// Records a generated scene in lockstep, all topics of it.
+/// Records a generated scene in lockstep, with all topics.
 pub fn lockstep(scratch: &Scratch, name: &str, seed: &str) -> String {
     let file = scratch.path(name);
     let forecasts = scratch.path(&format!("{name}.jsonl"));
@@ -26,7 +26,7 @@ fn messages(path: &str) -> (Recording, Vec<Message>) {
     (recording, messages)
 }
 
-/// Ticks of a topic in the order in which they came.
+/// The ticks of a topic in their order of arrival.
 fn ticks(messages: &[Message], topic: &str) -> Vec<u64> {
     let frames = messages.iter().filter_map(|message| match message {
         Message::Frame(frame) if frame.topic().name == topic && frame.header().is_tick() => {
@@ -67,7 +67,7 @@ fn a_lockstep_recording_replays_to_the_same_bytes() {
     read_by_python(&file, &scratch.path("a.mcap.jsonl"), &["tracks 6", "forecasts 6", "events 2"]);
 }
 
-/// PyPI's `mcap` reads the file, where it is installed.
+/// PyPI's `mcap` reads the file, if it is installed.
 fn read_by_python(file: &str, forecasts: &str, lines: &[&str]) {
     let python = std::env::var("STGDAT_PYTHON").unwrap_or_else(|_| "python3".into());
     let script = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/interop/read_mcap.py");
@@ -105,11 +105,11 @@ fn a_run_with_a_stopped_stage_replays_to_the_same_bytes() {
     let file = scratch.path("stop.mcap");
     let started = Started::run(&["--ticks", "150", "--agents", "8", "--quiet", "--record", &file]);
     let root = started.wait_until_it_runs();
-    // In the midst of the ticks: before the first, a new decoder would cost none.
+    // Waits until ticks are running: before the first tick a new decoder would cost none.
     std::thread::sleep(std::time::Duration::from_secs(3));
     started.signal_stage("decoder", Signal::STOP);
     std::thread::sleep(std::time::Duration::from_millis(600));
-    // Where it was not killed and started again meanwhile, it goes on.
+    // If the decoder was not killed and restarted meanwhile, it continues.
     started.signal_stage("decoder", Signal::CONT);
     let output = started.output();
     assert!(output.status.success(), "{}", stderr(&output));
@@ -211,7 +211,7 @@ fn a_run_with_a_kill_is_recorded_and_the_next_tool_finds_it_by_itself() {
         matches!(message, Message::Event(event) if matches!(&event.what, Happened::Died { stage, .. } if stage == "encoder"))
     });
     assert!(died);
-    // What depended on the clock is in the record, the killed encoder's ticks too.
+    // The recording contains all results that depended on the clock, including the killed encoder's ticks.
     let replayed = run(&["replay", &file]);
     let text = stdout(&replayed);
     assert!(text.contains("equal to the byte: 150 ticks"), "{text}{}", stderr(&replayed));
@@ -221,8 +221,8 @@ fn a_run_with_a_kill_is_recorded_and_the_next_tool_finds_it_by_itself() {
     read_by_python(&file, &forecasts, &["detections 1", "forecasts 1"]);
 }
 
-/// Killed while it writes a frame, after it has sent one and before it has committed what it learned of it, and again
-/// right after its first frame.
+/// The sampler is killed while it writes a frame, after it has sent one and before it has committed its
+/// learned state, and again right after its first frame.
 #[test]
 fn a_killed_sampler_goes_on_with_what_it_had_learned_and_so_does_the_replay() {
     let scratch = Scratch::new("record-sampler");
@@ -345,7 +345,7 @@ fn a_flight_recorder_that_comes_late_says_what_it_does_not_know() {
     let file = scratch.path("late.mcap");
     let started = Started::run(&["--ticks", "120", "--agents", "6", "--quiet"]);
     let name = started.wait_until_it_runs().display().to_string();
-    // The first ticks pass without it.
+    // The first ticks pass without the recording.
     let early = scratch.path("early.mcap");
     run_well(&["record", &early, "--run", &name, "--topics", "detections", "--seconds", "1.5"]);
     assert!(!ticks(&messages(&early).1, "detections").is_empty());
@@ -376,7 +376,7 @@ fn a_flight_recorder_writes_what_came_before_a_restart_and_a_mark() {
     let name = root.display().to_string();
     started.signal_stage("encoder", Signal::KILL);
     let first = scratch.path("flight-1.mcap");
-    // The tick that is degraded, or the death, whatever was first: its file ends when its time is over.
+    // The first event is a degraded tick or the death. Its file ends after its time.
     wait_for("no file is finished", || {
         Recording::open(Path::new(&first)).ok().filter(Recording::is_complete).map(drop)
     });
@@ -419,7 +419,7 @@ fn a_flight_recorder_writes_what_came_before_a_restart_and_a_mark() {
     let (begin_ns, end_ns) = (times.iter().min().expect("messages"), times.iter().max().expect("messages"));
     assert!(at_ns - begin_ns <= 7_000_000_000, "a ring of 0.5 s, a file of six times 1 s at most");
     assert!(at_ns - begin_ns > 200_000_000 && end_ns >= at_ns, "what came before is there");
-    // What the stages remember comes from the ticks before the file, the killed encoder's too.
+    // The stages' state comes from the ticks before the file, including the killed encoder's.
     let replayed = run(&["replay", &path]);
     let text = stdout(&replayed);
     assert!(text.contains(" ticks before the file were replayed first"), "{text}{}", stderr(&replayed));

@@ -8,7 +8,8 @@ use testing::{Scratch, public_recording};
 
 use crate::started::{Started, run, run_well, stderr, stdout, stgdat};
 
-/// Plays a recording by `predict` twice and by a lockstep run, which must write the same bytes. Returns them.
+/// Plays a recording by `predict` twice and by a lockstep run, asserts that all write the same bytes, and
+/// returns them.
 fn same_bytes(scratch: &Scratch, recording: &str, arguments: &[&str]) -> Vec<u8> {
     for name in ["once", "again"] {
         run_well(&[&["predict", recording, "--out", &scratch.path(name)], arguments].concat());
@@ -82,7 +83,7 @@ fn neither_workers_nor_instruction_sets_change_a_byte() {
         }
         Err(why) => println!("skipped: {why}"),
     }
-    // Its multiply-adds round twice; the stages of the run follow the option as well.
+    // The multiply-adds of portable kernels round twice. The stages of the run use the option too.
     assert!(default != same_bytes(&scratch, &recording, &["--kernels", "portable"]));
 }
 
@@ -97,7 +98,7 @@ fn a_frame_rate_is_used_wherever_a_recording_is_opened() {
     let recording = scratch.file("walk_traj_ped_filtered.csv", &text);
     let given = same_bytes(&scratch, &recording, &["--fps", "29.97"]);
     assert!(given == same_bytes(&scratch, &recording, &["--set", "source.fps=29.97"]));
-    // 360 frames by threes are 10 Hz; at 23.98 frames a second every second one is played.
+    // Every third of 360 frames is 10 Hz. At 23.98 frames a second every second frame is played.
     let lines_len = |lines: &[u8]| lines.iter().filter(|&&byte| byte == b'\n').count();
     assert_eq!(lines_len(&given), 120);
     assert_eq!(lines_len(&same_bytes(&scratch, &recording, &[])), 180);
@@ -197,7 +198,7 @@ fn an_unwritable_memory_fails_the_run_after_its_report() {
     let mut run = stgdat();
     run.args(["run", "--recording", &recording, "--quiet", "--memory", &memory, "--report", &report]);
     let started = Started::spawn(&mut run);
-    // The recording plays for five seconds: the launcher has checked the folder by now.
+    // The recording plays for five seconds. The launcher has checked the folder by now.
     std::thread::sleep(std::time::Duration::from_secs(3));
     std::fs::remove_dir(scratch.path("gone")).expect("still empty");
     let output = started.output();

@@ -1,4 +1,4 @@
-//! `stgdat stage replace`: stages are replaced while the run goes on, and broken replacements are not used.
+//! `stgdat stage replace`: stages are replaced in a running pipeline, and broken replacements are not used.
 
 use serde_json::Value;
 use testing::Scratch;
@@ -6,7 +6,7 @@ use testing::Scratch;
 use crate::programs::example;
 use crate::started::{Started, assert_nothing_left, run, stderr, stdout, wait_for};
 
-/// Replaces a stage of the run in that folder: the verb's exit code, and what it printed.
+/// Replaces a stage of the run in this folder. Returns the verb's exit code and its output.
 fn replace(root: &std::path::Path, stage: &str, arguments: &[&str]) -> (Option<i32>, String) {
     let root = root.display().to_string();
     let output = run(&[&["stage", "replace", stage, "--run", &root][..], arguments].concat());
@@ -19,7 +19,7 @@ fn a_stage_is_replaced_by_another_program_and_back() {
     let report = scratch.path("report.json");
     let run = Started::run(&["--ticks", "170", "--agents", "6", "--report", &report]);
     let root = run.wait_until_it_runs();
-    // The recorder has kept its first second: the run goes on.
+    // The recorder has saved its first second, so the run is under way.
     let kept = root.join("recorder-checkpoint.json");
     wait_for("no forecasts come", || kept.exists().then_some(()));
 

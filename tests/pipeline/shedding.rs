@@ -1,11 +1,12 @@
-//! Ticks that have no time for all agents: what is left out is counted and explained, and in lockstep nothing is.
+//! Ticks without time for all agents: the agents that are left out are counted and explained. In lockstep
+//! none are.
 
 use serde_json::Value;
 use testing::{SHIPPED_PIPELINE, Scratch};
 
 use crate::started::{run, run_well, stderr, stdout};
 
-/// The shipped pipeline with deadlines that every tick is past: each stage serves the fewest that it may.
+/// The shipped pipeline with deadlines that have passed at every tick, so each stage serves its minimum.
 fn hurried() -> String {
     let stages = ["source", "tracker", "localiser", "extractor", "encoder", "decoder"];
     let mut lines: Vec<String> = SHIPPED_PIPELINE.lines().map(str::to_owned).collect();
@@ -17,7 +18,7 @@ fn hurried() -> String {
             *line = "budget_ms = 0.001".to_owned();
         }
     }
-    // A busy machine is to miss no tick: it is the share of the agents that counts.
+    // A busy machine should lose no tick, because the test is about the share of the agents.
     lines.join("\n").replace("deadline_ms = 72", "deadline_ms = 80")
 }
 
@@ -54,7 +55,7 @@ fn agents_without_time_are_shed_and_explained() {
     assert!(text.contains("not learned: the tick had no time for all agents"), "{text}");
     let reasons = report["verdict"]["reasons"].to_string();
     assert!(reasons.contains("shed "), "{reasons}");
-    // Nobody is forgotten: of each agent that was ever shed there is a forecast, and those held have their age.
+    // Each agent that was ever shed has a forecast, and held forecasts have their age.
     let lines = String::from_utf8(scratch.read("forecasts.jsonl")).expect("text");
     let agents = lines.lines().flat_map(|line| {
         let line: Value = serde_json::from_str(line).expect("JSON");
@@ -95,7 +96,7 @@ fn nothing_is_shed_in_lockstep_or_where_the_pipeline_forbids_it() {
     assert!(!text.contains(" shed "), "{text}");
 }
 
-/// Runs with deadlines that every tick is past, and replays the recording of these topics.
+/// Runs with deadlines that have passed at every tick, and replays the recording of these topics.
 fn assert_replays_equal(topics: &str) {
     let scratch = Scratch::new(&format!("replayed-shedding-{}", topics.len()));
     let pipeline = scratch.file("hurried.toml", hurried());

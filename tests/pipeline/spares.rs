@@ -1,4 +1,4 @@
-//! Warm spares: a stage that dies goes on by its spare, with the state that can be taken from its output.
+//! Warm spares: after a stage dies its spare continues, with the state that the stage's output contains.
 
 use std::collections::BTreeSet;
 
@@ -19,14 +19,14 @@ fn pipeline(scratch: &Scratch, stages: &[&str]) -> String {
     scratch.file("spares.toml", text)
 }
 
-/// The processes of a stage, the oldest first: the stage itself, then its spare.
+/// The processes of a stage, oldest first: the stage itself, then its spare.
 fn processes(run: &Started, stage: &str) -> Vec<Pid> {
     let stages = run.stages();
     let of_stage = stages.iter().filter(|(_, line)| line.get(2).is_some_and(|name| name == stage));
     of_stage.map(|(pid, _)| *pid).collect()
 }
 
-/// Waits until a stage has another spare than `before`, and returns it.
+/// Waits until a stage has a spare other than `before`, and returns it.
 fn spare(run: &Started, stage: &str, before: Option<Pid>) -> Pid {
     wait_for("a spare is started", || match processes(run, stage)[..] {
         [_, spare] if Some(spare) != before => Some(spare),
@@ -34,7 +34,7 @@ fn spare(run: &Started, stage: &str, before: Option<Pid>) -> Pid {
     })
 }
 
-/// Ids of the agents of each tick, by its number.
+/// Ids of the agents in each tick, by tick number.
 fn ids(forecasts: &[u8]) -> Vec<(u64, BTreeSet<u64>)> {
     let line = |line: &str| {
         let tick: Value = serde_json::from_str(line).expect("JSON");
@@ -55,13 +55,13 @@ fn a_spare_takes_the_place_of_a_dead_tracker_with_its_tracks_and_of_a_sampler() 
     let root = run.wait_until_it_runs();
     let first = spare(&run, "tracker", None);
     spare(&run, "sampler", None);
-    // The recorder has kept its first second.
+    // The recorder has saved its first second.
     let kept = root.join("recorder-checkpoint.json");
     wait_for("no forecasts come", || kept.exists().then_some(()));
     for stage in ["tracker", "sampler"] {
         run.signal_stage(stage, Signal::KILL);
     }
-    // Another one is warmed, whose death changes nothing.
+    // Another spare is warmed up. Its death changes nothing.
     let second = spare(&run, "tracker", Some(first));
     assert_eq!(processes(&run, "tracker")[0], first, "the spare is the stage now");
     kill_process(second, Signal::KILL).expect("the spare waits");
@@ -90,7 +90,8 @@ fn a_spare_takes_the_place_of_a_dead_tracker_with_its_tracks_and_of_a_sampler() 
         assert_eq!(stage["restarts"], expected, "{stage:#}");
     }
 
-    // Whoever was tracked before goes on under its id; an id of the second tracker never was one of the first.
+    // Agents that were already tracked keep their ids. New ids of the second tracker differ from all ids of
+    // the first.
     let died = outages.iter().filter_map(|outage| outage["tick"].as_u64()).min().expect("a tick");
     let ticks = ids(&scratch.read("forecasts.jsonl"));
     let of = |range: std::ops::Range<u64>| -> BTreeSet<u64> {

@@ -1,4 +1,4 @@
-//! `stgdat` as a process, and what a run leaves in shared memory.
+//! `stgdat` as a process, and the files of a run in shared memory.
 
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
@@ -7,17 +7,17 @@ use std::time::{Duration, Instant};
 
 use rustix::process::{Pid, Signal, kill_process};
 
-/// Longest wait; far longer than needed, so that no test fails on a busy machine.
+/// Time limit of a wait, far longer than needed, so that no test fails on a busy machine.
 const LIMIT: Duration = Duration::from_secs(60);
 /// Processes of a run without the launcher.
 const STAGES: usize = 8;
 
-/// The program, its output kept.
+/// The program, with its output captured.
 pub fn stgdat() -> Command {
     piped(env!("CARGO_BIN_EXE_stgdat"))
 }
 
-/// Another program, its output kept.
+/// Another program, with its output captured.
 pub fn piped(program: impl AsRef<std::ffi::OsStr>) -> Command {
     let mut command = Command::new(program);
     command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
@@ -29,19 +29,19 @@ pub fn run(arguments: &[&str]) -> Output {
     Started::spawn(stgdat().args(arguments)).output()
 }
 
-/// Runs `stgdat` to its end, which must be a success.
+/// Runs `stgdat` to its end and asserts success.
 pub fn run_well(arguments: &[&str]) -> Output {
     let output = run(arguments);
     assert!(output.status.success(), "{arguments:?}: {}", stderr(&output));
     output
 }
 
-/// What a process wrote to standard error.
+/// Standard error of a process.
 pub fn stderr(output: &Output) -> String {
     String::from_utf8_lossy(&output.stderr).into_owned()
 }
 
-/// What a process wrote to standard output.
+/// Standard output of a process.
 pub fn stdout(output: &Output) -> String {
     String::from_utf8_lossy(&output.stdout).into_owned()
 }
@@ -58,7 +58,7 @@ pub fn wait_for<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
     }
 }
 
-/// A process that has been started; killed when the test ends.
+/// A started process, killed when the test ends.
 pub struct Started(Child);
 
 impl Started {
@@ -72,7 +72,7 @@ impl Started {
         Self::spawn(stgdat().arg("run").args(arguments))
     }
 
-    /// The processes of its stages with their command lines.
+    /// The processes of the run's stages, with their command lines.
     pub fn stages(&self) -> Vec<(Pid, Vec<String>)> {
         let children = format!("/proc/{0}/task/{0}/children", self.0.id());
         let Ok(children) = std::fs::read_to_string(children) else { return Vec::new() };
@@ -80,14 +80,14 @@ impl Started {
         pids.filter_map(|pid: i32| {
             let line = std::fs::read_to_string(format!("/proc/{pid}/cmdline")).ok()?;
             let line: Vec<String> = line.split('\0').map(str::to_owned).collect();
-            // The tap and a recording follow the run; they are no stages.
+            // The tap and a recording belong to the run, but they are not stages.
             let is_stage = line.get(1).is_none_or(|verb| verb != "tap" && verb != "record");
             is_stage.then_some((Pid::from_raw(pid)?, line))
         })
         .collect()
     }
 
-    /// The run's directory, once its recorder has been started.
+    /// The run's directory, once the recorder has started.
     pub fn root(&self) -> PathBuf {
         wait_for("the recorder is not started", || {
             let stages = self.stages();
@@ -97,8 +97,7 @@ impl Started {
         })
     }
 
-    /// Waits until all stages are there and have their files in shared memory, and returns the run's
-    /// directory.
+    /// Waits until all stages run and have their files in shared memory. Returns the run's directory.
     pub fn wait_until_it_runs(&self) -> PathBuf {
         wait_for("the run does not get going", || {
             let (root, stages) = (self.root(), self.stages());
@@ -107,12 +106,12 @@ impl Started {
         })
     }
 
-    /// Sends it a signal.
+    /// Sends the process a signal.
     pub fn signal(&self, signal: Signal) {
         kill_process(Pid::from_child(&self.0), signal).expect("the process runs");
     }
 
-    /// Sends one of its stages a signal.
+    /// Sends one of the run's stages a signal.
     pub fn signal_stage(&self, name: &str, signal: Signal) {
         let stages = self.stages();
         let (pid, _) =
@@ -120,9 +119,9 @@ impl Started {
         kill_process(*pid, signal).expect("the stage runs");
     }
 
-    /// Its output, once it has ended.
+    /// The process's output, after its end.
     pub fn output(mut self) -> Output {
-        // Read beside the wait: a process that fills its pipes would never end.
+        // The pipes are read during the wait, because a process with full pipes would never end.
         let pipes = (self.0.stdout.take(), self.0.stderr.take());
         let readers = (std::thread::spawn(|| read(pipes.0)), std::thread::spawn(|| read(pipes.1)));
         let status =
@@ -147,7 +146,7 @@ fn read(pipe: Option<impl std::io::Read>) -> Vec<u8> {
     bytes
 }
 
-/// Names in shared memory of the run with that directory.
+/// Names in shared memory that belong to the run with this directory.
 pub fn shared_files(root: &Path) -> Vec<String> {
     let name = root.file_name().and_then(|name| name.to_str()).expect("a run's directory has a name");
     let prefix = format!("{name}_");
@@ -156,7 +155,7 @@ pub fn shared_files(root: &Path) -> Vec<String> {
     names.filter(|name| name.starts_with(&prefix)).collect()
 }
 
-/// A run has removed everything.
+/// Asserts that a run has removed all its files.
 pub fn assert_nothing_left(root: &Path) {
     let name = root.file_name().and_then(|name| name.to_str()).expect("a run's directory has a name");
     for folder in [root.to_owned(), root.with_file_name(format!(".{name}"))] {
@@ -165,10 +164,10 @@ pub fn assert_nothing_left(root: &Path) {
     assert_eq!(shared_files(root), Vec::<String>::new());
 }
 
-/// Watches for files of dead runs, where a run ends before its directory is known.
+/// Watches for files of dead runs, for runs that end before their directory is known.
 pub struct LeftoverWatch {
     before: Vec<String>,
-    /// No other test leaves files meanwhile.
+    /// Other tests must not leave files meanwhile.
     _alone: MutexGuard<'static, ()>,
 }
 
@@ -182,7 +181,7 @@ impl LeftoverWatch {
 
     /// Asserts that there are no further dead runs.
     pub fn assert_nothing_new(&self) {
-        // A run that is about to end has a moment in which its lock is gone and its process is not.
+        // A run that is about to end briefly has a process but no lock.
         wait_for("a run left files behind: see `stgdat clean --dry-run`", || {
             dead_runs().iter().all(|run| self.before.contains(run)).then_some(())
         });

@@ -1,4 +1,4 @@
-//! Recordings that were torn, damaged or rewritten, through the verbs that read them.
+//! Torn, damaged or rewritten recordings, through the verbs that read them.
 
 use std::fs;
 use testing::Scratch;
@@ -6,7 +6,7 @@ use testing::Scratch;
 use crate::recorded::lockstep;
 use crate::started::{piped, run, run_well, stderr, stdout};
 
-/// The places of the chunks, by the name of their compression.
+/// The positions of the chunks, found by the name of their compression.
 fn chunks(file: &[u8]) -> Vec<usize> {
     let name = b"\x03\0\0\0lz4";
     let names = file.windows(name.len()).enumerate().filter(|(_, window)| window == name);
@@ -58,7 +58,7 @@ fn a_damaged_chunk_is_skipped_and_named() {
     assert!(stdout(&last).contains("tick 59"), "{}", stdout(&last));
 }
 
-/// PyPI's `mcap` rewrites the file, where it is installed.
+/// PyPI's `mcap` rewrites the file, if it is installed.
 #[test]
 fn what_python_rewrites_replays_to_the_same_bytes() {
     let scratch = Scratch::new("torn-python");

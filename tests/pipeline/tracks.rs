@@ -5,7 +5,7 @@ use testing::Scratch;
 
 use crate::started::{Started, run, run_well, stderr, stdout, stgdat};
 
-/// The rows of agents, split at commas; the columns of a CSV by the names of its first line.
+/// The rows of agents, split at commas. The first line of a CSV names the columns.
 fn rows(text: &str) -> Vec<Vec<&str>> {
     text.lines().map(|line| line.split(',').collect()).collect()
 }
@@ -23,7 +23,8 @@ fn tracks_can_be_played_as_a_recording() {
     assert!(agents().count() > 200, "{} rows", agents().count());
     assert!(agents().all(|row| ["confirmed", "coasting"].contains(&row[12])), "{text}");
 
-    // Played again, the tracks follow their own ids: as many agents, each where it was.
+    // If the tracks are played again, they keep their ids, and the same number of agents is at the same
+    // positions.
     let again = stdout(&run_well(&["track", &path, "--as", "mot"]));
     let ids = |rows: &mut dyn Iterator<Item = &str>| rows.map(str::to_owned).collect::<BTreeSet<_>>();
     let first_ids = ids(&mut agents().map(|row| row[1]));

@@ -17,14 +17,14 @@ fn is_here(program: &str) -> bool {
     here
 }
 
-/// A program ends well.
+/// Asserts that a program succeeds, and returns its output.
 fn succeeds(command: &mut std::process::Command) -> String {
     let output = command.output().unwrap_or_else(|error| panic!("{command:?}: {error}"));
     assert!(output.status.success(), "{command:?}: {}", stderr(&output));
     stdout(&output)
 }
 
-/// The header asserts every offset and size itself.
+/// The header itself asserts every offset and size.
 #[test]
 fn the_c_header_compiles_as_c_and_cpp() {
     let scratch = Scratch::new("wire-c");
@@ -49,7 +49,7 @@ fn the_python_module_of_the_examples_is_current() {
     );
 }
 
-/// The module asserts every offset and size itself when it is imported.
+/// The module itself asserts every offset and size when it is imported.
 #[test]
 fn the_python_module_imports_without_packages() {
     let python = std::env::var("STGDAT_PYTHON").unwrap_or_else(|_| "python3".into());
@@ -62,7 +62,7 @@ fn the_python_module_imports_without_packages() {
         f = f(); f.modes[19][11][1] = 7.0; at = f.__class__.modes.offset + (19 * 12 + 11) * 8 + 4\n\
         import struct; assert struct.unpack('f', bytes(f)[at:at + 4]) == (7.0,)\n\
         d = w.DTYPES; assert not d or d[w.Forecast]['controls'].shape == (20,)\n";
-    // Alone: with nothing that is installed beside Python, then with what there is.
+    // First in isolation from installed packages, then with them.
     for isolated in [&["-I", "-S"][..], &[]] {
         let path = Path::new(&scratch.path("")).display().to_string();
         let script =
@@ -71,7 +71,7 @@ fn the_python_module_imports_without_packages() {
     }
 }
 
-/// A protected frame as header and payload, and the same with one bit of the payload changed.
+/// A protected frame as header and payload, and the same frame with one flipped bit of the payload.
 fn frames(scratch: &Scratch) -> [String; 3] {
     let mut header = wire::Header::new(7, 3, 240_000_000);
     header.counts.agents_len = 2;

@@ -1,6 +1,10 @@
-//! What tries the project from outside.
+//! Tests of the project from outside.
 //!
-//! `golden/` holds the vectors of an independent reference, `fuzz/` a target per reader, `allocation/` the
-//! count of what the stages' loops allocate, `examples/` programs as users write them (a crate of its own),
-//! `pipeline/` the tests of whole runs (built with the `stgdat` program, whose executable they start), and
-//! `support/` what tests of several crates share.
+//! | folder | content |
+//! |---|---|
+//! | `golden/` | vectors of an independent reference |
+//! | `fuzz/` | one fuzz target per reader |
+//! | `allocation/` | counts of the allocations in the stages' loops |
+//! | `examples/` | programs as users write them, in their own crate |
+//! | `pipeline/` | tests of whole runs, built with the program `stgdat`, which they start |
+//! | `support/` | helpers that tests of several crates share |

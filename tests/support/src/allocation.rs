@@ -5,10 +5,10 @@ use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// Most threads that can be counted apart.
+/// Maximum number of threads with separate counts.
 pub const THREADS_MAX: usize = 8;
 
-/// The system's allocator, which counts.
+/// The system's allocator with counters.
 ///
 /// ```
 /// #[global_allocator]
@@ -17,22 +17,23 @@ pub const THREADS_MAX: usize = 8;
 /// assert_eq!(testing::allocations(|| drop(Vec::<u8>::with_capacity(3))), 1);
 /// ```
 ///
-/// A test that counts must be the only one of its program, as others would count as well.
+/// A test that counts must be the only test of its program, because allocations of other tests would count
+/// too.
 #[derive(Clone, Copy, Debug)]
 pub struct CountingAllocator;
 
 /// Allocations of all threads.
 static ALL: AtomicUsize = AtomicUsize::new(0);
-/// Allocations of chosen threads: those of the size that is counted apart, and all others.
+/// Allocations of registered threads: those of the separate size, and all others.
 static OF_THREADS: [[AtomicUsize; 2]; THREADS_MAX] =
     [const { [const { AtomicUsize::new(0) }; 2] }; THREADS_MAX];
-/// The size that is counted apart.
+/// The size whose allocations are counted separately.
 static APART: AtomicUsize = AtomicUsize::new(usize::MAX);
-/// Size of the last allocation of a chosen thread that was not of that size.
+/// Size of a registered thread's last allocation that did not have the separate size.
 static LAST: AtomicUsize = AtomicUsize::new(0);
 
 thread_local! {
-    /// Which count a thread adds to, if it is a chosen one.
+    /// The index of the thread's count, if the thread is registered.
     static PLACE: Cell<Option<usize>> = const { Cell::new(None) };
 }
 
@@ -40,7 +41,7 @@ thread_local! {
 unsafe impl GlobalAlloc for CountingAllocator {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         ALL.fetch_add(1, Ordering::Relaxed);
-        // A thread that is about to end has no place any more.
+        // A thread that is about to end has no index any more.
         if let Some(place) = PLACE.try_with(Cell::get).ok().flatten() {
             let is_apart = layout.size() == APART.load(Ordering::Relaxed);
             OF_THREADS[place][usize::from(!is_apart)].fetch_add(1, Ordering::Relaxed);
@@ -48,45 +49,48 @@ unsafe impl GlobalAlloc for CountingAllocator {
                 LAST.store(layout.size(), Ordering::Relaxed);
             }
         }
-        // SAFETY: the caller keeps the contract of `GlobalAlloc`, which is that of the system's allocator.
+        // SAFETY: the caller keeps the contract of `GlobalAlloc`, which is also the contract of the system's
+        // allocator.
         unsafe { System.alloc(layout) }
     }
 
     unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        // SAFETY: as above; the pointer came from `alloc`.
+        // SAFETY: as above. The pointer came from `alloc`.
         unsafe { System.dealloc(pointer, layout) }
     }
 }
 
-/// Allocations of all threads while `work` runs; 0 in a program whose allocator is not [`CountingAllocator`].
+/// Returns the number of allocations of all threads while `work` runs; 0 if the program's allocator is not
+/// [`CountingAllocator`].
 pub fn allocations(work: impl FnOnce()) -> usize {
     let before = ALL.load(Ordering::Relaxed);
     work();
     ALL.load(Ordering::Relaxed) - before
 }
 
-/// Counts by thread, of the threads that registered.
+/// Separate counts of the registered threads.
 #[derive(Clone, Copy, Debug)]
 pub struct AllocationCounts;
 
 impl AllocationCounts {
-    /// From now on this thread is counted, at that place below [`THREADS_MAX`].
+    /// Registers this thread under an index below [`THREADS_MAX`].
     pub fn count_as(place: usize) {
         PLACE.set(Some(place));
     }
 
-    /// Allocations of that many bytes are counted apart from now on.
+    /// Counts allocations of this size separately from now on.
     pub fn count_apart(bytes: usize) {
         APART.store(bytes, Ordering::Relaxed);
     }
 
-    /// Bytes of the newest allocation that was not counted apart.
+    /// Size of the newest allocation that did not have the separate size.
     #[must_use]
     pub fn newest_bytes() -> usize {
         LAST.load(Ordering::Relaxed)
     }
 
-    /// Allocations of the counted threads while `work` runs, by place: those counted apart, and all others.
+    /// Returns the allocations of the registered threads while `work` runs, by index: those of the separate
+    /// size, and all others.
     pub fn during(work: impl FnOnce()) -> [[usize; 2]; THREADS_MAX] {
         let now = || OF_THREADS.each_ref().map(|of| of.each_ref().map(|count| count.load(Ordering::Relaxed)));
         let before = now();

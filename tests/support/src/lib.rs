@@ -1,11 +1,11 @@
 //! Helpers that the tests of several crates share.
 //!
-//! * [`public_recording`] finds recordings that are not part of the repository. Tests that need one return
-//!   early where it is missing, and fail where `STGDAT_REQUIRE_DATA=1` is set.
+//! * [`public_recording`] finds recordings that are not part of the repository. If a recording is missing,
+//!   its tests return early, or fail if `STGDAT_REQUIRE_DATA=1` is set.
 //! * [`CountingAllocator`] counts allocations, for tests that assert that a steady step makes none.
 //! * [`Model`] makes weights files from the embedded one.
 //! * [`lane`] is a map of one lane.
-//! * [`Scratch`] is a folder of a test, with generated recordings and changed pipelines.
+//! * [`Scratch`] is the folder of a test, with generated recordings and changed pipelines.
 #![expect(clippy::unwrap_used, reason = "a test ends at what it can't do")]
 
 mod allocation;

@@ -5,7 +5,7 @@ use std::collections::HashMap;
 use safetensors::Dtype;
 use safetensors::tensor::TensorView;
 
-/// The content of a weights file, to be changed.
+/// The content of a weights file, for changes.
 pub struct Model {
     /// Its configuration.
     pub config: serde_json::Value,
@@ -13,7 +13,7 @@ pub struct Model {
     pub tensors: Vec<(String, Vec<usize>, Vec<f32>)>,
 }
 
-/// Numbers that differ from one place to the next, within ±0.5.
+/// A value within ±0.5 that differs from one index to the next.
 pub fn value(i: usize) -> f32 {
     ((i * 37) % 101) as f32 * 0.01 - 0.5
 }
@@ -31,7 +31,7 @@ impl Model {
         }
     }
 
-    /// Adds a tensor of made-up values, or replaces one.
+    /// Adds or replaces a tensor, with made-up values.
     pub fn set(&mut self, name: &str, shape: &[usize]) {
         let len = shape.iter().product();
         self.tensors.retain(|(other, ..)| other != name);
@@ -39,7 +39,7 @@ impl Model {
         self.tensors.push((name.to_owned(), shape.to_vec(), values));
     }
 
-    /// The file's bytes, the values as f32 or as f16.
+    /// The file's bytes, with the values as f32 or as f16.
     pub fn bytes(&self, dtype: Dtype) -> Vec<u8> {
         let encode = |x: &f32| match dtype {
             Dtype::F16 => half::f16::from_f32(*x).to_le_bytes().to_vec(),

@@ -1,16 +1,16 @@
 use std::path::{Path, PathBuf};
 
-/// The folder of public recordings: `$STGDAT_DATA`, else `shared/data` beside the repository.
+/// The folder of public recordings: `$STGDAT_DATA`, or else `shared/data` beside the repository.
 #[must_use]
 pub fn recordings_folder() -> PathBuf {
     let beside = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
     std::env::var_os("STGDAT_DATA").map_or_else(beside, PathBuf::from)
 }
 
-/// A file or folder among the public recordings; none where it is missing, which is printed.
+/// A file or folder among the public recordings; `None`, with a printed note, if it is missing.
 ///
 /// # Panics
-/// If it is missing and `STGDAT_REQUIRE_DATA=1`.
+/// If it is missing and `STGDAT_REQUIRE_DATA=1` is set.
 #[must_use]
 pub fn public_recording(name: &str) -> Option<PathBuf> {
     let path = recordings_folder().join(name);

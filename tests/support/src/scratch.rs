@@ -9,41 +9,41 @@ use wire::{Detection, detection_flags};
 /// The built-in pipeline.
 pub const SHIPPED_PIPELINE: &str = include_str!("../../../launch/pipeline.toml");
 
-/// A directory of one test.
+/// The directory of one test, removed when dropped.
 #[derive(Debug)]
 pub struct Scratch(PathBuf);
 
 impl Scratch {
-    /// Makes it; no two tests of a process use the same name.
+    /// Creates the directory. Each test of a process needs its own name.
     pub fn new(name: &str) -> Self {
         let path = std::env::temp_dir().join(format!("stgdat-test-{name}-{}", std::process::id()));
         std::fs::create_dir_all(&path).expect("the temporary directory can be written to");
         Self(path)
     }
 
-    /// A path in it.
+    /// A path in the directory.
     pub fn path(&self, name: &str) -> String {
         self.0.join(name).display().to_string()
     }
 
-    /// Writes a file in it.
+    /// Writes a file in the directory and returns its path.
     pub fn file(&self, name: &str, content: impl AsRef<[u8]>) -> String {
         std::fs::write(self.0.join(name), content).expect("the temporary directory can be written to");
         self.path(name)
     }
 
-    /// Reads a file that has been written in it.
+    /// Reads a file of the directory.
     pub fn read(&self, name: &str) -> Vec<u8> {
         std::fs::read(self.0.join(name)).unwrap_or_else(|error| panic!("{name}: {error}"))
     }
 
-    /// Writes the shipped pipeline with one text of it replaced.
+    /// Writes the shipped pipeline with one text replaced.
     pub fn pipeline(&self, name: &str, from: &str, to: &str) -> String {
         assert!(SHIPPED_PIPELINE.contains(from), "the shipped pipeline.toml has no {from:?}");
         self.file(name, SHIPPED_PIPELINE.replacen(from, to, 1))
     }
 
-    /// Writes the shipped pipeline with one line more: a stage is replaced by a program.
+    /// Writes the shipped pipeline with a further line: a program replaces a stage.
     pub fn pipeline_with(&self, stage: &str, command: &[&str]) -> String {
         let name = format!("name = \"{stage}\"\n");
         self.pipeline(&format!("{stage}.toml"), &name, &format!("{name}command = {command:?}\n"))
@@ -71,7 +71,7 @@ impl Drop for Scratch {
     }
 }
 
-/// Writes a detection; columns of unknown values stay empty.
+/// Writes a detection. Columns of unknown values stay empty.
 fn write_row(csv: &mut String, frame: &Frame, detection: &Detection) {
     let given = |flag: u32, value: f32| if detection.has(flag) { value.to_string() } else { String::new() };
     let stamp_ms = frame.stamp_ns / 1_000_000;
