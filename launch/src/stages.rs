@@ -21,12 +21,12 @@ pub struct BuiltIn {
 /// All stages, in the order in which a tick passes them.
 pub const STAGES: [BuiltIn; 8] = [
     BuiltIn { declared: &source::STAGE, body: source::stage::run },
-    BuiltIn { declared: &tracker::STAGE, body: tracker::stage::run },
-    BuiltIn { declared: &localiser::STAGE, body: localiser::stage::run },
-    BuiltIn { declared: &extractor::STAGE, body: extractor::stage::run },
-    BuiltIn { declared: &encoder::STAGE, body: encoder::stage::run },
-    BuiltIn { declared: &decoder::STAGE, body: decoder::stage::run },
-    BuiltIn { declared: &sampler::STAGE, body: sampler::stage::run },
+    BuiltIn { declared: &tracker::STAGE, body: tracker::run },
+    BuiltIn { declared: &localiser::STAGE, body: localiser::run },
+    BuiltIn { declared: &extractor::STAGE, body: extractor::run },
+    BuiltIn { declared: &encoder::STAGE, body: encoder::run },
+    BuiltIn { declared: &decoder::STAGE, body: decoder::run },
+    BuiltIn { declared: &sampler::STAGE, body: sampler::run },
     BuiltIn { declared: &recorder::STAGE, body: recorder::stage::run },
 ];
 

@@ -1,12 +1,12 @@
 //! Computes tracks from detections in this process. The tracker runs alone or in the chain whose forecasts
 //! are its prior.
 
-use bytemuck::Zeroable;
 use model::ModelConfig;
-use onboard::Chain;
+use onboard::{Chain, OwnFrame};
+use ports::{Allowance, Second, Tick};
 use run::Run;
 use tracker::{Prior, Tracker};
-use wire::{AGENTS_MAX, Detection, Header, Track};
+use wire::{Detection, Header, Track, TracksTopic};
 
 use crate::failure::Failure;
 
@@ -16,8 +16,8 @@ pub enum Tracking {
     Alone {
         /// The tracker.
         tracker: Box<Tracker>,
-        /// Buffer for its tracks.
-        tracks: Vec<Track>,
+        /// The tracks of the last tick.
+        tracks: OwnFrame<TracksTopic>,
     },
     /// All stages, because their forecasts are the prior.
     InChain(Box<Chain>),
@@ -33,8 +33,8 @@ impl Tracking {
         }
         Ok(match prior {
             Prior::Kinematic => Self::Alone {
-                tracker: Box::new(Tracker::new(tracker::stage::settings(run, model)?)),
-                tracks: vec![Track::zeroed(); AGENTS_MAX],
+                tracker: Box::new(Tracker::new(tracker::settings(run, model)?)),
+                tracks: OwnFrame::default(),
             },
             Prior::Learned => Self::InChain(Box::new(Chain::new(run, model)?)),
         })
@@ -44,10 +44,11 @@ impl Tracking {
     pub fn tick(&mut self, header: &Header, detections: &[Detection]) -> (Header, &[Track]) {
         match self {
             Self::Alone { tracker, tracks } => {
-                let tracked = tracker.step(header, detections, None, tracks);
-                let answered = tracker.header(header);
-                tracker.audit(header, detections);
-                (answered, &tracks[..tracked.map_or(0, |tracked| tracked.tracks_len)])
+                let allowance = Allowance::All;
+                let tick = Tick { header, input: detections, second: Second::None, allowance };
+                // A refused tick leaves a VOID frame.
+                let _ = tracks.answer(&mut **tracker, &tick, || ());
+                (tracks.header, &tracks.elements)
             }
             Self::InChain(chain) => {
                 let (header, _) = chain.tick(header, detections, |_| ());

@@ -38,12 +38,12 @@ const TICKS: u64 = 400;
 type Body = fn(&Run) -> Result<(), StageError>;
 
 const STAGES: [(&str, Body); 6] = [
-    ("tracker", tracker::stage::run),
-    ("localiser", localiser::stage::run),
-    ("extractor", extractor::stage::run),
-    ("encoder", encoder::stage::run),
-    ("decoder", decoder::stage::run),
-    ("sampler", sampler::stage::run),
+    ("tracker", tracker::run),
+    ("localiser", localiser::run),
+    ("extractor", extractor::run),
+    ("encoder", encoder::run),
+    ("decoder", decoder::run),
+    ("sampler", sampler::run),
 ];
 
 /// Agents of all types, each on its own small circle.

@@ -1,17 +1,18 @@
 //! A replacement of the shipped localiser that knows a round drivable area: `command =
 //! ["target/release/examples/area_localiser"]` in the localiser's table of pipeline.toml.
 //!
-//! It shows the tasks of every stage: declare topics and options, open the ports, take a frame, write the
-//! next frame directly into shared memory, and send it. `ports::Stage` handles heartbeats, warm-up frames and
-//! the end.
+//! A stage is a `Step`: it computes its output of a tick from its input. `drive` opens the ports, waits for frames,
+//! sends heartbeats, passes on frames that are not ticks, and ends when it is asked to.
 
 use std::process::ExitCode;
 
 use model::ModelConfig;
-use ports::{Stage, StageError, stage_main};
+use ports::{Answer, NoTopic, StageError, Step, Tick, drive, stage_main};
 use run::{Conflict, Declaration, Run};
 use serde::Deserialize;
-use wire::{ContextMut, ContextShape, ContextTopic, HistoryState, StageId, Topic, TracksTopic, context_rows};
+use wire::{
+    ContextMut, ContextShape, ContextTopic, HistoryState, Rejected, StageId, Topic, TracksTopic, context_rows,
+};
 
 /// The stage that this program replaces, the topics that it reads and writes, and the rule for its options.
 const STAGE: Declaration<Options> =
@@ -45,41 +46,55 @@ impl Options {
     }
 }
 
-fn run(run: &Run) -> Result<(), StageError> {
-    let model = ModelConfig::of_run(&run.root).map_err(StageError::config)?;
-    let options = STAGE.options(run)?;
-    let mut stage = Stage::open(run, &STAGE)?;
-    let tracks = stage.subscribe::<TracksTopic>()?;
-    let output = stage.publish::<ContextTopic>()?;
+/// The stage: what it needs in each tick.
+struct AreaLocaliser {
+    model: ModelConfig,
+    options: Options,
+    drawn: Drawn,
+}
 
-    let mut drawn = Drawn::default();
-    while let Some(input) = stage.next(&tracks, &output)? {
-        let mut passage = stage.begin(&input);
+impl Step for AreaLocaliser {
+    type Input = TracksTopic;
+    type Second = NoTopic;
+    type Output = ContextTopic;
+
+    fn answer(
+        &mut self,
+        tick: &Tick<'_, TracksTopic>,
+        out: &mut Answer<'_, ContextTopic>,
+    ) -> Result<(), Rejected> {
+        let Self { model, options, drawn } = self;
         let shape = ContextShape {
-            agents_len: input.len(),
+            agents_len: tick.input.len(),
             history_len: model.history_len,
             patch_side: model.patch_size,
         };
-        passage.header.counts.patch_side = shape.patch_side as u32;
-        let mut loan = output.loan(context_rows(&shape))?;
-        let result = ContextMut::over(&mut loan, shape).map(|mut context| {
-            context.tracks.copy_from_slice(&input);
-            // The loan may still contain an earlier frame.
-            context.patches.fill(0.0);
-            for (agent, track) in input.iter().enumerate() {
-                let history = track.history[..shape.history_len].iter().enumerate();
-                for (step, state) in history.filter(|(_, state)| state.present != 0) {
-                    let patch = context.patch_mut(agent, step);
-                    write_density(state, &options, &model, patch);
-                    drawn.add(track.id, &patch[..model.patch_size * model.patch_size]);
-                }
+        out.header.counts.patch_side = shape.patch_side as u32;
+        let mut context = ContextMut::over(out.elements(context_rows(&shape))?, shape)?;
+        context.tracks.copy_from_slice(tick.input);
+        // The memory may contain an earlier frame.
+        context.patches.fill(0.0);
+        for (agent, track) in tick.input.iter().enumerate() {
+            let history = track.history[..shape.history_len].iter().enumerate();
+            for (step, state) in history.filter(|(_, state)| state.present != 0) {
+                let patch = context.patch_mut(agent, step);
+                write_density(state, options, model, patch);
+                drawn.add(track.id, &patch[..model.patch_size * model.patch_size]);
             }
-        });
-        stage.finish(passage, &output, result.map(|()| loan))?;
+        }
+        Ok(())
     }
-    // The launcher prints this with the stage's name in front.
-    drawn.print(options.radius_m, model.patch_size);
-    Ok(())
+
+    fn end(&mut self, _: &Run) -> Result<(), StageError> {
+        // The launcher shows it, with the stage's name before it.
+        self.drawn.print(self.options.radius_m, self.model.patch_size);
+        Ok(())
+    }
+}
+
+fn open(run: &Run) -> Result<AreaLocaliser, StageError> {
+    let model = ModelConfig::of_run(&run.root).map_err(StageError::config)?;
+    Ok(AreaLocaliser { model, options: STAGE.options(run)?, drawn: Drawn::default() })
 }
 
 /// Counts and an example of the drawn patches.
@@ -133,5 +148,5 @@ fn write_density(state: &HistoryState, options: &Options, model: &ModelConfig, p
 }
 
 fn main() -> ExitCode {
-    stage_main(run)
+    stage_main(|run| drive(run, &STAGE, open))
 }

@@ -18,9 +18,9 @@
 use std::process::ExitCode;
 
 use bytemuck::{Pod, Zeroable};
-use ports::{Stage, StageError, stage_main};
-use run::{Declaration, NoOptions, Run};
-use wire::{AGENTS_MAX, Forecast, ForecastsTopic, Header, Topic};
+use ports::{Answer, NoTopic, Step, Tick, drive, stage_main};
+use run::{Declaration, NoOptions};
+use wire::{AGENTS_MAX, Forecast, ForecastsTopic, Header, Rejected, Topic};
 
 /// The stage's identity comes from pipeline.toml.
 const STAGE: Declaration<NoOptions> = Declaration::added(&[ForecastsTopic::NAME], &[Approaches::NAME]);
@@ -51,19 +51,25 @@ impl Topic for Approaches {
     const ELEMENTS_START: usize = AGENTS_MAX;
 }
 
-fn run(run: &Run) -> Result<(), StageError> {
-    let mut stage = Stage::open(run, &STAGE)?;
-    let forecasts = stage.subscribe::<ForecastsTopic>()?;
-    let output = stage.publish::<Approaches>()?;
-    while let Some(input) = stage.next(&forecasts, &output)? {
-        let passage = stage.begin(&input);
-        let mut loan = output.loan(input.len())?;
-        for (approach, forecast) in loan.iter_mut().zip(input.iter()) {
-            *approach = nearest(input.header(), forecast);
+/// The stage. It keeps nothing from tick to tick.
+struct ConflictMonitor;
+
+impl Step for ConflictMonitor {
+    type Input = ForecastsTopic;
+    type Second = NoTopic;
+    type Output = Approaches;
+
+    fn answer(
+        &mut self,
+        tick: &Tick<'_, ForecastsTopic>,
+        out: &mut Answer<'_, Approaches>,
+    ) -> Result<(), Rejected> {
+        let approaches = out.elements(tick.input.len())?;
+        for (approach, forecast) in approaches.iter_mut().zip(tick.input) {
+            *approach = nearest(tick.header, forecast);
         }
-        stage.finish(passage, &output, Ok(loan))?;
+        Ok(())
     }
-    Ok(())
 }
 
 /// The nearest step of the most probable trajectory. The ego vehicle is assumed to stand.
@@ -81,5 +87,5 @@ fn nearest(header: &Header, forecast: &Forecast) -> Approach {
 }
 
 fn main() -> ExitCode {
-    stage_main(run)
+    stage_main(|run| drive(run, &STAGE, |_| Ok(ConflictMonitor)))
 }

@@ -21,10 +21,10 @@
 
 use std::process::ExitCode;
 
-use ports::{Stage, StageError, stage_main};
-use run::{Conflict, Declaration, Run};
+use ports::{Answer, NoTopic, Step, Tick, drive, stage_main};
+use run::{Conflict, Declaration};
 use serde::Deserialize;
-use wire::{Topic, Track, TracksTopic};
+use wire::{Rejected, Topic, Track, TracksTopic};
 
 /// The stage's identity comes from pipeline.toml.
 const STAGE: Declaration<Options> =
@@ -67,18 +67,24 @@ impl Topic for LimitedTracks {
     const ELEMENTS_START: usize = TracksTopic::ELEMENTS_START;
 }
 
-fn run(run: &Run) -> Result<(), StageError> {
-    let options = STAGE.options(run)?;
-    let mut stage = Stage::open(run, &STAGE)?;
-    let tracks = stage.subscribe::<TracksTopic>()?;
-    let output = stage.publish::<LimitedTracks>()?;
-    while let Some(input) = stage.next(&tracks, &output)? {
-        let passage = stage.begin(&input);
-        let mut loan = output.copy(&input)?;
-        loan.iter_mut().for_each(|track| limit(track, options.speed_max_mps));
-        stage.finish(passage, &output, Ok(loan))?;
+/// The stage.
+struct SpeedLimiter(Options);
+
+impl Step for SpeedLimiter {
+    type Input = TracksTopic;
+    type Second = NoTopic;
+    type Output = LimitedTracks;
+
+    fn answer(
+        &mut self,
+        tick: &Tick<'_, TracksTopic>,
+        out: &mut Answer<'_, LimitedTracks>,
+    ) -> Result<(), Rejected> {
+        let limited = out.elements(tick.input.len())?;
+        limited.copy_from_slice(tick.input);
+        limited.iter_mut().for_each(|track| limit(track, self.0.speed_max_mps));
+        Ok(())
     }
-    Ok(())
 }
 
 /// Scales velocities above the limit down to it.
@@ -94,5 +100,5 @@ fn limit(track: &mut Track, most_mps: f32) {
 }
 
 fn main() -> ExitCode {
-    stage_main(run)
+    stage_main(|run| drive(run, &STAGE, |run| Ok(SpeedLimiter(STAGE.options(run)?))))
 }

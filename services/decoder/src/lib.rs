@@ -7,13 +7,15 @@
 mod base;
 mod draws;
 mod options;
-pub mod stage;
+mod step;
 mod unroll;
 
 pub use base::BaseDecoder;
 pub use nn::StartError;
 use nn::{Deadline, DecoderGroup, ModelConfig, Precision, Weights, WeightsError, Workers};
 pub use options::{Options, STAGE};
+use ports::Allowance;
+pub use step::{run, settings};
 use wire::{AGENT_TYPES, AGENTS_MAX, AgentControls, AgentEncoding, Header, Rejected};
 
 use unroll::Unroller;
@@ -67,6 +69,11 @@ impl Decoder {
         })
     }
 
+    /// Steps of the model's horizon, and its modes.
+    pub(crate) const fn sizes(&self) -> (u32, u32) {
+        (self.config.horizon_len as u32, self.config.modes as u32)
+    }
+
     /// Agents of a frame that are to be forecast.
     #[must_use]
     pub fn len(encodings: &[AgentEncoding]) -> usize {
@@ -88,26 +95,31 @@ impl Decoder {
         if found != expected {
             return Err(Rejected::Length { found, expected });
         }
-        self.serve(header, encodings, None)?;
+        self.serve(header, encodings, Allowance::All)?;
         self.write(out);
         Ok(())
     }
 
-    /// Decodes the forecastable agents of a frame in the order of their turns until the deadline, and returns for
-    /// how many there was time; [`Decoder::write`] writes them. Blocks of a few agents of a type are decoded
-    /// together, the first in any case; in which block an agent is, and who else is served, changes no bit.
+    /// Decodes the forecastable agents of a frame that the allowance permits, and returns their number;
+    /// [`Decoder::write`] writes them. With a deadline, agents are decoded in the order of their turns. Blocks of a
+    /// few agents of a type are decoded together, the first block in any case. An agent's controls do not depend on
+    /// its block or on the other agents, to the bit.
     ///
     /// # Errors
-    /// [`Rejected`] where the frame does not fit the model or holds impossible numbers.
+    /// [`Rejected`] if the frame does not fit the model or holds impossible numbers.
     pub fn serve(
         &mut self,
         header: &Header,
         encodings: &[AgentEncoding],
-        deadline: Option<Deadline>,
+        allowance: Allowance<'_>,
     ) -> Result<usize, Rejected> {
         self.check(header, encodings)?;
         self.is_served.fill(false);
-        self.assign(encodings, deadline.is_some());
+        let deadline = match allowance {
+            Allowance::Until { until_ns, clock } => Some(Deadline { until_ns, clock }),
+            _ => None,
+        };
+        self.assign(encodings, allowance);
         let in_order = self.order.iter().map(|turn| (turn.block, &encodings[turn.agent]));
         let blocks_len = self.workers.input().take(header.seq, in_order, deadline.is_none());
         self.workers.each(Unroller::clear);
@@ -151,9 +163,15 @@ impl Decoder {
 
     /// Puts the agents to be served into blocks of one type: type by type or, `by_turn`, in the order of their
     /// turns, each into the open block of its type; a block has the place of its first agent.
-    fn assign(&mut self, encodings: &[AgentEncoding], by_turn: bool) {
+    fn assign(&mut self, encodings: &[AgentEncoding], allowance: Allowance<'_>) {
+        let by_turn = matches!(allowance, Allowance::Until { .. });
+        let is_allowed = |place: usize| match allowance {
+            Allowance::AsRecorded(header) => !header.is_shed(place),
+            _ => true,
+        };
         self.order.clear();
-        let wanted = encodings.iter().enumerate().filter(|(_, agent)| is_wanted(agent));
+        let wanted =
+            encodings.iter().enumerate().filter(|(place, agent)| is_wanted(agent) && is_allowed(*place));
         self.order.extend(wanted.map(|(agent, encoding)| Turn { block: 0, turn: encoding.turn, agent }));
         let type_of = |turn: &Turn| encodings[turn.agent].agent_type as usize;
         if by_turn {

@@ -1,5 +1,5 @@
 //! The decoder as a program of its own.
 
 fn main() -> std::process::ExitCode {
-    ports::stage_main(decoder::stage::run)
+    ports::stage_main(decoder::run)
 }

@@ -6,7 +6,7 @@ mod support {
 
 use crate::support::frames;
 use decoder::{Decoder, DecoderOptions};
-use nn::Deadline;
+use ports::Allowance;
 use testing::Model;
 use testing::{CountingAllocator, allocations};
 
@@ -26,8 +26,8 @@ fn a_thousand_steady_steps_allocate_nothing() {
     (0..4).for_each(&mut step);
     assert_eq!(allocations(|| (4..1_004).for_each(&mut step)), 0);
     let mut until = |i: usize| {
-        let deadline = Deadline { until_ns: (i % 3) as u64, clock: || 1 };
-        let served_len = decoder.serve(&frames::header(i as u64), &frames[i % 2], Some(deadline)).unwrap();
+        let allowance = Allowance::Until { until_ns: (i % 3) as u64, clock: || 1 };
+        let served_len = decoder.serve(&frames::header(i as u64), &frames[i % 2], allowance).unwrap();
         decoder.write(&mut outs[i % 2][..served_len]);
     };
     (0..4).for_each(&mut until);

@@ -8,7 +8,8 @@ use bytemuck::Zeroable;
 use decoder::{Decoder, DecoderOptions};
 use frames::{encodings, header, room};
 use nn::base::{Base, BaseFeatures};
-use nn::{Deadline, Precision, Weights};
+use nn::{Precision, Weights};
+use ports::Allowance;
 use testing::Model;
 use wire::{AgentControls, AgentEncoding, ControlGaussian, Rejected};
 
@@ -111,8 +112,8 @@ fn whoever_is_served_until_the_deadline_has_the_same_bits() {
     let all_len = Decoder::len(&encodings);
     let mut last_len = 0;
     for looks in [0, 5, 9, 13, 1_000] {
-        let deadline = Deadline { until_ns: ticking() + looks, clock: ticking };
-        let served_len = decoder.serve(&header(9), &encodings, Some(deadline)).unwrap();
+        let allowance = Allowance::Until { until_ns: ticking() + looks, clock: ticking };
+        let served_len = decoder.serve(&header(9), &encodings, allowance).unwrap();
         assert!(served_len > last_len && served_len <= all_len, "{served_len} of {all_len}");
         last_len = served_len;
         let mut out = vec![AgentControls::zeroed(); served_len];

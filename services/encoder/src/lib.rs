@@ -1,8 +1,8 @@
 //! Graph dual attention on the features of a frame: the temporal summary ṽ_h of each agent.
 
+mod attender;
 mod options;
-pub mod stage;
-mod steps;
+mod step;
 
 use std::sync::Arc;
 
@@ -12,8 +12,9 @@ use wire::{
     AGENTS_MAX, AgentEncoding, AgentFeatures, Features, Header, NODE_ATTRIBUTES, Rejected, TEMPORAL, finite,
 };
 
+use attender::Attender;
 pub use options::{Options, STAGE};
-use steps::Attender;
+pub use step::{run, settings};
 
 /// Settings of an [`Encoder`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

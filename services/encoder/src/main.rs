@@ -1,5 +1,5 @@
 //! The encoder as a program of its own.
 
 fn main() -> std::process::ExitCode {
-    ports::stage_main(encoder::stage::run)
+    ports::stage_main(encoder::run)
 }

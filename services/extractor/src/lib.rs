@@ -13,12 +13,13 @@ mod cache;
 mod embed;
 mod options;
 mod queue;
-pub mod stage;
+mod step;
 
 pub use nn::StartError;
 use nn::{AgentSet, ModelConfig, Weights, WeightsError, Workers, with_senders};
 pub use options::{Options, STAGE};
 use scene::{AgentFrame, EdgeRule, FeatureScales, NEIGHBOURS_MAX, State, Vertex};
+pub use step::{run, settings};
 use wire::{
     AGENT_TYPES, AGENTS_MAX, AgentFeatures, AgentType, CONTEXT_EMBEDDING, Context, ContextShape,
     EDGE_ATTRIBUTES, EDGES_MAX, Edge, FeatureShape, FeaturesMut, HISTORY_MAX, Header, NODE_ATTRIBUTES,

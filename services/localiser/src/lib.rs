@@ -17,7 +17,8 @@
 mod cache;
 mod localiser;
 mod options;
-pub mod stage;
+mod step;
 
 pub use localiser::{Localiser, LocaliserOptions, MapSource};
 pub use options::{MapChoice, Options, STAGE, UnknownMap};
+pub use step::{run, settings};

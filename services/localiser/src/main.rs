@@ -1,5 +1,5 @@
 //! The localiser as a program of its own.
 
 fn main() -> std::process::ExitCode {
-    ports::stage_main(localiser::stage::run)
+    ports::stage_main(localiser::run)
 }

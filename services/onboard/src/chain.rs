@@ -1,21 +1,62 @@
-use bytemuck::Zeroable;
+use decoder::{Decoder, DecoderOptions};
+use encoder::{Encoder, EncoderOptions};
 use evidence::{Evidence, Prior};
-use nn::ModelConfig;
+use extractor::{Effort, Extractor, ExtractorOptions};
+use localiser::{Localiser, LocaliserOptions};
+use nn::{ModelConfig, StartError, Weights};
+use ports::{Allowance, NoTopic, Second, Step, Tick};
 use run::Run;
+use sampler::Sampler;
 use tracker::Tracker;
-use wire::{AGENTS_MAX, Detection, Forecast, Header, StageId, Track, flags};
+use wire::{
+    ContextTopic, ControlsTopic, Detection, EncodingsTopic, FeatureShape, Features, FeaturesTopic, Forecast,
+    ForecastsTopic, Header, Rejected, StageId, Topic, Track, TracksTopic,
+};
 
-use crate::{ChainError, Load, TracksToForecasts};
+use crate::{ChainError, Load, OwnFrame};
 
 /// All compute stages, one after the other, from detections to forecasts.
 pub struct Chain {
     tracker: Tracker,
     rest: TracksToForecasts,
-    tracks: Vec<Track>,
-    tracks_len: usize,
-    /// Header and number of the newest forecasts; `None` before the first ones, or if the sampler refused the
-    /// last tick that it received.
-    prior: Option<(Header, usize)>,
+    tracks: OwnFrame<TracksTopic>,
+}
+
+/// The stages from a `tracks` payload on: localiser, extractor, encoder, decoder and sampler.
+pub struct TracksToForecasts {
+    features: TracksToFeatures,
+    controls: FeaturesToControls,
+    sampler: Sampler,
+    frame: OwnFrame<FeaturesTopic>,
+    forecasts: OwnFrame<ForecastsTopic>,
+}
+
+/// Localiser and extractor. They keep maps and embeddings of earlier ticks.
+pub struct TracksToFeatures {
+    localiser: Localiser,
+    extractor: Extractor,
+    context: OwnFrame<ContextTopic>,
+}
+
+/// Encoder and decoder. What they make of a tick does not depend on other ticks.
+pub struct FeaturesToControls {
+    encoder: Encoder,
+    decoder: Decoder,
+    /// The encodings of the last tick.
+    pub encodings: OwnFrame<EncodingsTopic>,
+    /// The controls of the last tick.
+    pub controls: OwnFrame<ControlsTopic>,
+}
+
+/// Answers a frame by the step of a stage that serves all agents; `passed` is called after it.
+fn take_through<S: Step<Second = NoTopic>>(
+    (id, step): (StageId, &mut S),
+    (header, input): (&Header, &[<S::Input as Topic>::Element]),
+    out: &mut OwnFrame<S::Output>,
+    passed: &mut impl FnMut(StageId),
+) -> Result<(), Rejected> {
+    let tick = Tick { header, input, second: Second::None, allowance: Allowance::All };
+    out.answer(step, &tick, || passed(id))
 }
 
 impl Chain {
@@ -24,13 +65,10 @@ impl Chain {
     /// # Errors
     /// [`ChainError`] if weights, options, map or retrieval memory can't be used.
     pub fn new(run: &Run, model: &ModelConfig) -> Result<Self, ChainError> {
-        let rest = TracksToForecasts::new(run, model)?;
         Ok(Self {
-            tracker: Tracker::new(tracker::stage::settings(run, model)?),
-            rest,
-            tracks: vec![Track::zeroed(); AGENTS_MAX],
-            tracks_len: 0,
-            prior: None,
+            tracker: Tracker::new(tracker::settings(run, model)?),
+            rest: TracksToForecasts::new(run, model)?,
+            tracks: OwnFrame::default(),
         })
     }
 
@@ -44,26 +82,17 @@ impl Chain {
         detections: &[Detection],
         mut passed: impl FnMut(StageId),
     ) -> (Header, &[Forecast]) {
-        let prior = self.prior.as_ref().map(|(header, len)| (header, self.rest.forecasts(*len)));
-        let tracked = self.tracker.step(header, detections, prior, &mut self.tracks);
-        let before = header;
-        let header = self.tracker.header(before);
-        passed(StageId::Tracker);
-        self.tracker.audit(before, detections);
-        self.tracks_len = tracked.as_ref().map_or(0, |tracked| tracked.tracks_len);
-        if !tracked.is_ok_and(|tracked| tracked.replayed_len == 0) {
-            return nothing(header);
+        let Self { tracker, rest, tracks } = self;
+        let before = &rest.forecasts;
+        let second = if before.is_void() { Second::None } else { before.as_second() };
+        let tick = Tick { header, input: detections, second, allowance: Allowance::All };
+        // A refused tick leaves a VOID frame.
+        let _ = tracks.answer(tracker, &tick, || passed(StageId::Tracker));
+        if tracks.is_void() {
+            return (tracks.header, &[]);
         }
-        match self.rest.step(&header, &self.tracks[..self.tracks_len], passed) {
-            Ok((header, forecasts)) => {
-                self.prior = Some((header, forecasts.len()));
-                (header, forecasts)
-            }
-            Err(_) => {
-                self.prior = None;
-                nothing(header)
-            }
-        }
+        let _ = rest.answer(tracks.parts(), passed);
+        (rest.forecasts.header, &rest.forecasts.elements)
     }
 
     /// Saves the retrieval memory if the run's record names a file.
@@ -71,29 +100,29 @@ impl Chain {
     /// # Errors
     /// [`ChainError`] if the file can't be written.
     pub fn keep_memory(&self, run: &Run) -> Result<(), ChainError> {
-        Ok(sampler::stage::save_memory(run, self.rest.sampler())?)
+        Ok(sampler::save_memory(run, &self.rest.sampler)?)
     }
 
     /// Replaces the shipped prior of the sampler's experts by `prior`.
     pub fn expect(&mut self, prior: Prior) {
-        self.rest.expect(prior);
+        self.rest.sampler.expect(prior);
     }
 
     /// Continues with the evidence that the sampler of an earlier chain has learned.
     pub fn continue_from(&mut self, earlier: Self) {
-        self.rest.continue_from(earlier.rest);
+        self.rest.sampler.continue_from(earlier.rest.sampler);
     }
 
     /// The sampler's evidence on its experts.
     #[must_use]
     pub fn evidence(&self) -> Option<&Evidence> {
-        self.rest.sampler().evidence()
+        self.rest.sampler.evidence()
     }
 
     /// The tracks of the last tick; empty if it was refused.
     #[must_use]
     pub fn tracks(&self) -> &[Track] {
-        &self.tracks[..self.tracks_len]
+        &self.tracks.elements
     }
 
     /// How large the last tick was.
@@ -103,9 +132,141 @@ impl Chain {
     }
 }
 
-/// The empty frame after a refused or late tick.
-fn nothing(mut header: Header) -> (Header, &'static [Forecast]) {
-    header.flags |= flags::VOID;
-    header.counts = wire::Counts::default();
-    (header, &[])
+impl TracksToForecasts {
+    /// Sets up the stages of a run with that model from its record.
+    ///
+    /// # Errors
+    /// [`ChainError`] if weights, options, map or retrieval memory can't be used.
+    pub fn new(run: &Run, model: &ModelConfig) -> Result<Self, ChainError> {
+        let weights = Weights::of_model(run.weights.as_deref(), model)?;
+        let localiser = localiser::settings(run, model)?;
+        let features = TracksToFeatures::new(&weights, localiser, extractor::settings(run)?)?;
+        let controls = FeaturesToControls::new(&weights, encoder::settings(run)?, decoder::settings(run)?)?;
+        Ok(Self::of_stages(features, controls, sampler::open(run, model)?))
+    }
+
+    /// Joins stages of the same model.
+    #[must_use]
+    pub fn of_stages(features: TracksToFeatures, controls: FeaturesToControls, sampler: Sampler) -> Self {
+        Self { features, controls, sampler, frame: OwnFrame::default(), forecasts: OwnFrame::default() }
+    }
+
+    /// Forecasts the tracks of a tick, in their order, with the header of the forecasts.
+    ///
+    /// If a stage before the sampler refuses the tick, the sampler's fallback forecasts are returned.
+    ///
+    /// # Errors
+    /// [`Rejected`] if the sampler refuses header or tracks.
+    pub fn step(&mut self, header: &Header, tracks: &[Track]) -> Result<(Header, &[Forecast]), Rejected> {
+        self.answer((header, tracks), |_| ())?;
+        Ok((self.forecasts.header, &self.forecasts.elements))
+    }
+
+    fn answer(
+        &mut self,
+        (header, input): (&Header, &[Track]),
+        mut passed: impl FnMut(StageId),
+    ) -> Result<(), Rejected> {
+        let Self { features, controls, sampler, frame, forecasts } = self;
+        let learned =
+            features.step(header, input, frame, &mut passed).and_then(|()| controls.step(frame, &mut passed));
+        let second = learned.map_or(Second::Refused, |()| controls.controls.as_second());
+        let tick = Tick { header, input, second, allowance: Allowance::All };
+        forecasts.answer(sampler, &tick, || passed(StageId::Sampler))
+    }
+
+    /// The sampler, with its retrieval memory.
+    #[must_use]
+    pub const fn sampler(&self) -> &Sampler {
+        &self.sampler
+    }
+
+    /// How large the last tick was.
+    #[must_use]
+    pub fn load(&self) -> Load {
+        self.controls.load(&self.frame)
+    }
+}
+
+impl TracksToFeatures {
+    /// Stages before their first frame.
+    ///
+    /// # Errors
+    /// [`StartError`] if the weights do not contain the model or a thread can't be started.
+    pub fn new(
+        weights: &Weights,
+        localiser: LocaliserOptions,
+        extractor: ExtractorOptions,
+    ) -> Result<Self, StartError> {
+        let (localiser, extractor) = (Localiser::new(localiser), Extractor::new(weights, extractor)?);
+        Ok(Self { localiser, extractor, context: OwnFrame::default() })
+    }
+
+    /// Takes the tracks of a tick to features; `passed` is called after each stage.
+    ///
+    /// # Errors
+    /// [`Rejected`] if a stage refuses the tick. `out` is then VOID.
+    pub fn step(
+        &mut self,
+        header: &Header,
+        tracks: &[Track],
+        out: &mut OwnFrame<FeaturesTopic>,
+        mut passed: impl FnMut(StageId),
+    ) -> Result<(), Rejected> {
+        let Self { localiser, extractor, context } = self;
+        let located = take_through((StageId::Localiser, localiser), (header, tracks), context, &mut passed);
+        let extracted = take_through((StageId::Extractor, extractor), context.parts(), out, &mut passed);
+        located.and(extracted)
+    }
+
+    /// The extractor's work for the last tick, and the agents that it left out.
+    #[must_use]
+    pub const fn effort(&self) -> Effort {
+        self.extractor.effort()
+    }
+}
+
+impl FeaturesToControls {
+    /// Stages with the model's networks.
+    ///
+    /// # Errors
+    /// [`StartError`] if the weights do not contain the model or a thread can't be started.
+    pub fn new(
+        weights: &Weights,
+        encoder: EncoderOptions,
+        decoder: DecoderOptions,
+    ) -> Result<Self, StartError> {
+        Ok(Self {
+            encoder: Encoder::new(weights, encoder)?,
+            decoder: Decoder::new(weights, decoder)?,
+            encodings: OwnFrame::default(),
+            controls: OwnFrame::default(),
+        })
+    }
+
+    /// Takes the features of a tick to controls; `passed` is called after each stage.
+    ///
+    /// # Errors
+    /// [`Rejected`] if a stage refuses the tick. The controls are then VOID.
+    pub fn step(
+        &mut self,
+        features: &OwnFrame<FeaturesTopic>,
+        mut passed: impl FnMut(StageId),
+    ) -> Result<(), Rejected> {
+        let Self { encoder, decoder, encodings, controls } = self;
+        let encoded = take_through((StageId::Encoder, encoder), features.parts(), encodings, &mut passed);
+        let decoded = take_through((StageId::Decoder, decoder), encodings.parts(), controls, &mut passed);
+        encoded.and(decoded)
+    }
+
+    /// How large the last tick was.
+    #[must_use]
+    pub fn load(&self, features: &OwnFrame<FeaturesTopic>) -> Load {
+        let counts = &features.header.counts;
+        let shape = FeatureShape::of(counts);
+        match Features::read(&features.elements, shape, counts.history_len as usize) {
+            Ok(features) => Load::of(&features, &self.encodings.elements, counts.history_len),
+            Err(_) => Load::default(),
+        }
+    }
 }

@@ -1,5 +1,5 @@
-//! The compute stages in one process. They take the same steps with the same settings as in a run of
-//! processes, so that forecasts are equal to the bit.
+//! The compute stages in one process: the same [steps](ports::Step) on the same settings as in a run of processes,
+//! so forecasts are equal to the bit.
 //!
 //! The input consists of wire payloads (detections or tracks, tick by tick). The output consists of tracks,
 //! controls and forecasts.
@@ -11,27 +11,21 @@
 //! ```
 //!
 //! * [`Chain`] is the whole pipeline: `stgdat predict`, `track` and `bench` run it.
-//! * [`TracksToForecasts`] is the part of the pipeline that starts at a `tracks` payload.
-//! * [`TracksToFeatures`] and [`FeaturesToControls`] are the parts of [`TracksToForecasts`] before the
-//!   sampler. The first depends on earlier ticks. The second depends only on its tick, so that evaluations
-//!   can spread ticks over threads.
-//! * [`Stages`] holds the same stages one by one, from frame to frame. [`Replay`] takes a recording through
-//!   them.
+//! * [`TracksToForecasts`] is its part from a `tracks` payload on.
+//! * [`TracksToFeatures`] and [`FeaturesToControls`] are the parts of that. The first depends on the ticks
+//!   before, the second on the tick alone, so that evaluations can share its ticks among threads.
+//! * [`Stages`] are the same stages one by one, and [`Replay`] takes a recording through them.
 
 mod chain;
-mod controls;
 mod error;
-mod features;
-mod forecasts;
+mod frame;
 mod load;
 mod replay;
 mod stages;
 
-pub use chain::Chain;
-pub use controls::{Controls, FeaturesToControls};
+pub use chain::{Chain, FeaturesToControls, TracksToFeatures, TracksToForecasts};
 pub use error::ChainError;
-pub use features::{FeatureFrame, TracksToFeatures};
-pub use forecasts::TracksToForecasts;
+pub use frame::OwnFrame;
 pub use load::Load;
 pub use replay::{OwnTime, Replay, ReplayError, Replayed, STAGES};
-pub use stages::{OwnFrame, Stages};
+pub use stages::Stages;

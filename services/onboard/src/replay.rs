@@ -18,15 +18,12 @@ use nn::Weights;
 use recording::{Comparison, Frame, FrameError, Message, Recording};
 use thiserror::Error;
 use wire::{
-    ContextTopic, ControlsTopic, DetectionsTopic, EncodingsTopic, FeaturesTopic, Forecast, ForecastsTopic,
-    Header, HeartbeatsTopic, StageId, Topic, TracksTopic, flags,
+    ContextTopic, ControlsTopic, DetectionsTopic, EncodingsTopic, FeaturesTopic, ForecastsTopic, Header,
+    HeartbeatsTopic, StageId, Topic, TracksTopic, flags,
 };
 
-use crate::stages::{OwnFrame, Stages};
-use crate::{
-    ChainError,
-    replay::{pace::Pace, tick::Tick},
-};
+use crate::replay::{pace::Pace, tick::Tick};
+use crate::{ChainError, OwnFrame, Stages};
 
 pub use self::pace::OwnTime;
 
@@ -325,8 +322,7 @@ impl<'a> Replay<'a> {
             return Ok(None);
         }
         self.choose_prior(seq, &header, recorded.map(|tracks| &tracks.header));
-        let prior = self.prior.as_ref().map(|prior| (&prior.header, &prior.elements[..] as &[Forecast]));
-        Ok(Some(self.stages.track(&header, &detections, prior)))
+        Ok(Some(self.stages.track(&header, &detections, self.prior.as_ref())))
     }
 
     /// Chooses the forecasts that were available to the tracker. In lockstep they belong to the previous
@@ -380,17 +376,17 @@ impl<'a> Replay<'a> {
         if !self.has_passed(StageId::Extractor, tick, FeaturesTopic::NAME)? {
             return Ok(None);
         }
-        let features = self.stages.extract(&context, tick.extracted_max());
+        let features = self.stages.extract(&context, tick.extracted());
         self.compare(tick, Some(&features), each);
         if !self.has_passed(StageId::Encoder, tick, EncodingsTopic::NAME)? {
             return Ok(None);
         }
-        let encodings = self.stages.encode(&features, tick.encoded_max());
+        let encodings = self.stages.encode(&features, tick.encoded());
         self.compare(tick, Some(&encodings), each);
         if !self.has_passed(StageId::Decoder, tick, ControlsTopic::NAME)? {
             return Ok(None);
         }
-        let controls = self.stages.decode(&encodings, tick.shedder().as_ref());
+        let controls = self.stages.decode(&encodings, tick.decoded());
         self.compare(tick, Some(&controls), each);
         Ok(Some(controls))
     }
@@ -408,18 +404,15 @@ impl<'a> Replay<'a> {
                 self.compare(tick, made.as_ref(), each);
             }
             StageId::Extractor => {
-                let served_max = tick.extracted_max();
-                let made = tick.own(impossible).map(|input| self.stages.extract(&input, served_max));
+                let made = tick.own(impossible).map(|input| self.stages.extract(&input, tick.extracted()));
                 self.compare(tick, made.as_ref(), each);
             }
             StageId::Encoder => {
-                let served_max = tick.encoded_max();
-                let made = tick.own(impossible).map(|input| self.stages.encode(&input, served_max));
+                let made = tick.own(impossible).map(|input| self.stages.encode(&input, tick.encoded()));
                 self.compare(tick, made.as_ref(), each);
             }
             _ => {
-                let shedder = tick.shedder();
-                let made = tick.own(impossible).map(|input| self.stages.decode(&input, shedder.as_ref()));
+                let made = tick.own(impossible).map(|input| self.stages.decode(&input, tick.decoded()));
                 self.compare(tick, made.as_ref(), each);
             }
         }

@@ -35,6 +35,20 @@ impl Fallback {
         self.newest_learned_ns = self.newest_learned_ns.max(Some(stamp_ns));
     }
 
+    /// Whether the policy silences a track. `learned` states whether an agent of this tick has a learned forecast.
+    pub(crate) fn is_silent(&self, tick: Tick, track: &Track, learned: bool) -> bool {
+        let age_ns = self.held.find(track.id, tick.stamp_ns).map(|(_, age_ns)| age_ns);
+        let newest_ns =
+            if learned { Some(tick.stamp_ns).max(self.newest_learned_ns) } else { self.newest_learned_ns };
+        self.level(tick, age_ns, newest_ns) == Level::Silent
+    }
+
+    fn level(&self, tick: Tick, held_age_ns: Option<u64>, newest_ns: Option<i64>) -> Level {
+        let newest_ns = newest_ns.unwrap_or(tick.stamp_ns);
+        let without_ns = u64::try_from(tick.stamp_ns.saturating_sub(newest_ns)).unwrap_or(0);
+        self.options.degradation.level(held_age_ns, without_ns)
+    }
+
     /// Writes a held or kinematic forecast, or nothing, as the policy demands. Returns whether a forecast was
     /// written.
     pub(crate) fn write(
@@ -47,9 +61,7 @@ impl Fallback {
         let agent_type = track.agent_type()?;
         let cause = if track.forecastable == 0 { Cause::Young } else { cause };
         let found = self.held.find(track.id, tick.stamp_ns);
-        let newest_ns = self.newest_learned_ns.unwrap_or(tick.stamp_ns);
-        let without_ns = u64::try_from(tick.stamp_ns.saturating_sub(newest_ns)).unwrap_or(0);
-        let level = self.options.degradation.level(found.as_ref().map(|(_, age_ns)| *age_ns), without_ns);
+        let level = self.level(tick, found.as_ref().map(|(_, age_ns)| *age_ns), self.newest_learned_ns);
         if level == Level::Silent {
             return Ok(false);
         }

@@ -46,6 +46,16 @@ pub trait Storage {
     fn grow_to(&mut self, len: usize) -> Result<(), String>;
 }
 
+impl Storage for Box<dyn Storage + Send> {
+    fn bytes(&mut self) -> &mut [u8] {
+        (**self).bytes()
+    }
+
+    fn grow_to(&mut self, len: usize) -> Result<(), String> {
+        (**self).grow_to(len)
+    }
+}
+
 /// Storage within this process only.
 impl Storage for Vec<u64> {
     fn bytes(&mut self) -> &mut [u8] {

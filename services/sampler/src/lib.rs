@@ -32,9 +32,11 @@ mod published;
 mod sampler;
 mod settings;
 mod spread;
-pub mod stage;
+mod step;
 mod turns;
 
 pub use degradation::{Change, Degradation, Level, TRANSITIONS};
+pub use memory::{open, save_memory};
 pub use options::{LanesOrigin, Options, Propagation, PropagationKind, STAGE, SamplerOptions};
 pub use sampler::Sampler;
+pub use step::run;

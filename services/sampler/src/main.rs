@@ -1,5 +1,5 @@
 //! The sampler as a separate program.
 
 fn main() -> std::process::ExitCode {
-    ports::stage_main(sampler::stage::run)
+    ports::stage_main(sampler::run)
 }

@@ -55,12 +55,12 @@ impl Storage for Kept {
 }
 
 /// Opens the journal for the sampler's state, once the previous process is gone. The sampler resumes with the
-/// previous process's state. Returns `None` if no state is kept, as in lockstep, in which stages are not
-/// restarted.
-pub(crate) fn journal(run: &Run, sampler: &mut Sampler, incarnation: u32) -> Option<Journal<Kept>> {
-    let identity = Identity::of(run.id, sampler.options()).filter(|_| !run.lockstep)?;
+/// previous process's state. It keeps no state in lockstep, in which stages are not restarted.
+pub(crate) fn resume(run: &Run, sampler: &mut Sampler, incarnation: u32) {
+    let Some(identity) = Identity::of(run.id, sampler.options()).filter(|_| !run.lockstep) else { return };
     let opened = KeptMemory::open(run, KEPT).map_err(|error| error.to_string()).and_then(|kept| {
-        let mut journal = Journal::over(Kept(kept), identity);
+        let kept: Box<dyn Storage + Send> = Box::new(Kept(kept));
+        let mut journal = Journal::over(kept, identity);
         let why =
             match journal.resume(None).and_then(|resumed| resumed.map(|r| sampler.resume(r)).transpose()) {
                 Ok(Some(())) => {
@@ -81,9 +81,10 @@ pub(crate) fn journal(run: &Run, sampler: &mut Sampler, incarnation: u32) -> Opt
         }
         journal.clear().map(|()| journal)
     });
-    opened
-        .map_err(|why| tracing::warn!("a restart will begin without retrieval memory and evidence: {why}"))
-        .ok()
+    match opened {
+        Ok(journal) => sampler.keep_in(Some(journal)),
+        Err(why) => tracing::warn!("a restart will begin without retrieval memory and evidence: {why}"),
+    }
 }
 
 /// Saves the sampler's memory to the file that the run's options name, if they do, for later runs to start

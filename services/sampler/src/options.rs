@@ -7,7 +7,9 @@ use nn::WORKERS_MAX;
 use run::{Conflict, Declaration, SpeedLimits};
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Serialize, Serializer};
-use wire::{AgentType, ControlsTopic, ForecastsTopic, StageId, TICK_MS, Topic, TracksTopic, WorldOrigin};
+use wire::{
+    AgentType, ControlsTopic, ForecastsTopic, MODES_MAX, StageId, TICK_MS, Topic, TracksTopic, WorldOrigin,
+};
 
 use crate::Degradation;
 
@@ -173,6 +175,8 @@ pub struct SamplerOptions {
     pub history_len: usize,
     /// Steps of the forecast, T_f.
     pub horizon_len: usize,
+    /// Modes of the model, K.
+    pub modes_len: usize,
     /// What the controls of vehicles are; those of all others are displacements.
     pub vehicle_motion: MotionKind,
     /// The constants of motion.
@@ -191,6 +195,8 @@ pub struct SamplerOptions {
     pub degradation: Degradation,
     /// Highest speed of each type, as the run's tracker has it.
     pub speed_limits: SpeedLimits,
+    /// Time after a tick's release for which the controls are awaited.
+    pub deadline_ns: u64,
 }
 
 impl SamplerOptions {
@@ -213,6 +219,7 @@ impl Default for SamplerOptions {
         Self {
             history_len: 8,
             horizon_len: 12,
+            modes_len: MODES_MAX,
             vehicle_motion: MotionKind::Bicycle,
             motion: MotionOptions::default(),
             initial_covariance: true,
@@ -222,6 +229,7 @@ impl Default for SamplerOptions {
             evidence: false,
             degradation: Degradation::default(),
             speed_limits: SpeedLimits::default(),
+            deadline_ns: u64::MAX,
         }
     }
 }

@@ -32,6 +32,8 @@ pub struct Sampler {
     workers: Workers<Forecaster>,
     /// Scratch memory: the turn of each track, or why it has none.
     turns: Vec<Result<usize, Cause>>,
+    /// Where the learned state is committed after each tick; `None` if it does not outlive the sampler.
+    journal: Option<Journal<Box<dyn Storage + Send>>>,
 }
 
 /// The part of a header that the forecasts depend on.
@@ -82,6 +84,7 @@ impl Sampler {
             resumed_ticks: 0,
             workers: Workers::new(Turns::new(options), forecasters)?,
             turns: Vec::with_capacity(AGENTS_MAX),
+            journal: None,
         })
     }
 
@@ -126,6 +129,41 @@ impl Sampler {
     #[must_use]
     pub const fn options(&self) -> &SamplerOptions {
         &self.options
+    }
+
+    /// Commits the learned state to this journal after each tick from now on.
+    pub fn keep_in(&mut self, journal: Option<Journal<Box<dyn Storage + Send>>>) {
+        self.journal = journal;
+    }
+
+    /// Takes the journal back, for the sampler that replaces this one.
+    pub const fn take_journal(&mut self) -> Option<Journal<Box<dyn Storage + Send>>> {
+        self.journal.take()
+    }
+
+    /// Resumes with the state after `ticks` ticks of an earlier sampler, as its journal has it, or with an empty
+    /// state if 0. Returns whether that state is known.
+    pub fn resume_after(&mut self, ticks: u32) -> bool {
+        let Some(mut journal) = self.journal.take() else { return ticks == 0 };
+        let resumed = match ticks {
+            0 => None,
+            _ => journal.resume(Some(ticks.into())).ok().flatten(),
+        };
+        let is_known = match resumed {
+            Some(resumed) => self.resume(resumed).is_ok(),
+            None => journal.clear().is_ok() && ticks == 0,
+        };
+        self.journal = Some(journal);
+        is_known
+    }
+
+    /// Commits the state learned from the ticks before `ticks` to the sampler's own journal, if it has one.
+    pub(crate) fn commit_own(&mut self, ticks: u64) {
+        let Some(mut journal) = self.journal.take() else { return };
+        match self.commit(ticks, &mut journal) {
+            Ok(()) => self.journal = Some(journal),
+            Err(why) => tracing::warn!("what is learned is kept no more: {why}"),
+        }
     }
 
     /// Commits the state learned from the past ticks.
@@ -193,13 +231,58 @@ impl Sampler {
         controls: &[AgentControls],
         out: &mut [Forecast],
     ) -> Result<usize, Rejected> {
-        let tick = check(header, tracks, out)?;
+        assert_eq!(out.len(), tracks.len(), "a place per track");
+        self.sample(header, tracks, Ok(controls), |count| Ok(&mut out[..count]))
+    }
+
+    /// Writes the forecasts of a tick, with its controls or with the reason why there are none. `room` gives the
+    /// memory for a number of forecasts. Returns that number: agents that the degradation policy silences are left
+    /// out.
+    ///
+    /// # Errors
+    /// [`Rejected`] if header or tracks are impossible; nothing was written or changed. The error of `room`.
+    pub(crate) fn sample<'a>(
+        &mut self,
+        header: &Header,
+        tracks: &[Track],
+        controls: Result<&[AgentControls], Cause>,
+        room: impl FnOnce(usize) -> Result<&'a mut [Forecast], Rejected>,
+    ) -> Result<usize, Rejected> {
+        let tick = check(header, tracks)?;
         self.observe(tick, tracks);
-        self.take_turns(tick, header, tracks, controls);
+        match controls {
+            Ok(controls) => self.take_turns(tick, header, tracks, controls),
+            Err(cause) => {
+                self.turns.clear();
+                self.turns.resize(tracks.len(), Err(cause));
+            }
+        }
+        let count = self.count(tick, tracks);
+        let out = room(count)?;
+        let written = self.write(tick, tracks, out)?;
+        debug_assert_eq!(written, count, "forecasts are counted before they are written");
+        Ok(written)
+    }
+
+    /// The number of forecasts that [`Sampler::write`] will write.
+    fn count(&mut self, tick: Tick, tracks: &[Track]) -> usize {
+        let mut turns = self.workers.input();
+        let mut learned = false;
+        let is_written = |(track, turn): &(&Track, &Result<usize, Cause>)| {
+            if turn.is_ok_and(|turn| turns.made(turn).is_possible) {
+                learned = true;
+                return true;
+            }
+            !self.fallback.is_silent(tick, track, learned)
+        };
+        tracks.iter().zip(&self.turns).filter(is_written).count()
+    }
+
+    /// Writes the forecasts of a tick whose turns are taken, in the tracks' order.
+    fn write(&mut self, tick: Tick, tracks: &[Track], out: &mut [Forecast]) -> Result<usize, Rejected> {
         let mut turns = self.workers.input();
         let mut written = 0;
         for (track, turn) in tracks.iter().zip(&self.turns) {
-            let out = &mut out[written];
             let cause = match *turn {
                 Ok(turn) => {
                     let made = turns.made(turn);
@@ -210,8 +293,8 @@ impl Sampler {
                         if let Some((experts, blended)) = self.experts.as_mut().zip(made.blended.as_ref()) {
                             experts.store(tick.stamp_ns, blended, &made.forecast);
                         }
-                        *out = made.forecast;
-                        self.fallback.keep(tick.stamp_ns, out);
+                        out[written] = made.forecast;
+                        self.fallback.keep(tick.stamp_ns, &made.forecast);
                         written += 1;
                         continue;
                     }
@@ -219,6 +302,8 @@ impl Sampler {
                 }
                 Err(cause) => cause,
             };
+            // After the last forecast all tracks are silent.
+            let Some(out) = out.get_mut(written) else { continue };
             written += usize::from(self.fallback.write(tick, track, cause, out)?);
         }
         Ok(written)
@@ -268,13 +353,8 @@ impl Sampler {
         cause: Cause,
         out: &mut [Forecast],
     ) -> Result<usize, Rejected> {
-        let tick = check(header, tracks, out)?;
-        self.observe(tick, tracks);
-        let mut written = 0;
-        for track in tracks {
-            written += usize::from(self.fallback.write(tick, track, cause, &mut out[written])?);
-        }
-        Ok(written)
+        assert_eq!(out.len(), tracks.len(), "a place per track");
+        self.sample(header, tracks, Err(cause), |count| Ok(&mut out[..count]))
     }
 
     /// Passes the positions of all agents that were detected in this tick to the retrieval memory and the
@@ -294,8 +374,7 @@ impl Sampler {
     }
 }
 
-fn check(header: &Header, tracks: &[Track], out: &[Forecast]) -> Result<Tick, Rejected> {
-    assert_eq!(out.len(), tracks.len(), "a place per track");
+fn check(header: &Header, tracks: &[Track]) -> Result<Tick, Rejected> {
     header.check()?;
     if tracks.len() > AGENTS_MAX {
         let (found, most) = (tracks.len() as u64, AGENTS_MAX as u64);

@@ -10,6 +10,7 @@ pub fn settings(options: &Options, model: &ModelConfig, run: &Run) -> SamplerOpt
     SamplerOptions {
         history_len: model.history_len,
         horizon_len: model.horizon_len,
+        modes_len: model.modes,
         vehicle_motion: nn::motion_kind(model, AgentType::Vehicle),
         motion: nn::motion_options(model),
         propagation: match options.propagation {
@@ -21,6 +22,7 @@ pub fn settings(options: &Options, model: &ModelConfig, run: &Run) -> SamplerOpt
         retrieval: options.retrieval,
         evidence: options.evidence,
         degradation: options.degradation(),
+        deadline_ns: run.interval_ns.min((options.deadline_ms * 1e6) as u64),
         ..SamplerOptions::default()
     }
 }

@@ -30,7 +30,7 @@
 //! Each module imports only from the lines below its own.
 //!
 //! ```text
-//! stage                 the ports
+//! step                  one tick of the stage, for all drivers
 //! feedback              feedback of the newest forecasts for the next stages
 //! settings              the run's options
 //! tracker               the steps above, frame by frame
@@ -49,14 +49,13 @@ mod belief;
 mod class;
 mod estimate;
 mod estimates;
-pub mod feedback;
+mod feedback;
 mod field_of_view;
 mod forecasts;
 mod front;
 mod frozen;
 mod grid;
 mod history;
-mod missing;
 mod observation;
 mod occlusion;
 mod options;
@@ -67,7 +66,7 @@ mod publication;
 mod replay;
 mod scan;
 mod settings;
-pub mod stage;
+mod step;
 mod tally;
 mod track_management;
 mod tracked;
@@ -79,6 +78,8 @@ pub use options::{
     Association, ForecastTrust, InputModel, MotionNoise, Options, Prior, STAGE, SensorNoise, TrackerOptions,
 };
 pub use predecessor::Predecessor;
+pub use settings::settings;
+pub use step::run;
 pub use tally::Tally;
 pub use tracked::Tracked;
 pub use tracker::Tracker;

@@ -1,5 +1,5 @@
 //! The tracker as a separate program.
 
 fn main() -> std::process::ExitCode {
-    ports::stage_main(tracker::stage::run)
+    ports::stage_main(tracker::run)
 }

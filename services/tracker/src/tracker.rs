@@ -1,4 +1,5 @@
 use audit::{Finding, LiveAudit};
+use bytemuck::Zeroable;
 use wire::{
     AGENTS_MAX, AgentType, Counts, DETECTIONS_MAX, Detection, Forecast, HISTORY_MAX, Header, InputCounts,
     Rejected, Track, flags,
@@ -11,7 +12,7 @@ use crate::options::{Prior, TrackerOptions};
 use crate::predecessor::Predecessor;
 use crate::publication::Publications;
 use crate::replay::{Refusal, ReplayBuffer};
-use crate::tally::Tally;
+use crate::tally::{Tally, Warned};
 use crate::tracked::Tracked;
 
 /// An estimate that can be published.
@@ -47,6 +48,11 @@ pub struct Tracker {
     audit: LiveAudit,
     /// Whether the frame of the last step can be audited.
     is_auditable: bool,
+    /// The tracks of the process before, while this one waits for its turn.
+    pub(crate) predecessor: Predecessor,
+    /// Scratch: the tracks of the step in hand.
+    tracks: Vec<Track>,
+    warned: Warned,
 }
 
 impl Tracker {
@@ -78,7 +84,24 @@ impl Tracker {
             predecessor_ns: None,
             audit: LiveAudit::default(),
             is_auditable: false,
+            predecessor: Predecessor::default(),
+            tracks: vec![Track::zeroed(); AGENTS_MAX],
+            warned: Warned::default(),
         }
+    }
+
+    /// Lends scratch memory for the tracks of a tick; [`Tracker::return_room`] takes it back.
+    pub(crate) fn take_room(&mut self) -> Vec<Track> {
+        std::mem::take(&mut self.tracks)
+    }
+
+    pub(crate) fn return_room(&mut self, tracks: Vec<Track>) {
+        self.tracks = tracks;
+    }
+
+    /// Logs the counts of what went wrong, when they have doubled.
+    pub(crate) fn warn(&mut self) {
+        self.warned.warn(self.tally);
     }
 
     /// The same tracker as the `incarnation`th successor of one that died. Its tracks get ids that no

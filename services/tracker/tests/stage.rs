@@ -131,7 +131,7 @@ fn out_of_sequence_frames_pass_on_void_and_forecasts_hold() {
 
     let weights = nn::Weights::onboard();
     weights.config().write(&run.root).expect("the run's directory is there");
-    let settings = tracker::stage::settings(&run, weights.config()).expect("defaults");
+    let settings = tracker::settings(&run, weights.config()).expect("defaults");
     let mut straight = Harness::new(settings, 0);
     straight.stamp_ns = -TICK_NS;
     for frame in &frames[..20] {
@@ -140,7 +140,7 @@ fn out_of_sequence_frames_pass_on_void_and_forecasts_hold() {
     let expected = straight.published()[0];
 
     std::thread::scope(|scope| {
-        let stage = scope.spawn(|| tracker::stage::run(&run));
+        let stage = scope.spawn(|| tracker::run(&run));
         let stop = Stop;
         ends.link();
         let order = [0, 1, 2, 3, 4, 7, 6, 5, 8, 9, 10, 12, 13, 11, 14, 15, 16, 16, 17, 18, 19];

@@ -26,6 +26,9 @@ pub struct KeptMemory {
     mapped: Option<(NonNull<u8>, usize)>,
 }
 
+// SAFETY: the mapping belongs to this value alone, and is not tied to a thread.
+unsafe impl Send for KeptMemory {}
+
 impl KeptMemory {
     /// Opens the run's file with this name. The file has the content that an earlier process left, or is
     /// empty.

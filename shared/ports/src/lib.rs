@@ -45,12 +45,14 @@ mod added;
 mod added_relay;
 mod clock;
 mod color;
+mod drive;
 mod element;
 mod error;
 mod keep;
 mod kept;
 mod log;
 mod memory;
+mod missing;
 mod names;
 mod node;
 mod nodes;
@@ -63,6 +65,7 @@ mod relay;
 mod space;
 mod stage;
 mod standby;
+mod step;
 mod stop;
 mod subscriber;
 mod wait;
@@ -71,6 +74,7 @@ pub use added::{AddedFrame, AddedSubscriber, Beside};
 pub use added_relay::AddedRelay;
 pub use clock::monotonic_ns;
 pub use color::{COLOR_VARIABLE, Color, UnknownColor};
+pub use drive::drive;
 pub use error::{Awaiting, PortError, StageError};
 pub use kept::KeptMemory;
 pub use log::{
@@ -87,11 +91,13 @@ pub use program::{
 pub use publisher::{Loan, Publisher};
 pub use raw::RawSubscriber;
 pub use relay::{RawFrame, Relay};
+pub use shedding::Allowance;
 pub use space::{
     Leftover, LivingRun, Space, SpaceError, leftovers, living_runs, remove_half_made_connections,
     shared_memory_free,
 };
 pub use stage::{Awaited, HEARTBEAT, Passage, Stage};
 pub use standby::{GO, STANDBY_VARIABLE, await_turn};
+pub use step::{Answer, NoTopic, Room, Second, SecondInput, Step, Tick};
 pub use stop::{Asked, Stop};
 pub use subscriber::{Frame, Subscriber};

@@ -258,6 +258,12 @@ impl Stage {
         Beside::open(&self.node, run)
     }
 
+    /// Which stage it is.
+    #[must_use]
+    pub const fn id(&self) -> StageId {
+        self.id
+    }
+
     /// The stage's number of earlier starts.
     #[must_use]
     pub const fn incarnation(&self) -> u32 {

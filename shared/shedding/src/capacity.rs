@@ -13,12 +13,12 @@ pub struct Capacity {
 }
 
 impl Capacity {
-    /// Takes in what a tick took besides what it took for each agent.
+    /// Adds the part of a tick's time that does not depend on the number of agents.
     pub fn took_fixed(&mut self, time_ns: u64) {
         self.fixed.push(time_ns);
     }
 
-    /// Takes in what `agents_len` agents took together; nothing where there were none.
+    /// Adds the time of `agents_len` agents together. Changes nothing if there were none.
     pub fn took(&mut self, time_ns: u64, agents_len: usize) {
         if agents_len > 0 && time_ns > 0 {
             self.each.push(time_ns / agents_len as u64);

@@ -1,8 +1,8 @@
 //! Load shedding: whom a tick serves when it has no time for all agents, and for how many it has time.
 //!
-//! [`Turns`] is the policy: an order of the agents of which any beginning may be served. [`Capacity`] is how
-//! long that beginning may be, and [`Deadline`] until when there is time for it, both learned from what
-//! earlier ticks took. None of them knows a clock.
+//! [`Turns`] is the policy: an order of the agents. Any beginning of it may be served. A [`Shedder`] decides for a
+//! stage how long this beginning may be in a tick, its [`Allowance`]. It learns from the time that earlier ticks took.
+//! Only the shedder's caller knows a clock.
 //!
 //! Five of six turns go to agents that matter most to the ego: those on a conflicting path, then the nearest
 //! [`NEAREST_LEN`]. Every sixth goes to the agent that has waited longest for a learned forecast, and so do all
@@ -10,9 +10,10 @@
 //! waited longest, and nobody starves: see [`wait_ticks_max`].
 
 mod capacity;
-mod deadline;
+mod cutoff;
+mod shedder;
 mod turns;
 
-pub use capacity::{Capacity, SERVED_MIN};
-pub use deadline::Deadline;
+pub use capacity::SERVED_MIN;
+pub use shedder::{Allowance, Shedder};
 pub use turns::{CONFLICT_S, CONFLICTS_MAX, Candidate, Ego, NEAREST_LEN, Turns, wait_ticks_max};

@@ -80,7 +80,7 @@ fn track(source: &Source, options: &Options, model: &ModelConfig) -> Result<Vec<
             Some(before) => chain.continue_from(before),
             None => chain.expect(Priors::shipped().without(&source.folder_name())),
         }
-        let mut plain = Tracker::new(tracker::stage::settings(&run, model)?);
+        let mut plain = Tracker::new(tracker::settings(&run, model)?);
         let mut plain_tracks = vec![Track::zeroed(); AGENTS_MAX];
         let mut first_ns = None;
         while let Some(tick) = playback.next_tick() {

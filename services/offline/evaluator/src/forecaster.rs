@@ -12,11 +12,11 @@ use encoder::EncoderOptions;
 use lanes::LaneMap;
 use metrics::Point;
 use nn::{ModelConfig, Precision, Weights};
-use onboard::{ChainError, FeatureFrame, FeaturesToControls, TracksToFeatures, TracksToForecasts};
+use onboard::{ChainError, FeaturesToControls, OwnFrame, TracksToFeatures, TracksToForecasts};
 use retrieval::RetrievalMemory;
 use run::{Run, StageRun};
 use sampler::Sampler;
-use wire::{AgentControls, Forecast as Payload, Header, Track};
+use wire::{AgentControls, FeaturesTopic, Forecast as Payload, Header, Track};
 
 use crate::maps::MapInput;
 use crate::tracks::{Publisher, TracksPayload};
@@ -66,7 +66,7 @@ pub struct Forecaster {
 pub(crate) struct Session {
     features: TracksToFeatures,
     networks: Vec<Network>,
-    frames: Vec<FeatureFrame>,
+    frames: Vec<OwnFrame<FeaturesTopic>>,
     publisher: Publisher,
 }
 
@@ -265,7 +265,7 @@ impl Forecaster {
         };
         let stage = StageRun::with_options(&sampler::STAGE, &options).expect("the stage's own options");
         let run = Run { stages: vec![stage], ..self.run.clone() };
-        sampler::stage::open(&run, self.config()).expect("a sampler without a file opens")
+        sampler::open(&run, self.config()).expect("a sampler without a file opens")
     }
 
     fn tracks_to_features(&self, map: MapInput<'_>, workers: usize) -> Result<TracksToFeatures, ChainError> {
@@ -273,7 +273,7 @@ impl Forecaster {
         self.config().check_frames().map_err(nn::WeightsError::from)?;
         let localiser = localiser::LocaliserOptions {
             map: map.source(),
-            ..localiser::stage::settings(&self.run, self.config())?
+            ..localiser::settings(&self.run, self.config())?
         };
         let extractor = extractor::ExtractorOptions { workers };
         Ok(TracksToFeatures::new(&self.weights, localiser, extractor)?)
@@ -281,7 +281,7 @@ impl Forecaster {
 
     /// An encoder and decoder on one thread. Each thread of an evaluation has its own pair.
     fn features_to_controls(&self) -> Result<FeaturesToControls, ChainError> {
-        let decoder = DecoderOptions { workers: 1, ..decoder::stage::settings(&self.run)? };
+        let decoder = DecoderOptions { workers: 1, ..decoder::settings(&self.run)? };
         Ok(FeaturesToControls::new(&self.weights, EncoderOptions { workers: 1 }, decoder)?)
     }
 
@@ -323,7 +323,7 @@ impl Session {
         wanted: impl Fn(usize) -> bool,
         counts: impl Fn(&Scene) -> Vec<usize>,
     ) -> Vec<Option<Decoded>> {
-        self.frames.resize_with(self.frames.len().max(scenes.len()), FeatureFrame::default);
+        self.frames.resize_with(self.frames.len().max(scenes.len()), OwnFrame::default);
         let mut begun = Vec::with_capacity(scenes.len());
         for (number, scene) in scenes.iter().enumerate() {
             let payload = self.publisher.next(scene);
@@ -355,12 +355,20 @@ impl Session {
 
 impl Network {
     /// The controls of a tick, and the base controls of the counted agents.
-    fn step(&mut self, frame: &FeatureFrame, decoded: &Decoded) -> (Vec<AgentControls>, Vec<AgentControls>) {
-        let Ok(made) = self.controls.step(frame, |_| ()) else { return (Vec::new(), Vec::new()) };
+    fn step(
+        &mut self,
+        frame: &OwnFrame<FeaturesTopic>,
+        decoded: &Decoded,
+    ) -> (Vec<AgentControls>, Vec<AgentControls>) {
+        let made = &mut self.controls;
+        if made.step(frame, |_| ()).is_err() {
+            return (Vec::new(), Vec::new());
+        }
+        let encodings = &made.encodings.elements;
         let base = self.base.iter_mut().flat_map(|base| {
-            decoded.counting.iter().map(|&track| base.controls(&made.encodings[track])).collect::<Vec<_>>()
+            decoded.counting.iter().map(|&track| base.controls(&encodings[track])).collect::<Vec<_>>()
         });
-        (made.controls.to_vec(), base.collect())
+        (made.controls.elements.clone(), base.collect())
     }
 }
 

@@ -31,7 +31,7 @@ fn shipped(run: &Run, scenes: &[Scene], payloads: &[TracksPayload]) -> Vec<Vec<(
     let mut stages = TracksToForecasts::new(run, weights.config()).unwrap();
     let of_scene = |(scene, payload): (&Scene, &TracksPayload)| {
         let TracksPayload { header, tracks, places, .. } = payload;
-        let (_, forecasts) = stages.step(header, tracks, |_| ()).unwrap();
+        let (_, forecasts) = stages.step(header, tracks).unwrap();
         let forecasts = forecasts.iter().map(|payload| Forecast::of(payload, weights.config().horizon_len));
         let complete = scene.complete();
         places.iter().copied().zip(forecasts).filter(|(place, _)| complete.contains(place)).collect()

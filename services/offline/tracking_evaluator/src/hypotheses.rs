@@ -103,7 +103,7 @@ impl OnboardForecasts {
                 (track.status, track.unseen_ns) = (TrackStatus::Coasting as u32, self.header.step_ns);
             }
         }
-        let Ok((_, forecasts)) = self.stages.step(&header, &tracks, |_| ()) else { return Vec::new() };
+        let Ok((_, forecasts)) = self.stages.step(&header, &tracks) else { return Vec::new() };
         let learned = |payload: &&Payload| payload.quality == Quality::Learned as u32;
         let horizon_len = self.horizon_len;
         let of_agent = |payload: &Payload| (payload.id, Hypotheses::of(payload, horizon_len));

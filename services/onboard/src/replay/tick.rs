@@ -1,10 +1,10 @@
+use ports::Allowance;
 use recording::{Frame, FrameError};
 use wire::{
-    ControlsTopic, EncodingsTopic, FeatureShape, Features, FeaturesTopic, ForecastsTopic, Header, StageId,
-    Topic,
+    ControlsTopic, EncodingsTopic, FeatureShape, Features, FeaturesTopic, ForecastsTopic, StageId, Topic,
 };
 
-use crate::stages::OwnFrame;
+use crate::OwnFrame;
 
 /// The recorded frames of one tick.
 #[derive(Debug, Default)]
@@ -67,29 +67,31 @@ impl Tick {
         by_output.or_else(by_hop)
     }
 
-    /// The header that lists the agents shed in this tick.
-    pub fn shedder(&self) -> Option<Header> {
+    /// The agents that the decoder served: those that the recorded header does not list as shed.
+    pub fn decoded(&self) -> Allowance<'_> {
         let frame = self.frame(ControlsTopic::NAME).or_else(|| self.frame(ForecastsTopic::NAME));
-        frame.map(|frame| *frame.header())
+        frame.map_or(Allowance::All, |frame| Allowance::AsRecorded(frame.header()))
     }
 
-    /// The number of agents for which the extractor had time, from its features. `None` if it did not have to
-    /// choose or its features were not recorded.
-    pub fn extracted_max(&self) -> Option<usize> {
-        let features = self.own::<FeaturesTopic>(&mut None)?;
-        let counts = &features.header.counts;
-        let shape = FeatureShape::of(counts);
-        let read = Features::read(&features.elements, shape, counts.history_len as usize).ok()?;
-        let has_turns = read.agents.iter().any(|agent| agent.turn > 0);
-        let served = read.agents.iter().filter(|agent| agent.forecastable != 0 && agent.shed == 0);
-        has_turns.then(|| served.count())
+    /// The agents for which the extractor had time, from its features. All if it did not have to choose or its
+    /// features were not recorded.
+    pub fn extracted(&self) -> Allowance<'static> {
+        let served = self.own::<FeaturesTopic>(&mut None).and_then(|features| {
+            let counts = &features.header.counts;
+            let shape = FeatureShape::of(counts);
+            let read = Features::read(&features.elements, shape, counts.history_len as usize).ok()?;
+            let has_turns = read.agents.iter().any(|agent| agent.turn > 0);
+            let served = read.agents.iter().filter(|agent| agent.forecastable != 0 && agent.shed == 0);
+            has_turns.then(|| served.count())
+        });
+        served.map_or(Allowance::All, Allowance::AtMost)
     }
 
-    /// The number of agents for which the encoder had time, from its encodings; all if they were not
-    /// recorded.
-    pub fn encoded_max(&self) -> usize {
-        let Some(encodings) = self.own::<EncodingsTopic>(&mut None) else { return usize::MAX };
-        encodings.elements.iter().filter(|agent| agent.forecastable != 0 && agent.shed == 0).count()
+    /// The agents for which the encoder had time, from its encodings. All if they were not recorded.
+    pub fn encoded(&self) -> Allowance<'static> {
+        let Some(encodings) = self.own::<EncodingsTopic>(&mut None) else { return Allowance::All };
+        let served = encodings.elements.iter().filter(|agent| agent.forecastable != 0 && agent.shed == 0);
+        Allowance::AtMost(served.count())
     }
 
     /// When its last frame was received.

@@ -1,18 +1,18 @@
-//! Ticks without detections, after the source is gone.
+//! Ticks without input, once its sender is gone.
 
 use wire::{Counts, Header, flags};
 
-/// Decides when the tracker continues without detections, and with which ticks.
+/// Decides when a stage answers ticks that never arrived.
 ///
-/// Two intervals after the last tick, it checks whether the source is gone. If so, it predicts one tick per
-/// interval until the next tick with detections.
+/// It checks two intervals after the last tick whether the input's sender is gone. If it is, ticks are predicted, one
+/// per interval, until the next tick arrives.
 #[derive(Debug, Default)]
-pub struct Missing {
+pub(crate) struct Missing {
     last: Option<Last>,
     is_gone: bool,
 }
 
-/// The last tick with detections, and the number of ticks predicted since.
+/// The last tick that arrived, and the ticks predicted since.
 #[derive(Clone, Copy, Debug)]
 struct Last {
     header: Header,
@@ -22,16 +22,15 @@ struct Last {
 }
 
 impl Missing {
-    /// Records that a tick with detections has arrived at `received_ns`. In lockstep no tick is missing,
-    /// however late it is.
+    /// A tick has arrived at `received_ns`. In lockstep no tick is missing, however late it is.
     pub fn came(&mut self, header: &Header, received_ns: u64) {
         let can_miss = header.interval_ns > 0 && !header.has(flags::LOCKSTEP);
         let last = Last { header: *header, received_ns, predicted_len: 0, look_ns: 0 };
         *self = Self { last: can_miss.then_some(last), is_gone: false };
     }
 
-    /// Records a control frame, which is not a tick. Nothing follows the end of the recording. A warm-up
-    /// frame means that another source begins, and there is no source until its first tick.
+    /// A frame has arrived that is not a tick. After the end of the recording nothing follows. A warm-up frame
+    /// means that another source begins, and has not sent a tick yet.
     pub fn is_no_tick(&mut self, header: &Header) {
         if header.has(flags::END) {
             *self = Self::default();
@@ -39,25 +38,24 @@ impl Missing {
         self.is_gone |= header.has(flags::WARM_UP);
     }
 
-    /// Time of the next check of the source, or of the next predicted tick; `None` while nothing can be
-    /// missing.
+    /// When to check the sender, or to predict the next tick. `None` if no tick can be missing.
     pub fn until_ns(&self) -> Option<u64> {
         let last = self.last?;
         let interval_ns = last.header.interval_ns;
         let after_ns = last.received_ns + last.predicted_len * interval_ns;
-        // Once the source is known to be gone, wait half an interval beyond the due time. The first tick of
-        // the next source then finds the previous tick answered.
+        // If the source is known to be gone, half an interval after the tick was due: when the next source sends
+        // its first tick, the tick before it has been answered.
         let due_ns = after_ns + if self.is_gone { interval_ns + interval_ns / 2 } else { 2 * interval_ns };
         Some(due_ns.max(last.look_ns))
     }
 
-    /// The header of a tick to predict now, at `now_ns`. Returns `None` if the source exists and is merely
-    /// silent, as in a gap of a recording.
+    /// The header of the tick to predict at `now_ns`. `None` if the sender is only silent, as in a gap of a
+    /// recording.
     pub fn predict(&mut self, is_gone: bool, now_ns: u64) -> Option<Header> {
         self.is_gone |= is_gone;
         let last = self.last.as_mut()?;
         if !self.is_gone {
-            // Four checks per interval: an outage is noticed soon, and a check is cheap.
+            // Four checks an interval: an outage is noticed soon, and a check costs little.
             last.look_ns = now_ns + last.header.interval_ns / 4;
             return None;
         }
@@ -68,7 +66,7 @@ impl Missing {
             seq: last.header.seq + last.predicted_len,
             stamp_ns: last.header.stamp_ns.saturating_add_unsigned(after_ns),
             flags: last.header.flags | flags::PREDICTED,
-            // No type was observed, so no track is missed.
+            // No type was observed, so no track was missed.
             observed_types: 0,
             left_out_len: 0,
             counts: Counts::default(),

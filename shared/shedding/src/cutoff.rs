@@ -6,10 +6,10 @@ const TICKS: usize = 16;
 /// on a machine that has much else to do.
 const ON_THE_WAY_NS: u64 = 2_000_000;
 
-/// Until when a stage begins to serve agents: so that the budgets are kept, and earlier where the sampler
-/// takes longer than what they leave it.
+/// The time until which a stage may begin to serve agents. It keeps the budgets, and is earlier if the sampler
+/// needs more than the rest of the tick.
 #[derive(Clone, Debug)]
-pub struct Deadline {
+pub struct Cutoff {
     budgets_ns: u64,
     left_ns: u64,
     /// What the sampler took in the newest ticks.
@@ -17,15 +17,15 @@ pub struct Deadline {
     next: usize,
 }
 
-impl Deadline {
-    /// Of a stage that has `budgets_ns` from a tick's release to its end, where `left_ns` of the tick are
-    /// left after the decoder's.
+impl Cutoff {
+    /// The cutoff of a stage that has `budgets_ns` from a tick's release to its end; `left_ns` of the tick are left
+    /// after the decoder's budget.
     #[must_use]
     pub const fn new(budgets_ns: u64, left_ns: u64) -> Self {
         Self { budgets_ns, left_ns, sampling_ns: [0; TICKS], next: 0 }
     }
 
-    /// The time for a tick on the clock of its release. Takes in what its header tells of the sampler.
+    /// The cutoff of a tick, on the clock of its release. Adds the sampler's time in the tick's header.
     pub fn until_ns(&mut self, header: &Header) -> u64 {
         self.sampling_ns[self.next] = header.sampling_ns;
         self.next = (self.next + 1) % TICKS;
@@ -49,25 +49,25 @@ mod tests {
 
     #[test]
     fn budgets_hold_while_the_sampler_keeps_to_what_is_left() {
-        let mut deadline = Deadline::new(66 * MS, 14 * MS);
-        assert!((0..=12).all(|sampling_ms| deadline.until_ns(&tick(sampling_ms)) == 1_066 * MS));
+        let mut cutoff = Cutoff::new(66 * MS, 14 * MS);
+        assert!((0..=12).all(|sampling_ms| cutoff.until_ns(&tick(sampling_ms)) == 1_066 * MS));
     }
 
     #[test]
     fn a_sampler_that_takes_longer_is_given_the_time_and_one_long_tick_changes_nothing() {
-        let mut deadline = Deadline::new(66 * MS, 14 * MS);
-        assert_eq!(deadline.until_ns(&tick(40)), 1_066 * MS);
-        let until: Vec<u64> = (0..20).map(|_| deadline.until_ns(&tick(17)) / MS).collect();
+        let mut cutoff = Cutoff::new(66 * MS, 14 * MS);
+        assert_eq!(cutoff.until_ns(&tick(40)), 1_066 * MS);
+        let until: Vec<u64> = (0..20).map(|_| cutoff.until_ns(&tick(17)) / MS).collect();
         assert!(until.iter().all(|until_ms| *until_ms == 1_061), "{until:?}");
-        let after: Vec<u64> = (0..20).map(|_| deadline.until_ns(&tick(3)) / MS).collect();
+        let after: Vec<u64> = (0..20).map(|_| cutoff.until_ns(&tick(3)) / MS).collect();
         assert_eq!((after[0], after[19]), (1_061, 1_066), "{after:?}");
         assert!(after.is_sorted());
     }
 
     #[test]
     fn no_time_at_all_is_no_time_before_the_release() {
-        let mut deadline = Deadline::new(MS, 0);
-        let until: Vec<u64> = (0..3).map(|_| deadline.until_ns(&tick(4_000))).collect();
+        let mut cutoff = Cutoff::new(MS, 0);
+        let until: Vec<u64> = (0..3).map(|_| cutoff.until_ns(&tick(4_000))).collect();
         assert_eq!(until[2], 1_000 * MS);
     }
 }

@@ -1,0 +1,79 @@
+use model::ModelConfig;
+use ports::{Answer, SecondInput, StageError, Step, Tick, drive};
+use run::Run;
+use wire::{DetectionsTopic, ForecastsTopic, Header, Rejected, Topic, Track, TracksTopic, flags};
+
+use crate::settings::settings;
+use crate::{STAGE, Tracker, feedback};
+
+/// Runs the tracker as a process: `detections` and earlier `forecasts` in, `tracks` out.
+///
+/// # Errors
+/// [`StageError`] if the run's model, options or shared memory can't be used.
+pub fn run(run: &Run) -> Result<(), StageError> {
+    drive(run, &STAGE, |run| {
+        let model = ModelConfig::of_run(&run.root).map_err(StageError::config)?;
+        Ok(Tracker::new(settings(run, &model)?).with_ids_of(ports::incarnation()))
+    })
+}
+
+impl Step for Tracker {
+    type Input = DetectionsTopic;
+    type Second = ForecastsTopic;
+    type Output = TracksTopic;
+
+    const SECOND: SecondInput = SecondInput::Newest;
+    const ANSWERS_MISSING: bool = true;
+
+    fn answer(
+        &mut self,
+        tick: &Tick<'_, DetectionsTopic, ForecastsTopic>,
+        out: &mut Answer<'_, TracksTopic>,
+    ) -> Result<(), Rejected> {
+        let prior = tick.second.frame();
+        // The number of tracks is known only at the end, so they are copied.
+        let mut tracks = self.take_room();
+        let tracked = self.step(tick.header, tick.input, prior, &mut tracks);
+        out.header = self.header(&out.header);
+        let answered = tracked.and_then(|tracked| {
+            // Newer tracks than those of an out-of-sequence frame are out already. Its effect shows in the next.
+            if tracked.replayed_len > 0 {
+                out.leave_empty();
+                return Ok(());
+            }
+            if tracked.frozen_len > 0 {
+                let (field, frames) = ("detections", tracked.frozen_len);
+                out.refuse(DetectionsTopic::NAME, Rejected::Frozen { field, frames });
+            }
+            let tracks = &mut tracks[..tracked.tracks_len];
+            if !tick.header.has(flags::LOCKSTEP) {
+                feedback::tell(&mut out.header, tracks, prior);
+            }
+            out.elements(tracks.len())?.copy_from_slice(tracks);
+            Ok(())
+        });
+        self.return_room(tracks);
+        answered
+    }
+
+    fn after(&mut self, tick: &Tick<'_, DetectionsTopic, ForecastsTopic>) {
+        self.audit(tick.header, tick.input);
+    }
+
+    fn log(&mut self) {
+        self.warn();
+        for finding in self.new_doubts() {
+            let found = finding.found(|place| format!("tick {}", place.line));
+            tracing::warn!("input: {found}");
+        }
+    }
+
+    fn follow(&mut self, header: &Header, sent: &[Track]) {
+        self.predecessor.follow(header, sent);
+    }
+
+    fn begin(&mut self, _: &Run, _: u32) {
+        let predecessor = std::mem::take(&mut self.predecessor);
+        self.begin_with(&predecessor);
+    }
+}

@@ -1,0 +1,193 @@
+//! A stage's computation, apart from the way in which its frames arrive and leave.
+
+use run::Run;
+use shedding::Allowance;
+use wire::{Header, Rejected, Topic};
+
+use crate::StageError;
+
+/// A stage: computes its answer to a tick from the tick's frames.
+///
+/// A step reads no clock, opens no file and sends nothing. The code around it is its *driver*. Three drivers run
+/// the same step, so its answers have the same bytes in each of them:
+///
+/// * [`drive`](crate::drive) in a process of a run, with frames in shared memory;
+/// * `onboard::Chain`, with all stages in one process;
+/// * `onboard::Replay`, with the frames of a recording.
+///
+/// A driver passes frames on by itself if they are not ticks, or if an earlier stage has refused them (VOID).
+pub trait Step {
+    /// The topic whose frame begins a tick.
+    type Input: Topic;
+    /// The topic of the second input, [`NoTopic`] if there is only one.
+    type Second: Topic;
+    /// The topic of the answers.
+    type Output: Topic;
+
+    /// The frame of the second input that belongs to a tick.
+    const SECOND: SecondInput = SecondInput::None;
+    /// Whether the stage also answers ticks that never arrive, once the sender of its input is gone.
+    const ANSWERS_MISSING: bool = false;
+
+    /// Computes the answer to a tick.
+    ///
+    /// # Errors
+    /// [`Rejected`] if an input is impossible. The driver counts the tick as refused and sends a VOID frame; later
+    /// stages answer without it.
+    fn answer(
+        &mut self,
+        tick: &Tick<'_, Self::Input, Self::Second>,
+        out: &mut Answer<'_, Self::Output>,
+    ) -> Result<(), Rejected>;
+
+    /// Does the part of the work for which no later stage waits. Called after the answer was sent, also if the tick
+    /// was refused.
+    fn after(&mut self, _tick: &Tick<'_, Self::Input, Self::Second>) {}
+
+    /// Logs what is new. Called after [`Step::after`], in a process of a run only.
+    fn log(&mut self) {}
+
+    /// Time after a tick's release for which the stage waits for its second input. Not used in lockstep.
+    fn second_deadline_ns(&self) -> u64 {
+        u64::MAX
+    }
+
+    /// Takes note of an answer that the previous process has sent, while this process waits for its turn.
+    fn follow(&mut self, _header: &Header, _sent: &[<Self::Output as Topic>::Element]) {}
+
+    /// Called once before the first tick, when the previous process has ended. `incarnation` counts the earlier
+    /// starts of the stage.
+    fn begin(&mut self, _run: &Run, _incarnation: u32) {}
+
+    /// Called once after the last tick.
+    ///
+    /// # Errors
+    /// [`StageError`] if a file of the stage can't be written.
+    fn end(&mut self, _run: &Run) -> Result<(), StageError> {
+        Ok(())
+    }
+}
+
+/// The frame of a second input that belongs to a tick.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SecondInput {
+    /// There is no second input.
+    None,
+    /// The frame of the same tick, if it arrives in time.
+    SameTick,
+    /// The newest frame that a later stage has sent; in lockstep that of the tick before.
+    Newest,
+}
+
+/// The topic of a second input that does not exist.
+#[derive(Clone, Copy, Debug)]
+pub enum NoTopic {}
+
+impl Topic for NoTopic {
+    type Element = u8;
+    const NAME: &'static str = "";
+    const DOC: &'static str = "";
+    const TYPE_NAME: &'static str = "";
+    const ELEMENTS_MAX: usize = 0;
+    const ELEMENTS_START: usize = 0;
+}
+
+/// A tick's inputs.
+#[derive(Debug)]
+pub struct Tick<'a, I: Topic, S: Topic = NoTopic> {
+    /// The header of the input's frame. Of a tick that never arrived, it has the flag PREDICTED.
+    pub header: &'a Header,
+    /// The input's elements.
+    pub input: &'a [I::Element],
+    /// The second input.
+    pub second: Second<'a, S>,
+    /// The agents that the step may serve.
+    pub allowance: Allowance<'a>,
+}
+
+/// The second input of a tick.
+#[derive(Debug)]
+pub enum Second<'a, S: Topic> {
+    /// Header and elements of its frame.
+    Frame(&'a Header, &'a [S::Element]),
+    /// An earlier stage refused the tick, or the frame was damaged.
+    Refused,
+    /// There is no frame, or it is late.
+    None,
+}
+
+impl<S: Topic> Clone for Second<'_, S> {
+    fn clone(&self) -> Self {
+        *self
+    }
+}
+
+impl<S: Topic> Copy for Second<'_, S> {}
+
+impl<'a, S: Topic> Second<'a, S> {
+    /// Header and elements, if there is a frame.
+    #[must_use]
+    pub const fn frame(self) -> Option<(&'a Header, &'a [S::Element])> {
+        match self {
+            Self::Frame(header, elements) => Some((header, elements)),
+            Self::Refused | Self::None => None,
+        }
+    }
+}
+
+/// A step's answer.
+pub struct Answer<'a, O: Topic> {
+    /// The header to be sent. It begins as the header of the input's frame; the step writes the sizes of its own
+    /// elements into it.
+    pub header: Header,
+    pub(crate) served: Option<usize>,
+    pub(crate) refused: Option<(&'static str, Rejected)>,
+    pub(crate) is_empty: bool,
+    room: &'a mut dyn Room<O>,
+}
+
+/// The memory for a frame's elements.
+pub trait Room<O: Topic> {
+    /// Returns memory for `count` elements. It may contain an earlier frame.
+    ///
+    /// # Errors
+    /// [`Rejected`] if there is no memory for so many.
+    fn elements(&mut self, count: usize) -> Result<&mut [O::Element], Rejected>;
+}
+
+impl<'a, O: Topic> Answer<'a, O> {
+    /// An answer without elements.
+    pub fn new(header: Header, room: &'a mut dyn Room<O>) -> Self {
+        Self { header, served: None, refused: None, is_empty: false, room }
+    }
+
+    /// Returns the memory of the frame to be sent, for `count` elements: the step writes all of them. It may contain
+    /// an earlier frame. A step calls this at most once per tick.
+    ///
+    /// # Errors
+    /// [`Rejected`] if a frame of the topic has no room for so many.
+    pub fn elements(&mut self, count: usize) -> Result<&mut [O::Element], Rejected> {
+        self.room.elements(count)
+    }
+
+    /// States how many agents were served, so that the driver learns the cost of an agent.
+    pub const fn served(&mut self, agents: usize) {
+        self.served = Some(agents);
+    }
+
+    /// Counts a frame as refused although the tick is answered.
+    pub const fn refuse(&mut self, topic: &'static str, why: Rejected) {
+        self.refused = Some((topic, why));
+    }
+
+    /// Sends a VOID frame: the tick is done, and has no answer.
+    pub const fn leave_empty(&mut self) {
+        self.is_empty = true;
+    }
+
+    /// Whether the step has left its answer empty.
+    #[must_use]
+    pub const fn is_empty(&self) -> bool {
+        self.is_empty
+    }
+}
