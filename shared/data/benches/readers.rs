@@ -1,4 +1,4 @@
-//! How fast recordings are read and cut: INTERACTION's format, 60 vehicles for 60 s.
+//! Speed of reading recordings and cutting windows: INTERACTION's format, 60 vehicles for 60 s.
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use data::{Format, Input, Role, WindowOptions, parse, windows};

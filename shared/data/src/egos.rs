@@ -5,8 +5,8 @@ use std::ops::Bound;
 
 use crate::{Ego, text};
 
-/// Furthest from a frame's stamp that a pose of a moving sensor is used; between two poses, half of the
-/// longest gap that is interpolated.
+/// Largest time between a frame's stamp and a pose of a moving sensor that is used for it. It is also half of
+/// the longest gap between two poses that is interpolated.
 pub(crate) const POSE_MAX_NS: i64 = 1_000_000_000;
 
 /// The poses of a sensor.
@@ -17,18 +17,19 @@ pub(crate) struct Egos {
 }
 
 impl Egos {
-    /// Keeps a pose, or returns the line of the one that has this stamp already.
+    /// Stores a pose, or returns the line of an earlier pose with the same stamp.
     pub fn insert(&mut self, stamp_ns: i64, ego: Ego, line: usize) -> Result<(), usize> {
         self.poses.insert(stamp_ns, (ego, line)).map_or(Ok(()), |(_, first)| Err(first))
     }
 
-    /// The pose at each of the frames' stamps, and the number of frames that no pose was near enough to.
+    /// The pose at each of the frames' stamps, and the number of frames without a pose near enough in time.
     ///
-    /// 1. Between two poses at most 2 s apart the pose is interpolated, the heading along the shortest arc.
-    /// 2. Else the nearest pose is used if it is at most 1 s away.
-    /// 3. A sensor that does not move keeps its last pose for any time. It moves if poses that are at most 2 s
-    ///    apart differ.
-    /// 4. Else the last pose (`before` where there is none) is the scene's centre and not the sensor.
+    /// 1. Between two poses at most 2 s apart, the pose is interpolated, and the heading along the shortest
+    ///    arc.
+    /// 2. Otherwise the nearest pose is used if it is at most 1 s away.
+    /// 3. A sensor that does not move keeps its last pose for any time. It moves if poses that are at most 2
+    ///    s apart differ.
+    /// 4. Otherwise the last pose (or `before`, if there is none) is the scene's centre and not the sensor.
     pub fn at(&self, stamps_ns: impl Iterator<Item = i64>, before: Ego) -> (Vec<Ego>, usize) {
         let moves = self.moves();
         let mut missing_len = 0;

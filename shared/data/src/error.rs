@@ -2,7 +2,7 @@ use std::path::PathBuf;
 
 use thiserror::Error;
 
-/// Why a recording could not be read.
+/// The reason why a recording could not be read.
 #[derive(Debug, Error)]
 pub enum ReadError {
     /// The file or its folder can't be opened or read.
@@ -57,7 +57,7 @@ pub enum ReadError {
         /// The row, shortened.
         text: String,
     },
-    /// A value is not of the kind, or not in the range, that its column asks for.
+    /// A value does not have the kind or the range that its column requires.
     #[error("{path}:{line}:{column}: {field} = \"{value}\": {problem}")]
     Value {
         /// The file.
@@ -73,7 +73,7 @@ pub enum ReadError {
         /// What is wrong with it.
         problem: String,
     },
-    /// The file does not follow the rules of its notation.
+    /// The file violates the rules of its notation.
     #[error("{path}:{line}:{column}: {problem}")]
     Syntax {
         /// The file.
@@ -120,23 +120,23 @@ pub enum ReadError {
         /// The stamp of that row.
         before_s: f64,
     },
-    /// The file has no row.
+    /// The file has no rows.
     #[error("{path}: no rows")]
     Empty {
         /// The file.
         path: String,
     },
-    /// A file that belongs to the recording is not there.
+    /// A file that belongs to the recording is missing.
     #[error("{path}: needs {role}, and there is none{searched}")]
     Missing {
         /// The file that was opened.
         path: String,
-        /// What is missing.
+        /// The missing content.
         role: &'static str,
-        /// Where it was looked for, as ` at PATH`, or nothing.
+        /// The searched place as ` at PATH`, or empty.
         searched: String,
     },
-    /// A frame rate was given for a format whose files have their times, or whose rate is always the same.
+    /// A frame rate was given for a format whose files contain their times, or whose rate is fixed.
     #[error(
         "{path}: {format} has a time for every frame, and takes no frame rate: that is for {}",
         names.join(", ")
@@ -146,10 +146,10 @@ pub enum ReadError {
         path: String,
         /// Its format.
         format: crate::Format,
-        /// The formats that take one.
+        /// The formats that accept a frame rate.
         names: Vec<&'static str>,
     },
-    /// An origin was given for a format whose positions are not in a world frame of their own.
+    /// An origin was given for a format whose positions are not in their own world frame.
     #[error("{path}: {format} has its origin at the scene, and takes no --origin")]
     Origin {
         /// The file.
@@ -162,7 +162,7 @@ pub enum ReadError {
     UnknownFormat {
         /// The file.
         path: String,
-        /// What the content has instead.
+        /// What the content has instead of a known format.
         problem: String,
     },
 }

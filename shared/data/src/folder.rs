@@ -1,4 +1,4 @@
-//! From a folder to the recordings in it.
+//! The recordings in a folder.
 
 use std::fs::{self, File};
 use std::io::{self, Read as _};
@@ -7,10 +7,10 @@ use std::path::{Path, PathBuf};
 use crate::open::{pedestrian_tracks, vci_dut_pair};
 use crate::{Format, Input, ReadError, Role};
 
-/// Bytes of a file that show its format.
+/// Number of a file's first bytes that are read to detect its format.
 const HEAD_BYTES: u64 = 1 << 16;
 
-/// The recordings directly in a folder, by name. A file that belongs to another one is not listed beside it.
+/// The recordings directly in a folder, by name. A file that belongs to another one has no entry of its own.
 ///
 /// # Errors
 /// [`ReadError::Io`] if the folder can't be read.
@@ -30,7 +30,7 @@ pub fn recordings_in(folder: &Path) -> Result<Vec<PathBuf>, ReadError> {
 fn is_recording(path: &Path) -> bool {
     let mut bytes = Vec::new();
     let read = File::open(path).and_then(|file| file.take(HEAD_BYTES).read_to_end(&mut bytes));
-    // The last line may be cut.
+    // The last line may be incomplete.
     if let Some(end) = bytes.iter().rposition(|&byte| byte == b'\n') {
         bytes.truncate(end);
     }

@@ -36,12 +36,12 @@ pub enum Format {
     Csv,
 }
 
-/// A name of no format.
+/// A name that is not a format's.
 #[derive(Debug, Error, PartialEq, Eq)]
 #[error("unknown format \"{0}\": expected one of {known}", known = Format::names())]
 pub struct UnknownFormat(pub String);
 
-/// Lines that detection of the format reads at most.
+/// Maximum number of lines that the detection of the format reads.
 const LINES_MAX: usize = 2_000;
 
 impl Format {
@@ -80,8 +80,7 @@ impl Format {
         }
     }
 
-    /// The rate at which frame numbers count unless another is given; `None` where the files have their times
-    /// or the rate is always the same.
+    /// The default rate of frame numbers; `None` if the files contain their times or the rate is fixed.
     #[must_use]
     pub const fn frame_rate(self) -> Option<FrameRate> {
         match self {
@@ -100,7 +99,8 @@ impl Format {
         }
     }
 
-    /// Whether its positions are in a frame of the files' own: others are pixels, or begin at the scene.
+    /// Whether positions are in the files' own world frame. Positions of the other formats are pixels, or
+    /// relative to the scene.
     pub(crate) const fn has_world_frame(self) -> bool {
         match self {
             Self::EthUcy
@@ -168,7 +168,7 @@ impl Format {
     }
 }
 
-/// A first row with which no format begins.
+/// The error of a first row that does not belong to any format.
 fn no_header(columns: usize) -> String {
     let columns = if columns == 1 { "1 column".to_owned() } else { format!("{columns} columns") };
     format!(
@@ -177,7 +177,7 @@ fn no_header(columns: usize) -> String {
     )
 }
 
-/// Separates the formats of four columns by the spacing of their frames: tens or dozens.
+/// Distinguishes the formats of four columns by the spacing of their frames: multiples of ten or twelve.
 fn by_frames<'a>(
     first: &Line<'a>,
     rest: impl Iterator<Item = Result<Line<'a>, ReadError>>,
@@ -194,7 +194,7 @@ fn by_frames<'a>(
     match (tens, dozens) {
         (true, false) => Ok(Format::EthUcy),
         (false, true) => Ok(Format::SddTrajnet),
-        // Both readers give the same recording but for the axes; an all-zero file fits both formats.
+        // Both readers give the same recording except for the axes. An all-zero file fits both formats.
         (true, true) if all_zero => {
             Ok(if first.text.contains('\t') { Format::EthUcy } else { Format::SddTrajnet })
         }

@@ -1,4 +1,4 @@
-//! The file formats: one module each, which defines the columns and units of a row and turns bytes into a
+//! The file formats. Each has one module, which defines the columns and units of a row and turns bytes into a
 //! recording.
 
 pub mod commonroad;

@@ -3,13 +3,13 @@ use std::str::FromStr;
 
 use thiserror::Error;
 
-/// Frames a second that a file's frame numbers count, to the millionth.
+/// The rate of a file's frame numbers in frames per second, to the millionth.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct FrameRate {
     microhertz: u64,
 }
 
-/// A rate that no recording is counted at.
+/// A rate outside the valid range.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[error(
     "no frame rate \"{0}\": expected frames a second from {min} to {max}, as in 29.97",
@@ -18,7 +18,7 @@ pub struct FrameRate {
 )]
 pub struct UnknownFrameRate(pub String);
 
-/// Nanoseconds in a second, times the unit of [`FrameRate`].
+/// One second in nanoseconds times one hertz in microhertz.
 const NS_MICROHERTZ: i128 = 1_000_000_000_000_000;
 
 impl FrameRate {
@@ -27,15 +27,15 @@ impl FrameRate {
     /// Highest rate, Hz.
     pub const MAX_HZ: f64 = 1_000.0;
 
-    /// The rate of so many frames in 100 s.
+    /// The rate of `centihertz` frames in 100 s.
     pub(crate) const fn of_centihertz(centihertz: u64) -> Self {
         Self { microhertz: centihertz * 10_000 }
     }
 
-    /// The rate of so many frames a second.
+    /// The rate of `hertz` frames per second.
     ///
     /// # Errors
-    /// [`UnknownFrameRate`] outside of [`FrameRate::MIN_HZ`] to [`FrameRate::MAX_HZ`].
+    /// [`UnknownFrameRate`] if `hertz` is not within [`FrameRate::MIN_HZ`] and [`FrameRate::MAX_HZ`].
     pub fn new(hertz: f64) -> Result<Self, UnknownFrameRate> {
         if !(Self::MIN_HZ..=Self::MAX_HZ).contains(&hertz) {
             return Err(UnknownFrameRate(hertz.to_string()));
@@ -43,13 +43,13 @@ impl FrameRate {
         Ok(Self { microhertz: (hertz * 1e6).round() as u64 })
     }
 
-    /// Frames a second.
+    /// Frames per second.
     #[must_use]
     pub fn hertz(self) -> f64 {
         self.microhertz as f64 / 1e6
     }
 
-    /// The time of a frame, rounded to the nanosecond; `None` where it does not fit.
+    /// The time of a frame, rounded to the nanosecond; `None` if it does not fit.
     #[must_use]
     pub fn stamp_ns(self, frame: i64) -> Option<i64> {
         let microhertz = i128::from(self.microhertz);

@@ -1,14 +1,14 @@
 //! A generated scene: road users and pedestrians at an unsignalised intersection, and a sensor that observes
 //! them.
 //!
-//! [`GeneratedScene`] advances by one frame at a time, without end and with bounded memory; the same options
-//! give the same frames to the bit. Vehicles and cyclists follow smooth routes by the intelligent-driver
-//! model, take turns by gap acceptance and stop for pedestrians; pedestrians walk by the social-force model
-//! from pavement to pavement. Motion is continuous; an agent that reaches the end of its route leaves, and
-//! another enters.
+//! [`GeneratedScene`] advances by one frame at a time, without end and with bounded memory. The same options
+//! give the same frames to the bit. Vehicles and cyclists drive on smooth routes by the intelligent-driver
+//! model, take turns by gap acceptance, and stop for pedestrians. Pedestrians walk by the social-force model
+//! from pavement to pavement. Motion is continuous. An agent that reaches the end of its route leaves, and
+//! another agent enters.
 //!
-//! The *sensor* adds noise, misses agents, reports no agent that a vehicle occludes, and reports clutter. It
-//! draws from a random stream of its own, so that its options never change the truth.
+//! The *sensor* adds noise, misses agents, does not report agents that a vehicle occludes, and reports
+//! clutter. It has its own random stream, so its options never change the truth.
 
 mod layout;
 mod options;
@@ -31,9 +31,9 @@ use traffic::{Population, Traffic};
 /// Time between two frames of a generated scene.
 const FRAME_INTERVAL_NS: u64 = wire::TICK_NS;
 
-/// Steps of the simulation in a frame.
+/// Simulation steps per frame.
 const STEPS: u16 = 2;
-/// Frames simulated before the first that is returned, so that traffic is at its steady level.
+/// Frames that are simulated before the first returned one, so that traffic is at its steady level.
 const WARM_UP_FRAMES: u16 = 625;
 
 type Point = [f32; 2];

@@ -49,7 +49,7 @@ impl Role {
     }
 }
 
-/// A file of a recording, in memory.
+/// The content of a file of a recording, in memory.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Input {
     /// The kind of content.
@@ -63,23 +63,23 @@ pub struct Input {
 }
 
 impl Input {
-    /// A file whose own frame is the world frame.
+    /// Creates a file whose own frame is the world frame.
     pub fn new(role: Role, path: impl Into<String>, bytes: impl Into<Vec<u8>>) -> Self {
         Self { role, path: path.into(), bytes: bytes.into(), origin: WorldOrigin::default() }
     }
 }
 
-/// The file with that role.
+/// The file with this role.
 pub(crate) fn find(inputs: &[Input], role: Role) -> Option<&Input> {
     inputs.iter().find(|input| input.role == role)
 }
 
-/// The file with that role, without which the recording can't be read.
+/// The file with this role; an error if it is missing.
 pub(crate) fn need(inputs: &[Input], role: Role) -> Result<&Input, ReadError> {
     need_any(inputs, &[role])
 }
 
-/// The first file with one of those roles, without any of which the recording can't be read.
+/// The first file with one of these roles; an error if all are missing.
 pub(crate) fn need_any<'a>(inputs: &'a [Input], roles: &[Role]) -> Result<&'a Input, ReadError> {
     let found = inputs.iter().find(|input| roles.contains(&input.role));
     found.ok_or_else(|| ReadError::Missing {

@@ -6,12 +6,12 @@ use serde::Serialize;
 
 use crate::{LeftOut, Recording};
 
-/// Identities that the audit of a recording follows at a time.
+/// Maximum number of identities in the audit of a recording at the same time.
 const IDENTITIES: usize = 4_096;
-/// A longer interval between frames, in usual intervals, is a gap.
+/// An interval between frames is a gap if it is longer than this number of half usual intervals.
 const GAP: u64 = 5;
 
-/// What a recording contains, and what is probably wrong with it.
+/// The content of a recording, and its probable errors.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Inspection {
     /// Name of the recording.
@@ -28,36 +28,36 @@ pub struct Inspection {
     pub interval_ms: f64,
     /// 5th and 95th percentile of the intervals; `None` with fewer than two frames.
     pub intervals_ms: Option<[f64; 2]>,
-    /// Intervals of more than two and a half usual ones.
+    /// Number of intervals longer than two and a half usual ones.
     pub gaps: usize,
-    /// The longest of them.
+    /// The longest gap.
     pub longest_gap: Option<Gap>,
     /// Whether all detections have identities.
     pub identities: bool,
     /// Frames with the pose of a sensor that agents can occlude.
     pub frames_with_ego: usize,
-    /// Frames that no pose of a moving sensor was near enough to: they are not seen from it.
+    /// Frames without a pose of a moving sensor near enough in time. They count as not seen from the sensor.
     pub poses_missing: usize,
-    /// What was seen of each type.
+    /// Statistics of each type.
     pub types: Vec<TypeInspection>,
     /// Share of the headings that agree with the motion; `None` without headings of moving agents.
     pub agreeing_headings: Option<f64>,
     /// Rows that the format leaves out, by reason.
     pub left_out: BTreeMap<String, usize>,
-    /// What is wrong, doubts or not.
+    /// All findings, whether they are doubts or not.
     pub findings: Vec<Found>,
 }
 
 /// A pause between frames.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Gap {
-    /// Its start, from the first frame.
+    /// Start of the pause, from the first frame.
     pub at_s: f64,
-    /// Its length.
+    /// Length of the pause.
     pub length_s: f64,
 }
 
-/// What was seen of a type.
+/// Statistics of a type.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct TypeInspection {
     /// The type.
@@ -65,11 +65,11 @@ pub struct TypeInspection {
     pub agent_type: String,
     /// Detections.
     pub rows: u64,
-    /// Agents: identities, or ways without identity.
+    /// Number of agents: identities, or paths without identity.
     pub agents: u64,
     /// Median and 95th percentile of the speeds of moving agents, over a second or more.
     pub moving_mps: Option<[f64; 2]>,
-    /// Median ratio of that speed to the reported one.
+    /// Median ratio of these speeds to the reported ones.
     pub reported_ratio: Option<f64>,
     /// Median length.
     pub length_m: Option<f64>,
@@ -119,7 +119,7 @@ pub fn inspect(recording: &Recording) -> Inspection {
     }
 }
 
-/// What is wrong with a recording, doubts or not; nothing for a generated scene.
+/// All findings on a recording, whether they are doubts or not; none for a generated scene.
 #[must_use]
 pub fn findings(recording: &Recording) -> Vec<Found> {
     if recording.sha256.is_empty() { Vec::new() } else { examine(recording).1 }

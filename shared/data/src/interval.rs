@@ -1,15 +1,15 @@
-//! The time from sweep to sweep, from rows whose sensors and clocks are not known.
+//! The interval between sweeps, from rows whose sensors and clocks are unknown.
 //!
-//! Stamps alone do not show it: a sensor that stamps each of five objects 20 ms apart has as many stamps as
-//! one of 50 Hz with a single object. What recurs is the agent. With identities, an agent's interval is the
-//! median time between its rows. Without, the next row of an agent is the first later one of its type that
-//! it can have reached, unless a later one is much nearer:
+//! The stamps alone do not show it: a sensor that stamps each of five objects 20 ms apart has the same stamps
+//! as a 50 Hz sensor with a single object. But the rows of an agent recur once per sweep. With identities, an
+//! agent's interval is the median time between its rows. Without identities, the next row of an agent is the
+//! first later row of its type that it can have reached, unless a later row is much nearer:
 //!
 //! ```text
 //! r(i, j) = |p_j − p_i| / (v_max (t_j − t_i) + 0.25 m)     j = first with r ≤ 1 and r ≤ min r + 0.3
 //! ```
 //!
-//! Sensors may have different rates. The interval of the recording is that of its fastest agents which
+//! Sensors can have different rates. The recording's interval is the interval of its fastest agents that
 //! together have at least a tenth of the rows.
 
 use std::collections::BTreeMap;
@@ -18,21 +18,21 @@ use wire::{AgentType, detection_flags};
 
 use crate::rows::Row;
 
-/// Share of all intervals that the fastest agents have at least: 1 / 10.
+/// Minimum share of all intervals that the fastest agents have: 1 / 10.
 const FASTEST_SHARE: usize = 10;
-/// Rows without identity at most whose next row is searched, spread over the recording.
+/// Maximum number of rows without identity whose next row is searched, spread over the recording.
 const SEARCHED_MAX: usize = 4_096;
 /// Longest time to the next row of an agent without identity.
 const SEARCH_NS: i64 = 2_000_000_000;
-/// Shortest: two detections of an object in less are of the same sweep.
+/// Shortest time to the next row. Two detections of an object in less time are of the same sweep.
 const SEARCH_MIN_NS: i64 = 2_000_000;
 /// Uncertainty of a position.
 const POSITION_M: f32 = 0.25;
 /// Margin by which a later row must be nearer to be preferred.
 const NEARER: f32 = 0.3;
 
-/// The usual interval between times that increase: the median. Where short and long intervals alternate, as
-/// of two sensors that detect the same agents, half of the median over two.
+/// The usual interval between increasing times: the median. If short and long intervals alternate, as with
+/// two sensors that detect the same agents, it is half of the median over two.
 pub(crate) fn usual_ns(stamps_ns: &[i64]) -> Option<i64> {
     let median = |apart: usize| {
         let mut intervals: Vec<i64> =
@@ -42,11 +42,11 @@ pub(crate) fn usual_ns(stamps_ns: &[i64]) -> Option<i64> {
     };
     let single_ns = median(1)?;
     let paired_ns = median(2).map_or(single_ns, |two_ns| two_ns / 2);
-    // Drifts and rounded stamps are no alternation.
+    // Drifts and rounded stamps do not count as alternation.
     Some(if paired_ns < single_ns - single_ns / 10 { paired_ns } else { single_ns })
 }
 
-/// The time from sweep to sweep of rows in time order; `None` if no agent has two rows.
+/// The interval between sweeps, from rows in time order; `None` if no agent has two rows.
 pub(crate) fn of_sweeps_ns(rows: &[Row<'_>]) -> Option<i64> {
     let mut agents: BTreeMap<u64, Vec<i64>> = BTreeMap::new();
     let (identified, others): (Vec<&Row<'_>>, Vec<&Row<'_>>) =
@@ -62,7 +62,7 @@ pub(crate) fn of_sweeps_ns(rows: &[Row<'_>]) -> Option<i64> {
     fastest_ns(intervals)
 }
 
-/// The median of the intervals, each with its weight, that are about as short as the shortest ones.
+/// The weighted median of the intervals that are about as short as the shortest ones.
 fn fastest_ns(mut intervals: Vec<(i64, usize)>) -> Option<i64> {
     intervals.sort_unstable();
     let quantile = |intervals: &[(i64, usize)], share: usize| {

@@ -1,17 +1,16 @@
-//! Recordings of every known format, the windows that training and evaluation cut out of them, and generated
-//! scenes.
+//! Recordings of every known format, the windows for training and evaluation, and generated scenes.
 //!
-//! **In:** files as their makers publish them ([`Format`], one module each in [`formats`]), or the same bytes
-//! in memory. **Out:** a [`Recording`], a list of [`Frame`]s in time order: the sensor's detections and,
-//! where it is known, the truth. Positions are in metres in one right-handed world frame, headings in radians
-//! counter-clockwise from +x, speeds in m/s, stamps in nanoseconds on the recording's own clock.
+//! **In:** files in their published formats ([`Format`], one module each in [`formats`]), or the same bytes
+//! in memory. **Out:** a [`Recording`], a list of [`Frame`]s in time order: the sensor's detections and, if
+//! it is known, the truth. Positions are in metres in one right-handed world frame, headings in radians
+//! counter-clockwise from +x, speeds in m/s, and stamps in nanoseconds on the recording's own clock.
 //!
-//! * [`open`] reads a recording from a file together with the files that belong to it; [`parse`] does the
-//!   same from bytes; [`open_with`] and [`parse_at`] take a frame rate as well. Bad input is a [`ReadError`]
-//!   with file, line, column and value; no row is skipped in silence.
-//! * [`inspect`] audits a recording: rates, speeds, and what is probably wrong, with the lines.
-//! * [`tracks`] joins detections with identities to trajectories; [`windows`](windows()) cuts those into
-//!   strictly causal histories (T_h steps) and futures (T_f steps, \[model §1\]).
+//! * [`open`] reads a recording from a file together with the files that belong to it. [`parse`] does the
+//!   same from bytes. [`open_with`] and [`parse_at`] also take a frame rate. Bad input is a [`ReadError`]
+//!   with file, line, column and value. No row is skipped silently.
+//! * [`inspect`] audits a recording: rates, speeds and probable errors, with their lines.
+//! * [`tracks`] joins detections with identities to trajectories. [`windows`](windows()) cuts trajectories
+//!   into strictly causal histories (T_h steps) and futures (T_f steps, \[model §1\]).
 //! * [`sets`] lists the files of the training, validation and test parts of each data set.
 //! * [`TrackWriter`] writes a tracker's output as CSV, KITTI results or MOT rows.
 //! * [`GeneratedScene`] needs no file: an endless intersection with truth and a sensor's detections.

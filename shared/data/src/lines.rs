@@ -2,13 +2,13 @@ use std::sync::Arc;
 
 use crate::rows::Row;
 
-/// Where the rows of a frame's detections stand in the files, in the order of the detections.
+/// The lines in the files from which a frame's detections come, in the order of the detections.
 ///
-/// They are no part of a frame's content: all lines are equal.
+/// They are not part of a frame's content: all `Lines` are equal.
 #[derive(Clone, Debug, Default)]
 pub struct Lines(Vec<RowLine>);
 
-/// Where a row stands, and what its detection does not hold.
+/// The line of a row, and data that its detection does not contain.
 #[derive(Clone, Debug)]
 pub(crate) struct RowLine {
     pub path: Arc<str>,
@@ -28,7 +28,8 @@ impl PartialEq for Lines {
 }
 
 impl Lines {
-    /// The line of a detection, by its place in the frame; `None` if it comes from no file.
+    /// The line of a detection, by the detection's index in the frame; `None` if it does not come from a
+    /// file.
     pub(crate) fn get(&self, place: usize) -> Option<&RowLine> {
         self.0.get(place)
     }

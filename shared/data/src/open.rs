@@ -1,4 +1,4 @@
-//! From a path to a recording: finds and reads the files that belong together.
+//! From a path to a recording: finds and reads the files of the recording.
 
 use std::fs::File;
 use std::io::{self, Read};
@@ -13,13 +13,13 @@ use crate::formats::{
 use crate::input::FILE_BYTES_MAX;
 use crate::{Format, FrameRate, Input, ReadError, Recording, Role, text};
 
-/// What is known of a recording beside its files.
+/// Information about a recording besides its files.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct OpenOptions {
     /// The format; `None` detects it from the content.
     pub format: Option<Format>,
-    /// Frames a second that the frame numbers count, for formats whose files do not tell
-    /// ([`Format::frame_rate`]); `None` is the usual one.
+    /// Rate of the frame numbers in frames per second, for formats whose files do not contain it
+    /// ([`Format::frame_rate`]). `None` is the usual rate.
     pub fps: Option<FrameRate>,
     /// The world frame's origin in the recording's own frame.
     pub origin: WorldOrigin,
@@ -33,8 +33,8 @@ impl OpenOptions {
     }
 }
 
-/// Reads the recording that `path` is a file of, together with the other files that belong to it. `None`
-/// detects the format from the content.
+/// Reads the recording that the file at `path` belongs to, with its other files. `None` detects the format
+/// from the content.
 ///
 /// # Errors
 /// [`ReadError`] with file, line, column and value.
@@ -42,11 +42,11 @@ pub fn open(path: &Path, format: Option<Format>) -> Result<Recording, ReadError>
     open_with(path, OpenOptions { format, ..OpenOptions::default() })
 }
 
-/// As [`open`], with all that may be given.
+/// As [`open`], with all options.
 ///
 /// # Errors
-/// [`ReadError`] with file, line, column and value; [`ReadError::FrameRate`] if the files have their
-/// times; [`ReadError::Origin`] if an origin is given for a format without a world frame.
+/// [`ReadError`] with file, line, column and value; [`ReadError::FrameRate`] if a frame rate is given and the
+/// files contain their times; [`ReadError::Origin`] if an origin is given for a format without a world frame.
 pub fn open_with(path: &Path, options: OpenOptions) -> Result<Recording, ReadError> {
     let opened = read(path, Role::Rows)?;
     let format = match options.format {
@@ -61,7 +61,7 @@ pub fn open_with(path: &Path, options: OpenOptions) -> Result<Recording, ReadErr
 
 /// Reads a recording from the content of its files.
 ///
-/// [`Recording::sha256`] is that of the files' contents one after the other, in the order given.
+/// [`Recording::sha256`] is the hash of the files' contents one after the other, in the given order.
 ///
 /// # Errors
 /// [`ReadError`] with file, line, column and value.
@@ -69,11 +69,11 @@ pub fn parse(format: Format, inputs: &[Input]) -> Result<Recording, ReadError> {
     parse_at(format, inputs, None)
 }
 
-/// As [`parse`], with frame numbers that count so many frames a second.
+/// As [`parse`], with a rate of the frame numbers in frames per second.
 ///
 /// # Errors
-/// [`ReadError`] with file, line, column and value; [`ReadError::FrameRate`] if the files have their
-/// times.
+/// [`ReadError`] with file, line, column and value; [`ReadError::FrameRate`] if a frame rate is given and the
+/// files contain their times.
 pub fn parse_at(format: Format, inputs: &[Input], fps: Option<FrameRate>) -> Result<Recording, ReadError> {
     if fps.is_some() && format.frame_rate().is_none() {
         let names = Format::ALL.into_iter().filter(|format| format.frame_rate().is_some());
@@ -147,7 +147,7 @@ pub(crate) fn read_if_there(path: &Path, role: Role) -> Result<Option<Input>, Re
     if path.exists() { read(path, role).map(Some) } else { Ok(None) }
 }
 
-/// The file at `path`, without which the file at `opened` can't be read.
+/// The file at `path`; an error about the file at `opened` if it is missing.
 pub(crate) fn read_needed(path: &Path, role: Role, opened: &str) -> Result<Input, ReadError> {
     read_if_there(path, role)?.ok_or_else(|| ReadError::Missing {
         path: opened.to_owned(),
@@ -194,7 +194,7 @@ fn with_companions(path: &Path, mut opened: Input, format: Format) -> Result<Vec
     }
 }
 
-/// The rows of a levelX recording with the attributes of its tracks and its own: `07_tracks.csv`,
+/// The rows of a levelX recording, with the attributes of its tracks and of the recording: `07_tracks.csv`,
 /// `07_tracksMeta.csv`, `07_recordingMeta.csv`.
 fn levelx_files(path: &Path, opened: Input) -> Result<Vec<Input>, ReadError> {
     let name =
@@ -211,14 +211,14 @@ fn levelx_files(path: &Path, opened: Input) -> Result<Vec<Input>, ReadError> {
     Ok(std::iter::once(opened).chain(attributes).collect())
 }
 
-/// The role of one file of a pair. A file that is neither is read as vehicles: the error then names its first
-/// line.
+/// The role of one file of a pair. A file that has neither role is read as vehicles, so that the error names
+/// its first line.
 fn role(input: &Input, role_of: fn(&text::Line<'_>) -> Option<Role>) -> Result<Role, ReadError> {
     let first = text::lines(input).next().transpose()?;
     Ok(first.as_ref().and_then(role_of).unwrap_or(Role::Vehicles))
 }
 
-/// What the names of VCI-DUT's vehicles and pedestrians contain.
+/// Parts of the names of VCI-DUT's vehicle and pedestrian files.
 const VCI_DUT: [&str; 2] = ["_veh_", "_ped_"];
 
 /// The file of the pedestrians beside VCI-DUT's vehicles.
@@ -226,7 +226,7 @@ pub(crate) fn vci_dut_pair(vehicles: &Path) -> Option<PathBuf> {
     renamed(vehicles, VCI_DUT[0], VCI_DUT[1])
 }
 
-/// The file beside `path` with another part in its name; `None` if the name lacks the part.
+/// The file beside `path` with one part of its name replaced; `None` if the name does not contain the part.
 fn renamed(path: &Path, from: &str, to: &str) -> Option<PathBuf> {
     let file = path.file_name()?.to_string_lossy();
     file.contains(from).then(|| path.with_file_name(file.replace(from, to)))
@@ -247,7 +247,7 @@ pub(crate) fn pedestrian_tracks(vehicles: &Path) -> Option<PathBuf> {
     names.filter(belongs).min().map(|name| folder.join(name))
 }
 
-/// The files by role, so that the result does not depend on which of them was opened.
+/// Sorts the files by role, so that the result does not depend on which of them was opened.
 fn in_order(mut inputs: Vec<Input>) -> Vec<Input> {
     inputs.sort_by_key(|input| input.role);
     inputs

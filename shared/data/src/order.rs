@@ -1,9 +1,9 @@
-//! Time that goes back within an identity.
+//! Time that runs backwards within an identity.
 //!
-//! Rows may be in any order: by time, by track, shuffled. So a row whose stamp is before that of the previous
-//! row of its identity is no fault in itself. In a shuffled file that holds for half of all rows. In a file
-//! that is in order otherwise, it shows that the clock was set back or the recording was played again, and
-//! the rows behind it would be mixed with those of another time.
+//! Rows can be in any order: by time, by track, shuffled. So a row that is earlier than the previous row of
+//! its identity is not an error by itself. In a shuffled file, half of all rows are. In a file that is in
+//! order otherwise, such a row shows that the clock was set back or the recording was played twice. The rows
+//! behind it would be mixed with rows of another time.
 
 use std::collections::HashMap;
 
@@ -12,10 +12,10 @@ use wire::{OFFSET_MAX_NS, detection_flags};
 use crate::ReadError;
 use crate::rows::Row;
 
-/// Up to this share of rows that go back, the others are in order: 1 / 8.
+/// If at most this share of the rows goes back, the file counts as in order: 1 / 8.
 const IN_ORDER: usize = 8;
 
-/// Whose time a row shows: an identity's, or that of all agents of a type without identities.
+/// The owner of a row's time: an identity, or all agents of a type without identities.
 #[derive(Clone, Copy, PartialEq, Eq, Hash)]
 enum Whose {
     Id(u64),
@@ -23,8 +23,8 @@ enum Whose {
 }
 
 /// Refuses rows in file order whose time goes back within an identity although the file is in order
-/// otherwise. Without identities, rows of a sweep may be in any order: time may go back by up to a second, or
-/// a tenth of the recording if that is less.
+/// otherwise. Without identities, rows of a sweep can be in any order. So time may go back by up to a second,
+/// or by a tenth of the recording if that is less.
 ///
 /// # Errors
 /// [`ReadError::TimeGoesBack`] names the first such row.
@@ -34,7 +34,7 @@ pub(crate) fn check(rows: &[Row<'_>]) -> Result<(), ReadError> {
         Some(stamps_ns().max()? - stamps_ns().min()?)
     };
     let sweep_max_ns = (span_ns(rows).unwrap_or(0) / 10).min(OFFSET_MAX_NS as i64);
-    // The newest row, and the one before if time went back between them.
+    // The newest row, and the previous row if time went back between them.
     let mut newest: HashMap<Whose, (&Row<'_>, Option<&Row<'_>>)> = HashMap::new();
     let (mut pairs, mut back, mut first) = (0_usize, 0_usize, None);
     for row in rows {
@@ -46,7 +46,7 @@ pub(crate) fn check(rows: &[Row<'_>]) -> Result<(), ReadError> {
         pairs += usize::from(last.is_some());
         let goes_back = last.filter(|(before, _)| row.stamp_ns < before.stamp_ns - tolerance_ns);
         back += usize::from(goes_back.is_some());
-        // A single late row is in its place once sorted; time that goes on from there is another time.
+        // A single late row is in its place after sorting. If time continues from there, it is another time.
         first = first.or_else(|| last.and_then(|(row, before)| Some((before?, row))));
         newest.insert(whose, (row, goes_back.map(|(before, _)| before)));
     }

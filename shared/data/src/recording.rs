@@ -10,7 +10,7 @@ pub struct Ego {
     /// Heading, counter-clockwise from +x.
     pub heading_rad: f32,
     /// Whether the sensor is at this pose, so that agents can occlude others. If not (a view from above, or
-    /// not known), the pose is the scene's centre.
+    /// an unknown pose), the pose is the scene's centre.
     pub is_sensor: bool,
 }
 
@@ -26,14 +26,14 @@ pub struct Frame {
     pub ego: Ego,
     /// The detections, sorted by (type, id) so that no result depends on the order of rows in a file.
     pub detections: Vec<Detection>,
-    /// The true positions; empty where unknown.
+    /// The true positions; empty if unknown.
     pub truth: Vec<Truth>,
-    /// Where the detections stand in the files.
+    /// The lines of the detections in the files.
     pub lines: Lines,
 }
 
 impl Frame {
-    /// The detection at a place as its file has it, with a heading that is not wrapped.
+    /// The detection at an index as written in its file, with a heading that is not wrapped.
     #[must_use]
     pub fn written(&self, place: usize) -> Option<Detection> {
         let detection = *self.detections.get(place)?;
@@ -42,12 +42,12 @@ impl Frame {
     }
 }
 
-/// Rows of a file that are no detections by the rules of its format.
+/// Rows of a file that are not detections by the rules of its format.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LeftOut {
-    /// Why, in the format's words.
+    /// The reason, in the format's words.
     pub reason: String,
-    /// How many rows.
+    /// Number of rows.
     pub rows_len: usize,
 }
 
@@ -66,14 +66,14 @@ pub struct Recording {
     pub frames: Vec<Frame>,
     /// The rows that the format leaves out, by reason.
     pub left_out: Vec<LeftOut>,
-    /// The rate at which the frame numbers of the files were counted; none where the files have their times.
+    /// The rate of the files' frame numbers; `None` if the files contain their times.
     pub frame_rate: Option<FrameRate>,
-    /// Whether the rows have stamps of their own, so that the frames can be of several sensors. If not, the
-    /// frames are numbered, all of one sensor.
+    /// Whether the rows have their own stamps, so that the frames can be of several sensors. Otherwise the
+    /// frames are numbered and of one sensor.
     pub own_stamps: bool,
-    /// Frames that no pose of a moving sensor was near enough to: their pose is the last one before, and they
-    /// are not seen from it.
+    /// Frames without a pose of a moving sensor near enough in time. They have the last pose before them and
+    /// count as not seen from it.
     pub poses_missing: usize,
-    /// Metres per pixel of the recording's video where errors are published in pixels.
+    /// Metres per pixel of the recording's video, if the data set's errors are published in pixels.
     pub pixel_m: Option<f64>,
 }

@@ -1,4 +1,4 @@
-//! The rows of files, in any order, and what they contain; [`crate::sweeps`] turns them into frames.
+//! The rows of files, in any order, and their content. [`crate::sweeps`] turns them into frames.
 
 use wire::{AgentType, Detection, Truth, detection_flags};
 
@@ -6,10 +6,10 @@ use crate::lines::{Lines, RowLine};
 use crate::text::{Field, Line};
 use crate::{Input, ReadError, order};
 
-/// Most rows of a recording.
+/// Maximum number of rows of a recording.
 pub(crate) const ROWS_MAX: usize = 8_000_000;
-/// In formats whose vehicles and pedestrians count their identities apart, the first identity of a
-/// pedestrian.
+/// The first identity of a pedestrian, in formats that count the identities of vehicles and pedestrians
+/// separately.
 pub(crate) const PEDESTRIAN_IDS: u64 = 1_000_000_000;
 /// Speed from which a direction of motion is a heading.
 pub(crate) const HEADING_SPEED_MPS: f32 = 0.1;
@@ -35,12 +35,12 @@ pub(crate) struct Rows<'a> {
 }
 
 impl<'a> Rows<'a> {
-    /// Keeps one more row.
+    /// Adds a row.
     pub fn push(&mut self, line: &Line<'a>, stamp_ns: i64, detection: Detection) -> Result<(), ReadError> {
         self.push_written(line, stamp_ns, detection, detection.heading_rad)
     }
 
-    /// Keeps one more row, with the heading as it was written.
+    /// Adds a row, with the heading as it was written.
     pub fn push_written(
         &mut self,
         line: &Line<'a>,
@@ -60,7 +60,7 @@ impl<'a> Rows<'a> {
         Ok(())
     }
 
-    /// The times of the rows, as they were read.
+    /// The times of the rows in file order.
     pub fn stamps(&self) -> impl Iterator<Item = i64> {
         self.rows.iter().map(|row| row.stamp_ns)
     }
@@ -70,11 +70,11 @@ impl<'a> Rows<'a> {
         self.rows.is_empty()
     }
 
-    /// The rows by time and identity, however they were ordered in the file.
+    /// The rows by time and identity, in whatever order the files had.
     ///
     /// # Errors
     /// [`ReadError::Duplicate`] if an identity has two rows at one time, [`ReadError::TimeGoesBack`] if its
-    /// time goes back in a file that is in order otherwise, [`ReadError::Empty`] if there is no row.
+    /// time goes back in a file that is in order otherwise, [`ReadError::Empty`] if there are no rows.
     pub fn sorted(self, input: &Input) -> Result<Vec<Row<'a>>, ReadError> {
         match self.is_empty() {
             true => Err(ReadError::Empty { path: input.path.clone() }),
@@ -82,7 +82,7 @@ impl<'a> Rows<'a> {
         }
     }
 
-    /// As [`Rows::sorted`], except that no row is no error. All rows of all formats pass here before they
+    /// As [`Rows::sorted`], but having no rows is not an error. All rows of all formats pass here before they
     /// become frames, still in the files' order.
     pub fn sorted_or_none(mut self) -> Result<Vec<Row<'a>>, ReadError> {
         order::check(&self.rows)?;
@@ -126,7 +126,7 @@ pub(crate) fn identified(agent_type: AgentType, position_m: [f32; 2], id: u64) -
 /// heading.
 ///
 /// # Errors
-/// [`ReadError::Value`] for a component or a speed that is none.
+/// [`ReadError::Value`] if a component or the speed is not possible.
 pub(crate) fn with_velocity(
     detection: Detection,
     vx: Field<'_>,
@@ -146,7 +146,7 @@ pub(crate) fn with_velocity(
 }
 
 /// Sorts by type and identity, and without identity by score and position, so that the order of rows never
-/// matters. The lines, one for each detection, are sorted with them.
+/// matters. The lines, one per detection, are sorted with them.
 pub(crate) fn sort(detections: &mut Vec<Detection>, lines: &mut Lines) {
     let mut rows: Vec<(Detection, RowLine)> = detections.drain(..).zip(lines.take()).collect();
     rows.sort_by(|(a, _), (b, _)| {
@@ -162,7 +162,7 @@ pub(crate) fn sort(detections: &mut Vec<Detection>, lines: &mut Lines) {
     }
 }
 
-/// The truth of a row, where the rows are the truth.
+/// The truth of a row, for files whose rows are the truth.
 pub(crate) fn truth_of(detection: &Detection) -> Truth {
     Truth {
         id: detection.id,

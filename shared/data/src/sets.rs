@@ -1,9 +1,14 @@
-//! The data sets and their train, validation and test parts, as lists of files.
+//! The data sets and their training, validation and test parts, as lists of files.
 //!
-//! Validation parts where a set has none: of SDD TrajNet the scenes `gates_*` and `nexus_*`; of each site of
-//! INTERACTION the fifth of the recordings before the last fifth, which is the test part; of each source of
-//! `driving` the last fifth of the recordings, where it has five or more; of VCI-DUT the
-//! intersections 11 and 12; of KITTI the sequences from 0016 on.
+//! Sets without a published validation part have these:
+//!
+//! | set | validation part |
+//! |---|---|
+//! | SDD TrajNet | the scenes `gates_*` and `nexus_*` |
+//! | INTERACTION | of each site the fifth of the recordings before the last fifth, which is the test part |
+//! | `driving` | of each source with five or more recordings the last fifth |
+//! | VCI-DUT | the intersections 11 and 12 |
+//! | KITTI | the sequences from 0016 on |
 
 use std::fs;
 use std::io;
@@ -16,7 +21,7 @@ use crate::{Format, GeneratedScene, ReadError, Recording, SceneOptions};
 pub enum DataSet {
     /// One of the leave-one-out folds of ETH/UCY.
     EthUcyFold(Fold),
-    /// Every scene of ETH/UCY once, by the scenes' own train and validation parts; no test part.
+    /// Every scene of ETH/UCY once, with the scenes' own training and validation parts; no test part.
     EthUcy,
     /// Stanford Drone, TrajNet split.
     SddTrajnet,
@@ -32,14 +37,15 @@ pub enum DataSet {
     KittiDetections,
     /// Vehicle tracks of real roads by source, in the project's own format; no test part.
     Driving,
-    /// The sources of [`Driving`](Self::Driving) that are NGSIM's, which anybody may use; no test part.
+    /// The sources of [`Driving`](Self::Driving) that belong to NGSIM, which has no restrictions of use; no
+    /// test part.
     Ngsim,
     /// Generated scenes, which need no files; no test part.
     Generated,
-    /// Scenes of Waymo Open Motion in the project's own format, for validation alone: their licence would
-    /// bind weights that are trained on them.
+    /// Scenes of Waymo Open Motion in the project's own format. They are for validation only, because their
+    /// licence would bind weights that are trained on them.
     Womd,
-    /// A user's own recordings in any format, which are named file by file.
+    /// A user's own recordings in any format, listed file by file.
     Own,
 }
 
@@ -134,7 +140,7 @@ impl DataSet {
         }
     }
 
-    /// What the set may be used for, by the words of who published it; by source where they differ.
+    /// The permitted uses of the set, in the publishers' words; by source if they differ.
     #[must_use]
     pub const fn licences(self) -> &'static [(&'static str, &'static str)] {
         const NGSIM: (&str, &str) = ("ngsim", "public US data");
@@ -158,10 +164,10 @@ impl DataSet {
         }
     }
 
-    /// Opens one of the set's [`files`](Self::files), or generates the scene that it stands for.
+    /// Opens one of the set's [`files`](Self::files), or generates the scene of that name.
     ///
     /// # Errors
-    /// [`ReadError`] names the file and what is wrong with it.
+    /// [`ReadError`] names the file and the problem.
     pub fn open(self, file: &Path) -> Result<Recording, ReadError> {
         match self {
             Self::Generated => generated(file),
@@ -170,8 +176,8 @@ impl DataSet {
         }
     }
 
-    /// The files to [`open`](Self::open) for a part, below the folder `root` that holds all sets, sorted by path.
-    /// Generated scenes have none: they are named by number.
+    /// The files to [`open`](Self::open) for a part, in the folder `root` of all sets, sorted by path.
+    /// Generated scenes have no files; their names are numbers.
     ///
     /// # Errors
     /// [`ReadError::Io`] if a folder of the set can't be listed.
@@ -206,19 +212,19 @@ impl DataSet {
     }
 }
 
-/// The folder of the source that is for validation alone.
+/// The folder of the source that is for validation only.
 const WOMD: &str = "womd";
-/// A source of fewer recordings has no validation part.
+/// Minimum number of recordings of a source with a validation part.
 const VALIDATED_MIN: usize = 5;
 
-/// Generated scenes of the training and of the validation part.
+/// Number of generated scenes in the training and in the validation part.
 const GENERATED_LEN: [u64; 2] = [40, 4];
-/// Frames of a generated scene: a minute.
+/// Frames of a generated scene, one minute.
 const GENERATED_FRAMES: usize = 750;
 /// Agents of the generated scenes, in turn.
 const GENERATED_AGENTS: [usize; 4] = [12, 24, 40, 64];
 
-/// Names of the generated scenes of a part; the numbers are their seeds.
+/// Names of the generated scenes of a part. The numbers are the scenes' seeds.
 fn generated_scenes(part: Part) -> Vec<PathBuf> {
     let [learned, validated] = GENERATED_LEN;
     let seeds = match part {
@@ -229,7 +235,7 @@ fn generated_scenes(part: Part) -> Vec<PathBuf> {
     seeds.map(|seed| PathBuf::from(format!("generated/{seed:04}"))).collect()
 }
 
-/// The scene of a name, observed without errors.
+/// The scene with this name, observed without errors.
 fn generated(name: &Path) -> Result<Recording, ReadError> {
     let unknown = || ReadError::Io { path: name.to_owned(), source: io::ErrorKind::NotFound.into() };
     let seed: u64 = named(name).parse().map_err(|_| unknown())?;
@@ -253,7 +259,8 @@ fn generated(name: &Path) -> Result<Recording, ReadError> {
     Ok(recording)
 }
 
-/// The recordings of the sources whose folder `takes` accepts; the last fifth of each is for validation.
+/// The recordings of the sources whose folder `takes` accepts. The last fifth of each source is for
+/// validation.
 fn sources(root: &Path, part: Part, takes: impl Fn(&str) -> bool) -> Result<Vec<PathBuf>, ReadError> {
     let mut files = Vec::new();
     for source in list(root)?.iter().filter(|source| source.is_dir() && takes(&named(source))) {
@@ -278,12 +285,12 @@ const fn folder(part: Part) -> &'static str {
     }
 }
 
-/// Whether a file belongs to a part of a set that has two.
+/// Whether a file belongs to a part of a set with two parts.
 fn in_part(validates: bool, part: Part) -> bool {
     part == if validates { Part::Validation } else { Part::Train }
 }
 
-/// Each scene once: the folds share the files of the scenes that they do not leave out, so each file name is
+/// Each scene once. Folds share the files of the scenes that they do not leave out, so each file name is
 /// taken once.
 fn scenes_once(root: &Path, part: Part) -> Result<Vec<PathBuf>, ReadError> {
     if part == Part::Test {
@@ -341,7 +348,7 @@ fn named(path: &Path) -> String {
     path.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned())
 }
 
-/// What a folder holds, sorted by name.
+/// The entries of a folder, sorted by name.
 fn list(folder: &Path) -> Result<Vec<PathBuf>, ReadError> {
     let failed = |source: io::Error| ReadError::Io { path: folder.to_owned(), source };
     let entries = fs::read_dir(folder).map_err(failed)?;

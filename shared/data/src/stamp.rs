@@ -3,18 +3,18 @@
 use crate::ReadError;
 use crate::text::Field;
 
-/// Greatest stamp: more than a century, which leaves room for arithmetic in nanoseconds.
+/// Largest stamp: more than a century, with room for arithmetic in nanoseconds.
 const SECONDS_MAX: i128 = 4_000_000_000;
-/// Digits behind the point that a nanosecond has.
+/// Decimal digits of a second in nanoseconds.
 const DECIMALS: i64 = 9;
-/// Most digits of a number that is read.
+/// Maximum number of digits of a number.
 const DIGITS_MAX: usize = 60;
 
 /// A number of seconds such as `12.08`, `1.7e9` or `0.30000000000000004`, to the nearest nanosecond, without
 /// floating point.
 ///
 /// # Errors
-/// [`ReadError::Value`] if the text is no number or lies beyond ±4,000,000,000 s.
+/// [`ReadError::Value`] if the text is not a number or is beyond ±4,000,000,000 s.
 pub(crate) fn stamp_ns(field: Field<'_>) -> Result<i64, ReadError> {
     let wrong = || field.error("expected seconds like 12.08");
     let (negative, number) = match field.text.strip_prefix('-') {
@@ -28,7 +28,7 @@ pub(crate) fn stamp_ns(field: Field<'_>) -> Result<i64, ReadError> {
     if digits.is_empty() || digits.len() > DIGITS_MAX || !digits.bytes().all(|byte| byte.is_ascii_digit()) {
         return Err(wrong());
     }
-    // The digits up to the nanosecond, and the one behind it, which rounds.
+    // The digits up to the nanosecond, and the next digit, which rounds.
     let kept = whole.len() as i64 + exponent + DECIMALS;
     let digit = |place: i64| {
         let place = usize::try_from(place).ok();

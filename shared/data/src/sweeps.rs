@@ -1,18 +1,19 @@
-//! From rows to frames: the one place where measurements become sweeps.
+//! From rows to frames: the only module that turns measurements into sweeps.
 //!
-//! Formats that number their frames have exact stamps: rows of one stamp are a frame ([`numbered`]). Rows
-//! with stamps of their own ([`measured`]) are joined to sweeps, since detections of one sweep can have
-//! different stamps: several sensors, a stamp for each object, microseconds of jitter.
+//! Formats that number their frames have exact stamps: the rows of one stamp are a frame ([`numbered`]). Rows
+//! with their own stamps ([`measured`]) are joined to sweeps. Detections of one sweep can have different
+//! stamps because of several sensors, a stamp for each object, or microseconds of jitter.
 //!
-//! A sweep contains no identity twice and spans at most L = T − G / 2, with the interval T between the rows
-//! of an agent ([`interval`]) and the usual gap G between different stamps: half of the time passes in gaps
-//! of G or longer. So stamps that are T apart never join, by whatever they jitter up to half of T, and a
-//! sweep whose objects are spread over all of T stays whole. Among all ways to cut the rows into sweeps that
-//! fulfil this, the one with the least sum of T + span over the sweeps is taken, by dynamic programming: it
-//! cuts at the longest gaps, and keeps in step where a sensor drops a frame.
+//! A sweep contains an identity at most once and spans at most L = T − G / 2. T is the interval between the
+//! rows of an agent ([`interval`]). G is the usual gap between different stamps: half of the time passes in
+//! gaps of G or longer. So stamps that are T apart never join, even with jitter up to half of T, and a sweep
+//! whose objects are spread over all of T stays whole.
 //!
-//! The frame's stamp is that of its newest measurement, so that whoever updates at a detection's own time
-//! need not look ahead; [`Detection::offset_ns`] is 0 or negative.
+//! Of all ways to cut the rows into such sweeps, dynamic programming finds the one with the smallest sum of T
+//! + span over the sweeps. It cuts at the longest gaps, and stays in phase if a sensor drops a frame.
+//!
+//! The frame's stamp is the time of its newest measurement, so an update at a detection's own time never
+//! looks ahead. [`Detection::offset_ns`] is 0 or negative.
 
 use std::collections::HashMap;
 
@@ -24,26 +25,26 @@ use crate::lines::{Lines, Paths};
 use crate::rows::{self, ALL_TYPES, Row};
 use crate::{Ego, Frame};
 
-/// Rows with stamps of their own as frames.
+/// Frames from rows with their own stamps.
 #[derive(Debug)]
 pub(crate) struct Sweeps {
     pub frames: Vec<Frame>,
     /// The usual time between the rows of an agent, or else between frames; `None` for a single frame.
     pub interval_ns: Option<u64>,
-    /// Frames that no pose of a moving sensor was near enough to.
+    /// Frames without a pose of a moving sensor near enough in time.
     pub poses_missing: usize,
 }
 
-/// Frames of rows that are sorted by time, one for each stamp, observed by a fixed sensor that detects
-/// `observed_types` all the time. The sensor's position is the mean position of the first frame's
-/// detections: that of all frames would leak the future. Rows with identities are their own truth.
+/// Frames from rows that are sorted by time, one for each stamp. A fixed sensor observes `observed_types` all
+/// the time. The sensor's position is the mean position of the first frame's detections, because the mean of
+/// all frames would leak the future. Rows with identities are their own truth.
 pub(crate) fn numbered(rows: &[Row<'_>], observed_types: u32) -> Vec<Frame> {
     frames(rows.chunk_by(|a, b| a.stamp_ns == b.stamp_ns), observed_types)
 }
 
-/// Frames of rows that are sorted by time, one for each sweep, with the sensor's poses. All types are observed
-/// all the time, unless a type comes at a lower rate. Before the first pose, the sensor's position is the mean
-/// position of the first frame's detections. Rows with identities are their own truth.
+/// Frames from rows that are sorted by time, one for each sweep, with the sensor's poses. All types are
+/// observed all the time, unless a type comes at a lower rate. Before the first pose, the sensor's position
+/// is the mean position of the first frame's detections. Rows with identities are their own truth.
 pub(crate) fn measured(rows: &[Row<'_>], egos: &Egos) -> Sweeps {
     let interval_ns = interval::of_sweeps_ns(rows);
     let ends = sweep_ends(rows, interval_ns);
@@ -91,11 +92,11 @@ fn centre_m(rows: &[Row<'_>]) -> [f32; 2] {
 #[derive(Clone, Copy)]
 struct Instant {
     stamp_ns: i64,
-    /// The place behind its last row.
+    /// The index after its last row.
     end: usize,
 }
 
-/// The best way to cut the rows up to an instant.
+/// The best way to cut the rows up to a given stamp.
 #[derive(Clone, Copy)]
 struct Cut {
     cost_ns: i128,
@@ -103,7 +104,7 @@ struct Cut {
     first: usize,
 }
 
-/// The places behind the last row of each sweep; each stamp is one if the interval is not known.
+/// The indices after the last row of each sweep. If the interval is unknown, each stamp is a sweep.
 fn sweep_ends(rows: &[Row<'_>], interval_ns: Option<i64>) -> Vec<usize> {
     let mut end = 0;
     let instants: Vec<Instant> = rows
@@ -152,8 +153,8 @@ fn sweep_ends(rows: &[Row<'_>], interval_ns: Option<i64>) -> Vec<usize> {
     ends
 }
 
-/// The usual gap between different stamps within the interval: half of the time passes in gaps as long or
-/// longer. Pauses do not count.
+/// The usual gap between different stamps within the interval: half of the time passes in gaps of this length
+/// or longer. Pauses do not count.
 fn usual_gap_ns(instants: &[Instant], interval_ns: i64) -> i64 {
     let gaps = instants.windows(2).map(|pair| pair[1].stamp_ns - pair[0].stamp_ns);
     let mut gaps: Vec<i64> =
@@ -168,8 +169,9 @@ fn usual_gap_ns(instants: &[Instant], interval_ns: i64) -> i64 {
     half.unwrap_or(interval_ns)
 }
 
-/// Marks the frames that did not look for a type whose detections come at a lower rate than the frames: all
-/// but those with a detection of it, and those at its own interval since the last one that looked for it.
+/// Marks the frames that did not look for a type whose detections come at a lower rate than the frames. A
+/// frame looked for the type if it has a detection of it, or if about the type's own interval has passed
+/// since the last frame that looked for it.
 fn observe(frames: &mut [Frame], interval_ns: u64) {
     for agent_type in AGENT_TYPES {
         let has = |frame: &Frame| frame.detections.iter().any(|d| d.agent_type == agent_type as u32);

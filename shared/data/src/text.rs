@@ -6,11 +6,11 @@ use wire::{POSITION_MAX_M, SPEED_MAX_MPS, WorldOrigin};
 
 use crate::{FrameRate, Input, ReadError};
 
-/// Longest text that an error quotes.
+/// Maximum length of a text that an error quotes.
 const SHOWN_MAX: usize = 60;
-/// Greatest frame number: at 2.5 frames a second a century of recording fits.
+/// Largest frame number: a century of recording fits at 2.5 frames a second.
 const FRAME_MAX: i64 = 10_000_000_000;
-/// Latest time of a frame: as that of a stamp in our own format.
+/// Latest time of a frame, the same as that of a stamp in our own format.
 pub(crate) const STAMP_MAX_NS: i64 = 4_000_000_000_000_000_000;
 /// Largest integer below which every integer is an f64.
 const INTEGER_MAX: f64 = 9_007_199_254_740_992.0;
@@ -18,13 +18,13 @@ const INTEGER_MAX: f64 = 9_007_199_254_740_992.0;
 /// The separator of the columns of a row.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Separator {
-    /// One comma; spaces around a value do not count.
+    /// One comma. Spaces around a value are ignored.
     Comma,
-    /// One semicolon, alike.
+    /// One semicolon. Spaces around a value are ignored.
     Semicolon,
-    /// One tab, alike.
+    /// One tab. Spaces around a value are ignored.
     Tab,
-    /// Any run of spaces and tabs.
+    /// Any sequence of spaces and tabs.
     Space,
 }
 
@@ -44,7 +44,7 @@ impl Separator {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Line<'a> {
     pub path: &'a str,
-    /// From 1.
+    /// Line number, from 1.
     pub number: usize,
     pub text: &'a str,
     /// The world frame's origin in the file's own frame.
@@ -56,7 +56,7 @@ pub(crate) struct Line<'a> {
 pub(crate) struct Field<'a> {
     line: Line<'a>,
     name: &'static str,
-    /// In bytes from 1.
+    /// Position in bytes, from 1.
     column: usize,
     pub text: &'a str,
 }
@@ -100,7 +100,7 @@ fn expect_header(line: &Line<'_>, header: &'static str) -> Result<(), ReadError>
     Err(field.error(format!("expected \"{header}\"")))
 }
 
-/// The places of some columns in a file whose header names them among others.
+/// The indices of some columns in a file whose header contains them among others.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Columns<const N: usize> {
     names: &'static [&'static str; N],
@@ -109,7 +109,7 @@ pub(crate) struct Columns<const N: usize> {
 }
 
 impl<const N: usize> Columns<N> {
-    /// The places of these columns by a header with commas.
+    /// Finds these columns in a comma-separated header.
     pub fn of_header(line: &Line<'_>, names: &'static [&'static str; N]) -> Result<Self, ReadError> {
         let mut places = [0; N];
         for (place, name) in places.iter_mut().zip(names) {
@@ -165,7 +165,7 @@ impl<'a> Line<'a> {
         .map(move |piece| (place(piece), piece))
     }
 
-    /// A value of this line under the given column name.
+    /// A value of this line under this column name.
     pub fn field(&self, name: &'static str, column: usize, text: &'a str) -> Field<'a> {
         Field { line: *self, name, column, text }
     }

@@ -6,10 +6,13 @@
 //! | `kitti` | `frame id type truncated occluded alpha x1 y1 x2 y2 h w l x y z rot_y score`, camera frame |
 //! | `mot` | `frame,id,-1,-1,-1,-1,confidence,x,y,z`, frames from 1, positions in the world frame, z 0 |
 //!
-//! Positions are in the recording's own frame: the run's origin is added again. The score is the existence probability. What a track does not have is -1: the box in the image, truncation
-//! and occlusion. The height in KITTI's rows is the mean of the labelled objects of the type, and the
-//! position is on the plane that the car stands on. The CSV and, beside its `calib` and `oxts`, the KITTI
-//! file can be [opened](crate::open) again as recordings with identities.
+//! Positions are in the recording's own frame: the run's origin is added again. The score is the existence
+//! probability. Values that a track does not have are -1: the box in the image, truncation and occlusion. The
+//! height in KITTI's rows is the mean of the labelled objects of the type, and the position is on the plane
+//! on which the car stands.
+//!
+//! The CSV can be [opened](crate::open) again as a recording with identities. So can the KITTI file if it is
+//! beside its `calib` and `oxts`.
 
 use std::fmt;
 use std::io::{self, Write};
@@ -25,7 +28,7 @@ use crate::text;
 /// A file format for tracks.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum TrackFormat {
-    /// The project's own.
+    /// The project's own format.
     #[default]
     Csv,
     /// KITTI's format for results of tracking.
@@ -34,7 +37,7 @@ pub enum TrackFormat {
     Mot,
 }
 
-/// A name of no track format.
+/// A name that is not a track format's.
 #[derive(Debug, Error, PartialEq, Eq)]
 #[error("unknown format \"{0}\" of tracks: expected csv, kitti or mot")]
 pub struct UnknownTrackFormat(String);
@@ -80,7 +83,7 @@ pub enum TrackRows {
     Mot,
 }
 
-/// Writes the tracks of one frame after the other.
+/// Writes the tracks frame by frame.
 #[derive(Debug)]
 pub struct TrackWriter<W> {
     output: W,
@@ -89,7 +92,7 @@ pub struct TrackWriter<W> {
 }
 
 impl<W: Write> TrackWriter<W> {
-    /// Starts a file. `origin` is the world frame's in the recording's own frame.
+    /// Starts a file. `origin` is the world frame's origin in the recording's own frame.
     ///
     /// # Errors
     /// Those of the output.
@@ -155,7 +158,8 @@ fn write_ego(output: &mut impl Write, header: &Header, origin: WorldOrigin) -> i
     writeln!(output, "{},,{kind},{place},{heading},,,,,,,,,,,,,", Seconds(header.stamp_ns))
 }
 
-/// A position of the world frame, written as `x,y` in the recording's own frame, to 0.1 mm if that is another one.
+/// A position of the world frame, written as `x,y` in the recording's own frame. If the two frames differ, it
+/// is written to 0.1 mm.
 struct Place([f32; 2], WorldOrigin);
 
 impl fmt::Display for Place {
@@ -186,7 +190,7 @@ fn write_csv(
     let coasts = track.status == TrackStatus::Coasting as u32;
     let (status, unseen) = (csv::STATUS[usize::from(coasts)], Seconds(track.unseen_ns.cast_signed()));
     let [xx, xy] = [track.covariance[0], track.covariance[1]];
-    // The covariance is packed: its second row begins behind `state_len` numbers.
+    // The covariance is packed: its second row starts after `state_len` numbers.
     let yy = track.covariance[(track.state_len as usize + 1).min(24)];
     let prior = Quality::ALL.get(track.prior as usize).map_or("", |quality| quality.name());
     let age = Seconds(track.prior_age_ns.cast_signed());
@@ -218,7 +222,7 @@ fn write_kitti(
     )
 }
 
-/// Nanoseconds, written as seconds to the last digit.
+/// Nanoseconds, written as seconds with all digits.
 struct Seconds(i64);
 
 impl fmt::Display for Seconds {
@@ -254,7 +258,7 @@ mod tests {
         track
     }
 
-    /// Frames with two tracks, none, one.
+    /// Frames with two tracks, none, and one.
     fn frames() -> Vec<(Header, Vec<Track>)> {
         let unsized_one = Track {
             length_m: 0.0,

@@ -16,24 +16,24 @@ const MOTION: u32 = detection_flags::HAS_HEADING | detection_flags::HAS_SPEED;
 pub struct RecordedTrack {
     /// Identity in the recording.
     pub id: u64,
-    /// Times of the measurements and states in time order. A state depends on nothing later than its time.
+    /// Times of the measurements and states in time order. A state never depends on later data.
     pub states: Vec<(i64, State)>,
-    /// Whether the first state has no velocity and heading because no position came before it. Once the
-    /// second state is known, [`RecordedTrack::state_at`] gives it those.
+    /// Whether the first state lacks velocity and heading, because there was no position before it. Once the
+    /// second state is known, [`RecordedTrack::state_at`] gives the first one its velocity and heading.
     pub starts_unmoved: bool,
-    /// What the recording had reported of the agent from each of these stamps on, in time order, at least
-    /// one: attributes may become known or change.
+    /// The attributes that the recording had reported of the agent from each of these stamps on, in time
+    /// order, at least one entry. Attributes can become known or change.
     pub reported: Vec<(i64, Reported)>,
 }
 
-/// What a recording has reported of an agent so far, its states apart.
+/// The attributes that a recording has reported of an agent so far, without its states.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Reported {
     /// The agent type.
     pub agent_type: AgentType,
-    /// Length where known, else 0.
+    /// Length, or 0 if unknown.
     pub length_m: f32,
-    /// Width where known, else 0.
+    /// Width, or 0 if unknown.
     pub width_m: f32,
     /// Whether every detection so far had a speed.
     pub has_speed: bool,
@@ -42,8 +42,8 @@ pub struct Reported {
 }
 
 impl RecordedTrack {
-    /// What was known of the agent at a time, from detections up to then alone; before the first detection,
-    /// what that one reports.
+    /// The attributes that were known of the agent at a time, from detections up to then only. Before the
+    /// first detection it returns the first detection's attributes.
     ///
     /// # Panics
     /// If `reported` is empty.
@@ -53,8 +53,9 @@ impl RecordedTrack {
         self.reported[known.saturating_sub(1)].1
     }
 
-    /// The state at `stamp_ns` as known at `now_ns`, from states up to then alone: a recorded state
-    /// unchanged, between two that are at most `gap_max_ns` apart an interpolated one, else none.
+    /// The state at `stamp_ns` as known at `now_ns`, from states up to then only. A recorded state is
+    /// unchanged. Between two states that are at most `gap_max_ns` apart the state is interpolated. Otherwise
+    /// `None`.
     #[must_use]
     pub fn state_at(&self, stamp_ns: i64, now_ns: i64, gap_max_ns: i64) -> Option<State> {
         let next = self.states.partition_point(|(at_ns, _)| *at_ns < stamp_ns);
@@ -67,8 +68,8 @@ impl RecordedTrack {
         (gap_ns <= gap_max_ns).then(|| between(from, to, (stamp_ns - last_ns) as f32 / gap_ns as f32))
     }
 
-    /// The state at `stamp_ns` as known then, of an agent whose newest measurement is `offset_ns` from there: its
-    /// last velocity moves it.
+    /// The state at `stamp_ns` as known then, of an agent whose newest measurement is `offset_ns` from that
+    /// stamp. The agent's last velocity moves the state.
     pub(crate) fn state_now(&self, stamp_ns: i64, offset_ns: i64) -> Option<State> {
         let measured_ns = stamp_ns.checked_add(offset_ns)?;
         let measured = self.state_at(measured_ns, measured_ns, 0)?;
@@ -89,14 +90,14 @@ impl RecordedTrack {
     }
 }
 
-/// The trajectories of a recording, by identity. Velocities and headings are the recording's where it has
-/// them, else backward differences \[model §1\]; detections without identity are left out.
+/// The trajectories of a recording, by identity. Velocities and headings are the recording's, or else
+/// backward differences \[model §1\]. Detections without identity are left out.
 #[must_use]
 pub fn tracks(recording: &Recording) -> Vec<RecordedTrack> {
     follow(recording, true)
 }
 
-/// As [`tracks`], with velocities and headings from the positions alone, as from a sensor that measures
+/// As [`tracks`], but with velocities and headings from the positions only, as from a sensor that measures
 /// neither.
 #[must_use]
 pub fn tracks_from_positions(recording: &Recording) -> Vec<RecordedTrack> {
@@ -120,7 +121,7 @@ fn follow(recording: &Recording, motion_is_given: bool) -> Vec<RecordedTrack> {
             if last != Some(reported) {
                 track.reported.push((stamp_ns, reported));
             }
-            // Of two measurements at one time, or one that came late, the first is kept.
+            // If two measurements have the same time, or one came late, the first is kept.
             if track.states.last().is_some_and(|(last_ns, _)| stamp_ns <= *last_ns) {
                 continue;
             }
@@ -170,7 +171,7 @@ fn state(last: Option<&(i64, State)>, stamp_ns: i64, detection: &Detection, moti
     State { position_m, velocity_mps, heading_rad }
 }
 
-/// The state at `share` of the way from one to the other; the heading turns the shorter way.
+/// The state at `share` of the way between two states. The heading turns the shorter way.
 fn between(from: State, to: State, share: f32) -> State {
     let mix = |a: f32, b: f32| a + (b - a) * share;
     let turn_rad = text::wrapped(f64::from(to.heading_rad - from.heading_rad)) as f32;

@@ -1,4 +1,4 @@
-//! Windows of a recording: what is known at one time (history), and what came after (future).
+//! Windows of a recording: the known states at a time (history), and the positions after it (future).
 
 use std::collections::BTreeMap;
 
@@ -7,25 +7,25 @@ use wire::{OFFSET_MAX_NS, detection_flags};
 
 use crate::{Frame, RecordedTrack, Recording, Reported, tracks, tracks_from_positions};
 
-/// How a recording is cut into windows.
+/// Options for cutting a recording into windows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct WindowOptions {
-    /// Steps of the history, T_h, the window's own time included.
+    /// Steps of the history, T_h, including the window's own time.
     pub history_len: usize,
     /// Steps of the future, T_f.
     pub horizon_len: usize,
     /// Time between steps, Δt.
     pub step_ns: i64,
-    /// Time from one window to the next; where it is no multiple of the recording's interval, that to the frame
-    /// nearest to it.
+    /// Time from one window to the next. If it is not a multiple of the recording's interval, the nearest
+    /// frame is used.
     pub stride_ns: i64,
-    /// Longest gap between recorded states that is interpolated; at least one and a half of the recording's
-    /// intervals are, so that one slower than the steps has states at them too.
+    /// Longest gap between recorded states that is interpolated. Gaps of one and a half of the recording's
+    /// intervals are always interpolated, so that a recording slower than the steps has states at them too.
     pub gap_max_ns: i64,
-    /// Least number of history steps at which an agent in the window is present; the newest is always one of
-    /// them.
+    /// Minimum number of history steps at which an agent of the window is present. The newest step is always
+    /// one of them.
     pub history_present_min: usize,
-    /// Whether velocities and headings come from the positions even where the recording has its own.
+    /// Whether velocities and headings come from the positions even if the recording has its own.
     pub from_positions: bool,
 }
 
@@ -50,11 +50,11 @@ impl WindowOptions {
 pub struct WindowAgent {
     /// Identity in the recording.
     pub id: u64,
-    /// What was known of it at the window's time.
+    /// The agent's attributes as known at the window's time.
     pub reported: Reported,
-    /// States at `stamp_ns − (T_h − 1 − k) Δt`, oldest first; none where absent.
+    /// States at `stamp_ns − (T_h − 1 − k) Δt`, oldest first; `None` if absent.
     pub history: Vec<Option<State>>,
-    /// Positions at `stamp_ns + (k + 1) Δt`; none where absent.
+    /// Positions at `stamp_ns + (k + 1) Δt`; `None` if absent.
     pub future: Vec<Option<[f32; 2]>>,
 }
 
@@ -71,7 +71,7 @@ impl WindowAgent {
     }
 }
 
-/// One time of a recording, with the agents present.
+/// One time of a recording, with the agents that are present.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Window {
     /// The stamp of a frame: the newest time of the histories.
@@ -83,10 +83,11 @@ pub struct Window {
 /// Cuts a recording into windows, in time order.
 ///
 /// A window is at the stamp of a frame that observed every agent type that the recording ever observed.
-/// Histories are interpolated only between states recorded at or before the window's time, futures between
-/// those after it as well; steps at recorded times are the recorded states themselves. So a recording of any
-/// rate has windows, and one whose interval divides the step none that is interpolated where no frame is
-/// missing. An agent that was measured at another time than its frame's stamp is moved to the stamp by its last
+/// Histories are interpolated only between states recorded at or before the window's time, and futures also
+/// between later ones. Steps at recorded times are the recorded states themselves. So a recording of any rate
+/// has windows. If its interval divides the step and no frame is missing, nothing is interpolated.
+///
+/// An agent that was measured at another time than its frame's stamp is moved to the stamp by its last
 /// velocity. Windows without agents are left out.
 ///
 /// # Panics
@@ -103,7 +104,7 @@ pub fn windows(recording: &Recording, options: &WindowOptions) -> Vec<Window> {
         gap_max_ns: options.gap_max_ns.max(interval_ns.saturating_add(interval_ns / 2)),
         ..*options
     };
-    // Half an interval early is still the frame that is due.
+    // A frame that is half an interval early still counts as the due frame.
     let apart_ns = options.stride_ns.saturating_sub(interval_ns / 2).max(1);
 
     let mut alive = Alive::new(&tracks);
@@ -126,7 +127,7 @@ pub fn windows(recording: &Recording, options: &WindowOptions) -> Vec<Window> {
     windows
 }
 
-/// The offsets of the agents that were measured at another time than the frame's stamp.
+/// The offsets of agents that were measured at another time than the frame's stamp.
 fn offsets_ns(frame: &Frame) -> BTreeMap<u64, i64> {
     let shifted = frame.detections.iter().filter(|d| d.offset_ns != 0 && d.has(detection_flags::HAS_ID));
     shifted.map(|detection| (detection.id, detection.offset_ns)).collect()
@@ -159,11 +160,12 @@ fn agent(
     (agent.history_present_len() >= options.history_present_min).then_some(agent)
 }
 
-/// Finds the tracks that span a time, or have ended as long before it as offsets can be, for increasing times.
+/// Finds the tracks that span a time, for increasing times. Tracks that ended at most the largest offset
+/// before it count too.
 struct Alive<'a> {
-    /// The tracks that have not begun, the next one last.
+    /// The tracks that have not started, the next one last.
     waiting: Vec<&'a RecordedTrack>,
-    /// The tracks that have begun and not ended, by identity.
+    /// The tracks that have started and not ended, by identity.
     begun: Vec<&'a RecordedTrack>,
 }
 

@@ -1,5 +1,5 @@
-//! Broken files of every format: each is an error that names file, line, column and value; no panic, and no
-//! row is skipped.
+//! Broken files of every format. Each gives an error with file, line, column and value. Readers never panic
+//! and never skip a row.
 
 use data::{Format, Input, ReadError, Recording, Role, parse};
 
@@ -98,7 +98,7 @@ fn message(format: Format, text: impl Into<Vec<u8>>) -> String {
 
 #[test]
 fn samples_of_every_format_are_read_and_detected() {
-    // Of each format: frames, detections, rows left out (a lost box; a `DontCare` region).
+    // Frames, detections and left-out rows of each format (a lost box; a `DontCare` region).
     let counts = [
         [2, 2, 0],
         [1, 1, 0],
@@ -265,8 +265,8 @@ fn truncated_rows_are_errors() {
             recording.frames.iter().map(|frame| frame.detections.len()).sum()
         };
         for cut in 0..text.len() {
-            // A cut row may still be valid with a shorter number. No cut may panic, or give more detections
-            // than the whole.
+            // A row that is cut may still be valid with a shorter number. No cut may cause a panic or give
+            // more detections than the whole file.
             if let Ok(read) = with_rows(format, &text[..cut]) {
                 assert!(detections(&read) <= detections(&whole), "{format} cut at {cut}");
             }
@@ -301,7 +301,7 @@ fn binary_and_empty_files_are_errors() {
         );
         let zeros = message(format, vec![0_u8; 64]);
         assert!(zeros.starts_with(&format!("{name}:1:")), "{format}: {zeros}");
-        // Without detections a sequence of KITTI still has frames.
+        // A sequence of KITTI without detections still has frames.
         if !matches!(
             format,
             Format::KittiDetections | Format::KittiLabels | Format::VciDut | Format::Interaction

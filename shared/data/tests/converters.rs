@@ -1,6 +1,6 @@
-//! The converters of `docs/converters`, where Python is there: what they write is read by the program.
+//! The converters of `docs/converters`, if Python is available: the program reads their output.
 //!
-//! `$STGDAT_PYTHON` names another Python than `python3`. Argoverse 2 needs one that has pyarrow.
+//! `$STGDAT_PYTHON` replaces `python3`. Argoverse 2 needs a Python with pyarrow.
 
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should panic")]
 
@@ -22,7 +22,7 @@ fn python() -> Command {
     command
 }
 
-/// Whether Python has a module; says that a test skips where not.
+/// Whether Python has a module. If not, prints that the test skips.
 fn has(module: &str) -> bool {
     let found = python().args(["-c", &format!("import {module}")]).output();
     let found = found.is_ok_and(|output| output.status.success());
@@ -32,7 +32,7 @@ fn has(module: &str) -> bool {
     found
 }
 
-/// Runs a script of a test's own.
+/// Runs a test's own script.
 fn script(text: &str, arguments: &[&Path]) {
     let output = python().args(["-c", text]).args(arguments).output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
@@ -43,7 +43,7 @@ fn convert(converter: &str, arguments: &[&str], out: &Path) -> Output {
     python().arg(folder.join(converter)).args(arguments).arg("--out").arg(out).output().unwrap()
 }
 
-/// The recording that a converter writes, and what it prints.
+/// The recording that a converter writes, and the converter's output.
 fn converted(converter: &str, arguments: &[&str], out: &Path, name: &str) -> (Recording, String) {
     let output = convert(converter, arguments, out);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
@@ -53,7 +53,7 @@ fn converted(converter: &str, arguments: &[&str], out: &Path, name: &str) -> (Re
     (recording, String::from_utf8(output.stdout).unwrap())
 }
 
-/// The error that a converter ends with.
+/// The error of a converter.
 fn refused(converter: &str, arguments: &[&str], out: &Path) -> String {
     let output = convert(converter, arguments, out);
     assert_eq!(output.status.code(), Some(65), "{}", String::from_utf8_lossy(&output.stderr));
@@ -151,7 +151,7 @@ fn written(folder: &TempDir) -> Vec<String> {
     names
 }
 
-/// Makes the data base of a log, with a text of its SQL replaced.
+/// Makes the database of a log, with one text of its SQL replaced.
 fn nuplan_log(folder: &TempDir, from: &str, to: &str) -> String {
     let sql = std::fs::read_to_string(fixture("nuplan/log.sql")).unwrap();
     assert!(sql.contains(from));
@@ -181,7 +181,7 @@ fn nuplan_logs_are_converted() {
     let car = detection(&recording, 1, AgentType::Vehicle);
     assert_near(&[car.x_m, car.y_m, car.heading_rad, car.speed_mps], &[21.2, 3.7, 0.0, 8.0]);
     assert_near(&[car.length_m, car.width_m], &[4.8, 2.0]);
-    // The box of a pedestrian faces +x, but it walks towards +y.
+    // The box of the pedestrian faces +x, but the pedestrian walks towards +y.
     let walker = detection(&recording, 1, AgentType::Pedestrian);
     assert_near(&[walker.heading_rad, walker.speed_mps], &[FRAC_PI_2, 1.2]);
     assert_near(&[detection(&recording, 0, AgentType::Cyclist).heading_rad], &[1.5]);
@@ -221,7 +221,7 @@ fn argoverse_2_logs_are_converted() {
     let (recording, printed) = converted("argoverse2.py", &[log], out.path(), &name);
     assert_eq!(frames(&recording), [(0, 2), (100, 2), (200, 2)]);
     assert!(printed.contains("3 frames, 2 agents; left out 1 BOLLARD"), "{printed}");
-    // The ego looks along +y: what is ahead of it is north, what is to its right east.
+    // The ego looks along +y: ahead of it is north, and to its right is east.
     let car = detection(&recording, 1, AgentType::Vehicle);
     assert_near(&[car.x_m, car.y_m, car.heading_rad], &[5_003.0, 2_020.8, FRAC_PI_2]);
     let walker = detection(&recording, 2, AgentType::Pedestrian);
@@ -237,7 +237,7 @@ fn argoverse_2_logs_are_converted() {
     assert!(error.contains("city_SE3_egovehicle.feather: not a feather file"), "{error}");
 }
 
-/// The bytes of a `Scenario`, by the numbers of its published fields.
+/// The bytes of a `Scenario`, by its published field numbers.
 mod scenario {
     fn varint(mut value: u64) -> Vec<u8> {
         let mut bytes = Vec::new();
@@ -370,7 +370,7 @@ fn waymo_scenarios_are_converted() {
     assert!(error.contains("no scenario z in "), "{error}");
 }
 
-/// The place of a scenario's second stamp, packed.
+/// Position of a scenario's second stamp, packed.
 const SECOND_STAMP: usize = 10;
 
 #[test]

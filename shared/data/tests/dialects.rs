@@ -1,4 +1,4 @@
-//! Headers of the project's own format as spreadsheets and other tools write them.
+//! Headers of the project's own format, written as by spreadsheets and other tools.
 
 use data::{Format, Input, ReadError, Recording, Role, parse};
 

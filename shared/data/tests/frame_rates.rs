@@ -1,4 +1,4 @@
-//! Frame rates that files do not tell, and what gives a wrong one away.
+//! Frame rates that files do not contain, and signs of a wrong one.
 
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should panic")]
 
@@ -8,7 +8,7 @@ use data::sets::{DataSet, Part};
 use data::{Format, FrameRate, Input, OpenOptions, Recording, Role, findings, open_with, parse, parse_at};
 use testing::{public_recording, recordings_folder};
 
-/// Ten pedestrians in VCI's layout that walk 1.4 m/s, filmed at 29.97 frames a second, for ten seconds.
+/// Ten pedestrians in VCI's layout who walk at 1.4 m/s for ten seconds, filmed at 29.97 frames a second.
 fn citr() -> Vec<Input> {
     let mut text = "id,frame,label,x_est,y_est,vx_est,vy_est\n".to_owned();
     for id in 0..10 {
@@ -142,7 +142,7 @@ fn published_recordings_raise_doubt_where_they_are_fast() {
             }
         }
     }
-    // ETH is published 1.67 times too fast, and the TrajNet split calls the quad's cyclists pedestrians.
+    // ETH is published 1.67 times too fast, and the TrajNet split marks the quad's cyclists as pedestrians.
     let expected = ["train/biwi_eth_train", "val/biwi_eth_val", "test/quad_2", "test/quad_3"];
     assert_eq!(doubted, expected);
 }

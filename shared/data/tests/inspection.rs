@@ -1,5 +1,4 @@
-//! What an inspection finds in recordings as people have them, with rows, share and line; and nothing in clean
-//! ones.
+//! Findings of an inspection in typical recordings, with rows, share and line, and none in clean recordings.
 
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should panic")]
 
@@ -9,7 +8,7 @@ use std::fmt::Write as _;
 use audit::Found;
 use data::{Format, Input, Role, inspect, parse};
 
-/// An agent at one time, before it is written in whatever unit.
+/// An agent at one time, before it is written in some unit.
 #[derive(Clone, Copy)]
 struct Row {
     stamp_s: f64,
@@ -42,7 +41,7 @@ fn drive(rate_hz: f64) -> Vec<Row> {
     (0..steps).flat_map(|step| (0..6).map(move |id| row(step, id))).collect()
 }
 
-/// What is found in these rows, written as a CSV.
+/// The findings in these rows, written as a CSV.
 fn found(rows: impl IntoIterator<Item = Row>) -> Vec<Found> {
     let mut text = "stamp_s,id,type,x_m,y_m,heading_rad,speed_mps,length_m,width_m\n".to_owned();
     for Row { stamp_s, id, x_m, y_m, heading_rad, speed_mps, length_m } in rows {
@@ -56,7 +55,7 @@ fn found(rows: impl IntoIterator<Item = Row>) -> Vec<Found> {
     inspect(&parse(Format::Csv, &[input]).unwrap()).findings
 }
 
-/// The only finding, which is a doubt of that kind.
+/// The only finding, which must be a doubt of this kind.
 fn only(kind: &str, rows: impl IntoIterator<Item = Row>) -> Found {
     let found = found(rows);
     let [doubt] = &found[..] else { panic!("{kind}: {found:#?}") };
@@ -73,7 +72,7 @@ fn clean_recordings_of_any_rate_are_not_doubted() {
     for rate_hz in [2.0, 5.0, 10.0, 12.5, 25.0, 30.0] {
         assert_eq!(found(drive(rate_hz)), [], "{rate_hz} Hz");
     }
-    // Turns are counted, which is unusual and right.
+    // Full turns are counted in the headings, which is unusual but right.
     let counted = drive(10.0).into_iter().map(|row| Row { heading_rad: row.heading_rad + TAU, ..row });
     assert_eq!(found(counted), []);
 }
@@ -152,7 +151,7 @@ fn feet_and_pixels_are_named() {
 fn stamps_in_other_units_are_named() {
     for (words, per_s) in [("milliseconds", 1e3), ("microseconds", 1e6), ("nanoseconds", 1e9)] {
         for rate_hz in [2.0, 10.0, 25.0] {
-            // Stamps end at four billion.
+            // Stamps are limited to four billion.
             let rows = drive(rate_hz).into_iter().filter(|row| row.stamp_s * per_s < 3.9e9);
             let rows = rows.map(|row| Row { stamp_s: (row.stamp_s * per_s).round(), ..row });
             let doubt = only("stamps_in_other_unit", rows);
@@ -167,7 +166,7 @@ fn stamps_in_other_units_are_named() {
 
 #[test]
 fn repeated_rows_count_as_repeated_while_the_agent_moves() {
-    // A detector of 5 Hz, sent at 10 Hz; the first repeated row shows no motion before it.
+    // A detector of 5 Hz that is sent at 10 Hz. The first repeated row has no motion before it.
     let clean = drive(10.0);
     let held = |row: &Row| {
         let index = (row.stamp_s * 10.0).round() as usize / 2 * 2 * 6 + row.id;

@@ -1,4 +1,4 @@
-//! Which files of a sequence of KITTI are read beside the one that was named.
+//! Files of a KITTI sequence that are read besides the named one.
 
 use std::fs;
 use std::path::Path;
@@ -9,7 +9,7 @@ use wire::AgentType;
 
 use crate::bad_input::{CALIBRATION, CARS, EGO_MOTION, LABELS};
 
-/// A folder with these files.
+/// Creates a folder with these files.
 fn folder(files: &[(&str, &str)]) -> TempDir {
     let folder = tempfile::tempdir().expect("a temporary folder");
     for (path, text) in files {
@@ -20,7 +20,7 @@ fn folder(files: &[(&str, &str)]) -> TempDir {
     folder
 }
 
-/// Detections of cars, pedestrians and cyclists, and true agents.
+/// Numbers of detected cars, pedestrians and cyclists, and of true agents.
 fn counts(recording: &Recording) -> [usize; 4] {
     let detections = || recording.frames.iter().flat_map(|frame| &frame.detections);
     let of = |kind: AgentType| detections().filter(|d| d.agent_type == kind as u32).count();
@@ -32,7 +32,7 @@ fn read(folder: &TempDir, path: &str) -> Result<[usize; 4], ReadError> {
     open(&folder.path().join(path), None).map(|recording| counts(&recording))
 }
 
-/// So many rows of a class.
+/// `len` rows of a class.
 fn rows(kind: &str, len: usize) -> String {
     CARS.replacen("0,2,", &format!("0,{kind},"), 1).repeat(len)
 }
@@ -57,7 +57,7 @@ fn the_named_file_is_read_with_the_classes_of_its_own_naming() {
         ("detection/pointrcnn_Pedestrian_val/0012.txt", [1, 2, 0, 0]),
         ("detection/Car/0012.txt", [3, 0, 4, 0]),
         ("detection/Cyclist/0012.txt", [3, 0, 4, 0]),
-        // No class in the folder's name: the file alone.
+        // The folder's name contains no class, so only the file is read.
         ("detection/mine/0012.txt", [0, 2, 0, 0]),
         ("lower/cyclist/0012.txt", [1, 0, 4, 0]),
     ] {
@@ -97,7 +97,7 @@ fn the_folders_of_kitti_itself_are_found() {
     assert!(error.contains("label_02/0012.txt") && error.contains("oxts"), "{error}");
 }
 
-/// Other formats: a file that is named alone is never replaced by another one.
+/// Other formats: a named file is never replaced by another one.
 #[test]
 fn a_pedestrian_file_named_alone_is_read_alone() {
     let vehicles = "track_id,frame_id,timestamp_ms,agent_type,x,y,vx,vy,psi_rad,length,width\n\

@@ -13,7 +13,7 @@ fn read(format: Format, role: Role, text: &str, less: &str) -> Result<Recording,
     parse(format, &[Input { origin: origin(less), ..Input::new(role, "a.txt", text) }])
 }
 
-/// A file of each format with a world frame, its positions around a place.
+/// A file of each format with a world frame, with positions around a point.
 fn files([x0, y0]: [f64; 2]) -> Vec<(Format, Role, String)> {
     let at = |x: f64, y: f64| [x0 + x, y0 + y];
     let [[ax, ay], [bx, by]] = [at(1.25, -2.5), at(2.125, -2.5)];

@@ -1,4 +1,4 @@
-//! The readers and windows on the real recordings, where they are available.
+//! The readers and windows on the real recordings, if they are available.
 
 use std::path::{Path, PathBuf};
 
@@ -8,7 +8,7 @@ use data::{Format, Recording, WindowOptions, open, windows};
 use testing::{public_recording, recordings_folder};
 use wire::{AgentType, Detection, detection_flags};
 
-/// The folder of the recordings, where they are there.
+/// The folder of the recordings, if it exists.
 fn recordings() -> Option<PathBuf> {
     public_recording("eth_ucy").map(|_| recordings_folder())
 }
@@ -21,7 +21,7 @@ fn files(set: DataSet, root: &Path, part: Part) -> Vec<PathBuf> {
     set.files(root, part).unwrap_or_else(|error| panic!("{error}"))
 }
 
-/// Invariants of every recording.
+/// Asserts the invariants of every recording.
 fn assert_sound(recording: &Recording) {
     assert!(!recording.frames.is_empty(), "{}", recording.name);
     let is_generated = recording.name.starts_with("generated/");
@@ -32,7 +32,7 @@ fn assert_sound(recording: &Recording) {
         for detection in &frame.detections {
             detection.check().unwrap_or_else(|error| panic!("{}: {error}", recording.name));
             assert!(frame.observed_types & (1 << detection.agent_type) != 0, "{}", recording.name);
-            // Published recordings have a stamp for each frame: no two frames are joined.
+            // Published recordings have one stamp per frame, so no two frames are joined.
             assert_eq!(detection.offset_ns, 0, "{}", recording.name);
         }
     }
@@ -42,7 +42,8 @@ fn rows_len(recording: &Recording) -> usize {
     recording.frames.iter().map(|frame| frame.detections.len()).sum()
 }
 
-/// Windows and pedestrians in them, counted as the literature does: present at all 20 steps, alone or not.
+/// Numbers of windows and of pedestrians in them, counted as in the literature: present at all 20 steps,
+/// alone or not.
 fn eth_ucy_counts(root: &Path, fold: Fold) -> [usize; 4] {
     let options = WindowOptions::new(8, 12, 400_000_000);
     let mut counts = [0; 4];
@@ -122,12 +123,12 @@ fn interaction_as_published_has_pedestrians_in_every_frame() {
         let pedestrians = recording.frames.iter().flat_map(|frame| &frame.detections).filter(is_pedestrian);
         assert_eq!(pedestrians.clone().count(), 3_958);
         assert!(pedestrians.clone().all(|pedestrian| pedestrian.has(detection_flags::HAS_SPEED)));
-        // No agent of this recording rides: the fastest running median is 2.1 m/s.
+        // No agent of this recording rides a cycle: the fastest running median is 2.1 m/s.
         assert!(pedestrians.clone().all(|row| row.agent_type == AgentType::Pedestrian as u32));
     }
     assert!(merged.frames.iter().all(|frame| frame.observed_types.count_ones() == 3));
     assert!(alone.frames.iter().all(|frame| frame.observed_types.count_ones() == 2));
-    // The file's velocities fit its positions.
+    // The file's velocities agree with its positions.
     let [given, differences] = [data::tracks(&alone), data::tracks_from_positions(&alone)];
     for (given, differences) in given.iter().zip(&differences) {
         for ((_, given), (_, difference)) in given.states.iter().zip(&differences.states).skip(1) {
@@ -167,7 +168,7 @@ fn every_file_of_every_part_is_read() {
 #[test]
 fn parked_cars_of_kitti_stand_still_in_the_world() {
     let Some(root) = recordings() else { return };
-    // Tracks of 5 to 20 s that the moving car passes; the rest of the variance is noise of the labels.
+    // Tracks of 5 to 20 s that the moving car passes. The remaining variance is noise of the labels.
     for (sequence, id) in [("0002", 18), ("0002", 19), ("0010", 7), ("0010", 18), ("0010", 19), ("0020", 42)]
     {
         let recording = read(&root.join(format!("kitti_tracking/label/{sequence}.txt")));
@@ -191,7 +192,7 @@ fn kitti_annotations_cover_their_own_labels() {
         let (mut covered, mut labelled) = (0, 0);
         for (index, (frame, seen)) in annotations.frames().iter().zip(read(&file).frames).enumerate() {
             let [ego_x, ego_y] = seen.ego.position_m.map(f64::from);
-            // Farther objects are below the least height in the image.
+            // Farther objects are below the minimum height in the image.
             let near = |[x, y]: [f64; 2]| (x - ego_x).hypot(y - ego_y) < 40.0;
             for object in frame.objects.iter().filter(|object| object.counts && near(object.position_m)) {
                 labelled += 1;

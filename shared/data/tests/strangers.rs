@@ -12,7 +12,7 @@ fn fixture(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures").join(name)
 }
 
-/// Opens a fixture, whose format is detected.
+/// Opens a fixture and asserts its detected format.
 fn read(name: &str, format: Format) -> Recording {
     let recording = open(&fixture(name), None).unwrap_or_else(|error| panic!("{error}"));
     assert_eq!(recording, open(&fixture(name), Some(format)).unwrap());
@@ -64,7 +64,7 @@ fn highd_is_turned_into_a_right_handed_world_of_middles() {
     let [car, truck, standing] = [1, 2, 3].map(|id| detection(&recording, 1, id));
     assert_state(&car, [363.86 + 2.425, -(21.68 + 1.06), 0.0, 40.0]);
     assert_eq!((car.length_m, car.width_m), (4.85, 2.12));
-    // Towards −x and, as the image's y points down, to its left.
+    // Towards −x and to its left, because the image's y points down.
     assert_state(&truck, [161.85 + 6.05, -10.65, -PI + 0.5_f32.atan2(22.5), 22.505554]);
     assert_state(&standing, [102.0, -10.4, PI, 0.0]);
 }
@@ -166,7 +166,7 @@ fn deep_and_empty_xml_is_refused_without_a_panic() {
     }
 }
 
-/// The inputs of a levelX recording with a text of one of them replaced.
+/// The inputs of a levelX recording with one text of one of them replaced.
 fn levelx_error(folder: &str, role: Role, from: &str, to: &str) -> String {
     let number = if folder == "highd" { "01" } else { "07" };
     let files =

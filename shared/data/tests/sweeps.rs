@@ -1,4 +1,4 @@
-//! From rows with stamps of their own to frames: sensors with offsets, stamps by object, poses, clocks.
+//! From rows with their own stamps to frames: sensors with offsets, stamps per object, poses, clocks.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -26,7 +26,7 @@ fn agent(id: usize, stamp_ns: i64) -> Row {
     Row { stamp_ns, id: Some(id), kind, position_m }
 }
 
-/// Sweeps of five agents, each `offsets_ns` behind the sweep.
+/// Sweeps of five agents, each `offsets_ns` after the sweep.
 fn sweeps(len: i64, interval_ns: i64, offsets_ns: [i64; 5]) -> Vec<Row> {
     let agents = |sweep: i64| (0..5).map(move |id| agent(id, sweep * interval_ns + offsets_ns[id]));
     (0..len).flat_map(agents).collect()
@@ -54,7 +54,7 @@ fn without_ids(rows: Vec<Row>) -> Vec<Row> {
     rows.into_iter().map(|row| Row { id: None, ..row }).collect()
 }
 
-/// The agents of each frame by their places, which identities do not matter to.
+/// The agents of each frame, identified by their positions, which do not depend on identities.
 fn agents(recording: &Recording) -> Vec<Vec<i64>> {
     let lane = |detection: &Detection| (detection.y_m / 6.0).round() as i64;
     let of_frame = |frame: &Frame| {
@@ -65,7 +65,7 @@ fn agents(recording: &Recording) -> Vec<Vec<i64>> {
     recording.frames.iter().map(of_frame).collect()
 }
 
-/// Asserts that every detection is at the place that its agent has at its own time.
+/// Asserts that every detection is where its agent is at the detection's own time.
 fn assert_own_times(recording: &Recording) {
     for frame in &recording.frames {
         let has_id = |d: &&Detection| d.has(wire::detection_flags::HAS_ID);
@@ -113,7 +113,7 @@ fn stamps_by_object_belong_to_their_sweep() {
 
 #[test]
 fn dropped_sweeps_shift_no_other() {
-    // The first sensor lacks every seventh sweep, the second every fifth.
+    // The first sensor misses every seventh sweep, and the second every fifth.
     let mut rows = sweeps(70, 100 * MS, [0, 0, 0, 30 * MS, 30 * MS]);
     let sweep = |row: &Row| row.stamp_ns / (100 * MS);
     rows.retain(|row| if row.kind == "vehicle" { sweep(row) % 7 != 3 } else { sweep(row) % 5 != 2 });
@@ -165,7 +165,7 @@ fn a_type_at_a_lower_rate_is_not_observed_between() {
     }
 }
 
-/// The rows of a file with poses, of a car that drives 5 m/s along x and turns over ±π.
+/// The rows of a file with poses, of a car that drives at 5 m/s along x and turns over ±π.
 fn with_poses(rows: &[Row], poses_ns: impl Iterator<Item = i64>) -> String {
     let mut text = text(rows).replace("y_m\n", "y_m,heading_rad\n");
     text = text
@@ -285,14 +285,14 @@ fn stamps_are_rounded_to_the_nanosecond() {
     }
 }
 
-/// A scene in which agents come and go, and which sensor each is seen by.
+/// A scene in which agents come and go, and the sensor that sees each.
 #[derive(Clone, Debug)]
 struct Scene {
     interval_ns: i64,
     /// Whether each agent is present in each sweep.
     present: Vec<Vec<bool>>,
     sensors: Vec<usize>,
-    /// In thousandths of the interval, less than half.
+    /// In thousandths of the interval, below half of it.
     offsets: [i64; 3],
     seed: u64,
 }

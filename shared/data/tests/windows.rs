@@ -1,4 +1,4 @@
-//! Trajectories and windows: no history depends on later rows.
+//! Trajectories and windows: histories never depend on later rows.
 
 use data::{
     Format, Input, Recording, Role, Window, WindowOptions, parse, tracks, tracks_from_positions, windows,
@@ -17,8 +17,8 @@ fn csv(rows: &str) -> Recording {
     read(Format::Csv, &format!("stamp_s,id,type,x_m,y_m,heading_rad,speed_mps\n{rows}"))
 }
 
-/// Pedestrians that wander at 2.5 Hz: `steps[k][i]` is the displacement of agent i in frame k, none where
-/// absent.
+/// Pedestrians that wander at 2.5 Hz. `steps[k][i]` is the displacement of agent i in frame k, or `None` if
+/// it is absent.
 fn wandering(steps: &[Vec<Option<[f32; 2]>>]) -> Recording {
     let mut text = String::new();
     let agents_len = steps.first().map_or(0, Vec::len);
@@ -127,9 +127,10 @@ fn states_are_interpolated_over_short_gaps_only() {
     let windows = windows(&csv(rows), &options);
     let at_600 = windows.iter().find(|window| window.stamp_ns == 600_000_000).unwrap();
     let x_m: Vec<Option<f32>> = at_600.agents[0].history.iter().map(|s| s.map(|s| s.position_m[0])).collect();
-    // 0.2 s and 0.4 s lie in gaps of 0.3 s, longer than a step but as long as the recording's interval.
+    // 0.2 s and 0.4 s are in gaps of 0.3 s, which are longer than a step but not longer than the recording's
+    // interval.
     assert_eq!(x_m, [Some(0.0), Some(2.0), Some(4.0), Some(6.0)]);
-    // Where the frame of 0.3 s is missing, the gap is two intervals.
+    // If the frame of 0.3 s is missing, the gap is two intervals.
     let without = |options: &WindowOptions| {
         let rows = "0,1,vehicle,0,0,,\n0.6,1,vehicle,6,0,,\n0.9,1,vehicle,9,0,,\n1.2,1,vehicle,12,0,,\n";
         let windows = data::windows(&csv(rows), options);
@@ -143,7 +144,7 @@ fn states_are_interpolated_over_short_gaps_only() {
     let agent = &windows.iter().find(|window| window.stamp_ns == 600_000_000).unwrap().agents[0];
     let state = agent.history[1].unwrap();
     assert!((state.position_m[0] - 2.0).abs() < 1e-6);
-    // From 3.1 to −3.1 the short way round passes π.
+    // The short way from 3.1 to −3.1 passes π.
     assert!(
         (state.heading_rad.abs()
             - (3.1 + (std::f32::consts::TAU - 6.2) * 2.0 / 3.0 - std::f32::consts::TAU).abs())
@@ -153,7 +154,7 @@ fn states_are_interpolated_over_short_gaps_only() {
     assert_eq!(agent.future, [None; 4]);
 }
 
-/// A vehicle and a pedestrian on curved ways, recorded at a rate from 0 s to 20 s.
+/// A vehicle and a pedestrian on curved paths, recorded at a rate from 0 s to 20 s.
 fn recorded_at(hertz: f64, has_motion: bool) -> Recording {
     let mut rows = String::new();
     for frame in 0..=(20.0 * hertz) as usize {
@@ -169,7 +170,7 @@ fn recorded_at(hertz: f64, has_motion: bool) -> Recording {
     csv(&rows)
 }
 
-/// Rates with the number of windows in 20 s: steps of 0.4 s, to the nearest frame.
+/// Rates, and the number of windows in 20 s: steps of 0.4 s, to the nearest frame.
 const RATES_HZ: [(f64, usize); 9] = [
     (2.0, 41),
     (2.5, 51),
@@ -193,7 +194,7 @@ fn windows_of_any_rate_have_whole_histories_and_futures() {
             for window in windows.iter().filter(inner) {
                 assert_eq!(window.agents.len(), 2, "{hertz} Hz");
                 assert!(window.agents.iter().all(|agent| agent.is_complete()), "{hertz} Hz");
-                // Between frames a chord is 0.28 m at most from the way of the vehicle.
+                // Between frames a chord is at most 0.28 m from the vehicle's path.
                 let vehicle = &window.agents[0];
                 for (step, position_m) in vehicle.future.iter().enumerate() {
                     let at_s = window.stamp_ns as f64 * 1e-9 + 0.4 * (step + 1) as f64;
@@ -323,7 +324,7 @@ fn published_interaction_observes_pedestrians_in_every_frame() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("vehicle_tracks_000.csv");
     std::fs::write(&path, vehicles(1..=20)).unwrap();
-    // The published file of a recording is preferred to a thinned one.
+    // The published file of a recording has priority over a thinned one.
     let thinned =
         "track_id,frame_id,timestamp_ms,agent_type,x,y\nP1,4,400,pedestrian/bicycle,0,5\n".to_owned();
     std::fs::write(folder.path().join("pedestrian_tracks_000_2.5hz.csv"), &thinned).unwrap();

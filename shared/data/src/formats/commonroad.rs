@@ -1,13 +1,14 @@
 //! CommonRoad scenarios, XML of version 2018b or 2020a: the recorded or simulated traffic of a scenario.
 //!
-//! A dynamic obstacle has a type, a shape, an initial state and a trajectory; a static one, an initial state
-//! alone, in which it stays in every frame. A state has its time in steps of the root's `timeStepSize`, a
-//! position (metres), and mostly an orientation (radians) and a velocity (m/s along the orientation); each of
-//! them exact. 2018b writes `<obstacle>` with a `<role>`, 2020a `<dynamicObstacle>` and `<staticObstacle>`.
+//! A dynamic obstacle has a type, a shape, an initial state and a trajectory. A static obstacle has an
+//! initial state only, and stays in it in every frame. A state contains its time in steps of the root's
+//! `timeStepSize`, a position (metres), and usually an orientation (radians) and a velocity (m/s along the
+//! orientation). Each of them must be exact. 2018b writes `<obstacle>` with a `<role>`, 2020a writes
+//! `<dynamicObstacle>` and `<staticObstacle>`.
 //!
-//! Cars, trucks, buses, taxis, motorcycles, priority and parked vehicles are vehicles, bicycles cyclists. The
-//! states of trains, buildings, road boundaries and other obstacles are left out and counted; so are
-//! occupancies without states. The vehicle that a planner is to drive (`planningProblem`) is no agent.
+//! Cars, trucks, buses, taxis, motorcycles, priority and parked vehicles are vehicles. Bicycles are cyclists.
+//! The states of trains, buildings, road boundaries and other obstacles are left out and counted, and so are
+//! occupancies without states. The vehicle that a planner should drive (`planningProblem`) is not an agent.
 
 use std::collections::BTreeSet;
 
@@ -19,19 +20,19 @@ use crate::rows::{self, ALL_TYPES, Rows};
 use crate::text::{self, Field, Line};
 use crate::{Input, LeftOut, ReadError, Recording, Role, sweeps};
 
-/// Size of the largest file that is read: in memory it takes several times as much.
+/// Size of the largest file that is read. In memory it takes several times its size.
 const XML_BYTES_MAX: u64 = 256 << 20;
-/// Most elements, texts and comments of a file.
+/// Maximum number of elements, texts and comments of a file.
 const XML_NODES_MAX: u32 = 16_000_000;
 /// Shortest and longest step, s.
 const STEP_S: std::ops::RangeInclusive<f64> = 0.001..=10.0;
-/// Most lines among which the root is looked for.
+/// Maximum number of lines that are searched for the root.
 const LINES_MAX: usize = 1_000;
 
-/// What follows from the type of an obstacle.
+/// The agent type of an obstacle, or its absence.
 enum Kind {
     Agent(AgentType),
-    /// No road user, or none that is known.
+    /// Not a road user, or not a known one.
     Other,
 }
 
@@ -50,7 +51,7 @@ pub(crate) fn parse(inputs: &[Input]) -> Result<Recording, ReadError> {
         let bytes = input.bytes.len() as u64;
         return Err(ReadError::TooLarge { path: input.path.clone(), bytes, most: XML_BYTES_MAX });
     }
-    // Refuses bytes that are no text, and names their line.
+    // Refuses bytes that are not text, and names their line.
     let last = text::lines(input).try_fold(None, |_, line| line.map(|line| Some(line.number)))?;
     let last = last.ok_or_else(|| ReadError::Empty { path: input.path.clone() })?;
     let content = str::from_utf8(&input.bytes).unwrap_or_default();
@@ -78,7 +79,7 @@ pub(crate) fn parse(inputs: &[Input]) -> Result<Recording, ReadError> {
     reading.recording(input)
 }
 
-/// What was read so far.
+/// The content that was read so far.
 struct Reading<'a, 's> {
     source: &'s Source<'a>,
     step_ns: i64,
@@ -133,7 +134,7 @@ impl<'a> Reading<'a, '_> {
         Ok(())
     }
 
-    /// The detection with the extent of the obstacle's shape, where that has one.
+    /// Returns the detection with the extent of the obstacle's shape, if the shape has one.
     fn sized(&self, obstacle: Node<'a, 'a>, detection: Detection) -> Result<Detection, ReadError> {
         let shape = obstacle.children().find(|node| node.has_tag_name("shape"));
         let form = shape.and_then(|shape| shape.first_element_child());
@@ -173,7 +174,7 @@ impl<'a> Reading<'a, '_> {
         Ok((stamp_ns, detection))
     }
 
-    /// The exact value of a part of a state; none where the state lacks it.
+    /// The exact value of a part of a state; `None` if the state does not have the part.
     fn exact(&self, state: Node<'a, 'a>, name: &'static str) -> Result<Option<Field<'a>>, ReadError> {
         let part = state.children().find(|node| node.has_tag_name(name));
         part.map(|part| Ok(self.source.text(self.source.child(part, "exact")?, name))).transpose()
@@ -221,7 +222,7 @@ fn agent_type(kind: Field<'_>) -> Result<Kind, ReadError> {
     }
 }
 
-/// The text of a file, with the places of its lines.
+/// The text of a file, with the positions of its lines.
 struct Source<'a> {
     path: &'a str,
     origin: WorldOrigin,
@@ -236,7 +237,7 @@ impl<'a> Source<'a> {
         Self { path: &input.path, origin: input.origin, text, line_starts }
     }
 
-    /// The line of a byte, with a text that nothing quotes.
+    /// The line of a byte, without its text, because no error quotes it.
     fn line(&self, byte: usize) -> Line<'a> {
         let number = self.line_starts.partition_point(|start| *start <= byte);
         Line { path: self.path, number, text: "", origin: self.origin }
@@ -249,7 +250,7 @@ impl<'a> Source<'a> {
         line.field(name, byte - start + 1, text)
     }
 
-    /// The text of an element that has no children.
+    /// The text of an element without children.
     fn text(&self, node: Node<'a, 'a>, name: &'static str) -> Field<'a> {
         let start = node.first_child().map_or(node.range().start, |child| child.range().start);
         let whole = node.text().unwrap_or("");
@@ -262,7 +263,7 @@ impl<'a> Source<'a> {
         self.field(node.range().start, name, node.tag_name().name())
     }
 
-    /// The child of that name.
+    /// The child with this name.
     fn child(&self, node: Node<'a, 'a>, name: &'static str) -> Result<Node<'a, 'a>, ReadError> {
         let child = node.children().find(|child| child.has_tag_name(name));
         child.ok_or_else(|| self.missing(node, name))

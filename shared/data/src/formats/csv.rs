@@ -1,4 +1,4 @@
-//! The project's own format, for recordings of one's own: comma-separated, with a header line.
+//! The project's own format, for users' recordings: comma-separated, with a header line.
 //!
 //! ```csv
 //! stamp_s,id,type,x_m,y_m,heading_rad,speed_mps,length_m,width_m,score,sigma_m
@@ -13,7 +13,7 @@
 //! | `stamp_s` | needed | time of the measurement in seconds on any clock, rounded to the nanosecond |
 //! | `type` | needed | `vehicle`, `cyclist`, `pedestrian`; or `ego` or `above`, see below |
 //! | `x_m`, `y_m` | needed | position within ±32,768 m in a right-handed world frame (z up) |
-//! | `id` | | identity, a whole number from 0; where all rows have one the tracker may trust them |
+//! | `id` | | identity, a whole number from 0; if all rows have one, the tracker may trust them |
 //! | `heading_rad` | | counter-clockwise from +x |
 //! | `speed_mps` | | along the heading, negative in reverse |
 //! | `length_m`, `width_m` | | extent along and across the heading; both or neither |
@@ -24,21 +24,23 @@
 //! | `xx_m2`, `xy_m2`, `yy_m2` | | covariance of the position |
 //! | `prior`, `prior_age_s` | | prior of the state: `learned`, `held`, `kinematic`; age of its forecast, s |
 //!
-//! The row of type `ego` is the pose of a sensor whose view other agents occlude; that of type `above` is the
-//! centre of a view from above, without occlusion.
+//! A row of type `ego` is the pose of a sensor whose view agents occlude. A row of type `above` is the centre
+//! of a view from above, without occlusion.
 //!
 //! [`TrackWriter`](crate::TrackWriter) adds the columns from `vx_mps` on. The reader checks them and leaves
-//! them out of the recording, so that tracks can be replayed as detections with identities.
+//! them out of the recording, so tracks can be played as detections with identities.
 //!
-//! Columns may be separated by commas, semicolons or tabs. Names and values may stand in quotes, with spaces
-//! around them; names in capitals and a few other names of the same meaning and unit, such as `track_id` and
-//! `yaw_rad`, are read too. Decimals have a point.
+//! Columns are separated by commas, semicolons or tabs. Names and values may be in quotes, with spaces around
+//! them. The reader also accepts names in capitals, and a few other names of the same meaning and unit, such
+//! as `track_id` and `yaw_rad`. Decimals have a point.
 //!
-//! Columns and rows may be in any order; columns that are not needed may be missing or empty; lines that
-//! begin with `#` are comments. Rows need not have equal stamps to be of one frame: the reader joins the
-//! detections of each sweep to a frame, whose stamp is that of its newest detection. The pose of the sensor
-//! makes no frame. It is interpolated to the frames' stamps. Before the first pose, the sensor's position is
-//! the mean position of the first frame's detections.
+//! Columns and rows can be in any order. Columns that are not needed can be missing or empty. Lines that
+//! begin with `#` are comments.
+//!
+//! The rows of a frame need not have equal stamps. The reader joins the detections of each sweep to a frame,
+//! whose stamp is that of its newest detection. A pose of the sensor makes no frame. It is interpolated to
+//! the frames' stamps. Before the first pose, the sensor's position is the mean position of the first frame's
+//! detections.
 
 use wire::{AgentType, Detection, Quality, detection_flags};
 
@@ -81,7 +83,7 @@ const INTERVAL_NS: u64 = wire::TICK_NS;
 
 /// The content of a row: a detection, or the pose of the sensor.
 enum Content {
-    /// With the heading as it was written, not wrapped.
+    /// A detection, and its heading as written, not wrapped.
     Detection(Detection, f32),
     Ego(Ego),
 }
@@ -94,7 +96,8 @@ pub(crate) const ABOVE: &str = "above";
 /// The first line of a file.
 struct Header {
     separator: Separator,
-    /// For each of [`NAMES`] the index of its column in the file; `None` where the file lacks it.
+    /// For each of [`NAMES`] the index of its column in the file; `None` if the file does not have the
+    /// column.
     places: [Option<usize>; NAMES.len()],
 }
 
@@ -119,7 +122,7 @@ const SYNONYMS: [(&str, &str); 16] = [
     ("vy_m_s", "vy_mps"),
     ("confidence", "score"),
 ];
-/// Names that may mean a column, in another unit or in none: an error suggests the column.
+/// Names that may mean a column but have another unit or none. The error suggests the column.
 const SUGGESTED: [(&str, &[&str]); 10] = [
     (
         "stamp_s",
@@ -147,7 +150,7 @@ const SUGGESTED: [(&str, &[&str]); 10] = [
     ("sigma_m", &["sigma", "std", "std_m"]),
 ];
 
-/// A name or a value without the quotes around it.
+/// A name or a value without its quotes.
 fn unquoted(text: &str) -> &str {
     text.strip_prefix('"').and_then(|rest| rest.strip_suffix('"')).map_or(text, str::trim)
 }
@@ -159,13 +162,13 @@ fn column(name: &str) -> Option<usize> {
     NAMES.iter().position(|&known| known == name)
 }
 
-/// The column that a name of another unit, or of none, may mean.
+/// The column that a name with another unit, or without a unit, may mean.
 fn suggestion(name: &str) -> Option<&'static str> {
     let name = unquoted(name).to_ascii_lowercase();
     SUGGESTED.iter().find(|(_, others)| others.contains(&&*name)).map(|(column, _)| *column)
 }
 
-/// The separator between the names of a header: the one that makes most columns known.
+/// The separator between the names of a header: the one that gives the most known columns.
 fn separator(line: &Line<'_>) -> Separator {
     let known =
         |separator: &Separator| line.pieces(*separator).filter(|(_, name)| column(name).is_some()).count();
@@ -179,7 +182,8 @@ pub(crate) fn is_header(line: &Line<'_>) -> bool {
     line.pieces(separator(line)).any(|(_, name)| column(name) == Some(STAMP))
 }
 
-/// Whether the line seems to be meant as a header of this format: it has a time and a position, by any name.
+/// Whether the line is probably meant as a header of this format: it has a time and a position under any
+/// name.
 pub(crate) fn is_meant_as_header(line: &Line<'_>) -> bool {
     let means = |needed: usize| {
         let is_meant = |name: &str| column(name) == Some(needed) || suggestion(name) == Some(NAMES[needed]);
@@ -250,7 +254,7 @@ impl Header {
         }
     }
 
-    /// The values of a row by column name; empty where the file has no such column.
+    /// The values of a row by column name; empty if the file does not have the column.
     fn fields<'a>(&self, line: &Line<'a>) -> Result<[Field<'a>; NAMES.len()], ReadError> {
         let mut found = 0;
         let mut fields = NAMES.map(|name| line.field(name, 1, ""));

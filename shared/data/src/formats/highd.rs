@@ -1,14 +1,15 @@
 //! levelX highD: vehicles on motorways, 25 Hz, metres in the image's frame, whose y points down.
 //!
-//! | file | columns that are read; the others may be there or not |
+//! | file | columns that are read; other columns are allowed |
 //! |---|---|
 //! | `NN_tracks.csv` | `frame,id,x,y,width,height,xVelocity,yVelocity` |
 //! | `NN_tracksMeta.csv` | `id,class,drivingDirection` |
 //! | `NN_recordingMeta.csv` | `frameRate` |
 //!
-//! `x`, `y` is the upper left corner of a vehicle's box, `width` its length along the road and `height` its
-//! width. The reader takes the middle of the box and negates y, so that the world is right-handed. The heading
-//! is that of the velocity, below 0.1 m/s that of the driving direction: 1 is towards −x, 2 towards +x.
+//! `x`, `y` is the upper left corner of a vehicle's box, `width` its length along the road, and `height` its
+//! width. The reader takes the middle of the box and negates y, so that the world is right-handed. The
+//! heading is the direction of the velocity, or the driving direction below 0.1 m/s: 1 is towards −x, 2
+//! towards +x.
 
 use std::collections::BTreeMap;
 use std::f32::consts::PI;
@@ -82,7 +83,7 @@ fn row(
             | detection_flags::HAS_SIZE,
         ..detection
     };
-    // The middle of a box at the edge of the world lies beyond it.
+    // The middle of a box can be outside the world although its corner is inside.
     if !(detection.x_m.abs() <= wire::POSITION_MAX_M && detection.y_m.abs() <= wire::POSITION_MAX_M) {
         return Err(x.error("the middle of the box lies outside the world"));
     }

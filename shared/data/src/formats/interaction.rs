@@ -6,18 +6,18 @@
 //! | pedestrians and cyclists, as published | `track_id,frame_id,timestamp_ms,agent_type,x,y,vx,vy` |
 //! | the same without velocities | `track_id,frame_id,timestamp_ms,agent_type,x,y` |
 //!
-//! Pedestrians and cyclists have ids `P1`, `P2`, …; `P7` comes out as 1,000,000,007. A velocity gives the
-//! speed, and the heading from 0.1 m/s on.
+//! Pedestrians and cyclists have ids `P1`, `P2`, …; the reader turns `P7` into 1,000,000,007. A velocity
+//! gives the speed, and from 0.1 m/s on the heading.
 //!
 //! **Observed types.** The published files have a row in every frame of the vehicles' 10 Hz, so every frame
 //! observes pedestrians and cyclists. Files that were thinned to every fourth frame (2.5 Hz) are recognised
-//! by their stamps: most are whole multiples of 0.4 s. Then only frames at those multiples, and any other
-//! with a row of theirs, observe pedestrians and cyclists.
+//! by their stamps, because most of these are whole multiples of 0.4 s. In such files, pedestrians and
+//! cyclists are observed only by frames at those multiples and by frames with a row of them.
 //!
-//! **Cyclists.** The data know one class `pedestrian/bicycle`. An agent counts as a pedestrian until the
+//! **Cyclists.** The data have one class `pedestrian/bicycle`. An agent counts as a pedestrian until the
 //! running median of its speeds (at least three of them, over at least 1.2 s) exceeds 2.5 m/s, and as a
-//! cyclist from then on, so that the class at a time depends on nothing later. The speeds are the file's
-//! where it has them, else those from row to row.
+//! cyclist from then on. So the class at a time does not depend on later rows. The speeds are the file's, or
+//! are computed from row to row if the file has none.
 
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BinaryHeap};
@@ -34,7 +34,7 @@ pub(crate) const VEHICLE_HEADER: &str =
     "track_id,frame_id,timestamp_ms,agent_type,x,y,vx,vy,psi_rad,length,width";
 /// First line of a published file of pedestrians and cyclists.
 pub(crate) const PEDESTRIAN_HEADER: &str = "track_id,frame_id,timestamp_ms,agent_type,x,y,vx,vy";
-/// First line of such a file without velocities.
+/// First line of a file of pedestrians and cyclists without velocities.
 pub(crate) const PEDESTRIAN_POSITIONS_HEADER: &str = "track_id,frame_id,timestamp_ms,agent_type,x,y";
 const VEHICLE_NAMES: [&str; 11] = [
     "track_id",
@@ -55,13 +55,13 @@ const PEDESTRIAN_POSITIONS_NAMES: [&str; 6] =
     ["track_id", "frame_id", "timestamp_ms", "agent_type", "x", "y"];
 /// Interval between frames, as published.
 const INTERVAL_NS: u64 = 100_000_000;
-/// Interval between frames of pedestrians and cyclists that were thinned to every fourth.
+/// Interval between frames of pedestrians and cyclists that were thinned to every fourth one.
 const THINNED_INTERVAL_NS: u64 = 400_000_000;
 /// Median speed above which an agent counts as a cyclist.
 const CYCLIST_SPEED_MPS: f32 = 2.5;
-/// Fewest speeds of which a median is taken.
+/// Minimum number of speeds for a median.
 const CYCLIST_SPEEDS_MIN: usize = 3;
-/// Shortest time over which it is taken: that of three speeds from row to row at 2.5 Hz.
+/// Shortest time for a median: that of three speeds from row to row at 2.5 Hz.
 const CYCLIST_SPAN_NS: i64 = 1_200_000_000;
 /// Latest time of a row: about 30 years.
 const STAMP_MAX_MS: i64 = 1_000_000_000_000;
@@ -98,7 +98,7 @@ pub(crate) fn parse(inputs: &[Input]) -> Result<Recording, ReadError> {
     Ok(Recording { interval_ns, has_identities: true, frames, ..Recording::default() })
 }
 
-/// Which of the pair a file is, by its first line.
+/// The role of a file, by its first line.
 pub(crate) fn role_of(first: &Line<'_>) -> Option<Role> {
     match first.text.trim() {
         VEHICLE_HEADER => Some(Role::Vehicles),
@@ -107,7 +107,7 @@ pub(crate) fn role_of(first: &Line<'_>) -> Option<Role> {
     }
 }
 
-/// Reads either layout; a first line that is neither is an error that shows the published one.
+/// Reads both layouts. If the first line is of neither, the error shows the published one.
 fn read_pedestrians<'a>(input: &'a Input, rows: &mut Rows<'a>) -> Result<(), ReadError> {
     let first = text::lines(input).next().transpose()?;
     let only_positions = first.is_some_and(|line| line.text.trim() == PEDESTRIAN_POSITIONS_HEADER);
@@ -187,13 +187,13 @@ fn stamp_ns(field: Field<'_>) -> Result<i64, ReadError> {
     Err(field.error(format!("expected 0 to {STAMP_MAX_MS}")))
 }
 
-/// Whether a row is of the file of pedestrians and cyclists.
+/// Whether a row is from the file of pedestrians and cyclists.
 fn is_pedestrian(detection: &Detection) -> bool {
     detection.id >= PEDESTRIAN_IDS
 }
 
-/// The interval of the file of pedestrians and cyclists: 0.4 s where most of its stamps are whole multiples
-/// of that.
+/// The interval of the file of pedestrians and cyclists: 0.4 s if most of its stamps are whole multiples of
+/// that.
 fn pedestrian_interval_ns(rows: &[Row<'_>]) -> u64 {
     let stamps_ns = || rows.iter().filter(|row| is_pedestrian(&row.detection)).map(|row| row.stamp_ns);
     let multiples_len = stamps_ns().filter(|stamp_ns| stamp_ns % THINNED_INTERVAL_NS as i64 == 0).count();
@@ -201,13 +201,13 @@ fn pedestrian_interval_ns(rows: &[Row<'_>]) -> u64 {
     if is_thinned { THINNED_INTERVAL_NS } else { INTERVAL_NS }
 }
 
-/// Whether a frame observed pedestrians and cyclists: at the ticks of their clock, and wherever the frame has
-/// one of them.
+/// Whether a frame observed pedestrians and cyclists: at the ticks of their clock, and if the frame has one
+/// of them.
 fn observes_pedestrians(frame: &Frame, interval_ns: u64) -> bool {
     frame.stamp_ns % interval_ns as i64 == 0 || frame.detections.iter().any(is_pedestrian)
 }
 
-/// Sets the type of agents that ride to cyclist; `rows` are in time order.
+/// Sets the type of agents that ride to cyclist. `rows` are in time order.
 fn classify_cyclists(rows: &mut [Row<'_>]) {
     let mut speeds: BTreeMap<u64, RunningSpeed> = BTreeMap::new();
     for row in rows.iter_mut().filter(|row| is_pedestrian(&row.detection)) {
@@ -225,8 +225,8 @@ struct RunningSpeed {
     first_ns: Option<i64>,
     last: Option<(i64, [f32; 2])>,
     is_cyclist: bool,
-    /// The slower half of the speeds, and one more where their number is odd; as bits, which order as the
-    /// speeds do.
+    /// The slower half of the speeds, plus one if their number is odd. They are stored as bits, which have
+    /// the same order as the speeds.
     slower: BinaryHeap<u32>,
     /// The faster half of the speeds.
     faster: BinaryHeap<Reverse<u32>>,
@@ -265,7 +265,7 @@ impl RunningSpeed {
         }
     }
 
-    /// The median so far, the lower of two.
+    /// The median so far; the lower one if there are two.
     fn median_mps(&self) -> f32 {
         self.slower.peek().map_or(0.0, |&bits| f32::from_bits(bits))
     }
@@ -275,8 +275,8 @@ impl RunningSpeed {
 mod tests {
     use super::*;
 
-    /// Whether an agent counts as a cyclist after each row; the speed of a row is that since the row before
-    /// it.
+    /// Whether an agent counts as a cyclist after each row. A row's speed is the speed since the previous
+    /// row.
     fn classified(interval_ms: i64, speeds_mps: &[f32], has_speed: bool) -> Vec<bool> {
         let mut running = RunningSpeed::default();
         let mut x_m = 0.0;

@@ -1,17 +1,17 @@
 //! KITTI tracking: a detector's output or the true tracks, 10 Hz, from a moving car.
 //!
-//! * detections, one file per class: `frame,type,x1,y1,x2,y2,score,h,w,l,x,y,z,rot_y,alpha`, type 1
-//!   pedestrian, 2 car, 3 cyclist; without identities. Labels of the same sequence, where there are any,
-//!   become the truth.
-//! * labels: `frame id type truncated occluded alpha x1 y1 x2 y2 h w l x y z rot_y`. `DontCare` marks regions
-//!   of the image and `Misc` objects that are no agents (trailers and the like): left out and counted. Vans,
-//!   trucks and trams are vehicles, sitting people pedestrians. A tracker's results have a `score` behind
-//!   these columns; they are read as labels.
+//! * Detections have one file per class and no identities:
+//!   `frame,type,x1,y1,x2,y2,score,h,w,l,x,y,z,rot_y,alpha`. Type 1 is pedestrian, 2 car, 3 cyclist. Labels
+//!   of the same sequence, if they exist, are the truth.
+//! * Labels: `frame id type truncated occluded alpha x1 y1 x2 y2 h w l x y z rot_y`. `DontCare` marks regions
+//!   of the image, and `Misc` objects that are not agents (such as trailers). Both are left out and counted.
+//!   Vans, trucks and trams are vehicles, and sitting people are pedestrians. A tracker's results have a
+//!   further column `score` and are read as labels.
 //!
-//! Both are in the camera frame; [`WorldFromCamera`] transforms them by `oxts` and `calib` of the same
-//! sequence to a world frame with x to the east, y to the north and its origin at the car's first position
-//! (m, rad). Each row of `oxts` makes a frame, also one without detections. [`Annotations`] holds what the
-//! evaluation of a tracker needs of the labels.
+//! Both are in the camera frame. [`WorldFromCamera`] transforms them by `oxts` and `calib` of the same
+//! sequence to a world frame (m, rad). Its x points east and y north, and its origin is the car's first
+//! position. Each row of `oxts` makes a frame, even if the frame has no detections. [`Annotations`] contains
+//! the part of the labels that the evaluation of a tracker needs.
 
 mod annotations;
 pub(crate) mod files;
@@ -54,7 +54,7 @@ const LABEL_NAMES: [&str; 17] = {
     let [names @ .., _] = RESULT_NAMES;
     names
 };
-/// Between frames.
+/// Interval between frames.
 pub const INTERVAL_NS: u64 = 100_000_000;
 
 /// Mean height of the labelled objects of a type.
@@ -65,7 +65,7 @@ pub(crate) const fn height_m(agent_type: AgentType) -> f64 {
     }
 }
 
-/// An object's box as the camera sees it: the seven columns that both files share.
+/// An object's box in the camera frame: the seven columns that both files have.
 struct CameraBox<'a> {
     length: Field<'a>,
     width: Field<'a>,
@@ -188,7 +188,7 @@ fn detection(
 }
 
 impl CameraBox<'_> {
-    /// The object in the world frame.
+    /// Transforms the object to the world frame.
     fn in_world(
         &self,
         frame: usize,

@@ -1,15 +1,15 @@
 //! levelX drone recordings inD, rounD, exiD and uniD: road users at crossings, roundabouts and ramps, 25 Hz,
-//! metres in a local frame, x east and y north. [`highd`](super::highd) has a layout of its own.
+//! in metres in a local frame with x east and y north. [`highd`](super::highd) has its own layout.
 //!
-//! | file | columns that are read; the others may be there or not |
+//! | file | columns that are read; other columns are allowed |
 //! |---|---|
 //! | `NN_tracks.csv` | `trackId,frame,xCenter,yCenter,heading,width,length,xVelocity,yVelocity` |
 //! | `NN_tracksMeta.csv` | `trackId,class` |
 //! | `NN_recordingMeta.csv` | `frameRate` |
 //!
-//! Headings are in degrees counter-clockwise from +x. Width and length are 0 where unknown, as of pedestrians.
-//! Cars, vans, trucks, buses, trailers and motorcycles are vehicles, bicycles cyclists. A pedestrian's heading
-//! comes from its velocity, from 0.1 m/s on.
+//! Headings are in degrees counter-clockwise from +x. Width and length are 0 if they are unknown, as for
+//! pedestrians. Cars, vans, trucks, buses, trailers and motorcycles are vehicles, and bicycles are cyclists.
+//! A pedestrian's heading is the direction of its velocity, from 0.1 m/s on.
 
 use std::collections::BTreeMap;
 
@@ -53,10 +53,10 @@ pub(crate) fn parse(inputs: &[Input]) -> Result<Recording, ReadError> {
     Ok(Recording { interval_ns: rate.interval_ns(1), has_identities: true, frames, ..Recording::default() })
 }
 
-/// A line with its named values, or why it has none.
+/// A line with its named values, or its error.
 type NamedRow<'a, const N: usize> = Result<(Line<'a>, [Field<'a>; N]), ReadError>;
 
-/// The rows below a header, by the names of columns.
+/// The rows below a header, with values by column name.
 pub(super) fn rows_of<'a, const N: usize>(
     input: &'a Input,
     names: &'static [&'static str; N],
@@ -70,14 +70,14 @@ pub(super) fn rows_of<'a, const N: usize>(
     }))
 }
 
-/// The frame rate in a file of a recording's attributes.
+/// The frame rate in the file of the recording's attributes.
 pub(super) fn frame_rate(meta: &Input) -> Result<FrameRate, ReadError> {
     let mut rows = rows_of(meta, &["frameRate"])?;
     let (_, [rate]) = rows.next().ok_or_else(|| ReadError::Empty { path: meta.path.clone() })??;
     FrameRate::new(rate.number()?).map_err(|error| rate.error(error.to_string()))
 }
 
-/// The type of a class, however it is capitalised.
+/// The type of a class, in any capitalisation.
 pub(super) fn agent_type(class: Field<'_>) -> Result<AgentType, ReadError> {
     match class.text.to_ascii_lowercase().as_str() {
         "car" | "van" | "truck" | "bus" | "truck_bus" | "trailer" | "motorcycle" => Ok(AgentType::Vehicle),
@@ -88,7 +88,7 @@ pub(super) fn agent_type(class: Field<'_>) -> Result<AgentType, ReadError> {
     }
 }
 
-/// The attributes of a track; an identity without any is an error.
+/// The attributes of a track. An identity without attributes is an error.
 pub(super) fn attributes<T: Copy>(
     id: Field<'_>,
     known: &BTreeMap<u64, T>,

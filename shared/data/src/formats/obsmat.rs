@@ -10,7 +10,7 @@ use crate::rows::{self, Rows};
 use crate::text::{self, Separator};
 use crate::{FrameRate, Input, ReadError, Recording, Role, sweeps};
 
-/// Frames a second of its numbers, and the frames of a step.
+/// Rate of the frame numbers, and frames per step.
 pub(crate) const RATE: FrameRate = FrameRate::of_centihertz(1_500);
 const STEP: u32 = 6;
 const NAMES: [&str; 8] = ["frame", "id", "x", "z", "y", "vx", "vz", "vy"];

@@ -17,10 +17,10 @@ use crate::text::{self, Separator};
 use crate::{FrameRate, Input, ReadError, Recording, Role, sweeps};
 
 const NAMES: [&str; 4] = ["frame", "id", "x", "y"];
-/// Frames a second of ETH/UCY's numbers, and the frames of a step.
+/// Rate of ETH/UCY's frame numbers, and frames per step.
 pub(crate) const ETH_UCY_RATE: FrameRate = FrameRate::of_centihertz(2_500);
 const ETH_UCY_STEP: u32 = 10;
-/// Frames a second of the TrajNet split's numbers, and the frames of a step.
+/// Rate of the TrajNet split's frame numbers, and frames per step.
 pub(crate) const TRAJNET_RATE: FrameRate = FrameRate::of_centihertz(3_000);
 const TRAJNET_STEP: u32 = 12;
 
@@ -32,8 +32,8 @@ pub(crate) fn parse_eth_ucy(inputs: &[Input], rate: FrameRate) -> Result<Recordi
     parse(need(inputs, Role::Rows)?, rate, ETH_UCY_STEP)
 }
 
-/// Reads the TrajNet split of Stanford Drone; the scene's scale is taken from the table beside it, if there
-/// is one.
+/// Reads the TrajNet split of Stanford Drone. The scene's scale comes from the table beside the file, if it
+/// exists.
 ///
 /// # Errors
 /// [`ReadError`] with file, line, column and value.

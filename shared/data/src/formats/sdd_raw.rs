@@ -1,10 +1,10 @@
 //! Stanford Drone's own annotations: `id xmin ymin xmax ymax frame lost occluded generated "label"`, pixels,
 //! 30 Hz.
 //!
-//! The position of an agent is the centre of its box. Pixels become metres by the scale of the video in
-//! `estimated_scales.yaml`, two folders up; y is negated, since the image's y points down and the world is
-//! right-handed. Rows with `lost = 1` are outside the image: left out and counted. Pedestrians and skaters
-//! are pedestrians, bikers cyclists, carts, cars and buses vehicles.
+//! The position of an agent is the centre of its box. Pixels are converted to metres by the scale of the
+//! video in `estimated_scales.yaml`, two folders up. y is negated, because the image's y points down and the
+//! world is right-handed. Rows with `lost = 1` are outside the image; they are left out and counted.
+//! Pedestrians and skaters are pedestrians, bikers are cyclists, and carts, cars and buses are vehicles.
 
 use std::path::Path;
 
@@ -34,7 +34,7 @@ const TABLE_NAMES: [&str; 13] = [
 ];
 /// The frame rate of the videos.
 pub(crate) const RATE: FrameRate = FrameRate::of_centihertz(3_000);
-/// Largest valid pixel coordinate: at the largest scale it is still within the world.
+/// Largest valid pixel coordinate. At the largest scale it is still within the world.
 const PIXEL_MAX: f64 = wire::POSITION_MAX_M as f64;
 /// Valid scales, m per px.
 const PIXEL_M: std::ops::RangeInclusive<f64> = 1e-4..=1.0;
@@ -107,8 +107,8 @@ fn flag(field: Field<'_>) -> Result<bool, ReadError> {
     }
 }
 
-/// The scale (m per px) of the video with annotations at `path`, from `estimated_scales.yaml`: two levels of
-/// names (scene, video) that end with a colon, then `scale: NUMBER` and `certainty: NUMBER`.
+/// The scale (m per px) of the video with annotations at `path`, from `estimated_scales.yaml`. The file has
+/// two levels of names (scene, video) that end with a colon, then `scale: NUMBER` and `certainty: NUMBER`.
 fn video_pixel_m(scales: &Input, path: &str) -> Result<f64, ReadError> {
     let folder = |depth: usize| Path::new(path).ancestors().nth(depth)?.file_name()?.to_str();
     let video = folder(2).zip(folder(1));
@@ -146,8 +146,8 @@ fn scale_value(line: &Line<'_>) -> Result<f64, ReadError> {
     }
 }
 
-/// The scale (m per px) of a scene of the TrajNet split from the table `H_SDD.txt`: the first of the two
-/// measurements, with which the split was made. `None` where the table lacks the scene.
+/// The scale (m per px) of a scene of the TrajNet split, from the table `H_SDD.txt`. It is the first of two
+/// measurements, which was used to make the split. `None` if the table does not contain the scene.
 pub(crate) fn table_pixel_m(table: &Input, scene: &str) -> Result<Option<f64>, ReadError> {
     for line in text::lines(table).skip(1) {
         let line = line?;

@@ -1,10 +1,10 @@
 //! VCI-DUT and VCI-CITR: vehicles and dense crowds on a campus, as a pair of files, metres. The files do not
-//! tell their frame rate: DUT has 23.98 frames a second, CITR 29.97.
+//! contain their frame rate: DUT has 23.98 frames a second, CITR 29.97.
 //!
-//! `id,frame,label,x_est,y_est,psi_est,vel_est` for vehicles, `…,vx_est,vy_est` for pedestrians. Both count
-//! frames on one clock and identities from 0; the reader adds 1,000,000,000 to the identities of pedestrians.
-//! The positions are the output of the data set's own causal filter. A pedestrian slower than 0.1 m/s has no
-//! heading.
+//! The columns are `id,frame,label,x_est,y_est,psi_est,vel_est` for vehicles and `…,vx_est,vy_est` for
+//! pedestrians. Both files count frames on one clock and identities from 0. The reader adds 1,000,000,000 to
+//! the identities of pedestrians. The positions are the output of the data set's own causal filter. A
+//! pedestrian slower than 0.1 m/s has no heading.
 
 use wire::{AgentType, Detection, detection_flags};
 
@@ -89,7 +89,7 @@ fn row(
     Ok((frame.stamp_ns(rate)?, detection))
 }
 
-/// Which of the pair a file is, by its first line.
+/// The role of a file, by its first line.
 pub(crate) fn role_of(first: &Line<'_>) -> Option<Role> {
     match first.text.trim() {
         VEHICLE_HEADER => Some(Role::Vehicles),

@@ -1,8 +1,8 @@
-//! The intersection: lanes, crossings, pavements, and which routes conflict.
+//! The intersection: lanes, crossings, pavements, and the conflicts of routes.
 //!
 //! Four arms meet at right angles in the origin: arm 0 points east (+x), 1 north, 2 west, 3 south. Traffic
 //! keeps right. Each arm has, inbound and outbound, a lane for vehicles, a lane for cyclists and a pavement.
-//! A crossing for pedestrians lies across each arm near its mouth; vehicles wait before it. The east-west
+//! Across each arm, near its mouth, is a crossing for pedestrians. Vehicles wait before it. The east-west
 //! road has priority.
 
 use std::ops::Range;
@@ -10,15 +10,15 @@ use std::ops::Range;
 use super::Point;
 use super::path::{Path, curve};
 
-/// Where agents enter and leave, from the centre.
+/// Distance from the centre at which agents enter and leave.
 pub(super) const ARM_M: f32 = 80.0;
-/// The crossings' near and far edge, from the centre.
+/// Near and far edge of the crossings, from the centre.
 pub(super) const CROSSING_M: Range<f32> = 8.5..12.5;
 /// The kerb, from the arm's axis.
 pub(super) const KERB_M: f32 = 5.4;
-/// Where road users wait for their turn, from the centre.
+/// Distance from the centre at which road users wait for their turn.
 const STOP_LINE_M: f32 = 13.3;
-/// Paths lie closer together than the users' widths only within this square around the centre.
+/// Paths are closer than the users' widths only within this square around the centre.
 const CONFLICTS_WITHIN_M: f32 = 16.0;
 
 /// The kind of road user that uses a lane.
@@ -39,7 +39,7 @@ impl Kind {
         }
     }
 
-    /// Half the room that a user takes up across its path.
+    /// Half of the width that a user needs across its path.
     const fn clearance_m(self) -> f32 {
         match self {
             Self::Vehicle => 1.3,
@@ -60,7 +60,7 @@ impl Turn {
     pub(super) const ALL: [Self; 3] = [Self::Left, Self::Straight, Self::Right];
 }
 
-/// The whole route of a road user, with the positions that matter as distances from its start.
+/// The whole route of a road user. Important positions are distances from its start.
 #[derive(Clone, Debug)]
 pub(super) struct Route {
     pub(super) kind: Kind,
@@ -68,9 +68,9 @@ pub(super) struct Route {
     pub(super) to_arm: usize,
     pub(super) turn: Turn,
     pub(super) path: Path,
-    /// Where the front waits until it is the user's turn.
+    /// Position at which the front waits for the user's turn.
     pub(super) stop_line_m: f32,
-    /// The crossings passed: that of the arm of origin, then that of the arm of destination.
+    /// The crossings that are passed, of the arm of origin and then of the arm of destination.
     pub(super) crossings: [Passage; 2],
 }
 
@@ -80,11 +80,11 @@ pub(super) struct Passage {
     pub(super) arm: usize,
     /// Distances along the route.
     pub(super) along_m: Range<f32>,
-    /// Distances from the arm's axis that the route's middle line covers; positive on the inbound side.
+    /// Distances from the arm's axis that the route's middle line covers, positive on the inbound side.
     pub(super) across_m: Range<f32>,
 }
 
-/// How two routes, mine and another's, share the road.
+/// How two routes (`mine` and `other`) share the road.
 #[derive(Clone, Debug)]
 pub(super) enum Relation {
     /// They never come close.
@@ -130,7 +130,7 @@ impl Layout {
 impl Route {
     fn new(kind: Kind, from_arm: usize, turn: Turn) -> Self {
         let lane = kind.lane_m();
-        // Start and end of the curve, from the centre: right turns are tight and use the corner's whole
+        // Start and end of the curve, from the centre. Right turns are tight and use the corner's whole
         // width.
         let mouth = if turn == Turn::Right { CROSSING_M.end - 0.5 } else { CROSSING_M.start };
         let inwards = [-1.0, 0.0];
@@ -153,7 +153,7 @@ impl Route {
     }
 }
 
-/// A point of an arm's own frame (x outwards along the arm) in the world frame.
+/// Transforms a point from an arm's own frame (x outwards along the arm) to the world frame.
 pub(super) fn to_world(arm: usize, [x, y]: Point) -> Point {
     match arm % 4 {
         0 => [x, y],
@@ -163,7 +163,7 @@ pub(super) fn to_world(arm: usize, [x, y]: Point) -> Point {
     }
 }
 
-/// A point of the world frame in an arm's own frame.
+/// Transforms a point from the world frame to an arm's own frame.
 pub(super) fn to_arm(arm: usize, point: Point) -> Point {
     to_world(4 - arm % 4, point)
 }
@@ -202,7 +202,7 @@ fn relation(mine: &Route, other: &Route) -> Relation {
     }
 }
 
-/// The part of `path` near the centre that lies within `clearance_m` of the other path.
+/// The part of `path` near the centre that is within `clearance_m` of the other path.
 fn near(path: &Path, other: &Path, clearance_m: f32) -> Range<f32> {
     let central = |(_, point): &(f32, Point)| point[0].abs().max(point[1].abs()) < CONFLICTS_WITHIN_M;
     let others: Vec<Point> = other.samples().filter(central).map(|(_, point)| point).collect();

@@ -6,17 +6,19 @@ use crate::Ego;
 /// The agents of a generated scene and the errors of its sensor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SceneOptions {
-    /// Agents present at once, 1 to [`AGENTS_MAX`]; one or two may be missing while an entrance is blocked.
+    /// Agents present at the same time, 1 to [`AGENTS_MAX`]. One or two may be missing while an entrance is
+    /// blocked.
     pub agents: usize,
-    /// Share of vehicles among them, 0 to 1; no more than the lanes take without being jammed to their ends.
+    /// Share of vehicles among them, 0 to 1, limited to the number that fits the lanes without a jam to their
+    /// ends.
     pub vehicle_share: f32,
-    /// Share of cyclists; the rest are pedestrians.
+    /// Share of cyclists. All others are pedestrians.
     pub cyclist_share: f32,
-    /// The same seed gives the same scene to the bit.
+    /// Seed of the scene. The same seed gives the same scene to the bit.
     pub seed: u64,
-    /// Whether detections carry the true identities; without, a tracker has to associate.
+    /// Whether detections contain the true identities. Without them, a tracker has to associate.
     pub identities: bool,
-    /// Whether detections of vehicles and cyclists carry a speed.
+    /// Whether detections of vehicles and cyclists contain a speed.
     pub speeds: bool,
     /// Standard deviation of the detected position per axis, by type (vehicle, cyclist, pedestrian).
     pub position_sigma_m: [f32; 3],

@@ -28,7 +28,7 @@ pub(super) struct Path {
 }
 
 impl Path {
-    /// The path along a line of densely spaced points, resampled to equal steps.
+    /// Creates the path along a line of densely spaced points, resampled to equal steps.
     pub(super) fn along(line: &[Point]) -> Self {
         let positions = resampled(line);
         let last = positions.len() - 1;
@@ -46,7 +46,8 @@ impl Path {
         (self.poses.len() - 1) as f32 * STEP_M
     }
 
-    /// The pose `along_m` from the start, `aside_m` to the left of the line; ends are clamped.
+    /// The pose `along_m` from the start and `aside_m` to the left of the line. Distances beyond the ends are
+    /// clamped.
     pub(super) fn pose(&self, along_m: f32, aside_m: f32) -> Pose {
         let (i, share) = self.place(along_m);
         let (a, b) = (self.poses[i], self.poses[i + 1]);
@@ -56,7 +57,7 @@ impl Path {
         Pose { position_m: [between(0) - aside_m * sin, between(1) + aside_m * cos], heading_rad }
     }
 
-    /// The speed there from which a driver takes all later curves in comfort.
+    /// The speed at this distance from which a driver takes all later curves in comfort.
     pub(super) fn speed_mps(&self, along_m: f32) -> f32 {
         let (i, share) = self.place(along_m);
         self.speeds_mps[i] + share * (self.speeds_mps[i + 1] - self.speeds_mps[i])
@@ -75,10 +76,10 @@ impl Path {
 }
 
 /// A curve from `a`, leaving in direction `out`, to `b`, arriving in direction `into`, without curvature at
-/// its ends: a quintic Bézier whose first and last three control points are collinear.
+/// its ends. It is a quintic Bézier curve whose first and last three control points are collinear.
 pub(super) fn curve(a: Point, out: Point, b: Point, into: Point) -> impl Iterator<Item = Point> {
     const PIECES: u16 = 100;
-    // A third of the legs makes the curve follow the corner like an arc.
+    // With this reach the curve is like an arc around the corner.
     let reach = 0.29 * ((b[0] - a[0]).abs() + (b[1] - a[1]).abs()) / 2.0;
     let from_a = move |n: f32| [a[0] + n * reach * out[0], a[1] + n * reach * out[1]];
     let from_b = move |n: f32| [b[0] - n * reach * into[0], b[1] - n * reach * into[1]];

@@ -1,4 +1,4 @@
-//! A pedestrian: a route along pavements and crossings, and the social forces that bend it.
+//! A pedestrian: a route along pavements and crossings, and the social forces that change its path.
 
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
@@ -64,7 +64,7 @@ impl PavementEnd {
         Self { arm: rng.random_range(0..4), side: if rng.random_bool(0.5) { 1.0 } else { -1.0 } }
     }
 
-    /// The street corner at the pavement's inner end; corner c lies between arms c and c + 1.
+    /// The street corner at the pavement's inner end. Corner c is between arms c and c + 1.
     fn corner(self) -> usize {
         if self.side > 0.0 { self.arm } else { (self.arm + 3) % 4 }
     }
@@ -90,17 +90,17 @@ impl Pedestrian {
         pedestrian
     }
 
-    /// Whether the route is done.
+    /// Whether the pedestrian is at the end of the route.
     pub(super) fn has_arrived(&self) -> bool {
         self.next == self.way.len()
     }
 
-    /// The arm on whose crossing the pedestrian is.
+    /// The arm whose crossing the pedestrian is on.
     pub(super) fn on_crossing(&self) -> Option<usize> {
         self.ahead().crosses.filter(|_| self.crossing)
     }
 
-    /// The arm that the pedestrian waits to cross.
+    /// The arm whose crossing the pedestrian waits for.
     pub(super) fn waits_for(&self) -> Option<usize> {
         self.ahead().crosses.filter(|_| !self.crossing)
     }
@@ -117,7 +117,7 @@ impl Pedestrian {
         self.way[self.next.min(self.way.len() - 1)]
     }
 
-    /// The desired direction: along the straight line to the waypoint ahead, and back to it where the
+    /// The desired direction: along the straight line to the waypoint ahead, and back to this line if the
     /// pedestrian is off it.
     pub(super) fn direction(&self) -> Point {
         let (from, to) = (self.way[self.next - 1].position_m, self.ahead().position_m);
@@ -129,8 +129,8 @@ impl Pedestrian {
         unit([aim[0] - self.position_m[0], aim[1] - self.position_m[1]])
     }
 
-    /// Acceleration towards the desired velocity: along the route; zero velocity if the pedestrian `holds`;
-    /// back to the kerb if it waits there and was pushed away.
+    /// Acceleration towards the desired velocity. The desired velocity is along the route, or zero if the
+    /// pedestrian `holds`, or back to the kerb if it waits there and was pushed away.
     pub(super) fn drive_mps2(&self, holds: bool) -> Point {
         let wanted = if self.waits_for().is_some() {
             let kerb = self.way[self.next - 1].position_m;
@@ -188,7 +188,7 @@ impl Pedestrian {
 
 /// The waypoints from one pavement end to another, around the corners and over the crossings between them.
 fn way(from: PavementEnd, to: PavementEnd, rng: &mut ChaCha8Rng) -> Vec<Waypoint> {
-    // Each pedestrian has a lateral offset of its own, so that those with the same route do not walk in
+    // Each pedestrian has its own lateral offset, so that pedestrians with the same route do not walk in
     // single file.
     let pavement_m = PAVEMENT_M + drawn(rng, 0.0, 0.6, 1.1);
     let along_m = f32::midpoint(CROSSING_M.start, CROSSING_M.end) + drawn(rng, 0.0, 0.8, 1.5);
@@ -199,7 +199,7 @@ fn way(from: PavementEnd, to: PavementEnd, rng: &mut ChaCha8Rng) -> Vec<Waypoint
     let left_turns = (to.corner() + 4 - corner) % 4;
     let leftwards = left_turns < 2 || left_turns == 2 && rng.random_bool(0.5);
     while corner != to.corner() {
-        // Corner c and c + 1 lie on the two sides of arm c + 1.
+        // Corners c and c + 1 are on the two sides of arm c + 1.
         let (arm, side) = if leftwards { ((corner + 1) % 4, -1.0) } else { (corner, 1.0) };
         way.push(walk(arm, along_m, side * WAITING_M));
         let across = walk(arm, along_m, -side * WAITING_M);

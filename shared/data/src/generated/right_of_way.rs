@@ -1,25 +1,26 @@
 //! Priority at the intersection: gap acceptance without signals.
 //!
-//! A road user that comes near claims its turn. Claims of users that have to yield (the side road, left
-//! turns) count some seconds later: the main road goes first, and every wait ends. A user enters when it can
-//! pass behind all users that entered before it and well ahead of all users with an earlier claim. Users are
-//! numbered in the order in which they enter, and where two routes cross the later number gives way: waits
-//! never form a cycle.
+//! A road user that comes near claims its turn. Claims of users that have to yield (from the side road, or to
+//! turn left) count some seconds later. So the main road goes first, and every wait ends.
+//!
+//! A user enters when it can pass behind all users that entered before it and well ahead of all users with an
+//! earlier claim. Users are numbered in the order in which they enter. If two routes cross, the user with the
+//! later number gives way, so waits never form a cycle.
 
 use super::layout::{Layout, Relation, Route, Turn};
 use super::road_user::{RoadUser, TurnTaking};
 
 /// Users claim their turn at this distance before the stop line.
 const CLAIM_WITHIN_M: f32 = 35.0;
-/// Users decide to enter at this distance before the stop line, or farther where they need more to stop.
+/// Distance before the stop line at which users decide to enter, or more if they need more to stop.
 const DECIDE_WITHIN_M: f32 = 8.0;
-/// Least time by which a user passes behind another.
+/// Minimum time by which a user passes behind another.
 const BEHIND_S: f32 = 0.3;
-/// Least time before the arrival of another user that an accepted gap leaves.
+/// Minimum time that an accepted gap leaves before the arrival of another user.
 const AHEAD_S: f32 = 1.2;
-/// Stretch of a shared exit lane that has to be free before the next user may enter it.
+/// Length of a shared exit lane that must be free before the next user enters it.
 const MERGE_M: f32 = 7.0;
-/// A user that has stood on the intersection this long no longer waits for users that have not entered.
+/// A user that has stood on the intersection for this long no longer waits for users that have not entered.
 const PATIENCE_S: f32 = 10.0;
 
 /// Time that is added to the claims of a route.
@@ -28,8 +29,8 @@ fn deference_s(route: &Route) -> f64 {
     side_road + if route.turn == Turn::Left { 3.0 } else { 0.0 }
 }
 
-/// Gives claims to users that came near and lets users enter that may. `going_len` counts all that ever
-/// entered.
+/// Gives claims to users that have come near, and lets users enter that may. `going_len` counts all users
+/// that ever entered.
 pub(super) fn take_turns(users: &mut [RoadUser], layout: &Layout, now_s: f64, going_len: &mut u64) {
     give_up_turns(users, layout);
     claim(users, layout, now_s);
@@ -43,7 +44,7 @@ pub(super) fn take_turns(users: &mut [RoadUser], layout: &Layout, now_s: f64, go
 }
 
 /// Withdraws the turn of users that pedestrians stop before the stop line, and of users behind them in their
-/// lane, so that others may go meanwhile.
+/// lane, so that others can go meanwhile.
 fn give_up_turns(users: &mut [RoadUser], layout: &Layout) {
     for i in 0..users.len() {
         let user = &users[i];
@@ -70,7 +71,7 @@ fn claim(users: &mut [RoadUser], layout: &Layout, now_s: f64) {
             user.turn_taking = TurnTaking::Waiting { claim_s: now_s + deference_s(route) };
         }
     }
-    // Users don't overtake: a claim counts no earlier than that of the user ahead.
+    // Users don't overtake, so a claim never counts before the claim of the user ahead.
     for i in 0..users.len() {
         let TurnTaking::Waiting { claim_s } = users[i].turn_taking else { continue };
         let ahead = users.iter().filter(|u| same_lane(u, &users[i], layout) && u.along_m > users[i].along_m);
@@ -94,7 +95,7 @@ fn may_go(i: usize, claim_s: f64, users: &[RoadUser], layout: &Layout) -> bool {
     if user.yields || to_line_m > needs_m {
         return false;
     }
-    // Equal claims are ordered by id, so that one is always first.
+    // Equal claims are ordered by id, so one of them is always first.
     let later = |others_s: f64, other: &RoadUser| (others_s, other.id) > (claim_s, user.id);
     users.iter().enumerate().filter(|(j, _)| *j != i).all(|(_, other)| match other.turn_taking {
         TurnTaking::Far => true,
@@ -104,7 +105,7 @@ fn may_go(i: usize, claim_s: f64, users: &[RoadUser], layout: &Layout) -> bool {
     })
 }
 
-/// The stretches of both routes that one user at a time may use: start and end of mine, start and end of the
+/// The parts of both routes that only one user at a time may use: start and end of mine, start and end of the
 /// other's.
 fn contested(user: &RoadUser, other: &RoadUser, layout: &Layout) -> Option<[f32; 4]> {
     match layout.relation(user.route, other.route) {
@@ -116,7 +117,7 @@ fn contested(user: &RoadUser, other: &RoadUser, layout: &Layout) -> Option<[f32;
     }
 }
 
-/// Whether `user` would have crossed well before `other`, which has the earlier claim, could arrive.
+/// Whether `user` would have crossed well before `other`, which has the earlier claim, can arrive.
 fn clears_ahead_of(user: &RoadUser, other: &RoadUser, layout: &Layout) -> bool {
     let Some([_, end, others_start, _]) = contested(user, other, layout) else { return true };
     let held = other.yields && other.speed_mps < 0.5;
@@ -126,7 +127,7 @@ fn clears_ahead_of(user: &RoadUser, other: &RoadUser, layout: &Layout) -> bool {
     held || mine_s + AHEAD_S < others_s
 }
 
-/// Whether `user` would reach the contested stretch only after `other`, which has entered, has left it.
+/// Whether `user` would reach the contested part only after `other`, which has entered, has left it.
 fn passes_behind(user: &RoadUser, other: &RoadUser, layout: &Layout) -> bool {
     let Some([start, _, _, others_end]) = contested(user, other, layout) else { return true };
     let left_m = others_end - other.rear_m();
@@ -146,8 +147,8 @@ fn cruise_mps(user: &RoadUser, route: &Route) -> f32 {
     curve.min(user.temper.speed_max_mps)
 }
 
-/// The largest acceleration of user `i` that the other road users allow: following, waiting for its turn,
-/// giving way.
+/// The largest acceleration of user `i` that the other road users allow: behind a leader, before its turn,
+/// and while giving way.
 pub(super) fn among_users_mps2(i: usize, users: &[RoadUser], layout: &Layout) -> f32 {
     let user = &users[i];
     let route = &layout.routes[user.route];
@@ -173,7 +174,7 @@ pub(super) fn among_users_mps2(i: usize, users: &[RoadUser], layout: &Layout) ->
                 }
             }
             Relation::SameEnd { mine_m, other_m } => {
-                // Distances are compared as those left to the end of the shared lane.
+                // Distances are compared as the remaining distances to the end of the shared lane.
                 let gap_m = (other.rear_m() - other_m) - (user.front_m() - mine_m);
                 let first = precedes(other, order) || other.rear_m() > *other_m;
                 if first && other.along_m - other_m > user.along_m - mine_m {
@@ -194,7 +195,7 @@ pub(super) fn among_users_mps2(i: usize, users: &[RoadUser], layout: &Layout) ->
     least
 }
 
-/// Whether `other` entered before the user of that order.
+/// Whether `other` entered before the user with this order.
 fn precedes(other: &RoadUser, order: Option<u64>) -> bool {
     match (other.turn_taking, order) {
         (TurnTaking::Going { order: others, .. }, Some(order)) => others < order,

@@ -10,8 +10,7 @@ use super::path::Pose;
 
 /// Hardest braking, in an emergency.
 pub(super) const BRAKING_MAX_MPS2: f32 = 7.0;
-/// Longest wait for pedestrians that is counted: a little more than the time after which pedestrians give
-/// way.
+/// Longest counted wait for pedestrians: a little more than the time after which pedestrians give way.
 const YIELDED_MAX_S: f32 = 7.0;
 /// Hardest braking outside emergencies.
 const EASING_MPS2: f32 = 2.0;
@@ -49,9 +48,9 @@ pub(super) struct RoadUser {
     pub(super) turn_taking: TurnTaking,
     /// Whether pedestrians block the route.
     pub(super) yields: bool,
-    /// How long pedestrians have kept the user waiting.
+    /// Time for which pedestrians have kept the user waiting.
     pub(super) yielded_s: f32,
-    /// How long the user has stood still.
+    /// Time for which the user has stood still.
     pub(super) stood_s: f32,
 }
 
@@ -60,9 +59,9 @@ pub(super) struct RoadUser {
 pub(super) enum TurnTaking {
     /// Too far away to claim a turn.
     Far,
-    /// Waits for its turn since about this time; the earliest claim goes first.
+    /// Waits for its turn since about this time. The earliest claim goes first.
     Waiting { claim_s: f64 },
-    /// Has entered the intersection as the n-th; gets its claim back if it loses its turn.
+    /// Has entered the intersection as number `order`. It gets its claim back if it loses its turn.
     Going { order: u64, claim_s: f64 },
 }
 
@@ -126,7 +125,8 @@ impl RoadUser {
         self.interaction_mps2(wanted_mps, gap_m, leader_mps, standstill_m, headway_s)
     }
 
-    /// Acceleration towards a stop `gap_m` ahead: closer and with less reserve than behind a leader.
+    /// Acceleration towards a stop `gap_m` ahead. The user stops closer and with less reserve than behind a
+    /// leader.
     pub(super) fn stopping_mps2(&self, wanted_mps: f32, gap_m: f32) -> f32 {
         self.interaction_mps2(wanted_mps, gap_m, 0.0, 0.3, 0.4)
     }
@@ -160,16 +160,16 @@ impl RoadUser {
         }
     }
 
-    /// Counts the time for which pedestrians keep the user waiting; the count falls as fast as it rose.
+    /// Counts the time for which pedestrians keep the user waiting. The count falls as fast as it rises.
     pub(super) fn note_yielding(&mut self, yields: bool, dt_s: f32) {
         let change = if yields && self.speed_mps < 0.5 { dt_s } else { -dt_s };
         self.yielded_s = (self.yielded_s + change).clamp(0.0, YIELDED_MAX_S);
         self.yields = yields;
     }
 
-    /// Advances the user by one step; it never reverses.
+    /// Advances the user by one step. It never reverses.
     pub(super) fn advance(&mut self, acceleration_mps2: f32, dt_s: f32) {
-        // Jerk is limited except in hard braking, so that vehicles don't pitch at every decision.
+        // Jerk is limited except in hard braking, so that vehicles do not pitch at every decision.
         let jerk_mps3 = if acceleration_mps2 < -3.0 { 60.0 } else { 8.0 };
         let change = (acceleration_mps2 - self.acceleration_mps2).clamp(-jerk_mps3 * dt_s, jerk_mps3 * dt_s);
         let wanted = self.acceleration_mps2 + change;

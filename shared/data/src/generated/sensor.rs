@@ -13,7 +13,7 @@ const CLUTTER_WITHIN_M: f32 = 40.0;
 /// Separates the sensor's random stream from that of the traffic.
 const STREAM: u64 = 1;
 
-/// The sensor's random stream; its pose and its errors are in the options.
+/// The sensor's random stream. The options contain its pose and its errors.
 #[derive(Clone, Debug)]
 pub(super) struct Sensor {
     rng: ChaCha8Rng,
@@ -37,7 +37,7 @@ impl Sensor {
         Self { rng, shadows: Vec::new() }
     }
 
-    /// One frame's detections, sorted by (type, id) and where there are no identities by position.
+    /// One frame's detections, sorted by (type, id), or by position if there are no identities.
     pub(super) fn detect(&mut self, agents: &[Agent], options: &SceneOptions) -> Vec<Detection> {
         self.shadows.clear();
         let vehicles = agents.iter().filter(|a| options.occlusion && a.agent_type == AgentType::Vehicle);
@@ -45,7 +45,7 @@ impl Sensor {
         let mut detections = Vec::with_capacity(agents.len());
         for agent in agents {
             let missed = self.rng.random_bool(f64::from(options.miss_probability));
-            // Drawn whether or not the agent is reported, so that one option doesn't change all other draws.
+            // Drawn even if the agent is not reported, so that one option does not change all other draws.
             let detection = self.detection(agent, options);
             let occluded = self.shadows.iter().any(|shadow| shadow.occludes(agent, options));
             if !missed && !occluded {

@@ -17,17 +17,17 @@ fn scene(agents: usize, seed: u64) -> GeneratedScene {
 /// Statistics of ten minutes of a scene.
 #[derive(Debug, Default)]
 struct Observed {
-    /// Fewest agents present.
+    /// Smallest number of agents present.
     agents_min: usize,
-    /// Most in one step, by type: distance per second, change of speed per second, turn of the heading per
-    /// metre.
+    /// Largest values in one step, by type: distance per second, change of speed per second, turn of the
+    /// heading per metre.
     fastest_mps: [f32; 3],
     hardest_mps2: [f32; 3],
     /// Pairs of road users whose footprints overlap, over all frames.
     overlaps: usize,
     /// Pedestrians inside the footprint of a road user.
     run_over: usize,
-    /// Longest time that one agent stood still.
+    /// Longest time for which one agent stood still.
     longest_still_s: f32,
     /// Agents that left, by type.
     left: [usize; 3],

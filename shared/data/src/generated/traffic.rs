@@ -12,16 +12,16 @@ use super::right_of_way::{among_users_mps2, take_turns};
 use super::road_user::{BRAKING_MAX_MPS2, RoadUser};
 use super::yielding::{avoid, for_pedestrians_mps2, may_step_out};
 
-/// Most vehicles that the lanes take before queues fill them.
+/// Maximum number of vehicles in the lanes before queues fill them.
 const VEHICLES_MAX: usize = 22;
-/// Most cyclists that the lanes take.
+/// Maximum number of cyclists in the lanes.
 const CYCLISTS_MAX: usize = 14;
-/// Free lane that an entering user needs.
+/// Length of free lane that an entering user needs.
 const ENTRY_GAP_M: f32 = 9.0;
-/// Entrances that are tried for one user per step.
+/// Number of entrances that are tried for one user per step.
 const ENTRY_TRIES: usize = 8;
 
-/// Numbers of agents to keep, by kind.
+/// Target numbers of agents, by kind.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Population {
     pub(super) agents: usize,
@@ -30,7 +30,7 @@ pub(super) struct Population {
 }
 
 impl Population {
-    /// Splits the agents by share; agents beyond the lanes' capacity become pedestrians.
+    /// Splits the agents by share. Agents beyond the lanes' capacity become pedestrians.
     pub(super) fn split(agents: usize, vehicle_share: f32, cyclist_share: f32) -> Self {
         let part = |share: f32| (agents as f32 * share).round() as usize;
         let vehicles = part(vehicle_share).min(VEHICLES_MAX);
@@ -39,7 +39,7 @@ impl Population {
     }
 }
 
-/// The moving scene, without any sensor.
+/// The moving scene without a sensor.
 #[derive(Clone, Debug)]
 pub(super) struct Traffic {
     pub(super) users: Vec<RoadUser>,
@@ -50,7 +50,7 @@ pub(super) struct Traffic {
     now_s: f64,
     /// Number of users that ever entered the intersection.
     going_len: u64,
-    /// Number of agents that ever entered the scene: the last id given.
+    /// Number of agents that ever entered the scene, which is also the last id.
     entered_len: u64,
     /// Scratch: the accelerations of this step.
     user_mps2: Vec<f32>,
@@ -79,7 +79,7 @@ impl Traffic {
         user.pose(&self.layout.routes[user.route])
     }
 
-    /// Advances all agents by `dt_s`; those at their end leave, and others enter instead.
+    /// Advances all agents by `dt_s`. Agents at the end of their routes leave, and others enter instead.
     pub(super) fn step(&mut self, dt_s: f32) {
         self.now_s += f64::from(dt_s);
         take_turns(&mut self.users, &self.layout, self.now_s, &mut self.going_len);
@@ -106,7 +106,7 @@ impl Traffic {
         }
     }
 
-    /// Every agent chooses an acceleration by the present state of all others.
+    /// Each agent chooses an acceleration from the present state of all others.
     fn decide(&mut self, dt_s: f32) {
         self.poses.clear();
         self.poses.extend(self.users.iter().map(|user| user.pose(&self.layout.routes[user.route])));
@@ -144,7 +144,7 @@ impl Traffic {
         added(sum, pedestrian.drive_mps2(holds))
     }
 
-    /// Lets agents enter until the numbers are reached, as far as the entrances are free.
+    /// Lets agents enter until the target numbers are reached, if the entrances are free.
     fn fill(&mut self) {
         for (kind, wanted) in
             [(Kind::Vehicle, self.population.vehicles), (Kind::Cyclist, self.population.cyclists)]

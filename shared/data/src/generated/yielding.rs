@@ -1,9 +1,9 @@
-//! How pedestrians and road users give way to each other at crossings.
+//! Yielding between pedestrians and road users at crossings.
 //!
-//! Pedestrians have priority: a waiting pedestrian steps out as soon as every approaching road user can still
-//! stop, or stands. Road users stop before a crossing while a pedestrian is in, or about to reach, the strip
-//! that they need. A driver that has waited long gets way from the pedestrians at the kerb, so that an
-//! endless stream of pedestrians can't block the road.
+//! Pedestrians have priority. A waiting pedestrian steps out as soon as every approaching road user stands or
+//! can still stop. Road users stop before a crossing while a pedestrian is in the strip that they need, or is
+//! about to reach it. Pedestrians at the kerb let a driver pass that has waited long, so an endless stream of
+//! pedestrians can't block the road.
 
 use super::Point;
 use super::layout::{Layout, Passage, to_arm};
@@ -11,7 +11,7 @@ use super::path::Pose;
 use super::pedestrian::{BODY_M, Pedestrian};
 use super::road_user::RoadUser;
 
-/// Braking that a pedestrian expects of road users.
+/// Braking that a pedestrian expects from road users.
 const EXPECTED_BRAKING_MPS2: f32 = 1.6;
 /// Waiting time of a driver after which pedestrians at the kerb give way.
 const COURTESY_S: f32 = 4.0;
@@ -37,8 +37,8 @@ pub(super) fn may_step_out(arm: usize, users: &[RoadUser], layout: &Layout) -> b
     })
 }
 
-/// The largest acceleration of a road user that pedestrians on crossings allow; `None` where no pedestrian is
-/// in the way.
+/// The largest acceleration of a road user that pedestrians on crossings allow; `None` if no pedestrian is in
+/// the way.
 pub(super) fn for_pedestrians_mps2(
     user: &RoadUser,
     pedestrians: &[Pedestrian],
@@ -59,8 +59,7 @@ pub(super) fn for_pedestrians_mps2(
         .reduce(f32::min)
 }
 
-/// The gap to the stop before a crossing, where pedestrian and user would need the strip at about the same
-/// time.
+/// The gap to the stop before a crossing, if pedestrian and user would need the strip at about the same time.
 fn gap_before(passage: &Passage, user: &RoadUser, pedestrian: &Pedestrian) -> Option<f32> {
     let gap_m = passage.along_m.start - STOP_BEFORE_M - user.front_m();
     let braking_m = user.speed_mps.powi(2) / 2.0 + 12.0;
@@ -82,7 +81,7 @@ fn gap_before(passage: &Passage, user: &RoadUser, pedestrian: &Pedestrian) -> Op
     meets.then_some(gap_m)
 }
 
-/// The gap to a pedestrian right in front of the user.
+/// The gap to a pedestrian directly in front of the user.
 fn gap_to(pedestrian: &Pedestrian, user: &RoadUser, pose: Pose) -> Option<f32> {
     let [ahead_m, aside_m] = in_frame_of(pose, pedestrian.position_m);
     let gap_m = ahead_m - user.length_m / 2.0;
@@ -93,13 +92,13 @@ fn gap_to(pedestrian: &Pedestrian, user: &RoadUser, pose: Pose) -> Option<f32> {
 /// The reaction of a pedestrian to a road user nearby.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Avoidance {
-    /// Whether the pedestrian stops for it.
+    /// Whether the pedestrian stops for the road user.
     pub(super) holds: bool,
-    /// Acceleration away from its body, and around it where it stands in the way.
+    /// Acceleration away from the road user's body, and around it if it stands in the way.
     pub(super) acceleration_mps2: Point,
 }
 
-/// How a pedestrian on a crossing avoids a road user; `None` where it is far.
+/// The reaction of a pedestrian on a crossing to a road user; `None` if the road user is far away.
 pub(super) fn avoid(pedestrian: &Pedestrian, user: &RoadUser, pose: Pose) -> Option<Avoidance> {
     let [ahead_m, aside_m] = in_frame_of(pose, pedestrian.position_m);
     let (half_length_m, half_width_m) = (user.length_m / 2.0, user.width_m / 2.0);
@@ -117,12 +116,12 @@ pub(super) fn avoid(pedestrian: &Pedestrian, user: &RoadUser, pose: Pose) -> Opt
         && approaches
         && in_its_way
         && (half_width_m + BODY_M..half_width_m + 1.4).contains(&aside_m.abs());
-    // Away from the nearest point of the body.
+    // The acceleration is away from the nearest point of the body.
     let nearest = [ahead_m.clamp(-half_length_m, half_length_m), aside_m.clamp(-half_width_m, half_width_m)];
     let apart = [ahead_m - nearest[0], aside_m - nearest[1]];
     let distance_m = apart[0].hypot(apart[1]).max(1e-3);
     let push = 4.0 * ((BODY_M + 0.1 - distance_m) / 0.25).exp().min(4.0);
-    // A standing body is passed by its nearer end.
+    // A pedestrian passes a standing body at its nearer end.
     let blocked =
         approaches && distance_m < 1.2 && user.speed_mps <= 0.3 && ahead_m.abs() < half_length_m + 0.3;
     let around = if blocked { 2.5 * ahead_m.signum() } else { 0.0 };
@@ -130,7 +129,7 @@ pub(super) fn avoid(pedestrian: &Pedestrian, user: &RoadUser, pose: Pose) -> Opt
     Some(Avoidance { holds, acceleration_mps2: to_world(push) })
 }
 
-/// A point in the frame of a pose: ahead, and to the left.
+/// Coordinates of a point in the frame of a pose: ahead, and to the left.
 fn in_frame_of(pose: Pose, point: Point) -> Point {
     let (sin, cos) = pose.heading_rad.sin_cos();
     let [x, y] = [point[0] - pose.position_m[0], point[1] - pose.position_m[1]];

@@ -9,16 +9,16 @@ use crate::ReadError;
 use crate::input::Input;
 use crate::text::{self, Field, Separator};
 
-/// Labels count up to this state of occlusion: *largely*; beyond it is *unknown*.
+/// Highest state of occlusion of labels that count: *largely*. The next one is *unknown*.
 const OCCLUDED_MAX: i64 = 2;
-/// Size of the image, px; a few pixels more than those of some sequences.
+/// Size of the image, px. Some sequences have a few pixels fewer.
 const IMAGE_PX: [f64; 2] = [1242.0, 375.0];
-/// Least height in the image, px, of an object that counts.
+/// Minimum height in the image of an object that counts, px.
 const HEIGHT_MIN_PX: f64 = 25.0;
 
-/// The labels of a sequence as the evaluation of a tracker needs them: per frame the objects that a tracker
-/// must find, those that it may find, and the regions of the image without labels. The rules are those of the
-/// benchmark's own program, with positions on the ground instead of boxes.
+/// The labels of a sequence for the evaluation of a tracker. They list, per frame, the objects that a tracker
+/// must find, the objects that it may find, and the regions of the image without labels. The rules are those
+/// of the benchmark's own program, except that positions on the ground replace boxes.
 #[derive(Clone, Debug)]
 pub struct Annotations {
     poses: WorldFromCamera,
@@ -31,21 +31,21 @@ pub struct Annotations {
 pub struct AnnotatedFrame {
     /// The objects, in the order of the file.
     pub objects: Vec<AnnotatedObject>,
-    /// Boxes of the image within which objects have no label of their own, as (left, top, right, bottom).
+    /// Boxes of the image, as (left, top, right, bottom), whose objects have no labels.
     pub unlabelled_px: Vec<[f64; 4]>,
 }
 
 /// A labelled object.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AnnotatedObject {
-    /// The same in all frames.
+    /// The identity, which is the same in all frames.
     pub id: u64,
-    /// The agent type as which a tracker reports it.
+    /// The agent type that a tracker reports for it.
     pub agent_type: AgentType,
     /// Position (x, y) in the world, m.
     pub position_m: [f64; 2],
-    /// Whether a miss counts: a car, pedestrian or cyclist, wholly in the image and not occluded to an
-    /// unknown degree. Other objects (vans, sitting people, …) may be found or missed.
+    /// Whether a miss counts. It counts for a car, pedestrian or cyclist that is wholly in the image and
+    /// whose occlusion is known. Other objects (vans, sitting people, …) may be found or missed.
     pub counts: bool,
 }
 
@@ -96,8 +96,8 @@ impl Annotations {
         &self.frames
     }
 
-    /// Whether an object at a world position would have been labelled: it is in the image, high enough, and
-    /// outside the unlabelled regions.
+    /// Whether an object at a world position would have a label: it is in the image, high enough, and outside
+    /// the unlabelled regions.
     #[must_use]
     pub fn covers(&self, frame: usize, agent_type: AgentType, position_m: [f64; 2]) -> bool {
         let (Some(annotated), Some(([x, y, z], _))) =

@@ -1,8 +1,8 @@
-//! The files of a sequence of KITTI: which belong to the one that was named.
+//! The files of a KITTI sequence that belong to the named one.
 //!
-//! A sequence has the same file name in all folders. Detections lie in a folder per class; the folder's name contains
-//! the class: `Car`, or `pointrcnn_Car_val`. Calibration, ego motion and labels lie in folders of their own beside that
-//! folder or further up, as in `training/label_02` of KITTI itself.
+//! A file has the same name in all folders. Detections have one folder per class, whose name contains the
+//! class: `Car`, or `pointrcnn_Car_val`. Calibration, ego motion and labels have their own folders, beside
+//! that folder or further up, as `training/label_02` of KITTI itself.
 
 use std::path::{Path, PathBuf};
 
@@ -10,16 +10,16 @@ use crate::open::{read_if_there, read_needed};
 use crate::text::{self, Separator};
 use crate::{Input, ReadError, Role};
 
-/// Classes as folders name them, with the type in a detection's second column.
+/// Classes as in names of folders, with the type in a detection's second column.
 const CLASSES: [(&str, &str, Role); 3] =
     [("Car", "2", Role::Vehicles), ("Pedestrian", "1", Role::Pedestrians), ("Cyclist", "3", Role::Cyclists)];
 /// Folders with labels: of trackers' releases, and of KITTI itself.
 const LABELS: [&str; 2] = ["label", "label_02"];
-/// Folders above that are searched.
+/// Numbers of folders to go up for the search.
 const ABOVE: std::ops::Range<usize> = 2..5;
 
-/// The named output of a detector, those of the other classes in folders of the same naming, and the files that locate
-/// them in the world.
+/// The named output of a detector, the outputs for the other classes in folders named alike, and the files
+/// that locate them in the world.
 pub(crate) fn detections(path: &Path, opened: Input) -> Result<Vec<Input>, ReadError> {
     let folder =
         path.parent().and_then(Path::file_name).and_then(|folder| folder.to_str()).unwrap_or_default();
@@ -50,12 +50,12 @@ pub(crate) fn sensors(path: &Path) -> Result<[Input; 2], ReadError> {
     Ok([needed("calib", Role::Calibration)?, needed("oxts", Role::EgoMotion)?])
 }
 
-/// The labels of the same.
+/// Labels of the sequence to which a detector's output or a label file belongs.
 pub(super) fn labels(path: &Path) -> Result<Input, ReadError> {
     read_needed(&place(path, &LABELS), Role::Labels, &path.to_string_lossy())
 }
 
-/// A folder's name before the class, the class and the name behind, if the class is a word of it.
+/// A folder's name before the class, the class, and the rest of the name, if the class is a word of the name.
 fn split<'a>(folder: &'a str, class: &str) -> Option<[&'a str; 3]> {
     let (lower, class) = (folder.to_ascii_lowercase(), class.to_ascii_lowercase());
     lower.match_indices(&class).find_map(|(at, _)| {
@@ -66,8 +66,8 @@ fn split<'a>(folder: &'a str, class: &str) -> Option<[&'a str; 3]> {
     })
 }
 
-/// The class of a file whose folder names none, by its first row. A file of anything else is read as vehicles: the error
-/// then names its first line.
+/// The class of a file by its first row, for folders that do not name the class. Any other file is read as
+/// vehicles, so that the error names its first line.
 fn role_of(input: &Input) -> Result<Role, ReadError> {
     let first = text::lines(input).next().transpose()?;
     let kind = first.as_ref().and_then(|line| line.pieces(Separator::Comma).nth(1));
@@ -75,8 +75,9 @@ fn role_of(input: &Input) -> Result<Role, ReadError> {
     Ok(known.map_or(Role::Vehicles, |(.., role)| *role))
 }
 
-/// The file of the same sequence in the first of these folders that has it: beside the file's own folder or above it,
-/// also in the folder of KITTI's training set, or of its test set for detections of that.
+/// The file of the same sequence in the first of these folders that has it. The folders are searched beside
+/// the file's own folder and above it, and in KITTI's training set, or in its test set for detections of that
+/// set.
 fn place(path: &Path, folders: &[&str]) -> PathBuf {
     let path = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
     let file = path.file_name().unwrap_or_default();

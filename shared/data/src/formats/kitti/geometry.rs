@@ -1,12 +1,12 @@
 //! From the camera of KITTI's car to a fixed world frame.
 //!
-//! A point of the rectified camera frame is transformed by the calibration to the inertial unit, `imu =
-//! (R_rect · Tr_velo_cam · Tr_imu_velo)⁻¹ · camera`, and from there by the unit's pose to the world (m).
-//! Positions of the unit are latitude and longitude on a Mercator map that is true to scale at the first row,
-//! as in KITTI's own development kit; attitude is roll, pitch and yaw with yaw 0 to the east,
-//! counter-clockwise.
+//! The calibration transforms a point of the rectified camera frame to the inertial unit, `imu = (R_rect ·
+//! Tr_velo_cam · Tr_imu_velo)⁻¹ · camera`. The unit's pose transforms it to the world (m). As in KITTI's own
+//! development kit, the unit's position is latitude and longitude on a Mercator map that is true to scale at
+//! the first row. The attitude is roll, pitch and yaw. Yaw is 0 to the east and counter-clockwise.
 //!
-//! The inverse transformation needs a height: objects are taken to stand on the plane that the car stands on.
+//! The inverse transformation needs a height: objects are assumed to stand on the plane on which the car
+//! stands.
 
 use std::path::Path;
 
@@ -117,14 +117,14 @@ impl WorldFromCamera {
         ([centre.x, centre.y], ahead.y.atan2(ahead.x))
     }
 
-    /// Position in the camera frame, m, and rotation about its y axis, rad, of an object that stands at a
-    /// world position: the inverse of [`WorldFromCamera::object`]. `None` where `frame` has no pose.
+    /// The inverse of [`WorldFromCamera::object`]: position in the camera frame, m, and rotation about its y
+    /// axis, rad, of an object that stands at a world position. `None` if `frame` has no pose.
     #[must_use]
     pub fn standing(&self, frame: usize, position_m: [f64; 2], heading_rad: f64) -> Option<([f64; 3], f64)> {
         let pose = self.world_from_imu.get(frame)?;
         let rotation = pose.rotation.to_rotation_matrix();
         let flat: Matrix2<f64> = rotation.matrix().fixed_view::<2, 2>(0, 0).into();
-        // The vector with this height in the car's frame and these two coordinates in the world's.
+        // The vector whose height is in the car's frame and whose other two coordinates are in the world's.
         let lifted = |xy: Vector2<f64>, height_m: f64| {
             let height: Vector2<f64> = rotation.matrix().fixed_view::<2, 1>(0, 2) * height_m;
             let xy = flat.try_inverse()? * (xy - height);
@@ -160,8 +160,8 @@ impl Camera {
         Err(ReadError::Missing { path: calibration.path.clone(), role: "P2", searched: String::new() })
     }
 
-    /// Image coordinates of a point, px from the upper left corner, and the scale there, px/m; `None` behind
-    /// the camera.
+    /// Image coordinates of a point, px from the upper left corner, and the scale there, px/m; `None` if the
+    /// point is behind the camera.
     pub(super) fn image_of(&self, [x, y, z]: [f64; 3]) -> Option<[f64; 3]> {
         let image = self.projection * nalgebra::Vector4::new(x, y, z, 1.0);
         (image.z > DEPTH_MIN_M)
