@@ -358,7 +358,7 @@ impl Evidence {
         }
     }
 
-    /// Selects modes from the network's modes and the fan, as many as the network has.
+    /// Selects from the network's modes and the fan as many modes as the network has.
     ///
     /// The more often a set has had the nearest mode of similar agents, the more probable are its modes.
     ///

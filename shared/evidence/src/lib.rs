@@ -1,9 +1,9 @@
 //! Online evidence: the measured accuracy of each expert's forecasts, and the required width of the regions.
 //!
-//! A network is good where it was trained, and may be worse than constant velocity elsewhere. Its input does
-//! not show the difference, but its matured forecasts do. Every forecast is stored until the agent has taken
-//! its steps. It then gives three kinds of evidence about its [context](Context), the type and speed of the
-//! agent:
+//! A network is good on roads like those that it was trained on, and may be worse than constant velocity on
+//! other roads. Its input does not show the difference, but its matured forecasts do. Every forecast is
+//! stored until the agent has taken its steps. It then gives three kinds of evidence about its
+//! [context](Context), the type and speed of the agent:
 //!
 //! * **How to blend.** The experts are the network, the base control, a decaying turn and a decaying
 //!   acceleration. Constant velocity has the remaining weight. Let d_e be an expert's position and y the
@@ -33,8 +33,8 @@
 //!   inference](https://arxiv.org/abs/2106.00170)).
 //! * **Which modes.** The selected modes ([`Choice`]) represent both the network's modes and a [fan](FAN).
 //!   The fan is as wide as similar agents deviate from its centre. The set whose nearest mode has been nearer
-//!   gets more modes. The centre is at constant velocity, at the blend or halfway between them, where the fan
-//!   has been nearest.
+//!   gets more modes. The centre lies between constant velocity and the blend, close to where the fan has
+//!   been nearest.
 //!
 //! The learned state is kept at four steps of the horizon and at six speeds, with linear interpolation
 //! between them. Nothing here allocates after the start.

@@ -14,8 +14,7 @@ pub const RADIUS_90: f32 = 2.145_966;
 const LEVEL: f64 = 0.9;
 /// Assumed radii of a calibrated region at the start.
 const ASSUMED: f64 = 15.0;
-/// Gain of the correction: its change per excess share of misses, while as many forecasts mature as are
-/// pending.
+/// Gain of the correction: its change within one horizon per excess share of misses.
 const GAIN: f64 = 0.7;
 /// Maximum change of the correction by a single forecast.
 const STEP_MAX: f64 = 0.05;

@@ -299,16 +299,16 @@ impl Base {
         self.supported(features).1
     }
 
-    /// Number of the base's control sequences for an agent: one per mode, and one for the best forecast.
+    /// Number of the base's controls for an agent: one per step of each mode and of the best forecast.
     #[must_use]
     pub const fn controls_len(&self) -> usize {
         (self.modes_len + 1) * self.horizon_len
     }
 
-    /// The base controls of every mode, followed by those of the best forecast, \[mode, step\].
+    /// The base controls, \[mode, step\]: first every mode's, then the best forecast's.
     ///
     /// # Panics
-    /// If `controls` does not have [`Base::controls_len`] sequences.
+    /// If the length of `controls` differs from [`Base::controls_len`].
     pub fn controls(&self, features: &BaseFeatures, controls: &mut [[f32; 2]]) {
         assert_eq!(controls.len(), self.controls_len(), "a control per mode and step");
         let (modes, best) = controls.split_at_mut(self.modes_len * self.horizon_len);

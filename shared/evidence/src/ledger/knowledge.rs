@@ -12,9 +12,9 @@ use crate::{ContextPrior, KNOTS, OUTLIER, fading};
 
 /// Weight of the prior, in deviations.
 const DEVIATIONS_LEN: f64 = 10.0;
-/// Initial shares of the fans that are nearest about each of the [`MIDDLES`].
+/// Initial shares of the forecasts for which the fan about each of the [`MIDDLES`] is the nearest.
 const ABOUT_MIDDLES: [f32; MIDDLES.len()] = [0.25, 0.5, 0.25];
-/// Weight of these shares, in comparisons.
+/// Weight of these shares, in forecasts.
 const MIDDLES_LEN: f64 = 20.0;
 
 /// The learned state of one type at one speed.
@@ -26,7 +26,7 @@ pub(super) struct Knowledge {
     pub(super) squares: [([f64; 2], f64); KNOTS],
     /// How often the network and the fan had the nearest mode.
     pub(super) sets: SetsAtSpeed,
-    /// Shares of the fan about each of the [`MIDDLES`].
+    /// How often the fan about each of the [`MIDDLES`] was the nearest.
     pub(super) of_middles: Shares<{ MIDDLES.len() }>,
     pub(super) pattern: LearnedPattern,
 }

@@ -134,8 +134,8 @@ fn misses_at_one_speed_widen_the_regions_of_all_speeds_of_the_type_for_a_while()
 
 #[test]
 fn what_the_correction_widened_is_no_width_that_lasts() {
-    // All are published twice as wide as they should be: the widths at that time contain the factor in their
-    // correction, or do not.
+    // All regions are published twice as wide as they should be. The correction at that time contains a part
+    // of that factor, or nothing.
     let lasting = |corrected: bool| {
         let mut known = Evidence::new(12, STEP_NS as u64, &Prior::default());
         if corrected {

@@ -38,8 +38,8 @@ impl Exponential {
     /// e^r 2^n from the result of [`reduce`](Self::reduce).
     #[inline(always)]
     pub(crate) fn raise<L: Lanes>(&self, l: L, rest: L::V, shifted: L::V) -> L::V {
-        /// Polynomial for e^r, highest error 9.2e-8 for |r| ≤ ½ ln 2, highest power first. The five
-        /// coefficients besides 1 minimise the greatest relative error.
+        /// Polynomial for e^r, lowest power first, with a relative error of at most 9.2e-8 for |r| ≤ ½ ln 2.
+        /// The coefficients besides the first minimise that error.
         const POLYNOMIAL: [f32; 6] =
             [1.0, 9.999_997e-1, 4.999_915e-1, 1.666_763_7e-1, 4.189_797_5e-2, 8.290_306e-3];
         let of_rest = |power: usize| POLYNOMIAL[power] * self.factor.powi(power as i32);
