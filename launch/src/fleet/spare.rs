@@ -110,7 +110,7 @@ impl Spare {
         true
     }
 
-    /// Handles the report of a warm process. Returns whether it comes from this spare.
+    /// Handles the report of a warm process, if it comes from this spare.
     fn ready(&mut self, incarnation: u32, client: Client, now: Duration) {
         if self.is_starting() && self.incarnation == incarnation {
             let warm_up = now.saturating_sub(self.started);

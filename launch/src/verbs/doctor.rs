@@ -211,7 +211,7 @@ fn instruction_set() -> Finding {
     finding("kernels", format!("{active} ({why})"), None)
 }
 
-/// Whether the decoder can compute in bf16.
+/// Checks whether the decoder can compute in bf16.
 fn precision() -> Finding {
     let found = match Precision::Bf16.check() {
         Ok(()) => {

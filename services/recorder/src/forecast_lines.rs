@@ -17,7 +17,7 @@
 //! | `source_id` | the agent's identity in the recording; 0 if it has none (64 bits) |
 //! | `type` | `vehicle`, `cyclist`, `pedestrian` |
 //! | `quality` | `learned`, `held` (from an earlier tick), `kinematic` (constant control) |
-//! | `cause` | why the forecast is held or kinematic: `late`, `rejected`, `missing`, `young`, `outdone`; otherwise `none` |
+//! | `cause` | why the forecast is held or kinematic: `late`, `rejected`, `missing`, `young`, `outdone`, `shed`; otherwise `none` |
 //! | `experts` | weights of the experts that have any, by name; empty without a blend |
 //! | `out_of_distribution` | how far the agent moves from what the network was trained on; from 0.25 on the network adds less than half |
 //! | `age_s` | age of a held forecast; otherwise 0 |

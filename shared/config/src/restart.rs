@@ -18,7 +18,7 @@ pub enum Restart {
     Always,
 }
 
-/// The restart policy of one stage: a table `restart_policy` of pipeline.toml.
+/// The restart policy of one stage, from keys of its table in pipeline.toml.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RestartPolicy {
     /// When the stage is started again.

@@ -107,7 +107,7 @@ impl Node {
         self
     }
 
-    /// Whether the process has been asked to end.
+    /// The signals that ask the process to end.
     #[must_use]
     pub const fn stop(&self) -> &Stop {
         &self.stop
