@@ -1,9 +1,9 @@
 """A detector in Python: in pipeline.toml, `command = ["python3", "producer.py"]` in the source's table.
 
-Here one sensor detects a car and another one a pedestrian; put your detectors in the place of `detect`. Positions are
-metres in the world frame. The frame's stamp is the time of its newest measurement on the sensors' clock, and each
-detection contains its own time as an offset from the stamp: see `stgdat_topics.py`, and docs/interfaces.md for all of it.
-The run comes by environment: STGDAT_RUN_ID, STGDAT_PREFIX, STGDAT_ROOT, STGDAT_INTERVAL_NS, STGDAT_ORIGIN.
+Here one sensor detects a car, and another sensor detects a pedestrian. Replace `detect` by your detectors. Positions are
+in metres in the world frame. The frame's stamp is the time of its newest measurement on the sensors' clock. Each
+detection contains its own time as an offset from the stamp. `stgdat_topics.py` and docs/interfaces.md describe the rest.
+Environment variables describe the run: STGDAT_RUN_ID, STGDAT_PREFIX, STGDAT_ROOT, STGDAT_INTERVAL_NS, STGDAT_ORIGIN.
 
 usage: producer.py [TICKS] [--offsets-ms CAR,PEDESTRIAN] [--csv FILE [--interval-ms MS]]
 """
@@ -25,7 +25,7 @@ from stgdat_wire import (DETECTIONS_MAX, SCHEMA, TOPICS, AgentType, Counts, Dete
 
 
 def detect(stamp_ns, offsets_ns):
-    """What the two sensors see, each at its own time: type, position, and what else they know."""
+    """The detections of the two sensors, each at its own time: type, position, and other known values."""
     car_s, pedestrian_s = ((stamp_ns + offset_ns) / 1e9 for offset_ns in offsets_ns)
     yield Detection(agent_type=AgentType.VEHICLE, x_m=-20 + 6 * car_s, y_m=2, heading_rad=0, speed_mps=6, length_m=4.5,
                     width_m=1.8, score=0.9, offset_ns=offsets_ns[0],
@@ -35,8 +35,8 @@ def detect(stamp_ns, offsets_ns):
 
 
 def world(row):
-    """A row's position in the world frame: less the run's origin (`stgdat run --origin X,Y`), in 64 bits, before a position
-    becomes a float of 32."""
+    """A row's position in the world frame. The run's origin (`stgdat run --origin X,Y`) is subtracted in 64 bits, before the
+    position becomes a 32-bit float."""
     return float(row["x_m"]) - origin()[0], float(row["y_m"]) - origin()[1]
 
 
@@ -55,7 +55,7 @@ def detection(row):
 
 
 def interpolated(poses, stamp_ns):
-    """The ego pose at a time: between two poses, the heading along the shortest arc."""
+    """The ego pose at a time, interpolated between two poses, with the heading along the shortest arc."""
     after = next((pose for pose in poses if pose[0] >= stamp_ns), poses[-1])
     before = next((pose for pose in reversed(poses) if pose[0] <= stamp_ns), poses[0])
     share = (stamp_ns - before[0]) / (after[0] - before[0]) if after[0] > before[0] else 0
@@ -65,8 +65,8 @@ def interpolated(poses, stamp_ns):
 
 
 def merged(path):
-    """A CSV file as a producer that merges several sensors would send it: in every interval what has come since the
-    last one, of each identity the newest. Yields the stamp, the detections with their offsets, flags and the ego pose."""
+    """The frames that a producer would send if it merged the sensors of a CSV file: for each interval, the newest
+    detection of each identity. Yields the stamp, the detections with their offsets, flags and the ego pose."""
     with open(path, newline="") as file:
         rows = [(int(round(Decimal(row["stamp_s"]) * 10**9)), row)
                 for row in csv.DictReader(line for line in file if not line.startswith("#"))]
@@ -106,7 +106,7 @@ def send(topic, seq, stamp_ns, elements=(), flags=0, ego=(0, 0, 0)):
     try:
         notifier.notify()
     except iox2.NotifierNotifyError:
-        pass  # A frame after more than two intervals: the missed deadline is reported, the notification delivered.
+        pass  # More than two intervals since the last frame: the notification is delivered all the same.
 
 
 def output(name):
@@ -134,10 +134,11 @@ else:
 has_identities = bool(frames) and all(d.flags & DetectionFlags.HAS_ID for frame in frames for d in frame[1])
 identities = Flags.HAS_IDENTITIES if has_identities else 0
 node = join("producer")
-# A sensor knows no truth: that topic carries the frames that link and end the run, and no others.
+# A sensor has no truth. Its truth topic carries only the frames that link and end the run.
 detections, truth = output("detections"), output("truth")
 
-# Frames reach a reader once it has mapped the connection: warm-up frames pass until one has come out at the end.
+# A frame reaches a reader only after the reader has mapped the connection. So warm-up frames are sent until one arrives on
+# `forecasts`.
 returned = topic(node, "forecasts")[0].subscriber_builder().create()
 while not returned.has_samples():
     send(truth, 0, 0, flags=Flags.WARM_UP)
@@ -150,5 +151,5 @@ for seq, (stamp_ns, elements, flags, ego) in enumerate(frames):
     time.sleep(max(0, begin_ns + stamp_ns - first_ns - time.monotonic_ns()) / 1e9)
     send(detections, seq, stamp_ns, elements, identities | flags, ego)
 send(detections, len(frames), (frames[-1][0] if frames else 0) + interval_ns, flags=Flags.END)
-# The frames stay readable as long as this process lives.
+# The frames stay readable while this process lives.
 time.sleep(1)

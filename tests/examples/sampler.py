@@ -1,9 +1,9 @@
 """A sampler in Python: in pipeline.toml, `command = ["python3", "sampler.py"]` in the sampler's table.
 
-Needs numpy beside iceoryx2. It reads `tracks` and `controls` and writes `forecasts`: particles draw controls from the
-Gaussians of each mode and move by the equations of docs/model.md. Without the controls of a tick it goes on at constant
-velocity. It shows what a stage in another language does: pass on frames that are no ticks, stamp a hop, protect the
-frame, and wait for its turn where it replaces another process.
+Needs numpy and iceoryx2. It reads `tracks` and `controls` and writes `forecasts`. Particles draw controls from the
+Gaussians of each mode and move by the equations of docs/model.md. If a tick has no controls, its forecasts are constant
+velocity. The program shows the tasks of a stage in another language: it passes on frames that are not ticks, adds a hop,
+protects the frame, and waits for the handover if it replaces another process.
 """
 
 import ctypes
@@ -81,7 +81,7 @@ def walker_start(track, steps):
 
 
 def drive(state, control, rear_m, dt_s):
-    """A step of the bicycle along the last axis of `state`, at the midpoint, with controls that saturate."""
+    """A midpoint step of the bicycle along the last axis of `state`, with saturated controls."""
     limits = np.array([model["accel_limit_mps2"], model["slip_rate_limit_radps"]])
     control = limits * np.tanh(control / limits)
     x, y, heading, speed, slip = np.moveaxis(state, -1, 0)
@@ -108,7 +108,7 @@ def entries(covariance):
 
 
 def learned(track, controls, dt_s, random, out):
-    """Writes the forecast of a track by its controls."""
+    """Writes the forecast of a track from its controls."""
     steps, modes = track["history"][:history], int(controls["modes_len"])
     if track["agent_type"] == AgentType.VEHICLE and model["vehicle_motion"] == "bicycle":
         mean, covariance, along = vehicle_start(track, steps, dt_s)
@@ -142,7 +142,7 @@ def learned(track, controls, dt_s, random, out):
 
 
 def steady(track, cause, dt_s, out):
-    """Writes a forecast at constant velocity, with a spread that grows."""
+    """Writes a forecast of constant velocity with a growing spread."""
     cause = Cause.YOUNG if not track["forecastable"] else cause
     times = dt_s * np.arange(1, horizon + 1)[:, None]
     path = np.array([track["x_m"], track["y_m"]]) + times * np.array([track["vx_mps"], track["vy_mps"]])
@@ -179,7 +179,7 @@ class Input:
         self.listener = events.listener_builder().create()
 
     def take(self):
-        """The oldest frame, its header and elements copied; none where there is none."""
+        """The oldest frame, with copies of its header and elements; None if there is no frame."""
         if self.early is not None:
             frame, self.early = self.early, None
             return frame
@@ -196,7 +196,7 @@ class Input:
         return header, elements, time.monotonic_ns()
 
     def of_tick(self, seq, until_ns):
-        """The frame of a tick; none where it has not come until then."""
+        """The frame of a tick; None if it has not arrived by `until_ns`."""
         while True:
             while (frame := self.take()) is not None:
                 is_tick = not frame[0].flags & (Flags.WARM_UP | Flags.END)
@@ -229,7 +229,7 @@ def send(header, elements, hop):
     try:
         notifier.notify()
     except iox2.NotifierNotifyError:
-        pass  # A frame after more than two intervals: the missed deadline is reported, the notification delivered.
+        pass  # More than two intervals since the last frame: the notification is delivered all the same.
 
 
 node, incarnation, counter = join("sampler"), int(os.environ.get("STGDAT_INCARNATION", 0)), itertools.count()

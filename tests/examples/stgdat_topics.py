@@ -1,17 +1,19 @@
 """The topics of a stgdat run for Python: how to join a run and open its topics.
 
-Needs Python 3.10, `pip install iceoryx2==0.10.0`. The layouts are in `stgdat_wire.py`, which `stgdat wire --python` prints:
-copy both files. iceoryx2 refuses to connect to a run of another version.
+Needs Python 3.10 and `pip install iceoryx2==0.10.0`. The layouts are in `stgdat_wire.py`, which `stgdat wire --python`
+prints. Copy both files. iceoryx2 refuses to connect to a run of another version.
 
 The contract
-* World frame: positions in metres in one fixed, right-handed frame (x, y; z up) whose origin lies within 32 km:
-  `origin` in the frame of map and detections (`stgdat run --origin X,Y`), which producers subtract and consumers add;
-  headings counter-clockwise from +x, radians; velocities in the world frame, not relative to the ego vehicle.
-* Ego pose: `ego_m` and `ego_heading_rad` of each frame are the vehicle's pose in that frame at the stamp, or the scene's
-  centre and 0 for a fixed sensor. When there are more agents than fit, the nearest to it are kept.
-* Time base: `stamp_ns` is the time at which the detections are valid, on the sensor's clock, no two alike (a frame may
-  come late); all algorithms use it alone. `released_ns` and the hops are CLOCK_MONOTONIC (`time.monotonic_ns()`) and used for latency alone.
-* `seq` counts ticks from 0 without gaps; a gap counts as a lost frame. Frames come every `interval_ns`, at least 80 ms.
+* World frame: positions are in metres in one fixed, right-handed frame (x, y; z up), within 32 km of its origin.
+  `origin` is the position of this origin in the frame of map and detections (`stgdat run --origin X,Y`): producers
+  subtract it, and consumers add it. Headings are counter-clockwise from +x, in radians. Velocities are in the world
+  frame, not relative to the ego vehicle.
+* Ego pose: `ego_m` and `ego_heading_rad` of a frame are the vehicle's pose in the world frame at the stamp. For a fixed
+  sensor they are the scene's centre and 0. If there are too many agents, the ones nearest to the ego are kept.
+* Time base: `stamp_ns` is the time at which the detections are valid, on the sensor's clock. Each frame has a different
+  stamp, and a frame may be late. All algorithms use only this time. `released_ns` and the hops are CLOCK_MONOTONIC
+  (`time.monotonic_ns()`) and only measure latency.
+* `seq` counts ticks from 0 without gaps. A gap counts as a lost frame. Frames come every `interval_ns`, at least 80 ms.
 """
 
 import functools
@@ -25,7 +27,7 @@ from stgdat_wire import TOPICS, Header
 
 
 def run_folder():
-    """The folder of the run in the environment, else of the newest run of this machine."""
+    """The folder of the run in the environment, or else of the newest run on this machine."""
     roots = [os.environ.get("STGDAT_ROOT"), *sorted(glob.glob("/tmp/stgdat_????????"), key=os.path.getmtime)[::-1]]
     root = next(filter(None, roots), None)
     if root is None:
@@ -41,13 +43,13 @@ def origin():
 
 
 def join(name):
-    """A node in the run in the environment, else in the newest run of this machine."""
+    """A node in the run of the environment, or else in the newest run on this machine."""
     root = run_folder()
     iox2.set_log_level(iox2.LogLevel.Error)
     config = iox2.config.global_config()
     config.global_cfg.prefix = iox2.FileName.new(os.environ.get("STGDAT_PREFIX") or os.path.basename(root) + "_")
     config.global_cfg.root_path = iox2.Path.new(root)
-    # A node that cleans up after others may hang on what a killed one left half made; the launcher does it.
+    # A node that cleans up after others can hang on half-made resources of a killed node. The launcher cleans up.
     config.global_cfg.node.cleanup_dead_nodes_on_creation = False
     config.global_cfg.node.cleanup_dead_nodes_on_destruction = False
     config.global_cfg.service.cleanup_dead_nodes_on_open = False
@@ -55,9 +57,9 @@ def join(name):
 
 
 def await_turn():
-    """Waits, where this process is to replace one that still runs (`stgdat stage replace`), until that one has ended.
+    """If this process replaces a running one (`stgdat stage replace`), waits until that process has ended.
 
-    Call it once the inputs are open and what takes time is loaded, before the outputs are opened."""
+    Call this after the inputs are open and large files are loaded, and before the outputs are opened."""
     path = os.environ.get("STGDAT_STANDBY")
     if path is None:
         return
@@ -69,7 +71,7 @@ def await_turn():
 
 
 def topic(node, name, patience_s=10):
-    """The two services of a topic, as its stages made them: frames, and the events that wake their readers."""
+    """The two services of a topic, created by its stages: frames, and the events that wake their readers."""
     service = lambda: node.service_builder(iox2.ServiceName.new(f"stgdat/{name}"))
     until = time.monotonic() + patience_s
     while True:
@@ -83,8 +85,8 @@ def topic(node, name, patience_s=10):
 
 
 def reader(node, name, depth=2, patience_s=2):
-    """The reading ends of a topic: frames and events. Waits if all places are taken: that of a reader that has died is
-    free again within a second."""
+    """The reading ends of a topic: frames and events. Waits if all places are taken, because the place of a dead reader
+    is free again within a second."""
     frames, events = topic(node, name)
     until = time.monotonic() + patience_s
     while True:

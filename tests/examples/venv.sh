@@ -1,5 +1,5 @@
 #!/bin/sh
-# Makes a virtual environment with what the Python examples need, unless it is there: `sh venv.sh DIR`.
+# Creates a virtual environment with the packages of the Python examples, unless it exists: `sh venv.sh DIR`.
 set -eu
 python="$1/bin/python"
 if "$python" -c 'import iceoryx2, numpy' 2>/dev/null; then exit 0; fi

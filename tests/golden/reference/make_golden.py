@@ -1,7 +1,7 @@
-"""Makes the golden vectors of the model, or checks that they are what this reference computes.
+"""Creates the golden vectors of the model, or compares existing ones with this reference.
 
     python make_golden.py OUT              # writes OUT/vehicle, OUT/pedestrian, OUT/plus and OUT/literal
-    python make_golden.py --check FOLDER   # makes them anew and compares every byte with FOLDER/vehicle, …
+    python make_golden.py --check FOLDER   # creates them again and compares every byte with FOLDER/vehicle, …
 
 Weights and scene are drawn from a seed; weights are rounded to float32 first, so that both sides start from the same
 numbers, everything else is computed in float64 and rounded to float32 when it is written.
@@ -31,7 +31,7 @@ FILES = ["scene.json", "weights.safetensors", "tensors.safetensors"]
 
 @dataclass(frozen=True)
 class Profile:
-    """What tells one folder from another."""
+    """The parameters of one folder."""
 
     name: str
     seed: int
@@ -45,12 +45,12 @@ class Profile:
     stem: str
     # Edge in the message, distance scale, scaled inputs.
     plus: bool = False
-    # 64 scalar temporal heads: the paper's formula to the letter.
+    # 64 scalar temporal heads: the paper's formula as printed.
     literal: bool = False
     width: int = 16
 
     def config(self):
-        """The model's configuration as its weights carry it."""
+        """The model's configuration as stored in its weights."""
         return {
             "width": self.width,
             "stem": self.stem,
@@ -81,12 +81,12 @@ PROFILES = [
 
 
 def f32(tensor):
-    """The numbers as float32 holds them, in float64."""
+    """The numbers rounded to float32, as float64."""
     return tensor.float().double()
 
 
 def make_network(profile):
-    """A network with lively activations, so that a wrong layer shows, and its weights in float32."""
+    """A network with large activations, so that a wrong layer is visible, and its weights in float32."""
     net = ref.STGDAT(
         width=profile.width,
         stem=profile.stem,
@@ -164,7 +164,7 @@ def graph_attention(net, profile, scene, context, steps, tag, out):
     length = last - first
     position, velocity = scene.position[first:last], scene.velocity[first:last]
     heading, present = scene.heading[first:last], scene.present[first:last]
-    # The future is seen from the same agent frame as the history: that of the last observed step.
+    # The future is in the same agent frame as the history, at the last observed step.
     now = profile.history_len - 1
 
     def with_now(whole, part):
@@ -302,7 +302,7 @@ def vehicles_of(scene):
 
 
 def describe(profile, scene):
-    """What scene.json contains."""
+    """The content of scene.json."""
     return {
         "seed": profile.seed,
         "width": profile.width,

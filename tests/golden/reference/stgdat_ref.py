@@ -1,4 +1,4 @@
-"""The STG-DAT model of docs/model.md in PyTorch, written apart from the onboard code.
+"""The STG-DAT model of docs/model.md in PyTorch, written independently of the onboard code.
 
 The golden vectors are made with it in float64 (`make_golden.py`): it is the yardstick that the Rust code is held against, so
 nothing of it follows the Rust code, and it prefers the plainest formula to a fast one.
