@@ -1,8 +1,8 @@
-//! A replacement of the shipped localiser that knows a round drivable area: `command =
-//! ["target/release/examples/area_localiser"]` in the localiser's table of pipeline.toml.
+//! A localiser that knows a round drivable area. It replaces the shipped one with
+//! `command = ["target/release/examples/area_localiser"]` in the localiser's table of pipeline.toml.
 //!
-//! A stage is a `Step`: it computes its output of a tick from its input. `drive` opens the ports, waits for frames,
-//! sends heartbeats, passes on frames that are not ticks, and ends when it is asked to.
+//! A stage is a `Step`: it computes its output of a tick from its input. `drive` opens the ports, waits for
+//! frames, sends heartbeats, passes on frames that are not ticks, and ends on request.
 
 use std::process::ExitCode;
 
@@ -46,7 +46,7 @@ impl Options {
     }
 }
 
-/// The stage: what it needs in each tick.
+/// The stage with the data that it needs in each tick.
 struct AreaLocaliser {
     model: ModelConfig,
     options: Options,
@@ -86,7 +86,7 @@ impl Step for AreaLocaliser {
     }
 
     fn end(&mut self, _: &Run) -> Result<(), StageError> {
-        // The launcher shows it, with the stage's name before it.
+        // The launcher prints this with the stage's name in front.
         self.drawn.print(self.options.radius_m, self.model.patch_size);
         Ok(())
     }

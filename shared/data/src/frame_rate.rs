@@ -56,7 +56,7 @@ impl FrameRate {
         i64::try_from((i128::from(frame) * NS_MICROHERTZ + microhertz / 2).div_euclid(microhertz)).ok()
     }
 
-    /// The time that so many frames last, rounded down to the nanosecond.
+    /// The duration of `frames` frames, rounded down to the nanosecond.
     #[must_use]
     pub fn interval_ns(self, frames: u32) -> u64 {
         (i128::from(frames) * NS_MICROHERTZ / i128::from(self.microhertz)) as u64

@@ -10,7 +10,7 @@ use super::{Agent, SceneOptions};
 
 /// Clutter appears within this square around the centre.
 const CLUTTER_WITHIN_M: f32 = 40.0;
-/// Separates the sensor's random stream from that of the traffic.
+/// Separates the sensor's random stream from the traffic's.
 const STREAM: u64 = 1;
 
 /// The sensor's random stream. The options contain its pose and its errors.
