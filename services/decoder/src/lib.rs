@@ -161,8 +161,9 @@ impl Decoder {
         });
     }
 
-    /// Puts the agents to be served into blocks of one type: type by type or, `by_turn`, in the order of their
-    /// turns, each into the open block of its type; a block has the place of its first agent.
+    /// Puts the agents to be served into blocks of one type: type by type or, with a deadline, in the order
+    /// of their turns. Each agent goes into the open block of its type. A block has the place of its first
+    /// agent.
     fn assign(&mut self, encodings: &[AgentEncoding], allowance: Allowance<'_>) {
         let by_turn = matches!(allowance, Allowance::Until { .. });
         let is_allowed = |place: usize| match allowance {

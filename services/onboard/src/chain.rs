@@ -22,7 +22,7 @@ pub struct Chain {
     tracks: OwnFrame<TracksTopic>,
 }
 
-/// The stages from a `tracks` payload on: localiser, extractor, encoder, decoder and sampler.
+/// The stages that start at a `tracks` payload: localiser, extractor, encoder, decoder and sampler.
 pub struct TracksToForecasts {
     features: TracksToFeatures,
     controls: FeaturesToControls,
@@ -38,7 +38,7 @@ pub struct TracksToFeatures {
     context: OwnFrame<ContextTopic>,
 }
 
-/// Encoder and decoder. What they make of a tick does not depend on other ticks.
+/// Encoder and decoder. Their output for a tick does not depend on other ticks.
 pub struct FeaturesToControls {
     encoder: Encoder,
     decoder: Decoder,
@@ -48,7 +48,7 @@ pub struct FeaturesToControls {
     pub controls: OwnFrame<ControlsTopic>,
 }
 
-/// Answers a frame by the step of a stage that serves all agents; `passed` is called after it.
+/// Answers a frame by a step that serves all agents; `passed` is called after the step.
 fn take_through<S: Step<Second = NoTopic>>(
     (id, step): (StageId, &mut S),
     (header, input): (&Header, &[<S::Input as Topic>::Element]),
@@ -72,7 +72,7 @@ impl Chain {
         })
     }
 
-    /// Takes a tick through all stages; `passed` is called after each of them.
+    /// Takes a tick through all stages; `passed` is called after each stage that answers it.
     ///
     /// If the tracker refuses the tick or the tick is late, there are no forecasts. If a later stage refuses
     /// it, the sampler's fallback forecasts are returned.
@@ -125,7 +125,7 @@ impl Chain {
         &self.tracks.elements
     }
 
-    /// How large the last tick was.
+    /// The size of the last tick.
     #[must_use]
     pub fn load(&self) -> Load {
         self.rest.load()
@@ -133,7 +133,7 @@ impl Chain {
 }
 
 impl TracksToForecasts {
-    /// Sets up the stages of a run with that model from its record.
+    /// Sets up the stages of a run with this model from its record.
     ///
     /// # Errors
     /// [`ChainError`] if weights, options, map or retrieval memory can't be used.
@@ -181,7 +181,7 @@ impl TracksToForecasts {
         &self.sampler
     }
 
-    /// How large the last tick was.
+    /// The size of the last tick.
     #[must_use]
     pub fn load(&self) -> Load {
         self.controls.load(&self.frame)
@@ -189,7 +189,7 @@ impl TracksToForecasts {
 }
 
 impl TracksToFeatures {
-    /// Stages before their first frame.
+    /// Stages before their first tick.
     ///
     /// # Errors
     /// [`StartError`] if the weights do not contain the model or a thread can't be started.
@@ -202,7 +202,7 @@ impl TracksToFeatures {
         Ok(Self { localiser, extractor, context: OwnFrame::default() })
     }
 
-    /// Takes the tracks of a tick to features; `passed` is called after each stage.
+    /// Takes the tracks of a tick to features; `passed` is called after each stage that answers it.
     ///
     /// # Errors
     /// [`Rejected`] if a stage refuses the tick. `out` is then VOID.
@@ -219,7 +219,7 @@ impl TracksToFeatures {
         located.and(extracted)
     }
 
-    /// The extractor's work for the last tick, and the agents that it left out.
+    /// The extractor's work for the last tick, and the number of edges that it left out.
     #[must_use]
     pub const fn effort(&self) -> Effort {
         self.extractor.effort()
@@ -244,7 +244,7 @@ impl FeaturesToControls {
         })
     }
 
-    /// Takes the features of a tick to controls; `passed` is called after each stage.
+    /// Takes the features of a tick to controls; `passed` is called after each stage that answers it.
     ///
     /// # Errors
     /// [`Rejected`] if a stage refuses the tick. The controls are then VOID.
@@ -259,7 +259,7 @@ impl FeaturesToControls {
         encoded.and(decoded)
     }
 
-    /// How large the last tick was.
+    /// The size of the last tick.
     #[must_use]
     pub fn load(&self, features: &OwnFrame<FeaturesTopic>) -> Load {
         let counts = &features.header.counts;

@@ -42,12 +42,12 @@ impl<T: Topic> OwnFrame<T> {
         self.elements.clear();
     }
 
-    /// Answers a tick by a step, as the step's process does. `passed` is called when the answer is complete, before
-    /// the work for which no later stage waits.
+    /// Lets a step answer a tick, as the step's process does. `passed` is called when the answer is complete,
+    /// before the work for which no later stage waits. It is not called if the input is VOID.
     ///
     /// # Errors
-    /// [`Rejected`] if the step refuses the tick. The frame is VOID then. It is also VOID if the input is, or if the
-    /// step leaves its answer empty.
+    /// [`Rejected`] if the step refuses the tick. The frame is then VOID. It is also VOID if the input is
+    /// VOID, or if the step leaves the tick without an answer.
     pub fn answer<S: Step<Output = T>>(
         &mut self,
         step: &mut S,
@@ -75,7 +75,7 @@ impl<T: Topic> OwnFrame<T> {
     }
 }
 
-/// The memory of a frame. It grows to the largest frame.
+/// The memory of a frame. It grows to the size of the largest frame.
 struct Memory<T: Topic> {
     elements: Vec<T::Element>,
     count: usize,

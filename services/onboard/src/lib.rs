@@ -1,5 +1,5 @@
-//! The compute stages in one process: the same [steps](ports::Step) on the same settings as in a run of processes,
-//! so forecasts are equal to the bit.
+//! The compute stages in one process. They run the same [steps](ports::Step) with the same settings as in a
+//! run of processes, so that forecasts are equal to the bit.
 //!
 //! The input consists of wire payloads (detections or tracks, tick by tick). The output consists of tracks,
 //! controls and forecasts.
@@ -11,10 +11,11 @@
 //! ```
 //!
 //! * [`Chain`] is the whole pipeline: `stgdat predict`, `track` and `bench` run it.
-//! * [`TracksToForecasts`] is its part from a `tracks` payload on.
-//! * [`TracksToFeatures`] and [`FeaturesToControls`] are the parts of that. The first depends on the ticks
-//!   before, the second on the tick alone, so that evaluations can share its ticks among threads.
-//! * [`Stages`] are the same stages one by one, and [`Replay`] takes a recording through them.
+//! * [`TracksToForecasts`] is the part of the pipeline that starts at a `tracks` payload.
+//! * [`TracksToFeatures`] and [`FeaturesToControls`] are the parts of [`TracksToForecasts`] before the
+//!   sampler. The first depends on earlier ticks. The second depends only on its tick, so that evaluations
+//!   can spread ticks over threads.
+//! * [`Stages`] holds the same stages one by one. [`Replay`] takes a recording through them.
 
 mod chain;
 mod error;

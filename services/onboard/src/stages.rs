@@ -151,7 +151,8 @@ impl Stages {
     }
 }
 
-/// Where the sampler's state is kept, as its process keeps it.
+/// The journal of the sampler's state, with the same identity as in the sampler's process; `None` if that
+/// process keeps none.
 fn journal(run: &Run, sampler: &Sampler) -> Option<Journal<Box<dyn Storage + Send>>> {
     let identity = Identity::of(run.id, sampler.options()).filter(|_| !run.lockstep)?;
     let memory: Box<dyn Storage + Send> = Box::new(Vec::<u64>::new());

@@ -35,7 +35,8 @@ impl Fallback {
         self.newest_learned_ns = self.newest_learned_ns.max(Some(stamp_ns));
     }
 
-    /// Whether the policy silences a track. `learned` states whether an agent of this tick has a learned forecast.
+    /// Whether the policy silences a track. `learned` states whether an earlier track of this tick has a
+    /// learned forecast.
     pub(crate) fn is_silent(&self, tick: Tick, track: &Track, learned: bool) -> bool {
         let age_ns = self.held.find(track.id, tick.stamp_ns).map(|(_, age_ns)| age_ns);
         let newest_ns =

@@ -235,12 +235,13 @@ impl Sampler {
         self.sample(header, tracks, Ok(controls), |count| Ok(&mut out[..count]))
     }
 
-    /// Writes the forecasts of a tick, with its controls or with the reason why there are none. `room` gives the
-    /// memory for a number of forecasts. Returns that number: agents that the degradation policy silences are left
-    /// out.
+    /// Writes the forecasts of a tick, with its controls or with the reason why there are none. `room`
+    /// provides the memory for a number of forecasts. Returns that number: agents that the degradation policy
+    /// silences are left out.
     ///
     /// # Errors
-    /// [`Rejected`] if header or tracks are impossible; nothing was written or changed. The error of `room`.
+    /// [`Rejected`] if header or tracks are impossible; nothing was written or changed. An error of `room` is
+    /// passed on.
     pub(crate) fn sample<'a>(
         &mut self,
         header: &Header,

@@ -25,7 +25,7 @@ pub fn drive<S: Step, O>(
     answered.and(ended)
 }
 
-/// The ports of a stage, and what its driver keeps from tick to tick.
+/// The ports of a stage, and the driver's state between ticks.
 struct Driver<S: Step> {
     stage: Stage,
     input: Subscriber<S::Input>,
@@ -79,8 +79,8 @@ impl<S: Step> Driver<S> {
 
     fn pass_void(&mut self, header: &Header) -> Result<(), PortError> {
         self.missing.is_no_tick(header);
-        // The second input's frame of the tick is VOID as well. If it stayed in the queue, it would push out later
-        // frames, which would then count as lost.
+        // The second input's frame of the tick is VOID as well. In the queue it would push out later frames,
+        // which would then count as lost.
         if let Some(second) = self.second.as_ref().filter(|_| S::SECOND == SecondInput::SameTick)
             && header.is_tick()
         {
@@ -131,7 +131,8 @@ impl<S: Step> Driver<S> {
         Ok(true)
     }
 
-    /// Waits for the second input of a tick. `None` if the process has been asked to end.
+    /// Waits for the second input of a tick. A newest frame is put into `newest`, and the result is then
+    /// [`Awaited::Late`]. `None` if the process has been asked to end.
     fn await_second(&mut self, step: &S, header: &Header) -> Result<Option<Awaited<S::Second>>, PortError> {
         let Self { stage, second, newest, .. } = self;
         let Some(second) = second else { return Ok(Some(Awaited::Late)) };
@@ -156,8 +157,8 @@ impl<S: Step> Driver<S> {
     }
 }
 
-/// Begins the passage of a tick: with the second input's frame of the same tick, which arrives last, or with the
-/// input's frame. The header is the input's, with the hops of both.
+/// Begins the passage of a tick with the frame that arrives last: the second input's frame of the same tick
+/// or, without one, the input's frame. The header is the input's, with the hops of both.
 fn begin<I: Topic, T: Topic>(
     stage: &Stage,
     header: &Header,
@@ -193,11 +194,11 @@ fn send<O: Topic>(
     stage.finish(passage, output, result)
 }
 
-/// Elements in shared memory.
+/// Lends elements in shared memory.
 struct Lent<'a, O: Topic> {
     output: &'a Publisher<O>,
     loan: Option<Loan<O>>,
-    /// Why there is no memory: the process can't continue.
+    /// Why there is no memory. The process can't continue then.
     fault: Option<PortError>,
 }
 

@@ -1,11 +1,11 @@
-//! Ticks without input, once its sender is gone.
+//! Ticks that never arrive because their sender is gone.
 
 use wire::{Counts, Header, flags};
 
 /// Decides when a stage answers ticks that never arrived.
 ///
-/// It checks two intervals after the last tick whether the input's sender is gone. If it is, ticks are predicted, one
-/// per interval, until the next tick arrives.
+/// Two intervals after the last tick, it checks whether the input's sender is gone. If so, ticks are
+/// predicted, one per interval, until the next tick arrives.
 #[derive(Debug, Default)]
 pub(crate) struct Missing {
     last: Option<Last>,
@@ -22,15 +22,15 @@ struct Last {
 }
 
 impl Missing {
-    /// A tick has arrived at `received_ns`. In lockstep no tick is missing, however late it is.
+    /// Records a tick that arrived at `received_ns`. In lockstep no tick is missing, however late it is.
     pub fn came(&mut self, header: &Header, received_ns: u64) {
         let can_miss = header.interval_ns > 0 && !header.has(flags::LOCKSTEP);
         let last = Last { header: *header, received_ns, predicted_len: 0, look_ns: 0 };
         *self = Self { last: can_miss.then_some(last), is_gone: false };
     }
 
-    /// A frame has arrived that is not a tick. After the end of the recording nothing follows. A warm-up frame
-    /// means that another source begins, and has not sent a tick yet.
+    /// Records a frame that is not a tick. Nothing follows the end of a recording. A warm-up frame means that
+    /// another source starts and has not sent a tick yet.
     pub fn is_no_tick(&mut self, header: &Header) {
         if header.has(flags::END) {
             *self = Self::default();
@@ -43,8 +43,8 @@ impl Missing {
         let last = self.last?;
         let interval_ns = last.header.interval_ns;
         let after_ns = last.received_ns + last.predicted_len * interval_ns;
-        // If the source is known to be gone, half an interval after the tick was due: when the next source sends
-        // its first tick, the tick before it has been answered.
+        // If the source is known to be gone, a tick is predicted half an interval after it was due. When the
+        // next source sends its first tick, the previous tick has then been answered.
         let due_ns = after_ns + if self.is_gone { interval_ns + interval_ns / 2 } else { 2 * interval_ns };
         Some(due_ns.max(last.look_ns))
     }
@@ -55,7 +55,7 @@ impl Missing {
         self.is_gone |= is_gone;
         let last = self.last.as_mut()?;
         if !self.is_gone {
-            // Four checks an interval: an outage is noticed soon, and a check costs little.
+            // Four checks per interval notice an outage soon, and a check costs little.
             last.look_ns = now_ns + last.header.interval_ns / 4;
             return None;
         }

@@ -8,14 +8,15 @@ use crate::StageError;
 
 /// A stage: computes its answer to a tick from the tick's frames.
 ///
-/// A step reads no clock, opens no file and sends nothing. The code around it is its *driver*. Three drivers run
-/// the same step, so its answers have the same bytes in each of them:
+/// [`Step::answer`] opens no file and sends nothing. It reads no clock except that of its [`Allowance`]. The
+/// code around a step is its *driver*. Three drivers run the same step, so its answers have the same bytes in
+/// each of them:
 ///
 /// * [`drive`](crate::drive) in a process of a run, with frames in shared memory;
 /// * `onboard::Chain`, with all stages in one process;
 /// * `onboard::Replay`, with the frames of a recording.
 ///
-/// A driver passes frames on by itself if they are not ticks, or if an earlier stage has refused them (VOID).
+/// A driver itself passes on frames that are not ticks, and frames that an earlier stage has refused (VOID).
 pub trait Step {
     /// The topic whose frame begins a tick.
     type Input: Topic;
@@ -31,8 +32,8 @@ pub trait Step {
 
     /// Computes the answer to a tick.
     ///
-    /// # Errors
-    /// [`Rejected`] if an input is impossible. The driver counts the tick as refused and sends a VOID frame; later
+    /// [`Rejected`] if an input is impossible. The driver counts the tick as refused and sends a VOID frame;
+    /// later stages answer without it.
     /// stages answer without it.
     fn answer(
         &mut self,
@@ -40,11 +41,11 @@ pub trait Step {
         out: &mut Answer<'_, Self::Output>,
     ) -> Result<(), Rejected>;
 
-    /// Does the part of the work for which no later stage waits. Called after the answer was sent, also if the tick
-    /// was refused.
+    /// Does the part of the work for which no later stage waits. Called after the answer was sent, even if
+    /// the tick was refused.
     fn after(&mut self, _tick: &Tick<'_, Self::Input, Self::Second>) {}
 
-    /// Logs what is new. Called after [`Step::after`], in a process of a run only.
+    /// Logs new findings. Called after [`Step::after`], and only in a process of a run.
     fn log(&mut self) {}
 
     /// Time after a tick's release for which the stage waits for its second input. Not used in lockstep.
@@ -52,14 +53,14 @@ pub trait Step {
         u64::MAX
     }
 
-    /// Takes note of an answer that the previous process has sent, while this process waits for its turn.
+    /// Called for each answer that the previous process sends while this process waits to take over.
     fn follow(&mut self, _header: &Header, _sent: &[<Self::Output as Topic>::Element]) {}
 
-    /// Called once before the first tick, when the previous process has ended. `incarnation` counts the earlier
-    /// starts of the stage.
+    /// Called once before the first tick, when the previous process has ended. `incarnation` counts the
+    /// earlier starts of the stage.
     fn begin(&mut self, _run: &Run, _incarnation: u32) {}
 
-    /// Called once after the last tick.
+    /// Called once at the end, also after an error.
     ///
     /// # Errors
     /// [`StageError`] if a file of the stage can't be written.
@@ -75,7 +76,7 @@ pub enum SecondInput {
     None,
     /// The frame of the same tick, if it arrives in time.
     SameTick,
-    /// The newest frame that a later stage has sent; in lockstep that of the tick before.
+    /// The newest frame that a later stage has sent; in lockstep, the frame of the previous tick.
     Newest,
 }
 
@@ -95,7 +96,7 @@ impl Topic for NoTopic {
 /// A tick's inputs.
 #[derive(Debug)]
 pub struct Tick<'a, I: Topic, S: Topic = NoTopic> {
-    /// The header of the input's frame. Of a tick that never arrived, it has the flag PREDICTED.
+    /// The header of the input's frame. If the tick never arrived, the header has the flag PREDICTED.
     pub header: &'a Header,
     /// The input's elements.
     pub input: &'a [I::Element],
@@ -110,7 +111,7 @@ pub struct Tick<'a, I: Topic, S: Topic = NoTopic> {
 pub enum Second<'a, S: Topic> {
     /// Header and elements of its frame.
     Frame(&'a Header, &'a [S::Element]),
-    /// An earlier stage refused the tick, or the frame was damaged.
+    /// An earlier stage refused the tick, or this process refused the frame.
     Refused,
     /// There is no frame, or it is late.
     None,
@@ -137,8 +138,8 @@ impl<'a, S: Topic> Second<'a, S> {
 
 /// A step's answer.
 pub struct Answer<'a, O: Topic> {
-    /// The header to be sent. It begins as the header of the input's frame; the step writes the sizes of its own
-    /// elements into it.
+    /// The header to be sent. It starts as the header of the input's frame, and the step sets the sizes of
+    /// its own elements.
     pub header: Header,
     pub(crate) served: Option<usize>,
     pub(crate) refused: Option<(&'static str, Rejected)>,
@@ -151,7 +152,7 @@ pub trait Room<O: Topic> {
     /// Returns memory for `count` elements. It may contain an earlier frame.
     ///
     /// # Errors
-    /// [`Rejected`] if there is no memory for so many.
+    /// [`Rejected`] if there is not enough memory.
     fn elements(&mut self, count: usize) -> Result<&mut [O::Element], Rejected>;
 }
 
@@ -161,16 +162,16 @@ impl<'a, O: Topic> Answer<'a, O> {
         Self { header, served: None, refused: None, is_empty: false, room }
     }
 
-    /// Returns the memory of the frame to be sent, for `count` elements: the step writes all of them. It may contain
-    /// an earlier frame. A step calls this at most once per tick.
+    /// Returns the memory of the frame to be sent, for `count` elements. The step writes all of them, because
+    /// the memory may contain an earlier frame. A step calls this at most once per tick.
     ///
     /// # Errors
-    /// [`Rejected`] if a frame of the topic has no room for so many.
+    /// [`Rejected`] if a frame of the topic has no room for this many.
     pub fn elements(&mut self, count: usize) -> Result<&mut [O::Element], Rejected> {
         self.room.elements(count)
     }
 
-    /// States how many agents were served, so that the driver learns the cost of an agent.
+    /// States how many agents were served, from which the driver learns the cost of an agent.
     pub const fn served(&mut self, agents: usize) {
         self.served = Some(agents);
     }
@@ -180,7 +181,7 @@ impl<'a, O: Topic> Answer<'a, O> {
         self.refused = Some((topic, why));
     }
 
-    /// Sends a VOID frame: the tick is done, and has no answer.
+    /// Leaves the tick without an answer: the driver sends a VOID frame.
     pub const fn leave_empty(&mut self) {
         self.is_empty = true;
     }
