@@ -9,7 +9,6 @@ use clap::ColorChoice;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use config::SourceError;
 use ports::Color;
-use ratatui::crossterm::style::force_color_output;
 
 /// The choice made on the command line or in the environment.
 static CHOICE: OnceLock<Color> = OnceLock::new();
@@ -26,14 +25,7 @@ pub fn choice() -> Color {
 
 /// Takes the choice from unparsed arguments, because parse errors are coloured too.
 pub fn choose(arguments: impl Iterator<Item = OsString>) -> Color {
-    let color = *CHOICE.get_or_init(|| of_arguments(arguments).unwrap_or_else(Color::of_environment));
-    match color {
-        // Decided by the terminal and `NO_COLOR`.
-        Color::Auto => {}
-        Color::Always => force_color_output(true),
-        Color::Never => force_color_output(false),
-    }
-    color
+    *CHOICE.get_or_init(|| of_arguments(arguments).unwrap_or_else(Color::of_environment))
 }
 
 /// The value of `--color`.

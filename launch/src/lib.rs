@@ -41,6 +41,7 @@ mod scheduling;
 pub mod stages;
 pub mod tables;
 mod tap;
+mod terminal;
 mod top;
 pub mod tracking;
 mod verbs;

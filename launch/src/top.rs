@@ -6,9 +6,7 @@ mod draw;
 mod stage;
 
 use clap::ValueEnum;
-use ratatui::Frame;
-use ratatui::buffer::Buffer;
-use ratatui::layout::Rect;
+use recorder::screen::Line;
 use recorder::status::{RunStatus, StageStatus};
 
 pub use client::Client;
@@ -147,31 +145,18 @@ impl View {
         self.status.report.stages.iter().find(|report| report.name == stage.name)
     }
 
-    /// Draws the view.
-    pub fn draw(&self, frame: &mut Frame<'_>) {
-        let area = frame.area();
-        self.render(area, frame.buffer_mut(), true);
-    }
-
-    fn render(&self, area: Rect, buffer: &mut Buffer, keys: bool) {
-        draw::render(self, area, buffer, keys);
+    /// Returns the view as a screen of this size, with a line of keys at the bottom.
+    pub fn screen(&self, width: usize, height: usize) -> Vec<Line> {
+        draw::screen(self, width, height)
     }
 }
 
 /// Formats the view as plain text.
-pub fn text(view: &View, width: u16) -> String {
-    let area = Rect::new(0, 0, width, draw::height(view, width));
-    let mut buffer = Buffer::empty(area);
-    view.render(area, &mut buffer, false);
-    let mut text = String::new();
-    for y in 0..area.height {
-        let row: String = (0..area.width).map(|x| buffer[(x, y)].symbol()).collect();
-        text.push_str(row.trim_end());
-        text.push('\n');
-    }
-    text.truncate(text.trim_end().len());
-    text.push('\n');
-    text
+pub fn text(view: &View, width: usize) -> String {
+    let lines = draw::lines(view, width);
+    let text: String =
+        lines.iter().map(|line| line.paint(width, false).trim_end().to_owned() + "\n").collect();
+    text.trim_end().to_owned() + "\n"
 }
 
 #[cfg(test)]

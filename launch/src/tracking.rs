@@ -17,7 +17,7 @@ pub enum Tracking {
         /// The tracker.
         tracker: Box<Tracker>,
         /// The tracks of the last tick.
-        tracks: OwnFrame<TracksTopic>,
+        tracks: Box<OwnFrame<TracksTopic>>,
     },
     /// All stages, because their forecasts are the prior.
     InChain(Box<Chain>),
@@ -34,7 +34,7 @@ impl Tracking {
         Ok(match prior {
             Prior::Kinematic => Self::Alone {
                 tracker: Box::new(Tracker::new(tracker::settings(run, model)?)),
-                tracks: OwnFrame::default(),
+                tracks: Box::default(),
             },
             Prior::Learned => Self::InChain(Box::new(Chain::new(run, model)?)),
         })

@@ -1,13 +1,8 @@
-use std::io::{IsTerminal, Stdout, stdout};
 use std::sync::mpsc::Receiver;
 use std::time::{Duration, Instant};
 
 use ports::{Beside, Node, Peers, Subscriber, monotonic_ns};
-use ratatui::backend::CrosstermBackend;
-use ratatui::text::Line as Text;
-use ratatui::widgets::Widget;
-use ratatui::{Terminal, TerminalOptions, Viewport};
-use recorder::live::{LiveOptions, LiveView, draw};
+use recorder::live::{LiveOptions, LiveView, lines};
 use run::Run;
 use wire::{ForecastsTopic, Header, Heartbeat, HeartbeatsTopic, StageId, Topic};
 
@@ -17,6 +12,7 @@ use crate::fleet::{Event, Fleet};
 use crate::log;
 use crate::observe::Observer;
 use crate::outages::Outages;
+use crate::terminal::{self, Table};
 
 /// Interval between updates of the table, which is also the longest sleep.
 const UPDATE: Duration = Duration::from_millis(100);
@@ -24,8 +20,8 @@ const UPDATE: Duration = Duration::from_millis(100);
 const LINE: Duration = Duration::from_secs(1);
 /// Interval between reads of the forecast errors from the recorder.
 const ERRORS: Duration = Duration::from_secs(1);
-/// Rows of the table.
-const ROWS: u16 = 23;
+/// Maximum number of rows of the table.
+const ROWS: usize = 23;
 
 /// Follows a run from the launcher: the linked stages and the run's progress.
 pub struct Watch {
@@ -48,7 +44,7 @@ pub struct Watch {
 #[derive(Debug)]
 enum Display {
     /// A table at the bottom of the terminal, and the lines of the log that go above it.
-    Table(Box<Terminal<CrosstermBackend<Stdout>>>, Receiver<String>),
+    Table(Table, Receiver<String>),
     /// A line per second in the log.
     Lines,
     /// No display.
@@ -180,10 +176,10 @@ impl Watch {
 
     fn show(&mut self) {
         match &mut self.display {
-            Display::Table(terminal, lines) if self.shown.elapsed() >= UPDATE => {
-                insert(terminal, lines);
-                // A closed terminal can't be drawn to. The run does not depend on it.
-                let _ = terminal.draw(|frame| draw(&self.view, frame, frame.area()));
+            Display::Table(table, above) if self.shown.elapsed() >= UPDATE => {
+                above.try_iter().for_each(|line| table.print(&line));
+                let [width, height] = terminal::size();
+                table.draw(&lines(&self.view, width, ROWS.min(height.saturating_sub(1))));
             }
             Display::Lines if self.shown.elapsed() >= LINE && self.view.ticks() > self.printed_ticks => {
                 self.printed_ticks = self.view.ticks();
@@ -196,16 +192,13 @@ impl Watch {
 
     /// Shows the last lines, clears the table and restores the cursor. Returns the costs of outages, and
     /// failures of files about the run.
-    pub fn close(mut self, lines: impl Iterator<Item = Line>, fleet: &Fleet) -> (Outages, Vec<Failure>) {
+    pub fn close(self, lines: impl Iterator<Item = Line>, fleet: &Fleet) -> (Outages, Vec<Failure>) {
         let unwritten = self.observer.close(&self.view, fleet, &self.outages);
         lines.for_each(|(stage, line)| log::relay(stage, &line));
         log::to_standard_error();
-        if let Display::Table(terminal, lines) = &mut self.display {
-            insert(terminal, lines);
-            let top = terminal.get_frame().area().as_position();
-            let _ = terminal.clear();
-            let _ = terminal.set_cursor_position(top);
-            let _ = terminal.show_cursor();
+        if let Display::Table(table, above) = &self.display {
+            above.try_iter().for_each(|line| table.print(&line));
+            table.close();
         }
         (self.outages, unwritten)
     }
@@ -213,19 +206,6 @@ impl Watch {
 
 impl Display {
     fn for_output() -> Self {
-        let options = TerminalOptions { viewport: Viewport::Inline(ROWS) };
-        if !stdout().is_terminal() {
-            return Self::Lines;
-        }
-        // Fails on terminals that do not report their cursor position.
-        Terminal::with_options(CrosstermBackend::new(stdout()), options)
-            .map_or(Self::Lines, |terminal| Self::Table(Box::new(terminal), log::above_table()))
-    }
-}
-
-/// Inserts lines above the table.
-fn insert(terminal: &mut Terminal<CrosstermBackend<Stdout>>, lines: &Receiver<String>) {
-    for line in lines.try_iter() {
-        let _ = terminal.insert_before(1, |buffer| Text::from(line).render(buffer.area, buffer));
+        Table::on_output().map_or(Self::Lines, |table| Self::Table(table, log::above_table()))
     }
 }

@@ -1,13 +1,9 @@
 //! The columns of the table of stages.
 
-use ratatui::style::{Color, Modifier, Style};
-use ratatui::text::{Line, Span};
 use recorder::report::StageReport;
+use recorder::screen::{BOLD, Color, DIM, Line, Span, Style};
 use recorder::status::StageStatus;
 use recorder::text::{bar, count, number};
-
-pub const DIM: Style = Style::new().fg(Color::DarkGray);
-pub const BOLD: Style = Style::new().add_modifier(Modifier::BOLD);
 
 /// Minimum and maximum number of cells of a budget bar.
 const BAR_WIDTHS: [usize; 2] = [5, 24];
@@ -34,7 +30,7 @@ fn time(value: Option<f64>) -> (String, Style) {
 }
 
 fn fault(value: u64) -> (String, Style) {
-    (count(value), if value > 0 { BOLD.fg(Color::Red) } else { DIM })
+    (count(value), if value > 0 { Color::Red.on_default().bold() } else { DIM })
 }
 
 /// The columns in display order. The budget bar follows the first `BUDGET` columns.
@@ -92,15 +88,15 @@ fn behind(row: Row<'_>) -> (String, Style) {
         None => ("–".to_owned(), DIM),
         // A heartbeat may be up to one tick old.
         Some(ticks @ 0..=2) => (count(ticks), DIM),
-        Some(ticks) => (count(ticks), BOLD.fg(Color::Red)),
+        Some(ticks) => (count(ticks), Color::Red.on_default().bold()),
     }
 }
 
 fn spare(row: Row<'_>) -> (String, Style) {
     match row.stage.process.spare.as_deref() {
         None => ("–".to_owned(), DIM),
-        Some("ready") => ("ready".to_owned(), Style::new().fg(Color::Green)),
-        Some(state) => (state.to_owned(), Style::new().fg(Color::Yellow)),
+        Some("ready") => ("ready".to_owned(), Color::Green.on_default()),
+        Some(state) => (state.to_owned(), Color::Yellow.on_default()),
     }
 }
 
@@ -132,7 +128,7 @@ fn shown(width: usize) -> impl Iterator<Item = (usize, &'static Column)> {
 }
 
 /// The table's heading.
-pub fn heading(width: usize) -> Line<'static> {
+pub fn heading(width: usize) -> Line {
     let mut text = format!("  {:1$}", "stage", NAME - 2);
     for (nth, column) in shown(width) {
         if nth == BUDGET {
@@ -144,19 +140,19 @@ pub fn heading(width: usize) -> Line<'static> {
 }
 
 /// The line of a stage.
-pub fn line(row: Row<'_>, width: usize, is_selected: bool) -> Line<'static> {
+pub fn line(row: Row<'_>, width: usize, is_selected: bool) -> Line {
     let process = &row.stage.process;
     let (mark, colour) = match (row.stage.alive, process.state.as_str()) {
         (_, "given up") => ("✖", Color::Red),
         (_, "restarting") => ("↻", Color::Yellow),
-        (_, "ended") => ("○", Color::DarkGray),
-        (None, _) => ("○", Color::DarkGray),
+        (_, "ended") => ("○", Color::BrightBlack),
+        (None, _) => ("○", Color::BrightBlack),
         (Some(true), _) => ("●", Color::Green),
         (Some(false), _) => ("●", Color::Red),
     };
-    let name = if is_selected { BOLD.add_modifier(Modifier::REVERSED) } else { Style::new() };
+    let name = if is_selected { BOLD.invert() } else { Style::new() };
     let mut spans = vec![
-        Span::styled(format!("{mark} "), colour),
+        Span::colored(format!("{mark} "), colour),
         Span::styled(format!("{:1$}", row.stage.name, NAME - 2), name),
     ];
     for (nth, column) in shown(width) {
@@ -167,18 +163,18 @@ pub fn line(row: Row<'_>, width: usize, is_selected: bool) -> Line<'static> {
         let (text, style) = (column.cell)(row);
         spans.push(Span::styled(format!("{text:>0$}", column.width), style));
     }
-    Line::from(spans)
+    Line(spans)
 }
 
 /// Formats a share as a bar and a number.
-pub fn share_spans(share: Option<f64>, cells: usize) -> [Span<'static>; 2] {
+pub fn share_spans(share: Option<f64>, cells: usize) -> [Span; 2] {
     let colour = match share {
-        None => Color::DarkGray,
+        None => Color::BrightBlack,
         Some(share) if share > 1.0 => Color::Red,
         Some(share) if share > 0.75 => Color::Yellow,
         Some(_) => Color::Green,
     };
     let filled = share.map_or_else(|| " ".repeat(cells), |share| bar(share, cells));
     let percent = share.map_or_else(String::new, |share| format!("{:.0}%", (share * 1e2).min(9_999.0)));
-    [Span::styled(format!(" {filled}"), colour), Span::raw(format!("{percent:>5}"))]
+    [Span::colored(format!(" {filled}"), colour), Span::raw(format!("{percent:>5}"))]
 }

@@ -1,14 +1,10 @@
-use ratatui::buffer::Buffer;
-use ratatui::layout::Rect;
-use ratatui::style::{Color, Style};
-use ratatui::text::{Line, Span};
-use ratatui::widgets::{Paragraph, Widget};
 use recorder::Status;
 use recorder::report::{Percentiles, WorstTick};
+use recorder::screen::{BOLD, Color, DIM, Line, Span, TITLE};
 use recorder::text::{count, number, percent};
 
 use super::View;
-use super::columns::{BOLD, DIM, Row, bar_width, heading, line, share_spans};
+use super::columns::{Row, bar_width, heading, line, share_spans};
 
 /// Maximum number of lines for events and for worst ticks.
 const EVENTS_MAX: usize = 4;
@@ -16,37 +12,35 @@ const WORST_MAX: usize = 5;
 /// Heading of the worst ticks.
 const WORST: &str = "worst tick";
 
-/// Returns the number of lines of the view.
-pub fn height(view: &View, width: u16) -> u16 {
-    u16::try_from(lines(view, usize::from(width)).len()).unwrap_or(u16::MAX)
+/// Returns the view in at most `height` lines, with a line of keys at the bottom.
+pub fn screen(view: &View, width: usize, height: usize) -> Vec<Line> {
+    let mut lines = lines(view, width);
+    let room = height.saturating_sub(1);
+    truncate(&mut lines, room);
+    lines.resize(room, Line::default());
+    lines.push(keys_line(view));
+    lines.truncate(height);
+    lines
 }
 
-/// Draws the view, with a line of keys at the bottom.
-pub fn render(view: &View, area: Rect, buffer: &mut Buffer, keys: bool) {
-    let width = usize::from(area.width);
-    let mut lines = lines(view, width);
-    let room = usize::from(area.height).saturating_sub(usize::from(keys));
+/// Removes the lines that have no room, and headings without content.
+pub fn truncate(lines: &mut Vec<Line>, room: usize) {
     if lines.len() > room {
         lines.truncate(room);
-        // Removes trailing headings without content.
         while lines.last().is_some_and(|line| line.width() == 0 || is_heading_of_worst(line)) {
             lines.pop();
         }
     }
-    Paragraph::new(lines).render(area, buffer);
-    if keys && area.height > 0 {
-        let foot = Rect { y: area.bottom() - 1, height: 1, ..area };
-        Paragraph::new(keys_line(view)).render(foot, buffer);
-    }
 }
 
-fn lines(view: &View, width: usize) -> Vec<Line<'static>> {
+/// Returns all lines of the view.
+pub fn lines(view: &View, width: usize) -> Vec<Line> {
     let mut lines = vec![title(view, width)];
     lines.extend(verdict(view, width));
-    lines.push(Line::raw(""));
+    lines.push(Line::default());
     lines.push(latency(view, width));
     lines.extend(quality(view));
-    lines.push(Line::raw(""));
+    lines.push(Line::default());
     if let Some(name) = &view.stage {
         lines.extend(super::stage::lines(view, name, width));
         return lines;
@@ -77,7 +71,7 @@ fn note(view: &View, width: usize) -> String {
 }
 
 /// The run's name on the left and its progress on the right.
-fn title(view: &View, width: usize) -> Line<'static> {
+fn title(view: &View, width: usize) -> Line {
     let status = &view.status;
     let tick = match status.ticks_limit {
         Some(limit) => format!("tick {} of {}", count(status.report.ticks), count(limit)),
@@ -89,8 +83,8 @@ fn title(view: &View, width: usize) -> Line<'static> {
     let room = width.saturating_sub(right.chars().count() + 14);
     let left: String = left.chars().take(room).collect();
     let gap = room.saturating_sub(left.chars().count()) + 1;
-    Line::from(vec![
-        Span::styled(" stgdat top ", BOLD.fg(Color::Black).bg(Color::Cyan)),
+    Line(vec![
+        Span::styled(" stgdat top ", TITLE),
         Span::raw(left),
         Span::raw(" ".repeat(gap)),
         Span::styled(right, BOLD),
@@ -98,7 +92,7 @@ fn title(view: &View, width: usize) -> Line<'static> {
 }
 
 /// Describes whether the run is healthy and, if not, why.
-fn verdict(view: &View, width: usize) -> Vec<Line<'static>> {
+fn verdict(view: &View, width: usize) -> Vec<Line> {
     let status = &view.status;
     let (name, colour) = match status.report.verdict.status {
         _ if view.silent => ("NO ANSWER", Color::Red),
@@ -116,11 +110,11 @@ fn verdict(view: &View, width: usize) -> Vec<Line<'static>> {
     } else {
         status.report.verdict.reasons.clone()
     };
-    let mut lines = vec![Line::from(vec![
+    let mut lines = vec![Line(vec![
         Span::raw(" "),
-        Span::styled(format!("{name:12}"), BOLD.fg(colour)),
+        Span::styled(format!("{name:12}"), colour.on_default().bold()),
         Span::raw(cut(reasons.first().map_or("", String::as_str), width.saturating_sub(13 + paused.len()))),
-        Span::styled(paused, BOLD.fg(Color::Cyan)),
+        Span::styled(paused, Color::Cyan.on_default().bold()),
     ])];
     for reason in reasons.iter().skip(1).take(3) {
         lines.push(Line::raw(format!("{:13}{}", "", cut(reason, width.saturating_sub(13)))));
@@ -129,7 +123,7 @@ fn verdict(view: &View, width: usize) -> Vec<Line<'static>> {
 }
 
 /// End-to-end latency against the limit, now and over the whole run.
-fn latency(view: &View, width: usize) -> Line<'static> {
+fn latency(view: &View, width: usize) -> Line {
     let status = &view.status;
     let limit_ms = status.report.late_limit_ms;
     let recent = &status.recent_end_to_end_ms;
@@ -141,7 +135,7 @@ fn latency(view: &View, width: usize) -> Line<'static> {
     let cells = bar_width(width);
     spans.extend(share_spans(recent.p99.zip(limit_ms).map(|(p99, limit)| p99 / limit), cells));
     let late = status.report.late_ticks;
-    let style = if late > 0 { BOLD.fg(Color::Red) } else { DIM };
+    let style = if late > 0 { Color::Red.on_default().bold() } else { DIM };
     spans.push(Span::styled(format!("   late {}", count(late)), style));
     let dead = status.report.supervision.dead_readers;
     if dead > 0 {
@@ -152,11 +146,11 @@ fn latency(view: &View, width: usize) -> Line<'static> {
         let whole = format!("   whole run {} / {} / {}", number(p50), number(p99), number(max));
         spans.push(Span::styled(whole, DIM));
     }
-    Line::from(spans)
+    Line(spans)
 }
 
 /// Shares of forecast qualities with causes, and the coverage.
-fn quality(view: &View) -> Vec<Line<'static>> {
+fn quality(view: &View) -> Vec<Line> {
     let status = &view.status;
     let forecasts = &status.report.forecasts;
     let total: u64 = forecasts.by_quality().iter().map(|(_, n)| n).sum();
@@ -164,17 +158,17 @@ fn quality(view: &View) -> Vec<Line<'static>> {
     for (name, all) in forecasts.by_quality() {
         let newest = status.newest.qualities.get(name).copied().unwrap_or(0);
         let colour = if name == "learned" { Color::Green } else { Color::Yellow };
-        let style = if newest > 0 { Style::new().fg(colour) } else { DIM };
+        let style = if newest > 0 { colour.on_default() } else { DIM };
         now.push(Span::styled(format!("{newest} {name} "), style));
         let share = percent((total > 0).then(|| all as f64 / total as f64));
         now.push(Span::styled(format!("({share})  "), DIM));
     }
     let causes: Vec<String> = status.newest.causes.iter().map(|(cause, n)| format!("{cause} {n}")).collect();
     if !causes.is_empty() {
-        now.push(Span::styled(causes.join(", "), Color::Yellow));
+        now.push(Span::colored(causes.join(", "), Color::Yellow));
     }
     if status.newest.outside > 0 {
-        now.push(Span::styled(format!("  never trained {}", status.newest.outside), Color::Yellow));
+        now.push(Span::colored(format!("  never trained {}", status.newest.outside), Color::Yellow));
     }
     let mut worth = vec![Span::styled(" regions     ", BOLD)];
     match &status.accuracy {
@@ -187,10 +181,10 @@ fn quality(view: &View) -> Vec<Line<'static>> {
         }
         _ => worth.push(Span::styled("no truth has covered a horizon yet", DIM)),
     }
-    vec![Line::from(now), Line::from(worth)]
+    vec![Line(now), Line(worth)]
 }
 
-fn refusals(view: &View, width: usize) -> Vec<Line<'static>> {
+fn refusals(view: &View, width: usize) -> Vec<Line> {
     let refused = view.status.report.refusals.iter().take(EVENTS_MAX);
     let lines = refused.map(|refused| {
         let text = format!(
@@ -200,28 +194,28 @@ fn refusals(view: &View, width: usize) -> Vec<Line<'static>> {
             refused.reader,
             refused.cause
         );
-        Line::styled(cut(&text, width), Color::Red)
+        Line::colored(cut(&text, width), Color::Red)
     });
     section(lines.collect())
 }
 
-fn events(view: &View, width: usize) -> Vec<Line<'static>> {
+fn events(view: &View, width: usize) -> Vec<Line> {
     let newest = view.status.events.iter().rev().take(EVENTS_MAX);
     let lines = newest.map(|event| {
         let text = format!("  {:>7.1} s  {}", event.elapsed_s, event.text);
-        Line::styled(cut(&text, width), Color::Yellow)
+        Line::colored(cut(&text, width), Color::Yellow)
     });
     section(lines.collect())
 }
 
 /// The worst ticks with their causes.
-pub fn worst(ticks: &[WorstTick], width: usize, most: usize) -> Vec<Line<'static>> {
-    let mut lines: Vec<Line<'static>> = ticks
+pub fn worst(ticks: &[WorstTick], width: usize, most: usize) -> Vec<Line> {
+    let mut lines: Vec<Line> = ticks
         .iter()
         .take(most)
         .map(|tick| {
             let (number_of, time) = (count(tick.tick), number(tick.end_to_end_ms));
-            Line::from(vec![
+            Line(vec![
                 Span::raw(format!("  {number_of:>10}{time:>8}   ")),
                 Span::raw(cut(&tick.cause, width.saturating_sub(23))),
             ])
@@ -233,14 +227,14 @@ pub fn worst(ticks: &[WorstTick], width: usize, most: usize) -> Vec<Line<'static
     section(lines)
 }
 
-fn is_heading_of_worst(line: &Line<'_>) -> bool {
-    line.spans.first().is_some_and(|span| span.content.trim_start().starts_with(WORST))
+fn is_heading_of_worst(line: &Line) -> bool {
+    line.0.first().is_some_and(|span| span.text.trim_start().starts_with(WORST))
 }
 
 /// Returns the lines with an empty line before them.
-fn section(mut lines: Vec<Line<'static>>) -> Vec<Line<'static>> {
+fn section(mut lines: Vec<Line>) -> Vec<Line> {
     if !lines.is_empty() {
-        lines.insert(0, Line::raw(""));
+        lines.insert(0, Line::default());
     }
     lines
 }
@@ -253,8 +247,8 @@ pub fn cut(text: &str, width: usize) -> String {
     text.chars().take(width.saturating_sub(1)).chain(['…']).collect()
 }
 
-fn keys_line(view: &View) -> Line<'static> {
-    let key = |key: &'static str| Span::styled(key, BOLD.fg(Color::Cyan));
+fn keys_line(view: &View) -> Line {
+    let key = |key: &'static str| Span::styled(key, Color::Cyan.on_default().bold());
     let mut spans = vec![key("  q"), Span::raw(" quit  "), key("p"), Span::raw(" pause  ")];
     if view.stage.is_some() {
         spans.extend([key("↑↓"), Span::raw(" other stage  "), key("esc"), Span::raw(" all stages")]);
@@ -262,5 +256,5 @@ fn keys_line(view: &View) -> Line<'static> {
         spans.extend([key("s"), Span::raw(format!(" sort: {}  ", view.sort.name()))]);
         spans.extend([key("↑↓"), Span::raw(" select  "), key("enter"), Span::raw(" one stage")]);
     }
-    Line::from(spans)
+    Line(spans)
 }

@@ -1,27 +1,26 @@
 //! The view of a single stage.
 
-use ratatui::style::{Color, Style};
-use ratatui::text::{Line, Span};
 use recorder::report::Percentiles;
+use recorder::screen::{BOLD, Color, DIM, Line, Span};
 use recorder::status::StageStatus;
 use recorder::text::{count, number};
 
 use super::View;
-use super::columns::{BOLD, DIM, bytes, share_spans};
+use super::columns::{bytes, share_spans};
 use super::draw::{cut, worst};
 
 /// Maximum number of displayed worst ticks of the stage.
 const WORST_MAX: usize = 8;
 
 /// Formats all data of a stage.
-pub fn lines(view: &View, name: &str, width: usize) -> Vec<Line<'static>> {
+pub fn lines(view: &View, name: &str, width: usize) -> Vec<Line> {
     let Some(stage) = view.status.stages.iter().find(|stage| stage.name == name) else {
-        return vec![Line::styled(format!("  there is no stage {name} any more"), Color::Red)];
+        return vec![Line::colored(format!("  there is no stage {name} any more"), Color::Red)];
     };
     let mut lines = process(stage, width);
-    lines.push(Line::raw(""));
+    lines.push(Line::default());
     lines.extend(phases(view, stage, width));
-    lines.push(Line::raw(""));
+    lines.push(Line::default());
     lines.extend(losses(view, stage, width));
     let own: Vec<_> = view
         .status
@@ -36,14 +35,14 @@ pub fn lines(view: &View, name: &str, width: usize) -> Vec<Line<'static>> {
 }
 
 /// The state and resources of the process, on as many lines as needed.
-fn process(stage: &StageStatus, width: usize) -> Vec<Line<'static>> {
+fn process(stage: &StageStatus, width: usize) -> Vec<Line> {
     let process = &stage.process;
     let told = |name: &str, value: Option<String>| {
         vec![Span::styled(format!("   {name} "), DIM), Span::raw(value.unwrap_or_else(|| "–".to_owned()))]
     };
     let alive = match stage.alive {
-        Some(true) => Span::styled("alive", Color::Green),
-        Some(false) => Span::styled("no heartbeat", BOLD.fg(Color::Red)),
+        Some(true) => Span::colored("alive", Color::Green),
+        Some(false) => Span::styled("no heartbeat", Color::Red.on_default().bold()),
         None => Span::styled("no heartbeat yet", DIM),
     };
     let mut items = vec![
@@ -56,22 +55,22 @@ fn process(stage: &StageStatus, width: usize) -> Vec<Line<'static>> {
     if let Some(spare) = &process.spare {
         items.push(told("spare", Some(format!("{spare}, promoted {}×", process.promotions))));
     }
-    let mut lines = vec![Line::from(vec![
+    let mut lines = vec![Line(vec![
         Span::styled(format!("  {}  ", stage.name), BOLD),
         Span::raw(format!("{}, ", process.state)),
         alive,
     ])];
     for item in items {
-        let item = Line::from(item);
+        let item = Line(item);
         match lines.last_mut() {
-            Some(last) if last.width() + item.width() <= width => last.spans.extend(item.spans),
+            Some(last) if last.width() + item.width() <= width => last.0.extend(item.0),
             _ => lines.push(item),
         }
     }
     lines
 }
 
-fn phases(view: &View, stage: &StageStatus, width: usize) -> Vec<Line<'static>> {
+fn phases(view: &View, stage: &StageStatus, width: usize) -> Vec<Line> {
     let whole = view.of_report(stage);
     let heading = format!(
         "  {:12}{:>8}{:>8}{:>8}{:>14}{:>8}{:>8}",
@@ -102,12 +101,12 @@ fn phases(view: &View, stage: &StageStatus, width: usize) -> Vec<Line<'static>> 
             spans.extend(share_spans(recent.p99.map(|p99| p99 / budget_ms), 12));
             spans.push(Span::styled(format!(" of {budget_ms} ms"), DIM));
         }
-        Line::from(spans)
+        Line(spans)
     };
     std::iter::once(Line::styled(heading, DIM)).chain(rows.map(row)).collect()
 }
 
-fn losses(view: &View, stage: &StageStatus, width: usize) -> Vec<Line<'static>> {
+fn losses(view: &View, stage: &StageStatus, width: usize) -> Vec<Line> {
     let mut lines = Vec::new();
     if let Some(report) = view.of_report(stage) {
         let drops = report.drops;
@@ -119,14 +118,14 @@ fn losses(view: &View, stage: &StageStatus, width: usize) -> Vec<Line<'static>> 
         ];
         let mut spans = vec![Span::raw(format!("  {} ticks", count(report.ticks)))];
         for (name, value) in counts {
-            let style = if value > 0 { BOLD.fg(Color::Red) } else { DIM };
+            let style = if value > 0 { Color::Red.on_default().bold() } else { DIM };
             spans.push(Span::styled(format!("   {name} {}", count(value)), style));
         }
-        lines.push(Line::from(spans));
+        lines.push(Line(spans));
     }
     if let Some(behind) = stage.behind_ticks.filter(|&ticks| ticks > 2) {
         let text = format!("  {} ticks behind the newest forecasts", count(behind));
-        lines.push(Line::styled(text, BOLD.fg(Color::Red)));
+        lines.push(Line::styled(text, Color::Red.on_default().bold()));
     }
     for refused in &view.status.report.refusals {
         if refused.reader == stage.name || refused.sender == stage.name {
@@ -137,7 +136,7 @@ fn losses(view: &View, stage: &StageStatus, width: usize) -> Vec<Line<'static>> 
                 refused.reader,
                 refused.cause
             );
-            lines.push(Line::styled(cut(&text, width), Style::new().fg(Color::Red)));
+            lines.push(Line::styled(cut(&text, width), Color::Red.on_default()));
         }
     }
     lines

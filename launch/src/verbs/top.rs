@@ -3,16 +3,16 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use clap::Args;
-use ratatui::crossterm::event::{self, Event, KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
 use run::Exit;
 
 use crate::failure::Failure;
 use crate::runs;
 use crate::show::show;
+use crate::terminal::{self, Key, Screen};
 use crate::top::{Client, SortBy, View, text};
 
 /// Width of the table if the output is not a terminal.
-const WIDTH: u16 = 100;
+const WIDTH: usize = 100;
 /// Maximum interval between checks of the terminal.
 const LOOK: Duration = Duration::from_millis(100);
 
@@ -63,12 +63,10 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         return print_json(&client, &view, arguments);
     }
     if arguments.once || !stdout().is_terminal() {
-        let width = rustix::termios::tcgetwinsize(stdout()).map_or(WIDTH, |size| size.ws_col.max(1));
+        let width = if stdout().is_terminal() { terminal::size()[0] } else { WIDTH };
         return show(&text(&view, width));
     }
-    let followed = follow(&client, &mut view, arguments.interval);
-    ratatui::restore();
-    if followed? {
+    if follow(&client, &mut view, arguments.interval)? {
         say!("{}\nThe run {} has ended.", text(&view, WIDTH), view.status().run);
     }
     Ok(Exit::Done)
@@ -94,16 +92,14 @@ fn print_json(client: &Client, view: &View, arguments: &Arguments) -> Result<Exi
 
 /// Shows the run until a key ends the view. Returns true if the run has ended.
 fn follow(client: &Client, view: &mut View, interval: Duration) -> Result<bool, Failure> {
-    let mut terminal = ratatui::try_init().map_err(Failure::unavailable)?;
+    let mut screen = Screen::open().map_err(|error| Failure::unavailable_about("the terminal", error))?;
     let mut asked = Instant::now();
     loop {
-        terminal.draw(|frame| view.draw(frame)).map_err(Failure::unavailable)?;
+        let size = terminal::size();
+        screen.draw(&view.screen(size[0], size[1]), size);
         let left = interval.saturating_sub(asked.elapsed());
-        if event::poll(left.min(LOOK)).map_err(Failure::unavailable)?
-            && let Event::Key(key) = event::read().map_err(Failure::unavailable)?
-            && key.kind == KeyEventKind::Press
-            && press(view, key)
-        {
+        let keys = screen.keys(left.min(LOOK)).map_err(Failure::unavailable)?;
+        if keys.into_iter().any(|key| press(view, key)) {
             return Ok(false);
         }
         if asked.elapsed() < interval {
@@ -120,16 +116,15 @@ fn follow(client: &Client, view: &mut View, interval: Duration) -> Result<bool, 
 }
 
 /// Handles a key. Returns true if it ends the view.
-fn press(view: &mut View, key: KeyEvent) -> bool {
-    match key.code {
-        KeyCode::Char('q') => return true,
-        KeyCode::Char('c') if key.modifiers.contains(KeyModifiers::CONTROL) => return true,
-        KeyCode::Esc if !view.leave_stage() => return true,
-        KeyCode::Char('p' | ' ') => view.pause(),
-        KeyCode::Char('s') => view.sort_by_next(),
-        KeyCode::Down | KeyCode::Char('j') => view.select(1),
-        KeyCode::Up | KeyCode::Char('k') => view.select(-1),
-        KeyCode::Enter => view.enter_stage(),
+fn press(view: &mut View, key: Key) -> bool {
+    match key {
+        Key::Char('q') | Key::Interrupt => return true,
+        Key::Escape if !view.leave_stage() => return true,
+        Key::Char('p' | ' ') => view.pause(),
+        Key::Char('s') => view.sort_by_next(),
+        Key::Down | Key::Char('j') => view.select(1),
+        Key::Up | Key::Char('k') => view.select(-1),
+        Key::Enter => view.enter_stage(),
         _ => {}
     }
     false
@@ -153,9 +148,9 @@ mod tests {
             |name: &str| recorder::status::StageStatus { name: name.to_owned(), ..Default::default() };
         let status = RunStatus { stages: vec![stage("source"), stage("tracker")], ..RunStatus::default() };
         let mut view = View::new(status, SortBy::Chain, None);
-        let mut press = |code| super::press(&mut view, KeyEvent::new(code, KeyModifiers::NONE));
-        assert!(!press(KeyCode::Down) && !press(KeyCode::Enter));
-        assert!(!press(KeyCode::Esc), "back to all stages first");
-        assert!(press(KeyCode::Esc) && press(KeyCode::Char('q')));
+        let mut press = |key| super::press(&mut view, key);
+        assert!(!press(Key::Down) && !press(Key::Enter));
+        assert!(!press(Key::Escape), "back to all stages first");
+        assert!(press(Key::Escape) && press(Key::Char('q')));
     }
 }

@@ -26,6 +26,7 @@ mod record;
 mod refusals;
 mod render;
 pub mod report;
+pub mod screen;
 pub mod stage;
 pub mod status;
 pub mod text;

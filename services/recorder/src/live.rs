@@ -1,6 +1,6 @@
 //! The state of a running pipeline, for a table of stages or one line per second.
 //!
-//! [`LiveView`] keeps the last ten seconds and some counts. [`draw`] shows it on a terminal, and
+//! [`LiveView`] keeps the last ten seconds and some counts. [`lines`] shows it on a terminal, and
 //! [`LiveView::plain_line`] elsewhere. The caller reads the topics and the clock.
 
 mod draw;
@@ -9,7 +9,7 @@ use std::collections::{BTreeMap, VecDeque};
 
 use wire::{Cause, Forecast, Header, Heartbeat, Quality, StageId, flags};
 
-pub use draw::draw;
+pub use draw::lines;
 
 use crate::losses::Losses;
 use crate::passage::{Passage, Phases, Timeline};

@@ -13,7 +13,7 @@
 //! displacements. The metadata key `weights` contains the SHA-256 of the weights that computed the forecasts.
 //! The tensors have the names of the file's first version, so that every version reads all files.
 
-use std::collections::{BTreeSet, HashMap};
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use kinematics::MotionKind;
@@ -125,7 +125,8 @@ impl RetrievalMemory {
         let (format, content) = (|source| target.format(source), |reason| target.content(reason));
         let (_, metadata) = SafeTensors::read_metadata(bytes).map_err(format)?;
         let tensors = SafeTensors::deserialize(bytes).map_err(format)?;
-        check_weights(metadata.metadata().as_ref(), weights_sha256, target)?;
+        let weights = metadata.metadata().as_ref().and_then(|metadata| metadata.get(WEIGHTS));
+        check_weights(weights.map(String::as_str), weights_sha256, target)?;
         let tensor = |name| tensors.tensor(name).map_err(format);
         let step_ns = step_ns(&tensor(STEP_NS)?).map_err(content)?;
         let residual = tensor(RESIDUAL)?;
@@ -178,13 +179,9 @@ impl RetrievalMemory {
     }
 }
 
-/// Refuses metadata with other weights or none.
-fn check_weights(
-    metadata: Option<&HashMap<String, String>>,
-    weights_sha256: &str,
-    target: Target<'_>,
-) -> Result<(), MemoryError> {
-    let Some(weights) = metadata.and_then(|metadata| metadata.get(WEIGHTS)) else {
+/// Refuses a file for other weights, or without the fingerprint of its weights.
+fn check_weights(weights: Option<&str>, weights_sha256: &str, target: Target<'_>) -> Result<(), MemoryError> {
+    let Some(weights) = weights else {
         return Err(target.content(format!("its metadata lack `{WEIGHTS}`")).into());
     };
     if weights == weights_sha256 {

@@ -1,13 +1,12 @@
 //! The run's record: written by the launcher, read by every stage.
 //!
-//! The encoding (bincode) is private to this module. The file starts with [`MAGIC`] and the schema as text,
+//! The encoding (postcard) is private to this module. The file starts with [`MAGIC`] and the schema as text,
 //! so a stage of another version refuses the file instead of misreading it.
 
 use std::collections::BTreeMap;
 use std::error::Error;
 use std::path::{Path, PathBuf};
 
-use bincode::config::standard;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 use wire::{ForecastsTopic, HeartbeatsTopic, StageId, TICK_NS, Topic, WorldOrigin};
@@ -17,7 +16,7 @@ use crate::{Declaration, OptionError};
 /// First bytes of a record's file, before the schema's number and a line break.
 const MAGIC: &str = "stgdat-run ";
 /// Version of the record. It increases with every change of [`Run`].
-const SCHEMA: u32 = 9;
+const SCHEMA: u32 = 10;
 /// Size of the largest accepted record. Real records have a few kilobytes.
 const BYTES_MAX: u64 = 1 << 20;
 
@@ -341,9 +340,8 @@ impl Run {
     /// UTF-8.
     pub fn write(&self, path: &Path) -> Result<(), RecordError> {
         let mut bytes = format!("{MAGIC}{SCHEMA}\n").into_bytes();
-        let body = bincode::serde::encode_to_vec(self, standard())
+        bytes = postcard::to_extend(self, bytes)
             .map_err(|e| RecordError::Unwritable { path: path.to_owned(), source: e.into() })?;
-        bytes.extend(body);
         std::fs::write(path, bytes).map_err(|source| RecordError::File { path: path.to_owned(), source })
     }
 
@@ -365,9 +363,9 @@ impl Run {
         if found != SCHEMA {
             return Err(RecordError::Schema { path: path.to_owned(), found });
         }
-        let (run, used): (Self, usize) = bincode::serde::decode_from_slice(&body[1..], standard())
+        let (run, excess): (Self, &[u8]) = postcard::take_from_bytes(&body[1..])
             .map_err(|e| RecordError::Damaged { path: path.to_owned(), source: e.into() })?;
-        match body.len() - 1 - used {
+        match excess.len() {
             0 => {
                 run.name_stages();
                 Ok(run)
@@ -481,7 +479,8 @@ mod tests {
             assert!(matches!(Run::read(path), Err(RecordError::Foreign { .. })));
             run(Path::new("/tmp/x")).write(path).unwrap();
             let whole = std::fs::read(path).unwrap();
-            for len in [MAGIC.len() + 2, whole.len() / 2, whole.len() - 1] {
+            let line_end = whole.iter().position(|&byte| byte == b'\n').unwrap();
+            for len in [line_end + 1, whole.len() / 2, whole.len() - 1] {
                 std::fs::write(path, &whole[..len]).unwrap();
                 assert!(matches!(Run::read(path), Err(RecordError::Damaged { .. })), "cut to {len} bytes");
             }

@@ -1,7 +1,5 @@
 //! Weights files made from the embedded model by changing a few of its tensors and options.
 
-use std::collections::HashMap;
-
 use safetensors::Dtype;
 use safetensors::tensor::TensorView;
 
@@ -55,7 +53,7 @@ impl Model {
         let views = encoded
             .iter()
             .map(|(name, shape, data)| (*name, TensorView::new(dtype, shape.to_vec(), data).unwrap()));
-        let metadata = HashMap::from([("config".to_owned(), self.config.to_string())]);
+        let metadata = [("config".to_owned(), self.config.to_string())].into();
         safetensors::serialize(views, Some(metadata)).unwrap()
     }
 

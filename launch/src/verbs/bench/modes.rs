@@ -1,7 +1,6 @@
 //! Weights with fewer modes, to measure the cost of a mode. They keep a model's first modes, regardless of
 //! their accuracy.
 
-use std::collections::HashMap;
 use std::path::Path;
 
 use nn::{ModelConfig, Weights};
@@ -48,7 +47,7 @@ pub(super) fn write_first(weights: &Weights, modes: usize, path: &Path) -> Resul
         Ok((*name, TensorView::new(Dtype::F32, shape.clone(), bytes).map_err(Failure::data)?))
     });
     let views = views.collect::<Result<Vec<_>, Failure>>()?;
-    let metadata = HashMap::from([("config".to_owned(), config)]);
+    let metadata = [("config".to_owned(), config)].into();
     let bytes = safetensors::serialize(views, Some(metadata)).map_err(Failure::data)?;
     std::fs::write(path, bytes).map_err(|error| Failure::file(path, error))
 }

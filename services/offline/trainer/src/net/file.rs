@@ -62,7 +62,7 @@ impl Tensors {
                 Ok((*name, TensorView::new(precision.dtype(), shape.to_vec(), bytes)?))
             })
             .collect::<Result<Vec<_>, safetensors::SafeTensorError>>()?;
-        Ok(safetensors::serialize(views, Some(metadata))?)
+        Ok(safetensors::serialize(views, Some(metadata.into_iter().collect()))?)
     }
 
     /// The tensors of `layout` from the bytes of a safetensors file; other tensors in the file are ignored.

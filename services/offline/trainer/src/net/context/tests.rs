@@ -1,7 +1,5 @@
 //! The context network against finite differences, the onboard network and itself.
 
-use std::collections::HashMap;
-
 use nn::{ContextCnn, ContextMemory, Weights};
 use safetensors::Dtype;
 use safetensors::tensor::TensorView;
@@ -54,7 +52,7 @@ fn onboard(config: &ModelConfig, weights: &Tensors) -> ContextCnn {
     let views = weights.0.iter().zip(&bytes).map(|((name, tensor), bytes)| {
         (name.as_str(), TensorView::new(Dtype::F32, tensor.shape.clone(), bytes).unwrap())
     });
-    let metadata = HashMap::from([("config".to_owned(), serde_json::to_string(config).unwrap())]);
+    let metadata = [("config".to_owned(), serde_json::to_string(config).unwrap())].into();
     let bytes = safetensors::serialize(views, Some(metadata)).unwrap();
     ContextCnn::new(&Weights::from_bytes(&bytes).unwrap()).unwrap()
 }
