@@ -136,16 +136,14 @@ pub enum Event {
 impl fmt::Display for Event {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Died { stage, how, .. } => write!(f, "the {} {how}: it is started again", stage.name()),
-            Self::GivenUp { stage, how, why } => {
-                write!(f, "the {} {how} and is given up: {why}", stage.name())
-            }
-            Self::Starved { stage } => write!(f, "the {} gets no CPU", stage.name()),
             Self::HandedOver(replaced) | Self::Tried(replaced) => write!(f, "{replaced}"),
             Self::Promoted { stage } => write!(f, "the spare of the {} takes its place", stage.name()),
             Self::CleanUpHung(hung) => write!(f, "{hung}"),
             Self::ReaderDied(reader) => write!(f, "{reader}"),
             Self::SpareGivenUp { stage, how } => write!(f, "the {}: {how}", stage.name()),
+            Self::Died { .. } | Self::GivenUp { .. } | Self::Starved { .. } => {
+                self.happened().map_or(Ok(()), |what| write!(f, "{what}"))
+            }
         }
     }
 }

@@ -38,6 +38,7 @@ mod recorded;
 mod report_differences;
 mod runs;
 mod scheduling;
+mod screen;
 pub mod stages;
 pub mod tables;
 mod tap;

@@ -18,10 +18,10 @@ use clap::Args;
 use perfetto::Clocks;
 use ports::monotonic_ns;
 use recorder::exposition::metrics;
-use recorder::live::LiveView;
 use recorder::status::{Facts, ProcessStatus, RunStatus, StatusEvent};
 use recorder::trace::Tracer;
-use recorder::{Errors, InputReport, Recorder, RecorderOptions, Supervision};
+use recorder::{Errors, InputReport, Recorder, RecorderOptions, Supervision, Tick};
+use recording::Event as Happening;
 use run::Run;
 use rustix::time::{ClockId, clock_gettime};
 use wire::{Forecast, Header, Heartbeat, StageId};
@@ -29,6 +29,7 @@ use wire::{Forecast, Header, Heartbeat, StageId};
 use crate::failure::Failure;
 use crate::fleet::{Event, Fleet};
 use crate::outages::Outages;
+use crate::verbs::trace::mark;
 use files::{MetricsFile, TraceFile};
 use processes::Usage;
 pub use processes::memory as memory_of;
@@ -82,6 +83,9 @@ pub struct Observer {
     measured: Recorder,
     accuracy_path: PathBuf,
     run: String,
+    /// The recording or scene.
+    title: String,
+    ticks_limit: Option<u64>,
     begun: Instant,
     usage: Usage,
     events: VecDeque<StatusEvent>,
@@ -95,7 +99,13 @@ impl Observer {
     ///
     /// # Errors
     /// [`Failure`] if an address is taken or a file can't be written.
-    pub fn open(run: &Run, arguments: &ObserveArguments, input: InputReport) -> Result<Self, Failure> {
+    pub fn open(
+        run: &Run,
+        arguments: &ObserveArguments,
+        input: InputReport,
+        title: String,
+        ticks_limit: Option<u64>,
+    ) -> Result<Self, Failure> {
         let (ask, questions) = sync_channel(QUESTIONS_MAX);
         if let Some(address) = arguments.metrics {
             server::listen_tcp(address, ask.clone())?;
@@ -118,6 +128,8 @@ impl Observer {
             measured: Recorder::new(options),
             accuracy_path: recorder::stage::accuracy_path(run),
             run: name_of(&run.root),
+            title,
+            ticks_limit,
             begun: Instant::now(),
             usage: Usage::default(),
             events: VecDeque::with_capacity(EVENTS_MAX),
@@ -127,21 +139,22 @@ impl Observer {
         })
     }
 
-    /// Measures the forecasts of a tick.
-    pub fn forecasts(&mut self, header: &Header, forecasts: &[Forecast]) {
+    /// Measures the forecasts of a tick. Returns its figures; `None` if the frame is not a newer tick.
+    pub fn forecasts(&mut self, header: &Header, forecasts: &[Forecast]) -> Option<Tick> {
         // Refused frames are counted here. The launcher can't notify their stage.
-        let _ = self.measured.forecasts(header, forecasts);
+        let tick = self.measured.forecasts(header, forecasts).ok().flatten()?;
         if let Some((tracer, file)) = &mut self.tracer {
-            tracer.forecasts(header, forecasts);
+            tracer.tick(header, &tick);
             file.write(tracer.take());
         }
+        Some(tick)
     }
 
     /// Measures the header of a frame that an added stage has sent outside a tick's path.
     pub fn beside(&mut self, header: &Header) {
-        self.measured.beside(header);
-        if let Some((tracer, file)) = &mut self.tracer {
-            tracer.beside(header);
+        let passage = self.measured.beside(header);
+        if let (Some((stage, times)), Some((tracer, file))) = (passage, &mut self.tracer) {
+            tracer.beside(header, stage, times);
             file.write(tracer.take());
         }
     }
@@ -154,41 +167,32 @@ impl Observer {
         }
     }
 
-    /// Records an event of a stage.
-    pub fn event(&mut self, event: &Event) {
-        let (stage, name, why) = match event {
-            Event::Died { stage, how, .. } => (*stage, "died", how.clone()),
-            Event::GivenUp { stage, how, why } => (*stage, "given up", format!("{how}: {why}")),
-            Event::Starved { stage } => (*stage, "starved", "got no CPU".to_owned()),
-            Event::HandedOver(_) => return,
-            Event::CleanUpHung(hung) => return self.list(hung.to_string()),
-            Event::ReaderDied(reader) if reader.is_logged() => return self.list(reader.to_string()),
-            Event::ReaderDied(_) => return,
-            Event::Promoted { stage } => (*stage, "promoted", "spare has taken its place".to_owned()),
-            Event::SpareGivenUp { stage, how } => (*stage, "given up", how.clone()),
-            Event::Tried(replaced) => {
-                (replaced.stage, replaced.outcome.name(), recorder::program_name(&replaced.command))
-            }
-        };
-        if let Some((tracer, _)) = &mut self.tracer {
-            tracer.event(stage, monotonic_ns(), name, &why);
-        }
-        let text = match event {
-            Event::Died { .. } => format!("the {} {why}, and is started again", stage.name()),
-            Event::GivenUp { .. } => format!("the {} is given up: it {why}", stage.name()),
-            Event::Promoted { .. } => format!("the {}'s {why}", stage.name()),
-            Event::HandedOver(_)
-            | Event::CleanUpHung(_)
-            | Event::ReaderDied(_)
-            | Event::Starved { .. }
-            | Event::SpareGivenUp { .. } => format!("the {} {why}", stage.name()),
-            Event::Tried(_) => format!("the {} by {why}: {name}", stage.name()),
-        };
-        self.list(text);
+    /// Returns the number of ticks whose forecasts have arrived.
+    pub const fn ticks(&self) -> u64 {
+        self.measured.ticks()
     }
 
-    /// Adds a line to the events in the status.
-    pub fn list(&mut self, text: String) {
+    /// Logs an event of a stage, and records it for the status and the trace.
+    pub fn event(&mut self, event: &Event) {
+        if let Some((tracer, _)) = &mut self.tracer {
+            let at_ns = monotonic_ns();
+            match event {
+                Event::Promoted { stage } => tracer.event(*stage, at_ns, "promoted", "spare took over"),
+                Event::SpareGivenUp { stage, how } => tracer.event(*stage, at_ns, "given up", how),
+                _ => {
+                    let what = event.happened();
+                    what.into_iter().for_each(|what| mark(tracer, &Happening { at_ns, what }));
+                }
+            }
+        }
+        if event.is_logged() {
+            self.report(event.to_string());
+        }
+    }
+
+    /// Logs a line and adds it to the events in the status.
+    pub fn report(&mut self, text: String) {
+        tracing::warn!(target: "launcher", "{text}");
         if self.events.len() == EVENTS_MAX {
             self.events.pop_front();
         }
@@ -197,23 +201,23 @@ impl Observer {
     }
 
     /// Answers the pending questions.
-    pub fn answer(&mut self, view: &LiveView, fleet: &Fleet, outages: &Outages, is_linked: bool) {
+    pub fn answer(&mut self, fleet: &Fleet, outages: &Outages, is_linked: bool) {
         for _ in 0..ANSWERS_MAX {
             let Ok((question, reply)) = self.questions.try_recv() else { return };
-            let facts = self.facts(fleet, outages, is_linked);
-            let answer = self.answer_to(question, view, facts);
+            let status = self.status(fleet, outages, is_linked);
             // The client may have stopped waiting.
-            let _ = reply.try_send(answer);
+            let _ = reply.try_send(match question {
+                Question::Metrics => metrics(&status, &self.measured),
+                // The status contains nothing that JSON can't represent.
+                Question::Status => serde_json::to_string(&status).unwrap_or_default() + "\n",
+            });
         }
     }
 
-    fn answer_to(&self, question: Question, view: &LiveView, facts: Facts) -> String {
-        let status = RunStatus::new(view, &self.measured, facts);
-        match question {
-            Question::Metrics => metrics(&status, &self.measured),
-            // The status contains nothing that JSON can't represent.
-            Question::Status => serde_json::to_string(&status).unwrap_or_default() + "\n",
-        }
+    /// Returns the status of the run.
+    pub fn status(&mut self, fleet: &Fleet, outages: &Outages, is_linked: bool) -> RunStatus {
+        let facts = self.facts(fleet, outages, is_linked);
+        RunStatus::new(&self.measured, facts)
     }
 
     fn facts(&mut self, fleet: &Fleet, outages: &Outages, linked: bool) -> Facts {
@@ -240,6 +244,9 @@ impl Observer {
             run: self.run.clone(),
             launcher_pid: std::process::id(),
             linked,
+            title: self.title.clone(),
+            ticks_limit: self.ticks_limit,
+            now_ns: monotonic_ns(),
             processes,
             accuracy: self.accuracy(),
             supervision: Supervision { dead_readers: fleet.dead_readers(), ..outages.record().clone() },
@@ -248,16 +255,16 @@ impl Observer {
     }
 
     /// Returns the forecast errors that the recorder last published.
-    pub fn accuracy(&self) -> Option<Errors> {
+    fn accuracy(&self) -> Option<Errors> {
         serde_json::from_slice(&std::fs::read(&self.accuracy_path).ok()?).ok()
     }
 
     /// Writes the remaining data. Returns the failures of the files.
-    pub fn close(mut self, view: &LiveView, fleet: &Fleet, outages: &Outages) -> Vec<Failure> {
+    pub fn close(mut self, fleet: &Fleet, outages: &Outages) -> Vec<Failure> {
         let metrics_file = self.metrics_file.take();
         let last = metrics_file.is_some().then(|| {
-            let facts = self.facts(fleet, outages, true);
-            self.answer_to(Question::Metrics, view, facts)
+            let status = self.status(fleet, outages, true);
+            metrics(&status, &self.measured)
         });
         let of_metrics = metrics_file.zip(last).and_then(|(file, last)| file.finish(&last).err());
         let of_trace = self.tracer.and_then(|(tracer, mut file)| {

@@ -3,8 +3,8 @@
 
 use std::collections::BTreeMap;
 
-use recorder::{Outage, Replacement, ReplacementOutcome, Supervision};
-use wire::{Cause, Forecast, Header, Quality, StageId, flags};
+use recorder::{Outage, Replacement, ReplacementOutcome, Supervision, Tick};
+use wire::{Header, StageId, flags};
 
 use crate::fleet::Replaced;
 
@@ -132,9 +132,9 @@ impl Outages {
         self.record.notes.push(note);
     }
 
-    /// Records the forecasts of a tick.
-    pub fn forecasts(&mut self, header: &Header, forecasts: &[Forecast]) {
-        if !header.is_tick() || self.newest.is_some_and(|newest| header.seq <= newest) {
+    /// Records a tick.
+    pub fn tick(&mut self, header: &Header, tick: &Tick) {
+        if self.newest.is_some_and(|newest| header.seq <= newest) {
             return;
         }
         let lost = self.newest.map_or(0, |newest| header.seq - newest - 1);
@@ -143,10 +143,7 @@ impl Outages {
             return;
         }
         let (predicted, void) = (header.has(flags::PREDICTED), header.has(flags::VOID));
-        let excused = [Cause::Young, Cause::Outdone].map(|cause| cause as u32);
-        let is_learned = |forecast: &Forecast| forecast.quality == Quality::Learned as u32;
-        let all_learned = !void && forecasts.iter().all(|f| is_learned(f) || excused.contains(&f.cause));
-        let some_served = forecasts.is_empty() || forecasts.iter().any(Forecast::is_served);
+        let all_learned = !void && !tick.is_degraded;
         let Supervision { outages, replacements, .. } = &mut self.record;
         self.open.retain(|&(place, stage)| {
             let outage = match place {
@@ -157,7 +154,7 @@ impl Outages {
             outage.ticks_predicted += u64::from(predicted);
             outage.ticks_not_learned += u64::from(!all_learned);
             let is_back = header.hop(stage).is_some_and(|hop| hop.incarnation >= outage.incarnation);
-            let over = is_back && all_learned && some_served && !predicted;
+            let over = is_back && all_learned && tick.is_served && !predicted;
             if over {
                 outage.ticks_to_learned = Some(header.seq - outage.tick);
             }
@@ -185,7 +182,7 @@ impl Outages {
 mod tests {
     use super::*;
     use bytemuck::Zeroable;
-    use wire::Hop;
+    use wire::{Cause, Forecast, Hop, Quality};
 
     fn frame(seq: u64, decoder: Option<u32>) -> (Header, Forecast) {
         let mut header = Header::new(1, seq, 0);
@@ -203,7 +200,7 @@ mod tests {
         let mut outages = Outages::default();
         let tick = |outages: &mut Outages, seq, decoder| {
             let (header, forecast) = frame(seq, decoder);
-            outages.forecasts(&header, &[forecast]);
+            outages.tick(&header, &Tick::alone(&header, &[forecast]));
         };
         let mut replaced = Replaced {
             stage: StageId::Decoder,
@@ -245,7 +242,7 @@ mod tests {
         let mut outages = Outages::default();
         let tick = |outages: &mut Outages, seq, decoder| {
             let (header, forecast) = frame(seq, decoder);
-            outages.forecasts(&header, &[forecast]);
+            outages.tick(&header, &Tick::alone(&header, &[forecast]));
         };
         tick(&mut outages, 10, Some(0));
         outages.begin(StageId::Decoder, 1, "was killed");
@@ -267,7 +264,7 @@ mod tests {
         let mut tick = |seq, cause| {
             let (header, forecast) = frame(seq, Some(1));
             let forecast = Forecast { quality: Quality::Kinematic as u32, cause: cause as u32, ..forecast };
-            outages.forecasts(&header, &[forecast]);
+            outages.tick(&header, &Tick::alone(&header, &[forecast]));
         };
         tick(1, Cause::Young);
         tick(2, Cause::Outdone);

@@ -5,8 +5,8 @@ mod columns;
 mod draw;
 mod stage;
 
+use crate::screen::Line;
 use clap::ValueEnum;
-use recorder::screen::Line;
 use recorder::status::{RunStatus, StageStatus};
 
 pub use client::Client;
@@ -143,6 +143,13 @@ impl View {
     /// Finds the report so far of a stage.
     fn of_report(&self, stage: &StageStatus) -> Option<&recorder::report::StageReport> {
         self.status.report.stages.iter().find(|report| report.name == stage.name)
+    }
+
+    /// Returns the view in at most `height` lines, without keys.
+    pub fn table(&self, width: usize, height: usize) -> Vec<Line> {
+        let mut lines = draw::lines(self, width);
+        draw::truncate(&mut lines, height);
+        lines
     }
 
     /// Returns the view as a screen of this size, with a line of keys at the bottom.

@@ -1,8 +1,7 @@
 use std::sync::mpsc::Receiver;
 use std::time::{Duration, Instant};
 
-use ports::{Beside, Node, Peers, Subscriber, monotonic_ns};
-use recorder::live::{LiveOptions, LiveView, lines};
+use ports::{Beside, Node, Peers, Subscriber};
 use run::Run;
 use wire::{ForecastsTopic, Header, Heartbeat, HeartbeatsTopic, StageId, Topic};
 
@@ -13,26 +12,24 @@ use crate::log;
 use crate::observe::Observer;
 use crate::outages::Outages;
 use crate::terminal::{self, Table};
+use crate::top::{SortBy, View};
 
-/// Interval between updates of the table, which is also the longest sleep.
-const UPDATE: Duration = Duration::from_millis(100);
+/// Longest sleep.
+const SLEEP: Duration = Duration::from_millis(50);
+/// Interval between updates of the table.
+const UPDATE: Duration = Duration::from_millis(200);
 /// Interval between lines if the output is not a terminal.
 const LINE: Duration = Duration::from_secs(1);
-/// Interval between reads of the forecast errors from the recorder.
-const ERRORS: Duration = Duration::from_secs(1);
 /// Maximum number of rows of the table.
-const ROWS: usize = 23;
+const ROWS: usize = 25;
 
 /// Follows a run from the launcher: the linked stages and the run's progress.
 pub struct Watch {
     forecasts: Subscriber<ForecastsTopic>,
     peers: Peers,
     beside: Beside,
-    view: LiveView,
     display: Display,
     shown: Instant,
-    /// Time at which the view last received the forecast errors.
-    told: Instant,
     printed_ticks: u64,
     outages: Outages,
     observer: Observer,
@@ -53,16 +50,14 @@ enum Display {
 
 impl Watch {
     /// Joins a run as a subscriber.
-    pub fn open(run: &Run, options: LiveOptions, quiet: bool, observer: Observer) -> Result<Self, Failure> {
+    pub fn open(run: &Run, quiet: bool, observer: Observer) -> Result<Self, Failure> {
         let node = Node::open(run, "launcher")?;
         Ok(Self {
             forecasts: node.subscriber(ForecastsTopic::DEPTH_MAX)?,
             beside: Beside::open(&node, run)?,
             peers: Peers::new(node.subscriber(HeartbeatsTopic::DEPTH_MAX)?, run),
-            view: LiveView::new(options),
             display: if quiet { Display::Quiet } else { Display::for_output() },
             shown: Instant::now(),
-            told: Instant::now(),
             printed_ticks: 0,
             outages: Outages::default(),
             observer,
@@ -82,54 +77,42 @@ impl Watch {
         lines: impl Iterator<Item = Line>,
         fleet: &Fleet,
     ) -> Result<Vec<Heartbeat>, Failure> {
-        self.peers.heartbeats().sleep_or(&fleet.descriptors(), UPDATE / 2)?;
-        self.view.spares(fleet.spares());
+        self.peers.heartbeats().sleep_or(&fleet.descriptors(), SLEEP)?;
         let heartbeats = self.peers.listen()?;
-        for heartbeat in &heartbeats {
-            self.view.heartbeat(heartbeat);
-            self.observer.heartbeat(heartbeat);
-        }
+        heartbeats.iter().for_each(|heartbeat| self.observer.heartbeat(heartbeat));
         self.take_forecasts()?;
-        self.view.clock(monotonic_ns());
-        if self.told.elapsed() >= ERRORS && matches!(self.display, Display::Table(..)) {
-            self.view.errors(self.observer.accuracy());
-            self.told = Instant::now();
-        }
         lines.for_each(|(stage, line)| log::relay(stage, &line));
-        self.show();
+        self.show(fleet);
         Ok(heartbeats)
     }
 
     /// Answers questions of tools about the run.
     pub fn answer(&mut self, fleet: &Fleet, is_linked: bool) {
-        self.observer.answer(&self.view, fleet, &self.outages, is_linked);
+        self.observer.answer(fleet, &self.outages, is_linked);
     }
 
     fn take_forecasts(&mut self) -> Result<(), Failure> {
         while let Some(frame) = self.forecasts.receive()? {
-            self.view.forecasts(frame.header(), &frame);
-            self.outages.forecasts(frame.header(), &frame);
-            self.observer.forecasts(frame.header(), &frame);
+            if let Some(tick) = self.observer.forecasts(frame.header(), &frame) {
+                self.outages.tick(frame.header(), &tick);
+            }
             self.newest = Some(*frame.header());
         }
-        for header in self.beside.take()? {
-            self.view.beside(&header);
-            self.observer.beside(&header);
-        }
+        self.beside.take()?.iter().for_each(|header| self.observer.beside(header));
         Ok(())
     }
 
     /// Returns the number of ticks whose forecasts have arrived.
     pub const fn ticks(&self) -> u64 {
-        self.view.ticks()
+        self.observer.ticks()
     }
 
     /// Sleeps until the forecasts of another tick have arrived, but at most `limit`. At that moment most
     /// stages wait for the next tick.
     pub fn await_tick(&mut self, limit: Duration) -> Result<(), Failure> {
         self.take_forecasts()?;
-        let (begun, before) = (Instant::now(), self.view.ticks());
-        while self.view.ticks() == before && begun.elapsed() < limit {
+        let (begun, before) = (Instant::now(), self.ticks());
+        while self.ticks() == before && begun.elapsed() < limit {
             self.forecasts.sleep(limit.saturating_sub(begun.elapsed()))?;
             self.take_forecasts()?;
         }
@@ -148,16 +131,10 @@ impl Watch {
             Event::Died { stage, how, next } => self.outages.begin(*stage, *next, how),
             Event::GivenUp { stage, how, why } => self.outages.give_up(*stage, format!("{how}; {why}")),
             Event::HandedOver(replaced) => self.outages.handed_over(replaced),
-            Event::Tried(replaced) => {
-                self.outages.tried(replaced);
-                self.view.replaced(replaced.stage, replaced.outcome);
-            }
+            Event::Tried(replaced) => self.outages.tried(replaced),
             Event::Promoted { stage } => self.outages.promoted(*stage),
             Event::Starved { stage } => self.outages.starved(*stage),
             Event::CleanUpHung(_) | Event::ReaderDied(_) | Event::SpareGivenUp { .. } => {}
-        }
-        if event.is_logged() {
-            tracing::warn!(target: "launcher", "{event}");
         }
     }
 
@@ -170,30 +147,36 @@ impl Watch {
     /// Logs that files of the run's folder were removed and restored.
     pub fn restored(&mut self, files: usize) {
         let text = format!("another program has removed files of the run's folder; restored: {files}");
-        tracing::warn!(target: "launcher", "{text}");
-        self.observer.list(text);
+        self.observer.report(text);
     }
 
-    fn show(&mut self) {
-        match &mut self.display {
-            Display::Table(table, above) if self.shown.elapsed() >= UPDATE => {
-                above.try_iter().for_each(|line| table.print(&line));
-                let [width, height] = terminal::size();
-                table.draw(&lines(&self.view, width, ROWS.min(height.saturating_sub(1))));
-            }
-            Display::Lines if self.shown.elapsed() >= LINE && self.view.ticks() > self.printed_ticks => {
-                self.printed_ticks = self.view.ticks();
-                tracing::info!("{}", self.view.plain_line());
-            }
-            _ => return,
+    fn show(&mut self, fleet: &Fleet) {
+        let every = match self.display {
+            Display::Table(..) => UPDATE,
+            Display::Lines if self.ticks() > self.printed_ticks => LINE,
+            Display::Lines | Display::Quiet => return,
+        };
+        if self.shown.elapsed() < every {
+            return;
         }
         self.shown = Instant::now();
+        self.printed_ticks = self.ticks();
+        let status = self.observer.status(fleet, &self.outages, self.peers.unlinked().is_empty());
+        match &mut self.display {
+            Display::Table(table, above) => {
+                above.try_iter().for_each(|line| table.print(&line));
+                let [width, height] = terminal::size();
+                let view = View::new(status, SortBy::Chain, None);
+                table.draw(&view.table(width, ROWS.min(height.saturating_sub(1))));
+            }
+            Display::Lines | Display::Quiet => tracing::info!("{}", status.line()),
+        }
     }
 
     /// Shows the last lines, clears the table and restores the cursor. Returns the costs of outages, and
     /// failures of files about the run.
     pub fn close(self, lines: impl Iterator<Item = Line>, fleet: &Fleet) -> (Outages, Vec<Failure>) {
-        let unwritten = self.observer.close(&self.view, fleet, &self.outages);
+        let unwritten = self.observer.close(fleet, &self.outages);
         lines.for_each(|(stage, line)| log::relay(stage, &line));
         log::to_standard_error();
         if let Display::Table(table, above) = &self.display {

@@ -2,10 +2,10 @@
 
 use std::fmt::{self, Write};
 
-use recorder::WorstTick;
 use recorder::passage::{Phases, Timestamps};
 use recorder::text::{count, number};
-use wire::{AgentType, Cause, Forecast, Header, Hop, Quality, StageId, flags};
+use recorder::{Tick, WorstTick};
+use wire::{AgentType, Cause, Forecast, Header, Quality, StageId, flags};
 
 /// Minimum and maximum line width.
 const WIDTHS: std::ops::RangeInclusive<usize> = 80..=140;
@@ -32,8 +32,8 @@ pub struct Telling {
     pub header: Header,
     /// Its forecasts.
     pub forecasts: Vec<Forecast>,
-    /// The stages that it passed.
-    pub times: Vec<(StageId, Hop, Timestamps)>,
+    /// Its figures.
+    pub tick: Tick,
     /// Its frames, in the order in which they were recorded.
     pub frames: Vec<FrameOf>,
     /// The cause of the tick's latency.
@@ -59,8 +59,17 @@ impl Telling {
         text
     }
 
-    fn end_ns(&self) -> u64 {
-        self.times.iter().map(|(_, _, times)| times.sent_ns).max().unwrap_or(self.header.released_ns)
+    /// The stages that it passed, with their incarnations and times.
+    fn times(&self) -> impl Iterator<Item = (StageId, u32, Timestamps)> {
+        self.header.hops().iter().filter_map(|hop| {
+            let stage = StageId::from_number(hop.stage)?;
+            Some((stage, hop.incarnation, self.tick.passage.times(stage)?))
+        })
+    }
+
+    fn total_ns(&self) -> u64 {
+        let end_ns = self.times().map(|(.., times)| times.sent_ns).max();
+        end_ns.unwrap_or(0).saturating_sub(self.header.released_ns)
     }
 
     fn head(&self, text: &mut String) -> fmt::Result {
@@ -76,14 +85,10 @@ impl Telling {
             count(header.seq),
             header.stamp_ns as f64 / 1e9
         )?;
-        let total_ms = self.end_ns().saturating_sub(header.released_ns) as f64 / 1e6;
-        let limit_ms = match header.interval_ns {
-            0 => wire::TICK_MS,
-            interval_ns => (interval_ns as f64 / 1e6).min(wire::TICK_MS),
-        };
+        let (total_ms, limit_ms) = (self.total_ns() as f64 / 1e6, self.tick.limit_ns as f64 / 1e6);
         let verdict = match () {
             () if header.has(flags::LOCKSTEP) => "lockstep: no deadline",
-            () if total_ms > limit_ms => "late",
+            () if self.tick.is_late() => "late",
             () => "in time",
         };
         writeln!(text, "end to end {} ms of {limit_ms} ms: {verdict}", number(Some(total_ms)))?;
@@ -109,7 +114,7 @@ impl Telling {
 
     fn stages(&self, text: &mut String, width: usize) -> fmt::Result {
         let cells = width - BARS_AT;
-        let total_ns = self.end_ns().saturating_sub(self.header.released_ns).max(1);
+        let total_ns = self.total_ns().max(1);
         let total_ms = number(Some(total_ns as f64 / 1e6));
         let axis = format!("0 {:>1$} ms", total_ms, cells.saturating_sub(5));
         writeln!(
@@ -117,16 +122,16 @@ impl Telling {
             "\n{:11}{:>8}{:>8}{:>8}{:>8}  {axis}",
             "ms", "waiting", "wake-up", "compute", "publish"
         )?;
-        for (stage, hop, times) in &self.times {
-            let name = match hop.incarnation {
+        for (stage, incarnation, times) in self.times() {
+            let name = match incarnation {
                 0 => stage.name().to_owned(),
                 n => format!("{} ↻{n}", stage.name()),
             };
             write!(text, "{name:11}")?;
-            for time_ns in Phases::from(*times).each_ns() {
+            for time_ns in Phases::from(times).each_ns() {
                 write!(text, "{:>8}", number(Some(time_ns as f64 / 1e6)))?;
             }
-            writeln!(text, "  {}", self.bar(times, cells, total_ns).trim_end())?;
+            writeln!(text, "  {}", self.bar(&times, cells, total_ns).trim_end())?;
         }
         let [waiting, wake_up, compute, publish] = FILLS;
         writeln!(
@@ -216,22 +221,26 @@ fn causes(forecast: &Forecast) -> String {
 #[cfg(test)]
 mod tests {
     use bytemuck::Zeroable;
+    use wire::Hop;
 
     use super::*;
 
     const MS: u64 = 1_000_000;
 
     fn telling() -> Telling {
-        let header =
+        let mut header =
             Header { released_ns: 5_000 * MS, interval_ns: 80 * MS, ..Header::new(1, 153, 12_240_000_000) };
-        let times = |stage: StageId, incarnation, at_ms: u64, took_ms: u64| {
-            let at_ns = header.released_ns + at_ms * MS;
-            let (ready_ns, free_ns, taken_ns) = (at_ns, at_ns, at_ns + MS / 10);
-            let (started_ns, finished_ns) = (taken_ns, taken_ns + took_ms * MS);
-            let times =
-                Timestamps { ready_ns, free_ns, taken_ns, started_ns, finished_ns, sent_ns: finished_ns };
-            (stage, Hop { stage: stage.number(), incarnation, ..Hop::zeroed() }, times)
-        };
+        for (stage, incarnation, at_ms, took_ms) in [
+            (StageId::Source, 0, 0, 0),
+            (StageId::Tracker, 0, 1, 2),
+            (StageId::Decoder, 2, 4, 40),
+            (StageId::Sampler, 0, 45, 5),
+        ] {
+            let received_ns = header.released_ns + at_ms * MS + MS / 10;
+            let finished_ns = received_ns + took_ms * MS;
+            let (started_ns, sent_ns, stage) = (received_ns, finished_ns, stage.number());
+            header.push_hop(Hop { stage, incarnation, received_ns, started_ns, finished_ns, sent_ns });
+        }
         let learned = Forecast { id: 4, modes_len: 20, x_m: 1.5, vx_mps: 3.0, ..Forecast::zeroed() };
         let held = Forecast {
             id: 9,
@@ -242,12 +251,6 @@ mod tests {
             ..learned
         };
         Telling {
-            times: vec![
-                times(StageId::Source, 0, 0, 0),
-                times(StageId::Tracker, 0, 1, 2),
-                times(StageId::Decoder, 2, 4, 40),
-                times(StageId::Sampler, 0, 45, 5),
-            ],
             frames: vec![FrameOf { topic: "detections", elements: 3, bytes: 900 }],
             cause: Some(WorstTick {
                 cause: "the decoder computed 40.0 ms (usually 3.10)".to_owned(),
@@ -255,6 +258,7 @@ mod tests {
             }),
             begun_ns: 1_000 * MS,
             events: vec![(4_900 * MS, "the decoder was killed by signal 9, and is started again".to_owned())],
+            tick: Tick::alone(&header, &[learned, held]),
             forecasts: vec![learned, held],
             header,
         }
@@ -268,7 +272,7 @@ mod tests {
         assert!(line("tick 153").contains("2 agents   stamp 12.240 s   released 4.000 s after the first"));
         assert!(line("end to end").contains("50.1 ms of 80 ms: in time"));
         let decoder = line("decoder ↻2");
-        assert!(decoder.contains("0.10    40.0   0.000"), "{decoder}");
+        assert!(decoder.contains("1.00    40.0   0.000"), "{decoder}");
         // 40 of 50 ms in 55 cells.
         assert!((42..=45).contains(&decoder.matches('█').count()), "{decoder}");
         assert!(line("source").contains('█'), "the shortest computation shows");
@@ -285,7 +289,8 @@ mod tests {
         for width in [0, 80, 1_000] {
             telling().render(width);
         }
-        let empty = Telling { forecasts: Vec::new(), times: Vec::new(), ..telling() };
+        let header = Header::new(1, 153, 0);
+        let empty = Telling { forecasts: Vec::new(), tick: Tick::alone(&header, &[]), header, ..telling() };
         assert!(empty.render(80).contains("no forecasts"));
     }
 }

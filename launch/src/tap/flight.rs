@@ -5,9 +5,10 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use ports::{Asked, monotonic_ns};
-use recording::flight::{Act, Flight, Trigger, caused_by, wrong_with};
+use recorder::Tick;
+use recording::flight::{Act, Flight, Trigger, caused_by};
 use recording::{About, Before, Event, Forgotten, Happened, Message, Ring, WriteError, Writer, Written};
-use wire::{ForecastsTopic, Topic};
+use wire::{Forecast, ForecastsTopic, Header, Topic};
 
 use super::Limits;
 use super::follow::Keep;
@@ -35,6 +36,13 @@ pub fn numbered(path: &Path, number: u32) -> PathBuf {
     let stem = path.file_stem().unwrap_or_default().to_string_lossy();
     let extension = path.extension().unwrap_or("mcap".as_ref()).to_string_lossy();
     path.with_file_name(format!("{stem}-{number}.{extension}"))
+}
+
+/// The fault of a tick, in words; `None` if it has none.
+fn wrong_with(header: &Header, forecasts: &[Forecast]) -> Option<(Trigger, String)> {
+    let tick = header.is_tick().then(|| Tick::alone(header, forecasts))?;
+    let trigger = if tick.is_late() { Trigger::Late } else { Trigger::Degraded };
+    tick.fault().map(|why| (trigger, why))
 }
 
 impl FlightRecorder {
@@ -131,7 +139,7 @@ impl Keep for FlightRecorder {
                 let forecasts = frame.elements::<ForecastsTopic>().ok();
                 forecasts.and_then(|forecasts| wrong_with(frame.header(), &forecasts))
             }
-            Message::Event(event) => caused_by(event),
+            Message::Event(event) => caused_by(event).map(|trigger| (trigger, event.what.to_string())),
             Message::Frame(_) | Message::Before(_) | Message::Line(_) => None,
         };
         if let Some((.., writer)) = &mut self.file {

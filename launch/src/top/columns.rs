@@ -1,7 +1,7 @@
 //! The columns of the table of stages.
 
+use crate::screen::{BOLD, Color, DIM, Line, Span, Style};
 use recorder::report::StageReport;
-use recorder::screen::{BOLD, Color, DIM, Line, Span, Style};
 use recorder::status::StageStatus;
 use recorder::text::{bar, count, number};
 

@@ -1,14 +1,16 @@
 use recorder::Status;
 use recorder::report::{Percentiles, WorstTick};
-use recorder::screen::{BOLD, Color, DIM, Line, Span, TITLE};
 use recorder::text::{count, number, percent};
 
 use super::View;
 use super::columns::{Row, bar_width, heading, line, share_spans};
+use crate::screen::{BOLD, Color, DIM, Line, Span, TITLE, curve};
 
 /// Maximum number of lines for events and for worst ticks.
 const EVENTS_MAX: usize = 4;
 const WORST_MAX: usize = 5;
+/// Cells of the curve's line beside the curve.
+const CURVE_MARGIN: usize = 28;
 /// Heading of the worst ticks.
 const WORST: &str = "worst tick";
 
@@ -39,6 +41,7 @@ pub fn lines(view: &View, width: usize) -> Vec<Line> {
     lines.extend(verdict(view, width));
     lines.push(Line::default());
     lines.push(latency(view, width));
+    lines.extend(latency_curve(view, width));
     lines.extend(quality(view));
     lines.push(Line::default());
     if let Some(name) = &view.stage {
@@ -80,11 +83,11 @@ fn title(view: &View, width: usize) -> Line {
     let (minutes, seconds) = ((status.elapsed_s / 60.0) as u64, status.elapsed_s % 60.0);
     let right = format!("{tick}   {minutes:02}:{seconds:04.1}");
     let left = format!(" {}  {}", status.run, status.title);
-    let room = width.saturating_sub(right.chars().count() + 14);
+    let room = width.saturating_sub(right.chars().count() + 10);
     let left: String = left.chars().take(room).collect();
     let gap = room.saturating_sub(left.chars().count()) + 1;
     Line(vec![
-        Span::styled(" stgdat top ", TITLE),
+        Span::styled(" stgdat ", TITLE),
         Span::raw(left),
         Span::raw(" ".repeat(gap)),
         Span::styled(right, BOLD),
@@ -149,6 +152,25 @@ fn latency(view: &View, width: usize) -> Line {
     Line(spans)
 }
 
+/// The latency of the newest ticks, newest right. Small latencies fill the curve too: its height is the limit,
+/// halved while that leaves room above.
+fn latency_curve(view: &View, width: usize) -> Option<Line> {
+    let (all, limit_ms) = (&view.status.recent_latencies_ms, view.status.report.late_limit_ms?);
+    let newest_us: Vec<u64> = all.iter().rev().map(|latency_ms| (latency_ms * 1e3) as u64).collect();
+    let (&most_us, limit_us) = (newest_us.iter().max()?, (limit_ms * 1e3) as u64);
+    let mut height_us = limit_us;
+    while height_us / 2 > most_us && height_us > 2_000 {
+        height_us /= 2;
+    }
+    let cells = newest_us.len().min(width.saturating_sub(CURVE_MARGIN));
+    let color = if most_us > limit_us { Color::Red } else { Color::Cyan };
+    Some(Line(vec![
+        Span::raw(format!("{:13}", "")),
+        Span::colored(curve(&newest_us, height_us, cells, 1).concat(), color),
+        Span::styled(format!("  of {} ms", number(Some(height_us as f64 / 1e3))), DIM),
+    ]))
+}
+
 /// Shares of forecast qualities with causes, and the coverage.
 fn quality(view: &View) -> Vec<Line> {
     let status = &view.status;
@@ -166,6 +188,10 @@ fn quality(view: &View) -> Vec<Line> {
     let causes: Vec<String> = status.newest.causes.iter().map(|(cause, n)| format!("{cause} {n}")).collect();
     if !causes.is_empty() {
         now.push(Span::colored(causes.join(", "), Color::Yellow));
+    }
+    if forecasts.shed.forecasts > 0 {
+        let share = percent(forecasts.shed.share);
+        now.push(Span::styled(format!("  shed {} so far", share.trim()), DIM));
     }
     if status.newest.outside > 0 {
         now.push(Span::colored(format!("  never trained {}", status.newest.outside), Color::Yellow));

@@ -1,7 +1,7 @@
 //! The view of a single stage.
 
+use crate::screen::{BOLD, Color, DIM, Line, Span};
 use recorder::report::Percentiles;
-use recorder::screen::{BOLD, Color, DIM, Line, Span};
 use recorder::status::StageStatus;
 use recorder::text::{count, number};
 

@@ -1,5 +1,5 @@
 use recorder::report::{
-    ForecastCounts, RefusedFrames, Report, StageDrops, StageReport, Status, Verdict, WorstTick,
+    ForecastCounts, RefusedFrames, Report, Shed, StageDrops, StageReport, Status, Verdict, WorstTick,
 };
 use recorder::status::{Newest, ProcessStatus, StatusEvent};
 use recorder::{Errors, report::Percentiles};
@@ -73,6 +73,7 @@ fn status() -> RunStatus {
         ticks_limit: Some(500),
         recent_ticks: 125,
         recent_end_to_end_ms: times(11.4),
+        recent_latencies_ms: vec![5.0, 11.4, 22.8, 34.2],
         newest: Newest {
             tick: Some(411),
             qualities: [("learned", 30), ("held", 2), ("kinematic", 0)]
@@ -144,6 +145,27 @@ fn the_table_fits_80_columns_with_its_last_one() {
     for part in ["refused", "was killed by signal 9", "3 ticks without forecasts", "of 90 % held 90 %"] {
         assert!(text.contains(part), "{part} in\n{text}");
     }
+}
+
+#[test]
+fn the_curve_has_the_newest_latencies_up_to_the_limit() {
+    let mut status = status();
+    let curve = |status: &RunStatus| {
+        let text = text(&View::new(status.clone(), SortBy::Chain, None), 80);
+        words(&text, &["  of ", " ms"]).join(" ")
+    };
+    assert_eq!(curve(&status), "▁▂▄▆ of 40.0 ms", "half of the limit has room for all");
+    status.recent_latencies_ms = vec![20.0, 300.0];
+    assert_eq!(curve(&status), "▂█ of 80.0 ms");
+}
+
+#[test]
+fn what_is_shed_stands_with_its_share() {
+    let mut status = status();
+    assert!(!text(&View::new(status.clone(), SortBy::Chain, None), 100).contains("shed"));
+    status.report.forecasts.shed = Shed { forecasts: 52, share: Some(0.004), ..Shed::default() };
+    let text = text(&View::new(status, SortBy::Chain, None), 100);
+    assert!(text.contains("late 2  shed 0.4 % so far"), "{text}");
 }
 
 #[test]

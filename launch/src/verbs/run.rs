@@ -7,7 +7,6 @@ use config::Pipeline;
 use localiser::MapChoice;
 use nn::Weights;
 use ports::{Space, Stop, Topics};
-use recorder::live::LiveOptions;
 use recorder::{InputReport, Report, RunInfo, SpareReport, Supervision};
 use recording::{About, Happened};
 use run::{Exit, Run, SpareRun, StageRun};
@@ -142,7 +141,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     };
     weights.config().write(&run.root).map_err(Failure::data)?;
     info.precision = version::precision(&run);
-    let live = live_options(&run, &info, playback.ticks_len());
+    let (title, ticks_limit) = (info.recording.clone().unwrap_or_default(), Some(playback.ticks_len()));
     drop((playback, weights));
 
     let begun = SystemTime::now();
@@ -154,8 +153,8 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let recording = recording
         .map(|file| Recording::start(&run.root, file, &arguments.record_topics, &arguments.ring))
         .transpose()?;
-    let observer = Observer::open(&run, &arguments.observe, input.clone())?;
-    let watch = Watch::open(&run, live, arguments.quiet, observer)?;
+    let observer = Observer::open(&run, &arguments.observe, input.clone(), title, ticks_limit)?;
+    let watch = Watch::open(&run, arguments.quiet, observer)?;
     let following = Following { tap, recording, watch };
     space.keep();
     let ended = supervise(&pipeline, &run, &mut space, &record_file, &stop, following, keeps_memory)?;
@@ -514,16 +513,6 @@ fn about(arguments: &Arguments, info: &RunInfo, run: &Run) -> Result<About, Fail
 
 fn record_topics(list: &str) -> Result<String, String> {
     record::topics(list).map(|_| list.to_owned())
-}
-
-fn live_options(run: &Run, info: &RunInfo, ticks_len: u64) -> LiveOptions {
-    LiveOptions {
-        title: info.recording.clone().unwrap_or_default(),
-        stages: run.order(),
-        budgets_ms: run.budgets_ms(),
-        ticks_limit: Some(ticks_len),
-        ..LiveOptions::default()
-    }
 }
 
 /// A random id for the run.

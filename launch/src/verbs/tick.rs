@@ -1,9 +1,8 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use recorder::passage::Timeline;
-use recorder::{Recorder, RecorderOptions};
-use recording::{Frame, Happened, Message, ReadError, Recording};
+use recorder::{Recorder, RecorderOptions, Tick};
+use recording::{Event, Frame, Happened, Message, ReadError, Recording};
 use run::Exit;
 use wire::{Forecast, ForecastsTopic, Header, HeartbeatsTopic, Topic};
 
@@ -46,30 +45,35 @@ fn tell(arguments: &Arguments) -> Result<(Telling, Vec<ReadError>), Failure> {
             Err(error) => damages.push(error),
         }
     }
-    let Some((header, forecasts)) = search.found else {
+    let Some(Found { header, tick, forecasts }) = search.found else {
         return Err(Failure::data_about(arguments.file.display(), search.missing()));
     };
     let [first_ns, last_ns] = [header.released_ns, header.hops().last().map_or(0, |hop| hop.sent_ns)];
     let near = |at_ns: u64| at_ns + NEAR_NS >= first_ns && at_ns <= last_ns + NEAR_NS;
     let telling = Telling {
-        times: search.times,
+        tick,
         frames: search.frames,
         cause: search.recorder.explained(),
         begun_ns: search.begun_ns.unwrap_or(header.released_ns),
         events: search.events.into_iter().filter(|(at_ns, _)| near(*at_ns)).collect(),
-        header: *header,
+        header,
         forecasts,
     };
     Ok((telling, damages))
+}
+
+/// The tick's header, figures and forecasts.
+struct Found {
+    header: Header,
+    tick: Tick,
+    forecasts: Vec<Forecast>,
 }
 
 /// Searches for a tick in the messages of a recording.
 struct Search {
     tick: u64,
     recorder: Recorder,
-    timeline: Timeline,
-    found: Option<(Box<Header>, Vec<Forecast>)>,
-    times: Vec<(wire::StageId, wire::Hop, recorder::passage::Timestamps)>,
+    found: Option<Found>,
     frames: Vec<FrameOf>,
     events: Vec<(u64, String)>,
     begun_ns: Option<u64>,
@@ -88,9 +92,7 @@ impl Search {
         Self {
             tick,
             recorder: Recorder::new(options),
-            timeline: Timeline::default(),
             found: None,
-            times: Vec::new(),
             frames: Vec::new(),
             events: Vec::new(),
             begun_ns: None,
@@ -101,11 +103,8 @@ impl Search {
     fn take(&mut self, message: &Message) {
         match message {
             Message::Frame(frame) => self.frame(frame),
-            Message::Event(event) => {
-                if let Some(text) = told(&event.what) {
-                    self.events.push((event.at_ns, text));
-                }
-            }
+            Message::Event(Event { what: Happened::Linked | Happened::Ended { .. }, .. }) => {}
+            Message::Event(Event { at_ns, what }) => self.events.push((*at_ns, what.to_string())),
             Message::Before(_) | Message::Line(_) => {}
         }
     }
@@ -129,19 +128,17 @@ impl Search {
             }
         };
         // The recorder counts frames that it refuses. The tick is printed anyway.
-        let _ = self.recorder.forecasts(header, &forecasts);
+        let tick = self.recorder.forecasts(header, &forecasts).ok().flatten();
         if !header.is_tick() {
             return;
         }
         self.begun_ns.get_or_insert(header.released_ns);
         let range = self.range.get_or_insert([header.seq; 2]);
         *range = [range[0].min(header.seq), range[1].max(header.seq)];
-        let mut times = Vec::new();
-        self.timeline.follow(header, |stage, hop, of_stage| times.push((stage, *hop, of_stage)));
         // Readers refuse a repeated tick.
         if is_ours && self.found.is_none() {
-            self.times = times;
-            self.found = Some((Box::new(*header), forecasts));
+            let tick = tick.unwrap_or_else(|| Tick::alone(header, &forecasts));
+            self.found = Some(Found { header: *header, tick, forecasts });
         }
     }
 
@@ -156,25 +153,6 @@ impl Search {
         }
         why
     }
-}
-
-/// Describes an event; `None` if it does not concern the pipeline.
-fn told(what: &Happened) -> Option<String> {
-    Some(match what {
-        Happened::Died { stage, how, .. } => format!("the {stage} {how}, and is started again"),
-        Happened::GivenUp { stage, how, why } => format!("the {stage} {how} and is given up: {why}"),
-        Happened::Starved { stage } => format!("the {stage} gets no CPU"),
-        Happened::Replaced { stage, outcome, program, .. } => format!("the {stage} by {program}: {outcome}"),
-        Happened::Refused { stage, sender, cause, frames, .. } => {
-            format!("the {stage} refused frames of the {sender} ({frames}): {cause}")
-        }
-        Happened::Mark { text } => format!("mark: {text}"),
-        Happened::Kept { why } => format!("kept by the flight recorder: {why}"),
-        Happened::Lost { at, topic, frames } => {
-            format!("{frames} frames of {topic} not recorded, at the {at}")
-        }
-        Happened::Linked | Happened::Ended { .. } => return None,
-    })
 }
 
 #[cfg(test)]

@@ -3,9 +3,9 @@ use std::path::PathBuf;
 
 use clap::Args;
 use perfetto::Clocks;
-use recorder::WholeFile;
 use recorder::trace::Tracer;
-use recording::{Event, Happened, Message, Recording};
+use recorder::{Recorder, RecorderOptions, WholeFile};
+use recording::{Event, FrameError, Happened, Message, Recording};
 use run::Exit;
 use wire::{ForecastsTopic, HeartbeatsTopic, StageId, Topic};
 
@@ -29,7 +29,9 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let failed = |error| Failure::file(&path, error);
     let mut file = WholeFile::create(&path).map_err(failed)?;
     let mut tracer = None;
-    let (mut ticks, mut damages) = (0_u64, Vec::new());
+    let mut damages = Vec::new();
+    let options = RecorderOptions { scores: false, ..RecorderOptions::default() };
+    let mut measured = Recorder::new(options);
     for message in recording.messages() {
         let message = match message {
             Ok(message) => message,
@@ -39,11 +41,12 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
             }
         };
         let tracer = tracer.get_or_insert_with(|| Tracer::new(clocks(&recording, &message), None));
-        if let Err(error) = take(tracer, &message, &mut ticks) {
+        if let Err(error) = take(tracer, &mut measured, &message) {
             tracing::warn!("{}: {error}", arguments.file.display());
         }
         file.write_all(&tracer.take()).map_err(failed)?;
     }
+    let ticks = measured.ticks();
     if ticks == 0 {
         let why = "there are no forecasts of any tick in it";
         return Err(Failure::data_about(arguments.file.display(), why));
@@ -70,23 +73,26 @@ fn clocks(recording: &Recording, first: &Message) -> Clocks {
     Clocks { monotonic_ns: at_ns, boottime_ns: at_ns, realtime_ns }
 }
 
-fn take(tracer: &mut Tracer, message: &Message, ticks: &mut u64) -> Result<(), recording::FrameError> {
+fn take(tracer: &mut Tracer, measured: &mut Recorder, message: &Message) -> Result<(), FrameError> {
     match message {
         Message::Frame(frame) if frame.topic().name == ForecastsTopic::NAME => {
             let forecasts = frame.elements::<ForecastsTopic>()?;
-            *ticks += u64::from(frame.header().is_tick());
-            tracer.forecasts(frame.header(), &forecasts);
+            // Its readers refused an invalid frame, too.
+            if let Ok(Some(tick)) = measured.forecasts(frame.header(), &forecasts) {
+                tracer.tick(frame.header(), &tick);
+            }
         }
         Message::Frame(frame) if frame.topic().name == HeartbeatsTopic::NAME => {
             frame.elements::<HeartbeatsTopic>()?.iter().for_each(|heartbeat| tracer.heartbeat(heartbeat));
         }
-        Message::Event(event) => happened(tracer, event),
+        Message::Event(event) => mark(tracer, event),
         Message::Frame(_) | Message::Before(_) | Message::Line(_) => {}
     }
     Ok(())
 }
 
-fn happened(tracer: &mut Tracer, Event { at_ns, what }: &Event) {
+/// Marks an event in a trace.
+pub fn mark(tracer: &mut Tracer, Event { at_ns, what }: &Event) {
     let mut of_stage = |stage: &str, name: &str, why: &str| match StageId::from_name(stage) {
         Some(stage) => tracer.event(stage, *at_ns, name, why),
         None => tracer.note(*at_ns, name, why),

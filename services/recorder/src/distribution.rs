@@ -1,5 +1,5 @@
 use hdrhistogram::Histogram;
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use crate::report::Percentiles;
 
@@ -27,7 +27,7 @@ impl Default for Distribution {
 
 /// A distribution as stored in a file: values with their counts.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub(crate) struct Kept {
+struct Kept {
     values: Vec<(u64, u32)>,
     least_ns: u64,
     most_ns: u64,
@@ -53,6 +53,18 @@ impl From<Kept> for Distribution {
         }
         let Kept { least_ns, most_ns, sum_ns, .. } = kept;
         Self { least_ns, most_ns, sum_ns, ..distribution }
+    }
+}
+
+impl Serialize for Distribution {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        Kept::from(self).serialize(serializer)
+    }
+}
+
+impl<'de> Deserialize<'de> for Distribution {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        Kept::deserialize(deserializer).map(Self::from)
     }
 }
 

@@ -6,8 +6,10 @@
 //! * `truth`: forecasts are scored against it once their horizon has passed ([`accuracy`]);
 //! * `heartbeats`: they count lost frames and restarts.
 //!
-//! Its [`Report`] is JSON for scripts and tables for people ([`Report::render`]). [`live`] shows the same
-//! during the run. [`ForecastWriter`] writes the forecasts.
+//! The figures of a [`Tick`] are counted once, and the recorder sums them. Everything that shows a run is a view
+//! of this state: the [`Report`], the status of a running pipeline ([`status`]), metrics ([`exposition`]) and
+//! traces ([`trace`]). The launcher has its own recorder, so that it shows a run without the recorder's process.
+//! [`ForecastWriter`] writes the forecasts.
 //!
 //! A run may last for days. Percentiles therefore come from histograms, forecasts wait in bounded queues, and
 //! nothing else grows.
@@ -18,7 +20,6 @@ pub mod exposition;
 mod forecast_lines;
 mod input;
 mod lanes;
-pub mod live;
 mod losses;
 mod options;
 pub mod passage;
@@ -26,10 +27,10 @@ mod record;
 mod refusals;
 mod render;
 pub mod report;
-pub mod screen;
 pub mod stage;
 pub mod status;
 pub mod text;
+pub mod tick;
 pub mod trace;
 mod whole_file;
 mod worst;
@@ -38,9 +39,10 @@ pub use forecast_lines::{FORECASTS_VERSION, ForecastWriter};
 pub use input::{InputReport, InputTally};
 pub use lanes::LaneCounts;
 pub use options::{Options, STAGE};
-pub use record::{Checkpoint, Recorder, RecorderOptions, TICK_LIMIT_NS};
+pub use record::{Checkpoint, Recorder, RecorderOptions};
 pub use report::{
     Errors, Outage, REPORT_VERSION, RefusedFrames, Replacement, ReplacementOutcome, Report, ReportError,
     RunInfo, SpareReport, StageMemory, Status, Supervision, Verdict, WorstTick, program_name,
 };
+pub use tick::Tick;
 pub use whole_file::{WholeFile, is_standard_output};

@@ -65,18 +65,23 @@ impl Losses {
         self.refusals.list()
     }
 
-    /// Counts ticks before `header` whose forecasts never arrived at the recorder. If a stage was restarted
-    /// in the meantime, the ticks were lost in its death. The first such stage on the way counts.
-    pub fn forecast_gap(&mut self, header: &Header, len: u64) {
-        let mut restarted = None;
+    /// The first stage on a tick's way that was restarted since the previous tick.
+    pub fn restarted(&mut self, header: &Header) -> Option<StageId> {
+        let mut first = None;
         for hop in header.hops() {
             let Some(stage) = StageId::from_number(hop.stage) else { continue };
             let passed = &mut self.passed[stage.place()];
             if hop.incarnation > *passed {
                 *passed = hop.incarnation;
-                restarted = restarted.or(Some(stage));
+                first = first.or(Some(stage));
             }
         }
+        first
+    }
+
+    /// Counts ticks whose forecasts never arrived at the recorder. If a stage was restarted meanwhile, the ticks
+    /// died with the stage.
+    pub const fn forecast_gap(&mut self, restarted: Option<StageId>, len: u64) {
         match restarted {
             Some(stage) => self.restart[stage.place()] += len,
             None => self.stages[StageId::Recorder.place()].newest.gap += len,
@@ -144,6 +149,11 @@ mod tests {
         Heartbeat { stage: stage.number(), incarnation, dropped_len, rejected_len, ..Heartbeat::zeroed() }
     }
 
+    fn gap(losses: &mut Losses, header: &Header, len: u64) {
+        let restarted = losses.restarted(header);
+        losses.forecast_gap(restarted, len);
+    }
+
     fn of(losses: &Losses, stage: StageId) -> StageDrops {
         losses.by_stage(&StageId::ALL)[stage.place()]
     }
@@ -155,7 +165,7 @@ mod tests {
         losses.heartbeat(&beat(StageId::Localiser, 0, 2, 0));
         losses.heartbeat(&beat(StageId::Extractor, 0, 4, 0));
         losses.heartbeat(&beat(StageId::Sampler, 0, 4, 0));
-        losses.forecast_gap(&Header::new(1, 9, 0), 3);
+        gap(&mut losses, &Header::new(1, 9, 0), 3);
         assert_eq!(of(&losses, StageId::Tracker), StageDrops { gap: 2, refused: 1, ..NONE });
         assert_eq!(of(&losses, StageId::Localiser), StageDrops::default());
         assert_eq!(of(&losses, StageId::Extractor), StageDrops { gap: 2, ..NONE });
@@ -171,7 +181,7 @@ mod tests {
         losses.heartbeat(&beat(StageId::Decoder, 0, 9, 0));
         let sampler = beat(StageId::Sampler, 0, 9, 0);
         losses.heartbeat(&Heartbeat { unanswered_len: 5, ..sampler });
-        losses.forecast_gap(&Header::new(1, 9, 0), 6);
+        gap(&mut losses, &Header::new(1, 9, 0), 6);
         assert_eq!(of(&losses, StageId::Sampler), StageDrops { gap: 3, unanswered: 3, ..NONE });
         assert_eq!(of(&losses, StageId::Recorder), StageDrops { gap: 1, ..NONE });
     }
@@ -183,7 +193,7 @@ mod tests {
         Refusals::count(&mut heartbeat.refusals, StageId::Source.number(), RefusalCause::CheckValue, 2);
         losses.heartbeat(&heartbeat);
         losses.heartbeat(&beat(StageId::Localiser, 0, 3, 0));
-        losses.forecast_gap(&Header::new(1, 9, 0), 3);
+        gap(&mut losses, &Header::new(1, 9, 0), 3);
         assert_eq!(of(&losses, StageId::Tracker), StageDrops { gap: 1, refused: 2, ..NONE });
         for stage in [StageId::Localiser, StageId::Recorder] {
             assert_eq!(of(&losses, stage), StageDrops::default());
@@ -208,9 +218,9 @@ mod tests {
             header
         };
         let mut losses = Losses::default();
-        losses.forecast_gap(&header(0), 0);
-        losses.forecast_gap(&header(1), 3);
-        losses.forecast_gap(&header(1), 1);
+        gap(&mut losses, &header(0), 0);
+        gap(&mut losses, &header(1), 3);
+        gap(&mut losses, &header(1), 1);
         assert_eq!(of(&losses, StageId::Tracker), StageDrops { restart: 3, ..NONE });
         assert_eq!(of(&losses, StageId::Recorder), StageDrops { gap: 1, ..NONE });
     }

@@ -18,7 +18,7 @@ use wire::{Header, Hop, StageId};
 
 /// The times at which one stage moved to the next phase of a tick, `CLOCK_MONOTONIC`. The times increase in
 /// this order. The exception is `taken_ns`: a stage with two inputs has it from the first input.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Timestamps {
     /// The previous stage had sent the input.
     pub ready_ns: u64,
@@ -46,7 +46,7 @@ impl Timestamps {
 }
 
 /// Phases of one tick in one stage.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Phases {
     /// Time in which the input was available, but the stage was busy or waited for other input.
     pub waiting_ns: u64,
@@ -84,7 +84,7 @@ impl From<Timestamps> for Phases {
 /// Phases of one tick in all stages, from release to forecast.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Passage {
-    stages: [Option<Phases>; StageId::PLACES_LEN],
+    stages: [Option<Timestamps>; StageId::PLACES_LEN],
     /// From release at the source to the sending of the forecasts; `None` if the tick did not pass the
     /// sampler.
     pub end_to_end_ns: Option<u64>,
@@ -95,20 +95,26 @@ pub struct Passage {
 
 impl Passage {
     /// Adds the phases of a stage for which no forecast waits.
-    pub(crate) fn add(&mut self, stage: StageId, phases: Phases) {
-        self.stages[stage.place()] = Some(phases);
+    pub(crate) fn add(&mut self, stage: StageId, times: Timestamps) {
+        self.stages[stage.place()] = Some(times);
+    }
+
+    /// The timestamps in one stage, if the tick passed it.
+    #[must_use]
+    pub const fn times(&self, stage: StageId) -> Option<Timestamps> {
+        self.stages[stage.place()]
     }
 
     /// The phases in one stage, if the tick passed it.
     #[must_use]
-    pub fn phases(&self, stage: StageId) -> Option<&Phases> {
-        self.stages[stage.place()].as_ref()
+    pub fn phases(&self, stage: StageId) -> Option<Phases> {
+        self.times(stage).map(Phases::from)
     }
 
     /// Compute of all stages. A tick passes them in sequence, so all of it is on the critical path.
     #[must_use]
     pub fn compute_ns(&self) -> u64 {
-        self.stages.iter().flatten().map(|phases| phases.compute_ns).sum()
+        self.stages.iter().flatten().map(|times| Phases::from(*times).compute_ns).sum()
     }
 
     /// End-to-end latency minus compute. `None` if the sampler's deadline passed, because that time is not a
@@ -132,7 +138,14 @@ impl Timeline {
     /// The passage of a tick from its header. Hops of unknown stages are ignored.
     pub fn pass(&mut self, header: &Header) -> Passage {
         let mut passage = Passage::default();
-        self.follow(header, |stage, _, times| passage.stages[stage.place()] = Some(times.into()));
+        let mut ready_ns = header.released_ns;
+        for hop in header.hops() {
+            if let Some(stage) = StageId::from_number(hop.stage) {
+                let free_ns = std::mem::replace(&mut self.free_ns[stage.place()], hop.sent_ns);
+                passage.stages[stage.place()] = Some(Timestamps::of(hop, ready_ns, free_ns));
+            }
+            ready_ns = hop.sent_ns;
+        }
         passage.end_to_end_ns =
             header.hop(StageId::Sampler).map(|hop| hop.sent_ns.saturating_sub(header.released_ns));
         passage.complete = StageId::ALL[StageId::Tracker.place()..StageId::Recorder.place()]
@@ -151,19 +164,6 @@ impl Timeline {
             index.checked_sub(1).map_or(header.released_ns, |before| header.hops()[before].sent_ns);
         let free_ns = std::mem::replace(&mut self.free_ns[stage.place()], hop.sent_ns);
         Some((stage, Timestamps::of(hop, ready_ns, free_ns)))
-    }
-
-    /// Passes the timestamps of a tick to `tell`, stage by stage.
-    pub fn follow(&mut self, header: &Header, mut tell: impl FnMut(StageId, &Hop, Timestamps)) {
-        let mut ready_ns = header.released_ns;
-        for hop in header.hops() {
-            if let Some(stage) = StageId::from_number(hop.stage) {
-                let free_ns = &mut self.free_ns[stage.place()];
-                tell(stage, hop, Timestamps::of(hop, ready_ns, *free_ns));
-                *free_ns = hop.sent_ns;
-            }
-            ready_ns = hop.sent_ns;
-        }
     }
 }
 
@@ -200,7 +200,7 @@ mod tests {
         assert_eq!(passage.compute_ns(), 30 + 100 + 50);
         assert_eq!(
             passage.phases(StageId::Tracker),
-            Some(&Phases { waiting_ns: 5, wake_up_ns: 20, compute_ns: 100, publish_ns: 5 })
+            Some(Phases { waiting_ns: 5, wake_up_ns: 20, compute_ns: 100, publish_ns: 5 })
         );
         assert_eq!(passage.phases(StageId::Decoder), None);
     }
@@ -233,7 +233,7 @@ mod tests {
         let passage = timeline.pass(&header(40, &second));
         assert_eq!(
             passage.phases(StageId::Tracker),
-            Some(&Phases { waiting_ns: 60 + 1, wake_up_ns: 3, compute_ns: 6, publish_ns: 1 })
+            Some(Phases { waiting_ns: 60 + 1, wake_up_ns: 3, compute_ns: 6, publish_ns: 1 })
         );
     }
 

@@ -1,4 +1,5 @@
 mod checkpoint;
+mod recent;
 mod shed;
 
 use std::collections::BTreeMap;
@@ -11,19 +12,17 @@ use crate::distribution::{Distribution, ms};
 use crate::input::{InputReport, InputTally};
 use crate::lanes::LaneCounts;
 use crate::losses::Losses;
-use crate::passage::{Passage, Phases, Timeline};
+use crate::passage::{Phases, Timeline, Timestamps};
 use crate::report::{
     Accuracy, Agents, ForecastCounts, OutOfDistribution, Percentiles, PriorCounts, REPORT_VERSION, Report,
     RunInfo, StageDrops, StageReport, Supervision, Verdict, WorstTick, restarts,
 };
+use crate::tick::{Tick, is_fault, limit_ns};
 use crate::worst::{Usual, Worst};
 
 pub use checkpoint::Checkpoint;
+use recent::Recent;
 use shed::ShedCounts;
-pub(crate) use shed::is_shed;
-
-/// The time that a tick may take from release to forecast at 12.5 Hz.
-pub const TICK_LIMIT_NS: u64 = wire::TICK_NS;
 
 /// The recorder's information about the run in addition to its topics.
 #[derive(Clone, Debug)]
@@ -34,8 +33,6 @@ pub struct RecorderOptions {
     pub stages: Vec<StageId>,
     /// Each stage's share of the tick limit.
     pub budgets_ms: BTreeMap<StageId, f64>,
-    /// Limit above which a tick is late: this or the frame interval, whichever is smaller.
-    pub tick_limit_ns: u64,
     /// Whether forecasts are kept and scored when truth arrives. Otherwise only times and counts are
     /// recorded, and the forecasts' numbers are not checked.
     pub scores: bool,
@@ -51,7 +48,6 @@ impl Default for RecorderOptions {
             run: RunInfo::default(),
             stages: StageId::ALL.to_vec(),
             budgets_ms: BTreeMap::new(),
-            tick_limit_ns: TICK_LIMIT_NS,
             scores: true,
             input: InputReport::default(),
             explain: None,
@@ -60,21 +56,16 @@ impl Default for RecorderOptions {
 }
 
 /// Durations of one stage's phases.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 struct StageTimes {
-    waiting: Distribution,
-    wake_up: Distribution,
-    compute: Distribution,
-    publish: Distribution,
+    /// In the order of [`Phases::NAMES`].
+    phases: [Distribution; 4],
     late_ticks: u64,
 }
 
 impl StageTimes {
     fn record(&mut self, phases: &Phases, budget_ms: Option<f64>) {
-        self.waiting.record(phases.waiting_ns);
-        self.wake_up.record(phases.wake_up_ns);
-        self.compute.record(phases.compute_ns);
-        self.publish.record(phases.publish_ns);
+        self.phases.iter_mut().zip(phases.each_ns()).for_each(|(times, time_ns)| times.record(time_ns));
         let late = budget_ms.is_some_and(|budget_ms| phases.compute_ns as f64 > budget_ms * 1e6);
         self.late_ticks += u64::from(late);
     }
@@ -87,16 +78,14 @@ struct Span {
     released_ns: [u64; 2],
 }
 
-/// Measures a run and reports the results.
-#[derive(Clone, Debug)]
-pub struct Recorder {
-    options: RecorderOptions,
-    timeline: Timeline,
+/// The sums over all ticks.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+struct Sums {
     end_to_end: Distribution,
     overhead: Distribution,
-    stages: BTreeMap<StageId, StageTimes>,
+    /// By the stage's number.
+    stages: BTreeMap<u32, StageTimes>,
     losses: Losses,
-    scorer: Scorer,
     span: Option<Span>,
     /// Number of the next tick, if it is known.
     next_seq: Option<u64>,
@@ -119,29 +108,18 @@ pub struct Recorder {
     out_of_distribution: OutOfDistribution,
     lanes: LaneCounts,
     worst: Worst,
+}
+
+/// Measures a run and reports the results.
+#[derive(Clone, Debug)]
+pub struct Recorder {
+    options: RecorderOptions,
+    timeline: Timeline,
+    sums: Sums,
+    recent: Recent,
+    scorer: Scorer,
     /// Whether the recorder continues from a previous recorder's checkpoint and has not received a tick yet.
     resumed: bool,
-}
-
-/// Measure from which the network adds less than half of its normal residual.
-const OUTSIDE: f32 = 0.25;
-
-/// Whether the forecast's agent is out of distribution.
-pub(crate) fn is_outside(forecast: &Forecast) -> bool {
-    forecast.out_of_distribution >= OUTSIDE
-}
-
-impl OutOfDistribution {
-    fn add(&mut self, forecast: &Forecast) {
-        let rounded = |value: f32| (f64::from(value) * 1e2).round() / 1e2;
-        let raise =
-            |most: &mut Option<f64>, value: f64| *most = Some(most.map_or(value, |most| most.max(value)));
-        if is_outside(forecast) {
-            self.forecasts += 1;
-            raise(&mut self.measure_max, rounded(forecast.out_of_distribution));
-            raise(&mut self.speed_mps_max, rounded(forecast.vx_mps.hypot(forecast.vy_mps)));
-        }
-    }
 }
 
 impl Recorder {
@@ -151,32 +129,9 @@ impl Recorder {
         Self {
             options,
             timeline: Timeline::default(),
-            end_to_end: Distribution::default(),
-            overhead: Distribution::default(),
-            stages: BTreeMap::new(),
-            losses: Losses::default(),
+            sums: Sums::default(),
+            recent: Recent::default(),
             scorer: Scorer::default(),
-            span: None,
-            next_seq: None,
-            interval_ns: 0,
-            lockstep: false,
-            ticks: 0,
-            late_ticks: 0,
-            agents_left_out: 0,
-            hops_missing: 0,
-            input: InputTally::default(),
-            agents_max: 0,
-            forecasts_by_quality: [0; Quality::ALL.len()],
-            fallbacks_by_cause: [0; Cause::ALL.len()],
-            states_by_prior: [0; Quality::ALL.len()],
-            degraded_ticks: 0,
-            predicted_ticks: 0,
-            silent: 0,
-            age_ns_max: None,
-            shed: ShedCounts::default(),
-            out_of_distribution: OutOfDistribution::default(),
-            lanes: LaneCounts::default(),
-            worst: Worst::default(),
             resumed: false,
         }
     }
@@ -197,36 +152,43 @@ impl Recorder {
     /// recording reveals ticks lost before it. A VOID tick that is not newer than the last arrived late at
     /// the tracker. It is not lost, and is not counted in any other way.
     ///
+    /// Returns the figures of the tick; `None` for a frame that is no newer tick.
+    ///
     /// # Errors
     /// [`Rejected`] if the frame is invalid or has forecasts that are not newer than the last. The frame is
     /// counted as refused.
-    pub fn forecasts(&mut self, header: &Header, forecasts: &[Forecast]) -> Result<(), Rejected> {
+    pub fn forecasts(&mut self, header: &Header, forecasts: &[Forecast]) -> Result<Option<Tick>, Rejected> {
         if header.has(flags::WARM_UP) {
-            self.next_seq.get_or_insert(0);
-            return Ok(());
+            self.sums.next_seq.get_or_insert(0);
+            return Ok(None);
         }
         if let Err(rejected) = self.check(header, forecasts) {
-            self.losses.forecast_refused();
+            self.sums.losses.forecast_refused();
             return Err(rejected);
         }
-        let mut gap = self.next_seq.map_or(0, |expected| header.seq.saturating_sub(expected));
+        let mut gap = self.sums.next_seq.map_or(0, |expected| header.seq.saturating_sub(expected));
+        let restarted = self.sums.losses.restarted(header);
         if std::mem::take(&mut self.resumed) {
-            self.losses.forecast_gap(header, 0);
-            self.losses.unrecorded(gap);
+            self.sums.losses.unrecorded(gap);
             gap = 0;
         } else {
-            self.losses.forecast_gap(header, gap);
+            self.sums.losses.forecast_gap(restarted, gap);
         }
-        self.next_seq = Some(header.seq.saturating_add(1));
-        if header.is_tick() && self.newer_ns(header).is_none() {
-            let passage = self.latency(header);
-            self.worst.take(header, forecasts, &passage, gap, self.options.explain);
-            self.qualities(forecasts);
-            if self.options.scores {
-                self.scorer.forecasts(header, forecasts);
-            }
+        self.sums.next_seq = Some(header.seq.saturating_add(1));
+        if !header.is_tick() || self.newer_ns(header).is_some() {
+            return Ok(None);
         }
-        Ok(())
+        let tick = Tick::new(&mut self.timeline, header, forecasts);
+        self.header(header);
+        self.times(&tick);
+        self.qualities(&tick);
+        self.sums.lanes.add(forecasts);
+        self.sums.worst.take(&tick, header.stamp_ns, restarted, gap, self.options.explain);
+        self.recent.tick(&tick);
+        if self.options.scores {
+            self.scorer.forecasts(header, forecasts);
+        }
+        Ok(Some(tick))
     }
 
     /// Whether the previous recorder has recorded the tick. A topic keeps such ticks for new readers.
@@ -237,19 +199,22 @@ impl Recorder {
 
     /// Adds the header of a frame from an added stage for which no forecast waits. An invalid header is
     /// ignored, because the frame's readers refuse it.
-    pub fn beside(&mut self, header: &Header) {
+    /// Returns the stage with its times on the tick's way.
+    pub fn beside(&mut self, header: &Header) -> Option<(StageId, Timestamps)> {
         if header.check().is_err() || !header.is_tick() {
-            return;
+            return None;
         }
-        if let Some((stage, times)) = self.timeline.beside(header).filter(|(stage, _)| stage.is_added()) {
-            let budget_ms = self.options.budgets_ms.get(&stage).copied();
-            self.stages.entry(stage).or_default().record(&times.into(), budget_ms);
-        }
+        let (stage, times) = self.timeline.beside(header).filter(|(stage, _)| stage.is_added())?;
+        let budget_ms = self.options.budgets_ms.get(&stage).copied();
+        self.sums.stages.entry(stage.number()).or_default().record(&times.into(), budget_ms);
+        self.recent.beside(stage, times);
+        Some((stage, times))
     }
 
     /// Adds a stage's heartbeat.
     pub fn heartbeat(&mut self, heartbeat: &Heartbeat) {
-        self.losses.heartbeat(heartbeat);
+        self.sums.losses.heartbeat(heartbeat);
+        self.recent.heartbeat(heartbeat);
     }
 
     fn check(&self, header: &Header, forecasts: &[Forecast]) -> Result<(), Rejected> {
@@ -266,75 +231,49 @@ impl Recorder {
 
     /// Stamp of the newest tick so far, if this tick is not newer.
     fn newer_ns(&self, header: &Header) -> Option<i64> {
-        let last_ns = self.span?.stamp_ns[1];
+        let last_ns = self.sums.span?.stamp_ns[1];
         (header.is_tick() && header.stamp_ns <= last_ns).then_some(last_ns)
     }
 
-    fn latency(&mut self, header: &Header) -> Passage {
-        self.ticks += 1;
-        self.interval_ns = header.interval_ns;
-        self.lockstep |= header.has(flags::LOCKSTEP);
-        let span = self
-            .span
-            .get_or_insert(Span { stamp_ns: [header.stamp_ns; 2], released_ns: [header.released_ns; 2] });
+    fn header(&mut self, header: &Header) {
+        let sums = &mut self.sums;
+        sums.ticks += 1;
+        sums.interval_ns = header.interval_ns;
+        sums.lockstep |= header.has(flags::LOCKSTEP);
+        let first = Span { stamp_ns: [header.stamp_ns; 2], released_ns: [header.released_ns; 2] };
+        let span = sums.span.get_or_insert(first);
         span.stamp_ns[1] = header.stamp_ns;
         span.released_ns[1] = header.released_ns;
-
-        let limit_ns = self.late_limit_ns();
-        let passage = self.timeline.pass(header);
-        if let Some(end_to_end_ns) = passage.end_to_end_ns {
-            self.end_to_end.record(end_to_end_ns);
-            self.late_ticks += u64::from(end_to_end_ns > limit_ns);
-        }
-        if let Some(overhead_ns) = passage.overhead_ns() {
-            self.overhead.record(overhead_ns);
-        }
-        for &stage in &self.options.stages {
-            if let Some(phases) = passage.phases(stage) {
-                let budget_ms = self.options.budgets_ms.get(&stage).copied();
-                self.stages.entry(stage).or_default().record(phases, budget_ms);
-            }
-        }
-        self.agents_left_out += u64::from(header.left_out_len);
-        self.hops_missing += u64::from(header.hops_missing_len);
-        self.predicted_ticks += u64::from(header.has(flags::PREDICTED));
-        self.silent += u64::from(header.silent_len);
-        self.input.tick(header);
-        passage
+        sums.agents_left_out += u64::from(header.left_out_len);
+        sums.hops_missing += u64::from(header.hops_missing_len);
+        sums.predicted_ticks += u64::from(header.has(flags::PREDICTED));
+        sums.silent += u64::from(header.silent_len);
+        sums.input.tick(header);
     }
 
-    fn qualities(&mut self, forecasts: &[Forecast]) {
-        self.agents_max = self.agents_max.max(forecasts.len() as u64);
-        self.shed.add(forecasts);
-        self.lanes.add(forecasts);
-        let mut degraded = false;
-        for forecast in forecasts {
-            if let Some(count) = self.forecasts_by_quality.get_mut(forecast.quality as usize) {
-                *count += 1;
-            }
-            self.out_of_distribution.add(forecast);
-            if let Some(count) = self.states_by_prior.get_mut(forecast.prior as usize) {
-                *count += 1;
-            }
-            if forecast.quality == Quality::Learned as u32 {
-                continue;
-            }
-            if let Some(count) = self.fallbacks_by_cause.get_mut(forecast.cause as usize) {
-                *count += 1;
-            }
-            degraded |= Cause::from_number(forecast.cause).is_none_or(is_fault);
-            if forecast.quality == Quality::Held as u32 {
-                self.age_ns_max = self.age_ns_max.max(Some(forecast.age_ns));
+    fn times(&mut self, tick: &Tick) {
+        let Self { sums, options, .. } = self;
+        tick.passage.end_to_end_ns.into_iter().for_each(|time_ns| sums.end_to_end.record(time_ns));
+        tick.passage.overhead_ns().into_iter().for_each(|time_ns| sums.overhead.record(time_ns));
+        sums.late_ticks += u64::from(tick.is_over_limit());
+        for &stage in &options.stages {
+            if let Some(phases) = tick.passage.phases(stage) {
+                let budget_ms = options.budgets_ms.get(&stage).copied();
+                sums.stages.entry(stage.number()).or_default().record(&phases, budget_ms);
             }
         }
-        self.degraded_ticks += u64::from(degraded);
     }
 
-    fn late_limit_ns(&self) -> u64 {
-        match self.interval_ns {
-            0 => self.options.tick_limit_ns,
-            interval_ns => interval_ns.min(self.options.tick_limit_ns),
-        }
+    fn qualities(&mut self, tick: &Tick) {
+        let sums = &mut self.sums;
+        sums.agents_max = sums.agents_max.max(tick.agents);
+        sums.shed.add(tick);
+        add(&mut sums.forecasts_by_quality, &tick.qualities);
+        add(&mut sums.fallbacks_by_cause, &tick.causes);
+        add(&mut sums.states_by_prior, &tick.priors);
+        sums.out_of_distribution.merge(&tick.out_of_distribution);
+        sums.age_ns_max = sums.age_ns_max.max(tick.held_age_ns[0]);
+        sums.degraded_ticks += u64::from(tick.is_degraded);
     }
 
     /// The report so far. It may be called at any time and changes nothing.
@@ -346,24 +285,24 @@ impl Recorder {
             stgdat_version: env!("CARGO_PKG_VERSION").to_owned(),
             verdict: Verdict::default(),
             run: self.run(),
-            ticks: self.ticks,
-            late_ticks: self.late_ticks,
-            late_limit_ms: (self.ticks > 0).then(|| ms(self.late_limit_ns())),
+            ticks: self.sums.ticks,
+            late_ticks: self.sums.late_ticks,
+            late_limit_ms: (self.sums.ticks > 0).then(|| ms(limit_ns(self.sums.interval_ns))),
             drops: stages.iter().map(|stage| stage.drops.total()).sum(),
-            refusals: self.losses.refusals(),
-            agents_left_out: self.agents_left_out,
-            hops_missing: self.hops_missing,
-            input: self.input.report(&self.options.input),
+            refusals: self.sums.losses.refusals(),
+            agents_left_out: self.sums.agents_left_out,
+            hops_missing: self.sums.hops_missing,
+            input: self.sums.input.report(&self.options.input),
             agents: self.agents(),
             forecasts: self.forecast_counts(),
-            out_of_distribution: self.out_of_distribution,
-            lanes: self.lanes,
+            out_of_distribution: self.sums.out_of_distribution,
+            lanes: self.sums.lanes,
             priors: self.prior_counts(),
-            end_to_end_ms: self.end_to_end.percentiles_ms(),
-            overhead_ms: self.overhead.percentiles_ms(),
+            end_to_end_ms: self.sums.end_to_end.percentiles_ms(),
+            overhead_ms: self.sums.overhead.percentiles_ms(),
             stages,
             accuracy: self.scorer.accuracy(),
-            worst_ticks: self.worst.list(&self.usual()),
+            worst_ticks: self.sums.worst.list(&self.usual()),
             supervision: Supervision::default(),
         };
         report.verdict = verdict(&report);
@@ -372,14 +311,14 @@ impl Recorder {
 
     fn run(&self) -> RunInfo {
         let mut run = self.options.run.clone();
-        if let Some(span) = self.span {
+        if let Some(span) = self.sums.span {
             let [first, last] = span.stamp_ns;
             run.played_s.get_or_insert(ms(last.abs_diff(first)) / 1e3);
             let [first, last] = span.released_ns;
             run.elapsed_s.get_or_insert(ms(last.abs_diff(first)) / 1e3);
-            run.lockstep.get_or_insert(self.lockstep);
-            if self.interval_ns > 0 {
-                run.interval_ms.get_or_insert(ms(self.interval_ns));
+            run.lockstep.get_or_insert(self.sums.lockstep);
+            if self.sums.interval_ns > 0 {
+                run.interval_ms.get_or_insert(ms(self.sums.interval_ns));
             }
         }
         run
@@ -388,7 +327,7 @@ impl Recorder {
     /// The requested tick, with the phase that took longest; `None` if the tick has not arrived.
     #[must_use]
     pub fn explained(&self) -> Option<WorstTick> {
-        self.worst.explained(&self.usual())
+        self.sums.worst.explained(&self.usual())
     }
 
     /// Errors of the forecasts so far.
@@ -397,51 +336,49 @@ impl Recorder {
         self.scorer.accuracy()
     }
 
-    /// The latency from release to forecasts, and this latency minus the compute of all stages.
+    /// The latency from release to forecasts, and the same without the computation of all stages.
     pub(crate) const fn latencies(&self) -> [&Distribution; 2] {
-        [&self.end_to_end, &self.overhead]
+        [&self.sums.end_to_end, &self.sums.overhead]
     }
 
-    /// A stage's times of waiting, wake-up, compute and publish; `None` if no tick has passed the stage.
-    pub(crate) fn phases(&self, stage: StageId) -> Option<[&Distribution; 4]> {
-        let times = self.stages.get(&stage)?;
-        Some([&times.waiting, &times.wake_up, &times.compute, &times.publish])
+    /// A stage's times in the order of [`Phases::NAMES`]; `None` if no tick has passed the stage.
+    pub(crate) fn phases(&self, stage: StageId) -> Option<&[Distribution; 4]> {
+        Some(&self.sums.stages.get(&stage.number())?.phases)
     }
 
-    /// The usual values in this run.
+    /// What is usual in this run.
     fn usual(&self) -> Usual {
-        let median = |times: &StageTimes| {
-            [&times.waiting, &times.wake_up, &times.compute, &times.publish].map(Distribution::median_ns)
-        };
         let mut usual = Usual { agents: self.agents().mean.unwrap_or(0.0), ..Usual::default() };
-        for (&stage, times) in &self.stages {
-            usual.phases_ns[stage.place()] = median(times);
+        for stage in StageId::known() {
+            if let Some(times) = self.phases(stage) {
+                usual.phases_ns[stage.place()] = times.each_ref().map(Distribution::median_ns);
+            }
         }
         usual
     }
 
     fn agents(&self) -> Agents {
-        if self.ticks == 0 {
+        if self.sums.ticks == 0 {
             return Agents::default();
         }
-        let total: u64 = self.forecasts_by_quality.iter().sum();
-        let mean = (total as f64 / self.ticks as f64 * 1e2).round() / 1e2;
-        Agents { mean: Some(mean), max: Some(self.agents_max) }
+        let total: u64 = self.sums.forecasts_by_quality.iter().sum();
+        let mean = (total as f64 / self.sums.ticks as f64 * 1e2).round() / 1e2;
+        Agents { mean: Some(mean), max: Some(self.sums.agents_max) }
     }
 
     fn forecast_counts(&self) -> ForecastCounts {
-        let [learned, held, kinematic] = self.forecasts_by_quality;
+        let [learned, held, kinematic] = self.sums.forecasts_by_quality;
         let total = learned + held + kinematic;
-        let by_cause = |cause: Cause| self.fallbacks_by_cause[cause as usize];
+        let by_cause = |cause: Cause| self.sums.fallbacks_by_cause[cause as usize];
         let constant_velocity = by_cause(Cause::Outdone) as f64 / total as f64;
         let causes = Cause::ALL
             .iter()
-            .zip(self.fallbacks_by_cause)
+            .zip(self.sums.fallbacks_by_cause)
             .filter(|&(&cause, count)| cause != Cause::None || count > 0)
             .map(|(cause, count)| (cause.name().to_owned(), count))
             .collect();
-        let age_ms_max = self.age_ns_max.map(ms);
-        let Self { degraded_ticks, predicted_ticks, silent, .. } = *self;
+        let age_ms_max = self.sums.age_ns_max.map(ms);
+        let Sums { degraded_ticks, predicted_ticks, silent, .. } = self.sums;
         ForecastCounts {
             learned,
             held,
@@ -453,17 +390,17 @@ impl Recorder {
             predicted_ticks,
             silent,
             age_ms_max,
-            shed: self.shed.report(total),
+            shed: self.sums.shed.report(total),
         }
     }
 
     fn prior_counts(&self) -> PriorCounts {
-        let [learned, held, kinematic] = self.states_by_prior;
+        let [learned, held, kinematic] = self.sums.states_by_prior;
         PriorCounts { learned, held, kinematic }
     }
 
     fn stage_reports(&self) -> Vec<StageReport> {
-        let drops = self.losses.by_stage(&self.options.stages);
+        let drops = self.sums.losses.by_stage(&self.options.stages);
         self.options
             .stages
             .iter()
@@ -473,11 +410,11 @@ impl Recorder {
     }
 
     fn stage_report(&self, stage: StageId, drops: StageDrops) -> StageReport {
-        let times = self.stages.get(&stage);
-        let percentiles = |of: fn(&StageTimes) -> &Distribution| {
-            times.map_or_else(Percentiles::default, |times| of(times).percentiles_ms())
+        let times = self.sums.stages.get(&stage.number());
+        let [waiting_ms, wake_up_ms, compute_ms, publish_ms] = match times {
+            Some(times) => times.phases.each_ref().map(Distribution::percentiles_ms),
+            None => [Percentiles::default(); 4],
         };
-        let compute_ms = percentiles(|times| &times.compute);
         let budget_ms = self.options.budgets_ms.get(&stage).copied();
         let share = |value_ms: Option<f64>| Some((value_ms? / budget_ms? * 1e4).round() / 1e4);
         StageReport {
@@ -485,20 +422,34 @@ impl Recorder {
             budget_ms,
             budget_share_p50: share(compute_ms.p50),
             budget_share_p99: share(compute_ms.p99),
-            waiting_ms: percentiles(|times| &times.waiting),
-            wake_up_ms: percentiles(|times| &times.wake_up),
+            waiting_ms,
+            wake_up_ms,
             compute_ms,
-            publish_ms: percentiles(|times| &times.publish),
-            ticks: times.map_or(0, |times| times.compute.len()),
+            publish_ms,
+            ticks: times.map_or(0, |times| times.phases[2].len()),
             late_ticks: times.map_or(0, |times| times.late_ticks),
             drops,
-            restarts: self.losses.restarts(stage),
+            restarts: self.sums.losses.restarts(stage),
             replacements: 0,
         }
     }
 }
 
-/// The verdict on a report. Every fact that a user of the forecasts should know is a reason.
+/// Adds counts.
+fn add<const N: usize>(sums: &mut [u64; N], counts: &[u64; N]) {
+    sums.iter_mut().zip(counts).for_each(|(sum, count)| *sum += count);
+}
+
+impl OutOfDistribution {
+    /// Adds those of a tick.
+    pub(crate) fn merge(&mut self, other: &Self) {
+        let most = |a: Option<f64>, b: Option<f64>| a.map_or(b, |a| Some(b.map_or(a, |b| a.max(b))));
+        self.forecasts += other.forecasts;
+        self.measure_max = most(self.measure_max, other.measure_max);
+        self.speed_mps_max = most(self.speed_mps_max, other.speed_mps_max);
+    }
+}
+
 fn verdict(report: &Report) -> Verdict {
     let mut reasons = Vec::new();
     let by_stage = |count: fn(&StageReport) -> u64| {
@@ -545,13 +496,6 @@ fn verdict(report: &Report) -> Verdict {
     }
     reasons.extend(report.doubts());
     Verdict::new(!has_agents, reasons)
-}
-
-/// Whether a held or kinematic forecast with this cause is a fault. It is not a fault if the track is young
-/// or if constant velocity proved better. "Not learned" counts faults in the verdict, the report and the
-/// worst ticks.
-pub(crate) const fn is_fault(cause: Cause) -> bool {
-    !matches!(cause, Cause::Young | Cause::Outdone)
 }
 
 /// Why a run with ticks is empty.

@@ -7,12 +7,12 @@ use std::fmt::{self, Write};
 use wire::Cause;
 
 use crate::input::DOUBT;
-use crate::record::is_fault;
 use crate::report::{
     Errors, Outage, Percentiles, RefusedFrames, Replacement, ReplacementOutcome, Report, Shed, SpareReport,
     StageMemory, StageReport, Status, Supervision, WorstTick,
 };
 use crate::text::{bar, count, number, percent, subscript};
+use crate::tick::is_fault;
 
 /// Smallest and largest width of the report's lines.
 const WIDTHS: std::ops::RangeInclusive<usize> = 80..=120;

@@ -62,7 +62,7 @@ pub fn run(run: &Run) -> Result<(), StageError> {
         if recorder.is_recorded(frame.header()) {
             continue;
         }
-        let result = recorder.forecasts(frame.header(), &frame);
+        let result = recorder.forecasts(frame.header(), &frame).map(|_| ());
         if let (Ok(()), Some(writer)) = (&result, &mut writer) {
             writer.write(frame.header(), &frame).map_err(unwritable)?;
         }

@@ -1,9 +1,8 @@
 //! The state of a running pipeline as data. `stgdat top` shows it, and the metrics are made from it.
 //!
-//! A [`RunStatus`] combines three views:
+//! A [`RunStatus`] combines:
 //!
-//! * the whole run so far ([`Report`]);
-//! * the last ten seconds ([`LiveView`]);
+//! * the whole run so far ([`Report`]) and its last ten seconds, from a [`Recorder`];
 //! * facts that only the launcher knows ([`Facts`]): processes with their CPU time, memory and events.
 
 use std::collections::BTreeMap;
@@ -11,12 +10,17 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 use wire::{Cause, Quality, StageId};
 
-use crate::live::LiveView;
+use crate::distribution::ms;
 use crate::record::Recorder;
 use crate::report::{Errors, Percentiles, Report, Supervision};
+use crate::text::{count, number};
+use crate::tick::Tick;
 
 /// Version of the status' fields.
-pub const STATUS_VERSION: u32 = 1;
+pub const STATUS_VERSION: u32 = 2;
+
+/// A stage is silent if its last heartbeat is older than this: more than two heartbeat intervals.
+const SILENT_NS: u64 = 200_000_000;
 
 /// A run in progress.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -39,6 +43,8 @@ pub struct RunStatus {
     pub recent_ticks: u64,
     /// End-to-end latency of the recent ticks.
     pub recent_end_to_end_ms: Percentiles,
+    /// Latency of each recent tick, newest last.
+    pub recent_latencies_ms: Vec<f64>,
     /// The stages in the order in which a tick passes them.
     pub stages: Vec<StageStatus>,
     /// The forecasts of the newest tick.
@@ -131,6 +137,12 @@ pub struct Facts {
     pub launcher_pid: u32,
     /// Whether a frame has passed through the whole chain.
     pub linked: bool,
+    /// The recording or scene.
+    pub title: String,
+    /// Number of ticks after which the run ends, if it is known.
+    pub ticks_limit: Option<u64>,
+    /// The time, on `CLOCK_MONOTONIC`.
+    pub now_ns: u64,
     /// The processes of the stages.
     pub processes: BTreeMap<StageId, ProcessStatus>,
     /// The errors last reported by the recorder.
@@ -142,68 +154,163 @@ pub struct Facts {
 }
 
 impl RunStatus {
-    /// The status of a run, from the observations.
+    /// The status of a run.
     #[must_use]
-    pub fn new(view: &LiveView, measured: &Recorder, facts: Facts) -> Self {
+    pub fn new(measured: &Recorder, facts: Facts) -> Self {
         let mut report = measured.report();
         report.supervised(facts.supervision);
-        let newest_tick = view.newest_tick();
-        let stages = view.stages().into_iter().map(|(stage, row)| {
-            let [waiting, wake_up, compute, publish] = view.recent_ms(stage);
+        let newest = measured.recent().next_back();
+        let stage_status = |stage: StageId| {
             let mut process = facts.processes.get(&stage).cloned().unwrap_or_default();
             let replacements = report.supervision.replacements.iter();
             let of_stage = replacements.filter(|replacement| replacement.outage.stage == stage.name());
             let replaced: u32 = of_stage.map(|replacement| replacement.outcome.incarnations()).sum();
             process.restarts = process.restarts.saturating_sub(replaced);
-            let reached = view.beat(stage).filter(|beat| beat.frames_len > 0).map(|beat| beat.seq);
+            let beat = measured.beat(stage);
+            let reached = beat.filter(|beat| beat.frames_len > 0).map(|beat| beat.seq);
+            let [recent_waiting_ms, recent_wake_up_ms, recent_compute_ms, recent_publish_ms] =
+                measured.recent_ms(stage);
             StageStatus {
                 name: stage.name().to_owned(),
-                alive: row.alive,
-                behind_ticks: newest_tick.zip(reached).map(|(newest, seq)| newest.saturating_sub(seq)),
-                budget_ms: row.budget_ms,
-                recent_waiting_ms: waiting,
-                recent_wake_up_ms: wake_up,
-                recent_compute_ms: compute,
-                recent_publish_ms: publish,
+                alive: beat.map(|beat| facts.now_ns.saturating_sub(beat.sent_ns) <= SILENT_NS),
+                behind_ticks: newest.zip(reached).map(|(tick, seq)| tick.seq.saturating_sub(seq)),
+                budget_ms: measured.budget_ms(stage),
+                recent_waiting_ms,
+                recent_wake_up_ms,
+                recent_compute_ms,
+                recent_publish_ms,
                 process,
             }
-        });
-        let count = |counts: &[u64], name: fn(usize) -> &'static str| {
-            let named = counts.iter().enumerate().map(|(nth, &count)| (name(nth).to_owned(), count));
-            named.collect::<BTreeMap<String, u64>>()
         };
-        let mut causes = count(view.newest_causes(), |nth| Cause::ALL[nth].name());
-        causes.retain(|cause, count| cause != Cause::None.name() && *count > 0);
+        let latencies_ns = measured.recent().filter_map(|tick| tick.passage.end_to_end_ns);
         Self {
             version: STATUS_VERSION,
             run: facts.run,
-            title: view.title().to_owned(),
+            title: facts.title,
             launcher_pid: facts.launcher_pid,
             linked: facts.linked,
-            elapsed_s: (view.elapsed_s() * 1e3).round() / 1e3,
-            ticks_limit: view.ticks_limit(),
-            recent_ticks: view.recent_ticks(),
-            recent_end_to_end_ms: view.recent_end_to_end_ms(),
-            stages: stages.collect(),
-            newest: Newest {
-                tick: newest_tick,
-                qualities: count(view.newest_qualities(), |nth| Quality::ALL[nth].name()),
-                causes,
-                outside: view.newest_outside(),
-            },
+            elapsed_s: (measured.elapsed_s(facts.now_ns) * 1e3).round() / 1e3,
+            ticks_limit: facts.ticks_limit,
+            recent_ticks: measured.recent().len() as u64,
+            recent_end_to_end_ms: measured.recent_end_to_end_ms(),
+            recent_latencies_ms: latencies_ns.map(ms).collect(),
+            stages: measured.live_stages().map(stage_status).collect(),
+            newest: Newest::of(newest),
             accuracy: facts.accuracy,
             events: facts.events,
             report,
+        }
+    }
+
+    /// One line for outputs other than terminals: ticks, latency of the last ten seconds, late ticks and losses.
+    #[must_use]
+    pub fn line(&self) -> String {
+        let of = self.ticks_limit.map_or_else(String::new, |limit| format!("/{limit}"));
+        let Percentiles { p50, p99, .. } = self.recent_end_to_end_ms;
+        let newest = |name: &str| self.newest.qualities.get(name).copied().unwrap_or(0);
+        let shed = match self.report.forecasts.shed.forecasts {
+            0 => String::new(),
+            total => {
+                let newest = self.newest.causes.get(Cause::Shed.name()).copied().unwrap_or(0);
+                format!(", shed {newest} ({} so far)", count(total))
+            }
+        };
+        format!(
+            "tick {}{of}  {:.1} s  end to end p50 {} ms, p99 {} ms  forecasts {} learned, {} held, {} \
+             kinematic{shed}  late {}, lost {}",
+            self.report.ticks,
+            self.elapsed_s,
+            number(p50),
+            number(p99),
+            newest("learned"),
+            newest("held"),
+            newest("kinematic"),
+            count(self.report.late_ticks),
+            self.report.drops,
+        )
+    }
+}
+
+impl Newest {
+    fn of(tick: Option<&Tick>) -> Self {
+        let names = Quality::ALL.map(|quality| quality.name().to_owned());
+        let counts = tick.map_or([0; Quality::ALL.len()], |tick| tick.qualities);
+        let causes = tick.into_iter().flat_map(|tick| Cause::ALL.into_iter().zip(tick.causes));
+        let causes = causes.filter(|(cause, count)| *cause != Cause::None && *count > 0);
+        Self {
+            tick: tick.map(|tick| tick.seq),
+            qualities: names.into_iter().zip(counts).collect(),
+            causes: causes.map(|(cause, count)| (cause.name().to_owned(), count)).collect(),
+            outside: tick.map_or(0, |tick| tick.out_of_distribution.forecasts),
         }
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use bytemuck::Zeroable;
+    use wire::{Forecast, Header, Heartbeat, Hop};
+
     use super::*;
-    use crate::live::LiveOptions;
     use crate::record::RecorderOptions;
     use crate::report::{Outage, Replacement, ReplacementOutcome};
+
+    /// A run of `ticks` ticks with these forecasts, two silent seconds after the heartbeats of two stages.
+    fn status(ticks: u64, forecasts: &[Forecast]) -> RunStatus {
+        const MS: u64 = 1_000_000;
+        let mut measured = Recorder::new(RecorderOptions { scores: false, ..RecorderOptions::default() });
+        for seq in 0..ticks {
+            let released_ns = 1_000 * MS + seq * 80 * MS;
+            let mut header = Header { released_ns, ..Header::new(1, seq, (seq * 80 * MS) as i64) };
+            header.counts.agents_len = forecasts.len() as u32;
+            let sent_ns = released_ns + (10 + seq % 5) * MS;
+            header.push_hop(Hop { stage: StageId::Sampler.number(), sent_ns, ..Hop::zeroed() });
+            measured.forecasts(&header, forecasts).unwrap();
+        }
+        let now_ns = 1_000 * MS + ticks * 80 * MS;
+        for (stage, ago_ns) in [(StageId::Source, 100 * MS), (StageId::Tracker, 300 * MS)] {
+            let sent_ns = now_ns - ago_ns;
+            let (frames_len, stage) = (ticks, stage.number());
+            measured.heartbeat(&Heartbeat { stage, sent_ns, frames_len, ..Heartbeat::zeroed() });
+        }
+        RunStatus::new(&measured, Facts { now_ns, ticks_limit: Some(500), ..Facts::default() })
+    }
+
+    fn forecast(quality: Quality, cause: Cause) -> Forecast {
+        Forecast { quality: quality as u32, cause: cause as u32, ..Forecast::zeroed() }
+    }
+
+    #[test]
+    fn the_line_has_the_figures_of_the_status() {
+        let learned = forecast(Quality::Learned, Cause::None);
+        let shed = forecast(Quality::Held, Cause::Shed);
+        assert_eq!(
+            status(155, &[learned, shed, forecast(Quality::Held, Cause::Late)]).line(),
+            "tick 155/500  12.4 s  end to end p50 12.0 ms, p99 14.0 ms  forecasts 1 learned, 2 held, 0 kinematic, \
+             shed 1 (155 so far)  late 0, lost 0"
+        );
+        assert!(status(2, &[learned]).line().contains("1 learned, 0 held, 0 kinematic  late 0"));
+    }
+
+    #[test]
+    fn the_newest_values_are_of_ten_seconds() {
+        let status = status(10_000, &[]);
+        assert_eq!(
+            (status.recent_ticks, status.recent_latencies_ms.len(), status.report.ticks),
+            (125, 125, 10_000)
+        );
+        assert_eq!(status.recent_latencies_ms[123..], [13.0, 14.0], "the newest is last");
+    }
+
+    #[test]
+    fn a_stage_without_a_recent_heartbeat_is_silent() {
+        let status = status(20, &[]);
+        let alive = |name| status.stages.iter().find(|stage| stage.name == name).map(|stage| stage.alive);
+        assert_eq!(alive("source"), Some(Some(true)));
+        assert_eq!(alive("tracker"), Some(Some(false)));
+        assert_eq!(alive("sampler"), Some(None));
+        assert_eq!(alive("decoder"), None, "it has no budget and no tick has passed it");
+    }
 
     #[test]
     fn a_replacement_is_no_restart() {
@@ -221,9 +328,8 @@ mod tests {
                 ..Facts::default()
             };
             let budgets_ms = BTreeMap::from([(StageId::Encoder, 10.0)]);
-            let view = LiveView::new(LiveOptions { budgets_ms, ..LiveOptions::default() });
-            let measured = Recorder::new(RecorderOptions::default());
-            RunStatus::new(&view, &measured, facts).stages[0].process.restarts
+            let measured = Recorder::new(RecorderOptions { budgets_ms, ..RecorderOptions::default() });
+            RunStatus::new(&measured, facts).stages[0].process.restarts
         };
         assert_eq!(restarts(2, &[]), 2);
         assert_eq!(restarts(1, &[ReplacementOutcome::Replaced]), 0);

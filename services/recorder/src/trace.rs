@@ -14,13 +14,11 @@
 //! [`Tracer`] converts each frame to packets, which the caller takes. It keeps only the newest ticks.
 
 use perfetto::{Clocks, Details, Trace, Value};
-use wire::{
-    Cause, Forecast, Header, Heartbeat, Hop, Quality, REFUSALS_MAX, RefusalCause, Refusals, StageId, flags,
-};
+use wire::{Header, Heartbeat, Hop, Quality, REFUSALS_MAX, RefusalCause, Refusals, StageId, flags};
 
 use crate::distribution::ms;
-use crate::passage::{Timeline, Timestamps};
-use crate::record::TICK_LIMIT_NS;
+use crate::passage::{Passage, Timestamps};
+use crate::tick::Tick;
 
 /// Number of parallel tracks of frames that wait for one stage, or of ticks in progress. Further ones
 /// overlap.
@@ -61,7 +59,6 @@ struct StageTracks {
 #[derive(Clone, Debug)]
 pub struct Tracer {
     trace: Trace,
-    timeline: Timeline,
     stages: [StageTracks; StageId::PLACES_LEN],
     tick_end_ns: [u64; LANES],
     /// Values of the pipeline's counters.
@@ -98,7 +95,6 @@ impl Tracer {
         }
         Self {
             trace,
-            timeline: Timeline::default(),
             stages: Default::default(),
             tick_end_ns: [0; LANES],
             counters: [f64::NAN; COUNTERS.len()],
@@ -118,32 +114,21 @@ impl Tracer {
         self.trace.take()
     }
 
-    /// Adds the forecasts of a tick.
-    pub fn forecasts(&mut self, header: &Header, forecasts: &[Forecast]) {
-        if !header.is_tick() {
-            return;
-        }
+    /// Adds a tick with its figures.
+    pub fn tick(&mut self, header: &Header, tick: &Tick) {
         let last = header.hops().len().saturating_sub(1);
-        let mut timeline = std::mem::take(&mut self.timeline);
-        let mut nth = 0;
-        timeline.follow(header, |stage, hop, times| {
-            let flow = Flow { tick: header.seq, ends: nth == last };
-            self.hop(stage, hop, times, &flow);
-            nth += 1;
-        });
-        self.timeline = timeline;
-        self.tick(header, forecasts);
+        for (hop, nth) in header.hops().iter().zip(0..) {
+            self.hop(hop, &tick.passage, &Flow { tick: header.seq, ends: nth == last });
+        }
+        self.whole(header, tick);
     }
 
-    /// Adds the header of a frame from an added stage for which no forecast waits.
-    pub fn beside(&mut self, header: &Header) {
-        if !header.is_tick() {
-            return;
-        }
-        if let Some((stage, times)) = self.timeline.beside(header)
-            && let Some(hop) = header.hop(stage)
-        {
-            self.hop(stage, hop, times, &Flow { tick: header.seq, ends: false });
+    /// Adds the passage of a frame from an added stage for which no forecast waits.
+    pub fn beside(&mut self, header: &Header, stage: StageId, times: Timestamps) {
+        if let Some(hop) = header.hop(stage) {
+            let mut passage = Passage::default();
+            passage.add(stage, times);
+            self.hop(hop, &passage, &Flow { tick: header.seq, ends: false });
         }
     }
 
@@ -208,7 +193,9 @@ impl Tracer {
     }
 
     /// Writes the tracks of one stage's passage.
-    fn hop(&mut self, stage: StageId, hop: &Hop, times: Timestamps, flow: &Flow) {
+    fn hop(&mut self, hop: &Hop, passage: &Passage, flow: &Flow) {
+        let Some(stage) = StageId::from_number(hop.stage) else { return };
+        let Some(times) = passage.times(stage) else { return };
         let restarted = self.stages[stage.place()].declared.is_some_and(|newest| hop.incarnation > newest);
         let process = self.process(stage, hop.incarnation);
         if restarted {
@@ -283,24 +270,15 @@ impl Tracer {
     }
 
     /// Writes the span of a whole tick, and the counters.
-    fn tick(&mut self, header: &Header, forecasts: &[Forecast]) {
-        let Some(sampler) = header.hop(StageId::Sampler) else { return };
-        let span_ns = [header.released_ns, sampler.sent_ns.max(header.released_ns)];
-        let mut by_quality = [0_u64; Quality::ALL.len()];
-        let mut by_cause = [0_u64; Cause::ALL.len()];
-        for forecast in forecasts {
-            let counts =
-                [by_quality.get_mut(forecast.quality as usize), by_cause.get_mut(forecast.cause as usize)];
-            counts.into_iter().flatten().for_each(|count| *count += 1);
-        }
-        let age_ns = forecasts.iter().map(|forecast| forecast.age_ns).max().unwrap_or(0);
-        let latency_ms = ms(span_ns[1] - span_ns[0]);
+    fn whole(&mut self, header: &Header, tick: &Tick) {
+        let Some(latency_ns) = tick.passage.end_to_end_ns else { return };
+        let span_ns = [header.released_ns, header.released_ns + latency_ns];
         let mut values = vec![
             ("tick", Value::Count(header.seq)),
             ("stamp_s", Value::Number(header.stamp_ns as f64 / 1e9)),
-            ("agents", Value::Count(forecasts.len() as u64)),
+            ("agents", Value::Count(tick.agents)),
         ];
-        let named = Quality::ALL.map(Quality::name).into_iter().zip(by_quality);
+        let named = Quality::ALL.map(Quality::name).into_iter().zip(tick.qualities);
         values.extend(named.clone().map(|(name, count)| (name, Value::Count(count))));
         let marks = [("predicted", flags::PREDICTED), ("void", flags::VOID)];
         values.extend(marks.iter().filter(|mark| header.has(mark.1)).map(|mark| (mark.0, Value::Count(1))));
@@ -308,22 +286,16 @@ impl Tracer {
         let track = lane::TICKS + free_lane(&mut self.tick_end_ns, span_ns);
         self.trace.span(track, span_ns, &format!("tick {}", header.seq), details);
 
-        let limit_ns = match header.interval_ns {
-            0 => TICK_LIMIT_NS,
-            interval_ns => interval_ns.min(TICK_LIMIT_NS),
-        };
         let at_ns = span_ns[1];
-        if at_ns - span_ns[0] > limit_ns && !header.has(flags::LOCKSTEP) {
+        if tick.is_late() {
             self.trace.instant(lane::TICKS, at_ns, "late", details);
         }
-        for (cause, count) in Cause::ALL.into_iter().zip(by_cause) {
-            if count > 0 && !matches!(cause, Cause::None | Cause::Young | Cause::Outdone) {
-                let values = [("forecasts", Value::Count(count)), ("tick", Value::Count(header.seq))];
-                let details = Details { category: Some("quality"), values: &values, ..Details::default() };
-                self.trace.instant(lane::TICKS, at_ns, &format!("not learned: {}", cause.name()), details);
-            }
+        for (cause, count) in tick.faults() {
+            let values = [("forecasts", Value::Count(count)), ("tick", Value::Count(header.seq))];
+            let details = Details { category: Some("quality"), values: &values, ..Details::default() };
+            self.trace.instant(lane::TICKS, at_ns, &format!("not learned: {}", cause.name()), details);
         }
-        let measured = [forecasts.len() as f64, latency_ms, ms(age_ns)];
+        let measured = [tick.agents as f64, ms(latency_ns), ms(tick.age_ns)];
         let all = measured.into_iter().chain(named.map(|(_, count)| count as f64));
         for ((value, known), track) in all.zip(&mut self.counters).zip(lane::COUNTERS..) {
             if value.to_bits() != known.to_bits() {

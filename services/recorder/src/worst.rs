@@ -8,13 +8,13 @@
 //! The list reserves room for [`WORST_LEN`] ticks at the start, so a tick does not allocate.
 
 use serde::{Deserialize, Serialize};
-use wire::{Cause, Forecast, Header, Quality, StageId, flags};
+use wire::{Cause, StageId, flags};
 
 use crate::distribution::ms;
 use crate::passage::{Passage, Phases};
-use crate::record::is_fault;
 use crate::report::WorstTick;
 use crate::text::{count, number};
+use crate::tick::Tick;
 
 /// Number of ticks that are kept.
 pub const WORST_LEN: usize = 20;
@@ -32,8 +32,8 @@ struct Bad {
     flags: u32,
     /// Number of ticks without forecasts; 0 for a tick with forecasts.
     lost: u64,
-    agents: u32,
-    not_learned: u32,
+    agents: u64,
+    not_learned: u64,
     /// Most frequent cause of the forecasts that are not learned, as a number.
     cause: u32,
     passage: Passage,
@@ -70,8 +70,6 @@ pub(crate) struct Usual {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct Worst {
     ticks: Vec<Bad>,
-    /// The newest incarnation of each stage through which a tick has passed.
-    passed: [u32; StageId::PLACES_LEN],
     /// A tick that is kept in any case, if it has arrived.
     #[serde(skip)]
     explained: Option<Bad>,
@@ -79,7 +77,7 @@ pub(crate) struct Worst {
 
 impl Default for Worst {
     fn default() -> Self {
-        Self { ticks: Vec::with_capacity(WORST_LEN + 1), passed: [0; StageId::PLACES_LEN], explained: None }
+        Self { ticks: Vec::with_capacity(WORST_LEN + 1), explained: None }
     }
 }
 
@@ -95,54 +93,37 @@ impl Worst {
     /// kept.
     pub fn take(
         &mut self,
-        header: &Header,
-        forecasts: &[Forecast],
-        passage: &Passage,
-        gap_len: u64,
+        tick: &Tick,
+        stamp_ns: i64,
+        restarted: Option<StageId>,
+        gap: u64,
         explain: Option<u64>,
     ) {
-        let restarted = self.restarted(header);
-        if passage.complete {
-            self.explain(passage, restarted);
+        if tick.passage.complete {
+            self.explain(&tick.passage, restarted);
         }
+        let (not_learned, cause) = tick.not_learned();
         let bad = Bad {
-            seq: header.seq,
-            stamp_ns: header.stamp_ns,
-            flags: header.flags,
+            seq: tick.seq,
+            stamp_ns,
+            flags: tick.flags,
             lost: 0,
-            agents: forecasts.len() as u32,
-            not_learned: 0,
-            cause: 0,
-            passage: *passage,
+            agents: tick.agents,
+            not_learned,
+            cause: cause.map_or(0, |cause| cause as u32),
+            passage: tick.passage,
             restarted: restarted.map(|stage| stage.number()),
             blame: None,
         };
-        if gap_len > 0 {
-            let first = header.seq.saturating_sub(gap_len);
+        if gap > 0 {
+            let first = tick.seq.saturating_sub(gap);
             let passage = Passage::default();
-            self.insert(Bad { seq: first, lost: gap_len, agents: 0, passage, ..bad });
+            self.insert(Bad { seq: first, lost: gap, agents: 0, not_learned: 0, cause: 0, passage, ..bad });
         }
-        let is_asked = explain == Some(header.seq);
-        if self.is_bad(&bad) || is_asked {
-            let (not_learned, cause) = not_learned(forecasts);
-            let bad = Bad { not_learned, cause, ..bad };
-            self.explained = if is_asked { Some(bad) } else { self.explained };
-            self.insert(bad);
+        if explain == Some(tick.seq) {
+            self.explained = Some(bad);
         }
-    }
-
-    /// The first stage on a tick's way that was restarted since the previous tick.
-    fn restarted(&mut self, header: &Header) -> Option<StageId> {
-        let mut first = None;
-        for hop in header.hops() {
-            let Some(stage) = StageId::from_number(hop.stage) else { continue };
-            let passed = &mut self.passed[stage.place()];
-            if hop.incarnation > *passed {
-                *passed = hop.incarnation;
-                first = first.or(Some(stage));
-            }
-        }
-        first
+        self.insert(bad);
     }
 
     /// Finds the reason why the controls of earlier ticks were missing, from a tick that has passed all
@@ -197,21 +178,6 @@ impl Worst {
     }
 }
 
-/// Number of forecasts that are not learned because of a fault, and their most frequent cause.
-fn not_learned(forecasts: &[Forecast]) -> (u32, u32) {
-    let mut by_cause = [0_u32; Cause::ALL.len()];
-    for forecast in forecasts.iter().filter(|forecast| forecast.quality != Quality::Learned as u32) {
-        if let Some(count) = by_cause.get_mut(forecast.cause as usize) {
-            *count += 1;
-        }
-    }
-    for excused in Cause::ALL.into_iter().filter(|cause| !is_fault(*cause)) {
-        by_cause[excused as usize] = 0;
-    }
-    let most = (0..).zip(by_cause).max_by_key(|&(_, count)| count).map_or(0, |(cause, _)| cause);
-    (by_cause.iter().sum(), most)
-}
-
 /// The phase of a stage with the largest excess over the usual time.
 #[derive(Clone, Copy, Debug)]
 struct Excess {
@@ -249,7 +215,7 @@ impl Bad {
     /// The phases that took longer than usual, largest excess first.
     fn excesses(&self, usual: &Usual) -> Vec<Excess> {
         let of_stage = |stage: StageId| {
-            let each_ns = self.passage.phases(stage).map_or([0; 4], Phases::each_ns);
+            let each_ns = self.passage.phases(stage).map_or([0; 4], |phases| phases.each_ns());
             let usual_ns = usual.phases_ns[stage.place()];
             (0..4).map(move |phase| Excess {
                 stage,
@@ -313,7 +279,7 @@ impl Bad {
         };
         if self.not_learned > 0 {
             let why = Cause::from_number(self.cause).map_or("unknown", Cause::name);
-            let (not_learned, agents) = (count(self.not_learned.into()), count(self.agents.into()));
+            let (not_learned, agents) = (count(self.not_learned), count(self.agents));
             cause += &format!("; {not_learned} of {agents} forecasts not learned ({why})");
         }
         WorstTick {
@@ -321,8 +287,8 @@ impl Bad {
             stamp_ns: self.stamp_ns,
             end_to_end_ms: self.passage.end_to_end_ns.filter(|_| self.lost == 0).map(ms),
             ticks_lost: self.lost,
-            agents: self.agents.into(),
-            not_learned: self.not_learned.into(),
+            agents: self.agents,
+            not_learned: self.not_learned,
             stage: stage.map(str::to_owned),
             phase: phase.map(str::to_owned),
             cause,
@@ -340,7 +306,7 @@ impl Bad {
         let stages_len = StageId::known().filter(|&stage| excesses.iter().any(|e| e.stage == stage)).count();
         let told = format!("the {} {}", first.stage.name(), first.told());
         // More agents make every stage slower, and so does a busy machine.
-        let many = f64::from(self.agents) > 1.25 * usual.agents && self.agents > 8;
+        let many = self.agents as f64 > 1.25 * usual.agents && self.agents > 8;
         if many && first.phase == 2 {
             let usual_agents = usual.agents.round() as u64;
             return format!("{told}: {} agents (usually {})", self.agents, usual_agents);

@@ -1,3 +1,5 @@
+use std::fmt;
+
 use serde::{Deserialize, Serialize};
 
 /// An event of the run, besides its frames.
@@ -88,6 +90,30 @@ pub enum Happened {
         /// The reason.
         how: String,
     },
+}
+
+impl fmt::Display for Happened {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Linked => write!(f, "all stages are linked"),
+            Self::Died { stage, how, .. } => write!(f, "the {stage} {how}, and is started again"),
+            Self::GivenUp { stage, how, why } => write!(f, "the {stage} {how} and is given up: {why}"),
+            Self::Replaced { stage, outcome, program, cause } => match cause.as_str() {
+                "" => write!(f, "the {stage} is {outcome} by {program}"),
+                cause => write!(f, "the {stage} by {program}: {outcome}, it {cause}"),
+            },
+            Self::Starved { stage } => write!(f, "the {stage} gets no CPU"),
+            Self::Refused { stage, sender, cause, frames, .. } => {
+                write!(f, "the {stage} refused frames of the {sender} ({frames}): {cause}")
+            }
+            Self::Lost { at, topic, frames } => {
+                write!(f, "{frames} frames of {topic} not recorded, at the {at}")
+            }
+            Self::Kept { why } => write!(f, "kept by the flight recorder: {why}"),
+            Self::Mark { text } => write!(f, "mark: {text}"),
+            Self::Ended { how } => write!(f, "the run has ended: {how}"),
+        }
+    }
 }
 
 /// A line that a stage wrote.

@@ -1,7 +1,5 @@
 //! Decides when a flight recorder writes its buffer: the causes, and the start, extension and end of files.
 
-use wire::{Cause, Forecast, Header, Quality, StageId, flags};
-
 use crate::{Event, Happened};
 
 /// Maximum time that a file continues after its first cause, in multiples of [`FlightLimits::after_ns`]. An
@@ -116,51 +114,21 @@ impl Flight {
     }
 }
 
-/// The fault of a tick, in words; `None` if it has none.
+/// The kind of cause that an event is; `None` if it is not a cause.
 #[must_use]
-pub fn wrong_with(header: &Header, forecasts: &[Forecast]) -> Option<(Trigger, String)> {
-    if !header.is_tick() {
-        return None;
-    }
-    let seq = header.seq;
-    let sent_ns = header.hop(StageId::Sampler).map_or(0, |hop| hop.sent_ns);
-    let took_ns = sent_ns.saturating_sub(header.released_ns);
-    if !header.has(flags::LOCKSTEP) && header.interval_ns > 0 && took_ns > header.interval_ns {
-        return Some((Trigger::Late, format!("tick {seq} was late: {:.1} ms", took_ns as f64 / 1e6)));
-    }
-    if header.has(flags::VOID) {
-        return Some((Trigger::Degraded, format!("tick {seq} has no forecasts")));
-    }
-    // Young agents, and agents that constant velocity predicts better, are not faults.
-    let of_the_agent = [Cause::None, Cause::Young, Cause::Outdone].map(|cause| cause as u32);
-    let is_degraded =
-        |f: &&Forecast| f.quality != Quality::Learned as u32 && !of_the_agent.contains(&f.cause);
-    let first = forecasts.iter().find(is_degraded)?;
-    let cause = Cause::from_number(first.cause).map_or("unknown", Cause::name);
-    let (len, all) = (forecasts.iter().filter(is_degraded).count(), forecasts.len());
-    Some((
-        Trigger::Degraded,
-        format!("tick {seq} is degraded: {len} of {all} forecasts not learned ({cause})"),
-    ))
-}
-
-/// An event as a cause, in words; `None` if it is not a cause.
-#[must_use]
-pub fn caused_by(event: &Event) -> Option<(Trigger, String)> {
-    Some(match &event.what {
-        Happened::Died { stage, how, .. } => (Trigger::Stage, format!("the {stage} {how}")),
-        Happened::GivenUp { stage, how, .. } => {
-            (Trigger::Stage, format!("the {stage} {how} and is given up"))
-        }
-        Happened::Starved { stage } => (Trigger::Stage, format!("the {stage} gets no CPU")),
-        Happened::Replaced { stage, outcome, .. } => (Trigger::Stage, format!("the {stage}: {outcome}")),
-        Happened::Mark { text } => (Trigger::Asked, format!("mark: {text}")),
+pub const fn caused_by(event: &Event) -> Option<Trigger> {
+    match event.what {
+        Happened::Died { .. }
+        | Happened::GivenUp { .. }
+        | Happened::Starved { .. }
+        | Happened::Replaced { .. } => Some(Trigger::Stage),
+        Happened::Mark { .. } => Some(Trigger::Asked),
         Happened::Linked
         | Happened::Refused { .. }
         | Happened::Lost { .. }
         | Happened::Kept { .. }
-        | Happened::Ended { .. } => return None,
-    })
+        | Happened::Ended { .. } => None,
+    }
 }
 
 #[cfg(test)]
@@ -186,32 +154,6 @@ mod tests {
         assert!(flight.ends(26 * S));
         assert_eq!(flight.cause(Trigger::Stage, 40 * S), Act::Full);
         assert_eq!((flight.files(), flight.missed()), (2, 1));
-    }
-
-    #[test]
-    fn late_and_degraded_ticks_are_told_apart_from_young_agents() {
-        let forecast = |quality: Quality, cause: Cause| Forecast {
-            quality: quality as u32,
-            cause: cause as u32,
-            ..bytemuck::Zeroable::zeroed()
-        };
-        let mut header = Header { released_ns: S, interval_ns: S / 10, ..Header::new(1, 7, 0) };
-        let young = [forecast(Quality::Learned, Cause::None), forecast(Quality::Kinematic, Cause::Young)];
-        assert_eq!(wrong_with(&header, &young), None);
-        let held = [young[0], forecast(Quality::Held, Cause::Late)];
-        let told = "tick 7 is degraded: 1 of 2 forecasts not learned (late)".to_owned();
-        assert_eq!(wrong_with(&header, &held), Some((Trigger::Degraded, told)));
-        header.push_hop(wire::Hop {
-            stage: StageId::Sampler.number(),
-            sent_ns: 2 * S,
-            ..wire::Hop::default()
-        });
-        assert_eq!(
-            wrong_with(&header, &young),
-            Some((Trigger::Late, "tick 7 was late: 1000.0 ms".to_owned()))
-        );
-        header.flags |= flags::LOCKSTEP;
-        assert_eq!(wrong_with(&header, &young), None, "in lockstep nothing is late");
     }
 
     proptest! {

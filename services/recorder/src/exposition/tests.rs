@@ -2,7 +2,6 @@ use bytemuck::Zeroable;
 use wire::{Cause, Forecast, Header, Heartbeat, Hop, Quality, RefusalCause, Refusals};
 
 use super::*;
-use crate::live::{LiveOptions, LiveView};
 use crate::record::RecorderOptions;
 use crate::report::Errors;
 use crate::status::{Facts, ProcessStatus};
@@ -11,11 +10,9 @@ const MS: u64 = 1_000_000;
 
 /// A run of a few ticks, with a refusal, a restart and a title that requires escapes.
 fn run_so_far() -> (RunStatus, Recorder) {
-    let options = RecorderOptions { scores: false, ..RecorderOptions::default() };
-    let mut measured = Recorder::new(options);
-    let title = "say \"hello\"\\\nworld".to_owned();
     let budgets_ms = [(StageId::Tracker, 5.0)].into();
-    let mut view = LiveView::new(LiveOptions { title, budgets_ms, ..LiveOptions::default() });
+    let options = RecorderOptions { scores: false, budgets_ms, ..RecorderOptions::default() };
+    let mut measured = Recorder::new(options);
     let held = Forecast {
         quality: Quality::Held as u32,
         cause: Cause::Late as u32,
@@ -40,7 +37,6 @@ fn run_so_far() -> (RunStatus, Recorder) {
             });
         }
         measured.forecasts(&header, &[Forecast::zeroed(), held]).unwrap();
-        view.forecasts(&header, &[Forecast::zeroed(), held]);
     }
     let mut heartbeat = Heartbeat {
         stage: StageId::Sampler.number(),
@@ -52,7 +48,6 @@ fn run_so_far() -> (RunStatus, Recorder) {
     heartbeat.rejected_len = 3;
     Refusals::count(&mut heartbeat.refusals, StageId::Decoder.number(), RefusalCause::CheckValue, 3);
     measured.heartbeat(&heartbeat);
-    view.heartbeat(&heartbeat);
     let process = ProcessStatus {
         state: "running".to_owned(),
         pid: Some(7),
@@ -67,9 +62,10 @@ fn run_so_far() -> (RunStatus, Recorder) {
         run: "stgdat_00000007".to_owned(),
         processes: [(StageId::Tracker, process)].into(),
         accuracy: Some(Errors { held_50: Some(0.51), held_90: Some(0.88), ..Errors::default() }),
+        title: "say \"hello\"\\\nworld".to_owned(),
         ..Facts::default()
     };
-    (RunStatus::new(&view, &measured, facts), measured)
+    (RunStatus::new(&measured, facts), measured)
 }
 
 fn text() -> String {
@@ -164,9 +160,8 @@ fn the_status_reads_back_as_written() {
 
 #[test]
 fn a_run_that_has_not_begun_has_metrics_too() {
-    let view = LiveView::new(LiveOptions::default());
     let measured = Recorder::new(RecorderOptions::default());
-    let status = RunStatus::new(&view, &measured, Facts::default());
+    let status = RunStatus::new(&measured, Facts::default());
     let text = metrics(&status, &measured);
     assert_eq!(value(&text, "stgdat_ticks_total"), Some(0.0));
     assert!(!text.contains("NaN"));

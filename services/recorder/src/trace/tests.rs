@@ -1,6 +1,8 @@
 use bytemuck::Zeroable;
+use wire::Forecast;
 
 use super::*;
+use crate::passage::Timeline;
 
 const MS: u64 = 1_000_000;
 const CLOCKS: Clocks = Clocks { monotonic_ns: 5, boottime_ns: 5, realtime_ns: None };
@@ -31,6 +33,7 @@ fn tick(seq: u64) -> Header {
 
 fn traced() -> Vec<u8> {
     let mut tracer = Tracer::new(CLOCKS, Some(77));
+    let mut timeline = Timeline::default();
     let mut bytes = Vec::new();
     for seq in 0..5 {
         for stage in &StageId::ALL[..7] {
@@ -38,7 +41,8 @@ fn traced() -> Vec<u8> {
             let pid = 100 + stage.number() + 50 * incarnation;
             tracer.heartbeat(&Heartbeat { stage: stage.number(), incarnation, pid, ..Heartbeat::zeroed() });
         }
-        tracer.forecasts(&tick(seq), &[Forecast::zeroed()]);
+        let header = tick(seq);
+        tracer.tick(&header, &Tick::new(&mut timeline, &header, &[Forecast::zeroed()]));
         bytes.extend(tracer.take());
     }
     tracer.event(StageId::Decoder, 2_000 * MS, "died", "was killed by signal 9");
@@ -70,6 +74,7 @@ fn every_stage_has_its_process_and_every_tick_its_spans() {
 #[test]
 fn frames_that_wait_for_a_busy_stage_are_counted_as_its_queue() {
     let mut tracer = Tracer::new(CLOCKS, None);
+    let mut timeline = Timeline::default();
     let hop = |received_ns, finished_ns| Hop {
         stage: StageId::Decoder.number(),
         incarnation: 0,
@@ -83,7 +88,7 @@ fn frames_that_wait_for_a_busy_stage_are_counted_as_its_queue() {
     {
         let mut header = Header { released_ns: released_ns * MS, ..Header::new(1, seq, 0) };
         header.push_hop(hop(received_ns * MS, finished_ns * MS));
-        tracer.forecasts(&header, &[]);
+        tracer.tick(&header, &Tick::new(&mut timeline, &header, &[]));
     }
     assert_eq!(tracer.stages[StageId::Decoder.place()].queue_len, 2, "ticks 1 and 2 wait for tick 0");
     assert_eq!(tracer.stages[StageId::Decoder.place()].changes.len(), 2);
@@ -107,21 +112,23 @@ fn refusals_and_gaps_are_told_once() {
 #[test]
 fn hops_whose_clocks_run_backwards_make_no_overlap() {
     let mut tracer = Tracer::new(CLOCKS, None);
+    let mut timeline = Timeline::default();
     let mut header = Header { released_ns: 100, ..Header::new(1, 0, 0) };
     for times in [[50, 40, 30, 20], [9, 8, 7, 6]] {
         let [received_ns, started_ns, finished_ns, sent_ns] = times;
         let stage = StageId::Tracker.number();
         header.push_hop(Hop { stage, incarnation: 0, received_ns, started_ns, finished_ns, sent_ns });
     }
-    tracer.forecasts(&header, &[]);
+    tracer.tick(&header, &Tick::new(&mut timeline, &header, &[]));
     assert!(!tracer.finish().is_empty());
 }
 
 #[test]
 fn a_tracer_keeps_no_more_than_the_newest_ticks() {
     let mut tracer = Tracer::new(CLOCKS, None);
+    let mut timeline = Timeline::default();
     for seq in 0..10_000 {
-        tracer.forecasts(&tick(seq), &[]);
+        tracer.tick(&tick(seq), &Tick::new(&mut timeline, &tick(seq), &[]));
         tracer.take();
     }
     assert!(tracer.stages.iter().all(|stage| stage.changes.len() <= CHANGES_MAX));

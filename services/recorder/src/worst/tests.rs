@@ -1,5 +1,5 @@
 use bytemuck::Zeroable;
-use wire::{Hop, StageId};
+use wire::{Forecast, Header, Hop, Quality, StageId};
 
 use super::*;
 use crate::passage::Timeline;
@@ -50,8 +50,8 @@ impl Ticks {
         let late =
             Forecast { quality: Quality::Held as u32, cause: Cause::Late as u32, ..Forecast::zeroed() };
         let forecast = if odd.lacks_controls { late } else { Forecast::zeroed() };
-        let passage = self.timeline.pass(&header);
-        self.worst.take(&header, &[forecast], &passage, odd.gap, Some(3));
+        let tick = Tick::new(&mut self.timeline, &header, &[forecast]);
+        self.worst.take(&tick, header.stamp_ns, odd.restarted, odd.gap, Some(3));
     }
 
     fn list(&self) -> Vec<WorstTick> {
