@@ -130,8 +130,8 @@ pub struct ModelArguments {
 /// A recording that is played in this process, with its options.
 #[derive(Debug, Args)]
 pub struct PlaybackArguments {
-    /// Recording to play, or a folder that holds one
-    recording: PathBuf,
+    /// Recording to play, or a folder that holds one; the generated intersection if not given
+    recording: Option<PathBuf>,
     #[command(flatten)]
     read: ReadArguments,
     /// Seed of the random numbers, 1 if not given
@@ -314,9 +314,19 @@ impl ModelArguments {
 }
 
 impl PlaybackArguments {
-    /// Absolute path of the recording.
-    pub fn path(&self) -> Result<PathBuf, Failure> {
-        recording_at(&self.recording)
+    /// How the recording is read.
+    pub const fn read(&self) -> &ReadArguments {
+        &self.read
+    }
+
+    /// The model and the maps.
+    pub const fn model(&self) -> &ModelArguments {
+        &self.model
+    }
+
+    /// Absolute path of the recording; `None` for the generated intersection.
+    pub fn path(&self) -> Result<Option<PathBuf>, Failure> {
+        self.recording.as_deref().map(recording_at).transpose()
     }
 
     /// Returns the recording at its start and the lockstep run that plays it.
@@ -327,11 +337,11 @@ impl PlaybackArguments {
         check_memory(&sampler, &weights)?;
         let origin = self.read.origin.unwrap_or_default();
         check_lanes(&sampler, origin)?;
-        if self.seed.is_some() {
+        if self.seed.is_some() && self.recording.is_some() {
             note_unused_seed(&sampler, weights.config());
         }
         let seed = self.seed.unwrap_or(SEED);
-        let source = source::Options { recording: Some(self.path()?), ..options.read(&source::STAGE)? };
+        let source = source::Options { recording: self.path()?, ..options.read(&source::STAGE)? };
         if let Some(report) = &self.report {
             check_place(report)?;
         }

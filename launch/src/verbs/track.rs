@@ -42,7 +42,7 @@ pub struct Arguments {
 
 /// Runs a recording through the tracker in this process and writes the published tracks.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
-    let rows = rows(arguments.written_as, &arguments.playback.path()?)?;
+    let rows = rows(arguments.written_as, arguments.playback.path()?.as_deref())?;
     let Played { mut playback, input, run, model } = arguments.playback.start()?;
     let mut tracking = Tracking::new(&run, &model)?;
     let mut report = PlayReport::new(&playback, input);
@@ -87,11 +87,13 @@ fn play(
 }
 
 /// Returns the row format, with the calibration file beside the recording if the format needs one.
-fn rows(format: TrackFormat, recording: &Path) -> Result<TrackRows, Failure> {
+fn rows(format: TrackFormat, recording: Option<&Path>) -> Result<TrackRows, Failure> {
     Ok(match format {
         TrackFormat::Csv => TrackRows::Csv,
         TrackFormat::Mot => TrackRows::Mot,
         TrackFormat::Kitti => {
+            let recording =
+                recording.ok_or_else(|| Failure::Usage("--as kitti needs a sequence of KITTI".to_owned()))?;
             let poses = WorldFromCamera::open(recording)
                 .map_err(|error| Failure::data_about("--as kitti needs a sequence of KITTI", error))?;
             TrackRows::Kitti(Box::new(poses))

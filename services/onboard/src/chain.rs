@@ -125,7 +125,13 @@ impl Chain {
         &self.tracks.elements
     }
 
-    /// The size of the last tick.
+    /// Tracks and forecasts of the last tick. The forecasts are those of an earlier tick if the tracks are VOID.
+    #[must_use]
+    pub const fn frames(&self) -> (&OwnFrame<TracksTopic>, &OwnFrame<ForecastsTopic>) {
+        (&self.tracks, &self.rest.forecasts)
+    }
+
+    /// How large the last tick was.
     #[must_use]
     pub fn load(&self) -> Load {
         self.rest.load()

@@ -162,7 +162,7 @@ impl Sampler {
         let Some(mut journal) = self.journal.take() else { return };
         match self.commit(ticks, &mut journal) {
             Ok(()) => self.journal = Some(journal),
-            Err(why) => tracing::warn!("what is learned is kept no more: {why}"),
+            Err(why) => tracing::warn!("learned state is no longer saved: {why}"),
         }
     }
 

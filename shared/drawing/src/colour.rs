@@ -21,23 +21,17 @@ pub const PALE: Colour = Colour([200, 203, 207]);
 pub const ORANGE: Colour = Colour([230, 159, 0]);
 /// Blue: the observed future.
 pub const BLUE: Colour = Colour([0, 114, 178]);
-/// Vermilion: the best mode.
+/// Vermilion: the single best forecast.
 pub const VERMILION: Colour = Colour([213, 94, 0]);
-/// Reddish purple: the most likely mode.
+/// Sky blue: agents with a held forecast.
+pub const SKY: Colour = Colour([86, 180, 233]);
+/// Reddish purple: the most probable mode.
 pub const PURPLE: Colour = Colour([160, 70, 130]);
 /// Bluish green: the forecast distribution.
 pub const GREEN: Colour = Colour([0, 158, 115]);
 /// Colours of the curves of one panel, in the order of their use.
-pub const CURVES: [Colour; 8] = [
-    BLUE,
-    VERMILION,
-    GREEN,
-    Colour([204, 121, 167]),
-    ORANGE,
-    Colour([86, 180, 233]),
-    INK,
-    Colour([150, 140, 20]),
-];
+pub const CURVES: [Colour; 8] =
+    [BLUE, VERMILION, GREEN, Colour([204, 121, 167]), ORANGE, SKY, INK, Colour([150, 140, 20])];
 
 impl fmt::Display for Colour {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {

@@ -130,10 +130,13 @@ fn spline(first_block: isize, node: usize) -> (isize, [f64; 4]) {
     (first_block + (node / SPLIT) as isize - 1, weights)
 }
 
+/// The look of lines on the ground, such as bounds of lanes.
+pub const LANE: Stroke = Stroke::solid(GREY, 0.6).faint(0.8);
+
 /// Draws a line on the ground.
 pub fn draw_line(canvas: &mut Canvas, view: &View, line: &[Point]) {
     let path = Path::line(line.iter().map(|point| view.spot(point.map(f64::from))));
-    canvas.stroke(&path, &Stroke::solid(GREY, 0.6).faint(0.8));
+    canvas.stroke(&path, &LANE);
 }
 
 /// The mean motion of the agents that passed a block of ground.

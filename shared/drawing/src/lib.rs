@@ -38,5 +38,5 @@ pub use curves::learning_curves;
 pub use error::PictureError;
 pub use mask::Mask;
 pub use overview::{Overview, overview};
-pub use scene::{AgentDrawing, ForecastDrawing, SceneDrawing, SceneOptions, scenes};
+pub use scene::{AgentDrawing, SceneDrawing, SceneOptions, scenes};
 pub use training_log::{Displacement, LogError, Progress, SetErrors, TrainingLog, Validation};

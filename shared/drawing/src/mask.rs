@@ -2,9 +2,10 @@
 
 use std::f64::consts::LN_2;
 
+use tick_view::ForecastView;
+
 use super::contour::{Place, Raster};
 use super::mixture::{self, Mixture, add_density, highest_density_levels, raster_for};
-use super::scene::ForecastDrawing;
 
 /// The probabilities of a mask's regions, largest region first.
 pub const SHARES: [f64; 2] = [0.9, 0.5];
@@ -30,7 +31,7 @@ pub type Outline = Vec<Vec<Place>>;
 impl Mask {
     /// The 90 % and 50 % regions of an agent's forecast. The result is empty if the mask is off or the agent
     /// has no forecast.
-    pub fn regions(self, now: Place, forecast: &ForecastDrawing) -> Vec<Outline> {
+    pub fn regions(self, now: Place, forecast: &ForecastView) -> Vec<Outline> {
         let regions = match self {
             Self::Hidden => None,
             Self::End => pooled(&[mixture::end(forecast)]),

@@ -1,7 +1,8 @@
 //! The forecast distribution as a density over the ground.
 
+use tick_view::ForecastView;
+
 use super::contour::{Place, Raster};
-use super::scene::ForecastDrawing;
 
 /// Nodes along the longer side of a density's raster.
 const NODES: usize = 260;
@@ -31,7 +32,7 @@ pub struct Component {
 pub type Mixture = Vec<Component>;
 
 /// The mixtures at the forecast's steps and at moments in between, with modes interpolated evenly.
-pub fn moments(now: Place, forecast: &ForecastDrawing) -> Vec<Mixture> {
+pub fn moments(now: Place, forecast: &ForecastView) -> Vec<Mixture> {
     let steps_len = forecast.modes.first().map_or(0, Vec::len);
     let mut last = starting(now, forecast);
     let mut moments = Vec::new();
@@ -52,17 +53,17 @@ pub fn moments(now: Place, forecast: &ForecastDrawing) -> Vec<Mixture> {
 }
 
 /// The mixture at the forecast's last step; empty if the forecast has no steps.
-pub fn end(forecast: &ForecastDrawing) -> Mixture {
+pub fn end(forecast: &ForecastView) -> Mixture {
     let steps_len = forecast.modes.first().map_or(0, Vec::len);
     steps_len.checked_sub(1).map(|step| at_step(forecast, step)).unwrap_or_default()
 }
 
-fn starting(now: Place, forecast: &ForecastDrawing) -> Mixture {
+fn starting(now: Place, forecast: &ForecastView) -> Mixture {
     let weights = forecast.probability.iter().map(|probability| f64::from(*probability));
     weights.map(|weight| Component { weight, mean: now, covariance: [0.0; 3] }).collect()
 }
 
-fn at_step(forecast: &ForecastDrawing, step: usize) -> Mixture {
+fn at_step(forecast: &ForecastView, step: usize) -> Mixture {
     let modes = forecast.modes.iter().zip(&forecast.covariance).zip(&forecast.probability);
     modes
         .map(|((means, covariances), probability)| Component {

@@ -6,7 +6,8 @@ mod legend;
 mod panel;
 
 use metrics::Point;
-use scene::{AgentType, ContextMap};
+use scene::ContextMap;
+use tick_view::AgentView;
 
 use super::canvas::{Align, Canvas, Frame, Type};
 use super::colour::{GREY, INK};
@@ -26,8 +27,8 @@ pub struct SceneDrawing<'a> {
     pub note: String,
     /// The context map to draw beneath.
     pub map: Option<&'a ContextMap>,
-    /// Lines on the ground, such as the bounds of lanes.
-    pub lines: Vec<Vec<Point>>,
+    /// The bounds of lanes.
+    pub lanes: Vec<Vec<Point>>,
     /// The agents. The panel is about the agents with a forecast.
     pub agents: Vec<AgentDrawing>,
 }
@@ -35,35 +36,10 @@ pub struct SceneDrawing<'a> {
 /// An agent of a scene.
 #[derive(Clone, Debug)]
 pub struct AgentDrawing {
-    /// The identity.
-    pub id: u64,
-    /// The type. Vehicles are drawn as boxes, all others as discs.
-    pub agent_type: AgentType,
-    /// Length along the heading; a typical length is used if it is unknown.
-    pub length_m: Option<f32>,
-    /// Width across the heading; a typical width is used if it is unknown.
-    pub width_m: Option<f32>,
-    /// Present heading, counter-clockwise from +x.
-    pub heading_rad: f32,
-    /// Present position.
-    pub now: Point,
-    /// Earlier positions, oldest first; `None` if the agent was absent.
-    pub history: Vec<Option<Point>>,
+    /// The agent with its published forecast. Vehicles are drawn as boxes, all others as discs.
+    pub agent: AgentView,
     /// Observed future positions, one per step.
     pub truth: Vec<Option<Point>>,
-    /// The forecast, if there is one.
-    pub forecast: Option<ForecastDrawing>,
-}
-
-/// The forecast of an agent: at each step, a mixture with one Gaussian per mode.
-#[derive(Clone, Debug, Default)]
-pub struct ForecastDrawing {
-    /// Mean positions, \[mode, step\].
-    pub modes: Vec<Vec<Point>>,
-    /// Probability of each mode.
-    pub probability: Vec<f32>,
-    /// Covariances (xx, xy, yy), \[mode, step\], m².
-    pub covariance: Vec<Vec<[f32; 3]>>,
 }
 
 /// How scenes are drawn.
@@ -151,7 +127,7 @@ pub fn scenes(
         let frame = Frame { corner: [corner[0], corner[1] + head_height], size: [panel_width, panel_height] };
         let sketches: Vec<Sketch<'_>> =
             drawing.agents.iter().map(|agent| Sketch::new(agent, options.mask)).collect();
-        panel::draw(&mut canvas, frame, (drawing.map, &drawing.lines), &sketches, options);
+        panel::draw(&mut canvas, frame, (drawing.map, &drawing.lanes), &sketches, options);
     }
     legend.draw(&mut canvas, [EDGE, legend_top]);
     let titles: Vec<&str> = drawings.iter().map(|drawing| drawing.title.as_str()).collect();

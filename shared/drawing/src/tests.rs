@@ -3,6 +3,8 @@ use std::f32::consts::PI;
 use ::scene::{AgentType, MapBuilder};
 use metrics::Point;
 use resvg::usvg::{Options, Tree};
+use tick_view::{AgentView, ForecastView};
+use wire::{Cause, Quality};
 
 use super::*;
 
@@ -15,35 +17,52 @@ fn turning_vehicle() -> AgentDrawing {
     let modes: Vec<Vec<Point>> = [-0.2, -0.1, 0.0, 0.1, 0.2].map(arc).to_vec();
     let covariance =
         (1..=steps_len).map(|step| [0.02, 0.005, 0.03].map(|value| value * (step * step) as f32));
+    let forecast = ForecastView {
+        quality: Quality::Learned,
+        cause: Cause::None,
+        age_ns: 0,
+        best: arc(0.05),
+        covariance: vec![covariance.collect(); modes.len()],
+        modes,
+        probability: vec![0.1, 0.2, 0.4, 0.2, 0.1],
+    };
     AgentDrawing {
-        id: 7,
-        agent_type: AgentType::Vehicle,
-        length_m: Some(4.6),
-        width_m: Some(1.9),
-        heading_rad: 0.0,
-        now: [0.0, 0.0],
-        history: vec![Some([-8.0, 0.1]), None, Some([-3.0, 0.0])],
+        agent: AgentView {
+            length_m: Some(4.6),
+            width_m: Some(1.9),
+            history: vec![Some([-8.0, 0.1]), None, Some([-3.0, 0.0])],
+            forecast: Some(forecast),
+            ..agent(7, AgentType::Vehicle)
+        },
         truth: arc(0.11).into_iter().map(Some).collect(),
-        forecast: Some(ForecastDrawing {
-            covariance: vec![covariance.collect(); modes.len()],
-            modes,
-            probability: vec![0.1, 0.2, 0.4, 0.2, 0.1],
-        }),
+    }
+}
+
+/// An agent of unknown size at the origin.
+fn agent(source_id: u64, agent_type: AgentType) -> AgentView {
+    AgentView {
+        id: 100,
+        source_id,
+        agent_type,
+        position_m: [0.0; 2],
+        velocity_mps: [0.0; 2],
+        heading_rad: 0.0,
+        length_m: None,
+        width_m: None,
+        unseen_ns: 0,
+        history: Vec::new(),
+        forecast: None,
     }
 }
 
 fn bystander() -> AgentDrawing {
-    AgentDrawing {
-        id: 8,
-        agent_type: AgentType::Pedestrian,
-        length_m: None,
-        width_m: None,
+    let agent = AgentView {
         heading_rad: PI,
-        now: [5.0, 5.0],
+        position_m: [5.0, 5.0],
         history: vec![Some([6.0, 5.0])],
-        truth: Vec::new(),
-        forecast: None,
-    }
+        ..agent(8, AgentType::Pedestrian)
+    };
+    AgentDrawing { agent, truth: Vec::new() }
 }
 
 fn drawing(agents: Vec<AgentDrawing>) -> SceneDrawing<'static> {
@@ -56,8 +75,8 @@ fn error_of(change: impl FnOnce(&mut AgentDrawing)) -> String {
     scenes("", &[drawing(vec![agent])], &SceneOptions::default()).unwrap_err().to_string()
 }
 
-fn forecast(agent: &mut AgentDrawing) -> &mut ForecastDrawing {
-    agent.forecast.as_mut().unwrap()
+fn forecast(drawing: &mut AgentDrawing) -> &mut ForecastView {
+    drawing.agent.forecast.as_mut().unwrap()
 }
 
 /// Width and height of a well-formed picture, pt.
@@ -96,18 +115,28 @@ fn what_is_drawn_is_what_is_seen() {
     let [history, truth, best, mask] = ink(vec![turning_vehicle()]);
     assert!(history > 1 && truth > 1 && best > 1 && mask > 1, "each in the panel and in the legend");
     assert_eq!(ink(vec![bystander()])[1..], [0; 3]);
+    let svg = |drawing| scenes("", &[drawing], &SceneOptions::default()).unwrap();
+    let words = ["best forecast", "best of 5 in hindsight", "held", "lanes"];
+    let said = |svg: &str| words.map(|words| svg.contains(&format!("aria-label=\"{words}\"")));
+    assert_eq!(said(&svg(drawing(vec![turning_vehicle()]))), [true, true, false, false]);
+    let mut held = turning_vehicle();
+    held.truth.clear();
+    forecast(&mut held).quality = Quality::Held;
+    let lanes = vec![vec![[0.0, -2.0], [20.0, -2.0]]];
+    assert_eq!(said(&svg(SceneDrawing { lanes, ..drawing(vec![held]) })), [true, false, true, true]);
 }
 
 #[test]
 fn numbers_that_are_none_are_refused() {
     for (expected, error) in [
-        ("agent 7: its heading is not finite", error_of(|agent| agent.heading_rad = f32::NAN)),
+        ("agent 7: its heading is not finite", error_of(|drawing| drawing.agent.heading_rad = f32::NAN)),
         ("its truth is not finite", error_of(|agent| agent.truth[1] = Some([f32::INFINITY, 0.0]))),
         ("its forecast is not finite", error_of(|agent| forecast(agent).modes[2][1][0] = f32::NAN)),
         (
             "mode 1, step 3: covariance [1.0, 2.0, 1.0] is not positive",
             error_of(|agent| forecast(agent).covariance[1][3] = [1.0, 2.0, 1.0]),
         ),
+        ("the best forecast has length 7, expected 8", error_of(|agent| forecast(agent).best.truncate(7))),
         ("a mode has length 7, expected 8", error_of(|agent| forecast(agent).modes[4].truncate(7))),
         (
             "the modes' probabilities has length 4, expected 5",

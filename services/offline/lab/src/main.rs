@@ -7,8 +7,8 @@
 mod contenders;
 #[cfg(test)]
 mod docs;
+mod gallery;
 mod picture;
-mod storyboard;
 mod verbs;
 
 use std::process::ExitCode;

@@ -2,18 +2,21 @@
 
 use metrics::Point;
 use scene::AgentType;
+use tick_view::{AgentView, ForecastView};
+use wire::Quality;
 
-use super::{AgentDrawing, ForecastDrawing};
 use crate::canvas::{Canvas, Path, Stroke};
-use crate::colour::{BLUE, Colour, GREEN, GREY, INK, ORANGE, PALE, PURPLE, VERMILION, WHITE};
+use crate::colour::{BLUE, Colour, GREEN, GREY, INK, ORANGE, PALE, PURPLE, SKY, VERMILION, WHITE};
 use crate::contour::{Place, simplified};
 use crate::mask::{Mask, Outline};
+use crate::scene::AgentDrawing;
 use crate::view::View;
 
 /// The look of each line. The legend uses the same looks.
 pub const HISTORY: Stroke = Stroke::solid(ORANGE, 1.5);
 pub const TRUTH: Stroke = Stroke::solid(BLUE, 1.3).dashed(&[3.2, 1.8]);
-pub const BEST: Stroke = Stroke::solid(VERMILION, 1.1);
+pub const BEST: Stroke = Stroke::solid(VERMILION, 1.3);
+pub const HINDSIGHT: Stroke = Stroke::solid(INK, 0.5).dashed(&[1.6, 1.0]);
 pub const LIKELIEST: Stroke = Stroke::solid(PURPLE, 1.1).dashed(&[0.9, 1.3]);
 pub const MODE: Stroke = Stroke::solid(Colour([0, 92, 66]), 0.5);
 pub const OTHER: Stroke = Stroke::solid(PALE, 0.8);
@@ -30,32 +33,35 @@ const BODY_MIN: f64 = 1.5;
 
 /// An agent, prepared for drawing.
 pub struct Sketch<'a> {
-    pub agent: &'a AgentDrawing,
+    pub agent: &'a AgentView,
+    truth: &'a [Option<Point>],
     regions: Vec<Outline>,
     best: Option<&'a [Point]>,
     likeliest: Option<&'a [Point]>,
+    hindsight: Option<&'a [Point]>,
 }
 
 impl<'a> Sketch<'a> {
-    pub fn new(agent: &'a AgentDrawing, mask: Mask) -> Self {
-        let Some(forecast) = &agent.forecast else {
-            return Self { agent, regions: Vec::new(), best: None, likeliest: None };
-        };
+    pub fn new(AgentDrawing { agent, truth }: &'a AgentDrawing, mask: Mask) -> Self {
+        let forecast = agent.forecast.as_ref();
         Self {
             agent,
-            regions: mask.regions(place(agent.now), forecast),
-            best: best(forecast, &agent.truth),
-            likeliest: metrics::most_likely(&forecast.probability)
-                .map(|mode| forecast.modes[mode].as_slice()),
+            truth,
+            regions: forecast
+                .map(|forecast| mask.regions(place(agent.position_m), forecast))
+                .unwrap_or_default(),
+            best: forecast.map(|forecast| forecast.best.as_slice()),
+            likeliest: forecast.and_then(ForecastView::likeliest),
+            hindsight: forecast.and_then(|forecast| hindsight(forecast, truth)),
         }
     }
 
     /// All positions of the agent that the view must show.
     pub fn places(&self) -> impl Iterator<Item = Place> {
         let lines = self.best.into_iter().chain(self.likeliest).flatten();
-        let known = self.agent.history.iter().chain(&self.agent.truth).flatten();
+        let known = self.agent.history.iter().chain(self.truth).flatten();
         let regions = self.regions.iter().flat_map(|outline| outline.iter().flatten().copied());
-        lines.chain(known).chain([&self.agent.now]).map(|point| place(*point)).chain(regions)
+        lines.chain(known).chain([&self.agent.position_m]).map(|point| place(*point)).chain(regions)
     }
 
     /// Draws a region of the mask: number 0 is the larger region, number 1 the smaller one.
@@ -76,7 +82,7 @@ impl<'a> Sketch<'a> {
         let [least, most] = MODE_OPACITY;
         for (mode, probability) in forecast.modes.iter().zip(&forecast.probability) {
             let share = f64::from(probability / likeliest);
-            let line = from_now(view, self.agent.now, mode);
+            let line = from_now(view, self.agent.position_m, mode);
             canvas.stroke(&line, &MODE.faint(least + (most - least) * share));
         }
     }
@@ -88,14 +94,19 @@ impl<'a> Sketch<'a> {
             return;
         }
         let mode = |mode: Option<&[Point]>| {
-            mode.map(|mode| from_now(view, self.agent.now, mode)).unwrap_or_default()
+            mode.map(|mode| from_now(view, self.agent.position_m, mode)).unwrap_or_default()
         };
-        let (best, likeliest) = (mode(self.best), mode(self.likeliest));
+        let [best, likeliest, hindsight] = [self.best, self.likeliest, self.hindsight].map(mode);
         for line in [&truth, &best, &history] {
             canvas.stroke(line, &HALO);
         }
-        for (line, look) in [(&truth, &TRUTH), (&best, &BEST), (&likeliest, &LIKELIEST), (&history, &HISTORY)]
-        {
+        for (line, look) in [
+            (&truth, &TRUTH),
+            (&hindsight, &HINDSIGHT),
+            (&likeliest, &LIKELIEST),
+            (&best, &BEST),
+            (&history, &HISTORY),
+        ] {
             canvas.stroke(line, look);
         }
     }
@@ -107,7 +118,7 @@ impl<'a> Sketch<'a> {
         }
         let end = |line: Option<&[Point]>| line.and_then(<[Point]>::last).copied();
         for (point, colour) in [
-            (self.agent.truth.last().copied().flatten(), BLUE),
+            (self.truth.last().copied().flatten(), BLUE),
             (end(self.likeliest), PURPLE),
             (end(self.best), VERMILION),
         ] {
@@ -119,12 +130,12 @@ impl<'a> Sketch<'a> {
     }
 
     pub fn draw_body(&self, canvas: &mut Canvas, view: &View) {
-        let AgentDrawing { agent_type, heading_rad, length_m, width_m, now, .. } = *self.agent;
-        let (fill, edge) = match self.agent.forecast {
-            Some(_) => (INK, Stroke::solid(WHITE, 0.5)),
+        let AgentView { agent_type, heading_rad, length_m, width_m, position_m, .. } = *self.agent;
+        let (fill, edge) = match &self.agent.forecast {
+            Some(forecast) => (quality_colour(forecast.quality), Stroke::solid(WHITE, 0.5)),
             None => (WHITE, Stroke::solid(GREY, 0.5)),
         };
-        let spot = view.spot(place(now));
+        let spot = view.spot(place(position_m));
         let half = |size_m: Option<f32>, usual_m: f32| {
             let size_m = size_m.filter(|size_m| *size_m > 0.0).unwrap_or(usual_m);
             (0.5 * f64::from(size_m) * view.scale()).max(BODY_MIN)
@@ -160,17 +171,26 @@ impl<'a> Sketch<'a> {
 
     /// The history, extended to the present position.
     fn history(&self, view: &View) -> Path {
-        broken(view, self.agent.history.iter().copied().chain([Some(self.agent.now)]))
+        broken(view, self.agent.history.iter().copied().chain([Some(self.agent.position_m)]))
     }
 
     fn truth(&self, view: &View) -> Path {
-        broken(view, [Some(self.agent.now)].into_iter().chain(self.agent.truth.iter().copied()))
+        broken(view, [Some(self.agent.position_m)].into_iter().chain(self.truth.iter().copied()))
     }
 }
 
-/// The mode with the smallest mean distance to the truth. Returns `None` if the truth is unknown at all
-/// steps.
-pub fn best<'a>(forecast: &'a ForecastDrawing, truth: &[Option<Point>]) -> Option<&'a [Point]> {
+/// The colour of an agent by the quality of its forecast.
+pub const fn quality_colour(quality: Quality) -> Colour {
+    match quality {
+        Quality::Learned => INK,
+        Quality::Held => SKY,
+        Quality::Kinematic => GREY,
+    }
+}
+
+/// The mode with the smallest mean distance to the truth: known in hindsight only. Returns `None` if the truth is
+/// unknown at all steps.
+pub fn hindsight<'a>(forecast: &'a ForecastView, truth: &[Option<Point>]) -> Option<&'a [Point]> {
     let known_len = forecast.modes.first().map_or(0, Vec::len).min(truth.len());
     forecast
         .modes

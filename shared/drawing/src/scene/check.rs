@@ -2,7 +2,9 @@
 
 use metrics::Point;
 
-use super::{AgentDrawing, ForecastDrawing, SceneDrawing, SceneOptions};
+use tick_view::ForecastView;
+
+use super::{AgentDrawing, SceneDrawing, SceneOptions};
 use crate::error::{PictureError, within};
 
 /// Most agents of a panel, modes of an agent, and steps of a trajectory.
@@ -29,20 +31,20 @@ pub fn panels(drawings: &[SceneDrawing<'_>], panels_max: usize) -> Result<(), Pi
     Ok(())
 }
 
-fn agent(agent: &AgentDrawing) -> Result<(), PictureError> {
-    let id = agent.id;
+fn agent(AgentDrawing { agent, truth }: &AgentDrawing) -> Result<(), PictureError> {
+    let id = agent.known_as();
     let known =
         |points: &[Option<Point>]| -> Vec<f32> { points.iter().flatten().flatten().copied().collect() };
-    finite(id, "position", &agent.now)?;
+    finite(id, "position", &agent.position_m)?;
     finite(id, "heading", &[agent.heading_rad])?;
     finite(id, "size", &[agent.length_m.unwrap_or(1.0), agent.width_m.unwrap_or(1.0)])?;
     finite(id, "history", &known(&agent.history))?;
-    finite(id, "truth", &known(&agent.truth))?;
-    within("the number of steps", agent.history.len().max(agent.truth.len()) as f64, 0.0, STEPS_MAX as f64)?;
+    finite(id, "truth", &known(truth))?;
+    within("the number of steps", agent.history.len().max(truth.len()) as f64, 0.0, STEPS_MAX as f64)?;
     agent.forecast.as_ref().map_or(Ok(()), |forecast| of_forecast(id, forecast))
 }
 
-fn of_forecast(agent: u64, forecast: &ForecastDrawing) -> Result<(), PictureError> {
+fn of_forecast(agent: u64, forecast: &ForecastView) -> Result<(), PictureError> {
     let modes_len = forecast.modes.len();
     let steps_len = forecast.modes.first().map_or(0, Vec::len);
     let same = |what, len, expected| {
@@ -50,6 +52,8 @@ fn of_forecast(agent: u64, forecast: &ForecastDrawing) -> Result<(), PictureErro
     };
     within("the number of modes", modes_len as f64, 1.0, MODES_MAX as f64)?;
     within("the number of steps", steps_len as f64, 1.0, STEPS_MAX as f64)?;
+    same("the best forecast", forecast.best.len(), steps_len)?;
+    finite(agent, "best forecast", forecast.best.as_flattened())?;
     same("the modes' probabilities", forecast.probability.len(), modes_len)?;
     same("the modes' covariances", forecast.covariance.len(), modes_len)?;
     finite(agent, "probability", &forecast.probability)?;

@@ -1,10 +1,12 @@
 //! What the lines and areas of the panels mean.
 
-use super::agent::{BEST, HISTORY, LIKELIEST, MODE, OTHER, REGION_OPACITY, TRUTH};
-use super::{LABEL_SIZE, SceneDrawing, SceneOptions};
+use wire::Quality;
+
+use super::agent::{BEST, HINDSIGHT, HISTORY, LIKELIEST, MODE, OTHER, REGION_OPACITY, TRUTH, quality_colour};
+use super::{AgentDrawing, LABEL_SIZE, SceneDrawing, SceneOptions};
 use crate::canvas::{Align, Canvas, Frame, Path, Spot, Stroke, Type};
-use crate::colour::{GREEN, GREY, INK, WHITE};
-use crate::ground;
+use crate::colour::{Colour, GREEN, GREY, INK, WHITE};
+use crate::ground::{self, LANE};
 use crate::mask::{Mask, SHARES};
 use crate::text::{self, Face};
 
@@ -30,6 +32,7 @@ struct Entry {
 enum Sample {
     Line(Stroke),
     Area(f64),
+    Agent(Colour),
     Body,
     Ground,
 }
@@ -50,14 +53,21 @@ impl Legend {
         let mut entries = vec![Entry::new("history", Sample::Line(HISTORY))];
         let mut add = |words: &str, sample| entries.push(Entry::new(words, sample));
         let agents = || drawings.iter().flat_map(|drawing| &drawing.agents);
-        if agents().any(|agent| agent.forecast.is_some() && agent.truth.iter().any(Option::is_some)) {
+        let has_truth = agents().any(|AgentDrawing { agent, truth }| {
+            agent.forecast.is_some() && truth.iter().any(Option::is_some)
+        });
+        if has_truth {
             add("ground truth", Sample::Line(TRUTH));
         }
-        let modes_len = agents().filter_map(|agent| agent.forecast.as_ref()).map(|f| f.modes.len()).max();
+        let forecasts = || agents().filter_map(|drawing| drawing.agent.forecast.as_ref());
+        let modes_len = forecasts().map(|forecast| forecast.modes.len()).max();
         if let Some(modes_len) = modes_len {
-            add(&format!("best of {modes_len}"), Sample::Line(BEST));
-            add("most likely", Sample::Line(LIKELIEST));
+            add("best forecast", Sample::Line(BEST));
+            add("most probable mode", Sample::Line(LIKELIEST));
             add("all modes", Sample::Line(MODE.faint(0.6)));
+            if has_truth {
+                add(&format!("best of {modes_len} in hindsight"), Sample::Line(HINDSIGHT));
+            }
             if options.mask != Mask::Hidden {
                 let [outer, inner] = SHARES.map(|share| format!("{:.0} %", 100.0 * share));
                 let [first, second] = REGION_OPACITY;
@@ -65,8 +75,17 @@ impl Legend {
                 add(&format!("{inner} region"), Sample::Area(1.0 - (1.0 - first) * (1.0 - second)));
             }
         }
-        if agents().any(|agent| agent.forecast.is_none()) && modes_len.is_some() {
+        for quality in Quality::ALL {
+            // Learned forecasts are the usual case.
+            if quality != Quality::Learned && forecasts().any(|forecast| forecast.quality == quality) {
+                add(quality.name(), Sample::Agent(quality_colour(quality)));
+            }
+        }
+        if agents().any(|drawing| drawing.agent.forecast.is_none()) && modes_len.is_some() {
             add("other agents", Sample::Body);
+        }
+        if drawings.iter().any(|drawing| !drawing.lanes.is_empty()) {
+            add("lanes", Sample::Line(LANE));
         }
         if drawings.iter().any(|drawing| drawing.map.is_some()) {
             add("visits, few to many", Sample::Ground);
@@ -119,6 +138,10 @@ impl Sample {
                 let corners = [[0.0, 0.0], [width, 0.0], [width, height], [0.0, height]];
                 let area = Path::polygon(corners.map(|[x, y]| [left + x, frame.corner[1] + y]));
                 canvas.fill(&area, GREEN, *opacity);
+            }
+            Self::Agent(colour) => {
+                let body = Frame { corner: [left + 0.5 * width - 4.0, middle - 1.8], size: [8.0, 3.6] };
+                canvas.fill_frame(body, *colour);
             }
             Self::Body => {
                 let trace = Path::line([[left, middle], [left + width, middle]]);

@@ -15,7 +15,7 @@ use crate::view::View;
 pub fn draw(
     canvas: &mut Canvas,
     frame: Frame,
-    (map, lines): (Option<&ContextMap>, &[Vec<Point>]),
+    (map, lanes): (Option<&ContextMap>, &[Vec<Point>]),
     sketches: &[Sketch<'_>],
     options: &SceneOptions,
 ) {
@@ -33,7 +33,7 @@ pub fn draw(
                     ground::draw_velocity(canvas, &view, map);
                 }
             }
-            lines.iter().for_each(|line| ground::draw_line(canvas, &view, line));
+            lanes.iter().for_each(|line| ground::draw_line(canvas, &view, line));
             for (number, opacity) in REGION_OPACITY.into_iter().enumerate() {
                 let draw =
                     |sketch: &Sketch<'_>, canvas: &mut Canvas| sketch.draw_region(number, canvas, &view);
@@ -53,9 +53,9 @@ pub fn draw(
 }
 
 fn label(canvas: &mut Canvas, view: &View, sketch: &Sketch<'_>) {
-    let [x, y] = view.spot(sketch.agent.now.map(f64::from));
+    let [x, y] = view.spot(sketch.agent.position_m.map(f64::from));
     let look = Type { size: 5.5, face: Face::Regular, colour: INK, align: Align::Left };
-    canvas.text([x + 3.5, y - 3.5], look, &sketch.agent.id.to_string());
+    canvas.text([x + 3.5, y - 3.5], look, &sketch.agent.known_as().to_string());
 }
 
 /// Draws a scale bar of a round length in the lower left corner.

@@ -1,38 +1,33 @@
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 
 use ::scene::ContextMap;
 use clap::{Args, ValueEnum};
 use drawing::{Mask, SceneDrawing, SceneOptions, scenes};
-use evaluator::{Forecaster, MapInput};
 use lanes::LaneMap;
-use launch::arguments::{ModelArguments, ReadArguments};
+use launch::arguments::{PlaybackArguments, Played};
 use launch::failure::Failure;
 use launch::say;
 use localiser::MapChoice;
 use run::Exit;
 
+use crate::gallery::{Shot, Wanted, shots};
 use crate::picture::save;
-use crate::storyboard::{Shot, Storyboard};
 
 /// Arguments of `stgdat plot scene`.
 #[derive(Debug, Args)]
 pub struct Arguments {
-    /// Recording whose agents carry identities
-    recording: PathBuf,
     #[command(flatten)]
-    read: ReadArguments,
-    /// Times to show, in seconds from the recording's start, a panel each; by default the middle of the time in
-    /// which agents can be forecast
+    playback: PlaybackArguments,
+    /// Times to show, in seconds from the first tick, a panel each: the nearest tick. By default the middle
     #[arg(long, value_name = "SECONDS", value_delimiter = ',', conflicts_with = "best_worst")]
     at: Vec<f64>,
     /// Show the N agents with the smallest and the N with the largest errors, a panel each
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=16))]
     best_worst: Option<u16>,
-    /// Agents whose forecasts are shown; by default all
+    /// Agents whose forecasts are shown, by their identities in the recording; by default all
     #[arg(long, value_name = "IDS", value_delimiter = ',', conflicts_with = "best_worst")]
     agents: Vec<u64>,
-    /// Output file, .svg or .png; by default named after the recording
+    /// Output file, .svg or .png; by default named after the recording, .png
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
     /// Meaning of the mask of the forecast distribution
@@ -56,11 +51,6 @@ pub struct Arguments {
     /// Least extent of a panel in metres; by default that of the agents' types
     #[arg(long, value_name = "METRES")]
     extent: Option<f64>,
-    #[command(flatten)]
-    model: ModelArguments,
-    /// Seed of latent variables, for models that draw them
-    #[arg(long, default_value_t = 1)]
-    seed: u64,
 }
 
 /// What a mask stands for.
@@ -77,58 +67,41 @@ enum MaskChoice {
     None,
 }
 
-/// Draws scenes of a recording with their forecasts.
+/// Plays a recording through the stages and draws ticks with their published forecasts.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
-    let (_, weights) = arguments.model.open_weights(None)?;
-    let recording = arguments.read.open(&arguments.recording)?;
-    let mut forecaster = Forecaster::new(weights, arguments.seed).map_err(Failure::data)?;
-    let lanes = arguments.model.open_lanes(arguments.read.options().origin)?.map(Arc::new);
-    lanes.iter().for_each(|map| forecaster.guide_along(Arc::clone(map)));
-    let site = match &arguments.model.map {
+    let playback = &arguments.playback;
+    let lanes = playback.model().open_lanes(playback.read().options().origin)?;
+    let site = match &playback.model().map {
         Some(MapChoice::File(path)) => Some(ContextMap::load(path).map_err(Failure::data)?),
         _ => None,
     };
-    let map = match (&arguments.model.map, &site) {
-        (_, Some(site)) => MapInput::Site(site),
-        (Some(MapChoice::None), None) => MapInput::None,
-        _ => MapInput::Online,
-    };
-    let threads = std::thread::available_parallelism().map_or(1, usize::from);
-    let storyboard = Storyboard::new(&forecaster, &recording, map, threads);
-    let storyboard = storyboard.map_err(|error| Failure::file(&arguments.recording, error))?;
-    let shots = arguments.shots(&storyboard)?;
-    let drawings: Vec<SceneDrawing<'_>> =
-        shots.iter().map(|shot| drawing(shot, site.as_ref(), lanes.as_deref())).collect();
-    let picture =
-        scenes(&recording.name, &drawings, &arguments.options(drawings.len())).map_err(Failure::data)?;
-    let usual = || Path::new(arguments.recording.file_stem().unwrap_or_default()).with_extension("png");
-    let out = arguments.out.clone().unwrap_or_else(usual);
+    let has_map = playback.model().map != Some(MapChoice::None);
+    let Played { playback: played, run, model, .. } = playback.start()?;
+    let name = played.recording().name.clone();
+    let shots = shots(played, (&run, &model), &arguments.wanted(), &arguments.agents)?;
+    let mut drawings = Vec::with_capacity(shots.len());
+    for shot in &shots {
+        let map = site.as_ref().or(shot.visits.as_ref()).filter(|_| has_map);
+        drawings.push(drawing(shot, map, lanes.as_ref()));
+    }
+    let picture = scenes(&name, &drawings, &arguments.options(drawings.len())).map_err(Failure::data)?;
+    let path = playback.path()?;
+    let stem = path.as_deref().and_then(Path::file_stem).unwrap_or("scene".as_ref());
+    let out = arguments.out.clone().unwrap_or_else(|| Path::new(stem).with_extension("png"));
     save(&picture, &out)?;
+    for shot in &shots {
+        say!("tick {} at {:.2} s: {} forecasts", shot.tick, shot.time_s, shot.about.len());
+    }
     say!("{}", out.display());
     Ok(Exit::Done)
 }
 
 impl Arguments {
-    fn shots(&self, storyboard: &Storyboard<'_>) -> Result<Vec<Shot>, Failure> {
-        let failed = |error| Failure::file(&self.recording, error);
+    fn wanted(&self) -> Wanted {
         match self.best_worst {
-            Some(len) => {
-                let [best, worst] = storyboard.extremes(usize::from(len)).map_err(failed)?;
-                Ok([best, worst].concat())
-            }
-            None => {
-                let shot = |time_s: &f64| storyboard.at(*time_s, &self.agents).map_err(failed);
-                if !self.at.is_empty() {
-                    return self.at.iter().map(shot).collect();
-                }
-                let middle = shot(&storyboard.middle_s().unwrap_or_default())?;
-                tracing::info!(
-                    "shown: t = {:.1} s, frame {}; --at SECONDS shows other times",
-                    middle.time_s,
-                    middle.frame
-                );
-                Ok(vec![middle])
-            }
+            Some(count) => Wanted::Extremes(usize::from(count)),
+            None if self.at.is_empty() => Wanted::Middle,
+            None => Wanted::At(self.at.clone()),
         }
     }
 
@@ -152,26 +125,26 @@ impl Arguments {
     }
 }
 
-fn drawing<'a>(shot: &'a Shot, site: Option<&'a ContextMap>, lanes: Option<&LaneMap>) -> SceneDrawing<'a> {
+fn drawing<'a>(shot: &Shot, map: Option<&'a ContextMap>, lanes: Option<&LaneMap>) -> SceneDrawing<'a> {
     let bounds = lanes.into_iter().flat_map(LaneMap::lanes).flat_map(|lane| lane.bounds_m.clone());
     let note = shot.errors.map(|errors| {
-        let [ade_m, fde_m] = errors.best;
-        let best = format!("best of {} modes: minADE {ade_m:.2} m, minFDE {fde_m:.2} m", errors.modes_len);
-        let [ade_m, fde_m] = errors.likeliest;
-        let likeliest = format!("top-1: ADE {ade_m:.2} m, FDE {fde_m:.2} m");
-        let agents =
-            if errors.agents_len > 1 { format!(" ({} agents)", errors.agents_len) } else { String::new() };
-        format!("{best}; {likeliest}{agents}")
+        let ([ade_m, fde_m], [min_ade_m, min_fde_m]) = (errors.best, errors.hindsight);
+        let agents = if errors.agents > 1 { format!(" ({} agents)", errors.agents) } else { String::new() };
+        format!(
+            "best forecast: ADE {ade_m:.2} m, FDE {fde_m:.2} m; best of {} in hindsight: {min_ade_m:.2} m, \
+             {min_fde_m:.2} m{agents}",
+            errors.modes
+        )
     });
     let about = match shot.about[..] {
         [agent] => format!("agent {agent}, "),
         _ => String::new(),
     };
     SceneDrawing {
-        title: format!("{about}t = {:.1} s", shot.time_s),
+        title: format!("{about}t = {:.2} s, tick {}", shot.time_s, shot.tick),
         note: note.unwrap_or_default(),
-        map: site.or(shot.online_map.as_ref()),
-        lines: bounds.collect(),
+        map,
+        lanes: bounds.collect(),
         agents: shot.agents.clone(),
     }
 }

@@ -1,0 +1,397 @@
+//! Plays a recording through the stages and keeps the ticks to be drawn, with their published forecasts.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::rc::Rc;
+
+use data::RecordedTrack;
+use drawing::AgentDrawing;
+use evaluator::MOVING_MPS;
+use launch::failure::Failure;
+use metrics::{Displacement, Point};
+use nn::ModelConfig;
+use onboard::Chain;
+use run::Run;
+use scene::{ContextMap, MapBuilder, State};
+use source::Playback;
+use thiserror::Error;
+use tick_view::{AgentView, ForecastView, TickView};
+
+/// Maximum number of ticks whose agents are ranked, evenly spread.
+const RANKED_MAX: u64 = 240;
+/// Longest gap of a recorded track over which a position of the truth is interpolated.
+const GAP_MAX_NS: i64 = 1_000_000_000;
+
+/// The ticks of a recording to be drawn.
+#[derive(Clone, Debug)]
+pub enum Wanted {
+    /// The tick nearest to each of these times, in seconds from the first tick.
+    At(Vec<f64>),
+    /// The tick in the middle of the recording.
+    Middle,
+    /// The ticks of the agents with the smallest errors, this many, and of as many with the largest errors.
+    Extremes(usize),
+}
+
+/// A tick to be drawn.
+#[derive(Clone, Debug)]
+pub struct Shot {
+    /// The tick's number.
+    pub tick: u64,
+    /// Time since the first tick.
+    pub time_s: f64,
+    /// The agents whose forecasts are drawn, by the identities in the recording.
+    pub about: Vec<u64>,
+    /// All agents; only those in `about` have a forecast.
+    pub agents: Vec<AgentDrawing>,
+    /// Mean errors over the agents with a forecast and a known future.
+    pub errors: Option<ShotErrors>,
+    /// The places of all agents up to this tick.
+    pub visits: Option<ContextMap>,
+}
+
+/// Errors of a shot's forecasts.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ShotErrors {
+    /// Number of agents.
+    pub agents: usize,
+    /// Modes per forecast.
+    pub modes: usize,
+    /// ADE and FDE of the single best forecast.
+    pub best: [f64; 2],
+    /// Smallest ADE and FDE of all modes, each chosen in hindsight.
+    pub hindsight: [f64; 2],
+}
+
+/// A time or an agent that can't be drawn.
+#[derive(Debug, Error, PartialEq)]
+pub enum GalleryError {
+    /// No tick has an agent.
+    #[error("no agent is tracked in this recording")]
+    NoAgents,
+    /// The time is outside the recording.
+    #[error("no tick at {time_s} s: the ticks are from 0 s to {last_s} s")]
+    Outside {
+        /// The requested time.
+        time_s: f64,
+        /// Time of the last tick.
+        last_s: f64,
+    },
+    /// The agent has no forecast at this time.
+    #[error("agent {agent} has no forecast at {time_s} s, tick {tick}; agents with a forecast: {able}")]
+    Agent {
+        /// The requested agent.
+        agent: u64,
+        /// The time of the tick.
+        time_s: f64,
+        /// The tick.
+        tick: u64,
+        /// The agents that have a forecast.
+        able: String,
+    },
+    /// No agent can be ranked.
+    #[error("no agent moves and is seen over a whole horizon")]
+    NothingToRank,
+}
+
+/// A recording as it was, for the truth and the map.
+struct Past {
+    tracks: BTreeMap<u64, RecordedTrack>,
+    first_ns: i64,
+}
+
+/// The error of an agent's forecast in a tick.
+struct Ranked {
+    ade_m: f64,
+    agent: u64,
+    view: Rc<TickView>,
+}
+
+/// Plays a recording and returns the wanted ticks. They show the forecasts of `agents`, by their identities in the
+/// recording, or of all if none are given.
+///
+/// # Errors
+/// [`Failure`] if the stages can't be set up; [`GalleryError`], as [`Failure::Data`], if a tick or an agent can't be
+/// drawn.
+pub fn shots(
+    mut playback: Playback,
+    (run, model): (&Run, &ModelConfig),
+    wanted: &Wanted,
+    agents: &[u64],
+) -> Result<Vec<Shot>, Failure> {
+    let recording = playback.recording();
+    let tracks = data::tracks(recording).into_iter().map(|track| (track.id, track)).collect();
+    let stamps = || recording.frames.iter().map(|frame| frame.stamp_ns);
+    let (first_ns, last_ns) = (stamps().next().unwrap_or(0), stamps().next_back().unwrap_or(0));
+    let past = Past { tracks, first_ns };
+    let last_s = (last_ns - first_ns) as f64 / 1e9;
+    let half_s = 0.5 * playback.interval_ns() as f64 / 1e9;
+    let times_s = match wanted {
+        Wanted::At(times_s) => times_s.clone(),
+        Wanted::Middle => vec![0.5 * last_s],
+        Wanted::Extremes(_) => Vec::new(),
+    };
+    let is_inside = |time_s: &f64| (-half_s..=last_s + half_s).contains(time_s);
+    if let Some(&time_s) = times_s.iter().find(|time_s| !is_inside(time_s)) {
+        return Err(Failure::data(GalleryError::Outside { time_s, last_s }));
+    }
+    let end_s = times_s.iter().copied().fold(f64::MIN, f64::max);
+    let spacing = playback.ticks_len().div_ceil(RANKED_MAX).max(1);
+    let mut chain = Chain::new(run, model)?;
+    let mut nearest: Vec<Option<(f64, Rc<TickView>)>> = vec![None; times_s.len()];
+    let mut ranked = Vec::new();
+    while let Some(tick) = playback.next_tick() {
+        chain.tick(&tick.header, tick.detections, |_| ());
+        let (tracks, forecasts) = chain.frames();
+        if tracks.is_void() {
+            continue;
+        }
+        let time_s = past.time_s(tick.header.stamp_ns);
+        let apart_s = |number: usize| (time_s - times_s[number]).abs();
+        let is_nearer =
+            |number: &usize| nearest[*number].as_ref().is_none_or(|(least_s, _)| apart_s(*number) < *least_s);
+        let nearer: Vec<usize> = (0..times_s.len()).filter(is_nearer).collect();
+        let ranks = matches!(wanted, Wanted::Extremes(_)) && tick.header.seq % spacing == 0;
+        if nearer.is_empty() && !ranks {
+            // All wanted ticks have passed.
+            if !times_s.is_empty() && time_s > end_s {
+                break;
+            }
+            continue;
+        }
+        let view = Rc::new(TickView::new(tracks.parts(), forecasts.parts()));
+        for number in nearer {
+            nearest[number] = Some((apart_s(number), Rc::clone(&view)));
+        }
+        if ranks {
+            ranked.extend(past.rank(&view));
+        }
+    }
+    let shots: Result<Vec<Shot>, GalleryError> = match wanted {
+        Wanted::Extremes(count) => past.extremes(ranked, *count),
+        Wanted::At(_) | Wanted::Middle => nearest
+            .into_iter()
+            .map(|found| past.shot(&found.ok_or(GalleryError::NoAgents)?.1, agents))
+            .collect(),
+    };
+    let shots = shots.map_err(Failure::data)?;
+    if shots.iter().all(|shot| shot.agents.is_empty()) {
+        return Err(Failure::data(GalleryError::NoAgents));
+    }
+    Ok(shots)
+}
+
+impl Past {
+    fn time_s(&self, stamp_ns: i64) -> f64 {
+        (stamp_ns - self.first_ns) as f64 / 1e9
+    }
+
+    /// The recorded positions of an agent at the steps of its forecast.
+    fn truth(&self, view: &TickView, agent: &AgentView, forecast: &ForecastView) -> Vec<Option<Point>> {
+        let Some(track) = self.tracks.get(&agent.source_id) else { return Vec::new() };
+        let step_ns = i64::try_from(view.step_ns).unwrap_or(i64::MAX);
+        let at = |step: usize| view.stamp_ns.saturating_add(step_ns.saturating_mul(step as i64));
+        let state = |step: usize| track.state_at(at(step), i64::MAX, GAP_MAX_NS);
+        (1..=forecast.best.len()).map(|step| state(step).map(|state| state.position_m)).collect()
+    }
+
+    fn shot(&self, view: &TickView, wanted: &[u64]) -> Result<Shot, GalleryError> {
+        let time_s = self.time_s(view.stamp_ns);
+        let able = || view.agents.iter().filter(|agent| agent.forecast.is_some()).map(AgentView::known_as);
+        if let Some(&agent) = wanted.iter().find(|wanted| !able().any(|able| able == **wanted)) {
+            let able = able().map(|able| able.to_string()).collect::<Vec<_>>().join(", ");
+            return Err(GalleryError::Agent { agent, time_s, tick: view.seq, able });
+        }
+        let agents: Vec<AgentDrawing> = view
+            .agents
+            .iter()
+            .map(|agent| {
+                let mut agent = agent.clone();
+                if !wanted.is_empty() && !wanted.contains(&agent.known_as()) {
+                    agent.forecast = None;
+                }
+                let truth = agent.forecast.as_ref().map(|forecast| self.truth(view, &agent, forecast));
+                AgentDrawing { truth: truth.unwrap_or_default(), agent }
+            })
+            .collect();
+        let about = agents.iter().filter(|drawing| drawing.agent.forecast.is_some());
+        Ok(Shot {
+            tick: view.seq,
+            time_s,
+            about: about.map(|drawing| drawing.agent.known_as()).collect(),
+            errors: ShotErrors::of(&agents),
+            agents,
+            visits: self.visits(view.stamp_ns),
+        })
+    }
+
+    /// The errors of all agents that keep moving and are present over the whole horizon.
+    fn rank(&self, view: &Rc<TickView>) -> Vec<Ranked> {
+        let rank = |agent: &AgentView| {
+            let forecast = agent.forecast.as_ref()?;
+            let truth = self.truth(view, agent, forecast);
+            let end_m = truth.iter().all(Option::is_some).then(|| truth.last().copied().flatten())??;
+            let [vx_mps, vy_mps] = agent.velocity_mps;
+            let way_m = (end_m[0] - agent.position_m[0]).hypot(end_m[1] - agent.position_m[1]);
+            let horizon_s = view.step_ns as f32 * 1e-9 * truth.len() as f32;
+            let moves = vx_mps.hypot(vy_mps) >= MOVING_MPS && way_m >= MOVING_MPS * horizon_s;
+            let ade_m = metrics::displacement(&forecast.best, &truth).ade_m.filter(|_| moves)?;
+            Some(Ranked { ade_m, agent: agent.known_as(), view: Rc::clone(view) })
+        };
+        view.agents.iter().filter_map(rank).collect()
+    }
+
+    /// The best shots, then the worst. No agent is shown twice.
+    fn extremes(&self, mut ranked: Vec<Ranked>, count: usize) -> Result<Vec<Shot>, GalleryError> {
+        if ranked.is_empty() {
+            return Err(GalleryError::NothingToRank);
+        }
+        ranked.sort_by(|a, b| a.ade_m.total_cmp(&b.ade_m));
+        let mut shown = BTreeSet::new();
+        let mut take = |ranked: &mut dyn Iterator<Item = &Ranked>| -> Result<Vec<Shot>, GalleryError> {
+            let fresh = ranked.filter(|entry| shown.insert(entry.agent)).take(count);
+            fresh.map(|entry| self.shot(&entry.view, &[entry.agent])).collect()
+        };
+        let best = take(&mut ranked.iter())?;
+        let worst = take(&mut ranked.iter().rev())?;
+        Ok([best, worst].concat())
+    }
+
+    /// The map of all places where agents were detected up to this time.
+    fn visits(&self, stamp_ns: i64) -> Option<ContextMap> {
+        let states: Vec<State> = self
+            .tracks
+            .values()
+            .flat_map(|track| track.states.iter().take_while(|(seen_ns, _)| *seen_ns <= stamp_ns))
+            .map(|(_, state)| *state)
+            .collect();
+        let first = states.first()?.position_m;
+        let extreme = |pick: fn(f32, f32) -> f32| {
+            states
+                .iter()
+                .fold(first, |so_far, state| [0, 1].map(|axis| pick(so_far[axis], state.position_m[axis])))
+        };
+        let origin_m = extreme(f32::min).map(f32::floor);
+        let high_m = extreme(f32::max);
+        let [cols, rows] = [0, 1].map(|axis| (high_m[axis] - origin_m[axis]) as usize + 1);
+        let mut builder = MapBuilder::new(origin_m, rows, cols)?;
+        for state in states {
+            builder.visit(state.position_m, state.velocity_mps);
+        }
+        Some(builder.build())
+    }
+}
+
+impl ShotErrors {
+    fn of(agents: &[AgentDrawing]) -> Option<Self> {
+        let pair = |errors: Displacement| Some([errors.ade_m?, errors.fde_m?]);
+        let forecasts =
+            agents.iter().filter_map(|drawing| Some((drawing.agent.forecast.as_ref()?, &drawing.truth)));
+        let errors = |(forecast, truth): (&ForecastView, &Vec<Option<Point>>)| {
+            let best = pair(metrics::displacement(&forecast.best, truth))?;
+            Some([best, pair(metrics::min_displacement(&forecast.modes, truth))?])
+        };
+        let modes = forecasts.clone().map(|(forecast, _)| forecast.modes.len()).max().unwrap_or(0);
+        let errors: Vec<[[f64; 2]; 2]> = forecasts.filter_map(errors).collect();
+        let mean = |which: usize| {
+            [0, 1].map(|entry| errors.iter().map(|of| of[which][entry]).sum::<f64>() / errors.len() as f64)
+        };
+        (!errors.is_empty()).then(|| Self { agents: errors.len(), modes, best: mean(0), hindsight: mean(1) })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nn::Weights;
+    use source::PlaybackOptions;
+    use wire::detection_flags::HAS_ID;
+    use wire::{AgentType, Detection, TICK_NS};
+
+    use super::*;
+
+    /// Two walking pedestrians, and a third one that is observed once.
+    fn walkers() -> data::Recording {
+        let detection = |id: u64, x_m: f32, y_m: f32| Detection {
+            id,
+            x_m,
+            y_m,
+            score: 1.0,
+            agent_type: AgentType::Pedestrian as u32,
+            flags: HAS_ID,
+            ..Detection::default()
+        };
+        let frame = |number: u64| {
+            let way_m = 0.1 * number as f32;
+            let mut detections = vec![detection(1, way_m, 0.0), detection(2, 0.3, -way_m)];
+            detections.extend((number == 60).then(|| detection(3, 9.0, 9.0)));
+            data::Frame {
+                stamp_ns: 5_000_000_000 + (TICK_NS * number) as i64,
+                observed_types: AgentType::Pedestrian.bit(),
+                detections,
+                ..data::Frame::default()
+            }
+        };
+        data::Recording {
+            name: "walkers".to_owned(),
+            interval_ns: TICK_NS,
+            has_identities: true,
+            frames: (0..200).map(frame).collect(),
+            ..data::Recording::default()
+        }
+    }
+
+    fn shots_of(wanted: &Wanted, agents: &[u64]) -> Result<Vec<Shot>, String> {
+        let playback =
+            Playback::new(walkers(), PlaybackOptions { lockstep: true, ..PlaybackOptions::default() });
+        let run = Run { lockstep: true, interval_ns: TICK_NS, ..Run::default() };
+        let weights = Weights::onboard();
+        shots(playback, (&run, weights.config()), wanted, agents).map_err(|failure| failure.to_string())
+    }
+
+    #[test]
+    fn a_shot_is_the_nearest_tick_with_its_published_forecasts() {
+        let shots = shots_of(&Wanted::At(vec![6.03, 8.0]), &[]).unwrap();
+        assert_eq!(shots.iter().map(|shot| shot.tick).collect::<Vec<_>>(), [75, 100]);
+        assert!((shots[1].time_s - 8.0).abs() < 1e-9);
+        let mut chain_forecasts = Vec::new();
+        let run = Run { lockstep: true, interval_ns: TICK_NS, ..Run::default() };
+        let mut chain = Chain::new(&run, Weights::onboard().config()).unwrap();
+        let mut playback =
+            Playback::new(walkers(), PlaybackOptions { lockstep: true, ..PlaybackOptions::default() });
+        while let Some(tick) = playback.next_tick() {
+            let (_, forecasts) = chain.tick(&tick.header, tick.detections, |_| ());
+            if tick.header.seq == 100 {
+                chain_forecasts = forecasts.to_vec();
+            }
+        }
+        for (drawing, published) in shots[1].agents.iter().zip(&chain_forecasts) {
+            let forecast = drawing.agent.forecast.as_ref().unwrap();
+            assert_eq!(forecast.best[..], published.best[..forecast.best.len()]);
+            let ([x_m, y_m], truth) = (drawing.agent.position_m, drawing.truth[0].unwrap());
+            assert!(((truth[0] - x_m).hypot(truth[1] - y_m) - 0.5).abs() < 0.05, "0.4 s at 1.25 m/s");
+        }
+        assert_eq!((shots[1].about.as_slice(), shots[1].agents.len()), (&[1, 2][..], 2));
+        assert!(shots[1].errors.unwrap().best[0] < 1.0, "{:?}", shots[1].errors);
+        assert!(shots[1].visits.is_some());
+    }
+
+    #[test]
+    fn shots_of_chosen_agents_and_extremes() {
+        let [shot] = &shots_of(&Wanted::Middle, &[2]).unwrap()[..] else { panic!("one shot") };
+        assert_eq!(shot.about, [2]);
+        assert!((7.9..8.1).contains(&shot.time_s), "{} s", shot.time_s);
+        let error = shots_of(&Wanted::Middle, &[3]).unwrap_err();
+        assert!(
+            error.contains("agent 3 has no forecast at 7.92 s, tick 99; agents with a forecast: 1, 2"),
+            "{error}"
+        );
+        for time_s in [-1.0, 17.0, f64::NAN] {
+            let error = shots_of(&Wanted::At(vec![time_s]), &[]).unwrap_err();
+            assert!(error.contains("the ticks are from 0 s to 15.92 s"), "{error}");
+        }
+        let extremes = shots_of(&Wanted::Extremes(1), &[]).unwrap();
+        let [best, worst] = &extremes[..] else { panic!("{} shots", extremes.len()) };
+        assert_ne!(best.about, worst.about, "no agent is shown twice");
+        let ade_m = |shot: &Shot| shot.errors.unwrap().best[0];
+        assert!(ade_m(best) <= ade_m(worst));
+    }
+}
