@@ -17,9 +17,9 @@ use std::mem::size_of;
 use std::sync::atomic::{Ordering, compiler_fence};
 
 use bytemuck::{Pod, Zeroable, bytes_of, cast_slice, cast_slice_mut, from_bytes, from_bytes_mut};
-use crc_fast::{CrcAlgorithm, Digest};
 use evidence::{Evidence, NUMBERS_LEN};
 use retrieval::{CHANGED_MAX, RetrievalMemory, StoredEntry, StoredState};
+use wire::crc64;
 
 use crate::SamplerOptions;
 
@@ -318,14 +318,14 @@ impl Identity {
 
 impl Head {
     fn new(identity: Identity) -> Self {
-        let check = check_of(&[&MAGIC, bytes_of(&identity)]);
+        let check = crc64(&[&MAGIC, bytes_of(&identity)]);
         Self { magic: MAGIC, identity, check }
     }
 }
 
 impl Slot {
     fn new(entry: StoredEntry) -> Self {
-        Self { entry, check: check_of(&[bytes_of(&entry)]) }
+        Self { entry, check: crc64(&[bytes_of(&entry)]) }
     }
 }
 
@@ -355,11 +355,5 @@ fn whole(bytes: &mut [u8], place: u64) -> Option<Record> {
 }
 
 fn check(head: &Record, numbers: &[f64], entries: &[StoredEntry]) -> u64 {
-    check_of(&[&bytes_of(head)[size_of::<u64>()..], cast_slice(numbers), cast_slice(entries)])
-}
-
-fn check_of(parts: &[&[u8]]) -> u64 {
-    let mut digest = Digest::new(CrcAlgorithm::Crc64Xz);
-    parts.iter().for_each(|part| digest.update(part));
-    digest.finalize()
+    crc64(&[&bytes_of(head)[size_of::<u64>()..], cast_slice(numbers), cast_slice(entries)])
 }

@@ -1,26 +1,16 @@
 //! Topics that the pipeline file declares. Their types are known only at run time, by name and size.
-#![expect(
-    unsafe_code,
-    reason = "the transport is told the name and size of a type that this program does not have"
-)]
 
-use std::fmt::Debug;
 use std::os::fd::{AsFd, BorrowedFd};
 
 use iceoryx2::port::listener::Listener;
-use iceoryx2::port::subscriber::Subscriber;
-use iceoryx2::prelude::*;
-use iceoryx2::sample::Sample;
-use iceoryx2::service::builder;
-use iceoryx2::service::marker::CustomPayloadMarker;
-use iceoryx2::service::port_factory::{event, publish_subscribe};
+use iceoryx2::prelude::ipc;
 use iceoryx2::service::static_config::message_type_details::{TypeDetail, TypeVariant};
 use run::{Run, TopicRun, injected_topic};
 use wire::Header;
 
-use crate::element::Head;
-use crate::node::{ALIGNMENT, BORROWED_MAX, HISTORY, NODES_MAX, is_half_made_topic, subscriber};
-use crate::wait::{Wakes, descriptor, drain};
+use crate::node::NODES_MAX;
+use crate::transport::{Limits, Reader, Received, Shape};
+use crate::wait::{Wakes, descriptor};
 use crate::{Node, PortError};
 
 /// Deepest queue of a topic that the pipeline file declares.
@@ -30,15 +20,6 @@ const DEPTH_MAX: usize = 8;
 const TOOLS_MAX: usize = 6;
 /// The topic name in errors about declared topics: errors hold names that live as long as the program.
 pub(crate) const TOPIC: &str = "added by the pipeline file";
-
-/// Maximum numbers of ports of a topic, and its maximum queue depth.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Limits {
-    pub publishers_max: usize,
-    pub subscribers_max: usize,
-    pub nodes_max: usize,
-    pub depth_max: usize,
-}
 
 /// What the pipeline file adds to the shipped stages and topics.
 #[derive(Debug)]
@@ -86,22 +67,11 @@ impl Added {
 
 /// Reads a topic that the pipeline file declares. It checks nothing and sees the elements only as bytes.
 #[derive(Debug)]
-pub struct AddedSubscriber {
-    subscriber: Subscriber<ipc::Service, [CustomPayloadMarker], Head>,
-    listener: Listener<ipc::Service>,
-}
-
-/// The two services of a declared topic: frames and events.
-pub(crate) type AddedServices<H> = (
-    publish_subscribe::PortFactory<ipc::Service, [CustomPayloadMarker], H>,
-    event::PortFactory<ipc::Service>,
-);
-/// The builder of the frame service.
-pub(crate) type Building<H> = builder::publish_subscribe::Builder<[CustomPayloadMarker], H, ipc::Service>;
+pub struct AddedSubscriber(Reader);
 
 /// A frame of a declared topic.
 #[derive(Debug)]
-pub struct AddedFrame(Sample<ipc::Service, [CustomPayloadMarker], Head>);
+pub struct AddedFrame(Received);
 
 impl Node {
     /// Opens a topic that the pipeline file declares for reading, by its name in the run's record.
@@ -110,21 +80,16 @@ impl Node {
     /// [`PortError`] if all reader places of the topic are taken, its writer has created it with another
     /// type, or shared memory is short.
     pub fn added_subscriber(&self, topic: &TopicRun) -> Result<AddedSubscriber, PortError> {
-        let services = self.added_services(topic, &topic.name, |builder| builder.user_header::<Head>())?;
-        AddedSubscriber::of(&services)
+        self.added_reader(topic, &topic.name).map(AddedSubscriber)
     }
 
-    /// Opens or creates the two services of a topic that the pipeline file declares, under its own name or an
-    /// injector's. `with_header` sets how this process sees the header.
-    pub(crate) fn added_services<H: Debug + ZeroCopySend>(
-        &self,
-        topic: &TopicRun,
-        name: &str,
-        with_header: impl Fn(Building<()>) -> Building<H>,
-    ) -> Result<AddedServices<H>, PortError> {
-        let limits = self.with_further(name, self.added.limits(topic));
-        let name = format!("stgdat/{name}");
-        let name: ServiceName = name.as_str().try_into().map_err(PortError::of("service name", TOPIC))?;
+    /// Opens a declared topic for reading, under its own name or an injector's.
+    pub(crate) fn added_reader(&self, topic: &TopicRun, name: &str) -> Result<Reader, PortError> {
+        Reader::open(self, name, &self.added_shape(topic, name)?, DEPTH_MAX)
+    }
+
+    /// The settings of a declared topic, under its own name or an injector's.
+    pub(crate) fn added_shape(&self, topic: &TopicRun, name: &str) -> Result<Shape, PortError> {
         let element = TypeDetail::__internal_new_from_parts(
             TypeVariant::Dynamic,
             &topic.type_name,
@@ -132,25 +97,8 @@ impl Node {
             1,
         )
         .map_err(PortError::of("type name", TOPIC))?;
-        let alignment = Alignment::new(ALIGNMENT).expect("64 is a power of two");
-        let frames = || {
-            let builder = self.node.service_builder(&name).publish_subscribe::<[CustomPayloadMarker]>();
-            // SAFETY: the transport compares name and size with those of the other processes, and this
-            // program reads and writes the elements only as bytes.
-            let builder = unsafe { builder.__internal_set_payload_type_details(&element) };
-            with_header(builder)
-                .payload_alignment(alignment)
-                .max_publishers(limits.publishers_max)
-                .max_subscribers(limits.subscribers_max)
-                .max_nodes(limits.nodes_max)
-                .subscriber_max_buffer_size(limits.depth_max)
-                .subscriber_max_borrowed_samples(BORROWED_MAX)
-                .history_size(HISTORY)
-                .enable_safe_overflow(true)
-                .open_or_create()
-        };
-        let frames = self.patiently(frames, is_half_made_topic).map_err(PortError::of("frames", TOPIC))?;
-        Ok((frames, self.events(&name, limits, self.interval, TOPIC)?))
+        let limits = self.with_further(name, self.added.limits(topic));
+        Ok(Shape { topic: TOPIC, element, limits, interval: self.interval })
     }
 }
 
@@ -188,21 +136,12 @@ impl Beside {
 }
 
 impl AddedSubscriber {
-    /// The reading ends of a topic's services.
-    pub(crate) fn of((frames, events): &AddedServices<Head>) -> Result<Self, PortError> {
-        let create = || frames.subscriber_builder().buffer_size(DEPTH_MAX).create();
-        Ok(Self {
-            subscriber: subscriber(create, frames.name(), frames.static_config().max_subscribers(), TOPIC)?,
-            listener: events.listener_builder().create().map_err(PortError::of("listener", TOPIC))?,
-        })
-    }
-
     /// The oldest frame of the queue, if there is one.
     ///
     /// # Errors
     /// [`PortError`] if the transport fails.
     pub fn receive(&self) -> Result<Option<AddedFrame>, PortError> {
-        Ok(self.subscriber.receive().map_err(PortError::of("receiving", TOPIC))?.map(AddedFrame))
+        Ok(self.0.receive()?.map(AddedFrame))
     }
 
     /// Drains the pending events, so that the descriptor becomes readable only when another event arrives.
@@ -210,30 +149,31 @@ impl AddedSubscriber {
     /// # Errors
     /// [`PortError`] if the transport fails.
     pub fn drain(&self) -> Result<(), PortError> {
-        drain(&self.listener)
+        self.0.drain()
     }
 }
 
 impl AddedFrame {
+    pub(crate) const fn of(frame: Received) -> Self {
+        Self(frame)
+    }
+
     /// The header, unchecked.
     #[must_use]
     pub fn header(&self) -> &Header {
-        &self.0.user_header().0
+        self.0.header()
     }
 
     /// The bytes of its elements.
     #[must_use]
     pub fn payload(&self) -> &[u8] {
-        let bytes = self.0.payload();
-        // SAFETY: a marker is one byte, and the transport reports the length of the slice as the total size
-        // of the elements.
-        unsafe { std::slice::from_raw_parts(bytes.as_ptr().cast(), bytes.len()) }
+        self.0.bytes()
     }
 }
 
 impl Wakes for AddedSubscriber {
     fn listener(&self) -> &Listener<ipc::Service> {
-        &self.listener
+        self.0.listener()
     }
 }
 

@@ -3,16 +3,12 @@
 
 use std::fmt;
 
-use bytemuck::TransparentWrapper;
 use iceoryx2::prelude::ZeroCopySend;
 use wire::{Header, Topic};
 
-/// An element of a topic's payload.
+/// The type of the elements of a topic's payload, for the transport's details of the type.
 #[repr(transparent)]
 pub(crate) struct Element<T: Topic>(T::Element);
-
-// SAFETY: the struct is transparent over its one field.
-unsafe impl<T: Topic> TransparentWrapper<T::Element> for Element<T> {}
 
 // SAFETY: `Pod` elements have no pointers, references or padding, are `repr(C)`, and any bit pattern is a
 // value.

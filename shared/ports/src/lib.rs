@@ -68,6 +68,7 @@ mod standby;
 mod step;
 mod stop;
 mod subscriber;
+mod transport;
 mod wait;
 
 pub use added::{AddedFrame, AddedSubscriber, Beside};

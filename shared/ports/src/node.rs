@@ -8,19 +8,21 @@ use iceoryx2::service::builder::event::{EventCreateError, EventOpenError, EventO
 use iceoryx2::service::builder::publish_subscribe::{
     PublishSubscribeCreateError, PublishSubscribeOpenError, PublishSubscribeOpenOrCreateError,
 };
-use iceoryx2::service::port_factory::{event, publish_subscribe};
+use iceoryx2::service::port_factory::event;
+use iceoryx2::service::static_config::message_type_details::{TypeDetail, TypeVariant};
 use run::{Run, SpareRun};
 use wire::{
     ContextTopic, ControlsTopic, DetectionsTopic, EncodingsTopic, FeaturesTopic, ForecastsTopic,
     HeartbeatsTopic, StageId, Topic, TracksTopic, TruthTopic,
 };
 
-use crate::added::{Added, Limits};
-use crate::element::{Element, Head};
+use crate::added::Added;
+use crate::element::Element;
 use crate::names::Names;
 use crate::nodes::{self, NodeNumber, NodeProcess};
 use crate::publisher::Sender;
 use crate::space::remove_half_made_services;
+use crate::transport::{Limits, Reader, Services, Shape, Writer};
 use crate::{HEARTBEAT, PortError, Publisher, Stop, Subscriber};
 
 /// Frames that one reader may hold at a time: one for a long time, and two more while it looks for the
@@ -43,7 +45,7 @@ const OPEN_PAUSE: Duration = Duration::from_millis(50);
 /// Maximum wait for a reader's place: the place of a dead reader is free within a second.
 const PLACE_LIMIT: Duration = Duration::from_secs(2);
 /// Prefix of the names of a topic's services.
-const SERVICES: &str = "stgdat/";
+pub(crate) const SERVICES: &str = "stgdat/";
 
 /// If a service or a connection stays half created for this time, a killed process left it.
 pub const HALF_MADE_LIMIT: Duration = Duration::from_millis(500);
@@ -71,10 +73,6 @@ pub struct Node {
     readers: BTreeMap<String, u32>,
     pub(crate) added: Added,
 }
-
-/// The two services of one topic.
-pub(crate) type Services<T> =
-    (publish_subscribe::PortFactory<ipc::Service, [Element<T>], Head>, event::PortFactory<ipc::Service>);
 
 impl Node {
     /// Joins a run under a name that tools display.
@@ -124,8 +122,7 @@ impl Node {
     /// # Errors
     /// [`PortError`] if all writer places of the topic are taken or shared memory is short.
     pub fn publisher<T: Topic>(&self) -> Result<Publisher<T>, PortError> {
-        let (publisher, notifier) = publisher_of(&self.services::<T>(self.names.of(T::NAME))?)?;
-        Ok(Publisher::new(publisher, notifier, self.sender, self.protects::<T>()))
+        Ok(Publisher::new(self.writer::<T>(self.names.of(T::NAME))?, self.sender, self.protects::<T>()))
     }
 
     /// Opens a topic for reading with a queue of `depth` frames; the oldest is dropped when it is full.
@@ -134,10 +131,8 @@ impl Node {
     /// [`PortError`] if all reader places of the topic are taken, shared memory is short, or `depth` is more
     /// than [`Topic::DEPTH_MAX`].
     pub fn subscriber<T: Topic>(&self, depth: usize) -> Result<Subscriber<T>, PortError> {
-        let services = self.services::<T>(self.names.of(T::NAME))?;
-        let (subscriber, listener) = subscriber_of(&services, depth)?;
-        let (protected, lockstep) = (self.protects::<T>(), self.lockstep);
-        Ok(Subscriber::new(subscriber, listener, services.0, self.run_id, protected, lockstep))
+        let reader = self.reader::<T>(self.names.of(T::NAME), depth)?;
+        Ok(Subscriber::new(reader, self.run_id, self.protects::<T>(), self.lockstep))
     }
 
     /// Whether the frames of the topic carry a check value.
@@ -148,32 +143,24 @@ impl Node {
             && self.protected.iter().any(|name| name == T::NAME)
     }
 
-    /// Opens or creates the two services of a topic under a name, with the same settings in all processes.
-    pub(crate) fn services<T: Topic>(&self, name: &str) -> Result<Services<T>, PortError> {
-        let limits = self.limits::<T>(name);
-        let name: ServiceName = format!("{SERVICES}{name}")
-            .as_str()
-            .try_into()
-            .map_err(PortError::of("service name", T::NAME))?;
-        let alignment = Alignment::new(ALIGNMENT).expect("64 is a power of two");
-        let frames = || {
-            self.node
-                .service_builder(&name)
-                .publish_subscribe::<[Element<T>]>()
-                .user_header::<Head>()
-                .payload_alignment(alignment)
-                .max_publishers(limits.publishers_max)
-                .max_subscribers(limits.subscribers_max)
-                .max_nodes(limits.nodes_max)
-                .subscriber_max_buffer_size(limits.depth_max)
-                .subscriber_max_borrowed_samples(BORROWED_MAX)
-                .history_size(HISTORY)
-                .enable_safe_overflow(true)
-                .open_or_create()
-        };
-        let frames = self.patiently(frames, is_half_made_topic).map_err(PortError::of("frames", T::NAME))?;
-        let interval = if T::NAME == HeartbeatsTopic::NAME { HEARTBEAT } else { self.interval };
-        Ok((frames, self.events(&name, limits, interval, T::NAME)?))
+    /// Opens a topic for writing, by its name in shared memory.
+    pub(crate) fn writer<T: Topic>(&self, name: &str) -> Result<Writer, PortError> {
+        Writer::open(self, name, &self.shape::<T>(name), T::ELEMENTS_START)
+    }
+
+    /// Opens a topic for reading, by its name in shared memory.
+    pub(crate) fn reader<T: Topic>(&self, name: &str, depth: usize) -> Result<Reader, PortError> {
+        Reader::open(self, name, &self.shape::<T>(name), depth)
+    }
+
+    /// The settings of a topic, by its name in shared memory. They are the same in all processes.
+    fn shape<T: Topic>(&self, name: &str) -> Shape {
+        Shape {
+            topic: T::NAME,
+            element: TypeDetail::new::<Element<T>>(TypeVariant::Dynamic),
+            limits: self.limits::<T>(name),
+            interval: if T::NAME == HeartbeatsTopic::NAME { HEARTBEAT } else { self.interval },
+        }
     }
 
     /// Opens or creates the event service of a topic.
@@ -269,7 +256,7 @@ impl Topics {
     pub fn make(run: &Run) -> Result<Self, PortError> {
         let node = Node::open(run, "topics")?;
         fn of<T: Topic>(node: &Node) -> Result<Box<dyn Debug>, PortError> {
-            Ok(Box::new(node.services::<T>(T::NAME)?))
+            Ok(Box::new(Services::open(node, T::NAME, &node.shape::<T>(T::NAME))?))
         }
         let services = vec![
             of::<DetectionsTopic>(&node)?,
@@ -319,45 +306,6 @@ const fn is_half_made_event(error: &EventOpenOrCreateError) -> bool {
                 EventCreateError::AlreadyExists | EventCreateError::IsBeingCreatedByAnotherInstance
             )
     )
-}
-
-/// The writing ends of a topic's services.
-pub(crate) type Writing<T> = (
-    iceoryx2::port::publisher::Publisher<ipc::Service, [Element<T>], Head>,
-    iceoryx2::port::notifier::Notifier<ipc::Service>,
-);
-/// The reading ends of a topic's services.
-type Reading<T> = (
-    iceoryx2::port::subscriber::Subscriber<ipc::Service, [Element<T>], Head>,
-    iceoryx2::port::listener::Listener<ipc::Service>,
-);
-
-pub(crate) fn publisher_of<T: Topic>((frames, events): &Services<T>) -> Result<Writing<T>, PortError> {
-    let publisher = frames
-        .publisher_builder()
-        .max_loaned_samples(LOANED_MAX)
-        .initial_max_slice_len(T::ELEMENTS_START)
-        .allocation_strategy(AllocationStrategy::PowerOfTwo)
-        .backpressure_strategy(BackpressureStrategy::DiscardData)
-        .create()
-        .map_err(PortError::of("publisher", T::NAME))?;
-    let notifier = events
-        .notifier_builder()
-        .default_event_id(EventId::new(event_id::FRAME))
-        .create()
-        .map_err(PortError::of("notifier", T::NAME))?;
-    Ok((publisher, notifier))
-}
-
-pub(crate) fn subscriber_of<T: Topic>(
-    (frames, events): &Services<T>,
-    depth: usize,
-) -> Result<Reading<T>, PortError> {
-    let create = || frames.subscriber_builder().buffer_size(depth).create();
-    let most = frames.static_config().max_subscribers();
-    let subscriber = subscriber(create, frames.name(), most, T::NAME)?;
-    let listener = events.listener_builder().create().map_err(PortError::of("listener", T::NAME))?;
-    Ok((subscriber, listener))
 }
 
 /// Creates a subscriber. If all places are taken it retries for a while: one of them may belong to a dead

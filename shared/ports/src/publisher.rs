@@ -1,25 +1,21 @@
-#![expect(unsafe_code, reason = "a loan hands out shared memory that was never written by this process")]
-
 use std::cell::Cell;
+use std::marker::PhantomData;
 use std::ops::{Deref, DerefMut};
 
-use bytemuck::TransparentWrapper;
-use iceoryx2::port::notifier::Notifier;
-use iceoryx2::prelude::ipc;
-use iceoryx2::sample_mut::SampleMut;
+use bytemuck::{cast_slice, cast_slice_mut};
 use wire::{Header, Protection, Topic};
 
 use crate::PortError;
-use crate::element::{Element, Head};
 use crate::points::{self, Point};
+use crate::transport::{Loaned, Writer};
 
 /// The writing end of a topic.
 #[derive(Debug)]
 pub struct Publisher<T: Topic> {
-    publisher: iceoryx2::port::publisher::Publisher<ipc::Service, [Element<T>], Head>,
-    notifier: Notifier<ipc::Service>,
+    writer: Writer,
     sender: Sender,
     protects: bool,
+    topic: PhantomData<T>,
     /// Frames sent, for [`Protection::counter`].
     counter: Cell<u32>,
 }
@@ -35,16 +31,11 @@ pub(crate) struct Sender {
 
 /// Space for one frame in shared memory, to be written and sent.
 #[derive(Debug)]
-pub struct Loan<T: Topic>(SampleMut<ipc::Service, [Element<T>], Head>);
+pub struct Loan<T: Topic>(Loaned, PhantomData<T>);
 
 impl<T: Topic> Publisher<T> {
-    pub(crate) const fn new(
-        publisher: iceoryx2::port::publisher::Publisher<ipc::Service, [Element<T>], Head>,
-        notifier: Notifier<ipc::Service>,
-        sender: Sender,
-        protects: bool,
-    ) -> Self {
-        Self { publisher, notifier, sender, protects, counter: Cell::new(0) }
+    pub(crate) const fn new(writer: Writer, sender: Sender, protects: bool) -> Self {
+        Self { writer, sender, protects, topic: PhantomData, counter: Cell::new(0) }
     }
 
     /// Space for `len` elements. Until they are written they hold an earlier frame or zeros.
@@ -58,17 +49,14 @@ impl<T: Topic> Publisher<T> {
         if T::PUBLISHERS_MAX == 1 {
             points::reach(Point::BeforeLoan);
         }
-        let sample = self.publisher.loan_slice_uninit(len).map_err(PortError::of("loan", T::NAME))?;
-        // SAFETY: the memory is a mapping that the kernel zeroed, or holds an earlier frame: its bytes are
-        // defined, and any bit pattern is a value of a `Pod` element.
-        Ok(Loan(unsafe { sample.assume_init() }))
+        Ok(Loan(self.writer.loan(len)?, PhantomData))
     }
 
     /// Sends a frame in the name of this process to all readers, and wakes them.
     ///
     /// # Errors
     /// [`PortError`] if the transport fails.
-    pub fn send(&self, mut loan: Loan<T>, header: Header) -> Result<(), PortError> {
+    pub fn send(&self, loan: Loan<T>, header: Header) -> Result<(), PortError> {
         let is_ours = T::PUBLISHERS_MAX == 1;
         let at = |point| {
             if is_ours {
@@ -83,11 +71,9 @@ impl<T: Topic> Publisher<T> {
             header.protection = Protection::of::<T>(&header, &loan, self.counter.get());
             self.counter.set(self.counter.get().wrapping_add(1));
         }
-        *loan.0.user_header_mut() = Head(header);
-        loan.0.send().map_err(PortError::of("sending", T::NAME))?;
+        self.writer.send(loan.0, &header)?;
         at(Point::BeforeNotify);
-        // Errors here are late notifications, which were delivered all the same, and readers that have ended.
-        let _ = self.notifier.notify();
+        self.writer.notify();
         at(Point::AfterSend);
         Ok(())
     }
@@ -115,12 +101,12 @@ impl<T: Topic> Deref for Loan<T> {
     type Target = [T::Element];
 
     fn deref(&self) -> &[T::Element] {
-        Element::<T>::peel_slice(self.0.payload())
+        cast_slice(self.0.bytes())
     }
 }
 
 impl<T: Topic> DerefMut for Loan<T> {
     fn deref_mut(&mut self) -> &mut [T::Element] {
-        Element::<T>::peel_slice_mut(self.0.payload_mut())
+        cast_slice_mut(self.0.bytes_mut())
     }
 }

@@ -1,21 +1,19 @@
 use std::cell::{Cell, RefCell};
+use std::marker::PhantomData;
 use std::ops::Deref;
 use std::os::fd::BorrowedFd;
 use std::rc::Rc;
 use std::time::Duration;
 
-use bytemuck::TransparentWrapper;
+use bytemuck::cast_slice;
 use iceoryx2::port::listener::Listener;
 use iceoryx2::prelude::ipc;
-use iceoryx2::sample::Sample;
-use iceoryx2::service::port_factory::PortFactory as _;
-use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 use wire::{
     Counts, Header, Protection, REFUSALS_MAX, RefusalCause, Refusals, Rejected, SCHEMA, StageId, Topic, flags,
 };
 
-use crate::element::{Element, Head};
 use crate::error::log_refused;
+use crate::transport::{Reader, Received};
 use crate::wait::{Wakes, wait, wait_also};
 use crate::{PortError, monotonic_ns};
 
@@ -25,9 +23,7 @@ pub struct Subscriber<T: Topic>(Rc<Port<T>>);
 
 #[derive(Debug)]
 struct Port<T: Topic> {
-    subscriber: iceoryx2::port::subscriber::Subscriber<ipc::Service, [Element<T>], Head>,
-    listener: Listener<ipc::Service>,
-    service: PortFactory<ipc::Service, [Element<T>], Head>,
+    reader: Reader,
     run_id: u64,
     /// Whether frames without a check value are refused.
     protected: bool,
@@ -70,15 +66,16 @@ const AHEAD_MAX: u64 = 16;
 /// One frame in shared memory; dropping it frees the memory.
 #[derive(Debug)]
 pub struct Frame<T: Topic> {
-    sample: Sample<ipc::Service, [Element<T>], Head>,
+    frame: Received,
     received_ns: u64,
+    topic: PhantomData<T>,
 }
 
 impl<T: Topic> Frame<T> {
     /// The frame's header, checked.
     #[must_use]
     pub fn header(&self) -> &Header {
-        &self.sample.user_header().0
+        self.frame.header()
     }
 
     /// When the frame was taken from its queue, on `CLOCK_MONOTONIC`.
@@ -92,28 +89,19 @@ impl<T: Topic> Deref for Frame<T> {
     type Target = [T::Element];
 
     fn deref(&self) -> &[T::Element] {
-        Element::<T>::peel_slice(self.sample.payload())
+        cast_slice(self.frame.bytes())
     }
 }
 
 impl<T: Topic> Subscriber<T> {
-    pub(crate) fn new(
-        subscriber: iceoryx2::port::subscriber::Subscriber<ipc::Service, [Element<T>], Head>,
-        listener: Listener<ipc::Service>,
-        service: PortFactory<ipc::Service, [Element<T>], Head>,
-        run_id: u64,
-        protected: bool,
-        lockstep: bool,
-    ) -> Self {
+    pub(crate) fn new(reader: Reader, run_id: u64, protected: bool, lockstep: bool) -> Self {
         let (newest, early) = (Cell::new(None), RefCell::new(None));
         let (seen, rejected_len, dropped_len) = (Cell::new(false), Cell::new(0), Cell::new(0));
         let (refusals, counter) = (Cell::default(), Cell::new(None));
         let incarnations = Cell::new([0; STAGES_LEN]);
         let (last, lost, old_len) = (Cell::new(None), Cell::new(None), Cell::new(0));
         Self(Rc::new(Port {
-            subscriber,
-            listener,
-            service,
+            reader,
             run_id,
             protected,
             lockstep,
@@ -142,8 +130,8 @@ impl<T: Topic> Subscriber<T> {
         if let Some(frame) = self.0.early.take() {
             return Ok(Some(frame));
         }
-        while let Some(sample) = self.0.subscriber.receive().map_err(PortError::of("receiving", T::NAME))? {
-            let frame = Frame { sample, received_ns: monotonic_ns() };
+        while let Some(frame) = self.0.reader.receive()? {
+            let frame = Frame { frame, received_ns: monotonic_ns(), topic: PhantomData };
             if self.0.is_answered(frame.header()) {
                 continue;
             }
@@ -211,7 +199,7 @@ impl<T: Topic> Subscriber<T> {
     /// up after it.
     #[must_use]
     pub fn has_no_publisher(&self) -> bool {
-        self.0.service.dynamic_config().number_of_publishers() == 0
+        !self.0.reader.has_publisher()
     }
 
     /// Sleeps until the topic has an event, a signal arrives or `timeout` has passed. May return early: check
@@ -254,7 +242,7 @@ pub(crate) trait Input: std::fmt::Debug {
 
 impl<T: Topic> Input for Port<T> {
     fn linked(&self) -> bool {
-        self.seen.get() || self.subscriber.has_samples().unwrap_or(false)
+        self.seen.get() || self.reader.has_frames()
     }
 
     fn rejected_len(&self) -> u64 {
@@ -278,7 +266,7 @@ impl<T: Topic> Input for Port<T> {
 
 impl<T: Topic> Wakes for Subscriber<T> {
     fn listener(&self) -> &Listener<ipc::Service> {
-        &self.0.listener
+        self.0.reader.listener()
     }
 }
 

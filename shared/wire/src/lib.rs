@@ -107,7 +107,7 @@ pub use limits::{
     RELATION_FEATURES, SCHEMA, SHED_WORDS, SPEED_MAX_MPS, STATE_EMBEDDING, STATE_FEATURES, TEMPORAL,
 };
 pub use origin::{UnknownWorldOrigin, WorldOrigin};
-pub use protection::{Protection, RefusalCause, Refusals, data_id};
+pub use protection::{Protection, RefusalCause, Refusals, crc64, data_id};
 pub use records::{
     AgentControls, AgentEncoding, AgentFeatures, Cause, ControlGaussian, Detection, Expert, Forecast,
     Heartbeat, HistoryState, Quality, Steering, Track, TrackStatus, Truth, detection_flags,
