@@ -1,22 +1,22 @@
-//! The decoder with its network switched off: base controls alone, baseline B*.
+//! Baseline B*: the decoder without its network, with the base controls only.
 
 use nn::base::BaseFeatures;
 use nn::{ModelConfig, Weights, WeightsError};
 use wire::{AgentControls, AgentEncoding, AgentType, ControlGaussian};
 
-/// The base controls of a model: ridge regression, and anchors around it.
+/// The base controls of a model: a ridge regression and the anchors around its result.
 pub struct BaseDecoder {
     networks: nn::Decoder,
     config: ModelConfig,
-    /// \[mode, step\], those of the best forecast last.
+    /// \[mode, step\]. The last row holds the controls of the best forecast.
     controls: Vec<[f32; 2]>,
 }
 
 impl BaseDecoder {
-    /// The base of a model; `None` where it has none.
+    /// The base controls of a model; `None` if the model has none.
     ///
     /// # Errors
-    /// [`WeightsError`] where the weights do not hold the model.
+    /// [`WeightsError`] if the weights do not hold the model.
     pub fn new(weights: &Weights) -> Result<Option<Self>, WeightsError> {
         let config = weights.config().clone();
         config.check_frames()?;
@@ -26,10 +26,10 @@ impl BaseDecoder {
         Ok(Some(Self { networks: nn::Decoder::new(weights)?, config, controls: Vec::new() }))
     }
 
-    /// The base controls of an agent: certain, and all modes equally probable.
+    /// The base controls of an agent, without variance. All modes are equally probable.
     ///
     /// # Panics
-    /// Where the agent's type is no number of one: encodings are to be checked.
+    /// If the agent's type is invalid. The caller must check encodings first.
     pub fn controls(&mut self, agent: &AgentEncoding) -> AgentControls {
         let agent_type = AgentType::try_from(agent.agent_type).expect("the encoding's type was checked");
         let base = self.networks.of(agent_type).base().expect("a model with base controls");

@@ -1,8 +1,8 @@
-//! Latent draws from N(0, I) that depend on seed, track, tick and place alone.
+//! Latent draws from N(0, I). A draw depends only on seed, track, tick and the draw's index.
 
 use wire::LATENT;
 
-/// The golden ratio in 64 bits: the step of SplitMix64.
+/// The increment of SplitMix64: the golden ratio as a 64-bit fraction.
 const STEP: u64 = 0x9E37_79B9_7F4A_7C15;
 
 /// The finaliser of SplitMix64: every bit of the input changes every bit of the output.
@@ -12,7 +12,7 @@ const fn mix(mut x: u64) -> u64 {
     x ^ (x >> 31)
 }
 
-/// A counter-based generator: number `i` of a stream is a function of the stream's key and `i`.
+/// A counter-based generator. Number `i` of a stream is a function of the stream's key and `i`.
 #[derive(Clone, Copy)]
 pub(crate) struct Stream {
     key: u64,
@@ -32,7 +32,7 @@ impl Stream {
         (bits + 1) as f64 / (1_u64 << 53) as f64
     }
 
-    /// Latent draw number `draw`: independent normal numbers (Box-Muller).
+    /// The latent draw with index `draw`: independent standard normal numbers (Box-Muller).
     pub(crate) fn latent(self, draw: usize) -> [f32; LATENT] {
         let mut z = [0.0; LATENT];
         for (pair, z) in z.chunks_exact_mut(2).enumerate() {

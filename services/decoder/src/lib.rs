@@ -1,8 +1,11 @@
 //! Control Gaussians of each agent, mode and step, from the agents' temporal summaries.
 //!
-//! The modes are the model's latent points in their order, with the probabilities of the mode head; or draws
-//! from N(0, I), all equally probable, that depend on seed, track and tick alone. Beside them stands the
-//! single best forecast.
+//! A model has one of two kinds of modes:
+//!
+//! * latent points of the model, in their order, with the probabilities of the mode head;
+//! * draws from N(0, I), all equally probable. They depend only on seed, track and tick.
+//!
+//! In addition, the decoder outputs the controls of the single best forecast.
 
 mod base;
 mod draws;
@@ -23,7 +26,7 @@ use unroll::Unroller;
 /// Settings of a [`Decoder`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct DecoderOptions {
-    /// Threads that run the network, the stage's own among them; results do not depend on it.
+    /// Number of threads that run the network, including the stage's own thread. Results do not depend on it.
     pub workers: usize,
     /// Seed of the draws from N(0, I).
     pub seed: u64,
@@ -31,24 +34,24 @@ pub struct DecoderOptions {
     pub precision: Precision,
 }
 
-/// The decoder: its workers and the order in which they take the agents.
+/// The decoder: its workers and the order in which they decode the agents.
 pub struct Decoder {
     config: ModelConfig,
     workers: Workers<Unroller>,
-    /// The agents to be served, those that are decoded together side by side.
+    /// The agents to be served. Agents that are decoded together are adjacent.
     order: Vec<Turn>,
-    /// By place in the frame, whether the agent's controls are there.
+    /// Whether an agent was decoded, by its place in the frame.
     is_served: [bool; AGENTS_MAX],
 }
 
 /// An agent to be served.
 #[derive(Clone, Copy)]
 struct Turn {
-    /// Number of the block that it is decoded in.
+    /// Index of the block in which the agent is decoded.
     block: usize,
-    /// Its turn.
+    /// The agent's turn.
     turn: u32,
-    /// Its place in the frame.
+    /// The agent's place in the frame.
     agent: usize,
 }
 
@@ -56,8 +59,8 @@ impl Decoder {
     /// A decoder with the model's networks.
     ///
     /// # Errors
-    /// [`StartError`] where the weights do not hold the model, this process can't compute in the precision, or a thread
-    /// can't be had.
+    /// [`StartError`] if the weights do not hold the model, the process can't compute in the precision or a
+    /// thread can't be started.
     pub fn new(weights: &Weights, options: DecoderOptions) -> Result<Self, StartError> {
         let config = weights.config().clone();
         config.check_frames().map_err(WeightsError::from)?;
@@ -69,22 +72,21 @@ impl Decoder {
         })
     }
 
-    /// Steps of the model's horizon, and its modes.
+    /// The numbers of horizon steps and modes of the model.
     pub(crate) const fn sizes(&self) -> (u32, u32) {
         (self.config.horizon_len as u32, self.config.modes as u32)
     }
 
-    /// Agents of a frame that are to be forecast.
+    /// The number of agents in a frame that are to be forecast.
     #[must_use]
     pub fn len(encodings: &[AgentEncoding]) -> usize {
         encodings.iter().filter(|agent| is_wanted(agent)).count()
     }
 
-    /// Decodes the forecastable agents of a frame into `out`, in their order.
+    /// Decodes the forecastable agents of a frame into `out`, in the frame's order.
     ///
     /// # Errors
-    /// [`Rejected`] where the frame does not fit the model or holds impossible numbers; `out` is then
-    /// unchanged.
+    /// [`Rejected`] if the frame does not fit the model or holds impossible numbers. `out` is then unchanged.
     pub fn step(
         &mut self,
         header: &Header,
@@ -100,10 +102,12 @@ impl Decoder {
         Ok(())
     }
 
-    /// Decodes the forecastable agents of a frame that the allowance permits, and returns their number;
-    /// [`Decoder::write`] writes them. With a deadline, agents are decoded in the order of their turns. Blocks of a
-    /// few agents of a type are decoded together, the first block in any case. An agent's controls do not depend on
-    /// its block or on the other agents, to the bit.
+    /// Decodes the forecastable agents of a frame that the allowance permits, and returns their number.
+    /// [`Decoder::write`] writes their controls.
+    ///
+    /// A block is a few agents of one type that are decoded together. With a deadline, agents are decoded in
+    /// the order of their turns, and at least the first block is decoded. An agent's controls are
+    /// bit-identical for every block and for every set of other agents.
     ///
     /// # Errors
     /// [`Rejected`] if the frame does not fit the model or holds impossible numbers.
@@ -138,7 +142,7 @@ impl Decoder {
         verdict.map(|()| served_len)
     }
 
-    /// Whether the agent at a place of the last frame was served.
+    /// Whether the agent at this place of the last frame was served.
     #[must_use]
     pub fn is_served(&self, agent: usize) -> bool {
         self.is_served[agent]
@@ -147,7 +151,7 @@ impl Decoder {
     /// Writes the controls of the agents that [`Decoder::serve`] served, in the order of the frame.
     ///
     /// # Panics
-    /// Where `out` has not a place for each of them.
+    /// If `out` is shorter than the number of served agents.
     pub fn write(&mut self, out: &mut [AgentControls]) {
         let mut places = [0; AGENTS_MAX];
         let served = self.is_served.iter().enumerate().filter(|(_, served)| **served);
@@ -161,9 +165,9 @@ impl Decoder {
         });
     }
 
-    /// Puts the agents to be served into blocks of one type: type by type or, with a deadline, in the order
-    /// of their turns. Each agent goes into the open block of its type. A block has the place of its first
-    /// agent.
+    /// Assigns the agents to be served to blocks of one type each. Agents are assigned type by type or, with
+    /// a deadline, in the order of their turns. Each agent joins the open block of its type. Blocks are
+    /// numbered by their first agents.
     fn assign(&mut self, encodings: &[AgentEncoding], allowance: Allowance<'_>) {
         let by_turn = matches!(allowance, Allowance::Until { .. });
         let is_allowed = |place: usize| match allowance {
@@ -180,7 +184,7 @@ impl Decoder {
         } else {
             self.order.sort_unstable_by_key(|turn| (type_of(turn), turn.agent));
         }
-        // By type: the open block and how many agents it has.
+        // The open block of each type and its number of agents.
         let (mut open, mut blocks_len) = ([(0, DecoderGroup::LEN); AGENT_TYPES.len()], 0);
         for turn in &mut self.order {
             let (block, len) = &mut open[type_of(turn)];

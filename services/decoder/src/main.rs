@@ -1,4 +1,4 @@
-//! The decoder as a program of its own.
+//! The decoder as a standalone program.
 
 fn main() -> std::process::ExitCode {
     ports::stage_main(decoder::run)

@@ -1,4 +1,4 @@
-//! One worker's share of a frame: burn-in, draws and the conversion into controls.
+//! A worker's share of a frame: burn-in, draws and conversion to controls.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -11,22 +11,22 @@ use wire::{
 use crate::draws::Stream;
 use crate::{DecoderOptions, StartError};
 
-/// A frame's agents that are to be forecast, block by block.
+/// The agents of a frame that are to be forecast, block by block.
 #[derive(Default)]
 pub(crate) struct Frame {
     seq: u64,
     agents: Vec<AgentEncoding>,
-    /// Places of agents that are decoded together, of one type.
+    /// Ranges of agents that are decoded together. All agents of a block have one type.
     blocks: Vec<Range<usize>>,
 }
 
-/// A worker: its scratch memory, and the controls of the blocks that it did.
+/// A worker: its scratch memory and the controls of the blocks that it decoded.
 pub(crate) struct Unroller {
     networks: Arc<Decoder>,
     config: ModelConfig,
     seed: u64,
     group: DecoderGroup,
-    /// The place of an agent in the frame, and its controls.
+    /// The place of an agent in the frame and the agent's controls.
     controls: Vec<(usize, AgentControls)>,
 }
 
@@ -39,8 +39,9 @@ impl Frame {
         }
     }
 
-    /// Takes over the agents of a frame, each with the number of its block, in the order of these; returns the
-    /// number of blocks. They are done in their order, or the largest first.
+    /// Copies the agents of a frame and returns the number of blocks. Each agent comes with its block number,
+    /// in ascending order of blocks. Blocks are decoded in this order or, with `largest_first`, by descending
+    /// size.
     pub(crate) fn take<'a>(
         &mut self,
         seq: u64,
@@ -59,7 +60,7 @@ impl Frame {
             blocks[block].end = all.len();
         }
         if largest_first {
-            // The last blocks decide how long one worker waits for another.
+            // Small blocks at the end shorten the time that workers wait for each other.
             blocks.sort_unstable_by_key(|block| (std::cmp::Reverse(block.len()), block.start));
         }
         blocks.len()
@@ -94,7 +95,7 @@ impl Encoded for Share<'_> {
 }
 
 impl Unroller {
-    /// As many as there are workers.
+    /// One unroller for each worker.
     pub(crate) fn pool(weights: &Weights, options: DecoderOptions) -> Result<Workers<Self>, StartError> {
         let networks = Arc::new(Decoder::with_precision(weights, options.precision)?);
         let unroller = |_| Self {
@@ -104,7 +105,7 @@ impl Unroller {
             group: DecoderGroup::default(),
             controls: Vec::with_capacity(AGENTS_MAX),
         };
-        // Which worker meets a block is chance: each gets its scratch memory now.
+        // Any worker may get any block, so each allocates its scratch memory now.
         let warm = |mut unroller: Self| {
             unroller.warm_up();
             unroller
@@ -120,12 +121,12 @@ impl Unroller {
         }
     }
 
-    /// Forgets the controls of the last frame.
+    /// Discards the controls of the last frame.
     pub(crate) fn clear(&mut self) {
         self.controls.clear();
     }
 
-    /// The controls of the blocks that it did, with the places of their agents.
+    /// The controls of the blocks that this worker decoded, with the places of their agents.
     pub(crate) fn controls(&self) -> &[(usize, AgentControls)] {
         &self.controls
     }
@@ -146,7 +147,7 @@ impl Job for Unroller {
     }
 }
 
-/// The network's output for an agent as an element of the payload.
+/// Converts the network's output for an agent to an element of the payload.
 fn controls(agent: &AgentEncoding, decoded: AgentDraws<'_>, modes_len: usize) -> AgentControls {
     let mut controls = AgentControls {
         id: agent.id,
@@ -168,7 +169,7 @@ fn controls(agent: &AgentEncoding, decoded: AgentDraws<'_>, modes_len: usize) ->
     controls
 }
 
-/// The most probable mode, the first of equals.
+/// The most probable mode; the first one if several are equal.
 fn most_probable(probabilities: &[f32]) -> usize {
     let mut best = 0;
     for (mode, probability) in probabilities.iter().enumerate() {

@@ -1,4 +1,4 @@
-//! The decoder's determinism and refusals; the golden vectors of the layers hold its numbers.
+//! Determinism of the decoder and rejection of bad frames. Golden vectors of the layers check its numbers.
 #![expect(clippy::unwrap_used, reason = "a test ends at what it can't do")]
 
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -55,7 +55,7 @@ fn workers_and_other_agents_change_no_bit() {
     }
 }
 
-/// How far apart the control means of all modes are, at most and at the root of the mean square.
+/// Maximum and root mean square difference between the control means of all modes.
 fn apart(a: &[AgentControls], b: &[AgentControls]) -> [f32; 2] {
     let means = |all: &[AgentControls]| -> Vec<f32> {
         all.iter()
@@ -91,7 +91,7 @@ fn in_bf16_too_workers_and_other_agents_change_no_bit() {
     assert!(most < 0.05 && rms < 2e-3, "{most} and {rms} apart");
 }
 
-/// A clock that goes on by one with each look.
+/// A clock that advances by one with each reading.
 fn ticking() -> u64 {
     static NOW: AtomicU64 = AtomicU64::new(0);
     NOW.fetch_add(1, Ordering::Relaxed)
@@ -100,7 +100,7 @@ fn ticking() -> u64 {
 #[test]
 fn whoever_is_served_until_the_deadline_has_the_same_bits() {
     let mut encodings = encodings(90);
-    // Turns from the last agent to the first, and some that an earlier stage had no time for.
+    // The last agent has the first turn. An earlier stage has shed every eleventh agent.
     for (i, agent) in encodings.iter_mut().enumerate() {
         agent.turn = 90 - i as u32;
         agent.shed = u32::from(i % 11 == 0);
@@ -128,7 +128,7 @@ fn whoever_is_served_until_the_deadline_has_the_same_bits() {
         for controls in &out {
             assert_eq!(Some(controls), expected.iter().find(|whole| whole.id == controls.id));
         }
-        // Nobody of a type is served before another whose turn is earlier.
+        // Within a type, agents are served in the order of their turns.
         for agent_type in 0..3 {
             let wanted = encodings.iter().filter(|a| a.forecastable != 0 && a.shed == 0);
             let mut of_type: Vec<_> = wanted.filter(|a| a.agent_type == agent_type).collect();
@@ -165,7 +165,8 @@ fn close(a: [f32; 2], b: [f32; 2]) {
     assert!((a[0] - b[0]).abs() < 1e-4 && (a[1] - b[1]).abs() < 1e-4, "{a:?} is not {b:?}");
 }
 
-/// Ridge and anchors are added to what is kept of the network's means, the best forecast gets no anchor.
+/// The ridge regression and the anchor are added to the kept share of the network's mean. The best forecast
+/// has no anchor.
 #[test]
 fn the_base_control_is_added_to_the_means() {
     let mut model = Model::with_all_options();

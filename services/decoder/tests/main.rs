@@ -1,4 +1,4 @@
-//! The decoder by its public interface: controls of every tick, and refusals.
+//! Tests of the decoder's public interface: the controls of each tick and rejected frames.
 
 mod support {
     pub mod frames;

@@ -7,7 +7,7 @@ fn value(i: usize) -> f32 {
     ((i * 37) % 101) as f32 * 0.01 - 0.5
 }
 
-/// Encodings of agents with full histories; every fifth is too young to be forecast.
+/// Encodings of agents with full histories. Every fifth agent is not forecastable.
 pub fn encodings(agents_len: usize) -> Vec<AgentEncoding> {
     let encoding = |i: usize| {
         let mut agent = AgentEncoding {
@@ -29,7 +29,7 @@ pub fn header(seq: u64) -> Header {
     Header::new(1, seq, seq as i64 * 80_000_000)
 }
 
-/// Room for the controls.
+/// Zeroed controls, one for each agent to be forecast.
 pub fn room(encodings: &[AgentEncoding]) -> Vec<AgentControls> {
     vec![AgentControls::zeroed(); decoder::Decoder::len(encodings)]
 }
