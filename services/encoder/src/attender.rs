@@ -1,4 +1,5 @@
-//! The steps of a frame's graph, shared among the workers: attention in a round does not leave its step.
+//! Distributes the steps of a frame's graph among the workers. Attention joins only agents of the same step,
+//! so steps are independent.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -10,19 +11,19 @@ use wire::{AGENTS_MAX, EDGE_ATTRIBUTES, Edge, Features, NODE_ATTRIBUTES};
 #[derive(Default)]
 pub(crate) struct Steps {
     agents_len: usize,
-    /// The agents whose nodes are wanted; none where all are.
+    /// The agents whose nodes are wanted; `None` for all agents.
     wanted: Option<AgentSet>,
     /// \[step, agent\].
     present: Vec<bool>,
     nodes: Vec<[f32; NODE_ATTRIBUTES]>,
-    /// All edges, as if each were of the first step.
+    /// All edges, with step 0 in each.
     edges: Vec<Edge>,
     attributes: Vec<[f32; EDGE_ATTRIBUTES]>,
-    /// The steps with the places of their edges, those with the most edges first.
+    /// Each step with the range of its edges. Steps with the most edges come first.
     blocks: Vec<(usize, Range<usize>)>,
 }
 
-/// A worker: its scratch memory, and the nodes of the steps that it did.
+/// A worker: its scratch memory and the nodes of the steps that it computed.
 pub(crate) struct Attender {
     gdat: Arc<Gdat>,
     memory: GdatMemory,
@@ -42,7 +43,7 @@ impl Steps {
         }
     }
 
-    /// Takes over a frame whose edges are sorted by step.
+    /// Copies a frame whose edges are sorted by step.
     pub(crate) fn take(&mut self, features: &Features<'_>, history_len: usize, wanted: Option<AgentSet>) {
         let agents = features.agents;
         self.wanted = wanted;
@@ -72,14 +73,14 @@ impl Steps {
         &self.present
     }
 
-    /// Edges of the step that has the most.
+    /// The number of edges of the step with the most edges.
     fn edges_most(&self) -> usize {
         self.blocks.first().map_or(0, |(_, edges)| edges.len())
     }
 }
 
 impl Attender {
-    /// As many as there are workers.
+    /// One attender for each worker.
     pub(crate) fn pool(
         weights: &Weights,
         gdat: &Arc<Gdat>,
@@ -95,15 +96,15 @@ impl Attender {
         Ok(Workers::new(Steps::with_room(history_len), (0..workers.max(1)).map(attender))?)
     }
 
-    /// Forgets the steps of the last frame. Which worker meets the largest step is chance: each gets room
-    /// for it.
+    /// Discards the steps of the last frame. Any worker may get the largest step, so each reserves memory for
+    /// it.
     pub(crate) fn begin(&mut self, frame: &Steps) {
         self.steps.clear();
         self.nodes.clear();
         self.gdat.make_room(frame.agents_len, frame.edges_most(), &mut self.memory);
     }
 
-    /// The steps that it did, with their nodes after all rounds.
+    /// The steps that this worker computed, with their nodes after all rounds.
     pub(crate) fn attended(&self) -> impl Iterator<Item = (usize, &[[f32; NODE_ATTRIBUTES]])> {
         let agents_len = self.nodes.len() / self.steps.len().max(1);
         self.steps.iter().copied().zip(self.nodes.chunks_exact(agents_len.max(1)))

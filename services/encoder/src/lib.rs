@@ -1,4 +1,4 @@
-//! Graph dual attention on the features of a frame: the temporal summary ṽ_h of each agent.
+//! Graph dual attention over the features of a frame. The result is the temporal summary ṽ_h of each agent.
 
 mod attender;
 mod options;
@@ -19,11 +19,11 @@ pub use step::{run, settings};
 /// Settings of an [`Encoder`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct EncoderOptions {
-    /// Threads that run the network, the stage's own among them; results do not depend on it.
+    /// Number of threads that run the network, including the stage's own thread. Results do not depend on it.
     pub workers: usize,
 }
 
-/// The encoder: its network, its workers and scratch memory.
+/// The encoder: its network, workers and scratch memory.
 pub struct Encoder {
     config: ModelConfig,
     gdat: Arc<Gdat>,
@@ -40,7 +40,7 @@ impl Encoder {
     /// An encoder with the model's graph attention.
     ///
     /// # Errors
-    /// [`StartError`] where the weights do not hold the model or a thread can't be had.
+    /// [`StartError`] if the weights do not hold the model or a thread can't be started.
     pub fn new(weights: &Weights, options: EncoderOptions) -> Result<Self, StartError> {
         let config = weights.config().clone();
         config.check_frames().map_err(WeightsError::from)?;
@@ -56,11 +56,10 @@ impl Encoder {
         })
     }
 
-    /// Encodes the agents of a frame into `out`, in their order.
+    /// Encodes the agents of a frame into `out`, in the frame's order.
     ///
     /// # Errors
-    /// [`Rejected`] where the frame does not fit the model or holds impossible numbers; `out` is then
-    /// unchanged.
+    /// [`Rejected`] if the frame does not fit the model or holds impossible numbers. `out` is then unchanged.
     pub fn step(
         &mut self,
         header: &Header,
@@ -70,8 +69,9 @@ impl Encoder {
         self.step_most(header, features, usize::MAX, out).map(|_| ())
     }
 
-    /// The same, but serves `served_max` agents at most, those whose turn comes first; the others are marked as
-    /// shed, and the summaries of the served are the same to the bit. Returns how many were served.
+    /// Encodes at most `served_max` agents, in the order of their turns, and returns the number of served
+    /// agents. The other agents are marked as shed. The summaries of served agents are bit-identical to the
+    /// result of [`Encoder::step`].
     ///
     /// # Errors
     /// As [`Encoder::step`].
@@ -106,7 +106,8 @@ impl Encoder {
         Ok(self.turns.len())
     }
 
-    /// The agents to serve, at most `served_max`, in the order of their turns; none where that is all.
+    /// The first `served_max` agents in the order of their turns; `None` if every forecastable agent is
+    /// served.
     fn choose(&mut self, agents: &[AgentFeatures], served_max: usize) -> Option<AgentSet> {
         let forecastable = agents.iter().enumerate().filter(|(_, agent)| agent.forecastable != 0);
         let forecastable_len = forecastable.clone().count();
@@ -123,7 +124,7 @@ impl Encoder {
         Some(wanted)
     }
 
-    /// The summaries of a frame's agents, or of those that are wanted.
+    /// Computes the summaries of a frame's agents, or of the wanted agents only.
     fn attend(&mut self, features: &Features<'_>, wanted: Option<AgentSet>) {
         let agents_len = features.agents.len();
         let mut frame = std::mem::take(&mut *self.workers.input());

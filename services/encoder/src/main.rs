@@ -1,4 +1,4 @@
-//! The encoder as a program of its own.
+//! The encoder as a standalone program.
 
 fn main() -> std::process::ExitCode {
     ports::stage_main(encoder::run)

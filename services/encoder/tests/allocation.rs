@@ -1,4 +1,4 @@
-//! A steady step takes no memory.
+//! A steady step allocates nothing.
 
 mod support {
     pub mod frames;

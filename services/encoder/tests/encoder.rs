@@ -1,4 +1,4 @@
-//! The encoder's refusals; the golden vectors of the layers hold its numbers.
+//! Determinism of the encoder and rejection of bad frames. Golden vectors of the layers check its numbers.
 
 use crate::support::frames;
 use encoder::{Encoder, EncoderOptions};
@@ -54,7 +54,7 @@ fn the_order_of_the_agents_changes_rounding_alone() {
     }
 }
 
-/// Agents in a row that see their neighbours alone, of whom every fourth has been shed before.
+/// A row of agents. Each agent has edges only to itself and its direct neighbours.
 fn row(len: usize) -> Frame {
     let mut frame = Frame::new(len);
     let near = |edge: &Edge| edge.receiver.abs_diff(edge.sender) <= 1;
@@ -85,7 +85,7 @@ fn whoever_is_served_has_the_same_bits() {
             assert_eq!(served_len, served_max.min(22));
             let served = out.iter().zip(&expected).filter(|(own, _)| own.shed == 0);
             assert!(served.clone().all(|(own, whole)| own == whole), "at most {served_max}");
-            // Turns go from the last to the first.
+            // The last agent has the first turn.
             let turns: Vec<u64> = served.map(|(own, _)| own.id).collect();
             let wanted = (0..30).rev().filter(|id| id % 4 != 0).take(served_len);
             assert!(wanted.eq(turns.into_iter().rev()), "at most {served_max}");
@@ -93,13 +93,13 @@ fn whoever_is_served_has_the_same_bits() {
     }
 }
 
-/// What the extractor leaves out: nodes and edges on which no served agent depends in any round.
+/// Leaves out the same nodes and edges as the extractor: those on which no served agent depends in any round.
 #[test]
 fn nobody_served_depends_on_what_may_be_left_out() {
     let whole = row(12);
     let mut partial = row(12);
     partial.agents.iter_mut().for_each(|agent| agent.shed = u32::from(agent.id != 3));
-    // Two rounds: receivers from 2 to 4, senders from 1 to 5.
+    // With two rounds, agent 3 depends on receivers 2 to 4 and senders 1 to 5.
     let needed = |edge: &Edge| (2..=4).contains(&edge.receiver);
     let kept: Vec<bool> = partial.edges.iter().map(needed).collect();
     let mut keep = kept.iter();

@@ -1,4 +1,4 @@
-//! The encoder by its public interface.
+//! Tests of the encoder's public interface.
 
 mod support {
     pub mod frames;

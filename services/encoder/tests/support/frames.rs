@@ -1,4 +1,4 @@
-//! Features of agents that all see each other.
+//! Features of agents with edges between all pairs.
 
 use bytemuck::Zeroable;
 use wire::{AgentEncoding, AgentFeatures, Edge, Features, Header};
@@ -51,7 +51,7 @@ impl Frame {
         Features { agents: &self.agents, edges: &self.edges, attributes: &self.attributes }
     }
 
-    /// Room for the encodings.
+    /// Zeroed encodings, one for each agent.
     pub fn out(&self) -> Vec<AgentEncoding> {
         vec![AgentEncoding::zeroed(); self.agents.len()]
     }
