@@ -148,12 +148,27 @@ pub struct PlaybackArguments {
     retrieval: RetrievalArguments,
     #[command(flatten)]
     set: SetArguments,
+}
+
+/// The report on a recording that is played in this process.
+#[derive(Debug, Args)]
+pub struct VerdictArguments {
     /// Write the report as JSON: ticks, agents, what the input contained, and the verdict
     #[arg(long, value_name = "FILE")]
     pub report: Option<PathBuf>,
     /// Fail, with exit code 65, if the input is doubtful or no agent was tracked
     #[arg(long)]
     pub strict: bool,
+}
+
+impl VerdictArguments {
+    /// Checks that the report can be written, before any work is done.
+    ///
+    /// # Errors
+    /// [`Failure::Data`] if its place does not exist.
+    pub fn check(&self) -> Result<(), Failure> {
+        self.report.as_deref().map_or(Ok(()), check_place)
+    }
 }
 
 /// A recording at its start, and the run that plays it.
@@ -342,9 +357,6 @@ impl PlaybackArguments {
         }
         let seed = self.seed.unwrap_or(SEED);
         let source = source::Options { recording: self.path()?, ..options.read(&source::STAGE)? };
-        if let Some(report) = &self.report {
-            check_place(report)?;
-        }
         let recording = source::recording(&source, origin, seed)?;
         warn_of_doubts(&recording);
         // Counted before frames are merged, so the line numbers match the files.

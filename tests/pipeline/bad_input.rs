@@ -154,7 +154,7 @@ fn invalid_command_lines_end_with_exit_code_2() {
         (&["run", "--agents", "4000"], "--agents"),
         (&["run", "--speed", "fast"], "--speed"),
         (&["run", "--recording", "a.csv", "--format", "xml"], "xml"),
-        (&["predict"], "RECORDING"),
+        (&["predict", "a.csv", "b.csv"], "b.csv"),
     ];
     for (arguments, texts) in cases {
         assert_refused(arguments, 2, &[texts]);

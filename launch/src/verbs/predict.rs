@@ -7,7 +7,7 @@ use run::Exit;
 use source::Playback;
 use wire::WorldOrigin;
 
-use crate::arguments::{PlaybackArguments, Played};
+use crate::arguments::{PlaybackArguments, Played, VerdictArguments};
 use crate::failure::Failure;
 use crate::play_report::PlayReport;
 use crate::show::is_read;
@@ -20,10 +20,13 @@ pub struct Arguments {
     out: PathBuf,
     #[command(flatten)]
     playback: PlaybackArguments,
+    #[command(flatten)]
+    verdict: VerdictArguments,
 }
 
 /// Runs a recording through all stages in this process.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
+    arguments.verdict.check()?;
     let Played { mut playback, input, run, model } = arguments.playback.start()?;
     let mut chain = Chain::new(&run, &model)?;
     let mut report = PlayReport::new(&playback, input);
@@ -33,7 +36,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     kept?;
     // A verdict needs the whole recording.
     match is_whole {
-        true => report.finish(&playback, arguments.playback.report.as_deref(), arguments.playback.strict),
+        true => report.finish(&playback, arguments.verdict.report.as_deref(), arguments.verdict.strict),
         false => Ok(Exit::Done),
     }
 }

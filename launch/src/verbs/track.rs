@@ -8,7 +8,7 @@ use run::Exit;
 use source::Playback;
 use wire::WorldOrigin;
 
-use crate::arguments::{PlaybackArguments, Played};
+use crate::arguments::{PlaybackArguments, Played, VerdictArguments};
 use crate::failure::Failure;
 use crate::play_report::PlayReport;
 use crate::show::is_read;
@@ -38,11 +38,14 @@ pub struct Arguments {
     written_as: TrackFormat,
     #[command(flatten)]
     playback: PlaybackArguments,
+    #[command(flatten)]
+    verdict: VerdictArguments,
 }
 
 /// Runs a recording through the tracker in this process and writes the published tracks.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let rows = rows(arguments.written_as, arguments.playback.path()?.as_deref())?;
+    arguments.verdict.check()?;
     let Played { mut playback, input, run, model } = arguments.playback.start()?;
     let mut tracking = Tracking::new(&run, &model)?;
     let mut report = PlayReport::new(&playback, input);
@@ -52,7 +55,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     kept?;
     // A verdict needs the whole recording.
     match is_whole {
-        true => report.finish(&playback, arguments.playback.report.as_deref(), arguments.playback.strict),
+        true => report.finish(&playback, arguments.verdict.report.as_deref(), arguments.verdict.strict),
         false => Ok(Exit::Done),
     }
 }

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::rc::Rc;
 
-use data::RecordedTrack;
+use data::{RecordedTrack, Recording};
 use drawing::AgentDrawing;
 use evaluator::MOVING_MPS;
 use launch::failure::Failure;
@@ -20,6 +20,8 @@ use tick_view::{AgentView, ForecastView, TickView};
 const RANKED_MAX: u64 = 240;
 /// Longest gap of a recorded track over which a position of the truth is interpolated.
 const GAP_MAX_NS: i64 = 1_000_000_000;
+/// Largest distance between a track without an identity and its truth.
+const MATCH_MAX_M: f32 = 2.0;
 
 /// The ticks of a recording to be drawn.
 #[derive(Clone, Debug)]
@@ -96,6 +98,8 @@ pub enum GalleryError {
 /// A recording as it was, for the truth and the map.
 struct Past {
     tracks: BTreeMap<u64, RecordedTrack>,
+    /// Times and positions of each agent: the recording's truth or, without one, its tracks.
+    truth: BTreeMap<u64, Vec<(i64, Point)>>,
     first_ns: i64,
 }
 
@@ -119,11 +123,8 @@ pub fn shots(
     agents: &[u64],
 ) -> Result<Vec<Shot>, Failure> {
     let recording = playback.recording();
-    let tracks = data::tracks(recording).into_iter().map(|track| (track.id, track)).collect();
-    let stamps = || recording.frames.iter().map(|frame| frame.stamp_ns);
-    let (first_ns, last_ns) = (stamps().next().unwrap_or(0), stamps().next_back().unwrap_or(0));
-    let past = Past { tracks, first_ns };
-    let last_s = (last_ns - first_ns) as f64 / 1e9;
+    let past = Past::new(recording);
+    let last_s = past.time_s(recording.frames.last().map_or(0, |frame| frame.stamp_ns));
     let half_s = 0.5 * playback.interval_ns() as f64 / 1e9;
     let times_s = match wanted {
         Wanted::At(times_s) => times_s.clone(),
@@ -181,17 +182,48 @@ pub fn shots(
 }
 
 impl Past {
+    fn new(recording: &Recording) -> Self {
+        let tracks: BTreeMap<u64, RecordedTrack> =
+            data::tracks(recording).into_iter().map(|track| (track.id, track)).collect();
+        let mut truth: BTreeMap<u64, Vec<(i64, Point)>> = BTreeMap::new();
+        for frame in &recording.frames {
+            for agent in &frame.truth {
+                truth
+                    .entry(agent.id)
+                    .or_default()
+                    .push((frame.stamp_ns + agent.offset_ns, [agent.x_m, agent.y_m]));
+            }
+        }
+        if truth.is_empty() {
+            let positions = |track: &RecordedTrack| {
+                track.states.iter().map(|(stamp_ns, state)| (*stamp_ns, state.position_m)).collect()
+            };
+            truth = tracks.iter().map(|(id, track)| (*id, positions(track))).collect();
+        }
+        let first_ns = recording.frames.first().map_or(0, |frame| frame.stamp_ns);
+        Self { tracks, truth, first_ns }
+    }
+
     fn time_s(&self, stamp_ns: i64) -> f64 {
         (stamp_ns - self.first_ns) as f64 / 1e9
     }
 
     /// The recorded positions of an agent at the steps of its forecast.
     fn truth(&self, view: &TickView, agent: &AgentView, forecast: &ForecastView) -> Vec<Option<Point>> {
-        let Some(track) = self.tracks.get(&agent.source_id) else { return Vec::new() };
+        let nearest = || {
+            let apart = |(_, positions): &(&u64, &Vec<(i64, Point)>)| {
+                let [x_m, y_m] = at(positions, view.stamp_ns)?;
+                let apart_m = (x_m - agent.position_m[0]).hypot(y_m - agent.position_m[1]);
+                (apart_m <= MATCH_MAX_M).then_some(apart_m)
+            };
+            let found = self.truth.iter().filter_map(|agent| Some((apart(&agent)?, agent.1)));
+            found.min_by(|(a, _), (b, _)| a.total_cmp(b)).map(|(_, positions)| positions)
+        };
+        let known = self.truth.get(&agent.source_id).filter(|_| agent.source_id != 0);
+        let Some(positions) = known.or_else(nearest) else { return Vec::new() };
         let step_ns = i64::try_from(view.step_ns).unwrap_or(i64::MAX);
-        let at = |step: usize| view.stamp_ns.saturating_add(step_ns.saturating_mul(step as i64));
-        let state = |step: usize| track.state_at(at(step), i64::MAX, GAP_MAX_NS);
-        (1..=forecast.best.len()).map(|step| state(step).map(|state| state.position_m)).collect()
+        let stamp_ns = |step: usize| view.stamp_ns.saturating_add(step_ns.saturating_mul(step as i64));
+        (1..=forecast.best.len()).map(|step| at(positions, stamp_ns(step))).collect()
     }
 
     fn shot(&self, view: &TickView, wanted: &[u64]) -> Result<Shot, GalleryError> {
@@ -279,6 +311,19 @@ impl Past {
         }
         Some(builder.build())
     }
+}
+
+/// The position at a time, interpolated; `None` outside of the positions and in long gaps.
+fn at(positions: &[(i64, Point)], stamp_ns: i64) -> Option<Point> {
+    let next = positions.partition_point(|(at_ns, _)| *at_ns < stamp_ns);
+    let &(next_ns, to_m) = positions.get(next)?;
+    if next_ns == stamp_ns {
+        return Some(to_m);
+    }
+    let &(last_ns, from_m) = positions.get(next.checked_sub(1)?)?;
+    let share = (stamp_ns - last_ns) as f32 / (next_ns - last_ns) as f32;
+    (next_ns - last_ns <= GAP_MAX_NS)
+        .then(|| [0, 1].map(|axis| from_m[axis] + share * (to_m[axis] - from_m[axis])))
 }
 
 impl ShotErrors {
