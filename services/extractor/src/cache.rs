@@ -1,20 +1,20 @@
-//! Cache by stamp: context embeddings of tracks and relation embeddings of pairs of tracks.
+//! Caches the context embeddings of tracks and the relation embeddings of pairs of tracks by stamp.
 
 use wire::{AgentFeatures, CONTEXT_EMBEDDING, EDGE_ATTRIBUTES, Edge, NODE_ATTRIBUTES};
 
-/// Stamps that are kept: the ticks of the longest window, 2.8 s at 12.5 Hz, and some more for uneven ticks.
+/// Number of cached stamps. The longest window, 2.8 s at 12.5 Hz, needs 36; the rest allows for uneven ticks.
 const STAMPS: usize = 64;
-/// Marks a pair without relation.
+/// Marks a pair without a relation.
 const NONE: u16 = u16::MAX;
 
 /// Embeddings of the newest stamps; a new stamp replaces the oldest.
 pub(crate) struct StampCache {
     stamps: Vec<Stamp>,
-    /// Rows of the current frame's agents in the stamp in hand.
+    /// Rows of the current frame's agents in the stamp that was looked up last.
     rows: Vec<Option<usize>>,
-    /// Room for relations that every stamp has.
+    /// Relations for which each stamp has memory.
     relations_room: usize,
-    /// Scratch: the order of the agents by track.
+    /// Scratch: the agents, ordered by track.
     order: Vec<usize>,
 }
 
@@ -26,7 +26,7 @@ struct Stamp {
     tracks: Vec<u64>,
     /// Context embeddings in the order of `tracks`.
     contexts: Vec<[f32; CONTEXT_EMBEDDING]>,
-    /// \[receiver, sender\] in the order of `tracks`: place of the relation, or [`NONE`].
+    /// \[receiver, sender\] in the order of `tracks`: index in `relations`, or [`NONE`].
     pairs: Vec<u16>,
     relations: Vec<[f32; EDGE_ATTRIBUTES]>,
 }
@@ -68,7 +68,7 @@ impl StampCache {
         self.stamps.clear();
     }
 
-    /// The entries of a stamp for the agents of the current frame.
+    /// The entries of a stamp for the agents of the current frame; `None` if the stamp is not cached.
     pub(crate) fn at(&mut self, stamp_ns: i64, agents: &[AgentFeatures]) -> Option<Kept<'_>> {
         let stamp = self.stamps.iter().find(|stamp| stamp.stamp_ns == stamp_ns)?;
         self.rows.clear();
@@ -76,8 +76,8 @@ impl StampCache {
         Some(Kept { stamp, rows: &self.rows })
     }
 
-    /// Stores the embeddings of a step of the current frame, of the agents that have been computed, in place of the
-    /// entries of its stamp.
+    /// Stores the embeddings of one step of the current frame, for the agents that have been computed. They
+    /// replace earlier entries of the same stamp.
     pub(crate) fn keep(
         &mut self,
         stamp_ns: i64,
@@ -118,7 +118,7 @@ impl StampCache {
         }
     }
 
-    /// The place of a stamp: its own, a free one, or that of the oldest.
+    /// The place for a stamp: its existing place, a free place, or the place of the oldest stamp.
     fn place(&mut self, stamp_ns: i64) -> usize {
         if let Some(place) = self.stamps.iter().position(|stamp| stamp.stamp_ns == stamp_ns) {
             return place;
@@ -133,8 +133,8 @@ impl StampCache {
         place
     }
 
-    /// Gives every stamp room for `len` relations, so that a scene as full as an earlier one allocates
-    /// nothing.
+    /// Reserves memory for `len` relations in each stamp. A scene that is as full as an earlier one then
+    /// allocates nothing.
     fn make_room(&mut self, len: usize) {
         if len > self.relations_room {
             self.relations_room = len.next_power_of_two();

@@ -1,4 +1,4 @@
-//! States, patches and pairs that must go through a network, shared among the workers.
+//! Runs states, patches and pairs through the networks, distributed among the workers.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -10,25 +10,25 @@ use wire::{
 
 use crate::StartError;
 
-/// Patches that go through the CNN together: whole register tiles on every instruction set.
+/// Patches in one CNN batch. The number fills whole register tiles on every instruction set.
 const PATCHES: usize = 12;
-/// States or pairs that go through an MLP together.
+/// States or pairs in one MLP batch.
 const ROWS: usize = 96;
 
-/// What must be computed for a frame.
+/// The embeddings to compute for a frame.
 #[derive(Default)]
 pub(crate) struct Wanted {
-    /// (agent, step) of all states, those of a type together, with the type.
+    /// (agent, step, type) of all states, grouped by type.
     states: Vec<(usize, usize, AgentType)>,
-    /// (agent, step) whose context embedding is not cached.
+    /// (agent, step) of each context embedding that is not cached.
     patches: Vec<(usize, usize)>,
     /// Edges whose relation embedding is not cached.
     relations: Vec<usize>,
-    /// Steps of these.
+    /// The steps of `patches` and `relations`.
     steps: [bool; HISTORY_MAX],
 }
 
-/// A result, with its place.
+/// A result and its place in the frame.
 pub(crate) enum Embedding<'a> {
     /// A state embedding.
     State { agent: usize, step: usize, values: &'a [f32] },
@@ -77,12 +77,12 @@ struct Networks {
     state: StateMlp,
     /// Length of a state embedding.
     state_len: usize,
-    /// None where nodes carry no context.
+    /// `None` if nodes have no context.
     context: Option<ContextCnn>,
     relation: RelationMlp,
 }
 
-/// A frame's inputs of the networks.
+/// Inputs of the networks for a frame.
 #[derive(Default)]
 pub(crate) struct Inputs {
     states: Vec<[f32; STATE_FEATURES]>,
@@ -99,7 +99,7 @@ enum Block {
     States(AgentType, Range<usize>),
 }
 
-/// A worker: its scratch memory, and the embeddings of the blocks that it did.
+/// A worker: its scratch memory and the embeddings of the blocks that it computed.
 pub(crate) struct Embedder {
     networks: Arc<Networks>,
     states: Vec<f32>,
@@ -112,7 +112,7 @@ pub(crate) struct Embedder {
 }
 
 impl Embedder {
-    /// As many embedders as there are workers.
+    /// One embedder for each worker.
     pub(crate) fn pool(weights: &Weights, workers: usize) -> Result<Workers<Self>, StartError> {
         let config = weights.config();
         let networks = Arc::new(Networks {
@@ -130,7 +130,7 @@ impl Embedder {
             context_memory: ContextMemory::default(),
             mlp_memory: MlpMemory::default(),
         };
-        // Which worker meets a block is chance: each gets its scratch memory now.
+        // Any worker may get any block, so each allocates its scratch memory now.
         let warm = |mut embedder: Self| {
             embedder.warm_up();
             embedder
@@ -160,7 +160,7 @@ impl Embedder {
         self.done.clear();
     }
 
-    /// Makes room for the embeddings of a whole frame.
+    /// Reserves memory for the embeddings of a whole frame.
     fn reserve(&mut self, inputs: &Inputs, patches_len: usize) {
         self.states.reserve(inputs.states.len() * self.networks.state_len);
         self.contexts.reserve(patches_len);
@@ -199,13 +199,13 @@ impl Job for Embedder {
     }
 }
 
-/// Blocks of at most `most` of the rows.
+/// Splits the rows into blocks of at most `most`.
 fn blocks(rows: Range<usize>, most: usize) -> impl Iterator<Item = Range<usize>> {
     let end = rows.end;
     rows.step_by(most).map(move |first| first..end.min(first + most))
 }
 
-/// Computes all that is wanted, from states, patches and relations.
+/// Computes all wanted embeddings from states, patches and relations.
 pub(crate) fn run(
     workers: &mut Workers<Embedder>,
     wanted: &Wanted,
@@ -268,7 +268,8 @@ impl Inputs {
         }
         self.relations.clear();
         self.relations.extend(wanted.relations.iter().map(|&edge| relation(edge)));
-        // The largest blocks first: the last decide how long one worker waits for another.
+        // The costliest blocks first: small blocks at the end shorten the time that workers wait for each
+        // other.
         self.blocks.clear();
         self.blocks.extend(blocks(0..wanted.patches.len(), PATCHES).map(Block::Patches));
         self.blocks.extend(blocks(0..wanted.relations.len(), ROWS).map(Block::Relations));

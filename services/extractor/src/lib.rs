@@ -1,13 +1,13 @@
 //! Node and edge attributes of the history graph, from tracks and their context patches.
 //!
-//! A node is an agent at a history step, its attribute v = \[SE ‖ CE\]: the state embedding and the context
-//! embedding. An edge joins two agents that are near each other at a step, its attribute e is the relation
-//! embedding.
+//! A node is an agent at a history step. Its attribute v = \[SE ‖ CE\] consists of the state embedding and
+//! the context embedding. An edge joins two agents that are near each other at a step. Its attribute e is the
+//! relation embedding.
 //!
-//! SE is relative to the agent's newest state and is computed in each tick. CE and e depend on states of
-//! their own step alone, which the tracker never changes once it has published them: they are cached by
-//! (track, stamp) and (pair, stamp), and in a steady run only those of the newest step are computed. After a
-//! restart the window refills the cache.
+//! SE is relative to the agent's newest state and is computed in each tick. CE and e depend only on the
+//! states of their own step. The tracker never changes a published state, so CE is cached by (track, stamp)
+//! and e by (pair, stamp). In a steady run, CE and e are computed for the newest step only. After a restart,
+//! the window refills the cache.
 
 mod cache;
 mod embed;
@@ -33,22 +33,23 @@ use queue::Queue;
 /// Settings of an [`Extractor`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ExtractorOptions {
-    /// Threads that run the networks, the stage's own among them; results do not depend on it.
+    /// Number of threads that run the networks, including the stage's own thread. Results do not depend on
+    /// it.
     pub workers: usize,
 }
 
-/// What was computed for a frame because the cache did not have it, and what was left out.
+/// Work done for a frame because of cache misses, and edges that were left out.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Effort {
     /// Patches that went through the CNN.
     pub patches_len: usize,
     /// Pairs that went through the relation MLP.
     pub relations_len: usize,
-    /// Edges left out because the frame was full: those of the farthest neighbours.
+    /// Edges to the farthest neighbours, left out because the frame was full.
     pub edges_dropped: usize,
 }
 
-/// The extractor: its networks, its cache and the frame in hand.
+/// The extractor: its networks, its cache and the current frame.
 pub struct Extractor {
     config: ModelConfig,
     rule: EdgeRule,
@@ -61,7 +62,7 @@ pub struct Extractor {
     effort: Effort,
 }
 
-/// The frame in hand.
+/// The current frame.
 #[derive(Default)]
 struct Frame {
     agents: Vec<AgentFeatures>,
@@ -70,13 +71,13 @@ struct Frame {
     /// States, \[agent, step\].
     states: Vec<[Option<State>; HISTORY_MAX]>,
     vertices: Vec<Option<Vertex>>,
-    /// The agents that count at each step; empty where all do.
+    /// The agents whose nodes are needed, by step; empty if all are needed.
     needed: Vec<AgentSet>,
     wanted: Wanted,
 }
 
 impl Frame {
-    /// A frame with room for the largest scene.
+    /// A frame with memory for the largest scene.
     fn with_room() -> Self {
         Self {
             agents: Vec::with_capacity(AGENTS_MAX),
@@ -100,7 +101,7 @@ impl Extractor {
     /// An extractor with an empty cache.
     ///
     /// # Errors
-    /// [`StartError`] where the weights do not hold the model or a thread can't be had.
+    /// [`StartError`] if the weights do not hold the model or a thread can't be started.
     pub fn new(weights: &Weights, options: ExtractorOptions) -> Result<Self, StartError> {
         let config = weights.config().clone();
         config.check_frames().map_err(WeightsError::from)?;
@@ -122,25 +123,28 @@ impl Extractor {
         })
     }
 
-    /// What was computed for the last frame.
+    /// The work that was done for the last frame.
     #[must_use]
     pub const fn effort(&self) -> Effort {
         self.effort
     }
 
-    /// Computes the features of a frame and returns their shape; [`Extractor::write`] writes them. A frame
-    /// that is no tick has none.
+    /// Computes the features of a frame and returns their shape. [`Extractor::write`] writes them. A control
+    /// frame has no features.
     ///
     /// # Errors
-    /// [`Rejected`] where the frame is not newer than the last, does not fit the model or holds impossible
-    /// numbers. Nothing is computed or cached then.
+    /// [`Rejected`] if the frame is not newer than the last, does not fit the model or holds impossible
+    /// numbers. Nothing is then computed or cached.
     pub fn prepare(&mut self, header: &Header, context: &Context<'_>) -> Result<FeatureShape, Rejected> {
         self.prepare_most(header, context, None)
     }
 
-    /// The same but, where there is a limit, gives all agents that can be forecast their turns and serves
-    /// `served_max` of them: the others are marked as shed. Nodes and edges that none of the served depends on
-    /// are left out; all that they depend on is the same to the bit.
+    /// Computes the features of a frame for at most `served_max` agents; without a limit, as
+    /// [`Extractor::prepare`].
+    ///
+    /// With a limit, each forecastable agent gets a turn. The first `served_max` agents are served, and the
+    /// others are marked as shed. Nodes and edges are left out if no served agent depends on them. All other
+    /// nodes and edges are bit-identical to the result without a limit.
     ///
     /// # Errors
     /// As [`Extractor::prepare`].
@@ -173,7 +177,7 @@ impl Extractor {
     /// Writes the features that [`Extractor::prepare`] computed.
     ///
     /// # Panics
-    /// Where `out` has another shape than `prepare` returned.
+    /// If the shape of `out` differs from the shape that `prepare` returned.
     pub fn write(&mut self, out: &mut FeaturesMut<'_>) {
         out.agents.copy_from_slice(&self.frame.agents);
         out.edges.copy_from_slice(&self.frame.edges);
@@ -213,7 +217,7 @@ impl Extractor {
         finite("context patches", context.patches)
     }
 
-    /// States and state features of all agents.
+    /// Fills in the states and state features of all agents.
     fn place_agents(&mut self, context: &Context<'_>) {
         let Frame { agents, states, .. } = &mut self.frame;
         agents.clear();
@@ -227,7 +231,8 @@ impl Extractor {
         }
     }
 
-    /// The edges of all steps. Where they do not fit the frame, each agent keeps its nearest neighbours.
+    /// Finds the edges of all steps. If they do not fit the frame, each agent keeps only its nearest
+    /// neighbours.
     fn find_edges(&mut self) {
         self.append_edges(self.rule);
         self.effort = Effort::default();
@@ -238,7 +243,8 @@ impl Extractor {
         }
     }
 
-    /// Leaves out the edges that no served agent depends on, and finds the nodes that they depend on.
+    /// Leaves out the edges on which no served agent depends, and finds the nodes on which served agents
+    /// depend.
     fn leave_out(&mut self) {
         let Frame { agents, edges, needed, .. } = &mut self.frame;
         needed.clear();
@@ -249,7 +255,8 @@ impl Extractor {
         for (served, agent) in served.iter_mut().zip(agents.iter()) {
             *served = agent.forecastable != 0 && agent.shed == 0;
         }
-        // A round of attention looks at the senders of its receivers: the first needs the most of them.
+        // Each round of attention reads the senders of its receivers, so the first round needs the most
+        // agents.
         let receivers = |step: usize| {
             let of_step = &edges[span(edges, step)];
             (1..self.config.rounds).fold(served, |receivers, _| with_senders(&receivers, of_step))
@@ -275,8 +282,8 @@ impl Extractor {
         }
     }
 
-    /// State embeddings of all present nodes; context and relation embeddings of all steps, from the cache, or
-    /// computed and then cached.
+    /// Fills in the state embeddings of all present nodes, and the context and relation embeddings of all
+    /// steps. Context and relation embeddings come from the cache, or are computed and then cached.
     fn embed(&mut self, header: &Header, context: &Context<'_>) {
         let Frame { agents, edges, attributes, states, needed, wanted, .. } = &mut self.frame;
         let is_needed = |agent: usize, step: usize| needed.get(step).is_none_or(|needed| needed[agent]);
@@ -341,18 +348,18 @@ impl Extractor {
     }
 }
 
-/// The places of a step's edges.
+/// The range of a step's edges.
 fn span(edges: &[Edge], step: usize) -> std::ops::Range<usize> {
     let step = step as u16;
     edges.partition_point(|edge| edge.step < step)..edges.partition_point(|edge| edge.step <= step)
 }
 
-/// The second half of a node attribute: CE.
+/// The second half of a node attribute, which holds CE.
 fn context_of(node: &mut [f32; NODE_ATTRIBUTES]) -> &mut [f32; CONTEXT_EMBEDDING] {
     node.last_chunk_mut().expect("a node holds a context embedding")
 }
 
-/// An agent with its state features, without its node attributes.
+/// An agent with state features, but without node attributes.
 fn describe(
     track: &wire::Track,
     history: &[Option<State>; HISTORY_MAX],

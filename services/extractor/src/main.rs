@@ -1,4 +1,4 @@
-//! The extractor as a program of its own.
+//! The extractor as a standalone program.
 
 fn main() -> std::process::ExitCode {
     ports::stage_main(extractor::run)

@@ -1,9 +1,9 @@
-//! Whose turn it is in a tick that may have no time for all agents.
+//! Orders the agents for ticks that may not have time for all of them.
 
 use shedding::{Candidate, Ego, Turns};
 use wire::{AGENTS_MAX, AgentFeatures, Header, Track};
 
-/// The agents of the scene and since when each has waited for a learned forecast.
+/// The agents of the scene, and how long each has waited for a learned forecast.
 pub(crate) struct Queue {
     turns: Turns,
     candidates: Vec<Candidate>,
@@ -16,11 +16,11 @@ pub(crate) struct Queue {
 #[derive(Clone, Copy)]
 struct Known {
     id: u64,
-    /// Stamp of the tick in which it could first be forecast.
+    /// Stamp of the first tick in which the agent was forecastable.
     first_ns: i64,
-    /// Stamp of the tick in which it was last sent on.
+    /// Stamp of the last tick in which the agent was not shed here.
     sent_ns: Option<i64>,
-    /// Whether it is in the tick in hand.
+    /// Whether the agent is in the current tick.
     is_there: bool,
 }
 
@@ -34,8 +34,8 @@ impl Queue {
         }
     }
 
-    /// Gives the agents of a tick, one per track, their turns, and marks those beyond the first `served_max` as
-    /// shed.
+    /// Gives the agents of a tick, one per track, their turns. Agents after the first `served_max` are marked
+    /// as shed.
     pub(crate) fn choose(
         &mut self,
         header: &Header,
@@ -64,7 +64,7 @@ impl Queue {
         }
     }
 
-    /// The ego, or the scene's centre; its velocity from its last two positions.
+    /// The ego, or the scene's centre. The velocity comes from the last two positions.
     fn ego(&mut self, header: &Header) -> Ego {
         let position_m = header.ego_m;
         let last = self.ego.replace((header.stamp_ns, position_m));
@@ -75,7 +75,7 @@ impl Queue {
         Ego { position_m, velocity_mps: velocity_mps.unwrap_or_default() }
     }
 
-    /// What is known of an agent of the tick in hand.
+    /// The entry of an agent of the current tick, added if it is new.
     fn know(&mut self, id: u64, now_ns: i64) -> Known {
         let place = self.known.iter().position(|known| known.id == id).unwrap_or_else(|| {
             self.known.push(Known { id, first_ns: now_ns, sent_ns: None, is_there: true });
@@ -87,17 +87,19 @@ impl Queue {
 }
 
 impl Known {
-    /// How old its newest learned forecast is or, before the first, for how long it could have been forecast.
+    /// The age of the agent's newest learned forecast. Before the first one, the time since the agent became
+    /// forecastable.
     ///
-    /// The tracker tells what has become of the agents up to the newest forecasts that it has. Those that were sent
-    /// on since then count as served, and so do all where the tracker does not tell.
+    /// The tracker reports the learned age of each agent as of the newest forecasts that it has received. An
+    /// agent that was sent on after those forecasts counts as served. Without feedback from the tracker,
+    /// every agent that was sent on counts as served.
     fn waiting_ns(&self, header: &Header, track: &Track) -> u64 {
         let since = |then_ns: i64| u64::try_from(header.stamp_ns.saturating_sub(then_ns)).unwrap_or(0);
         let is_told = |sent_ns: i64| header.feedback_age_ns > 0 && since(sent_ns) >= header.feedback_age_ns;
         match self.sent_ns {
             Some(sent_ns) if !is_told(sent_ns) => since(sent_ns),
             _ if track.learned_age_ns > 0 => track.learned_age_ns,
-            // Before one that was served when this one came.
+            // One more, so that this agent precedes one that was served when this one appeared.
             _ => since(self.first_ns).saturating_add(1),
         }
     }
@@ -110,7 +112,7 @@ mod tests {
 
     const TICK_NS: i64 = 80_000_000;
 
-    /// The ids that are sent on in a tick in which all but the ages of the forecasts is the same.
+    /// Returns the ids that are sent on in a tick. Ticks differ only in the ages of the forecasts.
     fn sent(
         queue: &mut Queue,
         tick: i64,
@@ -139,14 +141,14 @@ mod tests {
     #[test]
     fn who_was_left_out_further_on_comes_again() {
         let mut queue = Queue::new();
-        // 40 agents of which the nearest 32 have the same turns as ever; the others count by waiting.
+        // Of 40 agents, the nearest 32 have the same turns in each tick. The others get turns by waiting.
         let mut ages = [1_u64; 40];
         ages[39] = 9;
         assert_eq!(sent(&mut queue, 20, 1, &ages, 6), [0, 1, 2, 3, 4, 39]);
-        // The decoder had no time for it: the tracker's newest forecasts are those of tick 20.
+        // The decoder had no time for agent 39. The tracker's newest forecasts are from tick 20.
         ages[39] = 10;
         assert_eq!(sent(&mut queue, 21, 1, &ages, 6), [0, 1, 2, 3, 4, 39]);
-        // These of tick 21 are not there yet: it counts as served.
+        // The forecasts of tick 21 have not arrived, so agent 39 counts as served.
         ages[39] = 11;
         ages[35] = 5;
         assert_eq!(sent(&mut queue, 22, 2, &ages, 6), [0, 1, 2, 3, 4, 35]);

@@ -1,4 +1,4 @@
-//! The extractor with and without cache, with several workers and bad frames.
+//! Tests of the extractor with and without cache, with several workers and with bad frames.
 
 use crate::support::scene;
 use extractor::Effort;
@@ -43,7 +43,7 @@ fn the_number_of_workers_changes_no_bit() {
     }
 }
 
-/// Moves the second half of the agents out of sight of the first.
+/// Moves the second half of the agents far away from the first half.
 fn part(context: &mut wire::ContextMut<'_>) {
     let half = context.tracks.len() / 2;
     for track in &mut context.tracks[half..] {
@@ -60,7 +60,7 @@ fn what_the_served_depend_on_has_the_same_bits_and_nothing_else_is_computed() {
         whole.localise(&header, part);
         partial.localise(&header, part);
         let expected = copy(&whole.extract(&header).unwrap());
-        // Every few ticks there is time for all: what was left out before is computed then.
+        // Every seventh tick has time for all agents. It computes the embeddings that earlier ticks left out.
         if tick % 7 == 6 {
             assert_eq!(copy(&partial.extract(&header).unwrap()), expected, "tick {tick}");
             continue;

@@ -1,4 +1,4 @@
-//! The extractor by its public interface.
+//! Tests of the extractor's public interface.
 
 mod support {
     pub mod scene;

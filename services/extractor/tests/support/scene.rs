@@ -1,4 +1,4 @@
-//! Context frames, as the localiser sends them, of agents that drive in circles.
+//! Context frames as the localiser sends them. The agents drive in circles.
 #![expect(clippy::unwrap_used, reason = "a test ends at what it can't do")]
 
 use bytemuck::Zeroable;
@@ -12,7 +12,7 @@ use wire::{
 /// Ticks of 80 ms.
 pub const TICK_NS: i64 = 80_000_000;
 
-/// The state of an agent at a time: it circles, a step of its own for each.
+/// The state of an agent at a time. Each agent drives in its own circle, with its own phase.
 fn state(id: u64, stamp_ns: i64) -> HistoryState {
     let (turn, radius_m) = (stamp_ns as f32 * 1e-9 * 0.3 + id as f32, 6.0);
     HistoryState {
@@ -84,12 +84,12 @@ impl Scene {
         edit(&mut context);
     }
 
-    /// Extracts the frame in hand.
+    /// Extracts the current frame.
     pub fn extract(&mut self, header: &Header) -> Result<Features<'_>, Rejected> {
         self.extract_of(header, None)
     }
 
-    /// Extracts the frame in hand where there is time for so many agents.
+    /// Extracts the current frame with at most `served_max` agents.
     pub fn extract_most(&mut self, header: &Header, served_max: usize) -> Result<Features<'_>, Rejected> {
         self.extract_of(header, Some(served_max))
     }
