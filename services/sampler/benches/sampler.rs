@@ -10,6 +10,11 @@ use wire::{AgentControls, AgentType, Cause, ControlGaussian, Forecast, Header, H
 
 const AGENTS: usize = 32;
 
+/// The settings without evidence, which would decide on blend and widths.
+fn without_evidence() -> SamplerOptions {
+    SamplerOptions { evidence: false, ..SamplerOptions::default() }
+}
+
 fn fixture(agent_type: AgentType) -> (Header, Vec<Track>, Vec<AgentControls>) {
     let mut header = Header::new(1, 7, 560_000_000);
     header.step_ns = 400_000_000;
@@ -41,7 +46,7 @@ fn tick(c: &mut Criterion) {
         let (header, tracks, controls) = fixture(agent_type);
         let mut out = vec![Forecast::zeroed(); AGENTS];
         for propagation in [Propagation::Linearised, Propagation::MonteCarlo { particles: 32 }] {
-            let mut sampler = Sampler::new(SamplerOptions { propagation, ..SamplerOptions::default() });
+            let mut sampler = Sampler::new(SamplerOptions { propagation, ..without_evidence() });
             c.bench_function(&format!("{AGENTS} {name}, {propagation:?}"), |b| {
                 b.iter(|| {
                     let controls = std::hint::black_box(&controls);

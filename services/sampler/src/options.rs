@@ -226,10 +226,22 @@ impl Default for SamplerOptions {
             propagation: Propagation::Linearised,
             seed: 0,
             retrieval: true,
-            evidence: false,
+            evidence: true,
             degradation: Degradation::default(),
             speed_limits: SpeedLimits::default(),
             deadline_ns: u64::MAX,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_defaults_of_a_stage_and_of_a_sampler_agree() {
+        let (stage, sampler) = (Options::default(), SamplerOptions::default());
+        assert_eq!((stage.evidence, stage.retrieval), (sampler.evidence, sampler.retrieval));
+        assert_eq!(stage.degradation(), sampler.degradation);
     }
 }

@@ -12,6 +12,11 @@ use wire::{
 const STEP_NS: u64 = 400_000_000;
 const MODES: usize = 3;
 
+/// The settings without evidence, which would decide on blend and widths.
+fn without_evidence() -> SamplerOptions {
+    SamplerOptions { evidence: false, ..SamplerOptions::default() }
+}
+
 fn header(stamp_ns: i64) -> Header {
     Header { step_ns: STEP_NS, ..Header::new(1, (stamp_ns / 80_000_000) as u64, stamp_ns) }
 }
@@ -53,7 +58,7 @@ fn controls(agent_type: AgentType) -> AgentControls {
 
 /// The learned forecast of a tick, and the forecast without controls `age_ns` later.
 fn learned_and_held(agent_type: AgentType, propagation: Propagation, age_ns: i64) -> [Forecast; 2] {
-    let mut sampler = Sampler::new(SamplerOptions { propagation, ..SamplerOptions::default() });
+    let mut sampler = Sampler::new(SamplerOptions { propagation, ..without_evidence() });
     let (tracks, mut out) = ([track(agent_type)], [Forecast::default(); 2]);
     sampler.learned(&header(0), &tracks, &[controls(agent_type)], &mut out[..1]).unwrap();
     sampler.fallback(&header(age_ns), &tracks, Cause::Late, &mut out[1..]).unwrap();
@@ -64,7 +69,7 @@ fn learned_and_held(agent_type: AgentType, propagation: Propagation, age_ns: i64
 #[test]
 fn a_sampler_that_follows_another_holds_its_forecasts_to_the_bit() {
     let [learned, held] = learned_and_held(AgentType::Vehicle, Propagation::Linearised, 400_000_000);
-    let mut spare = Sampler::new(SamplerOptions::default());
+    let mut spare = Sampler::new(without_evidence());
     let void = Header { flags: wire::flags::VOID, ..header(0) };
     spare.follow(&void, &[learned]);
     let hold = |spare: &mut Sampler| {
@@ -79,7 +84,7 @@ fn a_sampler_that_follows_another_holds_its_forecasts_to_the_bit() {
     assert_eq!(hold(&mut spare), held);
     // A learned forecast is held even if constant velocity was known to be more accurate.
     let (quality, cause) = (Quality::Kinematic as u32, Cause::Outdone as u32);
-    let mut spare = Sampler::new(SamplerOptions::default());
+    let mut spare = Sampler::new(without_evidence());
     spare.follow(&header(0), &[Forecast { quality, cause, causes: Cause::Outdone.bit(), ..learned }]);
     assert_eq!(hold(&mut spare).quality, Quality::Held as u32);
 }
@@ -150,7 +155,7 @@ fn causes_are_bits_and_the_process_model_is_an_expert() {
     assert_eq!(learned.expert_weights, [0.0; 8], "reserved");
     let mut kinematic = [Forecast::default()];
     let young = Track { forecastable: 0, ..track(AgentType::Vehicle) };
-    let mut sampler = Sampler::new(SamplerOptions::default());
+    let mut sampler = Sampler::new(without_evidence());
     sampler.fallback(&header(0), &[young], Cause::Late, &mut kinematic).unwrap();
     let [kinematic] = kinematic;
     assert_eq!((kinematic.cause, kinematic.causes), (Cause::Young as u32, Cause::Young.bit()));
@@ -162,7 +167,7 @@ fn causes_are_bits_and_the_process_model_is_an_expert() {
 #[test]
 fn vehicles_are_guided_along_a_lane_and_pedestrians_are_not() {
     let forecast = |agent_type: AgentType, guided: bool| {
-        let mut sampler = Sampler::new(SamplerOptions::default());
+        let mut sampler = Sampler::new(without_evidence());
         if guided {
             sampler.guide_along(&Arc::new(crate::road::road()));
         }

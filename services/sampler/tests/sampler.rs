@@ -15,6 +15,11 @@ const STEP_NS: u64 = 400_000_000;
 const DT_S: f32 = 0.4;
 const TYPES: [AgentType; 3] = [AgentType::Vehicle, AgentType::Cyclist, AgentType::Pedestrian];
 
+/// The settings without evidence, which would decide on blend and widths.
+fn without_evidence() -> SamplerOptions {
+    SamplerOptions { evidence: false, ..SamplerOptions::default() }
+}
+
 fn header(stamp_ns: i64) -> Header {
     Header { step_ns: STEP_NS, ..Header::new(1, (stamp_ns / 80_000_000) as u64, stamp_ns) }
 }
@@ -92,7 +97,7 @@ fn fallback(sampler: &mut Sampler, stamp_ns: i64, tracks: &[Track]) -> Vec<Forec
 fn agents_of_which_nothing_is_said_are_left_out_and_come_back() {
     const MS: u64 = 1_000_000;
     let degradation = Degradation { held_ns: 400 * MS, kinematic_ns: Some(400 * MS) };
-    let mut sampler = Sampler::new(SamplerOptions { degradation, ..SamplerOptions::default() });
+    let mut sampler = Sampler::new(SamplerOptions { degradation, ..without_evidence() });
     let of = |id| track(id, AgentType::Pedestrian, [id as f32, 0.0], 0.0, 1.0);
     let controls_of = |id| controls(id, AgentType::Pedestrian, &[[0.0; 2]], 0.1);
     let tracks = [of(1), of(2)];
@@ -113,7 +118,7 @@ fn agents_of_which_nothing_is_said_are_left_out_and_come_back() {
 
 #[test]
 fn agents_that_were_shed_are_held_and_say_so_at_the_right_age() {
-    let mut sampler = Sampler::new(SamplerOptions::default());
+    let mut sampler = Sampler::new(without_evidence());
     let of = |id| track(id, AgentType::Pedestrian, [id as f32, 0.0], 0.0, 1.0);
     let controls_of = |id| controls(id, AgentType::Pedestrian, &[[0.0; 2]], 0.1);
     let mut young = of(5);
@@ -156,8 +161,7 @@ fn assert_near(found: [f32; 2], expected: [f32; 2], tolerance_m: f32, what: &str
 fn displacements_are_in_the_agent_frame() {
     let heading_rad = std::f32::consts::FRAC_PI_2;
     for agent_type in TYPES {
-        let options =
-            SamplerOptions { vehicle_motion: MotionKind::Displacement, ..SamplerOptions::default() };
+        let options = SamplerOptions { vehicle_motion: MotionKind::Displacement, ..without_evidence() };
         let track = track(1, agent_type, [3.0, 4.0], heading_rad, 1.5);
         let controls = controls(1, agent_type, &[[0.1, 0.05], [0.0, 0.0]], 0.1);
         let residual = &learned(&mut Sampler::new(options), 0, &[track], &[controls])[0];
@@ -177,7 +181,7 @@ fn displacements_are_in_the_agent_frame() {
             assert!((xx - (0.0104 * k + (0.025 * k).powi(2))).abs() < 1e-4, "{xx}");
             assert!((yy - (0.01 * k + (0.05 * k).powi(2))).abs() < 1e-4, "{yy}");
         }
-        let driving = fallback(&mut Sampler::new(SamplerOptions::default()), 0, &[track]);
+        let driving = fallback(&mut Sampler::new(without_evidence()), 0, &[track]);
         assert_eq!(fallback(&mut Sampler::new(options), 0, &[track]), driving, "without a model");
         let motion = MotionOptions { displacement: DisplacementKind::Absolute, ..options.motion };
         let options = SamplerOptions { motion, ..options };
@@ -190,7 +194,7 @@ fn displacements_are_in_the_agent_frame() {
 fn vehicles_obey_their_controls_within_limits() {
     let track = track(1, AgentType::Vehicle, [0.0, 0.0], 0.0, 10.0);
     let controls = controls(1, AgentType::Vehicle, &[[-0.5, 0.0], [500.0, 0.0], [0.0, 0.05]], 0.05);
-    let forecast = &learned(&mut Sampler::new(SamplerOptions::default()), 0, &[track], &[controls])[0];
+    let forecast = &learned(&mut Sampler::new(without_evidence()), 0, &[track], &[controls])[0];
     let (time_s, accel_mps2) = (12.0 * DT_S, -6.0 * (0.5_f32 / 6.0).tanh());
     assert_near(
         forecast.modes[0][11],
@@ -218,7 +222,7 @@ fn a_turning_vehicle_begins_with_the_slip_of_its_turn() {
         [cos * x - sin * y, sin * x + cos * y]
     };
     let controls = controls(1, AgentType::Vehicle, &[[0.0, 0.0]], 0.01);
-    let mut sampler = Sampler::new(SamplerOptions::default());
+    let mut sampler = Sampler::new(without_evidence());
     let kinematic = fallback(&mut sampler, 0, &[turning])[0];
     let learned_one = learned(&mut sampler, 0, &[turning], &[controls])[0];
     let slip_rad = (0.26 * turning.length_m * turn_rate / speed_mps).asin();
@@ -232,7 +236,7 @@ fn a_turning_vehicle_begins_with_the_slip_of_its_turn() {
         assert_near(learned_one.best[step], on_circle(step, slip_rad), 0.05, "learned: the heading is");
     }
     let motion = MotionOptions { initial_slip: false, ..MotionOptions::default() };
-    let straight = SamplerOptions { motion, ..SamplerOptions::default() };
+    let straight = SamplerOptions { motion, ..without_evidence() };
     let forecast = &learned(&mut Sampler::new(straight), 0, &[turning], &[controls])[0];
     assert_near(forecast.best[11], [speed_mps * 12.0 * DT_S, 0.0], 1e-2, "straight on");
 }
@@ -242,13 +246,13 @@ fn reversing_vehicles_go_backwards() {
     let mut reversing = track(1, AgentType::Vehicle, [0.0, 0.0], 0.0, -2.0);
     (reversing.vx_mps, reversing.vy_mps) = (-2.0, 0.0);
     let controls = controls(1, AgentType::Vehicle, &[[0.0, 0.0]], 0.01);
-    let forecast = &learned(&mut Sampler::new(SamplerOptions::default()), 0, &[reversing], &[controls])[0];
+    let forecast = &learned(&mut Sampler::new(without_evidence()), 0, &[reversing], &[controls])[0];
     assert_near(forecast.best[11], [-2.0 * 12.0 * DT_S, 0.0], 1e-3, "backwards");
 }
 
 #[test]
 fn a_forecasts_covariance_begins_at_the_tracks() {
-    let certain = SamplerOptions { initial_covariance: false, ..SamplerOptions::default() };
+    let certain = SamplerOptions { initial_covariance: false, ..without_evidence() };
     for agent_type in TYPES {
         for state_len in [4, 5] {
             let track = with_covariance(track(1, agent_type, [0.0; 2], 0.3, 6.0), state_len, 0.04);
@@ -257,7 +261,7 @@ fn a_forecasts_covariance_begins_at_the_tracks() {
                 let forecast = &learned(&mut Sampler::new(options), 0, &[track], &[controls])[0];
                 forecast.covariance.map(|[xx, _, yy]| xx + yy)
             };
-            let (with, without) = (trace(SamplerOptions::default()), trace(certain));
+            let (with, without) = (trace(without_evidence()), trace(certain));
             for step in 0..12 {
                 assert!(
                     with[step] > without[step] + 0.08 - 1e-4,
@@ -287,7 +291,7 @@ fn particles_agree_with_gaussians_and_are_reproducible() {
         .map(|(i, t)| controls(i as u64, t, &[[0.05, 0.0]; 20], if i == 0 { 0.004 } else { 0.1 }))
         .collect();
     let run = |propagation, seed| {
-        let options = SamplerOptions { propagation, seed, ..SamplerOptions::default() };
+        let options = SamplerOptions { propagation, seed, ..without_evidence() };
         learned(&mut Sampler::new(options), 800_000_000, &tracks, &controls)
     };
     let particles = Propagation::MonteCarlo { particles: 32 };
@@ -307,7 +311,7 @@ fn particles_agree_with_gaussians_and_are_reproducible() {
 
 #[test]
 fn a_held_forecast_begins_at_the_agents_present_position() {
-    let mut sampler = Sampler::new(SamplerOptions::default());
+    let mut sampler = Sampler::new(without_evidence());
     let start = track(1, AgentType::Pedestrian, [0.0, 0.0], 0.0, 1.0);
     let controls = controls(1, AgentType::Pedestrian, &[[0.1, 0.0], [0.0, 0.1]], 0.05);
     let first = learned(&mut sampler, 0, &[start], &[controls])[0];
@@ -338,7 +342,7 @@ fn a_held_forecast_begins_at_the_agents_present_position() {
 
 #[test]
 fn a_forecast_too_old_is_replaced_by_the_kinematic_one() {
-    let mut sampler = Sampler::new(SamplerOptions::default());
+    let mut sampler = Sampler::new(without_evidence());
     let pedestrian = track(1, AgentType::Pedestrian, [0.0, 0.0], 0.0, 1.0);
     learned(&mut sampler, 0, &[pedestrian], &[controls(1, AgentType::Pedestrian, &[[0.1, 0.0]], 0.05)]);
     let last = fallback(&mut sampler, 1_600_000_000, &[pedestrian])[0];
@@ -368,7 +372,7 @@ fn a_forecast_too_old_is_replaced_by_the_kinematic_one() {
 
 #[test]
 fn kinematic_forecasts_go_straight_on_with_growing_covariance() {
-    let mut sampler = Sampler::new(SamplerOptions::default());
+    let mut sampler = Sampler::new(without_evidence());
     for agent_type in TYPES {
         let young = Track { forecastable: 0, ..track(1, agent_type, [5.0, -3.0], 2.0, 4.0) };
         let forecast = fallback(&mut sampler, 0, &[young])[0];
@@ -394,7 +398,7 @@ fn one_agents_bad_controls_leave_the_others_alone() {
         (0..6).map(|id| track(id, TYPES[id as usize % 3], [10.0 * id as f32, 0.0], 0.0, 2.0)).collect();
     let good: Vec<_> =
         (0..6).map(|id| controls(id, TYPES[id as usize % 3], &[[0.1, 0.0]; 20], 0.05)).collect();
-    let expected = learned(&mut Sampler::new(SamplerOptions::default()), 0, &tracks, &good);
+    let expected = learned(&mut Sampler::new(without_evidence()), 0, &tracks, &good);
     let mut bad = good.clone();
     bad[0].modes[19][11].mean[1] = f32::NAN;
     bad[1].modes[0][0].cholesky[0] = f32::INFINITY;
@@ -403,7 +407,7 @@ fn one_agents_bad_controls_leave_the_others_alone() {
     bad.remove(3);
     bad.reverse();
     bad.push(controls(99, AgentType::Vehicle, &[[0.0, 0.0]], 0.1));
-    let mut sampler = Sampler::new(SamplerOptions::default());
+    let mut sampler = Sampler::new(without_evidence());
     let found = learned(&mut sampler, 0, &tracks, &bad);
     let causes: Vec<_> = found.iter().map(quality_and_cause).collect();
     let refused = is(Quality::Kinematic, Cause::Rejected);
@@ -439,7 +443,7 @@ fn what_is_out_of_the_world_teaches_evidence_nothing() {
 
 #[test]
 fn impossible_frames_are_refused_whole() {
-    let mut sampler = Sampler::new(SamplerOptions::default());
+    let mut sampler = Sampler::new(without_evidence());
     let good = track(1, AgentType::Vehicle, [0.0; 2], 0.0, 2.0);
     let mut refused = |header: Header, track: Track| {
         let mut out = [Forecast { id: 7, ..Forecast::zeroed() }];
@@ -459,7 +463,7 @@ fn impossible_frames_are_refused_whole() {
 
 #[test]
 fn many_more_tracks_than_places_keep_the_newest_held() {
-    let mut sampler = Sampler::new(SamplerOptions::default());
+    let mut sampler = Sampler::new(without_evidence());
     for tick in 0..5_i64 {
         let ids = tick as u64 * 128..(tick as u64 + 1) * 128;
         let tracks: Vec<_> =
@@ -488,7 +492,7 @@ proptest! {
         track.covariance = [variance; 25];
         prop_assume!(track.check().is_ok());
         let propagation = particles.map_or(Propagation::Linearised, |particles| Propagation::MonteCarlo { particles });
-        let mut sampler = Sampler::new(SamplerOptions { propagation, ..SamplerOptions::default() });
+        let mut sampler = Sampler::new(SamplerOptions { propagation, ..without_evidence() });
         let controls = controls(1, agent_type, &[mean, [0.0, 0.0]], deviation);
         for forecast in [
             learned(&mut sampler, 0, &[track], &[controls])[0],
@@ -511,7 +515,7 @@ proptest! {
 fn published_controls_reproduce_the_modes() {
     let track = track(1, AgentType::Vehicle, [3.0, 4.0], 0.4, 8.0);
     let decoded = controls(1, AgentType::Vehicle, &[[9.0, 0.4], [-2.0, -0.1]], 0.1);
-    let published = &learned(&mut Sampler::new(SamplerOptions::default()), 0, &[track], &[decoded])[0];
+    let published = &learned(&mut Sampler::new(without_evidence()), 0, &[track], &[decoded])[0];
     assert_eq!((published.steering, published.frame_heading_rad), (Steering::Bicycle as u32, 0.4));
     let bicycle = kinematics::Bicycle {
         rear_axle_m: 0.26 * track.length_m,
@@ -526,14 +530,14 @@ fn published_controls_reproduce_the_modes() {
             assert_near([state[0], state[1]], published.modes[mode][step], 1e-3, "mode");
         }
     }
-    let held = &fallback(&mut Sampler::new(SamplerOptions::default()), 0, &[track])[0];
+    let held = &fallback(&mut Sampler::new(without_evidence()), 0, &[track])[0];
     assert_eq!((held.steering, held.controls), (Steering::None as u32, Forecast::zeroed().controls));
 }
 
 #[test]
 fn held_forecasts_keep_controls_relative_to_the_velocity() {
     let motion = MotionOptions { displacement: DisplacementKind::Absolute, ..MotionOptions::default() };
-    let mut sampler = Sampler::new(SamplerOptions { motion, ..SamplerOptions::default() });
+    let mut sampler = Sampler::new(SamplerOptions { motion, ..without_evidence() });
     let pedestrian = track(1, AgentType::Pedestrian, [0.0; 2], 1.2, 1.5);
     let whole = controls(1, AgentType::Pedestrian, &[[1.5 * DT_S + 0.1, 0.05]], 0.1);
     let fresh = learned(&mut sampler, 0, &[pedestrian], &[whole])[0];
@@ -552,7 +556,7 @@ fn held_forecasts_keep_controls_relative_to_the_velocity() {
 /// The forecast for a vehicle at x = 0 after others, forecast at a steady 8 m/s, have braked from there at 1
 /// m/s².
 fn after_others_braked(retrieval: bool, others: u64) -> Forecast {
-    let mut sampler = Sampler::new(SamplerOptions { retrieval, ..SamplerOptions::default() });
+    let mut sampler = Sampler::new(SamplerOptions { retrieval, ..without_evidence() });
     let steady = |id| controls(id, AgentType::Vehicle, &[[0.0; 2], [0.5, 0.0]], 0.1);
     let mut now_ns = 0;
     for id in 1..=others {
@@ -593,7 +597,7 @@ fn retrieval_corrects_forecasts_unless_it_is_off() {
 /// After pedestrians that went left against their forecasts, the best forecast and one of the modes go left.
 #[test]
 fn retrieval_corrects_forecasts_of_pedestrians() {
-    let mut sampler = Sampler::new(SamplerOptions::default());
+    let mut sampler = Sampler::new(without_evidence());
     let ahead = |id| controls(id, AgentType::Pedestrian, &[[0.0; 2], [0.05, 0.0]], 0.1);
     let mut now_ns = 0;
     for id in 1..=40 {

@@ -22,7 +22,7 @@ struct Shared {
 /// Options of the sampler.
 #[derive(Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
-struct Deadline {
+struct OfSampler {
     /// Time to wait.
     #[schemars(range(max = 80.0), extend("exclusiveMinimum" = 0.0))]
     deadline_ms: f64,
@@ -42,7 +42,7 @@ enum Propagation {
     MonteCarlo,
 }
 
-impl Deadline {
+impl OfSampler {
     fn check(&self) -> Result<(), Conflict> {
         let unused = self.retrieval == Some(false) && self.memory.is_some();
         let (key, reason, because) = ("memory", "a memory for nothing", "`retrieval` is false");
@@ -62,9 +62,9 @@ const ENCODER: Declaration<NoOptions> =
     Declaration::new(StageId::Encoder, &[FeaturesTopic::NAME], &[EncodingsTopic::NAME]);
 const DECODER: Declaration<Shared> =
     Declaration::new(StageId::Decoder, &[EncodingsTopic::NAME], &[ControlsTopic::NAME]);
-const SAMPLER: Declaration<Deadline> =
+const SAMPLER: Declaration<OfSampler> =
     Declaration::new(StageId::Sampler, &[TracksTopic::NAME, ControlsTopic::NAME], &[ForecastsTopic::NAME])
-        .with_rule(Deadline::check);
+        .with_rule(OfSampler::check);
 const RECORDER: Declaration<NoOptions> =
     Declaration::new(StageId::Recorder, &[ForecastsTopic::NAME, TruthTopic::NAME], &[]);
 
