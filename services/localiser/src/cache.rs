@@ -1,15 +1,15 @@
 use wire::AGENTS_MAX;
 
-/// Patches kept per track: a history of 2.8 s at 12.5 Hz has 36 stamps; some more for uneven ticks.
+/// Cached patches per track. A history of 2.8 s at 12.5 Hz has 36 stamps; the rest allows for uneven ticks.
 const STAMPS_MAX: usize = 64;
 
 /// The patches of the newest stamps of each track.
 ///
-/// Holds as many tracks as a frame can have; a new one replaces the least recently used.
+/// The cache holds [`AGENTS_MAX`] tracks. When it is full, a new track replaces the least recently used one.
 pub(crate) struct PatchCache {
     patch_len: usize,
     entries: Vec<Entry>,
-    /// \[entry, stamp, patch\]; parts never written take no memory.
+    /// \[entry, stamp, patch\]. Parts that were never written use no physical memory.
     patches: Vec<f32>,
 }
 
@@ -18,11 +18,11 @@ struct Entry {
     id: u64,
     used_ns: i64,
     stamps_ns: [i64; STAMPS_MAX],
-    /// Stamps held.
+    /// Number of cached stamps.
     len: usize,
 }
 
-/// Where a track's patches lie.
+/// Index of a track's entry.
 #[derive(Clone, Copy)]
 pub(crate) struct Slot(usize);
 
@@ -35,7 +35,7 @@ impl PatchCache {
         }
     }
 
-    /// Protects the slots of tracks from eviction until a later stamp.
+    /// Marks the tracks as used at this stamp, which protects their slots from eviction until a later stamp.
     pub(crate) fn touch(&mut self, ids: impl Iterator<Item = u64>, now_ns: i64) {
         for id in ids {
             if let Some(entry) = self.entries.iter_mut().find(|entry| entry.id == id) {
@@ -44,7 +44,7 @@ impl PatchCache {
         }
     }
 
-    /// The slot of a track, its own if it has one.
+    /// The slot of a track; a new slot if the track has none.
     pub(crate) fn claim(&mut self, id: u64, now_ns: i64) -> Slot {
         let slot = match self.entries.iter().position(|entry| entry.id == id) {
             Some(slot) => slot,
@@ -66,7 +66,7 @@ impl PatchCache {
         oldest
     }
 
-    /// The patch of a track at a stamp, if it is still held.
+    /// The patch of a track at a stamp; `None` if it is not cached.
     pub(crate) fn get(&self, slot: Slot, stamp_ns: i64) -> Option<&[f32]> {
         let entry = &self.entries[slot.0];
         let held = &entry.stamps_ns[..entry.len];
@@ -75,7 +75,8 @@ impl PatchCache {
         Some(&self.patches[start..start + self.patch_len])
     }
 
-    /// Stores the patch of a track at a stamp, in place of that of the oldest stamp where there is no room.
+    /// Stores the patch of a track at a stamp. If the slot is full, the patch replaces the one with the
+    /// oldest stamp.
     pub(crate) fn put(&mut self, slot: Slot, stamp_ns: i64, patch: &[f32]) {
         let entry = &mut self.entries[slot.0];
         let place = if entry.len < STAMPS_MAX {

@@ -11,7 +11,7 @@ pub enum MapSource {
     None,
     /// A map of the site, built from earlier recordings.
     Fixed(ContextMap),
-    /// It grows from what is observed.
+    /// A map that grows from observations during the run.
     Online,
 }
 
@@ -44,7 +44,7 @@ impl Localiser {
     /// A localiser that has observed nothing yet.
     ///
     /// # Panics
-    /// Where history or patches are larger than a frame can hold.
+    /// If the history or the patches are larger than a frame can hold.
     #[must_use]
     pub fn new(options: LocaliserOptions) -> Self {
         let LocaliserOptions { history_len, patch, map } = options;
@@ -64,14 +64,14 @@ impl Localiser {
         ContextShape { agents_len: tracks_len, history_len: self.history_len, patch_side: self.patch.side }
     }
 
-    /// Writes the tracks and their patches, then adds what was observed to an online map.
+    /// Writes the tracks and their patches, then adds the observed tracks to an online map.
     ///
     /// # Errors
-    /// [`Rejected`] where the frame is not newer than the last, does not fit the model or holds impossible
-    /// numbers; the localiser is then unchanged.
+    /// [`Rejected`] if the frame is not newer than the last, does not fit the model or holds impossible
+    /// numbers. The localiser is then unchanged.
     ///
     /// # Panics
-    /// Where `out` has another shape than [`Localiser::shape`].
+    /// If the shape of `out` differs from [`Localiser::shape`].
     pub fn step(
         &mut self,
         header: &Header,
@@ -145,8 +145,8 @@ impl Localiser {
                 Some(held) => patch.copy_from_slice(held),
                 None => {
                     self.map.patch(&state, self.patch, patch);
-                    // That of an earlier stamp too, when the track was not confirmed yet: an online map grows, and
-                    // what is cut from it for a stamp must not depend on who looks when.
+                    // Also cache patches of stamps before the track was confirmed. An online map grows, but
+                    // the patch of a stamp must stay the same in later ticks.
                     self.cache.put(slot, stamp_ns, patch);
                 }
             }

@@ -1,4 +1,4 @@
-//! The localiser as a program of its own.
+//! The localiser as a standalone program.
 
 fn main() -> std::process::ExitCode {
     ports::stage_main(localiser::run)

@@ -75,7 +75,7 @@ impl fmt::Display for MapChoice {
 }
 
 impl Serialize for MapChoice {
-    /// Fails where the path is not UTF-8.
+    /// Fails if the path is not UTF-8.
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         match self {
             Self::File(path) => path.serialize(serializer),

@@ -17,7 +17,7 @@ pub fn run(run: &Run) -> Result<(), StageError> {
     })
 }
 
-/// The localiser's settings in a run with that model, with its map opened.
+/// The localiser's settings in a run with `model`. Loads the map file, if the run has one.
 ///
 /// # Errors
 /// [`StageError`] if the map or the run's options can't be used.

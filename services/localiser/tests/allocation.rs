@@ -1,4 +1,4 @@
-//! A steady step takes no memory.
+//! A steady step allocates nothing.
 
 use bytemuck::Zeroable;
 use localiser::{Localiser, LocaliserOptions, MapSource};
@@ -9,7 +9,8 @@ use wire::{ContextMut, Header, HistoryState, Row, Track, context_rows};
 #[global_allocator]
 static ALLOCATOR: CountingAllocator = CountingAllocator;
 
-/// 32 agents that drive away from the first ego position for kilometres; one in eight is new at every tick.
+/// 32 agents that drive away from the first ego position for kilometres. One agent in eight is new in each
+/// tick.
 fn write_tracks(tick: u64, tracks: &mut [Track]) {
     for (i, track) in tracks.iter_mut().enumerate() {
         let i = i as u64;
@@ -29,7 +30,7 @@ fn write_tracks(tick: u64, tracks: &mut [Track]) {
     }
 }
 
-// One test only: another in this process would count as well.
+// This file has only one test: allocations of another test in this process would be counted too.
 #[test]
 fn a_thousand_steady_steps_allocate_nothing() {
     let patch = PatchOptions { side: 16, cell_m: 2.0, ahead_m: 0.0 };

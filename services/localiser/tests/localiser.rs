@@ -1,4 +1,4 @@
-//! Context frames of agents on circles, tick by tick.
+//! Checks context frames of agents that drive in circles, tick by tick.
 
 #![expect(clippy::unwrap_used, reason = "a broken fixture should fail at once")]
 
@@ -23,7 +23,7 @@ fn header(tick: i64) -> Header {
     header
 }
 
-/// Agent `id` on its circle at a tick; each is first observed at tick 0.
+/// The state of agent `id` on its circle at a tick; `None` before tick 0, when it is first observed.
 fn state(id: u64, tick: i64) -> Option<State> {
     let (radius_m, speed_mps) = (6.0 + id as f32, 5.0);
     let angle = speed_mps / radius_m * tick as f32 * 0.08 + id as f32;
@@ -167,7 +167,7 @@ fn new_tracks_evict_only_tracks_that_are_gone() {
     let mut localiser = online();
     let mut newest = Vec::new();
     for tick in 0..120_i64 {
-        // Two tracks stay; a hundred others change their ids at every tick.
+        // Two tracks stay. A hundred others get new ids in each tick.
         let mut tracks = crowd(2, tick);
         tracks.extend((0..100).map(|i| Track { id: 1_000 + tick as u64 * 100 + i, ..track(i % 7, tick) }));
         tracks.rotate_left(tick as usize % 102);
