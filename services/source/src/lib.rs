@@ -1,7 +1,7 @@
 //! The source: plays a recording tick by tick, as a sensor would send it.
 //!
-//! [`Playback`] decides what goes out in which tick. The caller, which has the clock, decides when:
-//! [`Tick::due_ns`] is the time after the first tick at which each one is due at the recording's own rate.
+//! [`Playback`] decides the contents of each tick. The caller has the clock and decides when a tick goes out.
+//! [`Tick::due_ns`] is the time from the first tick to this one at the recording's own rate.
 
 mod options;
 mod outputs;

@@ -1,4 +1,4 @@
-//! The source as a program of its own.
+//! The source as a standalone program.
 
 fn main() -> std::process::ExitCode {
     ports::stage_main(source::stage::run)

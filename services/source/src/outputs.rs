@@ -4,14 +4,14 @@ use wire::{Detection, DetectionsTopic, Header, StageId, Topic, Truth, TruthTopic
 
 use crate::Tick;
 
-/// Time between the frames that link the pipeline, and between those that end it.
+/// Interval of the frames that link the pipeline and of the frames that end it.
 pub(crate) const REPEAT_NS: u64 = 25_000_000;
 
-/// Empty frames with which a restarted source takes up its place. Each stage sends a heartbeat every 80 ms:
-/// those of all are there after four.
+/// Number of empty frames that a restarted source sends before its first tick. Each stage sends a heartbeat
+/// every 80 ms, so the heartbeats of all stages arrive within four frames.
 const TAKE_OVER_LEN: usize = 4;
 
-/// The source's ends of its topics, and the heartbeats of the stages that follow.
+/// The source's publishers, and the heartbeats of the later stages.
 #[derive(Debug)]
 pub(crate) struct Outputs {
     detections: Publisher<DetectionsTopic>,
@@ -24,7 +24,7 @@ impl Outputs {
         Ok(Self { detections: stage.publish()?, truth: stage.publish()?, peers: stage.peers(run)? })
     }
 
-    /// Releases a tick, the truth first, so that it is there when the forecasts come.
+    /// Releases a tick. The truth goes first, so that it is available when the forecasts arrive.
     pub fn send(&self, stage: &mut Stage, tick: &Tick<'_>) -> Result<(), PortError> {
         self.release(stage, tick.header, tick.detections, tick.truth_header(), tick.truth)
     }
@@ -43,11 +43,11 @@ impl Outputs {
         stage.finish(passage, &self.detections, Ok(loan))
     }
 
-    /// Sends an empty frame again and again until the peers have answered it.
+    /// Sends an empty frame repeatedly until the peers have answered it.
     ///
     /// # Errors
-    /// [`StageError::NoAnswer`] where they have not within `limit_ns`. A signal that asks the process to end
-    /// is no error.
+    /// [`StageError::NoAnswer`] if the peers do not answer within `limit_ns`. A signal that asks the process
+    /// to end is not an error.
     pub fn repeat(
         &mut self,
         stage: &mut Stage,
@@ -67,17 +67,17 @@ impl Outputs {
         if stage.stop().requested() { Ok(()) } else { Err(self.unanswered(Awaiting::StartOrEnd, limit_ns)) }
     }
 
-    /// Takes up the place of a source that died, or has ended for this one: empty frames wake the readers, which then know this process.
-    /// Returns the number of the newest tick that the tracker has answered.
+    /// Takes over from a source that died or was replaced. Empty frames wake the readers, which then connect
+    /// to this process. Returns the number of the newest tick that the tracker has answered.
     ///
     /// # Errors
-    /// [`PortError`] where the transport fails.
+    /// [`PortError`] if the transport fails.
     pub fn take_over(&mut self, stage: &mut Stage, header: Header) -> Result<Option<u64>, PortError> {
         for _ in 0..TAKE_OVER_LEN {
             self.truth.send_copy(&[], header)?;
             let passage = stage.release(header);
             stage.pass_empty(passage, &self.detections)?;
-            // Of a source that it has replaced while that ran it knows the newest tick: no time is lost.
+            // After a live replacement, the newest tick is known without waiting for heartbeats.
             if let Some(seq) = stage.taken_over() {
                 return Ok(Some(seq));
             }
@@ -87,8 +87,9 @@ impl Outputs {
         Ok(tracker.map(|heartbeat| heartbeat.seq))
     }
 
-    /// Waits until the recorder has the forecasts of a tick, and the tap and the added stages beside the way have seen
-    /// the tick where they follow the run: in lockstep nothing is lost, in no recording either.
+    /// Waits until the recorder has the forecasts of a tick. Also waits for the tap and for added stages
+    /// outside the main path, if they follow the run. In lockstep, no tick is therefore lost, neither in the
+    /// run nor in a recording.
     ///
     /// # Errors
     /// As [`Outputs::repeat`].

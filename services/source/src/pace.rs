@@ -1,7 +1,7 @@
-/// When ticks go out: at the recording's own rate, each at its own absolute time, so that no error adds up.
+/// Schedules ticks at the recording's own rate. Each tick has an absolute time, so errors do not add up.
 ///
-/// A delay of more than an interval shifts all later ticks: sent in a burst they would push one another out
-/// of the queues.
+/// A delay of more than one interval shifts all later ticks. Otherwise they would go out in a burst and push
+/// each other out of the queues.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Pace {
     start_ns: u64,
@@ -9,18 +9,19 @@ pub(crate) struct Pace {
 }
 
 impl Pace {
-    /// The first tick goes out at `start_ns`.
+    /// A schedule whose first tick goes out at `start_ns`.
     #[must_use]
     pub(crate) const fn new(start_ns: u64, interval_ns: u64) -> Self {
         Self { start_ns, interval_ns }
     }
 
-    /// When the first tick went out, moved by the delays since.
+    /// The time of the first tick, shifted by later delays.
     pub(crate) const fn start_ns(&self) -> u64 {
         self.start_ns
     }
 
-    /// When a tick that is due `due_ns` after the first goes out, given that it is `now_ns`.
+    /// Returns the time at which a tick goes out that is due `due_ns` after the first. `now_ns` is the
+    /// current time.
     #[must_use]
     pub(crate) const fn release_ns(&mut self, due_ns: u64, now_ns: u64) -> u64 {
         let planned_ns = self.start_ns + due_ns;

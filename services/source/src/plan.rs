@@ -1,4 +1,5 @@
-//! When the first tick went out, in a file of the run: a source that is restarted goes on by it.
+//! Persists the time of the first tick in a file of the run, so that a restarted source resumes the same
+//! schedule.
 
 use std::path::PathBuf;
 
@@ -8,7 +9,7 @@ use run::Run;
 /// Name of the file in the run's directory.
 const NAME: &str = "source-start";
 
-/// The file, which holds a number of nanoseconds on `CLOCK_MONOTONIC` as text.
+/// The file. It holds a time on `CLOCK_MONOTONIC` as text, in nanoseconds.
 #[derive(Debug)]
 pub(crate) struct Plan(PathBuf);
 
@@ -17,12 +18,12 @@ impl Plan {
         Self(run.root.join(NAME))
     }
 
-    /// What the source before has written, if it has released a tick.
+    /// The start time that a previous source wrote; `None` if no tick was released.
     pub fn start_ns(&self) -> Option<u64> {
         std::fs::read_to_string(&self.0).ok()?.trim().parse().ok()
     }
 
-    /// Replaces the file as a whole: a source that is killed meanwhile leaves the old one.
+    /// Replaces the file atomically. If the source is killed during the write, the old file remains.
     pub fn write(&self, start_ns: u64) -> Result<(), StageError> {
         let partial = self.0.with_extension("partial");
         let written = std::fs::write(&partial, start_ns.to_string());

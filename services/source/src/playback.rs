@@ -3,7 +3,8 @@ use wire::{Counts, DETECTIONS_MAX, Detection, Header, InputCounts, StampSource, 
 
 use crate::thinning::{self, Played};
 
-/// Share of a tick by which a recording may be faster before it is thinned, for clocks that drift: 1 / 50.
+/// A recording may be faster than the tick rate by one part in this many before it is thinned. This allows
+/// for clock drift.
 const TOLERANCE: u64 = 50;
 
 /// How a recording is played.
@@ -11,22 +12,22 @@ const TOLERANCE: u64 = 50;
 pub struct PlaybackOptions {
     /// Identifies the run.
     pub run_id: u64,
-    /// Most ticks; none plays to the end.
+    /// Maximum number of ticks; `None` plays to the end.
     pub ticks_max: Option<u64>,
     /// Whether every stage waits for every tick.
     pub lockstep: bool,
 }
 
-/// What goes out in one tick.
+/// The contents of one tick.
 #[derive(Clone, Copy, Debug)]
 pub struct Tick<'a> {
-    /// The header of the detections; without hops.
+    /// The header of the detections, without hops.
     pub header: Header,
     /// At most [`DETECTIONS_MAX`] detections, in the recording's order.
     pub detections: &'a [Detection],
-    /// At most [`DETECTIONS_MAX`] true positions; empty where the recording has none.
+    /// At most [`DETECTIONS_MAX`] true positions; empty if the recording has none.
     pub truth: &'a [Truth],
-    /// How long after the first tick this one is due at the recording's own rate.
+    /// Time from the first tick to this one at the recording's own rate.
     pub due_ns: u64,
 }
 
@@ -41,16 +42,16 @@ impl Tick<'_> {
     }
 }
 
-/// A recording as a sequence of ticks. Nothing is interpolated: a tick is a frame of the recording, with what
-/// other sensors have detected in the unplayed frames before it.
+/// A recording as a sequence of ticks. Nothing is interpolated: a tick is a frame of the recording. It also
+/// contains detections that other sensors made in the unplayed frames before it.
 #[derive(Clone, Debug)]
 pub struct Playback {
     recording: Recording,
     options: PlaybackOptions,
-    /// Frames of the recording for each one that is played.
+    /// Number of frames in the recording per played frame.
     thinning: u64,
     played: Played,
-    /// Ticks that went out.
+    /// Number of the next tick.
     seq: u64,
     left_out_len: u64,
     detections: Vec<Detection>,
@@ -89,13 +90,13 @@ impl Playback {
         &self.recording
     }
 
-    /// Ticks from first to last.
+    /// The number of ticks in the whole playback.
     #[must_use]
     pub fn ticks_len(&self) -> u64 {
         self.played.places.len() as u64
     }
 
-    /// One frame in how many is played: 1 unless the recording is faster than 12.5 Hz.
+    /// The number of recorded frames per played frame: 1 unless the recording is faster than 12.5 Hz.
     #[must_use]
     pub const fn thinning(&self) -> u64 {
         self.thinning
@@ -107,16 +108,16 @@ impl Playback {
         self.recording.interval_ns * self.thinning
     }
 
-    /// Detections left out so far because their frame was full.
+    /// The number of detections left out so far because their frame was full.
     #[must_use]
     pub const fn left_out_len(&self) -> u64 {
         self.left_out_len
     }
 
-    /// The next tick; none after the last.
+    /// Returns the next tick; `None` after the last.
     ///
-    /// Of a frame with more than [`DETECTIONS_MAX`] detections those with the best scores go out, among
-    /// equals the nearest to the ego; the others are counted in the header.
+    /// If a frame has more than [`DETECTIONS_MAX`] detections, the detections with the best scores go out.
+    /// Among equal scores, the nearest to the ego go out. The header counts the others.
     pub fn next_tick(&mut self) -> Option<Tick<'_>> {
         let frame = &self.recording.frames[*self.played.places.get(usize::try_from(self.seq).ok()?)?];
         let first_ns = self.recording.frames[self.played.places[0]].stamp_ns;
@@ -138,7 +139,7 @@ impl Playback {
         })
     }
 
-    /// Goes on at the first tick that is due at `due_ns` or later and has at least the number `seq`.
+    /// Skips to the first tick that is due at `due_ns` or later and has a number of at least `seq`.
     pub fn skip_to(&mut self, due_ns: u64, seq: u64) {
         let Some(&first) = self.played.places.first() else { return };
         let first_ns = self.recording.frames[first].stamp_ns;
@@ -156,8 +157,8 @@ impl Playback {
         Header { flags: header.flags | flags::WARM_UP, ..header }
     }
 
-    /// The header of the last frame, after which no tick follows; its stamp is one interval after the last
-    /// tick's.
+    /// The header of the end frame, after which no tick follows. Its stamp is one interval after the last
+    /// tick's stamp.
     #[must_use]
     pub fn end(&self) -> Header {
         let sent = usize::try_from(self.seq).unwrap_or(usize::MAX).min(self.played.places.len());
@@ -172,7 +173,7 @@ impl Playback {
         }
     }
 
-    /// Where the stamps come from: only generated scenes have no file.
+    /// The source of the stamps. Only generated scenes have no file.
     const fn stamp_source(&self) -> StampSource {
         if self.recording.sha256.is_empty() { StampSource::Generated } else { StampSource::Recording }
     }
@@ -203,7 +204,7 @@ fn distance_m(ego: Ego, x_m: f32, y_m: f32) -> f32 {
     (x_m - ego.position_m[0]).hypot(y_m - ego.position_m[1])
 }
 
-/// The items, or where they are more than [`DETECTIONS_MAX`] those of least rank, in their order.
+/// Returns at most [`DETECTIONS_MAX`] items: those with the lowest ranks, in their original order.
 fn at_most<'a, T: Copy>(
     items: &'a [T],
     rank: impl Fn(&T) -> (f32, f32),
@@ -268,7 +269,7 @@ mod tests {
 
     #[test]
     fn a_fast_recording_is_thinned_by_whole_frames() {
-        // 30 Hz without frames 4 and 5: every third frame is 10 Hz.
+        // 30 Hz without frames 4 and 5. Every third frame gives 10 Hz.
         let stamps: Vec<i64> =
             (0..12).filter(|k| ![4, 5].contains(k)).map(|k| k * 1_000_000_000 / 30).collect();
         let mut playback = Playback::new(recording(33_333_333, &stamps), PlaybackOptions::default());

@@ -7,12 +7,12 @@ use crate::Options;
 /// Default length of a generated scene, in ticks: 20 s.
 const GENERATED_TICKS: u64 = 250;
 
-/// Opens the recording, or generates the scene, that a run with that seed plays. `origin` is the world frame's in the
-/// recording's own frame.
+/// Opens the recording of a run, or generates its scene from `seed`. `origin` is the origin of the world
+/// frame, in the recording's own frame.
 ///
 /// # Errors
-/// [`StageError::Data`] with file, line, column and value; [`StageError::Config`] where no such scene can be
-/// generated.
+/// [`StageError::Data`] with file, line, column and value if the recording can't be read.
+/// [`StageError::Config`] if the options are invalid or the scene can't be generated.
 pub fn recording(options: &Options, origin: WorldOrigin, seed: u64) -> Result<Recording, StageError> {
     if let Some(path) = &options.recording {
         let fps = options.fps.map(FrameRate::new).transpose().map_err(StageError::config)?;

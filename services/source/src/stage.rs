@@ -1,4 +1,4 @@
-//! The source as a process: a recording or generated scene in, `detections` and `truth` out.
+//! The source as a process: reads a recording or generates a scene, and publishes `detections` and `truth`.
 
 use ports::{Stage, StageError, monotonic_ns};
 use run::Run;
@@ -8,16 +8,15 @@ use crate::pace::Pace;
 use crate::plan::Plan;
 use crate::{Playback, PlaybackOptions, STAGE, recording};
 
-/// Longest wait for the stages to link, and in lockstep for a tick's forecasts.
+/// Longest wait for the stages to link and, in lockstep, for the forecasts of a tick.
 const ANSWER_LIMIT_NS: u64 = 60_000_000_000;
-/// Longest wait for the last tick to pass, and then for the end to reach the stages.
+/// Longest wait for the last tick to pass, and then for the end frame to reach the stages.
 const END_LIMIT_NS: u64 = 2_000_000_000;
 
 /// Runs the stage until the scene has ended or the process is asked to end.
 ///
 /// # Errors
-/// [`StageError`] where the scene or the run's shared memory can't be used, or the other stages do not
-/// answer.
+/// [`StageError`] if the scene or the run's shared memory can't be used, or the other stages do not answer.
 pub fn run(run: &Run) -> Result<(), StageError> {
     let options = STAGE.options(run)?;
     let scene = recording(&options, run.origin(), run.seed)?;
@@ -32,13 +31,13 @@ pub fn run(run: &Run) -> Result<(), StageError> {
     let earlier_ns = (stage.incarnation() > 0).then(|| plan.start_ns()).flatten();
     let mut pace = if let Some(start_ns) = earlier_ns {
         let answered = outputs.take_over(&mut stage, warm_up)?;
-        // The tick that is due: those before it are lost, or the tracker has predicted them.
+        // Resume at the tick that is due. Earlier ticks are lost, or the tracker has predicted them.
         let due_ns = monotonic_ns().saturating_sub(start_ns);
         playback.skip_to(due_ns, answered.map_or(0, |seq| seq + 1));
         Pace::new(start_ns, playback.interval_ns())
     } else {
         outputs.repeat(&mut stage, warm_up, ANSWER_LIMIT_NS, |peers| peers.unlinked().is_empty())?;
-        // The warm-up frames still on their way pass before the first tick.
+        // Let the warm-up frames pass before the first tick.
         Pace::new(monotonic_ns() + 2 * REPEAT_NS, playback.interval_ns())
     };
     let mut planned_ns = None;
@@ -59,7 +58,7 @@ pub fn run(run: &Run) -> Result<(), StageError> {
     }
 
     let end = playback.end();
-    // The end must not push the last tick out of a queue; after END_LIMIT_NS it is sent all the same.
+    // The end frame must not push the last tick out of a queue. After END_LIMIT_NS it is sent anyway.
     let _ = outputs.wait_for_forecasts(&mut stage, end.seq.saturating_sub(1), END_LIMIT_NS);
     let _ = outputs.repeat(&mut stage, end, END_LIMIT_NS, |_| false);
     Ok(())

@@ -1,9 +1,10 @@
-//! Which frames of a recording are played, and what becomes of the others.
+//! Chooses the frames of a recording that are played, and merges or counts the others.
 //!
-//! A frame that is not played can be another sensor's: its agents would never go out. So a part of it, the
-//! detections of one time, is merged into the next played frame if that contains less than half of the part's
-//! agents. Each detection keeps its own time. All other parts are of a sensor that the played frame shows as
-//! well: they are thinned. What neither way goes out is counted.
+//! An unplayed frame can come from another sensor, whose agents would then never go out. A frame is therefore
+//! split into parts, each with the detections of one time. A part is merged into the next played frame if
+//! that frame contains less than half of the part's agents. Each detection keeps its own time. All other
+//! parts come from a sensor that the played frame also contains, so they are discarded. Detections that go
+//! out in neither way are counted.
 
 use std::collections::BTreeSet;
 
@@ -16,14 +17,15 @@ const POSITION_M: f32 = 0.25;
 /// The frames that are played.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Played {
-    /// By their place in the recording.
+    /// Their places in the recording.
     pub places: Vec<usize>,
-    /// Of each, with those before: detections of unplayed frames that no played frame contains, and that went out
-    /// with another frame.
+    /// Two cumulative counts for each played frame: detections of unplayed frames that no played frame
+    /// contains, and detections that were merged into another frame.
     pub counts: Vec<[u32; 2]>,
 }
 
-/// Chooses every `n`th frame by time, and merges into each what other sensors have detected since the one before.
+/// Chooses every `n`th frame by time. Merges detections of other sensors since the previous played frame into
+/// each.
 pub(crate) fn thin(recording: &mut Recording, n: u64) -> Played {
     let interval_ns = recording.interval_ns.max(1);
     let places = every_nth(&recording.frames, n, interval_ns);
@@ -44,9 +46,9 @@ pub(crate) fn thin(recording: &mut Recording, n: u64) -> Played {
     Played { places, counts }
 }
 
-/// The places of every `n`th frame by time, so that a missing frame shifts no other.
+/// The places of every `n`th frame by time. A missing frame does not shift the others.
 fn every_nth(frames: &[Frame], n: u64, interval_ns: u64) -> Vec<usize> {
-    // Half an interval early is still the frame that is due.
+    // A frame that is half an interval early still counts as due.
     let apart_ns = n * interval_ns - interval_ns / 2;
     let mut played: Vec<usize> = Vec::new();
     for (place, frame) in frames.iter().enumerate() {
@@ -58,7 +60,8 @@ fn every_nth(frames: &[Frame], n: u64, interval_ns: u64) -> Vec<usize> {
     played
 }
 
-/// Merges the parts of unplayed frames, the newest first, that are another sensor's; returns the detections.
+/// Merges the parts of unplayed frames that come from another sensor, newest first. Returns the number of
+/// merged detections.
 fn merge(unplayed: &[Frame], into: &mut Frame, part_ns: i64) -> u32 {
     let mut merged_len = 0;
     for frame in unplayed.iter().rev() {
@@ -84,7 +87,7 @@ fn merge(unplayed: &[Frame], into: &mut Frame, part_ns: i64) -> u32 {
         }
     }
     if merged_len > 0 {
-        // They were one for each detection.
+        // The lines no longer match the detections one to one.
         into.lines = Lines::default();
         into.detections.sort_by_key(|detection| (detection.agent_type, detection.id));
         into.truth.sort_by_key(|truth| (truth.agent_type, truth.id));
@@ -92,8 +95,8 @@ fn merge(unplayed: &[Frame], into: &mut Frame, part_ns: i64) -> u32 {
     merged_len
 }
 
-/// Whether a frame has the agent of a detection in a frame at `stamp_ns`: by identity, or one of the type that it
-/// can have become.
+/// Whether `frame` contains the agent of a detection from a frame at `stamp_ns`. Agents match by identity.
+/// Without identities, they match if the types are equal and the agent can have covered the distance.
 fn contains(frame: &Frame, stamp_ns: i64, detection: &Detection) -> bool {
     let is_same = |other: &Detection| {
         if detection.has(detection_flags::HAS_ID) || other.has(detection_flags::HAS_ID) {
@@ -114,8 +117,8 @@ fn contains(frame: &Frame, stamp_ns: i64, detection: &Detection) -> bool {
     frame.detections.iter().any(is_same)
 }
 
-/// Counts the detections of unplayed frames whose agent no played frame contains; without identities, neither
-/// the one before nor the one after.
+/// Counts the detections of unplayed frames whose agent is in no played frame. Without identities, only the
+/// previous and the next played frame are searched.
 fn count_lost(frames: &[Frame], places: &[usize], counts: &mut [[u32; 2]]) {
     let identified = |detection: &&Detection| detection.has(detection_flags::HAS_ID);
     let went_out: BTreeSet<u64> = places
@@ -125,7 +128,7 @@ fn count_lost(frames: &[Frame], places: &[usize], counts: &mut [[u32; 2]]) {
     let mut lost_len = 0;
     for (number, count) in counts.iter_mut().enumerate() {
         let before = number.checked_sub(1).map(|before| places[before]);
-        // What follows the last one counts with it.
+        // Frames after the last played one count with it.
         let is_last = number + 1 == places.len();
         let end = if is_last { frames.len() } else { places[number] };
         for frame in &frames[before.map_or(0, |before| before + 1)..end] {
@@ -168,7 +171,7 @@ mod tests {
         Truth { id: d.id, agent_type: d.agent_type, x_m: d.x_m, offset_ns: d.offset_ns, ..Truth::default() }
     }
 
-    /// Frames of the stamps and (agents, own stamps), in ms.
+    /// A recording with a frame for each (stamp, \[(agent, own stamp)\]), in ms.
     fn recording(interval_ms: u64, frames: &[(i64, &[(u64, i64)])]) -> Recording {
         let frame = |&(frame_ms, seen): &(i64, &[(u64, i64)])| {
             let detections: Vec<Detection> =
@@ -194,7 +197,7 @@ mod tests {
         recording
     }
 
-    /// Agents by their places and own stamps in ms, of each played frame.
+    /// (agent, own stamp in ms) of each played frame. Agents are identified by their positions.
     fn played(recording: &Recording, places: &[usize]) -> Vec<Vec<(u64, i64)>> {
         let of_frame = |&place: &usize| {
             let frame = &recording.frames[place];
@@ -207,8 +210,8 @@ mod tests {
         places.iter().map(of_frame).collect()
     }
 
-    /// A sensor of 20 Hz with agents 1 and 2, and one of 10 Hz with agent 3 that is seen in every other frame,
-    /// none of which is played.
+    /// A 20 Hz sensor with agents 1 and 2, and a 10 Hz sensor with agent 3. Agent 3 is in every other frame,
+    /// and none of these frames is played.
     fn two_sensors() -> Recording {
         recording(
             50,
