@@ -1,14 +1,16 @@
-/// Fewest agents that a tick serves, however late it is: without any, nothing would be learned of their cost.
+/// Minimum number of agents that a tick serves, however late it is. If a tick served none, their cost could
+/// not be measured.
 pub const SERVED_MIN: usize = 8;
-/// Ticks of which the median is taken: up to four that something else has disturbed change nothing.
+/// Number of ticks in a median. Up to four disturbed ticks do not affect it.
 const TICKS: usize = 9;
 
-/// How many agents a stage, or several in a row, can serve in a given time; learned from earlier ticks.
+/// The number of agents that a stage, or a chain of stages, can serve in a given time. Learned from earlier
+/// ticks.
 #[derive(Clone, Debug, Default)]
 pub struct Capacity {
-    /// What a tick costs that does not depend on how many it serves.
+    /// Cost of a tick that does not depend on the number of agents.
     fixed: Median,
-    /// What each agent costs.
+    /// Cost of each agent.
     each: Median,
 }
 
@@ -18,15 +20,15 @@ impl Capacity {
         self.fixed.push(time_ns);
     }
 
-    /// Adds the time of `agents_len` agents together. Changes nothing if there were none.
+    /// Adds the total time of `agents_len` agents. Does nothing if there were none.
     pub fn took(&mut self, time_ns: u64, agents_len: usize) {
         if agents_len > 0 && time_ns > 0 {
             self.each.push(time_ns / agents_len as u64);
         }
     }
 
-    /// How many agents can be served in `left_ns`, at least [`SERVED_MIN`]; without limit before anything is
-    /// known.
+    /// Returns the number of agents that can be served in `left_ns`, at least [`SERVED_MIN`]. There is no
+    /// limit before a cost is known.
     #[must_use]
     pub fn fit(&self, left_ns: u64) -> usize {
         let Some(each_ns) = self.each.value() else { return usize::MAX };
@@ -35,7 +37,7 @@ impl Capacity {
     }
 }
 
-/// The median of the newest few values.
+/// The median of the newest [`TICKS`] values.
 #[derive(Clone, Debug, Default)]
 struct Median {
     newest: [u64; TICKS],
@@ -93,7 +95,8 @@ mod tests {
     }
 
     proptest! {
-        /// What serving costs in proportion and what it costs anyway are found together, from any beginning.
+        /// The number of served agents settles for any fixed and proportional cost, and from any initial
+        /// number.
         #[test]
         fn the_number_served_settles_at_what_fits(
             anyway_ns in 0..20 * MS,

@@ -1,31 +1,32 @@
 use wire::Header;
 
-/// Ticks whose sampler counts; the longest of them does not.
+/// Number of ticks whose sampling time counts. The longest one is ignored.
 const TICKS: usize = 16;
-/// From the sampler's end until the forecasts have reached whoever waits for them: publishing and a wake-up,
-/// on a machine that has much else to do.
+/// Time from the sampler's end until the forecasts reach their readers: publishing and a wake-up, on a busy
+/// machine.
 const ON_THE_WAY_NS: u64 = 2_000_000;
 
-/// The time until which a stage may begin to serve agents. It keeps the budgets, and is earlier if the sampler
-/// needs more than the rest of the tick.
+/// Computes the time until which a stage may begin to serve agents. The cutoff follows from the budgets. It
+/// is earlier if the sampler needs more than the rest of the tick.
 #[derive(Clone, Debug)]
 pub struct Cutoff {
     budgets_ns: u64,
     left_ns: u64,
-    /// What the sampler took in the newest ticks.
+    /// The sampler's times in the newest ticks.
     sampling_ns: [u32; TICKS],
     next: usize,
 }
 
 impl Cutoff {
-    /// The cutoff of a stage that has `budgets_ns` from a tick's release to its end; `left_ns` of the tick are left
-    /// after the decoder's budget.
+    /// The cutoff of a stage that must end `budgets_ns` after a tick's release. `left_ns` is the part of the
+    /// tick after the decoder's budget.
     #[must_use]
     pub const fn new(budgets_ns: u64, left_ns: u64) -> Self {
         Self { budgets_ns, left_ns, sampling_ns: [0; TICKS], next: 0 }
     }
 
-    /// The cutoff of a tick, on the clock of its release. Adds the sampler's time in the tick's header.
+    /// Returns the cutoff of a tick, on the clock of its release. Also adds the sampler's time from the
+    /// tick's header.
     pub fn until_ns(&mut self, header: &Header) -> u64 {
         self.sampling_ns[self.next] = header.sampling_ns;
         self.next = (self.next + 1) % TICKS;

@@ -1,13 +1,13 @@
-//! Load shedding: whom a tick serves when it has no time for all agents, and for how many it has time.
+//! Load shedding: decides how many agents a tick has time to serve, and which ones.
 //!
-//! [`Turns`] is the policy: an order of the agents. Any beginning of it may be served. A [`Shedder`] decides for a
-//! stage how long this beginning may be in a tick, its [`Allowance`]. It learns from the time that earlier ticks took.
-//! Only the shedder's caller knows a clock.
+//! [`Turns`] is the policy: it orders the agents, and each tick serves a prefix of this order. A [`Shedder`]
+//! decides for a stage how long the prefix of a tick may be; this is the tick's [`Allowance`]. The shedder
+//! learns from the times of earlier ticks. Only its caller has a clock.
 //!
-//! Five of six turns go to agents that matter most to the ego: those on a conflicting path, then the nearest
-//! [`NEAREST_LEN`]. Every sixth goes to the agent that has waited longest for a learned forecast, and so do all
-//! turns when the nearest are done. Where k agents fit a tick, at least ⌊k / 6⌋ are therefore those that have
-//! waited longest, and nobody starves: see [`wait_ticks_max`].
+//! Five of six turns go to the agents that matter most to the ego: agents on a conflicting path, then the
+//! nearest [`NEAREST_LEN`]. Every sixth turn goes to the agent that has waited longest for a learned
+//! forecast. After the nearest agents, all remaining turns go by waiting time. If a tick serves k agents, at
+//! least ⌊k / 6⌋ of them are therefore the longest waiting. No agent starves: see [`wait_ticks_max`].
 
 mod capacity;
 mod cutoff;

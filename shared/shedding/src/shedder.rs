@@ -12,14 +12,14 @@ pub enum Allowance<'a> {
     All,
     /// At most this many, in the order of their turns.
     AtMost(usize),
-    /// Those whose work begins before `until_ns`, in the order of their turns.
+    /// Agents whose work begins before `until_ns`, in the order of their turns.
     Until {
         /// A time on `clock`.
         until_ns: u64,
-        /// The clock; monotonic.
+        /// A monotonic clock.
         clock: fn() -> u64,
     },
-    /// Those that this header does not mark as shed, as in a replay of a recorded tick.
+    /// Agents that this header does not mark as shed. A replay of a recorded tick uses this.
     AsRecorded(&'a Header),
 }
 
@@ -27,10 +27,10 @@ pub enum Allowance<'a> {
 ///
 /// Three stages shed load:
 ///
-/// * the extractor, which chooses for itself, the encoder and the decoder: all of them must end by the decoder's
-///   cutoff, and the headers contain the time that they took together;
-/// * the encoder, by its own cutoff and the time that its agents took;
-/// * the decoder, which looks at the clock between blocks of agents.
+/// * The extractor chooses for itself, the encoder and the decoder. All three must end by the decoder's
+///   cutoff. The headers contain their total time.
+/// * The encoder uses its own cutoff and the time that its agents took.
+/// * The decoder reads the clock between blocks of agents.
 #[derive(Debug)]
 pub struct Shedder(Option<Policy>);
 
@@ -75,7 +75,7 @@ impl Shedder {
         Allowance::AtMost(capacity.fit(until_ns.saturating_sub(now_ns)))
     }
 
-    /// Adds the time of a step. `served` is the number of agents that it served, if it says so.
+    /// Adds the time of a step. `served` is the number of agents that it served, if the step reports it.
     pub fn took(&mut self, time_ns: u64, served: Option<usize>) {
         let Some(Policy { stage, capacity, .. }) = &mut self.0 else { return };
         match (*stage, served) {
@@ -95,7 +95,8 @@ mod tests {
 
     const MS: u64 = 1_000_000;
 
-    /// A run in which the stages up to the decoder have 60 ms, the extractor 20 and the encoder 10 of them.
+    /// A run with 60 ms for the stages up to the decoder: 20 for the extractor, 10 for the encoder and 30 for
+    /// the decoder.
     fn run() -> Run {
         let budgets_ms = [(StageId::Extractor, 20.0), (StageId::Encoder, 10.0), (StageId::Decoder, 30.0)];
         let stage = |(stage, budget_ms): (StageId, f64)| StageRun {

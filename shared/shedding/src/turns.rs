@@ -1,14 +1,14 @@
 use wire::AGENTS_MAX;
 
-/// Agents that are served for being the nearest.
+/// Maximum number of agents that are served because they are the nearest.
 pub const NEAREST_LEN: usize = 32;
-/// Most agents that are served before these for being on a conflicting path.
+/// Maximum number of agents that are served first because they are on a conflicting path.
 pub const CONFLICTS_MAX: usize = 8;
-/// Time ahead in which a path can be in conflict with the ego's: the horizon of a forecast.
+/// Time ahead in which paths are checked for a conflict with the ego's path: the horizon of a forecast.
 pub const CONFLICT_S: f32 = 4.8;
-/// Paths conflict where they come closer than this, m: half a car's length and some.
+/// Paths conflict if they come closer than this, m. Half a car's length, plus a margin.
 const CONFLICT_M: f32 = 3.0;
-/// One turn of this many goes by waiting alone.
+/// One turn in this many goes by waiting time only.
 const WAITING_EVERY: usize = 6;
 
 /// The ego, or the scene's centre at rest.
@@ -23,13 +23,14 @@ pub struct Ego {
 /// An agent that can be forecast.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Candidate {
-    /// Its place in the frame, below [`AGENTS_MAX`].
+    /// Place in the frame, below [`AGENTS_MAX`].
     pub place: usize,
     /// Position in the world frame; finite.
     pub position_m: [f32; 2],
     /// Velocity in the world frame; finite.
     pub velocity_mps: [f32; 2],
-    /// Age of its newest learned forecast, or the time since it could first be forecast.
+    /// Age of the newest learned forecast. Before the first one, the time since the agent became
+    /// forecastable.
     pub waiting_ns: u64,
 }
 
@@ -39,13 +40,13 @@ impl Candidate {
         x.hypot(y)
     }
 
-    /// Time until the agent and the ego come closer than [`CONFLICT_M`], if they do within [`CONFLICT_S`], where
-    /// both keep their velocities.
+    /// Time until the agent and the ego come closer than [`CONFLICT_M`] at constant velocities; `None` if
+    /// that takes longer than [`CONFLICT_S`].
     fn conflict_s(&self, ego: &Ego) -> Option<f32> {
         let apart_m = [0, 1].map(|axis| self.position_m[axis] - ego.position_m[axis]);
         let closing_mps = [0, 1].map(|axis| self.velocity_mps[axis] - ego.velocity_mps[axis]);
         let dot = |a: [f32; 2], b: [f32; 2]| a[0] * b[0] + a[1] * b[1];
-        // |apart + closing t|² = CONFLICT_M², its first solution.
+        // The first solution of |apart + closing t|² = CONFLICT_M².
         let (a, b) = (dot(closing_mps, closing_mps), dot(apart_m, closing_mps));
         let c = dot(apart_m, apart_m) - CONFLICT_M * CONFLICT_M;
         if c <= 0.0 {
@@ -60,7 +61,7 @@ impl Candidate {
     }
 }
 
-/// The order in which agents are served; keeps scratch memory alone.
+/// Computes the order in which agents are served. Holds scratch memory only.
 #[derive(Clone, Debug)]
 pub struct Turns {
     /// (time to conflict, place).
@@ -85,7 +86,8 @@ impl Default for Turns {
 }
 
 impl Turns {
-    /// The places of the candidates in the order of their turns; does not depend on the order in which they come.
+    /// Returns the places of the candidates in the order of their turns. The result does not depend on the
+    /// order of `candidates`.
     ///
     /// # Panics
     /// If a place is not below [`AGENTS_MAX`].
@@ -126,11 +128,13 @@ impl Turns {
     }
 }
 
-/// Most ticks from one learned forecast of an agent to the next where each tick serves the first `served_len` of
-/// at most `agents_len` agents; none where too few fit a tick for a turn by waiting, or no agents are there.
+/// Maximum number of ticks between two learned forecasts of an agent, if each tick serves the first
+/// `served_len` of at most `agents_len` agents. Returns `None` if there are no agents, or if a tick serves
+/// too few agents for a turn by waiting.
 ///
-/// Whoever is served by waiting has waited longer than this agent, and waits less than it from then on: each of the
-/// others comes before it once at most, as many in a tick as there are turns by waiting.
+/// An agent that is served by waiting had waited at least as long as this agent. From then on, it has waited
+/// less. Each other agent therefore precedes this agent at most once. Each tick serves one of them per turn
+/// by waiting.
 #[must_use]
 pub const fn wait_ticks_max(agents_len: usize, served_len: usize) -> Option<usize> {
     if agents_len == 0 || served_len < WAITING_EVERY && served_len < agents_len {

@@ -1,4 +1,4 @@
-//! Whose turn it is, for any scene: who matters most comes first, and nobody starves.
+//! Properties of the turns in any scene: the agents that matter most come first, and no agent starves.
 
 use proptest::prelude::*;
 use shedding::{CONFLICTS_MAX, Candidate, Ego, NEAREST_LEN, Turns, wait_ticks_max};
@@ -38,8 +38,8 @@ proptest! {
         prop_assert_eq!(turns.order(&Ego::default(), &candidates), &order[..]);
     }
 
-    /// Any beginning of the order holds the nearest, but for the turns by waiting and by conflict, and the longest
-    /// waiting, a sixth of it.
+    /// A sixth of any prefix of the order are the longest waiting agents. Apart from these and the
+    /// conflicting agents, the prefix holds the nearest agents.
     #[test]
     fn any_beginning_has_the_nearest_and_the_longest_waiting(candidates in candidates(AGENTS_MAX)) {
         let (ego, mut turns) = (Ego::default(), Turns::default());
@@ -62,8 +62,8 @@ proptest! {
         }
     }
 
-    /// Agents come, go and move at will, the ego too: as long as `served_len` fit a tick, nobody waits longer
-    /// than the bound.
+    /// Agents appear, leave and move at random, and so does the ego. If each tick serves `served_len` agents,
+    /// no agent waits longer than the bound.
     #[test]
     fn nobody_starves(
         agents_len in 1..=AGENTS_MAX,
@@ -82,7 +82,7 @@ proptest! {
                 candidate.waiting_ns += TICK_NS;
                 prop_assert!(candidate.waiting_ns <= bound as u64 * TICK_NS, "agent {i}, bound {bound}");
             }
-            // One leaves and another takes its place.
+            // One agent leaves, and another takes its place.
             candidates[random as usize % agents_len].waiting_ns = 0;
             let ego = Ego { position_m: [y, x], velocity_mps: [x * 0.1, 0.0] };
             for &place in turns.order(&ego, &candidates).iter().take(served_len) {
