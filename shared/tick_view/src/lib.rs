@@ -1,6 +1,7 @@
-//! The view of a tick: everything that a person sees of it, from its `tracks` and `forecasts` as published.
+//! The view of a tick: everything that a picture shows of it, from the published `tracks` and `forecasts`.
 //!
-//! Every picture of forecasts is drawn from a [`TickView`], so all pictures show the forecasts that a run publishes.
+//! Every picture of forecasts is drawn from a [`TickView`], so all pictures show the forecasts that the run
+//! published.
 
 use wire::{
     AgentType, Cause, Forecast, HISTORY_MAX, HORIZON_MAX, Header, HistoryState, MODES_MAX, Quality, Track,
@@ -54,12 +55,12 @@ pub struct AgentView {
     pub forecast: Option<ForecastView>,
 }
 
-/// A published forecast: the single best one and, at each step, a mixture with a Gaussian per mode.
+/// A published forecast: the single best one and, at each step, a mixture with one Gaussian per mode.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ForecastView {
     /// How the forecast was made.
     pub quality: Quality,
-    /// Why its quality is not learned.
+    /// Why the quality is not `learned`.
     pub cause: Cause,
     /// Age of the controls.
     pub age_ns: u64,
@@ -74,8 +75,8 @@ pub struct ForecastView {
 }
 
 impl TickView {
-    /// The view of a tick. Tracks and forecasts are frames of the same tick; forecasts are matched by their track.
-    /// Tracks of an unknown type are left out.
+    /// The view of a tick. Tracks and forecasts are frames of the same tick. Forecasts are matched to tracks
+    /// by id. Tracks of an unknown type are left out.
     #[must_use]
     pub fn new((header, tracks): (&Header, &[Track]), (of, forecasts): (&Header, &[Forecast])) -> Self {
         let history_len = (header.counts.history_len as usize).min(HISTORY_MAX);
@@ -117,7 +118,8 @@ impl AgentView {
         })
     }
 
-    /// The identity by which a person knows the agent: that of the recording, or the track's number.
+    /// The identity that users see: the agent's identity in the recording, or the track's number if it has
+    /// none.
     #[must_use]
     pub const fn known_as(&self) -> u64 {
         if self.source_id == 0 { self.id } else { self.source_id }
@@ -141,7 +143,7 @@ impl ForecastView {
         })
     }
 
-    /// The most probable mode; `None` without modes.
+    /// The most probable mode; `None` if there are no modes.
     #[must_use]
     pub fn likeliest(&self) -> Option<&[Point]> {
         let probability = self.probability.iter().enumerate();

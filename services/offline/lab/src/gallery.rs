@@ -30,7 +30,8 @@ pub enum Wanted {
     At(Vec<f64>),
     /// The tick in the middle of the recording.
     Middle,
-    /// The ticks of the agents with the smallest errors, this many, and of as many with the largest errors.
+    /// The ticks of this number of agents with the smallest errors, and of the same number with the largest
+    /// errors.
     Extremes(usize),
 }
 
@@ -41,13 +42,13 @@ pub struct Shot {
     pub tick: u64,
     /// Time since the first tick.
     pub time_s: f64,
-    /// The agents whose forecasts are drawn, by the identities in the recording.
+    /// The agents whose forecasts are drawn, by their identities in the recording.
     pub about: Vec<u64>,
     /// All agents; only those in `about` have a forecast.
     pub agents: Vec<AgentDrawing>,
     /// Mean errors over the agents with a forecast and a known future.
     pub errors: Option<ShotErrors>,
-    /// The places of all agents up to this tick.
+    /// The map of all agents' places up to this tick.
     pub visits: Option<ContextMap>,
 }
 
@@ -95,7 +96,7 @@ pub enum GalleryError {
     NothingToRank,
 }
 
-/// A recording as it was, for the truth and the map.
+/// The original recording, for the truth and the map.
 struct Past {
     tracks: BTreeMap<u64, RecordedTrack>,
     /// Times and positions of each agent: the recording's truth or, without one, its tracks.
