@@ -1,38 +1,26 @@
-//! `stgdat stage new`: a project that builds and runs.
-
-use std::path::Path;
+//! `stgdat stage new`: a project that runs.
 
 use recorder::Report;
 use testing::Scratch;
 
-use crate::started::{Started, piped, run, run_well, stderr, wait_for};
+use crate::programs::example;
+use crate::started::{Started, piped, run, run_well, stderr, stdout, wait_for};
 
-/// Builds a new project. Returns the path of its program and the text of its pipeline.toml.
-fn built(scratch: &Scratch, name: &str, of: &str) -> (String, String) {
-    let cargo = std::env::var("CARGO").unwrap_or_else(|_| "cargo".into());
+/// Makes a new project. Returns its program and the text of its pipeline.toml with this program. The program is the
+/// example that the project begins as, which is built already.
+fn made(scratch: &Scratch, name: &str, of: &str, begun_as: &str) -> (String, String) {
     run_well(&["stage", "new", name, "--of", of, "--dir", &scratch.path("")]);
-    let profile = Path::new(env!("CARGO_BIN_EXE_stgdat")).parent().expect("a program lies in a folder");
-    let target = profile.parent().expect("the folder of a profile lies in target");
-    let mut build = piped(cargo);
-    build
-        .args(["build", "--offline", "--quiet"])
-        .current_dir(scratch.path(name))
-        .env("CARGO_TARGET_DIR", target);
-    if profile.ends_with("release") {
-        build.arg("--release");
-    }
-    let built = build.output().expect("cargo, which runs the tests, is there");
-    assert!(built.status.success(), "{}", stderr(&built));
-    let program = profile.join(name).display().to_string();
     let text = String::from_utf8(scratch.read(&format!("{name}/pipeline.toml"))).expect("UTF-8");
-    (program.clone(), text.replace(&format!("target/release/{name}"), &program))
+    let (program, target) = (example(begun_as), format!("target/release/{name}"));
+    assert!(text.contains(&format!("command = [\"{target}\"]\n")), "{text}");
+    (program.clone(), text.replace(&target, &program))
 }
 
 #[test]
 fn added_stages_are_reported_and_come_back() {
     let scratch = Scratch::new("added");
-    let (filter, text) = built(&scratch, "my_filter", "filter");
-    let (monitor, lines) = built(&scratch, "my_monitor", "monitor");
+    let (filter, text) = made(&scratch, "my_filter", "filter", "speed_limiter");
+    let (monitor, lines) = made(&scratch, "my_monitor", "monitor", "conflict_monitor");
     let added = lines.split_once("[[topic]]").expect("it declares a topic").1;
     let pipeline = scratch.file("both.toml", format!("{text}\n[[topic]]{added}"));
     let report = scratch.path("report.json");
@@ -67,48 +55,26 @@ fn added_stages_are_reported_and_come_back() {
         let stage = told.stages.iter().find(|stage| stage.name == name).expect("it is reported");
         assert!(stage.restarts == 1 && stage.ticks > 20, "{name}: {stage:?}");
     }
-    [filter, monitor]
-        .into_iter()
-        .for_each(|program| std::fs::remove_file(program).expect("it has been built"));
 }
 
+/// `stgdat` tests that the manifest has all crates of the program, and the workspace builds the program.
 #[test]
-fn a_new_project_builds_and_runs() {
+fn a_new_project_resolves_and_runs() {
     let cargo = std::env::var("CARGO").unwrap_or_else(|_| "cargo".into());
     let scratch = Scratch::new("project");
-    let folder = scratch.path("");
-    run_well(&["stage", "new", "my_localiser", "--dir", &folder]);
-    let project = scratch.path("my_localiser");
-    let refused = run(&["stage", "new", "my_localiser", "--dir", &folder]);
+    let (_, pipeline) = made(&scratch, "my_localiser", "localiser", "area_localiser");
+    let refused = run(&["stage", "new", "my_localiser", "--dir", &scratch.path("")]);
     assert_eq!(refused.status.code(), Some(2), "{}", stderr(&refused));
     assert!(stderr(&refused).contains("is there already"), "{}", stderr(&refused));
 
-    // The project uses the workspace's build, so nothing is built twice.
-    let profile = Path::new(env!("CARGO_BIN_EXE_stgdat")).parent().expect("a program lies in a folder");
-    let target = profile.parent().expect("the folder of a profile lies in target");
-    let mut build = piped(cargo);
-    build.args(["build", "--offline", "--quiet"]).current_dir(&project).env("CARGO_TARGET_DIR", target);
-    if profile.ends_with("release") {
-        build.arg("--release");
-    }
-    let built = build.output().expect("cargo, which runs the tests, is there");
-    assert!(built.status.success(), "{}", stderr(&built));
+    // The pinned versions have all dependencies.
+    let mut resolve = piped(cargo);
+    resolve.args(["tree", "--offline", "--prefix", "none"]).current_dir(scratch.path("my_localiser"));
+    let resolved = resolve.output().expect("cargo, which runs the tests, is there");
+    assert!(resolved.status.success(), "{}", stderr(&resolved));
+    assert!(stdout(&resolved).contains("stgdat-ports v"), "{}", stdout(&resolved));
 
-    let program = profile.join("my_localiser").display().to_string();
-    let text = String::from_utf8(scratch.read("my_localiser/pipeline.toml")).expect("UTF-8");
-    assert!(text.contains("command = [\"target/release/my_localiser\"]\n"), "{text}");
-    let pipeline = scratch.file("mine.toml", text.replace("target/release/my_localiser", &program));
-    run_well(&[
-        "run",
-        "--ticks",
-        "15",
-        "--agents",
-        "6",
-        "--speed",
-        "max",
-        "--quiet",
-        "--pipeline",
-        &pipeline,
-    ]);
-    std::fs::remove_file(program).expect("it has been built");
+    let pipeline = scratch.file("mine.toml", pipeline);
+    let run = ["run", "--ticks", "15", "--agents", "6", "--speed", "max", "--quiet", "--pipeline", &pipeline];
+    run_well(&run);
 }

@@ -103,7 +103,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     std::fs::create_dir_all(&source).map_err(|error| Failure::file(&source, error))?;
     let write =
         |path: PathBuf, text: &str| std::fs::write(&path, text).map_err(|error| Failure::file(&path, error));
-    write(folder.join("Cargo.toml"), &manifest(name, &repository))?;
+    write(folder.join("Cargo.toml"), &manifest(*of, name, &repository))?;
     write(source.join("main.rs"), &program(*of, name))?;
     if let Some(text) = pipeline(*of, name) {
         write(folder.join("pipeline.toml"), &text)?;
@@ -165,8 +165,10 @@ fn check_name(name: &str) -> Result<(), Failure> {
     Err(Failure::Usage(format!("\"{name}\": expected a letter, then letters, digits, \"_\" and \"-\"")))
 }
 
-fn manifest(name: &str, repository: &Repository) -> String {
-    let ours: String = OURS.map(|of| repository.dependency(of)).concat();
+fn manifest(of: Template, name: &str, repository: &Repository) -> String {
+    // The source plays recordings.
+    let more = (of == Template::Source).then_some("data");
+    let ours: String = OURS.into_iter().chain(more).map(|of| repository.dependency(of)).collect();
     format!(
         "[package]\nname = \"{name}\"\nversion = \"0.1.0\"\nedition = \"2024\"\npublish = false\n\n\
          [dependencies]\n{ours}{DEPENDENCIES}\n\
@@ -219,6 +221,8 @@ fn next_steps(of: Template, name: &str, folder: &Path) -> String {
 
 #[cfg(test)]
 mod tests {
+    use toml::Value;
+
     use super::*;
 
     #[test]
@@ -245,12 +249,35 @@ mod tests {
 
     #[test]
     fn a_project_depends_on_a_folder_or_an_address() {
-        let folder = manifest("mine", &Repository::find(None).unwrap());
-        let git = manifest("mine", &Repository::find(Some("https://example.org/stgdat.git")).unwrap());
+        let of = Template::Localiser;
+        let folder = manifest(of, "mine", &Repository::find(None).unwrap());
+        let git = manifest(of, "mine", &Repository::find(Some("https://example.org/stgdat.git")).unwrap());
         for (text, key) in [(&folder, "path"), (&git, "git")] {
             let table: toml::Table = text.parse().unwrap();
             assert!(OURS.iter().all(|name| table["dependencies"][*name][key].is_str()), "{text}");
         }
         assert!(Repository::find(Some("/nowhere")).is_err());
+    }
+
+    /// The programs are examples of the workspace, which compiles them. This is what a project needs beyond that.
+    #[test]
+    fn a_project_has_the_dependencies_of_its_program() {
+        let parsed = |text: &str| text.parse::<toml::Table>().unwrap();
+        let workspace = parsed(include_str!("../../../../Cargo.toml"));
+        for of in Template::value_variants() {
+            let manifest = parsed(&manifest(*of, "mine", &Repository::find(None).unwrap()));
+            let dependencies = manifest["dependencies"].as_table().unwrap();
+            let source = program(*of, "mine");
+            let uses = source.lines().filter_map(|line| line.strip_prefix("use ")?.split("::").next());
+            for name in uses.filter(|name| *name != "std") {
+                assert!(dependencies.contains_key(name), "{of:?} uses {name}");
+            }
+            for (name, own) in dependencies.iter().filter(|(_, own)| own.get("version").is_some()) {
+                let ours = &workspace["workspace"]["dependencies"][name];
+                assert_eq!(own["features"], ours["features"], "{name}");
+                let version = |value: &Value| value["version"].as_str().unwrap().to_owned();
+                assert!(version(ours).starts_with(&version(own)), "{name}: the lock has another version");
+            }
+        }
     }
 }
