@@ -380,8 +380,6 @@ fn five_hundred_particles_are_nearly_consistent() {
 /// other filters.
 #[test]
 fn four_thousand_particles_are_as_consistent_as_the_mixture() {
-    let vehicles = vehicles();
-    for (name, sensor) in [("σ 0.02 m", SHARP), ("σ 0.2 m", POSITIONS)] {
-        assert_near(&format!("4,000 particles, {name}"), &vehicles.particles(sensor, 12, 4_000));
-    }
+    // The sharper sensor is the harder case; 500 particles meet both.
+    assert_near("4,000 particles, σ 0.02 m", &vehicles().particles(SHARP, 12, 4_000));
 }

@@ -254,7 +254,7 @@ fn a_stage_in_another_process_links_answers_and_ends() {
     let record = space.root().join("run");
     run.write(&record).unwrap();
     let mut child = std::process::Command::new(std::env::current_exe().expect("a test has a file"))
-        .args(["--exact", "echo_process", "--nocapture"])
+        .args(["--exact", "round_trip::echo_process", "--nocapture"])
         .env("STGDAT_TEST_ECHO", &record)
         .spawn()
         .unwrap();
@@ -301,7 +301,7 @@ fn a_stage_in_another_process_links_answers_and_ends() {
 /// Starts the echo as a process; with a socket, as a replacement for another.
 fn start_echo(record: &Path, standby: Option<&Path>) -> std::process::Child {
     std::process::Command::new(std::env::current_exe().expect("a test has a file"))
-        .args(["--exact", "echo_process", "--nocapture"])
+        .args(["--exact", "round_trip::echo_process", "--nocapture"])
         .env("STGDAT_TEST_ECHO", record)
         .envs(standby.map(|socket| (STANDBY_VARIABLE, socket)))
         .env(INCARNATION_VARIABLE, if standby.is_some() { "1" } else { "0" })

@@ -104,3 +104,36 @@ fn every_page_of_docs_is_in_the_summary() {
     let missing: Vec<PathBuf> = below(&docs, ".md").into_iter().filter(is_missing).collect();
     assert!(missing.is_empty(), "not in docs/SUMMARY.md: {missing:#?}");
 }
+
+/// Whether comments of a source have an example, which `cargo test` runs.
+fn has_example(source: &str) -> bool {
+    let mut is_open = false;
+    source.lines().any(|line| {
+        let line = line.trim_start();
+        let comment = line.strip_prefix("///").or_else(|| line.strip_prefix("//!"));
+        let Some(language) = comment.and_then(|text| text.trim_start().strip_prefix("```")) else {
+            return false;
+        };
+        is_open = !is_open;
+        is_open && matches!(language.trim(), "" | "rust" | "no_run" | "should_panic" | "compile_fail")
+    })
+}
+
+/// A crate without tests or examples builds no program for them.
+#[test]
+fn no_manifest_leaves_out_tests_or_examples() {
+    let manifests =
+        ["launch", "services", "shared", "tests"].map(|folder| below(&root().join(folder), "Cargo.toml"));
+    for manifest in manifests.into_iter().flatten() {
+        let read = |path: &PathBuf| std::fs::read_to_string(path).expect("the file can be read");
+        let text = read(&manifest);
+        let library =
+            text.split("[lib]").nth(1).and_then(|rest| rest.split("\n\n").next()).unwrap_or_default();
+        let has = |key: &str| library.lines().any(|line| line == key);
+        let folder = manifest.parent().expect("a manifest is in a folder").join("src");
+        for source in below(&folder, ".rs").iter().map(read) {
+            assert!(!(has("test = false") && source.contains("#[test]")), "{}", manifest.display());
+            assert!(!(has("doctest = false") && has_example(&source)), "{}", manifest.display());
+        }
+    }
+}

@@ -1,0 +1,5 @@
+//! Lane maps: reading, sites, and forecasts along lanes.
+
+mod guide;
+mod reader;
+mod sites;

@@ -1,0 +1,5 @@
+//! Ports between stages: round trips between processes, relays and refused frames.
+
+mod integrity;
+mod relay;
+mod round_trip;
