@@ -1,6 +1,6 @@
-//! A stage on the ticks' path: it reads the tracks and writes tracks in which no agent exceeds a speed limit.
-//! (Wheels and reflections make a radar report such speeds.) The localiser reads these tracks instead. Its
-//! lines in pipeline.toml:
+//! A stage on the main path. It reads the tracks and writes tracks in which no agent exceeds a speed limit.
+//! (A radar can report such speeds because of wheels and reflections.) The localiser reads these tracks
+//! instead. Lines in pipeline.toml:
 //!
 //! ```toml
 //! [[topic]]

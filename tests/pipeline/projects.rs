@@ -25,7 +25,7 @@ fn added_stages_are_reported_and_come_back() {
     let pipeline = scratch.file("both.toml", format!("{text}\n[[topic]]{added}"));
     let report = scratch.path("report.json");
 
-    // In lockstep nothing is lost, neither on the ticks' path nor beside it.
+    // Lockstep loses no tick, neither on the main path nor outside it.
     let scene = ["run", "--agents", "5", "--quiet", "--pipeline", &pipeline, "--report", &report];
     run_well(&[&scene[..], &["--ticks", "20", "--speed", "max"]].concat());
     let told = Report::read(report.as_ref()).expect("a report");
@@ -36,7 +36,7 @@ fn added_stages_are_reported_and_come_back() {
     }
     assert_eq!((told.ticks, told.forecasts.held + told.hops_missing), (20, 0));
 
-    // In real time both stages are restarted after a kill.
+    // A real-time run restarts both stages after a kill.
     let started = Started::run(&[&scene[1..], &["--ticks", "60"]].concat());
     let pid_of = |program: &str| {
         let stages = started.stages();

@@ -34,7 +34,7 @@ pub fn lines(view: &View, name: &str, width: usize) -> Vec<Line> {
     lines
 }
 
-/// The state and resources of the process, on as many lines as needed.
+/// The state and resources of the process, wrapped to `width`.
 fn process(stage: &StageStatus, width: usize) -> Vec<Line> {
     let process = &stage.process;
     let told = |name: &str, value: Option<String>| {

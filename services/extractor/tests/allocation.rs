@@ -23,7 +23,7 @@ fn a_thousand_steady_steps_allocate_nothing() {
         }
     });
     assert_eq!(counted, 0);
-    // In most ticks there is time for seven agents; in every fiftieth tick there is time for all.
+    // Most ticks have time for seven agents. Every fiftieth tick has time for all.
     let mut shedding = |tick: u64| {
         let header = scene.header(tick);
         scene.localise(&header, |_| {});

@@ -152,7 +152,7 @@ impl Recorder {
     /// recording reveals ticks lost before it. A VOID tick that is not newer than the last arrived late at
     /// the tracker. It is not lost, and is not counted in any other way.
     ///
-    /// Returns the figures of the tick; `None` for a frame that is no newer tick.
+    /// Returns the figures of the tick; `None` if the frame is not a newer tick.
     ///
     /// # Errors
     /// [`Rejected`] if the frame is invalid or has forecasts that are not newer than the last. The frame is
@@ -441,7 +441,7 @@ fn add<const N: usize>(sums: &mut [u64; N], counts: &[u64; N]) {
 }
 
 impl OutOfDistribution {
-    /// Adds those of a tick.
+    /// Adds the figures of a tick.
     pub(crate) fn merge(&mut self, other: &Self) {
         let most = |a: Option<f64>, b: Option<f64>| a.map_or(b, |a| Some(b.map_or(a, |b| a.max(b))));
         self.forecasts += other.forecasts;

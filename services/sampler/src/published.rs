@@ -40,7 +40,7 @@ fn limit_path(from_m: [f32; 2], path: &mut [[f32; 2]], most_m: f32) {
     }
 }
 
-/// Whether the positions of a forecast lie within the world, and its covariances are finite.
+/// Whether all positions of a forecast are inside the world and all its covariances are finite.
 pub(crate) fn is_within_the_world(forecast: &Forecast) -> bool {
     // No early exit, so that the loop vectorises.
     let inside = |points: &[[f32; 2]]| {

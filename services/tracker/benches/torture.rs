@@ -1,4 +1,4 @@
-//! A million random ticks, a hundred times as many as in the tests. Growing memory would show here.
+//! Runs a million random ticks, 100 times the number in the tests. A memory leak would show here.
 
 #[path = "../tests/support/torture.rs"]
 mod support;

@@ -44,7 +44,7 @@ impl<'a> Found<'a> {
     }
 }
 
-/// The observation of a detection. If the detection has no noise of its own, it gets the noise of its type.
+/// The observation of a detection. A detection without its own noise gets the noise of its type.
 #[must_use]
 pub fn observation(detection: &Detection, agent_type: AgentType, input: &InputModel) -> Observation {
     let noise = &input.sensor[agent_type.index()];

@@ -95,7 +95,7 @@ pub enum Association {
     Jpda,
 }
 
-/// Standard deviations of a detector's measurements, where the detection itself contains none.
+/// Standard deviations of a detector's measurements, for detections that contain none.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SensorNoise {
     /// Position per axis.
@@ -109,35 +109,35 @@ pub struct SensorNoise {
 /// How agents of one type are expected to move.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MotionNoise {
-    /// Spectral density of the acceleration per axis, m²/s³: the constant-velocity filter.
+    /// Spectral density of the acceleration per axis, m²/s³, for the constant-velocity filter.
     pub density: f64,
-    /// Standard deviation of the acceleration in 80 ms: the bicycle.
+    /// Standard deviation of the acceleration in 80 ms, for the bicycle.
     pub acceleration_mps2: f64,
-    /// Standard deviation of the slip rate in 80 ms: the bicycle.
+    /// Standard deviation of the slip rate in 80 ms, for the bicycle.
     pub slip_rate_radps: f64,
-    /// Rate at which the slip angle decays: the bicycle.
+    /// Rate at which the slip angle decays, for the bicycle.
     pub slip_decay_per_s: f64,
 }
 
 /// How far forecasts are trusted as a prior.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ForecastTrust {
-    /// Least weight of the process model alone when a forecast comes, within \[0, 1\]; it has more until forecasts
-    /// have earned theirs, and where they fail.
+    /// Minimum weight of the process model when a forecast arrives, within \[0, 1\]. The weight is larger
+    /// until forecasts have proved accurate, and again when they fail.
     pub kinematic_weight: f64,
     /// Factor on the covariances of a forecast's controls.
     pub covariance_scale: f64,
-    /// Share of the process model's noise (standard deviations) that the forecast's modes keep where their
-    /// controls act in full.
+    /// Share of the process model's noise (standard deviations) that the forecast's modes keep when their
+    /// controls act at full gain.
     pub noise_share: f64,
     /// Standard deviation of a vehicle's speed at which the gain of its acceleration control is one half.
     pub half_gain_speed_mps: f64,
     /// Standard deviation of a vehicle's heading at which the gain of its slip-rate control is one half.
     pub half_gain_heading_rad: f64,
-    /// Time constant with which a vehicle's acceleration and slip rate fade in, since at first the estimated state is
-    /// the better predictor. 0 for at once.
+    /// Time constant with which a vehicle's acceleration and slip rate fade in, because the estimated state
+    /// is the better predictor at first. With 0, they act at once.
     pub control_fade_in_s: f64,
-    /// As before, of displacements.
+    /// The same time constant for displacements.
     pub displacement_fade_in_s: f64,
 }
 
@@ -148,9 +148,9 @@ pub struct InputModel {
     pub sensor: [SensorNoise; 3],
     /// Process noise.
     pub motion: [MotionNoise; 3],
-    /// How far forecasts are trusted, where they are the prior.
+    /// How far forecasts are trusted when they are the prior.
     pub trust: ForecastTrust,
-    /// Coast time: a track without a detection for so long, over frames that observed its type, ends.
+    /// Coast time. A track ends after this time without a detection, in frames that observed its type.
     pub coast_ns: u64,
 }
 
@@ -161,24 +161,25 @@ pub struct TrackerOptions {
     pub history_len: usize,
     /// Spacing of the window's steps, Δt.
     pub step_ns: u64,
-    /// Most tracks held at once, tentative ones included; detections beyond it start none.
+    /// Maximum number of tracks, including tentative ones. At this number, detections start no new tracks.
     pub tracks_max: usize,
-    /// Associates by position even where the detections carry identities.
+    /// Associates by position even if the detections carry identities.
     pub associate: bool,
     /// What predicts tracks between two detections.
     pub prior: Prior,
-    /// How detections correct tracks, where they carry no identities.
+    /// How detections without identities correct tracks.
     pub association: Association,
-    /// Field of view of the sensor, for frames that are detected from the ego; without limits where none.
+    /// Field of view of the sensor, for frames that are detected from the ego; `None` for no limits.
     pub fov: Option<FieldOfView>,
-    /// Frames in a row with the same detections from which on the source counts as frozen; 0 for never.
+    /// Number of consecutive frames with the same detections at which the source counts as frozen; 0 for
+    /// never.
     pub frozen_frames: u32,
     /// Highest speed of each type.
     pub speed_limits: SpeedLimits,
-    /// Inputs of a detector, to be associated.
+    /// Model of inputs from a detector, which must be associated.
     pub detector: InputModel,
-    /// Inputs that carry identities: annotated or smoothed recordings, whose positions are nearly without
-    /// noise.
+    /// Model of inputs that carry identities: annotated or smoothed recordings, whose positions are nearly
+    /// free of noise.
     pub recorded: InputModel,
     /// Probability that an agent in view is detected.
     pub detection_probability: f64,
@@ -186,17 +187,17 @@ pub struct TrackerOptions {
     pub clutter_density: f64,
     /// Cost of leaving a track without detection, on the scale of −2 ln of a likelihood per m².
     pub miss_cost: f64,
-    /// A track without a detection for so long ends in any case: the forecast's horizon. Out-of-sequence
-    /// frames that are later than that are refused.
+    /// A track always ends after this time without a detection: the forecast's horizon. Out-of-sequence
+    /// frames that are later than this are refused.
     pub horizon_ns: u64,
     /// History is not interpolated over longer gaps between states.
     pub gap_max_ns: u64,
 }
 
-/// Chosen by the errors of tracks and of the forecasts from them: with nearly noise-free positions the modes
-/// track best under the process model's full noise, with noisy positions their controls explain most of it.
-/// The half-gain deviations were chosen on the validation recordings of INTERACTION, under noise of 0.02, 0.1
-/// and 0.3 m.
+/// Chosen by the errors of tracks and of their forecasts. If positions are nearly free of noise, the modes
+/// track best with the full noise of the process model. If positions are noisy, the modes' controls explain
+/// most of that noise. The half-gain deviations were chosen on the validation recordings of INTERACTION,
+/// under noise of 0.02, 0.1 and 0.3 m.
 const TRUST: ForecastTrust = ForecastTrust {
     kinematic_weight: 0.05,
     covariance_scale: 1.0,
@@ -207,9 +208,9 @@ const TRUST: ForecastTrust = ForecastTrust {
     displacement_fade_in_s: 0.5,
 };
 
-/// The noise of vehicles is chosen by the kinematic prior on the validation recordings of INTERACTION, by
-/// errors and identity switches under noise of 0.1 and 0.3 m. The decay of their slip lowers errors under
-/// noise of 0.02 m, too; a faster one would narrow the gate until identities switch more often.
+/// The noise of vehicles was chosen with the kinematic prior on the validation recordings of INTERACTION. The
+/// criteria were errors and identity switches under noise of 0.1 and 0.3 m. The slip decay also lowers errors
+/// under noise of 0.02 m. A faster decay would narrow the gate until identities switch more often.
 const DETECTOR: InputModel = InputModel {
     sensor: [
         SensorNoise { position_m: 0.25, heading_rad: 0.12, speed_mps: 1.0 },
@@ -225,8 +226,8 @@ const DETECTOR: InputModel = InputModel {
     coast_ns: 2_000_000_000,
 };
 
-/// Chosen so that the filtered state, extrapolated for 0.8 s at its velocity, comes nearest to where the
-/// agent then was: nearer than by the velocity in the recording, or by the backward difference of its
+/// Chosen so that the filtered state, extrapolated for 0.8 s at its velocity, comes nearest to the agent's
+/// true position. It comes nearer than with the recording's velocity or with the backward difference of
 /// positions.
 const RECORDED: InputModel = InputModel {
     sensor: [
@@ -239,7 +240,8 @@ const RECORDED: InputModel = InputModel {
         MotionNoise { density: 2.0, acceleration_mps2: 3.0, slip_rate_radps: 0.7, slip_decay_per_s: 0.0 },
         MotionNoise { density: 0.3, acceleration_mps2: 1.0, slip_rate_radps: 0.5, slip_decay_per_s: 0.0 },
     ],
-    // Chosen by tracks through gaps on driving recordings of other sources, under noise of 0.1 m.
+    // Chosen by the errors of tracks across gaps, on driving recordings from other sources, under noise of
+    // 0.1 m.
     trust: ForecastTrust { control_fade_in_s: 0.2, ..TRUST },
     coast_ns: 1_000_000_000,
 };
@@ -273,7 +275,7 @@ impl TrackerOptions {
         if header.has(flags::HAS_IDENTITIES) { &self.recorded } else { &self.detector }
     }
 
-    /// Whether the detections' identities take the place of an association.
+    /// Whether the identities of the detections replace association.
     pub(crate) fn trusts(&self, header: &Header, detections: &[Detection]) -> bool {
         header.has(flags::HAS_IDENTITIES)
             && !self.associate
@@ -281,13 +283,13 @@ impl TrackerOptions {
     }
 }
 
-/// Share of the length that lies between reference point and rear axle.
+/// Distance from reference point to rear axle, as a share of the length.
 const REAR_AXLE_RATIO: f64 = 0.26;
 /// Lengths by agent type, for tracks of unknown length.
 const LENGTH_M: [f64; 3] = [4.5, 1.8, 1.8];
 
 impl InputModel {
-    /// The process models of an agent of that type and length; 0 stands for an unknown length.
+    /// The process models of an agent of this type and length. A length of 0 means unknown.
     #[must_use]
     pub fn models(&self, agent_type: AgentType, length_m: f64) -> Models {
         let noise = &self.motion[agent_type.index()];

@@ -36,7 +36,8 @@ impl Step for Tracker {
         let tracked = self.step(tick.header, tick.input, prior, &mut tracks);
         out.header = self.header(&out.header);
         let answered = tracked.and_then(|tracked| {
-            // Newer tracks than those of an out-of-sequence frame are out already. Its effect shows in the next.
+            // An out-of-sequence frame gets no answer, because newer tracks have already been published. The
+            // next frame's tracks include its effect.
             if tracked.replayed_len > 0 {
                 out.leave_empty();
                 return Ok(());

@@ -1,6 +1,6 @@
 //! The processors and the priority of a stage, as set by pipeline.toml.
 
-/// The settings of one stage for the kernel's scheduler. By default nothing is set.
+/// The settings of one stage for the kernel's scheduler. The default sets nothing.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Scheduling {
     /// Numbers of the processors for all its threads, in increasing order. Empty means all processors.

@@ -10,7 +10,7 @@ use crate::{Format, Input, ReadError, Role};
 /// Number of a file's first bytes that are read to detect its format.
 const HEAD_BYTES: u64 = 1 << 16;
 
-/// The recordings directly in a folder, by name. A file that belongs to another one has no entry of its own.
+/// The recordings directly in a folder, by name. A file that belongs to another recording is not listed.
 ///
 /// # Errors
 /// [`ReadError::Io`] if the folder can't be read.

@@ -33,8 +33,8 @@
 //!   inference](https://arxiv.org/abs/2106.00170)).
 //! * **Which modes.** The selected modes ([`Choice`]) represent both the network's modes and a [fan](FAN).
 //!   The fan is as wide as similar agents deviate from its centre. The set whose nearest mode has been nearer
-//!   gets more modes. The centre lies between constant velocity and the blend, close to where the fan has
-//!   been nearest.
+//!   gets more modes. The centre is between constant velocity and the blend, near the position at which the
+//!   fan has been closest to the truth.
 //!
 //! The learned state is kept at four steps of the horizon and at six speeds, with linear interpolation
 //! between them. Nothing here allocates after the start.

@@ -43,7 +43,7 @@ impl Process<6> for ConstantAcceleration {
 }
 
 /// The covariance that white jerk of spectral density q causes in `dt_s`, for position, velocity and
-/// acceleration along one axis. In general this is white noise at the input of a chain of three integrators.
+/// acceleration along one axis. It holds for any chain of three integrators with white noise at the input.
 #[must_use]
 pub fn chain_noise(density: f64, dt_s: f64) -> [[f64; 3]; 3] {
     let of = |power: i32, divisor: f64| density * dt_s.powi(power) / divisor;

@@ -2,7 +2,7 @@ use nalgebra::{SVector, Vector2};
 
 use crate::{Linearised, Motion};
 
-/// \[x, y, vx, vy\] in the world frame. The velocity is that of the last observed step and stays constant.
+/// \[x, y, vx, vy\] in the world frame. The velocity is taken from the last observed step and stays constant.
 pub type DisplacementState = SVector<f32, 4>;
 
 /// The reference of a displacement control.
@@ -15,8 +15,8 @@ pub enum DisplacementKind {
     Absolute,
 }
 
-/// The motion of cyclists and pedestrians: p' = p + v Δt + R u, or p' = p + R u for absolute displacements. u
-/// is in the agent frame of the last observed step. \[model §4\]
+/// The motion of cyclists and pedestrians: p' = p + v Δt + R u, or p' = p + R u for absolute displacements.
+/// The control u is in the agent frame of the last observed step. \[model §4\]
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Displacement {
     kind: DisplacementKind,

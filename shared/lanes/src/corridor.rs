@@ -20,7 +20,7 @@ const KEPT: f32 = 0.5;
 const STIFFER: f32 = 30.0;
 /// Largest slope of the agent's direction relative to the route.
 const SLOPE_MAX: f32 = 0.68;
-/// Number of solutions: the second pass knows where the first one left the bounds.
+/// Number of passes. The second pass knows the places at which the first left the bounds.
 const PASSES: usize = 2;
 
 /// A polyline with the length up to each point.

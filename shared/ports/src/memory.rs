@@ -30,7 +30,7 @@ use maps::{Kind, Mapping};
 const PAUSE_MAX: u32 = 16;
 /// Heartbeats before the memory use of ticks is measured: the history is full by then.
 const SETTLED: u32 = 60;
-/// Heartbeats, and about as many ticks, of that measurement.
+/// Heartbeats of that measurement. The number of ticks is about the same.
 const OBSERVED: u32 = 12;
 
 /// The memory of this process.

@@ -82,8 +82,8 @@ impl<H: Debug + ZeroCopySend> Services<H> {
         let alignment = Alignment::new(ALIGNMENT).expect("64 is a power of two");
         let frames = || {
             let builder = node.node.service_builder(&name).publish_subscribe::<[CustomPayloadMarker]>();
-            // SAFETY: the transport compares name and size with those of the other processes, and this
-            // module reads and writes the elements only as bytes.
+            // SAFETY: the transport compares name and size across processes, and this module accesses the
+            // elements only as bytes.
             let builder = unsafe { builder.__internal_set_payload_type_details(element) };
             with_header(builder)
                 .payload_alignment(alignment)
@@ -119,7 +119,7 @@ impl Writer {
         let header = TypeDetail::new::<Head>(TypeVariant::FixedSize);
         let Services { frames, events } = Services::with(node, name, shape, |builder| {
             let builder = builder.user_header::<CustomHeaderMarker>();
-            // SAFETY: name, size and alignment are those of the header that `Loaned::send` writes.
+            // SAFETY: name, size and alignment match the header that `Loaned::send` writes.
             unsafe { builder.__internal_set_user_header_type_details(&header) }
         })?;
         let publisher = frames
@@ -171,7 +171,8 @@ impl Loaned {
     /// The bytes of the elements, to be written.
     pub fn bytes_mut(&mut self) -> &mut [u8] {
         let bytes = self.0.payload_mut();
-        // SAFETY: a marker is one byte of any value, and the slice has as many as the elements have bytes.
+        // SAFETY: a marker is one byte of any value, and the slice has one marker for each byte of the
+        // elements.
         unsafe { std::slice::from_raw_parts_mut(bytes.as_mut_ptr().cast(), bytes.len()) }
     }
 }
@@ -243,6 +244,6 @@ impl Received {
 
 /// The bytes of a payload.
 fn bytes_of(payload: &[CustomPayloadMarker]) -> &[u8] {
-    // SAFETY: a marker is one byte, and the slice has as many as the elements have bytes.
+    // SAFETY: a marker is one byte, and the slice has one marker for each byte of the elements.
     unsafe { std::slice::from_raw_parts(payload.as_ptr().cast(), payload.len()) }
 }

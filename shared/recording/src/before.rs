@@ -19,9 +19,9 @@ const KEPT: [(&str, usize); 3] = [
     (ForecastsTopic::NAME, IDENTITY_BYTES),
 ];
 
-/// The inputs of a run's stages from the start of the run, compressed in memory. They are the detections, and
-/// the headers of tracks and forecasts, which show what each stage did in each tick. A replay of these frames
-/// brings the stages to the same state, for any length of their memory.
+/// The inputs of a run's stages from the start of the run, compressed in memory. The inputs are the
+/// detections and the headers of tracks and forecasts. The headers record the work of each stage in each
+/// tick. A replay of these frames brings the stages to the same state, for any length of their memory.
 #[derive(Debug)]
 pub struct Before {
     limit_bytes: usize,

@@ -1,8 +1,7 @@
 //! The options of a stage as data, read from the schema of its struct.
 //!
 //! The struct derives `schemars::JsonSchema`. This module reads each option's description from the schema. In
-//! addition to the keywords of JSON Schema it reads some keywords of its own, given by
-//! `#[schemars(extend("key" = …))]`:
+//! addition to the keywords of JSON Schema, it reads two extensions, set by `#[schemars(extend("key" = …))]`:
 //!
 //! | key | value |
 //! |---|---|

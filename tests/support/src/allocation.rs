@@ -24,7 +24,7 @@ pub struct CountingAllocator;
 
 /// Allocations of all threads.
 static ALL: AtomicUsize = AtomicUsize::new(0);
-/// Allocations of registered threads: those of the separate size, and all others.
+/// Allocations of registered threads: \[separate size, all other sizes\].
 static OF_THREADS: [[AtomicUsize; 2]; THREADS_MAX] =
     [const { [const { AtomicUsize::new(0) }; 2] }; THREADS_MAX];
 /// The size whose allocations are counted separately.
@@ -89,8 +89,8 @@ impl AllocationCounts {
         LAST.load(Ordering::Relaxed)
     }
 
-    /// Returns the allocations of the registered threads while `work` runs, by index: those of the separate
-    /// size, and all others.
+    /// Returns the allocations of the registered threads while `work` runs, by index: \[separate size, all
+    /// other sizes\].
     pub fn during(work: impl FnOnce()) -> [[usize; 2]; THREADS_MAX] {
         let now = || OF_THREADS.each_ref().map(|of| of.each_ref().map(|count| count.load(Ordering::Relaxed)));
         let before = now();

@@ -43,8 +43,8 @@ mod tests {
 
     use super::*;
 
-    /// 200 forecasts at each of two speeds. The truths of a speed lie within a circle of this radius about a
-    /// point, and the first `held` of them are held.
+    /// 200 forecasts at each of two speeds. The truths of one speed are inside a circle of this radius about
+    /// a point. The regions hold the first `held` of them.
     fn samples(radii_m: [f32; 2], held: [usize; 2]) -> Vec<Sample> {
         let of = |number: usize| {
             let (fast, angle) = (number % 2, 0.1 * number as f32);
@@ -71,7 +71,7 @@ mod tests {
         assert!((apart_m2 / (PI * 50.5) - 1.0).abs() < 0.05, "{apart_m2}");
         let together_m2 = area_m2([200, 200], 1);
         assert!((together_m2 / (PI * 100.0) - 1.0).abs() < 0.1, "{together_m2}");
-        // Half of the truths lie within three quarters of the radius.
+        // Half of the truths are within three quarters of the radius.
         let half_m2 = area_m2([100, 100], 2);
         assert!((half_m2 / (PI * 50.5 * 0.5625) - 1.0).abs() < 0.05, "{half_m2}");
         assert_eq!(area_m2([0, 0], 2), 0.0);

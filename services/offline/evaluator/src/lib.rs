@@ -7,9 +7,8 @@
 //!    [`Tally`]s, one per subset and [`Block`] of a recording.
 //! 4. [`Group`]s of blocks (a fold, a site) make the tables of a [`Report`].
 //!
-//! Other evaluations share some of this crate. [`Options`] and [`Footage`] read data sets and weights,
-//! [`Table`] writes Markdown, and [`threads`] splits work, with results that do not depend on the number of
-//! threads.
+//! Other evaluations share parts of this crate. [`Options`] and [`Footage`] read data sets and weights, and
+//! [`Table`] writes Markdown. [`threads`] splits work; results do not depend on the number of threads.
 
 mod baselines;
 mod error;

@@ -1,4 +1,4 @@
-//! From the same `tracks` payloads, the evaluator's forecasts equal those of the chain that `predict` runs.
+//! Given the same `tracks` payloads, the evaluator and the chain of `predict` make equal forecasts.
 
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should panic")]
 

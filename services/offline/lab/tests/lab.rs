@@ -15,7 +15,7 @@ fn stderr(output: &Output) -> String {
     String::from_utf8_lossy(&output.stderr).into_owned()
 }
 
-/// Runs the program, which must succeed. Returns what it wrote to standard error.
+/// Runs the program, which must succeed. Returns its standard error.
 fn lab_well(arguments: &[&str]) -> String {
     let output = lab(arguments);
     assert!(output.status.success(), "{arguments:?}: {}", stderr(&output));

@@ -3,9 +3,9 @@
 //! **In:** [`SceneView`]s, with states in the world frame (m, m/s, rad). **Out:** a [`Batch`]: scaled
 //! features and targets in agent frames; its fields document the shapes.
 //!
-//! A batch is ragged. The agents of many scenes are one list, sorted by type, those with a target first. A
-//! *row* is an agent at one step where it is present; rows are sorted by (agent, step), so that the rows of
-//! each type are contiguous. Edges join rows of the same scene and step.
+//! A batch is ragged. The agents of many scenes form one list, sorted by type; within a type, agents with a
+//! target come first. A *row* is an agent at one step at which it is present. Rows are sorted by (agent,
+//! step), so the rows of each type are contiguous. Edges join rows of the same scene and step.
 //!
 //! Neighbouring windows of a recording share most of their steps. So the features of a map patch, or of a
 //! pair of agents at one step, are computed once for all rows and edges that share them.
@@ -72,7 +72,7 @@ pub(crate) struct Batch<'a> {
     pub(crate) forecast: [Range<usize>; 3],
     /// State features `[agents, history × 6]`, zeros where absent.
     pub(crate) state: Matrix,
-    /// 1 where the agent is present, `[agents, history]`.
+    /// 1 if the agent is present, `[agents, history]`.
     pub(crate) present: Matrix,
     /// The state of every agent at the last observed step.
     pub(crate) starts: Vec<Start>,
@@ -80,7 +80,7 @@ pub(crate) struct Batch<'a> {
     pub(crate) base: Vec<AgentBase<'a>>,
     /// True positions in the agent frame `[agents, horizon × 2]`, zeros where unknown.
     pub(crate) truth: Matrix,
-    /// 1 where the truth is known, `[agents, horizon]`.
+    /// 1 if the truth is known, `[agents, horizon]`.
     pub(crate) counts: Matrix,
     /// Scene and agent within it of every agent of the batch.
     pub(crate) origin: Vec<(usize, usize)>,

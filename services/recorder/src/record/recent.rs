@@ -53,7 +53,7 @@ impl Recorder {
         self.sums.ticks
     }
 
-    /// The newest ticks, at most those of ten seconds, oldest first.
+    /// The ticks of the window, oldest first.
     pub(crate) fn recent(&self) -> impl DoubleEndedIterator<Item = &Tick> + ExactSizeIterator {
         self.recent.ticks.iter()
     }

@@ -28,7 +28,8 @@ pub(super) struct Round {
     values: Linear,
     /// U of the option `edge_in_message`.
     edge_values: Option<Linear>,
-    /// λ_h over the dimension of v (option `distance_scale`) and μ_h over that of e.
+    /// \[λ_h, μ_h\] of each head h. With the option `distance_scale`, λ_h is divided by the dimension of v
+    /// and μ_h by the dimension of e.
     factors: Vec<[f32; 2]>,
     update: Option<EdgeUpdate>,
     slope: f32,

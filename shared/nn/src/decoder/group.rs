@@ -31,8 +31,8 @@ pub struct DecoderGroup {
     history: Vec<[f32; STATE_FEATURES]>,
     hidden: Vec<[f32; HIDDEN]>,
     temporal: Vec<[f32; TEMPORAL]>,
-    /// Base controls, \[agent, mode, step\], with those of the best forecast after the modes; empty if the
-    /// model has none.
+    /// Base controls, \[agent, mode, step\]. The best forecast's controls follow the modes. Empty if the
+    /// model has no base.
     base: Vec<[f32; 2]>,
     /// Distance of each agent from the base's support; 0 if the base has none.
     outside: Vec<f32>,
@@ -52,8 +52,8 @@ pub struct AgentDraws<'a> {
     /// \[draw, step\].
     raw: &'a [[f32; RAW_CONTROL]],
     horizon_len: usize,
-    /// Base controls, \[mode, step\], with those of the best forecast after the modes; empty if the model has
-    /// none.
+    /// Base controls, \[mode, step\]. The best forecast's controls follow the modes. Empty if the model has
+    /// no base.
     pub base: &'a [[f32; 2]],
     /// Distance e of the agent from the base's support.
     pub outside: f32,
@@ -68,9 +68,12 @@ impl DecoderGroup {
 
     /// Decodes agents of a type with its network. Allocates only if a group is larger than all earlier ones.
     ///
-    /// The draws are the learned points, with that of the best forecast last if the model has one. A model
-    /// without learned points calls [`Encoded::draw`]. If it has no point for the best forecast, which is
-    /// always the last draw, the best forecast uses the middle of the distribution.
+    /// The draws of a model with learned points are these points. If the model has a point for the best
+    /// forecast, it is the last draw.
+    ///
+    /// A model without learned points calls [`Encoded::draw`] for its modes. Its last draw belongs to the
+    /// best forecast: the model's point for the best forecast or, without one, the middle of the
+    /// distribution.
     pub fn decode(&mut self, network: &TypeDecoder, config: &ModelConfig, agents: &impl Encoded) {
         let (agents_len, modes_len) = (agents.agents_len(), config.modes);
         self.gather(config.history_len, agents);

@@ -20,7 +20,7 @@ macro_rules! operations {
         $(
             #[inline(always)]
             fn $name(self, $($a: __m256),+) -> __m256 {
-                // SAFETY: the token exists only where the processor has AVX2 and FMA.
+                // SAFETY: the token exists only if the processor has AVX2 and FMA.
                 unsafe { $intrinsic($($a),+) }
             }
         )+
@@ -46,13 +46,13 @@ impl Lanes for Avx2 {
 
     #[inline(always)]
     fn splat(self, x: f32) -> __m256 {
-        // SAFETY: the token exists only where the processor has AVX2 and FMA.
+        // SAFETY: the token exists only if the processor has AVX2 and FMA.
         unsafe { _mm256_set1_ps(x) }
     }
 
     #[inline(always)]
     fn scale(self, a: __m256, shifted: __m256) -> __m256 {
-        // SAFETY: the token exists only where the processor has AVX2 and FMA.
+        // SAFETY: the token exists only if the processor has AVX2 and FMA.
         unsafe {
             let exponent = _mm256_slli_epi32::<23>(_mm256_castps_si256(shifted));
             _mm256_castsi256_ps(_mm256_add_epi32(_mm256_castps_si256(a), exponent))

@@ -20,7 +20,7 @@ macro_rules! operations {
         $(
             #[inline(always)]
             fn $name(self, $($a: __m512),+) -> __m512 {
-                // SAFETY: the token exists only where the processor has AVX-512F.
+                // SAFETY: the token exists only if the processor has AVX-512F.
                 unsafe { $intrinsic($($a),+) }
             }
         )+
@@ -45,13 +45,13 @@ impl Lanes for Avx512 {
 
     #[inline(always)]
     fn splat(self, x: f32) -> __m512 {
-        // SAFETY: the token exists only where the processor has AVX-512F.
+        // SAFETY: the token exists only if the processor has AVX-512F.
         unsafe { _mm512_set1_ps(x) }
     }
 
     #[inline(always)]
     fn scale(self, a: __m512, shifted: __m512) -> __m512 {
-        // SAFETY: the token exists only where the processor has AVX-512F.
+        // SAFETY: the token exists only if the processor has AVX-512F.
         unsafe {
             let exponent = _mm512_slli_epi32::<23>(_mm512_castps_si512(shifted));
             _mm512_castsi512_ps(_mm512_add_epi32(_mm512_castps_si512(a), exponent))

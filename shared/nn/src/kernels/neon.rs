@@ -20,7 +20,7 @@ macro_rules! operations {
         $(
             #[inline(always)]
             fn $name(self, $($a: float32x4_t),+) -> float32x4_t {
-                // SAFETY: the token exists only where the processor has NEON.
+                // SAFETY: the token exists only if the processor has NEON.
                 unsafe { $intrinsic($($a),+) }
             }
         )+
@@ -44,19 +44,19 @@ impl Lanes for Neon {
 
     #[inline(always)]
     fn fma(self, a: float32x4_t, b: float32x4_t, c: float32x4_t) -> float32x4_t {
-        // SAFETY: the token exists only where the processor has NEON.
+        // SAFETY: the token exists only if the processor has NEON.
         unsafe { vfmaq_f32(c, a, b) }
     }
 
     #[inline(always)]
     fn splat(self, x: f32) -> float32x4_t {
-        // SAFETY: the token exists only where the processor has NEON.
+        // SAFETY: the token exists only if the processor has NEON.
         unsafe { vdupq_n_f32(x) }
     }
 
     #[inline(always)]
     fn scale(self, a: float32x4_t, shifted: float32x4_t) -> float32x4_t {
-        // SAFETY: the token exists only where the processor has NEON.
+        // SAFETY: the token exists only if the processor has NEON.
         unsafe {
             let exponent = vshlq_n_s32::<23>(vreinterpretq_s32_f32(shifted));
             vreinterpretq_f32_s32(vaddq_s32(vreinterpretq_s32_f32(a), exponent))

@@ -36,7 +36,7 @@ fn records(file: &[u8]) -> Vec<(u8, Vec<u8>)> {
 #[derive(Clone, Debug)]
 struct Rewrite {
     options: WriteOptions,
-    /// Messages of one topic after those of another.
+    /// Groups the messages by topic.
     by_topic: bool,
     /// Attachments, metadata, private records and a topic of another program among the messages.
     extras: bool,

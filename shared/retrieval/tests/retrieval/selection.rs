@@ -25,8 +25,8 @@ fn select(
 
 #[test]
 fn a_common_path_replaces_the_mode_whose_loss_is_least() {
-    // The second mode is almost equal to the first. Two neighbours went left, where there is no mode. One
-    // went to the third mode.
+    // The second mode is almost equal to the first. Two neighbours went left, away from all modes. One went
+    // to the third mode.
     let paths = [to(4.0, 0.0), to(4.1, 0.0), to(2.0, 0.0), to(0.0, 4.0), to(0.0, 4.2), to(2.0, 0.1)];
     let selected = select(MotionKind::Displacement, &paths, &[0.5, 0.2, 0.3], &[1.0, 0.9, 1.0]);
     assert_eq!(selected.iter().map(|(path, _)| *path).collect::<Vec<_>>(), [0, 3, 2]);
