@@ -9,7 +9,7 @@ use crate::screen::{BOLD, Color, DIM, Line, Span, TITLE, curve};
 /// Maximum number of lines for events and for worst ticks.
 const EVENTS_MAX: usize = 4;
 const WORST_MAX: usize = 5;
-/// Cells of the curve's line beside the curve.
+/// Cells in the curve's line that are not part of the curve.
 const CURVE_MARGIN: usize = 28;
 /// Heading of the worst ticks.
 const WORST: &str = "worst tick";
@@ -152,8 +152,8 @@ fn latency(view: &View, width: usize) -> Line {
     Line(spans)
 }
 
-/// The latency of the newest ticks, newest right. Small latencies fill the curve too: its height is the limit,
-/// halved while that leaves room above.
+/// The latency of the newest ticks, newest right. The height of the curve is the limit, halved as long as all
+/// latencies fit. Small latencies therefore fill the curve too.
 fn latency_curve(view: &View, width: usize) -> Option<Line> {
     let (all, limit_ms) = (&view.status.recent_latencies_ms, view.status.report.late_limit_ms?);
     let newest_us: Vec<u64> = all.iter().rev().map(|latency_ms| (latency_ms * 1e3) as u64).collect();

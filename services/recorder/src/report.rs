@@ -393,7 +393,7 @@ pub struct ForecastCounts {
     /// Number of agents without any forecast according to the degradation policy, summed over ticks.
     #[serde(default)]
     pub silent: u64,
-    /// Greatest age of a held forecast.
+    /// Maximum age of a held forecast.
     pub age_ms_max: Option<f64>,
     /// Forecasts that were shed because ticks had no time for all agents.
     #[serde(default)]
@@ -411,7 +411,7 @@ pub struct Shed {
     pub share: Option<f64>,
     /// Largest number of agents that a tick left out.
     pub agents_max: u64,
-    /// Greatest age of a forecast that replaces one left out.
+    /// Maximum age of a forecast that replaces one that was left out.
     pub age_ms_max: Option<f64>,
 }
 
@@ -600,7 +600,7 @@ pub struct Errors {
     pub ade_m: Option<f64>,
     /// minFDE_K: distance at the end of the horizon of each forecast's best mode.
     pub fde_m: Option<f64>,
-    /// Miss rate: share of forecasts of which no mode ends within the miss radius.
+    /// Miss rate: share of forecasts in which no mode ends within the miss radius.
     pub miss_rate: Option<f64>,
     /// ADE of the single best forecast (K = 1).
     pub single_ade_m: Option<f64>,

@@ -1,8 +1,8 @@
 //! The figures of one tick, from the header and the elements of its forecasts.
 //!
-//! Each figure of a tick is counted here once. The report, the live table, `top`, the metrics, traces, `tick`,
-//! the outages and the causes of a flight recorder are views of these figures and of their sums in the
-//! [`Recorder`](crate::Recorder).
+//! Each figure of a tick is counted here once. The report, the live table, `top`, the metrics, traces,
+//! `tick`, the outages and the causes of a flight recorder are views of these figures and of their sums in
+//! the [`Recorder`](crate::Recorder).
 
 use wire::{Cause, Forecast, Header, Quality, flags};
 
@@ -49,7 +49,7 @@ pub struct Tick {
     pub out_of_distribution: OutOfDistribution,
     /// Maximum age of a forecast.
     pub age_ns: u64,
-    /// Maximum age of a held forecast, and of one that stands for a shed agent.
+    /// Maximum age of a held forecast, and of a forecast that is republished for a shed agent.
     pub held_age_ns: [Option<u64>; 2],
     /// Whether a forecast is held or kinematic through a fault.
     pub is_degraded: bool,

@@ -62,8 +62,8 @@ fn tick(c: &mut Criterion) {
     }
 }
 
-/// A tick of pedestrians who walk where others have walked before, shared over workers. Retrieval is most of
-/// the work.
+/// A tick of pedestrians who walk along the paths of earlier pedestrians, distributed over workers. Retrieval
+/// is most of the work.
 fn retrieving(c: &mut Criterion) {
     let (header, tracks, controls) = fixture(AgentType::Pedestrian);
     for workers in [1, 2] {

@@ -44,7 +44,7 @@ pub const TRANSITIONS: [(Level, Change, Level); 7] = [
 /// How long each level may last.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Degradation {
-    /// Greatest age at which a learned forecast is published again as held.
+    /// Maximum age at which a learned forecast is republished as held.
     pub held_ns: u64,
     /// Duration for which an agent is then forecast by zero control; `None` for no limit.
     pub kinematic_ns: Option<u64>,

@@ -61,7 +61,7 @@ fn with_covariance(mut track: Track, state_len: usize, variance: f32) -> Track {
     track
 }
 
-/// Modes whose first control component differs; all steps alike.
+/// Modes that differ in the first control component. All steps of a mode are equal.
 fn controls(id: u64, agent_type: AgentType, means: &[[f32; 2]], deviation: f32) -> AgentControls {
     let step = |mean| [ControlGaussian { mean, cholesky: [deviation, 0.2 * deviation, deviation] }; 12];
     let mut controls = AgentControls { id, agent_type: agent_type as u32, ..AgentControls::zeroed() };

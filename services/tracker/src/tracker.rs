@@ -50,7 +50,7 @@ pub struct Tracker {
     is_auditable: bool,
     /// The tracks of the process before, while this one waits for its turn.
     pub(crate) predecessor: Predecessor,
-    /// Scratch: the tracks of the step in hand.
+    /// Scratch: the tracks of the current step.
     tracks: Vec<Track>,
     warned: Warned,
 }

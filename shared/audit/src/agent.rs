@@ -22,7 +22,7 @@ const GRID_NS: i64 = 2_000_000_000;
 const FIRST_STEP_M: f64 = 4.0;
 /// Measurement error that is allowed in addition to the agent's motion.
 const SLACK_M: f64 = 0.5;
-/// Coordinates that stand for a missing position.
+/// Coordinates that mark a missing position.
 const PLACEHOLDERS_M: [f32; 2] = [0.0, -1.0];
 
 /// Highest speed of a type, equal to the tracker's limits.
@@ -58,7 +58,7 @@ impl Spot {
         }
     }
 
-    /// Whether the position stands for a missing one.
+    /// Whether the position is a placeholder for a missing one.
     pub fn is_placeholder(&self) -> bool {
         let [x_m, y_m] = self.position_m;
         PLACEHOLDERS_M.into_iter().any(|placeholder| x_m == placeholder && y_m == placeholder)

@@ -191,7 +191,7 @@ mod tests {
 
     #[test]
     fn a_clock_that_is_set_back_is_found() {
-        // Also after a number of frames of which a single one is less than 1 %.
+        // Also when a single frame is less than 1 % of all frames.
         for (set_back, frames) in [(30, 64), (300, 320)] {
             let mut audit = LiveAudit::default();
             let detection = Detection { flags: detection_flags::HAS_ID, ..Detection::default() };

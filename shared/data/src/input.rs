@@ -16,7 +16,7 @@ pub enum Role {
     Pedestrians,
     /// The output of the detector for cyclists.
     Cyclists,
-    /// True positions beside a detector's output.
+    /// True positions in addition to a detector's output.
     Labels,
     /// Position and attitude of the ego vehicle.
     EgoMotion,

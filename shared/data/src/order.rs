@@ -1,9 +1,9 @@
 //! Time that runs backwards within an identity.
 //!
 //! Rows can be in any order: by time, by track, shuffled. So a row that is earlier than the previous row of
-//! its identity is not an error by itself. In a shuffled file, half of all rows are. In a file that is in
-//! order otherwise, such a row shows that the clock was set back or the recording was played twice. The rows
-//! behind it would be mixed with rows of another time.
+//! its identity is not an error by itself. In a shuffled file, half of all rows are. In a file that is
+//! otherwise in order, such a row shows that the clock was set back or the recording was played twice. Later
+//! rows would be mixed with rows of another time.
 
 use std::collections::HashMap;
 

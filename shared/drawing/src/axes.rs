@@ -13,7 +13,7 @@ const ROOM: [f64; 4] = [20.0, 30.0, 12.0, 7.0];
 /// Number of curve names side by side. `KEY_ROW` is the height of a row of them, pt.
 const KEY_COLUMNS: usize = 2;
 const KEY_ROW: f64 = 8.0;
-/// Most drawn points of a curve: more than the dots of a line this wide.
+/// Maximum number of drawn points of a curve: more than the dots of a line of this width.
 const POINTS_MAX: usize = 600;
 /// Approximate minimum number of ticks on an axis.
 const TICKS: f64 = 4.0;

@@ -15,7 +15,7 @@
 //! mixture of all modes.
 //!
 //! A picture is one string. The same input gives the same string. Text is drawn as outlines of an embedded
-//! font, so a picture looks alike in every viewer. Lengths on paper are in points (pt, 1/72 inch).
+//! font, so a picture looks the same in every viewer. Lengths on paper are in points (pt, 1/72 inch).
 
 mod axes;
 mod canvas;

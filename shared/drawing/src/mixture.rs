@@ -14,7 +14,7 @@ const RASTER_VARIANCE: f64 = 0.6;
 const HOP: f64 = 0.5;
 /// Lower bound of the standard deviation when the number of moments is computed.
 const FINEST_M: f64 = 0.05;
-/// Most moments per step of the forecast.
+/// Maximum number of moments per step of the forecast.
 const PER_STEP_MAX: f64 = 24.0;
 
 /// A Gaussian of a mixture.

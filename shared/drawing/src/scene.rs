@@ -76,7 +76,7 @@ impl Default for SceneOptions {
     }
 }
 
-/// Most panels of a picture.
+/// Maximum number of panels in a picture.
 const PANELS_MAX: usize = 64;
 /// Edge of the sheet, pt.
 const EDGE: f64 = 3.0;

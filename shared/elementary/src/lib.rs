@@ -1,8 +1,8 @@
-//! Functions of which the platform's own library has other last bits on another instruction set: forecasts must not
-//! depend on the machine.
+//! Elementary functions with the same bits on every machine. The platform's library differs in the last bits
+//! between instruction sets, but forecasts must not depend on the machine.
 //!
-//! Square roots, and in double precision sine, cosine, exponential and logarithm, are the same to the bit in glibc on
-//! x86-64 with FMA and on 64-bit Arm: `docs/arm.md` tells how that was tried.
+//! Square roots, and in double precision sine, cosine, exponential and logarithm, are the same to the bit in
+//! glibc on x86-64 with FMA and on 64-bit Arm: `docs/arm.md` tells how that was tried.
 
 /// Beyond these bounds a square could leave the range of normal numbers.
 const SQUARE_RANGE: [f64; 2] = [1e-138, 1e153];
@@ -11,11 +11,11 @@ const SCALE: f64 = 4.149_515_568_880_993e180;
 /// Where the ratio is less, the smaller side is less than half a unit in the last place: 2^-54.
 const RATIO_MIN: f64 = 5.551_115_123_125_783e-17;
 
-/// √(x² + y²), within one unit in the last place, by products and sums that are rounded one by one: an instruction set
-/// with fused ones gives the same bits.
+/// √(x² + y²), within one unit in the last place, by products and sums that are rounded one by one: an
+/// instruction set with fused ones gives the same bits.
 ///
-/// The error of the plain square root is estimated from the sides and taken off. (Borges, An improved algorithm for
-/// hypot(a, b), 2019: the variant without fused operations.)
+/// The error of the plain square root is estimated from the sides and taken off. (Borges, An improved
+/// algorithm for hypot(a, b), 2019: the variant without fused operations.)
 #[must_use]
 pub fn hypot(x: f64, y: f64) -> f64 {
     let (x, y) = (x.abs(), y.abs());

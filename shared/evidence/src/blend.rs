@@ -29,8 +29,8 @@ pub(crate) struct Caution {
 impl Caution {
     /// Many agents are present, and their behaviour is informative about each other.
     const LITTLE: Self = Self { prior_len: 20.0, expert_min: 30.0, steady_min: 30.0, steady: BETTER };
-    /// One or two agents are present, and their behaviour says little about the next. The regression must
-    /// prove better than constant velocity, and a single expert is never the forecast.
+    /// Only one or two agents are present, and their behaviour is weak evidence for the next agents. The
+    /// regression must prove better than constant velocity, and a single expert is never the forecast.
     const MUCH: Self = Self { prior_len: 100.0, expert_min: f64::INFINITY, steady_min: 10.0, steady: 1.02 };
 
     pub(crate) const fn of(agent_type: AgentType) -> Self {

@@ -5,7 +5,7 @@ use crate::{BANDS, KNOTS, Pattern, Statistics, fill_unknown};
 
 /// Deviations for contexts without a source, m.
 const DEVIATIONS_M: [[f32; 2]; KNOTS] = [[0.1, 0.05], [0.5, 0.25], [1.8, 0.8], [6.0, 3.0]];
-/// Logarithms of the width factors for contexts without a source. Most types and speeds have similar ones.
+/// Logarithms of the width factors for contexts without a source. Most types and speeds have similar factors.
 const LOG_WIDTHS: [f32; KNOTS] = [0.3, 0.0, -0.25, -0.35];
 /// Minimum number of sources in the average of a context's prior. The default replaces missing sources, so
 /// that a single source with poor positions does not dominate.

@@ -1,4 +1,5 @@
-//! Joint updates by several observations of which at most one belongs to the agent, against updates by each.
+//! Compares joint updates with updates by each observation alone. At most one of several observations belongs
+//! to the agent.
 
 use association::Candidate;
 use association::jpda::{Associator, Share};

@@ -15,9 +15,9 @@ use crate::positions::Positions;
 use crate::skipped::{Skipped, SkippedKind};
 use crate::{Coordinates, Element, Kind, LaneMapError, tags};
 
-/// Most lanes. A lanelet that is used both ways counts twice.
+/// Maximum number of lanes. A lanelet that is used both ways counts twice.
 pub const LANES_MAX: usize = 200_000;
-/// Most points of all lanes together.
+/// Maximum number of points of all lanes together.
 pub const POINTS_MAX: usize = 8_000_000;
 /// Largest distance between the points of a lane.
 pub const SPACING_M: f64 = 1.0;

@@ -10,9 +10,9 @@ use crate::{Element, Kind, LaneMapError};
 
 /// Size of the largest accepted file. In memory it takes several times as much.
 pub const XML_BYTES_MAX: u64 = 256 << 20;
-/// Most elements, texts and comments of a file.
+/// Maximum number of elements, texts and comments in a file.
 const XML_NODES_MAX: u32 = 16_000_000;
-/// Most nodes of a bound, and members of a lanelet.
+/// Maximum number of nodes of a bound and of members of a lanelet.
 pub const MEMBERS_MAX: usize = 10_000;
 
 /// The tags of an element. If a key occurs twice, the first tag counts.

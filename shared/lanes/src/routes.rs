@@ -4,17 +4,17 @@ use wire::AgentType;
 
 use crate::{Lane, LaneMap};
 
-/// Most routes of an agent.
+/// Maximum number of routes of an agent.
 pub const ROUTES_MAX: usize = 16;
-/// Most points of a route.
+/// Maximum number of points of a route.
 pub const ROUTE_POINTS_MAX: usize = 200;
 /// Distance between the points along a route.
 pub const ROUTE_STEP_M: f32 = 1.0;
-/// Most lanes that match one agent.
+/// Maximum number of lanes that match one agent.
 const STARTS_MAX: usize = 12;
-/// Most lanes of a route.
+/// Maximum number of lanes of a route.
 const ROUTE_LANES_MAX: usize = 48;
-/// Most lanes examined in the cells around an agent.
+/// Maximum number of lanes examined in the cells around an agent.
 const NEAR_MAX: usize = 256;
 /// Reach of this search.
 const NEAR_M: f32 = 6.0;

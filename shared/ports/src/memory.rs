@@ -26,7 +26,7 @@ use rustix::thread::{CapabilitySet, capabilities};
 use crate::LAUNCHER_VARIABLE;
 use maps::{Kind, Mapping};
 
-/// Most heartbeats between two checks of the faults, reached if populating does not help.
+/// Maximum number of heartbeats between two checks of the faults. It is reached if populating does not help.
 const PAUSE_MAX: u32 = 16;
 /// Heartbeats before the memory use of ticks is measured: the history is full by then.
 const SETTLED: u32 = 60;

@@ -171,7 +171,7 @@ impl<'a, O: Topic> Answer<'a, O> {
         self.room.elements(count)
     }
 
-    /// States how many agents were served, from which the driver learns the cost of an agent.
+    /// Reports the number of served agents. The driver learns the cost of an agent from it.
     pub const fn served(&mut self, agents: usize) {
         self.served = Some(agents);
     }

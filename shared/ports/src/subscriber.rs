@@ -27,7 +27,7 @@ struct Port<T: Topic> {
     run_id: u64,
     /// Whether frames without a check value are refused.
     protected: bool,
-    /// Whether nobody stops waiting for a tick: a tick that is refused here is declared lost.
+    /// Whether every stage waits for every tick. A tick that is refused here is then declared lost.
     lockstep: bool,
     /// Number and stamp of the newest received tick.
     newest: Cell<Option<(u64, i64)>>,

@@ -1,8 +1,8 @@
 //! The transport, without the types of payloads: the two services of a topic and their ports.
 //!
 //! The code of the transport is generic. With a topic's own type it would be compiled for each topic, in each
-//! stage. Here elements are bytes, so it is compiled once. The transport compares name and size of the
-//! element types all the same ([`Shape::element`]).
+//! stage. Here elements are bytes, so it is compiled once. The transport still compares name and size of the
+//! element types ([`Shape::element`]).
 #![expect(
     unsafe_code,
     reason = "the transport hands out memory of types that it knows by name and size only"
@@ -157,7 +157,8 @@ impl Writer {
 
     /// Wakes all readers.
     pub fn notify(&self) {
-        // Errors here are late notifications, which were delivered all the same, and readers that have ended.
+        // Errors here come from late notifications, which were still delivered, and from readers that have
+        // ended.
         let _ = self.notifier.notify();
     }
 }

@@ -21,7 +21,7 @@
 //! #[derive(Default, Serialize, Deserialize, JsonSchema)]
 //! #[serde(deny_unknown_fields, default)]
 //! struct Options {
-//!     /// Most threads that compute; one for each core where not given.
+//!     /// Maximum number of threads; one for each core if not given.
 //!     #[schemars(range(min = 1, max = 64))]
 //!     workers: Option<usize>,
 //! }

@@ -18,7 +18,8 @@ pub struct EdgeRule {
     pub radius_m: f32,
     /// Largest distance if both agents are pedestrians.
     pub pedestrian_radius_m: f32,
-    /// Most edges that an agent receives at a step, including its self edge. The nearest ones are kept.
+    /// Maximum number of edges that an agent receives at a step, including its self edge. The nearest
+    /// neighbours are kept.
     pub neighbours_max: usize,
 }
 

@@ -45,8 +45,8 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     }
 }
 
-/// Returns the command with the program's absolute path, so it works from any folder. A program that is
-/// searched in PATH stays as it is.
+/// Returns the command with the program's absolute path, so it works from any folder. A program name that is
+/// looked up in PATH stays unchanged.
 fn command(words: &[String]) -> Result<Vec<String>, Failure> {
     let [program, arguments @ ..] = words else { return Ok(Vec::new()) };
     let program = if program.contains('/') {

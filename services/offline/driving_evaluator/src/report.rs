@@ -372,7 +372,8 @@ impl Report {
     }
 }
 
-/// Reports how many shares are within the bounds, and how many others have an interval that reaches them.
+/// Reports the number of shares within the bounds, and the number of other shares whose interval reaches the
+/// bounds.
 fn within(shares: &[Interval], [low, high]: [f64; 2]) -> String {
     let percent = |share: f64| (100.0 * share).round();
     let lies =

@@ -34,8 +34,8 @@ pub enum MapChoice {
     None,
     /// The map of the recording so far.
     Online,
-    /// The map of the site's training recordings, or none if there are no such recordings. In data sets
-    /// without sites, the online map.
+    /// The map of the site's training recordings; no map if the site has none. In data sets without sites,
+    /// the online map.
     Site,
 }
 

@@ -111,12 +111,12 @@ struct Ranked {
     view: Rc<TickView>,
 }
 
-/// Plays a recording and returns the wanted ticks. They show the forecasts of `agents`, by their identities in the
-/// recording, or of all if none are given.
+/// Plays a recording and returns the wanted ticks. They show the forecasts of `agents`, by their identities
+/// in the recording, or of all if none are given.
 ///
 /// # Errors
-/// [`Failure`] if the stages can't be set up; [`GalleryError`], as [`Failure::Data`], if a tick or an agent can't be
-/// drawn.
+/// [`Failure`] if the stages can't be set up; [`GalleryError`], as [`Failure::Data`], if a tick or an agent
+/// can't be drawn.
 pub fn shots(
     mut playback: Playback,
     (run, model): (&Run, &ModelConfig),

@@ -130,8 +130,8 @@ impl Adam {
     }
 }
 
-/// Multiplies values by the units in which their parameters are learned: the gradient by the chain rule, and
-/// likewise the step.
+/// Multiplies values by the units in which their parameters are learned. For gradients this is the chain
+/// rule; steps are scaled in the same way.
 fn in_units(values: &mut [f32], units: &[f32]) {
     values.iter_mut().zip(units).for_each(|(value, unit)| *value *= unit);
 }

@@ -44,7 +44,8 @@ pub(crate) struct Clip {
 
 impl Clip {
     /// Draws the view of scenes around a random agent. Scenes without vehicles are scaled, and mirrored half
-    /// of the time: pedestrians keep to neither side of the road, and slow and fast ones walk alike.
+    /// of the time: pedestrians keep to neither side of the road, and slow and fast pedestrians walk in the
+    /// same way.
     pub(crate) fn draw(scenes: &[Scene], options: &TrainOptions, random: &mut impl Rng) -> Self {
         let counted: Vec<&Arc<Agent>> =
             scenes.iter().flat_map(|scene| &scene.agents).filter(|agent| agent.counts).collect();

@@ -46,8 +46,9 @@ impl Tick {
         self.frames.iter().find(|frame| frame.topic().name == topic)
     }
 
-    /// The frame of a topic with its elements. `None` if the frame is impossible, as from a faulty sender;
-    /// stages refuse such a frame before they read it. `impossible` holds the first one.
+    /// The frame of a topic with its elements. `None` if the frame is impossible, which means that its sender
+    /// is faulty. Stages refuse an impossible frame before they read it. `impossible` holds the first
+    /// impossible frame.
     pub fn own<T: Topic>(&self, impossible: &mut Option<FrameError>) -> Option<OwnFrame<T>> {
         let frame = self.frame(T::NAME)?;
         match frame.elements::<T>() {
@@ -73,8 +74,8 @@ impl Tick {
         frame.map_or(Allowance::All, |frame| Allowance::AsRecorded(frame.header()))
     }
 
-    /// The agents for which the extractor had time, from its features. All if it did not have to choose or its
-    /// features were not recorded.
+    /// The agents for which the extractor had time, from its features. All if it did not have to choose or
+    /// its features were not recorded.
     pub fn extracted(&self) -> Allowance<'static> {
         let served = self.own::<FeaturesTopic>(&mut None).and_then(|features| {
             let counts = &features.header.counts;

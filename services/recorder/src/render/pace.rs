@@ -13,8 +13,8 @@ const COMFORTABLE: f64 = 0.7;
 const WAKE_UP: usize = 1;
 
 impl Report {
-    /// Two lines on how far the run was from keeping its time, and advice. Returns `None` if no forecast was
-    /// late or shed, or if a stage had died.
+    /// Two lines: how late the run was, and advice. Returns `None` if no forecast was late or shed, or if a
+    /// stage had died.
     pub(super) fn too_slow(&self) -> Option<[String; 2]> {
         let late = self.forecasts.causes.get(Cause::Late.name()).copied().unwrap_or(0);
         let is_real_time = self.run.lockstep != Some(true);

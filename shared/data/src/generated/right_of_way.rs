@@ -44,7 +44,7 @@ pub(super) fn take_turns(users: &mut [RoadUser], layout: &Layout, now_s: f64, go
 }
 
 /// Withdraws the turn of users that pedestrians stop before the stop line, and of users behind them in their
-/// lane, so that others can go meanwhile.
+/// lane. Other users can then go first.
 fn give_up_turns(users: &mut [RoadUser], layout: &Layout) {
     for i in 0..users.len() {
         let user = &users[i];

@@ -7,7 +7,7 @@ use tick_view::ForecastView;
 use super::{AgentDrawing, SceneDrawing, SceneOptions};
 use crate::error::{PictureError, within};
 
-/// Most agents of a panel, modes of an agent, and steps of a trajectory.
+/// Maximum numbers of agents in a panel, modes of an agent and steps of a trajectory.
 const AGENTS_MAX: usize = 4096;
 const MODES_MAX: usize = 256;
 const STEPS_MAX: usize = 1024;

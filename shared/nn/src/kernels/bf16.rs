@@ -26,7 +26,7 @@ use super::{Isa, active};
 use crate::Precision;
 use crate::buffer::Buffer;
 
-/// Most inputs of a layer.
+/// Maximum number of inputs of a layer.
 pub(crate) const IN_MAX: usize = 128;
 
 /// The content of a proof: empty, or a type that can't exist if no processor has the dot products.

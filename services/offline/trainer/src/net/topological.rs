@@ -1,6 +1,6 @@
 //! Topological attention over ragged graphs, forward and backward. \[model §3\]
 //!
-//! A *row* is an agent at one step where it is present; an *edge* joins a receiving row to a sending row.
+//! A *row* is an agent at one step at which it is present. An *edge* joins a receiving row to a sending row.
 //! Every head has its own λ and μ and computes
 //!
 //! ```text

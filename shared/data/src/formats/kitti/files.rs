@@ -1,8 +1,8 @@
 //! The files of a KITTI sequence that belong to the named one.
 //!
 //! A file has the same name in all folders. Detections have one folder per class, whose name contains the
-//! class: `Car`, or `pointrcnn_Car_val`. Calibration, ego motion and labels have their own folders, beside
-//! that folder or further up, as `training/label_02` of KITTI itself.
+//! class: `Car`, or `pointrcnn_Car_val`. Calibration, ego motion and labels have their own folders, next to
+//! that folder or further up, like `training/label_02` of KITTI itself.
 
 use std::path::{Path, PathBuf};
 
@@ -18,8 +18,8 @@ const LABELS: [&str; 2] = ["label", "label_02"];
 /// Numbers of folders to go up for the search.
 const ABOVE: std::ops::Range<usize> = 2..5;
 
-/// The named output of a detector, the outputs for the other classes in folders named alike, and the files
-/// that locate them in the world.
+/// The named output of a detector, the outputs for other classes in folders with matching names, and the
+/// files that locate them in the world.
 pub(crate) fn detections(path: &Path, opened: Input) -> Result<Vec<Input>, ReadError> {
     let folder =
         path.parent().and_then(Path::file_name).and_then(|folder| folder.to_str()).unwrap_or_default();

@@ -9,8 +9,8 @@
 //!
 //! Besides the sums, a tile needs V vectors of weights and the row's number in all lanes. Everything must fit
 //! into the set's registers: with one more sum, the compiler moves sums to the stack and back in each step.
-//! There must also be enough sums to hide the latency of the multiply-adds, two of which run at a time on
-//! most processors.
+//! There must also be enough sums to hide the latency of the multiply-adds. Most processors run two
+//! multiply-adds at a time.
 //!
 //! Rows that do not fill a whole tile get a smaller one. If at most half the columns of the last panel are
 //! outputs, as in the decoder's head, its tile has half the vectors and up to twice the rows. AVX-512 is an
