@@ -1,8 +1,8 @@
 //! The log of this program and of the processes that it starts.
 //!
-//! Every line goes through `tracing`, except the failure with which a command ends (`Failure::print`). A line of
-//! a stage, which its own process has formatted, is relayed. While the table of a run is drawn, lines stand
-//! above it; otherwise, they go to standard error.
+//! Every line goes through `tracing`, except the failure with which a command ends (`Failure::print`). A line
+//! of a stage was formatted by its own process and is relayed. While the table of a run is drawn, lines are
+//! printed above the table. Otherwise, they go to standard error.
 
 use std::io::Write;
 use std::process::Command;
@@ -16,13 +16,14 @@ use wire::StageId;
 
 use crate::color;
 
-/// The events of the log unless `RUST_LOG` selects others: what the programs report, and warnings of the rest.
+/// The events of the log unless `RUST_LOG` selects others: reports of the programs, and warnings of all other
+/// crates.
 const EVENTS: &str = "warn,launch=info,stgdat_lab=info,trainer=info";
 
 /// The format of this process.
 static FORMAT: OnceLock<LogFormat> = OnceLock::new();
 
-/// Takes the lines while a table is drawn.
+/// Receives the lines while a table is drawn.
 static ABOVE_TABLE: Mutex<Option<Sender<String>>> = Mutex::new(None);
 
 /// The formats as the values of an argument.
@@ -62,8 +63,8 @@ pub fn to_standard_error() {
     *ABOVE_TABLE.lock().unwrap_or_else(PoisonError::into_inner) = None;
 }
 
-/// Writes a line of a stage's output: as text with the stage's name before it, as JSON with the field `stage`.
-/// A line that is not an object becomes the message.
+/// Writes a line of a stage's output: as text with the stage's name before it, as JSON with the field
+/// `stage`. A line that is not an object becomes the message.
 pub fn relay(stage: StageId, line: &str) {
     let line = match format() {
         LogFormat::Text => {
@@ -92,7 +93,8 @@ fn parse(line: &str) -> Option<Map<String, Value>> {
     serde_json::from_str(line).ok()
 }
 
-/// The object of a stage's line with the stage's name; `None` if the stage did not write the line with `tracing`.
+/// The object of a stage's line with the stage's name; `None` if the stage did not write the line with
+/// `tracing`.
 fn with_stage(stage: StageId, line: &str) -> Option<Value> {
     let mut object = parse(line)?;
     object.insert("stage".to_owned(), stage.name().into());

@@ -59,7 +59,7 @@ impl Line {
         Self(vec![Span::colored(text, color)])
     }
 
-    /// The number of cells that the line takes.
+    /// The number of cells that the line occupies.
     #[must_use]
     pub fn width(&self) -> usize {
         self.0.iter().flat_map(|span| span.text.chars()).filter_map(UnicodeWidthChar::width).sum()

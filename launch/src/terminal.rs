@@ -19,7 +19,7 @@ const HIDE_CURSOR: &str = "\x1b[?25l";
 const SHOW_CURSOR: &str = "\x1b[?25h";
 const CLEAR_LINE: &str = "\x1b[K";
 const CLEAR_BELOW: &str = "\x1b[J";
-/// Without wrapping a line that is too wide for a terminal that has just become smaller stays one line.
+/// Without wrapping, a line stays one line even if the terminal has just become too narrow for it.
 const NO_WRAP: &str = "\x1b[?7l";
 const WRAP: &str = "\x1b[?7h";
 /// Switch to an empty screen, and back to the text before.
@@ -33,7 +33,8 @@ pub fn size() -> [usize; 2] {
     size.map_or(SIZE, |size| [size.ws_col.into(), size.ws_row.into()])
 }
 
-/// Writes to standard output. A closed terminal can't be written to; no caller depends on it.
+/// Writes to standard output. Errors are ignored: the terminal may be closed, and no caller depends on the
+/// output.
 fn write(text: &str) {
     let mut output = stdout().lock();
     let _ = output.write_all(text.as_bytes()).and_then(|()| output.flush());
@@ -111,7 +112,7 @@ pub struct Screen {
 }
 
 impl Screen {
-    /// Takes the terminal. A panic gives it back before its message.
+    /// Takes over the terminal. A panic restores the terminal before it prints its message.
     ///
     /// # Errors
     /// An error of the system if the process has no terminal.

@@ -1,4 +1,4 @@
-//! Lanes in the sampler: controls that take a vehicle's forecasts along the lanes it is on.
+//! Lanes in the sampler: changes a vehicle's controls so that its forecasts follow the lanes it is on.
 
 use std::sync::Arc;
 

@@ -4,7 +4,7 @@ use wire::{Expert, Forecast, HORIZON_MAX, POSITION_MAX_M};
 
 /// Spread of the motion of an agent without a learned forecast.
 struct Freedom {
-    /// Standard deviations of the controls: m/s² and rad/s of a vehicle, else m a step.
+    /// Standard deviations of the controls: m/s² and rad/s for vehicles, m per step for others.
     control: [f32; 2],
     /// Standard deviation of the velocity of agents that move by displacements.
     velocity_mps: f32,

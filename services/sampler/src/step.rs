@@ -6,7 +6,8 @@ use wire::{Cause, ControlsTopic, Forecast, ForecastsTopic, Header, Rejected, Top
 use crate::memory::{open, resume, save_memory};
 use crate::{STAGE, Sampler};
 
-/// Runs the sampler as a process: `tracks` and `controls` in, `forecasts` out, with controls or without.
+/// Runs the sampler as a process: `tracks` and `controls` in, `forecasts` out. A tick without controls also
+/// gets forecasts.
 ///
 /// # Errors
 /// [`StageError`] if the run's model, options, shared memory or memory file can't be used.

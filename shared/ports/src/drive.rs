@@ -10,7 +10,7 @@ use crate::{
     Awaited, Frame, Loan, Passage, PortError, Publisher, Stage, StageError, Subscriber, monotonic_ns,
 };
 
-/// Runs a stage until the process is asked to end: `open` sets up its step, which answers every tick.
+/// Runs a stage until the process is asked to end. `open` sets up the step, which answers every tick.
 ///
 /// # Errors
 /// [`StageError`] if the step can't be set up or ended, or the run's shared memory can't be used.
@@ -131,8 +131,9 @@ impl<S: Step> Driver<S> {
         Ok(true)
     }
 
-    /// Waits for the second input of a tick. A newest frame is put into `newest`, and the result is then
-    /// [`Awaited::Late`]. `None` if the process has been asked to end.
+    /// Waits for the second input of a tick. If the second input is written by a later stage, its newest
+    /// frame is stored in `newest` and the result is [`Awaited::Late`]. `None` if the process has been asked
+    /// to end.
     fn await_second(&mut self, step: &S, header: &Header) -> Result<Option<Awaited<S::Second>>, PortError> {
         let Self { stage, second, newest, .. } = self;
         let Some(second) = second else { return Ok(Some(Awaited::Late)) };

@@ -141,7 +141,7 @@ mod tests {
 
     use super::*;
 
-    /// Output that is kept.
+    /// Output that is stored in memory.
     #[derive(Clone, Default)]
     struct Kept(Arc<Mutex<Vec<u8>>>);
 

@@ -31,7 +31,7 @@ pub(super) fn options(
     Ok(options)
 }
 
-/// The stages that have the option which this one does not have.
+/// Names the stages that have an option of this name.
 fn owners(key: &str, declared: &[&dyn Declared]) -> String {
     let owners = declared.iter().filter(|stage| stage.schema().get(key).is_some());
     let owners: Vec<&str> = owners.map(|stage| StageId::name(stage.id())).collect();
