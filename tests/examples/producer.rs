@@ -7,7 +7,7 @@
 //!
 //! The header of each frame contains the ego pose in that frame and the stamp. The stamp is a time on the
 //! sensor's clock and differs in every frame. Each detection contains its own measurement time as an offset
-//! from the stamp, so two sensors that are merged into one frame can measure at different times.
+//! from the stamp. Two sensors that are merged into one frame can therefore measure at different times.
 //!
 //! Replace [`detect`] by your detectors, or play your own recording.
 

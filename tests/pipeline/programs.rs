@@ -71,8 +71,8 @@ fn assert_forecasts_of_both(printed: &str) {
     assert!(learned("vehicle") > 5 && learned("pedestrian") > 5, "{printed}");
 }
 
-/// Asserts that the pedestrian walks 5 m to the right of the position and the car passes 2 m to its left, to
-/// .1 m as printed.
+/// Asserts that the pedestrian walks 5 m to the right of the position and that the car passes 2 m to its
+/// left. Positions are printed to 0.1 m.
 fn assert_around(printed: &str, [x_m, y_m]: [f64; 2]) {
     let positions = |kind: &'static str| {
         let of_kind = printed.lines().filter(move |line| line.trim_start().starts_with(kind));

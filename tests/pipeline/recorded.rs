@@ -221,8 +221,8 @@ fn a_run_with_a_kill_is_recorded_and_the_next_tool_finds_it_by_itself() {
     read_by_python(&file, &forecasts, &["detections 1", "forecasts 1"]);
 }
 
-/// The sampler is killed while it writes a frame, after it has sent one and before it has committed its
-/// learned state, and again right after its first frame.
+/// The sampler is killed three times: while it writes a frame, after it has sent a frame but before it has
+/// committed its learned state, and right after the first frame since that restart.
 #[test]
 fn a_killed_sampler_goes_on_with_what_it_had_learned_and_so_does_the_replay() {
     let scratch = Scratch::new("record-sampler");

@@ -1,8 +1,8 @@
 //! The figures of one tick, from the header and the elements of its forecasts.
 //!
-//! Each figure of a tick is counted here once. The report, the live table, `top`, the metrics, traces,
-//! `tick`, the outages and the causes of a flight recorder are views of these figures and of their sums in
-//! the [`Recorder`](crate::Recorder).
+//! Each figure of a tick is counted here once, and the [`Recorder`](crate::Recorder) holds the sums.
+//! Everything else is a view of them: the report, the live table, `top`, the metrics, traces, `tick`, the
+//! outages and the causes of a flight recorder.
 
 use wire::{Cause, Forecast, Header, Quality, flags};
 

@@ -1,8 +1,8 @@
 //! Turns controls into trajectories: the last stage of a tick.
 //!
-//! Every track gets a forecast at every tick, even if its controls are late, missing or refused, for as long
-//! as the policy of [`Degradation`] allows. The [`Sampler`] takes the first of these that it has, and the
-//! forecast contains its quality, cause and age:
+//! Every track gets a forecast at every tick, for as long as the policy of [`Degradation`] allows. This also
+//! holds if its controls are late, missing or refused. The [`Sampler`] takes the first of these that it has,
+//! and the forecast contains its quality, cause and age:
 //!
 //! * *learned*: the controls of this tick, taken through the kinematic layer mode by mode. The widths of the
 //!   modes come from the evidence or, without it, from linearised Gaussians or particles ([`Propagation`]);

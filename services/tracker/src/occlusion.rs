@@ -2,9 +2,9 @@
 //!
 //! Seen from the sensor, every *outline* (a rectangle on the ground) covers an interval of bearings. The
 //! circle of bearings is divided into sectors. Each sector keeps its *reach*: the distance to the far side of
-//! the nearest outline that its ray meets. Everything beyond the reach is occluded. Outside the sensor's
-//! field of view, which is a sector of the ground about its heading, the reach is 0, so an agent there counts
-//! as occluded.
+//! the nearest outline that its ray meets. Everything beyond the reach is occluded. The sensor's field of
+//! view is a sector of the ground about its heading. Outside it the reach is 0, so an agent there counts as
+//! occluded.
 //!
 //! The *visibility* of an agent is the share of its possible bearings at which it is within the reach. It
 //! falls and rises steadily as the agent passes behind another, and rises with the uncertainty of its

@@ -72,8 +72,8 @@ impl Identities {
     }
 }
 
-/// Asserts that every agent with two detections is published under its identity, and that the filtered
-/// velocity predicts its position better than the recording's velocity does.
+/// Asserts that every agent with two detections is published under its identity. Also asserts that the
+/// filtered velocity predicts the agent's position better than the recording's velocity.
 fn assert_follows_identities(path: &str, agent_type: AgentType) {
     let Some(recording) = recording(path) else { return };
     let ahead_ns = 800_000_000;

@@ -2,8 +2,8 @@
 //!
 //! **In:** files in their published formats ([`Format`], one module each in [`formats`]), or the same bytes
 //! in memory. **Out:** a [`Recording`], a list of [`Frame`]s in time order: the sensor's detections and, if
-//! it is known, the truth. Positions are in metres in one right-handed world frame, headings in radians
-//! counter-clockwise from +x, speeds in m/s, and stamps in nanoseconds on the recording's own clock.
+//! it is known, the truth. Positions are in metres in one right-handed world frame. Headings are in radians
+//! counter-clockwise from +x, and speeds in m/s. Stamps are in nanoseconds on the recording's own clock.
 //!
 //! * [`open`] reads a recording from a file together with the files that belong to it. [`parse`] does the
 //!   same from bytes. [`open_with`] and [`parse_at`] also take a frame rate. Bad input is a [`ReadError`]

@@ -73,8 +73,9 @@ impl<'a> Rows<'a> {
     /// The rows by time and identity, in whatever order the files had.
     ///
     /// # Errors
-    /// [`ReadError::Duplicate`] if an identity has two rows at one time, [`ReadError::TimeGoesBack`] if its
-    /// time goes back in a file that is in order otherwise, [`ReadError::Empty`] if there are no rows.
+    /// * [`ReadError::Duplicate`] if an identity has two rows at one time;
+    /// * [`ReadError::TimeGoesBack`] if an identity's time goes back in a file that is otherwise in order;
+    /// * [`ReadError::Empty`] if there are no rows.
     pub fn sorted(self, input: &Input) -> Result<Vec<Row<'a>>, ReadError> {
         match self.is_empty() {
             true => Err(ReadError::Empty { path: input.path.clone() }),

@@ -6,11 +6,11 @@
 //!
 //! A sweep contains an identity at most once and spans at most L = T − G / 2. T is the interval between the
 //! rows of an agent ([`interval`]). G is the usual gap between different stamps: half of the time passes in
-//! gaps of G or longer. So stamps that are T apart never join, even with jitter up to half of T, and a sweep
-//! whose objects are spread over all of T stays whole.
+//! gaps of G or longer. Stamps that are T apart therefore never join, even with jitter up to half of T. A
+//! sweep whose objects are spread over all of T stays whole.
 //!
-//! Of all ways to cut the rows into such sweeps, dynamic programming finds the one with the smallest sum of T
-//! + span over the sweeps. It cuts at the longest gaps, and stays in phase if a sensor drops a frame.
+//! Dynamic programming finds the best way to cut the rows into such sweeps: the one with the smallest sum of
+//! T + span over the sweeps. It cuts at the longest gaps, and stays in phase if a sensor drops a frame.
 //!
 //! The frame's stamp is the time of its newest measurement, so an update at a detection's own time never
 //! looks ahead. [`Detection::offset_ns`] is 0 or negative.
@@ -169,9 +169,9 @@ fn usual_gap_ns(instants: &[Instant], interval_ns: i64) -> i64 {
     half.unwrap_or(interval_ns)
 }
 
-/// Marks the frames that did not look for a type whose detections come at a lower rate than the frames. A
-/// frame looked for the type if it has a detection of it, or if about the type's own interval has passed
-/// since the last frame that looked for it.
+/// Marks the frames that did not observe a type whose detections have a lower rate than the frames. A frame
+/// observes a type if it has a detection of the type. It also does if about the type's own interval has
+/// passed since the last frame that observed the type.
 fn observe(frames: &mut [Frame], interval_ns: u64) {
     for agent_type in AGENT_TYPES {
         let has = |frame: &Frame| frame.detections.iter().any(|d| d.agent_type == agent_type as u32);

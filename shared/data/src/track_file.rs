@@ -8,8 +8,8 @@
 //!
 //! Positions are in the recording's own frame: the run's origin is added again. The score is the existence
 //! probability. Values that a track does not have are -1: the box in the image, truncation and occlusion. The
-//! height in KITTI's rows is the mean of the labelled objects of the type, and the position is on the plane
-//! on which the car stands.
+//! height in KITTI's rows is the mean height of the labelled objects of the type. The position is on the
+//! plane on which the car stands.
 //!
 //! The CSV can be [opened](crate::open) again as a recording with identities. So can the KITTI file if it is
 //! beside its `calib` and `oxts`.

@@ -19,8 +19,9 @@ pub struct WindowOptions {
     /// Time from one window to the next. If it is not a multiple of the recording's interval, the nearest
     /// frame is used.
     pub stride_ns: i64,
-    /// Longest gap between recorded states that is interpolated. Gaps of one and a half of the recording's
-    /// intervals are always interpolated, so that a recording slower than the steps has states at them too.
+    /// Longest gap between recorded states that is interpolated. Gaps of up to one and a half of the
+    /// recording's intervals are always interpolated. A recording that is slower than the steps therefore has
+    /// states at the steps too.
     pub gap_max_ns: i64,
     /// Minimum number of history steps at which an agent of the window is present. The newest step is always
     /// one of them.

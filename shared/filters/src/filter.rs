@@ -79,8 +79,8 @@ impl Filter {
     /// The state after a first observation.
     ///
     /// If the kind's state has a heading but none was observed, the filter starts as
-    /// [`Kind::ConstantVelocity`], because linearising about an unknown heading is worse than having no
-    /// heading. [`Filter::into_kind`] converts the filter once the motion shows a heading.
+    /// [`Kind::ConstantVelocity`]. Linearising about an unknown heading is worse than having no heading.
+    /// [`Filter::into_kind`] converts the filter once the motion shows a heading.
     #[must_use]
     pub fn start(kind: Kind, observation: &Observation, unknown: &Unknown) -> Self {
         let ([x, y], var) = (observation.position_m, observation.position_variance);

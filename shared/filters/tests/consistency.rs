@@ -1,8 +1,8 @@
 //! Consistency of covariances: a thousand runs of each filter, with truths drawn from the process that the
 //! filter assumes.
 //!
-//! If the filter is exact, the normalised squares (NEES) of all runs at one tick add up to a χ² variable, so
-//! 95 % of the ticks are within its bounds. Only linear filters are exact; the others are nearly exact.
+//! If the filter is exact, the normalised squares (NEES) of all runs at one tick add up to a χ² variable. 95
+//! % of the ticks are then within its bounds. Only linear filters are exact; the others are nearly exact.
 
 use filters::{
     Bicycle, ConstantAcceleration, ConstantTurnRate, ConstantVelocity, Control, ControlStep, Controlled,

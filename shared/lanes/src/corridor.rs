@@ -68,9 +68,10 @@ impl Corridor {
     /// minimise Σ (d_(i+1) − 2 d_i + d_(i−1) + κ_i)² + Σ λ_i (d_i − d*_i)²     d_0, d_1 from the pose
     /// ```
     ///
-    /// d is the offset to the left of the route's middle, κ the bend of the middle over one step, and d* half
-    /// of the agent's own offset. λ is smaller in wider lanes, where agents cut corners. If the solution
-    /// leaves the bounds, λ grows there, d* becomes the bound, and the system is solved again.
+    /// Here d is the offset to the left of the route's middle, and κ is the bend of the middle over one step.
+    /// d* is half of the agent's own offset. λ is smaller in wider lanes, because agents cut corners there.
+    /// If the solution leaves the bounds, λ grows there, d* becomes the bound, and the system is solved
+    /// again.
     pub(crate) fn draw(&mut self, route: &Route, position_m: [f32; 2], scratch: &mut Scratch) {
         let len = route.points_m.len();
         self.points_m.clear();

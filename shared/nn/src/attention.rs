@@ -144,7 +144,7 @@ impl Gdat {
     /// to the bit, and all others are undefined. Values that no wanted node depends on are not computed.
     ///
     /// # Panics
-    /// If the sizes of the graph's parts do not match, or if the graph has more than one step or more than
+    /// If the sizes of the graph's parts do not match, or if the graph has several steps or more than
     /// [`AGENTS_MAX`] agents.
     pub fn attend_wanted<'a>(
         &self,

@@ -1,8 +1,8 @@
 //! Checks the machine code of the hot loops with objdump: sums stay in their registers.
 //!
-//! If a register tile is one sum too large, or the compiler does not understand a loop's shape, the results
-//! are still right but take twice the time. The sums then move between registers, or to the stack and back,
-//! in each step.
+//! A register tile may be one sum too large, or the compiler may not understand a loop's shape. The results
+//! are then still right, but take twice the time. The sums then move between registers, or to the stack and
+//! back, in each step.
 
 #![expect(clippy::unwrap_used, reason = "a test ends at what it can't read")]
 

@@ -71,8 +71,8 @@ impl<T: Topic> Relay<T> {
         Ok(Self { writes: false, writer, had_writer, reader, node, topic: PhantomData })
     }
 
-    /// Keeps the topic open for writing while the name that is read has a writer, so that the topic's readers
-    /// see the end of a writer that dies. The topic stays open until the first writer has appeared.
+    /// Keeps the topic open for writing while the name that is read has a writer. The topic's readers then
+    /// notice when that writer dies. The topic stays open until the first writer has appeared.
     ///
     /// # Errors
     /// [`PortError`] if the topic can't be opened again.

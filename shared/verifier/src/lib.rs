@@ -75,8 +75,8 @@ impl VerifyError {
 /// Compares every number of a golden folder.
 ///
 /// # Errors
-/// [`VerifyError`] if a file cannot be read or is malformed, the parts of the folder do not fit together, or
-/// no code computes the numbers of a file.
+/// [`VerifyError`] if a file cannot be read or is malformed, or if the parts of the folder do not fit
+/// together. Also if no code computes the numbers of a file.
 pub fn verify(folder: &Path) -> Result<Vec<Comparison>, VerifyError> {
     std::fs::read_dir(folder).map_err(|source| VerifyError::unreadable(folder, source))?;
     if tracking::PARTS.iter().any(|part| folder.join(part).is_dir()) {

@@ -191,9 +191,9 @@ impl<'a> Features<'a> {
     /// The sections of a payload.
     ///
     /// # Errors
-    /// [`Rejected::Length`] if the payload's length does not match the shape, [`Rejected::Impossible`] if an
-    /// edge names a missing agent or step, [`Rejected::OutOfOrder`] if the edges are not sorted or contain a
-    /// duplicate.
+    /// * [`Rejected::Length`] if the payload's length does not match the shape;
+    /// * [`Rejected::Impossible`] if an edge names a missing agent or step;
+    /// * [`Rejected::OutOfOrder`] if the edges are not sorted or contain a duplicate.
     pub fn read(rows: &'a [Row], shape: FeatureShape, history_len: usize) -> Result<Self, Rejected> {
         expect(rows.len(), feature_rows(&shape))?;
         let (agents, rest) = rows.split_at(shape.agents_len * FEATURE_ROWS);

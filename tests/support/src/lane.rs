@@ -1,7 +1,7 @@
 //! A map of one lane.
 
-/// A Lanelet2 map (OSM XML) of one lane to the east, 200 m long and 3.5 m wide, that starts at a point of the
-/// local frame (m).
+/// A Lanelet2 map (OSM XML) of one lane to the east, 200 m long and 3.5 m wide. The lane starts at a point of
+/// the local frame (m).
 #[must_use]
 pub fn lane([x0, y0]: [f64; 2]) -> String {
     let (mut nodes, mut ways) = (String::new(), String::new());

@@ -70,8 +70,8 @@ impl Cell<'_> {
         paired_bootstrap_ratio(&clusters, RESAMPLES, SEED)
     }
 
-    /// Mean area at the end of the horizon, m², of the published 90 % region and of its constant-velocity
-    /// reference, which holds the same number of truths.
+    /// Mean areas at the end of the horizon, m²: of the published 90 % region and of its constant-velocity
+    /// reference. Both regions hold the same number of truths.
     pub(crate) fn areas_m2(&self) -> [f64; 2] {
         let steady_m2 = region_of_steady::mean_area_m2(self.samples, LEVEL, band_of, BAND_NAMES.len());
         [self.mean(|sample| sample.area_m2), steady_m2]

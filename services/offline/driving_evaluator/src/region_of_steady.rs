@@ -7,8 +7,8 @@ use crate::sample::{STEPS, Sample};
 /// A speed band with fewer forecasts uses the Gaussian of all forecasts.
 const BAND_MIN: usize = 20;
 
-/// Mean area at the end of the horizon, m², of regions that hold the same number of truths in each speed band
-/// as the published regions of this level.
+/// Mean area of the regions at the end of the horizon, m². In each speed band, they hold the same number of
+/// truths as the published regions of this level.
 ///
 /// The regions are ellipses of a Gaussian. It models the truth's residual to constant velocity, along and
 /// across the course. For each band the Gaussian is fitted in hindsight to the band's forecasts. It is then

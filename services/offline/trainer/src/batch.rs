@@ -7,8 +7,9 @@
 //! target come first. A *row* is an agent at one step at which it is present. Rows are sorted by (agent,
 //! step), so the rows of each type are contiguous. Edges join rows of the same scene and step.
 //!
-//! Neighbouring windows of a recording share most of their steps. So the features of a map patch, or of a
-//! pair of agents at one step, are computed once for all rows and edges that share them.
+//! Neighbouring windows of a recording share most of their steps. The features of a map patch, or of a pair
+//! of agents at one step, are therefore computed once. All rows and edges with the same patch or pair share
+//! the result.
 
 mod graph;
 #[cfg(test)]

@@ -116,7 +116,7 @@ fn pedestrian_config() -> ModelConfig {
 
 /// Vehicles at 0.5 s, four steps to ten, mostly with the recorded speed, at all sites or with one held out.
 ///
-/// A model for a held-out site draws all other sites uniformly and has no site map, because a patch ahead of
+/// A model for a held-out site draws all other sites uniformly. It has no site map, because a patch ahead of
 /// the agent helps only at sites seen in training.
 fn vehicles(without: Option<&str>, steps: u64) -> TrainOptions {
     TrainOptions {

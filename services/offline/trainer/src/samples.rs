@@ -1,7 +1,7 @@
 //! Training and validation scenes: windows of recordings with their map patches.
 //!
-//! **In:** the recordings of some data sets, for one part. **Out:** per window the states of its agents at
-//! T_h history and T_f forecast steps (m, m/s, rad, world frame), and the map patch `[3, P, P]` of every
+//! **In:** the recordings of some data sets, for one part. **Out:** for each window, the states of its agents
+//! at T_h history and T_f forecast steps (m, m/s, rad, world frame). Also the map patch `[3, P, P]` of every
 //! agent and frame.
 //!
 //! Scenes are kept in a [spool](crate::spool). Memory holds only their offsets and the numbers of counted

@@ -2,9 +2,9 @@
 //!
 //! A dynamic obstacle has a type, a shape, an initial state and a trajectory. A static obstacle has an
 //! initial state only, and stays in it in every frame. A state contains its time in steps of the root's
-//! `timeStepSize`, a position (metres), and usually an orientation (radians) and a velocity (m/s along the
-//! orientation). Each of them must be exact. 2018b writes `<obstacle>` with a `<role>`, 2020a writes
-//! `<dynamicObstacle>` and `<staticObstacle>`.
+//! `timeStepSize` and a position (metres). It usually also contains an orientation (radians) and a velocity
+//! (m/s along the orientation). Each of them must be exact. 2018b writes `<obstacle>` with a `<role>`, 2020a
+//! writes `<dynamicObstacle>` and `<staticObstacle>`.
 //!
 //! Cars, trucks, buses, taxis, motorcycles, priority and parked vehicles are vehicles. Bicycles are cyclists.
 //! The states of trains, buildings, road boundaries and other obstacles are left out and counted, and so are

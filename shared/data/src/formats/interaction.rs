@@ -15,9 +15,9 @@
 //! cyclists are observed only by frames at those multiples and by frames with a row of them.
 //!
 //! **Cyclists.** The data have one class `pedestrian/bicycle`. An agent counts as a pedestrian until the
-//! running median of its speeds (at least three of them, over at least 1.2 s) exceeds 2.5 m/s, and as a
-//! cyclist from then on. So the class at a time does not depend on later rows. The speeds are the file's, or
-//! are computed from row to row if the file has none.
+//! running median of its speeds exceeds 2.5 m/s. After that, it counts as a cyclist. The median is over at
+//! least three speeds and at least 1.2 s. So the class at a time does not depend on later rows. The speeds
+//! are the file's, or are computed from row to row if the file has none.
 
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BinaryHeap};

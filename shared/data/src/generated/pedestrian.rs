@@ -129,8 +129,9 @@ impl Pedestrian {
         unit([aim[0] - self.position_m[0], aim[1] - self.position_m[1]])
     }
 
-    /// Acceleration towards the desired velocity. The desired velocity is along the route, or zero if the
-    /// pedestrian `holds`, or back to the kerb if it waits there and was pushed away.
+    /// Acceleration towards the desired velocity. The desired velocity is along the route. It is zero if the
+    /// pedestrian `holds`. If the pedestrian waits at the kerb and was pushed away, the velocity points back
+    /// to the kerb.
     pub(super) fn drive_mps2(&self, holds: bool) -> Point {
         let wanted = if self.waits_for().is_some() {
             let kerb = self.way[self.next - 1].position_m;

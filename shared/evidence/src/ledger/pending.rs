@@ -26,8 +26,9 @@ pub(super) struct Pending {
 }
 
 impl Pending {
-    /// The network's advantage in distance to the truth at a knot over the blend of an unknown road, as a
-    /// share of the typical deviation of similar agents. The truth is relative to constant velocity.
+    /// The network's advantage over the blend of an unknown road: the difference of their distances to the
+    /// truth at a knot. It is a share of the typical deviation of similar agents. The truth is relative to
+    /// constant velocity.
     pub(super) fn network_nearer(
         &self,
         knot: usize,

@@ -173,8 +173,8 @@ fn a_fan_lies_halfway_to_the_blend_or_at_it_where_that_has_been_nearer() {
         assert!((x - 4.0 * y).abs() < 1e-4, "on the line from constant velocity to the blend: {x} {y}");
         x / 8.0
     };
-    // Constant velocity is wrong by up to half of the way to either side, and the blend is as wrong to the
-    // other side or right.
+    // Constant velocity is off by up to half of the way, to either side. The blend is right, or off by the
+    // same distance to the other side.
     let [before, halfway, blend] = [(0, 1.0), (120, -1.0), (120, 0.0)].map(|(steps, of_blend)| {
         let wrong = |step: i64| (0.618 * step as f32).fract() - 0.5;
         let factors = |step| [1.0 + wrong(step), 1.0, 1.0 + of_blend * wrong(step)];

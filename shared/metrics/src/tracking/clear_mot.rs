@@ -7,8 +7,8 @@ use super::pairing::{Edge, best_pairs};
 ///
 /// 1. A truth keeps the track that it was last paired with if both are present and within the gate. If two
 ///    truths were last paired with one track, the truth with the smaller id keeps it.
-/// 2. The remaining objects are paired so that the number of pairs is the largest possible and, among such
-///    pairings, the sum of distances is the smallest.
+/// 2. The remaining objects are paired so that the number of pairs is maximal. Among these pairings, the one
+///    with the smallest sum of distances is chosen.
 ///
 /// Memory: a few numbers per id.
 #[derive(Clone, Debug)]

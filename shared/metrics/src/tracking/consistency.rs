@@ -64,7 +64,7 @@ pub fn chi_square_bounds(degrees: u64, level: f64) -> Result<Bounds, TrackingErr
 /// ([`normalised_square`]) of many runs, tick by tick.
 ///
 /// A run is a seed or an independent track. If the filter is consistent, the squares of all runs at one tick
-/// add up to a χ² variable, so the sum should be within its [`chi_square_bounds`]. Each tick is compared
+/// add up to a χ² variable. The sum should then be within its [`chi_square_bounds`]. Each tick is compared
 /// separately, because the squares of a state at several ticks of one run are correlated. The squares of
 /// innovations are not.
 #[derive(Clone, Debug, Default, PartialEq)]

@@ -4,14 +4,14 @@
 //! out[q, o] = ( Σ_p  x[q, 2p] · W[o, 2p] + x[q, 2p + 1] · W[o, 2p + 1]  + bias[o] + residual[q, o] )⁺
 //! ```
 //!
-//! The processor's dot product (`vdpbf16ps`) takes a pair of inputs per step and thus does twice the work of
-//! an f32 multiply-add. It has its own rounding and treats numbers below 2⁻¹²⁶ as 0. No other instruction set
-//! here does that, so a second implementation could not give the same bits, and there is none. A processor
-//! without the instruction refuses the precision ([`Precision::check`]).
+//! The processor's dot product (`vdpbf16ps`) takes a pair of inputs per step and therefore does twice the
+//! work of an f32 multiply-add. It has its own rounding and treats numbers below 2⁻¹²⁶ as 0. No other
+//! instruction set here does that, so a second implementation could not give the same bits, and there is
+//! none. A processor without the instruction refuses the precision ([`Precision::check`]).
 //!
 //! W is rounded once and packed as `[⌈out / 16⌉][⌈in / 2⌉][16]` pairs. Inputs are rounded when a block of
 //! rows is loaded. Both round to nearest, ties to even. Each output is one chain of dot products in the order
-//! of the pairs, so neither the tile's shape nor the other rows of a batch change a bit of it.
+//! of the pairs. Its bits therefore depend neither on the tile's shape nor on the other rows of a batch.
 
 #[cfg(test)]
 mod tests;

@@ -10,8 +10,8 @@
 //! tap is live and dead, the dead ones read a shared row of zeros.
 //!
 //! W is packed as `[⌈out / 16⌉][tap][in][16]`, so that the innermost loop reads it sequentially. Each output
-//! is one chain of multiply-adds in the order of (tap, c), so neither the tile's shape nor the other rows of
-//! a batch change a bit of it.
+//! is one chain of multiply-adds in the order of (tap, c). Its bits therefore depend neither on the tile's
+//! shape nor on the other rows of a batch.
 
 mod pack;
 #[cfg(test)]

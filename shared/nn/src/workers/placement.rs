@@ -2,9 +2,9 @@ use rustix::thread::{CpuSet, Pid, sched_getaffinity, sched_getcpu, sched_setaffi
 
 /// Keeps sleeping workers off the processor on which their caller runs.
 ///
-/// A scheduler prefers to wake a thread on the processor on which it ran last. If the caller computes there,
-/// and the processors are not known to share a cache (as in many virtual machines), the two alternate for
-/// some milliseconds while other processors are idle.
+/// A scheduler prefers to wake a thread on the processor on which it ran last. The caller may compute there,
+/// and in many virtual machines the processors are not known to share a cache. The two threads then alternate
+/// for some milliseconds while other processors are idle.
 pub(super) struct Placement {
     /// `None` if the processors are unknown, or there is only one.
     allowed: Option<CpuSet>,

@@ -75,9 +75,9 @@ fn role_of(input: &Input) -> Result<Role, ReadError> {
     Ok(known.map_or(Role::Vehicles, |(.., role)| *role))
 }
 
-/// The file of the same sequence in the first of these folders that has it. The folders are searched beside
-/// the file's own folder and above it, and in KITTI's training set, or in its test set for detections of that
-/// set.
+/// The file of the same sequence in the first of these folders that has it. The folders are searched next to
+/// the file's own folder, above it, and in KITTI's training set. For detections of the test set, the test set
+/// is searched instead.
 fn place(path: &Path, folders: &[&str]) -> PathBuf {
     let path = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
     let file = path.file_name().unwrap_or_default();

@@ -1,9 +1,10 @@
 //! From the camera of KITTI's car to a fixed world frame.
 //!
 //! The calibration transforms a point of the rectified camera frame to the inertial unit, `imu = (R_rect ·
-//! Tr_velo_cam · Tr_imu_velo)⁻¹ · camera`. The unit's pose transforms it to the world (m). As in KITTI's own
-//! development kit, the unit's position is latitude and longitude on a Mercator map that is true to scale at
-//! the first row. The attitude is roll, pitch and yaw. Yaw is 0 to the east and counter-clockwise.
+//! Tr_velo_cam · Tr_imu_velo)⁻¹ · camera`. The unit's pose transforms it to the world (m). The unit's
+//! position is latitude and longitude on a Mercator map that is true to scale at the first row. KITTI's own
+//! development kit uses the same map. The attitude is roll, pitch and yaw. Yaw is 0 to the east and
+//! counter-clockwise.
 //!
 //! The inverse transformation needs a height: objects are assumed to stand on the plane on which the car
 //! stands.
@@ -102,8 +103,8 @@ impl WorldFromCamera {
         })
     }
 
-    /// World position (x, y), m, and heading, rad, of an object whose base is at `centre_m` in the camera
-    /// frame and that is turned by `rotation_rad` about the camera's y axis (down).
+    /// World position (x, y), m, and heading, rad, of an object. The object's base is at `centre_m` in the
+    /// camera frame. The object is rotated by `rotation_rad` about the camera's y axis (down).
     ///
     /// # Panics
     /// If `frame` has no pose.

@@ -136,8 +136,8 @@ fn dot(sum: __m512, a: __m512i, b: __m512i) -> __m512 {
 
 /// The sums of a tile: `len` dot products each, in order.
 ///
-/// This is a separate function that takes the sums by value, so that each sum stays in its register (see the
-/// test of the emitted code).
+/// This separate function takes the sums by value, so that each sum stays in its register. The test of the
+/// emitted code checks this.
 ///
 /// # Safety
 /// Each of the rows is valid for reading `len` pairs, each of the weights for `len` vectors.

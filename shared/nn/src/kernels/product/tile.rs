@@ -12,9 +12,9 @@
 //! There must also be enough sums to hide the latency of the multiply-adds. Most processors run two
 //! multiply-adds at a time.
 //!
-//! Rows that do not fill a whole tile get a smaller one. If at most half the columns of the last panel are
-//! outputs, as in the decoder's head, its tile has half the vectors and up to twice the rows. AVX-512 is an
-//! exception, because one vector is a panel.
+//! Rows that do not fill a whole tile get a smaller one. At most half the columns of the last panel may be
+//! outputs, as in the decoder's head. The panel's tile then has half the vectors and up to twice the rows.
+//! AVX-512 is an exception, because one vector is a panel.
 
 #![expect(unsafe_code, reason = "the register tile reads through pointers")]
 
@@ -250,8 +250,8 @@ impl Checked<'_> {
 /// tile of one vector has many rows per step and does one multiply-add per pass: with more, the compiler
 /// mixes the rows and runs out of registers.
 ///
-/// This is a separate function that takes and returns the sums by value, so that each sum stays in its
-/// register (see the test of the emitted code).
+/// This separate function takes and returns the sums by value, so that each sum stays in its register. The
+/// test of the emitted code checks this.
 ///
 /// # Safety
 /// Each of the rows is valid for reading a float at every `step`, each of the weights for a vector at every

@@ -1,8 +1,8 @@
 //! The first convolution, which reads patches in their layout \[image, channel, row, column\].
 //!
-//! Its three input channels would leave most of a vector empty. So the receptive field of each output
-//! position is copied to rows \[image, (channel, row, column)\], in the order of the kernel, and multiplied
-//! as in a linear layer.
+//! Its three input channels would leave most of a vector empty. The receptive field of each output position
+//! is therefore copied to rows \[image, (channel, row, column)\], in the order of the kernel. The rows are
+//! then multiplied as in a linear layer.
 
 use nn::kernels::product::{Gather, PANEL, Panels, Product};
 use wire::PATCH_CHANNELS;
