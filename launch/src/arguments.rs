@@ -162,10 +162,10 @@ pub struct VerdictArguments {
 }
 
 impl VerdictArguments {
-    /// Checks that the report can be written, before any work is done.
+    /// Checks before any work is done that the report can be written.
     ///
     /// # Errors
-    /// [`Failure::Data`] if its place does not exist.
+    /// [`Failure::Data`] if the report's folder does not exist.
     pub fn check(&self) -> Result<(), Failure> {
         self.report.as_deref().map_or(Ok(()), check_place)
     }

@@ -59,7 +59,7 @@ impl Telling {
         text
     }
 
-    /// The stages that it passed, with their incarnations and times.
+    /// The stages that the tick passed, with their incarnations and times.
     fn times(&self) -> impl Iterator<Item = (StageId, u32, Timestamps)> {
         self.header.hops().iter().filter_map(|hop| {
             let stage = StageId::from_number(hop.stage)?;

@@ -6,8 +6,8 @@ use testing::Scratch;
 use crate::programs::example;
 use crate::started::{Started, piped, run, run_well, stderr, stdout, wait_for};
 
-/// Makes a new project. Returns its program and the text of its pipeline.toml with this program. The program is the
-/// example that the project begins as, which is built already.
+/// Creates a new project. Returns its program and the text of its pipeline.toml with this program. The
+/// program is the example from which the project starts, because that example is already built.
 fn made(scratch: &Scratch, name: &str, of: &str, begun_as: &str) -> (String, String) {
     run_well(&["stage", "new", name, "--of", of, "--dir", &scratch.path("")]);
     let text = String::from_utf8(scratch.read(&format!("{name}/pipeline.toml"))).expect("UTF-8");

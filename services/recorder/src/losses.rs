@@ -32,7 +32,7 @@ impl Counters {
             self.incarnation = heartbeat.incarnation;
         }
         if heartbeat.incarnation == self.incarnation {
-            // The count falls if a frame has arrived late after all.
+            // The count decreases if a frame arrives late.
             self.newest.gap = heartbeat.dropped_len.into();
             self.newest.unanswered = heartbeat.unanswered_len.into();
             self.newest.refused = self.newest.refused.max(heartbeat.rejected_len);
@@ -65,7 +65,7 @@ impl Losses {
         self.refusals.list()
     }
 
-    /// The first stage on a tick's way that was restarted since the previous tick.
+    /// The first stage on a tick's path that was restarted since the previous tick.
     pub fn restarted(&mut self, header: &Header) -> Option<StageId> {
         let mut first = None;
         for hop in header.hops() {
@@ -79,8 +79,8 @@ impl Losses {
         first
     }
 
-    /// Counts ticks whose forecasts never arrived at the recorder. If a stage was restarted meanwhile, the ticks
-    /// died with the stage.
+    /// Counts ticks whose forecasts never arrived at the recorder. If a stage was restarted in the meantime,
+    /// the ticks were lost with the stage.
     pub const fn forecast_gap(&mut self, restarted: Option<StageId>, len: u64) {
         match restarted {
             Some(stage) => self.restart[stage.place()] += len,

@@ -85,7 +85,7 @@ impl From<Timestamps> for Phases {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Passage {
     stages: [Option<Timestamps>; StageId::PLACES_LEN],
-    /// From release at the source to the sending of the forecasts; `None` if the tick did not pass the
+    /// Time from release at the source to the sending of the forecasts; `None` if the tick did not pass the
     /// sampler.
     pub end_to_end_ns: Option<u64>,
     /// Whether the tick passed every stage from the tracker to the sampler. Its forecasts then come from its
@@ -94,7 +94,7 @@ pub struct Passage {
 }
 
 impl Passage {
-    /// Adds the phases of a stage for which no forecast waits.
+    /// Adds the phases of a stage outside the main path.
     pub(crate) fn add(&mut self, stage: StageId, times: Timestamps) {
         self.stages[stage.place()] = Some(times);
     }
@@ -154,7 +154,7 @@ impl Timeline {
         passage
     }
 
-    /// The phases of a stage that has sent a frame for which no forecast waits; `None` if it has not stamped
+    /// The phases of a stage outside the main path that has sent a frame; `None` if the stage has not stamped
     /// its passage.
     pub fn beside(&mut self, header: &Header) -> Option<(StageId, Timestamps)> {
         let stage = StageId::from_number(header.sender)?;

@@ -197,9 +197,8 @@ impl Recorder {
         self.resumed && self.newer_ns(header).is_some()
     }
 
-    /// Adds the header of a frame from an added stage for which no forecast waits. An invalid header is
-    /// ignored, because the frame's readers refuse it.
-    /// Returns the stage with its times on the tick's way.
+    /// Adds the header of a frame from an added stage outside the main path. Returns the stage and its times
+    /// in the tick. An invalid header is ignored, because the frame's readers refuse it.
     pub fn beside(&mut self, header: &Header) -> Option<(StageId, Timestamps)> {
         if header.check().is_err() || !header.is_tick() {
             return None;
@@ -346,7 +345,7 @@ impl Recorder {
         Some(&self.sums.stages.get(&stage.number())?.phases)
     }
 
-    /// What is usual in this run.
+    /// The usual figures of this run.
     fn usual(&self) -> Usual {
         let mut usual = Usual { agents: self.agents().mean.unwrap_or(0.0), ..Usual::default() };
         for stage in StageId::known() {

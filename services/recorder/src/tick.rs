@@ -11,17 +11,18 @@ use crate::report::OutOfDistribution;
 
 /// Maximum time from release to forecast at 12.5 Hz.
 pub const TICK_LIMIT_NS: u64 = wire::TICK_NS;
-/// Measure from which the network adds less than half of its normal residual.
+/// Out-of-distribution measure above which the network adds less than half of its normal residual.
 const OUTSIDE: f32 = 0.25;
 
-/// Time from release to forecast above which a tick is late: its interval, at most [`TICK_LIMIT_NS`].
+/// Time from release to forecast above which a tick is late: the tick's interval, but at most
+/// [`TICK_LIMIT_NS`].
 #[must_use]
 pub const fn limit_ns(interval_ns: u64) -> u64 {
     if interval_ns > 0 && interval_ns < TICK_LIMIT_NS { interval_ns } else { TICK_LIMIT_NS }
 }
 
-/// Whether a held or kinematic forecast with this cause is a fault. It is not if the track is young, or if
-/// constant velocity proved better.
+/// Whether a held or kinematic forecast with this cause is a fault. It is not a fault if the track is young
+/// or if constant velocity proved better.
 pub(crate) const fn is_fault(cause: Cause) -> bool {
     !matches!(cause, Cause::Young | Cause::Outdone)
 }
@@ -29,15 +30,15 @@ pub(crate) const fn is_fault(cause: Cause) -> bool {
 /// The figures of a tick.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Tick {
-    /// Its number.
+    /// The tick's number.
     pub seq: u64,
-    /// Its [`flags`].
+    /// The header's [`flags`].
     pub flags: u32,
-    /// Its way through the stages.
+    /// The passage of the tick through the stages.
     pub passage: Passage,
-    /// Time from release to forecast above which it is late.
+    /// Time from release to forecast above which the tick is late.
     pub limit_ns: u64,
-    /// Number of its forecasts.
+    /// Number of forecasts.
     pub agents: u64,
     /// Forecasts by quality.
     pub qualities: [u64; Quality::ALL.len()],
@@ -45,20 +46,20 @@ pub struct Tick {
     pub causes: [u64; Cause::ALL.len()],
     /// Track states by the prior that predicted them.
     pub priors: [u64; Quality::ALL.len()],
-    /// Forecasts of agents that move as none did in training.
+    /// Forecasts of agents whose motion is out of the training distribution.
     pub out_of_distribution: OutOfDistribution,
     /// Maximum age of a forecast.
     pub age_ns: u64,
     /// Maximum age of a held forecast, and of a forecast that is republished for a shed agent.
     pub held_age_ns: [Option<u64>; 2],
-    /// Whether a forecast is held or kinematic through a fault.
+    /// Whether a forecast is held or kinematic because of a fault.
     pub is_degraded: bool,
-    /// Whether a forecast is served, or there is none.
+    /// Whether at least one forecast is served. Also true without forecasts.
     pub is_served: bool,
 }
 
 impl Tick {
-    /// Counts the tick of a header. `timeline` has seen the ticks before.
+    /// Counts the tick of a header. `timeline` has seen all earlier ticks.
     #[must_use]
     pub fn new(timeline: &mut Timeline, header: &Header, forecasts: &[Forecast]) -> Self {
         let mut tick = Self {
@@ -80,7 +81,8 @@ impl Tick {
         tick
     }
 
-    /// Counts the tick of a header without the ticks before: frames wait for no stage.
+    /// Counts the tick of a header without earlier ticks. No stage then appears busy, so no frame counts as
+    /// waiting.
     #[must_use]
     pub fn alone(header: &Header, forecasts: &[Forecast]) -> Self {
         Self::new(&mut Timeline::default(), header, forecasts)
@@ -124,31 +126,31 @@ impl Tick {
         self.flags & mask == mask
     }
 
-    /// Whether it took longer than its limit.
+    /// Whether the tick took longer than its limit.
     #[must_use]
     pub fn is_over_limit(&self) -> bool {
         self.passage.end_to_end_ns.is_some_and(|time_ns| time_ns > self.limit_ns)
     }
 
-    /// Whether its forecasts were late. In lockstep there is no deadline.
+    /// Whether the tick's forecasts were late. Lockstep has no deadline.
     #[must_use]
     pub fn is_late(&self) -> bool {
         self.is_over_limit() && !self.has(flags::LOCKSTEP)
     }
 
-    /// Forecasts that are held or kinematic through a fault, by cause.
+    /// Number of forecasts that are held or kinematic because of a fault, by cause.
     pub fn faults(&self) -> impl Iterator<Item = (Cause, u64)> {
         Cause::ALL.into_iter().zip(self.causes).filter(|(cause, count)| is_fault(*cause) && *count > 0)
     }
 
-    /// How many forecasts are held or kinematic through a fault, and their most frequent cause.
+    /// Number of forecasts that are held or kinematic because of a fault, and their most frequent cause.
     #[must_use]
     pub fn not_learned(&self) -> (u64, Option<Cause>) {
         let most = self.faults().max_by_key(|(_, count)| *count).map(|(cause, _)| cause);
         (self.faults().map(|(_, count)| count).sum(), most)
     }
 
-    /// Its worst fault, in words.
+    /// The tick's worst fault, in words.
     #[must_use]
     pub fn fault(&self) -> Option<String> {
         let Self { seq, agents, .. } = self;

@@ -10,7 +10,7 @@ use wire::{AgentControls, AgentType, Cause, ControlGaussian, Forecast, Header, H
 
 const AGENTS: usize = 32;
 
-/// The settings without evidence, which would decide on blend and widths.
+/// The settings without evidence, because evidence would determine blend and widths.
 fn without_evidence() -> SamplerOptions {
     SamplerOptions { evidence: false, ..SamplerOptions::default() }
 }

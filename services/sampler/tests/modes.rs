@@ -12,7 +12,7 @@ use wire::{
 const STEP_NS: u64 = 400_000_000;
 const MODES: usize = 3;
 
-/// The settings without evidence, which would decide on blend and widths.
+/// The settings without evidence, because evidence would determine blend and widths.
 fn without_evidence() -> SamplerOptions {
     SamplerOptions { evidence: false, ..SamplerOptions::default() }
 }

@@ -15,7 +15,7 @@ const STEP_NS: u64 = 400_000_000;
 const DT_S: f32 = 0.4;
 const TYPES: [AgentType; 3] = [AgentType::Vehicle, AgentType::Cyclist, AgentType::Pedestrian];
 
-/// The settings without evidence, which would decide on blend and widths.
+/// The settings without evidence, because evidence would determine blend and widths.
 fn without_evidence() -> SamplerOptions {
     SamplerOptions { evidence: false, ..SamplerOptions::default() }
 }

@@ -380,6 +380,6 @@ fn five_hundred_particles_are_nearly_consistent() {
 /// other filters.
 #[test]
 fn four_thousand_particles_are_as_consistent_as_the_mixture() {
-    // The sharper sensor is the harder case; 500 particles meet both.
+    // The sharper sensor is the harder case. The test of 500 particles covers both sensors.
     assert_near("4,000 particles, σ 0.02 m", &vehicles().particles(SHARP, 12, 4_000));
 }

@@ -417,8 +417,9 @@ impl<T: Topic> Port<T> {
     }
 
     /// Counts dropped ticks. The source numbers ticks in order and without gaps, so a gap is a tick that the
-    /// queue dropped. If an earlier stage was restarted meanwhile, the ticks were lost with it and do not
-    /// count. A reader that joins a run without a warm-up frame counts from the first tick that it receives.
+    /// queue dropped. If an earlier stage was restarted in the meantime, the ticks were lost with it and do
+    /// not count. A reader that joins a run without a warm-up frame counts from the first tick that it
+    /// receives.
     fn count(&self, header: &Header) {
         let linked = self.seen.replace(true);
         // A restarted source sends warm-up frames before its first tick: only ticks show a restart here.

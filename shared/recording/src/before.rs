@@ -9,7 +9,7 @@ use crate::Frame;
 const BLOCK_BYTES: usize = 1 << 18;
 /// Tracks and forecasts keep only the header and the ids.
 const IDENTITY_BYTES: usize = size_of::<u64>();
-/// Bytes before a frame's own: topic, bytes of an element, time of receipt, length.
+/// Bytes before a frame's data: topic, bytes of an element, time of receipt, length.
 const PREFIX: usize = 1 + 4 + 8 + 4;
 
 /// The topics that are kept, with the number of leading bytes of each element.
@@ -34,7 +34,7 @@ pub struct Before {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum State {
     Empty,
-    /// The first tick's output has arrived and its detections have not: topics do not wait for one another.
+    /// The first tick's output has arrived before its detections. Topics do not wait for each other.
     Early,
     /// Complete from the run's first tick.
     Whole,

@@ -259,7 +259,8 @@ mod tests {
         assert!(Repository::find(Some("/nowhere")).is_err());
     }
 
-    /// The programs are examples of the workspace, which compiles them. This is what a project needs beyond that.
+    /// The workspace compiles the programs as its examples. In addition, a project needs the right
+    /// dependencies.
     #[test]
     fn a_project_has_the_dependencies_of_its_program() {
         let parsed = |text: &str| text.parse::<toml::Table>().unwrap();

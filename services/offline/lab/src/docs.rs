@@ -105,7 +105,7 @@ fn every_page_of_docs_is_in_the_summary() {
     assert!(missing.is_empty(), "not in docs/SUMMARY.md: {missing:#?}");
 }
 
-/// Whether comments of a source have an example, which `cargo test` runs.
+/// Whether the comments of a source file contain an example that `cargo test` runs.
 fn has_example(source: &str) -> bool {
     let mut is_open = false;
     source.lines().any(|line| {
@@ -119,7 +119,7 @@ fn has_example(source: &str) -> bool {
     })
 }
 
-/// A crate without tests or examples builds no program for them.
+/// Crates without tests or examples build no test program.
 #[test]
 fn no_manifest_leaves_out_tests_or_examples() {
     let manifests =

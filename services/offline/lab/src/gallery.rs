@@ -314,7 +314,7 @@ impl Past {
     }
 }
 
-/// The position at a time, interpolated; `None` outside of the positions and in long gaps.
+/// The interpolated position at a time; `None` outside the range of positions and in long gaps.
 fn at(positions: &[(i64, Point)], stamp_ns: i64) -> Option<Point> {
     let next = positions.partition_point(|(at_ns, _)| *at_ns < stamp_ns);
     let &(next_ns, to_m) = positions.get(next)?;
