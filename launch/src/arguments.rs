@@ -179,7 +179,7 @@ pub struct Played {
     pub input: InputReport,
     /// The run, in lockstep.
     pub run: Run,
-    /// Its model.
+    /// Model.
     pub model: ModelConfig,
 }
 

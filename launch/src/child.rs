@@ -159,7 +159,7 @@ impl Child {
         self.descriptor.as_ref().filter(|_| self.ended.is_none()).map(AsFd::as_fd)
     }
 
-    /// Its process number.
+    /// The process number.
     pub fn pid(&self) -> Pid {
         Pid::from_child(&self.process)
     }

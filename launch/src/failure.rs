@@ -79,7 +79,7 @@ pub struct StageDeath {
     pub stage: StageId,
     /// How the stage ended, phrased to follow its name.
     pub how: String,
-    /// Its exit code, if [`Exit`] has it.
+    /// Exit code, if [`Exit`] has it.
     pub exit: Option<Exit>,
     /// The last lines of the stage's output.
     pub last_lines: Vec<String>,

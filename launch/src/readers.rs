@@ -55,7 +55,7 @@ struct CleanUp {
 pub struct DeadReader {
     /// A description of the process, such as "planner (python3, process 4711)".
     pub process: String,
-    /// Its number among the run's dead readers, from 1.
+    /// Number among the run's dead readers, from 1.
     pub number: u64,
 }
 

@@ -35,9 +35,9 @@ pub struct ReportComparison {
 /// A figure of two reports.
 #[derive(Debug, PartialEq, Serialize)]
 pub struct FigureChange {
-    /// Its name.
+    /// Name.
     pub name: String,
-    /// Its unit.
+    /// Unit.
     pub unit: &'static str,
     /// In A.
     pub a: Option<f64>,

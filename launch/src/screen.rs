@@ -18,7 +18,7 @@ pub const TITLE: Style = Style::new()
 pub struct Span {
     /// The text.
     pub text: String,
-    /// Its style.
+    /// Style.
     pub style: Style,
 }
 

@@ -12,7 +12,7 @@ const LINE: usize = 94;
 
 /// A stage of this program.
 pub struct BuiltIn {
-    /// Its declaration.
+    /// Declaration.
     pub declared: &'static dyn Declared,
     /// Runs the stage until the process is asked to end.
     pub body: fn(&Run) -> Result<(), StageError>,

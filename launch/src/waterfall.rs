@@ -17,11 +17,11 @@ const FILLS: [char; 4] = ['·', '░', '█', '▒'];
 /// A recorded frame of the tick.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FrameOf {
-    /// Its topic.
+    /// Topic.
     pub topic: &'static str,
     /// Number of its elements.
     pub elements: usize,
-    /// Its size with the header.
+    /// Size with the header.
     pub bytes: usize,
 }
 
@@ -30,11 +30,11 @@ pub struct FrameOf {
 pub struct Telling {
     /// The header of its forecasts.
     pub header: Header,
-    /// Its forecasts.
+    /// Forecasts.
     pub forecasts: Vec<Forecast>,
-    /// Its figures.
+    /// Figures.
     pub tick: Tick,
-    /// Its frames, in the order in which they were recorded.
+    /// Frames, in the order in which they were recorded.
     pub frames: Vec<FrameOf>,
     /// The cause of the tick's latency.
     pub cause: Option<WorstTick>,

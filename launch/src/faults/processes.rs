@@ -138,7 +138,7 @@ impl Launcher {
         Self(child)
     }
 
-    /// Its process number.
+    /// The process number.
     pub fn pid(&self) -> Pid {
         Pid::from_child(&self.0)
     }

@@ -42,7 +42,7 @@ const SURVIVAL_LIMIT: Duration = Duration::from_secs(2);
 /// The outcome of a specification.
 #[derive(Debug, Serialize)]
 pub struct Verdict {
-    /// Its name.
+    /// Name.
     pub name: String,
     /// The property that it demonstrates.
     pub shows: String,

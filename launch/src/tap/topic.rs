@@ -15,9 +15,9 @@ pub struct Taken<'a> {
     pub topic: u8,
     /// The time at which it was taken, `CLOCK_MONOTONIC`.
     pub received_ns: u64,
-    /// Its header, unchecked.
+    /// Header, unchecked.
     pub header: &'a Header,
-    /// Its elements.
+    /// Elements.
     pub payload: &'a [u8],
     /// Number of frames before it that the tap certainly missed.
     pub lost: u64,

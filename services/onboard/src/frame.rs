@@ -5,9 +5,9 @@ use wire::{Counts, Header, Rejected, Topic, flags};
 /// A frame in owned memory.
 #[derive(Clone, Debug)]
 pub struct OwnFrame<T: Topic> {
-    /// Its header. It contains the hops of the frame that came in, and no others.
+    /// The header. It contains only the hops of the input frame.
     pub header: Header,
-    /// Its elements.
+    /// Elements.
     pub elements: Vec<T::Element>,
 }
 

@@ -79,11 +79,11 @@ pub struct Report {
 /// One of the worst ticks of a run.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct WorstTick {
-    /// Its number. For several ticks without forecasts, the number of the first.
+    /// Number of the tick. For several ticks without forecasts, the number of the first.
     pub tick: u64,
-    /// Its stamp. For ticks without forecasts, the stamp of the next tick.
+    /// Stamp of the tick. For ticks without forecasts, the stamp of the next tick.
     pub stamp_ns: i64,
-    /// From its release to the sending of its forecasts; `None` if it has no forecasts.
+    /// Time from the tick's release to the sending of its forecasts; `None` if it has no forecasts.
     pub end_to_end_ms: Option<f64>,
     /// Number of ticks without forecasts; 0 for a tick with forecasts.
     pub ticks_lost: u64,
@@ -146,7 +146,7 @@ pub struct Supervision {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct SpareReport {
-    /// Its final state: `ready`, `starting`, `waiting` or `given up`.
+    /// Final state: `ready`, `starting`, `waiting` or `given up`.
     pub state: String,
     /// Number of times that it took the stage's place after a death.
     pub promotions: u32,
@@ -156,9 +156,9 @@ pub struct SpareReport {
     pub given_up: Option<String>,
     /// Time from its start until it was ready.
     pub warm_up_ms: Option<f64>,
-    /// Its private resident memory at the last check.
+    /// Private resident memory at the last check.
     pub memory_kib: u64,
-    /// Its memory that is shared with other processes.
+    /// Memory that is shared with other processes.
     pub shared_kib: u64,
 }
 
@@ -464,7 +464,7 @@ pub struct Percentiles {
 pub struct StageReport {
     /// The stage's name.
     pub name: String,
-    /// Its share of the tick limit of 80 ms.
+    /// Share of the tick limit of 80 ms.
     pub budget_ms: Option<f64>,
     /// Median of compute over budget.
     pub budget_share_p50: Option<f64>,
@@ -561,9 +561,9 @@ pub struct Accuracy {
 /// Errors of the forecasts of one agent.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct AgentErrors {
-    /// Its identity in the truth.
+    /// Identity in the truth.
     pub agent: u64,
-    /// Its type in its last forecast.
+    /// Type in the agent's last forecast.
     #[serde(rename = "type")]
     pub agent_type: String,
     /// Number of forecasts compared.
@@ -579,7 +579,7 @@ pub struct AgentErrors {
 /// The worst forecast of an agent.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct WorstForecast {
-    /// Its tick.
+    /// Tick.
     pub tick: u64,
     /// The tick's stamp.
     pub stamp_ns: i64,

@@ -67,7 +67,7 @@ pub struct StageStatus {
     pub alive: Option<bool>,
     /// Number of ticks that have forecasts but that it has not finished, according to its last heartbeat.
     pub behind_ticks: Option<u64>,
-    /// Its share of the tick limit.
+    /// Share of the tick limit.
     pub budget_ms: Option<f64>,
     /// Recent times in which its input was available, but it was busy or waited for other input.
     pub recent_waiting_ms: Percentiles,
@@ -77,7 +77,7 @@ pub struct StageStatus {
     pub recent_compute_ms: Percentiles,
     /// Recent times of sending.
     pub recent_publish_ms: Percentiles,
-    /// Its process.
+    /// Process.
     pub process: ProcessStatus,
 }
 
@@ -94,9 +94,9 @@ pub struct ProcessStatus {
     pub cpu_s: Option<f64>,
     /// CPU time per elapsed time since the last check: 1 is one processor.
     pub cpu: Option<f64>,
-    /// Its private resident memory.
+    /// Private resident memory.
     pub memory_bytes: Option<u64>,
-    /// Its memory that is shared with other processes, such as the frames, and mapped files.
+    /// Memory that is shared with other processes, such as the frames, and mapped files.
     pub shared_bytes: Option<u64>,
     /// State of its spare: `ready`, `starting`, `waiting` or `given up`; `None` if it has no spare.
     #[serde(default)]

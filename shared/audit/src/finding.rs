@@ -63,7 +63,7 @@ impl Finding {
         Self { doubt, rows: tally.rows, of, first: tally.first, detail }
     }
 
-    /// Its share of the examined rows.
+    /// The share of the examined rows.
     #[must_use]
     pub fn share(&self) -> f64 {
         self.rows as f64 / self.of.max(1) as f64

@@ -55,7 +55,7 @@ pub enum Line {
     Replaced {
         /// The stage.
         stage: String,
-        /// Its exit code: 0 if the new process stays.
+        /// Exit code: 0 if the new process stays.
         exit: i32,
     },
     /// The resources of the run's processes, sampled now and then.
@@ -82,7 +82,7 @@ pub enum Line {
 pub struct Output {
     /// The tick.
     pub tick: u64,
-    /// Its time of validity.
+    /// Time of validity.
     pub stamp_ns: i64,
     /// Release time at the source, `CLOCK_MONOTONIC`.
     pub released_ns: u64,
@@ -113,7 +113,7 @@ pub struct ForecastSeen {
     /// Why it is not learned; `none` if no cause is given.
     #[serde(default = "none", skip_serializing_if = "is_none")]
     pub cause: String,
-    /// Its stated age.
+    /// Stated age.
     #[serde(default, skip_serializing_if = "is_default")]
     pub age_ns: u64,
     /// Position of the agent.

@@ -17,27 +17,27 @@ use crate::{Mistake, RestartPolicy, Scheduling, SourceError};
 /// A process of the pipeline.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Stage {
-    /// Its id.
+    /// Id of the stage.
     pub id: StageId,
-    /// Its name.
+    /// Name of the stage.
     pub name: String,
     /// The program that runs as this stage, with its arguments; `None` for this project's own program.
     pub command: Option<Vec<String>>,
-    /// Names of the topics that it reads.
+    /// Names of the topics that the stage reads.
     pub reads: Vec<String>,
-    /// Names of the topics that it writes.
+    /// Names of the topics that the stage writes.
     pub writes: Vec<String>,
-    /// Its share of the 80 ms of a tick; `None` for a stage that no forecast waits for.
+    /// Share of the 80 ms of a tick; `None` for a stage outside the main path.
     pub budget_ms: Option<f64>,
-    /// Its options. They are checked by its declaration, or unchecked if it has a `command`.
+    /// Options of the stage. Its declaration checks them; they are unchecked if the stage has a `command`.
     pub options: toml::Table,
-    /// Topics that it opens under another name, with this name.
+    /// Topics that the stage opens under another name, with this name.
     pub topics: BTreeMap<String, String>,
-    /// The action when it ends.
+    /// The action when the stage ends.
     pub restart: RestartPolicy,
-    /// Its processors and its priority.
+    /// Processors and priority.
     pub scheduling: Scheduling,
-    /// Whether a second process waits to take its place.
+    /// Whether a second process waits to replace the stage.
     pub spare: bool,
 }
 

@@ -18,7 +18,7 @@ pub enum ReadError {
     TooLarge {
         /// The file.
         path: String,
-        /// Its size.
+        /// Size.
         bytes: u64,
         /// The limit.
         most: u64,
@@ -144,7 +144,7 @@ pub enum ReadError {
     FrameRate {
         /// The file.
         path: String,
-        /// Its format.
+        /// Format.
         format: crate::Format,
         /// The formats that accept a frame rate.
         names: Vec<&'static str>,
@@ -154,7 +154,7 @@ pub enum ReadError {
     Origin {
         /// The file.
         path: String,
-        /// Its format.
+        /// Format.
         format: crate::Format,
     },
     /// The content fits no format, or more than one.

@@ -33,7 +33,7 @@ pub enum PictureError {
         agent: u64,
         /// The name of the part.
         what: &'static str,
-        /// Its length.
+        /// Length.
         len: usize,
         /// The expected length.
         expected: usize,

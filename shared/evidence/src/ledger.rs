@@ -39,11 +39,11 @@ const MIDDLES_POWER: i32 = 4;
 /// An agent at a time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Agent {
-    /// Its number, the same throughout a session.
+    /// Number, the same throughout a session.
     pub id: u64,
-    /// Its type.
+    /// Type.
     pub agent_type: AgentType,
-    /// Its speed.
+    /// Speed.
     pub speed_mps: f32,
     /// Cosine and sine of its course.
     pub course: [f32; 2],

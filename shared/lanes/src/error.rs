@@ -18,7 +18,7 @@ pub enum LaneMapError {
     TooLarge {
         /// The file.
         path: String,
-        /// Its size.
+        /// Size.
         bytes: u64,
         /// The limit.
         most: u64,

@@ -14,7 +14,7 @@ use crate::{
 pub struct ConfigError {
     /// The key.
     pub key: &'static str,
-    /// Its value.
+    /// Value.
     pub value: f64,
     /// The reason.
     pub reason: &'static str,

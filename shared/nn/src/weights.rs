@@ -52,9 +52,9 @@ pub enum WeightsError {
     OtherModel {
         /// The first key of the configuration that differs.
         key: String,
-        /// Its value in the weights; null if they do not have it.
+        /// Value in the weights; null if they do not have it.
         found: serde_json::Value,
-        /// Its value in the run's model.
+        /// Value in the run's model.
         expected: serde_json::Value,
     },
     /// A tensor that the model needs is missing.
@@ -68,7 +68,7 @@ pub enum WeightsError {
     Shape {
         /// The tensor.
         name: String,
-        /// Its shape.
+        /// Shape.
         found: Vec<usize>,
         /// The model's shape.
         expected: Vec<usize>,

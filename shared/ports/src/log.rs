@@ -40,7 +40,7 @@ impl LogFormat {
     /// All formats.
     pub const ALL: [Self; 2] = [Self::Text, Self::Json];
 
-    /// Its name on the command line.
+    /// The name on the command line.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {

@@ -142,7 +142,7 @@ struct Parts {
     monitor: Option<PathBuf>,
     /// Further files of that name.
     others: Vec<PathBuf>,
-    /// Its folder.
+    /// Folder.
     folder: Option<PathBuf>,
 }
 

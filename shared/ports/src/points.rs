@@ -40,7 +40,7 @@ impl Point {
     pub const ALL: [Self; 5] =
         [Self::BeforeLoan, Self::MidWrite, Self::BeforeNotify, Self::AfterSend, Self::Idle];
 
-    /// Its name.
+    /// The name.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {

@@ -69,9 +69,9 @@ pub struct Space {
 pub struct Leftover {
     /// The run's prefix.
     pub prefix: String,
-    /// Its files in shared memory.
+    /// Files in shared memory.
     pub files_len: usize,
-    /// Their size.
+    /// Total size of the files.
     pub bytes: u64,
     root: PathBuf,
     /// Held so that no two processes clean up the same run. `None` if the lock's file was missing.
@@ -81,9 +81,9 @@ pub struct Leftover {
 /// A run whose launcher is alive.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LivingRun {
-    /// Its name: the name of its directory.
+    /// Name of the run and of its directory.
     pub name: String,
-    /// Its directory, which contains its record.
+    /// Directory of the run, which contains the run's record.
     pub root: PathBuf,
 }
 

@@ -24,9 +24,9 @@ pub struct Difference {
     pub topic: &'static str,
     /// The path of the number, such as `[3].modes[2][0][1]` or `header.flags`.
     pub field: String,
-    /// Its value in the first recording.
+    /// Value in the first recording.
     pub a: f64,
-    /// Its value in the second recording.
+    /// Value in the second recording.
     pub b: f64,
 }
 

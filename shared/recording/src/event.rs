@@ -24,7 +24,7 @@ pub enum Happened {
         stage: String,
         /// How it ended, to follow its name.
         how: String,
-        /// Its next incarnation.
+        /// Next incarnation.
         next: u32,
     },
     /// A stage has ended and is not started again.
@@ -56,7 +56,7 @@ pub enum Happened {
     Refused {
         /// The stage.
         stage: String,
-        /// Its incarnation.
+        /// Incarnation.
         incarnation: u32,
         /// The sender of the frames.
         sender: String,

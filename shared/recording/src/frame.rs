@@ -30,7 +30,7 @@ pub enum FrameError {
     Short {
         /// The topic.
         topic: &'static str,
-        /// Its bytes.
+        /// Bytes.
         found: usize,
     },
     /// The payload is not made of whole elements.
@@ -56,7 +56,7 @@ pub enum FrameError {
     /// The frame belongs to another topic.
     #[error("a frame of \"{found}\", not of \"{expected}\"")]
     OfTopic {
-        /// Its topic.
+        /// Topic.
         found: &'static str,
         /// The requested topic.
         expected: &'static str,

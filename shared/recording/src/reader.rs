@@ -307,7 +307,7 @@ impl Recording {
         &self.about
     }
 
-    /// Its path.
+    /// The path.
     #[must_use]
     pub fn path(&self) -> &Path {
         &self.path

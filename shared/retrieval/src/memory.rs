@@ -87,7 +87,7 @@ pub struct Query {
     pub stamp_ns: i64,
     /// The agent's number, the same throughout a session.
     pub agent: u64,
-    /// Its position and motion at that time.
+    /// Position and motion at that time.
     pub key: Key,
 }
 

@@ -14,7 +14,7 @@ use crate::{Key, Residuals, RetrievalMemory};
 #[derive(Clone, Copy, Debug, Pod, Zeroable)]
 #[repr(C)]
 pub struct StoredEntry {
-    /// Its number, counted from the first entry.
+    /// Number, counted from the first entry.
     pub number: u64,
     agent: u64,
     session: u64,

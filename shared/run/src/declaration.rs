@@ -27,7 +27,7 @@ pub trait Declared: fmt::Debug + Sync {
     fn reads(&self) -> &'static [&'static str];
     /// The topics that its program writes.
     fn writes(&self) -> &'static [&'static str];
-    /// Its options.
+    /// The options.
     fn schema(&self) -> OptionsSchema;
     /// Refuses a table of options with which the program would not start.
     ///

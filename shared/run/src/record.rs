@@ -48,7 +48,7 @@ pub struct StageRun {
 /// A topic that the pipeline file declares.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TopicRun {
-    /// Its name in shared memory.
+    /// Name in shared memory.
     pub name: String,
     /// Name of the type of its elements.
     pub type_name: String,

@@ -5,7 +5,7 @@ use safetensors::tensor::TensorView;
 
 /// The content of a weights file, for changes.
 pub struct Model {
-    /// Its configuration.
+    /// Configuration.
     pub config: serde_json::Value,
     /// Name, shape and values.
     pub tensors: Vec<(String, Vec<usize>, Vec<f32>)>,

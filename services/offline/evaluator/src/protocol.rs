@@ -60,7 +60,7 @@ pub struct Options {
 pub struct Footage {
     /// The recording.
     pub recording: Recording,
-    /// Its windows.
+    /// Windows.
     pub scenes: Vec<Scene>,
 }
 

@@ -14,7 +14,7 @@ fn root() -> PathBuf {
 
 /// A page of Markdown.
 struct Page {
-    /// Its path relative to the root, for messages.
+    /// Path relative to the root, for messages.
     name: String,
     path: PathBuf,
     text: String,

@@ -88,7 +88,7 @@ pub enum TrainError {
     /// The scratch file of scenes could not be written or read.
     #[error("scratch file in {}: {source}", folder.display())]
     Scratch {
-        /// Its folder.
+        /// Folder.
         folder: PathBuf,
         /// The error of the operating system.
         source: std::io::Error,

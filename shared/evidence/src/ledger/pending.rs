@@ -21,7 +21,7 @@ pub(super) struct Pending {
     pub(super) residuals_m: [[f32; 2]; KNOTS],
     /// Relative to constant velocity.
     pub(super) experts_m: [[[f32; 2]; EXPERTS]; KNOTS],
-    /// Its index among the mixtures.
+    /// Index among the mixtures.
     pub(super) mixture: Option<usize>,
 }
 

@@ -13,7 +13,7 @@ pub type Position = [f64; 2];
 pub struct Object {
     /// The same in all frames of a recording, and unique on its side.
     pub id: u64,
-    /// Its position.
+    /// Position.
     pub position_m: Position,
 }
 

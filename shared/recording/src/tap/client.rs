@@ -27,7 +27,7 @@ pub enum TapError {
     /// The tap can't be reached.
     #[error("{}: {source}", path.display())]
     Socket {
-        /// Its socket.
+        /// Socket.
         path: PathBuf,
         /// The system's error.
         source: io::Error,
@@ -35,7 +35,7 @@ pub enum TapError {
     /// The tap has another version.
     #[error("{}: {source}", path.display())]
     Item {
-        /// Its socket.
+        /// Socket.
         path: PathBuf,
         /// The error in the received bytes.
         source: ItemError,

@@ -22,7 +22,7 @@ pub struct Hub<C> {
 /// An attached tool.
 #[derive(Debug)]
 pub struct Tool<C> {
-    /// Its name.
+    /// Name.
     pub name: String,
     /// The items that it requests.
     pub want: Want,

@@ -102,7 +102,7 @@ pub enum LostAt {
 }
 
 impl LostAt {
-    /// Its name.
+    /// The name.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
