@@ -1,5 +1,5 @@
-//! A stage beside the ticks' path: it reads the forecasts and writes its own topic, the closest approach of
-//! each agent to the ego vehicle. No forecast waits for it. Its lines in pipeline.toml:
+//! A stage outside the tick's path. It reads the forecasts and writes the closest approach of each agent to
+//! the ego vehicle to its own topic. No forecast waits for this stage. Lines in pipeline.toml:
 //!
 //! ```toml
 //! [[topic]]

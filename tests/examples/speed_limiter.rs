@@ -1,4 +1,4 @@
-//! A stage on the main path. It reads the tracks and writes tracks in which no agent exceeds a speed limit.
+//! A stage on the tick's path. It reads the tracks and writes tracks in which no agent exceeds a speed limit.
 //! (A radar can report such speeds because of wheels and reflections.) The localiser reads these tracks
 //! instead. Lines in pipeline.toml:
 //!

@@ -82,7 +82,7 @@ fn a_failure_is_told_kept_and_repeatable() {
     }
 }
 
-/// An added stage outside the main path. Its program does not know this project.
+/// An added stage outside the tick's path. Its program does not know this project.
 #[test]
 fn an_added_stage_is_the_target_of_signals_and_has_no_points() {
     let scratch = Scratch::new("added-faults");

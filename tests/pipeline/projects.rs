@@ -25,7 +25,7 @@ fn added_stages_are_reported_and_come_back() {
     let pipeline = scratch.file("both.toml", format!("{text}\n[[topic]]{added}"));
     let report = scratch.path("report.json");
 
-    // Lockstep loses no tick, neither on the main path nor outside it.
+    // Lockstep loses no tick, neither on the tick's path nor outside it.
     let scene = ["run", "--agents", "5", "--quiet", "--pipeline", &pipeline, "--report", &report];
     run_well(&[&scene[..], &["--ticks", "20", "--speed", "max"]].concat());
     let told = Report::read(report.as_ref()).expect("a report");

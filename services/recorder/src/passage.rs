@@ -94,7 +94,7 @@ pub struct Passage {
 }
 
 impl Passage {
-    /// Adds the phases of a stage outside the main path.
+    /// Adds the phases of a stage outside the tick's path.
     pub(crate) fn add(&mut self, stage: StageId, times: Timestamps) {
         self.stages[stage.place()] = Some(times);
     }
@@ -154,7 +154,7 @@ impl Timeline {
         passage
     }
 
-    /// The phases of a stage outside the main path that has sent a frame; `None` if the stage has not stamped
+    /// The phases of a stage outside the tick's path that has sent a frame; `None` if the stage has not stamped
     /// its passage.
     pub fn beside(&mut self, header: &Header) -> Option<(StageId, Timestamps)> {
         let stage = StageId::from_number(header.sender)?;

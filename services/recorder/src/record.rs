@@ -197,7 +197,7 @@ impl Recorder {
         self.resumed && self.newer_ns(header).is_some()
     }
 
-    /// Adds the header of a frame from an added stage outside the main path. Returns the stage and its times
+    /// Adds the header of a frame from an added stage outside the tick's path. Returns the stage and its times
     /// in the tick. An invalid header is ignored, because the frame's readers refuse it.
     pub fn beside(&mut self, header: &Header) -> Option<(StageId, Timestamps)> {
         if header.check().is_err() || !header.is_tick() {

@@ -123,7 +123,7 @@ impl Tracer {
         self.whole(header, tick);
     }
 
-    /// Adds the passage of a frame from an added stage outside the main path.
+    /// Adds the passage of a frame from an added stage outside the tick's path.
     pub fn beside(&mut self, header: &Header, stage: StageId, times: Timestamps) {
         if let Some(hop) = header.hop(stage) {
             let mut passage = Passage::default();

@@ -88,7 +88,7 @@ impl Outputs {
     }
 
     /// Waits until the recorder has the forecasts of a tick. Also waits for the tap and for added stages
-    /// outside the main path, if they follow the run. In lockstep, no tick is therefore lost, neither in the
+    /// outside the tick's path, if they follow the run. In lockstep, no tick is therefore lost, neither in the
     /// run nor in a recording.
     ///
     /// # Errors

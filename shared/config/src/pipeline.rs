@@ -27,7 +27,7 @@ pub struct Stage {
     pub reads: Vec<String>,
     /// Names of the topics that the stage writes.
     pub writes: Vec<String>,
-    /// Share of the 80 ms of a tick; `None` for a stage outside the main path.
+    /// Share of the 80 ms of a tick; `None` for a stage outside the tick's path.
     pub budget_ms: Option<f64>,
     /// Options of the stage. Its declaration checks them; they are unchecked if the stage has a `command`.
     pub options: toml::Table,
