@@ -1,9 +1,23 @@
 //! Result tables in Markdown files. A verb writes its table between two marks, so the measured values are
 //! part of the page.
 
+use std::fmt::Display;
 use std::path::Path;
 
 use crate::failure::Failure;
+
+/// The head of a table. Values of a column whose name ends in `:` are aligned right.
+pub fn head(columns: &[impl AsRef<str>]) -> String {
+    let columns = || columns.iter().map(AsRef::as_ref);
+    let names = row(columns().map(|column| column.trim_end_matches(':')));
+    let rule: String = columns().map(|column| if column.ends_with(':') { "---:|" } else { "---|" }).collect();
+    format!("{names}|{rule}\n")
+}
+
+/// A row of a table.
+pub fn row(cells: impl IntoIterator<Item = impl Display>) -> String {
+    cells.into_iter().fold("|".to_owned(), |row, cell| row + &format!(" {cell} |")) + "\n"
+}
 
 /// Replaces the text between the marks `stgdat NAME` of a Markdown file by `table`.
 ///
@@ -56,6 +70,12 @@ fn with_section(old: &str, heading: &str, text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_table_has_its_figures_on_the_right() {
+        let text = head(&["stage", "p50 ms:"]) + &row(["encoder", "1.50"]) + &row([2, 3]);
+        assert_eq!(text, "| stage | p50 ms |\n|---|---:|\n| encoder | 1.50 |\n| 2 | 3 |\n");
+    }
 
     const MARKS: [&str; 2] = ["<!-- begin stgdat x -->", "<!-- end stgdat x -->"];
 

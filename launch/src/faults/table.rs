@@ -2,6 +2,7 @@
 //! kind of death.
 
 use std::collections::BTreeSet;
+use std::fmt::Display;
 use std::fmt::Write as _;
 use std::path::Path;
 
@@ -15,6 +16,7 @@ use crate::faults::effect::Random;
 use crate::faults::runner;
 use crate::faults::spec::Spec;
 use crate::faults::verdict::{Observation, longest_run};
+use crate::tables;
 
 /// Ticks before the first death, in which agents become old enough to be forecast.
 const LEAD_TICKS: u64 = 25;
@@ -26,10 +28,19 @@ const EARLY_TICKS: u64 = 3;
 /// Durations of a stop: below and above the time until a stopped stage is detected.
 const STOPS_MS: [u64; 3] = [200, 1_000, 5_000];
 
-/// The head of the table.
-pub const HEAD: &str = "| stage | fault | times | longest hole, ticks | ticks to learned again, median | at most | \
-                        detections lost | unexplained | others restarted | left |\n\
-                        |---|---|---:|---:|---:|---:|---:|---:|---:|---:|\n";
+/// The columns of the table.
+pub const COLUMNS: [&str; 10] = [
+    "stage",
+    "fault",
+    "times:",
+    "longest hole, ticks:",
+    "ticks to learned again, median:",
+    "at most:",
+    "detections lost:",
+    "unexplained:",
+    "others restarted:",
+    "left:",
+];
 
 /// The faults of one run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -204,10 +215,9 @@ impl Row {
         let most = learned.last().filter(|_| is_always).map_or_else(|| "never".to_owned(), u64::to_string);
         let Self { stage, fault, times, hole, detections_lost, unexplained, others_restarted, left, .. } =
             self;
-        format!(
-            "| {stage} | {fault} | {times} | {hole} | {median} | {most} | {detections_lost} | {unexplained} | \
-             {others_restarted} | {left} |\n"
-        )
+        let cells: [&dyn Display; 10] =
+            [stage, fault, times, hole, &median, &most, detections_lost, unexplained, others_restarted, left];
+        tables::row(cells)
     }
 }
 

@@ -191,7 +191,8 @@ fn measure(arguments: &TableArguments) -> Result<Exit, Failure> {
     let stages = if arguments.stages.is_empty() { StageId::ALL.to_vec() } else { arguments.stages.clone() };
     let load_before = table::load_average();
     let mut rows = Vec::new();
-    show(table::HEAD)?;
+    let head = tables::head(&table::COLUMNS);
+    show(&head)?;
     for stage in stages {
         for series in [Series::Kills, Series::Stops] {
             let measured = table::measure(&table::Plan { stage, series, turns, seed, agents })?;
@@ -210,7 +211,7 @@ fn measure(arguments: &TableArguments) -> Result<Exit, Failure> {
             table::load_average(),
         );
         let lines: String = rows.iter().map(Row::line).collect();
-        tables::replace(path, "fault table", &(told + table::HEAD + &lines))?;
+        tables::replace(path, "fault table", &(told + &head + &lines))?;
     }
     Ok(Exit::Done)
 }

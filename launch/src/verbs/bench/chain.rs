@@ -10,6 +10,7 @@ use super::{percentile, pipe};
 use crate::arguments::{ModelArguments, SetArguments};
 use crate::failure::Failure;
 use crate::options::Setting;
+use crate::tables;
 
 /// Number of ticks in two seconds.
 const RATE: u64 = 25;
@@ -63,18 +64,18 @@ pub(super) fn table(
 fn text(report: &Report, memory: &Memory, [hop_p50, hop_p99]: [f64; 2]) -> String {
     let ms = |value: Option<f64>| value.map_or("–".to_owned(), |v| format!("{v:.2}"));
     let mib = |kib: u64| format!("{:.0}", kib as f64 / 1024.0);
-    let mut text = format!(
-        "\n| {AGENTS} agents, 12.5 Hz, {} processes | p50 | p99 |\n|---|---:|---:|\n",
-        memory.processes
-    );
+    let scene = format!("{AGENTS} agents, 12.5 Hz, {} processes", memory.processes);
+    let mut text = "\n".to_owned() + &tables::head(&[&scene, "p50:", "p99:"]);
     let rows = [
-        ("end to end, ms", ms(report.end_to_end_ms.p50), ms(report.end_to_end_ms.p99)),
-        ("overhead (end to end less compute), ms", ms(report.overhead_ms.p50), ms(report.overhead_ms.p99)),
-        ("a pipe's hop in the same run, ms", format!("{hop_p50:.3}"), format!("{hop_p99:.3}")),
+        ["end to end, ms".to_owned(), ms(report.end_to_end_ms.p50), ms(report.end_to_end_ms.p99)],
+        [
+            "overhead (end to end less compute), ms".to_owned(),
+            ms(report.overhead_ms.p50),
+            ms(report.overhead_ms.p99),
+        ],
+        ["a pipe's hop in the same run, ms".to_owned(), format!("{hop_p50:.3}"), format!("{hop_p99:.3}")],
     ];
-    for (name, p50, p99) in rows {
-        text += &format!("| {name} | {p50} | {p99} |\n");
-    }
+    rows.into_iter().for_each(|cells| text += &tables::row(cells));
     text + &format!(
         "\n{} ticks, {} late. Resident memory of all processes {} MiB ({} MiB with shared pages counted once), files in \
          /dev/shm {} MiB.\n",

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use super::{Arguments, modes, percentile, stages};
 use crate::failure::Failure;
+use crate::tables;
 
 /// Measured numbers of agents.
 const AGENTS: [usize; 5] = [1, 8, 32, 64, 128];
@@ -42,14 +43,12 @@ pub(super) fn table(arguments: &Arguments) -> Result<String, Failure> {
 /// Formats the table; `columns` holds (agents, ms) per number of modes.
 fn text(modes: &[usize], columns: &[Vec<(f64, f64)>]) -> String {
     let row = |first: String, values: Vec<f64>, digits: usize| {
-        let values: String = values.iter().map(|value| format!(" {value:.digits$} |")).collect();
-        format!("| {first} |{values}\n")
+        let values = values.into_iter().map(|value| format!("{value:.digits$}"));
+        tables::row(std::iter::once(first).chain(values))
     };
-    let heads: String = modes
-        .iter()
-        .map(|&modes| if modes == 1 { " 1 mode |".to_owned() } else { format!(" {modes} modes |") })
-        .collect();
-    let mut text = format!("| agents |{heads}\n|---:|{}\n", "---:|".repeat(modes.len()));
+    let heads = modes.iter().map(|&modes| format!("{modes} mode{}:", if modes == 1 { "" } else { "s" }));
+    let names: Vec<String> = std::iter::once("agents:".to_owned()).chain(heads).collect();
+    let mut text = tables::head(&names);
     let rows = columns.first().map_or(0, Vec::len);
     for at in 0..rows {
         let times = columns.iter().map(|column| column[at].1).collect();

@@ -15,6 +15,7 @@ use super::{Arguments, percentile};
 use crate::failure::Failure;
 use crate::options::{Setting, StageOptions};
 use crate::prediction::SHARED;
+use crate::tables;
 
 /// Ticks before the measurement. They exceed the history, so caches are as in a steady run.
 const WARM_UP: u64 = 60;
@@ -48,9 +49,8 @@ impl Measured {
 
 /// Formats one row per number of agents and stage.
 pub(super) fn table(arguments: &Arguments, peak_gflops: f64) -> Result<String, Failure> {
-    let mut text = String::from(
-        "| agents | stage | compute p50 ms | p99 ms | GFLOP/s | of the matrix product |\n|---:|---|---:|---:|---:|---:|\n",
-    );
+    let columns = ["agents:", "stage", "compute p50 ms:", "p99 ms:", "GFLOP/s:", "of the matrix product:"];
+    let mut text = tables::head(&columns);
     for &agents in &arguments.agents {
         let mut measured = measure(arguments, usize::from(agents), None)?;
         let mut total_ms = 0.0;

@@ -1,4 +1,20 @@
+use launch::tables;
 use trainer::{Errors, ModelCard, SetScore};
+
+/// The columns of the table.
+const COLUMNS: [&str; 11] = [
+    "recipe",
+    "best update:",
+    "seed:",
+    "windows:",
+    "agents:",
+    "minutes:",
+    "peak MiB:",
+    "machine",
+    "minADE₂₀ / minFDE₂₀:",
+    "K = 1:",
+    "file, MiB:",
+];
 
 /// A card with properties of its file.
 pub(super) struct Row {
@@ -10,25 +26,24 @@ pub(super) struct Row {
 
 /// A table of cards, one row each: cost of the training and validation errors.
 pub(super) fn text(rows: &[Row]) -> String {
-    let mut text = "ADE / FDE in m over the model's horizon, mean of all agents that validated, online map.\n\n\
-                    | recipe | best update | seed | windows | agents | minutes | peak MiB | machine | minADE₂₀ / minFDE₂₀ | K = 1 | file, MiB |\n\
-                    |:---|---:|---:|---:|---:|---:|---:|:---|---:|---:|---:|\n"
-        .to_owned();
+    let mut text =
+        "ADE / FDE in m over the model's horizon, mean of all agents that validated, online map.\n\n"
+            .to_owned()
+            + &tables::head(&COLUMNS);
     for Row { stem, card, bytes } in rows {
-        text += &format!(
-            "| {} | {} | {} | {} | {} | {:.0} | {} | {} | {} | {} | {:.1} |\n",
-            card.options.recipe.as_ref().unwrap_or(stem),
+        text += &tables::row([
+            card.options.recipe.as_ref().unwrap_or(stem).clone(),
             updates(card),
-            card.options.seed,
-            card.training.windows,
-            card.training.agents,
-            card.wall_s / 60.0,
+            card.options.seed.to_string(),
+            card.training.windows.to_string(),
+            card.training.agents.to_string(),
+            format!("{:.0}", card.wall_s / 60.0),
             card.peak_rss_mib.map_or_else(|| "–".to_owned(), |mib| mib.to_string()),
             machine(card),
             mean(card, |score| score.best_of_modes),
             mean(card, |score| score.single),
-            *bytes as f64 / f64::from(1 << 20),
-        );
+            format!("{:.1}", *bytes as f64 / f64::from(1 << 20)),
+        ]);
     }
     text
 }
