@@ -1,12 +1,13 @@
 //! The run's record: written by the launcher, read by every stage.
 //!
-//! The encoding (postcard) is private to this module. The file starts with [`MAGIC`] and the schema as text,
+//! The encoding (bincode) is private to this module. The file starts with [`MAGIC`] and the schema as text,
 //! so a stage of another version refuses the file instead of misreading it.
 
 use std::collections::BTreeMap;
 use std::error::Error;
 use std::path::{Path, PathBuf};
 
+use bincode::config::standard;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 use wire::{ForecastsTopic, HeartbeatsTopic, StageId, TICK_NS, Topic, WorldOrigin};
@@ -340,8 +341,9 @@ impl Run {
     /// UTF-8.
     pub fn write(&self, path: &Path) -> Result<(), RecordError> {
         let mut bytes = format!("{MAGIC}{SCHEMA}\n").into_bytes();
-        bytes = postcard::to_extend(self, bytes)
+        let body = bincode::serde::encode_to_vec(self, standard())
             .map_err(|e| RecordError::Unwritable { path: path.to_owned(), source: e.into() })?;
+        bytes.extend(body);
         std::fs::write(path, bytes).map_err(|source| RecordError::File { path: path.to_owned(), source })
     }
 
@@ -363,9 +365,9 @@ impl Run {
         if found != SCHEMA {
             return Err(RecordError::Schema { path: path.to_owned(), found });
         }
-        let (run, excess): (Self, &[u8]) = postcard::take_from_bytes(&body[1..])
+        let (run, used): (Self, usize) = bincode::serde::decode_from_slice(&body[1..], standard())
             .map_err(|e| RecordError::Damaged { path: path.to_owned(), source: e.into() })?;
-        match excess.len() {
+        match body.len() - 1 - used {
             0 => {
                 run.name_stages();
                 Ok(run)
