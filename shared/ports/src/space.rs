@@ -179,6 +179,11 @@ pub fn remove_half_made_connections(prefix: &str, age: Duration) -> usize {
 /// process that is killed while it creates a service leaves one. Others wait for it to be finished, and
 /// clean-up refuses it.
 pub(crate) fn remove_half_made_services(root: &Path, age: Duration) -> usize {
+    half_made_services(root, age).iter().filter(|path| std::fs::remove_file(path).is_ok()).count()
+}
+
+/// The services of a run that have been half created for longer than `age`.
+pub(crate) fn half_made_services(root: &Path, age: Duration) -> Vec<PathBuf> {
     use std::os::unix::fs::PermissionsExt;
     /// Until a service's description is complete, its owner may write it.
     const HALF_MADE: u32 = 0o200;
@@ -186,9 +191,8 @@ pub(crate) fn remove_half_made_services(root: &Path, age: Duration) -> usize {
         let Ok(metadata) = std::fs::metadata(path) else { return false };
         metadata.is_file() && metadata.permissions().mode() & HALF_MADE != 0 && is_older(&metadata, age)
     };
-    let Ok(entries) = std::fs::read_dir(root.join(SERVICES)) else { return 0 };
-    let files = entries.filter_map(|entry| Some(entry.ok()?.path()));
-    files.filter(|path| is_half_made(path) && std::fs::remove_file(path).is_ok()).count()
+    let Ok(entries) = std::fs::read_dir(root.join(SERVICES)) else { return Vec::new() };
+    entries.filter_map(|entry| Some(entry.ok()?.path())).filter(|path| is_half_made(path)).collect()
 }
 
 /// Whether a file has been unchanged for longer than `age`.

@@ -32,9 +32,9 @@ pub trait Step {
 
     /// Computes the answer to a tick.
     ///
+    /// # Errors
     /// [`Rejected`] if an input is impossible. The driver counts the tick as refused and sends a VOID frame;
     /// later stages answer without it.
-    /// stages answer without it.
     fn answer(
         &mut self,
         tick: &Tick<'_, Self::Input, Self::Second>,

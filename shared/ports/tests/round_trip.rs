@@ -6,8 +6,8 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use ports::{
-    Awaited, GO, INCARNATION_VARIABLE, Node, STANDBY_VARIABLE, Space, Stage, StageError, leftovers,
-    monotonic_ns,
+    Awaited, GO, INCARNATION_VARIABLE, Node, STANDBY_VARIABLE, Space, Stage, StageError, clean_dead_nodes,
+    leftovers, monotonic_ns,
 };
 use run::{Declaration, NoOptions, Run};
 use wire::{
@@ -60,6 +60,23 @@ fn a_frame_is_read_where_it_was_written() {
     assert_eq!(frame[..], [track(10), track(11), track(12)]);
     assert_eq!(frame.as_ptr().addr() % 64, 0, "payloads start at a cache line");
     assert!(subscriber.receive().unwrap().is_none());
+}
+
+#[test]
+fn a_half_made_service_of_a_process_that_died_early_is_removed() {
+    use std::os::unix::fs::PermissionsExt as _;
+    let (space, run) = run();
+    let services = space.root().join("services");
+    std::fs::create_dir_all(&services).unwrap();
+    // Until its description is complete, a service's owner may write it. No node lists this service.
+    let [half_made, whole] = [("half", 0o600), ("whole", 0o400)].map(|(name, mode)| {
+        let path = services.join(format!("{name}.service"));
+        let file = std::fs::File::create(&path).unwrap();
+        file.set_permissions(std::fs::Permissions::from_mode(mode)).unwrap();
+        path
+    });
+    assert_eq!(clean_dead_nodes(&run, |_, _| ()).unwrap(), (0, 0));
+    assert!(!half_made.exists() && whole.exists());
 }
 
 #[test]
