@@ -150,27 +150,6 @@ pub struct PlaybackArguments {
     set: SetArguments,
 }
 
-/// The report on a recording that is played in this process.
-#[derive(Debug, Args)]
-pub struct VerdictArguments {
-    /// Write the report as JSON: ticks, agents, what the input contained, and the verdict
-    #[arg(long, value_name = "FILE")]
-    pub report: Option<PathBuf>,
-    /// Fail, with exit code 65, if the input is doubtful or no agent was tracked
-    #[arg(long)]
-    pub strict: bool,
-}
-
-impl VerdictArguments {
-    /// Checks before any work is done that the report can be written.
-    ///
-    /// # Errors
-    /// [`Failure::Data`] if the report's folder does not exist.
-    pub fn check(&self) -> Result<(), Failure> {
-        self.report.as_deref().map_or(Ok(()), check_place)
-    }
-}
-
 /// A recording at its start, and the run that plays it.
 pub struct Played {
     /// The recording.

@@ -1,8 +1,9 @@
 //! The report of `predict` and `track` on a played recording, with the same figures as the report of `run`.
 
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
+use clap::Args;
 use data::Recording;
 use recorder::{InputReport, InputTally, LaneCounts, Status, Verdict};
 use run::Exit;
@@ -10,7 +11,29 @@ use serde::Serialize;
 use source::Playback;
 use wire::Header;
 
+use crate::arguments::check_place;
 use crate::failure::Failure;
+
+/// The report on a recording that is played in this process.
+#[derive(Debug, Args)]
+pub struct VerdictArguments {
+    /// Write the report as JSON: ticks, agents, what the input contained, and the verdict
+    #[arg(long, value_name = "FILE")]
+    pub report: Option<PathBuf>,
+    /// Fail, with exit code 65, if the input is doubtful or no agent was tracked
+    #[arg(long)]
+    pub strict: bool,
+}
+
+impl VerdictArguments {
+    /// Checks before any work is done that the report can be written.
+    ///
+    /// # Errors
+    /// [`Failure::Data`] if the report's folder does not exist.
+    pub fn check(&self) -> Result<(), Failure> {
+        self.report.as_deref().map_or(Ok(()), check_place)
+    }
+}
 
 /// The report of `predict` and `track`. Names end with their units.
 #[derive(Clone, Debug, Default, Serialize)]

@@ -7,9 +7,9 @@ use run::Exit;
 use source::Playback;
 use wire::WorldOrigin;
 
-use crate::arguments::{PlaybackArguments, Played, VerdictArguments};
+use crate::arguments::{PlaybackArguments, Played};
 use crate::failure::Failure;
-use crate::play_report::PlayReport;
+use crate::play_report::{PlayReport, VerdictArguments};
 use crate::show::is_read;
 
 /// Arguments of `stgdat predict`.

@@ -276,26 +276,6 @@ impl Stage {
         self.node.stop()
     }
 
-    /// The next tick to work on; `None` if the process has been asked to end.
-    ///
-    /// Frames without work (warm-up, end, refused by an earlier stage) are passed directly to `output`.
-    ///
-    /// # Errors
-    /// [`PortError`] if the transport fails.
-    pub fn next<I: Topic, O: Topic>(
-        &mut self,
-        input: &Subscriber<I>,
-        output: &Publisher<O>,
-    ) -> Result<Option<Frame<I>>, PortError> {
-        loop {
-            match self.next_until(input, output, None)? {
-                Awaited::Frame(frame) => return Ok(Some(frame)),
-                Awaited::Stopped => return Ok(None),
-                Awaited::Void(_) | Awaited::Late | Awaited::Lost => {}
-            }
-        }
-    }
-
     /// The next tick to work on. Sleeps until it arrives or until `until_ns` on `CLOCK_MONOTONIC`.
     ///
     /// A frame without work is passed directly to `output` and returned as [`Awaited::Void`]. In lockstep, if

@@ -6,13 +6,13 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use ports::{
-    Awaited, GO, INCARNATION_VARIABLE, Node, STANDBY_VARIABLE, Space, Stage, StageError, clean_dead_nodes,
-    leftovers, monotonic_ns,
+    Answer, Awaited, GO, INCARNATION_VARIABLE, NoTopic, Node, STANDBY_VARIABLE, Space, Stage, StageError,
+    Step, Tick, clean_dead_nodes, drive, leftovers, monotonic_ns,
 };
 use run::{Declaration, NoOptions, Run};
 use wire::{
-    ContextTopic, FeaturesTopic, ForecastsTopic, Header, HeartbeatsTopic, Protection, RefusalCause, Refusals,
-    StageId, Topic, Track, TracksTopic, flags,
+    ContextTopic, FeaturesTopic, Forecast, ForecastsTopic, Header, HeartbeatsTopic, Protection, RefusalCause,
+    Refusals, Rejected, StageId, Topic, Track, TracksTopic, flags,
 };
 
 /// A stage that only reads tracks.
@@ -240,22 +240,29 @@ fn waiting_for_a_tick_drops_older_and_keeps_newer_ones() {
 /// A stage in a separate process. It answers each track with a forecast that has twice its id and is
 /// otherwise zero.
 fn echo(run: &Run) -> Result<(), StageError> {
-    let mut stage = Stage::open(run, &ECHO)?;
-    let tracks = stage.subscribe::<TracksTopic>()?;
-    let forecasts = stage.publish::<ForecastsTopic>()?;
-    while let Some(frame) = stage.next(&tracks, &forecasts)? {
-        let mut passage = stage.begin(&frame);
-        if frame[0].id == 13 {
-            stage.finish(passage, &forecasts, Err(wire::Rejected::NotFinite { field: "thirteen" }))?;
-            continue;
+    drive(run, &ECHO, |_| Ok(Echo))
+}
+
+struct Echo;
+
+impl Step for Echo {
+    type Input = TracksTopic;
+    type Second = NoTopic;
+    type Output = ForecastsTopic;
+
+    fn answer(
+        &mut self,
+        tick: &Tick<'_, TracksTopic>,
+        out: &mut Answer<'_, ForecastsTopic>,
+    ) -> Result<(), Rejected> {
+        let id = tick.input[0].id;
+        if id == 13 {
+            return Err(Rejected::NotFinite { field: "thirteen" });
         }
-        let mut output = forecasts.loan(1)?;
-        output[0] = bytemuck::Zeroable::zeroed();
-        output[0].id = frame[0].id * 2;
-        passage.header.counts.agents_len = 1;
-        stage.finish(passage, &forecasts, Ok(output))?;
+        out.header.counts.agents_len = 1;
+        out.elements(1)?[0] = Forecast { id: id * 2, ..bytemuck::Zeroable::zeroed() };
+        Ok(())
     }
-    Ok(())
 }
 
 /// Not a test: the process that the next test starts.

@@ -142,14 +142,6 @@ impl ForecastView {
             covariance: covariance.collect(),
         })
     }
-
-    /// The most probable mode; `None` if there are no modes.
-    #[must_use]
-    pub fn likeliest(&self) -> Option<&[Point]> {
-        let probability = self.probability.iter().enumerate();
-        let (mode, _) = probability.max_by(|(i, a), (j, b)| a.total_cmp(b).then(j.cmp(i)))?;
-        self.modes.get(mode).map(Vec::as_slice)
-    }
 }
 
 #[cfg(test)]
@@ -187,7 +179,7 @@ mod tests {
             (forecast.quality, forecast.best.as_slice()),
             (Quality::Held, &[[0.0; 2], [9.0, 0.0]][..])
         );
-        assert_eq!(forecast.likeliest(), Some(&[[4.0, 1.0], [0.0; 2]][..]));
+        assert_eq!((forecast.modes[1][0], forecast.probability[1]), ([4.0, 1.0], 0.75));
         assert_eq!((view.agents[1].known_as(), &view.agents[1].forecast), (8, &None));
     }
 }

@@ -15,6 +15,7 @@ use scene::{ContextMap, MapBuilder, State};
 use source::Playback;
 use thiserror::Error;
 use tick_view::{AgentView, ForecastView, TickView};
+use wire::{Detection, detection_flags};
 
 /// Maximum number of ticks whose agents are ranked, evenly spread.
 const RANKED_MAX: u64 = 240;
@@ -99,8 +100,6 @@ pub enum GalleryError {
 /// The original recording, for the truth and the map.
 struct Past {
     tracks: BTreeMap<u64, RecordedTrack>,
-    /// Times and positions of each agent: the recording's truth or, without one, its tracks.
-    truth: BTreeMap<u64, Vec<(i64, Point)>>,
     first_ns: i64,
 }
 
@@ -184,25 +183,13 @@ pub fn shots(
 
 impl Past {
     fn new(recording: &Recording) -> Self {
-        let tracks: BTreeMap<u64, RecordedTrack> =
-            data::tracks(recording).into_iter().map(|track| (track.id, track)).collect();
-        let mut truth: BTreeMap<u64, Vec<(i64, Point)>> = BTreeMap::new();
-        for frame in &recording.frames {
-            for agent in &frame.truth {
-                truth
-                    .entry(agent.id)
-                    .or_default()
-                    .push((frame.stamp_ns + agent.offset_ns, [agent.x_m, agent.y_m]));
-            }
-        }
-        if truth.is_empty() {
-            let positions = |track: &RecordedTrack| {
-                track.states.iter().map(|(stamp_ns, state)| (*stamp_ns, state.position_m)).collect()
-            };
-            truth = tracks.iter().map(|(id, track)| (*id, positions(track))).collect();
-        }
+        let tracks = match recording.frames.iter().any(|frame| !frame.truth.is_empty()) {
+            true => data::tracks(&of_truth(recording)),
+            false => data::tracks(recording),
+        };
+        let tracks = tracks.into_iter().map(|track| (track.id, track)).collect();
         let first_ns = recording.frames.first().map_or(0, |frame| frame.stamp_ns);
-        Self { tracks, truth, first_ns }
+        Self { tracks, first_ns }
     }
 
     fn time_s(&self, stamp_ns: i64) -> f64 {
@@ -211,20 +198,23 @@ impl Past {
 
     /// The recorded positions of an agent at the steps of its forecast.
     fn truth(&self, view: &TickView, agent: &AgentView, forecast: &ForecastView) -> Vec<Option<Point>> {
+        let position_m = |track: &RecordedTrack, stamp_ns: i64| {
+            track.state_at(stamp_ns, i64::MAX, GAP_MAX_NS).map(|state| state.position_m)
+        };
         let nearest = || {
-            let apart = |(_, positions): &(&u64, &Vec<(i64, Point)>)| {
-                let [x_m, y_m] = at(positions, view.stamp_ns)?;
+            let apart_m = |track: &RecordedTrack| {
+                let [x_m, y_m] = position_m(track, view.stamp_ns)?;
                 let apart_m = (x_m - agent.position_m[0]).hypot(y_m - agent.position_m[1]);
                 (apart_m <= MATCH_MAX_M).then_some(apart_m)
             };
-            let found = self.truth.iter().filter_map(|agent| Some((apart(&agent)?, agent.1)));
-            found.min_by(|(a, _), (b, _)| a.total_cmp(b)).map(|(_, positions)| positions)
+            let found = self.tracks.values().filter_map(|track| Some((apart_m(track)?, track)));
+            found.min_by(|(a, _), (b, _)| a.total_cmp(b)).map(|(_, track)| track)
         };
-        let known = self.truth.get(&agent.source_id).filter(|_| agent.source_id != 0);
-        let Some(positions) = known.or_else(nearest) else { return Vec::new() };
+        let known = self.tracks.get(&agent.source_id).filter(|_| agent.source_id != 0);
+        let Some(track) = known.or_else(nearest) else { return Vec::new() };
         let step_ns = i64::try_from(view.step_ns).unwrap_or(i64::MAX);
         let stamp_ns = |step: usize| view.stamp_ns.saturating_add(step_ns.saturating_mul(step as i64));
-        (1..=forecast.best.len()).map(|step| at(positions, stamp_ns(step))).collect()
+        (1..=forecast.best.len()).map(|step| position_m(track, stamp_ns(step))).collect()
     }
 
     fn shot(&self, view: &TickView, wanted: &[u64]) -> Result<Shot, GalleryError> {
@@ -314,17 +304,23 @@ impl Past {
     }
 }
 
-/// The interpolated position at a time; `None` outside the range of positions and in long gaps.
-fn at(positions: &[(i64, Point)], stamp_ns: i64) -> Option<Point> {
-    let next = positions.partition_point(|(at_ns, _)| *at_ns < stamp_ns);
-    let &(next_ns, to_m) = positions.get(next)?;
-    if next_ns == stamp_ns {
-        return Some(to_m);
+/// The recording's truth, as detections with identities.
+fn of_truth(recording: &Recording) -> Recording {
+    let mut of_truth = recording.clone();
+    for frame in &mut of_truth.frames {
+        let detections = frame.truth.iter().map(|agent| Detection {
+            id: agent.id,
+            agent_type: agent.agent_type,
+            x_m: agent.x_m,
+            y_m: agent.y_m,
+            offset_ns: agent.offset_ns,
+            score: 1.0,
+            flags: detection_flags::HAS_ID,
+            ..Detection::default()
+        });
+        frame.detections = detections.collect();
     }
-    let &(last_ns, from_m) = positions.get(next.checked_sub(1)?)?;
-    let share = (stamp_ns - last_ns) as f32 / (next_ns - last_ns) as f32;
-    (next_ns - last_ns <= GAP_MAX_NS)
-        .then(|| [0, 1].map(|axis| from_m[axis] + share * (to_m[axis] - from_m[axis])))
+    of_truth
 }
 
 impl ShotErrors {
@@ -350,7 +346,7 @@ mod tests {
     use nn::Weights;
     use source::PlaybackOptions;
     use wire::detection_flags::HAS_ID;
-    use wire::{AgentType, Detection, TICK_NS};
+    use wire::{AgentType, TICK_NS, Truth};
 
     use super::*;
 
@@ -439,5 +435,29 @@ mod tests {
         assert_ne!(best.about, worst.about, "no agent is shown twice");
         let ade_m = |shot: &Shot| shot.errors.unwrap().best[0];
         assert!(ade_m(best) <= ade_m(worst));
+    }
+
+    #[test]
+    fn agents_without_identities_get_the_truth_that_is_nearest() {
+        let mut recording = walkers();
+        recording.has_identities = false;
+        for frame in &mut recording.frames {
+            for detection in &mut frame.detections {
+                let Detection { id, x_m, y_m, agent_type, .. } = *detection;
+                frame.truth.push(Truth { id, x_m, y_m, agent_type, ..bytemuck::Zeroable::zeroed() });
+                (detection.id, detection.flags) = (0, 0);
+            }
+        }
+        let playback =
+            Playback::new(recording, PlaybackOptions { lockstep: true, ..PlaybackOptions::default() });
+        let run = Run { lockstep: true, interval_ns: TICK_NS, ..Run::default() };
+        let weights = Weights::onboard();
+        let shots = shots(playback, (&run, weights.config()), &Wanted::At(vec![8.0]), &[]).unwrap();
+        let agents = &shots[0].agents;
+        assert_eq!(agents.len(), 2);
+        for AgentDrawing { agent, truth } in agents {
+            let ([x_m, y_m], next) = (agent.position_m, truth[0].unwrap());
+            assert!(((next[0] - x_m).hypot(next[1] - y_m) - 0.5).abs() < 0.2, "0.4 s at 1.25 m/s");
+        }
     }
 }

@@ -51,7 +51,9 @@ impl<'a> Sketch<'a> {
                 .map(|forecast| mask.regions(place(agent.position_m), forecast))
                 .unwrap_or_default(),
             best: forecast.map(|forecast| forecast.best.as_slice()),
-            likeliest: forecast.and_then(ForecastView::likeliest),
+            likeliest: forecast.and_then(|forecast| {
+                metrics::most_likely(&forecast.probability).map(|mode| forecast.modes[mode].as_slice())
+            }),
             hindsight: forecast.and_then(|forecast| hindsight(forecast, truth)),
         }
     }
