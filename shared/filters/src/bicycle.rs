@@ -42,9 +42,9 @@ pub struct Bicycle {
     pub slip_max_rad: f64,
 }
 
-/// The length of a step and the values derived from it.
+/// The length of a step of a [`Bicycle`] and the values derived from it.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Step {
+pub struct BicycleStep {
     dt_s: f64,
     /// s = (1 − e^(−λ Δt)) / (λ Δt), the mean over the step of a quantity that decays like the slip.
     slip_share: f64,
@@ -64,15 +64,18 @@ impl Bicycle {
         }
     }
 
+    /// A step of this length.
+    #[must_use]
     #[inline]
-    pub(crate) fn step_of(&self, dt_s: f64) -> Step {
-        Step { dt_s, slip_share: mean_decayed(self.slip_decay_per_s * dt_s) }
+    pub fn step_of(&self, dt_s: f64) -> BicycleStep {
+        BicycleStep { dt_s, slip_share: mean_decayed(self.slip_decay_per_s * dt_s) }
     }
 
     /// Variances that a step adds, and the covariance of speed and slip that it adds.
+    #[must_use]
     #[inline]
-    pub(crate) fn noise(&self, state: &Gaussian<5>, control: &Control, step: &Step) -> (Vector5<f64>, f64) {
-        let &Step { dt_s, slip_share } = step;
+    pub fn noise(&self, state: &Gaussian<5>, control: &Control, step: &BicycleStep) -> (Vector5<f64>, f64) {
+        let &BicycleStep { dt_s, slip_share } = step;
         let [of_speed, cross, of_slip] = control.density;
         let mut noise = Vector5::from(self.floor) * (dt_s / STEP_MAX_S);
         noise[SPEED] += self.acceleration_mps2.powi(2) * dt_s * STEP_MAX_S + of_speed * dt_s;
@@ -88,8 +91,9 @@ impl Bicycle {
 
     /// The mean after a step under a control, and its derivatives with respect to the previous mean and the
     /// control.
+    #[must_use]
     #[inline]
-    pub(crate) fn linearised(&self, mean: &Vector5<f64>, rate: [f64; 2], step: &Step) -> Linearised<f64, 5> {
+    pub fn linearised(&self, mean: &Vector5<f64>, rate: [f64; 2], step: &BicycleStep) -> Linearised<f64, 5> {
         let [acceleration, slip_rate] = rate;
         let bicycle = kinematics::Bicycle {
             rear_axle_m: self.rear_axle_m,

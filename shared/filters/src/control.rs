@@ -22,7 +22,9 @@ impl ControlStep {
         self.mean.iter().chain(&self.cholesky).all(|x| x.is_finite())
     }
 
-    pub(crate) fn covariance(&self) -> Matrix2<f64> {
+    /// The covariance L Lᵀ.
+    #[must_use]
+    pub fn covariance(&self) -> Matrix2<f64> {
         let [l11, l21, l22] = self.cholesky;
         let factor = Matrix2::new(l11, 0.0, l21, l22);
         factor * factor.transpose()
@@ -58,13 +60,14 @@ pub struct Control {
     /// Constant rates: (a, β̇) of a bicycle, acceleration (x, y) of a constant velocity.
     pub rate: [f64; 2],
     /// Covariance per second (11, 21, 22) of the control's noise. It acts on (v, β) of a bicycle and on the
-    /// position of a constant velocity. For a [`crate::SingerBicycle`], whose state contains the rates, it is
-    /// the covariance of the rates.
+    /// position of a constant velocity. If a state contains the rates, it is the covariance of the rates.
     pub density: [f64; 3],
 }
 
 impl Control {
-    pub(crate) fn new(rate: [f64; 2], density: &Matrix2<f64>) -> Self {
+    /// A control of these rates and this covariance per second.
+    #[must_use]
+    pub fn new(rate: [f64; 2], density: &Matrix2<f64>) -> Self {
         Self { rate, density: [density[(0, 0)], density[(1, 0)], density[(1, 1)]] }
     }
 }

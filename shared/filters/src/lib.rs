@@ -12,9 +12,8 @@
 //! | [`Mixture`] | Rao-Blackwellised: one extended Kalman filter per hypothesis | a forecast, linearised |
 //! | [`Particles`] | bootstrap, with kernels if it degenerates | a forecast, by Monte Carlo |
 //!
-//! **Processes.** [`ConstantVelocity`], [`ConstantAcceleration`], [`ConstantTurnRate`], the kinematic
-//! [`Bicycle`] and the [`SingerBicycle`] with correlated controls. [`Filter`] is a [`Gaussian`] under a
-//! [`Kind`] chosen at run time.
+//! **Processes.** [`ConstantVelocity`], [`ConstantAcceleration`], [`ConstantTurnRate`] and the kinematic
+//! [`Bicycle`]. [`Filter`] is a [`Gaussian`] under a [`Kind`] chosen at run time.
 //!
 //! **The learned prior.** A [`Forecast`] is a set of weighted hypotheses about an agent's controls. As the
 //! prior of a [`Mixture`] it bridges a gap in which no process model knows the agent's motion. In the example
@@ -111,12 +110,11 @@ mod moments;
 mod observation;
 pub mod particles;
 mod process;
-mod singer;
 pub mod weights;
 
 pub use kinematics::Integrator;
 
-pub use bicycle::{Bicycle, reversed};
+pub use bicycle::{Bicycle, BicycleStep, reversed};
 pub use constant_acceleration::{ConstantAcceleration, chain_noise};
 pub use constant_turn_rate::ConstantTurnRate;
 pub use constant_velocity::ConstantVelocity;
@@ -131,7 +129,6 @@ pub use moments::{difference, interpolated, mean, moments, sample_moments};
 pub use observation::{Motion, OBSERVATIONS_MAX, Observation};
 pub use particles::Particles;
 pub use process::Process;
-pub use singer::SingerBicycle;
 
 use std::f64::consts::{PI, TAU};
 

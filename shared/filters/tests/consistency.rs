@@ -6,8 +6,7 @@
 
 use filters::{
     Bicycle, ConstantAcceleration, ConstantTurnRate, ConstantVelocity, Control, ControlStep, Controlled,
-    Forecast, Gaussian, Integrator, Mixture, Observation, Particles, Priors, Process, SingerBicycle,
-    difference,
+    Forecast, Gaussian, Integrator, Mixture, Observation, Particles, Priors, Process, difference,
 };
 use metrics::tracking::{Consistency, ConsistencySummary, chi_square_bounds, normalised_square};
 use nalgebra::SVector;
@@ -35,12 +34,6 @@ const BICYCLE: Bicycle = Bicycle {
 const DECAYING: Bicycle = Bicycle { slip_decay_per_s: 0.8, ..BICYCLE };
 /// Like [`BICYCLE`] without process noise, for forecasts.
 const NOISELESS: Bicycle = Bicycle { acceleration_mps2: 0.0, slip_rate_radps: 0.0, ..BICYCLE };
-const SINGER: SingerBicycle = SingerBicycle {
-    bicycle: Bicycle { acceleration_mps2: 0.2, slip_rate_radps: 0.1, ..BICYCLE },
-    acceleration_mps2: 1.5,
-    slip_rate_radps: 0.03,
-    decay_s: [2.0; 2],
-};
 
 /// Standard deviations of a sensor's measurements.
 #[derive(Clone, Copy)]
@@ -190,7 +183,6 @@ fn too_small_a_process_noise_is_inconsistent() {
 #[test]
 fn linearised_filters_are_nearly_consistent() {
     let start = Gaussian::new([3.0, -1.0, 3.0, 8.0, 0.0], [0.04, 0.04, 0.01, 0.25, 1e-3]);
-    let with_acceleration = SINGER.of(&start);
     for (name, sensor) in [("σ 0.02 m", SHARP), ("σ 0.2 m", POSITIONS), ("with heading and speed", ALL)] {
         let squares = kalman((&TURN_RATE, &TURN_RATE), &start, sensor, 100);
         assert_near(&format!("constant turn rate, {name}"), &squares);
@@ -198,8 +190,6 @@ fn linearised_filters_are_nearly_consistent() {
         assert_near(&format!("bicycle, {name}"), &squares);
         let squares = kalman((&DECAYING, &DECAYING), &start, sensor, 100);
         assert_near(&format!("bicycle whose slip decays, {name}"), &squares);
-        let squares = kalman((&SINGER, &SINGER), &with_acceleration, sensor, 100);
-        assert_near(&format!("bicycle with acceleration, {name}"), &squares);
     }
 }
 

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use filters::{Filter, Forecast, Gaussian, Kind, Mixture, Observation, Particles, SingerBicycle};
+use filters::{Filter, Forecast, Gaussian, Kind, Mixture, Observation, Particles};
 use metrics::tracking::{Consistency, PlanarState, normalised_square};
 use nalgebra::{Matrix2, Vector4};
 use scene::State;
@@ -11,6 +11,7 @@ use wire::AgentType;
 use super::course::{Course, Instant, Seen};
 use super::hypotheses::{Estimate, Hypotheses, OnboardForecasts};
 use super::method::{Settings, TrackingMethod, UNKNOWN, control_gains};
+use super::singer::SingerBicycle;
 use super::smoother::smooth;
 use evaluator::Forecaster;
 

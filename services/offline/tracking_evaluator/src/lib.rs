@@ -18,6 +18,7 @@ mod kitti;
 mod method;
 mod protocol;
 mod report;
+mod singer;
 mod smoother;
 mod tuning;
 

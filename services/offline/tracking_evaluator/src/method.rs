@@ -2,8 +2,10 @@
 
 use filters::{
     Bicycle, ConstantAcceleration, ConstantTurnRate, ConstantVelocity, Gaussian, Integrator, Kind, Models,
-    Priors, SingerBicycle, Unknown, control_gain,
+    Priors, Unknown, control_gain,
 };
+
+use super::singer::SingerBicycle;
 
 /// Prior standard deviations of a vehicle's unmeasured components.
 pub(crate) const UNKNOWN: Unknown =

@@ -1,6 +1,9 @@
-use nalgebra::{SMatrix, SVector, Vector2};
+//! The Singer bicycle, the process of the learned prior and of its strongest rival.
 
-use crate::{Bicycle, Control, ControlStep, Controlled, Gaussian, Innovation, Observation, Process, wrapped};
+use filters::{
+    Bicycle, Control, ControlStep, Controlled, Gaussian, Innovation, Observation, Process, wrapped,
+};
+use nalgebra::{SMatrix, SVector, Vector2};
 
 /// Rows of the state.
 const HEADING: usize = 2;
@@ -22,7 +25,7 @@ const SLIP_RATE: usize = 6;
 /// filter performance for manned maneuvering targets*, 1970\], along and across the path: acceleration and
 /// steering do not jump. A new forecast changes the control but not the estimated acceleration and slip rate.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct SingerBicycle {
+pub(crate) struct SingerBicycle {
     /// Geometry and other noise. Its white acceleration and slip rate add to the ones here.
     pub bicycle: Bicycle,
     /// Stationary standard deviation σ of the difference between acceleration and control.
@@ -35,8 +38,7 @@ pub struct SingerBicycle {
 
 impl SingerBicycle {
     /// A bicycle's state, extended by an acceleration and a slip rate with mean 0.
-    #[must_use]
-    pub fn of(&self, state: &Gaussian<5>) -> Gaussian<7> {
+    pub(crate) fn of(&self, state: &Gaussian<5>) -> Gaussian<7> {
         let mut mean = SVector::<f64, 7>::zeros();
         mean.fixed_rows_mut::<5>(0).copy_from(&state.mean);
         let mut covariance = SMatrix::<f64, 7, 7>::zeros();
@@ -47,8 +49,7 @@ impl SingerBicycle {
     }
 
     /// The bicycle's state.
-    #[must_use]
-    pub fn bicycle_of(state: &Gaussian<7>) -> Gaussian<5> {
+    pub(crate) fn bicycle_of(state: &Gaussian<7>) -> Gaussian<5> {
         Gaussian {
             mean: state.mean.fixed_rows::<5>(0).into_owned(),
             covariance: state.covariance.fixed_view::<5, 5>(0, 0).into_owned(),
@@ -157,8 +158,12 @@ impl Controlled<7> for SingerBicycle {
 
 #[cfg(test)]
 mod tests {
-    use kinematics::Integrator;
+    use filters::{Integrator, difference};
+    use metrics::tracking::{Consistency, normalised_square};
     use nalgebra::Matrix2;
+    use rand::SeedableRng;
+    use rand_chacha::ChaCha8Rng;
+    use rand_distr::{Distribution, StandardNormal};
 
     use super::*;
 
@@ -273,6 +278,51 @@ mod tests {
         }
         let sigma_rad = state.covariance[(SLIP, SLIP)].sqrt();
         assert!((0.4..0.6).contains(&sigma_rad) && state.is_finite(), "{sigma_rad}");
+    }
+
+    /// Covariances are consistent: the normalised squares of vehicles that move by the process are as large as
+    /// their covariances predict.
+    #[test]
+    fn covariances_are_nearly_consistent() {
+        const POSITION_M: f64 = 0.2;
+        let process = SingerBicycle {
+            bicycle: Bicycle {
+                acceleration_mps2: 0.2,
+                slip_rate_radps: 0.1,
+                floor: [1e-4, 1e-4, 1e-5, 0.0, 0.0],
+                ..SINGER.bicycle
+            },
+            acceleration_mps2: 1.5,
+            slip_rate_radps: 0.03,
+            ..SINGER
+        };
+        let start = process.of(&Gaussian::new([3.0, -1.0, 3.0, 8.0, 0.0], [0.04, 0.04, 0.01, 0.25, 1e-3]));
+        for sigmas in [None, Some([0.1, 0.5])] {
+            let mut squares = Consistency::default();
+            for seed in 0..1_000 {
+                let mut rng = ChaCha8Rng::seed_from_u64(seed);
+                let mut normal = || -> f64 { StandardNormal.sample(&mut rng) };
+                let (mut truth, mut found) = (start.sample(&mut normal), start);
+                for tick in 0..100 {
+                    let certain = Gaussian { mean: truth, covariance: SMatrix::zeros() };
+                    truth = process.step(&certain, 0.08).sample(&mut normal);
+                    process.constrain(&mut truth);
+                    found.predict(80_000_000, &process).unwrap();
+                    let seen = Observation {
+                        position_m: [0, 1].map(|axis| truth[axis] + POSITION_M * normal()),
+                        position_variance: POSITION_M.powi(2),
+                        heading_rad: sigmas
+                            .map(|[sigma, _]: [f64; 2]| (truth[HEADING] + sigma * normal(), sigma.powi(2))),
+                        speed_mps: sigmas.map(|[_, sigma]| (truth[SPEED] + sigma * normal(), sigma.powi(2))),
+                    };
+                    found.update(&seen, &process).unwrap();
+                    let error = difference(&truth, &found.mean, SingerBicycle::ANGLES);
+                    squares.add(tick, normalised_square(&error, &found.covariance).unwrap(), 7).unwrap();
+                }
+            }
+            let states = squares.summary(0.95).unwrap().unwrap();
+            assert!(states.inside >= 0.9 && (0.9..=1.1).contains(&states.per_degree), "{states:?}");
+        }
     }
 
     /// A vehicle that brakes steadily, measured at 10 Hz.
