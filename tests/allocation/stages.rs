@@ -11,12 +11,15 @@
 //! allocations.
 #![expect(clippy::unwrap_used, reason = "a test ends at what it can't do")]
 
+use std::process::Command;
 use std::time::{Duration, Instant};
 
 use bytemuck::Zeroable;
+use nn::Precision;
 use ports::{Node, Publisher, Space, StageError, Subscriber};
-use run::Run;
+use run::{Run, StageRun};
 use rustix::process::{Signal, getpid, kill_process};
+use sampler::PropagationKind;
 use testing::{AllocationCounts, CountingAllocator};
 use wire::{
     AgentType, Detection, DetectionsTopic, ForecastsTopic, Header, HeartbeatsTopic, TICK_NS, Topic,
@@ -34,6 +37,10 @@ const HERE: usize = 7;
 /// Ticks until all caches are filled.
 const WARM_UP: u64 = 150;
 const TICKS: u64 = 400;
+/// Names the variant that this process runs. The first process runs all variants, each in a process of its own.
+const VARIABLE: &str = "STGDAT_ALLOCATION_VARIANT";
+/// The options that change a stage's path, besides the defaults.
+const VARIANTS: [&str; 5] = ["defaults", "kinematic", "jpda", "plain", "silent"];
 
 type Body = fn(&Run) -> Result<(), StageError>;
 
@@ -61,6 +68,40 @@ fn detections(tick: u64) -> Vec<Detection> {
         }
     };
     (0..AGENTS).map(agent).collect()
+}
+
+/// The stages' options in a variant.
+fn options(variant: &str) -> Vec<StageRun> {
+    let mut tracker = tracker::Options::default();
+    let mut localiser = localiser::Options::default();
+    let mut decoder = decoder::Options::default();
+    let mut sampler = sampler::Options::default();
+    match variant {
+        "kinematic" => {
+            tracker.prior = tracker::Prior::Kinematic;
+            sampler.propagation = PropagationKind::MonteCarlo;
+            sampler.evidence = false;
+        }
+        "jpda" => {
+            (tracker.associate, tracker.association) = (true, tracker::Association::Jpda);
+            tracker.frozen_frames = 0;
+        }
+        "plain" => {
+            localiser.map = localiser::MapChoice::None;
+            (sampler.retrieval, sampler.evidence) = (false, false);
+            if Precision::Bf16.check().is_ok() {
+                decoder.precision = Precision::Bf16;
+            }
+        }
+        "silent" => (sampler.held_s, sampler.kinematic_s) = (0.0, Some(0.0)),
+        _ => {}
+    }
+    vec![
+        StageRun::with_options(&tracker::STAGE, &tracker).unwrap(),
+        StageRun::with_options(&localiser::STAGE, &localiser).unwrap(),
+        StageRun::with_options(&decoder::STAGE, &decoder).unwrap(),
+        StageRun::with_options(&sampler::STAGE, &sampler).unwrap(),
+    ]
 }
 
 /// The two ends of the pipeline.
@@ -145,10 +186,22 @@ impl Drop for Stop {
 // The only test: a second one in this process would end with the stages.
 #[test]
 fn the_loops_of_all_stages_allocate_nothing_in_steady_ticks() {
+    if let Ok(variant) = std::env::var(VARIABLE) {
+        run_variant(&variant);
+        return;
+    }
+    for variant in VARIANTS {
+        let program = std::env::current_exe().unwrap();
+        let ended = Command::new(program).arg("--nocapture").env(VARIABLE, variant).status().unwrap();
+        assert!(ended.success(), "{variant}: {ended}");
+    }
+}
+
+fn run_variant(variant: &str) {
     let id = u64::from(std::process::id());
     let space = Space::create(id, 48 << 20).unwrap();
     let (prefix, root) = (space.prefix().into(), space.root().into());
-    let run = Run { id, prefix, root, lockstep: true, ..Run::default() };
+    let run = Run { id, prefix, root, lockstep: true, stages: options(variant), ..Run::default() };
     nn::Weights::onboard().config().write(&run.root).unwrap();
     std::thread::scope(|scope| {
         let run = &run;

@@ -93,12 +93,12 @@ fn track() {
 
 #[test]
 fn features() {
-    fuzz(&AgentFeatures::RECORD, AgentFeatures::default(), AgentFeatures::check, |_| ());
+    fuzz(&AgentFeatures::RECORD, AgentFeatures::default(), |a| a.check(wire::HISTORY_MAX), |_| ());
 }
 
 #[test]
 fn encoding() {
-    fuzz(&AgentEncoding::RECORD, AgentEncoding::default(), AgentEncoding::check, |_| ());
+    fuzz(&AgentEncoding::RECORD, AgentEncoding::default(), |a| a.check(wire::HISTORY_MAX), |_| ());
 }
 
 #[test]

@@ -33,18 +33,19 @@ impl BaseDecoder {
     pub fn controls(&mut self, agent: &AgentEncoding) -> AgentControls {
         let agent_type = AgentType::try_from(agent.agent_type).expect("the encoding's type was checked");
         let base = self.networks.of(agent_type).base().expect("a model with base controls");
-        let is_present = |step: usize| agent.present >> step & 1 == 1;
-        let features = BaseFeatures::new(&agent.state[..self.config.history_len], is_present, &self.config);
+        let features = BaseFeatures::new(
+            &agent.state[..self.config.history_len],
+            |step| agent.is_present(step),
+            &self.config,
+        );
         self.controls.resize(base.controls_len(), [0.0; 2]);
         base.controls(&features, &mut self.controls);
 
         let ModelConfig { modes: modes_len, horizon_len, .. } = self.config;
         let mut out = AgentControls {
-            id: agent.id,
-            agent_type: agent.agent_type,
             modes_len: modes_len as u32,
             out_of_distribution: base.outside(&features),
-            ..AgentControls::default()
+            ..AgentControls::of(agent)
         };
         out.probability[..modes_len].fill(1.0 / modes_len as f32);
         let all = out.modes[..modes_len].iter_mut().chain([&mut out.best]);

@@ -83,25 +83,6 @@ impl Decoder {
         encodings.iter().filter(|agent| is_wanted(agent)).count()
     }
 
-    /// Decodes the forecastable agents of a frame into `out`, in the frame's order.
-    ///
-    /// # Errors
-    /// [`Rejected`] if the frame does not fit the model or holds impossible numbers. `out` is then unchanged.
-    pub fn step(
-        &mut self,
-        header: &Header,
-        encodings: &[AgentEncoding],
-        out: &mut [AgentControls],
-    ) -> Result<(), Rejected> {
-        let (found, expected) = (out.len(), Self::len(encodings));
-        if found != expected {
-            return Err(Rejected::Length { found, expected });
-        }
-        self.serve(header, encodings, Allowance::All)?;
-        self.write(out);
-        Ok(())
-    }
-
     /// Decodes the forecastable agents of a frame that the allowance permits, and returns their number.
     /// [`Decoder::write`] writes their controls.
     ///
@@ -199,19 +180,8 @@ impl Decoder {
     }
 
     fn check(&self, header: &Header, encodings: &[AgentEncoding]) -> Result<(), Rejected> {
-        header.check()?;
-        if encodings.len() > AGENTS_MAX {
-            let (found, most) = (encodings.len() as u64, AGENTS_MAX as u64);
-            return Err(Rejected::TooMany { field: "agents_len", found, most });
-        }
-        let history_len = self.config.history_len;
-        for agent in encodings {
-            agent.check()?;
-            if agent.present >> history_len != 0 {
-                return Err(Rejected::Impossible { field: "presence", value: f64::from(agent.present) });
-            }
-        }
-        Ok(())
+        header.check_agents(encodings.len())?;
+        encodings.iter().try_for_each(|agent| agent.check(self.config.history_len))
     }
 }
 

@@ -81,7 +81,7 @@ impl Encoded for Share<'_> {
 
     fn state(&self, agent: usize, step: usize) -> Option<[f32; STATE_FEATURES]> {
         let agent = &self.agents[agent];
-        (agent.present >> step & 1 == 1).then_some(agent.state[step])
+        agent.is_present(step).then_some(agent.state[step])
     }
 
     fn temporal(&self, agent: usize) -> [f32; TEMPORAL] {
@@ -150,11 +150,9 @@ impl Job for Unroller {
 /// Converts the network's output for an agent to an element of the payload.
 fn controls(agent: &AgentEncoding, decoded: AgentDraws<'_>, modes_len: usize) -> AgentControls {
     let mut controls = AgentControls {
-        id: agent.id,
-        agent_type: agent.agent_type,
         modes_len: modes_len as u32,
         out_of_distribution: decoded.outside,
-        ..AgentControls::default()
+        ..AgentControls::of(agent)
     };
     controls.probability[..modes_len].copy_from_slice(decoded.probability);
     let all = controls.modes[..modes_len].iter_mut().chain([&mut controls.best]);

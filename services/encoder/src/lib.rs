@@ -9,7 +9,8 @@ use std::sync::Arc;
 pub use nn::StartError;
 use nn::{AgentSet, Gdat, GdatMemory, ModelConfig, Weights, WeightsError, Workers};
 use wire::{
-    AGENTS_MAX, AgentEncoding, AgentFeatures, Features, Header, NODE_ATTRIBUTES, Rejected, TEMPORAL, finite,
+    AGENTS_MAX, AgentEncoding, AgentFeatures, Features, Header, NODE_ATTRIBUTES, Rejected, TEMPORAL, equal,
+    finite,
 };
 
 use attender::Attender;
@@ -56,26 +57,13 @@ impl Encoder {
         })
     }
 
-    /// Encodes the agents of a frame into `out`, in the frame's order.
+    /// Encodes at most `served_max` agents of a frame into `out`, in the frame's order. Returns the number of
+    /// served agents: the first ones by their turns. The other agents are marked as shed. Summaries of served
+    /// agents are bit-identical for every `served_max`.
     ///
     /// # Errors
     /// [`Rejected`] if the frame does not fit the model or holds impossible numbers. `out` is then unchanged.
     pub fn step(
-        &mut self,
-        header: &Header,
-        features: &Features<'_>,
-        out: &mut [AgentEncoding],
-    ) -> Result<(), Rejected> {
-        self.step_most(header, features, usize::MAX, out).map(|_| ())
-    }
-
-    /// Encodes at most `served_max` agents, in the order of their turns, and returns the number of served
-    /// agents. The other agents are marked as shed. The summaries of served agents are bit-identical to the
-    /// result of [`Encoder::step`].
-    ///
-    /// # Errors
-    /// As [`Encoder::step`].
-    pub fn step_most(
         &mut self,
         header: &Header,
         features: &Features<'_>,
@@ -90,18 +78,8 @@ impl Encoder {
         for (place, ((out, agent), temporal)) in out.iter_mut().zip(agents).zip(&self.summaries).enumerate() {
             let is_wanted = wanted.is_none_or(|wanted| wanted[place]);
             let temporal = if is_wanted { temporal } else { &[0.0; TEMPORAL] };
-            *out = AgentEncoding {
-                turn: agent.turn,
-                shed: u32::from(agent.forecastable != 0 && !is_wanted),
-                id: agent.id,
-                agent_type: agent.agent_type,
-                forecastable: agent.forecastable,
-                present: agent.present,
-                length_m: agent.length_m,
-                state: agent.state,
-                temporal: *temporal,
-                ..AgentEncoding::default()
-            };
+            let shed = u32::from(agent.forecastable != 0 && !is_wanted);
+            *out = AgentEncoding { shed, temporal: *temporal, ..AgentEncoding::of(agent) };
         }
         Ok(self.turns.len())
     }
@@ -146,49 +124,14 @@ impl Encoder {
     }
 
     fn check(&self, header: &Header, features: &Features<'_>, out_len: usize) -> Result<(), Rejected> {
-        header.check()?;
-        let agents = features.agents;
-        if agents.len() > AGENTS_MAX {
-            let (found, most) = (agents.len() as u64, AGENTS_MAX as u64);
-            return Err(Rejected::TooMany { field: "agents_len", found, most });
+        let agents = features.agents.len();
+        header.check_agents(agents)?;
+        if out_len != agents {
+            return Err(Rejected::Length { found: out_len, expected: agents });
         }
-        if out_len != agents.len() {
-            return Err(Rejected::Length { found: out_len, expected: agents.len() });
+        if agents > 0 {
+            equal("history_len", header.counts.history_len as usize, self.config.history_len)?;
         }
-        let history_len = self.config.history_len;
-        if !agents.is_empty() && header.counts.history_len as usize != history_len {
-            let found = header.counts.history_len as usize;
-            return Err(Rejected::Mismatch { field: "history_len", found, expected: history_len });
-        }
-        for agent in agents {
-            agent.check()?;
-            if agent.present >> history_len != 0 {
-                return Err(Rejected::Impossible { field: "presence", value: f64::from(agent.present) });
-            }
-        }
-        finite("edge attributes", features.attributes.as_flattened())?;
-        let joins_present = |edge: &wire::Edge| {
-            let present = |agent: u16| {
-                agents.get(usize::from(agent)).is_some_and(|agent| is_present(agent, usize::from(edge.step)))
-            };
-            present(edge.receiver) && present(edge.sender)
-        };
-        if features.attributes.len() != features.edges.len() {
-            return Err(Rejected::Length {
-                found: features.attributes.len(),
-                expected: features.edges.len(),
-            });
-        }
-        if let Some(edge) = features.edges.iter().find(|edge| !joins_present(edge)) {
-            let value = f64::from(edge.step);
-            return Err(Rejected::Impossible { field: "edge of an absent agent", value });
-        }
-        let unsorted = features.edges.windows(2).position(|pair| pair[0] >= pair[1]);
-        unsorted.map_or(Ok(()), |before| Err(Rejected::OutOfOrder { field: "edges", at: before + 1 }))
+        features.check(self.config.history_len)
     }
-}
-
-/// Whether an agent has a state at a history step.
-fn is_present(agent: &AgentFeatures, step: usize) -> bool {
-    agent.present.checked_shr(step as u32).is_some_and(|bits| bits & 1 == 1)
 }

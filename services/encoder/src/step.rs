@@ -43,7 +43,7 @@ impl Step for Encoder {
         let counts = &tick.header.counts;
         let features = Features::read(tick.input, FeatureShape::of(counts), counts.history_len as usize)?;
         let encodings = out.elements(counts.agents_len as usize)?;
-        let served = self.step_most(tick.header, &features, served_max, encodings)?;
+        let served = self.step(tick.header, &features, served_max, encodings)?;
         out.served(served);
         Ok(())
     }

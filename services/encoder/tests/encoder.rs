@@ -16,7 +16,7 @@ fn the_number_of_workers_changes_no_bit() {
         let frame = Frame::new(agents);
         let outs = encoders.each_mut().map(|encoder| {
             let mut out = frame.out();
-            encoder.step(&frame.header, &frame.features(), &mut out).unwrap();
+            encoder.step(&frame.header, &frame.features(), usize::MAX, &mut out).unwrap();
             out
         });
         assert_eq!(outs[0], outs[1]);
@@ -29,7 +29,7 @@ fn every_agent_is_summarised() {
     let frame = Frame::new(5);
     let mut encoder = Encoder::new(&Weights::onboard(), ONE).unwrap();
     let mut out = frame.out();
-    encoder.step(&frame.header, &frame.features(), &mut out).unwrap();
+    encoder.step(&frame.header, &frame.features(), usize::MAX, &mut out).unwrap();
     for (agent, encoding) in frame.agents.iter().zip(&out) {
         assert_eq!((encoding.id, encoding.present), (agent.id, agent.present));
         assert!(encoding.temporal.iter().any(|x| *x != 0.0));
@@ -43,8 +43,8 @@ fn the_order_of_the_agents_changes_rounding_alone() {
     turned.attributes.chunks_exact_mut(6 * 6).for_each(<[_]>::reverse);
     let mut encoder = Encoder::new(&Weights::onboard(), ONE).unwrap();
     let (mut out, mut turned_out) = (frame.out(), frame.out());
-    encoder.step(&frame.header, &frame.features(), &mut out).unwrap();
-    encoder.step(&turned.header, &turned.features(), &mut turned_out).unwrap();
+    encoder.step(&frame.header, &frame.features(), usize::MAX, &mut out).unwrap();
+    encoder.step(&turned.header, &turned.features(), usize::MAX, &mut turned_out).unwrap();
     for (a, b) in out.iter().zip(turned_out.iter().rev()) {
         assert_eq!(a.id, b.id);
         let largest = a.temporal.iter().fold(0.0_f32, |most, x| most.max(x.abs()));
@@ -76,12 +76,12 @@ fn whoever_is_served_has_the_same_bits() {
     for workers in [1, 3] {
         let mut encoder = Encoder::new(&Weights::onboard(), EncoderOptions { workers }).unwrap();
         let mut expected = whole.out();
-        assert_eq!(encoder.step_most(&whole.header, &whole.features(), 99, &mut expected), Ok(30));
+        assert_eq!(encoder.step(&whole.header, &whole.features(), 99, &mut expected), Ok(30));
         assert!(expected.iter().all(|agent| agent.shed == 0));
         for served_max in [0, 1, 5, 21, 22, 99] {
             let mut out = partial.out();
             let served_len =
-                encoder.step_most(&partial.header, &partial.features(), served_max, &mut out).unwrap();
+                encoder.step(&partial.header, &partial.features(), served_max, &mut out).unwrap();
             assert_eq!(served_len, served_max.min(22));
             let served = out.iter().zip(&expected).filter(|(own, _)| own.shed == 0);
             assert!(served.clone().all(|(own, whole)| own == whole), "at most {served_max}");
@@ -112,8 +112,8 @@ fn nobody_served_depends_on_what_may_be_left_out() {
         .for_each(|a| a.node = [[0.0; 64]; 8]);
     let mut encoder = Encoder::new(&Weights::onboard(), ONE).unwrap();
     let (mut expected, mut out) = (whole.out(), partial.out());
-    encoder.step(&whole.header, &whole.features(), &mut expected).unwrap();
-    encoder.step(&partial.header, &partial.features(), &mut out).unwrap();
+    encoder.step(&whole.header, &whole.features(), usize::MAX, &mut expected).unwrap();
+    encoder.step(&partial.header, &partial.features(), usize::MAX, &mut out).unwrap();
     assert_eq!(out[3], expected[3]);
     assert_ne!(out[3].temporal, [0.0; 64]);
 }
@@ -126,7 +126,7 @@ fn a_bad_frame_is_refused_and_leaves_the_output() {
     let mut refuse = |edit: &dyn Fn(&mut Frame)| {
         let mut frame = Frame::new(4);
         edit(&mut frame);
-        let rejected = encoder.step(&frame.header, &frame.features(), &mut out).unwrap_err();
+        let rejected = encoder.step(&frame.header, &frame.features(), usize::MAX, &mut out).unwrap_err();
         assert_eq!(out, good.out());
         rejected
     };

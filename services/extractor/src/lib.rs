@@ -23,7 +23,7 @@ pub use step::{run, settings};
 use wire::{
     AGENT_TYPES, AGENTS_MAX, AgentFeatures, AgentType, CONTEXT_EMBEDDING, Context, ContextShape,
     EDGE_ATTRIBUTES, EDGES_MAX, Edge, FeatureShape, FeaturesMut, HISTORY_MAX, Header, NODE_ATTRIBUTES,
-    Rejected, finite,
+    Rejected, equal, finite,
 };
 
 use cache::StampCache;
@@ -132,23 +132,14 @@ impl Extractor {
     /// Computes the features of a frame and returns their shape. [`Extractor::write`] writes them. A control
     /// frame has no features.
     ///
-    /// # Errors
-    /// [`Rejected`] if the frame is not newer than the last, does not fit the model or holds impossible
-    /// numbers. Nothing is then computed or cached.
-    pub fn prepare(&mut self, header: &Header, context: &Context<'_>) -> Result<FeatureShape, Rejected> {
-        self.prepare_most(header, context, None)
-    }
-
-    /// Computes the features of a frame for at most `served_max` agents; without a limit, as
-    /// [`Extractor::prepare`].
-    ///
     /// With a limit, each forecastable agent gets a turn. The first `served_max` agents are served, and the
     /// others are marked as shed. Nodes and edges are left out if no served agent depends on them. All other
     /// nodes and edges are bit-identical to the result without a limit.
     ///
     /// # Errors
-    /// As [`Extractor::prepare`].
-    pub fn prepare_most(
+    /// [`Rejected`] if the frame is not newer than the last, does not fit the model or holds impossible
+    /// numbers. Nothing is then computed or cached.
+    pub fn prepare(
         &mut self,
         header: &Header,
         context: &Context<'_>,
@@ -185,7 +176,7 @@ impl Extractor {
     }
 
     fn check(&self, header: &Header, context: &Context<'_>) -> Result<(), Rejected> {
-        header.check()?;
+        header.check_agents(context.tracks.len())?;
         if let Some((run_id, last_ns)) = self.last
             && run_id == header.run_id
             && header.stamp_ns <= last_ns
@@ -193,21 +184,12 @@ impl Extractor {
             return Err(Rejected::NotNewer { stamp_ns: header.stamp_ns, last_ns });
         }
         let ContextShape { agents_len, history_len, patch_side } = context.shape;
-        if agents_len > AGENTS_MAX {
-            let (found, most) = (agents_len as u64, AGENTS_MAX as u64);
-            return Err(Rejected::TooMany { field: "agents_len", found, most });
+        equal("agents_len", context.tracks.len(), agents_len)?;
+        equal("history_len", history_len, self.config.history_len)?;
+        if self.config.context {
+            equal("patch_side", patch_side, self.config.patch_size)?;
         }
-        let sizes = [
-            ("agents_len", context.tracks.len(), agents_len),
-            ("history_len", history_len, self.config.history_len),
-            ("patch_side", patch_side, if self.config.context { self.config.patch_size } else { patch_side }),
-            ("step_ns", header.step_ns as usize, self.config.step_ns() as usize),
-        ];
-        if let Some((field, found, expected)) =
-            sizes.into_iter().find(|(_, found, expected)| found != expected)
-        {
-            return Err(Rejected::Mismatch { field, found, expected });
-        }
+        equal("step_ns", header.step_ns as usize, self.config.step_ns() as usize)?;
         for (i, track) in context.tracks.iter().enumerate() {
             track.check()?;
             if context.tracks[..i].iter().any(|other| other.id == track.id) {
@@ -293,7 +275,7 @@ impl Extractor {
         wanted.clear();
         for of_type in AGENT_TYPES {
             for (i, agent) in agents.iter().enumerate().filter(|(_, agent)| agent_type(agent) == of_type) {
-                let present = (0..history_len).filter(|step| agent.present >> step & 1 == 1);
+                let present = (0..history_len).filter(|step| agent.is_present(*step));
                 let steps = present.filter(|step| is_needed(i, *step));
                 steps.for_each(|step| wanted.state(i, step, of_type));
             }
@@ -305,7 +287,7 @@ impl Extractor {
         for step in 0..history_len {
             let kept = self.cache.at(stamp_ns(step), agents);
             if self.config.context {
-                let present = agents.iter_mut().enumerate().filter(|(_, a)| a.present >> step & 1 == 1);
+                let present = agents.iter_mut().enumerate().filter(|(_, a)| a.is_present(step));
                 for (i, agent) in present.filter(|(i, _)| is_needed(*i, step)) {
                     match kept.as_ref().and_then(|kept| kept.context(i)) {
                         Some(context) => *context_of(&mut agent.node[step]) = *context,
@@ -340,7 +322,7 @@ impl Extractor {
         for step in wanted.steps() {
             let of_step = span(edges, step);
             let of_step = (&edges[of_step.clone()], &attributes[of_step]);
-            let is_computed = |agent: usize| agents[agent].present >> step & 1 == 1 && is_needed(agent, step);
+            let is_computed = |agent: usize| agents[agent].is_present(step) && is_needed(agent, step);
             self.cache.keep(stamp_ns(step), step, (agents, is_computed), of_step);
         }
         self.effort.patches_len = wanted.patches_len();
@@ -366,13 +348,7 @@ fn describe(
     frame: Option<&AgentFrame>,
     scales: FeatureScales,
 ) -> AgentFeatures {
-    let mut agent = AgentFeatures {
-        id: track.id,
-        agent_type: track.agent_type,
-        forecastable: track.forecastable,
-        length_m: track.length_m,
-        ..AgentFeatures::default()
-    };
+    let mut agent = AgentFeatures::of(track);
     for (step, state) in history.iter().enumerate() {
         if let (Some(frame), Some(state)) = (frame, state) {
             agent.present |= 1 << step;

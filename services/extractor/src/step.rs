@@ -41,7 +41,7 @@ impl Step for Extractor {
             _ => None,
         };
         let context = Context::read(tick.input, ContextShape::of(&tick.header.counts))?;
-        let shape = self.prepare_most(tick.header, &context, served_max)?;
+        let shape = self.prepare(tick.header, &context, served_max)?;
         out.header.counts.edges_len = shape.edges_len as u32;
         self.write(&mut FeaturesMut::over(out.elements(feature_rows(&shape))?, shape)?);
         Ok(())

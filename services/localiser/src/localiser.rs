@@ -1,6 +1,6 @@
 use scene::{ContextMap, OnlineMap, PatchOptions, State};
 use wire::{
-    AGENTS_MAX, ContextMut, ContextShape, HISTORY_MAX, Header, PATCH_SIDE_MAX, Rejected, Track, TrackStatus,
+    ContextMut, ContextShape, HISTORY_MAX, Header, PATCH_SIDE_MAX, Rejected, Track, TrackStatus, equal,
 };
 
 use crate::cache::PatchCache;
@@ -100,22 +100,11 @@ impl Localiser {
     }
 
     fn check(&self, header: &Header, tracks: &[Track]) -> Result<(), Rejected> {
-        header.check()?;
-        if tracks.len() > AGENTS_MAX {
-            let (found, most) = (tracks.len() as u64, AGENTS_MAX as u64);
-            return Err(Rejected::TooMany { field: "tracks", found, most });
-        }
+        header.check_agents(tracks.len())?;
         if !header.is_tick() {
             return Ok(());
         }
-        let history_len = header.counts.history_len as usize;
-        if history_len != self.history_len {
-            return Err(Rejected::Mismatch {
-                field: "history_len",
-                found: history_len,
-                expected: self.history_len,
-            });
-        }
+        equal("history_len", header.counts.history_len as usize, self.history_len)?;
         match self.last_ns {
             Some(last_ns) if header.stamp_ns <= last_ns => {
                 Err(Rejected::NotNewer { stamp_ns: header.stamp_ns, last_ns })

@@ -50,12 +50,12 @@ fn tick(c: &mut Criterion) {
             c.bench_function(&format!("{AGENTS} {name}, {propagation:?}"), |b| {
                 b.iter(|| {
                     let controls = std::hint::black_box(&controls);
-                    sampler.learned(&header, &tracks, controls, &mut out).unwrap();
+                    sampler.step(&header, &tracks, Ok(controls), &mut out).unwrap();
                 });
             });
             if propagation == Propagation::Linearised {
                 c.bench_function(&format!("{AGENTS} {name}, held"), |b| {
-                    b.iter(|| sampler.fallback(&header, &tracks, Cause::Late, &mut out).unwrap());
+                    b.iter(|| sampler.step(&header, &tracks, Err(Cause::Late), &mut out).unwrap());
                 });
             }
         }
@@ -88,7 +88,7 @@ fn retrieving(c: &mut Criterion) {
             }
             let mut controls = controls.clone();
             controls.iter_mut().zip(&tracks).for_each(|(controls, track)| controls.id = track.id);
-            sampler.learned(&header, &tracks, &controls, &mut out).unwrap();
+            sampler.step(&header, &tracks, Ok(&controls), &mut out).unwrap();
         };
         (0..3_000).for_each(&mut tick);
         let mut seq = 3_000;
@@ -117,7 +117,7 @@ fn commit(c: &mut Criterion) {
                 HistoryState { x_m: track.x_m, vx_mps: track.vx_mps, present: 1, ..HistoryState::zeroed() };
             track.history = [state; wire::HISTORY_MAX];
         });
-        sampler.learned(&header, &tracks, &controls, &mut out).unwrap();
+        sampler.step(&header, &tracks, Ok(&controls), &mut out).unwrap();
     }
     let identity = Identity::of(1, &options).unwrap();
     let mut journal = Journal::over(Vec::new(), identity);

@@ -35,50 +35,40 @@ impl Fallback {
         self.newest_learned_ns = self.newest_learned_ns.max(Some(stamp_ns));
     }
 
-    /// Whether the policy silences a track. `learned` states whether an earlier track of this tick has a
-    /// learned forecast.
-    pub(crate) fn is_silent(&self, tick: Tick, track: &Track, learned: bool) -> bool {
+    /// The level of a track without a learned forecast in this tick. `learned` states whether an earlier track
+    /// of the tick has one.
+    pub(crate) fn level(&self, tick: Tick, track: &Track, learned: bool) -> Level {
         let age_ns = self.held.find(track.id, tick.stamp_ns).map(|(_, age_ns)| age_ns);
-        let newest_ns =
-            if learned { Some(tick.stamp_ns).max(self.newest_learned_ns) } else { self.newest_learned_ns };
-        self.level(tick, age_ns, newest_ns) == Level::Silent
+        let newest_ns = if learned { Some(tick.stamp_ns) } else { None }.max(self.newest_learned_ns);
+        let without_ns = tick.stamp_ns.saturating_sub(newest_ns.unwrap_or(tick.stamp_ns));
+        self.options.degradation.level(age_ns, u64::try_from(without_ns).unwrap_or(0))
     }
 
-    fn level(&self, tick: Tick, held_age_ns: Option<u64>, newest_ns: Option<i64>) -> Level {
-        let newest_ns = newest_ns.unwrap_or(tick.stamp_ns);
-        let without_ns = u64::try_from(tick.stamp_ns.saturating_sub(newest_ns)).unwrap_or(0);
-        self.options.degradation.level(held_age_ns, without_ns)
-    }
-
-    /// Writes a held or kinematic forecast, or nothing, as the policy demands. Returns whether a forecast was
-    /// written.
+    /// Writes a forecast of a level: held if the level is [`Level::Held`] and there is a forecast to hold, else
+    /// kinematic.
     pub(crate) fn write(
         &self,
         tick: Tick,
         track: &Track,
         cause: Cause,
+        level: Level,
         out: &mut Forecast,
-    ) -> Result<bool, Rejected> {
+    ) -> Result<(), Rejected> {
         let agent_type = track.agent_type()?;
         let cause = if track.forecastable == 0 { Cause::Young } else { cause };
-        let found = self.held.find(track.id, tick.stamp_ns);
-        let level = self.level(tick, found.as_ref().map(|(_, age_ns)| *age_ns), self.newest_learned_ns);
-        if level == Level::Silent {
-            return Ok(false);
-        }
-        if let Some((held, age_ns)) = found.filter(|_| level == Level::Held) {
+        let held = self.held.find(track.id, tick.stamp_ns).filter(|_| level == Level::Held);
+        let is_held = held.is_some_and(|(held, age_ns)| {
             begin(track, Quality::Held, cause, out);
             out.age_ns = age_ns;
             held.move_on((age_ns as f64 / tick.step_ns as f64) as f32, self.options.horizon_len, out);
-            if is_within_the_world(out) {
-                limit_steps(out, self.options.horizon_len, self.options.step_max_m(agent_type, tick.dt_s()));
-                return Ok(true);
-            }
+            is_within_the_world(out)
+        });
+        if !is_held {
+            begin(track, Quality::Kinematic, cause, out);
+            self.write_kinematic(tick, track, agent_type, out);
         }
-        begin(track, Quality::Kinematic, cause, out);
-        self.write_kinematic(tick, track, agent_type, out);
         limit_steps(out, self.options.horizon_len, self.options.step_max_m(agent_type, tick.dt_s()));
-        Ok(true)
+        Ok(())
     }
 
     fn write_kinematic(&self, tick: Tick, track: &Track, agent_type: AgentType, out: &mut Forecast) {

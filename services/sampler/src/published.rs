@@ -4,14 +4,8 @@ use wire::{Cause, Forecast, MODES_MAX, POSITION_MAX_M, Quality, Track, finite};
 
 /// Begins a forecast with the fields that come from its track. All other fields are 0.
 pub(crate) fn begin(track: &Track, quality: Quality, cause: Cause, out: &mut Forecast) {
-    // Zeroed in place, because a value would be written twice.
-    bytemuck::write_zeroes(out);
-    (out.id, out.source_id, out.agent_type) = (track.id, track.source_id, track.agent_type);
+    out.begin(track);
     (out.quality, out.cause, out.causes) = (quality as u32, cause as u32, cause.bit());
-    (out.x_m, out.y_m, out.heading_rad) = (track.x_m, track.y_m, track.heading_rad);
-    (out.vx_mps, out.vy_mps) = (track.vx_mps, track.vy_mps);
-    (out.length_m, out.width_m) = (track.length_m, track.width_m);
-    (out.prior, out.prior_age_ns) = (track.prior, track.prior_age_ns);
 }
 
 /// Limits each step of a forecast to `most_m`, the longest step that is possible for its type of agent.

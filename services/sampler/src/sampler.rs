@@ -16,7 +16,7 @@ use crate::fallback::Fallback;
 use crate::guidance::Guidance;
 use crate::journal::{Journal, Resumed, Storage};
 use crate::turns::{Forecaster, Turns};
-use crate::{Propagation, SamplerOptions};
+use crate::{Level, Propagation, SamplerOptions};
 
 /// Makes a forecast for every track.
 pub struct Sampler {
@@ -32,6 +32,8 @@ pub struct Sampler {
     workers: Workers<Forecaster>,
     /// Scratch memory: the turn of each track, or why it has none.
     turns: Vec<Result<usize, Cause>>,
+    /// Scratch memory: what is published of each track.
+    levels: Vec<Level>,
     /// Where the learned state is committed after each tick; `None` if it does not outlive the sampler.
     journal: Option<Journal<Box<dyn Storage + Send>>>,
 }
@@ -84,6 +86,7 @@ impl Sampler {
             resumed_ticks: 0,
             workers: Workers::new(Turns::new(options), forecasters)?,
             turns: Vec::with_capacity(AGENTS_MAX),
+            levels: Vec::with_capacity(AGENTS_MAX),
             journal: None,
         })
     }
@@ -211,8 +214,9 @@ impl Sampler {
         self.experts.as_deref().map(Experts::evidence)
     }
 
-    /// Writes a forecast per track, in the tracks' order, from the controls of the same tick. Returns the
-    /// number of forecasts: agents that the degradation policy silences are left out.
+    /// Writes a forecast per track, in the tracks' order, from the controls of the same tick or with the reason
+    /// why there are none. Returns the number of forecasts: agents that the degradation policy silences are
+    /// left out.
     ///
     /// A track gets a held or kinematic forecast with its cause if its controls are missing, refused or lead
     /// out of the world. Other tracks are not affected. [`Header::shed`] marks agents without controls that
@@ -224,24 +228,21 @@ impl Sampler {
     ///
     /// # Panics
     /// If `out` does not have one place per track.
-    pub fn learned(
+    pub fn step(
         &mut self,
         header: &Header,
         tracks: &[Track],
-        controls: &[AgentControls],
+        controls: Result<&[AgentControls], Cause>,
         out: &mut [Forecast],
     ) -> Result<usize, Rejected> {
         assert_eq!(out.len(), tracks.len(), "a place per track");
-        self.sample(header, tracks, Ok(controls), |count| Ok(&mut out[..count]))
+        self.sample(header, tracks, controls, |count| Ok(&mut out[..count]))
     }
 
-    /// Writes the forecasts of a tick, with its controls or with the reason why there are none. `room`
-    /// provides the memory for a number of forecasts. Returns that number: agents that the degradation policy
-    /// silences are left out.
+    /// As [`Sampler::step`]. `room` provides the memory for a number of forecasts.
     ///
     /// # Errors
-    /// [`Rejected`] if header or tracks are impossible; nothing was written or changed. An error of `room` is
-    /// passed on.
+    /// As [`Sampler::step`]. An error of `room` is passed on.
     pub(crate) fn sample<'a>(
         &mut self,
         header: &Header,
@@ -258,56 +259,61 @@ impl Sampler {
                 self.turns.resize(tracks.len(), Err(cause));
             }
         }
-        let count = self.count(tick, tracks);
+        let count = self.choose_levels(tick, tracks);
         let out = room(count)?;
-        let written = self.write(tick, tracks, out)?;
-        debug_assert_eq!(written, count, "forecasts are counted before they are written");
-        Ok(written)
+        assert_eq!(out.len(), count, "a place per forecast");
+        self.write(tick, tracks, out)?;
+        Ok(count)
     }
 
-    /// The number of forecasts that [`Sampler::write`] will write.
-    fn count(&mut self, tick: Tick, tracks: &[Track]) -> usize {
+    /// Chooses the level of each track. Returns the number of forecasts: all tracks that are not silent.
+    ///
+    /// [`Sampler::write`] follows these levels, so it writes exactly this number. It can't choose them itself:
+    /// each forecast that it keeps may displace another one.
+    fn choose_levels(&mut self, tick: Tick, tracks: &[Track]) -> usize {
         let mut turns = self.workers.input();
         let mut learned = false;
-        let is_written = |(track, turn): &(&Track, &Result<usize, Cause>)| {
+        self.levels.clear();
+        self.levels.extend(tracks.iter().zip(&self.turns).map(|(track, turn)| {
             if turn.is_ok_and(|turn| turns.made(turn).is_possible) {
                 learned = true;
-                return true;
+                return Level::Learned;
             }
-            !self.fallback.is_silent(tick, track, learned)
-        };
-        tracks.iter().zip(&self.turns).filter(is_written).count()
+            self.fallback.level(tick, track, learned)
+        }));
+        self.levels.iter().filter(|level| **level != Level::Silent).count()
     }
 
-    /// Writes the forecasts of a tick whose turns are taken, in the tracks' order.
-    fn write(&mut self, tick: Tick, tracks: &[Track], out: &mut [Forecast]) -> Result<usize, Rejected> {
+    /// Writes the forecasts of a tick whose levels are chosen, in the tracks' order, and keeps what was
+    /// learned from its turns.
+    fn write(&mut self, tick: Tick, tracks: &[Track], out: &mut [Forecast]) -> Result<(), Rejected> {
         let mut turns = self.workers.input();
-        let mut written = 0;
-        for (track, turn) in tracks.iter().zip(&self.turns) {
-            let cause = match *turn {
-                Ok(turn) => {
-                    let made = turns.made(turn);
-                    if let Some((memory, unstored)) = self.memory.as_mut().zip(made.unstored.as_ref()) {
-                        memory.store(unstored);
+        let mut out = out.iter_mut();
+        for ((track, turn), level) in tracks.iter().zip(&self.turns).zip(&self.levels) {
+            let made = turn.ok().map(|turn| &*turns.made(turn));
+            let unstored = made.and_then(|made| made.unstored.as_ref());
+            if let Some((memory, unstored)) = self.memory.as_mut().zip(unstored) {
+                memory.store(unstored);
+            }
+            if *level == Level::Silent {
+                continue;
+            }
+            let out = out.next().expect("a place per forecast");
+            match made.filter(|_| *level == Level::Learned) {
+                Some(made) => {
+                    if let Some((experts, blended)) = self.experts.as_mut().zip(made.blended.as_ref()) {
+                        experts.store(tick.stamp_ns, blended, &made.forecast);
                     }
-                    if made.is_possible {
-                        if let Some((experts, blended)) = self.experts.as_mut().zip(made.blended.as_ref()) {
-                            experts.store(tick.stamp_ns, blended, &made.forecast);
-                        }
-                        out[written] = made.forecast;
-                        self.fallback.keep(tick.stamp_ns, &made.forecast);
-                        written += 1;
-                        continue;
-                    }
-                    Cause::Rejected
+                    *out = made.forecast;
+                    self.fallback.keep(tick.stamp_ns, &made.forecast);
                 }
-                Err(cause) => cause,
-            };
-            // After the last forecast all tracks are silent.
-            let Some(out) = out.get_mut(written) else { continue };
-            written += usize::from(self.fallback.write(tick, track, cause, out)?);
+                None => {
+                    let cause = turn.err().unwrap_or(Cause::Rejected);
+                    self.fallback.write(tick, track, cause, *level, out)?;
+                }
+            }
         }
-        Ok(written)
+        Ok(())
     }
 
     /// Makes the forecasts of all tracks that have controls.
@@ -339,25 +345,6 @@ impl Sampler {
         (*memory, *experts) = (input.memory.take(), input.experts.take());
     }
 
-    /// Writes a forecast per track, in the tracks' order, without controls. Returns the number of forecasts,
-    /// as [`Sampler::learned`] does.
-    ///
-    /// # Errors
-    /// [`Rejected`] if header or tracks are impossible; nothing was written or changed.
-    ///
-    /// # Panics
-    /// If `out` does not have one place per track.
-    pub fn fallback(
-        &mut self,
-        header: &Header,
-        tracks: &[Track],
-        cause: Cause,
-        out: &mut [Forecast],
-    ) -> Result<usize, Rejected> {
-        assert_eq!(out.len(), tracks.len(), "a place per track");
-        self.sample(header, tracks, Err(cause), |count| Ok(&mut out[..count]))
-    }
-
     /// Passes the positions of all agents that were detected in this tick to the retrieval memory and the
     /// evidence.
     fn observe(&mut self, tick: Tick, tracks: &[Track]) {
@@ -376,11 +363,7 @@ impl Sampler {
 }
 
 fn check(header: &Header, tracks: &[Track]) -> Result<Tick, Rejected> {
-    header.check()?;
-    if tracks.len() > AGENTS_MAX {
-        let (found, most) = (tracks.len() as u64, AGENTS_MAX as u64);
-        return Err(Rejected::TooMany { field: "tracks", found, most });
-    }
+    header.check_agents(tracks.len())?;
     if header.step_ns == 0 && !tracks.is_empty() {
         return Err(Rejected::Impossible { field: "step_ns", value: 0.0 });
     }

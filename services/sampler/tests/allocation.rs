@@ -5,9 +5,10 @@ mod road;
 use std::sync::Arc;
 
 use bytemuck::Zeroable;
+use kinematics::MotionKind;
 use retrieval::RetrievalMemory;
 use sampler::journal::{Identity, Journal};
-use sampler::{Propagation, Sampler, SamplerOptions};
+use sampler::{Degradation, Propagation, Sampler, SamplerOptions};
 use testing::{CountingAllocator, allocations};
 use wire::{AgentControls, Cause, ControlGaussian, Forecast, Header, HistoryState, Track};
 
@@ -40,16 +41,23 @@ fn write_tick(tick: u64, tracks: &mut [Track], controls: &mut [AgentControls]) {
 // The only test in this process, because allocations of another test would be counted as well.
 #[test]
 fn a_thousand_steady_steps_allocate_nothing() {
+    let plain = SamplerOptions { retrieval: false, evidence: false, ..SamplerOptions::default() };
+    let full = SamplerOptions::default();
+    let silent = Degradation { held_ns: 160_000_000, kinematic_ns: Some(160_000_000) };
     let kinds = [
-        (Propagation::Linearised, false, false, false, 1),
-        (Propagation::MonteCarlo { particles: 4 }, false, false, false, 1),
-        (Propagation::Linearised, true, false, false, 1),
-        (Propagation::Linearised, true, true, false, 1),
-        (Propagation::Linearised, true, true, true, 1),
-        (Propagation::Linearised, true, true, true, 3),
+        (plain, false, 1),
+        (SamplerOptions { propagation: Propagation::MonteCarlo { particles: 4 }, ..plain }, false, 1),
+        (SamplerOptions { initial_covariance: false, ..plain }, false, 1),
+        (SamplerOptions { vehicle_motion: MotionKind::Displacement, ..plain }, false, 1),
+        (SamplerOptions { retrieval: true, ..plain }, false, 1),
+        (SamplerOptions { evidence: true, ..plain }, false, 1),
+        (full, false, 1),
+        (full, true, 1),
+        (full, true, 3),
+        (SamplerOptions { degradation: silent, ..plain }, false, 1),
+        (SamplerOptions { degradation: silent, ..full }, true, 3),
     ];
-    for (propagation, retrieval, evidence, guided, workers) in kinds {
-        let options = SamplerOptions { propagation, retrieval, evidence, ..SamplerOptions::default() };
+    for (options, guided, workers) in kinds {
         let mut sampler = Sampler::with_workers(options, workers).expect("threads");
         let mut journal =
             Identity::of(1, &options).map(|identity| Journal::over(Vec::with_capacity(1 << 19), identity));
@@ -64,23 +72,20 @@ fn a_thousand_steady_steps_allocate_nothing() {
             write_tick(tick, &mut tracks, &mut controls);
             let mut header = Header::new(1, tick, tick as i64 * 80_000_000);
             header.step_ns = 400_000_000;
-            let written = match tick % 4 {
-                3 => sampler.fallback(&header, &tracks, Cause::Late, &mut out),
-                _ => sampler.learned(&header, &tracks, &controls[..30], &mut out),
-            };
-            written.expect("a good frame");
+            // Every fourth tick has no controls. The last two tracks have some only at first.
+            let controlled = if tick < 4 { 32 } else { 30 };
+            let controls = if tick % 4 == 3 { Err(Cause::Late) } else { Ok(&controls[..controlled]) };
+            let count = sampler.step(&header, &tracks, controls, &mut out).expect("a good frame");
+            let are_silent = options.degradation == silent && tick > 6;
+            assert_eq!(count, if are_silent { 30 } else { 32 }, "tick {tick}");
             if let Some(journal) = &mut journal {
                 sampler.commit(tick + 1, journal).expect("room was set aside");
             }
-            assert!(out.iter().all(|forecast| forecast.modes_len > 0));
+            assert!(out[..count].iter().all(|forecast| forecast.modes_len > 0));
         };
         (0..50).for_each(&mut step);
-        assert_eq!(
-            allocations(|| (50..1_050).for_each(&mut step)),
-            0,
-            "{propagation:?} {retrieval} {evidence} {guided} {workers}"
-        );
+        assert_eq!(allocations(|| (50..1_050).for_each(&mut step)), 0, "{options:?} {guided} {workers}");
         let stored = sampler.memory().map_or(0, RetrievalMemory::entries_len);
-        assert!(stored > 6000 || !retrieval, "{stored} entries");
+        assert!(stored > 6000 || !options.retrieval, "{stored} entries");
     }
 }

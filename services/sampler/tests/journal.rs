@@ -46,7 +46,7 @@ fn tick(sampler: &mut Sampler, seq: u64) -> Vec<Forecast> {
     let mut header = Header::new(RUN, seq, seq as i64 * TICK_NS);
     header.step_ns = STEP_NS;
     let mut out = vec![Forecast::zeroed(); tracks.len()];
-    sampler.learned(&header, &tracks, &controls, &mut out).unwrap();
+    sampler.step(&header, &tracks, Ok(&controls), &mut out).unwrap();
     out
 }
 

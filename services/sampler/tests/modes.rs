@@ -60,8 +60,8 @@ fn controls(agent_type: AgentType) -> AgentControls {
 fn learned_and_held(agent_type: AgentType, propagation: Propagation, age_ns: i64) -> [Forecast; 2] {
     let mut sampler = Sampler::new(SamplerOptions { propagation, ..without_evidence() });
     let (tracks, mut out) = ([track(agent_type)], [Forecast::default(); 2]);
-    sampler.learned(&header(0), &tracks, &[controls(agent_type)], &mut out[..1]).unwrap();
-    sampler.fallback(&header(age_ns), &tracks, Cause::Late, &mut out[1..]).unwrap();
+    sampler.step(&header(0), &tracks, Ok(&[controls(agent_type)]), &mut out[..1]).unwrap();
+    sampler.step(&header(age_ns), &tracks, Err(Cause::Late), &mut out[1..]).unwrap();
     out.iter().for_each(|forecast| forecast.check().unwrap());
     out
 }
@@ -74,7 +74,7 @@ fn a_sampler_that_follows_another_holds_its_forecasts_to_the_bit() {
     spare.follow(&void, &[learned]);
     let hold = |spare: &mut Sampler| {
         let mut out = [Forecast::default()];
-        spare.fallback(&header(400_000_000), &[track(AgentType::Vehicle)], Cause::Late, &mut out).unwrap();
+        spare.step(&header(400_000_000), &[track(AgentType::Vehicle)], Err(Cause::Late), &mut out).unwrap();
         out[0]
     };
     assert_eq!(hold(&mut spare).quality, Quality::Kinematic as u32, "nothing is taken from a VOID frame");
@@ -156,7 +156,7 @@ fn causes_are_bits_and_the_process_model_is_an_expert() {
     let mut kinematic = [Forecast::default()];
     let young = Track { forecastable: 0, ..track(AgentType::Vehicle) };
     let mut sampler = Sampler::new(without_evidence());
-    sampler.fallback(&header(0), &[young], Cause::Late, &mut kinematic).unwrap();
+    sampler.step(&header(0), &[young], Err(Cause::Late), &mut kinematic).unwrap();
     let [kinematic] = kinematic;
     assert_eq!((kinematic.cause, kinematic.causes), (Cause::Young as u32, Cause::Young.bit()));
     assert_eq!(kinematic.mode_expert[0], Expert::ProcessModel as u8);
@@ -172,7 +172,7 @@ fn vehicles_are_guided_along_a_lane_and_pedestrians_are_not() {
             sampler.guide_along(&Arc::new(crate::road::road()));
         }
         let (tracks, mut out) = ([track(agent_type)], [Forecast::default()]);
-        sampler.learned(&header(0), &tracks, &[turning(agent_type)], &mut out).unwrap();
+        sampler.step(&header(0), &tracks, Ok(&[turning(agent_type)]), &mut out).unwrap();
         out[0].check().unwrap();
         out[0]
     };

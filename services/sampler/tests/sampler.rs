@@ -81,14 +81,14 @@ fn learned(
     controls: &[AgentControls],
 ) -> Vec<Forecast> {
     let mut out = vec![Forecast::zeroed(); tracks.len()];
-    sampler.learned(&header(stamp_ns), tracks, controls, &mut out).unwrap();
+    sampler.step(&header(stamp_ns), tracks, Ok(controls), &mut out).unwrap();
     out.iter().for_each(|forecast| forecast.check().unwrap());
     out
 }
 
 fn fallback(sampler: &mut Sampler, stamp_ns: i64, tracks: &[Track]) -> Vec<Forecast> {
     let mut out = vec![Forecast::zeroed(); tracks.len()];
-    sampler.fallback(&header(stamp_ns), tracks, Cause::Late, &mut out).unwrap();
+    sampler.step(&header(stamp_ns), tracks, Err(Cause::Late), &mut out).unwrap();
     out.iter().for_each(|forecast| forecast.check().unwrap());
     out
 }
@@ -107,13 +107,29 @@ fn agents_of_which_nothing_is_said_are_left_out_and_come_back() {
     for tick in 1..=12_i64 {
         let mut out = [Forecast::zeroed(); 2];
         let header = header(tick * 80 * MS as i64);
-        let len = sampler.learned(&header, &tracks, &[controls_of(2)], &mut out).unwrap();
+        let len = sampler.step(&header, &tracks, Ok(&[controls_of(2)]), &mut out).unwrap();
         written.push(out[..len].iter().map(|forecast| forecast.id).collect::<Vec<_>>());
     }
     assert!(written[..10].iter().all(|ids| ids == &[1, 2]), "{written:?}");
     assert!(written[10..].iter().all(|ids| ids == &[2]), "after 0.8 s: {written:?}");
     let again = learned(&mut sampler, 2_000 * MS as i64, &tracks, &[controls_of(1), controls_of(2)]);
     assert!(again.iter().all(|forecast| forecast.quality == Quality::Learned as u32));
+}
+
+/// A new agent takes the place of the oldest held forecast, whose agent is silent in the same tick.
+#[test]
+fn a_silent_agent_whose_forecast_is_displaced_stays_silent() {
+    let degradation = Degradation { held_ns: 400_000_000, kinematic_ns: Some(400_000_000) };
+    let mut sampler = Sampler::new(SamplerOptions { degradation, ..without_evidence() });
+    let of = |id: u64| track(id, AgentType::Pedestrian, [id as f32, 0.0], 0.0, 1.0);
+    let controls_of = |id| controls(id, AgentType::Pedestrian, &[[0.0; 2]], 0.1);
+    let all: Vec<_> = (0..AGENTS_MAX as u64).map(of).collect();
+    let all_controls: Vec<_> = (0..AGENTS_MAX as u64).map(controls_of).collect();
+    learned(&mut sampler, 0, &all, &all_controls);
+    let (tracks, controls) = ([of(1_000), of(0), of(1)], [controls_of(1_000), controls_of(1)]);
+    let mut out = [Forecast::zeroed(); 3];
+    let count = sampler.step(&header(2_000_000_000), &tracks, Ok(&controls), &mut out).unwrap();
+    assert_eq!(out[..count].iter().map(|forecast| forecast.id).collect::<Vec<_>>(), [1_000, 1]);
 }
 
 #[test]
@@ -128,7 +144,7 @@ fn agents_that_were_shed_are_held_and_say_so_at_the_right_age() {
     let mut header = header(160_000_000);
     [1, 3, 4].into_iter().for_each(|place| header.mark_shed(place));
     let mut out = vec![Forecast::zeroed(); tracks.len()];
-    sampler.learned(&header, &tracks, &[controls_of(1)], &mut out).unwrap();
+    sampler.step(&header, &tracks, Ok(&[controls_of(1)]), &mut out).unwrap();
     let expected = [
         is(Quality::Learned, Cause::None),
         is(Quality::Held, Cause::Shed),
@@ -447,7 +463,7 @@ fn impossible_frames_are_refused_whole() {
     let good = track(1, AgentType::Vehicle, [0.0; 2], 0.0, 2.0);
     let mut refused = |header: Header, track: Track| {
         let mut out = [Forecast { id: 7, ..Forecast::zeroed() }];
-        let error = sampler.fallback(&header, &[track], Cause::Late, &mut out).unwrap_err();
+        let error = sampler.step(&header, &[track], Err(Cause::Late), &mut out).unwrap_err();
         assert_eq!(out[0].id, 7, "nothing was written");
         error
     };
@@ -457,7 +473,7 @@ fn impossible_frames_are_refused_whole() {
     assert!(matches!(refused(header(0), Track { vx_mps: 1e9, ..good }), Rejected::Impossible { .. }));
     assert!(matches!(refused(header(0), Track { agent_type: 3, ..good }), Rejected::Impossible { .. }));
     let mut out = vec![Forecast::zeroed(); AGENTS_MAX + 1];
-    let error = sampler.fallback(&header(0), &vec![good; AGENTS_MAX + 1], Cause::Late, &mut out);
+    let error = sampler.step(&header(0), &vec![good; AGENTS_MAX + 1], Err(Cause::Late), &mut out);
     assert!(matches!(error, Err(Rejected::TooMany { .. })));
 }
 

@@ -76,7 +76,7 @@ fn forecasts(options: SamplerOptions, workers: usize, is_guided: bool) -> (Vec<u
         let mut header = Header::new(1, seq, (seq as f32 * TICK_S * 1e9) as i64);
         header.step_ns = 400_000_000;
         let mut out = vec![Forecast::zeroed(); tracks.len()];
-        sampler.learned(&header, &tracks, &controls, &mut out).unwrap();
+        sampler.step(&header, &tracks, Ok(&controls), &mut out).unwrap();
         let learned = out.iter().filter(|forecast| forecast.quality == Quality::Learned as u32).count();
         let retrieved = out.iter().flat_map(|forecast| forecast.mode_expert).filter(|&of| of != 0).count();
         seen = [seen[0] + learned, seen[1] + retrieved];

@@ -133,6 +133,26 @@ pub enum Rejected {
     },
 }
 
+/// Refuses more than `most` elements.
+///
+/// # Errors
+/// [`Rejected::TooMany`] with the field's name.
+pub const fn at_most(field: &'static str, found: usize, most: usize) -> Result<(), Rejected> {
+    if found <= most {
+        Ok(())
+    } else {
+        Err(Rejected::TooMany { field, found: found as u64, most: most as u64 })
+    }
+}
+
+/// Refuses a size that differs from the model's.
+///
+/// # Errors
+/// [`Rejected::Mismatch`] with the size's name.
+pub const fn equal(field: &'static str, found: usize, expected: usize) -> Result<(), Rejected> {
+    if found == expected { Ok(()) } else { Err(Rejected::Mismatch { field, found, expected }) }
+}
+
 /// Refuses numbers that are not finite.
 ///
 /// # Errors

@@ -318,11 +318,18 @@ impl Header {
             ("observed_types", self.observed_types, known),
         ];
         for (field, found, most) in limits {
-            if found > most {
-                return Err(Rejected::TooMany { field, found: u64::from(found), most: u64::from(most) });
-            }
+            crate::at_most(field, found as usize, most as usize)?;
         }
         crate::finite("ego", &[self.ego_m[0], self.ego_m[1], self.ego_heading_rad])
+    }
+
+    /// Refuses an impossible header, or more agents than a frame can hold.
+    ///
+    /// # Errors
+    /// [`Rejected`] names the first wrong field.
+    pub fn check_agents(&self, agents: usize) -> Result<(), Rejected> {
+        self.check()?;
+        crate::at_most("agents_len", agents, AGENTS_MAX)
     }
 }
 

@@ -1,7 +1,7 @@
 //! The two topics whose frames contain tensors of varying size, as sections of one slice of 64-byte rows.
 
 use crate::declare::record;
-use crate::{AgentFeatures, Counts, EDGE_ATTRIBUTES, PATCH_CHANNELS, Rejected, Track};
+use crate::{AgentFeatures, Counts, EDGE_ATTRIBUTES, PATCH_CHANNELS, Rejected, Track, finite};
 
 record! {
     /// 64 bytes, one cache line: the unit of `context` and `features` payloads, whose sections are cast from
@@ -199,11 +199,17 @@ impl<'a> Features<'a> {
         let (agents, rest) = rows.split_at(shape.agents_len * FEATURE_ROWS);
         let (edges, attributes) = rest.split_at(shape.edge_rows());
         let edges: &[Edge] = &bytemuck::cast_slice(edges)[..shape.edges_len];
+        let attributes = bytemuck::cast_slice(attributes);
+        let read = Self { agents: bytemuck::cast_slice(agents), edges, attributes };
+        read.check_edges(history_len)?;
+        Ok(read)
+    }
+
+    fn check_edges(&self, history_len: usize) -> Result<(), Rejected> {
         let mut last = None;
-        for (at, edge) in edges.iter().enumerate() {
-            let outside =
-                [edge.receiver, edge.sender].into_iter().find(|&a| usize::from(a) >= shape.agents_len);
-            if let Some(agent) = outside {
+        for (at, edge) in self.edges.iter().enumerate() {
+            let agents = [edge.receiver, edge.sender];
+            if let Some(agent) = agents.into_iter().find(|&agent| usize::from(agent) >= self.agents.len()) {
                 return Err(Rejected::Impossible { field: "edge's agent", value: f64::from(agent) });
             }
             if usize::from(edge.step) >= history_len {
@@ -214,7 +220,28 @@ impl<'a> Features<'a> {
             }
             last = Some(*edge);
         }
-        Ok(Self { agents: bytemuck::cast_slice(agents), edges, attributes: bytemuck::cast_slice(attributes) })
+        Ok(())
+    }
+
+    /// Refuses agents and edges that are impossible in a model with this history. Each edge needs an
+    /// attribute, and joins agents that have a state at its step.
+    ///
+    /// # Errors
+    /// [`Rejected`] names the field.
+    pub fn check(&self, history_len: usize) -> Result<(), Rejected> {
+        self.agents.iter().try_for_each(|agent| agent.check(history_len))?;
+        finite("edge attributes", self.attributes.as_flattened())?;
+        expect(self.attributes.len(), self.edges.len())?;
+        self.check_edges(history_len)?;
+        let is_present =
+            |edge: &Edge, agent: u16| self.agents[usize::from(agent)].is_present(edge.step.into());
+        let joins_present = |edge: &&Edge| is_present(edge, edge.receiver) && is_present(edge, edge.sender);
+        match self.edges.iter().find(|edge| !joins_present(edge)) {
+            Some(edge) => {
+                Err(Rejected::Impossible { field: "edge of an absent agent", value: f64::from(edge.step) })
+            }
+            None => Ok(()),
+        }
     }
 }
 

@@ -94,7 +94,7 @@ mod tick;
 mod topic;
 
 pub use agent::{AGENT_TYPES, AgentType, UnknownAgentType};
-pub use check::{Rejected, finite};
+pub use check::{Rejected, at_most, equal, finite};
 pub use header::{Counts, Header, Hop, InputCounts, StampSource, doubts, flags};
 pub use layout::{
     Context, ContextMut, ContextShape, Edge, FeatureShape, Features, FeaturesMut, Row, context_rows,

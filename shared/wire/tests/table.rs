@@ -91,8 +91,8 @@ fn checks_overlook_no_number_that_is_not_finite() {
     assert_no_number_is_overlooked(&Header::RECORD, Header::new(1, 2, 3), Header::check);
     assert_no_number_is_overlooked(&Detection::RECORD, Detection::default(), Detection::check);
     assert_no_number_is_overlooked(&Track::RECORD, Track::default(), Track::check);
-    assert_no_number_is_overlooked(&AgentFeatures::RECORD, AgentFeatures::default(), AgentFeatures::check);
-    assert_no_number_is_overlooked(&AgentEncoding::RECORD, AgentEncoding::default(), AgentEncoding::check);
+    assert_no_number_is_overlooked(&AgentFeatures::RECORD, AgentFeatures::default(), |a| a.check(8));
+    assert_no_number_is_overlooked(&AgentEncoding::RECORD, AgentEncoding::default(), |a| a.check(8));
     let controls = AgentControls { modes_len: 1, ..AgentControls::default() };
     assert_no_number_is_overlooked(&AgentControls::RECORD, controls, AgentControls::check);
     assert_no_number_is_overlooked(&Forecast::RECORD, Forecast::default(), Forecast::check);

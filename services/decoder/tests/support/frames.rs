@@ -1,7 +1,9 @@
 //! Encodings of agents of all types.
 
 use bytemuck::Zeroable;
-use wire::{AgentControls, AgentEncoding, Header};
+use decoder::Decoder;
+use ports::Allowance;
+use wire::{AgentControls, AgentEncoding, Header, Rejected};
 
 fn value(i: usize) -> f32 {
     ((i * 37) % 101) as f32 * 0.01 - 0.5
@@ -31,5 +33,17 @@ pub fn header(seq: u64) -> Header {
 
 /// Zeroed controls, one for each agent to be forecast.
 pub fn room(encodings: &[AgentEncoding]) -> Vec<AgentControls> {
-    vec![AgentControls::zeroed(); decoder::Decoder::len(encodings)]
+    vec![AgentControls::zeroed(); Decoder::len(encodings)]
+}
+
+/// Decodes all agents of a frame.
+pub fn decode(
+    decoder: &mut Decoder,
+    header: &Header,
+    encodings: &[AgentEncoding],
+    out: &mut [AgentControls],
+) -> Result<(), Rejected> {
+    decoder.serve(header, encodings, Allowance::All)?;
+    decoder.write(out);
+    Ok(())
 }

@@ -96,7 +96,7 @@ impl Scene {
 
     fn extract_of(&mut self, header: &Header, served_max: Option<usize>) -> Result<Features<'_>, Rejected> {
         let context = Context::read(&self.context, self.shape).unwrap();
-        let shape = self.extractor.prepare_most(header, &context, served_max)?;
+        let shape = self.extractor.prepare(header, &context, served_max)?;
         self.features.clear();
         self.features.resize(feature_rows(&shape), Row::zeroed());
         self.extractor.write(&mut FeaturesMut::over(&mut self.features, shape).unwrap());

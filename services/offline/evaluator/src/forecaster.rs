@@ -505,7 +505,7 @@ fn sample(
     controls: &[AgentControls],
 ) -> Vec<Payload> {
     let mut payloads = vec![Payload::zeroed(); tracks.len()];
-    match sampler.learned(header, tracks, controls, &mut payloads) {
+    match sampler.step(header, tracks, Ok(controls), &mut payloads) {
         Ok(written) => {
             payloads.truncate(written);
             payloads

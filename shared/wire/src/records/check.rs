@@ -2,7 +2,8 @@
 
 use super::{AgentControls, AgentEncoding, AgentFeatures, Detection, Forecast, Track};
 use crate::{
-    AgentType, MODES_MAX, OFFSET_MAX_NS, POSITION_MAX_M, Rejected, SPEED_MAX_MPS, UnknownAgentType, finite,
+    AgentType, MODES_MAX, OFFSET_MAX_NS, POSITION_MAX_M, Rejected, SPEED_MAX_MPS, UnknownAgentType, at_most,
+    finite,
 };
 
 fn position(field: &'static str, values: &[f32]) -> Result<(), Rejected> {
@@ -98,13 +99,35 @@ impl Track {
     }
 }
 
+/// Refuses states beyond the model's history.
+fn presence(present: u32, history_len: usize) -> Result<(), Rejected> {
+    match present.checked_shr(history_len as u32) {
+        None | Some(0) => Ok(()),
+        Some(_) => Err(Rejected::Impossible { field: "presence", value: f64::from(present) }),
+    }
+}
+
 impl AgentFeatures {
-    /// Refuses numbers that are not finite or impossible.
+    /// The identity of a track, without its features.
+    #[must_use]
+    pub fn of(track: &Track) -> Self {
+        let &Track { id, agent_type, forecastable, length_m, .. } = track;
+        Self { id, agent_type, forecastable, length_m, ..Self::default() }
+    }
+
+    /// Whether the agent has a state at a history step.
+    #[must_use]
+    pub const fn is_present(&self, step: usize) -> bool {
+        self.present >> step & 1 == 1
+    }
+
+    /// Refuses numbers that are not finite or impossible in a model with this history.
     ///
     /// # Errors
     /// [`Rejected`] names the field.
-    pub fn check(&self) -> Result<(), Rejected> {
+    pub fn check(&self, history_len: usize) -> Result<(), Rejected> {
         agent_type(self.agent_type)?;
+        presence(self.present, history_len)?;
         finite("length_m", &[self.length_m])?;
         finite("state features", self.state.as_flattened())?;
         finite("node attributes", self.node.as_flattened())
@@ -112,12 +135,27 @@ impl AgentFeatures {
 }
 
 impl AgentEncoding {
-    /// Refuses numbers that are not finite or impossible.
+    /// All columns of an agent's features except its node attributes. The summary is 0.
+    #[must_use]
+    pub fn of(features: &AgentFeatures) -> Self {
+        let &AgentFeatures { id, agent_type, forecastable, present, length_m, state, turn, shed, .. } =
+            features;
+        Self { id, agent_type, forecastable, present, length_m, state, turn, shed, ..Self::default() }
+    }
+
+    /// Whether the agent has a state at a history step.
+    #[must_use]
+    pub const fn is_present(&self, step: usize) -> bool {
+        self.present >> step & 1 == 1
+    }
+
+    /// Refuses numbers that are not finite or impossible in a model with this history.
     ///
     /// # Errors
     /// [`Rejected`] names the field.
-    pub fn check(&self) -> Result<(), Rejected> {
+    pub fn check(&self, history_len: usize) -> Result<(), Rejected> {
         agent_type(self.agent_type)?;
+        presence(self.present, history_len)?;
         finite("length_m", &[self.length_m])?;
         finite("state features", self.state.as_flattened())?;
         finite("temporal summary", &self.temporal)
@@ -125,20 +163,22 @@ impl AgentEncoding {
 }
 
 impl AgentControls {
+    /// The identity of an agent, without controls.
+    #[must_use]
+    pub fn of(encoding: &AgentEncoding) -> Self {
+        Self { id: encoding.id, agent_type: encoding.agent_type, ..Self::default() }
+    }
+
     /// Refuses numbers that are not finite or impossible.
     ///
     /// # Errors
     /// [`Rejected`] names the field.
     pub fn check(&self) -> Result<(), Rejected> {
         agent_type(self.agent_type)?;
-        let modes_len = self.modes_len as usize;
-        if modes_len == 0 || modes_len > MODES_MAX {
-            return Err(Rejected::TooMany {
-                field: "modes_len",
-                found: u64::from(self.modes_len),
-                most: MODES_MAX as u64,
-            });
+        if self.modes_len == 0 {
+            return Err(Rejected::Impossible { field: "modes_len", value: 0.0 });
         }
+        at_most("modes_len", self.modes_len as usize, MODES_MAX)?;
         finite("mode probabilities", &self.probability)?;
         let numbers: &[f32] = bytemuck::cast_slice(self.modes.as_flattened());
         finite("controls", numbers)?;
@@ -149,6 +189,17 @@ impl AgentControls {
 }
 
 impl Forecast {
+    /// Zeroes this forecast, then copies a track's identity, state, size and prior.
+    pub fn begin(&mut self, track: &Track) {
+        // Zeroed in place, because a value would be written twice.
+        bytemuck::write_zeroes(self);
+        (self.id, self.source_id, self.agent_type) = (track.id, track.source_id, track.agent_type);
+        (self.x_m, self.y_m, self.heading_rad) = (track.x_m, track.y_m, track.heading_rad);
+        (self.vx_mps, self.vy_mps) = (track.vx_mps, track.vy_mps);
+        (self.length_m, self.width_m) = (track.length_m, track.width_m);
+        (self.prior, self.prior_age_ns) = (track.prior, track.prior_age_ns);
+    }
+
     /// Refuses numbers that are not finite or impossible.
     ///
     /// # Errors
