@@ -181,12 +181,6 @@ impl TracksToForecasts {
         forecasts.answer(sampler, &tick, || passed(StageId::Sampler))
     }
 
-    /// The sampler, with its retrieval memory.
-    #[must_use]
-    pub const fn sampler(&self) -> &Sampler {
-        &self.sampler
-    }
-
     /// The size of the last tick.
     #[must_use]
     pub fn load(&self) -> Load {

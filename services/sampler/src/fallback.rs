@@ -7,7 +7,7 @@ use wire::{Cause, Forecast, Quality, Rejected, Track};
 use crate::held::HeldForecasts;
 use crate::motion::{certain_motion, with_track_covariance};
 use crate::published::{begin, is_within_the_world, limit_steps};
-use crate::sampler::Tick;
+use crate::tick::Tick;
 use crate::{Level, SamplerOptions, kinematic};
 
 /// The newest learned forecasts, and the policy by which they are held.

@@ -33,6 +33,7 @@ mod sampler;
 mod settings;
 mod spread;
 mod step;
+mod tick;
 mod turns;
 
 pub use degradation::{Change, Degradation, Level, TRANSITIONS};

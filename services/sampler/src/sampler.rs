@@ -15,6 +15,7 @@ use crate::experts::Experts;
 use crate::fallback::Fallback;
 use crate::guidance::Guidance;
 use crate::journal::{Journal, Resumed, Storage};
+use crate::tick::Tick;
 use crate::turns::{Forecaster, Turns};
 use crate::{Level, Propagation, SamplerOptions};
 
@@ -36,20 +37,6 @@ pub struct Sampler {
     levels: Vec<Level>,
     /// Where the learned state is committed after each tick; `None` if it does not outlive the sampler.
     journal: Option<Journal<Box<dyn Storage + Send>>>,
-}
-
-/// The part of a header that the forecasts depend on.
-#[derive(Clone, Copy, Default)]
-pub(crate) struct Tick {
-    pub(crate) stamp_ns: i64,
-    pub(crate) seq: u64,
-    pub(crate) step_ns: u64,
-}
-
-impl Tick {
-    pub(crate) fn dt_s(&self) -> f32 {
-        (self.step_ns as f64 * 1e-9) as f32
-    }
 }
 
 impl Sampler {

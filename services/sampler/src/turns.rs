@@ -15,7 +15,7 @@ use crate::guidance::Guidance;
 use crate::learned::LearnedControls;
 use crate::motion::{certain_motion, with_track_covariance};
 use crate::published::{begin, is_within_the_world, limit_steps};
-use crate::sampler::Tick;
+use crate::tick::Tick;
 
 /// Number of turns that a worker takes at a time. A hand-over is worthwhile for 40 µs or more, so two turns
 /// suffice.

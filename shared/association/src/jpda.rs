@@ -148,12 +148,6 @@ impl JointAssociation {
         self.of_track(track)[detection]
     }
 
-    /// Probability that a track has no detection.
-    #[must_use]
-    pub fn miss(&self, track: usize) -> f64 {
-        self.of_track(track)[self.detections_len]
-    }
-
     /// Probabilities of a track's detections, then of its miss. They sum to 1.
     ///
     /// # Panics

@@ -145,7 +145,7 @@ pub enum ReadError {
         /// The file.
         path: String,
         /// Format.
-        format: crate::Format,
+        format: &'static str,
         /// The formats that accept a frame rate.
         names: Vec<&'static str>,
     },
@@ -155,14 +155,16 @@ pub enum ReadError {
         /// The file.
         path: String,
         /// Format.
-        format: crate::Format,
+        format: &'static str,
     },
     /// The content fits no format, or more than one.
-    #[error("{path}: {problem}; name the format (one of {known})", known = crate::Format::names())]
+    #[error("{path}: {problem}; name the format (one of {known})")]
     UnknownFormat {
         /// The file.
         path: String,
         /// What the content has instead of a known format.
         problem: String,
+        /// The names of all formats.
+        known: String,
     },
 }

@@ -204,7 +204,7 @@ fn by_frames<'a>(
 }
 
 fn unknown(line: &Line<'_>, problem: String) -> ReadError {
-    ReadError::UnknownFormat { path: line.path.to_owned(), problem }
+    ReadError::UnknownFormat { path: line.path.to_owned(), problem, known: Format::names() }
 }
 
 impl fmt::Display for Format {

@@ -88,3 +88,10 @@ pub(crate) fn need_any<'a>(inputs: &'a [Input], roles: &[Role]) -> Result<&'a In
         searched: String::new(),
     })
 }
+
+/// A file's name without its ending.
+pub(crate) fn stem(path: &str) -> String {
+    std::path::Path::new(path)
+        .file_stem()
+        .map_or_else(String::new, |stem| stem.to_string_lossy().into_owned())
+}

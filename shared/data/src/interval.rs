@@ -16,7 +16,7 @@ use std::collections::BTreeMap;
 
 use wire::{AgentType, detection_flags};
 
-use crate::rows::Row;
+use crate::row::Row;
 
 /// Minimum share of all intervals that the fastest agents have: 1 / 10.
 const FASTEST_SHARE: usize = 10;

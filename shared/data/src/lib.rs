@@ -50,6 +50,7 @@ mod lines;
 mod open;
 mod order;
 mod recording;
+mod row;
 mod rows;
 pub mod sets;
 mod stamp;

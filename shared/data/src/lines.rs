@@ -1,6 +1,6 @@
 use std::sync::Arc;
 
-use crate::rows::Row;
+use crate::row::Row;
 
 /// The lines in the files from which a frame's detections come, in the order of the detections.
 ///

@@ -10,7 +10,7 @@ use wire::WorldOrigin;
 use crate::formats::{
     commonroad, csv, highd, interaction, kitti, levelx, obsmat, positions, sdd_raw, vci_dut,
 };
-use crate::input::FILE_BYTES_MAX;
+use crate::input::{FILE_BYTES_MAX, stem};
 use crate::{Format, FrameRate, Input, ReadError, Recording, Role, text};
 
 /// Information about a recording besides its files.
@@ -79,12 +79,12 @@ pub fn parse_at(format: Format, inputs: &[Input], fps: Option<FrameRate>) -> Res
         let names = Format::ALL.into_iter().filter(|format| format.frame_rate().is_some());
         return Err(ReadError::FrameRate {
             path: inputs.first().map_or_else(String::new, |input| input.path.clone()),
-            format,
+            format: format.name(),
             names: names.map(Format::name).collect(),
         });
     }
     if let Some(input) = inputs.iter().find(|input| !input.origin.is_zero() && !format.has_world_frame()) {
-        return Err(ReadError::Origin { path: input.path.clone(), format });
+        return Err(ReadError::Origin { path: input.path.clone(), format: format.name() });
     }
     let at = |usual: FrameRate| fps.unwrap_or(usual);
     let recording = match format {
@@ -120,11 +120,6 @@ fn name(path: &str) -> String {
         Some(folder) => format!("{folder}/{}", stem(path)),
         None => stem(path),
     }
-}
-
-/// A file's name without its ending.
-pub(crate) fn stem(path: &str) -> String {
-    Path::new(path).file_stem().map_or_else(String::new, |stem| stem.to_string_lossy().into_owned())
 }
 
 fn read(path: &Path, role: Role) -> Result<Input, ReadError> {

@@ -10,7 +10,7 @@ use std::collections::HashMap;
 use wire::{OFFSET_MAX_NS, detection_flags};
 
 use crate::ReadError;
-use crate::rows::Row;
+use crate::row::Row;
 
 /// If at most this share of the rows goes back, the file counts as in order: 1 / 8.
 const IN_ORDER: usize = 8;

@@ -3,6 +3,7 @@
 use wire::{AgentType, Detection, Truth, detection_flags};
 
 use crate::lines::{Lines, RowLine};
+use crate::row::Row;
 use crate::text::{Field, Line};
 use crate::{Input, ReadError, order};
 
@@ -16,17 +17,6 @@ pub(crate) const HEADING_SPEED_MPS: f32 = 0.1;
 /// Bits of all agent types.
 pub(crate) const ALL_TYPES: u32 =
     AgentType::Vehicle.bit() | AgentType::Cyclist.bit() | AgentType::Pedestrian.bit();
-
-/// A detection and the line that it was read from.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Row<'a> {
-    pub stamp_ns: i64,
-    pub detection: Detection,
-    /// The heading as it was written, not wrapped.
-    pub heading_written: f32,
-    pub path: &'a str,
-    pub line: usize,
-}
 
 /// The rows read so far.
 #[derive(Debug, Default)]

@@ -22,7 +22,8 @@ use wire::{AGENT_TYPES, Detection, OFFSET_MAX_NS, Truth, detection_flags};
 use crate::egos::Egos;
 use crate::interval;
 use crate::lines::{Lines, Paths};
-use crate::rows::{self, ALL_TYPES, Row};
+use crate::row::Row;
+use crate::rows::{self, ALL_TYPES};
 use crate::{Ego, Frame};
 
 /// Frames from rows with their own stamps.

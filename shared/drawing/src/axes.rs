@@ -1,7 +1,8 @@
 //! Panels with axes, and curves in them.
 
-use super::canvas::{Align, Canvas, Frame, Path, Spot, Stroke, Type};
+use super::canvas::{Align, Canvas, Frame, Stroke, Type};
 use super::colour::{Colour, GREY, INK, PALE};
+use super::path::{Path, Spot};
 use super::text::{self, Face};
 
 /// Font sizes, pt.

@@ -5,9 +5,10 @@ use std::collections::BTreeMap;
 use metrics::Point;
 use scene::ContextMap;
 
-use super::canvas::{Canvas, Path, Stroke};
+use super::canvas::{Canvas, Stroke};
 use super::colour::{Colour, GREY, WHITE, mixed};
 use super::contour::{Place, Raster, simplified};
+use super::path::Path;
 use super::view::View;
 
 /// The darkest ground, for the most visited places.

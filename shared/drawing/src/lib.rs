@@ -27,6 +27,7 @@ mod ground;
 mod mask;
 mod mixture;
 mod overview;
+mod path;
 mod scene;
 #[cfg(test)]
 mod tests;

@@ -5,10 +5,11 @@ use std::collections::HashSet;
 use metrics::Point;
 use scene::AgentType;
 
-use super::canvas::{Align, Canvas, Frame, Path, Spot, Stroke, Type};
+use super::canvas::{Align, Canvas, Frame, Stroke, Type};
 use super::colour::{BLUE, Colour, GREY, INK, ORANGE, VERMILION};
 use super::error::{PictureError, within};
 use super::ground;
+use super::path::{Path, Spot};
 use super::scene::draw_scale_bar;
 use super::text::Face;
 use super::view::View;

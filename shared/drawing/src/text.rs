@@ -5,7 +5,7 @@ use std::sync::LazyLock;
 use ttf_parser::gpos::{PairAdjustment, PositioningSubtable};
 use ttf_parser::{Face as Font, GlyphId, OutlineBuilder};
 
-use super::canvas::{Path, Spot};
+use super::path::{Path, Spot};
 
 /// A weight of the font.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

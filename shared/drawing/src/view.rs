@@ -1,7 +1,8 @@
 //! The part of the world that a panel shows.
 
-use super::canvas::{Frame, Spot};
+use super::canvas::Frame;
 use super::contour::Place;
+use super::path::Spot;
 
 /// Free ground around the visible places, as a share of their extent, and its minimum.
 const MARGIN: f64 = 0.06;

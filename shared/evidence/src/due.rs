@@ -3,7 +3,7 @@
 
 use wire::{AGENTS_MAX, MODES_MAX};
 
-use crate::{Context, Matured};
+use crate::Context;
 
 /// Maximum number of waiting levels.
 const WAITING_MAX: usize = 4 * AGENTS_MAX;
@@ -11,6 +11,19 @@ const WAITING_MAX: usize = 4 * AGENTS_MAX;
 const LEVELS_PER_S: f64 = 400.0;
 /// Maximum number of levels computed at a time, however much time has passed.
 const LEVELS_MAX: usize = 256;
+
+/// A matured forecast at a knot, for the computation of its level.
+#[derive(Clone, Copy, Debug)]
+pub struct Matured<'a> {
+    /// Positions of the modes, m.
+    pub means_m: &'a [[f32; 2]],
+    /// Their covariances as (xx, xy, yy), m².
+    pub covariances_m2: &'a [[f32; 3]],
+    /// Their probabilities.
+    pub probability: &'a [f32],
+    /// The agent's true position.
+    pub truth_m: [f32; 2],
+}
 
 /// A matured forecast at a knot.
 #[derive(Clone, Debug)]

@@ -16,7 +16,7 @@ use self::knowledge::{Knowledge, OfType};
 use self::pending::Pending;
 use crate::blend::Outcome;
 use crate::choice::{BOTH_MAX, Choice};
-use crate::due::Waiting;
+use crate::due::{Matured, Waiting};
 use crate::fan::{MIDDLES, centre_m};
 use crate::paths::weighted_m;
 use crate::width::Widths;
@@ -64,19 +64,6 @@ pub struct Mixture<'a> {
     pub network_m: &'a [[[f32; 2]; HORIZON_MAX]],
     /// The fan, whether it was published or not.
     pub fan: &'a Fan,
-}
-
-/// A matured forecast at a knot, for the computation of its level.
-#[derive(Clone, Copy, Debug)]
-pub struct Matured<'a> {
-    /// Positions of the modes, m.
-    pub means_m: &'a [[f32; 2]],
-    /// Their covariances as (xx, xy, yy), m².
-    pub covariances_m2: &'a [[f32; 3]],
-    /// Their probabilities.
-    pub probability: &'a [f32],
-    /// The agent's true position.
-    pub truth_m: [f32; 2],
 }
 
 /// The last observation of an agent, and its pending forecasts.

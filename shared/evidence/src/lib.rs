@@ -79,9 +79,10 @@ mod width;
 
 pub use choice::Choice;
 pub use context::{BANDS, Context, SPEEDS_MPS, fill_unknown};
+pub use due::Matured;
 pub use fan::{FAN, Fan, Pattern};
 pub use ledger::numbers::NUMBERS_LEN;
-pub use ledger::{Agent, Evidence, Matured, Mixture};
+pub use ledger::{Agent, Evidence, Mixture};
 pub use paths::{MotionNow, Paths};
 pub use prior::{ContextPrior, Patterns, Prior, PriorError, Priors};
 pub use statistics::Statistics;

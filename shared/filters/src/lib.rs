@@ -109,6 +109,8 @@ pub mod mixture;
 mod moments;
 mod observation;
 pub mod particles;
+mod plan;
+mod priors;
 mod process;
 pub mod weights;
 
@@ -124,10 +126,11 @@ pub use control::{
 pub use filter::{Filter, Kind, Models, Unknown};
 pub use gaussian::{FilterFault, Gaussian};
 pub use innovation::{Evidence, Innovation, MEASURED_MAX};
-pub use mixture::{Ahead, Mixture, Priors};
+pub use mixture::{Ahead, Mixture};
 pub use moments::{difference, interpolated, mean, moments, sample_moments};
 pub use observation::{Motion, OBSERVATIONS_MAX, Observation};
 pub use particles::Particles;
+pub use priors::Priors;
 pub use process::Process;
 
 use std::f64::consts::{PI, TAU};

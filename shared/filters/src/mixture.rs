@@ -9,73 +9,17 @@
 //! controls then predict this posterior. The forecast's own states are never used, because they would discard
 //! every measurement since its stamp.
 
-use nalgebra::SVector;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use crate::control::Plan;
 use crate::observation::OBSERVATIONS_MAX;
+use crate::plan::Plan;
 use crate::process::{miss_probability, steps};
 use crate::weights::{effective_size, log_sum_exp, normalise, systematic};
 use crate::{
-    Control, Controlled, FilterFault, Forecast, ForecastFault, Gaussian, HYPOTHESES_MAX, Observation, moments,
+    Control, Controlled, FilterFault, Forecast, ForecastFault, Gaussian, HYPOTHESES_MAX, Observation, Priors,
+    moments,
 };
-
-/// The processes of a mixture, and its trust in a forecast.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Priors<P> {
-    /// Process of the component without a forecast.
-    pub kinematic: P,
-    /// Process of the hypotheses. Its noise adds to the noise of their controls.
-    pub learned: P,
-    /// Process of the hypotheses at control gain 0, see [`Controlled::blended`].
-    pub uncontrolled: P,
-    /// Weight of the component without a forecast when one is adopted, within \[0, 1\].
-    pub kinematic_weight: f64,
-    /// Factor on the covariances of a forecast's controls.
-    pub covariance_scale: f64,
-    /// Gain of each component of a forecast's controls, within \[0, 1\], see
-    /// [`control_gain`](crate::control_gain).
-    pub control_gain: [f64; 2],
-    /// Time constant T with which the gain fades in: by 1 − e^(−t/T) at the time t after the forecast's
-    /// start. 0 applies the full gain immediately.
-    ///
-    /// At first the filtered state predicts its motion better than the forecast. This advantage shrinks as
-    /// the last measurement ages.
-    pub fade_in_s: f64,
-}
-
-impl<P: Copy> Priors<P> {
-    /// A kinematic component of weight 0.05, and controls at gain 1. At gain 0 the process of the hypotheses
-    /// is `kinematic`.
-    #[must_use]
-    pub const fn new(kinematic: P, learned: P) -> Self {
-        Self {
-            kinematic,
-            learned,
-            uncontrolled: kinematic,
-            kinematic_weight: 0.05,
-            covariance_scale: 1.0,
-            control_gain: [1.0; 2],
-            fade_in_s: 0.0,
-        }
-    }
-
-    /// Process of the hypotheses at this gain of their controls.
-    pub(crate) fn controlled<const N: usize>(&self, control_gain: [f64; 2]) -> P
-    where
-        P: Controlled<N>,
-    {
-        self.learned.blended(&self.uncontrolled, control_gain)
-    }
-
-    const fn of<const N: usize>(&self, component: &Component<N>) -> &P {
-        match component.hypothesis {
-            None => &self.kinematic,
-            Some(_) => &self.learned,
-        }
-    }
-}
 
 /// The predicted position of an agent, by either prior.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -94,6 +38,15 @@ struct Component<const N: usize> {
     hypothesis: Option<usize>,
     /// Number of particles that it stands for. Particles resampled from one hypothesis stay equal forever.
     copies: usize,
+}
+
+impl<const N: usize> Component<N> {
+    const fn process<'a, P>(&self, priors: &'a Priors<P>) -> &'a P {
+        match self.hypothesis {
+            None => &priors.kinematic,
+            Some(_) => &priors.learned,
+        }
+    }
 }
 
 /// A mixture of Kalman filters, one per hypothesis of a forecast and one without.
@@ -262,7 +215,7 @@ impl<P: Controlled<N>, const N: usize> Mixture<P, N> {
         self.next.clear();
         for component in &self.components {
             let mut state = component.state;
-            match state.update(observation, self.priors.of(component)) {
+            match state.update(observation, component.process(&self.priors)) {
                 Ok(evidence) => {
                     let log_weight = component.log_weight + evidence.log_likelihood;
                     self.next.push(Component { state, log_weight, ..*component });
@@ -321,7 +274,7 @@ impl<P: Controlled<N>, const N: usize> Mixture<P, N> {
                 *own = ((share(log_share) / sum).min(1.0), observed.1);
             }
             let mut state = component.state;
-            match state.update_jointly(&own[..observations.len()], self.priors.of(component)) {
+            match state.update_jointly(&own[..observations.len()], component.process(&self.priors)) {
                 Ok(()) => self.next.push(Component { state, log_weight, ..*component }),
                 Err(found) => fault = found,
             }
@@ -345,7 +298,7 @@ impl<P: Controlled<N>, const N: usize> Mixture<P, N> {
             let mut fault = FilterFault::NotFinite;
             for (component, of_component) in self.components.iter().zip(&mut log_shares) {
                 let mut state = component.state;
-                match state.update(observation, self.priors.of(component)) {
+                match state.update(observation, component.process(&self.priors)) {
                     Ok(evidence) => of_component[j] = component.log_weight + evidence.log_likelihood,
                     Err(found) => fault = found,
                 }
@@ -371,12 +324,6 @@ impl<P: Controlled<N>, const N: usize> Mixture<P, N> {
             [only] => only.state,
             all => moments(all.iter().map(|c| (c.log_weight.exp(), &c.state)), P::ANGLES),
         }
-    }
-
-    /// Mean of the mixture.
-    #[must_use]
-    pub fn mean(&self) -> SVector<f64, N> {
-        self.moments().mean
     }
 
     /// The remaining components with number, weight and state. The number of the kinematic component is

@@ -17,8 +17,8 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
-use crate::control::Plan;
 use crate::moments::scatter;
+use crate::plan::Plan;
 use crate::process::steps;
 use crate::weights::{effective_size, log_sum_exp, normalise, systematic};
 use crate::{

@@ -351,7 +351,7 @@ fn a_forecast_leads_ahead_where_predictions_without_measurements_go() {
         mixture.predict(STEP_NS).expect("a state");
         plain.predict(STEP_NS, &BICYCLE).expect("a state");
         for axis in 0..2 {
-            assert!((ahead.learned_m[axis] - mixture.mean()[axis]).abs() < 1e-9, "{ahead:?}");
+            assert!((ahead.learned_m[axis] - mixture.moments().mean[axis]).abs() < 1e-9, "{ahead:?}");
             assert!((ahead.kinematic_m[axis] - plain.mean[axis]).abs() < 1e-9, "{ahead:?}");
         }
     }
@@ -361,7 +361,8 @@ fn a_forecast_leads_ahead_where_predictions_without_measurements_go() {
     mixture.adopt(&forecast(&two)).expect("a forecast");
     let [_, ahead]: [_; 2] = mixture.ahead(STEP_NS).expect("within the horizon");
     mixture.predict(2 * STEP_NS).expect("a state");
-    let apart_m = (ahead.learned_m[0] - mixture.mean()[0]).hypot(ahead.learned_m[1] - mixture.mean()[1]);
+    let apart_m = (ahead.learned_m[0] - mixture.moments().mean[0])
+        .hypot(ahead.learned_m[1] - mixture.moments().mean[1]);
     assert!(apart_m < 0.1, "{apart_m} m, of hypotheses that are 1.3 m apart");
     assert!(mixture.ahead::<2>(6 * STEP_NS).is_none(), "past the horizon");
     mixture.reset(start);

@@ -2,7 +2,7 @@
 
 use elementary::hypot;
 
-use crate::map::{POINTS_MAX, SPACING_M};
+use crate::lane::{POINTS_MAX, SPACING_M};
 use crate::osm::Line;
 use crate::{Lane, Users};
 

@@ -28,6 +28,7 @@ mod error;
 mod geometry;
 mod grid;
 mod guide;
+mod lane;
 mod map;
 mod osm;
 mod positions;
@@ -38,7 +39,8 @@ mod tags;
 
 pub use error::{Element, Kind, LaneMapError};
 pub use guide::{Guided, GuidedPath, LaneGuide};
-pub use map::{Area, LANES_MAX, Lane, LaneMap, POINTS_MAX, SPACING_M, Users};
+pub use lane::{Lane, POINTS_MAX, SPACING_M, Users};
+pub use map::{Area, LANES_MAX, LaneMap};
 pub use osm::{MEMBERS_MAX, XML_BYTES_MAX};
 pub use projection::{FROM_MERIDIAN_MAX_DEG, Origin, Projector, UnknownOrigin};
 pub use routes::{ROUTE_POINTS_MAX, ROUTE_STEP_M, ROUTES_MAX, Route, Routes};

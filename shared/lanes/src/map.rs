@@ -6,10 +6,10 @@ use std::io::Read;
 use std::path::Path;
 
 use roxmltree::Node as XmlNode;
-use wire::AgentType;
 
 use crate::geometry::{Sampled, align, near};
 use crate::grid::Grid;
+use crate::lane::{Lane, POINTS_MAX, Users};
 use crate::osm::{self, Elements, Line, Member, Tags, XML_BYTES_MAX, members, shortened};
 use crate::positions::Positions;
 use crate::skipped::{Skipped, SkippedKind};
@@ -17,11 +17,6 @@ use crate::{Coordinates, Element, Kind, LaneMapError, tags};
 
 /// Maximum number of lanes. A lanelet that is used both ways counts twice.
 pub const LANES_MAX: usize = 200_000;
-/// Maximum number of points of all lanes together.
-pub const POINTS_MAX: usize = 8_000_000;
-/// Largest distance between the points of a lane.
-pub const SPACING_M: f64 = 1.0;
-
 /// The lanes of a site, in the world frame.
 #[derive(Clone, Debug)]
 pub struct LaneMap {
@@ -29,29 +24,6 @@ pub struct LaneMap {
     areas: Vec<Area>,
     skipped: Skipped,
     grid: Grid,
-}
-
-/// A lanelet in one direction.
-#[derive(Clone, Debug)]
-pub struct Lane {
-    /// Number of the lanelet in the file.
-    pub id: i64,
-    /// Types of agents that use it.
-    pub users: Users,
-    /// Speed limit; `None` if neither the map nor the kind of road has one.
-    pub limit_mps: Option<f32>,
-    /// At least two points along the middle, at most [`SPACING_M`] apart, all different.
-    pub centre_m: Vec<[f32; 2]>,
-    /// Half of the width at each point.
-    pub half_width_m: Vec<f32>,
-    /// Length along the middle up to each point.
-    pub along_m: Vec<f32>,
-    /// The bounds, left and right, in the direction of the lane.
-    pub bounds_m: [Vec<[f32; 2]>; 2],
-    /// Places in [`LaneMap::lanes`] of the lanes that begin where this one ends.
-    pub successors: Vec<u32>,
-    /// Places of the lanes to the left and right that an agent may change to.
-    pub beside: [Option<u32>; 2],
 }
 
 /// An area of the map.
@@ -63,28 +35,6 @@ pub struct Area {
     pub is_keepout: bool,
     /// The outer bound, closed.
     pub outline_m: Vec<[f32; 2]>,
-}
-
-/// A set of agent types, one bit each.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Users(u8);
-
-impl Users {
-    /// The set of these types.
-    #[must_use]
-    pub fn of(types: &[AgentType]) -> Self {
-        Self(types.iter().fold(0, |bits, &agent_type| bits | 1 << agent_type as u8))
-    }
-
-    /// Whether the set contains a type.
-    #[must_use]
-    pub const fn contain(self, agent_type: AgentType) -> bool {
-        self.0 & 1 << agent_type as u8 != 0
-    }
-
-    pub(crate) const fn is_empty(self) -> bool {
-        self.0 == 0
-    }
 }
 
 impl LaneMap {
@@ -160,14 +110,6 @@ impl Area {
                 (a[1] > y) != (b[1] > y) && x < a[0] + (y - a[1]) / (b[1] - a[1]) * (b[0] - a[0]);
             inside != is_crossed
         })
-    }
-}
-
-impl Lane {
-    /// Length along the middle.
-    #[must_use]
-    pub fn length_m(&self) -> f32 {
-        self.along_m.last().copied().unwrap_or(0.0)
     }
 }
 
@@ -370,7 +312,7 @@ fn joined(begun: Vec<Begun>) -> Vec<Lane> {
         }
     }
     let users: Vec<Users> = begun.iter().map(|begun| begun.lane.users).collect();
-    let shares_users = |place: u32, own: Users| users[place as usize].0 & own.0 != 0;
+    let shares_users = |place: u32, own: Users| users[place as usize].shares_any(own);
     let mut lanes = Vec::with_capacity(begun.len());
     for (place, mut begun) in begun.into_iter().enumerate() {
         let own = begun.lane.users;

@@ -68,9 +68,10 @@ pub use displacement::{
     joint_spread, min_displacement, most_likely,
 };
 pub use kmeans::{Clusters, kmeans};
-pub use limits::{BicycleLimits, Limits, PointLimits};
+pub use limits::{Limits, PointLimits};
 pub use mean::{Mean, Share};
 pub use region::{HighestDensity, highest_density_level};
+pub use steering::BicycleLimits;
 
 /// A position (x, y) in metres.
 pub type Point = [f32; 2];

@@ -3,7 +3,7 @@
 use scene::{AgentType, State};
 
 use crate::Point;
-use crate::steering::Steering;
+use crate::steering::{BicycleLimits, Steering};
 
 /// The limits of an agent.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -12,19 +12,6 @@ pub enum Limits {
     Bicycle(BicycleLimits),
     /// A point, which can accelerate in any direction.
     Point(PointLimits),
-}
-
-/// The limits of a vehicle whose centre moves at a slip angle to its heading, as in the model's bicycle.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct BicycleLimits {
-    /// Largest change of the speed per second.
-    pub acceleration_mps2: f32,
-    /// Largest angle between course and heading.
-    pub slip_rad: f32,
-    /// Largest change of the slip angle per second.
-    pub slip_rate_radps: f32,
-    /// Distance from the centre to the rear axle; positive.
-    pub rear_axle_m: f32,
 }
 
 /// The limits of cyclists and pedestrians.

@@ -3,12 +3,24 @@ use std::f64::consts::{PI, TAU};
 use scene::State;
 
 use crate::Point;
-use crate::limits::BicycleLimits;
 
 /// Share by which a rollout in f32 may exceed every limit.
 const ROUNDING: f64 = 1e-3;
 /// Error of a coordinate, in units in the last place.
 const ULPS: f64 = 4.0;
+
+/// The limits of a vehicle whose centre moves at a slip angle to its heading, as in the model's bicycle.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BicycleLimits {
+    /// Largest change of the speed per second.
+    pub acceleration_mps2: f32,
+    /// Largest angle between course and heading.
+    pub slip_rad: f32,
+    /// Largest change of the slip angle per second.
+    pub slip_rate_radps: f32,
+    /// Distance from the centre to the rear axle; positive.
+    pub rear_axle_m: f32,
+}
 
 /// Follows the positions of a vehicle as long as a bicycle within its limits can reach them.
 ///

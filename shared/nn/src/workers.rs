@@ -245,13 +245,6 @@ impl<J: Job> Workers<J> {
         Ok(pool)
     }
 
-    /// Number of jobs.
-    #[must_use]
-    #[expect(clippy::len_without_is_empty, reason = "a pool is never empty")]
-    pub fn len(&self) -> usize {
-        1 + self.slots.len()
-    }
-
     /// The input of the next step, for writing.
     pub fn input(&mut self) -> RwLockWriteGuard<'_, J::Input> {
         self.step.write()

@@ -43,6 +43,7 @@
 
 mod added;
 mod added_relay;
+mod added_subscriber;
 mod clock;
 mod color;
 mod drive;
@@ -50,6 +51,7 @@ mod element;
 mod error;
 mod keep;
 mod kept;
+mod limits;
 mod log;
 mod memory;
 mod missing;
@@ -68,21 +70,23 @@ mod standby;
 mod step;
 mod stop;
 mod subscriber;
+mod topics;
 mod transport;
 mod wait;
 
-pub use added::{AddedFrame, AddedSubscriber, Beside};
 pub use added_relay::AddedRelay;
+pub use added_subscriber::{AddedFrame, AddedSubscriber, Beside};
 pub use clock::monotonic_ns;
 pub use color::{COLOR_VARIABLE, Color, UnknownColor};
 pub use drive::drive;
 pub use error::{Awaiting, PortError, StageError};
 pub use kept::KeptMemory;
+pub use limits::HEARTBEAT;
 pub use log::{
     LOG_VARIABLE, LogFormat, OUTPUT_TARGET, UnknownLogFormat, begin_command_logging, begin_logging,
 };
 pub use names::TOPICS_VARIABLE;
-pub use node::{HALF_MADE_LIMIT, Node, Topics, clean_dead_nodes};
+pub use node::{HALF_MADE_LIMIT, Node, clean_dead_nodes};
 pub use nodes::{NodeNumber, NodeProcess, NodeWatch};
 pub use peers::{Peers, TAP};
 pub use points::{POINTS_VARIABLE, Point};
@@ -97,8 +101,9 @@ pub use space::{
     Leftover, LivingRun, Space, SpaceError, leftovers, living_runs, remove_half_made_connections,
     shared_memory_free,
 };
-pub use stage::{Awaited, HEARTBEAT, Passage, Stage};
+pub use stage::{Awaited, Passage, Stage};
 pub use standby::{GO, STANDBY_VARIABLE, await_turn};
 pub use step::{Answer, NoTopic, Room, Second, SecondInput, Step, Tick};
 pub use stop::{Asked, Stop};
 pub use subscriber::{Frame, Subscriber};
+pub use topics::Topics;

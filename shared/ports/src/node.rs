@@ -1,5 +1,4 @@
 use std::collections::BTreeMap;
-use std::fmt::Debug;
 use std::time::{Duration, Instant};
 
 use iceoryx2::port::subscriber::SubscriberCreateError;
@@ -9,21 +8,16 @@ use iceoryx2::service::builder::publish_subscribe::{
     PublishSubscribeCreateError, PublishSubscribeOpenError, PublishSubscribeOpenOrCreateError,
 };
 use iceoryx2::service::port_factory::event;
-use iceoryx2::service::static_config::message_type_details::{TypeDetail, TypeVariant};
 use run::{Run, SpareRun};
-use wire::{
-    ContextTopic, ControlsTopic, DetectionsTopic, EncodingsTopic, FeaturesTopic, ForecastsTopic,
-    HeartbeatsTopic, StageId, Topic, TracksTopic, TruthTopic,
-};
+use wire::StageId;
 
 use crate::added::Added;
-use crate::element::Element;
+use crate::limits::Limits;
 use crate::names::Names;
-use crate::nodes::{self, NodeNumber, NodeProcess};
+use crate::nodes::{self, NodeNumber, NodeProcess, transport_config};
 use crate::publisher::Sender;
 use crate::space::{half_made_services, remove_half_made_services};
-use crate::transport::{Limits, Reader, Services, Shape, Writer};
-use crate::{HEARTBEAT, PortError, Publisher, Stop, Subscriber};
+use crate::{PortError, Stop};
 
 /// Frames that one reader may hold at a time: one for a long time, and two more while it looks for the
 /// newest.
@@ -32,8 +26,6 @@ pub(crate) const BORROWED_MAX: usize = 3;
 pub(crate) const LOANED_MAX: usize = 1;
 /// Number of earlier frames that a new reader receives.
 pub(crate) const HISTORY: usize = 1;
-/// Processes of a run that may use a topic: all stages, the launcher, and spares for tools.
-pub(crate) const NODES_MAX: usize = 20;
 /// A payload starts at a cache line, which is aligned for every vector load.
 pub(crate) const ALIGNMENT: usize = 64;
 
@@ -62,13 +54,13 @@ pub(crate) mod event_id {
 #[derive(Debug)]
 pub struct Node {
     pub(crate) node: iceoryx2::node::Node<ipc::Service>,
-    run_id: u64,
+    pub(crate) run_id: u64,
     pub(crate) interval: Duration,
     stop: Stop,
-    sender: Sender,
-    names: Names,
-    protected: Vec<String>,
-    lockstep: bool,
+    pub(crate) sender: Sender,
+    pub(crate) names: Names,
+    pub(crate) protected: Vec<String>,
+    pub(crate) lockstep: bool,
     spares: Vec<SpareRun>,
     readers: BTreeMap<String, u32>,
     pub(crate) added: Added,
@@ -117,52 +109,6 @@ impl Node {
         self.run_id
     }
 
-    /// Opens a topic for writing.
-    ///
-    /// # Errors
-    /// [`PortError`] if all writer places of the topic are taken or shared memory is short.
-    pub fn publisher<T: Topic>(&self) -> Result<Publisher<T>, PortError> {
-        Ok(Publisher::new(self.writer::<T>(self.names.of(T::NAME))?, self.sender, self.protects::<T>()))
-    }
-
-    /// Opens a topic for reading with a queue of `depth` frames; the oldest is dropped when it is full.
-    ///
-    /// # Errors
-    /// [`PortError`] if all reader places of the topic are taken, shared memory is short, or `depth` is more
-    /// than [`Topic::DEPTH_MAX`].
-    pub fn subscriber<T: Topic>(&self, depth: usize) -> Result<Subscriber<T>, PortError> {
-        let reader = self.reader::<T>(self.names.of(T::NAME), depth)?;
-        Ok(Subscriber::new(reader, self.run_id, self.protects::<T>(), self.lockstep))
-    }
-
-    /// Whether the frames of the topic carry a check value.
-    fn protects<T: Topic>(&self) -> bool {
-        // A declared topic has no check value: its readers may know it by another name, and the check value
-        // covers the name.
-        self.added.topic(self.names.of(T::NAME)).is_none()
-            && self.protected.iter().any(|name| name == T::NAME)
-    }
-
-    /// Opens a topic for writing, by its name in shared memory.
-    pub(crate) fn writer<T: Topic>(&self, name: &str) -> Result<Writer, PortError> {
-        Writer::open(self, name, &self.shape::<T>(name), T::ELEMENTS_START)
-    }
-
-    /// Opens a topic for reading, by its name in shared memory.
-    pub(crate) fn reader<T: Topic>(&self, name: &str, depth: usize) -> Result<Reader, PortError> {
-        Reader::open(self, name, &self.shape::<T>(name), depth)
-    }
-
-    /// The settings of a topic, by its name in shared memory. They are the same in all processes.
-    fn shape<T: Topic>(&self, name: &str) -> Shape {
-        Shape {
-            topic: T::NAME,
-            element: TypeDetail::new::<Element<T>>(TypeVariant::Dynamic),
-            limits: self.limits::<T>(name),
-            interval: if T::NAME == HeartbeatsTopic::NAME { HEARTBEAT } else { self.interval },
-        }
-    }
-
     /// Opens or creates the event service of a topic.
     pub(crate) fn events(
         &self,
@@ -185,25 +131,6 @@ impl Node {
                 .open_or_create()
         };
         self.patiently(events, is_half_made_event).map_err(PortError::of("events", topic))
-    }
-
-    /// Limits of a topic, by its name in shared memory. They count the ports of the shipped pipeline, of the
-    /// stages that the pipeline file adds, and of spares. All processes of the run find the same limits in
-    /// its record.
-    fn limits<T: Topic>(&self, name: &str) -> Limits {
-        if let Some(topic) = self.added.topic(name) {
-            return self.with_further(name, self.added.limits(topic));
-        }
-        let heartbeats_len = if T::NAME == HeartbeatsTopic::NAME { self.added.stages_len } else { 0 };
-        self.with_further(
-            name,
-            Limits {
-                publishers_max: T::PUBLISHERS_MAX + heartbeats_len,
-                subscribers_max: T::SUBSCRIBERS_MAX + self.added.readers_len(name),
-                nodes_max: NODES_MAX + self.added.stages_len,
-                depth_max: T::DEPTH_MAX,
-            },
-        )
     }
 
     /// Adds places for spares and for the further readers of the pipeline file. Each spare may read the
@@ -237,38 +164,6 @@ impl Node {
                 opened => return opened,
             }
         }
-    }
-}
-
-/// The topics of a run, created before any other process opens them, with places for all spares. They exist
-/// as long as a process has them open.
-#[derive(Debug)]
-pub struct Topics {
-    _services: Vec<Box<dyn Debug>>,
-    _node: Node,
-}
-
-impl Topics {
-    /// Creates the topics of a run.
-    ///
-    /// # Errors
-    /// [`PortError`] if a topic can't be created.
-    pub fn make(run: &Run) -> Result<Self, PortError> {
-        let node = Node::open(run, "topics")?;
-        fn of<T: Topic>(node: &Node) -> Result<Box<dyn Debug>, PortError> {
-            Ok(Box::new(Services::open(node, T::NAME, &node.shape::<T>(T::NAME))?))
-        }
-        let services = vec![
-            of::<DetectionsTopic>(&node)?,
-            of::<TracksTopic>(&node)?,
-            of::<ContextTopic>(&node)?,
-            of::<FeaturesTopic>(&node)?,
-            of::<EncodingsTopic>(&node)?,
-            of::<ControlsTopic>(&node)?,
-            of::<ForecastsTopic>(&node)?,
-            of::<TruthTopic>(&node)?,
-        ];
-        Ok(Self { _services: services, _node: node })
     }
 }
 
@@ -330,18 +225,6 @@ pub(crate) fn subscriber<S>(
             created => return created.map_err(PortError::of("subscriber", topic)),
         }
     }
-}
-
-/// The transport's settings for a run: the run's own names and directory, and no clean-up by the stages. A
-/// clean-up could block on a file that a killed process left half written.
-pub(crate) fn transport_config(run: &Run) -> Result<Config, SemanticStringError> {
-    let mut config = Config::global_config().clone();
-    config.global.prefix = FileName::new(run.prefix.as_bytes())?;
-    config.global.set_root_path(&Path::new(run.root.as_os_str().as_encoded_bytes())?);
-    config.global.node.cleanup_dead_nodes_on_creation = false;
-    config.global.node.cleanup_dead_nodes_on_destruction = false;
-    config.global.service.cleanup_dead_nodes_on_open = false;
-    Ok(config)
 }
 
 /// Frees the resources of a run's dead processes in shared memory: their places on the topics and the frames

@@ -12,11 +12,12 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use iceoryx2::node::{DeadNodeView, NodeState, NodeView};
-use iceoryx2::prelude::{CallbackProgression, Config, SemanticString, ipc};
+use iceoryx2::prelude::{
+    CallbackProgression, Config, FileName, Path as TransportPath, SemanticString, SemanticStringError, ipc,
+};
 use run::Run;
 use rustix::process::{Flock, FlockType, fcntl_getlk};
 
-use crate::node::transport_config;
 use crate::space::is_older;
 
 /// The folder of the nodes in a run's directory.
@@ -92,6 +93,18 @@ impl NodeWatch {
         let _ = iceoryx2::node::Node::<ipc::Service>::list(&self.config, take);
         processes
     }
+}
+
+/// The transport's settings for a run: the run's own names and directory, and no clean-up by the stages. A
+/// clean-up could block on a file that a killed process left half written.
+pub(crate) fn transport_config(run: &Run) -> Result<Config, SemanticStringError> {
+    let mut config = Config::global_config().clone();
+    config.global.prefix = FileName::new(run.prefix.as_bytes())?;
+    config.global.set_root_path(&TransportPath::new(run.root.as_os_str().as_encoded_bytes())?);
+    config.global.node.cleanup_dead_nodes_on_creation = false;
+    config.global.node.cleanup_dead_nodes_on_destruction = false;
+    config.global.service.cleanup_dead_nodes_on_open = false;
+    Ok(config)
 }
 
 /// The process of a dead node, if the node's files name it.

@@ -3,11 +3,11 @@ use std::time::Duration;
 
 use run::{Declaration, Run};
 use wire::{
-    Counts, Header, Heartbeat, HeartbeatsTopic, Hop, REFUSALS_MAX, Refusals, Rejected, StageId, TICK_NS,
-    Topic, flags,
+    Counts, Header, Heartbeat, HeartbeatsTopic, Hop, REFUSALS_MAX, Refusals, Rejected, StageId, Topic, flags,
 };
 
 use crate::error::log_refused;
+use crate::limits::HEARTBEAT;
 use crate::memory::ResidentMemory;
 use crate::points::{self, Point};
 use crate::subscriber::Input;
@@ -16,8 +16,6 @@ use crate::{
     Beside, Frame, Loan, Node, Peers, PortError, Publisher, Stop, Subscriber, monotonic_ns, standby,
 };
 
-/// Time between the heartbeats of a stage: one tick, with or without work.
-pub const HEARTBEAT: Duration = Duration::from_nanos(TICK_NS);
 /// Queue depth of a stage's input: the current tick and the next.
 const DEPTH: usize = 2;
 /// Maximum wait for the place of an ended process to become free, and the pause between two tries.

@@ -25,20 +25,12 @@ use iceoryx2::service::static_config::message_type_details::{TypeDetail, TypeVar
 use wire::Header;
 
 use crate::element::Head;
+use crate::limits::Limits;
 use crate::node::{
     ALIGNMENT, BORROWED_MAX, HISTORY, LOANED_MAX, SERVICES, event_id, is_half_made_topic, subscriber,
 };
 use crate::wait::{Wakes, drain};
 use crate::{Node, PortError};
-
-/// Maximum numbers of ports of a topic, and its maximum queue depth.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Limits {
-    pub publishers_max: usize,
-    pub subscribers_max: usize,
-    pub nodes_max: usize,
-    pub depth_max: usize,
-}
 
 /// What all processes must agree on to open a topic.
 #[derive(Debug)]

@@ -95,12 +95,6 @@ impl Flight {
         self.open.take_if(|[_, end_ns]| now_ns >= *end_ns).is_some()
     }
 
-    /// Whether a file is being written.
-    #[must_use]
-    pub const fn is_writing(&self) -> bool {
-        self.open.is_some()
-    }
-
     /// Number of files started.
     #[must_use]
     pub const fn files(&self) -> u32 {
@@ -148,7 +142,7 @@ mod tests {
         assert_eq!(flight.cause(Trigger::Late, S), Act::Begin(1));
         assert_eq!(flight.cause(Trigger::Late, 2 * S), Act::Keep, "the same event goes on");
         assert_eq!(flight.cause(Trigger::Stage, 4 * S), Act::Join);
-        assert!(!flight.ends(8 * S) && flight.ends(9 * S) && !flight.is_writing());
+        assert!(!flight.ends(8 * S) && flight.ends(9 * S) && flight.open.is_none());
         assert_eq!(flight.cause(Trigger::Asked, 20 * S), Act::Begin(2));
         assert_eq!(flight.cause(Trigger::Asked, 21 * S), Act::Join, "who asks twice means it");
         assert!(flight.ends(26 * S));
@@ -172,7 +166,7 @@ mod tests {
                     prop_assert!(begun_ns.is_none() && number <= 2);
                     begun_ns = Some(now_ns);
                 }
-                prop_assert_eq!(begun_ns.is_some(), flight.is_writing());
+                prop_assert_eq!(begun_ns.is_some(), flight.open.is_some());
                 prop_assert!(begun_ns.is_none_or(|begun| now_ns - begun <= JOINED_MAX * 5 * S));
             }
         }

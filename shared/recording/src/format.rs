@@ -1,5 +1,9 @@
 //! Writes MCAP records.
 
+/// Names of the metadata at the start and at the end of the file.
+pub const BEGIN: &str = "stgdat.run";
+pub const END: &str = "stgdat.end";
+
 /// Bytes of a record before its body: opcode and length.
 pub const PREFIX: usize = 9;
 

@@ -48,12 +48,12 @@ mod event;
 pub mod flight;
 mod format;
 mod frame;
-#[cfg(test)]
-mod fuzz;
 mod reader;
 mod ring;
 mod sink;
 pub mod tap;
+#[cfg(test)]
+mod tests;
 mod writer;
 
 pub use about::{ABOUT, About};

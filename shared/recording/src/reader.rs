@@ -12,8 +12,7 @@ use wire::{SCHEMA, TABLE};
 
 use self::layout::{Layout, Place};
 use self::messages::{Channel, Content, Part};
-use crate::format::PREFIX;
-use crate::writer::{BEGIN, END};
+use crate::format::{BEGIN, END, PREFIX};
 use crate::{About, Event, Frame, LogLine, ReadError};
 
 #[cfg(test)]

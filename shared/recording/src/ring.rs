@@ -57,12 +57,6 @@ impl Ring {
         self.messages.iter()
     }
 
-    /// Memory that the messages use.
-    #[must_use]
-    pub const fn bytes(&self) -> usize {
-        self.bytes
-    }
-
     /// Time from the first message to the last.
     #[must_use]
     pub fn span_ns(&self) -> u64 {
@@ -111,7 +105,7 @@ mod tests {
         assert_eq!(times, (19..30).collect::<Vec<_>>());
         assert!(!ring.is_cut() && ring.span_ns() == 10);
         ring.push(line(30, 2 << 20), drop);
-        assert!(ring.is_cut() && ring.messages().len() == 0 && ring.bytes() == 0);
+        assert!(ring.is_cut() && ring.messages().len() == 0 && ring.bytes == 0);
     }
 
     proptest! {
@@ -130,9 +124,9 @@ mod tests {
                 let message = if is_frame { frame(at_ns, len) } else { line(at_ns, len) };
                 all.push(message.clone());
                 ring.push(message, |message| went.push(message));
-                prop_assert!(ring.bytes() <= bytes && ring.span_ns() <= span_ns);
+                prop_assert!(ring.bytes <= bytes && ring.span_ns() <= span_ns);
                 let kept: Vec<&Message> = ring.messages().collect();
-                prop_assert_eq!(ring.bytes(), kept.iter().map(|message| weight(message)).sum::<usize>());
+                prop_assert_eq!(ring.bytes, kept.iter().map(|message| weight(message)).sum::<usize>());
                 let gone = all.len() - kept.len();
                 prop_assert!(went == all[..gone], "what goes is handed on");
                 prop_assert!(kept.iter().zip(&all[gone..]).all(|(a, b)| *a == b), "the newest, in order");

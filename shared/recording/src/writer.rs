@@ -10,7 +10,7 @@ use serde::Serialize;
 use wire::{Header, TABLE, TopicEntry};
 
 use crate::before::kept_bytes;
-use crate::format::{Body, PREFIX};
+use crate::format::{BEGIN, Body, END, PREFIX};
 use crate::sink::FileSink;
 use crate::{About, EVENTS, Event, Frame, Happened, LOG, LogLine, Message, Sink, WriteError};
 
@@ -37,10 +37,6 @@ pub(crate) const WIRE: &str = "stgdat-wire";
 pub(crate) const JSON: &str = "json";
 /// Compression of chunks.
 const LZ4: &str = "lz4";
-/// Names of the metadata at the start and at the end of the file.
-pub(crate) const BEGIN: &str = "stgdat.run";
-pub(crate) const END: &str = "stgdat.end";
-
 /// Messages that are missing in the file, by topic.
 pub type Losses = BTreeMap<String, u64>;
 
@@ -227,12 +223,6 @@ impl<S: Sink> Writer<S> {
             Message::Event(event) => self.event(event),
             Message::Line(line) => self.line(line),
         }
-    }
-
-    /// The size and content of the file so far.
-    #[must_use]
-    pub const fn written(&self) -> &Written {
-        &self.written
     }
 
     /// The last error of the disk; returned once.

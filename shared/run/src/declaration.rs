@@ -6,8 +6,8 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 use wire::StageId;
 
-use crate::Run;
 use crate::options::OptionsSchema;
+use crate::{Run, StageRun};
 
 /// A stage in one constant: its id, the topics of its program, and the struct of its options.
 pub struct Declaration<O> {
@@ -252,5 +252,21 @@ impl<O: DeserializeOwned + JsonSchema> Declared for Declaration<O> {
         let options =
             parsed(table).map_err(|error| OptionError::Unreadable { stage, source: error.into() })?;
         Ok((self.rule)(&options)?)
+    }
+}
+
+impl StageRun {
+    /// This project's own program of a stage, with these options and without a share of the tick.
+    ///
+    /// # Errors
+    /// [`OptionError::Unwritable`] if TOML cannot represent the options because a path is not UTF-8.
+    pub fn with_options<O: Serialize>(
+        declaration: &Declaration<O>,
+        options: &O,
+    ) -> Result<Self, OptionError> {
+        let stage = declaration.id();
+        let options = toml::to_string(options).map_err(|source| OptionError::Unwritable { stage, source })?;
+        let (name, reads, writes) = (String::new(), Vec::new(), Vec::new());
+        Ok(Self { stage: stage.number(), budget_ms: None, built_in: true, options, name, reads, writes })
     }
 }

@@ -12,8 +12,6 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 use wire::{ForecastsTopic, HeartbeatsTopic, StageId, TICK_NS, Topic, WorldOrigin};
 
-use crate::{Declaration, OptionError};
-
 /// First bytes of a record's file, before the schema's number and a line break.
 const MAGIC: &str = "stgdat-run ";
 /// Version of the record. It increases with every change of [`Run`].
@@ -196,22 +194,6 @@ impl Default for Run {
             topics: Vec::new(),
             readers: BTreeMap::new(),
         }
-    }
-}
-
-impl StageRun {
-    /// This project's own program of a stage, with these options and without a share of the tick.
-    ///
-    /// # Errors
-    /// [`OptionError::Unwritable`] if TOML cannot represent the options because a path is not UTF-8.
-    pub fn with_options<O: Serialize>(
-        declaration: &Declaration<O>,
-        options: &O,
-    ) -> Result<Self, OptionError> {
-        let stage = declaration.id();
-        let options = toml::to_string(options).map_err(|source| OptionError::Unwritable { stage, source })?;
-        let (name, reads, writes) = (String::new(), Vec::new(), Vec::new());
-        Ok(Self { stage: stage.number(), budget_ms: None, built_in: true, options, name, reads, writes })
     }
 }
 

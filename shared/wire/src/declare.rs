@@ -88,7 +88,7 @@ macro_rules! record {
         }
 
         #[cfg(test)]
-        impl $crate::distinct::Distinct for $name {
+        impl $crate::tests::distinct::Distinct for $name {
             fn number(&mut self, next: &mut u32) {
                 $(self.$field.number(next);)+
             }

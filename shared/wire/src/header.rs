@@ -1,8 +1,8 @@
 use crate::declare::{constants, numbers, record};
 use crate::limits::schema;
 use crate::{
-    AGENT_TYPES, AGENTS_MAX, HISTORY_MAX, HOPS_MAX, HORIZON_MAX, MODES_MAX, Protection, Rejected, SCHEMA,
-    SHED_WORDS, StageId,
+    AGENT_TYPES, AGENTS_MAX, HISTORY_MAX, HOPS_MAX, HORIZON_MAX, MODES_MAX, Rejected, SCHEMA, SHED_WORDS,
+    StageId,
 };
 
 /// Bits of [`Header::flags`].
@@ -88,6 +88,24 @@ numbers! {
         Receipt = 3 => "time of receipt",
         /// A generated scene.
         Generated = 4 => "generated",
+    }
+}
+
+record! {
+    /// The end-to-end protection of a frame, in the order of AUTOSAR's E2E profile 7. All zeros if the frame
+    /// is not protected.
+    #[derive(Eq)]
+    pub struct Protection: 24 bytes {
+        /// CRC-64/XZ of the header after this field, and of the payload.
+        0 => crc: u64,
+        /// Total bytes of header and payload.
+        8 => length: u32,
+        /// Counts the frames of the sender; wraps around.
+        12 => counter: u32,
+        /// Identifies the topic: FNV-1a of its name, in 32 bits.
+        16 => data_id: u32,
+        /// Zero.
+        20 => reserved: [u8; 4],
     }
 }
 

@@ -80,8 +80,6 @@
 mod agent;
 mod check;
 mod declare;
-#[cfg(test)]
-mod distinct;
 mod header;
 mod layout;
 mod limits;
@@ -90,12 +88,15 @@ mod protection;
 mod records;
 mod stage;
 mod table;
+#[cfg(test)]
+mod tests;
 mod tick;
 mod topic;
+mod whole;
 
 pub use agent::{AGENT_TYPES, AgentType, UnknownAgentType};
 pub use check::{Rejected, at_most, equal, finite};
-pub use header::{Counts, Header, Hop, InputCounts, StampSource, doubts, flags};
+pub use header::{Counts, Header, Hop, InputCounts, Protection, StampSource, doubts, flags};
 pub use layout::{
     Context, ContextMut, ContextShape, Edge, FeatureShape, Features, FeaturesMut, Row, context_rows,
     feature_rows,
@@ -107,18 +108,18 @@ pub use limits::{
     RELATION_FEATURES, SCHEMA, SHED_WORDS, SPEED_MAX_MPS, STATE_EMBEDDING, STATE_FEATURES, TEMPORAL,
 };
 pub use origin::{UnknownWorldOrigin, WorldOrigin};
-pub use protection::{Protection, RefusalCause, Refusals, crc64, data_id};
+pub use protection::{RefusalCause, Refusals, crc64, data_id};
 pub use records::{
     AgentControls, AgentEncoding, AgentFeatures, Cause, ControlGaussian, Detection, Expert, Forecast,
     Heartbeat, HistoryState, Quality, Steering, Track, TrackStatus, Truth, detection_flags,
 };
 pub use stage::StageId;
 pub use table::{
-    Constant, Field, Flags, Layout, Leaf, Number, Numbers, Primitive, Record, TABLE, Table, TopicEntry, Type,
-    Value,
+    Constant, Field, Flags, Layout, Leaf, Number, Numbers, Primitive, Record, Table, TopicEntry, Type, Value,
 };
 pub use tick::{TICK_MS, TICK_NS};
 pub use topic::{
     ContextTopic, ControlsTopic, DetectionsTopic, EncodingsTopic, FeaturesTopic, ForecastsTopic,
     HeartbeatsTopic, Topic, TracksTopic, TruthTopic,
 };
+pub use whole::TABLE;

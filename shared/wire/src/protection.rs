@@ -5,25 +5,7 @@ use bytemuck::{bytes_of, cast_slice};
 use crc_fast::{CrcAlgorithm, Digest};
 
 use crate::declare::{numbers, record};
-use crate::{Header, Rejected, Topic};
-
-record! {
-    /// The end-to-end protection of a frame, in the order of AUTOSAR's E2E profile 7. All zeros if the frame
-    /// is not protected.
-    #[derive(Eq)]
-    pub struct Protection: 24 bytes {
-        /// CRC-64/XZ of the header after this field, and of the payload.
-        0 => crc: u64,
-        /// Total bytes of header and payload.
-        8 => length: u32,
-        /// Counts the frames of the sender; wraps around.
-        12 => counter: u32,
-        /// Identifies the topic: FNV-1a of its name, in 32 bits.
-        16 => data_id: u32,
-        /// Zero.
-        20 => reserved: [u8; 4],
-    }
-}
+use crate::{Header, Protection, Rejected, Topic};
 
 numbers! {
     /// Why frames were refused, as heartbeats and reports count it.

@@ -3,18 +3,10 @@
 
 use bytemuck::Pod;
 
-use crate::topic::TOPICS;
-use crate::{
-    AgentControls, AgentEncoding, AgentFeatures, AgentType, Cause, ControlGaussian, Counts, Detection, Edge,
-    Expert, Forecast, Header, Heartbeat, HistoryState, Hop, InputCounts, Protection, Quality, RefusalCause,
-    Refusals, Row, SCHEMA, StageId, StampSource, Steering, Track, TrackStatus, Truth, detection_flags,
-    doubts, flags, limits,
-};
-
 /// Everything that programs in other languages need to read and write frames.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Table {
-    /// [`SCHEMA`].
+    /// [`SCHEMA`](crate::SCHEMA).
     pub schema: u32,
     /// Limits and sizes.
     pub constants: &'static [Constant],
@@ -264,50 +256,3 @@ impl Type {
         }
     }
 }
-
-/// The whole wire.
-pub const TABLE: Table = Table {
-    schema: SCHEMA,
-    constants: limits::CONSTANTS,
-    flags: &[
-        Flags { name: "flags", doc: "Bits of `Header.flags`.", bits: flags::CONSTANTS },
-        Flags {
-            name: "detection_flags",
-            doc: "Bits of `Detection.flags`.",
-            bits: detection_flags::CONSTANTS,
-        },
-        Flags { name: "doubts", doc: "Bits of `InputCounts.doubts`.", bits: doubts::CONSTANTS },
-    ],
-    numbers: &[
-        StageId::NUMBERS,
-        StampSource::NUMBERS,
-        AgentType::NUMBERS,
-        TrackStatus::NUMBERS,
-        Quality::NUMBERS,
-        Cause::NUMBERS,
-        Steering::NUMBERS,
-        Expert::NUMBERS,
-        RefusalCause::NUMBERS,
-    ],
-    records: &[
-        Protection::RECORD,
-        Hop::RECORD,
-        Counts::RECORD,
-        InputCounts::RECORD,
-        Header::RECORD,
-        Detection::RECORD,
-        Truth::RECORD,
-        HistoryState::RECORD,
-        Track::RECORD,
-        Row::RECORD,
-        AgentFeatures::RECORD,
-        Edge::RECORD,
-        AgentEncoding::RECORD,
-        ControlGaussian::RECORD,
-        AgentControls::RECORD,
-        Forecast::RECORD,
-        Refusals::RECORD,
-        Heartbeat::RECORD,
-    ],
-    topics: &TOPICS,
-};

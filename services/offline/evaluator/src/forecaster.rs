@@ -58,8 +58,6 @@ pub struct Variants {
 pub struct Forecaster {
     weights: Weights,
     run: Run,
-    /// Lanes that the forecasts of vehicles follow.
-    lanes: Option<Arc<LaneMap>>,
 }
 
 /// The stages up to the decoder, for the windows of one recording in time order.
@@ -116,7 +114,7 @@ impl Forecaster {
     /// [`ChainError`] if the weights do not hold the model, or if the model does not fit the payloads.
     pub fn new(weights: Weights, seed: u64) -> Result<Self, ChainError> {
         let run = Run { lockstep: true, seed, ..Run::default() };
-        let forecaster = Self { weights, run, lanes: None };
+        let forecaster = Self { weights, run };
         forecaster.features_to_controls()?;
         forecaster.tracks_to_features(MapInput::None, 1)?;
         Ok(forecaster)
@@ -130,11 +128,6 @@ impl Forecaster {
         let options = decoder::Options { precision, ..decoder::Options::default() };
         self.run.stages = vec![StageRun::with_options(&decoder::STAGE, &options)?];
         self.features_to_controls().map(|_| ())
-    }
-
-    /// Makes vehicles' forecasts follow these lanes.
-    pub fn guide_along(&mut self, map: Arc<LaneMap>) {
-        self.lanes = Some(map);
     }
 
     /// The model's options.
@@ -153,41 +146,6 @@ impl Forecaster {
     #[must_use]
     pub fn memory(&self) -> RetrievalMemory {
         RetrievalMemory::new(self.config().horizon_len, self.config().step_ns())
-    }
-
-    /// Forecasts the agents of a recording's scenes without retrieval. The scenes are in time order. The
-    /// result is indexed by scene and by the agent's place in it; `None` for absent agents.
-    ///
-    /// `wanted` selects scenes by index. Other scenes have no entries.
-    #[must_use]
-    pub fn forecast(
-        &self,
-        recording: &Recording,
-        scenes: &[Scene],
-        map: MapInput<'_>,
-        threads: usize,
-        wanted: impl Fn(usize) -> bool,
-    ) -> Vec<Vec<Option<Forecast>>> {
-        let mut session = Session::new(self, recording, map, threads);
-        let mut sampler = self.sampler(Correction::None);
-        self.lanes.iter().for_each(|map| sampler.guide_along(map));
-        let mut forecasts = Vec::with_capacity(scenes.len());
-        for (part, scenes) in scenes.chunks(TOGETHER).enumerate() {
-            let decoded = session.decode(scenes, |number| wanted(part * TOGETHER + number), |_| Vec::new());
-            for (scene, decoded) in scenes.iter().zip(decoded) {
-                let mut of_scene = Vec::new();
-                if let Some(decoded) = decoded {
-                    of_scene.resize(scene.agents.len(), None);
-                    let TracksPayload { header, tracks, places, .. } = &decoded.payload;
-                    let payloads = sample(&mut sampler, header, tracks, &decoded.controls);
-                    for (&place, payload) in places.iter().zip(&payloads) {
-                        of_scene[place] = Some(Forecast::of(payload, self.config().horizon_len));
-                    }
-                }
-                forecasts.push(of_scene);
-            }
-        }
-        forecasts
     }
 
     /// The `tracks` payloads of a recording's scenes, which are in time order.
@@ -210,12 +168,8 @@ impl Forecaster {
         memory: Option<RetrievalMemory>,
     ) -> Vec<Vec<(usize, Variants)>> {
         let mut session = Session::new(self, recording, map, threads);
-        let mut samplers = Samplers::new(self, memory, self.lanes.as_ref());
-        let part = |scenes: &[Scene]| {
-            let decoded: Vec<_> =
-                session.decode(scenes, |_| true, Scene::complete).into_iter().flatten().collect();
-            samplers.forecast(&decoded, threads)
-        };
+        let mut samplers = Samplers::new(self, memory, None);
+        let part = |scenes: &[Scene]| samplers.forecast(&session.decode(scenes, Scene::complete), threads);
         scenes.chunks(TOGETHER).flat_map(part).collect()
     }
 
@@ -233,7 +187,7 @@ impl Forecaster {
         let mut sampler = self.sampler(Correction::Retrieval);
         sampler.warm_start(memory.clone());
         for scenes in scenes.chunks(TOGETHER) {
-            for decoded in session.decode(scenes, |_| true, |_| Vec::new()).iter().flatten() {
+            for decoded in session.decode(scenes, |_| Vec::new()) {
                 let TracksPayload { header, tracks, .. } = &decoded.payload;
                 sample(&mut sampler, header, tracks, &decoded.controls);
             }
@@ -315,14 +269,8 @@ impl Session {
         }
     }
 
-    /// Passes the next scenes through the extractor and decodes those that are `wanted`. `counts` returns the
-    /// places of the agents whose forecasts are needed.
-    pub(crate) fn decode(
-        &mut self,
-        scenes: &[Scene],
-        wanted: impl Fn(usize) -> bool,
-        counts: impl Fn(&Scene) -> Vec<usize>,
-    ) -> Vec<Option<Decoded>> {
+    /// Decodes the next scenes. `counts` returns the places of the agents whose forecasts are needed.
+    pub(crate) fn decode(&mut self, scenes: &[Scene], counts: impl Fn(&Scene) -> Vec<usize>) -> Vec<Decoded> {
         self.frames.resize_with(self.frames.len().max(scenes.len()), OwnFrame::default);
         let mut begun = Vec::with_capacity(scenes.len());
         for (number, scene) in scenes.iter().enumerate() {
@@ -330,26 +278,23 @@ impl Session {
             let frame = &mut self.frames[number];
             let is_refused = self.features.step(&payload.header, &payload.tracks, frame, |_| ()).is_err();
             let edges_left_out = self.features.effort().edges_dropped;
-            let counting = if wanted(number) { counts(scene) } else { Vec::new() };
+            let counting = counts(scene);
             let counting = (0..payload.places.len())
                 .filter(|&track| counting.contains(&payload.places[track]))
                 .collect();
             let decoded =
                 Decoded { payload, controls: Vec::new(), base: Vec::new(), counting, edges_left_out };
-            begun.push((wanted(number).then_some(decoded), is_refused));
+            begun.push((decoded, is_refused));
         }
         let numbers: Vec<usize> = (0..scenes.len()).collect();
         let made = threads::each_with(&numbers, &mut self.networks, |&number, network| {
             match (&begun[number], &self.frames[number]) {
-                ((Some(decoded), false), frame) => network.step(frame, decoded),
+                ((decoded, false), frame) => network.step(frame, decoded),
                 _ => (Vec::new(), Vec::new()),
             }
         });
-        let filled = begun.into_iter().zip(made).map(|((decoded, _), (controls, base))| {
-            let decoded = decoded?;
-            Some(Decoded { controls, base, ..decoded })
-        });
-        filled.collect()
+        let filled = begun.into_iter().zip(made);
+        filled.map(|((decoded, _), (controls, base))| Decoded { controls, base, ..decoded }).collect()
     }
 }
 

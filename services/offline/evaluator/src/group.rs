@@ -100,12 +100,6 @@ impl Group {
         };
         Some([contrast(0)?, contrast(1)?])
     }
-
-    /// Number of blocks with a counted agent.
-    #[must_use]
-    pub const fn blocks_len(&self) -> usize {
-        self.blocks.len()
-    }
 }
 
 /// The number of horizons, which all these tallies share.

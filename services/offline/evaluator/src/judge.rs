@@ -133,8 +133,7 @@ impl Judge<'_> {
         session: &mut Session,
         samplers: &mut Samplers,
     ) -> Vec<(i64, Vec<Tally>)> {
-        let decoded = session.decode(scenes, |_| true, |scene| self.complete(scene));
-        let decoded: Vec<Decoded> = decoded.into_iter().flatten().collect();
+        let decoded = session.decode(scenes, |scene| self.complete(scene));
         let forecasts = samplers.forecast(&decoded, self.threads);
         let all = scenes.iter().zip(&decoded).zip(&forecasts);
         let cases: Vec<_> = all.filter(|(_, forecasts)| !forecasts.is_empty()).collect();

@@ -102,12 +102,6 @@ impl WeightsChoice {
 }
 
 impl Model {
-    /// Fingerprint of the weights.
-    #[must_use]
-    pub fn sha256(&self) -> &str {
-        &self.sha256
-    }
-
     /// The provenance of these weights for a part of a report.
     #[must_use]
     pub fn provenance(&self, part: &str, map: &str, recordings: &[&Recording]) -> Provenance {

@@ -5,10 +5,10 @@
 #![warn(clippy::print_stdout, clippy::print_stderr)]
 
 mod contenders;
-#[cfg(test)]
-mod docs;
 mod gallery;
 mod picture;
+#[cfg(test)]
+mod tests;
 mod verbs;
 
 use std::process::ExitCode;

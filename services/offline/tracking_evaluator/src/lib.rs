@@ -16,6 +16,7 @@ mod follower;
 mod hypotheses;
 mod kitti;
 mod method;
+mod outcome;
 mod protocol;
 mod report;
 mod singer;
@@ -27,12 +28,13 @@ pub use protocol::{interaction, kitti};
 pub use report::TrackingReport;
 
 pub(crate) use course::{Course, Sensor};
-pub(crate) use follower::{Follower, Outcome};
+pub(crate) use follower::Follower;
 pub(crate) use hypotheses::Place;
 pub(crate) use kitti::{
     ByClass, CLASSES, Counts, KittiMeasure, KittiPart, KittiRow, LEAST_SCORES, Sequence, nearest_neighbours,
 };
 pub(crate) use method::TrackingMethod;
+pub(crate) use outcome::Outcome;
 pub(crate) use report::MethodErrors;
 pub(crate) use tuning::{TRIALS, Trials, tune};
 

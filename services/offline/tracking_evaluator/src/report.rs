@@ -3,7 +3,7 @@
 use metrics::tracking::{Consistency, ConsistencySummary, ErrorNorms};
 use metrics::{PairedErrors, paired_bootstrap_ratio};
 
-use super::follower::Error;
+use super::outcome::Error;
 use super::{Outcome, Sensor, TRIALS, TrackingMethod, Trials};
 use evaluator::{Provenance, RESAMPLES, Table, digits, percent};
 

@@ -13,8 +13,8 @@ use nalgebra::{Matrix2, Matrix3, Matrix3x2, RowVector2, Vector2};
 use wire::AgentType;
 
 use super::course::{Course, Seen};
-use super::follower::{DEGREES, Error, Outcome, SETTLED_S};
 use super::method::UNKNOWN;
+use super::outcome::{DEGREES, Error, Outcome, SETTLED_S};
 
 /// Position, velocity and acceleration of both axes, and the covariance that the axes share.
 #[derive(Clone, Copy)]

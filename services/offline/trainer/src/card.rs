@@ -9,8 +9,8 @@ use crate::machine;
 use crate::net::file::Precision;
 use crate::net::tensors::Tensors;
 use crate::options::TrainOptions;
+use crate::options::set_named;
 use crate::samples::Source;
-use crate::train::set_named;
 use crate::validate::{BASELINE_MIN_M, SetScore, rounded};
 
 /// Provenance and figures of a set of weights.

@@ -20,8 +20,6 @@
 //!
 //! One seed determines all random numbers: a run on one machine repeats to the bit.
 
-#[cfg(test)]
-mod agreement;
 mod base;
 mod batch;
 mod calibration;
@@ -38,11 +36,11 @@ mod own;
 mod presets;
 mod progress;
 mod recipes;
-#[cfg(test)]
-mod recordings;
 mod rollout;
 mod samples;
 mod spool;
+#[cfg(test)]
+mod tests;
 mod train;
 mod validate;
 mod view;

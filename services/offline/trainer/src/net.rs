@@ -7,13 +7,9 @@
 //! The layers use the tensors of the weights file under the same names. Tests compare them with finite
 //! differences, with the golden vectors and with the onboard network.
 
-#[cfg(test)]
-pub(crate) mod check;
 pub(crate) mod context;
 pub(crate) mod dense;
 pub(crate) mod file;
-#[cfg(test)]
-pub(crate) mod golden;
 pub(crate) mod graph;
 pub(crate) mod gru;
 pub(crate) mod layout;

@@ -298,3 +298,26 @@ pub(crate) fn onboard_config() -> ModelConfig {
         feedback: Feedback::Zeros,
     }
 }
+
+pub(crate) fn set_named(name: &str) -> Result<DataSet, TrainError> {
+    let sets = [
+        DataSet::EthUcy,
+        DataSet::SddTrajnet,
+        DataSet::SddRaw,
+        DataSet::Interaction,
+        DataSet::VciDut,
+        DataSet::KittiLabels,
+        DataSet::KittiDetections,
+        DataSet::Driving,
+        DataSet::Ngsim,
+        DataSet::Generated,
+        DataSet::Womd,
+        DataSet::Own,
+    ];
+    let folds = data::sets::Fold::ALL.map(DataSet::EthUcyFold);
+    let known = || sets.into_iter().chain(folds);
+    known().find(|set| set.name() == name).ok_or_else(|| {
+        let names: Vec<&str> = known().map(DataSet::name).collect();
+        TrainError::UnknownDataSet { name: name.to_owned(), known: names.join(", ") }
+    })
+}

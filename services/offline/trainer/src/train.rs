@@ -8,7 +8,7 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use data::sets::{DataSet, Part};
+use data::sets::Part;
 use nn::{Latents, ModelConfig};
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -23,7 +23,7 @@ use crate::machine;
 use crate::net::layout::{initial, layout};
 use crate::net::tensors::Tensors;
 use crate::objective::{Differentiated, LossParts, Objective, differentiate};
-use crate::options::TrainOptions;
+use crate::options::{TrainOptions, set_named};
 use crate::progress::Progress;
 use crate::samples::{MapKind, MapView, Samples, Scene, Selection, SetSamples, Source};
 use crate::spool::Spooling;
@@ -455,29 +455,6 @@ fn read_weights(path: &Path, model: &ModelConfig) -> Result<Tensors, TrainError>
 /// Whether the weights lack the bounds of the base control's features.
 fn lacks_support(weights: &Tensors) -> bool {
     !weights.0.keys().any(|name| name.starts_with("base.") && name.ends_with(".support"))
-}
-
-pub(crate) fn set_named(name: &str) -> Result<DataSet, TrainError> {
-    let sets = [
-        DataSet::EthUcy,
-        DataSet::SddTrajnet,
-        DataSet::SddRaw,
-        DataSet::Interaction,
-        DataSet::VciDut,
-        DataSet::KittiLabels,
-        DataSet::KittiDetections,
-        DataSet::Driving,
-        DataSet::Ngsim,
-        DataSet::Generated,
-        DataSet::Womd,
-        DataSet::Own,
-    ];
-    let folds = data::sets::Fold::ALL.map(DataSet::EthUcyFold);
-    let known = || sets.into_iter().chain(folds);
-    known().find(|set| set.name() == name).ok_or_else(|| {
-        let names: Vec<&str> = known().map(DataSet::name).collect();
-        TrainError::UnknownDataSet { name: name.to_owned(), known: names.join(", ") }
-    })
 }
 
 /// Distributes the clips to `parts` parts with about the same number of agents.

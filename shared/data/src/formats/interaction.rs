@@ -25,7 +25,8 @@ use std::collections::{BTreeMap, BinaryHeap};
 use wire::{AgentType, Detection, detection_flags};
 
 use crate::input::{find, need_any};
-use crate::rows::{self, PEDESTRIAN_IDS, Row, Rows};
+use crate::row::Row;
+use crate::rows::{self, PEDESTRIAN_IDS, Rows};
 use crate::text::{self, Field, Line, Separator};
 use crate::{Frame, Input, ReadError, Recording, Role, sweeps};
 

@@ -41,7 +41,7 @@ pub(crate) fn parse_trajnet(inputs: &[Input], rate: FrameRate) -> Result<Recordi
     let input = need(inputs, Role::Rows)?;
     let mut recording = parse(input, rate, TRAJNET_STEP)?;
     if let Some(table) = crate::input::find(inputs, Role::Scales) {
-        recording.pixel_m = super::sdd_raw::table_pixel_m(table, &crate::open::stem(&input.path))?;
+        recording.pixel_m = super::sdd_raw::table_pixel_m(table, &crate::input::stem(&input.path))?;
     }
     Ok(recording)
 }

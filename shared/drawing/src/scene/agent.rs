@@ -5,10 +5,11 @@ use scene::AgentType;
 use tick_view::{AgentView, ForecastView};
 use wire::Quality;
 
-use crate::canvas::{Canvas, Path, Stroke};
+use crate::canvas::{Canvas, Stroke};
 use crate::colour::{BLUE, Colour, GREEN, GREY, INK, ORANGE, PALE, PURPLE, SKY, VERMILION, WHITE};
 use crate::contour::{Place, simplified};
 use crate::mask::{Mask, Outline};
+use crate::path::Path;
 use crate::scene::AgentDrawing;
 use crate::view::View;
 

@@ -4,10 +4,11 @@ use wire::Quality;
 
 use super::agent::{BEST, HINDSIGHT, HISTORY, LIKELIEST, MODE, OTHER, REGION_OPACITY, TRUTH, quality_colour};
 use super::{AgentDrawing, LABEL_SIZE, SceneDrawing, SceneOptions};
-use crate::canvas::{Align, Canvas, Frame, Path, Spot, Stroke, Type};
+use crate::canvas::{Align, Canvas, Frame, Stroke, Type};
 use crate::colour::{Colour, GREEN, GREY, INK, WHITE};
 use crate::ground::{self, LANE};
 use crate::mask::{Mask, SHARES};
+use crate::path::{Path, Spot};
 use crate::text::{self, Face};
 
 /// Width and height of a sample, the space to its text and to the next entry, and the height of a line, pt.

@@ -5,9 +5,10 @@ use scene::{AgentType, ContextMap};
 
 use super::agent::{REGION_OPACITY, Sketch};
 use super::{LABEL_SIZE, SceneOptions};
-use crate::canvas::{Align, Canvas, Frame, Path, Stroke, Type};
+use crate::canvas::{Align, Canvas, Frame, Stroke, Type};
 use crate::colour::{GREY, INK, WHITE};
 use crate::ground;
+use crate::path::Path;
 use crate::text::Face;
 use crate::view::View;
 

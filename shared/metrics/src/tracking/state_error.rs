@@ -93,12 +93,6 @@ impl StateErrors {
         Ok(())
     }
 
-    /// Adds the counts of `other`.
-    pub fn merge(&mut self, other: &Self) {
-        self.visible.merge(&other.visible);
-        self.occluded.merge(&other.occluded);
-    }
-
     /// Visible and occluded together.
     #[must_use]
     pub fn all(&self) -> MotionErrors {
@@ -119,16 +113,15 @@ mod tests {
     }
 
     #[test]
-    fn visible_and_occluded_errors_are_separate_and_merge() {
-        let (mut first, mut second) = (StateErrors::default(), StateErrors::default());
-        first.add(true, &TRUTH, &off_by(3.0, 0.5)).unwrap();
-        second.add(true, &TRUTH, &off_by(-4.0, 0.5)).unwrap();
-        second.add(false, &TRUTH, &off_by(8.0, -1.0)).unwrap();
-        first.merge(&second);
-        assert_eq!(first.visible.position_m.rmse(), Some(12.5_f64.sqrt()));
-        assert_eq!(first.visible.position_m.mae(), Some(3.5));
-        assert_eq!(first.occluded.velocity_mps.mae(), Some(1.0));
-        assert_eq!(first.all().position_m.mae(), Some(5.0));
+    fn visible_and_occluded_errors_are_separate() {
+        let mut errors = StateErrors::default();
+        errors.add(true, &TRUTH, &off_by(3.0, 0.5)).unwrap();
+        errors.add(true, &TRUTH, &off_by(-4.0, 0.5)).unwrap();
+        errors.add(false, &TRUTH, &off_by(8.0, -1.0)).unwrap();
+        assert_eq!(errors.visible.position_m.rmse(), Some(12.5_f64.sqrt()));
+        assert_eq!(errors.visible.position_m.mae(), Some(3.5));
+        assert_eq!(errors.occluded.velocity_mps.mae(), Some(1.0));
+        assert_eq!(errors.all().position_m.mae(), Some(5.0));
         assert_eq!(StateErrors::default().visible.position_m.rmse(), None);
     }
 

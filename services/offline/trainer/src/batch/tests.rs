@@ -12,9 +12,9 @@ use rand_chacha::ChaCha8Rng;
 use super::*;
 use crate::base::Augmentation;
 use crate::options::onboard_config;
-use crate::recordings::{Scenery, frame_rate, written};
 use crate::samples::{Ground, MapKind, Scene, Selection, cut};
 use crate::spool::{Spool, Spooling};
+use crate::tests::recordings::{Scenery, frame_rate, written};
 use crate::view;
 
 /// A base control fitted to other data.

@@ -212,8 +212,8 @@ pub(crate) fn by_bias(dy: &Matrix, out: &mut [f32]) {
 
 #[cfg(test)]
 mod tests {
-    use super::super::check::values;
     use super::*;
+    use crate::tests::check::values;
 
     fn random(rows: usize, cols: usize, seed: u64) -> Matrix {
         Matrix::new(rows, cols, values(rows * cols, 1.0, seed))

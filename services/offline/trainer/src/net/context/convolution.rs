@@ -157,8 +157,8 @@ impl Outer<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::net::check::{check, values, weighted};
     use crate::net::tensors::TensorRole;
+    use crate::tests::check::{check, values, weighted};
 
     const NAME: &str = "weight";
     const IMAGES: usize = 5;

@@ -99,7 +99,7 @@ pub(super) fn average_backward(d_means: &Map, positions: usize) -> Map {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::net::check::{check, values, weighted};
+    use crate::tests::check::{check, values, weighted};
 
     fn map(positions: usize, seed: u64) -> Map {
         let empty = Map::zeros(positions, 3, PANEL);

@@ -5,9 +5,9 @@ use safetensors::Dtype;
 use safetensors::tensor::TensorView;
 
 use super::*;
-use crate::net::check::{values, weighted};
 use crate::net::tensors::TensorRole;
 use crate::options::onboard_config;
+use crate::tests::check::{values, weighted};
 
 const EMBEDDING: usize = 32;
 

@@ -1,8 +1,8 @@
 use super::*;
-use crate::net::check::{check, values, weighted};
 use crate::net::dense::perceptron_backward;
-use crate::net::golden::Golden;
 use crate::net::tensors::TensorRole;
+use crate::tests::check::{check, values, weighted};
+use crate::tests::golden::Golden;
 
 const NAME: &str = "decoder.pedestrian";
 const MODES: usize = 4;

@@ -2,9 +2,9 @@ use kinematics::{Displacement, DisplacementKind, DisplacementState, Motion};
 use nalgebra::Vector2;
 use nn::Integrator;
 
-use super::super::check::{check, values, weighted};
-use super::super::golden::Golden;
 use super::*;
+use crate::tests::check::{check, values, weighted};
+use crate::tests::golden::Golden;
 
 const STEPS: usize = 12;
 const DRAWS: usize = 3;

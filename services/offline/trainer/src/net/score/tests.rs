@@ -1,6 +1,6 @@
-use super::super::check::{check, values, weighted};
-use super::super::golden::Golden;
 use super::*;
+use crate::tests::check::{check, values, weighted};
+use crate::tests::golden::Golden;
 
 const STEPS: usize = 5;
 const DRAWS: usize = 3;

@@ -1,7 +1,7 @@
 use super::*;
-use crate::net::check::{check, values, weighted};
-use crate::net::golden::Golden;
 use crate::net::tensors::TensorRole;
+use crate::tests::check::{check, values, weighted};
+use crate::tests::golden::Golden;
 
 const SLOPE: f32 = 0.1;
 /// Three agents: one with a gap, one that is never present, one with a single step.

@@ -1,7 +1,7 @@
 use super::*;
-use crate::net::check::{check, values, weighted};
-use crate::net::golden::Golden;
 use crate::net::tensors::TensorRole;
+use crate::tests::check::{check, values, weighted};
+use crate::tests::golden::Golden;
 
 const ROWS: usize = 5;
 const SLOPE: f32 = 0.1;

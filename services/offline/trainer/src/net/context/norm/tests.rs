@@ -1,6 +1,6 @@
 use super::*;
-use crate::net::check::{check, values, weighted};
 use crate::net::tensors::TensorRole;
+use crate::tests::check::{check, values, weighted};
 
 const CHANNELS: usize = 20;
 

@@ -22,10 +22,10 @@ use crate::net::graph::encode;
 use crate::net::gru::mode_logits;
 use crate::net::layout::layout;
 use crate::net::tensors::Tensors;
-use crate::recordings::{Scenery, frame_rate};
 use crate::rollout::TypeForecast;
 use crate::samples::{Ground, MapKind, Scene, Selection, cut};
 use crate::spool::{Spool, Spooling};
+use crate::tests::recordings::{Scenery, frame_rate};
 use crate::view;
 
 /// Maximum error, relative to an agent's largest value; for positions, relative to at least one metre.

@@ -6,8 +6,8 @@ use nn::ModelConfig;
 use safetensors::SafeTensors;
 use serde_json::Value;
 
-use super::tensors::{TensorRole, Tensors};
-use super::topological::Edges;
+use crate::net::tensors::{TensorRole, Tensors};
+use crate::net::topological::Edges;
 
 const FOLDERS: [&str; 4] = ["vehicle", "pedestrian", "plus", "literal"];
 const TYPE_NAMES: [&str; 3] = ["vehicle", "cyclist", "pedestrian"];

@@ -1,0 +1,3 @@
+//! Tests of the records.
+
+pub(crate) mod distinct;
