@@ -104,6 +104,8 @@ struct Options {
     /// Declaration of the built-in stage; `None` for an external program, whose options are not known here.
     declared: Option<&'static dyn Declared>,
     table: Table,
+    /// Where each option is set, for the errors of external programs.
+    places: BTreeMap<String, String>,
 }
 
 /// The options of all stages of a pipeline.
@@ -116,7 +118,8 @@ impl StageOptions {
         let of_stage = |stage: &config::Stage| {
             let built_in = stages::built_in(stage.id).filter(|_| stage.command.is_none());
             let declared = built_in.map(|built_in| built_in.declared);
-            (stage.id, Options { declared, table: stage.options.clone() })
+            let (table, places) = (stage.options.clone(), stage.places.clone());
+            (stage.id, Options { declared, table, places })
         };
         Self(pipeline.stages.iter().map(of_stage).collect())
     }
@@ -125,7 +128,7 @@ impl StageOptions {
     pub fn defaults(ids: &[StageId]) -> Self {
         let of_stage = |id: &StageId| {
             let declared = stages::built_in(*id).map(|built_in| built_in.declared);
-            (*id, Options { declared, table: Table::new() })
+            (*id, Options { declared, table: Table::new(), places: BTreeMap::new() })
         };
         Self(ids.iter().map(of_stage).collect())
     }
@@ -164,7 +167,7 @@ impl StageOptions {
 
     fn apply_one(&mut self, setting: &Setting) -> Result<(), Failure> {
         let stage = setting.stage.name();
-        let Some(Options { declared, table }) = self.0.get_mut(&setting.stage) else {
+        let Some(Options { declared, table, places }) = self.0.get_mut(&setting.stage) else {
             return Err(setting.refused(format!("there is no {stage} here")));
         };
         let schema = declared.map(|declared| declared.schema());
@@ -184,6 +187,7 @@ impl StageOptions {
                 Err(error) => return Err(setting.refused(format!("{error}: {}", error.advice()))),
             }
         }
+        places.insert(key.clone(), setting.written.clone());
         table.insert(key, value);
         Ok(())
     }
@@ -222,6 +226,7 @@ impl StageOptions {
             built_in: options.declared.is_some(),
             options: options.table.to_string(),
             name: if id.is_added() { id.name().to_owned() } else { String::new() },
+            places: options.places.clone(),
             reads: Vec::new(),
             writes: Vec::new(),
         };
@@ -372,5 +377,6 @@ mod tests {
         let encoder = runs.iter().find(|run| run.stage == StageId::Encoder.number()).unwrap();
         assert_eq!(encoder.options, "gain = [1, 2]\nmode = \"fast\"\n");
         assert!(!encoder.built_in);
+        assert_eq!(encoder.places["mode"], "--set encoder.mode=fast");
     }
 }

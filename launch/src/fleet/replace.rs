@@ -6,7 +6,7 @@ use std::process::ExitStatus;
 use std::time::{Duration, Instant};
 
 use recorder::{ReplacementOutcome, program_name};
-use run::{Run, StageRun};
+use run::Run;
 use rustix::process::Signal;
 use wire::StageId;
 
@@ -238,7 +238,9 @@ impl Fleet {
         if own.built_in == built_in && own.options == text {
             return Ok(Program { command, topics, scheduling, record: member.program.record.clone() });
         }
-        *own = StageRun { built_in, options: text, ..own.clone() };
+        let set = order.options.keys().map(|key| (key.clone(), format!("--set {key}")));
+        own.places.extend(set);
+        (own.built_in, own.options) = (built_in, text);
         let record = self.run.root.join(format!("run-{}-{incarnation}", member.stage.name()));
         run.write(&record).map_err(Failure::config)?;
         Ok(Program { command, topics, scheduling, record: Some(record) })

@@ -77,10 +77,14 @@ impl SourceError {
 
 impl fmt::Display for SourceError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let before = self.text.get(..self.mistake.span.start).unwrap_or(&self.text);
-        let line = before.matches('\n').count() + 1;
+        let line = line_of(&self.text, self.mistake.span.start);
         write!(f, "{}:{line}: {}", self.name, self.mistake.message)
     }
+}
+
+/// The line, counted from 1, of a byte of the text.
+pub(crate) fn line_of(text: &str, at: usize) -> usize {
+    text.get(..at).unwrap_or(text).matches('\n').count() + 1
 }
 
 impl std::error::Error for SourceError {}

@@ -12,6 +12,7 @@ pub use check::BUDGET_MAX_MS;
 use run::{Declared, TopicRun};
 use wire::{StageId, WorldOrigin};
 
+use crate::mistake::line_of;
 use crate::{Mistake, RestartPolicy, Scheduling, SourceError};
 
 /// A process of the pipeline.
@@ -31,6 +32,8 @@ pub struct Stage {
     pub budget_ms: Option<f64>,
     /// Options of the stage. Its declaration checks them; they are unchecked if the stage has a `command`.
     pub options: toml::Table,
+    /// File and line of each option, as `pipeline.toml:12`.
+    pub places: BTreeMap<String, String>,
     /// Topics that the stage opens under another name, with this name.
     pub topics: BTreeMap<String, String>,
     /// The action when the stage ends.
@@ -74,7 +77,14 @@ impl Pipeline {
     /// [`SourceError`] points to the first fault in the text.
     pub fn parse(name: &str, text: &str, declared: &[&dyn Declared]) -> Result<Self, SourceError> {
         let file: file::File = toml::from_str(text).map_err(|e| Mistake::syntax(text, &e).at(name, text))?;
-        check::check(&file, declared).map_err(|mistake| mistake.at(name, text))
+        let mut pipeline = check::check(&file, declared).map_err(|mistake| mistake.at(name, text))?;
+        for (stage, table) in pipeline.stages.iter_mut().zip(&file.stages) {
+            let place = |at: usize| format!("{name}:{}", line_of(text, at));
+            let options = table.get_ref().options.iter();
+            stage.places =
+                options.map(|(key, value)| (key.get_ref().clone(), place(value.span().start))).collect();
+        }
+        Ok(pipeline)
     }
 
     /// Refuses a file that this machine cannot run: `find` does not find a `command`, or `has_cpu` does not

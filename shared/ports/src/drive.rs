@@ -96,17 +96,15 @@ impl<S: Step> Driver<S> {
         header: &Header,
         frame: Option<&Frame<S::Input>>,
     ) -> Result<bool, StageError> {
-        let Some(awaited) = self.await_second(step, header)? else { return Ok(false) };
-        let second = match &awaited {
-            Awaited::Frame(frame) => Second::Frame(frame.header(), frame),
-            Awaited::Void(_) | Awaited::Lost => Second::Refused,
-            Awaited::Late | Awaited::Stopped => match &self.newest {
-                Some(frame) => Second::Frame(frame.header(), frame),
-                None => Second::None,
-            },
+        let awaited = self.await_second(step, header)?;
+        let second = match (&awaited, &self.newest) {
+            (Some(Awaited::Stopped), _) => return Ok(false),
+            (Some(Awaited::Frame(frame)), _) | (None, Some(frame)) => Second::Frame(frame.header(), frame),
+            (Some(Awaited::Void(_) | Awaited::Lost), _) => Second::Refused,
+            (Some(Awaited::Late), _) | (None, None) => Second::None,
         };
         let Self { stage, output, shedder, .. } = self;
-        let mut passage = begin(stage, header, frame, &awaited);
+        let mut passage = begin(stage, header, frame, awaited.as_ref());
         let _span = tracing::debug_span!("step", stage = stage.id().name(), tick = header.seq).entered();
         let begun_ns = monotonic_ns();
         let allowance = shedder.allow(header, begun_ns, monotonic_ns);
@@ -131,18 +129,16 @@ impl<S: Step> Driver<S> {
         Ok(true)
     }
 
-    /// Waits for the second input of a tick. If the second input is written by a later stage, its newest
-    /// frame is stored in `newest` and the result is [`Awaited::Late`]. `None` if the process has been asked
-    /// to end.
+    /// Waits for the second input's frame of the same tick. `None` if the step has no such input. If a later
+    /// stage writes the second input, its newest frame is stored in `newest`.
     fn await_second(&mut self, step: &S, header: &Header) -> Result<Option<Awaited<S::Second>>, PortError> {
         let Self { stage, second, newest, .. } = self;
-        let Some(second) = second else { return Ok(Some(Awaited::Late)) };
+        let Some(second) = second else { return Ok(None) };
         let is_lockstep = header.has(flags::LOCKSTEP);
         if S::SECOND == SecondInput::SameTick {
             let until_ns =
                 (!is_lockstep).then(|| header.released_ns.saturating_add(step.second_deadline_ns()));
-            let awaited = stage.wait_for(second, header.seq, until_ns)?;
-            return Ok(Some(awaited).filter(|awaited| !matches!(awaited, Awaited::Stopped)));
+            return stage.wait_for(second, header.seq, until_ns).map(Some);
         }
         let newer = if !is_lockstep || header.seq == 0 {
             second.newest()?
@@ -154,7 +150,7 @@ impl<S: Step> Driver<S> {
         if newer.is_some() {
             *newest = newer;
         }
-        Ok(Some(Awaited::Late))
+        Ok(None)
     }
 }
 
@@ -164,10 +160,10 @@ fn begin<I: Topic, T: Topic>(
     stage: &Stage,
     header: &Header,
     frame: Option<&Frame<I>>,
-    second: &Awaited<T>,
+    second: Option<&Awaited<T>>,
 ) -> Passage {
     let mut passage = match (second, frame) {
-        (Awaited::Frame(second) | Awaited::Void(second), _) => stage.begin(second),
+        (Some(Awaited::Frame(second) | Awaited::Void(second)), _) => stage.begin(second),
         (_, Some(frame)) => stage.begin(frame),
         (_, None) => return stage.release(*header),
     };

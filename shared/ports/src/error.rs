@@ -1,3 +1,6 @@
+use std::cell::RefCell;
+use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
 use std::error::Error;
 use std::io;
 use std::path::PathBuf;
@@ -5,6 +8,8 @@ use std::path::PathBuf;
 use run::{Exit, OptionError};
 use thiserror::Error;
 use wire::{Rejected, StageId};
+
+use crate::monotonic_ns;
 
 /// The error of another library or crate, with its type for [`Error::source`] and `downcast_ref`.
 type Source = Box<dyn Error + Send + Sync>;
@@ -175,9 +180,49 @@ impl From<OptionError> for StageError {
     }
 }
 
-/// Logs a refused frame.
+/// Time between two log lines on frames of one topic that are refused for one cause.
+const REFUSED_PAUSE_NS: u64 = 1_000_000_000;
+
+/// When a cause was logged last, and the number of frames that were only counted since.
+#[derive(Clone, Copy, Debug)]
+struct Logged {
+    at_ns: u64,
+    unlogged: u64,
+}
+
+thread_local! {
+    /// By topic and cause.
+    static LOGGED: RefCell<BTreeMap<(&'static str, u32), Logged>> = const { RefCell::new(BTreeMap::new()) };
+}
+
+/// Logs a refused frame, at most one a second for each topic and cause. The line has the number of frames that
+/// were refused since the previous line.
 pub(crate) fn log_refused(topic: &'static str, seq: u64, why: &Rejected) {
-    tracing::warn!(topic, seq, "frame refused: {why}");
+    match log_now(topic, why, monotonic_ns()) {
+        Some(0) => tracing::warn!(topic, seq, "frame refused: {why}"),
+        Some(unlogged) => tracing::warn!(topic, seq, unlogged, "frame refused: {why}"),
+        None => {}
+    }
+}
+
+/// The number of frames that were refused for the same cause since the last log line; `None` if this frame is
+/// not logged either.
+fn log_now(topic: &'static str, why: &Rejected, now_ns: u64) -> Option<u64> {
+    LOGGED.with_borrow_mut(|logged| match logged.entry((topic, why.cause() as u32)) {
+        Entry::Vacant(entry) => {
+            entry.insert(Logged { at_ns: now_ns, unlogged: 0 });
+            Some(0)
+        }
+        Entry::Occupied(mut entry) => {
+            let Logged { at_ns, unlogged } = entry.get_mut();
+            if now_ns.saturating_sub(*at_ns) < REFUSED_PAUSE_NS {
+                *unlogged += 1;
+                return None;
+            }
+            *at_ns = now_ns;
+            Some(std::mem::take(unlogged))
+        }
+    })
 }
 
 #[cfg(test)]
@@ -197,6 +242,19 @@ mod tests {
             .and_then(|source| source.downcast_ref::<io::Error>())
             .and_then(io::Error::raw_os_error);
         assert_eq!(source, Some(28));
+    }
+
+    #[test]
+    fn a_cause_is_logged_once_a_second_with_the_frames_since() {
+        let late = Rejected::NotNewer { stamp_ns: 1, last_ns: 2 };
+        let size = Rejected::Length { found: 1, expected: 2 };
+        assert_eq!(log_now("tracks", &late, 5), Some(0));
+        assert_eq!(log_now("tracks", &late, 6), None);
+        assert_eq!(log_now("tracks", &late, 4 + REFUSED_PAUSE_NS), None);
+        assert_eq!(log_now("tracks", &size, 7), Some(0), "another cause");
+        assert_eq!(log_now("controls", &late, 7), Some(0), "another topic");
+        assert_eq!(log_now("tracks", &late, 5 + REFUSED_PAUSE_NS), Some(2));
+        assert_eq!(log_now("tracks", &late, 5 + 2 * REFUSED_PAUSE_NS), Some(0));
     }
 
     #[test]

@@ -1,3 +1,4 @@
+use std::collections::BTreeMap;
 use std::fmt;
 
 use schemars::JsonSchema;
@@ -84,6 +85,20 @@ pub enum OptionError {
     /// The values exclude each other.
     #[error(transparent)]
     Conflict(#[from] Conflict),
+    /// An option in the run's record that this program cannot read.
+    #[error("{place}`{key} = {value}` of the {}: {}", stage.name(), first_line(source))]
+    Refused {
+        /// The stage.
+        stage: StageId,
+        /// The key.
+        key: String,
+        /// The value.
+        value: String,
+        /// The file and the line, or the argument, before ": "; empty if unknown.
+        place: String,
+        /// The error of the option's type.
+        source: Box<toml::de::Error>,
+    },
     /// The run's record has options that this program cannot read.
     #[error("options of the {}: {}", stage.name(), first_line(source))]
     Unreadable {
@@ -112,7 +127,10 @@ impl OptionError {
     #[must_use]
     pub fn key(&self) -> Option<&str> {
         match self {
-            Self::Unknown { key, .. } | Self::Invalid { key, .. } | Self::OutOfRange { key, .. } => Some(key),
+            Self::Unknown { key, .. }
+            | Self::Invalid { key, .. }
+            | Self::OutOfRange { key, .. }
+            | Self::Refused { key, .. } => Some(key),
             Self::Conflict(conflict) => Some(conflict.key),
             Self::Unreadable { .. } | Self::Unwritable { .. } => None,
         }
@@ -128,6 +146,7 @@ impl OptionError {
                 format!("expected {expected}")
             }
             Self::Conflict(conflict) => conflict.because.to_owned(),
+            Self::Refused { .. } => "the stage's program declares its options".to_owned(),
             Self::Unreadable { .. } => "launcher and stage must be of one version".to_owned(),
             Self::Unwritable { .. } => "paths must be UTF-8".to_owned(),
         }
@@ -198,18 +217,41 @@ impl<O> Declaration<O> {
     }
 }
 
+fn parsed<O: DeserializeOwned>(table: &toml::Table) -> Result<O, toml::de::Error> {
+    toml::Value::Table(table.clone()).try_into()
+}
+
+/// The first option whose key or value does not fit the struct `O`.
+fn first_refused<O: DeserializeOwned>(
+    table: &toml::Table,
+) -> Option<(&String, &toml::Value, toml::de::Error)> {
+    table.iter().find_map(|(key, value)| {
+        let error = parsed::<O>(&toml::Table::from_iter([(key.clone(), value.clone())])).err()?;
+        // A struct without defaults needs its other options, too.
+        (!error.message().starts_with("missing field")).then_some((key, value, error))
+    })
+}
+
 impl<O: Default + DeserializeOwned> Declaration<O> {
     /// The stage's options in a run, or the defaults if the run does not have the stage.
     ///
     /// # Errors
-    /// [`OptionError::Unreadable`] if the record has options that this program does not have,
-    /// [`OptionError::Conflict`] if the options exclude each other.
+    /// [`OptionError::Refused`] names the first option that this program does not have or whose type is
+    /// wrong, [`OptionError::Unreadable`] if an option is missing, [`OptionError::Conflict`] if the options
+    /// exclude each other.
     pub fn options(&self, run: &Run) -> Result<O, OptionError> {
         let id = self.id();
         let Some(stage) = run.stage(id) else { return Ok(O::default()) };
         let unreadable = |error: toml::de::Error| OptionError::Unreadable { stage: id, source: error.into() };
         let table: toml::Table = stage.options.parse().map_err(unreadable)?;
-        let options = toml::Value::Table(table).try_into().map_err(unreadable)?;
+        let options = parsed(&table).map_err(|error| match first_refused::<O>(&table) {
+            Some((key, value, source)) => {
+                let place = stage.places.get(key).map_or_else(String::new, |place| format!("{place}: "));
+                let (key, value) = (key.clone(), value.to_string());
+                OptionError::Refused { stage: id, key, value, place, source: source.into() }
+            }
+            None => unreadable(error),
+        })?;
         (self.rule)(&options)?;
         Ok(options)
     }
@@ -234,14 +276,13 @@ impl<O: DeserializeOwned + JsonSchema> Declared for Declaration<O> {
 
     fn check(&self, table: &toml::Table) -> Result<(), OptionError> {
         let (stage, schema) = (self.id(), self.schema());
-        let parsed = |table: &toml::Table| toml::Value::Table(table.clone()).try_into::<O>();
         for (key, value) in table {
             let Some(option) = schema.get(key) else {
                 return Err(OptionError::Unknown { stage, key: key.clone(), known: schema.names() });
             };
             let expected = option.expected.clone();
             // One option at a time, so that an error belongs to this option.
-            if let Err(error) = parsed(&toml::Table::from_iter([(key.clone(), value.clone())])) {
+            if let Err(error) = parsed::<O>(&toml::Table::from_iter([(key.clone(), value.clone())])) {
                 let source = Box::new(error);
                 return Err(OptionError::Invalid { stage, key: key.clone(), source, expected });
             }
@@ -266,7 +307,15 @@ impl StageRun {
     ) -> Result<Self, OptionError> {
         let stage = declaration.id();
         let options = toml::to_string(options).map_err(|source| OptionError::Unwritable { stage, source })?;
-        let (name, reads, writes) = (String::new(), Vec::new(), Vec::new());
-        Ok(Self { stage: stage.number(), budget_ms: None, built_in: true, options, name, reads, writes })
+        Ok(Self {
+            stage: stage.number(),
+            budget_ms: None,
+            built_in: true,
+            options,
+            name: String::new(),
+            places: BTreeMap::new(),
+            reads: Vec::new(),
+            writes: Vec::new(),
+        })
     }
 }

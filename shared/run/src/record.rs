@@ -1,7 +1,8 @@
 //! The run's record: written by the launcher, read by every stage.
 //!
-//! The encoding (bincode) is private to this module. The file starts with [`MAGIC`] and the schema as text,
-//! so a stage of another version refuses the file instead of misreading it.
+//! The encoding (bincode) is private to this module. The file starts with a line of text: [`MAGIC`], the schema,
+//! the writer's version and the check value of the rest. A stage of another version refuses the file instead
+//! of misreading it, and a file of another build is not taken for a damaged one.
 
 use std::collections::BTreeMap;
 use std::error::Error;
@@ -10,12 +11,14 @@ use std::path::{Path, PathBuf};
 use bincode::config::standard;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
-use wire::{ForecastsTopic, HeartbeatsTopic, StageId, TICK_NS, Topic, WorldOrigin};
+use wire::{ForecastsTopic, HeartbeatsTopic, StageId, TICK_NS, Topic, WorldOrigin, crc64};
 
-/// First bytes of a record's file, before the schema's number and a line break.
+/// First bytes of a record's file.
 const MAGIC: &str = "stgdat-run ";
 /// Version of the record. It increases with every change of [`Run`].
-const SCHEMA: u32 = 10;
+const SCHEMA: u32 = 11;
+/// Version of this program.
+const VERSION: &str = env!("CARGO_PKG_VERSION");
 /// Size of the largest accepted record. Real records have a few kilobytes.
 const BYTES_MAX: u64 = 1 << 20;
 
@@ -36,6 +39,8 @@ pub struct StageRun {
     /// The name; empty for one of stgdat's own stages.
     #[serde(default)]
     pub name: String,
+    /// Where each option is set, for errors: file and line, or the argument.
+    pub places: BTreeMap<String, String>,
     /// Topics that it reads, by their names in shared memory.
     #[serde(default)]
     pub reads: Vec<String>,
@@ -142,12 +147,32 @@ pub enum RecordError {
         path: PathBuf,
     },
     /// The launcher and the stage are of different versions.
-    #[error("{}: record of schema {found}, this program reads {SCHEMA}: launcher and stage must be of one version", path.display())]
+    #[error(
+        "{}: written by stgdat {version}, schema {found}; this program has version {VERSION}, schema {SCHEMA}: \
+         build launcher and stage from the same sources",
+        path.display()
+    )]
     Schema {
         /// The record's file.
         path: PathBuf,
         /// The record's schema.
         found: u32,
+        /// The version of the program that wrote the record.
+        version: String,
+    },
+    /// The record is whole, but the two programs do not agree on its fields.
+    #[error(
+        "{}: written by another build of stgdat {version} ({source}): build launcher and stage from the same \
+         sources",
+        path.display()
+    )]
+    OtherBuild {
+        /// The record's file.
+        path: PathBuf,
+        /// The version of the program that wrote the record.
+        version: String,
+        /// The decoder's error.
+        source: Box<dyn Error + Send + Sync>,
     },
     /// The record cannot be encoded because a path is not UTF-8.
     #[error("{}: {source}", path.display())]
@@ -157,21 +182,11 @@ pub enum RecordError {
         /// The encoder's error.
         source: Box<dyn Error + Send + Sync>,
     },
-    /// The record cannot be decoded.
-    #[error("{}: damaged record: {source}", path.display())]
+    /// The record does not match its check value.
+    #[error("{}: damaged record", path.display())]
     Damaged {
         /// The record's file.
         path: PathBuf,
-        /// The decoder's error.
-        source: Box<dyn Error + Send + Sync>,
-    },
-    /// More bytes follow the record.
-    #[error("{}: damaged record: {excess_len} bytes too many", path.display())]
-    TooLong {
-        /// The record's file.
-        path: PathBuf,
-        /// Number of bytes after the record's end.
-        excess_len: usize,
     },
 }
 
@@ -322,17 +337,17 @@ impl Run {
     /// [`RecordError::File`] if the file can't be written, [`RecordError::Unwritable`] if a path is not
     /// UTF-8.
     pub fn write(&self, path: &Path) -> Result<(), RecordError> {
-        let mut bytes = format!("{MAGIC}{SCHEMA}\n").into_bytes();
         let body = bincode::serde::encode_to_vec(self, standard())
             .map_err(|e| RecordError::Unwritable { path: path.to_owned(), source: e.into() })?;
-        bytes.extend(body);
+        let first = format!("{MAGIC}{SCHEMA} {VERSION} {:016x}\n", crc64(&[&body]));
+        let bytes = [first.as_bytes(), &body].concat();
         std::fs::write(path, bytes).map_err(|source| RecordError::File { path: path.to_owned(), source })
     }
 
     /// Reads a record that [`Run::write`] wrote.
     ///
     /// # Errors
-    /// [`RecordError`] if the file cannot be read, is not a record, has another schema or is damaged.
+    /// [`RecordError`] if the file cannot be read, is not a record, is damaged or is of another build.
     pub fn read(path: &Path) -> Result<Self, RecordError> {
         let file = |source| RecordError::File { path: path.to_owned(), source };
         let foreign = || RecordError::Foreign { path: path.to_owned() };
@@ -341,21 +356,26 @@ impl Run {
         }
         let bytes = std::fs::read(path).map_err(file)?;
         let line_end = bytes.iter().position(|&b| b == b'\n').ok_or_else(foreign)?;
-        let (first, body) = bytes.split_at(line_end);
-        let found = std::str::from_utf8(first).ok().and_then(|line| line.strip_prefix(MAGIC));
-        let found: u32 = found.and_then(|number| number.parse().ok()).ok_or_else(foreign)?;
+        let (first, body) = (&bytes[..line_end], &bytes[line_end + 1..]);
+        let first = std::str::from_utf8(first).ok().and_then(|line| line.strip_prefix(MAGIC));
+        let mut words = first.ok_or_else(foreign)?.split(' ');
+        let found: u32 = words.next().and_then(|number| number.parse().ok()).ok_or_else(foreign)?;
+        let (path, version) = (path.to_owned(), words.next().unwrap_or("of an unknown version").to_owned());
         if found != SCHEMA {
-            return Err(RecordError::Schema { path: path.to_owned(), found });
+            return Err(RecordError::Schema { path, found, version });
         }
-        let (run, used): (Self, usize) = bincode::serde::decode_from_slice(&body[1..], standard())
-            .map_err(|e| RecordError::Damaged { path: path.to_owned(), source: e.into() })?;
-        match body.len() - 1 - used {
-            0 => {
-                run.name_stages();
-                Ok(run)
+        if words.next().and_then(|crc| u64::from_str_radix(crc, 16).ok()) != Some(crc64(&[body])) {
+            return Err(RecordError::Damaged { path });
+        }
+        let run: Self = match bincode::serde::decode_from_slice(body, standard()) {
+            Ok((run, used)) if used == body.len() => run,
+            Ok(_) => {
+                return Err(RecordError::OtherBuild { path, version, source: "it has more fields".into() });
             }
-            excess_len => Err(RecordError::TooLong { path: path.to_owned(), excess_len }),
-        }
+            Err(error) => return Err(RecordError::OtherBuild { path, version, source: error.into() }),
+        };
+        run.name_stages();
+        Ok(run)
     }
 }
 
@@ -381,6 +401,7 @@ mod tests {
                 built_in: true,
                 options: "deadline_ms = 72.0\n".into(),
                 name: String::new(),
+                places: [("deadline_ms".to_owned(), "a.toml:3".to_owned())].into(),
                 reads: vec!["tracks".into(), "controls".into()],
                 writes: vec!["forecasts".into()],
             }],
@@ -424,6 +445,7 @@ mod tests {
             built_in: true,
             options: String::new(),
             name: String::new(),
+            places: BTreeMap::new(),
             reads: Vec::new(),
             writes: Vec::new(),
         };
@@ -452,7 +474,10 @@ mod tests {
         in_temporary_file("schema", |path| {
             std::fs::write(path, format!("{MAGIC}99\nabc")).unwrap();
             let error = Run::read(path).unwrap_err().to_string();
-            assert!(error.contains("schema 99") && error.contains("one version"), "{error}");
+            assert!(error.contains("unknown version, schema 99"), "{error}");
+            std::fs::write(path, format!("{MAGIC}99 7.8.9 0\nabc")).unwrap();
+            let error = Run::read(path).unwrap_err().to_string();
+            assert!(error.contains("stgdat 7.8.9, schema 99") && error.contains("same sources"), "{error}");
         });
     }
 
@@ -469,8 +494,19 @@ mod tests {
                 assert!(matches!(Run::read(path), Err(RecordError::Damaged { .. })), "cut to {len} bytes");
             }
             std::fs::write(path, [&whole[..], b"x"].concat()).unwrap();
-            let too_long = Run::read(path);
-            assert!(matches!(too_long, Err(RecordError::TooLong { excess_len: 1, .. })), "{too_long:?}");
+            assert!(matches!(Run::read(path), Err(RecordError::Damaged { .. })));
+        });
+    }
+
+    #[test]
+    fn a_whole_record_with_other_fields_is_of_another_build() {
+        in_temporary_file("build", |path| {
+            for body in [&[7, 3][..], &[0; 99], &[255; 60]] {
+                let first = format!("{MAGIC}{SCHEMA} 0.0.9 {:016x}\n", crc64(&[body]));
+                std::fs::write(path, [first.as_bytes(), body].concat()).unwrap();
+                let error = Run::read(path).unwrap_err().to_string();
+                assert!(error.contains("another build of stgdat 0.0.9"), "{error}");
+            }
         });
     }
 }

@@ -146,7 +146,14 @@ fn a_stage_reads_its_options_from_the_runs_record() {
     let written = |options: &str| of(vec![StageRun { options: options.into(), ..stage.clone() }]);
     assert_eq!(written(""), Ok(Options::default()));
     let unknown = written("workres = 3").unwrap_err().to_string();
-    assert!(unknown.contains("options of the sampler: unknown field `workres`"), "{unknown}");
+    assert!(unknown.contains("`workres = 3` of the sampler: unknown field `workres`"), "{unknown}");
+    let placed = StageRun {
+        options: "active = true\nworkers = \"two\"".into(),
+        places: [("workers".to_owned(), "mine.toml:12".to_owned())].into(),
+        ..stage.clone()
+    };
+    let wrong = of(vec![placed]).unwrap_err().to_string();
+    assert!(wrong.starts_with("mine.toml:12: `workers = \"two\"` of the sampler: invalid type"), "{wrong}");
     assert!(matches!(written("active = false\nfile = \"a\""), Err(OptionError::Conflict(_))));
 }
 

@@ -32,6 +32,7 @@ pub(super) fn check(file: &File, declared: &[&dyn Declared]) -> Result<Pipeline,
     producers(file, &topics)?;
     added::written(file, &topics)?;
     acyclic(&tables, &topics)?;
+    warnings.extend(tables.iter().flat_map(|table| unwritten(table, &tables)));
     let way = way(&tables, &topics);
     let budget_ms = budgets(&tables, &way)?;
     if way.len() > HOPS_MAX {
@@ -122,6 +123,7 @@ fn stage(
         writes: names(&table.writes),
         budget_ms: table.budget_ms.as_ref().map(|ms| *ms.get_ref()),
         options,
+        places: BTreeMap::new(),
         topics: renamed(table, topics, declared)?,
         restart: restart(table)?,
         scheduling: scheduling(table)?,
@@ -404,6 +406,30 @@ fn way<'a>(tables: &[&'a StageTable], topics: &[TopicRun]) -> Vec<&'a str> {
         }
     }
     way
+}
+
+/// Warnings that a stage reads a topic that no stage of the file writes under this name. Its writer may be a
+/// program that the launcher does not start.
+fn unwritten(table: &StageTable, tables: &[&StageTable]) -> Vec<String> {
+    fn opened<'a>(table: &'a StageTable, topic: &'a str) -> &'a str {
+        let renamed = table.topics.iter().find(|(own, _)| own.get_ref() == topic);
+        renamed.map_or(topic, |(_, name)| name.get_ref())
+    }
+    let stage = table.name.get_ref();
+    let waits = |topic: &Spanned<String>| {
+        let name = opened(table, topic.get_ref());
+        // An injector between writer and readers writes the topic under its own name.
+        let is_written = |written: &str| written == name || run::injected_topic(written) == Some(name);
+        let mut written =
+            tables.iter().flat_map(|other| other.writes.iter().map(|own| opened(other, own.get_ref())));
+        (!written.any(is_written)).then(|| {
+            format!(
+                "the {stage} waits for the topic \"{name}\", which no stage writes: start the program that writes \
+                 it, or correct `topics` of the {stage} or of the topic's writer"
+            )
+        })
+    };
+    table.reads.iter().filter_map(waits).collect()
 }
 
 /// Returns a warning if the sampler gives up waiting before the preceding stages stop serving agents.

@@ -102,6 +102,7 @@ fn the_shipped_file_is_accepted() {
         assert!(stage.reads == declared.reads() && stage.writes == declared.writes(), "{stage:?}");
     }
     assert!(pipeline.warnings.is_empty());
+    assert!(pipeline.stages.iter().all(|stage| stage.places.keys().eq(stage.options.keys())));
 }
 
 #[test]
@@ -426,6 +427,26 @@ fn a_tick_that_passes_more_stages_than_its_header_has_room_for_is_warned_of() {
     }
     let text = text.replacen("name = \"localiser\"", "name = \"localiser\"\ntopics = { tracks = \"t5\" }", 1);
     assert_eq!(parsed(&text).warnings.len(), 1);
+}
+
+#[test]
+fn a_topic_that_a_stage_waits_for_in_vain_is_warned_of() {
+    let renamed = |stage: &str, topic: &str, name: &str| {
+        let line = format!("name = \"{stage}\"\n");
+        parsed(&with(&line, &format!("{line}topics = {{ {topic} = \"{name}\" }}\n"))).warnings
+    };
+    let warnings = renamed("localiser", "tracks", "limited");
+    assert!(
+        warnings.len() == 1
+            && warnings[0].starts_with("the localiser waits for the topic \"limited\", which no"),
+        "{warnings:?}"
+    );
+    let warnings = renamed("encoder", "encodings", "codes");
+    assert!(
+        warnings.len() == 1 && warnings[0].starts_with("the decoder waits for the topic \"encodings\""),
+        "{warnings:?}"
+    );
+    assert!(renamed("encoder", "encodings", "encodings-injected").is_empty(), "an injector writes it");
 }
 
 #[test]
