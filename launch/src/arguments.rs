@@ -440,6 +440,16 @@ pub fn check_lanes(options: &sampler::Options, origin: WorldOrigin) -> Result<()
     open_lanes(&absolute(path)?, coordinates).map(|_| ())
 }
 
+/// The map of lanes that the run's own sampler uses, if any.
+pub fn lanes_of(run: &Run) -> Result<Option<LaneMap>, Failure> {
+    let sampler = run.stage(StageId::Sampler).filter(|stage| stage.built_in);
+    let options = sampler.and_then(|stage| toml::from_str::<sampler::Options>(&stage.options).ok());
+    let Some((path, origin)) = options.and_then(|of| Some((of.lanes?, of.lanes_origin))) else {
+        return Ok(None);
+    };
+    open_lanes(&absolute(&path)?, LanesOrigin::coordinates(origin, run.origin())).map(Some)
+}
+
 /// Returns the initial number of retrieval memory entries of a sampler with these options. Without a memory
 /// file, returns `None`.
 ///

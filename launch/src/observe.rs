@@ -59,7 +59,7 @@ pub struct ObserveArguments {
 }
 
 /// Parses an address, or a port of the loopback interface.
-fn address(text: &str) -> Result<SocketAddr, String> {
+pub fn address(text: &str) -> Result<SocketAddr, String> {
     if let Ok(port) = text.parse::<u16>() {
         return Ok(SocketAddr::from(([127, 0, 0, 1], port)));
     }

@@ -14,6 +14,7 @@ pub mod mark;
 pub mod predict;
 pub mod record;
 pub mod replay;
+pub mod report;
 pub mod run;
 pub mod stage;
 pub mod sweep;
@@ -23,6 +24,7 @@ pub mod top;
 pub mod trace;
 pub mod track;
 pub mod verify;
+pub mod view;
 pub mod wire;
 
 use std::path::Path;
@@ -67,6 +69,10 @@ pub enum Verb {
     Diff(diff::Arguments),
     /// Show a run that goes on: latency, losses, quality and processes, stage by stage
     Top(top::Arguments),
+    /// Write the report of a run, or of two side by side, as one HTML page
+    Report(report::Arguments),
+    /// Show a run that goes on in a browser: the moving scene, stages, qualities
+    View(view::Arguments),
     /// Write the trace of a recorded run for Perfetto
     Trace(trace::Arguments),
     /// Tell one tick of a recorded run: each stage's time in it, and what became of each agent
@@ -133,6 +139,8 @@ impl Verb {
             Self::Replay(arguments) => replay::execute(&arguments),
             Self::Diff(arguments) => diff::execute(&arguments),
             Self::Top(arguments) => top::execute(&arguments),
+            Self::Report(arguments) => report::execute(&arguments),
+            Self::View(arguments) => view::execute(&arguments),
             Self::Trace(arguments) => trace::execute(&arguments),
             Self::Tick(arguments) => tick::execute(&arguments),
             Self::Doctor(arguments) => doctor::execute(&arguments),

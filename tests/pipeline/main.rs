@@ -12,6 +12,7 @@ mod lockstep;
 mod observing;
 mod options;
 mod origins;
+mod pages;
 mod programs;
 mod projects;
 mod python;

@@ -80,8 +80,8 @@ impl Started {
         pids.filter_map(|pid: i32| {
             let line = std::fs::read_to_string(format!("/proc/{pid}/cmdline")).ok()?;
             let line: Vec<String> = line.split('\0').map(str::to_owned).collect();
-            // The tap and a recording belong to the run, but they are not stages.
-            let is_stage = line.get(1).is_none_or(|verb| verb != "tap" && verb != "record");
+            // The tap, a recording and a page belong to the run, but they are not stages.
+            let is_stage = line.get(1).is_none_or(|verb| !["tap", "record", "view"].contains(&verb.as_str()));
             is_stage.then_some((Pid::from_raw(pid)?, line))
         })
         .collect()
@@ -104,6 +104,18 @@ impl Started {
             let has_data = shared_files(&root).iter().any(|name| name.ends_with(".data"));
             (has_data && stages.len() >= STAGES).then_some(root)
         })
+    }
+
+    /// The next line of the process's output.
+    pub fn line(&mut self) -> String {
+        use std::io::Read as _;
+        let output = self.0.stdout.as_mut().expect("the output is captured");
+        let (mut line, mut byte) = (Vec::new(), [0]);
+        // A larger block would take some of the next line.
+        while output.read(&mut byte).is_ok_and(|len| len == 1) && byte != *b"\n" {
+            line.extend(byte);
+        }
+        String::from_utf8_lossy(&line).into_owned()
     }
 
     /// Sends the process a signal.

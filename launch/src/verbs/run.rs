@@ -1,4 +1,5 @@
 use std::collections::BTreeMap;
+use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant, SystemTime};
 
@@ -26,13 +27,15 @@ use crate::fail_if::{self, Condition};
 use crate::failure::{Failure, StageDeath};
 use crate::fleet::Fleet;
 use crate::memory::Memory;
-use crate::observe::{ObserveArguments, Observer};
+use crate::observe::{ObserveArguments, Observer, address};
 use crate::options::{Setting, StageOptions, text};
 use crate::outages::Outages;
 use crate::pipeline_file;
 use crate::play_report::input_of;
 use crate::tap::{Recording, RingArguments, Tap};
 use crate::verbs::record;
+use crate::verbs::report::RunReport;
+use crate::verbs::view::Page;
 use crate::version;
 use crate::watch::Watch;
 
@@ -62,6 +65,9 @@ pub struct Arguments {
     /// Write the report as JSON
     #[arg(long, value_name = "FILE")]
     report: Option<PathBuf>,
+    /// Write the report as one HTML page, with the scene and the times of all ticks
+    #[arg(long, value_name = "FILE")]
+    html: Option<PathBuf>,
     /// Write all forecasts as JSON lines
     #[arg(long, value_name = "FILE")]
     forecasts: Option<PathBuf>,
@@ -82,6 +88,9 @@ pub struct Arguments {
     ring: RingArguments,
     #[command(flatten)]
     observe: ObserveArguments,
+    /// Show the run in a browser (`stgdat view`): serve the page on this address or port
+    #[arg(long, value_name = "ADDRESS", num_args = 0..=1, value_parser = address)]
+    view: Option<Option<SocketAddr>>,
     /// Fail, with exit code 65, if the input is doubtful or no agent was forecast
     #[arg(long)]
     strict: bool,
@@ -98,6 +107,9 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let stop = Stop::on_signals().map_err(Failure::unavailable)?;
     if arguments.ring.limits().is_some() && arguments.record.is_none() {
         return Err(Failure::Usage("--last: --record FILE names the files that it is written to".to_owned()));
+    }
+    if arguments.ring.limits().is_some() && arguments.html.is_some() {
+        return Err(Failure::Usage("--html: the page needs the whole run, without --last".to_owned()));
     }
     if let Some(report) = &arguments.report {
         check_place(report)?;
@@ -149,15 +161,19 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let record_file = write_record(&run, arguments.announce.as_deref())?;
     about(arguments, &info, &run)?.write(&run.root).map_err(|error| Failure::file(&run.root, error))?;
     let tap = Tap::start(&record_file)?;
-    let recording = arguments.record.as_deref();
+    let html = arguments.html.as_deref().map(|path| RunReport::new(path, arguments.record.as_deref()));
+    let html = html.transpose()?;
+    let recording = arguments.record.as_deref().or(html.as_ref().map(RunReport::recording));
     let recording = recording
         .map(|file| Recording::start(&run.root, file, &arguments.record_topics, &arguments.ring))
         .transpose()?;
     let observer = Observer::open(&run, &arguments.observe, input.clone(), title, ticks_limit)?;
     let watch = Watch::open(&run, arguments.quiet, observer)?;
+    let page = arguments.view.map(|address| Page::start(&run.root, address)).transpose()?;
     let following = Following { tap, recording, watch };
     space.keep();
     let ended = supervise(&pipeline, &run, &mut space, &record_file, &stop, following, keeps_memory)?;
+    drop(page);
     // The report covers the run up to its end, however it ended. After a signal or failure a report exists if
     // the recorder had begun. If the recorder died too, its last saved state is used.
     let modified = std::fs::metadata(&report_path).and_then(|file| file.modified());
@@ -183,6 +199,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         measured.audited(&input);
         let measured = report(arguments, measured, info, supervision)?;
         ended.recorded.iter().for_each(|line| say!("{line}"));
+        html.map_or(Ok(()), |html| html.write(measured.clone()))?;
         if matches!(ended.outcome, Ok(Exit::Done)) {
             fail_if::check(&arguments.fail_if, &measured)?;
             if given_up {

@@ -21,6 +21,8 @@ fn turning_vehicle() -> AgentDrawing {
         quality: Quality::Learned,
         cause: Cause::None,
         age_ns: 0,
+        experts: [0.0; wire::EXPERTS_MAX],
+        out_of_distribution: 0.0,
         best: arc(0.05),
         covariance: vec![covariance.collect(); modes.len()],
         modes,

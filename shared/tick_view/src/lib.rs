@@ -4,8 +4,8 @@
 //! published.
 
 use wire::{
-    AgentType, Cause, Forecast, HISTORY_MAX, HORIZON_MAX, Header, HistoryState, MODES_MAX, Quality, Track,
-    flags,
+    AgentType, Cause, EXPERTS_MAX, Forecast, HISTORY_MAX, HORIZON_MAX, Header, HistoryState, MODES_MAX,
+    Quality, Track, flags,
 };
 
 /// A position in the world frame, m.
@@ -64,6 +64,10 @@ pub struct ForecastView {
     pub cause: Cause,
     /// Age of the controls.
     pub age_ns: u64,
+    /// Weight of each expert by its number; zeros if they are not reported.
+    pub experts: [f32; EXPERTS_MAX],
+    /// Distance of the agent's history from the training data; 0 inside.
+    pub out_of_distribution: f32,
     /// The single best forecast (K = 1), by step.
     pub best: Vec<Point>,
     /// Mean positions, \[mode, step\].
@@ -136,6 +140,8 @@ impl ForecastView {
             quality: *Quality::ALL.get(forecast.quality as usize)?,
             cause: *Cause::ALL.get(forecast.cause as usize)?,
             age_ns: forecast.age_ns,
+            experts: forecast.expert_weights,
+            out_of_distribution: forecast.out_of_distribution,
             best: forecast.best[..horizon_len].to_vec(),
             modes: modes.collect(),
             probability: forecast.probability[..modes_len].to_vec(),

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::rc::Rc;
 
-use data::{RecordedTrack, Recording};
+use data::{RecordedTrack, Recording, Reported};
 use drawing::AgentDrawing;
 use evaluator::MOVING_MPS;
 use launch::failure::Failure;
@@ -15,7 +15,9 @@ use scene::{ContextMap, MapBuilder, State};
 use source::Playback;
 use thiserror::Error;
 use tick_view::{AgentView, ForecastView, TickView};
-use wire::{Detection, detection_flags};
+use wire::{Detection, WorldOrigin, detection_flags};
+
+use crate::published::Published;
 
 /// Maximum number of ticks whose agents are ranked, evenly spread.
 const RANKED_MAX: u64 = 240;
@@ -98,6 +100,7 @@ pub enum GalleryError {
 }
 
 /// The original recording, for the truth and the map.
+#[derive(Default)]
 struct Past {
     tracks: BTreeMap<u64, RecordedTrack>,
     first_ns: i64,
@@ -123,66 +126,129 @@ pub fn shots(
     agents: &[u64],
 ) -> Result<Vec<Shot>, Failure> {
     let recording = playback.recording();
-    let past = Past::new(recording);
-    let last_s = past.time_s(recording.frames.last().map_or(0, |frame| frame.stamp_ns));
-    let half_s = 0.5 * playback.interval_ns() as f64 / 1e9;
-    let times_s = match wanted {
-        Wanted::At(times_s) => times_s.clone(),
-        Wanted::Middle => vec![0.5 * last_s],
-        Wanted::Extremes(_) => Vec::new(),
-    };
-    let is_inside = |time_s: &f64| (-half_s..=last_s + half_s).contains(time_s);
-    if let Some(&time_s) = times_s.iter().find(|time_s| !is_inside(time_s)) {
-        return Err(Failure::data(GalleryError::Outside { time_s, last_s }));
-    }
-    let end_s = times_s.iter().copied().fold(f64::MIN, f64::max);
-    let spacing = playback.ticks_len().div_ceil(RANKED_MAX).max(1);
+    let past = Past::of_recording(recording);
+    let last_ns = recording.frames.last().map_or(0, |frame| frame.stamp_ns);
+    let (interval_ns, ticks_len) = (playback.interval_ns(), playback.ticks_len());
+    let mut search = Search::new(&past, wanted, (last_ns, interval_ns, ticks_len))?;
     let mut chain = Chain::new(run, model)?;
-    let mut nearest: Vec<Option<(f64, Rc<TickView>)>> = vec![None; times_s.len()];
-    let mut ranked = Vec::new();
     while let Some(tick) = playback.next_tick() {
         chain.tick(&tick.header, tick.detections, |_| ());
         let (tracks, forecasts) = chain.frames();
         if tracks.is_void() {
             continue;
         }
-        let time_s = past.time_s(tick.header.stamp_ns);
-        let apart_s = |number: usize| (time_s - times_s[number]).abs();
-        let is_nearer =
-            |number: &usize| nearest[*number].as_ref().is_none_or(|(least_s, _)| apart_s(*number) < *least_s);
-        let nearer: Vec<usize> = (0..times_s.len()).filter(is_nearer).collect();
-        let ranks = matches!(wanted, Wanted::Extremes(_)) && tick.header.seq % spacing == 0;
-        if nearer.is_empty() && !ranks {
-            // All wanted ticks have passed.
-            if !times_s.is_empty() && time_s > end_s {
-                break;
-            }
-            continue;
+        let view = || TickView::new(tracks.parts(), forecasts.parts());
+        if !search.offer(tick.header.seq, tick.header.stamp_ns, view) {
+            break;
         }
-        let view = Rc::new(TickView::new(tracks.parts(), forecasts.parts()));
+    }
+    search.shots(agents)
+}
+
+/// Returns the wanted ticks of a run that has ended, as it has published them. What happened after a forecast
+/// is the agent's later track.
+///
+/// # Errors
+/// As [`shots`], and if the file can't be read.
+pub fn published_shots(
+    published: &Published,
+    origin: WorldOrigin,
+    wanted: &Wanted,
+    agents: &[u64],
+) -> Result<Vec<Shot>, Failure> {
+    let (mut past, mut ticks_len, mut span_ns) = (Past::default(), 0, None);
+    published.each(origin, |view| {
+        let [first_ns, _] = *span_ns.get_or_insert([view.stamp_ns; 2]);
+        span_ns = Some([first_ns, view.stamp_ns]);
+        ticks_len += 1;
+        past.add(&view);
+    })?;
+    let [first_ns, last_ns] = span_ns.ok_or_else(|| Failure::data(GalleryError::NoAgents))?;
+    past.first_ns = first_ns;
+    let interval_ns = last_ns.abs_diff(first_ns) / (ticks_len - 1).max(1);
+    let mut search = Search::new(&past, wanted, (last_ns, interval_ns, ticks_len))?;
+    published.each(origin, |view| {
+        search.offer(view.seq, view.stamp_ns, || view);
+    })?;
+    search.shots(agents)
+}
+
+/// Searches the ticks of a run for the wanted ones.
+struct Search<'a> {
+    past: &'a Past,
+    wanted: &'a Wanted,
+    times_s: Vec<f64>,
+    /// One tick in this many is ranked.
+    spacing: u64,
+    /// For each time, the nearest tick so far and its distance.
+    nearest: Vec<Option<(f64, Rc<TickView>)>>,
+    ranked: Vec<Ranked>,
+}
+
+impl<'a> Search<'a> {
+    /// Begins a search in a run with this last stamp, interval and number of ticks.
+    fn new(
+        past: &'a Past,
+        wanted: &'a Wanted,
+        (last_ns, interval_ns, ticks_len): (i64, u64, u64),
+    ) -> Result<Self, Failure> {
+        let last_s = past.time_s(last_ns);
+        let half_s = 0.5 * interval_ns as f64 / 1e9;
+        let times_s = match wanted {
+            Wanted::At(times_s) => times_s.clone(),
+            Wanted::Middle => vec![0.5 * last_s],
+            Wanted::Extremes(_) => Vec::new(),
+        };
+        let is_inside = |time_s: &f64| (-half_s..=last_s + half_s).contains(time_s);
+        if let Some(&time_s) = times_s.iter().find(|time_s| !is_inside(time_s)) {
+            return Err(Failure::data(GalleryError::Outside { time_s, last_s }));
+        }
+        let (nearest, spacing) = (vec![None; times_s.len()], ticks_len.div_ceil(RANKED_MAX).max(1));
+        Ok(Self { past, wanted, times_s, spacing, nearest, ranked: Vec::new() })
+    }
+
+    /// Takes a tick. Returns false if all wanted ticks have passed.
+    fn offer(&mut self, seq: u64, stamp_ns: i64, view: impl FnOnce() -> TickView) -> bool {
+        let time_s = self.past.time_s(stamp_ns);
+        let apart_s = |number: usize| (time_s - self.times_s[number]).abs();
+        let is_nearer = |number: &usize| {
+            self.nearest[*number].as_ref().is_none_or(|(least_s, _)| apart_s(*number) < *least_s)
+        };
+        let nearer: Vec<usize> = (0..self.times_s.len()).filter(is_nearer).collect();
+        let ranks = matches!(self.wanted, Wanted::Extremes(_)) && seq.is_multiple_of(self.spacing);
+        if nearer.is_empty() && !ranks {
+            let end_s = self.times_s.iter().copied().fold(f64::MIN, f64::max);
+            return self.times_s.is_empty() || time_s <= end_s;
+        }
+        let view = Rc::new(view());
         for number in nearer {
-            nearest[number] = Some((apart_s(number), Rc::clone(&view)));
+            self.nearest[number] = Some(((time_s - self.times_s[number]).abs(), Rc::clone(&view)));
         }
         if ranks {
-            ranked.extend(past.rank(&view));
+            self.ranked.extend(self.past.rank(&view));
         }
+        true
     }
-    let shots: Result<Vec<Shot>, GalleryError> = match wanted {
-        Wanted::Extremes(count) => past.extremes(ranked, *count),
-        Wanted::At(_) | Wanted::Middle => nearest
-            .into_iter()
-            .map(|found| past.shot(&found.ok_or(GalleryError::NoAgents)?.1, agents))
-            .collect(),
-    };
-    let shots = shots.map_err(Failure::data)?;
-    if shots.iter().all(|shot| shot.agents.is_empty()) {
-        return Err(Failure::data(GalleryError::NoAgents));
+
+    fn shots(self, agents: &[u64]) -> Result<Vec<Shot>, Failure> {
+        let shots: Result<Vec<Shot>, GalleryError> = match self.wanted {
+            Wanted::Extremes(count) => self.past.extremes(self.ranked, *count),
+            Wanted::At(_) | Wanted::Middle => self
+                .nearest
+                .into_iter()
+                .map(|found| self.past.shot(&found.ok_or(GalleryError::NoAgents)?.1, agents))
+                .collect(),
+        };
+        let shots = shots.map_err(Failure::data)?;
+        if shots.iter().all(|shot| shot.agents.is_empty()) {
+            return Err(Failure::data(GalleryError::NoAgents));
+        }
+        Ok(shots)
     }
-    Ok(shots)
 }
 
 impl Past {
-    fn new(recording: &Recording) -> Self {
+    fn of_recording(recording: &Recording) -> Self {
         let tracks = match recording.frames.iter().any(|frame| !frame.truth.is_empty()) {
             true => data::tracks(&of_truth(recording)),
             false => data::tracks(recording),
@@ -190,6 +256,21 @@ impl Past {
         let tracks = tracks.into_iter().map(|track| (track.id, track)).collect();
         let first_ns = recording.frames.first().map_or(0, |frame| frame.stamp_ns);
         Self { tracks, first_ns }
+    }
+
+    /// Adds the tracks of a tick that a run has published.
+    fn add(&mut self, view: &TickView) {
+        for agent in view.agents.iter().filter(|agent| agent.unseen_ns == 0) {
+            let track = self.tracks.entry(agent.known_as()).or_insert_with(|| {
+                let [length_m, width_m] = [agent.length_m, agent.width_m].map(Option::unwrap_or_default);
+                let (agent_type, has_speed, has_heading) = (agent.agent_type, true, true);
+                let reported = Reported { agent_type, length_m, width_m, has_speed, has_heading };
+                let (id, states, starts_unmoved) = (agent.known_as(), Vec::new(), false);
+                RecordedTrack { id, states, starts_unmoved, reported: vec![(view.stamp_ns, reported)] }
+            });
+            let AgentView { position_m, velocity_mps, heading_rad, .. } = *agent;
+            track.states.push((view.stamp_ns, State { position_m, velocity_mps, heading_rad }));
+        }
     }
 
     fn time_s(&self, stamp_ns: i64) -> f64 {

@@ -7,6 +7,7 @@
 mod contenders;
 mod gallery;
 mod picture;
+mod published;
 #[cfg(test)]
 mod tests;
 mod verbs;

@@ -4,14 +4,15 @@ use ::scene::ContextMap;
 use clap::{Args, ValueEnum};
 use drawing::{Mask, SceneDrawing, SceneOptions, scenes};
 use lanes::LaneMap;
-use launch::arguments::{PlaybackArguments, Played};
+use launch::arguments::{PlaybackArguments, Played, lanes_of};
 use launch::failure::Failure;
 use launch::say;
 use localiser::MapChoice;
 use run::Exit;
 
-use crate::gallery::{Shot, Wanted, shots};
+use crate::gallery::{Shot, Wanted, published_shots, shots};
 use crate::picture::save;
+use crate::published::Published;
 
 /// Arguments of `stgdat plot scene`.
 #[derive(Debug, Args)]
@@ -67,25 +68,46 @@ enum MaskChoice {
     None,
 }
 
-/// Plays a recording through the stages and draws ticks with their published forecasts.
+/// Draws ticks with their published forecasts: of a run that has ended, or of a recording that is played through
+/// the stages.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let playback = &arguments.playback;
-    let lanes = playback.model().open_lanes(playback.read().options().origin)?;
+    let origin = playback.read().options().origin;
+    let lanes = playback.model().open_lanes(origin)?;
+    let path = playback.path()?;
+    let published = path.as_deref().map(Published::open).transpose()?.flatten();
     let site = match &playback.model().map {
         Some(MapChoice::File(path)) => Some(ContextMap::load(path).map_err(Failure::data)?),
         _ => None,
     };
     let has_map = playback.model().map != Some(MapChoice::None);
-    let Played { playback: played, run, model, .. } = playback.start()?;
-    let name = played.recording().name.clone();
-    let shots = shots(played, (&run, &model), &arguments.wanted(), &arguments.agents)?;
+    let (wanted, agents) = (arguments.wanted(), &arguments.agents);
+    let mut options = arguments.options();
+    let (name, shots) = match &published {
+        Some(published) => {
+            if !published.has_regions() {
+                options.mask = Mask::Hidden;
+            }
+            let name = path.as_deref().and_then(Path::file_name).unwrap_or_default();
+            (name.to_string_lossy().into_owned(), published_shots(published, origin, &wanted, agents)?)
+        }
+        None => {
+            let Played { playback: played, run, model, .. } = playback.start()?;
+            let name = played.recording().name.clone();
+            (name, shots(played, (&run, &model), &wanted, agents)?)
+        }
+    };
+    let lanes = match &published {
+        Some(Published::Recording(recording)) if lanes.is_none() => lanes_of(&recording.about().run)?,
+        _ => lanes,
+    };
     let mut drawings = Vec::with_capacity(shots.len());
     for shot in &shots {
         let map = site.as_ref().or(shot.visits.as_ref()).filter(|_| has_map);
         drawings.push(drawing(shot, map, lanes.as_ref()));
     }
-    let picture = scenes(&name, &drawings, &arguments.options(drawings.len())).map_err(Failure::data)?;
-    let path = playback.path()?;
+    options.columns = arguments.columns(drawings.len());
+    let picture = scenes(&name, &drawings, &options).map_err(Failure::data)?;
     let stem = path.as_deref().and_then(Path::file_stem).unwrap_or("scene".as_ref());
     let out = arguments.out.clone().unwrap_or_else(|| Path::new(stem).with_extension("png"));
     save(&picture, &out)?;
@@ -105,12 +127,16 @@ impl Arguments {
         }
     }
 
-    fn options(&self, panels_len: usize) -> SceneOptions {
+    fn columns(&self, panels_len: usize) -> usize {
         // The best are above the worst.
         let usual = self.best_worst.map_or(panels_len.clamp(1, 2), usize::from).min(4);
+        self.columns.map_or(usual, usize::from)
+    }
+
+    fn options(&self) -> SceneOptions {
         SceneOptions {
             width: self.width,
-            columns: self.columns.map_or(usual, usize::from),
+            columns: 1,
             height_per_width: self.ratio,
             extent_min_m: self.extent,
             mask: match self.mask {

@@ -1,0 +1,139 @@
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use clap::Args;
+use ports::{LivingRun, Stop};
+use recording::About;
+use recording::tap::{Client as TapClient, Item, Request};
+use run::Exit;
+use view::{Live, MODES_DRAWN, Pairing, Scene};
+use wire::{ForecastsTopic, Topic as _, TracksTopic};
+
+use crate::arguments::lanes_of;
+use crate::child::die_with_this_process;
+use crate::failure::Failure;
+use crate::observe::address;
+use crate::top::Client;
+use crate::{log, runs};
+
+/// The address if none is named; any free port if this one is taken.
+const ADDRESS: ([u8; 4], u16) = ([127, 0, 0, 1], 9465);
+/// Interval between questions for the status.
+const STATUS: Duration = Duration::from_millis(500);
+/// Longest wait for an item or a browser.
+const WAIT: Duration = Duration::from_millis(200);
+/// Time limit for browsers to receive the end of the run.
+const END_LIMIT: Duration = Duration::from_secs(3);
+/// Nice value of the server, so that the stages come first.
+const NICE: i32 = 10;
+
+/// Arguments of `stgdat view`.
+#[derive(Debug, Args)]
+pub struct Arguments {
+    /// Name or folder of the run; not needed if only one is running
+    #[arg(long, value_name = "RUN")]
+    run: Option<PathBuf>,
+    /// Serve the page on this address, or on this port of the loopback interface. The URL has a token if the
+    /// address is not of the loopback interface
+    #[arg(long, value_name = "ADDRESS", value_parser = address)]
+    address: Option<SocketAddr>,
+}
+
+/// Serves the live page of a run until the run ends.
+pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
+    let stop = Stop::on_signals().map_err(Failure::unavailable)?;
+    let run = runs::find(arguments.run.as_deref())?;
+    let _ = rustix::process::nice(NICE);
+    let hello = hello(&run)?;
+    let wanted = arguments.address.unwrap_or_else(|| ADDRESS.into());
+    let live = Live::serve(wanted, &hello).or_else(|error| match arguments.address {
+        // Another run has a page already.
+        None => Live::serve(SocketAddr::from((ADDRESS.0, 0)), &hello),
+        Some(_) => Err(error),
+    });
+    let live = live.map_err(|error| Failure::unavailable_about(format!("the page on {wanted}"), error))?;
+    say!("{} shows {} in a browser; Ctrl-C ends it", live.url(), run.name);
+    let client = Client::new(&run.root);
+    while !stop.requested() && client.is_there() {
+        // Without a browser nothing is read.
+        if live.wait_for_browser(WAIT) {
+            follow(&run, &client, &live, &stop)?;
+        }
+    }
+    live.end(END_LIMIT);
+    Ok(Exit::Done)
+}
+
+/// The facts of a run that do not change, as JSON: its title and the bounds of its lanes.
+fn hello(run: &LivingRun) -> Result<String, Failure> {
+    let about = About::of_run(&run.root).map_err(|error| Failure::file(&run.root, error))?;
+    let title = serde_json::to_string(&about.scene).map_err(Failure::data)?;
+    let lanes = lanes_of(&about.run)?.map_or_else(|| "[]".to_owned(), |map| view::lanes_json(&map));
+    Ok(format!("{{\"title\":{title},\"lanes\":{lanes}}}"))
+}
+
+/// Shows the run's ticks while a browser watches.
+fn follow(run: &LivingRun, status: &Client, live: &Live, stop: &Stop) -> Result<(), Failure> {
+    let topics = vec![TracksTopic::NAME.to_owned(), ForecastsTopic::NAME.to_owned()];
+    let request = Request { tool: "view".to_owned(), topics, events: false, mark: None, recording: None };
+    // The run may end at this moment.
+    let Ok(mut tap) = TapClient::attach(&run.root, &request) else {
+        std::thread::sleep(WAIT);
+        return Ok(());
+    };
+    let mut pairing = Pairing::default();
+    let mut asked: Option<Instant> = None;
+    while live.browsers() > 0 && !stop.requested() && !tap.is_closed() {
+        match tap.next(WAIT).map_err(Failure::unavailable)? {
+            Some(Item::Frame(frame)) => {
+                if let Some(view) = pairing.take(frame) {
+                    live.tick(&Scene::new(&view, MODES_DRAWN).to_json());
+                }
+            }
+            Some(Item::Refused(why)) => return Err(Failure::unavailable_about(&run.name, why)),
+            // The page shows the losses of the run itself, which the status counts.
+            Some(_) | None => {}
+        }
+        if asked.is_none_or(|asked| asked.elapsed() >= STATUS) {
+            asked = Some(Instant::now());
+            // A launcher that is busy is asked again later.
+            if let Ok(status) = status.ask() {
+                live.status(&serde_json::to_string(&status).map_err(Failure::data)?);
+            }
+        }
+    }
+    Ok(())
+}
+
+/// A view that the launcher starts with a run.
+#[derive(Debug)]
+pub struct Page(Child);
+
+impl Page {
+    /// Starts `stgdat view` for a run. It prints the page's URL.
+    pub fn start(root: &Path, address: Option<SocketAddr>) -> Result<Self, Failure> {
+        let mut command = Command::new(std::env::current_exe().map_err(Failure::unavailable)?);
+        command.arg("view").arg("--run").arg(root).stdin(Stdio::null());
+        if let Some(address) = address {
+            command.arg("--address").arg(address.to_string());
+        }
+        die_with_this_process(log::pass_on(&mut command));
+        command.spawn().map(Self).map_err(Failure::unavailable)
+    }
+}
+
+impl Drop for Page {
+    fn drop(&mut self) {
+        let pid = i32::try_from(self.0.id()).ok().and_then(rustix::process::Pid::from_raw);
+        let _ = pid.map(|pid| rustix::process::kill_process(pid, rustix::process::Signal::TERM));
+        // It first tells its browsers that the run has ended.
+        let begun = Instant::now();
+        while begun.elapsed() < END_LIMIT + WAIT && matches!(self.0.try_wait(), Ok(None)) {
+            std::thread::sleep(WAIT / 8);
+        }
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}

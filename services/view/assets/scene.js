@@ -1,0 +1,580 @@
+"use strict";
+// Draws the scene of a tick on a canvas, with pan, zoom, pinch and picking. The live page and the report use it.
+// A scene is what scene.rs writes: lengths in cm, positions of an agent relative to its own.
+
+const TYPES = ["vehicle", "cyclist", "pedestrian"];
+const QUALITIES = ["learned", "held", "kinematic"];
+const CAUSES = ["none", "late", "rejected", "missing", "young", "outdone", "shed"];
+const CAUSE_WORDS = {
+  none: "learned", late: "late", rejected: "rejected", missing: "missing", young: "too young",
+  outdone: "constant velocity better", shed: "shed to save time",
+};
+const EXPERTS = ["network", "base", "constant velocity", "decaying turn", "process model",
+                 "decaying acceleration"];
+
+// The value of a style variable, so that canvases follow the theme.
+function themed(name) {
+  return getComputedStyle(document.documentElement).getPropertyValue("--" + name).trim();
+}
+
+function palette() {
+  const colors = {};
+  for (const name of ["ground", "grid", "ink", "soft", "faint", "lane", "ego", "select", "unknown"]) {
+    colors[name] = themed(name);
+  }
+  colors.cause = CAUSES.map((cause) => themed("cause-" + cause));
+  return colors;
+}
+
+function colorOf(colors, forecast) {
+  return forecast ? colors.cause[forecast.c] || colors.unknown : colors.unknown;
+}
+
+// The density of a mixture at the end of the horizon on a grid, and the densities on the borders of its 50 % and
+// 90 % highest-density regions. The border of the grid is 0, so that every contour is closed.
+function densityOf(mixture, cells) {
+  let [x0, y0, x1, y1] = [Infinity, Infinity, -Infinity, -Infinity];
+  const modes = [];
+  for (const [p, x, y, xx, xy, yy] of mixture) {
+    const determinant = xx * yy - xy * xy;
+    if (!(determinant > 0) || p < 4) continue;
+    const [sx, sy] = [3 * Math.sqrt(xx), 3 * Math.sqrt(yy)];
+    [x0, y0] = [Math.min(x0, x - sx), Math.min(y0, y - sy)];
+    [x1, y1] = [Math.max(x1, x + sx), Math.max(y1, y + sy)];
+    modes.push([p / Math.sqrt(determinant), x, y, yy / determinant / 2, -xy / determinant, xx / determinant / 2, sx, sy]);
+  }
+  if (!modes.length) return null;
+  const [dx, dy] = [(x1 - x0) / (cells - 3), (y1 - y0) / (cells - 3)];
+  [x0, y0] = [x0 - dx, y0 - dy];
+  const values = new Float32Array(cells * cells);
+  const range = (middle, reach, begin, step) =>
+    [Math.max(Math.ceil((middle - reach - begin) / step), 1), Math.min(Math.floor((middle + reach - begin) / step), cells - 2)];
+  for (const [weight, x, y, a, b, c, sx, sy] of modes) {
+    const [col0, col1] = range(x, sx, x0, dx);
+    const [row0, row1] = range(y, sy, y0, dy);
+    for (let row = row0; row <= row1; row++) {
+      const v = y0 + row * dy - y;
+      for (let col = col0; col <= col1; col++) {
+        const u = x0 + col * dx - x;
+        values[row * cells + col] += weight * Math.exp(-(a * u * u + b * u * v + c * v * v));
+      }
+    }
+  }
+  const sorted = Float32Array.from(values).sort();
+  const total = sorted.reduce((sum, value) => sum + value, 0);
+  const levels = [];
+  let sum = 0;
+  for (let at = sorted.length - 1; at >= 0; at--) {
+    sum += sorted[at];
+    while (levels.length < 2 && sum >= [0.5, 0.9][levels.length] * total) levels.push(sorted[at]);
+  }
+  return { values, cells, x0, y0, dx, dy, levels };
+}
+
+// Traces the borders of the area above a level: marching squares, linked to closed lines.
+function traceRegion(path, { values, cells, x0, y0, dx, dy }, level) {
+  // An edge of the grid is named by twice its first corner, plus 1 if it goes along a column.
+  const next = new Map();
+  for (let row = 0; row + 1 < cells; row++) {
+    for (let col = 0; col + 1 < cells; col++) {
+      const at = row * cells + col;
+      const inside = [values[at] >= level, values[at + 1] >= level,
+                      values[at + cells + 1] >= level, values[at + cells] >= level];
+      if (inside[0] === inside[1] && inside[1] === inside[2] && inside[2] === inside[3]) continue;
+      const edges = [2 * at, 2 * (at + 1) + 1, 2 * (at + cells), 2 * at + 1];
+      for (let side = 0; side < 4; side++) {
+        if (!inside[side] || inside[(side + 1) % 4]) continue;
+        // The border leaves through this side, and enters through the next side that it crosses.
+        let other = (side + 1) % 4;
+        while (inside[other] || !inside[(other + 1) % 4]) other = (other + 1) % 4;
+        next.set(edges[side], edges[other]);
+      }
+    }
+  }
+  const spot = (edge) => {
+    const [at, isColumn] = [edge >> 1, edge & 1];
+    const [value, after] = [values[at], values[at + (isColumn ? cells : 1)]];
+    const share = (level - value) / (after - value);
+    const [row, col] = [Math.floor(at / cells), at % cells];
+    return [x0 + (col + (isColumn ? 0 : share)) * dx, y0 + (row + (isColumn ? share : 0)) * dy];
+  };
+  while (next.size) {
+    const [first] = next.keys();
+    path.moveTo(...spot(first));
+    for (let edge = next.get(first); edge !== undefined && edge !== first;) {
+      path.lineTo(...spot(edge));
+      const after = next.get(edge);
+      next.delete(edge);
+      edge = after;
+    }
+    next.delete(first);
+    path.closePath();
+  }
+}
+
+// The places where agents have been: a picture with a pixel for each square metre.
+class Places {
+  constructor() {
+    this.canvas = document.createElement("canvas");
+    this.canvas.width = this.canvas.height = 1024;
+    this.context = this.canvas.getContext("2d");
+    this.context.fillStyle = "rgba(138, 151, 165, 0.22)";
+    this.last = new Map();
+  }
+
+  // Places farther than half a kilometre from the first one are left out.
+  add(agent) {
+    const place = agent.p.map((value) => Math.round(value / 100));
+    this.origin ??= place.map((value) => value - 512);
+    const [x, y] = [place[0] - this.origin[0], place[1] - this.origin[1]];
+    const key = x * 4096 + y;
+    if (this.last.get(agent.i) === key) return;
+    if (this.last.size > 4000) this.last.clear();
+    this.last.set(agent.i, key);
+    this.context.fillRect(x, y, 1, 1);
+  }
+
+  draw(context) {
+    if (!this.origin) return;
+    context.imageSmoothingEnabled = false;
+    const [x, y] = this.origin;
+    context.drawImage(this.canvas, (x - 0.5) * 100, (y - 0.5) * 100, 102400, 102400);
+  }
+}
+
+class SceneCanvas {
+  constructor(canvas, options = {}) {
+    this.canvas = canvas;
+    this.options = Object.assign({ interactive: true, regions: true, onPick: null }, options);
+    this.context = canvas.getContext("2d");
+    this.scene = null;
+    this.lanes = [];
+    this.follow = null;
+    this.selected = null;
+    this.center = null;
+    this.scale = 6; // pixels per metre
+    this.fitted = false;
+    this.places = new Places();
+    this.densities = new WeakMap();
+    this.draws = 0;
+    this.pointers = new Map();
+    this.colors = palette();
+    if (this.options.interactive) this.listen();
+    new ResizeObserver(() => this.resize()).observe(canvas);
+    this.resize();
+  }
+
+  resize() {
+    const ratio = Math.min(window.devicePixelRatio || 1, 2);
+    const { clientWidth: width, clientHeight: height } = this.canvas;
+    if (!width || !height) return;
+    [this.width, this.height, this.ratio] = [width, height, ratio];
+    this.canvas.width = Math.round(width * ratio);
+    this.canvas.height = Math.round(height * ratio);
+    if (!this.moved) this.fitted = false;
+    this.draw();
+  }
+
+  theme() {
+    this.colors = palette();
+    this.draw();
+  }
+
+  show(scene) {
+    this.scene = scene;
+    scene.agents.forEach((agent) => this.places.add(agent));
+    this.request();
+  }
+
+  request() {
+    if (this.requested) return;
+    this.requested = true;
+    requestAnimationFrame(() => {
+      this.requested = false;
+      this.draw();
+    });
+  }
+
+  // Fits all agents and the ends of their forecasts.
+  fit() {
+    const points = [];
+    for (const { p, f } of this.scene ? this.scene.agents : []) {
+      points.push(p);
+      if (f && f.b.length) points.push([p[0] + f.b[f.b.length - 2], p[1] + f.b[f.b.length - 1]]);
+    }
+    if (this.scene && this.scene.ego) points.push(this.scene.ego.map((value) => value * 100));
+    if (!points.length) return;
+    const range = (axis) => {
+      const sorted = points.map((point) => point[axis] / 100).sort((a, b) => a - b);
+      const cut = Math.floor(sorted.length * 0.02);
+      return [sorted[cut], sorted[sorted.length - 1 - cut]];
+    };
+    const [[x0, x1], [y0, y1]] = [range(0), range(1)];
+    this.center = [(x0 + x1) / 2, (y0 + y1) / 2];
+    const margin = 12;
+    this.scale = Math.min(this.width / (x1 - x0 + margin), this.height / (y1 - y0 + margin), 40);
+    this.fitted = true;
+    this.moved = false;
+  }
+
+  toScreen(x, y) {
+    return [this.width / 2 + (x / 100 - this.center[0]) * this.scale,
+            this.height / 2 - (y / 100 - this.center[1]) * this.scale];
+  }
+
+  zoom(factor, x, y) {
+    const scale = Math.min(Math.max(this.scale * factor, 0.3), 120);
+    const [dx, dy] = [x - this.width / 2, this.height / 2 - y];
+    if (!this.follow && this.center) {
+      this.center[0] += dx / this.scale - dx / scale;
+      this.center[1] += dy / this.scale - dy / scale;
+    }
+    this.scale = scale;
+    this.moved = true;
+    this.request();
+  }
+
+  listen() {
+    const canvas = this.canvas;
+    canvas.style.touchAction = "none";
+    const place = (event) => {
+      const box = canvas.getBoundingClientRect();
+      return [event.clientX - box.left, event.clientY - box.top];
+    };
+    canvas.addEventListener("wheel", (event) => {
+      event.preventDefault();
+      this.zoom(Math.exp(-event.deltaY * 0.0015), ...place(event));
+    }, { passive: false });
+    canvas.addEventListener("pointerdown", (event) => {
+      canvas.setPointerCapture(event.pointerId);
+      this.pointers.set(event.pointerId, place(event));
+      if (this.pointers.size === 1) this.pressed = place(event);
+    });
+    canvas.addEventListener("pointermove", (event) => {
+      const before = this.pointers.get(event.pointerId);
+      if (!before || !this.center) return;
+      const now = place(event);
+      if (this.pointers.size === 2) {
+        const [other] = [...this.pointers].filter(([id]) => id !== event.pointerId).map(([, at]) => at);
+        const apart = (point) => Math.hypot(point[0] - other[0], point[1] - other[1]);
+        this.zoom(apart(now) / Math.max(apart(before), 1), (now[0] + other[0]) / 2, (now[1] + other[1]) / 2);
+        this.pressed = null;
+      } else if (!this.pressed || Math.hypot(now[0] - this.pressed[0], now[1] - this.pressed[1]) > 5) {
+        this.pressed = null;
+        this.moved = true;
+        this.setFollow(null);
+        this.center[0] -= (now[0] - before[0]) / this.scale;
+        this.center[1] += (now[1] - before[1]) / this.scale;
+        this.request();
+      }
+      if (this.pointers.size === 2 || !this.pressed) this.pointers.set(event.pointerId, now);
+    });
+    const release = (event) => {
+      this.pointers.delete(event.pointerId);
+      if (event.type === "pointerup" && this.pressed) this.pick(...this.pressed);
+      this.pressed = null;
+    };
+    canvas.addEventListener("pointerup", release);
+    canvas.addEventListener("pointercancel", release);
+    canvas.addEventListener("keydown", (event) => {
+      const step = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] }[event.key];
+      if (step && this.center) {
+        this.setFollow(null);
+        this.moved = true;
+        this.center = this.center.map((value, axis) => value + step[axis] * 60 / this.scale);
+        event.preventDefault();
+      } else if (event.key === "+") this.zoom(1.25, this.width / 2, this.height / 2);
+      else if (event.key === "-") this.zoom(0.8, this.width / 2, this.height / 2);
+      else if (event.key === "0") { this.setFollow(null); this.fit(); }
+      else return;
+      this.request();
+    });
+  }
+
+  // Follows the ego vehicle ("ego"), an agent by its number, or nothing (null).
+  setFollow(what) {
+    if (this.follow === what) return;
+    this.follow = what;
+    if (this.options.onFollow) this.options.onFollow(what);
+  }
+
+  pick(x, y) {
+    if (!this.scene || !this.center) return;
+    let [best, least] = [null, 24];
+    for (const agent of this.scene.agents) {
+      const [ax, ay] = this.toScreen(agent.p[0], agent.p[1]);
+      const apart = Math.hypot(ax - x, ay - y);
+      if (apart < least) [best, least] = [agent, apart];
+    }
+    this.selected = best ? best.i : null;
+    if (this.options.onPick) this.options.onPick(best);
+    this.request();
+  }
+
+  draw() {
+    const { context, scene, colors } = this;
+    if (!this.width) return;
+    if (scene && !this.fitted) this.fit();
+    context.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
+    context.fillStyle = colors.ground;
+    context.fillRect(0, 0, this.width, this.height);
+    if (!scene || !this.center) return;
+    if (this.follow === "ego" && scene.ego) this.center = [scene.ego[0], scene.ego[1]];
+    const followed = this.follow && scene.agents.find((agent) => agent.i === this.follow);
+    if (followed) this.center = followed.p.map((value) => value / 100);
+    const k = this.scale / 100 * this.ratio;
+    // From here on, one unit is one centimetre of the world.
+    this.world = [k, 0, 0, -k, this.ratio * this.width / 2 - this.center[0] * 100 * k,
+                  this.ratio * this.height / 2 + this.center[1] * 100 * k];
+    this.thin = 100 / this.scale;
+    context.setTransform(...this.world);
+    this.places.draw(context);
+    this.drawGrid();
+    this.drawLanes();
+    const reach = 6000;
+    const seen = scene.agents.filter(({ p }) => {
+      const [x, y] = this.toScreen(p[0], p[1]);
+      const margin = Math.min(reach * this.scale / 100, 600);
+      return x > -margin && y > -margin && x < this.width + margin && y < this.height + margin;
+    });
+    if (this.options.regions) seen.forEach((agent) => this.drawRegions(agent));
+    seen.forEach((agent) => this.drawPaths(agent));
+    if (scene.ego) this.drawEgo(scene.ego);
+    seen.forEach((agent) => this.drawBody(agent));
+    context.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
+    this.drawLabels(seen);
+    this.drawScale();
+    this.draws++;
+  }
+
+  // The length between grid lines, m: 1, 2 or 5 times a power of ten.
+  gridStep() {
+    const least = 70 / this.scale;
+    const power = 10 ** Math.floor(Math.log10(least));
+    return [1, 2, 5, 10].map((factor) => factor * power).find((step) => step >= least);
+  }
+
+  drawGrid() {
+    const { context, center, width, height, scale } = this;
+    const step = this.gridStep();
+    context.strokeStyle = this.colors.grid;
+    context.lineWidth = this.thin;
+    context.beginPath();
+    const [x0, x1] = [center[0] - width / 2 / scale, center[0] + width / 2 / scale];
+    const [y0, y1] = [center[1] - height / 2 / scale, center[1] + height / 2 / scale];
+    for (let x = Math.ceil(x0 / step) * step; x < x1; x += step) {
+      context.moveTo(x * 100, y0 * 100);
+      context.lineTo(x * 100, y1 * 100);
+    }
+    for (let y = Math.ceil(y0 / step) * step; y < y1; y += step) {
+      context.moveTo(x0 * 100, y * 100);
+      context.lineTo(x1 * 100, y * 100);
+    }
+    context.stroke();
+  }
+
+  drawLanes() {
+    const { context } = this;
+    context.strokeStyle = this.colors.lane;
+    context.lineWidth = 1.2 * this.thin;
+    context.beginPath();
+    for (const bound of this.lanes) {
+      for (let at = 0; at < bound.length; at += 2) {
+        if (at) context.lineTo(bound[at], bound[at + 1]); else context.moveTo(bound[at], bound[at + 1]);
+      }
+    }
+    context.stroke();
+  }
+
+  drawRegions({ p, f }) {
+    if (!f || !f.e || !f.e.length) return;
+    let regions = this.densities.get(f);
+    if (!regions) {
+      const density = densityOf(f.e, 26);
+      regions = density ? density.levels.map((level) => {
+        const path = new Path2D();
+        traceRegion(path, density, level);
+        return path;
+      }) : [];
+      this.densities.set(f, regions);
+    }
+    const { context } = this;
+    context.save();
+    context.translate(p[0], p[1]);
+    context.fillStyle = colorOf(this.colors, f);
+    regions.slice().reverse().forEach((path, place) => {
+      context.globalAlpha = place ? 0.17 : 0.1;
+      context.fill(path);
+    });
+    context.restore();
+  }
+
+  trace(origin, flat, fromOrigin) {
+    const { context } = this;
+    context.beginPath();
+    let draws = fromOrigin;
+    if (fromOrigin) context.moveTo(origin[0], origin[1]);
+    for (let at = 0; at < flat.length; at += 2) {
+      if (flat[at] === null) { draws = false; continue; }
+      const [x, y] = [origin[0] + flat[at], origin[1] + flat[at + 1]];
+      if (draws) context.lineTo(x, y); else context.moveTo(x, y);
+      draws = true;
+    }
+  }
+
+  drawPaths(agent) {
+    const { context, colors, thin } = this;
+    const { p, f, y } = agent;
+    context.lineJoin = context.lineCap = "round";
+    context.strokeStyle = colors.soft;
+    context.lineWidth = 1.4 * thin;
+    if (y && y.length) {
+      this.trace(p, y, false);
+      context.lineTo(p[0], p[1]);
+      context.stroke();
+    }
+    if (!f) return;
+    context.strokeStyle = colorOf(colors, f);
+    for (const [probability, points] of f.m || []) {
+      context.globalAlpha = 0.25 + 0.55 * Math.min(probability / 400, 1);
+      context.lineWidth = (0.8 + 1.6 * Math.min(probability / 500, 1)) * thin;
+      this.trace(p, points, true);
+      context.stroke();
+    }
+    context.globalAlpha = 1;
+    context.lineWidth = 2.2 * thin;
+    this.trace(p, f.b, true);
+    context.stroke();
+    const end = f.b.length - 2;
+    if (end >= 0) {
+      context.fillStyle = colorOf(colors, f);
+      context.beginPath();
+      context.arc(p[0] + f.b[end], p[1] + f.b[end + 1], 2.6 * thin, 0, 7);
+      context.fill();
+    }
+  }
+
+  drawBody(agent) {
+    const { context, colors, thin } = this;
+    const { p, f, t, h, s } = agent;
+    const sizes = [[450, 190], [180, 60], [60, 60]][t] || [60, 60];
+    const least = 7 * thin;
+    const length = Math.max(s[0] || sizes[0], least);
+    const width = Math.max(s[1] || sizes[1], t === 0 ? least / 2 : least * 0.6);
+    context.save();
+    context.translate(p[0], p[1]);
+    context.rotate(h / 1000);
+    const color = colorOf(colors, f);
+    context.beginPath();
+    if (t === 2) context.arc(0, 0, Math.max(length, width) / 2, 0, 7);
+    else if (context.roundRect) context.roundRect(-length / 2, -width / 2, length, width, width / 4);
+    else context.rect(-length / 2, -width / 2, length, width);
+    context.fillStyle = color;
+    context.globalAlpha = agent.u > 200 ? 0.35 : 0.9;
+    context.fill();
+    context.globalAlpha = 1;
+    context.strokeStyle = this.selected === agent.i ? colors.select : colors.ground;
+    context.lineWidth = (this.selected === agent.i ? 2.5 : 1) * thin;
+    if (f && f.q > 0 && this.selected !== agent.i) {
+      context.strokeStyle = colors.ink;
+      context.setLineDash(f.q === 1 ? [4 * thin, 3 * thin] : [1.5 * thin, 2.5 * thin]);
+    }
+    context.stroke();
+    context.setLineDash([]);
+    if (t !== 2) {
+      // The front.
+      context.beginPath();
+      context.moveTo(length / 2 - length * 0.12, 0);
+      context.lineTo(length * 0.12, width * 0.3);
+      context.lineTo(length * 0.12, -width * 0.3);
+      context.closePath();
+      context.fillStyle = colors.ground;
+      context.globalAlpha = 0.85;
+      context.fill();
+    }
+    context.restore();
+    if (this.selected === agent.i) {
+      context.beginPath();
+      context.arc(p[0], p[1], Math.max(length, width) / 2 + 7 * thin, 0, 7);
+      context.strokeStyle = colors.select;
+      context.lineWidth = 1.5 * thin;
+      context.stroke();
+    }
+  }
+
+  drawEgo([x, y, heading]) {
+    const { context, colors, thin } = this;
+    context.save();
+    context.translate(x * 100, y * 100);
+    context.rotate(heading);
+    context.beginPath();
+    const [length, width] = [Math.max(460, 12 * thin), Math.max(190, 6 * thin)];
+    context.moveTo(length / 2, 0);
+    context.lineTo(-length / 2, width / 2);
+    context.lineTo(-length / 3, 0);
+    context.lineTo(-length / 2, -width / 2);
+    context.closePath();
+    context.fillStyle = colors.ego;
+    context.fill();
+    context.restore();
+  }
+
+  // Labels of agents and of the most probable modes; a label that would cover another is left out.
+  drawLabels(seen) {
+    const { context, colors } = this;
+    const taken = [];
+    const put = (text, x, y, color, size) => {
+      context.font = `${size}px system-ui, sans-serif`;
+      const width = context.measureText(text).width;
+      const box = [x - 2, y - size, x + width + 2, y + 3];
+      if (taken.some((other) => box[0] < other[2] && box[2] > other[0] && box[1] < other[3] && box[3] > other[1])) {
+        return;
+      }
+      taken.push(box);
+      context.lineWidth = 3;
+      context.strokeStyle = colors.ground;
+      context.strokeText(text, x, y);
+      context.fillStyle = color;
+      context.fillText(text, x, y);
+    };
+    const chosen = (agent) => (agent.i === this.selected ? 0 : 1);
+    const detailed = this.scale > 9;
+    for (const agent of seen.slice().sort((a, b) => chosen(a) - chosen(b))) {
+      const isChosen = agent.i === this.selected;
+      if (!detailed && !isChosen) continue;
+      const [x, y] = this.toScreen(agent.p[0], agent.p[1]);
+      put(agent.n, x + 8, y - 8, isChosen ? colors.select : colors.ink, isChosen ? 13 : 11);
+      const modes = agent.f && agent.f.m && (isChosen || this.scale > 14) ? agent.f.m : [];
+      for (const [probability, points] of modes) {
+        const end = points.length - 2;
+        if (end < 0) continue;
+        const [ex, ey] = this.toScreen(agent.p[0] + points[end], agent.p[1] + points[end + 1]);
+        put(Math.round(probability / 10) + " %", ex + 5, ey + 4, colorOf(colors, agent.f), 10.5);
+      }
+    }
+  }
+
+  drawScale() {
+    const { context, colors, height } = this;
+    const step = this.gridStep();
+    const [x, y, length] = [16, height - 18, step * this.scale];
+    context.strokeStyle = colors.ink;
+    context.lineWidth = 1.5;
+    context.beginPath();
+    context.moveTo(x, y - 4);
+    context.lineTo(x, y);
+    context.lineTo(x + length, y);
+    context.lineTo(x + length, y - 4);
+    context.stroke();
+    context.font = "11px system-ui, sans-serif";
+    context.fillStyle = colors.ink;
+    context.fillText(`${step} m`, x + length + 6, y + 3);
+  }
+}
+
+// The legend: what colours and outlines mean, for the causes that occur.
+function legendOf(causes, extra = "") {
+  const items = causes.map((cause) => `<span class="key"><i style="background:var(--cause-${CAUSES[cause]})"></i>` +
+    `${CAUSE_WORDS[CAUSES[cause]]}</span>`);
+  return items.join("") + extra;
+}

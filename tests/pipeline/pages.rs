@@ -1,0 +1,187 @@
+//! The live page and the report page, in headless Chromium if it is installed.
+
+use std::io::{BufRead as _, BufReader, Write as _};
+use std::net::TcpStream;
+use std::path::Path;
+
+use testing::Scratch;
+
+use crate::started::{Started, assert_nothing_left, piped, run, run_well, stderr, stdout, stgdat};
+
+/// Opens a page in Chromium with a log of its network, and returns the page's elements; `None` if Chromium is
+/// not installed.
+fn dom_of(scratch: &Scratch, url: &str, width: u32, more: &[&str]) -> Option<String> {
+    let chromium = std::env::var("STGDAT_CHROMIUM").unwrap_or_else(|_| "chromium".into());
+    let log = scratch.path("network.json");
+    let profile = scratch.path("profile");
+    let fixed = ["--headless=new", "--no-sandbox", "--disable-gpu", "--disable-background-networking"];
+    let mut command = piped(&chromium);
+    command.args(fixed).args(["--no-first-run", "--disable-component-update", "--dump-dom"]);
+    command.arg(format!("--window-size={width},900")).arg(format!("--user-data-dir={profile}"));
+    command.arg(format!("--log-net-log={log}")).args(more).arg(url);
+    let output = match command.spawn() {
+        Ok(child) => child.wait_with_output().expect("it ends"),
+        Err(error) => {
+            eprintln!("skipped: {chromium}: {error} (STGDAT_CHROMIUM names another program)");
+            return None;
+        }
+    };
+    let text = String::from_utf8(scratch.read("network.json")).expect("the log is text");
+    let origin = url.split('/').take(3).collect::<Vec<_>>().join("/");
+    // Chromium itself looks for updates and the like; a page's requests have the page as their initiator.
+    for line in text.lines().filter(|line| line.contains("\"initiator\"") && line.contains("\"url\"")) {
+        let own = format!("\"url\":\"{origin}");
+        let is_of_browser = line.contains("\"initiator\":\"not an origin\"");
+        assert!(is_of_browser || line.contains(&own), "a request left the page: {line}");
+    }
+    Some(stdout(&output))
+}
+
+/// The value of an attribute of the first element that has it.
+fn attribute<'a>(dom: &'a str, name: &str) -> &'a str {
+    let begin = dom.find(&format!("{name}=\"")).unwrap_or_else(|| panic!("no {name} in {dom}"));
+    dom[begin + name.len() + 2..].split('"').next().unwrap_or_default()
+}
+
+/// The URL that `view` prints.
+fn url_of(process: &mut Started) -> String {
+    process.line().split_whitespace().next().unwrap_or_default().to_owned()
+}
+
+#[test]
+fn the_live_page_shows_a_run_and_its_end() {
+    let scratch = Scratch::new("live-page");
+    let run = Started::run(&["--agents", "12", "--ticks", "300", "--quiet"]);
+    let root = run.wait_until_it_runs();
+    let mut view = Started::spawn(stgdat().args(["view", "--address", "0", "--run"]).arg(&root));
+    let url = url_of(&mut view);
+    assert!(url.starts_with("http://127.0.0.1:"), "{url}");
+    for width in [1400, 700] {
+        let Some(dom) = dom_of(&scratch, &url, width, &["--timeout=5000"]) else { break };
+        assert!(dom.contains("generated intersection, 12 agents"), "the title is missing: {dom}");
+        for stage in ["tracker", "localiser", "extractor", "encoder", "decoder", "sampler"] {
+            assert!(dom.contains(&format!("<td>{stage}</td>")), "{stage} at {width}");
+        }
+        let number = |name: &str| attribute(&dom, name).parse::<u64>().unwrap();
+        assert!(number("data-ticks") > 5 && number("data-draws") > 5 && number("data-agents") > 3);
+        assert!(dom.contains("id=\"notice\" hidden"), "the page waits for a tick");
+    }
+    let output = run.output();
+    assert!(output.status.success(), "{}", stderr(&output));
+    assert!(view.output().status.success(), "the view ends with its run");
+    assert_nothing_left(&root);
+}
+
+#[test]
+fn browsers_that_come_and_go_leave_nothing() {
+    let mut run = Started::run(&["--agents", "8", "--ticks", "375", "--quiet", "--view", "0"]);
+    let root = run.wait_until_it_runs();
+    let url = url_of(&mut run);
+    let address = url.trim_start_matches("http://").trim_end_matches('/').to_owned();
+    let open = || {
+        let mut stream = TcpStream::connect(&address).unwrap();
+        write!(stream, "GET /events HTTP/1.1\r\nHost: {address}\r\n\r\n").unwrap();
+        stream
+    };
+    let mut ticks = 0;
+    for number in 0..100 {
+        let stream = open();
+        // Every fourth browser leaves before it has read anything.
+        if number % 4 == 0 {
+            continue;
+        }
+        let mut lines = BufReader::new(stream).lines().map_while(Result::ok);
+        ticks += u64::from(lines.any(|line| line == "event: tick"));
+    }
+    assert!(ticks > 0);
+    let output = run.output();
+    assert!(output.status.success(), "{}", stderr(&output));
+    assert_nothing_left(&root);
+}
+
+#[test]
+fn the_report_page_has_verdict_scenes_and_worst_ticks() {
+    let scratch = Scratch::new("report-page");
+    let [page, report, record] = ["a.html", "a.json", "a.mcap"].map(|name| scratch.path(name));
+    let scene = ["run", "--agents", "12", "--ticks", "150", "--speed", "max", "--quiet"];
+    run_well(&[&scene[..], &["--html", &page, "--report", &report, "--record", &record]].concat());
+    let html = scratch.read("a.html");
+    assert!(html.len() < view::PAGE_BYTES);
+    let text = String::from_utf8_lossy(&html);
+    assert!(!text.contains("https://") && !text.contains("src=") && !text.contains("@import"));
+    for (width, more) in [(1300, &[][..]), (480, &["--blink-settings=preferredColorScheme=0"][..])] {
+        let url = format!("file://{page}");
+        let more = [&["--virtual-time-budget=10000"], more].concat();
+        let Some(dom) = dom_of(&scratch, &url, width, &more) else { return };
+        assert_eq!(attribute(&dom, "data-ready"), "true");
+        let draws: Vec<u64> = attribute(&dom, "data-scenes").split(' ').map(|n| n.parse().unwrap()).collect();
+        assert!(draws.len() > 3 && draws.iter().all(|draws| *draws > 0), "{draws:?}");
+        assert!(dom.contains("tick 75 · 6.0 s · "), "the scene in the middle of the run");
+        for part in
+            ["class=\"verdict", "Worst ticks", "Accuracy and calibration by horizon", "data-stage=\"5\""]
+        {
+            assert!(dom.contains(part), "{part}");
+        }
+    }
+}
+
+/// The scenes that the page unpacks are the published tracks and forecasts, to the centimetre.
+#[test]
+fn the_report_page_unpacks_the_published_numbers() {
+    let scratch = Scratch::new("report-numbers");
+    let [page, lines] = ["a.html", "a.jsonl"].map(|name| scratch.path(name));
+    let scene = ["run", "--agents", "6", "--ticks", "60", "--speed", "max", "--quiet"];
+    run_well(&[&scene[..], &["--html", &page, "--forecasts", &lines]].concat());
+    let published = String::from_utf8(scratch.read("a.jsonl")).unwrap();
+    let published: serde_json::Value = serde_json::from_str(published.lines().nth(41).unwrap()).unwrap();
+    let script = "<script>addEventListener(\"load\", async () => { while (!document.body.dataset.ready) await new \
+                  Promise((next) => setTimeout(next, 20)); document.body.dataset.numbers = \
+                  JSON.stringify(RUNS[0].unpacked.frames[41]).replaceAll('\"', \"'\"); });</script></body>";
+    let html = String::from_utf8(scratch.read("a.html")).unwrap().replace("</body>", script);
+    let probe = scratch.path("probe.html");
+    std::fs::write(&probe, html).unwrap();
+    let url = format!("file://{probe}");
+    let Some(dom) = dom_of(&scratch, &url, 1300, &["--virtual-time-budget=10000"]) else { return };
+    let unpacked: serde_json::Value =
+        serde_json::from_str(&attribute(&dom, "data-numbers").replace('\'', "\"")).unwrap();
+    assert_eq!(unpacked["seq"], 41);
+    let agents = published["agents"].as_array().unwrap();
+    assert!(agents.len() > 2 && unpacked["agents"].as_array().map(Vec::len) == Some(agents.len()));
+    for (agent, drawn) in agents.iter().zip(unpacked["agents"].as_array().unwrap()) {
+        assert_eq!(agent["id"].to_string(), drawn["i"].as_str().unwrap());
+        let near = |value: &serde_json::Value, centimetres: f64| {
+            let metres = value.as_f64().unwrap();
+            assert!((metres * 100.0 - centimetres).abs() <= 0.51, "{metres} m and {centimetres} cm");
+        };
+        let place = |axis: usize| drawn["p"][axis].as_f64().unwrap();
+        near(&agent["x_m"], place(0));
+        near(&agent["y_m"], place(1));
+        let best = agent["best_m"].as_array().unwrap();
+        assert_eq!(drawn["f"]["b"].as_array().map(Vec::len), Some(2 * best.len()));
+        for (step, point) in best.iter().enumerate() {
+            for axis in 0..2 {
+                near(&point[axis], place(axis) + drawn["f"]["b"][2 * step + axis].as_f64().unwrap());
+            }
+        }
+    }
+}
+
+#[test]
+fn two_runs_are_side_by_side_and_a_report_alone_is_enough() {
+    let scratch = Scratch::new("report-two");
+    let [a, b, page] = ["a.mcap", "b.json", "two.html"].map(|name| scratch.path(name));
+    let scene = ["run", "--agents", "5", "--ticks", "40", "--speed", "max", "--quiet"];
+    run_well(&[&scene[..], &["--record", &a]].concat());
+    run_well(&[&scene[..], &["--seed", "2", "--report", &b]].concat());
+    run_well(&["report", &a, &b, "--out", &page]);
+    assert!(scratch.read("two.html").len() < view::PAGE_BYTES);
+    let refused = run(&["report", &scratch.path("missing.mcap")]);
+    assert!(!refused.status.success() && stderr(&refused).contains("missing.mcap"));
+    let url = format!("file://{page}");
+    let Some(dom) = dom_of(&scratch, &url, 1700, &["--virtual-time-budget=10000"]) else { return };
+    assert_eq!(dom.matches("<article class=\"run\">").count(), 2);
+    assert!(dom.contains("class=\"two\"") && dom.contains("seed 1") && dom.contains("seed 2"));
+    let print = scratch.path("two.pdf");
+    dom_of(&scratch, &url, 1700, &["--virtual-time-budget=10000", &format!("--print-to-pdf={print}")]);
+    assert!(Path::new(&print).metadata().is_ok_and(|file| file.len() > 10_000), "the page prints");
+}
