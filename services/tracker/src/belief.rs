@@ -143,7 +143,10 @@ impl Belief {
                 (mixture.adopt(forecast), Hypotheses::Bicycle(Box::new(mixture)))
             }
             (Filter::ConstantVelocity(_), Some(Hypotheses::Displacement(mut mixture))) => {
-                (mixture.adopt(forecast), Hypotheses::Displacement(mixture))
+                let before = mixture.priors;
+                mixture.priors = trust.displacement(models);
+                let adopted = mixture.adopt(forecast).inspect_err(|_| mixture.priors = before);
+                (adopted, Hypotheses::Displacement(mixture))
             }
             (Filter::ConstantVelocity(state), _) => {
                 let mut mixture = Mixture::new(*state, trust.displacement(models), seed);
@@ -306,9 +309,41 @@ impl ForecastTrust {
 
 #[cfg(test)]
 mod tests {
-    use wire::AgentType;
+    use filters::{ControlStep, Filter, Forecast, Gaussian};
+    use wire::{AgentType, MODES_MAX};
 
+    use super::Belief;
     use crate::TrackerOptions;
+    use crate::options::ForecastTrust;
+
+    /// The weight that trials give the process model holds for the first forecast and for each later one, for
+    /// both kinds of controls.
+    #[test]
+    fn each_forecast_is_adopted_with_the_trust_of_its_time() {
+        let input = TrackerOptions::default().detector;
+        let step = ControlStep { mean: [0.0; 2], cholesky: [0.3, 0.0, 0.3] };
+        let controls = [step; 4];
+        let forecast = Forecast {
+            age_ns: 0,
+            step_ns: 400_000_000,
+            heading_rad: 0.0,
+            probability: &[1.0],
+            controls: &controls,
+        };
+        let displacement = Filter::ConstantVelocity(Gaussian::new([0.0, 0.0, 1.0, 0.0], [0.1; 4]));
+        let bicycle = Filter::Bicycle(Gaussian::new([0.0, 0.0, 0.0, 1.0, 0.0], [0.1; 5]));
+        for (filter, agent_type) in [(displacement, AgentType::Pedestrian), (bicycle, AgentType::Vehicle)] {
+            let models = input.models(agent_type, 0.0);
+            let mut belief = Belief::new(filter);
+            for kinematic_weight in [0.25, 0.75, 0.5] {
+                let trust = ForecastTrust { kinematic_weight, ..input.trust };
+                belief.adopt(&forecast, (&models, &trust), 1).expect("possible numbers");
+                let found = belief.weights()[MODES_MAX];
+                assert!((f64::from(found) - kinematic_weight).abs() < 1e-6, "{agent_type:?}: {found}");
+                belief.predict(80_000_000, &models, &input.trust).expect("a finite state");
+            }
+        }
+    }
 
     /// A slip rate at gain 1 determines the slip, so the slip must not also decay.
     #[test]

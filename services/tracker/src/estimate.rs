@@ -216,7 +216,7 @@ impl Estimate {
             return true;
         }
         let least = input.trust.kinematic_weight;
-        let kinematic_weight = self.trials.kinematic_weight(&shown[agent_type.index()], least);
+        let kinematic_weight = self.trials.kinematic_weight(&shown[agent_type.index()], agent_type, least);
         let trust = &ForecastTrust { kinematic_weight, ..input.trust };
         let fade_in_s = match steering {
             Steering::Bicycle => trust.control_fade_in_s,

@@ -2,6 +2,7 @@
 //! gap. Both predictions are compared with the positions at which the agents are then detected.
 
 use filters::Ahead;
+use wire::AgentType;
 
 /// Prediction time of a trial: half a short gap (which shows sooner that forecasts fail) and, after two
 /// parts, a whole one.
@@ -16,8 +17,9 @@ const TRIALS_MAX: usize = 6;
 /// Half an acceleration a, m/s². If the process model's error is below a t², all trials of a length t count
 /// alike. If it is larger, the forecast's error counts relative to it.
 const HALF_ACCELERATION_MPS2: f64 = 0.8;
-/// Weight of the process model before any trial of the type. Forecasts must earn their weight.
-const EXPECTED: f64 = 0.9;
+/// Weight of the process model before any trial, by type. Vehicles and cyclists move nearly as the process
+/// model does, so their forecasts must earn their weight. Pedestrians do not.
+const EXPECTED: [f64; 3] = [0.9, 0.9, 0.05];
 /// Weights, in units of [`Shown::apart`]: of the expectation relative to trials of the type, and of the type
 /// relative to the agent's own trials.
 const TYPE_PRIOR: f64 = 1.0;
@@ -125,8 +127,8 @@ impl Trials {
 
     /// Weight of the process model relative to the agent's forecasts, by the agent's own trials and the
     /// trials of its type. It is at least `least`.
-    pub fn kinematic_weight(&self, of_type: &Shown, least: f64) -> f64 {
-        let of_type = of_type.kinematic_weight(EXPECTED, TYPE_PRIOR);
+    pub fn kinematic_weight(&self, of_type: &Shown, agent_type: AgentType, least: f64) -> f64 {
+        let of_type = of_type.kinematic_weight(EXPECTED[agent_type.index()], TYPE_PRIOR);
         self.shown.kinematic_weight(of_type, AGENT_PRIOR).clamp(least, WEIGHT_MAX)
     }
 }
@@ -172,17 +174,17 @@ mod tests {
         // Errors of −1 m and 1 m cancel at equal weights. If both have the same sign, the nearer one gets the
         // whole weight.
         for (share, expected) in [(-1.0, 0.5), (-3.0, 0.75), (0.5, 0.0), (2.0, 1.0)] {
-            let found = of_type(share).kinematic_weight(EXPECTED, 1e-9);
+            let found = of_type(share).kinematic_weight(EXPECTED[0], 1e-9);
             assert!((found - expected).abs() < 1e-3, "{share}: {found}");
         }
     }
 
     #[test]
     fn the_weight_keeps_to_its_limits() {
-        let weight = |share| trials(share, 50).0.kinematic_weight(&of_type(share), 0.05);
+        let weight = |share| trials(share, 50).0.kinematic_weight(&of_type(share), AgentType::Vehicle, 0.05);
         assert_eq!((weight(0.5), weight(3.0)), (0.05, WEIGHT_MAX));
-        let at_first = Trials::default().kinematic_weight(&Shown::default(), 0.05);
-        assert!((at_first - EXPECTED).abs() < 1e-12, "{at_first}");
+        let at_first = Trials::default().kinematic_weight(&Shown::default(), AgentType::Vehicle, 0.05);
+        assert!((at_first - EXPECTED[0]).abs() < 1e-12, "{at_first}");
     }
 
     #[test]
