@@ -124,7 +124,6 @@ impl Extractor {
     }
 
     /// The work that was done for the last frame.
-    #[must_use]
     pub const fn effort(&self) -> Effort {
         self.effort
     }

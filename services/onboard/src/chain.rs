@@ -114,25 +114,21 @@ impl Chain {
     }
 
     /// The sampler's evidence on its experts.
-    #[must_use]
     pub fn evidence(&self) -> Option<&Evidence> {
         self.rest.sampler.evidence()
     }
 
     /// The tracks of the last tick; empty if it was refused.
-    #[must_use]
     pub fn tracks(&self) -> &[Track] {
         &self.tracks.elements
     }
 
     /// Tracks and forecasts of the last tick. The forecasts are those of an earlier tick if the tracks are VOID.
-    #[must_use]
     pub const fn frames(&self) -> (&OwnFrame<TracksTopic>, &OwnFrame<ForecastsTopic>) {
         (&self.tracks, &self.rest.forecasts)
     }
 
     /// How large the last tick was.
-    #[must_use]
     pub fn load(&self) -> Load {
         self.rest.load()
     }
@@ -182,7 +178,6 @@ impl TracksToForecasts {
     }
 
     /// The size of the last tick.
-    #[must_use]
     pub fn load(&self) -> Load {
         self.controls.load(&self.frame)
     }
@@ -220,7 +215,6 @@ impl TracksToFeatures {
     }
 
     /// The extractor's work for the last tick, and the number of edges that it left out.
-    #[must_use]
     pub const fn effort(&self) -> Effort {
         self.extractor.effort()
     }

@@ -20,19 +20,16 @@ impl<T: Topic> Default for OwnFrame<T> {
 
 impl<T: Topic> OwnFrame<T> {
     /// Whether a stage has refused the tick.
-    #[must_use]
     pub const fn is_void(&self) -> bool {
         self.header.has(flags::VOID)
     }
 
     /// Header and elements.
-    #[must_use]
     pub fn parts(&self) -> (&Header, &[T::Element]) {
         (&self.header, &self.elements)
     }
 
     /// The frame as the second input of a tick.
-    #[must_use]
     pub fn as_second(&self) -> Second<'_, T> {
         if self.is_void() { Second::Refused } else { Second::Frame(&self.header, &self.elements) }
     }

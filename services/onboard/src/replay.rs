@@ -158,7 +158,6 @@ impl<'a> Replay<'a> {
 
     /// The same replay, with its ticks in the rhythm of their stamps. The ticks before the file follow one
     /// another at once.
-    #[must_use]
     pub fn in_own_time(self) -> Self {
         Self { pace: Some(Pace::new()), ..self }
     }

@@ -333,7 +333,6 @@ fn slot_at(number: u64) -> usize {
     SLOTS_AT + (number % RetrievalMemory::ENTRIES_MAX as u64) as usize * size_of::<Slot>()
 }
 
-/// The bytes of a record.
 fn record(bytes: &mut [u8], generation: u64) -> &mut [u8] {
     &mut bytes[RECORDS_AT + (generation % 2) as usize * RECORD_BYTES..][..RECORD_BYTES]
 }

@@ -42,7 +42,6 @@ impl<'a> LearnedControls<'a> {
         &self.controls.probability[..self.controls.modes_len as usize]
     }
 
-    /// The controls as decoded.
     pub(crate) fn as_decoded(&self) -> ForecastControls<'a, [wire::ControlGaussian; HORIZON_MAX]> {
         ForecastControls {
             modes: &self.controls.modes[..self.controls.modes_len as usize],

@@ -116,7 +116,6 @@ impl Sampler {
     }
 
     /// The settings.
-    #[must_use]
     pub const fn options(&self) -> &SamplerOptions {
         &self.options
     }
@@ -184,19 +183,16 @@ impl Sampler {
     }
 
     /// Number of ticks in the resumed state; 0 if none was resumed.
-    #[must_use]
     pub fn resumed_ticks(&self) -> u32 {
         u32::try_from(self.resumed_ticks).unwrap_or(0)
     }
 
     /// The retrieval memory; `None` if retrieval is off, or before the first tick.
-    #[must_use]
     pub fn memory(&self) -> Option<&RetrievalMemory> {
         self.memory.as_deref()
     }
 
     /// The evidence on the experts; `None` if evidence is off, or before the first tick.
-    #[must_use]
     pub fn evidence(&self) -> Option<&Evidence> {
         self.experts.as_deref().map(Experts::evidence)
     }
@@ -227,9 +223,6 @@ impl Sampler {
     }
 
     /// As [`Sampler::step`]. `room` provides the memory for a number of forecasts.
-    ///
-    /// # Errors
-    /// As [`Sampler::step`]. An error of `room` is passed on.
     pub(crate) fn sample<'a>(
         &mut self,
         header: &Header,

@@ -80,9 +80,6 @@ impl Turns {
     }
 
     /// Adds the turn of an agent, and returns its number.
-    ///
-    /// # Errors
-    /// [`Cause::Rejected`] if its controls are refused.
     pub(crate) fn push(&mut self, track: &Track, controls: &AgentControls) -> Result<usize, Cause> {
         let agent_type = track.agent_type().map_err(|_| Cause::Rejected)?;
         LearnedControls::check(controls).map_err(|_| Cause::Rejected)?;

@@ -33,7 +33,6 @@ pub struct Tick<'a> {
 
 impl Tick<'_> {
     /// The header of the truth.
-    #[must_use]
     pub fn truth_header(&self) -> Header {
         let mut header = self.header;
         header.counts.agents_len = self.truth.len() as u32;
@@ -85,31 +84,26 @@ impl Playback {
     }
 
     /// The recording that is played.
-    #[must_use]
     pub const fn recording(&self) -> &Recording {
         &self.recording
     }
 
     /// The number of ticks in the whole playback.
-    #[must_use]
     pub fn ticks_len(&self) -> u64 {
         self.played.places.len() as u64
     }
 
     /// The number of recorded frames per played frame: 1 unless the recording is faster than 12.5 Hz.
-    #[must_use]
     pub const fn thinning(&self) -> u64 {
         self.thinning
     }
 
     /// The planned interval between ticks.
-    #[must_use]
     pub const fn interval_ns(&self) -> u64 {
         self.recording.interval_ns * self.thinning
     }
 
     /// The number of detections left out so far because their frame was full.
-    #[must_use]
     pub const fn left_out_len(&self) -> u64 {
         self.left_out_len
     }
@@ -149,7 +143,6 @@ impl Playback {
     }
 
     /// The header of the frame that links the stages before the first tick.
-    #[must_use]
     pub fn warm_up(&self) -> Header {
         let first = self.played.places.first().map(|&first| &self.recording.frames[first]);
         let header =
@@ -159,7 +152,6 @@ impl Playback {
 
     /// The header of the end frame, after which no tick follows. Its stamp is one interval after the last
     /// tick's stamp.
-    #[must_use]
     pub fn end(&self) -> Header {
         let sent = usize::try_from(self.seq).unwrap_or(usize::MAX).min(self.played.places.len());
         let last = sent.checked_sub(1).map(|last| &self.recording.frames[self.played.places[last]]);

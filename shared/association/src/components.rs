@@ -30,9 +30,6 @@ impl Components {
 
     /// Joins the components that a candidate connects, unless the result would have more than `side_max`
     /// tracks or detections. Returns whether they are one component.
-    ///
-    /// # Panics
-    /// If the candidate names a track or detection beyond the numbers given to [`Components::clear`].
     pub(crate) fn join(&mut self, candidate: &Candidate, side_max: usize) -> bool {
         assert!(candidate.track < self.tracks_len, "track {} of {}", candidate.track, self.tracks_len);
         let (a, b) = (self.root(candidate.track), self.root(self.tracks_len + candidate.detection));

@@ -66,7 +66,6 @@ impl Doubt {
     ];
 
     /// The bit in [`InputCounts::doubts`](wire::InputCounts::doubts).
-    #[must_use]
     pub const fn bit(self) -> u32 {
         self as u32
     }
@@ -77,7 +76,6 @@ impl Doubt {
     }
 
     /// The name in JSON and metrics.
-    #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
             Self::HeadingsInDegrees => "headings_in_degrees",
@@ -102,7 +100,6 @@ impl Doubt {
     }
 
     /// The observation, without figures.
-    #[must_use]
     pub const fn observation(self) -> &'static str {
         match self {
             Self::HeadingsInDegrees => "headings look like degrees",
@@ -127,7 +124,6 @@ impl Doubt {
     }
 
     /// The advice to the user.
-    #[must_use]
     pub const fn remedy(self) -> &'static str {
         match self {
             Self::HeadingsInDegrees => "divide them by 57.29578",

@@ -64,13 +64,11 @@ impl Finding {
     }
 
     /// The share of the examined rows.
-    #[must_use]
     pub fn share(&self) -> f64 {
         self.rows as f64 / self.of.max(1) as f64
     }
 
     /// Whether it makes the input doubtful.
-    #[must_use]
     pub fn is_doubt(&self) -> bool {
         self.share() > DOUBT_SHARE
     }

@@ -54,7 +54,6 @@ const PLACEHOLDERS_MIN: u64 = 3;
 const SIZED_MIN: u64 = 20;
 /// Range of the median vehicle length if lengths are in feet.
 const LENGTHS_FT: std::ops::RangeInclusive<f64> = 12.0..=20.0;
-/// All types.
 const TYPES: [AgentType; 3] = [AgentType::Vehicle, AgentType::Cyclist, AgentType::Pedestrian];
 
 /// Figures of the detections of a type.
@@ -209,13 +208,11 @@ impl Audit {
     }
 
     /// Number of detections so far.
-    #[must_use]
     pub const fn rows(&self) -> u64 {
         self.rows
     }
 
     /// Share of the headings that agree with the motion; `None` if no moving agent has a heading.
-    #[must_use]
     pub fn agreeing_headings(&self) -> Option<f64> {
         self.headings.agreeing()
     }
@@ -240,7 +237,6 @@ impl Audit {
     }
 
     /// All findings so far, whether they are doubts or not, in the order of their kinds.
-    #[must_use]
     pub fn findings(&self) -> Vec<Finding> {
         let mut findings = Vec::new();
         self.visit(|finding| findings.push(finding));
@@ -249,7 +245,6 @@ impl Audit {
     }
 
     /// Bits of the kinds that are doubts.
-    #[must_use]
     pub fn doubts(&self) -> u32 {
         let mut bits = 0;
         self.visit(|finding| bits |= if finding.is_doubt() { finding.doubt.bit() } else { 0 });

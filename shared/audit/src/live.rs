@@ -75,7 +75,6 @@ impl LiveAudit {
     }
 
     /// Bits of the doubts so far.
-    #[must_use]
     pub const fn doubts(&self) -> u32 {
         self.settled | self.current
     }

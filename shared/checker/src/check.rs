@@ -56,7 +56,6 @@ impl Promise {
     ];
 
     /// Name of the count of its violations.
-    #[must_use]
     pub const fn broken_by(self) -> &'static str {
         match self {
             Self::TicksInOrder => "ticks that came twice or back in order",

@@ -213,7 +213,6 @@ pub fn read(path: &Path) -> Result<Vec<Line>, HistoryError> {
 
 impl Line {
     /// The forecasts of a tick, if the line has them.
-    #[must_use]
     pub const fn output(&self) -> Option<&Output> {
         if let Self::Forecasts(output) = self { Some(output) } else { None }
     }
@@ -249,7 +248,6 @@ impl Output {
     }
 
     /// Number of forecasts that are not learned, by cause.
-    #[must_use]
     pub fn causes(&self) -> BTreeMap<&str, u64> {
         let mut causes = BTreeMap::new();
         for forecast in self.forecasts.iter().filter(|forecast| !forecast.is_learned()) {
@@ -259,13 +257,11 @@ impl Output {
     }
 
     /// Number of degraded forecasts ([`ForecastSeen::is_degraded`]).
-    #[must_use]
     pub fn degraded(&self) -> u64 {
         self.forecasts.iter().filter(|forecast| forecast.is_degraded()).count() as u64
     }
 
     /// The greatest age of a held forecast.
-    #[must_use]
     pub fn age_ms_max(&self) -> f64 {
         let held = self.forecasts.iter().filter(|forecast| forecast.quality == Quality::Held.name());
         held.map(|forecast| forecast.age_ns as f64 / 1e6).fold(0.0, f64::max)
@@ -273,7 +269,6 @@ impl Output {
 
     /// Whether the forecasts are learned again: no forecast is degraded, and at least one is learned if there
     /// are any.
-    #[must_use]
     pub fn is_learned(&self) -> bool {
         let some = self.count(Quality::Learned) > 0 || self.forecasts.is_empty();
         !self.void && !self.predicted && self.degraded() == 0 && some
@@ -297,20 +292,17 @@ impl ForecastSeen {
     }
 
     /// Whether the forecast claims to be the model's forecast of this tick.
-    #[must_use]
     pub fn is_learned(&self) -> bool {
         self.quality == Quality::Learned.name()
     }
 
     /// Whether the model made a forecast in this tick, even if another expert proved better. A later held
     /// forecast repeats the newest of these.
-    #[must_use]
     pub fn is_of_the_model(&self) -> bool {
         self.is_learned() || self.cause == Cause::Outdone.name()
     }
 
     /// Whether it is not learned for a cause other than a young track or a better expert.
-    #[must_use]
     pub fn is_degraded(&self) -> bool {
         let excused = [Cause::Young, Cause::Outdone].map(Cause::name);
         !self.is_learned() && !excused.contains(&self.cause.as_str())

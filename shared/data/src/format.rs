@@ -62,7 +62,6 @@ impl Format {
     ];
 
     /// The name used on the command line.
-    #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
             Self::EthUcy => "eth-ucy",
@@ -81,7 +80,6 @@ impl Format {
     }
 
     /// The default rate of frame numbers; `None` if the files contain their times or the rate is fixed.
-    #[must_use]
     pub const fn frame_rate(self) -> Option<FrameRate> {
         match self {
             Self::EthUcy => Some(positions::ETH_UCY_RATE),

@@ -44,7 +44,6 @@ impl FrameRate {
     }
 
     /// Frames per second.
-    #[must_use]
     pub fn hertz(self) -> f64 {
         self.microhertz as f64 / 1e6
     }

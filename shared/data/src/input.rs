@@ -32,7 +32,6 @@ pub enum Role {
 
 impl Role {
     /// The role in words.
-    #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
             Self::Rows => "rows",

@@ -25,9 +25,6 @@ enum Whose {
 /// Refuses rows in file order whose time goes back within an identity although the file is in order
 /// otherwise. Without identities, rows of a sweep can be in any order. So time may go back by up to a second,
 /// or by a tenth of the recording if that is less.
-///
-/// # Errors
-/// [`ReadError::TimeGoesBack`] names the first such row.
 pub(crate) fn check(rows: &[Row<'_>]) -> Result<(), ReadError> {
     let span_ns = |rows: &[Row<'_>]| {
         let stamps_ns = || rows.iter().map(|row| row.stamp_ns);

@@ -115,9 +115,6 @@ pub(crate) fn identified(agent_type: AgentType, position_m: [f32; 2], id: u64) -
 
 /// The detection with a velocity in the world frame: its speed, and from [`HEADING_SPEED_MPS`] on its
 /// heading.
-///
-/// # Errors
-/// [`ReadError::Value`] if a component or the speed is not possible.
 pub(crate) fn with_velocity(
     detection: Detection,
     vx: Field<'_>,

@@ -80,7 +80,6 @@ impl Fold {
     pub const ALL: [Self; 5] = [Self::Eth, Self::Hotel, Self::Univ, Self::Zara1, Self::Zara2];
 
     /// The fold's folder.
-    #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
             Self::Eth => "eth",
@@ -94,7 +93,6 @@ impl Fold {
 
 impl Part {
     /// The part's name in reports.
-    #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
             Self::Train => "train",
@@ -106,7 +104,6 @@ impl Part {
 
 impl DataSet {
     /// The name used on the command line and in reports.
-    #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
             Self::EthUcyFold(fold) => fold.name(),
@@ -126,7 +123,6 @@ impl DataSet {
     }
 
     /// The format of the set's files.
-    #[must_use]
     pub const fn format(self) -> Format {
         match self {
             Self::EthUcyFold(_) | Self::EthUcy => Format::EthUcy,
@@ -141,7 +137,6 @@ impl DataSet {
     }
 
     /// The permitted uses of the set, in the publishers' words; by source if they differ.
-    #[must_use]
     pub const fn licences(self) -> &'static [(&'static str, &'static str)] {
         const NGSIM: (&str, &str) = ("ngsim", "public US data");
         match self {

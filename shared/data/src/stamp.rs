@@ -12,9 +12,6 @@ const DIGITS_MAX: usize = 60;
 
 /// A number of seconds such as `12.08`, `1.7e9` or `0.30000000000000004`, to the nearest nanosecond, without
 /// floating point.
-///
-/// # Errors
-/// [`ReadError::Value`] if the text is not a number or is beyond ±4,000,000,000 s.
 pub(crate) fn stamp_ns(field: Field<'_>) -> Result<i64, ReadError> {
     let wrong = || field.error("expected seconds like 12.08");
     let (negative, number) = match field.text.strip_prefix('-') {

@@ -23,8 +23,8 @@ use crate::egos::Egos;
 use crate::interval;
 use crate::lines::{Lines, Paths};
 use crate::row::Row;
-use crate::rows::{self, ALL_TYPES};
-use crate::{Ego, Frame};
+use crate::rows::{self, ALL_TYPES, Rows};
+use crate::{Ego, Frame, FrameRate, Input, ReadError, Recording};
 
 /// Frames from rows with their own stamps.
 #[derive(Debug)]
@@ -41,6 +41,24 @@ pub(crate) struct Sweeps {
 /// all frames would leak the future. Rows with identities are their own truth.
 pub(crate) fn numbered(rows: &[Row<'_>], observed_types: u32) -> Vec<Frame> {
     frames(rows.chunk_by(|a, b| a.stamp_ns == b.stamp_ns), observed_types)
+}
+
+/// The recording of a file whose rows have identities and frame numbers at this rate. A step is
+/// `frames_per_step` frames.
+pub(crate) fn identified(
+    rows: Rows<'_>,
+    input: &Input,
+    observed_types: u32,
+    rate: FrameRate,
+    frames_per_step: u32,
+) -> Result<Recording, ReadError> {
+    Ok(Recording {
+        interval_ns: rate.interval_ns(frames_per_step),
+        has_identities: true,
+        frames: numbered(&rows.sorted(input)?, observed_types),
+        frame_rate: Some(rate),
+        ..Recording::default()
+    })
 }
 
 /// Frames from rows that are sorted by time, one for each sweep, with the sensor's poses. All types are

@@ -296,7 +296,6 @@ pub(crate) fn position_m(fields: [Field<'_>; 2]) -> Result<[f32; 2], ReadError> 
     })
 }
 
-/// The angle in (−π, π].
 pub(crate) fn wrapped(angle_rad: f64) -> f64 {
     use std::f64::consts::{PI, TAU};
     let turned = (angle_rad + PI).rem_euclid(TAU) - PI;

@@ -47,7 +47,6 @@ impl TrackFormat {
     pub const ALL: [Self; 3] = [Self::Csv, Self::Kitti, Self::Mot];
 
     /// The name used on the command line.
-    #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
             Self::Csv => "csv",

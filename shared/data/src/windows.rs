@@ -61,7 +61,6 @@ pub struct WindowAgent {
 
 impl WindowAgent {
     /// Whether the agent is present at every step of history and future.
-    #[must_use]
     pub fn is_complete(&self) -> bool {
         self.history.iter().all(Option::is_some) && self.future.iter().all(Option::is_some)
     }

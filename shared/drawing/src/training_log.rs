@@ -153,7 +153,6 @@ impl TrainingLog {
     }
 
     /// The validation of the chosen checkpoint: the first one with the best figure.
-    #[must_use]
     pub fn best(&self) -> Option<&Validation> {
         let finite = self.validations.iter().filter(|entry| entry.validation.is_finite());
         finite.min_by(|a, b| a.validation.total_cmp(&b.validation))

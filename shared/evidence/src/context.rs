@@ -37,13 +37,11 @@ impl Context {
     }
 
     /// The two bands and their shares.
-    #[must_use]
     pub const fn bands(&self) -> [(usize, f32); 2] {
         [(self.below, 1.0 - self.share), (self.below + 1, self.share)]
     }
 
     /// The band with the nearest speed.
-    #[must_use]
     pub const fn nearest(&self) -> usize {
         if self.share < 0.5 { self.below } else { self.below + 1 }
     }

@@ -86,7 +86,6 @@ impl MotionNow {
     }
 
     /// Speed.
-    #[must_use]
     pub fn speed_mps(&self) -> f32 {
         self.velocity_mps[0].hypot(self.velocity_mps[1])
     }

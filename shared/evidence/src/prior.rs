@@ -151,7 +151,6 @@ impl Priors {
 
     /// The prior over all sources with equal weight; the default replaces missing ones up to three. A context
     /// without evidence takes the nearest known speed's.
-    #[must_use]
     pub fn all(&self) -> Prior {
         Self::mean(self.sources.values(), &self.pattern)
     }
@@ -199,7 +198,6 @@ impl Priors {
     ///
     /// # Panics
     /// Never: all keys are text.
-    #[must_use]
     pub fn to_json(&self) -> String {
         let of_prior = |prior: &Prior| Prior(prior.0.map(|of_type| of_type.map(|context| context.rounded())));
         let of_patterns =

@@ -56,7 +56,6 @@ impl Statistics {
     }
 
     /// The experts' weights, nonnegative and at most 1 in sum. Constant velocity has the rest.
-    #[must_use]
     pub fn weights(&self) -> [f32; EXPERTS] {
         let mut weights = [0.0_f64; EXPERTS];
         for _ in 0..ROUNDS {

@@ -52,7 +52,6 @@ pub struct BicycleStep {
 
 impl Bicycle {
     /// The same process without noise and decay.
-    #[must_use]
     pub const fn noiseless(&self) -> Self {
         Self {
             integrator: Integrator::Midpoint,

@@ -11,7 +11,6 @@ pub struct ConstantVelocity {
 
 impl ConstantVelocity {
     /// The same process without noise.
-    #[must_use]
     pub const fn noiseless(&self) -> Self {
         Self { density: 0.0 }
     }

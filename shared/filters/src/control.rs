@@ -23,7 +23,6 @@ impl ControlStep {
     }
 
     /// The covariance L Lᵀ.
-    #[must_use]
     pub fn covariance(&self) -> Matrix2<f64> {
         let [l11, l21, l22] = self.cholesky;
         let factor = Matrix2::new(l11, 0.0, l21, l22);
@@ -145,13 +144,11 @@ pub enum ForecastFault {
 
 impl Forecast<'_> {
     /// Number of steps of each hypothesis.
-    #[must_use]
     pub fn steps_len(&self) -> usize {
         self.controls.len() / self.probability.len().max(1)
     }
 
     /// Duration of the forecast.
-    #[must_use]
     pub fn horizon_ns(&self) -> u64 {
         self.step_ns.saturating_mul(self.steps_len() as u64)
     }

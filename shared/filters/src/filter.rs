@@ -25,7 +25,6 @@ impl Kind {
         [Self::ConstantVelocity, Self::ConstantAcceleration, Self::ConstantTurnRate, Self::Bicycle];
 
     /// The name used in files and reports.
-    #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
             Self::ConstantVelocity => "constant-velocity",
@@ -104,7 +103,6 @@ impl Filter {
     }
 
     /// The kind of the process model.
-    #[must_use]
     pub const fn kind(&self) -> Kind {
         match self {
             Self::ConstantVelocity(_) => Kind::ConstantVelocity,
@@ -204,7 +202,6 @@ impl Filter {
     }
 
     /// Mean position and its covariance as (xx, xy, yy).
-    #[must_use]
     #[inline]
     pub fn position(&self) -> ([f64; 2], [f64; 3]) {
         match self {
@@ -215,7 +212,6 @@ impl Filter {
     }
 
     /// The motion of the mean.
-    #[must_use]
     #[inline]
     pub fn motion(&self) -> Motion {
         match self {
@@ -227,7 +223,6 @@ impl Filter {
     }
 
     /// Standard deviation of the direction of motion. It is large at low speed.
-    #[must_use]
     pub fn course_sigma_rad(&self) -> f64 {
         match self {
             Self::Bicycle(Gaussian { covariance: p, .. }) => {
@@ -243,7 +238,6 @@ impl Filter {
     }
 
     /// Mean and covariance of \[x, y, vx, vy\] in the world frame. All kinds have these components.
-    #[must_use]
     pub fn cartesian(&self) -> Gaussian<4> {
         match self {
             Self::ConstantVelocity(state) => *state,

@@ -69,7 +69,6 @@ impl<const N: usize> Gaussian<N> {
     }
 
     /// Whether all numbers are finite.
-    #[must_use]
     #[inline]
     pub fn is_finite(&self) -> bool {
         // A sum that contains a non-finite number is not finite.

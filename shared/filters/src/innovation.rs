@@ -45,7 +45,6 @@ impl<const N: usize> Innovation<N> {
 
     /// Logarithm of the measurement's density given the exact state. It is not finite if a variance is not
     /// positive.
-    #[must_use]
     pub fn log_density(&self) -> f64 {
         let of_value = |&(residual, variance): &(f64, f64)| {
             -0.5 * (residual * residual / variance + (TAU * variance).ln())

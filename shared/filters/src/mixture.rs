@@ -318,7 +318,6 @@ impl<P: Controlled<N>, const N: usize> Mixture<P, N> {
     }
 
     /// The Gaussian with the mixture's moments.
-    #[must_use]
     pub fn moments(&self) -> Gaussian<N> {
         match self.components.as_slice() {
             [only] => only.state,
@@ -339,13 +338,11 @@ impl<P: Controlled<N>, const N: usize> Mixture<P, N> {
     }
 
     /// Whether a forecast is the prior.
-    #[must_use]
     pub fn is_learned(&self) -> bool {
         self.components.iter().any(|component| component.hypothesis.is_some())
     }
 
     /// Time since the start of the forecast that is the prior.
-    #[must_use]
     pub fn forecast_age_ns(&self) -> Option<u64> {
         self.is_learned().then_some(self.age_ns)
     }

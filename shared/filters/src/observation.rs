@@ -20,7 +20,6 @@ pub struct Observation {
 
 impl Observation {
     /// The velocity in the world frame and its variance per axis, if both heading and speed were observed.
-    #[must_use]
     pub fn velocity_mps(&self) -> Option<([f64; 2], f64)> {
         let ((heading, _), (speed, variance)) = self.heading_rad.zip(self.speed_mps)?;
         let (sin, cos) = heading.sin_cos();

@@ -277,13 +277,11 @@ impl<P: Controlled<N>, const N: usize> Particles<P, N> {
 
     /// Effective sample size: the number of equally weighted particles that carry the same amount of
     /// information.
-    #[must_use]
     pub fn effective_size(&self) -> f64 {
         effective_size(weights(&self.particles))
     }
 
     /// Whether the effective sample size is below half the number of particles.
-    #[must_use]
     pub fn is_degenerate(&self) -> bool {
         is_degenerate(&self.particles)
     }
@@ -307,7 +305,6 @@ impl<P: Controlled<N>, const N: usize> Particles<P, N> {
     }
 
     /// The Gaussian with the particles' moments.
-    #[must_use]
     pub fn moments(&self) -> Gaussian<N> {
         let points = || weights(&self.particles).zip(self.particles.iter().map(|particle| &particle.state));
         let mean = mean(points(), P::ANGLES);

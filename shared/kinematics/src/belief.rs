@@ -42,7 +42,6 @@ impl<const N: usize> Belief<N> {
     }
 
     /// Mean and covariance of the position.
-    #[must_use]
     pub fn position(&self) -> Moments {
         Moments {
             mean: [self.mean[0], self.mean[1]],

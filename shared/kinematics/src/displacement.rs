@@ -34,7 +34,6 @@ impl Displacement {
     }
 
     /// Direction of the agent frame's axes.
-    #[must_use]
     pub fn heading_rad(&self) -> f32 {
         self.sin.atan2(self.cos)
     }

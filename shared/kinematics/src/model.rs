@@ -70,7 +70,6 @@ impl MotionModel {
     }
 
     /// The kind of the controls.
-    #[must_use]
     pub const fn kind(&self) -> MotionKind {
         match self {
             Self::Bicycle { .. } => MotionKind::Bicycle,
@@ -80,7 +79,6 @@ impl MotionModel {
 
     /// World heading of the frame of the controls. For a bicycle it is the bicycle's heading at the start,
     /// and for displacements the heading of the agent frame.
-    #[must_use]
     pub fn frame_heading_rad(&self) -> f32 {
         match self {
             Self::Bicycle { start, .. } => start.mean[2],
@@ -89,7 +87,6 @@ impl MotionModel {
     }
 
     /// Covariance of the position at the start as (xx, xy, yy), m².
-    #[must_use]
     pub fn position_covariance(&self) -> [f32; 3] {
         const ENTRIES: [(usize, usize); 3] = [(0, 0), (0, 1), (1, 1)];
         match self {

@@ -80,7 +80,6 @@ impl Kind {
     pub(crate) const ALL: [Self; 3] = [Self::Node, Self::Way, Self::Relation];
 
     /// The name of the XML element.
-    #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
             Self::Node => "node",

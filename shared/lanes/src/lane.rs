@@ -30,7 +30,6 @@ pub struct Lane {
 
 impl Lane {
     /// Length along the middle.
-    #[must_use]
     pub fn length_m(&self) -> f32 {
         self.along_m.last().copied().unwrap_or(0.0)
     }

@@ -75,19 +75,16 @@ impl LaneMap {
     }
 
     /// The lanes, in the order of their numbers in the file.
-    #[must_use]
     pub fn lanes(&self) -> &[Lane] {
         &self.lanes
     }
 
     /// The areas, in the order of their numbers in the file.
-    #[must_use]
     pub fn areas(&self) -> &[Area] {
         &self.areas
     }
 
     /// The content of the map that did not become lanes.
-    #[must_use]
     pub const fn skipped(&self) -> &Skipped {
         &self.skipped
     }

@@ -51,14 +51,12 @@ impl Source<'_> {
         self.document.text_pos_at(node.range().start).row
     }
 
-    /// The error of an element.
     pub(crate) fn error(&self, node: XmlNode<'_, '_>, element: Element, problem: String) -> LaneMapError {
         LaneMapError::Element { path: self.path.to_owned(), line: self.line(node), element, problem }
     }
 }
 
 impl<'a> Tags<'a> {
-    /// The value of a key.
     pub(crate) fn get(self, key: &str) -> Option<&'a str> {
         self.iter().find(|(own, _)| *own == key).map(|(_, value)| value)
     }
@@ -134,9 +132,6 @@ impl<'a> Elements<'a> {
     }
 
     /// An element that a lane needs.
-    ///
-    /// # Errors
-    /// The problem, if the element is missing or its number occurs twice.
     pub(crate) fn needed(&self, element: Element) -> Result<XmlNode<'a, 'a>, String> {
         let of_kind = match element.kind {
             Kind::Node => &self.nodes,
@@ -160,19 +155,11 @@ impl<'a> Elements<'a> {
     }
 }
 
-/// The members of a relation.
-///
-/// # Errors
-/// The problem, if there are more than [`MEMBERS_MAX`].
 pub(crate) fn members<'a>(relation: XmlNode<'a, 'a>) -> Result<Vec<Member<'a>>, String> {
     children(relation, "member", |node| Ok(Member::of(node)))
         .map(|members| members.into_iter().flatten().collect())
 }
 
-/// The nodes of a way.
-///
-/// # Errors
-/// The problem, if there are more than [`MEMBERS_MAX`], or a reference is not a number.
 pub(crate) fn nodes_of(way: XmlNode<'_, '_>) -> Result<Vec<i64>, String> {
     children(way, "nd", |nd| number(nd, "ref"))
 }

@@ -64,9 +64,6 @@ impl<'a, 'e> Positions<'a, 'e> {
 
     /// The positions of a way's nodes without repetitions, with its first and last node. Adds all elements of
     /// the way to `used`.
-    ///
-    /// # Errors
-    /// The problem, if the way or one of its nodes is missing or out of reach, or fewer than two differ.
     pub(crate) fn line(&self, id: i64, used: &mut BTreeSet<Element>) -> Result<Line, String> {
         let element = Element { kind: Kind::Way, id };
         let way = self.elements.needed(element)?;

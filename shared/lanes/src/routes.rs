@@ -82,7 +82,6 @@ impl Default for Routes {
 
 impl Routes {
     /// The most recently found routes, best matching lanes first.
-    #[must_use]
     pub fn as_slice(&self) -> &[Route] {
         &self.routes[..self.len]
     }

@@ -45,7 +45,6 @@ impl SkippedKind {
 
 impl Skipped {
     /// Nodes, ways and relations of the map that lanes do not need.
-    #[must_use]
     pub const fn unneeded(&self) -> [usize; 3] {
         self.unneeded
     }

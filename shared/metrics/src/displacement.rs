@@ -14,7 +14,6 @@ pub struct Displacement {
 
 impl Displacement {
     /// Whether the FDE is above [`MISS_RADIUS_M`]; `None` if the FDE is unknown.
-    #[must_use]
     pub fn is_miss(&self) -> Option<bool> {
         self.fde_m.map(|fde_m| fde_m > MISS_RADIUS_M)
     }

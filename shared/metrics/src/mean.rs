@@ -21,19 +21,16 @@ impl Mean {
     }
 
     /// Number of values counted.
-    #[must_use]
     pub const fn len(&self) -> u64 {
         self.len
     }
 
     /// Whether nothing was counted.
-    #[must_use]
     pub const fn is_empty(&self) -> bool {
         self.len == 0
     }
 
     /// The mean; `None` if nothing was counted.
-    #[must_use]
     pub fn value(&self) -> Option<f64> {
         (self.len > 0).then(|| self.sum / self.len as f64)
     }
@@ -55,19 +52,16 @@ impl Share {
     }
 
     /// Number of cases counted.
-    #[must_use]
     pub const fn len(&self) -> u64 {
         self.0.len()
     }
 
     /// Whether nothing was counted.
-    #[must_use]
     pub const fn is_empty(&self) -> bool {
         self.0.is_empty()
     }
 
     /// The share, 0 to 1; `None` if nothing was counted.
-    #[must_use]
     pub fn value(&self) -> Option<f64> {
         self.0.value()
     }

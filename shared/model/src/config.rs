@@ -258,13 +258,11 @@ impl ModelConfig {
     }
 
     /// Components of the state embedding: half of a node attribute, or all of it without context.
-    #[must_use]
     pub const fn state_embedding_len(&self) -> usize {
         if self.context { wire::STATE_EMBEDDING } else { wire::NODE_ATTRIBUTES }
     }
 
     /// Spacing of the steps in nanoseconds.
-    #[must_use]
     pub fn step_ns(&self) -> u64 {
         (self.dt_s * 1e9).round() as u64
     }

@@ -300,7 +300,6 @@ impl Base {
     }
 
     /// Number of the base's controls for an agent: one per step of each mode and of the best forecast.
-    #[must_use]
     pub const fn controls_len(&self) -> usize {
         (self.modes_len + 1) * self.horizon_len
     }

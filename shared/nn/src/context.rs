@@ -97,13 +97,11 @@ impl ContextCnn {
     }
 
     /// Multiply-adds of one patch that affect the result; taps on padding are not counted.
-    #[must_use]
     pub const fn multiply_adds(&self) -> usize {
         self.multiply_adds
     }
 
     /// Numbers in one patch, \[channel, row, column\].
-    #[must_use]
     pub const fn patch_len(&self) -> usize {
         PATCH_CHANNELS * self.patch_side * self.patch_side
     }

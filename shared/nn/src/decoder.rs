@@ -205,7 +205,6 @@ impl TypeDecoder {
     }
 
     /// The base control, if the model has one.
-    #[must_use]
     pub const fn base(&self) -> Option<&Base> {
         self.base.as_ref()
     }
@@ -338,13 +337,11 @@ impl TypeDecoder {
     }
 
     /// Number of learned latent points, including the best forecast's; 0 if the model draws from N(0, I).
-    #[must_use]
     pub fn points_len(&self) -> usize {
         self.points.as_ref().map_or(0, |points| points.len)
     }
 
     /// The latent point of the best forecast, if the model has one.
-    #[must_use]
     pub const fn best_latent(&self) -> Option<&[f32; LATENT]> {
         self.best_latent.as_ref()
     }

@@ -68,7 +68,6 @@ impl Isa {
     pub const ALL: [Self; 4] = [Self::Avx512, Self::Avx2, Self::Neon, Self::Portable];
 
     /// The name used in reports.
-    #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
             Self::Avx512 => "AVX-512",
@@ -79,7 +78,6 @@ impl Isa {
     }
 
     /// The name that options and [`VARIABLE`] take.
-    #[must_use]
     pub const fn key(self) -> &'static str {
         match self {
             Self::Avx512 => "avx512",
@@ -96,7 +94,6 @@ impl Isa {
     }
 
     /// Whether this processor has it.
-    #[must_use]
     pub fn available(self) -> bool {
         match self {
             #[cfg(target_arch = "x86_64")]

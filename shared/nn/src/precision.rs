@@ -17,7 +17,6 @@ pub enum Precision {
 
 impl Precision {
     /// The name that options take.
-    #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
             Self::F32 => "f32",

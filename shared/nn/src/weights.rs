@@ -185,19 +185,16 @@ impl Weights {
     }
 
     /// The model's options.
-    #[must_use]
     pub const fn config(&self) -> &ModelConfig {
         &self.config
     }
 
     /// The model card, if the trainer wrote one: data, split, options and validation figures.
-    #[must_use]
     pub const fn card(&self) -> Option<&serde_json::Value> {
         self.card.as_ref()
     }
 
     /// Fingerprint of the file, in hexadecimal.
-    #[must_use]
     pub fn sha256(&self) -> &str {
         &self.sha256
     }

@@ -116,7 +116,6 @@ impl Trace {
     }
 
     /// The packets in the buffer.
-    #[must_use]
     pub fn bytes(&self) -> &[u8] {
         &self.bytes
     }

@@ -111,13 +111,11 @@ impl Before {
     }
 
     /// Whether the buffer contains the run from its start up to the frames that are kept elsewhere.
-    #[must_use]
     pub fn is_whole(&self) -> bool {
         self.state == State::Whole
     }
 
     /// Memory in use.
-    #[must_use]
     pub fn bytes(&self) -> usize {
         self.packed_bytes + self.open.len()
     }

@@ -32,7 +32,6 @@ pub struct Difference {
 
 impl Difference {
     /// The absolute difference of the values; infinite if the difference is not a number.
-    #[must_use]
     pub fn apart(&self) -> f64 {
         let apart = (self.a - self.b).abs();
         if apart.is_nan() { f64::INFINITY } else { apart }
@@ -83,7 +82,6 @@ pub struct Comparison {
 
 impl Comparison {
     /// The first difference: in the earliest tick, on the first topic of the tick's path.
-    #[must_use]
     pub fn first(&self) -> Option<&Difference> {
         let firsts = self.topics.iter().filter_map(|(_, topic)| topic.first.as_ref());
         // `min_by_key` returns the first of equal elements.
@@ -91,14 +89,12 @@ impl Comparison {
     }
 
     /// Whether nothing differs and nothing is missing.
-    #[must_use]
     pub fn is_equal(&self) -> bool {
         let same = |topic: &TopicComparison| topic.different + topic.only_a + topic.only_b == 0;
         self.topics.iter().all(|(_, topic)| same(topic))
     }
 
     /// Number of compared ticks, of the topic with most ticks.
-    #[must_use]
     pub fn ticks(&self) -> u64 {
         self.topics.iter().map(|(_, topic)| topic.ticks).max().unwrap_or(0)
     }

@@ -96,13 +96,11 @@ impl Flight {
     }
 
     /// Number of files started.
-    #[must_use]
     pub const fn files(&self) -> u32 {
         self.files
     }
 
     /// Number of events after the last allowed file.
-    #[must_use]
     pub const fn missed(&self) -> u64 {
         self.missed
     }

@@ -173,61 +173,51 @@ impl Frame {
     }
 
     /// The topic's number: its place in [`wire::TABLE`].
-    #[must_use]
     pub const fn number(&self) -> u8 {
         self.topic
     }
 
     /// The topic.
-    #[must_use]
     pub fn topic(&self) -> &'static TopicEntry {
         &TABLE.topics[usize::from(self.topic)]
     }
 
     /// The record of its elements.
-    #[must_use]
     pub fn element(&self) -> &'static Record {
         self.topic().element
     }
 
     /// Number of recorded bytes of each element.
-    #[must_use]
     pub const fn element_bytes(&self) -> usize {
         self.element_bytes as usize
     }
 
     /// Number of its elements.
-    #[must_use]
     pub fn elements_len(&self) -> usize {
         self.payload().len() / self.element_bytes()
     }
 
     /// The header, unchecked.
-    #[must_use]
     pub fn header(&self) -> &Header {
         &self.header
     }
 
     /// When the tap took the frame from its queue, on `CLOCK_MONOTONIC`.
-    #[must_use]
     pub const fn received_ns(&self) -> u64 {
         self.received_ns
     }
 
     /// When its sender sent it, on `CLOCK_MONOTONIC`; the time of receipt if no stage stamped it.
-    #[must_use]
     pub fn sent_ns(&self) -> u64 {
         self.header.hops().last().map_or(self.received_ns, |hop| hop.sent_ns)
     }
 
     /// Header and payload.
-    #[must_use]
     pub fn bytes(&self) -> &[u8] {
         &self.bytes
     }
 
     /// The payload.
-    #[must_use]
     pub fn payload(&self) -> &[u8] {
         &self.bytes[HEADER..]
     }

@@ -85,7 +85,6 @@ pub enum Message {
 
 impl Message {
     /// Time of receipt or of the event, on `CLOCK_MONOTONIC`.
-    #[must_use]
     pub const fn at_ns(&self) -> u64 {
         match self {
             Self::Frame(frame) | Self::Before(frame) => frame.received_ns(),
@@ -301,25 +300,21 @@ impl Recording {
     }
 
     /// The description of the run.
-    #[must_use]
     pub const fn about(&self) -> &About {
         &self.about
     }
 
     /// The path.
-    #[must_use]
     pub fn path(&self) -> &Path {
         &self.path
     }
 
     /// How the file ends.
-    #[must_use]
     pub const fn ending(&self) -> &Ending {
         &self.ending
     }
 
     /// Whether the end of the file is complete.
-    #[must_use]
     pub const fn is_complete(&self) -> bool {
         matches!(self.ending, Ending::Complete { .. })
     }
@@ -348,20 +343,17 @@ impl Recording {
     }
 
     /// Topics of the file that this program does not know. Their messages are not read.
-    #[must_use]
     pub fn foreign_topics(&self) -> &[String] {
         &self.foreign
     }
 
     /// All messages in the order of their times. An error stands for a part that can't be read; the messages
     /// after that part follow.
-    #[must_use]
     pub fn messages(&self) -> Messages<'_> {
         Messages::new(self)
     }
 
     /// Reads the whole file and verifies its check values; returns each damaged part.
-    #[must_use]
     pub fn damages(&self) -> Vec<ReadError> {
         let mut damages: Vec<ReadError> = self.messages().filter_map(Result::err).collect();
         // Check values of larger ranges add nothing to the place of a damage.

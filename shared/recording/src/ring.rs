@@ -58,13 +58,11 @@ impl Ring {
     }
 
     /// Time from the first message to the last.
-    #[must_use]
     pub fn span_ns(&self) -> u64 {
         self.messages.front().map_or(0, |first| self.newest_ns.saturating_sub(first.at_ns()))
     }
 
     /// Whether the memory was ever too small for the whole span.
-    #[must_use]
     pub const fn is_cut(&self) -> bool {
         self.is_cut
     }

@@ -52,7 +52,6 @@ impl<'a, M: AsRef<[ControlGaussian]>> ForecastControls<'a, M> {
 
 impl ControlChanges {
     /// The probability of each mode.
-    #[must_use]
     pub fn probability(&self) -> &[f32] {
         &self.probability
     }

@@ -143,7 +143,6 @@ impl Key {
     }
 
     /// The agent's kind of motion.
-    #[must_use]
     pub const fn kind(&self) -> MotionKind {
         match self {
             Self::Bicycle(_) => MotionKind::Bicycle,
@@ -173,7 +172,6 @@ impl Key {
     }
 
     /// The bucket of keys like this one.
-    #[must_use]
     pub fn bucket(&self) -> Bucket {
         let [x, y] = self.position_m().map(|value| (value / CELL_M[self.kind() as usize]).floor() as i32);
         match self {

@@ -144,14 +144,12 @@ impl Retrieved {
     }
 
     /// Whether nothing was found.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.neighbours.is_empty() && self.expected.is_empty()
     }
 
     /// The residuals applied to the modes of a forecast: half of the expected ones, because some modes
     /// already contain them.
-    #[must_use]
     pub fn expected_of_modes(&self) -> Residuals {
         self.expected.scaled(MODES_SHARE)
     }
@@ -197,7 +195,6 @@ impl RetrievalMemory {
     }
 
     /// Number of stored entries.
-    #[must_use]
     pub fn entries_len(&self) -> usize {
         self.values.len()
     }

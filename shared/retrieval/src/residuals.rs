@@ -153,7 +153,6 @@ impl Residuals {
         &self.steps
     }
 
-    /// Sets a component of a step.
     pub(crate) const fn set(&mut self, step: usize, component: usize, residual: f32) {
         self.steps[step][component] = residual;
     }
@@ -171,7 +170,6 @@ impl Residuals {
     }
 
     /// Whether no residual is known.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.steps.as_flattened().iter().all(|residual| residual.is_nan())
     }

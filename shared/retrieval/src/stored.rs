@@ -45,7 +45,6 @@ impl RetrievalMemory {
     pub const ENTRIES_MAX: usize = ENTRIES_MAX;
 
     /// The state without the entries.
-    #[must_use]
     pub fn state(&self) -> StoredState {
         let mut shrinkage = [[[[0.0; 2]; 2]; HORIZON_MAX]; 2];
         for (own, stored) in self.shrinkage.iter().zip(&mut shrinkage) {

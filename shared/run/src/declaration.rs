@@ -124,7 +124,6 @@ fn first_line(error: &toml::de::Error) -> &str {
 
 impl OptionError {
     /// The key at fault, if the error concerns a key.
-    #[must_use]
     pub fn key(&self) -> Option<&str> {
         match self {
             Self::Unknown { key, .. }
@@ -137,7 +136,6 @@ impl OptionError {
     }
 
     /// The valid choices, as part of a sentence or a list.
-    #[must_use]
     pub fn advice(&self) -> String {
         match self {
             Self::Unknown { known, .. } if known.is_empty() => "it has none".to_owned(),
@@ -199,19 +197,16 @@ impl<O> Declaration<O> {
     ///
     /// # Panics
     /// If the stage is an added one and this process was not started as a stage.
-    #[must_use]
     pub fn id(&self) -> StageId {
         self.id.or_else(own_stage).unwrap_or_else(|| panic!("{STAGE_VARIABLE} names no stage of this run"))
     }
 
     /// The topics that its program reads.
-    #[must_use]
     pub const fn reads(&self) -> &'static [&'static str] {
         self.reads
     }
 
     /// The topics that its program writes.
-    #[must_use]
     pub const fn writes(&self) -> &'static [&'static str] {
         self.writes
     }

@@ -60,7 +60,6 @@ impl OptionsSchema {
     }
 
     /// The keys.
-    #[must_use]
     pub fn names(&self) -> Vec<String> {
         self.iter().map(|option| option.name.clone()).collect()
     }

@@ -215,7 +215,6 @@ impl Default for Run {
 impl Run {
     /// The world frame's origin in the frame of the run's map, recording or detections. It is subtracted in
     /// `f64` from all incoming positions, and added to the positions in files that the run writes.
-    #[must_use]
     pub fn origin(&self) -> WorldOrigin {
         WorldOrigin::new(self.origin_m).unwrap_or_default()
     }
@@ -227,7 +226,6 @@ impl Run {
     }
 
     /// The shares of the tick, for stages that have one.
-    #[must_use]
     pub fn budgets_ms(&self) -> BTreeMap<StageId, f64> {
         let stages = self.stages.iter();
         stages.filter_map(|stage| Some((StageId::from_number(stage.stage)?, stage.budget_ms?))).collect()
@@ -254,7 +252,6 @@ impl Run {
 
     /// The time of a tick that remains for the sampler after the decoder's [`Run::deadline_ns`]; 0 if the
     /// decoder has no deadline.
-    #[must_use]
     pub fn left_for_sampler_ns(&self) -> u64 {
         let decoder_ns = self.deadline_ns(StageId::Decoder).unwrap_or(u64::MAX);
         self.interval_ns.min(TICK_NS).saturating_sub(decoder_ns)
@@ -316,7 +313,6 @@ impl Run {
     }
 
     /// stgdat's own stages and the added ones, in the order in which a tick passes them.
-    #[must_use]
     pub fn order(&self) -> Vec<StageId> {
         let mut order: Vec<StageId> =
             StageId::ALL.into_iter().chain(self.added().map(|(id, _)| id)).collect();
@@ -325,7 +321,6 @@ impl Run {
     }
 
     /// The added stages that no forecast waits for.
-    #[must_use]
     pub fn beside(&self) -> Vec<StageId> {
         let way = self.before(StageId::Sampler);
         self.added().map(|(id, _)| id).filter(|id| !way.contains(id)).collect()

@@ -51,19 +51,16 @@ impl ContextMap {
     }
 
     /// Lower left corner of cell (0, 0) in the world frame.
-    #[must_use]
     pub const fn origin_m(&self) -> [f32; 2] {
         self.origin_m
     }
 
     /// Cells along y.
-    #[must_use]
     pub const fn rows(&self) -> usize {
         self.rows
     }
 
     /// Cells along x.
-    #[must_use]
     pub const fn cols(&self) -> usize {
         self.cols
     }

@@ -23,7 +23,6 @@ impl State {
     }
 
     /// Magnitude of the velocity, m/s.
-    #[must_use]
     pub fn speed_mps(&self) -> f32 {
         self.velocity_mps[0].hypot(self.velocity_mps[1])
     }

@@ -124,7 +124,6 @@ impl AgentView {
 
     /// The identity that users see: the agent's identity in the recording, or the track's number if it has
     /// none.
-    #[must_use]
     pub const fn known_as(&self) -> u64 {
         if self.source_id == 0 { self.id } else { self.source_id }
     }

@@ -39,7 +39,6 @@ impl Comparison {
     }
 
     /// Whether the numbers are reproduced.
-    #[must_use]
     pub fn agrees(&self) -> bool {
         self.error <= self.tolerance
     }

@@ -26,13 +26,11 @@ pub struct UnknownAgentType(pub String);
 
 impl AgentType {
     /// The type's index in [`AGENT_TYPES`] and in tables by type.
-    #[must_use]
     pub const fn index(self) -> usize {
         self as usize
     }
 
     /// The type's bit in [`crate::Header::observed_types`].
-    #[must_use]
     pub const fn bit(self) -> u32 {
         1 << self as u32
     }

@@ -128,7 +128,6 @@ macro_rules! numbers {
             };
 
             /// The name used on the command line, in files and in reports.
-            #[must_use]
             pub const fn name(self) -> &'static str {
                 match self {
                     $(Self::$variant => $text,)+

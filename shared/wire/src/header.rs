@@ -252,7 +252,6 @@ impl Header {
     }
 
     /// The stages on the tick's path.
-    #[must_use]
     pub fn hops(&self) -> &[Hop] {
         &self.hops[..(self.hops_len as usize).min(HOPS_MAX)]
     }
@@ -300,7 +299,6 @@ impl Header {
     }
 
     /// Whether the frame belongs to a tick, and not to the start or end of the pipeline.
-    #[must_use]
     pub const fn is_tick(&self) -> bool {
         self.flags & (flags::WARM_UP | flags::END) == 0
     }

@@ -48,7 +48,6 @@ impl ContextShape {
     }
 
     /// Count of the numbers in one patch.
-    #[must_use]
     pub const fn patch_len(&self) -> usize {
         PATCH_CHANNELS * self.patch_side * self.patch_side
     }

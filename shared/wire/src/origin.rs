@@ -43,13 +43,11 @@ impl WorldOrigin {
     }
 
     /// Its position in the own frame.
-    #[must_use]
     pub const fn position_m(self) -> [f64; 2] {
         self.0
     }
 
     /// Whether the own frame is the world frame.
-    #[must_use]
     pub fn is_zero(self) -> bool {
         self.0 == [0.0; 2]
     }

@@ -71,7 +71,6 @@ impl Protection {
     }
 
     /// Whether the frame has no protection.
-    #[must_use]
     pub fn is_absent(&self) -> bool {
         *self == Self::default()
     }
@@ -128,7 +127,6 @@ pub fn crc64(parts: &[&[u8]]) -> u64 {
 
 impl Rejected {
     /// The cause for which a refused frame is counted.
-    #[must_use]
     pub const fn cause(&self) -> RefusalCause {
         match self {
             Self::Schema { .. } => RefusalCause::Schema,

@@ -86,19 +86,16 @@ impl StageId {
     }
 
     /// Its number in headers and heartbeats.
-    #[must_use]
     pub const fn number(self) -> u32 {
         self.0
     }
 
     /// Whether a pipeline file has added the stage.
-    #[must_use]
     pub const fn is_added(self) -> bool {
         self.0 >= Self::ADDED_FIRST
     }
 
     /// Its index in tables of [`StageId::PLACES_LEN`] stages.
-    #[must_use]
     pub const fn place(self) -> usize {
         if self.is_added() {
             Self::ALL.len() + (self.0 - Self::ADDED_FIRST) as usize
@@ -109,7 +106,6 @@ impl StageId {
 
     /// The name used on the command line, in files and in reports. If this process does not know an added
     /// stage's name, the name is its number.
-    #[must_use]
     pub fn name(self) -> &'static str {
         if let Some(entry) = Self::NUMBERS.entries.iter().find(|entry| entry.number == self.0) {
             return entry.name;

@@ -167,7 +167,6 @@ impl<T: Layout, const N: usize> Layout for [T; N] {
 
 impl Primitive {
     /// Its name in Rust.
-    #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
             Self::U8 => "u8",
@@ -180,7 +179,6 @@ impl Primitive {
     }
 
     /// Its size in bytes, which is also its alignment.
-    #[must_use]
     pub const fn size(self) -> usize {
         match self {
             Self::U8 => 1,
@@ -193,7 +191,6 @@ impl Primitive {
 
 impl Type {
     /// Its size in bytes.
-    #[must_use]
     pub const fn size(&self) -> usize {
         match self {
             Self::Primitive(primitive) => primitive.size(),
@@ -203,7 +200,6 @@ impl Type {
     }
 
     /// Its alignment in bytes, as in C.
-    #[must_use]
     pub const fn align(&self) -> usize {
         match self {
             Self::Primitive(primitive) => primitive.size(),
@@ -226,7 +222,6 @@ pub struct Leaf {
 
 impl Record {
     /// Every number of the record, in the order of their offsets.
-    #[must_use]
     pub fn leaves(&self) -> Vec<Leaf> {
         let mut leaves = Vec::new();
         for field in self.fields {

@@ -154,7 +154,6 @@ impl GapReport {
     }
 
     /// The errors as a Markdown table.
-    #[must_use]
     pub fn markdown(&self) -> String {
         let columns = ["positions", "forecasts m", "kinematic m", "ratio"].map(str::to_owned);
         let mut table = Table::new("", "", &["source", "type", "gap s"], columns.into_iter());
@@ -179,7 +178,6 @@ impl GapReport {
     }
 
     /// One line per source, type, gap and prior.
-    #[must_use]
     pub fn csv(&self) -> String {
         let mut text = String::from("source,type,gap_s,prior,positions,rmse_m\n");
         for (source, agent_type, gap, positions) in self.cells() {
@@ -192,7 +190,6 @@ impl GapReport {
     }
 
     /// Errors by source, type and gap.
-    #[must_use]
     pub fn json(&self) -> serde_json::Value {
         let cells = self.cells().map(|(source, agent_type, gap, positions)| {
             let [forecasts_m, kinematic_m] = rmse_m(&positions);

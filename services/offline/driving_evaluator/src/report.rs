@@ -78,39 +78,22 @@ impl Report {
     }
 
     /// The main tables as Markdown.
-    #[must_use]
     pub fn summary(&self) -> String {
         [self.by_source(), self.coverage(), self.out_of_distribution(), self.first_seconds()].join("\n\n")
     }
 
     /// All tables as Markdown.
-    #[must_use]
     pub fn markdown(&self) -> String {
         [self.summary(), self.by_speed()].join("\n\n")
     }
 
     fn by_source(&self) -> String {
-        let columns = [
-            "forecasts",
-            "single best",
-            "constant velocity",
-            "/ CV, ADE",
-            "/ CV, FDE",
-            "turn",
-            "acceleration",
-            "best of 20",
-            "20 anchors",
-            "/ anchors, ADE",
-            "/ anchors, FDE",
-            "missed",
-            "area m²",
-            "CV area m²",
-            "NLL",
-            "regret",
-            "network",
-            "learned",
-        ];
-        let mut table = Table::new("", "", &["source", "type"], columns.map(str::to_owned).into_iter());
+        let columns =
+            "forecasts|single best|constant velocity|/ CV, ADE|/ CV, FDE|turn|acceleration|best of 20|\
+             20 anchors|/ anchors, ADE|/ anchors, FDE|missed|area m²|CV area m²|NLL|regret|network|\
+             learned"
+                .split('|');
+        let mut table = Table::new("", "", &["source", "type"], columns.map(str::to_owned));
         let mut ratios: BTreeMap<AgentType, Vec<[f64; 2]>> = BTreeMap::new();
         for (source, agent_type, samples) in self.cells() {
             let cell = Cell { samples: &samples };
@@ -155,24 +138,11 @@ impl Report {
     }
 
     fn by_speed(&self) -> String {
-        let columns = [
-            "forecasts",
-            "single best",
-            "constant velocity",
-            "/ CV, ADE",
-            "/ CV, FDE",
-            "turn",
-            "best of 20",
-            "20 anchors",
-            "/ anchors, ADE",
-            "/ anchors, FDE",
-            "missed",
-            "held 90 %",
-            "area m²",
-            "CV area m²",
-        ];
-        let mut table =
-            Table::new("", "", &["source", "type", "m/s"], columns.map(str::to_owned).into_iter());
+        let columns =
+            "forecasts|single best|constant velocity|/ CV, ADE|/ CV, FDE|turn|best of 20|20 anchors|\
+             / anchors, ADE|/ anchors, FDE|missed|held 90 %|area m²|CV area m²"
+                .split('|');
+        let mut table = Table::new("", "", &["source", "type", "m/s"], columns.map(str::to_owned));
         for (source, agent_type, samples) in self.cells() {
             for (band, name) in BAND_NAMES.iter().enumerate() {
                 let of_band: Vec<&Sample> = samples.iter().copied().filter(|s| band_of(s) == band).collect();
@@ -305,7 +275,6 @@ impl Report {
     }
 
     /// One line per source, type and method.
-    #[must_use]
     pub fn csv(&self) -> String {
         let mut text = String::from("source,type,method,forecasts,ade_m,fde_m\n");
         for (source, agent_type, samples) in self.cells() {
@@ -319,7 +288,6 @@ impl Report {
     }
 
     /// Errors by source, type and method.
-    #[must_use]
     pub fn json(&self) -> serde_json::Value {
         let cells = self.cells().map(|(source, agent_type, samples)| {
             let cell = Cell { samples: &samples };

@@ -131,19 +131,16 @@ impl Forecaster {
     }
 
     /// The model's options.
-    #[must_use]
     pub const fn config(&self) -> &ModelConfig {
         self.weights.config()
     }
 
     /// The weights.
-    #[must_use]
     pub const fn weights(&self) -> &Weights {
         &self.weights
     }
 
     /// An empty retrieval memory.
-    #[must_use]
     pub fn memory(&self) -> RetrievalMemory {
         RetrievalMemory::new(self.config().horizon_len, self.config().step_ns())
     }

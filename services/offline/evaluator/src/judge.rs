@@ -32,7 +32,6 @@ pub enum Subset {
 
 impl Subset {
     /// The name in reports.
-    #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
             Self::All => "all",

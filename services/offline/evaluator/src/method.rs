@@ -49,7 +49,6 @@ impl Method {
         [Self::Network, Self::OnlineRetrieval, Self::WarmStartedRetrieval, Self::Evidence];
 
     /// The name in reports.
-    #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
             Self::Network => "ours",
@@ -67,7 +66,6 @@ impl Method {
     }
 
     /// Place in [`Method::ALL`].
-    #[must_use]
     pub const fn index(self) -> usize {
         self as usize
     }

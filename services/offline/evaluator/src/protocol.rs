@@ -66,7 +66,6 @@ pub struct Footage {
 
 impl Footage {
     /// The site, which is the first part of the recording's name: `DR_USA_Roundabout_FT`.
-    #[must_use]
     pub fn site(&self) -> String {
         self.recording.name.split('/').next().unwrap_or_default().to_owned()
     }
@@ -85,7 +84,6 @@ impl MapChoice {
     }
 
     /// The name in reports.
-    #[must_use]
     pub const fn label(self) -> &'static str {
         match self {
             Self::None => "none",

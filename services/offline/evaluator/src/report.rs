@@ -157,7 +157,6 @@ impl Report {
     }
 
     /// The published forecasts compared with constant velocity, and what is left out. `None` for data sets.
-    #[must_use]
     pub fn brief(&self) -> Option<String> {
         let table = self.published.as_ref()?;
         let mut text = format!("#{}", table.markdown(""));
@@ -166,13 +165,11 @@ impl Report {
     }
 
     /// The report as Markdown that is also readable in a terminal.
-    #[must_use]
     pub fn markdown(&self) -> String {
         self.written(&self.tables, "#")
     }
 
     /// The main tables with their main rows as Markdown, one heading level lower.
-    #[must_use]
     pub fn summary(&self) -> String {
         self.written(&self.tables.iter().filter_map(Table::summary).collect::<Vec<_>>(), "##")
     }
@@ -214,7 +211,6 @@ impl Report {
     }
 
     /// One line per figure, with the fingerprint of its weights.
-    #[must_use]
     pub fn csv(&self) -> String {
         let mut text =
             "part,subset,method,measure,horizon_s,quantity,value,low,high,agents,weights_sha256\n".to_owned();
@@ -232,7 +228,6 @@ impl Report {
     }
 
     /// The whole report as JSON.
-    #[must_use]
     pub fn json(&self) -> serde_json::Value {
         let Self { title, provenance, left_out, figures, .. } = self;
         serde_json::json!({ "title": title, "provenance": provenance, "left_out": left_out, "figures": figures })

@@ -44,13 +44,11 @@ pub struct Cut {
 
 impl Agent {
     /// Whether the agent is present at every step of history and forecast.
-    #[must_use]
     pub fn is_complete(&self) -> bool {
         self.history.iter().all(Option::is_some) && self.future.iter().all(Option::is_some)
     }
 
     /// The newest state.
-    #[must_use]
     pub fn newest(&self) -> Option<State> {
         *self.history.last()?
     }
@@ -59,7 +57,6 @@ impl Agent {
 impl Scene {
     /// Places of the agents that can count: those present from the first history step to the last forecast
     /// step.
-    #[must_use]
     pub fn complete(&self) -> Vec<usize> {
         (0..self.agents.len()).filter(|&agent| self.agents[agent].is_complete()).collect()
     }
@@ -78,7 +75,6 @@ impl Cut {
     }
 
     /// The spacing of the steps in nanoseconds.
-    #[must_use]
     pub fn step_ns(&self) -> i64 {
         (self.dt_s * 1e9).round() as i64
     }

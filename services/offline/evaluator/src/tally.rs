@@ -30,7 +30,6 @@ impl Measure {
         [Self::BestOf, Self::Single, Self::Top1, Self::Joint, Self::JointRanked, Self::JointNarrowed];
 
     /// The name in reports.
-    #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
             Self::BestOf => "minADE₂₀ / minFDE₂₀",
@@ -43,7 +42,6 @@ impl Measure {
     }
 
     /// Place in [`Measure::ALL`].
-    #[must_use]
     pub const fn index(self) -> usize {
         self as usize
     }
@@ -198,13 +196,11 @@ impl Tally {
     }
 
     /// Whether no agent was counted.
-    #[must_use]
     pub const fn is_empty(&self) -> bool {
         self.agents_len == 0
     }
 
     /// Number of horizons.
-    #[must_use]
     pub fn horizons_len(&self) -> usize {
         self.sums.len()
     }

@@ -157,7 +157,6 @@ fn draws(config: &ModelConfig) -> String {
 
 impl Provenance {
     /// The provenance in one line.
-    #[must_use]
     pub fn line(&self) -> String {
         let recipe = self.recipe.as_deref().unwrap_or("unknown");
         let seed = self.seed.map_or_else(|| "unknown".to_owned(), |seed| seed.to_string());

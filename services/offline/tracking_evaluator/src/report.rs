@@ -168,13 +168,11 @@ impl TrackingReport {
     }
 
     /// The report as a Markdown page that is also readable in a terminal.
-    #[must_use]
     pub fn markdown(&self) -> String {
         self.written(&self.tables(), "#")
     }
 
     /// The errors at one noise and the comparisons at all, with headings from the second level on.
-    #[must_use]
     pub fn summary(&self) -> String {
         let is_reported = |sigma_m: f64| sigma_m == SUMMARISED_M;
         let [position, velocity] = Quantity::ALL.map(|quantity| self.errors(quantity, is_reported));
@@ -313,7 +311,6 @@ impl TrackingReport {
     }
 
     /// One line per figure, in the columns of [`crate::COLUMNS`].
-    #[must_use]
     pub fn csv(&self) -> String {
         let sha256 = &self.provenance.sha256;
         let line = |figures: &Figures, (measure, value): (&str, f64)| {
@@ -334,7 +331,6 @@ impl TrackingReport {
     }
 
     /// The whole report as JSON.
-    #[must_use]
     pub fn json(&self) -> serde_json::Value {
         serde_json::json!({ "provenance": self.provenance, "figures": self.figures().collect::<Vec<_>>() })
     }

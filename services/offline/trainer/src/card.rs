@@ -69,9 +69,6 @@ pub struct Fitness {
 
 impl Fitness {
     /// The range of motion within the bounds of the base control's features.
-    ///
-    /// # Panics
-    /// If there are fewer bounds than features.
     #[must_use]
     pub(crate) fn within(bounds: &[[f32; 2]]) -> Self {
         use nn::base::{ACCELERATION, LATERAL_ACCELERATION, SPEED_SQUARED};

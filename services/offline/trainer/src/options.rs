@@ -217,7 +217,6 @@ impl TrainOptions {
 
 impl TrainOptions {
     /// The same options with default paths and `resume`, which have no effect on the model.
-    #[must_use]
     pub fn without_places(&self) -> Self {
         let Self { data, out, checkpoints, resume, .. } = Self::default();
         let names = self.begin_with.iter().filter_map(|path| path.file_name());

@@ -57,7 +57,6 @@ pub fn begin_with_onboard(options: &mut TrainOptions) -> Result<(), TrainError> 
     Ok(())
 }
 
-/// The files of a part.
 pub(crate) fn files_of(files: &[PathBuf], part: Part) -> &[PathBuf] {
     if files.len() < 2 {
         return files;

@@ -109,7 +109,6 @@ fn objective(of_vehicles: f64, len: usize) -> Objective {
     objective
 }
 
-/// The model of [`pedestrians`].
 fn pedestrian_config() -> ModelConfig {
     ModelConfig { context: false, edge_radius_m: 10.0, ..onboard_config() }
 }

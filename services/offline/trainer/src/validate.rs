@@ -29,7 +29,6 @@ use crate::view;
 
 /// Maximum number of agents shown from a crowd.
 const SCENE_AGENTS: usize = 48;
-/// Agents of a batch.
 const BATCH_AGENTS: usize = 96;
 /// Maximum number of windows per set and type that anchors are fitted to.
 const ANCHOR_WINDOWS: usize = 20_000;
@@ -72,7 +71,6 @@ pub struct SetScore {
 
 impl SetScore {
     /// Errors relative to the baselines: below 1 is better.
-    #[must_use]
     pub fn relative(&self) -> f64 {
         let sum = |errors: Errors| errors.ade_m + 0.5 * errors.fde_m;
         let ratio = |ours: Errors, theirs: Errors| sum(ours) / sum(theirs).max(BASELINE_MIN_M);
@@ -146,7 +144,6 @@ pub(crate) struct Validation<'a> {
     pub(crate) config: &'a ModelConfig,
     pub(crate) base: &'a BaseControl,
     pub(crate) baselines: &'a Baselines,
-    /// The kind of map.
     pub(crate) map: Option<MapKind>,
     /// Maximum number of agents per set.
     pub(crate) agents_max: usize,
@@ -154,28 +151,9 @@ pub(crate) struct Validation<'a> {
     pub(crate) workers: usize,
 }
 
-/// Sums over the agents of a set.
-#[derive(Default)]
-struct Sums {
-    best: DisplacementMean,
-    single: DisplacementMean,
-    base_best: DisplacementMean,
-    base_single: DisplacementMean,
-    constant_velocity: DisplacementMean,
-    anchors: DisplacementMean,
-}
-
-impl Sums {
-    fn merged(mut self, other: &Self) -> Self {
-        self.best.merge(&other.best);
-        self.single.merge(&other.single);
-        self.base_best.merge(&other.base_best);
-        self.base_single.merge(&other.base_single);
-        self.constant_velocity.merge(&other.constant_velocity);
-        self.anchors.merge(&other.anchors);
-        self
-    }
-}
+/// Sums over the agents of a set: the network's modes and its single best forecast, the same of the base
+/// control, constant velocity, and anchors.
+type Sums = [DisplacementMean; 6];
 
 impl Validation<'_> {
     /// The scores of every set in `samples` that has windows.
@@ -195,22 +173,27 @@ impl Validation<'_> {
                 .collect();
             let mut sums =
                 threads.into_iter().map(|thread| thread.join().expect("the part's thread panicked"));
-            sums.try_fold(Sums::default(), |sum, part| Ok::<_, TrainError>(sum.merged(&part?)))
+            sums.try_fold(Sums::default(), |mut sums, part| {
+                sums.iter_mut().zip(part?).for_each(|(sum, part)| sum.merge(&part));
+                Ok::<_, TrainError>(sums)
+            })
         })?;
-        let errors = |mean: DisplacementMean| Errors {
-            ade_m: rounded(mean.ade_m.value().unwrap_or_default()),
-            fde_m: rounded(mean.fde_m.value().unwrap_or_default()),
-        };
+        let agents = usize::try_from(sums[1].ade_m.len()).unwrap_or(usize::MAX);
+        let [best_of_modes, single, base_best_of_modes, base_single, constant_velocity, anchors_best_of_20] =
+            sums.map(|mean| Errors {
+                ade_m: rounded(mean.ade_m.value().unwrap_or_default()),
+                fde_m: rounded(mean.fde_m.value().unwrap_or_default()),
+            });
         Ok(SetScore {
             set: set.set.name().to_owned(),
             windows: windows.len(),
-            agents: usize::try_from(sums.single.ade_m.len()).unwrap_or(usize::MAX),
-            best_of_modes: errors(sums.best),
-            single: errors(sums.single),
-            base_best_of_modes: errors(sums.base_best),
-            base_single: errors(sums.base_single),
-            constant_velocity: errors(sums.constant_velocity),
-            anchors_best_of_20: errors(sums.anchors),
+            agents,
+            best_of_modes,
+            single,
+            base_best_of_modes,
+            base_single,
+            constant_velocity,
+            anchors_best_of_20,
         })
     }
 
@@ -261,25 +244,26 @@ impl Validation<'_> {
                 let (scene, agent) = batch.origin[position];
                 let view = &scenes[scene].agents[agent];
                 let truth: Vec<Option<Point>> = view.truth().collect();
-                sums.best.add(min_displacement(modes.of(i), &truth));
-                sums.single.add(displacement(&single.of(i)[0], &truth));
-                sums.base_best.add(min_displacement(base_modes.of(i), &truth));
-                sums.base_single.add(displacement(&base_single.of(i)[0], &truth));
-                self.add_baselines(set, &view.agent, sums);
+                let [best, of_single, base_best, of_base_single, baselines @ ..] = &mut *sums;
+                best.add(min_displacement(modes.of(i), &truth));
+                of_single.add(displacement(&single.of(i)[0], &truth));
+                base_best.add(min_displacement(base_modes.of(i), &truth));
+                of_base_single.add(displacement(&base_single.of(i)[0], &truth));
+                self.add_baselines(set, &view.agent, baselines);
             }
         }
         Ok(())
     }
 
-    fn add_baselines(&self, set: DataSet, agent: &Agent, sums: &mut Sums) {
+    fn add_baselines(&self, set: DataSet, agent: &Agent, [steady, of_anchors]: &mut [DisplacementMean; 2]) {
         let truth = agent.future_m();
         let dt_s = self.config.dt_s as f32;
         if let Some(forecast) = constant_velocity(&agent.history, dt_s, self.config.horizon_len) {
-            sums.constant_velocity.add(displacement(&forecast, &truth));
+            steady.add(displacement(&forecast, &truth));
         }
         let anchors = self.baselines.of(set, agent.agent_type);
         if let Some(modes) = anchors.and_then(|anchors| anchors.predict(&agent.history)) {
-            sums.anchors.add(min_displacement(&modes, &truth));
+            of_anchors.add(min_displacement(&modes, &truth));
         }
     }
 

@@ -42,9 +42,6 @@ pub(crate) fn is_root_among<'a>(lines: impl Iterator<Item = Result<Line<'a>, Rea
 }
 
 /// Reads a scenario.
-///
-/// # Errors
-/// [`ReadError`] with file, line, column and value.
 pub(crate) fn parse(inputs: &[Input]) -> Result<Recording, ReadError> {
     let input = need(inputs, Role::Rows)?;
     if input.bytes.len() as u64 > XML_BYTES_MAX {
@@ -243,7 +240,6 @@ impl<'a> Source<'a> {
         Line { path: self.path, number, text: "", origin: self.origin }
     }
 
-    /// A value at a byte.
     fn field(&self, byte: usize, name: &'static str, text: &'a str) -> Field<'a> {
         let line = self.line(byte);
         let start = self.line_starts.get(line.number.saturating_sub(1)).copied().unwrap_or(0);
@@ -263,7 +259,6 @@ impl<'a> Source<'a> {
         self.field(node.range().start, name, node.tag_name().name())
     }
 
-    /// The child with this name.
     fn child(&self, node: Node<'a, 'a>, name: &'static str) -> Result<Node<'a, 'a>, ReadError> {
         let child = node.children().find(|child| child.has_tag_name(name));
         child.ok_or_else(|| self.missing(node, name))
@@ -273,7 +268,6 @@ impl<'a> Source<'a> {
         self.name(node, "element").error(format!("needs {name}"))
     }
 
-    /// The value of an attribute.
     fn attribute(&self, node: Node<'a, 'a>, name: &'static str) -> Result<Field<'a>, ReadError> {
         let value = node.attribute_node(name).ok_or_else(|| self.missing(node, name))?;
         Ok(self.field(value.range_value().start, name, value.value()))

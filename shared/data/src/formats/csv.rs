@@ -193,9 +193,6 @@ pub(crate) fn is_meant_as_header(line: &Line<'_>) -> bool {
 }
 
 /// Reads such a file.
-///
-/// # Errors
-/// [`ReadError`] with file, line, column and value.
 pub(crate) fn parse(inputs: &[Input]) -> Result<Recording, ReadError> {
     let input = need(inputs, Role::Rows)?;
     let mut lines = text::lines(input).filter(|line| !matches!(line, Ok(line) if line.text.starts_with('#')));

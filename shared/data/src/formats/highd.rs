@@ -32,9 +32,6 @@ pub(crate) fn is_header(line: &Line<'_>) -> bool {
 }
 
 /// Reads the three files of a recording.
-///
-/// # Errors
-/// [`ReadError`] with file, line, column and value, and if one of the files is missing.
 pub(crate) fn parse(inputs: &[Input]) -> Result<Recording, ReadError> {
     let tracks = need(inputs, Role::Rows)?;
     let meta = need(inputs, Role::TracksMeta)?;

@@ -71,9 +71,6 @@ const STAMP_MAX_MS: i64 = 1_000_000_000_000;
 type ReadRow = Result<(i64, Detection), ReadError>;
 
 /// Reads vehicles, pedestrians and cyclists, or both together.
-///
-/// # Errors
-/// [`ReadError`] with file, line, column and value.
 pub(crate) fn parse(inputs: &[Input]) -> Result<Recording, ReadError> {
     let first = need_any(inputs, &[Role::Vehicles, Role::Pedestrians])?;
     let mut rows = Rows::default();

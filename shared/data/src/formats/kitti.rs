@@ -74,9 +74,6 @@ struct CameraBox<'a> {
 }
 
 /// Reads the detectors' output.
-///
-/// # Errors
-/// [`ReadError`] with file, line, column and value, and if calibration or ego motion are missing.
 pub(crate) fn parse_detections(inputs: &[Input]) -> Result<Recording, ReadError> {
     let poses = WorldFromCamera::parse(need(inputs, Role::Calibration)?, need(inputs, Role::EgoMotion)?)?;
     need_any(inputs, &[Role::Vehicles, Role::Pedestrians, Role::Cyclists])?;
@@ -114,9 +111,6 @@ pub(crate) fn parse_detections(inputs: &[Input]) -> Result<Recording, ReadError>
 }
 
 /// Reads the true tracks.
-///
-/// # Errors
-/// [`ReadError`] with file, line, column and value, and if calibration or ego motion are missing.
 pub(crate) fn parse_labels(inputs: &[Input]) -> Result<Recording, ReadError> {
     let input = need(inputs, Role::Rows)?;
     let poses = WorldFromCamera::parse(need(inputs, Role::Calibration)?, need(inputs, Role::EgoMotion)?)?;
@@ -157,7 +151,6 @@ fn limit(rows_len: usize, line: &Line<'_>) -> Result<(), ReadError> {
     Err(ReadError::TooManyRows { path: line.path.to_owned(), line: line.number, most: crate::rows::ROWS_MAX })
 }
 
-/// The index of a frame that has a pose.
 fn frame_index(field: Field<'_>, poses: &WorldFromCamera) -> Result<usize, ReadError> {
     let frames_len = poses.frames_len();
     let frame = usize::try_from(field.frame()?).ok().filter(|&frame| frame < frames_len);

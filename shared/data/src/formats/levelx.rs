@@ -31,9 +31,6 @@ pub(crate) fn is_header(line: &Line<'_>) -> bool {
 }
 
 /// Reads the three files of a recording.
-///
-/// # Errors
-/// [`ReadError`] with file, line, column and value, and if one of the files is missing.
 pub(crate) fn parse(inputs: &[Input]) -> Result<Recording, ReadError> {
     let tracks = need(inputs, Role::Rows)?;
     let meta = need(inputs, Role::TracksMeta)?;
@@ -53,7 +50,6 @@ pub(crate) fn parse(inputs: &[Input]) -> Result<Recording, ReadError> {
     Ok(Recording { interval_ns: rate.interval_ns(1), has_identities: true, frames, ..Recording::default() })
 }
 
-/// A line with its named values, or its error.
 type NamedRow<'a, const N: usize> = Result<(Line<'a>, [Field<'a>; N]), ReadError>;
 
 /// The rows below a header, with values by column name.

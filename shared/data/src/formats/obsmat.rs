@@ -16,9 +16,6 @@ const STEP: u32 = 6;
 const NAMES: [&str; 8] = ["frame", "id", "x", "z", "y", "vx", "vz", "vy"];
 
 /// Reads such a file.
-///
-/// # Errors
-/// [`ReadError`] with file, line, column and value.
 pub(crate) fn parse(inputs: &[Input], rate: FrameRate) -> Result<Recording, ReadError> {
     let input = need(inputs, Role::Rows)?;
     let mut rows = Rows::default();
@@ -32,12 +29,5 @@ pub(crate) fn parse(inputs: &[Input], rate: FrameRate) -> Result<Recording, Read
             rows::identified(AgentType::Pedestrian, text::position_m([x, y])?, id.id_below(u64::MAX)?);
         rows.push(&line, frame.stamp_ns(rate)?, detection)?;
     }
-    let frames = sweeps::numbered(&rows.sorted(input)?, AgentType::Pedestrian.bit());
-    Ok(Recording {
-        interval_ns: rate.interval_ns(STEP),
-        has_identities: true,
-        frames,
-        frame_rate: Some(rate),
-        ..Recording::default()
-    })
+    sweeps::identified(rows, input, AgentType::Pedestrian.bit(), rate, STEP)
 }

@@ -25,18 +25,12 @@ pub(crate) const TRAJNET_RATE: FrameRate = FrameRate::of_centihertz(3_000);
 const TRAJNET_STEP: u32 = 12;
 
 /// Reads ETH/UCY.
-///
-/// # Errors
-/// [`ReadError`] with file, line, column and value.
 pub(crate) fn parse_eth_ucy(inputs: &[Input], rate: FrameRate) -> Result<Recording, ReadError> {
     parse(need(inputs, Role::Rows)?, rate, ETH_UCY_STEP)
 }
 
 /// Reads the TrajNet split of Stanford Drone. The scene's scale comes from the table beside the file, if it
 /// exists.
-///
-/// # Errors
-/// [`ReadError`] with file, line, column and value.
 pub(crate) fn parse_trajnet(inputs: &[Input], rate: FrameRate) -> Result<Recording, ReadError> {
     let input = need(inputs, Role::Rows)?;
     let mut recording = parse(input, rate, TRAJNET_STEP)?;
@@ -55,12 +49,5 @@ fn parse(input: &Input, rate: FrameRate, frames_per_step: u32) -> Result<Recordi
             rows::identified(AgentType::Pedestrian, text::position_m([x, y])?, id.id_below(u64::MAX)?);
         rows.push(&line, frame.stamp_ns(rate)?, detection)?;
     }
-    let frames = sweeps::numbered(&rows.sorted(input)?, AgentType::Pedestrian.bit());
-    Ok(Recording {
-        interval_ns: rate.interval_ns(frames_per_step),
-        has_identities: true,
-        frames,
-        frame_rate: Some(rate),
-        ..Recording::default()
-    })
+    sweeps::identified(rows, input, AgentType::Pedestrian.bit(), rate, frames_per_step)
 }

@@ -40,9 +40,6 @@ const PIXEL_MAX: f64 = wire::POSITION_MAX_M as f64;
 const PIXEL_M: std::ops::RangeInclusive<f64> = 1e-4..=1.0;
 
 /// Reads the annotations of a video.
-///
-/// # Errors
-/// [`ReadError`] with file, line, column and value, and if the scale of the video is missing.
 pub(crate) fn parse(inputs: &[Input], rate: FrameRate) -> Result<Recording, ReadError> {
     let input = need(inputs, Role::Rows)?;
     let pixel_m = video_pixel_m(need(inputs, Role::Scales)?, &input.path)?;
@@ -56,18 +53,10 @@ pub(crate) fn parse(inputs: &[Input], rate: FrameRate) -> Result<Recording, Read
             None => lost_len += 1,
         }
     }
-    let frames = sweeps::numbered(&rows.sorted(input)?, ALL_TYPES);
     let lost = LeftOut { reason: "lost = 1".to_owned(), rows_len: lost_len };
     let left_out = Vec::from_iter((lost_len > 0).then_some(lost));
-    Ok(Recording {
-        interval_ns: rate.interval_ns(1),
-        has_identities: true,
-        frames,
-        left_out,
-        frame_rate: Some(rate),
-        pixel_m: Some(pixel_m),
-        ..Recording::default()
-    })
+    let recording = sweeps::identified(rows, input, ALL_TYPES, rate, 1)?;
+    Ok(Recording { left_out, pixel_m: Some(pixel_m), ..recording })
 }
 
 fn row(

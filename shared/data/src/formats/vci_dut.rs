@@ -23,9 +23,6 @@ const PEDESTRIAN_NAMES: [&str; 7] = ["id", "frame", "label", "x_est", "y_est", "
 pub(crate) const RATE: FrameRate = FrameRate::of_centihertz(2_398);
 
 /// Reads a pair, or one file of it.
-///
-/// # Errors
-/// [`ReadError`] with file, line, column and value.
 pub(crate) fn parse(inputs: &[Input], rate: FrameRate) -> Result<Recording, ReadError> {
     let first = need_any(inputs, &[Role::Vehicles, Role::Pedestrians])?;
     let mut rows = Rows::default();
@@ -37,14 +34,7 @@ pub(crate) fn parse(inputs: &[Input], rate: FrameRate) -> Result<Recording, Read
             read(input, agent_type, rate, &mut rows)?;
         }
     }
-    let frames = sweeps::numbered(&rows.sorted(first)?, observed_types);
-    Ok(Recording {
-        interval_ns: rate.interval_ns(1),
-        has_identities: true,
-        frames,
-        frame_rate: Some(rate),
-        ..Recording::default()
-    })
+    sweeps::identified(rows, first, observed_types, rate, 1)
 }
 
 fn read<'a>(

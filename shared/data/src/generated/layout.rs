@@ -121,7 +121,6 @@ impl Layout {
         &self.relations[mine * self.routes.len() + other]
     }
 
-    /// The number of a route.
     pub(super) fn route(kind: Kind, from_arm: usize, turn: Turn) -> usize {
         (kind as usize * 4 + from_arm) * Turn::ALL.len() + turn as usize
     }

@@ -23,7 +23,6 @@ const KNOWLEDGE_LEN: usize = KNOTS * (Blend::NUMBERS_LEN + Widths::NUMBERS_LEN +
 
 impl Evidence {
     /// Spacing of the forecasts' steps.
-    #[must_use]
     pub const fn step_ns(&self) -> u64 {
         self.step_ns.unsigned_abs()
     }
@@ -78,7 +77,6 @@ impl Evidence {
     }
 
     /// Discounted number of matured forecasts, without the prior's.
-    #[must_use]
     pub fn matured_len(&self) -> f64 {
         self.known.as_flattened().iter().map(|knowledge| knowledge.blend[KNOTS - 1].matured_len()).sum()
     }

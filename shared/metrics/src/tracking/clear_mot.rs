@@ -191,51 +191,43 @@ impl ClearMotCounts {
     }
 
     /// Truths, summed over frames.
-    #[must_use]
     pub const fn truths_len(&self) -> u64 {
         self.matched_len + self.missed_len
     }
 
     /// Tracks, summed over frames.
-    #[must_use]
     pub const fn tracks_len(&self) -> u64 {
         self.matched_len + self.false_len
     }
 
     /// MOTA: 1 minus misses, false tracks and switches per truth. The best value is 1; there is no lower
     /// limit.
-    #[must_use]
     pub fn mota(&self) -> Option<f64> {
         let errors = self.missed_len + self.false_len + self.switches_len;
         Some(1.0 - ratio(errors as f64, self.truths_len())?)
     }
 
     /// MODA: MOTA without the switches.
-    #[must_use]
     pub fn moda(&self) -> Option<f64> {
         Some(1.0 - ratio((self.missed_len + self.false_len) as f64, self.truths_len())?)
     }
 
     /// MOTP: the mean distance of the pairs.
-    #[must_use]
     pub fn motp_m(&self) -> Option<f64> {
         ratio(self.distance_sum_m, self.matched_len)
     }
 
     /// Share of the truths that have a track.
-    #[must_use]
     pub fn recall(&self) -> Option<f64> {
         ratio(self.matched_len as f64, self.truths_len())
     }
 
     /// Share of the tracks that have a truth.
-    #[must_use]
     pub fn precision(&self) -> Option<f64> {
         ratio(self.matched_len as f64, self.tracks_len())
     }
 
     /// Harmonic mean of precision and recall.
-    #[must_use]
     pub fn f1(&self) -> Option<f64> {
         ratio(2.0 * self.matched_len as f64, self.truths_len() + self.tracks_len())
     }

@@ -112,13 +112,11 @@ impl Frame {
     }
 
     /// The true objects, by id.
-    #[must_use]
     pub fn truths(&self) -> &[Object] {
         &self.truths
     }
 
     /// The tracks, by id.
-    #[must_use]
     pub fn tracks(&self) -> &[Object] {
         &self.tracks
     }

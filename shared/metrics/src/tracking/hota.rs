@@ -206,13 +206,11 @@ impl HotaCounts {
     }
 
     /// The scores at each of [`ALPHAS`].
-    #[must_use]
     pub fn scores(&self) -> [HotaScore; ALPHAS.len()] {
         self.alphas.each_ref().map(|alpha| self.score(alpha))
     }
 
     /// The mean of the scores over [`ALPHAS`], which papers report.
-    #[must_use]
     pub fn mean(&self) -> HotaScore {
         let scores = self.scores();
         let mean = |part: fn(&HotaScore) -> f64| scores.iter().map(part).sum::<f64>() / scores.len() as f64;

@@ -39,7 +39,6 @@ impl Identity {
 
     /// The counts under the one-to-one pairing of truths and tracks, over the whole recording, that shares
     /// most frames.
-    #[must_use]
     pub fn finish(self) -> IdentityCounts {
         let edge =
             |(&(truth, track), &shared): (&(u64, u64), &u64)| Edge { truth, track, gain: shared as f64 };
@@ -74,19 +73,16 @@ impl IdentityCounts {
     }
 
     /// IDF1, the harmonic mean of IDP and IDR.
-    #[must_use]
     pub fn idf1(&self) -> Option<f64> {
         ratio(2.0 * self.true_len as f64, 2 * self.true_len + self.false_len + self.missed_len)
     }
 
     /// IDP: share of the tracks that cover their truth.
-    #[must_use]
     pub fn idp(&self) -> Option<f64> {
         ratio(self.true_len as f64, self.true_len + self.false_len)
     }
 
     /// IDR: share of the truths that are covered.
-    #[must_use]
     pub fn idr(&self) -> Option<f64> {
         ratio(self.true_len as f64, self.true_len + self.missed_len)
     }

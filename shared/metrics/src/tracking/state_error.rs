@@ -25,13 +25,11 @@ impl ErrorNorms {
     }
 
     /// Root of the mean squared norm; `None` if nothing was counted.
-    #[must_use]
     pub fn rmse(&self) -> Option<f64> {
         (self.len > 0).then(|| (self.squared_sum / self.len as f64).sqrt())
     }
 
     /// Mean norm; `None` if nothing was counted.
-    #[must_use]
     pub fn mae(&self) -> Option<f64> {
         (self.len > 0).then(|| self.sum / self.len as f64)
     }
@@ -94,7 +92,6 @@ impl StateErrors {
     }
 
     /// Visible and occluded together.
-    #[must_use]
     pub fn all(&self) -> MotionErrors {
         let mut all = self.visible;
         all.merge(&self.occluded);

@@ -114,9 +114,6 @@ pub(crate) struct PairProduct<'a> {
 impl PairPanels {
     /// Rounds and packs the matrix whose entry (out, in) is `weight(out, in)`. Outputs are padded with zeros
     /// to whole panels.
-    ///
-    /// # Panics
-    /// If a length is 0 or there are more than [`IN_MAX`] inputs.
     pub(crate) fn pack(
         proof: DotProducts,
         [out_len, in_len]: [usize; 2],
@@ -153,9 +150,6 @@ impl PairPanels {
 
 impl PairProduct<'_> {
     /// Computes all rows of `out`.
-    ///
-    /// # Panics
-    /// If the lengths of the slices do not match.
     pub(crate) fn run(self) {
         let out_stride = self.panels.out_stride();
         let rows_len = self.out.len() / out_stride;

@@ -71,7 +71,6 @@ impl Panels {
     }
 
     /// Length of an output row: a multiple of 16.
-    #[must_use]
     pub const fn out_stride(&self) -> usize {
         self.panels_len * PANEL
     }
@@ -119,7 +118,6 @@ impl Taps {
     }
 
     /// Number of positions of the output map.
-    #[must_use]
     pub fn out_positions(&self) -> usize {
         self.sources.len() / self.taps_len
     }
@@ -131,7 +129,6 @@ impl Taps {
     }
 
     /// The same table without taps that are dead everywhere, and the indices of the remaining taps.
-    #[must_use]
     pub fn without_dead(&self) -> (Self, Vec<usize>) {
         let sees_input =
             |tap: &usize| (0..self.out_positions()).any(|position| self.sources(position)[*tap] != DEAD);
@@ -142,7 +139,6 @@ impl Taps {
     }
 
     /// The table of the backward pass: for each *input* position and tap, the output position that reads it.
-    #[must_use]
     pub fn transposed(&self) -> Self {
         let mut sources = vec![DEAD; self.in_positions * self.taps_len];
         for position in 0..self.out_positions() {
@@ -159,7 +155,6 @@ impl Taps {
     }
 
     /// Number of live pairs of output position and tap.
-    #[must_use]
     pub fn live_len(&self) -> usize {
         self.sources.iter().filter(|&&source| source != DEAD).count()
     }

@@ -87,7 +87,6 @@ impl Client {
     }
 
     /// Whether the tap has closed: the run has ended, or the tap has died.
-    #[must_use]
     pub const fn is_closed(&self) -> bool {
         self.is_closed
     }

@@ -66,7 +66,6 @@ impl<C: Write> Hub<C> {
     }
 
     /// The tools.
-    #[must_use]
     pub fn tools(&self) -> &[Tool<C>] {
         &self.tools
     }
@@ -83,7 +82,6 @@ impl<C: Write> Hub<C> {
     }
 
     /// Whether a tool requests events and log lines.
-    #[must_use]
     pub fn wants_events(&self) -> bool {
         self.tools.iter().any(|tool| tool.want.events)
     }
@@ -151,13 +149,11 @@ impl<C: Write> Hub<C> {
 
 impl<C: Write> Tool<C> {
     /// Whether an item waits to be written.
-    #[must_use]
     pub fn is_waiting(&self) -> bool {
         !self.queue.is_empty()
     }
 
     /// Number of frames lost in its queue.
-    #[must_use]
     pub const fn lost(&self) -> u64 {
         self.lost
     }

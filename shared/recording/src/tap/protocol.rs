@@ -103,7 +103,6 @@ pub enum LostAt {
 
 impl LostAt {
     /// The name.
-    #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
             Self::Tap => "tap",
@@ -114,7 +113,6 @@ impl LostAt {
 
 impl Lost {
     /// The topic.
-    #[must_use]
     pub fn topic(&self) -> &'static str {
         TABLE.topics.get(usize::from(self.topic)).map_or("unknown", |topic| topic.name)
     }
@@ -140,7 +138,6 @@ fn packet(kind: u8, topic: u8, received_ns: u64, parts: [&[u8]; 2]) -> Arc<[u8]>
     [&prefix[..], parts[0], parts[1]].concat().into()
 }
 
-/// A frame of header and payload.
 pub(super) fn frame(topic: u8, received_ns: u64, header: &[u8], payload: &[u8]) -> Arc<[u8]> {
     packet(kind::FRAME, topic, received_ns, [header, payload])
 }

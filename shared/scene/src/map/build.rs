@@ -42,7 +42,6 @@ impl MapBuilder {
     }
 
     /// The map of all visits.
-    #[must_use]
     pub fn build(&self) -> ContextMap {
         let total = self.sums.iter().map(|cell| cell.visits).sum::<u64>().max(1) as f64;
         let density = self.sums.iter().map(|cell| (cell.visits as f64 / total) as f32);

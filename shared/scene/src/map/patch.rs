@@ -18,13 +18,11 @@ pub struct PatchOptions {
 
 impl PatchOptions {
     /// Length of a patch: three channels of P × P.
-    #[must_use]
     pub const fn len(&self) -> usize {
         PATCH_CHANNELS * self.side * self.side
     }
 
     /// Whether a patch has no cells.
-    #[must_use]
     pub const fn is_empty(&self) -> bool {
         self.side == 0
     }

@@ -54,7 +54,6 @@ impl<'a> Ledger<'a> {
         Ok(())
     }
 
-    /// All comparisons.
     pub(super) fn finish(self) -> Result<Vec<Comparison>, VerifyError> {
         match self.left.first() {
             None => Ok(self.rows),

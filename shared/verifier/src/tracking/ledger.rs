@@ -21,9 +21,6 @@ pub(super) struct Ledger {
 
 impl Ledger {
     /// Compares the numbers of a shape. NaN agrees with NaN.
-    ///
-    /// # Panics
-    /// If either side does not have the number of values that the shape requires.
     pub(super) fn compare(
         &mut self,
         name: String,

@@ -51,12 +51,10 @@ impl Table {
         self.rows.iter().map(|(line, text)| Ok(self.cells(*line, text)?[column])).collect()
     }
 
-    /// The error of a row.
     pub(super) fn malformed(&self, row: usize, reason: impl AsRef<str>) -> VerifyError {
         malformed(&self.path, self.rows[row].0, reason)
     }
 
-    /// The error of the file.
     pub(super) fn malformed_file(&self, reason: impl Into<String>) -> VerifyError {
         VerifyError::malformed(&self.path, reason)
     }

@@ -159,7 +159,6 @@ impl Forecast {
 
     /// Whether the forecast uses controls of its own tick. This includes forecasts that are not called
     /// learned because constant velocity was known to be nearer.
-    #[must_use]
     pub const fn is_served(&self) -> bool {
         self.quality == Quality::Learned as u32 || self.cause == Cause::Outdone as u32
     }
@@ -185,7 +184,6 @@ impl TryFrom<u32> for Steering {
 
 impl Cause {
     /// The cause's bit in [`Forecast::causes`]; [`Cause::None`] has no bit.
-    #[must_use]
     pub const fn bit(self) -> u32 {
         1 << self as u32 & !1
     }

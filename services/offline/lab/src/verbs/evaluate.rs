@@ -203,52 +203,34 @@ struct Written {
 }
 
 impl Written {
+    fn new(
+        name: &'static str,
+        mark: impl Into<String>,
+        [markdown, summary, csv]: [String; 3],
+        json: serde_json::Value,
+    ) -> Self {
+        Self { name, mark: mark.into(), brief: None, markdown, summary, csv, json }
+    }
+
     fn of_forecasts(report: &Report, set: &str, lanes: bool) -> Self {
-        Self {
-            name: "forecasts",
-            mark: format!("evaluate {set}{}", if lanes { " --lanes" } else { "" }),
-            brief: report.brief(),
-            markdown: report.markdown(),
-            summary: report.summary(),
-            csv: report.csv(),
-            json: report.json(),
-        }
+        let mark = format!("evaluate {set}{}", if lanes { " --lanes" } else { "" });
+        let texts = [report.markdown(), report.summary(), report.csv()];
+        Self { brief: report.brief(), ..Self::new("forecasts", mark, texts, report.json()) }
     }
 
     fn of_motion(report: &TrackingReport) -> Self {
-        Self {
-            name: "interaction",
-            mark: "evaluate tracking --parts interaction".to_owned(),
-            brief: None,
-            markdown: report.markdown(),
-            summary: report.summary(),
-            csv: report.csv(),
-            json: report.json(),
-        }
+        let texts = [report.markdown(), report.summary(), report.csv()];
+        Self::new("interaction", "evaluate tracking --parts interaction", texts, report.json())
     }
 
     fn of_gaps(report: &GapReport) -> Self {
-        Self {
-            name: "driving",
-            mark: "evaluate tracking --parts driving".to_owned(),
-            brief: None,
-            markdown: report.markdown(),
-            summary: report.markdown(),
-            csv: report.csv(),
-            json: report.json(),
-        }
+        let texts = [report.markdown(), report.markdown(), report.csv()];
+        Self::new("driving", "evaluate tracking --parts driving", texts, report.json())
     }
 
     fn of_trackers(report: &KittiReport) -> Self {
-        Self {
-            name: "kitti",
-            mark: "evaluate tracking --parts kitti".to_owned(),
-            brief: None,
-            markdown: report.markdown(),
-            summary: report.summary(),
-            csv: report.csv(),
-            json: report.json(),
-        }
+        let texts = [report.markdown(), report.summary(), report.csv()];
+        Self::new("kitti", "evaluate tracking --parts kitti", texts, report.json())
     }
 }
 
@@ -305,15 +287,8 @@ fn drive(arguments: &Arguments) -> Result<Written, Failure> {
     if let Some(path) = &arguments.prior {
         write(path, &(report.priors(options.threads).to_json() + "\n"))?;
     }
-    Ok(Written {
-        name: "driving",
-        mark: "evaluate driving".to_owned(),
-        brief: None,
-        markdown: report.markdown(),
-        summary: report.summary(),
-        csv: report.csv(),
-        json: report.json(),
-    })
+    let texts = [report.markdown(), report.summary(), report.csv()];
+    Ok(Written::new("driving", "evaluate driving", texts, report.json()))
 }
 
 /// The parts of `tracking`, whose figures share one table.

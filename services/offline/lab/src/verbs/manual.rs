@@ -149,7 +149,6 @@ fn item(arg: &Arg) -> String {
     text
 }
 
-/// The options of the stages.
 fn stage_options() -> String {
     let intro = "Set by `options = { … }` of the stage in pipeline.toml, or on the command line of `run`, `predict`, `track` \
                  and `bench` by `--set STAGE.OPTION=VALUE`. `stgdat stage --help` prints them too.";

@@ -90,13 +90,11 @@ impl KittiReport {
     }
 
     /// The report as a Markdown page that is also readable in a terminal.
-    #[must_use]
     pub fn markdown(&self) -> String {
         self.written("#")
     }
 
     /// The same for a page that has a title: headings start at the second level.
-    #[must_use]
     pub fn summary(&self) -> String {
         self.written("##")
     }
@@ -167,7 +165,6 @@ impl KittiReport {
     }
 
     /// One line per figure, in the columns of [`crate::COLUMNS`].
-    #[must_use]
     pub fn csv(&self) -> String {
         let sha256 = self.provenance.first().map_or("", |provenance| &provenance.sha256);
         let line = |value: KittiValue<'_>| {
@@ -200,7 +197,6 @@ impl KittiReport {
     }
 
     /// The whole report as JSON.
-    #[must_use]
     pub fn json(&self) -> serde_json::Value {
         serde_json::json!({ "provenance": self.provenance, "figures": self.values().collect::<Vec<_>>() })
     }

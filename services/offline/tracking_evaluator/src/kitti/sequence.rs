@@ -13,7 +13,6 @@ use evaluator::EvaluateError;
 
 /// The classes, in the order of the tables.
 pub(crate) const CLASSES: [AgentType; 3] = [AgentType::Vehicle, AgentType::Pedestrian, AgentType::Cyclist];
-/// One value for each of [`CLASSES`].
 pub(crate) type ByClass<T> = [T; CLASSES.len()];
 /// Candidate score thresholds, on the detectors' own scale. A detection with score 0 is as likely false as
 /// true.

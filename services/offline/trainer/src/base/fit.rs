@@ -197,9 +197,6 @@ impl TypeBase {
     ///
     /// For pedestrians the ridge is constant velocity, because the mean of their motion is no better. Their
     /// accelerations and yaw rates are mostly noise, so they have one set of anchors per speed bin.
-    ///
-    /// # Errors
-    /// As [`ridge_regression`].
     pub(super) fn fit(
         &mut self,
         agent_type: AgentType,
@@ -342,9 +339,6 @@ fn bin_distance(a: usize, b: usize) -> usize {
 
 /// Coefficients W `[features × controls]` that minimise ‖X W − Y‖² + λ‖W‖², by the normal equations (XᵀX +
 /// λI) W = XᵀY.
-///
-/// # Errors
-/// [`TrainError::Fit`] if XᵀX + λI is not positive definite, for example if a feature is not finite.
 fn ridge_regression(samples: &[&Sample], controls_len: usize) -> Result<Vec<f32>, TrainError> {
     let features = Mat::from_fn(samples.len(), binning::FEATURES, |i, j| f64::from(samples[i].features[j]));
     let controls =

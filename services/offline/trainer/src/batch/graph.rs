@@ -16,13 +16,11 @@ use crate::net::topological::Edges;
 pub(crate) struct Graph {
     /// State features `[rows, 6]`.
     pub(crate) state: Matrix,
-    /// Rows of each type.
     pub(crate) type_rows: [Range<usize>; 3],
     /// Relation features `[relations, 6]`, without duplicates.
     pub(crate) relation: Matrix,
     /// Relation of every edge.
     pub(crate) relation_of_edge: Vec<u32>,
-    /// The edges.
     pub(crate) edges: Edges,
     /// Row of every agent and step `[agents × steps]`; [`u32::MAX`] where the agent is absent.
     pub(crate) steps: Vec<u32>,

@@ -111,9 +111,6 @@ impl Network {
 }
 
 /// Embeds `patches` \[patch, 3, row, column\]. A backward pass needs `keep_trace`.
-///
-/// # Panics
-/// If `patches` does not hold whole patches, or is empty when batch norms need its statistics.
 pub(crate) fn embed(
     weights: &Tensors,
     config: &ModelConfig,
@@ -154,9 +151,6 @@ pub(crate) fn embed(
 
 impl Embedded {
     /// The backward pass: adds to the gradients of the weights.
-    ///
-    /// # Panics
-    /// If no trace was kept.
     pub(crate) fn backward(&self, weights: &Tensors, gradients: &mut Gradients, d_embedding: &Matrix) {
         let trace = self.trace.as_ref().expect("the caller asked for a trace");
         let Trace { network, patches, stem, unpooled, blocks, maps, means } = trace;

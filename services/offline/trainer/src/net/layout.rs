@@ -53,7 +53,6 @@ enum Fill {
 pub(crate) struct Entry {
     /// Name in the safetensors file.
     pub(crate) name: String,
-    /// Shape.
     pub(crate) shape: Vec<usize>,
     /// How training changes it.
     pub(crate) role: TensorRole,

@@ -38,7 +38,6 @@ impl Matrix {
         ViewMut { rows: self.rows, cols: self.cols, stride: self.cols, values: &mut self.values }
     }
 
-    /// A range of rows.
     pub(crate) fn rows_of(&self, rows: std::ops::Range<usize>) -> Self {
         let values = self.values[rows.start * self.cols..rows.end * self.cols].to_vec();
         Self { rows: rows.len(), cols: self.cols, values }
@@ -86,7 +85,6 @@ impl<'a> View<'a> {
         &self.values[row * self.stride..][..self.cols]
     }
 
-    /// The columns from `start` on.
     pub(crate) fn columns(self, start: usize, len: usize) -> Self {
         assert!(start + len <= self.cols, "columns {start}..{} of {}", start + len, self.cols);
         Self { values: self.values.get(start..).unwrap_or_default(), cols: len, ..self }
@@ -117,7 +115,6 @@ impl<'a> ViewMut<'a> {
         Self { values, rows, cols, stride: cols }
     }
 
-    /// The columns from `start` on.
     pub(crate) fn columns(self, start: usize, len: usize) -> Self {
         assert!(start + len <= self.cols, "columns {start}..{} of {}", start + len, self.cols);
         Self { values: self.values.get_mut(start..).unwrap_or_default(), cols: len, ..self }

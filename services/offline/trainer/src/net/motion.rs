@@ -43,9 +43,6 @@ impl Start {
 
 /// Positions `[rows, horizon × 2]` under `controls` of the same shape; vehicles' controls are before
 /// saturation. Row r starts from `starts[r / draws_len]`. \[model §4\]
-///
-/// # Panics
-/// If the number of starts does not fit the rows.
 pub(crate) fn positions(
     config: &ModelConfig,
     agent_type: AgentType,

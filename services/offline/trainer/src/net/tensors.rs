@@ -29,9 +29,6 @@ pub(crate) struct Tensors(pub(crate) BTreeMap<String, Tensor>);
 
 impl Tensors {
     /// Adds or replaces a tensor.
-    ///
-    /// # Panics
-    /// If `values` does not fill `shape`.
     pub(crate) fn insert(&mut self, name: &str, shape: &[usize], values: Vec<f32>, role: TensorRole) {
         assert_eq!(values.len(), shape.iter().product::<usize>(), "`{name}` does not fill {shape:?}");
         self.0.insert(name.to_owned(), Tensor { shape: shape.to_vec(), values, role });

@@ -96,7 +96,6 @@ pub(crate) struct Scene {
 pub(crate) struct Window {
     offset: u64,
     agents_len: u32,
-    /// Index of its recording.
     pub(crate) recording: u32,
     /// Agents of each type that have a target.
     pub(crate) counted: [u32; 3],

@@ -71,7 +71,6 @@ pub(crate) enum MapKind {
 /// The patches of a recording from one kind of map.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct MapView<'a> {
-    /// Index of the recording.
     pub(crate) recording: u32,
     ground: &'a Ground,
     spool: &'a Spool,
@@ -88,7 +87,6 @@ impl Ground {
         known.then_some(MapView { recording, ground: self, spool, kind })
     }
 
-    /// Sets the site map.
     pub(super) fn set_site(&mut self, site: Option<ContextMap>) {
         self.site = site;
     }

@@ -91,7 +91,6 @@ impl Annotations {
     }
 
     /// The frames, one for each row of the ego motion.
-    #[must_use]
     pub fn frames(&self) -> &[AnnotatedFrame] {
         &self.frames
     }

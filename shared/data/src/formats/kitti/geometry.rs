@@ -86,7 +86,6 @@ impl WorldFromCamera {
     }
 
     /// Frames whose pose is known.
-    #[must_use]
     pub fn frames_len(&self) -> usize {
         self.world_from_imu.len()
     }
@@ -147,9 +146,6 @@ pub(super) struct Camera {
 
 impl Camera {
     /// Reads the projection `P2` of a calibration.
-    ///
-    /// # Errors
-    /// [`ReadError`] with file, line, column and value.
     pub(super) fn parse(calibration: &Input) -> Result<Self, ReadError> {
         for line in text::lines(calibration) {
             let line = line?;

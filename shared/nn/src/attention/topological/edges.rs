@@ -14,7 +14,6 @@ const PARTS: usize = 16;
 /// Number of edges that are scored together.
 const TOGETHER: usize = 8;
 
-/// Attributes of a node.
 type Row = [f32; NODE_ATTRIBUTES];
 
 /// −(λ_h ‖v_i − v_j‖² + μ_h ‖e_ij‖²) of all edges, \[edge, head\].

@@ -12,7 +12,6 @@ const PAIRS: usize = IN_MAX / 2;
 /// Floats that are rounded together.
 const TOGETHER: usize = 16;
 
-/// Rounded rows.
 type Rounded = [[i32; PAIRS]; ROWS];
 
 /// Computes a product whose slice lengths were checked.

@@ -11,7 +11,6 @@ struct Unit {
 }
 
 impl Unit {
-    /// `name.{parts[0]}` and `name.{parts[1]}`.
     fn new(name: &str, parts: [&str; 2], geometry: Geometry, channels: [usize; 2]) -> Self {
         let [convolution, norm] = parts.map(|part| format!("{name}.{part}"));
         Self {

@@ -56,9 +56,6 @@ struct Kept {
 /// `latent` `[agents × draws, 32]`.
 ///
 /// Without `keep_trace`, less is written and no backward pass is possible.
-///
-/// # Panics
-/// If the shapes do not fit one another, or if there is no step.
 pub(crate) fn unroll(
     weights: &Tensors,
     (name, hidden, encoding, latent): (&str, &Matrix, &Matrix, &Matrix),

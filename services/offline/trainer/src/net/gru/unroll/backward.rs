@@ -28,9 +28,6 @@ pub(crate) struct UnrollGradients {
 impl Unroll {
     /// Adds to the gradients of recurrent unit and head, given the gradient by `raw`. Returns the gradients
     /// by the inputs.
-    ///
-    /// # Panics
-    /// If no trace was kept.
     pub(crate) fn backward(
         &self,
         weights: &Tensors,
