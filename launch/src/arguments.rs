@@ -458,15 +458,15 @@ pub fn lanes_of(run: &Run) -> Result<Option<LaneMap>, Failure> {
 pub fn check_memory(options: &sampler::Options, weights: &Weights) -> Result<Option<u64>, Failure> {
     let Some(path) = &options.memory else { return Ok(None) };
     let path = absolute(path)?;
-    let mut entries_len = 0;
+    let mut entry_count = 0;
     if path.try_exists().map_err(|error| Failure::file(&path, error))? {
         let config = weights.config();
         let steps = (config.horizon_len, config.step_ns());
         let memory = RetrievalMemory::load(&path, weights.sha256(), steps).map_err(Failure::data)?;
-        entries_len = memory.entries_len();
+        entry_count = memory.entry_count();
     }
     check_place(&path)?;
-    Ok(Some(entries_len as u64))
+    Ok(Some(entry_count as u64))
 }
 
 /// Checks that an output file can be written, before the work that produces it starts.

@@ -149,7 +149,7 @@ impl PlayReport {
 
 /// Returns the audit of a recording before it is played.
 pub fn input_of(recording: &Recording) -> InputReport {
-    let rows = recording.left_out.iter().map(|left_out| (left_out.reason.clone(), left_out.rows_len as u64));
+    let rows = recording.left_out.iter().map(|left_out| (left_out.reason.clone(), left_out.row_count as u64));
     let (findings, poses_missing) = (data::findings(recording), recording.poses_missing as u64);
     InputReport::of_recording(findings, rows.collect::<BTreeMap<_, _>>(), poses_missing)
 }

@@ -38,7 +38,7 @@ impl BaseDecoder {
             |step| agent.is_present(step),
             &self.config,
         );
-        self.controls.resize(base.controls_len(), [0.0; 2]);
+        self.controls.resize(base.control_count(), [0.0; 2]);
         base.controls(&features, &mut self.controls);
 
         let ModelConfig { modes: modes_len, horizon_len, .. } = self.config;

@@ -106,21 +106,21 @@ impl Decoder {
         };
         self.assign(encodings, allowance);
         let in_order = self.order.iter().map(|turn| (turn.block, &encodings[turn.agent]));
-        let blocks_len = self.workers.input().take(header.seq, in_order, deadline.is_none());
+        let block_count = self.workers.input().take(header.seq, in_order, deadline.is_none());
         self.workers.each(Unroller::clear);
-        self.workers.run_until(blocks_len, deadline);
-        let (mut verdict, mut served_len) = (Ok(()), 0);
+        self.workers.run_until(block_count, deadline);
+        let (mut verdict, mut served_count) = (Ok(()), 0);
         self.workers.each(|job| {
             if verdict.is_ok() {
                 verdict = job.controls().iter().try_for_each(|(_, controls)| controls.check());
             }
-            served_len += job.controls().len();
+            served_count += job.controls().len();
             job.controls().iter().for_each(|(place, _)| self.is_served[self.order[*place].agent] = true);
         });
         if verdict.is_err() {
             self.is_served.fill(false);
         }
-        verdict.map(|()| served_len)
+        verdict.map(|()| served_count)
     }
 
     /// Whether the agent at this place of the last frame was served.
@@ -166,12 +166,12 @@ impl Decoder {
             self.order.sort_unstable_by_key(|turn| (type_of(turn), turn.agent));
         }
         // The open block of each type and its number of agents.
-        let (mut open, mut blocks_len) = ([(0, DecoderGroup::LEN); AGENT_TYPES.len()], 0);
+        let (mut open, mut block_count) = ([(0, DecoderGroup::LEN); AGENT_TYPES.len()], 0);
         for turn in &mut self.order {
             let (block, len) = &mut open[type_of(turn)];
             if *len == DecoderGroup::LEN {
-                (*block, *len) = (blocks_len, 0);
-                blocks_len += 1;
+                (*block, *len) = (block_count, 0);
+                block_count += 1;
             }
             *len += 1;
             turn.block = *block;

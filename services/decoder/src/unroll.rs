@@ -156,10 +156,10 @@ fn controls(agent: &AgentEncoding, decoded: AgentDraws<'_>, modes_len: usize) ->
     };
     controls.probability[..modes_len].copy_from_slice(decoded.probability);
     let all = controls.modes[..modes_len].iter_mut().chain([&mut controls.best]);
-    for (draw, out) in all.enumerate().take(decoded.draws_len()) {
+    for (draw, out) in all.enumerate().take(decoded.draw_count()) {
         out.iter_mut().zip(decoded.controls(draw)).for_each(|(out, control)| *out = control);
     }
-    if decoded.draws_len() == modes_len {
+    if decoded.draw_count() == modes_len {
         controls.best = controls.modes[most_probable(decoded.probability)];
     }
     let base = decoded.best_base();

@@ -27,8 +27,8 @@ fn a_thousand_steady_steps_allocate_nothing() {
     assert_eq!(allocations(|| (4..1_004).for_each(&mut step)), 0);
     let mut until = |i: usize| {
         let allowance = Allowance::Until { until_ns: (i % 3) as u64, clock: || 1 };
-        let served_len = decoder.serve(&frames::header(i as u64), &frames[i % 2], allowance).unwrap();
-        decoder.write(&mut outs[i % 2][..served_len]);
+        let served_count = decoder.serve(&frames::header(i as u64), &frames[i % 2], allowance).unwrap();
+        decoder.write(&mut outs[i % 2][..served_count]);
     };
     (0..4).for_each(&mut until);
     assert_eq!(allocations(|| (4..304).for_each(&mut until)), 0);

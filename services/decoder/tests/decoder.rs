@@ -109,14 +109,14 @@ fn whoever_is_served_until_the_deadline_has_the_same_bits() {
         encodings.iter().map(|agent| AgentEncoding { shed: 0, ..*agent }).collect();
     let expected = decode(1, 5, 9, &whole);
     let mut decoder = Decoder::new(&Weights::onboard(), options(1, 5)).unwrap();
-    let all_len = Decoder::len(&encodings);
+    let all_count = Decoder::len(&encodings);
     let mut last_len = 0;
     for looks in [0, 5, 9, 13, 1_000] {
         let allowance = Allowance::Until { until_ns: ticking() + looks, clock: ticking };
-        let served_len = decoder.serve(&header(9), &encodings, allowance).unwrap();
-        assert!(served_len > last_len && served_len <= all_len, "{served_len} of {all_len}");
-        last_len = served_len;
-        let mut out = vec![AgentControls::zeroed(); served_len];
+        let served_count = decoder.serve(&header(9), &encodings, allowance).unwrap();
+        assert!(served_count > last_len && served_count <= all_count, "{served_count} of {all_count}");
+        last_len = served_count;
+        let mut out = vec![AgentControls::zeroed(); served_count];
         decoder.write(&mut out);
         let served: Vec<u64> =
             (0..90).filter(|place| decoder.is_served(*place)).map(|place| encodings[place].id).collect();
@@ -136,7 +136,7 @@ fn whoever_is_served_until_the_deadline_has_the_same_bits() {
             assert!(of_type.iter().map(|agent| served.contains(&agent.id)).is_sorted_by(|a, b| a >= b));
         }
     }
-    assert_eq!(last_len, all_len, "there was time for all");
+    assert_eq!(last_len, all_count, "there was time for all");
 }
 
 #[test]

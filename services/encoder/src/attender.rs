@@ -64,7 +64,7 @@ impl Steps {
         self.blocks.sort_unstable_by_key(|(step, edges)| (std::cmp::Reverse(edges.len()), *step));
     }
 
-    pub(crate) const fn blocks_len(&self) -> usize {
+    pub(crate) const fn block_count(&self) -> usize {
         self.blocks.len()
     }
 

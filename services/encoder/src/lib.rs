@@ -88,13 +88,13 @@ impl Encoder {
     /// served.
     fn choose(&mut self, agents: &[AgentFeatures], served_max: usize) -> Option<AgentSet> {
         let forecastable = agents.iter().enumerate().filter(|(_, agent)| agent.forecastable != 0);
-        let forecastable_len = forecastable.clone().count();
+        let forecastable_count = forecastable.clone().count();
         self.turns.clear();
         let served = forecastable.filter(|(_, agent)| agent.shed == 0);
         self.turns.extend(served.map(|(place, agent)| (agent.turn, place)));
         self.turns.sort_unstable();
         self.turns.truncate(served_max);
-        if self.turns.len() == forecastable_len {
+        if self.turns.len() == forecastable_count {
             return None;
         }
         let mut wanted = [false; AGENTS_MAX];
@@ -108,9 +108,9 @@ impl Encoder {
         let mut frame = std::mem::take(&mut *self.workers.input());
         frame.take(features, self.config.history_len, wanted);
         self.workers.each(|job| job.begin(&frame));
-        let blocks_len = frame.blocks_len();
+        let block_count = frame.block_count();
         *self.workers.input() = frame;
-        self.workers.run(blocks_len);
+        self.workers.run(block_count);
         let attended = &mut self.attended;
         attended.resize(agents_len * self.config.history_len, [0.0; NODE_ATTRIBUTES]);
         self.workers.each(|job| {

@@ -24,8 +24,8 @@ fn a_thousand_steady_steps_allocate_nothing() {
     assert_eq!(allocations(|| (0..1_000).for_each(&mut step)), 0);
     let mut some = |i: usize| {
         let frame = &frames[i % 2];
-        let served_len = encoder.step(&frame.header, &frame.features(), i % 9, &mut outs[i % 2]).unwrap();
-        assert_eq!(served_len, i % 9);
+        let served_count = encoder.step(&frame.header, &frame.features(), i % 9, &mut outs[i % 2]).unwrap();
+        assert_eq!(served_count, i % 9);
     };
     (0..18).for_each(&mut some);
     assert_eq!(allocations(|| (0..300).for_each(&mut some)), 0);

@@ -80,14 +80,14 @@ fn whoever_is_served_has_the_same_bits() {
         assert!(expected.iter().all(|agent| agent.shed == 0));
         for served_max in [0, 1, 5, 21, 22, 99] {
             let mut out = partial.out();
-            let served_len =
+            let served_count =
                 encoder.step(&partial.header, &partial.features(), served_max, &mut out).unwrap();
-            assert_eq!(served_len, served_max.min(22));
+            assert_eq!(served_count, served_max.min(22));
             let served = out.iter().zip(&expected).filter(|(own, _)| own.shed == 0);
             assert!(served.clone().all(|(own, whole)| own == whole), "at most {served_max}");
             // The last agent has the first turn.
             let turns: Vec<u64> = served.map(|(own, _)| own.id).collect();
-            let wanted = (0..30).rev().filter(|id| id % 4 != 0).take(served_len);
+            let wanted = (0..30).rev().filter(|id| id % 4 != 0).take(served_count);
             assert!(wanted.eq(turns.into_iter().rev()), "at most {served_max}");
         }
     }

@@ -94,7 +94,7 @@ impl StampCache {
             self.rows[agent] = Some(row);
         }
         self.make_room(relations.len());
-        let tracks_len = self.order.len();
+        let track_count = self.order.len();
         let place = self.place(stamp_ns);
         let Stamp { tracks, contexts, pairs, relations: kept, .. } = &mut self.stamps[place];
         let in_order = self.order.iter().map(|&agent| &agents[agent]);
@@ -107,12 +107,12 @@ impl StampCache {
             *context.expect("a node holds a context embedding")
         }));
         pairs.clear();
-        pairs.resize(tracks_len * tracks_len, NONE);
+        pairs.resize(track_count * track_count, NONE);
         kept.clear();
         for (edge, relation) in edges.iter().zip(relations) {
             let [receiver, sender] = [edge.receiver, edge.sender].map(|agent| self.rows[usize::from(agent)]);
             if let (Some(receiver), Some(sender)) = (receiver, sender) {
-                pairs[receiver * tracks_len + sender] = kept.len() as u16;
+                pairs[receiver * track_count + sender] = kept.len() as u16;
                 kept.push(*relation);
             }
         }

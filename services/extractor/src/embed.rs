@@ -60,11 +60,11 @@ impl Wanted {
         self.steps[step] = true;
     }
 
-    pub(crate) const fn patches_len(&self) -> usize {
+    pub(crate) const fn patch_count(&self) -> usize {
         self.patches.len()
     }
 
-    pub(crate) const fn relations_len(&self) -> usize {
+    pub(crate) const fn relation_count(&self) -> usize {
         self.relations.len()
     }
 
@@ -161,9 +161,9 @@ impl Embedder {
     }
 
     /// Reserves memory for the embeddings of a whole frame.
-    fn reserve(&mut self, inputs: &Inputs, patches_len: usize) {
+    fn reserve(&mut self, inputs: &Inputs, patch_count: usize) {
         self.states.reserve(inputs.states.len() * self.networks.state_len);
-        self.contexts.reserve(patches_len);
+        self.contexts.reserve(patch_count);
         self.relations.reserve(inputs.relations.len());
         self.done.reserve(inputs.blocks.len());
     }
@@ -215,13 +215,13 @@ pub(crate) fn run(
 ) {
     let mut inputs = std::mem::take(&mut *workers.input());
     inputs.fill(wanted, context, state, relation);
-    let blocks_len = inputs.blocks.len();
+    let block_count = inputs.blocks.len();
     workers.each(|job| {
         job.clear();
         job.reserve(&inputs, wanted.patches.len());
     });
     *workers.input() = inputs;
-    workers.run(blocks_len);
+    workers.run(block_count);
 }
 
 /// Calls `take` with each result of [`run`].

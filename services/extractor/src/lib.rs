@@ -42,9 +42,9 @@ pub struct ExtractorOptions {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Effort {
     /// Patches that went through the CNN.
-    pub patches_len: usize,
+    pub patch_count: usize,
     /// Pairs that went through the relation MLP.
-    pub relations_len: usize,
+    pub relation_count: usize,
     /// Edges to the farthest neighbours, left out because the frame was full.
     pub edges_dropped: usize,
 }
@@ -324,8 +324,8 @@ impl Extractor {
             let is_computed = |agent: usize| agents[agent].is_present(step) && is_needed(agent, step);
             self.cache.keep(stamp_ns(step), step, (agents, is_computed), of_step);
         }
-        self.effort.patches_len = wanted.patches_len();
-        self.effort.relations_len = wanted.relations_len();
+        self.effort.patch_count = wanted.patch_count();
+        self.effort.relation_count = wanted.relation_count();
     }
 }
 

@@ -17,7 +17,7 @@ fn a_steady_tick_computes_the_newest_step_alone() {
     }
     let features = scene.tick(40);
     let newest = features.edges.iter().filter(|edge| edge.step == 7).count();
-    let expected = Effort { patches_len: 24, relations_len: newest, edges_dropped: 0 };
+    let expected = Effort { patch_count: 24, relation_count: newest, edges_dropped: 0 };
     assert!(newest > 24, "agents have neighbours");
     assert_eq!(scene.extractor.effort(), expected);
 }
@@ -30,7 +30,7 @@ fn the_cache_and_a_restart_change_no_bit() {
     }
     let mut fresh = Scene::new(24, 1);
     assert_eq!(copy(&old.tick(60)), copy(&fresh.tick(60)));
-    assert_eq!(fresh.extractor.effort().patches_len, 24 * 8, "a restart refills the window");
+    assert_eq!(fresh.extractor.effort().patch_count, 24 * 8, "a restart refills the window");
 }
 
 #[test]

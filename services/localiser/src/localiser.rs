@@ -58,10 +58,10 @@ impl Localiser {
         Self { history_len, patch, map, cache: PatchCache::new(patch.len()), last_ns: None }
     }
 
-    /// The shape of a frame of `tracks_len` tracks.
+    /// The shape of a frame of `track_count` tracks.
     #[must_use]
-    pub const fn shape(&self, tracks_len: usize) -> ContextShape {
-        ContextShape { agents_len: tracks_len, history_len: self.history_len, patch_side: self.patch.side }
+    pub const fn shape(&self, track_count: usize) -> ContextShape {
+        ContextShape { agents_len: track_count, history_len: self.history_len, patch_side: self.patch.side }
     }
 
     /// Writes the tracks and their patches, then adds the observed tracks to an online map.

@@ -6,15 +6,15 @@ pub struct Load {
     /// Number of agents.
     pub agents_len: usize,
     /// Number of agents present, summed over the history steps.
-    pub nodes_len: usize,
+    pub node_count: usize,
     /// Number of edges of all history steps.
     pub edges_len: usize,
     /// Number of edges of the newest step.
-    pub new_edges_len: usize,
+    pub new_edge_count: usize,
     /// Number of agents that are forecast.
-    pub forecast_len: usize,
+    pub forecast_count: usize,
     /// Number of states that the decoder's burn-in reads.
-    pub burn_in_len: usize,
+    pub burn_in_count: usize,
 }
 
 impl Load {
@@ -24,11 +24,11 @@ impl Load {
         let forecast = || encodings.iter().filter(|encoding| encoding.forecastable != 0);
         Self {
             agents_len: encodings.len(),
-            nodes_len: encodings.iter().map(states).sum(),
+            node_count: encodings.iter().map(states).sum(),
             edges_len: features.edges.len(),
-            new_edges_len: features.edges.iter().filter(newest).count(),
-            forecast_len: forecast().count(),
-            burn_in_len: forecast().map(states).sum(),
+            new_edge_count: features.edges.iter().filter(newest).count(),
+            forecast_count: forecast().count(),
+            burn_in_count: forecast().map(states).sum(),
         }
     }
 }

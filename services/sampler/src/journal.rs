@@ -102,7 +102,7 @@ struct Record {
     step_ns: u64,
     /// As in [`Identity::parts`].
     parts: u64,
-    entries_len: u64,
+    entry_count: u64,
     memory: StoredState,
 }
 
@@ -232,7 +232,7 @@ impl<S: Storage> Journal<S> {
         let generation = self.generation + 1;
         let record = record(self.storage.bytes(), generation);
         let (head, numbers, entries) = parts(record);
-        *head = Record { generation, ticks, parts: 0, entries_len: 0, ..Record::zeroed() };
+        *head = Record { generation, ticks, parts: 0, entry_count: 0, ..Record::zeroed() };
         if let Some(evidence) = evidence {
             head.parts |= EVIDENCE;
             head.step_ns = evidence.step_ns();
@@ -243,12 +243,12 @@ impl<S: Storage> Journal<S> {
             head.memory = memory.state();
             let changed = memory.changed().filter_map(|number| memory.entry(number));
             for entry in changed {
-                let place = entries.get_mut(head.entries_len as usize);
+                let place = entries.get_mut(head.entry_count as usize);
                 *place.ok_or_else(|| format!("more than {CHANGED_MAX} entries in a tick"))? = entry;
-                head.entries_len += 1;
+                head.entry_count += 1;
             }
         }
-        head.check = check(head, numbers, &entries[..head.entries_len as usize]);
+        head.check = check(head, numbers, &entries[..head.entry_count as usize]);
         self.generation = generation;
         Ok(())
     }
@@ -256,7 +256,7 @@ impl<S: Storage> Journal<S> {
     /// Copies the entries of the newest record to their slots.
     fn copy_to_slots(&mut self) -> Result<(), String> {
         let (head, _, entries) = parts(record(self.storage.bytes(), self.generation));
-        let len = head.entries_len as usize;
+        let len = head.entry_count as usize;
         let slot_end = entries[..len].iter().map(|entry| slot_at(entry.number) + size_of::<Slot>()).max();
         self.reserve(slot_end.unwrap_or(SLOTS_AT))?;
         let (records, slots) = self.storage.bytes().split_at_mut(SLOTS_AT);
@@ -348,7 +348,7 @@ fn parts(record: &mut [u8]) -> (&mut Record, &mut [f64], &mut [StoredEntry]) {
 /// Returns the record at the place of a generation, if it is whole.
 fn whole(bytes: &mut [u8], place: u64) -> Option<Record> {
     let (head, numbers, entries) = parts(record(bytes, place));
-    let entries = entries.get(..usize::try_from(head.entries_len).ok()?)?;
+    let entries = entries.get(..usize::try_from(head.entry_count).ok()?)?;
     let is_whole = head.generation > 0 && head.generation % 2 == place % 2;
     (is_whole && head.check == check(head, numbers, entries)).then_some(*head)
 }

@@ -64,11 +64,11 @@ pub(crate) fn resume(run: &Run, sampler: &mut Sampler, incarnation: u32) {
         let why =
             match journal.resume(None).and_then(|resumed| resumed.map(|r| sampler.resume(r)).transpose()) {
                 Ok(Some(())) => {
-                    let entries_len = sampler.memory().map_or(0, RetrievalMemory::entries_len);
-                    let matured_len = sampler.evidence().map_or(0.0, Evidence::matured_len);
+                    let entry_count = sampler.memory().map_or(0, RetrievalMemory::entry_count);
+                    let matured_count = sampler.evidence().map_or(0.0, Evidence::matured_count);
                     tracing::warn!(
-                        "restarted with {entries_len} entries of the retrieval memory and the evidence of \
-                     {matured_len:.0} forecasts, as of tick {}",
+                        "restarted with {entry_count} entries of the retrieval memory and the evidence of \
+                     {matured_count:.0} forecasts, as of tick {}",
                         sampler.resumed_ticks().saturating_sub(1)
                     );
                     return Ok(journal);

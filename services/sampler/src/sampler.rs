@@ -318,9 +318,9 @@ impl Sampler {
                 None => Err(Cause::Missing),
             });
         }
-        let blocks_len = input.blocks_len();
+        let block_count = input.block_count();
         drop(input);
-        workers.run(blocks_len);
+        workers.run(block_count);
         let mut input = workers.input();
         (*memory, *experts) = (input.memory.take(), input.experts.take());
     }

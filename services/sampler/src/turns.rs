@@ -43,7 +43,7 @@ struct Turn {
     /// `None` if nothing is retrieved for the agent.
     key: Option<Key>,
     /// Number of agents that are stored before it.
-    stored_len: usize,
+    stored_count: usize,
 }
 
 /// The results of a turn.
@@ -83,7 +83,7 @@ impl Turns {
     pub(crate) fn push(&mut self, track: &Track, controls: &AgentControls) -> Result<usize, Cause> {
         let agent_type = track.agent_type().map_err(|_| Cause::Rejected)?;
         LearnedControls::check(controls).map_err(|_| Cause::Rejected)?;
-        let stored_len = self.stored.len();
+        let stored_count = self.stored.len();
         let key = self.memory.as_deref().and_then(|memory| {
             let kind = self.options.kind_of(agent_type);
             let history = &track_history(track)[..self.options.history_len];
@@ -93,12 +93,12 @@ impl Turns {
             }
             Some(key)
         });
-        self.turns.push(Turn { track: *track, agent_type, controls: *controls, key, stored_len });
+        self.turns.push(Turn { track: *track, agent_type, controls: *controls, key, stored_count });
         Ok(self.turns.len() - 1)
     }
 
     /// Number of blocks of turns.
-    pub(crate) fn blocks_len(&self) -> usize {
+    pub(crate) fn block_count(&self) -> usize {
         self.turns.len().div_ceil(BLOCK)
     }
 
@@ -133,14 +133,14 @@ impl Job for Forecaster {
 impl Forecaster {
     fn forecast(&mut self, turns: &Turns, turn: &Turn, made: &mut Made) {
         let Turns { options, tick, memory, experts, stored, .. } = turns;
-        let Turn { track, agent_type, key, stored_len, .. } = turn;
+        let Turn { track, agent_type, key, stored_count, .. } = turn;
         let controls = LearnedControls::of_checked(&turn.controls, options.horizon_len);
         let mut model = certain_motion(track, *agent_type, options, tick.dt_s());
         let history = &track_history(track)[..options.history_len];
         made.unstored = match (memory, *key) {
             (Some(memory), Some(key)) => {
                 let query = Query { stamp_ns: tick.stamp_ns, agent: track.id, key };
-                let ahead = &stored[..*stored_len];
+                let ahead = &stored[..*stored_count];
                 let decoded = controls.as_decoded();
                 Some(self.retrieval.adapt((memory, ahead), &query, &model, &decoded, &mut self.changes))
             }

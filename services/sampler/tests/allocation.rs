@@ -86,7 +86,7 @@ fn a_thousand_steady_steps_allocate_nothing() {
         };
         (0..50).for_each(&mut step);
         assert_eq!(allocations(|| (50..1_050).for_each(&mut step)), 0, "{options:?} {guided} {workers}");
-        let stored = sampler.memory().map_or(0, RetrievalMemory::entries_len);
+        let stored = sampler.memory().map_or(0, RetrievalMemory::entry_count);
         assert!(stored > 6000 || !options.retrieval || options.degradation == silent, "{stored} entries");
     }
 }

@@ -76,8 +76,8 @@ fn a_new_sampler_goes_on_with_what_the_one_before_had_learned() {
     next.resume(journal.resume(None).unwrap().unwrap()).unwrap();
     assert_eq!(next.resumed_ticks(), 300);
     assert_eq!(stored(next.memory()), stored(sampler.memory()));
-    let matured = sampler.evidence().unwrap().matured_len();
-    assert!(matured > 20.0 && next.evidence().unwrap().matured_len() == matured, "{matured}");
+    let matured = sampler.evidence().unwrap().matured_count();
+    assert!(matured > 20.0 && next.evidence().unwrap().matured_count() == matured, "{matured}");
 
     // Both samplers forecast agents that they have not seen in the same way: all state that counts was kept.
     let [resumed, other, new] =

@@ -34,14 +34,14 @@ struct Scratch {
 impl Assigner {
     /// Scratch memory for this number of tracks and detections.
     #[must_use]
-    pub fn with_capacity(tracks_len: usize, detections_len: usize) -> Self {
+    pub fn with_capacity(track_count: usize, detection_count: usize) -> Self {
         Self {
-            of_track: Vec::with_capacity(tracks_len),
-            of_detection: Vec::with_capacity(detections_len),
-            components: Components::with_capacity(tracks_len, detections_len),
+            of_track: Vec::with_capacity(track_count),
+            of_detection: Vec::with_capacity(detection_count),
+            components: Components::with_capacity(track_count, detection_count),
             scratch: Scratch {
-                column: Vec::with_capacity(detections_len),
-                detections: Vec::with_capacity(detections_len),
+                column: Vec::with_capacity(detection_count),
+                detections: Vec::with_capacity(detection_count),
                 costs: Vec::new(),
             },
         }
@@ -59,19 +59,19 @@ impl Assigner {
     pub fn solve(
         &mut self,
         candidates: &mut Vec<Candidate>,
-        detections_len: usize,
+        detection_count: usize,
         miss_cost: f64,
         paired: &mut [Option<u32>],
     ) {
         paired.fill(None);
         candidates.retain(|c| c.cost.is_finite() && c.cost < miss_cost);
-        self.pair_uncontested(candidates, detections_len, paired);
+        self.pair_uncontested(candidates, detection_count, paired);
         if candidates.is_empty() {
             return;
         }
         self.scratch.column.clear();
-        self.scratch.column.resize(detections_len, u32::MAX);
-        self.components.clear(paired.len(), detections_len);
+        self.scratch.column.resize(detection_count, u32::MAX);
+        self.components.clear(paired.len(), detection_count);
         for candidate in candidates.iter() {
             self.components.join(candidate, usize::MAX);
         }
@@ -84,14 +84,14 @@ impl Assigner {
     fn pair_uncontested(
         &mut self,
         candidates: &mut Vec<Candidate>,
-        detections_len: usize,
+        detection_count: usize,
         paired: &mut [Option<u32>],
     ) {
         let Self { of_track, of_detection, .. } = self;
         of_track.clear();
         of_track.resize(paired.len(), 0);
         of_detection.clear();
-        of_detection.resize(detections_len, 0);
+        of_detection.resize(detection_count, 0);
         for c in candidates.iter() {
             of_track[c.track as usize] += 1;
             of_detection[c.detection as usize] += 1;
@@ -122,20 +122,20 @@ impl Scratch {
                 self.detections.push(c.detection);
             }
         }
-        let rows_len = 1 + component.windows(2).filter(|pair| pair[0].track != pair[1].track).count();
+        let row_count = 1 + component.windows(2).filter(|pair| pair[0].track != pair[1].track).count();
         // One additional column per track represents a miss. A pair beyond the gate costs as much as a miss
         // and counts as one, so all costs have a similar magnitude.
-        let columns_len = self.detections.len() + rows_len;
+        let column_count = self.detections.len() + row_count;
         self.costs.clear();
-        self.costs.resize(rows_len * columns_len, miss_cost);
+        self.costs.resize(row_count * column_count, miss_cost);
         let by_track = || component.chunk_by(|a, b| a.track == b.track);
         for (row, of_track) in by_track().enumerate() {
             for c in of_track {
-                self.costs[row * columns_len + self.column[c.detection as usize] as usize] = c.cost;
+                self.costs[row * column_count + self.column[c.detection as usize] as usize] = c.cost;
             }
         }
         // The solver cannot fail: every cost is finite, and there are more columns than rows.
-        let Ok((rows, columns)) = lsap::solve(rows_len, columns_len, &self.costs, false) else { return };
+        let Ok((rows, columns)) = lsap::solve(row_count, column_count, &self.costs, false) else { return };
         let mut chosen = rows.into_iter().zip(columns);
         for (row, of_track) in by_track().enumerate() {
             let Some((_, column)) = chosen.next().filter(|&(r, _)| r == row) else { return };

@@ -9,30 +9,30 @@ pub(crate) struct Components {
     parent: Vec<u32>,
     /// Numbers of tracks and detections in the component of each root.
     sides: Vec<[u32; 2]>,
-    tracks_len: u32,
+    track_count: u32,
 }
 
 impl Components {
-    pub(crate) fn with_capacity(tracks_len: usize, detections_len: usize) -> Self {
-        let len = tracks_len + detections_len;
-        Self { parent: Vec::with_capacity(len), sides: Vec::with_capacity(len), tracks_len: 0 }
+    pub(crate) fn with_capacity(track_count: usize, detection_count: usize) -> Self {
+        let len = track_count + detection_count;
+        Self { parent: Vec::with_capacity(len), sides: Vec::with_capacity(len), track_count: 0 }
     }
 
     /// Makes every track and detection a separate component.
-    pub(crate) fn clear(&mut self, tracks_len: usize, detections_len: usize) {
-        self.tracks_len = tracks_len as u32;
+    pub(crate) fn clear(&mut self, track_count: usize, detection_count: usize) {
+        self.track_count = track_count as u32;
         self.parent.clear();
-        self.parent.extend(0..(tracks_len + detections_len) as u32);
+        self.parent.extend(0..(track_count + detection_count) as u32);
         self.sides.clear();
-        self.sides.resize(tracks_len, [1, 0]);
-        self.sides.resize(tracks_len + detections_len, [0, 1]);
+        self.sides.resize(track_count, [1, 0]);
+        self.sides.resize(track_count + detection_count, [0, 1]);
     }
 
     /// Joins the components that a candidate connects, unless the result would have more than `side_max`
     /// tracks or detections. Returns whether they are one component.
     pub(crate) fn join(&mut self, candidate: &Candidate, side_max: usize) -> bool {
-        assert!(candidate.track < self.tracks_len, "track {} of {}", candidate.track, self.tracks_len);
-        let (a, b) = (self.root(candidate.track), self.root(self.tracks_len + candidate.detection));
+        assert!(candidate.track < self.track_count, "track {} of {}", candidate.track, self.track_count);
+        let (a, b) = (self.root(candidate.track), self.root(self.track_count + candidate.detection));
         if a == b {
             return true;
         }

@@ -42,12 +42,12 @@ pub struct Sensor {
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
 pub enum JpdaFault {
     /// The component has too many events to enumerate.
-    #[error("{tracks_len} tracks and {detections_len} detections, at most {SIDE_MAX} each")]
+    #[error("{track_count} tracks and {detection_count} detections, at most {SIDE_MAX} each")]
     TooLarge {
         /// Number of tracks.
-        tracks_len: usize,
+        track_count: usize,
         /// Number of detections.
-        detections_len: usize,
+        detection_count: usize,
     },
     /// The sensor's numbers are not a probability and a density.
     #[error("{0:?} is no sensor")]
@@ -58,8 +58,8 @@ pub enum JpdaFault {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct JointAssociation {
     beta: [[f64; OPTIONS_MAX]; SIDE_MAX],
-    tracks_len: usize,
-    detections_len: usize,
+    track_count: usize,
+    detection_count: usize,
 }
 
 impl JointAssociation {
@@ -71,13 +71,13 @@ impl JointAssociation {
     /// # Errors
     /// [`JpdaFault`]
     pub fn new(
-        tracks_len: usize,
-        detections_len: usize,
+        track_count: usize,
+        detection_count: usize,
         sensor: &Sensor,
         log_likelihood: impl Fn(usize, usize) -> Option<f64>,
     ) -> Result<Self, JpdaFault> {
-        if tracks_len > SIDE_MAX || detections_len > SIDE_MAX {
-            return Err(JpdaFault::TooLarge { tracks_len, detections_len });
+        if track_count > SIDE_MAX || detection_count > SIDE_MAX {
+            return Err(JpdaFault::TooLarge { track_count, detection_count });
         }
         let log_miss = (1.0 - sensor.detection_probability).ln();
         let log_hit = (sensor.detection_probability / sensor.clutter_density).ln();
@@ -85,28 +85,28 @@ impl JointAssociation {
             return Err(JpdaFault::Sensor(*sensor));
         }
         let log_weight = |track, detection| log_likelihood(track, detection).map(|log| log + log_hit);
-        Ok(Self::enumerate(tracks_len, detections_len, log_miss, log_weight))
+        Ok(Self::enumerate(track_count, detection_count, log_miss, log_weight))
     }
 
     /// Like [`JointAssociation::new`], for a component within [`SIDE_MAX`], given the log-weights of the
     /// pairs and of a miss.
     fn enumerate(
-        tracks_len: usize,
-        detections_len: usize,
+        track_count: usize,
+        detection_count: usize,
         log_miss: f64,
         log_weight: impl Fn(usize, usize) -> Option<f64>,
     ) -> Self {
         let mut weights = [[0.0; OPTIONS_MAX]; SIDE_MAX];
-        for (track, weight) in weights.iter_mut().enumerate().take(tracks_len) {
+        for (track, weight) in weights.iter_mut().enumerate().take(track_count) {
             let mut logs = [None; OPTIONS_MAX];
-            for (detection, log) in logs.iter_mut().enumerate().take(detections_len) {
+            for (detection, log) in logs.iter_mut().enumerate().take(detection_count) {
                 *log = log_weight(track, detection).filter(|log| log.is_finite());
             }
-            logs[detections_len] = Some(log_miss);
+            logs[detection_count] = Some(log_miss);
             let most = logs.iter().flatten().fold(f64::NEG_INFINITY, |most, &log| most.max(log));
             *weight = logs.map(|log| log.map_or(0.0, |log| (log - most).max(LOG_RATIO_MIN).exp()));
         }
-        let mut association = Self { beta: [[0.0; OPTIONS_MAX]; SIDE_MAX], tracks_len, detections_len };
+        let mut association = Self { beta: [[0.0; OPTIONS_MAX]; SIDE_MAX], track_count, detection_count };
         let sum = association.accumulate(&weights, 0, 0, 1.0);
         for beta in association.beta.as_flattened_mut() {
             // Rounding may move a certain pair above 1.
@@ -125,13 +125,13 @@ impl JointAssociation {
         taken: u8,
         before: f64,
     ) -> f64 {
-        if track == self.tracks_len {
+        if track == self.track_count {
             return 1.0;
         }
         let mut sum = 0.0;
-        for option in 0..=self.detections_len {
+        for option in 0..=self.detection_count {
             let weight = weights[track][option];
-            let bit = if option < self.detections_len { 1 << option } else { 0 };
+            let bit = if option < self.detection_count { 1 << option } else { 0 };
             if weight == 0.0 || taken & bit != 0 {
                 continue;
             }
@@ -154,6 +154,6 @@ impl JointAssociation {
     /// If the track does not exist.
     #[must_use]
     pub fn of_track(&self, track: usize) -> &[f64] {
-        &self.beta[..self.tracks_len][track][..=self.detections_len]
+        &self.beta[..self.track_count][track][..=self.detection_count]
     }
 }

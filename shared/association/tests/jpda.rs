@@ -44,7 +44,7 @@ fn probabilities_equal_the_reference() {
 fn invalid_inputs_are_refused_or_ignored() {
     let zero = |_, _| Some(0.0);
     let fault = JointAssociation::new(6, 2, &SENSOR, zero).unwrap_err();
-    assert_eq!(fault, JpdaFault::TooLarge { tracks_len: 6, detections_len: 2 });
+    assert_eq!(fault, JpdaFault::TooLarge { track_count: 6, detection_count: 2 });
     for sensor in [
         Sensor { detection_probability: 1.0, ..SENSOR },
         Sensor { clutter_density: 0.0, ..SENSOR },
@@ -87,18 +87,18 @@ proptest! {
 }
 
 /// A frame's probabilities, `[track][detection]`, with the miss last.
-fn associated(mut candidates: Vec<Candidate>, tracks_len: usize, detections_len: usize) -> Vec<Vec<f64>> {
+fn associated(mut candidates: Vec<Candidate>, track_count: usize, detection_count: usize) -> Vec<Vec<f64>> {
     let mut associator = Associator::default();
-    associator.associate(&mut candidates, tracks_len, detections_len, miss_cost());
+    associator.associate(&mut candidates, track_count, detection_count, miss_cost());
     let of_track = |track| {
-        let mut row = vec![0.0; detections_len + 1];
+        let mut row = vec![0.0; detection_count + 1];
         for share in associator.of_track(track) {
             row[share.detection as usize] = share.probability;
         }
-        row[detections_len] = 1.0 - row.iter().sum::<f64>();
+        row[detection_count] = 1.0 - row.iter().sum::<f64>();
         row
     };
-    (0..tracks_len).map(of_track).collect()
+    (0..track_count).map(of_track).collect()
 }
 
 /// Cost of a miss of [`SENSOR`] if a pair costs −2 ln N.

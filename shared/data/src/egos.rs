@@ -32,16 +32,16 @@ impl Egos {
     /// 4. Otherwise the last pose (or `before`, if there is none) is the scene's centre and not the sensor.
     pub fn at(&self, stamps_ns: impl Iterator<Item = i64>, before: Ego) -> (Vec<Ego>, usize) {
         let moves = self.moves();
-        let mut missing_len = 0;
+        let mut missing_count = 0;
         let egos = stamps_ns.map(|stamp_ns| {
             self.near(stamp_ns, moves).unwrap_or_else(|| {
-                missing_len += usize::from(moves);
+                missing_count += usize::from(moves);
                 let last = self.poses.range(..stamp_ns).next_back();
                 last.map_or(before, |(_, (ego, _))| Ego { is_sensor: false, ..*ego })
             })
         });
         let egos = egos.collect();
-        (egos, missing_len)
+        (egos, missing_count)
     }
 
     fn near(&self, stamp_ns: i64, moves: bool) -> Option<Ego> {

@@ -113,7 +113,7 @@ pub fn inspect(recording: &Recording) -> Inspection {
         left_out: recording
             .left_out
             .iter()
-            .map(|LeftOut { reason, rows_len }| (reason.clone(), *rows_len))
+            .map(|LeftOut { reason, row_count }| (reason.clone(), *row_count))
             .collect(),
         findings,
     }

@@ -48,7 +48,7 @@ pub struct LeftOut {
     /// The reason, in the format's words.
     pub reason: String,
     /// Number of rows.
-    pub rows_len: usize,
+    pub row_count: usize,
 }
 
 /// A recording or a generated scene: frames in time order.

@@ -66,7 +66,7 @@ impl WindowAgent {
     }
 
     /// History steps at which the agent is present.
-    fn history_present_len(&self) -> usize {
+    fn history_present_count(&self) -> usize {
         self.history.iter().flatten().count()
     }
 }
@@ -157,7 +157,7 @@ fn agent(
             .map(|step| state_at(step, i64::MAX).map(|state| state.position_m))
             .collect(),
     };
-    (agent.history_present_len() >= options.history_present_min).then_some(agent)
+    (agent.history_present_count() >= options.history_present_min).then_some(agent)
 }
 
 /// Finds the tracks that span a time, for increasing times. Tracks that ended at most the largest offset

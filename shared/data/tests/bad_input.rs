@@ -115,9 +115,9 @@ fn samples_of_every_format_are_read_and_detected() {
     ];
     for ((format, inputs), expected) in good().into_iter().zip(counts) {
         let recording = parse(format, &inputs).unwrap();
-        let detections_len: usize = recording.frames.iter().map(|frame| frame.detections.len()).sum();
-        let left_out_len: usize = recording.left_out.iter().map(|left_out| left_out.rows_len).sum();
-        assert_eq!([recording.frames.len(), detections_len, left_out_len], expected, "{format}");
+        let detection_count: usize = recording.frames.iter().map(|frame| frame.detections.len()).sum();
+        let left_out_len: usize = recording.left_out.iter().map(|left_out| left_out.row_count).sum();
+        assert_eq!([recording.frames.len(), detection_count, left_out_len], expected, "{format}");
         assert_eq!(Format::detect(&inputs[0]).unwrap(), format);
     }
 }
@@ -293,11 +293,11 @@ fn binary_and_empty_files_are_errors() {
             format!("{name}:1: not text: byte 5 of the line is not UTF-8")
         );
         let mut tail = inputs[0].bytes.clone();
-        let lines_len = tail.iter().filter(|&&byte| byte == b'\n').count();
+        let line_count = tail.iter().filter(|&&byte| byte == b'\n').count();
         tail.extend(b"\x80");
         assert_eq!(
             message(format, tail),
-            format!("{name}:{}: not text: byte 1 of the line is not UTF-8", lines_len + 1)
+            format!("{name}:{}: not text: byte 1 of the line is not UTF-8", line_count + 1)
         );
         let zeros = message(format, vec![0_u8; 64]);
         assert!(zeros.starts_with(&format!("{name}:1:")), "{format}: {zeros}");

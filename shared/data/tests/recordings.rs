@@ -38,7 +38,7 @@ fn assert_sound(recording: &Recording) {
     }
 }
 
-fn rows_len(recording: &Recording) -> usize {
+fn row_count(recording: &Recording) -> usize {
     recording.frames.iter().map(|frame| frame.detections.len()).sum()
 }
 
@@ -77,7 +77,7 @@ fn obsmat_has_the_frames_of_the_eth_scene() {
     let path = root.join("eth_ucy/obsmat/eth_0.4s.txt");
     let recording = read(&path);
     assert_sound(&recording);
-    assert_eq!(rows_len(&recording), 8_908);
+    assert_eq!(row_count(&recording), 8_908);
     assert_eq!(recording.frames[0].stamp_ns, 52_000_000_000);
     assert_eq!(recording.frames[1].stamp_ns, 52_400_000_000);
 }
@@ -105,7 +105,7 @@ fn every_format_is_detected_and_read_whole() {
         let path = root.join(file);
         let recording = read(&path);
         assert_sound(&recording);
-        assert_eq!(rows_len(&recording), expected, "{file}");
+        assert_eq!(row_count(&recording), expected, "{file}");
         let named = open(&path, Some(format)).unwrap();
         assert!(named == recording, "{file} is not read as {format}");
     }
@@ -155,9 +155,9 @@ fn every_file_of_every_part_is_read() {
         (DataSet::Womd, [0, 161, 0]),
     ];
     for (set, expected) in parts {
-        for (part, files_len) in [Part::Train, Part::Validation, Part::Test].into_iter().zip(expected) {
+        for (part, file_count) in [Part::Train, Part::Validation, Part::Test].into_iter().zip(expected) {
             let files = files(set, &root, part);
-            assert_eq!(files.len(), files_len, "{} {}", set.name(), part.name());
+            assert_eq!(files.len(), file_count, "{} {}", set.name(), part.name());
             for file in files {
                 assert_sound(&set.open(&file).unwrap_or_else(|error| panic!("{error}")));
             }
@@ -232,19 +232,19 @@ fn stanford_drone_has_a_pixel_scale() {
         }
     }
     let lost = read(&root.join("sdd/raw/hyang/video7/annotations.txt")).left_out;
-    assert_eq!((lost[0].reason.as_str(), lost[0].rows_len), ("lost = 1", 18_534 - 14_637));
+    assert_eq!((lost[0].reason.as_str(), lost[0].row_count), ("lost = 1", 18_534 - 14_637));
 }
 
 #[test]
 fn cyclists_are_classified_among_pedestrians() {
     let Some(root) = recordings() else { return };
-    let mut tracks_len = [0; 3];
+    let mut track_count = [0; 3];
     for part in [Part::Train, Part::Validation, Part::Test] {
         for file in files(DataSet::Interaction, &root, part) {
             for track in data::tracks(&read(&file)).iter().filter(|track| track.id >= 1_000_000_000) {
-                tracks_len[track.reported_at(i64::MAX).agent_type.index()] += 1;
+                track_count[track.reported_at(i64::MAX).agent_type.index()] += 1;
             }
         }
     }
-    assert_eq!(tracks_len, [0, 10, 235]);
+    assert_eq!(track_count, [0, 10, 235]);
 }

@@ -83,7 +83,7 @@ fn commonroad_2020a_has_dynamic_and_static_agents() {
     assert_state(&parked, [15.0, -4.0, 0.02, 0.0]);
     assert!(!parked.has(detection_flags::HAS_SPEED), "none is given");
     let [left_out] = &recording.left_out[..] else { panic!("one kind: {:?}", recording.left_out) };
-    assert_eq!((left_out.reason.as_str(), left_out.rows_len), ("constructionZone", 1));
+    assert_eq!((left_out.reason.as_str(), left_out.row_count), ("constructionZone", 1));
 }
 
 #[test]

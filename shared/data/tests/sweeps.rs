@@ -298,15 +298,15 @@ struct Scene {
 }
 
 fn scene() -> impl Strategy<Value = Scene> {
-    (3_usize..8, 20_usize..40).prop_flat_map(|(agents_len, sweeps_len)| {
-        let spans = prop::collection::vec((0..sweeps_len / 4, sweeps_len * 3 / 4..sweeps_len), agents_len);
+    (3_usize..8, 20_usize..40).prop_flat_map(|(agents_len, sweep_count)| {
+        let spans = prop::collection::vec((0..sweep_count / 4, sweep_count * 3 / 4..sweep_count), agents_len);
         let sensors = prop::collection::vec(0_usize..3, agents_len);
         let offsets = prop::array::uniform3(0_i64..490);
         (spans, sensors, offsets, 10_i64..500, any::<u64>()).prop_map(
             move |(spans, sensors, offsets, interval_ms, seed)| {
                 let is_present =
                     |sweep: usize| spans.iter().map(|(from, to)| (*from..=*to).contains(&sweep)).collect();
-                let present = (0..sweeps_len).map(is_present).collect();
+                let present = (0..sweep_count).map(is_present).collect();
                 Scene { interval_ns: interval_ms * MS, present, sensors, offsets, seed }
             },
         )

@@ -91,13 +91,13 @@ pub struct Type {
 pub struct Canvas {
     size: [f64; 2],
     body: String,
-    clips_len: usize,
+    clip_count: usize,
 }
 
 impl Canvas {
     /// An empty sheet.
     pub const fn new(size: [f64; 2]) -> Self {
-        Self { size, body: String::new(), clips_len: 0 }
+        Self { size, body: String::new(), clip_count: 0 }
     }
 
     /// Fills an area with the even-odd rule: points inside an even number of outlines stay empty.
@@ -179,8 +179,8 @@ impl Canvas {
 
     /// Clips everything that `draw` draws to `frame`.
     pub fn clipped(&mut self, frame: Frame, draw: impl FnOnce(&mut Self)) {
-        let (id, outline) = (self.clips_len, rectangle(frame).0);
-        self.clips_len += 1;
+        let (id, outline) = (self.clip_count, rectangle(frame).0);
+        self.clip_count += 1;
         writeln!(
             self.body,
             r##"<clipPath id="clip{id}"><path d="{outline}"/></clipPath><g clip-path="url(#clip{id})">"##

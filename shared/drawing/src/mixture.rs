@@ -33,10 +33,10 @@ pub type Mixture = Vec<Component>;
 
 /// The mixtures at the forecast's steps and at moments in between, with modes interpolated evenly.
 pub fn moments(now: Place, forecast: &ForecastView) -> Vec<Mixture> {
-    let steps_len = forecast.modes.first().map_or(0, Vec::len);
+    let step_count = forecast.modes.first().map_or(0, Vec::len);
     let mut last = starting(now, forecast);
     let mut moments = Vec::new();
-    for step in 0..steps_len {
+    for step in 0..step_count {
         let next = at_step(forecast, step);
         let pairs = || last.iter().zip(&next);
         let hop = |(a, b): (&Component, &Component)| {
@@ -54,8 +54,8 @@ pub fn moments(now: Place, forecast: &ForecastView) -> Vec<Mixture> {
 
 /// The mixture at the forecast's last step; empty if the forecast has no steps.
 pub fn end(forecast: &ForecastView) -> Mixture {
-    let steps_len = forecast.modes.first().map_or(0, Vec::len);
-    steps_len.checked_sub(1).map(|step| at_step(forecast, step)).unwrap_or_default()
+    let step_count = forecast.modes.first().map_or(0, Vec::len);
+    step_count.checked_sub(1).map(|step| at_step(forecast, step)).unwrap_or_default()
 }
 
 fn starting(now: Place, forecast: &ForecastView) -> Mixture {
@@ -208,7 +208,7 @@ mod tests {
         let shares = [0.5, 0.9];
         let levels = highest_density_levels(&raster, shares).unwrap();
         let mut normals = kinematics::Normals::new(7, 0, 0);
-        let draws_len = 20_000;
+        let draw_count = 20_000;
         for (level, share) in levels.into_iter().zip(shares) {
             let contours = raster.contours(level);
             let mut held = 0.0;
@@ -216,14 +216,14 @@ mod tests {
                 let [xx, xy, yy] = component.covariance;
                 let (l11, l21) = (xx.sqrt(), xy / xx.sqrt());
                 let l22 = (yy - l21 * l21).sqrt();
-                let inside = (0..draws_len)
+                let inside = (0..draw_count)
                     .filter(|_| {
                         let (a, b) = (f64::from(normals.draw()), f64::from(normals.draw()));
                         let place = [component.mean[0] + l11 * a, component.mean[1] + l21 * a + l22 * b];
                         contains(&contours, place)
                     })
                     .count();
-                held += component.weight * inside as f64 / f64::from(draws_len);
+                held += component.weight * inside as f64 / f64::from(draw_count);
             }
             assert!((held - share).abs() < 0.015, "the {share} region holds {held}");
         }

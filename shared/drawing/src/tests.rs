@@ -10,13 +10,13 @@ use super::*;
 
 /// A vehicle that turns left, with a forecast in five directions.
 fn turning_vehicle() -> AgentDrawing {
-    let steps_len = 8;
+    let step_count = 8;
     let arc = |turn: f32| -> Vec<Point> {
-        (1..=steps_len).map(|step| [4.0 * step as f32, turn * (step * step) as f32]).collect()
+        (1..=step_count).map(|step| [4.0 * step as f32, turn * (step * step) as f32]).collect()
     };
     let modes: Vec<Vec<Point>> = [-0.2, -0.1, 0.0, 0.1, 0.2].map(arc).to_vec();
     let covariance =
-        (1..=steps_len).map(|step| [0.02, 0.005, 0.03].map(|value| value * (step * step) as f32));
+        (1..=step_count).map(|step| [0.02, 0.005, 0.03].map(|value| value * (step * step) as f32));
     let forecast = ForecastView {
         quality: Quality::Learned,
         cause: Cause::None,

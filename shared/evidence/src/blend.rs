@@ -16,7 +16,7 @@ const PRODUCT_MAX: f32 = 1000.0;
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Caution {
     /// Weight of the prior, in forecasts.
-    prior_len: f64,
+    prior_count: f64,
     /// Discounted number of forecasts after which a single expert may be the forecast.
     expert_min: f64,
     /// Discounted number of forecasts after which constant velocity alone may be the forecast.
@@ -28,10 +28,10 @@ pub(crate) struct Caution {
 
 impl Caution {
     /// Many agents are present, and their behaviour is informative about each other.
-    const LITTLE: Self = Self { prior_len: 20.0, expert_min: 30.0, steady_min: 30.0, steady: BETTER };
+    const LITTLE: Self = Self { prior_count: 20.0, expert_min: 30.0, steady_min: 30.0, steady: BETTER };
     /// Only one or two agents are present, and their behaviour is weak evidence for the next agents. The
     /// regression must prove better than constant velocity, and a single expert is never the forecast.
-    const MUCH: Self = Self { prior_len: 100.0, expert_min: f64::INFINITY, steady_min: 10.0, steady: 1.02 };
+    const MUCH: Self = Self { prior_count: 100.0, expert_min: f64::INFINITY, steady_min: 10.0, steady: 1.02 };
 
     pub(crate) const fn of(agent_type: AgentType) -> Self {
         match agent_type {
@@ -120,10 +120,10 @@ impl Blend {
 
     /// Computes the weights. The network knows the road with probability `known`.
     pub(crate) fn solve(&mut self, known: f64) {
-        let prior_len = self.caution.prior_len;
+        let prior_count = self.caution.prior_count;
         let mut with_prior = self.matured;
-        with_prior.add_scaled(&self.strange, prior_len * (1.0 - known));
-        with_prior.add_scaled(&right_network(&self.strange), prior_len * known);
+        with_prior.add_scaled(&self.strange, prior_count * (1.0 - known));
+        with_prior.add_scaled(&right_network(&self.strange), prior_count * known);
         self.regression = with_prior.weights();
         self.weights = self.alone().unwrap_or(self.regression);
     }
@@ -158,7 +158,7 @@ impl Blend {
     }
 
     /// Discounted number of matured forecasts.
-    pub(crate) const fn matured_len(&self) -> f64 {
+    pub(crate) const fn matured_count(&self) -> f64 {
         self.matured.len
     }
 

@@ -44,7 +44,7 @@ pub(crate) struct Due {
 pub(crate) struct Waiting {
     due: Vec<Due>,
     /// Number of forecasts matured since the sample became full.
-    crowd_len: u64,
+    crowd_count: u64,
     /// State of a linear congruential generator.
     random: u64,
 }
@@ -63,19 +63,19 @@ impl Due {
 
 impl Waiting {
     pub(crate) fn new() -> Self {
-        Self { due: Vec::with_capacity(WAITING_MAX), crowd_len: 0, random: 1 }
+        Self { due: Vec::with_capacity(WAITING_MAX), crowd_count: 0, random: 1 }
     }
 
     /// Adds a forecast. If the sample is full, each forecast since then is kept with equal probability
     /// ([reservoir sampling](https://doi.org/10.1145/3147.3165)).
     pub(crate) fn push(&mut self, due: Due) {
         if self.due.len() < WAITING_MAX {
-            self.crowd_len = 0;
+            self.crowd_count = 0;
             self.due.push(due);
             return;
         }
-        self.crowd_len += 1;
-        let place = self.random_below(WAITING_MAX as u64 + self.crowd_len);
+        self.crowd_count += 1;
+        let place = self.random_below(WAITING_MAX as u64 + self.crowd_count);
         if let Some(other) = self.due.get_mut(place) {
             *other = due;
         }

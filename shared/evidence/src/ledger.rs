@@ -197,15 +197,15 @@ impl Evidence {
         let (since_ns, from_m) = (trace.stamp_ns, trace.position_m);
         (trace.stamp_ns, trace.position_m) = (now_ns, position_m);
         trace.pending.retain_mut(|pending| {
-            while pending.matured_len < KNOTS {
-                let knot = pending.matured_len;
+            while pending.matured_count < KNOTS {
+                let knot = pending.matured_count;
                 let due_ns = pending.stamp_ns + step_ns * (knots[knot] as i64 + 1);
                 if due_ns > now_ns {
                     return true;
                 }
                 let share = (due_ns - since_ns) as f32 / (now_ns - since_ns).max(1) as f32;
                 let truth_m = [0, 1].map(|axis| from_m[axis] + share * (position_m[axis] - from_m[axis]));
-                pending.matured_len += 1;
+                pending.matured_count += 1;
                 let agent_type = pending.context.agent_type.index();
                 let (at_speeds, of_type) = (&mut known[agent_type], &mut of_types[agent_type]);
                 of_type.is_stale = true;
@@ -221,7 +221,7 @@ impl Evidence {
                 let [cos, sin] = pending.course;
                 let residual_m = [x * cos + y * sin, y * cos - x * sin];
                 pending.residuals_m[knot] = residual_m;
-                let of_modes = pending.mixture.filter(|_| pending.matured_len == KNOTS).map(|place| {
+                let of_modes = pending.mixture.filter(|_| pending.matured_count == KNOTS).map(|place| {
                     let kept = &mixtures[place];
                     (kept.nearest_m(), kept.nearest_of_fan(&pending.residuals_m))
                 });
@@ -291,7 +291,7 @@ impl Evidence {
         trace.pending.push_back(Pending {
             stamp_ns,
             context,
-            matured_len: 0,
+            matured_count: 0,
             velocity_m,
             centre_m,
             regression_m,

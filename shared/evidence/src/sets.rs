@@ -23,7 +23,7 @@ pub(crate) struct SetsAtSpeed {
     nearest: [f64; 2],
     /// The shares that the prior expects, and its remaining weight in forecasts.
     prior: [f32; 2],
-    prior_len: f64,
+    prior_count: f64,
 }
 
 impl SetsOfType {
@@ -48,8 +48,8 @@ impl SetsOfType {
         let more = odds(self.nearest) / odds(self.expected);
         let [network, fan] = at.prior.map(f64::from);
         let expected = more * network / (more * network + fan);
-        let network = at.nearest[0] + at.prior_len * expected;
-        let fan = at.nearest[1] + at.prior_len * (1.0 - expected);
+        let network = at.nearest[0] + at.prior_count * expected;
+        let fan = at.nearest[1] + at.prior_count * (1.0 - expected);
         let squares = [network * network, fan * fan];
         let sum: f64 = squares.iter().sum();
         squares.map(|square| (square / sum) as f32)
@@ -67,12 +67,12 @@ impl SetsAtSpeed {
 
     /// A state with the network's share that the prior expects.
     pub(crate) fn new(network_share: f32) -> Self {
-        Self { nearest: [0.0; 2], prior: [network_share, 1.0 - network_share], prior_len: PRIOR_LEN }
+        Self { nearest: [0.0; 2], prior: [network_share, 1.0 - network_share], prior_count: PRIOR_LEN }
     }
 
     pub(crate) fn discount(&mut self, kept: f64) {
-        let kept = fading(kept, self.nearest.iter().sum::<f64>() + self.prior_len);
-        self.nearest.iter_mut().chain([&mut self.prior_len]).for_each(|sum| *sum *= kept);
+        let kept = fading(kept, self.nearest.iter().sum::<f64>() + self.prior_count);
+        self.nearest.iter_mut().chain([&mut self.prior_count]).for_each(|sum| *sum *= kept);
     }
 
     /// Adds a forecast by the distances of the nearest mode of each set.
@@ -87,13 +87,13 @@ impl SetsAtSpeed {
 
     /// The network's share of the forecasts, including the prior's.
     pub(crate) fn network_share(&self) -> f32 {
-        let network = self.nearest[0] + self.prior_len * f64::from(self.prior[0]);
-        (network / (self.nearest.iter().sum::<f64>() + self.prior_len)) as f32
+        let network = self.nearest[0] + self.prior_count * f64::from(self.prior[0]);
+        (network / (self.nearest.iter().sum::<f64>() + self.prior_count)) as f32
     }
 
     /// Calls `each` with all learned numbers, to read or to change them.
     pub(crate) fn numbers(&mut self, each: &mut impl FnMut(&mut f64)) {
-        self.nearest.iter_mut().chain([&mut self.prior_len]).for_each(each);
+        self.nearest.iter_mut().chain([&mut self.prior_count]).for_each(each);
     }
 }
 

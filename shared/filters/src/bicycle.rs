@@ -227,17 +227,17 @@ mod tests {
         let (elapsed_s, decay_per_s) = (2.4, DECAYING.slip_decay_per_s);
         let (stationary, left) = (0.04 / decay_per_s, (-decay_per_s * elapsed_s).exp());
         let settled = (0.1_f64.powi(2) * STEP_MAX_S + 1e-4) / (2.0 * decay_per_s);
-        for steps_len in [30, 48, 240] {
+        for step_count in [30, 48, 240] {
             let mut state = start;
-            for _ in 0..steps_len {
-                state = DECAYING.step_controlled(&state, &control, elapsed_s / f64::from(steps_len));
+            for _ in 0..step_count {
+                state = DECAYING.step_controlled(&state, &control, elapsed_s / f64::from(step_count));
             }
             assert!(
                 (state.mean[SLIP] - (stationary + (0.2 - stationary) * left)).abs() < 1e-12,
-                "{steps_len} steps"
+                "{step_count} steps"
             );
             let variance = settled + (1e-4 - settled) * left * left;
-            assert!((state.covariance[(SLIP, SLIP)] - variance).abs() < 1e-12, "{steps_len} steps");
+            assert!((state.covariance[(SLIP, SLIP)] - variance).abs() < 1e-12, "{step_count} steps");
         }
     }
 

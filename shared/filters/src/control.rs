@@ -116,12 +116,12 @@ pub struct Forecast<'a> {
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
 pub enum ForecastFault {
     /// There is no control, there are too many hypotheses, or the sequences differ in length.
-    #[error("{controls_len} controls of {hypotheses_len} hypotheses")]
+    #[error("{control_count} controls of {hypothesis_count} hypotheses")]
     Shape {
         /// Number of hypotheses.
-        hypotheses_len: usize,
+        hypothesis_count: usize,
         /// Number of controls.
-        controls_len: usize,
+        control_count: usize,
     },
     /// A probability is negative or not finite, or all are 0.
     #[error("hypotheses of probability {0}")]
@@ -144,22 +144,22 @@ pub enum ForecastFault {
 
 impl Forecast<'_> {
     /// Number of steps of each hypothesis.
-    pub fn steps_len(&self) -> usize {
+    pub fn step_count(&self) -> usize {
         self.controls.len() / self.probability.len().max(1)
     }
 
     /// Duration of the forecast.
     pub fn horizon_ns(&self) -> u64 {
-        self.step_ns.saturating_mul(self.steps_len() as u64)
+        self.step_ns.saturating_mul(self.step_count() as u64)
     }
 
     pub(crate) fn check(&self) -> Result<(), ForecastFault> {
-        let (hypotheses_len, controls_len) = (self.probability.len(), self.controls.len());
-        let fits = (1..=HYPOTHESES_MAX).contains(&hypotheses_len)
-            && self.steps_len() > 0
-            && controls_len.is_multiple_of(hypotheses_len);
+        let (hypothesis_count, control_count) = (self.probability.len(), self.controls.len());
+        let fits = (1..=HYPOTHESES_MAX).contains(&hypothesis_count)
+            && self.step_count() > 0
+            && control_count.is_multiple_of(hypothesis_count);
         if !fits {
-            return Err(ForecastFault::Shape { hypotheses_len, controls_len });
+            return Err(ForecastFault::Shape { hypothesis_count, control_count });
         }
         let wrong = self.probability.iter().find(|p| !(p.is_finite() && **p >= 0.0));
         let sum: f64 = self.probability.iter().sum();
@@ -168,7 +168,7 @@ impl Forecast<'_> {
         }
         let broken = self.controls.iter().position(|step| !step.is_finite());
         if let Some(at) = broken.or_else(|| (!self.heading_rad.is_finite()).then_some(0)) {
-            return Err(ForecastFault::NotFinite { hypothesis: at / self.steps_len() });
+            return Err(ForecastFault::NotFinite { hypothesis: at / self.step_count() });
         }
         let (age_ns, horizon_ns) = (self.age_ns, self.horizon_ns());
         if age_ns >= horizon_ns { Err(ForecastFault::Over { age_ns, horizon_ns }) } else { Ok(()) }

@@ -16,13 +16,13 @@ pub struct Innovation<const N: usize> {
 /// How well a measurement fits the prediction.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Evidence {
-    /// Normalised innovation squared, yᵀ S⁻¹ y. It is χ² distributed with `measured_len` degrees of freedom
+    /// Normalised innovation squared, yᵀ S⁻¹ y. It is χ² distributed with `measured_count` degrees of freedom
     /// if the model holds.
     pub nis: f64,
     /// Logarithm of the measurement's density under the prediction: −½ (NIS + ln |S| + m ln 2π).
     pub log_likelihood: f64,
     /// Number of measured values, m.
-    pub measured_len: usize,
+    pub measured_count: usize,
 }
 
 impl<const N: usize> Innovation<N> {
@@ -60,14 +60,14 @@ pub(crate) struct Misfit {
     nis: f64,
     /// |S|
     det: f64,
-    measured_len: usize,
+    measured_count: usize,
 }
 
 impl Misfit {
     pub fn evidence(&self) -> Evidence {
-        let &Self { nis, det, measured_len } = self;
-        let log_likelihood = -0.5 * (nis + det.ln() + measured_len as f64 * TAU.ln());
-        Evidence { nis, log_likelihood, measured_len }
+        let &Self { nis, det, measured_count } = self;
+        let log_likelihood = -0.5 * (nis + det.ln() + measured_count as f64 * TAU.ln());
+        Evidence { nis, log_likelihood, measured_count }
     }
 
     fn is_finite(&self) -> bool {
@@ -92,7 +92,7 @@ impl<const N: usize> Gaussian<N> {
         let mut correction = Correction {
             covariance: self.covariance,
             shift: SVector::zeros(),
-            misfit: Misfit { nis: 0.0, det: 1.0, measured_len: 0 },
+            misfit: Misfit { nis: 0.0, det: 1.0, measured_count: 0 },
         };
         let [x, y, third, fourth] = innovation.values;
         correction.update::<0>(x)?;
@@ -133,7 +133,7 @@ impl<const N: usize> Correction<N> {
         self.shift += gain * residual;
         self.misfit.nis += residual * residual / innovation_variance;
         self.misfit.det *= innovation_variance;
-        self.misfit.measured_len += 1;
+        self.misfit.measured_count += 1;
         // Column `ROW` of (I − k e_rᵀ) P, minus k R.
         let rest = (column - gain * column[ROW]) - gain * variance;
         for j in 0..N {

@@ -117,7 +117,7 @@ impl<P: Controlled<N>, const N: usize> Mixture<P, N> {
     /// # Errors
     /// [`FilterFault`] if all components fail; the mixture is then unchanged, or collapsed to its moments.
     pub fn predict(&mut self, dt_ns: u64) -> Result<(), FilterFault> {
-        let (steps_len, dt_s) = steps(dt_ns)?;
+        let (step_count, dt_s) = steps(dt_ns)?;
         let age_ns = self.age_ns.saturating_add(dt_ns);
         if self.is_learned() && age_ns > self.plan.horizon_ns {
             self.reset(self.moments());
@@ -127,15 +127,15 @@ impl<P: Controlled<N>, const N: usize> Mixture<P, N> {
             let mut state = component.state;
             match component.hypothesis {
                 None => {
-                    for _ in 0..steps_len {
+                    for _ in 0..step_count {
                         state = self.priors.kinematic.step(&state, dt_s);
                     }
                 }
                 Some(hypothesis) => {
-                    for i in 0..steps_len {
+                    for i in 0..step_count {
                         // The control at the middle of the step, because a step's end may belong to the next
                         // control.
-                        let middle_ns = self.age_ns + dt_ns * (2 * i + 1) / (2 * steps_len);
+                        let middle_ns = self.age_ns + dt_ns * (2 * i + 1) / (2 * step_count);
                         let control = self.plan.at::<P, N>(hypothesis, middle_ns);
                         let process = self.priors.controlled(self.plan.gain(middle_ns));
                         state = process.step_controlled(&state, &control, dt_s);
@@ -170,7 +170,7 @@ impl<P: Controlled<N>, const N: usize> Mixture<P, N> {
     /// mean of their positions.
     #[must_use]
     pub fn ahead<const PARTS: usize>(&self, part_ns: u64) -> Option<[Ahead; PARTS]> {
-        let (steps_len, dt_s) = steps(part_ns).ok()?;
+        let (step_count, dt_s) = steps(part_ns).ok()?;
         let horizon_ns = part_ns.saturating_mul(PARTS as u64).saturating_add(self.age_ns);
         if !self.is_learned() || horizon_ns > self.plan.horizon_ns {
             return None;
@@ -181,8 +181,8 @@ impl<P: Controlled<N>, const N: usize> Mixture<P, N> {
         let (mut learned, mut kinematic) = (now, now);
         let mut begun_ns = self.age_ns;
         let ahead = [(); PARTS].map(|()| {
-            for i in 0..steps_len {
-                let middle_ns = begun_ns + part_ns * (2 * i + 1) / (2 * steps_len);
+            for i in 0..step_count {
+                let middle_ns = begun_ns + part_ns * (2 * i + 1) / (2 * step_count);
                 let mut mean = Control::default();
                 for (hypothesis, weight) in hypotheses() {
                     let rate = self.plan.at::<P, N>(hypothesis, middle_ns).rate;
@@ -362,20 +362,20 @@ impl<P: Controlled<N>, const N: usize> Mixture<P, N> {
         let sum = log_sum_exp(hypotheses().map(|component| component.log_weight));
         let weights = || hypotheses().map(|component| (component.log_weight - sum).exp());
         // A component of n copies counts as n particles of weight w / n each.
-        let particles_len: usize = hypotheses().map(|component| component.copies).sum();
+        let particle_count: usize = hypotheses().map(|component| component.copies).sum();
         let root = hypotheses().map(|component| (component.copies as f64).sqrt());
         let effective = effective_size(weights().zip(root).map(|(weight, root)| weight / root));
-        if particles_len < 2 || effective >= particles_len as f64 / 2.0 {
+        if particle_count < 2 || effective >= particle_count as f64 / 2.0 {
             return;
         }
         let mut copies = [0; HYPOTHESES_MAX];
-        for chosen in systematic(weights(), self.rng.random(), particles_len) {
+        for chosen in systematic(weights(), self.rng.random(), particle_count) {
             copies[chosen] += 1;
         }
         let chosen = self.components.iter_mut().filter(|component| component.hypothesis.is_some());
         for (component, copies) in chosen.zip(copies) {
             component.copies = copies;
-            component.log_weight = sum + (copies as f64 / particles_len as f64).ln();
+            component.log_weight = sum + (copies as f64 / particle_count as f64).ln();
         }
         self.components.retain(|component| component.copies > 0);
     }

@@ -65,11 +65,11 @@ impl<P: Controlled<N>, const N: usize> Particles<P, N> {
     /// Particles drawn from a Gaussian.
     ///
     /// # Panics
-    /// If `particles_len` is not within 1..=[`PARTICLES_MAX`].
+    /// If `particle_count` is not within 1..=[`PARTICLES_MAX`].
     #[must_use]
-    pub fn new(state: &Gaussian<N>, priors: Priors<P>, particles_len: usize, seed: u64) -> Self {
+    pub fn new(state: &Gaussian<N>, priors: Priors<P>, particle_count: usize, seed: u64) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        let states = (0..particles_len).map(|_| state.sample(|| StandardNormal.sample(&mut rng)));
+        let states = (0..particle_count).map(|_| state.sample(|| StandardNormal.sample(&mut rng)));
         let states: Vec<_> = states.collect();
         Self { rng, ..Self::of(&states, priors, seed) }
     }
@@ -136,13 +136,13 @@ impl<P: Controlled<N>, const N: usize> Particles<P, N> {
     /// [`FilterFault`]; the particles are then unchanged.
     pub fn predict_with(&mut self, dt_ns: u64, mut normal: impl FnMut() -> f64) -> Result<(), FilterFault> {
         let age_ns = self.age_ns.saturating_add(dt_ns);
-        let (steps_len, dt_s) = steps(dt_ns)?;
+        let (step_count, dt_s) = steps(dt_ns)?;
         self.next.clone_from(&self.particles);
         for particle in &mut self.next {
             particle.hypothesis = particle.hypothesis.filter(|_| age_ns <= self.plan.horizon_ns);
         }
-        for i in 0..steps_len {
-            let middle_ns = self.age_ns + dt_ns * (2 * i + 1) / (2 * steps_len);
+        for i in 0..step_count {
+            let middle_ns = self.age_ns + dt_ns * (2 * i + 1) / (2 * step_count);
             for particle in &mut self.next {
                 let from = Gaussian { mean: particle.state, covariance: SMatrix::zeros() };
                 let (process, moved) = match particle.hypothesis {

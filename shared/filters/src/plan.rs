@@ -5,7 +5,7 @@ use crate::{Control, ControlStep, Controlled, Forecast, ForecastFault, Priors};
 pub(crate) struct Plan {
     steps: Vec<ControlStep>,
     /// Number of steps of each hypothesis.
-    steps_len: usize,
+    step_count: usize,
     step_ns: u64,
     heading_rad: f64,
     covariance_scale: f64,
@@ -23,7 +23,7 @@ impl Plan {
         forecast.check()?;
         self.steps.clear();
         self.steps.extend_from_slice(forecast.controls);
-        self.steps_len = forecast.steps_len();
+        self.step_count = forecast.step_count();
         self.step_ns = forecast.step_ns;
         self.heading_rad = forecast.heading_rad;
         self.covariance_scale = priors.covariance_scale;
@@ -45,7 +45,7 @@ impl Plan {
             None => 0,
             Some(after_ns) => 1 + (after_ns / self.step_ns.max(1)) as usize,
         };
-        let steps = &self.steps[hypothesis * self.steps_len..][..self.steps_len];
+        let steps = &self.steps[hypothesis * self.step_count..][..self.step_count];
         let Control { rate: [first, second], density } =
             P::control(steps, number, self.step_ns as f64 / 1e9, self.heading_rad);
         let [a, b] = self.gain(time_ns);

@@ -31,12 +31,12 @@ impl<const N: usize> Gaussian<N> {
     /// # Errors
     /// [`FilterFault`]; the state is then unchanged.
     pub fn predict(&mut self, dt_ns: u64, process: &impl Process<N>) -> Result<(), FilterFault> {
-        let (steps_len, dt_s) = steps(dt_ns)?;
-        if steps_len == 0 {
+        let (step_count, dt_s) = steps(dt_ns)?;
+        if step_count == 0 {
             return Ok(());
         }
         let mut state = process.step(self, dt_s);
-        for _ in 1..steps_len {
+        for _ in 1..step_count {
             state = process.step(&state, dt_s);
         }
         if !state.is_finite() {
@@ -50,10 +50,10 @@ impl<const N: usize> Gaussian<N> {
     /// back gives the same state.
     #[must_use]
     pub fn shifted(&self, dt_s: f64, noiseless: &impl Process<N>) -> Self {
-        let steps_len = (dt_s.abs() / STEP_MAX_S).ceil().max(1.0);
+        let step_count = (dt_s.abs() / STEP_MAX_S).ceil().max(1.0);
         let mut state = *self;
-        for _ in 0..steps_len as usize {
-            state = noiseless.step(&state, dt_s / steps_len);
+        for _ in 0..step_count as usize {
+            state = noiseless.step(&state, dt_s / step_count);
         }
         state
     }
@@ -144,6 +144,6 @@ pub(crate) fn steps(dt_ns: u64) -> Result<(u64, f64), FilterFault> {
     if dt_ns > GAP_MAX_NS {
         return Err(FilterFault::TooLong(dt_ns));
     }
-    let steps_len = dt_ns.div_ceil(STEP_MAX_NS);
-    Ok((steps_len, dt_ns as f64 / 1e9 / steps_len.max(1) as f64))
+    let step_count = dt_ns.div_ceil(STEP_MAX_NS);
+    Ok((step_count, dt_ns as f64 / 1e9 / step_count.max(1) as f64))
 }

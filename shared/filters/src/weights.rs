@@ -38,17 +38,17 @@ pub fn effective_size(weights: impl Iterator<Item = f64>) -> f64 {
     1.0 / weights.map(|weight| weight * weight).sum::<f64>()
 }
 
-/// Systematic resampling: the numbers that `chosen_len` equally spaced points (i + u) / len select in the
+/// Systematic resampling: the numbers that `chosen_count` equally spaced points (i + u) / len select in the
 /// cumulative weights, in rising order. `offset` is u, within \[0, 1). The weights sum to 1.
 pub fn systematic(
     weights: impl Iterator<Item = f64>,
     offset: f64,
-    chosen_len: usize,
+    chosen_count: usize,
 ) -> impl Iterator<Item = usize> {
     let mut weights = weights.enumerate();
     let (mut last, mut reached) = weights.next().unwrap_or((0, 1.0));
-    (0..chosen_len).map(move |i| {
-        let point = (i as f64 + offset) / chosen_len as f64;
+    (0..chosen_count).map(move |i| {
+        let point = (i as f64 + offset) / chosen_count as f64;
         while reached < point {
             // A point beyond the last weight by rounding belongs to the last weight.
             let Some((number, weight)) = weights.next() else { break };

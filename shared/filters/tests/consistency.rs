@@ -102,7 +102,7 @@ impl Squares {
         println!(
             "{name}: {:.1} % of {} ticks inside, NEES/n {:.4}",
             100.0 * states.inside,
-            states.ticks_len,
+            states.tick_count,
             states.per_degree
         );
         states
@@ -116,18 +116,18 @@ fn kalman<P: Process<N>, const N: usize>(
     (truth, filter): (&P, &P),
     start: &Gaussian<N>,
     sensor: Sensor,
-    ticks_len: u64,
+    tick_count: u64,
 ) -> Squares {
     let mut squares = Squares::default();
     for seed in 0..SEEDS {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let mut state = start.sample(|| normal(&mut rng));
         let mut found = *start;
-        for tick in 0..ticks_len {
+        for tick in 0..tick_count {
             state = drawn(truth, &state, |from| truth.step(from, TICK_S), &mut rng);
             found.predict(TICK_NS, filter).unwrap();
             let evidence = found.update(&sensor.measure(&state, &mut rng), filter).unwrap();
-            squares.innovations.add(tick, evidence.nis, evidence.measured_len as u32).unwrap();
+            squares.innovations.add(tick, evidence.nis, evidence.measured_count as u32).unwrap();
             squares.add(tick, &state, &found, P::ANGLES);
         }
     }
@@ -140,11 +140,11 @@ fn kalman<P: Process<N>, const N: usize>(
 fn assert_exact(name: &str, squares: &Squares) {
     const SIGMAS: f64 = 3.29;
     let innovations = squares.innovations.summary(0.95).unwrap().unwrap();
-    let ticks_len = innovations.ticks_len as f64;
-    let spread = SIGMAS * (0.95 * 0.05 / ticks_len).sqrt();
+    let tick_count = innovations.tick_count as f64;
+    let spread = SIGMAS * (0.95 * 0.05 / tick_count).sqrt();
     println!("{name}: {:.1} % inside, NIS/m {:.5}", 100.0 * innovations.inside, innovations.per_degree);
     assert!((innovations.inside - 0.95).abs() < spread, "{name}: {innovations:?}");
-    let degrees = 2 * innovations.squares_len;
+    let degrees = 2 * innovations.square_count;
     let bounds = chi_square_bounds(degrees, 0.999).unwrap();
     assert!(bounds.contain(innovations.per_degree * degrees as f64), "{name}: {innovations:?}");
     // Errors of neighbouring ticks are correlated: the share is the same, but its variance is greater.
@@ -271,7 +271,7 @@ impl<P: Controlled<N> + Copy, const N: usize> Scene<P, N> {
     fn evaluate<F>(
         &self,
         sensor: Sensor,
-        ticks_len: u64,
+        tick_count: u64,
         new: impl Fn(u64) -> F,
         tick_of: impl Fn(&mut F, Option<&Forecast>, &Observation) -> Gaussian<N>,
     ) -> Squares {
@@ -281,7 +281,7 @@ impl<P: Controlled<N> + Copy, const N: usize> Scene<P, N> {
             let mut state = self.start.sample(|| normal(&mut rng));
             let mut filter = new(seed);
             let mut decided = None;
-            for tick in 0..ticks_len {
+            for tick in 0..tick_count {
                 let since = tick % FORECAST_TICKS;
                 let forecast = (since == 0).then(|| self.forecast());
                 if forecast.is_some() {
@@ -296,9 +296,9 @@ impl<P: Controlled<N> + Copy, const N: usize> Scene<P, N> {
     }
 
     #[expect(clippy::unwrap_used, reason = "a failure here is the test's")]
-    fn mixture(&self, sensor: Sensor, ticks_len: u64) -> Squares {
+    fn mixture(&self, sensor: Sensor, tick_count: u64) -> Squares {
         let new = |seed| Mixture::new(self.start, self.priors, seed);
-        self.evaluate(sensor, ticks_len, new, |mixture, forecast, observed| {
+        self.evaluate(sensor, tick_count, new, |mixture, forecast, observed| {
             if let Some(forecast) = forecast {
                 mixture.adopt(forecast).unwrap();
             }
@@ -309,9 +309,9 @@ impl<P: Controlled<N> + Copy, const N: usize> Scene<P, N> {
     }
 
     #[expect(clippy::unwrap_used, reason = "a failure here is the test's")]
-    fn particles(&self, sensor: Sensor, ticks_len: u64, particles_len: usize) -> Squares {
-        let new = |seed| Particles::new(&self.start, self.priors, particles_len, seed);
-        self.evaluate(sensor, ticks_len, new, |particles, forecast, observed| {
+    fn particles(&self, sensor: Sensor, tick_count: u64, particle_count: usize) -> Squares {
+        let new = |seed| Particles::new(&self.start, self.priors, particle_count, seed);
+        self.evaluate(sensor, tick_count, new, |particles, forecast, observed| {
             if let Some(forecast) = forecast {
                 particles.adopt(forecast).unwrap();
             }

@@ -34,8 +34,8 @@ fn frame(truths: &[Gaussian<4>; 2], rng: &mut ChaCha8Rng) -> Vec<Observation> {
             positions.push(observed);
         }
     }
-    let false_len = Poisson::new(CLUTTER * SIDE_M * SIDE_M).expect("a finite mean").sample(rng);
-    for _ in 0..false_len as usize {
+    let false_count = Poisson::new(CLUTTER * SIDE_M * SIDE_M).expect("a finite mean").sample(rng);
+    for _ in 0..false_count as usize {
         positions.push([0, 1].map(|_| rng.random_range(-0.5..0.5) * SIDE_M));
     }
     positions.sort_by(|a, b| a[0].total_cmp(&b[0]));
@@ -69,10 +69,10 @@ enum By {
 
 #[derive(Debug, Default)]
 struct Outcome {
-    /// Number of tracks that are nearer to the other agent after a crossing. `lost_len` counts tracks near
+    /// Number of tracks that are nearer to the other agent after a crossing. `lost_count` counts tracks near
     /// neither.
-    swapped_len: usize,
-    lost_len: usize,
+    swapped_count: usize,
+    lost_count: usize,
     squares: Consistency,
 }
 
@@ -126,8 +126,8 @@ fn cross(by: By, apart_m: f64) -> Outcome {
         let off_m = |a: &Gaussian<4>, b: &Gaussian<4>| (a.mean - b.mean).fixed_rows::<2>(0).norm();
         for (t, track) in tracks.iter().enumerate() {
             let (own_m, other_m) = (off_m(track, &truths[t]), off_m(track, &truths[1 - t]));
-            outcome.swapped_len += usize::from(other_m < own_m && other_m < 1.5);
-            outcome.lost_len += usize::from(own_m.min(other_m) >= 1.5);
+            outcome.swapped_count += usize::from(other_m < own_m && other_m < 1.5);
+            outcome.lost_count += usize::from(own_m.min(other_m) >= 1.5);
         }
     }
     outcome
@@ -143,16 +143,16 @@ fn jpda_loses_fewer_tracks_and_is_nearly_consistent() {
             let squares = outcome.squares.summary(0.95).expect("counted").expect("not empty");
             println!(
                 "{apart_m} m apart, {name}: {} of {} swapped, {} lost, NEES/n {:.3}, {:.0} % inside",
-                outcome.swapped_len,
+                outcome.swapped_count,
                 2 * SEEDS,
-                outcome.lost_len,
+                outcome.lost_count,
                 squares.per_degree,
                 100.0 * squares.inside,
             );
         }
         let per_degree = |outcome: &Outcome| outcome.squares.summary(0.95).unwrap().unwrap().per_degree;
-        assert!(joint.swapped_len <= assigned.swapped_len, "{apart_m}");
-        assert!(joint.lost_len * 5 <= assigned.lost_len && assigned.lost_len > 0, "{apart_m}");
+        assert!(joint.swapped_count <= assigned.swapped_count, "{apart_m}");
+        assert!(joint.lost_count * 5 <= assigned.lost_count && assigned.lost_count > 0, "{apart_m}");
         assert!((0.9..1.1).contains(&per_degree(&joint)) && per_degree(&assigned) > 2.0, "{apart_m}");
     }
 }

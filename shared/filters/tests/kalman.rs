@@ -264,7 +264,7 @@ fn evidence_equals_the_density_of_the_innovation() {
     let evidence = state.update(&observed, &process).unwrap();
     assert!((evidence.nis - nis).abs() < 1e-12);
     assert!((evidence.log_likelihood - density.ln()).abs() < 1e-12);
-    assert_eq!(evidence.measured_len, 2);
+    assert_eq!(evidence.measured_count, 2);
 }
 
 /// Each kind is updated by positions with any subset of heading and speed.
@@ -288,7 +288,7 @@ fn every_kind_tracks_a_circle() {
             for k in 1..100 {
                 filter.predict(STEP_NS, &MODELS).unwrap();
                 let evidence = filter.update(&observed(k), &MODELS).unwrap();
-                assert!(evidence.log_likelihood.is_finite() && (2..=4).contains(&evidence.measured_len));
+                assert!(evidence.log_likelihood.is_finite() && (2..=4).contains(&evidence.measured_count));
                 if filter.kind() != kind && filter.course_sigma_rad() < 0.3 {
                     filter = filter.into_kind(kind, &UNKNOWN);
                 }

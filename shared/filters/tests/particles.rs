@@ -66,7 +66,7 @@ fn particle_filter_equals_the_reference() {
     let mut particles = Particles::of(&states, Priors::new(RandomWalk, RandomWalk), 1);
     let steps = list("steps");
     assert_eq!((states.len(), steps.len()), (64, 12));
-    let mut resampled_len = 0;
+    let mut resampled_count = 0;
     for (k, expected) in steps.iter().enumerate() {
         let noise: Vec<Vector2<f64>> = all["noise"][k].as_array().unwrap().iter().map(numbers).collect();
         let mut normals = noise.iter().flat_map(|pair| [pair[0], pair[1]]);
@@ -89,10 +89,10 @@ fn particle_filter_equals_the_reference() {
             particles.resample(all["u"][k].as_f64().unwrap());
             let chosen = expected["idx"].as_array().unwrap().iter().map(|i| i.as_u64().unwrap() as usize);
             assert!(particles.particles().map(|p| *p.2).eq(chosen.map(|i| before[i])), "step {k}");
-            resampled_len += 1;
+            resampled_count += 1;
         }
     }
-    assert!(resampled_len > 5);
+    assert!(resampled_count > 5);
 }
 
 #[test]

@@ -57,25 +57,25 @@ fn check(folder: &str, integrator: Integrator, mean_name: &str, covariance_name:
     let (_, control_factors) = golden.tensor("control.cholesky");
     let (shape, means) = golden.tensor(mean_name);
     let (_, covariances) = golden.tensor(covariance_name);
-    let [draws_len, vehicles_len, steps_len, _] = shape[..] else {
+    let [draw_count, vehicle_count, step_count, _] = shape[..] else {
         panic!("{mean_name} has shape {shape:?}")
     };
     let agents_len = golden.scene["agents"].as_u64().unwrap() as usize;
     let scale = largest(&means);
 
-    for draw in 0..draws_len {
+    for draw in 0..draw_count {
         for (row, agent) in golden.scene["vehicles"].as_array().unwrap().iter().enumerate() {
             let agent = agent.as_u64().unwrap() as usize;
             let start = BicycleState::from_column_slice(&initial[row * 5..row * 5 + 5]);
             let mut belief = Belief::certain(start);
-            for step in 0..steps_len {
-                let at = (draw * agents_len + agent) * steps_len + step;
+            for step in 0..step_count {
+                let at = (draw * agents_len + agent) * step_count + step;
                 let factor = &control_factors[at * 4..at * 4 + 4];
                 let mean = [control_means[at * 2], control_means[at * 2 + 1]];
                 let control = ControlGaussian::new(mean, [factor[0], factor[2], factor[3]]);
                 belief.advance(&vehicle, &control);
 
-                let at = (draw * vehicles_len + row) * steps_len + step;
+                let at = (draw * vehicle_count + row) * step_count + step;
                 let what = format!("{folder}/{mean_name} [{draw}, {row}, {step}]");
                 assert_close(&what, belief.mean.as_slice(), &means[at * 5..at * 5 + 5], scale);
                 let expected = &covariances[at * 25..at * 25 + 25];

@@ -93,8 +93,8 @@ impl LaneGuide {
         }
         let reach_m = (longest_m + BEYOND_M).min((ROUTE_POINTS_MAX - 2) as f32 * ROUTE_STEP_M);
         self.routes.find(&self.map, agent.agent_type, start_m, agent.heading_rad, reach_m);
-        let routes_len = self.routes.as_slice().len();
-        if routes_len == 0 {
+        let route_count = self.routes.as_slice().len();
+        if route_count == 0 {
             return false;
         }
         for (route, corridor) in self.routes.as_slice().iter().zip(&mut self.corridors) {
@@ -105,25 +105,25 @@ impl LaneGuide {
         self.votes = [0.0; ROUTES_MAX];
         for (mode, probability) in modes.iter_mut().zip(probability) {
             let (lines, apart_m) = self.lines(start_m, &mode[..horizon_len]);
-            let nearest = nearest(&apart_m[..routes_len]);
+            let nearest = nearest(&apart_m[..route_count]);
             let vote = |route: usize| (-0.5 * ((apart_m[route] - apart_m[nearest]) / VOTE_M).powi(2)).exp();
-            let sum: f32 = (0..routes_len).map(vote).sum();
-            (0..routes_len).for_each(|route| self.votes[route] += probability * vote(route) / sum);
+            let sum: f32 = (0..route_count).map(vote).sum();
+            (0..route_count).for_each(|route| self.votes[route] += probability * vote(route) / sum);
             follow(&mut mode[..horizon_len], &lines[nearest], off_road(apart_m[nearest]), &shares);
         }
         let (lines, apart_m) = self.lines(start_m, &best[..horizon_len]);
-        let nearest = nearest(&apart_m[..routes_len]);
+        let nearest = nearest(&apart_m[..route_count]);
         let least = apart_m[nearest] * apart_m[nearest];
         let weight = |route: usize| {
             let farther = apart_m[route] * apart_m[route] - least;
             self.votes[route] * (-0.5 * farther / (BEST_M * BEST_M)).exp()
         };
-        let sum: f32 = (0..routes_len).map(weight).sum();
+        let sum: f32 = (0..route_count).map(weight).sum();
         let mut line = lines[nearest];
         if sum > f32::MIN_POSITIVE {
             for (step, point) in line.iter_mut().enumerate().take(horizon_len) {
                 *point = [0, 1].map(|axis| {
-                    (0..routes_len).map(|route| weight(route) / sum * lines[route][step][axis]).sum()
+                    (0..route_count).map(|route| weight(route) / sum * lines[route][step][axis]).sum()
                 });
             }
         }
@@ -136,9 +136,9 @@ impl LaneGuide {
         let lengths_m = lengths_m(start_m, path);
         let mut lines = [[[0.0; 2]; HORIZON_MAX]; ROUTES_MAX];
         let mut apart_m = [f32::INFINITY; ROUTES_MAX];
-        let routes_len = self.routes.as_slice().len();
+        let route_count = self.routes.as_slice().len();
         for ((corridor, line), apart_m) in
-            self.corridors[..routes_len].iter().zip(&mut lines).zip(&mut apart_m)
+            self.corridors[..route_count].iter().zip(&mut lines).zip(&mut apart_m)
         {
             corridor.at(&lengths_m[..path.len()], line);
             let sum: f32 = path.iter().zip(&*line).map(|(a, b)| (a[0] - b[0]).hypot(a[1] - b[1])).sum();

@@ -71,7 +71,7 @@ impl LaneMap {
         let elements = Elements::of(path, &document, &mut skipped);
         let positions = Positions::of(&elements, coordinates)?;
         let (begun, used) = (Vec::new(), BTreeSet::new());
-        Reading { elements: &elements, positions, begun, points_len: 0, used, skipped }.map()
+        Reading { elements: &elements, positions, begun, point_count: 0, used, skipped }.map()
     }
 
     /// The lanes, in the order of their numbers in the file.
@@ -128,7 +128,7 @@ struct Reading<'a, 'e> {
     elements: &'e Elements<'a>,
     positions: Positions<'a, 'e>,
     begun: Vec<Begun>,
-    points_len: usize,
+    point_count: usize,
     /// The elements that lanes and areas need.
     used: BTreeSet<Element>,
     skipped: Skipped,
@@ -158,7 +158,7 @@ impl<'a> Reading<'a, '_> {
             if self.begun.len() > LANES_MAX {
                 return too_many("lanes", LANES_MAX);
             }
-            if self.points_len > POINTS_MAX {
+            if self.point_count > POINTS_MAX {
                 return too_many("metres of lanes", POINTS_MAX);
             }
         }
@@ -217,7 +217,7 @@ impl<'a> Reading<'a, '_> {
                     tags::may_cross(Tags(*way), side, first == Some(line.ends[0]))
                 })
             });
-            self.points_len += sampled.centre_m.len() + left.points_m.len() + right.points_m.len();
+            self.point_count += sampled.centre_m.len() + left.points_m.len() + right.points_m.len();
             let lane = sampled.lane(id, users, limit_mps, [&left, &right]);
             self.begun.push(Begun {
                 lane,

@@ -96,11 +96,11 @@ impl Routes {
         reach_m: f32,
     ) {
         self.len = 0;
-        let points_len = ((reach_m / ROUTE_STEP_M).ceil() as usize + 2).clamp(2, ROUTE_POINTS_MAX);
+        let point_count = ((reach_m / ROUTE_STEP_M).ceil() as usize + 2).clamp(2, ROUTE_POINTS_MAX);
         map.near(position_m, NEAR_M, &mut self.near);
         self.match_lanes(map, agent_type, position_m, heading_rad);
         for place in 0..self.starts.len() {
-            self.follow(map, self.starts[place], points_len);
+            self.follow(map, self.starts[place], point_count);
         }
     }
 
@@ -113,8 +113,8 @@ impl Routes {
             let Some(start) = Start::on(lanes, lane, agent_type, position_m, heading_rad) else { continue };
             starts.push(start);
         }
-        let on_len = starts.len();
-        for place in 0..on_len {
+        let on_count = starts.len();
+        for place in 0..on_count {
             for beside in lanes[starts[place].lane as usize].beside.into_iter().flatten() {
                 if starts.iter().any(|start| start.lane == beside) || starts.len() == starts.capacity() {
                     continue;
@@ -128,9 +128,9 @@ impl Routes {
     }
 
     /// Adds the routes that begin on a lane.
-    fn follow(&mut self, map: &LaneMap, start: Start, points_len: usize) {
+    fn follow(&mut self, map: &LaneMap, start: Start, point_count: usize) {
         let lanes = map.lanes();
-        let reach_m = points_len as f32 * ROUTE_STEP_M;
+        let reach_m = point_count as f32 * ROUTE_STEP_M;
         self.stack.clear();
         self.stack.push((start.lane, 0));
         self.lanes.clear();
@@ -145,7 +145,7 @@ impl Routes {
             let next = &lanes[lane as usize].successors;
             let is_whole = length_m - start.along_m >= reach_m || self.lanes.len() == ROUTE_LANES_MAX;
             if is_whole || next.is_empty() || self.stack.len() + next.len() > self.stack.capacity() {
-                self.add(lanes, start, points_len);
+                self.add(lanes, start, point_count);
             } else {
                 self.stack.extend(next.iter().rev().map(|&next| (next, depth + 1)));
             }
@@ -153,13 +153,13 @@ impl Routes {
     }
 
     /// Adds the route through `lanes`, unless a similar one exists.
-    fn add(&mut self, lanes: &[Lane], start: Start, points_len: usize) {
+    fn add(&mut self, lanes: &[Lane], start: Start, point_count: usize) {
         let (routes, route) = self.routes.split_at_mut(self.len);
         let route = &mut route[0];
         (route.offset_m, route.turn_rad) = (start.offset_m, start.turn_rad);
         route.lanes.clear();
         route.lanes.extend_from_slice(&self.lanes);
-        route.draw(lanes, start.along_m, points_len);
+        route.draw(lanes, start.along_m, point_count);
         let apart = |a: [f32; 2], b: [f32; 2]| (a[0] - b[0]).hypot(a[1] - b[1]);
         let is_same = |other: &Route| {
             let pairs = other.points_m.iter().zip(&route.points_m).step_by(4);
@@ -173,7 +173,7 @@ impl Routes {
 
 impl Route {
     /// Writes the points along the route's lanes.
-    fn draw(&mut self, lanes: &[Lane], from_m: f32, points_len: usize) {
+    fn draw(&mut self, lanes: &[Lane], from_m: f32, point_count: usize) {
         let Self { points_m, half_width_m, lanes: through, .. } = self;
         points_m.clear();
         half_width_m.clear();
@@ -185,7 +185,7 @@ impl Route {
             for ((segment, along_m), half_widths_m) in segments.zip(lane.half_width_m.windows(2)) {
                 let length_m = (along_m[1] - along_m[0]).max(1e-6);
                 direction = [0, 1].map(|axis| (segment[1][axis] - segment[0][axis]) / length_m);
-                while points_m.len() < points_len {
+                while points_m.len() < point_count {
                     let wanted_m = points_m.len() as f32 * ROUTE_STEP_M - passed_m - along_m[0];
                     if wanted_m > length_m {
                         break;
@@ -198,7 +198,7 @@ impl Route {
             }
             passed_m += lane.length_m();
         }
-        while points_m.len() < points_len {
+        while points_m.len() < point_count {
             let beyond_m = points_m.len() as f32 * ROUTE_STEP_M - passed_m;
             let end = through.last().and_then(|&lane| lanes[lane as usize].centre_m.last());
             let end = end.copied().unwrap_or_default();

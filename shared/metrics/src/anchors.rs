@@ -121,11 +121,11 @@ impl Bin {
         let found = kmeans(residuals, row, ANCHORS, seed, KMEANS_ITERATIONS);
         let mut order: Vec<usize> = (0..ANCHORS).collect();
         order.sort_by_key(|&k| std::cmp::Reverse(found.sizes[k]));
-        let points_len = (residuals.len() / row) as f32;
+        let point_count = (residuals.len() / row) as f32;
         let residual = |k: &usize| found.centres[k * row..][..row].as_chunks::<2>().0.to_vec();
         Self {
             residuals: order.iter().map(residual).collect(),
-            probability: order.iter().map(|&k| found.sizes[k] as f32 / points_len).collect(),
+            probability: order.iter().map(|&k| found.sizes[k] as f32 / point_count).collect(),
         }
     }
 }

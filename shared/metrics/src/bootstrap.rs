@@ -86,20 +86,20 @@ fn bootstrap(
 /// [`paired_bootstrap`].
 #[must_use]
 pub fn cluster_bootstrap(
-    clusters_len: usize,
+    cluster_count: usize,
     resamples: usize,
     seed: u64,
     figure: impl Fn(&[usize]) -> Option<f64>,
 ) -> Option<Interval> {
-    if clusters_len == 0 {
+    if cluster_count == 0 {
         return None;
     }
-    let all: Vec<usize> = (0..clusters_len).collect();
+    let all: Vec<usize> = (0..cluster_count).collect();
     let mean = figure(&all)?;
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut drawn = all;
     let mut resample = || {
-        drawn.fill_with(|| rng.random_range(0..clusters_len));
+        drawn.fill_with(|| rng.random_range(0..cluster_count));
         figure(&drawn)
     };
     let mut figures: Vec<f64> = (0..resamples).filter_map(|_| resample()).collect();

@@ -120,7 +120,7 @@ pub fn joint_min_displacement<M: AsRef<[Point]>>(agents: &[(&[M], &[Option<Point
 /// best forecast, 1 the mode itself.
 ///
 /// ```text
-/// spread² = (1 − K^(−2/(D N))) / (1 − K^(−2/D))      K = draws_len, N = agents_len, D = 2
+/// spread² = (1 − K^(−2/(D N))) / (1 − K^(−2/D))      K = draw_count, N = agents_len, D = 2
 /// ```
 ///
 /// The spread is 1 for a single agent. A future's number carries ln(K) / N nats of information about each of
@@ -128,9 +128,9 @@ pub fn joint_min_displacement<M: AsRef<[Point]>>(agents: &[(&[M], &[Option<Point
 /// smaller by the factor 1 − K^(−2/(D N)). D is 2 because the end point has most of the information about a
 /// future.
 #[must_use]
-pub fn joint_spread(agents_len: usize, draws_len: usize) -> f32 {
+pub fn joint_spread(agents_len: usize, draw_count: usize) -> f32 {
     const DIMENSIONS: f64 = 2.0;
-    let rendered = |agents: f64| 1.0 - (draws_len.max(2) as f64).powf(-2.0 / (DIMENSIONS * agents));
+    let rendered = |agents: f64| 1.0 - (draw_count.max(2) as f64).powf(-2.0 / (DIMENSIONS * agents));
     (rendered(agents_len.max(1) as f64) / rendered(1.0)).sqrt() as f32
 }
 

@@ -59,11 +59,11 @@ fn squared_distance(a: &[f32], b: &[f32]) -> f32 {
 
 fn first_centres(points: &[f32], dimension: usize, clusters: usize, seed: u64) -> Vec<f32> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let rows_len = points.len() / dimension;
+    let row_count = points.len() / dimension;
     let row = |i: usize| &points[i * dimension..][..dimension];
     let mut centres = Vec::with_capacity(clusters * dimension);
-    centres.extend_from_slice(row(rng.random_range(0..rows_len)));
-    let mut squared: Vec<f32> = vec![f32::INFINITY; rows_len];
+    centres.extend_from_slice(row(rng.random_range(0..row_count)));
+    let mut squared: Vec<f32> = vec![f32::INFINITY; row_count];
     for k in 1..clusters {
         let newest = &centres[(k - 1) * dimension..];
         for (s, point) in squared.iter_mut().zip(points.chunks_exact(dimension)) {

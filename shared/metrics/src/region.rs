@@ -87,10 +87,10 @@ impl HighestDensity {
             return 1.0;
         };
         let mut level = 0.0;
-        for (component, &draws_len) in components.iter().zip(&*draws) {
-            let (own, others) = at_draws.split_at(draws_len);
+        for (component, &draw_count) in components.iter().zip(&*draws) {
+            let (own, others) = at_draws.split_at(draw_count);
             let likelier = own.iter().filter(|density| **density > at_truth).count();
-            level += f64::from(component.probability) * likelier as f64 / draws_len as f64;
+            level += f64::from(component.probability) * likelier as f64 / draw_count as f64;
             at_draws = others;
         }
         level.min(1.0)
@@ -115,8 +115,8 @@ impl HighestDensity {
         self.draw(means, covariances, probability, origin, seed);
         let Self { components, draws, positions, densities } = self;
         positions.write_densities(components, densities);
-        let weights = components.iter().zip(&*draws).flat_map(|(component, &draws_len)| {
-            std::iter::repeat_n(f64::from(component.probability) / draws_len as f64, draws_len)
+        let weights = components.iter().zip(&*draws).flat_map(|(component, &draw_count)| {
+            std::iter::repeat_n(f64::from(component.probability) / draw_count as f64, draw_count)
         });
         let mut weighted: Vec<(f32, f64)> = densities.iter().copied().zip(weights).collect();
         weighted.sort_by(|a, b| b.0.total_cmp(&a.0));
@@ -185,19 +185,19 @@ impl Component {
     /// Draw j of n is in the j-th of n rings of probability 1/n, a golden section of a turn after the
     /// previous draw. The place within each ring and the first angle are random.
     fn draw(&self, rng: &mut ChaCha8Rng, positions: &mut Positions) -> usize {
-        let draws_len = ((self.probability * DRAWS as f32) as usize).max(1);
+        let draw_count = ((self.probability * DRAWS as f32) as usize).max(1);
         let (ring_share, first_turn): (f32, f32) = (rng.random(), rng.random());
         let (mut sin, mut cos) = (first_turn * TAU).sin_cos();
         let (golden_sin, golden_cos) = (GOLDEN * TAU).sin_cos();
         let [l11, l21, l22] = self.factor;
-        for ring in 0..draws_len {
-            let outside = 1.0 - (ring as f32 + ring_share) / draws_len as f32;
+        for ring in 0..draw_count {
+            let outside = 1.0 - (ring as f32 + ring_share) / draw_count as f32;
             let radius = (-2.0 * outside.max(f32::EPSILON).ln()).sqrt();
             let (u, v) = (radius * cos, radius * sin);
             positions.push([self.centre[0] + l11 * u, self.centre[1] + l21 * u + l22 * v]);
             (sin, cos) = (sin * golden_cos + cos * golden_sin, cos * golden_cos - sin * golden_sin);
         }
-        draws_len
+        draw_count
     }
 
     /// Binary logarithm of the weight p / √|Σ|.

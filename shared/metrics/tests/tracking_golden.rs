@@ -65,18 +65,18 @@ fn clear_mot_equals_motmetrics() {
         ("num_frames", counts.frames_len as f64),
         ("mota", counts.mota().unwrap()),
         ("motp", counts.motp_m().unwrap()),
-        ("num_switches", counts.switches_len as f64),
-        ("num_fragmentations", counts.fragmentations_len as f64),
-        ("num_misses", counts.missed_len as f64),
-        ("num_false_positives", counts.false_len as f64),
-        ("num_detections", counts.matched_len as f64),
+        ("num_switches", counts.switch_count as f64),
+        ("num_fragmentations", counts.fragmentation_count as f64),
+        ("num_misses", counts.missed_count as f64),
+        ("num_false_positives", counts.false_count as f64),
+        ("num_detections", counts.matched_count as f64),
         ("num_objects", counts.truths_len() as f64),
-        ("num_transfer", counts.transfers_len as f64),
-        ("num_ascend", counts.ascents_len as f64),
-        ("num_migrate", counts.migrations_len as f64),
-        ("mostly_tracked", counts.mostly_tracked_len as f64),
-        ("partially_tracked", counts.partly_tracked_len as f64),
-        ("mostly_lost", counts.mostly_lost_len as f64),
+        ("num_transfer", counts.transfer_count as f64),
+        ("num_ascend", counts.ascent_count as f64),
+        ("num_migrate", counts.migration_count as f64),
+        ("mostly_tracked", counts.mostly_tracked_count as f64),
+        ("partially_tracked", counts.partly_tracked_count as f64),
+        ("mostly_lost", counts.mostly_lost_count as f64),
         ("precision", counts.precision().unwrap()),
         ("recall", counts.recall().unwrap()),
     ];
@@ -88,31 +88,32 @@ fn clear_mot_equals_trackeval_where_definitions_agree() {
     let counts = clear_mot();
     let truths = counts.truths_len() as f64;
     // A similarity of 1 − d / 2, linear in the distance below the gate.
-    let similarity_sum = counts.matched_len as f64 - counts.distance_sum_m / ZERO_M;
-    let truths_len = (counts.mostly_tracked_len + counts.partly_tracked_len + counts.mostly_lost_len) as f64;
+    let similarity_sum = counts.matched_count as f64 - counts.distance_sum_m / ZERO_M;
+    let truths_len =
+        (counts.mostly_tracked_count + counts.partly_tracked_count + counts.mostly_lost_count) as f64;
     let figures = [
         ("MOTA", counts.mota().unwrap()),
         ("MODA", counts.moda().unwrap()),
-        ("MOTAL", counts.moda().unwrap() - (counts.switches_len as f64).log10() / truths),
+        ("MOTAL", counts.moda().unwrap() - (counts.switch_count as f64).log10() / truths),
         ("MOTP", linear_similarity(counts.motp_m().unwrap(), ZERO_M)),
         ("MOTP_sum", similarity_sum),
-        ("sMOTA", (similarity_sum - (counts.false_len + counts.switches_len) as f64) / truths),
+        ("sMOTA", (similarity_sum - (counts.false_count + counts.switch_count) as f64) / truths),
         ("CLR_Re", counts.recall().unwrap()),
         ("CLR_Pr", counts.precision().unwrap()),
         ("CLR_F1", counts.f1().unwrap()),
-        ("CLR_TP", counts.matched_len as f64),
-        ("CLR_FN", counts.missed_len as f64),
-        ("CLR_FP", counts.false_len as f64),
-        ("FP_per_frame", counts.false_len as f64 / counts.frames_len as f64),
+        ("CLR_TP", counts.matched_count as f64),
+        ("CLR_FN", counts.missed_count as f64),
+        ("CLR_FP", counts.false_count as f64),
+        ("FP_per_frame", counts.false_count as f64 / counts.frames_len as f64),
         ("CLR_Frames", counts.frames_len as f64),
-        ("IDSW", counts.switches_len as f64),
-        ("Frag", counts.fragmentations_len as f64),
-        ("MT", counts.mostly_tracked_len as f64),
-        ("PT", counts.partly_tracked_len as f64),
-        ("ML", counts.mostly_lost_len as f64),
-        ("MTR", counts.mostly_tracked_len as f64 / truths_len),
-        ("PTR", counts.partly_tracked_len as f64 / truths_len),
-        ("MLR", counts.mostly_lost_len as f64 / truths_len),
+        ("IDSW", counts.switch_count as f64),
+        ("Frag", counts.fragmentation_count as f64),
+        ("MT", counts.mostly_tracked_count as f64),
+        ("PT", counts.partly_tracked_count as f64),
+        ("ML", counts.mostly_lost_count as f64),
+        ("MTR", counts.mostly_tracked_count as f64 / truths_len),
+        ("PTR", counts.partly_tracked_count as f64 / truths_len),
+        ("MLR", counts.mostly_lost_count as f64 / truths_len),
     ];
     assert_all(&expected()["trackeval_CLEAR"], &figures);
 }
@@ -123,7 +124,8 @@ fn identity_equals_motmetrics_and_trackeval() {
     frames().iter().for_each(|frame| identity.add(frame));
     let counts = identity.finish();
     let (idf1, idp, idr) = (counts.idf1().unwrap(), counts.idp().unwrap(), counts.idr().unwrap());
-    let [idtp, idfp, idfn] = [counts.true_len, counts.false_len, counts.missed_len].map(|len| len as f64);
+    let [idtp, idfp, idfn] =
+        [counts.true_count, counts.false_count, counts.missed_count].map(|len| len as f64);
     let figures =
         [("idf1", idf1), ("idp", idp), ("idr", idr), ("idtp", idtp), ("idfp", idfp), ("idfn", idfn)];
     assert_all(&expected()["motmetrics"], &figures);
@@ -161,9 +163,9 @@ fn hota_equals_trackeval_at_every_alpha() {
         assert!((part(&counts.mean()) - mean).abs() < 1e-6, "mean {name}");
     }
     for (i, alpha) in counts.alphas.iter().enumerate() {
-        assert_eq!(Some(alpha.matched_len as f64), expected["HOTA_TP"][i].as_f64());
-        assert_eq!(Some((counts.truths_len - alpha.matched_len) as f64), expected["HOTA_FN"][i].as_f64());
-        assert_eq!(Some((counts.tracks_len - alpha.matched_len) as f64), expected["HOTA_FP"][i].as_f64());
+        assert_eq!(Some(alpha.matched_count as f64), expected["HOTA_TP"][i].as_f64());
+        assert_eq!(Some((counts.truths_len - alpha.matched_count) as f64), expected["HOTA_FN"][i].as_f64());
+        assert_eq!(Some((counts.track_count - alpha.matched_count) as f64), expected["HOTA_FP"][i].as_f64());
     }
     let first = scores[0];
     let figures =

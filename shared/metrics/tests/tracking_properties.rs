@@ -46,19 +46,19 @@ fn frames_without_objects_have_no_ratios() {
 fn tracks_without_truth_are_false_tracks() {
     let (clear_mot, identity, hota) =
         measured(&[frame(&[], &[at(1, 0.0), at(2, 5.0)]), frame(&[], &[at(1, 0.0)])]);
-    assert_eq!((clear_mot.false_len, clear_mot.missed_len), (3, 0));
+    assert_eq!((clear_mot.false_count, clear_mot.missed_count), (3, 0));
     assert_eq!((clear_mot.mota(), clear_mot.precision()), (None, Some(0.0)));
-    assert_eq!((identity.false_len, identity.idf1()), (3, Some(0.0)));
-    assert_eq!((hota.tracks_len, hota.mean().hota), (3, 0.0));
+    assert_eq!((identity.false_count, identity.idf1()), (3, Some(0.0)));
+    assert_eq!((hota.track_count, hota.mean().hota), (3, 0.0));
 }
 
 #[test]
 fn truths_without_track_are_missed_and_mostly_lost() {
     let (clear_mot, identity, hota) =
         measured(&[frame(&[at(1, 0.0)], &[]), frame(&[at(1, 0.0)], &[at(7, 1.5)])]);
-    assert_eq!((clear_mot.missed_len, clear_mot.false_len, clear_mot.mostly_lost_len), (2, 1, 1));
+    assert_eq!((clear_mot.missed_count, clear_mot.false_count, clear_mot.mostly_lost_count), (2, 1, 1));
     assert_eq!((clear_mot.mota(), clear_mot.recall()), (Some(-0.5), Some(0.0)));
-    assert_eq!((identity.missed_len, identity.idr()), (2, Some(0.0)));
+    assert_eq!((identity.missed_count, identity.idr()), (2, Some(0.0)));
     // The distance is beyond the gate, but the similarity is still above 0.
     assert_eq!(hota.scores()[4].det_re, 0.5);
     assert_eq!(hota.scores()[5].det_re, 0.0);
@@ -71,7 +71,7 @@ fn perfect_tracks_score_1() {
     let frames: Vec<Frame> = (0..100).map(|t| frame(&truths(t), &tracks(t))).collect();
     let (clear_mot, identity, hota) = measured(&frames);
     assert_eq!((clear_mot.mota(), clear_mot.motp_m(), clear_mot.f1()), (Some(1.0), Some(0.0), Some(1.0)));
-    assert_eq!((clear_mot.mostly_tracked_len, clear_mot.switches_len), (2, 0));
+    assert_eq!((clear_mot.mostly_tracked_count, clear_mot.switch_count), (2, 0));
     assert_eq!(identity.idf1(), Some(1.0));
     let best = hota.mean();
     assert!((best.hota - 1.0).abs() < 1e-12 && (best.loc_a - 1.0).abs() < 1e-12, "{best:?}");
@@ -89,17 +89,17 @@ fn a_kept_pair_precedes_a_nearer_track() {
         frame(&truth, &[at(8, 0.1)]),
     ];
     let (clear_mot, identity, _) = measured(&frames);
-    assert_eq!((clear_mot.matched_len, clear_mot.missed_len, clear_mot.false_len), (3, 1, 2));
-    assert_eq!((clear_mot.switches_len, clear_mot.ascents_len, clear_mot.fragmentations_len), (1, 1, 1));
+    assert_eq!((clear_mot.matched_count, clear_mot.missed_count, clear_mot.false_count), (3, 1, 2));
+    assert_eq!((clear_mot.switch_count, clear_mot.ascent_count, clear_mot.fragmentation_count), (1, 1, 1));
     assert!((clear_mot.distance_sum_m - 1.5).abs() < 1e-12);
-    assert_eq!((identity.true_len, identity.missed_len, identity.false_len), (2, 2, 3));
+    assert_eq!((identity.true_count, identity.missed_count, identity.false_count), (2, 2, 3));
 }
 
 #[test]
 fn the_number_of_pairs_precedes_their_distance() {
     let both = frame(&[at(1, 0.0), at(2, 0.9)], &[at(8, 0.8), at(9, 1.8)]);
     let (clear_mot, _, _) = measured(&[both]);
-    assert_eq!((clear_mot.matched_len, clear_mot.missed_len), (2, 0));
+    assert_eq!((clear_mot.matched_count, clear_mot.missed_count), (2, 0));
 }
 
 #[test]
@@ -111,7 +111,7 @@ fn exchanged_tracks_count_as_transfers() {
         frame(&[at(3, 5.0)], &[at(7, 5.0)]),
     ];
     let (clear_mot, _, hota) = measured(&frames);
-    assert_eq!((clear_mot.switches_len, clear_mot.transfers_len, clear_mot.migrations_len), (2, 3, 1));
+    assert_eq!((clear_mot.switch_count, clear_mot.transfer_count, clear_mot.migration_count), (2, 3, 1));
     // Detection is perfect; truth and track of each of the five matches share one frame.
     let score = hota.scores()[0];
     assert_eq!(score.det_a, 1.0);
@@ -147,14 +147,14 @@ fn similarities_are_clamped_and_nan_counts_as_0() {
     hota.add(&frame, |_| -1.0);
     hota.add(&frame, |_| 7.0);
     let counts = hota.finish();
-    assert_eq!((counts.alphas[18].matched_len, counts.alphas[18].similarity_sum), (1, 1.0));
+    assert_eq!((counts.alphas[18].matched_count, counts.alphas[18].similarity_sum), (1, 1.0));
 }
 
 #[test]
 fn gospa_splits_into_its_components() {
     let distance = SetDistance::new(2.0, 2.0).unwrap();
     let gospa = distance.gospa(&frame(&[at(0, 0.0), at(1, 10.0)], &[at(0, 1.0), at(1, 20.0), at(2, 30.0)]));
-    assert_eq!((gospa.pairs_len, gospa.localisation, gospa.missed, gospa.false_tracks), (1, 1.0, 2.0, 4.0));
+    assert_eq!((gospa.pair_count, gospa.localisation, gospa.missed, gospa.false_tracks), (1, 1.0, 2.0, 4.0));
     assert!((gospa.distance_m - 7.0_f64.sqrt()).abs() < 1e-12);
     assert_eq!(distance.ospa(&frame(&[], &[at(0, 0.0)])), 2.0);
 }
@@ -222,11 +222,11 @@ proptest! {
         let frames: Vec<Frame> = recording.iter().map(|(truths, tracks)| frame(truths, tracks)).collect();
         let (clear_mot, identity, hota) = measured(&frames);
         let truths_len: usize = recording.iter().map(|(truths, _)| truths.len()).sum();
-        let tracks_len: usize = recording.iter().map(|(_, tracks)| tracks.len()).sum();
+        let track_count: usize = recording.iter().map(|(_, tracks)| tracks.len()).sum();
         prop_assert_eq!(clear_mot.truths_len(), truths_len as u64);
-        prop_assert_eq!(clear_mot.tracks_len(), tracks_len as u64);
-        prop_assert_eq!(identity.true_len + identity.missed_len, truths_len as u64);
-        prop_assert_eq!(identity.true_len + identity.false_len, tracks_len as u64);
+        prop_assert_eq!(clear_mot.track_count(), track_count as u64);
+        prop_assert_eq!(identity.true_count + identity.missed_count, truths_len as u64);
+        prop_assert_eq!(identity.true_count + identity.false_count, track_count as u64);
         prop_assert!(clear_mot.motp_m().is_none_or(|m| (0.0..=GATE_M).contains(&m)));
         for score in hota.scores() {
             prop_assert!((0.0..=1.0).contains(&score.hota) && score.ass_a <= score.ass_re.min(score.ass_pr) + 1e-12);

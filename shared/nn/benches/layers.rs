@@ -115,11 +115,11 @@ static ONE: f32 = 1.0;
 fn context(c: &mut Criterion) {
     let cnn = ContextCnn::new(&Weights::onboard()).expect("onboard weights");
     let mut group = c.benchmark_group("context CNN");
-    for patches_len in [1, 16, 64] {
-        let patches: Vec<f32> = (0..patches_len * cnn.patch_len()).map(value).collect();
-        let (mut out, mut memory) = (vec![[0.0; 32]; patches_len], ContextMemory::default());
-        group.throughput(Throughput::Elements((patches_len * cnn.multiply_adds()) as u64));
-        group.bench_function(BenchmarkId::from_parameter(patches_len), |bench| {
+    for patch_count in [1, 16, 64] {
+        let patches: Vec<f32> = (0..patch_count * cnn.patch_len()).map(value).collect();
+        let (mut out, mut memory) = (vec![[0.0; 32]; patch_count], ContextMemory::default());
+        group.throughput(Throughput::Elements((patch_count * cnn.multiply_adds()) as u64));
+        group.bench_function(BenchmarkId::from_parameter(patch_count), |bench| {
             bench.iter(|| cnn.embed(black_box(&patches), &mut memory, &mut out));
         });
     }
@@ -128,16 +128,16 @@ fn context(c: &mut Criterion) {
 
 fn decoder(c: &mut Criterion) {
     let weights = Weights::onboard();
-    let (agents_len, draws_len, steps_len, horizon_len) = (32, 20, 8, 12);
-    let states: Vec<[f32; 6]> = (0..agents_len * steps_len).map(|i| [value(i); 6]).collect();
+    let (agents_len, draw_count, step_count, horizon_len) = (32, 20, 8, 12);
+    let states: Vec<[f32; 6]> = (0..agents_len * step_count).map(|i| [value(i); 6]).collect();
     let present = vec![true; states.len()];
-    let latents: Vec<[f32; 32]> = (0..agents_len * draws_len).map(|i| [value(i); 32]).collect();
+    let latents: Vec<[f32; 32]> = (0..agents_len * draw_count).map(|i| [value(i); 32]).collect();
     let summaries: Vec<[f32; 64]> = (0..agents_len).map(|i| [value(i); 64]).collect();
     let mut hidden = vec![[0.0; 128]; agents_len];
     let mut out = vec![[0.0; RAW_CONTROL]; latents.len() * horizon_len];
     let mut memory = DecoderMemory::default();
     let mut group = c.benchmark_group("decoder");
-    let steps = agents_len * steps_len + latents.len() * horizon_len;
+    let steps = agents_len * step_count + latents.len() * horizon_len;
     group.throughput(Throughput::Elements((steps * 384 * 128) as u64));
     for precision in [Precision::F32, Precision::Bf16] {
         if let Err(why) = precision.check() {

@@ -219,12 +219,12 @@ impl Gdat {
     }
 
     /// Reserves memory for graphs of this many nodes and edges, so that [`Gdat::attend`] does not allocate.
-    pub fn make_room(&self, nodes_len: usize, edges_len: usize, memory: &mut GdatMemory) {
+    pub fn make_room(&self, node_count: usize, edges_len: usize, memory: &mut GdatMemory) {
         let GdatMemory { nodes, attributes, edges, round: scratch, .. } = memory;
         edges.reserve(edges_len.saturating_sub(edges.len()));
-        nodes.iter_mut().for_each(|nodes| nodes.reserve(nodes_len * NODE_ATTRIBUTES));
+        nodes.iter_mut().for_each(|nodes| nodes.reserve(node_count * NODE_ATTRIBUTES));
         attributes.reserve(edges_len.saturating_sub(attributes.len()));
-        self.rounds.iter().for_each(|round| round.make_room(nodes_len, edges_len, scratch));
+        self.rounds.iter().for_each(|round| round.make_room(node_count, edges_len, scratch));
     }
 }
 

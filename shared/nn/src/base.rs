@@ -300,16 +300,16 @@ impl Base {
     }
 
     /// Number of the base's controls for an agent: one per step of each mode and of the best forecast.
-    pub const fn controls_len(&self) -> usize {
+    pub const fn control_count(&self) -> usize {
         (self.modes_len + 1) * self.horizon_len
     }
 
     /// The base controls, \[mode, step\]: first every mode's, then the best forecast's.
     ///
     /// # Panics
-    /// If the length of `controls` differs from [`Base::controls_len`].
+    /// If the length of `controls` differs from [`Base::control_count`].
     pub fn controls(&self, features: &BaseFeatures, controls: &mut [[f32; 2]]) {
-        assert_eq!(controls.len(), self.controls_len(), "a control per mode and step");
+        assert_eq!(controls.len(), self.control_count(), "a control per mode and step");
         let (modes, best) = controls.split_at_mut(self.modes_len * self.horizon_len);
         self.ridge(features, best);
         for (mode, controls) in modes.chunks_exact_mut(self.horizon_len).enumerate() {

@@ -177,11 +177,11 @@ impl TypeDecoder {
         }
         let mut latent_base = None;
         if config.base_latent {
-            let controls_len = 2 * config.horizon_len;
-            let matrix = weights.tensor(&name("latent_base.weight"), &[LATENT, controls_len])?;
+            let control_count = 2 * config.horizon_len;
+            let matrix = weights.tensor(&name("latent_base.weight"), &[LATENT, control_count])?;
             let of_latent = input.chunks_exact(shape[1]).map(|row| &row[STATE_FEATURES + TEMPORAL..]);
-            let folded = fold(of_latent, matrix, latent_scale(config, agent_type), controls_len);
-            latent_base = Some(Linear::pack(&folded, None, [GATES, controls_len], 0..controls_len));
+            let folded = fold(of_latent, matrix, latent_scale(config, agent_type), control_count);
+            latent_base = Some(Linear::pack(&folded, None, [GATES, control_count], 0..control_count));
         }
         let mut idle = Buffer::zeroed(GATES);
         idle.copy_from_slice(input_bias);
@@ -214,19 +214,19 @@ impl TypeDecoder {
     /// # Panics
     /// If the sizes of states, presence and `hidden` do not match.
     pub fn burn_in(&self, agents: &BurnIn<'_>, memory: &mut DecoderMemory, hidden: &mut [[f32; HIDDEN]]) {
-        let rows_len = agents.agents_len;
+        let row_count = agents.agents_len;
         assert_eq!(agents.states.len(), agents.present.len(), "presence of each state");
-        assert_eq!(hidden.len(), rows_len, "a row per agent");
+        assert_eq!(hidden.len(), row_count, "a row per agent");
         hidden.as_flattened_mut().fill(0.0);
-        if rows_len == 0 {
+        if row_count == 0 {
             return;
         }
-        memory.reserve(rows_len);
-        let steps = agents.states.chunks_exact(rows_len).zip(agents.present.chunks_exact(rows_len));
+        memory.reserve(row_count);
+        let steps = agents.states.chunks_exact(row_count).zip(agents.present.chunks_exact(row_count));
         for (step, (states, present)) in steps.enumerate() {
-            let input = &mut memory.input[..rows_len * GATES];
-            let gates = &mut memory.gates[..rows_len * GATES];
-            let next = &mut memory.state[..rows_len * HIDDEN];
+            let input = &mut memory.input[..row_count * GATES];
+            let gates = &mut memory.gates[..row_count * GATES];
+            let next = &mut memory.state[..row_count * HIDDEN];
             self.state.run(states.as_flattened(), STATE_FEATURES, Activation::None, input);
             if step == 0 {
                 gates.chunks_exact_mut(GATES).for_each(|row| row.copy_from_slice(&self.at_rest));
@@ -272,8 +272,8 @@ impl TypeDecoder {
         // All draws of an agent start from its state, so they share the first step's recurrent half.
         let first_gates = &mut memory.first[..agents_len * GATES];
         self.hidden.run(hidden.as_flattened(), HIDDEN, Activation::None, first_gates);
-        let (draws_len, shared) = match draws {
-            Draws::Points(_) => (self.points_len(), true),
+        let (draw_count, shared) = match draws {
+            Draws::Points(_) => (self.point_count(), true),
             Draws::Given(latents) => {
                 memory.latent.reserve(latents.len() * GATES);
                 let gates = &mut memory.latent[..latents.len() * GATES];
@@ -281,13 +281,13 @@ impl TypeDecoder {
                 (latents.len() / agents_len, false)
             }
         };
-        let rows_len = agents_len * draws_len;
-        assert!(rows_len > 0 && out.len().is_multiple_of(rows_len), "whole steps");
-        let horizon_len = out.len() / rows_len;
-        for first in (0..rows_len).step_by(BLOCK) {
-            let len = BLOCK.min(rows_len - first);
+        let row_count = agents_len * draw_count;
+        assert!(row_count > 0 && out.len().is_multiple_of(row_count), "whole steps");
+        let horizon_len = out.len() / row_count;
+        for first in (0..row_count).step_by(BLOCK) {
+            let len = BLOCK.min(row_count - first);
             for block_row in 0..len {
-                let (agent, draw) = ((first + block_row) / draws_len, (first + block_row) % draws_len);
+                let (agent, draw) = ((first + block_row) / draw_count, (first + block_row) % draw_count);
                 memory.state[block_row * HIDDEN..][..HIDDEN].copy_from_slice(&hidden[agent]);
                 let latent = match &self.points {
                     Some(points) if shared => &points.gates[draw * GATES..][..GATES],
@@ -299,11 +299,11 @@ impl TypeDecoder {
                 input.iter_mut().zip(sums).for_each(|(input, sum)| *input = sum);
             }
             if let (Some(layer), Draws::Points(base)) = (&self.latent_base, draws) {
-                let rows = (first..first + len).map(|row| (row / draws_len, row % draws_len));
+                let rows = (first..first + len).map(|row| (row / draw_count, row % draw_count));
                 add_base(layer, base, agents_len, horizon_len, rows, memory);
             }
             for (block_row, gates) in memory.gates[..len * GATES].chunks_exact_mut(GATES).enumerate() {
-                let agent = (first + block_row) / draws_len;
+                let agent = (first + block_row) / draw_count;
                 gates.copy_from_slice(&memory.first[agent * GATES..][..GATES]);
             }
             self.unroll(len, horizon_len, memory, &mut out[first * horizon_len..][..len * horizon_len]);
@@ -337,7 +337,7 @@ impl TypeDecoder {
     }
 
     /// Number of learned latent points, including the best forecast's; 0 if the model draws from N(0, I).
-    pub fn points_len(&self) -> usize {
+    pub fn point_count(&self) -> usize {
         self.points.as_ref().map_or(0, |points| points.len)
     }
 
@@ -392,15 +392,15 @@ fn fold<'w>(
     rows: impl Iterator<Item = &'w [f32]>,
     matrix: &[f32],
     scale: [f32; 2],
-    controls_len: usize,
+    control_count: usize,
 ) -> Vec<f32> {
-    let mut folded = Vec::with_capacity(GATES * controls_len);
+    let mut folded = Vec::with_capacity(GATES * control_count);
     for row in rows {
         let entry = |control: usize| {
-            let column = matrix.iter().skip(control).step_by(controls_len);
+            let column = matrix.iter().skip(control).step_by(control_count);
             row.iter().zip(column).map(|(w, m)| w * m).sum::<f32>() * scale[control % 2]
         };
-        folded.extend((0..controls_len).map(entry));
+        folded.extend((0..control_count).map(entry));
     }
     folded
 }
@@ -414,17 +414,17 @@ fn add_base(
     rows: impl ExactSizeIterator<Item = (usize, usize)>,
     memory: &mut DecoderMemory,
 ) {
-    let (len, controls_len) = (rows.len(), 2 * horizon_len);
+    let (len, control_count) = (rows.len(), 2 * horizon_len);
     let stride = base.len() / agents_len;
     let DecoderMemory { input, gates, base: gathered, .. } = memory;
-    gathered.reserve(BLOCK * controls_len);
-    for ((agent, mode), out) in rows.zip(gathered.chunks_exact_mut(controls_len)) {
+    gathered.reserve(BLOCK * control_count);
+    for ((agent, mode), out) in rows.zip(gathered.chunks_exact_mut(control_count)) {
         let controls = &base[agent * stride + mode * horizon_len..][..horizon_len];
         out.copy_from_slice(controls.as_flattened());
     }
     let (input, sums) = (&mut input[..len * GATES], &mut gates[..len * GATES]);
     sums.copy_from_slice(input);
-    layer.run_onto(&gathered[..len * controls_len], controls_len, sums, Activation::None, input);
+    layer.run_onto(&gathered[..len * control_count], control_count, sums, Activation::None, input);
 }
 
 impl Points {
@@ -449,10 +449,10 @@ impl ModeHead {
 }
 
 impl DecoderMemory {
-    fn reserve(&mut self, rows_len: usize) {
-        self.input.reserve(rows_len * GATES);
-        self.gates.reserve(rows_len * GATES);
-        self.state.reserve(rows_len * HIDDEN);
-        self.raw.reserve(rows_len * RAW_CONTROL.next_multiple_of(16));
+    fn reserve(&mut self, row_count: usize) {
+        self.input.reserve(row_count * GATES);
+        self.gates.reserve(row_count * GATES);
+        self.state.reserve(row_count * HIDDEN);
+        self.raw.reserve(row_count * RAW_CONTROL.next_multiple_of(16));
     }
 }

@@ -159,12 +159,12 @@ impl Mlp {
         let Some((last, hidden)) = self.layers.split_last() else { return };
         let blocks = input.chunks(BLOCK * self.in_len).zip(out.chunks_mut(BLOCK * self.out_stride()));
         for (input, out) in blocks {
-            let rows_len = input.len() / self.in_len;
+            let row_count = input.len() / self.in_len;
             let (mut from, mut to) = (&mut memory.a, &mut memory.b);
             let mut stride = self.in_len;
             for (i, layer) in hidden.iter().enumerate() {
                 let source = if i == 0 { input } else { &from[..] };
-                layer.run(source, stride, Activation::Relu, &mut to[..rows_len * layer.out_stride()]);
+                layer.run(source, stride, Activation::Relu, &mut to[..row_count * layer.out_stride()]);
                 stride = layer.out_stride();
                 std::mem::swap(&mut from, &mut to);
             }

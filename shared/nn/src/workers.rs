@@ -75,7 +75,7 @@ struct Step<I> {
     block_ns: AtomicU64,
     /// The next block, and the number of blocks.
     next: AtomicUsize,
-    blocks_len: AtomicUsize,
+    block_count: AtomicUsize,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -132,16 +132,16 @@ impl<I> Step<I> {
     fn work<J: Job<Input = I>>(&self, job: &mut J) {
         let input = self.read();
         let deadline = *self.deadline.read().unwrap_or_else(PoisonError::into_inner);
-        let blocks_len = self.blocks_len.load(Ordering::Relaxed);
+        let block_count = self.block_count.load(Ordering::Relaxed);
         loop {
             let block = self.next.fetch_add(1, Ordering::Relaxed);
-            if block >= blocks_len {
+            if block >= block_count {
                 return;
             }
             match deadline {
                 Some(deadline) if !self.run_in_time(job, &input, block, deadline) => {
                     // No other block may start: later blocks have lower priority.
-                    self.next.store(blocks_len, Ordering::Relaxed);
+                    self.next.store(block_count, Ordering::Relaxed);
                     return;
                 }
                 Some(_) => {}
@@ -225,7 +225,7 @@ impl<J: Job> Workers<J> {
             deadline: RwLock::new(None),
             block_ns: AtomicU64::new(0),
             next: AtomicUsize::new(0),
-            blocks_len: AtomicUsize::new(0),
+            block_count: AtomicUsize::new(0),
         };
         let slots = jobs.map(slot).collect();
         let placement = Placement::new(Vec::new());
@@ -258,12 +258,12 @@ impl<J: Job> Workers<J> {
         }
     }
 
-    /// Processes the blocks below `blocks_len`; returns when the last is finished.
+    /// Processes the blocks below `block_count`; returns when the last is finished.
     ///
     /// # Panics
     /// If a job has panicked.
-    pub fn run(&mut self, blocks_len: usize) {
-        self.run_until(blocks_len, None);
+    pub fn run(&mut self, block_count: usize) {
+        self.run_until(block_count, None);
     }
 
     /// As [`Workers::run`], but starts no block after the deadline, and no block that would end after it. The
@@ -272,13 +272,13 @@ impl<J: Job> Workers<J> {
     ///
     /// # Panics
     /// If a job has panicked.
-    pub fn run_until(&mut self, blocks_len: usize, deadline: Option<Deadline>) {
+    pub fn run_until(&mut self, block_count: usize, deadline: Option<Deadline>) {
         *self.step.deadline.write().unwrap_or_else(PoisonError::into_inner) = deadline;
         self.step.block_ns.store(0, Ordering::Relaxed);
         self.step.next.store(0, Ordering::Relaxed);
-        self.step.blocks_len.store(blocks_len, Ordering::Relaxed);
+        self.step.block_count.store(block_count, Ordering::Relaxed);
         // One block is for this thread, so at most one worker per other block is woken.
-        let woken = &self.slots[..self.slots.len().min(blocks_len.saturating_sub(1))];
+        let woken = &self.slots[..self.slots.len().min(block_count.saturating_sub(1))];
         if !woken.is_empty() {
             self.placement.keep_off();
         }
@@ -341,12 +341,12 @@ mod tests {
 
     #[test]
     fn every_block_is_done_once_in_every_run() {
-        for workers_len in 1..=4 {
-            let mut pool = Workers::new(Vec::new(), (0..workers_len).map(|_| Square::default())).unwrap();
-            for blocks_len in (0..200).map(|i| i % 9) {
-                *pool.input() = (0..blocks_len as u64).map(|i| i + 2).collect();
-                pool.run(blocks_len);
-                let expected = (0..blocks_len).map(|i| (i, (i as u64 + 2).pow(2)));
+        for worker_count in 1..=4 {
+            let mut pool = Workers::new(Vec::new(), (0..worker_count).map(|_| Square::default())).unwrap();
+            for block_count in (0..200).map(|i| i % 9) {
+                *pool.input() = (0..block_count as u64).map(|i| i + 2).collect();
+                pool.run(block_count);
+                let expected = (0..block_count).map(|i| (i, (i as u64 + 2).pow(2)));
                 assert_eq!(squares(&mut pool), expected.collect::<Vec<_>>());
             }
         }

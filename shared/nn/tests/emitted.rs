@@ -35,7 +35,7 @@ impl Loop<'_> {
     }
 
     /// Number of registers that accumulate multiply-adds.
-    fn sums_len(&self) -> usize {
+    fn sum_count(&self) -> usize {
         let register = |line: &str| line.split_whitespace().nth(1)?.split(',').next().map(str::to_owned);
         self.multiply_adds().filter_map(register).collect::<BTreeSet<_>>().len()
     }
@@ -107,8 +107,8 @@ fn innermost(function: &[(u64, String)]) -> Vec<Loop<'_>> {
     loops
 }
 
-/// Checks the loops of an instruction set. At least `loops_len` of them must have `sums_len` sums.
-fn check(set: &str, sums_len: usize, loops_len: usize) {
+/// Checks the loops of an instruction set. At least `loop_count` of them must have `sum_count` sums.
+fn check(set: &str, sum_count: usize, loop_count: usize) {
     let Some(functions) = disassemble(&["kernels", set]) else {
         println!("skipped: no objdump");
         return;
@@ -119,9 +119,9 @@ fn check(set: &str, sums_len: usize, loops_len: usize) {
         assert!(!hot.lines().any(is_copy), "{set} copies a register in\n{}", hot.text());
         assert!(!hot.lines().any(is_spill), "{set} spills in\n{}", hot.text());
     }
-    let whole = hot.iter().filter(|hot| hot.sums_len() >= sums_len).count();
-    assert!(whole >= loops_len, "{set} has {whole} loops of {sums_len} sums among {}", hot.len());
-    println!("{set}: {} hot loops, {whole} of them with {sums_len} sums or more", hot.len());
+    let whole = hot.iter().filter(|hot| hot.sum_count() >= sum_count).count();
+    assert!(whole >= loop_count, "{set} has {whole} loops of {sum_count} sums among {}", hot.len());
+    println!("{set}: {} hot loops, {whole} of them with {sum_count} sums or more", hot.len());
 }
 
 #[test]

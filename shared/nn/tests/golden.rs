@@ -202,7 +202,7 @@ fn check_encoding(reference: &Reference, history: &[[f32; 64]], future: &[[f32; 
 fn check_decoder(reference: &Reference, temporal: &[[f32; 64]], precision: Precision) {
     let (agents_len, config) = (reference.agents_len(), reference.weights.config());
     let latents = rows::<32>(reference.tensor("latent.z"));
-    let draws_len = latents.len() / agents_len;
+    let draw_count = latents.len() / agents_len;
     let horizon_len = config.horizon_len;
     let mut raw = vec![[0.0; RAW_CONTROL]; latents.len() * horizon_len];
     let states = rows::<6>(reference.tensor("history.state"));
@@ -215,9 +215,9 @@ fn check_decoder(reference: &Reference, temporal: &[[f32; 64]], precision: Preci
         let own_states: Vec<_> = own.iter().map(|&row| states[row]).collect();
         let own_present: Vec<_> = own.iter().map(|&row| present[row]).collect();
         let burn_in = BurnIn { agents_len: 1, states: &own_states, present: &own_present };
-        let own_latents: Vec<_> = (0..draws_len).map(|draw| latents[draw * agents_len + agent]).collect();
+        let own_latents: Vec<_> = (0..draw_count).map(|draw| latents[draw * agents_len + agent]).collect();
         let mut hidden = [[0.0; 128]];
-        let mut out = vec![[0.0; RAW_CONTROL]; draws_len * horizon_len];
+        let mut out = vec![[0.0; RAW_CONTROL]; draw_count * horizon_len];
         let typed = decoder.of(reference.types[agent]);
         typed.burn_in(&burn_in, &mut memory, &mut hidden);
         let summary = &temporal[agent..=agent];
@@ -257,12 +257,12 @@ fn check(folder: &str) {
 fn outputs() -> Vec<f32> {
     let value = |i: usize| ((i * 37) % 101) as f32 * 0.02 - 1.0;
     let mut all = Vec::new();
-    for rows_len in 1..=27 {
+    for row_count in 1..=27 {
         for out_len in [16, 32, 48] {
-            let in_len = 5 + rows_len;
+            let in_len = 5 + row_count;
             let panels = Panels::pack([out_len, 1, in_len], |out, _, i| value(out * 7 + i * 3), value);
-            let input: Vec<f32> = (0..rows_len * in_len).map(value).collect();
-            let mut out = vec![0.0; rows_len * out_len];
+            let input: Vec<f32> = (0..row_count * in_len).map(value).collect();
+            let mut out = vec![0.0; row_count * out_len];
             let gather = Gather::Rows { stride: in_len };
             Product { input: &input, gather, panels: &panels, residual: None, relu: false, out: &mut out }
                 .run();

@@ -50,14 +50,14 @@ impl Scene {
 }
 
 fn scenes() -> impl Strategy<Value = (Scene, Vec<usize>)> {
-    (1_usize..7, 1_usize..5).prop_flat_map(|(agents_len, steps_len)| {
-        let nodes_len = agents_len * steps_len;
-        let presence = prop::collection::vec(prop::bool::weighted(0.8), nodes_len);
-        let near = prop::collection::vec(any::<bool>(), nodes_len * agents_len);
-        let numbers = prop::collection::vec(-1.0_f32..1.0, nodes_len * 64 + nodes_len * agents_len * 16);
+    (1_usize..7, 1_usize..5).prop_flat_map(|(agents_len, step_count)| {
+        let node_count = agents_len * step_count;
+        let presence = prop::collection::vec(prop::bool::weighted(0.8), node_count);
+        let near = prop::collection::vec(any::<bool>(), node_count * agents_len);
+        let numbers = prop::collection::vec(-1.0_f32..1.0, node_count * 64 + node_count * agents_len * 16);
         let order = Just((0..agents_len).collect::<Vec<_>>()).prop_shuffle();
         (presence, near, numbers, order).prop_map(move |(present, near, numbers, order)| {
-            let (nodes, attributes) = numbers.split_at(nodes_len * 64);
+            let (nodes, attributes) = numbers.split_at(node_count * 64);
             let mut edges = Vec::new();
             for (i, near) in near.iter().enumerate() {
                 let (row, sender) = (i / agents_len, i % agents_len);
@@ -180,14 +180,14 @@ fn told_of_base(
     points: &[f32],
     base: &[[f32; 2]],
 ) -> Vec<[f32; 32]> {
-    let controls_len = 2 * weights.config().horizon_len;
+    let control_count = 2 * weights.config().horizon_len;
     let name = format!("decoder.{}.latent_base.weight", agent_type.name());
-    let matrix = weights.tensor(&name, &[32, controls_len]).unwrap();
+    let matrix = weights.tensor(&name, &[32, control_count]).unwrap();
     let scale = latent_scale(weights.config(), agent_type);
-    let rows = points.as_chunks::<32>().0.iter().zip(base.as_flattened().chunks_exact(controls_len));
+    let rows = points.as_chunks::<32>().0.iter().zip(base.as_flattened().chunks_exact(control_count));
     let moved = |(point, controls): (&[f32; 32], &[f32])| {
         std::array::from_fn(|i| {
-            let terms = matrix[i * controls_len..][..controls_len].iter().zip(controls).enumerate();
+            let terms = matrix[i * control_count..][..control_count].iter().zip(controls).enumerate();
             point[i] + terms.map(|(k, (m, control))| m * scale[k % 2] * control).sum::<f32>()
         })
     };
@@ -201,7 +201,7 @@ fn learned_points_are_decoded_as_if_they_were_given() {
     let decoder = decoder.of(AgentType::Cyclist);
     let mut latents = weights.tensor("decoder.cyclist.latents", &[20, 32]).unwrap().to_vec();
     latents.extend(decoder.best_latent().unwrap());
-    assert_eq!(decoder.points_len(), 21);
+    assert_eq!(decoder.point_count(), 21);
     let agents_len = 3;
     let horizon_len = weights.config().horizon_len;
     let base: Vec<[f32; 2]> =

@@ -49,9 +49,9 @@ fn retrieval(c: &mut Criterion) {
         b.iter(|| memory.retrieve(u64::MAX, std::hint::black_box(&here), &mut retrieved));
     });
     let mut selection = ModeSelection::default();
-    let neighbours_len = retrieved.neighbours.len();
-    let paths: Vec<_> = (0..20 + neighbours_len as u64).map(path).collect();
-    c.bench_function(&format!("selection among 20 modes and {neighbours_len} neighbours"), |b| {
+    let neighbour_count = retrieved.neighbours.len();
+    let paths: Vec<_> = (0..20 + neighbour_count as u64).map(path).collect();
+    c.bench_function(&format!("selection among 20 modes and {neighbour_count} neighbours"), |b| {
         b.iter(|| {
             let weights = retrieved.neighbours.iter().map(|neighbour| neighbour.weight);
             let paths = std::hint::black_box(&paths);

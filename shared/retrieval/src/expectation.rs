@@ -79,9 +79,9 @@ impl Shrinkage {
         })
     }
 
-    /// The sums of `steps_len` steps in the file's order.
-    pub(crate) fn numbers(&self, steps_len: usize) -> impl Iterator<Item = f32> {
-        self.steps[..steps_len].iter().flatten().flat_map(|&(product, square)| [product, square])
+    /// The sums of `step_count` steps in the file's order.
+    pub(crate) fn numbers(&self, step_count: usize) -> impl Iterator<Item = f32> {
+        self.steps[..step_count].iter().flatten().flat_map(|&(product, square)| [product, square])
     }
 
     /// The inverse of [`Shrinkage::numbers`].

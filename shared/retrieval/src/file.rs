@@ -86,10 +86,10 @@ impl RetrievalMemory {
         if (memory.horizon_len, memory.step_ns) == (horizon_len, step_ns.cast_signed()) {
             return Ok(memory);
         }
-        let (found_len, found_ns) = (memory.horizon_len, memory.step_ns);
+        let (found_count, found_ns) = (memory.horizon_len, memory.step_ns);
         let expected = format!("expected {horizon_len} of {step_ns} ns");
         Err(target
-            .content(format!("its forecasts have {found_len} steps of {found_ns} ns, {expected}"))
+            .content(format!("its forecasts have {found_count} steps of {found_ns} ns, {expected}"))
             .into())
     }
 
@@ -98,23 +98,23 @@ impl RetrievalMemory {
         let kept: BTreeSet<usize> = self.index.buckets().flat_map(|bucket| self.bucket(bucket)).collect();
         let keys = || kept.iter().filter_map(|place| self.key(*place));
         let values = || kept.iter().map(|place| &self.values[*place]);
-        let (len, steps_len) = (kept.len(), self.horizon_len);
+        let (len, step_count) = (kept.len(), self.horizon_len);
         let bytes =
             |numbers: &mut dyn Iterator<Item = f32>| numbers.flat_map(f32::to_le_bytes).collect::<Vec<u8>>();
-        let residuals = |value: &Value| value.residuals.steps()[..steps_len].as_flattened().to_vec();
+        let residuals = |value: &Value| value.residuals.steps()[..step_count].as_flattened().to_vec();
         let kind: Vec<u8> = keys().map(|key| key.kind() as u8).collect();
         let key = bytes(&mut keys().flat_map(Key::components));
-        let taken: Vec<u8> = values().map(|value| value.taken_len as u8).collect();
+        let taken: Vec<u8> = values().map(|value| value.taken_count as u8).collect();
         let residual = bytes(&mut values().flat_map(residuals));
-        let shrinkage = bytes(&mut self.shrinkage.iter().flat_map(|shrinkage| shrinkage.numbers(steps_len)));
+        let shrinkage = bytes(&mut self.shrinkage.iter().flat_map(|shrinkage| shrinkage.numbers(step_count)));
         let step = self.step_ns.to_le_bytes();
         serialize(
             [
                 (KIND, TensorView::new(Dtype::U8, vec![len], &kind)?),
                 (KEY, TensorView::new(Dtype::F32, vec![len, COMPONENTS], &key)?),
                 (TAKEN, TensorView::new(Dtype::U8, vec![len], &taken)?),
-                (RESIDUAL, TensorView::new(Dtype::F32, vec![len, steps_len, 2], &residual)?),
-                (SHRINKAGE, TensorView::new(Dtype::F32, vec![2, steps_len, 2, 2], &shrinkage)?),
+                (RESIDUAL, TensorView::new(Dtype::F32, vec![len, step_count, 2], &residual)?),
+                (SHRINKAGE, TensorView::new(Dtype::F32, vec![2, step_count, 2, 2], &shrinkage)?),
                 (STEP_NS, TensorView::new(Dtype::I64, vec![1], &step)?),
             ],
             Some([(WEIGHTS.to_owned(), weights_sha256.to_owned())].into()),
@@ -130,22 +130,22 @@ impl RetrievalMemory {
         let tensor = |name| tensors.tensor(name).map_err(format);
         let step_ns = step_ns(&tensor(STEP_NS)?).map_err(content)?;
         let residual = tensor(RESIDUAL)?;
-        let [len, steps_len, 2] = residual.shape()[..] else {
+        let [len, step_count, 2] = residual.shape()[..] else {
             let shape = residual.shape();
             return Err(
                 content(format!("{RESIDUAL} has shape {shape:?}, expected [entries, steps, 2]")).into()
             );
         };
-        if len > ENTRIES_MAX || !(1..=HORIZON_MAX).contains(&steps_len) {
+        if len > ENTRIES_MAX || !(1..=HORIZON_MAX).contains(&step_count) {
             let most = format!("at most {ENTRIES_MAX} of 1 to {HORIZON_MAX} allowed");
-            return Err(content(format!("{len} entries of {steps_len} steps, {most}")).into());
+            return Err(content(format!("{len} entries of {step_count} steps, {most}")).into());
         }
         let kind = small(KIND, &tensor(KIND)?, len, 1).map_err(content)?;
-        let taken = small(TAKEN, &tensor(TAKEN)?, len, steps_len as u8).map_err(content)?;
+        let taken = small(TAKEN, &tensor(TAKEN)?, len, step_count as u8).map_err(content)?;
         let key = finite_numbers(KEY, &tensor(KEY)?, &[len, COMPONENTS]).map_err(content)?;
-        let residual = numbers(RESIDUAL, &residual, &[len, steps_len, 2]).map_err(content)?;
+        let residual = numbers(RESIDUAL, &residual, &[len, step_count, 2]).map_err(content)?;
         let shrinkage =
-            finite_numbers(SHRINKAGE, &tensor(SHRINKAGE)?, &[2, steps_len, 2, 2]).map_err(content)?;
+            finite_numbers(SHRINKAGE, &tensor(SHRINKAGE)?, &[2, step_count, 2, 2]).map_err(content)?;
 
         // The order is Σ predicted · actual, Σ predicted².
         if let Some(negative) = shrinkage.iter().skip(1).step_by(2).find(|square| **square < 0.0) {
@@ -153,11 +153,11 @@ impl RetrievalMemory {
             return Err(content(why).into());
         }
 
-        let mut memory = Self::new(steps_len, step_ns);
-        for (shrinkage, numbers) in memory.shrinkage.iter_mut().zip(shrinkage.chunks_exact(4 * steps_len)) {
+        let mut memory = Self::new(step_count, step_ns);
+        for (shrinkage, numbers) in memory.shrinkage.iter_mut().zip(shrinkage.chunks_exact(4 * step_count)) {
             *shrinkage = Shrinkage::of_numbers(numbers);
         }
-        let entries = key.as_chunks::<COMPONENTS>().0.iter().zip(residual.chunks_exact(2 * steps_len));
+        let entries = key.as_chunks::<COMPONENTS>().0.iter().zip(residual.chunks_exact(2 * step_count));
         for (number, (components, residual)) in entries.enumerate() {
             let kind = if kind[number] == 0 { MotionKind::Bicycle } else { MotionKind::Displacement };
             if let Some(beyond) = components[..2].iter().find(|x| x.abs() > POSITION_MAX_M) {
@@ -170,8 +170,8 @@ impl RetrievalMemory {
             if let Some(residual) = residual.iter().enumerate().find_map(impossible) {
                 return Err(content(format!("{RESIDUAL}[{number}] holds {residual}")).into());
             }
-            let (taken_len, residuals) = (usize::from(taken[number]), Residuals::of_numbers(residual));
-            let value = Value { agent: 0, session: 0, taken_len, residuals };
+            let (taken_count, residuals) = (usize::from(taken[number]), Residuals::of_numbers(residual));
+            let value = Value { agent: 0, session: 0, taken_count, residuals };
             memory.push(Key::of_components(kind, components), value);
         }
         memory.end_session();

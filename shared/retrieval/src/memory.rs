@@ -32,7 +32,7 @@ pub(crate) struct Value {
     pub(crate) agent: u64,
     pub(crate) session: u64,
     /// Number of steps taken since.
-    pub(crate) taken_len: usize,
+    pub(crate) taken_count: usize,
     pub(crate) residuals: Residuals,
 }
 
@@ -195,7 +195,7 @@ impl RetrievalMemory {
     }
 
     /// Number of stored entries.
-    pub fn entries_len(&self) -> usize {
+    pub fn entry_count(&self) -> usize {
         self.values.len()
     }
 
@@ -238,16 +238,16 @@ impl RetrievalMemory {
             let place = pending.number.checked_sub(oldest).map(|place| place as usize);
             let Some(value) = place.and_then(|place| values.get_mut(place)) else { return false };
             let Pending { number, stamp_ns, kind, forecast, taken, predicted } = pending;
-            let taken_before = value.taken_len;
-            while value.taken_len < horizon_len {
-                let step = value.taken_len;
+            let taken_before = value.taken_count;
+            while value.taken_count < horizon_len {
+                let step = value.taken_count;
                 let due_ns = stamp_ns.saturating_add(step_ns.saturating_mul(step as i64 + 1));
                 if due_ns > now_ns {
                     break;
                 }
                 let share = (due_ns - since_ns) as f32 / (now_ns - since_ns).max(1) as f32;
                 taken.push([0, 1].map(|axis| from_m[axis] + share * (position_m[axis] - from_m[axis])));
-                value.taken_len += 1;
+                value.taken_count += 1;
                 let residuals = residual(*kind, forecast, taken, step, step_s);
                 for (component, residual) in residuals.into_iter().enumerate() {
                     if let Some((step, residual)) = residual {
@@ -256,10 +256,10 @@ impl RetrievalMemory {
                     }
                 }
             }
-            if value.taken_len > taken_before {
+            if value.taken_count > taken_before {
                 changed.push(*number);
             }
-            value.taken_len < horizon_len
+            value.taken_count < horizon_len
         });
     }
 
@@ -287,8 +287,8 @@ impl RetrievalMemory {
         retrieved.neighbours.clear();
         retrieved.least = 0;
         for bucket in key.buckets_around() {
-            let ahead_len = ahead.iter().filter(|ahead| **ahead == bucket).count();
-            let mut left = BUCKET_MAX[kind as usize].saturating_sub(ahead_len);
+            let ahead_count = ahead.iter().filter(|ahead| **ahead == bucket).count();
+            let mut left = BUCKET_MAX[kind as usize].saturating_sub(ahead_count);
             for (numbers, keys) in self.index.runs(&bucket, oldest) {
                 // First all keys of the run, and then the values of the similar ones: the values are far
                 // apart in memory.
@@ -304,7 +304,7 @@ impl RetrievalMemory {
                     if similarity.in_mean > 0.0 {
                         mean.add(similarity.in_mean, &value.residuals);
                     }
-                    if similarity.as_neighbour >= SIMILARITY_MIN && value.taken_len == self.horizon_len {
+                    if similarity.as_neighbour >= SIMILARITY_MIN && value.taken_count == self.horizon_len {
                         retrieved.add(similarity.as_neighbour, &value.residuals);
                     }
                 }
@@ -352,7 +352,7 @@ impl RetrievalMemory {
             predicted: new.predicted.clone(),
         });
         let (session, residuals) = (self.session, Residuals::default());
-        self.push(key, Value { agent, session, taken_len: 0, residuals });
+        self.push(key, Value { agent, session, taken_count: 0, residuals });
     }
 
     /// Adds an entry; if there are [`ENTRIES_MAX`], it replaces the oldest.

@@ -21,7 +21,7 @@ pub struct StoredEntry {
     key: [f32; COMPONENTS],
     residuals: [[f32; 2]; HORIZON_MAX],
     kind: u32,
-    taken_len: u32,
+    taken_count: u32,
 }
 
 /// The state besides the entries. Agents whose paths are filling entries are left out.
@@ -53,7 +53,7 @@ impl RetrievalMemory {
         }
         StoredState {
             oldest: self.oldest,
-            next: self.oldest + self.entries_len() as u64,
+            next: self.oldest + self.entry_count() as u64,
             session: self.session,
             now_ns: self.now_ns,
             step_ns: self.step_ns,
@@ -74,7 +74,7 @@ impl RetrievalMemory {
             key: key.components(),
             residuals: *value.residuals.steps(),
             kind: key.kind() as u32,
-            taken_len: value.taken_len as u32,
+            taken_count: value.taken_count as u32,
         })
     }
 
@@ -113,7 +113,7 @@ impl RetrievalMemory {
             }
             memory.push(entry.key()?, entry.value(horizon_len)?);
         }
-        if memory.entries_len() == len { Ok(memory) } else { Err("number of the entries") }
+        if memory.entry_count() == len { Ok(memory) } else { Err("number of the entries") }
     }
 }
 
@@ -136,11 +136,11 @@ impl StoredEntry {
     fn value(&self, horizon_len: usize) -> Result<Value, &'static str> {
         let most = RESIDUAL_MAX[self.kind()? as usize];
         let is_possible = |(place, x): (usize, &f32)| x.is_nan() || x.abs() <= most[place % 2];
-        let taken_len = self.taken_len as usize;
-        if taken_len > horizon_len || !self.residuals.as_flattened().iter().enumerate().all(is_possible) {
+        let taken_count = self.taken_count as usize;
+        if taken_count > horizon_len || !self.residuals.as_flattened().iter().enumerate().all(is_possible) {
             return Err("residuals");
         }
         let residuals = Residuals::of_numbers(self.residuals.as_flattened());
-        Ok(Value { agent: self.agent, session: self.session, taken_len, residuals })
+        Ok(Value { agent: self.agent, session: self.session, taken_count, residuals })
     }
 }

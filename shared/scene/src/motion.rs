@@ -13,8 +13,8 @@ use crate::{MOVING_MPS, State, agent_frame};
 /// ```
 ///
 /// The differences are backward only: row k depends on rows up to k. The first present row copies the
-/// velocity of the second present row. If the first row is within the first `observed_len` rows and the
-/// second is not, the first row is at rest instead. No row of the first `observed_len` therefore depends on a
+/// velocity of the second present row. If the first row is within the first `observed_count` rows and the
+/// second is not, the first row is at rest instead. No row of the first `observed_count` therefore depends on a
 /// later one. The heading of an agent at rest is its last defined heading, or 0 if there is none. \[model
 /// §1\]
 ///
@@ -22,7 +22,7 @@ use crate::{MOVING_MPS, State, agent_frame};
 /// If the slices differ in length.
 pub fn states_from_positions(
     positions_m: &[Option<[f32; 2]>],
-    observed_len: usize,
+    observed_count: usize,
     dt_s: f32,
     states: &mut [Option<State>],
 ) {
@@ -30,8 +30,8 @@ pub fn states_from_positions(
     let mut rows = positions_m.iter().enumerate().filter_map(|(step, p)| p.map(|p| (step, p)));
     let first = rows.next();
     let second = rows.next().filter(|(step, _)| {
-        let split = first.is_some_and(|(first, _)| first < observed_len);
-        !split || *step < observed_len
+        let split = first.is_some_and(|(first, _)| first < observed_count);
+        !split || *step < observed_count
     });
     let mut heading_rad = 0.0;
     let mut last = None;

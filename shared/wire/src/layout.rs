@@ -52,7 +52,7 @@ impl ContextShape {
         PATCH_CHANNELS * self.patch_side * self.patch_side
     }
 
-    const fn patches_len(&self) -> usize {
+    const fn patch_count(&self) -> usize {
         self.agents_len * self.history_len * self.patch_len()
     }
 }
@@ -72,7 +72,7 @@ impl FeatureShape {
 /// Number of rows in a `context` payload.
 #[must_use]
 pub const fn context_rows(shape: &ContextShape) -> usize {
-    shape.agents_len * TRACK_ROWS + (shape.patches_len() * 4).div_ceil(size_of::<Row>())
+    shape.agents_len * TRACK_ROWS + (shape.patch_count() * 4).div_ceil(size_of::<Row>())
 }
 
 /// Number of rows in a `features` payload.
@@ -116,7 +116,7 @@ impl<'a> Context<'a> {
         expect(rows.len(), context_rows(&shape))?;
         let (tracks, patches) = rows.split_at(shape.agents_len * TRACK_ROWS);
         let patches: &[f32] = bytemuck::cast_slice(patches);
-        Ok(Self { tracks: bytemuck::cast_slice(tracks), patches: &patches[..shape.patches_len()], shape })
+        Ok(Self { tracks: bytemuck::cast_slice(tracks), patches: &patches[..shape.patch_count()], shape })
     }
 
     /// The patch of an agent at a history step, \[channel, row, column\].
@@ -137,7 +137,7 @@ impl<'a> ContextMut<'a> {
         expect(rows.len(), context_rows(&shape))?;
         let (tracks, patches) = rows.split_at_mut(shape.agents_len * TRACK_ROWS);
         let patches: &mut [f32] = bytemuck::cast_slice_mut(patches);
-        let patches = &mut patches[..shape.patches_len()];
+        let patches = &mut patches[..shape.patch_count()];
         Ok(Self { tracks: bytemuck::cast_slice_mut(tracks), patches, shape })
     }
 

@@ -33,31 +33,32 @@ impl Work {
     /// sampler. `None` for stages without matrix products.
     pub(super) fn tick(&self, load: &Load) -> [Option<f64>; 6] {
         let mlp = |input: usize, output: usize| HIDDEN * (input + 2 * HIDDEN + output);
-        let state = load.nodes_len * mlp(STATE_FEATURES, STATE_EMBEDDING);
-        let relation = load.new_edges_len * mlp(RELATION_FEATURES, EDGE_ATTRIBUTES);
+        let state = load.node_count * mlp(STATE_FEATURES, STATE_EMBEDDING);
+        let relation = load.new_edge_count * mlp(RELATION_FEATURES, EDGE_ATTRIBUTES);
         let extractor = load.agents_len * self.cnn + state + relation;
 
         let edge_in_message = if self.config.edge_in_message { EDGE_ATTRIBUTES * TEMPORAL } else { 0 };
         let node = NODE_ATTRIBUTES * TEMPORAL;
         let sum = TEMPORAL + NODE_ATTRIBUTES;
-        let round = load.nodes_len * node + load.edges_len * (edge_in_message + sum);
+        let round = load.node_count * node + load.edges_len * (edge_in_message + sum);
         // The first layer of the edge update runs once per node for sender and receiver.
-        let update = load.nodes_len * 2 * TEMPORAL * HIDDEN + load.edges_len * 2 * EDGE_ATTRIBUTES * HIDDEN;
-        let temporal = load.nodes_len * (node + TEMPORAL * self.config.temporal_heads);
+        let update = load.node_count * 2 * TEMPORAL * HIDDEN + load.edges_len * 2 * EDGE_ATTRIBUTES * HIDDEN;
+        let temporal = load.node_count * (node + TEMPORAL * self.config.temporal_heads);
         let encoder = self.config.rounds * round + (self.config.rounds - 1) * update + temporal;
 
         let gru = 3 * HIDDEN * HIDDEN;
-        let burn_in = load.burn_in_len * (gru + 3 * HIDDEN * STATE_FEATURES);
+        let burn_in = load.burn_in_count * (gru + 3 * HIDDEN * STATE_FEATURES);
         let draws = self.config.modes + usize::from(self.config.best_latent);
-        let steps = load.forecast_len * draws * self.config.horizon_len;
+        let steps = load.forecast_count * draws * self.config.horizon_len;
         // The recurrent half of the first step runs once per agent for all draws.
-        let recurrences = load.forecast_len + steps - load.forecast_len * draws;
+        let recurrences = load.forecast_count + steps - load.forecast_count * draws;
         let latent =
-            if self.config.best_latent { 0 } else { load.forecast_len * draws * 3 * HIDDEN * LATENT };
+            if self.config.best_latent { 0 } else { load.forecast_count * draws * 3 * HIDDEN * LATENT };
         let modes =
             if self.config.mode_head { MODE_HIDDEN * (TEMPORAL + HIDDEN + self.config.modes) } else { 0 };
         let once = 3 * HIDDEN * TEMPORAL + modes;
-        let decoder = burn_in + load.forecast_len * once + latent + recurrences * gru + steps * HIDDEN * RAW;
+        let decoder =
+            burn_in + load.forecast_count * once + latent + recurrences * gru + steps * HIDDEN * RAW;
         [None, None, Some(extractor as f64), Some(encoder as f64), Some(decoder as f64), None]
     }
 }

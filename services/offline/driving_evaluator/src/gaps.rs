@@ -92,10 +92,11 @@ fn track(source: &Source, options: &Options, model: &ModelConfig) -> Result<Vec<
             let mut header = tick.header;
             header.counts.agents_len = measured.len() as u32;
             chain.tick(&header, &measured, |_| ());
-            let plain_len = plain.step(&header, &measured, None, &mut plain_tracks);
-            let plain_len = plain_len.map_or(0, |tracked| tracked.tracks_len);
+            let plain_count = plain.step(&header, &measured, None, &mut plain_tracks);
+            let plain_count = plain_count.map_or(0, |tracked| tracked.tracks_len);
             for track in chain.tracks() {
-                let other = plain_tracks[..plain_len].iter().find(|other| other.source_id == track.source_id);
+                let other =
+                    plain_tracks[..plain_count].iter().find(|other| other.source_id == track.source_id);
                 let position = other.and_then(|other| {
                     let gap = gap(track.source_id, time_s)?;
                     let truth_m =

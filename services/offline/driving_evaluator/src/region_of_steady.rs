@@ -17,12 +17,12 @@ pub(crate) fn mean_area_m2(
     samples: &[&Sample],
     level: f64,
     band_of: impl Fn(&Sample) -> usize,
-    bands_len: usize,
+    band_count: usize,
 ) -> f64 {
     let fit = |samples: &[&Sample]| {
         Gaussian::fit(&samples.iter().map(|sample| sample.beyond_steady_m).collect::<Vec<_>>())
     };
-    let sums_m2 = (0..bands_len).map(|band| {
+    let sums_m2 = (0..band_count).map(|band| {
         let of_band: Vec<&Sample> = samples.iter().copied().filter(|s| band_of(s) == band).collect();
         let gaussian = fit(if of_band.len() < BAND_MIN { samples } else { &of_band });
         let held = of_band.iter().filter(|sample| sample.is_held(level, STEPS.len() - 1)).count();
@@ -58,11 +58,11 @@ mod tests {
         (0..400).map(of).collect()
     }
 
-    fn area_m2(held: [usize; 2], bands_len: usize) -> f64 {
+    fn area_m2(held: [usize; 2], band_count: usize) -> f64 {
         let samples = samples([1.0, 10.0], held);
         let samples: Vec<&Sample> = samples.iter().collect();
-        let band_of = |sample: &Sample| usize::from(bands_len > 1 && sample.speed_mps > 5.0);
-        mean_area_m2(&samples, 0.9, band_of, bands_len)
+        let band_of = |sample: &Sample| usize::from(band_count > 1 && sample.speed_mps > 5.0);
+        mean_area_m2(&samples, 0.9, band_of, band_count)
     }
 
     #[test]

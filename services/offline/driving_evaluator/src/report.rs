@@ -216,10 +216,10 @@ impl Report {
         let mut table = Table::new("", "", &["type"], columns.map(str::to_owned).into_iter());
         for agent_type in wire::AGENT_TYPES {
             let of_type = self.cells().filter(|(_, of, _)| *of == agent_type);
-            let (mut samples, mut sources_len) = (Vec::new(), 0);
+            let (mut samples, mut source_count) = (Vec::new(), 0);
             for (_, _, of_source) in of_type {
                 samples.extend(of_source);
-                sources_len += 1;
+                source_count += 1;
             }
             if samples.is_empty() {
                 continue;
@@ -232,7 +232,7 @@ impl Report {
             let (half, tenth) = (samples.len() / 2, samples.len() - samples.len() / 10);
             let parts = [&samples[..half], &samples[half..tenth], &samples[tenth..]];
             let [lower, _, upper] = parts.map(ratio);
-            let mut row = vec![agent_type.name().to_owned(), sources_len.to_string()];
+            let mut row = vec![agent_type.name().to_owned(), source_count.to_string()];
             row.extend(parts.map(|part| {
                 let most = part.last().map_or(0.0, |sample| sample.out_of_distribution);
                 format!("{:.2} (to {most:.2})", ratio(part))

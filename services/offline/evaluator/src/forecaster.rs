@@ -410,7 +410,7 @@ impl Decoded {
     /// Counts what the stages left out of the window.
     pub(crate) fn crowding(&self) -> Crowding {
         let (agents_len, edges_len) = (self.payload.left_out as u64, self.edges_left_out as u64);
-        Crowding { windows_len: u64::from(agents_len + edges_len > 0), agents_len, edges_len }
+        Crowding { window_count: u64::from(agents_len + edges_len > 0), agents_len, edges_len }
     }
 
     fn counting_tracks(&self) -> Vec<Track> {

@@ -41,7 +41,7 @@ impl Group {
     pub fn new(part: &str, subset: Subset, place: usize, blocks: &[Block]) -> Self {
         let tallies = || blocks.iter().map(|block| &block.tallies[place]);
         let counted = tallies().filter(|tally| !tally.is_empty()).cloned().collect();
-        Self::of_tallies(part, subset, "m", horizons_len(tallies()), counted)
+        Self::of_tallies(part, subset, "m", horizon_count(tallies()), counted)
     }
 
     /// All agents of several groups.
@@ -49,8 +49,8 @@ impl Group {
     pub fn pooled(part: &str, groups: &[&Self]) -> Self {
         let (subset, unit) = groups.first().map_or((Subset::All, "m"), |group| (group.subset, group.unit));
         let blocks = groups.iter().flat_map(|group| group.blocks.iter().cloned()).collect();
-        let horizons_len = horizons_len(groups.iter().map(|group| &group.total));
-        let mut pooled = Self::of_tallies(part, subset, unit, horizons_len, blocks);
+        let horizon_count = horizon_count(groups.iter().map(|group| &group.total));
+        let mut pooled = Self::of_tallies(part, subset, unit, horizon_count, blocks);
         // Each part reports its own crowding.
         pooled.total.crowding = Crowding::default();
         pooled
@@ -60,18 +60,18 @@ impl Group {
     #[must_use]
     pub fn scaled(&self, unit: &'static str, per_m: f64) -> Self {
         let blocks = self.blocks.iter().map(|tally| tally.clone().scaled(per_m)).collect();
-        Self::of_tallies(&self.part, self.subset, unit, self.total.horizons_len(), blocks)
+        Self::of_tallies(&self.part, self.subset, unit, self.total.horizon_count(), blocks)
     }
 
-    /// Sums `blocks`. The total has `horizons_len` horizons even without blocks.
+    /// Sums `blocks`. The total has `horizon_count` horizons even without blocks.
     fn of_tallies(
         part: &str,
         subset: Subset,
         unit: &'static str,
-        horizons_len: usize,
+        horizon_count: usize,
         blocks: Vec<Tally>,
     ) -> Self {
-        let mut total = Tally::new(horizons_len);
+        let mut total = Tally::new(horizon_count);
         blocks.iter().for_each(|block| total.merge(block));
         Self { part: part.to_owned(), subset, unit, total, blocks }
     }
@@ -103,6 +103,6 @@ impl Group {
 }
 
 /// The number of horizons, which all these tallies share.
-fn horizons_len<'a>(mut tallies: impl Iterator<Item = &'a Tally>) -> usize {
-    tallies.next().map_or(0, Tally::horizons_len)
+fn horizon_count<'a>(mut tallies: impl Iterator<Item = &'a Tally>) -> usize {
+    tallies.next().map_or(0, Tally::horizon_count)
 }

@@ -67,11 +67,11 @@ impl Report {
 
     /// Adds one line about a part's windows that do not fit a payload, unless the report has it.
     fn add_crowding(&mut self, group: &Group) {
-        let Crowding { windows_len, agents_len, edges_len } = group.total.crowding;
+        let Crowding { window_count, agents_len, edges_len } = group.total.crowding;
         let mark = format!("{}: of ", group.part);
-        if windows_len > 0 && !self.left_out.iter().any(|line| line.starts_with(&mark)) {
+        if window_count > 0 && !self.left_out.iter().any(|line| line.starts_with(&mark)) {
             self.left_out.push(format!(
-                "{mark}{windows_len} windows, {agents_len} agents and {edges_len} edges of the farthest neighbours, for which \
+                "{mark}{window_count} windows, {agents_len} agents and {edges_len} edges of the farthest neighbours, for which \
                  payloads have no room"
             ));
         }

@@ -88,7 +88,7 @@ impl Calibration {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Crowding {
     /// Number of windows.
-    pub windows_len: u64,
+    pub window_count: u64,
     /// Agents for which the `tracks` payload has no room. They are not seen as neighbours.
     pub agents_len: u64,
     /// Edges for which the `features` payload has no room. They belong to the farthest neighbours.
@@ -98,7 +98,7 @@ pub struct Crowding {
 impl Crowding {
     /// Adds the counts of `other`.
     fn merge(&mut self, other: &Self) {
-        self.windows_len += other.windows_len;
+        self.window_count += other.window_count;
         self.agents_len += other.agents_len;
         self.edges_len += other.edges_len;
     }
@@ -108,7 +108,7 @@ impl Crowding {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Tally {
     /// Scenes with a counted agent.
-    pub scenes_len: u64,
+    pub scene_count: u64,
     /// Counted agents.
     pub agents_len: u64,
     /// Agents with a forecast, by method and measure.
@@ -131,13 +131,13 @@ pub struct Tally {
 impl Tally {
     /// An empty tally for this number of horizons.
     #[must_use]
-    pub fn new(horizons_len: usize) -> Self {
+    pub fn new(horizon_count: usize) -> Self {
         Self {
-            scenes_len: 0,
+            scene_count: 0,
             agents_len: 0,
             counts: [[0; MEASURES]; METHODS],
-            sums: vec![[[[0.0; 2]; MEASURES]; METHODS]; horizons_len],
-            calibration: vec![[Calibration::default(); OURS]; horizons_len],
+            sums: vec![[[[0.0; 2]; MEASURES]; METHODS]; horizon_count],
+            calibration: vec![[Calibration::default(); OURS]; horizon_count],
             collided: Share::default(),
             truly_collided: Share::default(),
             broken: [Share::default(); OURS],
@@ -147,7 +147,7 @@ impl Tally {
 
     /// Adds the counts and sums of `other`.
     pub fn merge(&mut self, other: &Self) {
-        self.scenes_len += other.scenes_len;
+        self.scene_count += other.scene_count;
         self.agents_len += other.agents_len;
         add_all(self.counts.as_flattened_mut(), other.counts.as_flattened());
         for (sums, more) in self.sums.iter_mut().zip(&other.sums) {
@@ -201,7 +201,7 @@ impl Tally {
     }
 
     /// Number of horizons.
-    pub fn horizons_len(&self) -> usize {
+    pub fn horizon_count(&self) -> usize {
         self.sums.len()
     }
 
@@ -253,7 +253,7 @@ impl Tally {
         present: usize,
         horizons: &[usize],
     ) {
-        self.scenes_len += 1;
+        self.scene_count += 1;
         for method in 0..METHODS {
             let modes_len = scene.first().map_or(0, |(_, candidates)| candidates[method].modes.len());
             let is_joint = |(_, c): &(&Agent, &[Candidate; METHODS])| c[method].modes.len() == modes_len;

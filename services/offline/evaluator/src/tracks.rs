@@ -101,14 +101,14 @@ fn keep_nearest(scene: &Scene, places: &mut Vec<usize>) {
 /// An agent as a track; `None` if it is absent.
 pub fn track(agent: &Agent) -> Option<Track> {
     let now = agent.newest()?;
-    let states_len = agent.history.iter().flatten().count() as u32;
+    let state_count = agent.history.iter().flatten().count() as u32;
     let mut track = Track {
         id: agent.id,
         source_id: agent.id,
         agent_type: agent.agent_type as u32,
         status: TrackStatus::Confirmed as u32,
         state_len: 4,
-        forecastable: u32::from(states_len >= Track::STATES_MIN),
+        forecastable: u32::from(state_count >= Track::STATES_MIN),
         x_m: now.position_m[0],
         y_m: now.position_m[1],
         heading_rad: now.heading_rad,

@@ -171,10 +171,10 @@ fn agents_are_forecast_from_their_second_step_on() {
     let forecaster = onboard();
     let mut scene = scenes(&forecaster)[0].clone();
     let complete = scene.complete();
-    for (&place, steps_len) in complete.iter().zip([1, 2]) {
+    for (&place, step_count) in complete.iter().zip([1, 2]) {
         let history = &mut scene.agents[place].history;
-        let unseen_len = history.len() - steps_len;
-        history[..unseen_len].fill(None);
+        let unseen_count = history.len() - step_count;
+        history[..unseen_count].fill(None);
     }
     let payload = &forecaster.payloads(&Recording::default(), &[scene])[0];
     let is_forecast = |place: usize| {

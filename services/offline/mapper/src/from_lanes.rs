@@ -56,13 +56,13 @@ fn visit_lane(lane: &Lane, visits: &mut Vec<Visit>) {
         for step in -steps..=steps {
             let across_m = step as f32 * ACROSS_M;
             let deviations = across_m / (SPREAD * half_m).max(ACROSS_M);
-            let visits_len = (VISITS_MAX * (-0.5 * deviations * deviations).exp()).round() as usize;
+            let visit_count = (VISITS_MAX * (-0.5 * deviations * deviations).exp()).round() as usize;
             let [x, y] = lane.centre_m[place];
             let visit = Visit {
                 position_m: [x - direction[1] * across_m, y + direction[0] * across_m],
                 velocity_mps: direction.map(|x| x * speed_mps),
             };
-            visits.extend(std::iter::repeat_n(visit, visits_len.max(1)));
+            visits.extend(std::iter::repeat_n(visit, visit_count.max(1)));
         }
     }
 }

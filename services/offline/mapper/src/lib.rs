@@ -29,7 +29,7 @@ pub struct SiteMap {
     /// The map; it covers the visited ground.
     pub map: ContextMap,
     /// Number of visits.
-    pub visits_len: usize,
+    pub visit_count: usize,
     /// Detections that are left out because their velocity is unknown.
     pub left_out_len: usize,
 }
@@ -76,9 +76,9 @@ pub fn build(recordings: &[Recording]) -> Result<SiteMap, MapError> {
     }
     let (origin_m, [cols, rows]) = extent(&visits).ok_or(MapError::NoVisits)?;
     let mut builder = MapBuilder::new(origin_m, rows, cols).ok_or(MapError::TooLarge { rows, cols })?;
-    let visits_len =
+    let visit_count =
         visits.iter().filter(|visit| builder.visit(visit.position_m, visit.velocity_mps)).count();
-    Ok(SiteMap { map: builder.build(), visits_len, left_out_len })
+    Ok(SiteMap { map: builder.build(), visit_count, left_out_len })
 }
 
 /// Appends a trajectory's visits. Returns the number of states without velocity.

@@ -29,7 +29,7 @@ fn a_trajectory_is_mapped_with_its_velocity() {
         vec![detection(1, -3.75 + 2.0 * t, -0.5), detection(2, 0.5, 2.5)]
     })])
     .unwrap();
-    assert_eq!((site.visits_len, site.left_out_len), (50, 0));
+    assert_eq!((site.visit_count, site.left_out_len), (50, 0));
     assert_eq!(site.map.origin_m(), [-4.0, -1.0]);
     assert_eq!((site.map.rows(), site.map.cols()), (4, 6));
     let density: Vec<f32> = site.map.density().collect();
@@ -60,7 +60,7 @@ fn detections_without_identity_need_heading_and_speed() {
         Detection { flags: HAS_HEADING | HAS_SPEED, heading_rad, speed_mps: 3.0, ..detection(0, 0.5, 0.5) };
     let without_speed = Detection { flags: HAS_HEADING, ..moving };
     let site = build(&[recording(10, 100_000_000, |_| vec![moving, without_speed])]).unwrap();
-    assert_eq!((site.visits_len, site.left_out_len), (10, 10));
+    assert_eq!((site.visit_count, site.left_out_len), (10, 10));
     let velocity = site.map.velocity_mps().next().unwrap();
     assert!(velocity[0].abs() < 1e-6 && (velocity[1] - 3.0).abs() < 1e-6);
 }
@@ -85,7 +85,11 @@ fn real_recordings_make_plausible_maps() {
         let recording = data::open(path, Some(set.format())).unwrap();
         let states: usize = data::tracks(&recording).iter().map(|track| track.states.len()).sum();
         let site = build(&[recording]).unwrap();
-        assert!(site.visits_len <= states && site.visits_len > states / 2, "{} of {states}", site.visits_len);
+        assert!(
+            site.visit_count <= states && site.visit_count > states / 2,
+            "{} of {states}",
+            site.visit_count
+        );
         assert!((site.map.density().sum::<f32>() - 1.0).abs() < 1e-3);
         let fastest = site.map.velocity_mps().map(|[x, y]| x.hypot(y)).fold(0.0, f32::max);
         assert!(fastest > 0.5 && fastest < 40.0, "{fastest} m/s");

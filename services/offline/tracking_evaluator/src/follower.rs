@@ -100,28 +100,28 @@ impl Follower<'_> {
                 continue;
             };
             let counts = seen.agent_type == AgentType::Vehicle;
-            let mut faults_len = u64::from(track.predict(elapsed_ns, &self.settings).is_none());
+            let mut fault_count = u64::from(track.predict(elapsed_ns, &self.settings).is_none());
             if let Some(observation) = observation {
                 track.is_fresh = true;
                 match track.update(&observation, &self.settings) {
                     Some((nis, log_likelihood)) if counts => {
-                        faults_len += u64::from(outcome.nis.add(tick, nis, DEGREES).is_err());
+                        fault_count += u64::from(outcome.nis.add(tick, nis, DEGREES).is_err());
                         outcome.log_likelihood_sum += log_likelihood;
-                        outcome.measured_len += 1;
+                        outcome.measured_count += 1;
                     }
                     Some(_) => {}
-                    None => faults_len += 1,
+                    None => fault_count += 1,
                 }
             }
             track.initialise(self.method, &self.settings, seen.id);
-            outcome.faults_len += faults_len;
+            outcome.fault_count += fault_count;
             let age_s = (instant.stamp_ns - track.born_ns) as f64 / 1e9;
             if let Some(truth) = seen.truth.filter(|_| counts && age_s >= SETTLED_S) {
                 let (error, nees) = track.error(seen, &truth);
                 outcome.errors.push(error);
                 if let Some(nees) = nees {
                     let added = outcome.nees[usize::from(!error.visible)].add(tick, nees, DEGREES);
-                    outcome.faults_len += u64::from(added.is_err());
+                    outcome.fault_count += u64::from(added.is_err());
                 }
             }
         }
@@ -308,11 +308,11 @@ mod tests {
         let mean_m = visible().map(|error| error.position_m).sum::<f64>() / visible().count() as f64;
         assert!(mean_m < 0.07, "{mean_m}");
         let nis = outcome.nis.summary(0.95).unwrap().unwrap();
-        assert_eq!(nis.squares_len, outcome.measured_len);
+        assert_eq!(nis.square_count, outcome.measured_count);
         assert!((0.7..1.3).contains(&nis.per_degree) && nis.inside > 0.9, "{nis:?}");
         let [visible, occluded] = outcome.nees.each_ref().map(|nees| nees.summary(0.95).unwrap().unwrap());
-        assert_eq!(visible.ticks_len + occluded.ticks_len, 189);
-        assert_eq!((outcome.faults_len, outcome.errors.len()), (0, 189));
+        assert_eq!(visible.tick_count + occluded.tick_count, 189);
+        assert_eq!((outcome.fault_count, outcome.errors.len()), (0, 189));
     }
 
     #[test]
@@ -323,7 +323,7 @@ mod tests {
             assert!(occluded().count() > 20);
             let worst_m = occluded().map(|error| error.position_m).fold(0.0, f64::max);
             assert!(worst_m < 6.0, "{}: {worst_m} m", method.name());
-            assert_eq!(outcome.faults_len, 0, "{}", method.name());
+            assert_eq!(outcome.fault_count, 0, "{}", method.name());
         }
     }
 

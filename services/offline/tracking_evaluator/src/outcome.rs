@@ -26,15 +26,15 @@ pub(crate) struct Outcome {
     pub(crate) nis: Consistency,
     /// Sum of the log-likelihoods of measurements.
     pub(crate) log_likelihood_sum: f64,
-    pub(crate) measured_len: u64,
+    pub(crate) measured_count: u64,
     /// Predictions and updates that failed.
-    pub(crate) faults_len: u64,
+    pub(crate) fault_count: u64,
 }
 
 impl Outcome {
     /// Mean negative log-likelihood of a measurement.
     pub(crate) fn nll(outcomes: &[Self]) -> f64 {
-        let measured_len: u64 = outcomes.iter().map(|outcome| outcome.measured_len).sum();
-        -outcomes.iter().map(|outcome| outcome.log_likelihood_sum).sum::<f64>() / measured_len.max(1) as f64
+        let measured_count: u64 = outcomes.iter().map(|outcome| outcome.measured_count).sum();
+        -outcomes.iter().map(|outcome| outcome.log_likelihood_sum).sum::<f64>() / measured_count.max(1) as f64
     }
 }

@@ -26,7 +26,7 @@ pub(crate) struct MethodErrors {
     /// none.
     nees: Option<ConsistencySummary>,
     nis: Option<ConsistencySummary>,
-    faults_len: u64,
+    fault_count: u64,
 }
 
 /// The result of an evaluation of tracking.
@@ -80,7 +80,7 @@ impl MethodErrors {
         method: TrackingMethod,
         outcomes: impl Iterator<Item = &'a Outcome>,
     ) -> Self {
-        let (mut tracks, mut faults_len) = (Vec::new(), 0);
+        let (mut tracks, mut fault_count) = (Vec::new(), 0);
         let (mut nees, mut nis) = (Consistency::default(), Consistency::default());
         for outcome in outcomes {
             let mut errors = outcome.errors.clone();
@@ -89,10 +89,10 @@ impl MethodErrors {
             tracks.extend(errors.chunk_by(|a, b| a.id == b.id).map(<[Error]>::to_vec));
             nees.merge(&outcome.nees[usize::from(sensor.gap_s > 0.0)]);
             nis.merge(&outcome.nis);
-            faults_len += outcome.faults_len;
+            fault_count += outcome.fault_count;
         }
         let [nees, nis] = [nees, nis].map(|squares| squares.summary(BOUNDS).ok().flatten());
-        Self { sensor, method, tracks, nees, nis, faults_len }
+        Self { sensor, method, tracks, nees, nis, fault_count }
     }
 
     /// Whether a column counts an error: only occluded instants if there are gaps, otherwise all.
@@ -275,7 +275,7 @@ impl TrackingReport {
                 let mut row = self.row(sigma_m, method.name(), cell);
                 let evaluated =
                     self.sensors(sigma_m).into_iter().filter_map(|sensor| self.of(sensor, method));
-                row.push(evaluated.map(|evaluated| evaluated.faults_len).sum::<u64>().to_string());
+                row.push(evaluated.map(|evaluated| evaluated.fault_count).sum::<u64>().to_string());
                 table.push_row(row);
             }
         }

@@ -65,9 +65,9 @@ pub(crate) fn smooth(course: &Course<'_>, jerk_density: f64) -> Outcome {
             let mut filtered = predicted;
             if let Some(position_m) = seen.measured_m {
                 let (nis, log_likelihood) = filtered.update(position_m, variance);
-                outcome.faults_len += u64::from(outcome.nis.add(tick, nis, DEGREES).is_err());
+                outcome.fault_count += u64::from(outcome.nis.add(tick, nis, DEGREES).is_err());
                 outcome.log_likelihood_sum += log_likelihood;
-                outcome.measured_len += 1;
+                outcome.measured_count += 1;
             }
             track.push(step(predicted, filtered, transition));
         }
@@ -85,7 +85,7 @@ fn finish(track: &[SmootherStep<'_>], outcome: &mut Outcome) {
         let [now, next] = pair else { continue };
         // G = P Fᵀ P₋⁻¹
         let Some(inverse) = next.predicted.covariance.try_inverse() else {
-            outcome.faults_len += 1;
+            outcome.fault_count += 1;
             return;
         };
         let gain = now.filtered.covariance * next.transition.transpose() * inverse;
@@ -111,7 +111,7 @@ fn finish(track: &[SmootherStep<'_>], outcome: &mut Outcome) {
         let spread = Matrix2::from_diagonal_element(estimate.covariance[(0, 0)]);
         let nees = normalised_square(&Vector2::from(position.transpose()), &spread);
         let added = nees.map(|nees| outcome.nees[usize::from(!error.visible)].add(step.tick, nees, DEGREES));
-        outcome.faults_len += u64::from(added.is_none_or(|added| added.is_err()));
+        outcome.fault_count += u64::from(added.is_none_or(|added| added.is_err()));
     }
 }
 
@@ -172,7 +172,7 @@ mod tests {
                 Follower { method, settings, forecaster: &forecaster }.follow(&course)
             });
         assert_eq!(filter.errors.len(), smoother.errors.len());
-        assert_eq!((filter.measured_len, smoother.faults_len), (smoother.measured_len, 0));
+        assert_eq!((filter.measured_count, smoother.fault_count), (smoother.measured_count, 0));
         for (is_visible, most) in [(true, 0.8), (false, 0.3)] {
             let mean = |outcome: &Outcome, of: fn(&Error) -> f64| {
                 let errors = outcome.errors.iter().filter(|error| error.visible == is_visible);

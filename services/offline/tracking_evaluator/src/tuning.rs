@@ -78,12 +78,12 @@ mod tests {
 
     #[test]
     fn search_comes_near_the_optimum_within_its_trials() {
-        let mut trials_len = 0;
+        let mut trial_count = 0;
         let (found, figure) = search([1.0; 3], 2, |[a, b, _]| {
-            trials_len += 1;
+            trial_count += 1;
             (a / 6.0).ln().powi(2) + (b / 0.3).ln().powi(2)
         });
-        assert!(trials_len <= TRIALS);
+        assert!(trial_count <= TRIALS);
         assert!((found[0] / 6.0).ln().abs() < 0.5 && (found[1] / 0.3).ln().abs() < 0.5, "{found:?}");
         assert!(figure < 0.4);
         let (same, _) = search([2.0, 7.0, 7.0], 1, |[a, ..]| (a - 2.0).abs());

@@ -133,11 +133,11 @@ impl BaseControl {
     ) -> AgentBase<'_> {
         let base = &self.types[agent_type as usize];
         let (features, bins) = describe(history, frame, &base.speed_cuts_mps, &self.config);
-        let controls_len = 2 * self.config.horizon_len;
-        let per_bin = (self.config.modes + 1) * controls_len;
+        let control_count = 2 * self.config.horizon_len;
+        let per_bin = (self.config.modes + 1) * control_count;
         let (features, outside) = base.supported(&features, bins);
         let share = binning::kept_share(outside);
-        let mut ridge = base.ridge(&features, bins, controls_len);
+        let mut ridge = base.ridge(&features, bins, control_count);
         let anchors = &base.anchors[bins.bin * per_bin..][..per_bin];
         if share < 1.0 {
             ridge.iter_mut().for_each(|control| *control *= share);
@@ -157,16 +157,16 @@ impl BaseControl {
 
     /// Adds the tensors `base.*`.
     pub(crate) fn store(&self, weights: &mut Tensors) {
-        let controls_len = 2 * self.config.horizon_len;
+        let control_count = 2 * self.config.horizon_len;
         let (modes, horizon) = (self.config.modes, self.config.horizon_len);
         for (name, base) in TYPE_NAMES.iter().zip(&self.types) {
             let mut fixed = |tensor: &str, shape: &[usize], values: Vec<f32>| {
                 weights.insert(&format!("base.{name}.{tensor}"), shape, values, TensorRole::Fixed);
             };
-            let shape = [binning::CLASSES, binning::SPEED_BINS, binning::FEATURES, controls_len];
+            let shape = [binning::CLASSES, binning::SPEED_BINS, binning::FEATURES, control_count];
             fixed("ridge", &shape, base.ridge.clone());
-            let per_bin = base.anchors.chunks_exact((modes + 1) * controls_len);
-            let anchors = per_bin.flat_map(|bin| &bin[..modes * controls_len]).copied().collect();
+            let per_bin = base.anchors.chunks_exact((modes + 1) * control_count);
+            let anchors = per_bin.flat_map(|bin| &bin[..modes * control_count]).copied().collect();
             fixed("anchors", &[binning::BINS, modes, horizon, 2], anchors);
             fixed("speed_cuts", &[binning::SPEED_BINS - 1], base.speed_cuts_mps.to_vec());
             if let Some(support) = &base.support {
@@ -178,12 +178,12 @@ impl BaseControl {
 
     /// Reads the tensors `base.*`; `None` if they are missing.
     pub(crate) fn load(weights: &Tensors, config: &ModelConfig) -> Option<Self> {
-        let controls_len = 2 * config.horizon_len;
+        let control_count = 2 * config.horizon_len;
         let types = TYPE_NAMES.iter().map(|name| {
             let values = |tensor: &str| Some(weights.0.get(&format!("base.{name}.{tensor}"))?.values.clone());
-            let per_bin = config.modes * controls_len;
+            let per_bin = config.modes * control_count;
             let with_zero =
-                |bin: &[f32]| bin.iter().copied().chain(std::iter::repeat_n(0.0, controls_len)).collect();
+                |bin: &[f32]| bin.iter().copied().chain(std::iter::repeat_n(0.0, control_count)).collect();
             Some(TypeBase {
                 speed_cuts_mps: values("speed_cuts")?.try_into().ok()?,
                 support: match (config.base_support, values("support")) {
@@ -247,11 +247,11 @@ fn describe(
 
 impl TypeBase {
     fn zero(config: &ModelConfig, agent_type: AgentType) -> Self {
-        let controls_len = 2 * config.horizon_len;
+        let control_count = 2 * config.horizon_len;
         Self {
             speed_cuts_mps: metrics::speed_cuts_mps(agent_type),
-            ridge: vec![0.0; binning::CLASSES * binning::SPEED_BINS * binning::FEATURES * controls_len],
-            anchors: vec![0.0; binning::BINS * (config.modes + 1) * controls_len],
+            ridge: vec![0.0; binning::CLASSES * binning::SPEED_BINS * binning::FEATURES * control_count],
+            anchors: vec![0.0; binning::BINS * (config.modes + 1) * control_count],
             support: config.base_support.then(|| vec![EVERYWHERE; binning::CLASSES * binning::FEATURES]),
         }
     }
@@ -263,11 +263,11 @@ impl TypeBase {
         })
     }
 
-    fn ridge(&self, features: &Features, bins: Bins, controls_len: usize) -> Vec<f32> {
-        let per_bin = binning::FEATURES * controls_len;
+    fn ridge(&self, features: &Features, bins: Bins, control_count: usize) -> Vec<f32> {
+        let per_bin = binning::FEATURES * control_count;
         let table = &self.ridge[(bins.class * binning::SPEED_BINS + bins.speed_bin) * per_bin..][..per_bin];
-        let mut controls = vec![0.0; controls_len];
-        for (feature, row) in features.iter().zip(table.chunks_exact(controls_len)) {
+        let mut controls = vec![0.0; control_count];
+        for (feature, row) in features.iter().zip(table.chunks_exact(control_count)) {
             controls.iter_mut().zip(row).for_each(|(control, weight)| *control += feature * weight);
         }
         controls

@@ -81,7 +81,7 @@ impl Calibration<'_> {
     fn forecasts(&self, weights: &Tensors) -> Result<[Vec<Forecast>; 3], TrainError> {
         let mut forecasts = [Vec::new(), Vec::new(), Vec::new()];
         for set in &self.validation.sets {
-            let stride = set.counted_len().div_ceil(AGENTS_MAX).max(1);
+            let stride = set.counted_count().div_ceil(AGENTS_MAX).max(1);
             for window in set.windows.iter().step_by(stride) {
                 let map = self.validation.map(window.recording, MapKind::Online);
                 let scene = self.validation.scene(window)?;
@@ -193,7 +193,7 @@ fn factor(forecasts: &[Forecast]) -> f64 {
 /// Share of the positions inside the regions if all deviations are multiplied by `factor`.
 fn covered(forecasts: &[Forecast], factor: f64) -> f64 {
     let square = (factor * factor) as f32;
-    let (mut inside, mut steps_len) = (0_usize, 0_usize);
+    let (mut inside, mut step_count) = (0_usize, 0_usize);
     for (number, forecast) in forecasts.iter().enumerate() {
         for step in &forecast.steps {
             let covariances: Vec<[f32; 3]> =
@@ -207,10 +207,10 @@ fn covered(forecasts: &[Forecast], factor: f64) -> f64 {
                 number as u64,
             );
             inside += usize::from(level <= LEVEL);
-            steps_len += 1;
+            step_count += 1;
         }
     }
-    inside as f64 / steps_len.max(1) as f64
+    inside as f64 / step_count.max(1) as f64
 }
 
 /// Multiplies the Cholesky factors of a type's controls by `factor`: ln l₁₁ and ln l₂₂ by their biases, l₂₁

@@ -128,9 +128,9 @@ impl<'a> TypeForecast<'a> {
     /// Scales the means of the network's controls, or gradients by them, `[agents × draws, horizon × 5]`. The
     /// factor is the share that is kept at the agents' distance from the base's support.
     fn fade(&self, raw: &mut Matrix) {
-        let draws_len = raw.rows / self.agents.len();
+        let draw_count = raw.rows / self.agents.len();
         for row in 0..raw.rows {
-            let share = match self.batch.base.get(self.agents.start + row / draws_len) {
+            let share = match self.batch.base.get(self.agents.start + row / draw_count) {
                 Some(base) if base.share < 1.0 => base.share,
                 _ => continue,
             };
@@ -150,28 +150,28 @@ impl<'a> TypeForecast<'a> {
     /// Base controls. `modes` holds the same number of modes per agent. The single best forecast has no
     /// anchor.
     pub(crate) fn base(&self, modes: &[usize]) -> Matrix {
-        let controls_len = 2 * self.config.horizon_len;
-        let draws_len = modes.len() / self.agents.len();
-        let mut values = Vec::with_capacity(modes.len() * controls_len);
+        let control_count = 2 * self.config.horizon_len;
+        let draw_count = modes.len() / self.agents.len();
+        let mut values = Vec::with_capacity(modes.len() * control_count);
         for (row, &mode) in modes.iter().enumerate() {
-            let base = &self.batch.base[self.agents.start + row / draws_len];
-            let anchor = &base.anchors[mode * controls_len..][..controls_len];
+            let base = &self.batch.base[self.agents.start + row / draw_count];
+            let anchor = &base.anchors[mode * control_count..][..control_count];
             values.extend(base.ridge.iter().zip(anchor).map(|(ridge, anchor)| ridge + anchor));
         }
-        Matrix::new(modes.len(), controls_len, values)
+        Matrix::new(modes.len(), control_count, values)
     }
 
     /// Positions under controls before saturation `[agents × draws, horizon × 2]`.
     pub(crate) fn positions(&self, controls: &Matrix) -> Matrix {
-        let draws_len = controls.rows / self.agents.len();
-        motion::positions(self.config, self.agent_type, self.starts(), draws_len, controls)
+        let draw_count = controls.rows / self.agents.len();
+        motion::positions(self.config, self.agent_type, self.starts(), draw_count, controls)
     }
 
     /// Gradient by the controls, given the gradient by their positions.
     pub(crate) fn positions_backward(&self, controls: &Matrix, d_positions: &Matrix) -> Matrix {
-        let draws_len = controls.rows / self.agents.len();
+        let draw_count = controls.rows / self.agents.len();
         let starts = self.starts();
-        motion::positions_backward(self.config, self.agent_type, starts, draws_len, controls, d_positions)
+        motion::positions_backward(self.config, self.agent_type, starts, draw_count, controls, d_positions)
     }
 
     /// True positions `[agents, horizon × 2]`, and 1 for each known one `[agents, horizon]`.

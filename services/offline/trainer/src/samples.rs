@@ -51,8 +51,8 @@ pub(crate) struct SetSamples {
 
 impl SetSamples {
     /// Agents with a target.
-    pub(crate) fn counted_len(&self) -> usize {
-        self.windows.iter().map(Window::counted_len).sum()
+    pub(crate) fn counted_count(&self) -> usize {
+        self.windows.iter().map(Window::counted_count).sum()
     }
 }
 

@@ -108,7 +108,7 @@ impl<'a> Run<'a> {
             training.add_site_maps(None)?;
         }
         for set in &training.sets {
-            let (windows, agents) = (set.windows.len(), set.counted_len());
+            let (windows, agents) = (set.windows.len(), set.counted_count());
             progress.note(&format!("{}: {windows} windows, {agents} agents", set.set.name()));
         }
         if !options.files.is_empty() {
@@ -117,7 +117,7 @@ impl<'a> Run<'a> {
             progress.note(&format!(
                 "validation: {} windows, {} agents",
                 set.windows.len(),
-                set.counted_len()
+                set.counted_count()
             ));
             let is_shared =
                 |source: &Source| training.sources.iter().any(|other| other.sha256 == source.sha256);
@@ -387,7 +387,7 @@ impl<'a> Run<'a> {
         let scores = [scores(Some(MapKind::Online))?, scores(None)?];
         let seen = Seen {
             windows: self.training.sets.iter().map(|set| set.windows.len()).sum(),
-            agents: self.training.sets.iter().map(SetSamples::counted_len).sum(),
+            agents: self.training.sets.iter().map(SetSamples::counted_count).sum(),
         };
         let sources = self.training.sources.clone();
         let (weights, fitness) = (&weights, base.fitness());

@@ -163,7 +163,7 @@ impl Validation<'_> {
     }
 
     fn score(&self, weights: &Tensors, set: &SetSamples, samples: &Samples) -> Result<SetScore, TrainError> {
-        let stride = set.counted_len().div_ceil(self.agents_max).max(1);
+        let stride = set.counted_count().div_ceil(self.agents_max).max(1);
         let windows: Vec<Window> = set.windows.iter().copied().step_by(stride).collect();
         let parts: Vec<&[Window]> = windows.chunks(windows.len().div_ceil(self.workers).max(1)).collect();
         let sums = std::thread::scope(|scope| {

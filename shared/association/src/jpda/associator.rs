@@ -35,14 +35,14 @@ pub struct Associator {
 impl Associator {
     /// Scratch memory for this number of tracks and detections.
     #[must_use]
-    pub fn with_capacity(tracks_len: usize, detections_len: usize) -> Self {
+    pub fn with_capacity(track_count: usize, detection_count: usize) -> Self {
         Self {
-            components: Components::with_capacity(tracks_len, detections_len),
-            assigner: Assigner::with_capacity(tracks_len, detections_len),
+            components: Components::with_capacity(track_count, detection_count),
+            assigner: Assigner::with_capacity(track_count, detection_count),
             for_assigner: Vec::new(),
-            paired: Vec::with_capacity(tracks_len),
+            paired: Vec::with_capacity(track_count),
             shares: Vec::new(),
-            of_track: Vec::with_capacity(tracks_len),
+            of_track: Vec::with_capacity(track_count),
         }
     }
 
@@ -59,21 +59,21 @@ impl Associator {
     pub fn associate(
         &mut self,
         candidates: &mut Vec<Candidate>,
-        tracks_len: usize,
-        detections_len: usize,
+        track_count: usize,
+        detection_count: usize,
         miss_cost: f64,
     ) {
         candidates.retain(|c| c.cost.is_finite());
-        self.components.clear(tracks_len, detections_len);
+        self.components.clear(track_count, detection_count);
         for candidate in candidates.iter() {
             self.components.join(candidate, usize::MAX);
         }
         if self.components.exceed(SIDE_MAX) {
-            self.cut(candidates, tracks_len, detections_len, miss_cost);
+            self.cut(candidates, track_count, detection_count, miss_cost);
         }
         self.shares.clear();
         self.of_track.clear();
-        self.of_track.resize(tracks_len, [0; 2]);
+        self.of_track.resize(track_count, [0; 2]);
         for component in self.components.split(candidates) {
             for (track, shares) in probabilities(component, miss_cost) {
                 let begin = self.shares.len() as u32;
@@ -98,21 +98,21 @@ impl Associator {
     fn cut(
         &mut self,
         candidates: &mut Vec<Candidate>,
-        tracks_len: usize,
-        detections_len: usize,
+        track_count: usize,
+        detection_count: usize,
         miss_cost: f64,
     ) {
         self.for_assigner.clone_from(candidates);
         self.paired.clear();
-        self.paired.resize(tracks_len, None);
-        self.assigner.solve(&mut self.for_assigner, detections_len, miss_cost, &mut self.paired);
+        self.paired.resize(track_count, None);
+        self.assigner.solve(&mut self.for_assigner, detection_count, miss_cost, &mut self.paired);
         let paired = &self.paired;
         let is_paired = |c: &Candidate| paired[c.track as usize] == Some(c.detection);
         candidates.sort_unstable_by(|a, b| {
             let by_cost = is_paired(b).cmp(&is_paired(a)).then(a.cost.total_cmp(&b.cost));
             by_cost.then((a.track, a.detection).cmp(&(b.track, b.detection)))
         });
-        self.components.clear(tracks_len, detections_len);
+        self.components.clear(track_count, detection_count);
         candidates.retain(|candidate| self.components.join(candidate, SIDE_MAX));
     }
 }
@@ -132,9 +132,9 @@ fn probabilities(
             log_weights[row][column] = Some(-0.5 * candidate.cost);
         }
     }
-    let (tracks_len, detections_len) = (by_track().count(), detections.iter().flatten().count());
+    let (track_count, detection_count) = (by_track().count(), detections.iter().flatten().count());
     let log_weight = |row: usize, column: usize| log_weights[row][column];
-    let found = JointAssociation::enumerate(tracks_len, detections_len, -0.5 * miss_cost, log_weight);
+    let found = JointAssociation::enumerate(track_count, detection_count, -0.5 * miss_cost, log_weight);
     by_track().enumerate().map(move |(row, of_track)| {
         let share = move |candidate: &Candidate| {
             let probability = found.pair(row, column(&detections, candidate));

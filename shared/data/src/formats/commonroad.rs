@@ -177,10 +177,10 @@ impl<'a> Reading<'a, '_> {
         part.map(|part| Ok(self.source.text(self.source.child(part, "exact")?, name))).transpose()
     }
 
-    fn leave_out(&mut self, reason: &str, rows_len: usize) {
+    fn leave_out(&mut self, reason: &str, row_count: usize) {
         match self.other.iter_mut().find(|other| other.reason == reason) {
-            Some(other) => other.rows_len += rows_len,
-            None => self.other.push(LeftOut { reason: reason.to_owned(), rows_len }),
+            Some(other) => other.row_count += row_count,
+            None => self.other.push(LeftOut { reason: reason.to_owned(), row_count }),
         }
     }
 

@@ -194,8 +194,8 @@ fn is_pedestrian(detection: &Detection) -> bool {
 /// that.
 fn pedestrian_interval_ns(rows: &[Row<'_>]) -> u64 {
     let stamps_ns = || rows.iter().filter(|row| is_pedestrian(&row.detection)).map(|row| row.stamp_ns);
-    let multiples_len = stamps_ns().filter(|stamp_ns| stamp_ns % THINNED_INTERVAL_NS as i64 == 0).count();
-    let is_thinned = 2 * multiples_len >= stamps_ns().count();
+    let multiple_count = stamps_ns().filter(|stamp_ns| stamp_ns % THINNED_INTERVAL_NS as i64 == 0).count();
+    let is_thinned = 2 * multiple_count >= stamps_ns().count();
     if is_thinned { THINNED_INTERVAL_NS } else { INTERVAL_NS }
 }
 
@@ -246,8 +246,8 @@ impl RunningSpeed {
         if let Some(speed_mps) = given_mps.or(difference_mps) {
             self.insert(speed_mps);
         }
-        let speeds_len = self.slower.len() + self.faster.len();
-        let enough = speeds_len >= CYCLIST_SPEEDS_MIN && stamp_ns - first_ns >= CYCLIST_SPAN_NS;
+        let speed_count = self.slower.len() + self.faster.len();
+        let enough = speed_count >= CYCLIST_SPEEDS_MIN && stamp_ns - first_ns >= CYCLIST_SPAN_NS;
         self.is_cyclist = enough && self.median_mps() > CYCLIST_SPEED_MPS;
     }
 

@@ -85,15 +85,15 @@ pub(crate) fn parse_detections(inputs: &[Input]) -> Result<Recording, ReadError>
     let present = classes.into_iter().filter(|(role, _)| find(inputs, *role).is_some());
     let observed_types = present.fold(0, |bits, (_, agent_type)| bits | agent_type.bit());
     let mut frames = empty_frames(&poses, observed_types);
-    let mut rows_len = 0;
+    let mut row_count = 0;
     let mut paths = Paths::default();
     for (input, agent_type) in classes.into_iter().filter_map(|(role, t)| Some((find(inputs, role)?, t))) {
         for line in text::lines(input) {
             let line = line?;
             let (frame, detection) =
                 detection(line.split(Separator::Comma, &DETECTION_NAMES)?, agent_type, &poses)?;
-            rows_len += 1;
-            limit(rows_len, &line)?;
+            row_count += 1;
+            limit(row_count, &line)?;
             let (path, heading_written) = (paths.path(line.path), detection.heading_rad);
             frames[frame].detections.push(detection);
             frames[frame].lines.push(RowLine { path, line: line.number, heading_written });
@@ -144,8 +144,8 @@ fn empty_frames(poses: &WorldFromCamera, observed_types: u32) -> Vec<Frame> {
     poses.egos().enumerate().map(frame).collect()
 }
 
-fn limit(rows_len: usize, line: &Line<'_>) -> Result<(), ReadError> {
-    if rows_len <= crate::rows::ROWS_MAX {
+fn limit(row_count: usize, line: &Line<'_>) -> Result<(), ReadError> {
+    if row_count <= crate::rows::ROWS_MAX {
         return Ok(());
     }
     Err(ReadError::TooManyRows { path: line.path.to_owned(), line: line.number, most: crate::rows::ROWS_MAX })
@@ -220,19 +220,19 @@ impl<'a> Labels<'a> {
         for line in text::lines(input) {
             let line = line?;
             let fields = label_fields(&line)?;
-            if let Some((_, rows_len)) = left_out.iter_mut().find(|(kind, _)| *kind == fields[2].text) {
+            if let Some((_, row_count)) = left_out.iter_mut().find(|(kind, _)| *kind == fields[2].text) {
                 for number in fields[..2].iter().chain(&fields[3..]) {
                     number.number()?;
                 }
-                *rows_len += 1;
+                *row_count += 1;
                 continue;
             }
             let (frame, detection) = label(fields, poses)?;
             rows.push(&line, frame as i64 * INTERVAL_NS as i64, detection)?;
         }
-        let counted = left_out.into_iter().filter(|(_, rows_len)| *rows_len > 0);
+        let counted = left_out.into_iter().filter(|(_, row_count)| *row_count > 0);
         let left_out =
-            counted.map(|(kind, rows_len)| LeftOut { reason: kind.to_owned(), rows_len }).collect();
+            counted.map(|(kind, row_count)| LeftOut { reason: kind.to_owned(), row_count }).collect();
         Ok(Self { rows, left_out })
     }
 }

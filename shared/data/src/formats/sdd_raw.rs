@@ -44,17 +44,17 @@ pub(crate) fn parse(inputs: &[Input], rate: FrameRate) -> Result<Recording, Read
     let input = need(inputs, Role::Rows)?;
     let pixel_m = video_pixel_m(need(inputs, Role::Scales)?, &input.path)?;
     let mut rows = Rows::default();
-    let mut lost_len = 0;
+    let mut lost_count = 0;
     for line in text::lines(input) {
         let line = line?;
         let fields = line.split(Separator::Space, &NAMES)?;
         match row(fields, pixel_m, rate)? {
             Some((stamp_ns, detection)) => rows.push(&line, stamp_ns, detection)?,
-            None => lost_len += 1,
+            None => lost_count += 1,
         }
     }
-    let lost = LeftOut { reason: "lost = 1".to_owned(), rows_len: lost_len };
-    let left_out = Vec::from_iter((lost_len > 0).then_some(lost));
+    let lost = LeftOut { reason: "lost = 1".to_owned(), row_count: lost_count };
+    let left_out = Vec::from_iter((lost_count > 0).then_some(lost));
     let recording = sweeps::identified(rows, input, ALL_TYPES, rate, 1)?;
     Ok(Recording { left_out, pixel_m: Some(pixel_m), ..recording })
 }

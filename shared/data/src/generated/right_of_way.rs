@@ -29,16 +29,16 @@ fn deference_s(route: &Route) -> f64 {
     side_road + if route.turn == Turn::Left { 3.0 } else { 0.0 }
 }
 
-/// Gives claims to users that have come near, and lets users enter that may. `going_len` counts all users
+/// Gives claims to users that have come near, and lets users enter that may. `going_count` counts all users
 /// that ever entered.
-pub(super) fn take_turns(users: &mut [RoadUser], layout: &Layout, now_s: f64, going_len: &mut u64) {
+pub(super) fn take_turns(users: &mut [RoadUser], layout: &Layout, now_s: f64, going_count: &mut u64) {
     give_up_turns(users, layout);
     claim(users, layout, now_s);
     for i in 0..users.len() {
         let TurnTaking::Waiting { claim_s } = users[i].turn_taking else { continue };
         if may_go(i, claim_s, users, layout) {
-            users[i].turn_taking = TurnTaking::Going { order: *going_len, claim_s };
-            *going_len += 1;
+            users[i].turn_taking = TurnTaking::Going { order: *going_count, claim_s };
+            *going_count += 1;
         }
     }
 }

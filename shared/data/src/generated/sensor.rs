@@ -52,7 +52,7 @@ impl Sensor {
                 detections.push(detection);
             }
         }
-        for _ in 0..self.clutter_len(options) {
+        for _ in 0..self.clutter_count(options) {
             detections.push(self.clutter(options));
         }
         detections.truncate(DETECTIONS_MAX);
@@ -108,7 +108,7 @@ impl Sensor {
         true_m * (1.0 + self.noise(options.size_sigma_share)).max(0.1)
     }
 
-    fn clutter_len(&mut self, options: &SceneOptions) -> usize {
+    fn clutter_count(&mut self, options: &SceneOptions) -> usize {
         if options.clutter_mean == 0.0 {
             return 0;
         }

@@ -49,9 +49,9 @@ pub(super) struct Traffic {
     rng: ChaCha8Rng,
     now_s: f64,
     /// Number of users that ever entered the intersection.
-    going_len: u64,
+    going_count: u64,
     /// Number of agents that ever entered the scene, which is also the last id.
-    entered_len: u64,
+    entered_count: u64,
     /// Scratch: the accelerations of this step.
     user_mps2: Vec<f32>,
     pedestrian_mps2: Vec<Point>,
@@ -67,8 +67,8 @@ impl Traffic {
             population,
             rng: ChaCha8Rng::seed_from_u64(seed),
             now_s: 0.0,
-            going_len: 0,
-            entered_len: 0,
+            going_count: 0,
+            entered_count: 0,
             user_mps2: Vec::new(),
             pedestrian_mps2: Vec::new(),
             poses: Vec::new(),
@@ -82,7 +82,7 @@ impl Traffic {
     /// Advances all agents by `dt_s`. Agents at the end of their routes leave, and others enter instead.
     pub(super) fn step(&mut self, dt_s: f32) {
         self.now_s += f64::from(dt_s);
-        take_turns(&mut self.users, &self.layout, self.now_s, &mut self.going_len);
+        take_turns(&mut self.users, &self.layout, self.now_s, &mut self.going_count);
         self.step_out();
         self.decide(dt_s);
         for (user, &mps2) in self.users.iter_mut().zip(&self.user_mps2) {
@@ -170,7 +170,7 @@ impl Traffic {
             let from_arm = self.rng.random_range(0..4);
             let turn = Turn::ALL[self.rng.random_range(0..Turn::ALL.len())];
             let route = Layout::route(kind, from_arm, turn);
-            let mut user = RoadUser::new(self.entered_len + 1, kind, route, &mut self.rng);
+            let mut user = RoadUser::new(self.entered_count + 1, kind, route, &mut self.rng);
             let lane = |other: &&RoadUser| {
                 other.kind == kind && self.layout.routes[other.route].from_arm == from_arm
             };
@@ -182,7 +182,7 @@ impl Traffic {
                 let safe_mps = (leader_mps.powi(2) + 2.0 * 1.5 * reserve_m).sqrt();
                 user.speed_mps = user.wanted_mps(&self.layout.routes[route]).min(safe_mps);
                 self.users.push(user);
-                self.entered_len += 1;
+                self.entered_count += 1;
                 return true;
             }
         }
@@ -191,12 +191,12 @@ impl Traffic {
 
     fn enter_pedestrian(&mut self) -> bool {
         for _ in 0..ENTRY_TRIES {
-            let pedestrian = Pedestrian::new(self.entered_len + 1, &mut self.rng);
+            let pedestrian = Pedestrian::new(self.entered_count + 1, &mut self.rng);
             let [x, y] = pedestrian.position_m;
             let near = |p: Point| (p[0] - x).hypot(p[1] - y) < 4.0 * BODY_M;
             if !self.pedestrians.iter().any(|other| near(other.position_m)) {
                 self.pedestrians.push(pedestrian);
-                self.entered_len += 1;
+                self.entered_count += 1;
                 return true;
             }
         }

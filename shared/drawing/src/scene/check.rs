@@ -46,13 +46,13 @@ fn agent(AgentDrawing { agent, truth }: &AgentDrawing) -> Result<(), PictureErro
 
 fn of_forecast(agent: u64, forecast: &ForecastView) -> Result<(), PictureError> {
     let modes_len = forecast.modes.len();
-    let steps_len = forecast.modes.first().map_or(0, Vec::len);
+    let step_count = forecast.modes.first().map_or(0, Vec::len);
     let same = |what, len, expected| {
         if len == expected { Ok(()) } else { Err(PictureError::Length { agent, what, len, expected }) }
     };
     within("the number of modes", modes_len as f64, 1.0, MODES_MAX as f64)?;
-    within("the number of steps", steps_len as f64, 1.0, STEPS_MAX as f64)?;
-    same("the best forecast", forecast.best.len(), steps_len)?;
+    within("the number of steps", step_count as f64, 1.0, STEPS_MAX as f64)?;
+    same("the best forecast", forecast.best.len(), step_count)?;
     finite(agent, "best forecast", forecast.best.as_flattened())?;
     same("the modes' probabilities", forecast.probability.len(), modes_len)?;
     same("the modes' covariances", forecast.covariance.len(), modes_len)?;
@@ -61,8 +61,8 @@ fn of_forecast(agent: u64, forecast: &ForecastView) -> Result<(), PictureError> 
     within("the sum of an agent's probabilities", total, 0.999, 1.001)?;
     for (mode, (means, covariances)) in forecast.modes.iter().zip(&forecast.covariance).enumerate() {
         within("a mode's probability", f64::from(forecast.probability[mode]), 0.0, 1.001)?;
-        same("a mode", means.len(), steps_len)?;
-        same("a mode's covariances", covariances.len(), steps_len)?;
+        same("a mode", means.len(), step_count)?;
+        same("a mode's covariances", covariances.len(), step_count)?;
         finite(agent, "forecast", means.as_flattened())?;
         for (step, &covariance) in covariances.iter().enumerate() {
             let [xx, xy, yy] = covariance.map(f64::from);

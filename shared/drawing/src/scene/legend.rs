@@ -115,9 +115,9 @@ impl Legend {
 
     /// The entries, split into about equally full lines.
     fn lines(&self) -> Vec<&[Entry]> {
-        let lines_len = (width(&self.entries) / self.width).ceil().max(1.0) as usize;
-        (lines_len..=self.entries.len())
-            .map(|lines_len| self.entries.chunks(self.entries.len().div_ceil(lines_len)).collect())
+        let line_count = (width(&self.entries) / self.width).ceil().max(1.0) as usize;
+        (line_count..=self.entries.len())
+            .map(|line_count| self.entries.chunks(self.entries.len().div_ceil(line_count)).collect())
             .find(|lines: &Vec<&[Entry]>| lines.iter().all(|line| width(line) <= self.width))
             .unwrap_or_else(|| self.entries.chunks(1).collect())
     }

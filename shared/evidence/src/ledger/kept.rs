@@ -16,7 +16,7 @@ pub(super) struct Kept {
     covariances_m2: [[[f32; 3]; MODES_MAX]; KNOTS],
     /// Factors by which it was widened, without the corrections.
     widths: [f32; KNOTS],
-    network_len: usize,
+    network_count: usize,
     network_m: [[[f32; 2]; MODES_MAX]; KNOTS],
     fan_m: [[[f32; 2]; MODES_MAX]; KNOTS],
     fan_numbers: [u8; MODES_MAX],
@@ -37,7 +37,7 @@ impl Kept {
             means_m: [[[0.0; 2]; MODES_MAX]; KNOTS],
             covariances_m2: [[[0.0; 3]; MODES_MAX]; KNOTS],
             widths: [1.0; KNOTS],
-            network_len: 0,
+            network_count: 0,
             network_m: [[[0.0; 2]; MODES_MAX]; KNOTS],
             fan_m: [[[0.0; 2]; MODES_MAX]; KNOTS],
             fan_numbers: [0; MODES_MAX],
@@ -58,7 +58,7 @@ impl Kept {
         corrections: &[f32; KNOTS],
     ) {
         self.modes_len = mixture.probability.len();
-        self.network_len = mixture.network_m.len();
+        self.network_count = mixture.network_m.len();
         self.distances_m = Default::default();
         self.fan_numbers = mixture.fan.numbers;
         self.probability[..self.modes_len].copy_from_slice(mixture.probability);
@@ -109,7 +109,7 @@ impl Kept {
     /// Distances of the nearest modes of network and fan, and of the fan about each of the [`MIDDLES`].
     pub(super) fn nearest_m(&self) -> ([f32; 2], [f32; MIDDLES.len()]) {
         let least =
-            |sums: [f32; MODES_MAX]| sums[..self.network_len].iter().copied().fold(f32::INFINITY, f32::min);
+            |sums: [f32; MODES_MAX]| sums[..self.network_count].iter().copied().fold(f32::INFINITY, f32::min);
         let [network, fan, about_middles @ ..] = self.distances_m.map(least);
         ([network, fan], about_middles)
     }

@@ -77,8 +77,8 @@ impl Evidence {
     }
 
     /// Discounted number of matured forecasts, without the prior's.
-    pub fn matured_len(&self) -> f64 {
-        self.known.as_flattened().iter().map(|knowledge| knowledge.blend[KNOTS - 1].matured_len()).sum()
+    pub fn matured_count(&self) -> f64 {
+        self.known.as_flattened().iter().map(|knowledge| knowledge.blend[KNOTS - 1].matured_count()).sum()
     }
 }
 

@@ -10,7 +10,7 @@ pub(super) struct Pending {
     pub(super) stamp_ns: i64,
     pub(super) context: Context,
     /// Number of matured knots.
-    pub(super) matured_len: usize,
+    pub(super) matured_count: usize,
     pub(super) velocity_m: [[f32; 2]; KNOTS],
     /// Centre of the fan.
     pub(super) centre_m: [[f32; 2]; KNOTS],

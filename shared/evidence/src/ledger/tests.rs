@@ -204,13 +204,13 @@ fn what_is_learned_is_the_same_by_its_numbers() {
         (evidence.weights(agent_type, speed_mps), widths, fan(evidence), choose(evidence))
     };
     assert_eq!(learned(&other), learned(&evidence));
-    assert_eq!((other.matured_len(), other.now_ns), (evidence.matured_len(), evidence.now_ns));
-    assert!(other.matured_len() > 40.0 && other.traces.is_empty());
+    assert_eq!((other.matured_count(), other.now_ns), (evidence.matured_count(), evidence.now_ns));
+    assert!(other.matured_count() > 40.0 && other.traces.is_empty());
     let mut again = vec![0.0; crate::NUMBERS_LEN];
     other.write_numbers(&mut again);
     assert!(numbers.iter().map(|n| n.to_bits()).eq(again.iter().map(|n| n.to_bits())));
     numbers[40] = f64::NAN;
-    assert!(other.resume(&numbers).is_err() && other.matured_len() > 40.0);
+    assert!(other.resume(&numbers).is_err() && other.matured_count() > 40.0);
 }
 
 #[test]

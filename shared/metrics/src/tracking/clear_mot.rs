@@ -25,8 +25,8 @@ pub struct ClearMot {
 struct TruthState {
     /// The track of its last pair.
     track: Option<u64>,
-    present_len: u64,
-    matched_len: u64,
+    present_count: u64,
+    matched_count: u64,
     /// Whether it was missed after its last pair.
     interrupted: bool,
 }
@@ -53,38 +53,38 @@ impl ClearMot {
         for (&truth, &track) in &fresh {
             self.count_change(truth, track);
         }
-        let mut matched_len = 0;
+        let mut matched_count = 0;
         for truth in frame.truths() {
             let state = self.truths.entry(truth.id).or_default();
-            state.present_len += 1;
+            state.present_count += 1;
             let paired = kept.get(&truth.id).or_else(|| fresh.get(&truth.id));
             let Some(track) = paired.and_then(|&id| frame.track(id)) else {
-                state.interrupted = state.matched_len > 0;
+                state.interrupted = state.matched_count > 0;
                 continue;
             };
-            self.counts.fragmentations_len += u64::from(state.interrupted);
+            self.counts.fragmentation_count += u64::from(state.interrupted);
             state.interrupted = false;
             state.track = Some(track.id);
-            state.matched_len += 1;
-            matched_len += 1;
+            state.matched_count += 1;
+            matched_count += 1;
             self.counts.distance_sum_m += distance_m(truth.position_m, track.position_m);
         }
         self.counts.frames_len += 1;
-        self.counts.matched_len += matched_len;
-        self.counts.missed_len += frame.truths().len() as u64 - matched_len;
-        self.counts.false_len += frame.tracks().len() as u64 - matched_len;
+        self.counts.matched_count += matched_count;
+        self.counts.missed_count += frame.truths().len() as u64 - matched_count;
+        self.counts.false_count += frame.tracks().len() as u64 - matched_count;
     }
 
     /// The counts of all frames.
     #[must_use]
     pub fn finish(mut self) -> ClearMotCounts {
         for state in self.truths.values() {
-            if 10 * state.matched_len >= 8 * state.present_len {
-                self.counts.mostly_tracked_len += 1;
-            } else if 10 * state.matched_len >= 2 * state.present_len {
-                self.counts.partly_tracked_len += 1;
+            if 10 * state.matched_count >= 8 * state.present_count {
+                self.counts.mostly_tracked_count += 1;
+            } else if 10 * state.matched_count >= 2 * state.present_count {
+                self.counts.partly_tracked_count += 1;
             } else {
-                self.counts.mostly_lost_len += 1;
+                self.counts.mostly_lost_count += 1;
             }
         }
         self.counts
@@ -131,12 +131,12 @@ impl ClearMot {
         let last_track = self.truths.get(&truth).and_then(|state| state.track);
         let last_truth = self.truth_of.insert(track, truth);
         if last_track.is_some_and(|last| last != track) {
-            self.counts.switches_len += 1;
-            self.counts.ascents_len += u64::from(last_truth.is_none());
+            self.counts.switch_count += 1;
+            self.counts.ascent_count += u64::from(last_truth.is_none());
         }
         if last_truth.is_some_and(|last| last != truth) {
-            self.counts.transfers_len += 1;
-            self.counts.migrations_len += u64::from(last_track.is_none());
+            self.counts.transfer_count += 1;
+            self.counts.migration_count += u64::from(last_track.is_none());
         }
     }
 }
@@ -147,27 +147,27 @@ pub struct ClearMotCounts {
     /// Frames.
     pub frames_len: u64,
     /// Pairs of a truth and a track, summed over frames.
-    pub matched_len: u64,
+    pub matched_count: u64,
     /// Truths without a track.
-    pub missed_len: u64,
+    pub missed_count: u64,
     /// Tracks without a truth.
-    pub false_len: u64,
+    pub false_count: u64,
     /// Pairs whose truth had another track before.
-    pub switches_len: u64,
+    pub switch_count: u64,
     /// Times that a truth was missed and paired again while it was present.
-    pub fragmentations_len: u64,
+    pub fragmentation_count: u64,
     /// New pairs whose track had another truth before.
-    pub transfers_len: u64,
+    pub transfer_count: u64,
     /// Switches to a track that never had a truth.
-    pub ascents_len: u64,
+    pub ascent_count: u64,
     /// Transfers to a truth that never had a track.
-    pub migrations_len: u64,
+    pub migration_count: u64,
     /// Truths paired in at least 80 % of their frames.
-    pub mostly_tracked_len: u64,
+    pub mostly_tracked_count: u64,
     /// Truths paired in 20 % to 80 % of their frames.
-    pub partly_tracked_len: u64,
+    pub partly_tracked_count: u64,
     /// Truths paired in less than 20 % of their frames.
-    pub mostly_lost_len: u64,
+    pub mostly_lost_count: u64,
     /// Sum of the distances of all pairs.
     pub distance_sum_m: f64,
 }
@@ -176,60 +176,60 @@ impl ClearMotCounts {
     /// Adds the counts of `other`, which is a different recording.
     pub fn merge(&mut self, other: &Self) {
         self.frames_len += other.frames_len;
-        self.matched_len += other.matched_len;
-        self.missed_len += other.missed_len;
-        self.false_len += other.false_len;
-        self.switches_len += other.switches_len;
-        self.fragmentations_len += other.fragmentations_len;
-        self.transfers_len += other.transfers_len;
-        self.ascents_len += other.ascents_len;
-        self.migrations_len += other.migrations_len;
-        self.mostly_tracked_len += other.mostly_tracked_len;
-        self.partly_tracked_len += other.partly_tracked_len;
-        self.mostly_lost_len += other.mostly_lost_len;
+        self.matched_count += other.matched_count;
+        self.missed_count += other.missed_count;
+        self.false_count += other.false_count;
+        self.switch_count += other.switch_count;
+        self.fragmentation_count += other.fragmentation_count;
+        self.transfer_count += other.transfer_count;
+        self.ascent_count += other.ascent_count;
+        self.migration_count += other.migration_count;
+        self.mostly_tracked_count += other.mostly_tracked_count;
+        self.partly_tracked_count += other.partly_tracked_count;
+        self.mostly_lost_count += other.mostly_lost_count;
         self.distance_sum_m += other.distance_sum_m;
     }
 
     /// Truths, summed over frames.
     pub const fn truths_len(&self) -> u64 {
-        self.matched_len + self.missed_len
+        self.matched_count + self.missed_count
     }
 
     /// Tracks, summed over frames.
-    pub const fn tracks_len(&self) -> u64 {
-        self.matched_len + self.false_len
+    pub const fn track_count(&self) -> u64 {
+        self.matched_count + self.false_count
     }
 
     /// MOTA: 1 minus misses, false tracks and switches per truth. The best value is 1; there is no lower
     /// limit.
     pub fn mota(&self) -> Option<f64> {
-        let errors = self.missed_len + self.false_len + self.switches_len;
+        let errors = self.missed_count + self.false_count + self.switch_count;
         Some(1.0 - ratio(errors as f64, self.truths_len())?)
     }
 
     /// MODA: MOTA without the switches.
     pub fn moda(&self) -> Option<f64> {
-        Some(1.0 - ratio((self.missed_len + self.false_len) as f64, self.truths_len())?)
+        Some(1.0 - ratio((self.missed_count + self.false_count) as f64, self.truths_len())?)
     }
 
     /// MOTP: the mean distance of the pairs.
     pub fn motp_m(&self) -> Option<f64> {
-        ratio(self.distance_sum_m, self.matched_len)
+        ratio(self.distance_sum_m, self.matched_count)
     }
 
     /// Share of the truths that have a track.
     pub fn recall(&self) -> Option<f64> {
-        ratio(self.matched_len as f64, self.truths_len())
+        ratio(self.matched_count as f64, self.truths_len())
     }
 
     /// Share of the tracks that have a truth.
     pub fn precision(&self) -> Option<f64> {
-        ratio(self.matched_len as f64, self.tracks_len())
+        ratio(self.matched_count as f64, self.track_count())
     }
 
     /// Harmonic mean of precision and recall.
     pub fn f1(&self) -> Option<f64> {
-        ratio(2.0 * self.matched_len as f64, self.truths_len() + self.tracks_len())
+        ratio(2.0 * self.matched_count as f64, self.truths_len() + self.track_count())
     }
 }
 

@@ -74,7 +74,7 @@ pub struct Consistency {
 
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct TickSum {
-    squares_len: u64,
+    square_count: u64,
     sum: f64,
     degrees: u64,
 }
@@ -83,9 +83,9 @@ struct TickSum {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ConsistencySummary {
     /// Squares counted.
-    pub squares_len: u64,
+    pub square_count: u64,
     /// Ticks with at least one square.
-    pub ticks_len: u64,
+    pub tick_count: u64,
     /// Share of the ticks whose sum is within its bounds.
     pub inside: f64,
     /// Mean square per degree of freedom, over all ticks. It is 1 if the covariances are consistent and
@@ -102,7 +102,7 @@ impl Consistency {
     pub fn add(&mut self, tick: u64, square: f64, degrees: u32) -> Result<(), TrackingError> {
         check("square", square, square.is_finite() && square >= 0.0, "finite and at least 0")?;
         check("degrees", f64::from(degrees), degrees > 0, "above 0")?;
-        let sum = TickSum { squares_len: 1, sum: square, degrees: degrees.into() };
+        let sum = TickSum { square_count: 1, sum: square, degrees: degrees.into() };
         self.ticks.entry(tick).or_default().merge(&sum);
         Ok(())
     }
@@ -133,8 +133,8 @@ impl Consistency {
             total.merge(tick);
         }
         Ok(inside.value().map(|share| ConsistencySummary {
-            squares_len: total.squares_len,
-            ticks_len: inside.len(),
+            square_count: total.square_count,
+            tick_count: inside.len(),
             inside: share,
             per_degree: total.sum / total.degrees as f64,
         }))
@@ -143,7 +143,7 @@ impl Consistency {
 
 impl TickSum {
     fn merge(&mut self, other: &Self) {
-        self.squares_len += other.squares_len;
+        self.square_count += other.square_count;
         self.sum += other.sum;
         self.degrees += other.degrees;
     }
@@ -262,7 +262,7 @@ mod tests {
     #[test]
     fn summary_separates_right_covariances_from_wrong_ones() {
         let right = summary(1.0);
-        assert_eq!((right.squares_len, right.ticks_len), (60_000, 300));
+        assert_eq!((right.square_count, right.tick_count), (60_000, 300));
         assert!((0.91..0.99).contains(&right.inside), "{right:?}");
         assert_close(right.per_degree, 1.0, 0.02);
         let small = summary(1.3);

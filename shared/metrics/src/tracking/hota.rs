@@ -89,7 +89,7 @@ impl Hota {
     pub fn finish(mut self) -> HotaCounts {
         let mut counts = HotaCounts {
             truths_len: self.truths.values().sum(),
-            tracks_len: self.tracks.values().sum(),
+            track_count: self.tracks.values().sum(),
             ..HotaCounts::default()
         };
         for pairs in std::mem::take(&mut self.frames) {
@@ -105,8 +105,8 @@ impl Hota {
             }
         }
         for (&(truth, track), shared) in &self.shared {
-            for (counts, &matched_len) in counts.alphas.iter_mut().zip(&shared.matched) {
-                counts.add_association(matched_len, self.truths[&truth], self.tracks[&track]);
+            for (counts, &matched_count) in counts.alphas.iter_mut().zip(&shared.matched) {
+                counts.add_association(matched_count, self.truths[&truth], self.tracks[&track]);
             }
         }
         counts
@@ -129,7 +129,7 @@ pub struct HotaCounts {
     /// Truths, summed over frames.
     pub truths_len: u64,
     /// Tracks, summed over frames.
-    pub tracks_len: u64,
+    pub track_count: u64,
     /// The matches at each of [`ALPHAS`].
     pub alphas: [AlphaCounts; ALPHAS.len()],
 }
@@ -138,7 +138,7 @@ pub struct HotaCounts {
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct AlphaCounts {
     /// Matches: pairs that are at least as similar as α.
-    pub matched_len: u64,
+    pub matched_count: u64,
     /// Sum of the similarities of the matches.
     pub similarity_sum: f64,
     /// Sum over matches: frames in which truth and track are matched, divided by the frames that contain
@@ -151,19 +151,19 @@ pub struct AlphaCounts {
 }
 
 impl AlphaCounts {
-    fn add_association(&mut self, matched_len: u64, truth_len: u64, track_len: u64) {
-        if matched_len == 0 {
+    fn add_association(&mut self, matched_count: u64, truth_count: u64, track_count: u64) {
+        if matched_count == 0 {
             return;
         }
-        let squared = (matched_len * matched_len) as f64;
-        self.matched_len += matched_len;
-        self.association_sum += squared / (truth_len + track_len - matched_len) as f64;
-        self.association_recall_sum += squared / truth_len as f64;
-        self.association_precision_sum += squared / track_len as f64;
+        let squared = (matched_count * matched_count) as f64;
+        self.matched_count += matched_count;
+        self.association_sum += squared / (truth_count + track_count - matched_count) as f64;
+        self.association_recall_sum += squared / truth_count as f64;
+        self.association_precision_sum += squared / track_count as f64;
     }
 
     fn merge(&mut self, other: &Self) {
-        self.matched_len += other.matched_len;
+        self.matched_count += other.matched_count;
         self.similarity_sum += other.similarity_sum;
         self.association_sum += other.association_sum;
         self.association_recall_sum += other.association_recall_sum;
@@ -201,7 +201,7 @@ impl HotaCounts {
     /// Adds the counts of `other`, which is a different recording.
     pub fn merge(&mut self, other: &Self) {
         self.truths_len += other.truths_len;
-        self.tracks_len += other.tracks_len;
+        self.track_count += other.track_count;
         self.alphas.iter_mut().zip(&other.alphas).for_each(|(ours, theirs)| ours.merge(theirs));
     }
 
@@ -228,22 +228,22 @@ impl HotaCounts {
     }
 
     fn score(&self, alpha: &AlphaCounts) -> HotaScore {
-        if alpha.matched_len == 0 {
+        if alpha.matched_count == 0 {
             return HotaScore { loc_a: 1.0, ..HotaScore::default() };
         }
-        let matched_len = alpha.matched_len as f64;
-        let det_re = matched_len / self.truths_len as f64;
-        let det_a = matched_len / (self.truths_len + self.tracks_len - alpha.matched_len) as f64;
-        let ass_a = alpha.association_sum / matched_len;
+        let matched_count = alpha.matched_count as f64;
+        let det_re = matched_count / self.truths_len as f64;
+        let det_a = matched_count / (self.truths_len + self.track_count - alpha.matched_count) as f64;
+        let ass_a = alpha.association_sum / matched_count;
         HotaScore {
             hota: (det_a * ass_a).sqrt(),
             det_a,
             det_re,
-            det_pr: matched_len / self.tracks_len as f64,
+            det_pr: matched_count / self.track_count as f64,
             ass_a,
-            ass_re: alpha.association_recall_sum / matched_len,
-            ass_pr: alpha.association_precision_sum / matched_len,
-            loc_a: alpha.similarity_sum / matched_len,
+            ass_re: alpha.association_recall_sum / matched_count,
+            ass_pr: alpha.association_precision_sum / matched_count,
+            loc_a: alpha.similarity_sum / matched_count,
             owta: (det_re * ass_a).sqrt(),
         }
     }

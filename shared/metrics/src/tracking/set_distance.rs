@@ -28,7 +28,7 @@ pub struct Gospa {
     /// `c^p / 2` for each track without a truth.
     pub false_tracks: f64,
     /// Number of pairs.
-    pub pairs_len: usize,
+    pub pair_count: usize,
 }
 
 impl SetDistance {
@@ -48,25 +48,25 @@ impl SetDistance {
     /// The generalised optimal sub-pattern assignment distance with α = 2; 0 for two empty sets.
     #[must_use]
     pub fn gospa(&self, frame: &Frame) -> Gospa {
-        let (pairs_len, localisation) = self.localisation(frame);
+        let (pair_count, localisation) = self.localisation(frame);
         let half = self.cutoff_m.powf(self.order) / 2.0;
-        let missed = half * (frame.truths().len() - pairs_len) as f64;
-        let false_tracks = half * (frame.tracks().len() - pairs_len) as f64;
+        let missed = half * (frame.truths().len() - pair_count) as f64;
+        let false_tracks = half * (frame.tracks().len() - pair_count) as f64;
         let distance_m = (localisation + missed + false_tracks).powf(self.order.recip());
-        Gospa { distance_m, localisation, missed, false_tracks, pairs_len }
+        Gospa { distance_m, localisation, missed, false_tracks, pair_count }
     }
 
     /// The optimal sub-pattern assignment distance in metres: 0 for equal (or two empty) sets, and at most
     /// the cutoff.
     #[must_use]
     pub fn ospa(&self, frame: &Frame) -> f64 {
-        let objects_len = frame.truths().len().max(frame.tracks().len());
-        if objects_len == 0 {
+        let object_count = frame.truths().len().max(frame.tracks().len());
+        if object_count == 0 {
             return 0.0;
         }
-        let (pairs_len, localisation) = self.localisation(frame);
-        let unpaired = self.cutoff_m.powf(self.order) * (objects_len - pairs_len) as f64;
-        ((localisation + unpaired) / objects_len as f64).powf(self.order.recip())
+        let (pair_count, localisation) = self.localisation(frame);
+        let unpaired = self.cutoff_m.powf(self.order) * (object_count - pair_count) as f64;
+        ((localisation + unpaired) / object_count as f64).powf(self.order.recip())
     }
 
     /// Number of optimal pairs and the sum of their `d^p`. Both distances have the same optimal pairs,

@@ -44,8 +44,8 @@ impl TemporalMemory {
 impl TemporalAttention {
     pub(super) fn read(weights: &Weights) -> Result<Self, WeightsError> {
         let config = weights.config();
-        let read = |part: &str, rows_len| {
-            Linear::read_unbiased(weights, &format!("gdat.temporal.{part}"), rows_len, NODE_ATTRIBUTES)
+        let read = |part: &str, row_count| {
+            Linear::read_unbiased(weights, &format!("gdat.temporal.{part}"), row_count, NODE_ATTRIBUTES)
         };
         let heads = match config.temporal {
             Temporal::ValueMatrix => config.temporal_heads,
@@ -80,14 +80,14 @@ impl TemporalAttention {
         memory: &mut TemporalMemory,
         out: &mut [[f32; TEMPORAL]],
     ) {
-        let (nodes_len, stride) = (present.len(), self.score_stride());
+        let (node_count, stride) = (present.len(), self.score_stride());
         let TemporalMemory { scores, values, beta, beta_len } = memory;
-        scores.reserve(nodes_len * stride);
-        values.reserve(nodes_len * TEMPORAL);
-        *beta_len = nodes_len * self.heads;
+        scores.reserve(node_count * stride);
+        values.reserve(node_count * TEMPORAL);
+        *beta_len = node_count * self.heads;
         beta.reserve(*beta_len);
-        let scores = &mut scores[..nodes_len * stride];
-        let values = &mut values[..nodes_len * TEMPORAL];
+        let scores = &mut scores[..node_count * stride];
+        let values = &mut values[..node_count * TEMPORAL];
         match &self.scores {
             Some(layer) => layer.run(nodes, NODE_ATTRIBUTES, Activation::None, scores),
             None => scores.fill(0.0),

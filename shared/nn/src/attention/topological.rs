@@ -93,12 +93,12 @@ impl Round {
     }
 
     /// Reserves memory for graphs of this many nodes and edges.
-    pub(super) fn make_room(&self, nodes_len: usize, edges_len: usize, memory: &mut RoundMemory) {
+    pub(super) fn make_room(&self, node_count: usize, edges_len: usize, memory: &mut RoundMemory) {
         let RoundMemory { alpha, values, receivers, senders, wide, hidden, .. } = memory;
         alpha.reserve(edges_len * self.factors.len());
-        values.reserve(nodes_len * NODE_ATTRIBUTES);
-        receivers.reserve(nodes_len * UPDATE_HIDDEN);
-        senders.reserve(nodes_len * UPDATE_HIDDEN);
+        values.reserve(node_count * NODE_ATTRIBUTES);
+        receivers.reserve(node_count * UPDATE_HIDDEN);
+        senders.reserve(node_count * UPDATE_HIDDEN);
         wide.reserve(BLOCK * UPDATE_HIDDEN);
         hidden.reserve(BLOCK * UPDATE_HIDDEN);
     }

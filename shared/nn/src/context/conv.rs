@@ -44,20 +44,20 @@ impl Conv {
         let of = |part: &str| weights.tensor(&format!("fe.context.{norm}.{part}"), &[out_channels]);
         let (gamma, bias, mean, var) = (of("weight")?, of("bias")?, of("running_mean")?, of("running_var")?);
         let scale = |out: usize| f64::from(gamma[out]) / (f64::from(var[out]) + BATCH_NORM_EPSILON).sqrt();
-        let taps_len = kernel * kernel;
+        let tap_count = kernel * kernel;
         let weight = |out: usize, tap: usize, c: usize| {
             if c >= in_channels {
                 return 0.0;
             }
-            (scale(out) * f64::from(filter[(out * in_channels + c) * taps_len + tap])) as f32
+            (scale(out) * f64::from(filter[(out * in_channels + c) * tap_count + tap])) as f32
         };
         let shift = |out: usize| (f64::from(bias[out]) - scale(out) * f64::from(mean[out])) as f32;
         let taps = Taps::new(side, kernel, stride, padding);
         Ok(Self {
-            panels: Panels::pack([out_channels, taps_len, in_stride], weight, shift),
+            panels: Panels::pack([out_channels, tap_count, in_stride], weight, shift),
             zeros: Buffer::zeroed(in_stride),
             out_side: (side + 2 * padding - kernel) / stride + 1,
-            multiply_adds: taps.live_len() * in_channels * out_channels,
+            multiply_adds: taps.live_count() * in_channels * out_channels,
             taps,
         })
     }
@@ -80,19 +80,19 @@ impl Conv {
         self.multiply_adds
     }
 
-    /// Convolves `images_len` images, \[position, image, channel\], into the front of `out`.
+    /// Convolves `image_count` images, \[position, image, channel\], into the front of `out`.
     pub(super) fn run(
         &self,
         input: &[f32],
-        images_len: usize,
+        image_count: usize,
         residual: Option<&[f32]>,
         activation: Activation,
         out: &mut [f32],
     ) {
-        let len = self.out_positions() * images_len * self.out_channels();
+        let len = self.out_positions() * image_count * self.out_channels();
         Product {
             input,
-            gather: Gather::Taps { taps: &self.taps, images_len, zeros: &self.zeros },
+            gather: Gather::Taps { taps: &self.taps, image_count, zeros: &self.zeros },
             panels: &self.panels,
             residual: residual.map(|residual| &residual[..len]),
             relu: activation == Activation::Relu,

@@ -86,20 +86,20 @@ impl DecoderGroup {
         if let Some(base) = network.base() {
             (0..agents_len).for_each(|agent| self.extend_base(base, config, agent));
         }
-        let (draws_len, draws) = if network.points_len() > 0 {
-            (network.points_len(), Draws::Points(&self.base))
+        let (draw_count, draws) = if network.point_count() > 0 {
+            (network.point_count(), Draws::Points(&self.base))
         } else {
-            let draws_len = modes_len + 1;
+            let draw_count = modes_len + 1;
             let best = network.best_latent().copied().unwrap_or([0.0; LATENT]);
             self.latents.clear();
-            self.latents.resize(agents_len * draws_len, best);
-            for (agent, latents) in self.latents.chunks_exact_mut(draws_len).enumerate() {
+            self.latents.resize(agents_len * draw_count, best);
+            for (agent, latents) in self.latents.chunks_exact_mut(draw_count).enumerate() {
                 agents.draw(agent, &mut latents[..modes_len]);
             }
-            (draws_len, Draws::Given(&self.latents))
+            (draw_count, Draws::Given(&self.latents))
         };
         self.horizon_len = config.horizon_len;
-        self.raw.resize(agents_len * draws_len * config.horizon_len, [0.0; RAW_CONTROL]);
+        self.raw.resize(agents_len * draw_count * config.horizon_len, [0.0; RAW_CONTROL]);
         network.forecast(&self.hidden, &self.temporal, draws, &mut self.memory, &mut self.raw);
         self.probability.resize(agents_len * modes_len, 0.0);
         let Self { hidden, temporal, memory, probability, .. } = self;
@@ -129,7 +129,7 @@ impl DecoderGroup {
         let is_present = |step: usize| self.present[step * agents_len + agent];
         let features = BaseFeatures::new(&self.history, is_present, config);
         let first = self.base.len();
-        self.base.resize(first + base.controls_len(), [0.0; 2]);
+        self.base.resize(first + base.control_count(), [0.0; 2]);
         base.controls(&features, &mut self.base[first..]);
         self.outside[agent] = base.outside(&features);
     }
@@ -159,7 +159,7 @@ impl DecoderGroup {
 impl AgentDraws<'_> {
     /// Number of draws: one per mode, plus the best forecast if the model has a latent point for it.
     #[must_use]
-    pub const fn draws_len(&self) -> usize {
+    pub const fn draw_count(&self) -> usize {
         self.raw.len() / self.horizon_len
     }
 

@@ -92,7 +92,7 @@ pub(crate) struct PairPanels {
     values: Buffer,
     bias: Buffer,
     in_len: usize,
-    panels_len: usize,
+    panel_count: usize,
 }
 
 /// A product's input and output; see the module.
@@ -121,29 +121,29 @@ impl PairPanels {
         bias: impl Fn(usize) -> f32,
     ) -> Self {
         assert!((1..=IN_MAX).contains(&in_len) && out_len > 0, "a {in_len} × {out_len} matrix");
-        let panels_len = out_len.div_ceil(PANEL);
-        let pairs_len = in_len.div_ceil(2);
-        let mut values = Buffer::zeroed(panels_len * pairs_len * PANEL);
-        let mut padded_bias = Buffer::zeroed(panels_len * PANEL);
+        let panel_count = out_len.div_ceil(PANEL);
+        let pair_count = in_len.div_ceil(2);
+        let mut values = Buffer::zeroed(panel_count * pair_count * PANEL);
+        let mut padded_bias = Buffer::zeroed(panel_count * PANEL);
         for out in 0..out_len {
             padded_bias[out] = bias(out);
             let bits = |i: usize| if i < in_len { bf16::from_f32(weight(out, i)).to_bits() } else { 0 };
-            for pair in 0..pairs_len {
+            for pair in 0..pair_count {
                 let [low, high] = [2 * pair, 2 * pair + 1].map(|i| u32::from(bits(i)));
-                let place = (out / PANEL * pairs_len + pair) * PANEL + out % PANEL;
+                let place = (out / PANEL * pair_count + pair) * PANEL + out % PANEL;
                 values[place] = f32::from_bits(high << 16 | low);
             }
         }
-        Self { proof, values, bias: padded_bias, in_len, panels_len }
+        Self { proof, values, bias: padded_bias, in_len, panel_count }
     }
 
     /// Length of an output row: a multiple of 16.
     pub(crate) const fn out_stride(&self) -> usize {
-        self.panels_len * PANEL
+        self.panel_count * PANEL
     }
 
     #[cfg(target_arch = "x86_64")]
-    const fn pairs_len(&self) -> usize {
+    const fn pair_count(&self) -> usize {
         self.in_len.div_ceil(2)
     }
 }
@@ -152,20 +152,20 @@ impl PairProduct<'_> {
     /// Computes all rows of `out`.
     pub(crate) fn run(self) {
         let out_stride = self.panels.out_stride();
-        let rows_len = self.out.len() / out_stride;
-        assert_eq!(self.out.len(), rows_len * out_stride, "whole rows of output");
+        let row_count = self.out.len() / out_stride;
+        assert_eq!(self.out.len(), row_count * out_stride, "whole rows of output");
         assert!(self.residual.is_none_or(|r| r.len() == self.out.len()), "residual like output");
-        if rows_len == 0 {
+        if row_count == 0 {
             return;
         }
-        let last = (rows_len - 1).checked_mul(self.stride);
+        let last = (row_count - 1).checked_mul(self.stride);
         let end = last.and_then(|last| last.checked_add(self.panels.in_len));
         assert!(end.is_some_and(|end| end <= self.input.len()), "rows of input");
         let DotProducts(proof) = self.panels.proof;
         #[cfg(target_arch = "x86_64")]
         {
             let () = proof;
-            x86::run(self, rows_len);
+            x86::run(self, row_count);
         }
         #[cfg(not(target_arch = "x86_64"))]
         match proof {}

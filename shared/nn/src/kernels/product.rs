@@ -35,10 +35,10 @@ const DEAD: u32 = u32::MAX;
 pub struct Panels {
     values: Buffer,
     bias: Buffer,
-    taps_len: usize,
+    tap_count: usize,
     in_len: usize,
     out_len: usize,
-    panels_len: usize,
+    panel_count: usize,
 }
 
 impl Panels {
@@ -49,39 +49,39 @@ impl Panels {
     /// If a length is 0 or there are more than 49 taps.
     #[must_use]
     pub fn pack(
-        [out_len, taps_len, in_len]: [usize; 3],
+        [out_len, tap_count, in_len]: [usize; 3],
         weight: impl Fn(usize, usize, usize) -> f32,
         bias: impl Fn(usize) -> f32,
     ) -> Self {
-        assert!((1..=TAPS_MAX).contains(&taps_len) && in_len > 0 && out_len > 0);
-        let panels_len = out_len.div_ceil(PANEL);
-        let mut values = Buffer::zeroed(panels_len * taps_len * in_len * PANEL);
-        let mut padded_bias = Buffer::zeroed(panels_len * PANEL);
+        assert!((1..=TAPS_MAX).contains(&tap_count) && in_len > 0 && out_len > 0);
+        let panel_count = out_len.div_ceil(PANEL);
+        let mut values = Buffer::zeroed(panel_count * tap_count * in_len * PANEL);
+        let mut padded_bias = Buffer::zeroed(panel_count * PANEL);
         for out in 0..out_len {
             let (panel, column) = (out / PANEL, out % PANEL);
             padded_bias[out] = bias(out);
-            for tap in 0..taps_len {
+            for tap in 0..tap_count {
                 for c in 0..in_len {
-                    let place = ((panel * taps_len + tap) * in_len + c) * PANEL + column;
+                    let place = ((panel * tap_count + tap) * in_len + c) * PANEL + column;
                     values[place] = weight(out, tap, c);
                 }
             }
         }
-        Self { values, bias: padded_bias, taps_len, in_len, out_len, panels_len }
+        Self { values, bias: padded_bias, tap_count, in_len, out_len, panel_count }
     }
 
     /// Length of an output row: a multiple of 16.
     pub const fn out_stride(&self) -> usize {
-        self.panels_len * PANEL
+        self.panel_count * PANEL
     }
 
     /// Whether the second half of the last panel contains only padding.
     const fn ends_in_half(&self) -> bool {
-        self.panels_len * PANEL - self.out_len >= PANEL / 2
+        self.panel_count * PANEL - self.out_len >= PANEL / 2
     }
 
     const fn panel_len(&self) -> usize {
-        self.taps_len * self.in_len * PANEL
+        self.tap_count * self.in_len * PANEL
     }
 }
 
@@ -89,7 +89,7 @@ impl Panels {
 pub struct Taps {
     /// \[output position, tap\]: input position or [`DEAD`].
     sources: Vec<u32>,
-    taps_len: usize,
+    tap_count: usize,
     in_positions: usize,
 }
 
@@ -114,12 +114,12 @@ impl Taps {
                 });
             }
         }
-        Self { sources, taps_len: kernel * kernel, in_positions: side * side }
+        Self { sources, tap_count: kernel * kernel, in_positions: side * side }
     }
 
     /// Number of positions of the output map.
     pub fn out_positions(&self) -> usize {
-        self.sources.len() / self.taps_len
+        self.sources.len() / self.tap_count
     }
 
     /// The live taps at an output position, each with its input position.
@@ -132,30 +132,30 @@ impl Taps {
     pub fn without_dead(&self) -> (Self, Vec<usize>) {
         let sees_input =
             |tap: &usize| (0..self.out_positions()).any(|position| self.sources(position)[*tap] != DEAD);
-        let left: Vec<usize> = (0..self.taps_len).filter(sees_input).collect();
+        let left: Vec<usize> = (0..self.tap_count).filter(sees_input).collect();
         let positions = (0..self.out_positions()).map(|position| self.sources(position));
         let sources = positions.flat_map(|sources| left.iter().map(|&tap| sources[tap])).collect();
-        (Self { sources, taps_len: left.len(), in_positions: self.in_positions }, left)
+        (Self { sources, tap_count: left.len(), in_positions: self.in_positions }, left)
     }
 
     /// The table of the backward pass: for each *input* position and tap, the output position that reads it.
     pub fn transposed(&self) -> Self {
-        let mut sources = vec![DEAD; self.in_positions * self.taps_len];
+        let mut sources = vec![DEAD; self.in_positions * self.tap_count];
         for position in 0..self.out_positions() {
             for (tap, source) in self.live_at(position) {
-                sources[source * self.taps_len + tap] = position as u32;
+                sources[source * self.tap_count + tap] = position as u32;
             }
         }
-        Self { sources, taps_len: self.taps_len, in_positions: self.out_positions() }
+        Self { sources, tap_count: self.tap_count, in_positions: self.out_positions() }
     }
 
     /// The input positions of an output position's taps.
     fn sources(&self, position: usize) -> &[u32] {
-        &self.sources[position * self.taps_len..][..self.taps_len]
+        &self.sources[position * self.tap_count..][..self.tap_count]
     }
 
     /// Number of live pairs of output position and tap.
-    pub fn live_len(&self) -> usize {
+    pub fn live_count(&self) -> usize {
         self.sources.iter().filter(|&&source| source != DEAD).count()
     }
 }
@@ -178,7 +178,7 @@ pub enum Gather<'a> {
         /// The convolution's table.
         taps: &'a Taps,
         /// Images in the batch.
-        images_len: usize,
+        image_count: usize,
         /// A row of zeros, as long as an input row.
         zeros: &'a [f32],
     },
@@ -207,34 +207,34 @@ impl Product<'_> {
     /// If the lengths of the slices do not match.
     pub fn run(self) {
         let stride = self.panels.out_stride();
-        let rows_len = self.out.len() / stride;
-        assert_eq!(self.out.len(), rows_len * stride, "whole rows of output");
+        let row_count = self.out.len() / stride;
+        assert_eq!(self.out.len(), row_count * stride, "whole rows of output");
         assert!(self.residual.is_none_or(|r| r.len() == self.out.len()), "residual like output");
-        if rows_len == 0 {
+        if row_count == 0 {
             return;
         }
         match self.gather {
             Gather::Rows { stride } => {
-                assert_eq!(self.panels.taps_len, 1);
-                let last = (rows_len - 1).checked_mul(stride);
+                assert_eq!(self.panels.tap_count, 1);
+                let last = (row_count - 1).checked_mul(stride);
                 let end = last.and_then(|last| last.checked_add(self.panels.in_len));
                 assert!(end.is_some_and(|end| end <= self.input.len()), "rows of input");
             }
             Gather::Columns { stride } => {
-                assert_eq!(self.panels.taps_len, 1);
+                assert_eq!(self.panels.tap_count, 1);
                 let last = (self.panels.in_len - 1).checked_mul(stride);
-                let end = last.and_then(|last| last.checked_add(rows_len));
+                let end = last.and_then(|last| last.checked_add(row_count));
                 assert!(end.is_some_and(|end| end <= self.input.len()), "columns of input");
             }
-            Gather::Taps { taps, images_len, zeros } => {
-                assert_eq!(self.panels.taps_len, taps.taps_len);
-                assert_eq!(taps.out_positions().checked_mul(images_len), Some(rows_len), "rows of output");
-                let in_rows = taps.in_positions.checked_mul(images_len);
+            Gather::Taps { taps, image_count, zeros } => {
+                assert_eq!(self.panels.tap_count, taps.tap_count);
+                assert_eq!(taps.out_positions().checked_mul(image_count), Some(row_count), "rows of output");
+                let in_rows = taps.in_positions.checked_mul(image_count);
                 let len = in_rows.and_then(|rows| rows.checked_mul(self.panels.in_len));
                 assert!(len.is_some_and(|len| len <= self.input.len()), "input maps");
                 assert!(zeros.len() >= self.panels.in_len);
             }
         }
-        dispatch(Checked { product: self, rows_len });
+        dispatch(Checked { product: self, row_count });
     }
 }

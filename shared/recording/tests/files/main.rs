@@ -71,7 +71,7 @@ fn a_cut_file_is_read_up_to_its_last_whole_chunk_and_called_incomplete() {
     let (folder, path) = written(&all);
     let whole = fs::read(&path).unwrap();
     let cut = folder.path().join("cut.mcap");
-    let mut found_len = 0;
+    let mut found_count = 0;
     // Every position would take long; a prime step reaches all kinds of records.
     let places: Vec<usize> =
         (1..).map(|i| i * whole.len() / 211).take_while(|at| *at < whole.len()).collect();
@@ -85,10 +85,10 @@ fn a_cut_file_is_read_up_to_its_last_whole_chunk_and_called_incomplete() {
         assert!(!recording.is_complete(), "cut to {at} of {}", whole.len());
         let messages: Vec<Message> = recording.messages().collect::<Result<_, _>>().unwrap();
         assert_eq!(messages, all[..messages.len()], "cut to {at}");
-        assert!(messages.len() >= found_len, "a longer file has no fewer messages");
-        found_len = messages.len();
+        assert!(messages.len() >= found_count, "a longer file has no fewer messages");
+        found_count = messages.len();
     }
-    assert_eq!(found_len, all.len(), "the index alone was cut off last");
+    assert_eq!(found_count, all.len(), "the index alone was cut off last");
 }
 
 #[test]
@@ -131,14 +131,14 @@ fn a_damaged_chunk_is_named_and_the_next_ones_are_read() {
 /// A disk that refuses its third and fourth block.
 #[derive(Default)]
 struct Disk {
-    blocks_len: usize,
+    block_count: usize,
     bytes: u64,
 }
 
 impl Sink for Disk {
     fn append(&mut self, block: &[u8]) -> io::Result<()> {
-        self.blocks_len += 1;
-        if (3..5).contains(&self.blocks_len) {
+        self.block_count += 1;
+        if (3..5).contains(&self.block_count) {
             return Err(ErrorKind::StorageFull.into());
         }
         self.bytes += block.len() as u64;

@@ -63,7 +63,7 @@ proptest! {
         memory.save(&path, WEIGHTS).unwrap();
         memory.end_session();
         let found = RetrievalMemory::load(&path, WEIGHTS, STEPS).unwrap();
-        prop_assert_eq!(found.entries_len(), memory.entries_len());
+        prop_assert_eq!(found.entry_count(), memory.entry_count());
         for (key, _) in &passages {
             prop_assert_eq!(retrieve(&found, 1, key), retrieve(&memory, 1, key));
         }
@@ -78,7 +78,7 @@ proptest! {
 fn files_of_the_first_version_are_read_and_written_alike() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/retrieval/data/earlier.memory");
     let memory = RetrievalMemory::load(&path, WEIGHTS, STEPS).unwrap();
-    assert_eq!(memory.entries_len(), 8);
+    assert_eq!(memory.entry_count(), 8);
     let walk = Key::Displacement(DisplacementKey { position_m: [0.0; 2], velocity_mps: [1.0, 0.0] });
     assert_eq!([at_x(0.0), walk].map(|key| retrieve(&memory, 1, &key).neighbours.len()), [4, 4]);
     assert!(!retrieve(&memory, 1, &at_x(0.0)).expected.is_empty());
@@ -95,18 +95,18 @@ fn the_oldest_entries_are_dropped() {
     let path = folder.path().join("a.memory");
     let kept = |memory: &RetrievalMemory| {
         memory.save(&path, WEIGHTS).unwrap();
-        RetrievalMemory::load(&path, WEIGHTS, STEPS).unwrap().entries_len()
+        RetrievalMemory::load(&path, WEIGHTS, STEPS).unwrap().entry_count()
     };
     let mut memory = RetrievalMemory::new(HORIZON_LEN, STEP_NS);
     pass_all(&mut memory, &vec![(at_x(0.5), vec![[1.0, 0.0]; HORIZON_LEN]); 300]);
-    assert_eq!((memory.entries_len(), kept(&memory)), (300, 128));
+    assert_eq!((memory.entry_count(), kept(&memory)), (300, 128));
     let walk = |number: usize| {
         let position_m = [(number % 400) as f32 * 5.0, (number / 400) as f32 * 5.0];
         (Key::Displacement(DisplacementKey { position_m, velocity_mps: [1.0, 0.0] }), vec![[0.0; 2]])
     };
     memory.end_session();
     pass_all(&mut memory, &(0..131_072).map(walk).collect::<Vec<_>>());
-    assert_eq!((memory.entries_len(), kept(&memory)), (131_072, 131_072));
+    assert_eq!((memory.entry_count(), kept(&memory)), (131_072, 131_072));
     assert!(retrieve(&memory, 0, &at_x(0.5)).is_empty(), "the first ones are gone");
     assert!(!retrieve(&memory, 0, &walk(0).0).is_empty());
 }

@@ -89,7 +89,7 @@ fn a_crowd_beyond_the_limit_is_stored_in_part() {
             memory.retrieve_and_store(&query, &straight(), &mut Retrieved::default());
         }
     }
-    assert_eq!(memory.entries_len(), 2 * 512);
+    assert_eq!(memory.entry_count(), 2 * 512);
 }
 
 #[test]
@@ -98,7 +98,7 @@ fn agents_are_stored_once_a_step_and_never_late() {
     let mut store = |agent: u64, stamp_ns: i64| {
         let query = Query { stamp_ns, agent, key: at_x(0.0) };
         memory.retrieve_and_store(&query, &straight(), &mut Retrieved::default());
-        let stored = memory.entries_len();
+        let stored = memory.entry_count();
         memory.observe(stamp_ns + 100_000_000, [(1, [0.0; 2])]);
         stored
     };
@@ -220,7 +220,7 @@ fn the_best_forecast_changes_and_a_mode_is_replaced() {
     assert!((sum - 1.0).abs() < 1e-6 && changes.probability()[1] > 0.9, "{:?}", changes.probability());
     let controls = forecast.controls();
     assert!(changes.mode(0, &controls).all(|control| control.cholesky == [0.3, 0.1, 0.2]), "deviations stay");
-    assert_eq!(memory.entries_len(), 60, "a query of another time is not stored");
+    assert_eq!(memory.entry_count(), 60, "a query of another time is not stored");
 }
 
 /// Retrieving for a frame's agents at the same time gives the same results as retrieving in turn, also if
@@ -246,7 +246,7 @@ fn retrieving_for_a_frame_at_a_time_is_retrieving_one_after_the_other() {
         found.push(retrieved);
     }
     unstored.iter().for_each(|unstored| parallel.store(unstored));
-    assert_eq!(serial.entries_len() + queries.len(), parallel.entries_len());
+    assert_eq!(serial.entry_count() + queries.len(), parallel.entry_count());
     for (query, found) in queries.iter().zip(&found) {
         let mut retrieved = Retrieved::default();
         serial.retrieve_and_store(query, &straight(), &mut retrieved);

@@ -23,8 +23,8 @@ impl MapBuilder {
     /// [`CELLS_MAX`] cells.
     #[must_use]
     pub fn new(origin_m: [f32; 2], rows: usize, cols: usize) -> Option<Self> {
-        let cells_len = rows.checked_mul(cols).filter(|len| *len <= CELLS_MAX)?;
-        Some(Self { origin_m, rows, cols, sums: vec![Sums::default(); cells_len] })
+        let cell_count = rows.checked_mul(cols).filter(|len| *len <= CELLS_MAX)?;
+        Some(Self { origin_m, rows, cols, sums: vec![Sums::default(); cell_count] })
     }
 
     /// Counts one visit: an agent at a position with a velocity. A visit outside the map is dropped. Returns

@@ -61,7 +61,7 @@ impl Folder {
     }
 
     fn check_sizes(&self) -> Result<(), String> {
-        let (agents_len, steps_len) =
+        let (agents_len, step_count) =
             (self.types.len(), self.config().history_len + self.config().horizon_len);
         let rows = [
             ("position_m", self.scene.position_m.iter().map(Vec::len).collect::<Vec<_>>()),
@@ -70,8 +70,8 @@ impl Folder {
             ("present", self.scene.present.iter().map(Vec::len).collect()),
         ];
         for (name, lens) in rows {
-            if lens.len() != steps_len || lens.iter().any(|len| *len != agents_len) {
-                return Err(format!("{name} is not {steps_len} steps of {agents_len} agents"));
+            if lens.len() != step_count || lens.iter().any(|len| *len != agents_len) {
+                return Err(format!("{name} is not {step_count} steps of {agents_len} agents"));
             }
         }
         match self.scene.vehicles.iter().find(|agent| **agent >= agents_len) {

@@ -57,7 +57,7 @@ pub(super) struct Layers {
 struct Inputs {
     states: Vec<Option<State>>,
     frames: Vec<AgentFrame>,
-    steps_len: usize,
+    step_count: usize,
     agents_len: usize,
 }
 
@@ -74,7 +74,7 @@ impl Inputs {
         };
         Ok(Self {
             frames: (0..agents_len).map(frame).collect::<Result<_, _>>()?,
-            steps_len: steps.len(),
+            step_count: steps.len(),
             states: steps
                 .flat_map(|step| (0..agents_len).map(move |agent| folder.state(step, agent)))
                 .collect(),
@@ -88,7 +88,7 @@ impl Inputs {
 
     /// A row for every pair of agents at every step, \[step, receiver, sender\].
     fn dense<const N: usize>(&self, edges: &[Edge], rows: &[[f32; N]]) -> Vec<[f32; N]> {
-        let mut dense = vec![[0.0; N]; self.steps_len * self.agents_len * self.agents_len];
+        let mut dense = vec![[0.0; N]; self.step_count * self.agents_len * self.agents_len];
         for (edge, row) in edges.iter().zip(rows) {
             dense[self.pair(edge)] = *row;
         }
@@ -102,7 +102,7 @@ impl Inputs {
 
     fn edges(&self, folder: &Folder, rule: &EdgeRule) -> Vec<Edge> {
         let mut edges = Vec::new();
-        for step in 0..self.steps_len {
+        for step in 0..self.step_count {
             let vertex = |(state, agent_type): (&Option<State>, _)| {
                 state.map(|s| Vertex { position_m: s.position_m, agent_type })
             };
@@ -246,7 +246,7 @@ fn compare_rounds(
     for (number, round) in trace.rounds.iter().enumerate() {
         // The folder stores α as [step, head, receiver, sender].
         let pairs = inputs.agents_len * inputs.agents_len;
-        let mut alpha = vec![0.0; inputs.steps_len * heads * pairs];
+        let mut alpha = vec![0.0; inputs.step_count * heads * pairs];
         for (edge, values) in edges.iter().zip(round.alpha.chunks_exact(heads)) {
             let (step, pair) = (inputs.pair(edge) / pairs, inputs.pair(edge) % pairs);
             for (head, value) in values.iter().enumerate() {

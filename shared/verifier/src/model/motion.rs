@@ -13,7 +13,7 @@ const HIDDEN: usize = 128;
 /// The controls of all agents, \[draw, agent, step\].
 pub(super) struct Controls {
     gaussians: Vec<wire::ControlGaussian>,
-    draws_len: usize,
+    draw_count: usize,
 }
 
 /// Compares the decoder's output with the folder's latent draws, and the control Gaussians.
@@ -28,7 +28,7 @@ pub(super) fn controls(
     if latents.is_empty() || !latents.len().is_multiple_of(agents_len) {
         return Err(folder.malformed(format!("latent.z: {} rows for {agents_len} agents", latents.len())));
     }
-    let draws_len = latents.len() / agents_len;
+    let draw_count = latents.len() / agents_len;
     let mut raw = vec![[0.0; RAW_CONTROL]; latents.len() * horizon_len];
     for agent_type in AGENT_TYPES {
         decode(folder, decoder, agent_type, history, &latents, &mut raw);
@@ -38,7 +38,7 @@ pub(super) fn controls(
     ledger.compare("control.mean", &gaussians.iter().flat_map(|g| g.mean).collect::<Vec<_>>())?;
     let factor = |g: &wire::ControlGaussian| [g.cholesky[0], 0.0, g.cholesky[1], g.cholesky[2]];
     ledger.compare("control.cholesky", &gaussians.iter().flat_map(factor).collect::<Vec<_>>())?;
-    Ok(Controls { gaussians, draws_len })
+    Ok(Controls { gaussians, draw_count })
 }
 
 /// Runs the agents of one type and places their rows, \[draw, agent, step\].
@@ -50,16 +50,16 @@ fn decode(
     latents: &[[f32; LATENT]],
     raw: &mut [[f32; RAW_CONTROL]],
 ) {
-    let (all_len, horizon_len) = (folder.types.len(), folder.config().horizon_len);
-    let agents: Vec<usize> = (0..all_len).filter(|agent| folder.types[*agent] == agent_type).collect();
-    let draws_len = latents.len() / all_len;
-    let rows = |step: usize| agents.iter().map(move |agent| step * all_len + agent);
+    let (all_count, horizon_len) = (folder.types.len(), folder.config().horizon_len);
+    let agents: Vec<usize> = (0..all_count).filter(|agent| folder.types[*agent] == agent_type).collect();
+    let draw_count = latents.len() / all_count;
+    let rows = |step: usize| agents.iter().map(move |agent| step * all_count + agent);
     let steps = 0..folder.config().history_len;
     let states: Vec<_> = steps.clone().flat_map(|step| rows(step).map(|row| history.states[row])).collect();
     let present: Vec<_> = steps.flat_map(|step| rows(step).map(|row| history.present[row])).collect();
     let temporal: Vec<_> = agents.iter().map(|agent| history.temporal[*agent]).collect();
     let draws: Vec<_> =
-        agents.iter().flat_map(|a| (0..draws_len).map(move |draw| latents[draw * all_len + a])).collect();
+        agents.iter().flat_map(|a| (0..draw_count).map(move |draw| latents[draw * all_count + a])).collect();
 
     let mut memory = DecoderMemory::default();
     let mut hidden = vec![[0.0; HIDDEN]; agents.len()];
@@ -68,8 +68,8 @@ fn decode(
     let mut out = vec![[0.0; RAW_CONTROL]; draws.len() * horizon_len];
     decoder.of(agent_type).forecast(&hidden, &temporal, Draws::Given(&draws), &mut memory, &mut out);
     for (number, steps) in out.chunks_exact(horizon_len).enumerate() {
-        let (agent, draw) = (agents[number / draws_len], number % draws_len);
-        raw[(draw * all_len + agent) * horizon_len..][..horizon_len].copy_from_slice(steps);
+        let (agent, draw) = (agents[number / draw_count], number % draw_count);
+        raw[(draw * all_count + agent) * horizon_len..][..horizon_len].copy_from_slice(steps);
     }
 }
 
@@ -117,7 +117,7 @@ fn propagate(
 ) -> (Vec<f32>, Vec<f32>) {
     let (agents_len, horizon_len) = (folder.types.len(), folder.config().horizon_len);
     let (mut means, mut covariances) = (Vec::new(), Vec::new());
-    for draw in 0..controls.draws_len {
+    for draw in 0..controls.draw_count {
         for (start, agent) in starts.iter().zip(&folder.scene.vehicles) {
             let mut belief = Belief::certain(*start);
             for gaussian in &controls.gaussians[(draw * agents_len + agent) * horizon_len..][..horizon_len] {

@@ -42,14 +42,14 @@ fn compare_dense(part: &mut Part, ledger: &mut Ledger) -> Result<(), VerifyError
             return Err(table.malformed(row, format!("nothing computes kind \"{}\"", kinds[row])));
         }
         let matrix = matrix(part, file)?;
-        if [rows, columns] != [matrix.rows_len as u64, matrix.columns_len as u64] {
-            let own = format!("{} × {}", matrix.rows_len, matrix.columns_len);
+        if [rows, columns] != [matrix.row_count as u64, matrix.column_count as u64] {
+            let own = format!("{} × {}", matrix.row_count, matrix.column_count);
             return Err(table.malformed(row, format!("{file} is {own}, not {rows} × {columns}")));
         }
         // A miss costs more than any pair, so only rows without a free column choose it.
         let dearest = matrix.numbers().iter().fold(0.0_f64, |most, cost| most.max(cost.abs()));
         let pairs = solve(&matrix, f64::INFINITY, 2.0 * dearest + 1.0);
-        let all_paired = pairs.len() == matrix.rows_len.min(matrix.columns_len);
+        let all_paired = pairs.len() == matrix.row_count.min(matrix.column_count);
         let cost = if all_paired { cost(&matrix, &pairs) } else { f64::INFINITY };
         ledger.compare(part.vector(file, "cost"), &[1], &[cost], &[optimum], &EXACT);
     }
@@ -61,16 +61,17 @@ fn compare_gated(part: &mut Part, ledger: &mut Ledger) -> Result<(), VerifyError
     for problem in document::<Vec<Gated>>(&path)? {
         let wrong = |reason: String| VerifyError::malformed(&path, format!("{}: {reason}", problem.file));
         let matrix = matrix(part, &problem.file)?;
-        let (rows_len, columns_len) = (matrix.rows_len, matrix.columns_len);
-        if (rows_len, columns_len) != (problem.n, problem.m) {
+        let (row_count, column_count) = (matrix.row_count, matrix.column_count);
+        if (row_count, column_count) != (problem.n, problem.m) {
             let Gated { n, m, .. } = problem;
-            return Err(wrong(format!("the matrix is {rows_len} × {columns_len}, not {n} × {m}")));
+            return Err(wrong(format!("the matrix is {row_count} × {column_count}, not {n} × {m}")));
         }
-        if let Some(pair) = problem.pairs.iter().find(|pair| pair[0] >= rows_len || pair[1] >= columns_len) {
+        if let Some(pair) = problem.pairs.iter().find(|pair| pair[0] >= row_count || pair[1] >= column_count)
+        {
             return Err(wrong(format!("there is no pair {pair:?}")));
         }
         let with_misses = |pairs: &[[usize; 2]]| {
-            cost(&matrix, pairs) + problem.miss_cost_per_row * (rows_len as f64 - pairs.len() as f64)
+            cost(&matrix, pairs) + problem.miss_cost_per_row * (row_count as f64 - pairs.len() as f64)
         };
         let found = with_misses(&solve(&matrix, problem.gate, problem.miss_cost_per_row));
         ledger.compare(part.vector(&problem.file, "cost"), &[1], &[found], &[problem.opt], &EXACT);
@@ -88,15 +89,15 @@ fn matrix(part: &mut Part, file: &str) -> Result<Matrix, VerifyError> {
 /// The cheapest pairing of rows and columns with costs below the gate.
 fn solve(matrix: &Matrix, gate: f64, miss_cost: f64) -> Vec<[usize; 2]> {
     let places =
-        (0..matrix.rows_len).flat_map(|row| (0..matrix.columns_len).map(move |column| (row, column)));
+        (0..matrix.row_count).flat_map(|row| (0..matrix.column_count).map(move |column| (row, column)));
     let candidate = |(row, column)| Candidate {
         track: row as u32,
         detection: column as u32,
         cost: matrix.at(row, column),
     };
     let mut candidates: Vec<_> = places.map(candidate).filter(|candidate| candidate.cost < gate).collect();
-    let mut paired = vec![None; matrix.rows_len];
-    Assigner::default().solve(&mut candidates, matrix.columns_len, miss_cost, &mut paired);
+    let mut paired = vec![None; matrix.row_count];
+    Assigner::default().solve(&mut candidates, matrix.column_count, miss_cost, &mut paired);
     let pair = |(row, column): (usize, &Option<u32>)| Some([row, (*column)? as usize]);
     paired.iter().enumerate().filter_map(pair).collect()
 }

@@ -69,11 +69,11 @@ impl Truth {
     /// is NaN. If an error is not finite, all figures are NaN.
     pub(super) fn figures<'a>(&self, samples: impl Iterator<Item = Sample<'a>>) -> [f64; 8] {
         let mut errors = StateErrors::default();
-        let (mut nis_sum, mut updates_len) = (0.0, 0_u64);
+        let (mut nis_sum, mut update_count) = (0.0, 0_u64);
         for sample in samples {
             if !sample.nis.is_nan() {
                 nis_sum += sample.nis;
-                updates_len += 1;
+                update_count += 1;
             }
             let Some(motion) = sample.motion.filter(|_| sample.burnt_in) else { continue };
             let &Motion { position_m, velocity_mps, .. } = motion;
@@ -91,7 +91,7 @@ impl Truth {
             rmse(&errors.occluded.position_m),
             rmse(&errors.visible.velocity_mps),
             rmse(&errors.occluded.velocity_mps),
-            nis_sum / updates_len as f64,
+            nis_sum / update_count as f64,
             all.position_m.len as f64,
         ]
     }

@@ -152,34 +152,35 @@ impl Scenario {
             ("num_frames", count(clear.frames_len)),
             ("mota", clear.mota()),
             ("motp", clear.motp_m()),
-            ("num_switches", count(clear.switches_len)),
-            ("num_fragmentations", count(clear.fragmentations_len)),
-            ("num_misses", count(clear.missed_len)),
-            ("num_false_positives", count(clear.false_len)),
-            ("num_detections", count(clear.matched_len)),
+            ("num_switches", count(clear.switch_count)),
+            ("num_fragmentations", count(clear.fragmentation_count)),
+            ("num_misses", count(clear.missed_count)),
+            ("num_false_positives", count(clear.false_count)),
+            ("num_detections", count(clear.matched_count)),
             ("num_objects", count(clear.truths_len())),
-            ("num_transfer", count(clear.transfers_len)),
-            ("num_ascend", count(clear.ascents_len)),
-            ("num_migrate", count(clear.migrations_len)),
-            ("mostly_tracked", count(clear.mostly_tracked_len)),
-            ("partially_tracked", count(clear.partly_tracked_len)),
-            ("mostly_lost", count(clear.mostly_lost_len)),
+            ("num_transfer", count(clear.transfer_count)),
+            ("num_ascend", count(clear.ascent_count)),
+            ("num_migrate", count(clear.migration_count)),
+            ("mostly_tracked", count(clear.mostly_tracked_count)),
+            ("partially_tracked", count(clear.partly_tracked_count)),
+            ("mostly_lost", count(clear.mostly_lost_count)),
             ("precision", clear.precision()),
             ("recall", clear.recall()),
             ("idf1", identity.idf1()),
             ("idp", identity.idp()),
             ("idr", identity.idr()),
-            ("idtp", count(identity.true_len)),
-            ("idfp", count(identity.false_len)),
-            ("idfn", count(identity.missed_len)),
+            ("idtp", count(identity.true_count)),
+            ("idfp", count(identity.false_count)),
+            ("idfn", count(identity.missed_count)),
         ])
     }
 
     fn trackeval_clear(&self) -> Found {
         let clear = &self.clear;
         let [truths, switches, matched] =
-            [clear.truths_len(), clear.switches_len, clear.matched_len].map(|len| len as f64);
-        let lives = (clear.mostly_tracked_len + clear.partly_tracked_len + clear.mostly_lost_len) as f64;
+            [clear.truths_len(), clear.switch_count, clear.matched_count].map(|len| len as f64);
+        let lives =
+            (clear.mostly_tracked_count + clear.partly_tracked_count + clear.mostly_lost_count) as f64;
         // Sum over distances below the gate, where the similarity is linear.
         let similarity_sum = matched - clear.distance_sum_m / self.zero_m;
         one_each([
@@ -188,23 +189,23 @@ impl Scenario {
             ("MOTAL", clear.moda().map(|moda| moda - switches.max(1.0).log10() / truths)),
             ("MOTP", clear.motp_m().map(|motp_m| linear_similarity(motp_m, self.zero_m))),
             ("MOTP_sum", Some(similarity_sum)),
-            ("sMOTA", Some((similarity_sum - clear.false_len as f64 - switches) / truths)),
+            ("sMOTA", Some((similarity_sum - clear.false_count as f64 - switches) / truths)),
             ("CLR_Re", clear.recall()),
             ("CLR_Pr", clear.precision()),
             ("CLR_F1", clear.f1()),
             ("CLR_TP", Some(matched)),
-            ("CLR_FN", count(clear.missed_len)),
-            ("CLR_FP", count(clear.false_len)),
-            ("FP_per_frame", Some(clear.false_len as f64 / clear.frames_len as f64)),
+            ("CLR_FN", count(clear.missed_count)),
+            ("CLR_FP", count(clear.false_count)),
+            ("FP_per_frame", Some(clear.false_count as f64 / clear.frames_len as f64)),
             ("CLR_Frames", count(clear.frames_len)),
             ("IDSW", Some(switches)),
-            ("Frag", count(clear.fragmentations_len)),
-            ("MT", count(clear.mostly_tracked_len)),
-            ("PT", count(clear.partly_tracked_len)),
-            ("ML", count(clear.mostly_lost_len)),
-            ("MTR", Some(clear.mostly_tracked_len as f64 / lives)),
-            ("PTR", Some(clear.partly_tracked_len as f64 / lives)),
-            ("MLR", Some(clear.mostly_lost_len as f64 / lives)),
+            ("Frag", count(clear.fragmentation_count)),
+            ("MT", count(clear.mostly_tracked_count)),
+            ("PT", count(clear.partly_tracked_count)),
+            ("ML", count(clear.mostly_lost_count)),
+            ("MTR", Some(clear.mostly_tracked_count as f64 / lives)),
+            ("PTR", Some(clear.partly_tracked_count as f64 / lives)),
+            ("MLR", Some(clear.mostly_lost_count as f64 / lives)),
         ])
     }
 
@@ -213,16 +214,16 @@ impl Scenario {
             ("IDF1", self.identity.idf1()),
             ("IDP", self.identity.idp()),
             ("IDR", self.identity.idr()),
-            ("IDTP", count(self.identity.true_len)),
-            ("IDFP", count(self.identity.false_len)),
-            ("IDFN", count(self.identity.missed_len)),
+            ("IDTP", count(self.identity.true_count)),
+            ("IDFP", count(self.identity.false_count)),
+            ("IDFN", count(self.identity.missed_count)),
         ])
     }
 
     fn trackeval_hota(&self) -> Found {
         let scores = self.hota.scores();
         let of = |figure: fn(&HotaScore) -> f64| scores.iter().map(figure).collect::<Vec<_>>();
-        let matched = || self.hota.alphas.iter().map(|alpha| alpha.matched_len);
+        let matched = || self.hota.alphas.iter().map(|alpha| alpha.matched_count);
         let less_than = |all: u64| matched().map(|len| (all - len) as f64).collect();
         let [first, ..] = scores;
         BTreeMap::from([
@@ -237,7 +238,7 @@ impl Scenario {
             ("OWTA", of(|score| score.owta)),
             ("HOTA_TP", matched().map(|len| len as f64).collect()),
             ("HOTA_FN", less_than(self.hota.truths_len)),
-            ("HOTA_FP", less_than(self.hota.tracks_len)),
+            ("HOTA_FP", less_than(self.hota.track_count)),
             ("HOTA(0)", vec![first.hota]),
             ("LocA(0)", vec![first.loc_a]),
             ("HOTALocA(0)", vec![first.hota * first.loc_a]),

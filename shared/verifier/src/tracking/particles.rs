@@ -88,17 +88,17 @@ pub(super) fn compare(part: &mut Part, ledger: &mut Ledger) -> Result<(), Verify
         reference.run().map_err(|(k, fault)| VerifyError::caused(&path, &format!("step {k}"), fault))?;
     let steps = &reference.steps;
     let number = |of: fn(&Step) -> f64| steps.iter().map(of).collect::<Vec<_>>();
-    let steps_len = steps.len();
+    let step_count = steps.len();
     let means: Vec<_> = steps.iter().flat_map(|step| step.mean).collect();
-    ledger.compare(part.vector(file, "mean"), &[steps_len, 2], &found.means, &means, &EXACT);
+    ledger.compare(part.vector(file, "mean"), &[step_count, 2], &found.means, &means, &EXACT);
     let sizes = number(|step| step.ess);
-    ledger.compare(part.vector(file, "ess"), &[steps_len], &found.sizes, &sizes, &EXACT);
+    ledger.compare(part.vector(file, "ess"), &[step_count], &found.sizes, &sizes, &EXACT);
     let logs = number(|step| step.loglik_unnormalised);
-    ledger.compare(part.vector(file, "loglik_unnormalised"), &[steps_len], &found.logs, &logs, &EXACT);
+    ledger.compare(part.vector(file, "loglik_unnormalised"), &[step_count], &found.logs, &logs, &EXACT);
     let resampled = number(|step| f64::from(u8::from(step.resampled)));
-    ledger.compare(part.vector(file, "resampled"), &[steps_len], &found.resampled, &resampled, &EXACT);
+    ledger.compare(part.vector(file, "resampled"), &[step_count], &found.resampled, &resampled, &EXACT);
     let chosen: Vec<_> = steps.iter().flat_map(|step| &step.idx).map(|number| *number as f64).collect();
-    let shape = [steps_len, reference.x0.len()];
+    let shape = [step_count, reference.x0.len()];
     ledger.compare(part.vector(file, "idx"), &shape, &found.chosen, &chosen, &EXACT);
     Ok(())
 }
@@ -116,23 +116,23 @@ struct Found {
 
 impl Reference {
     fn check(&self) -> Result<(), String> {
-        let (particles_len, steps_len) = (self.x0.len(), self.steps.len());
+        let (particle_count, step_count) = (self.x0.len(), self.steps.len());
         if self.model != MODEL {
             return Err(format!("model \"{}\" is not \"{MODEL}\"", self.model));
         }
-        if !(1..=filters::particles::PARTICLES_MAX).contains(&particles_len) {
+        if !(1..=filters::particles::PARTICLES_MAX).contains(&particle_count) {
             let most = filters::particles::PARTICLES_MAX;
-            return Err(format!("x0 has {particles_len} particles, not 1 to {most}"));
+            return Err(format!("x0 has {particle_count} particles, not 1 to {most}"));
         }
         let lens = [("noise", self.noise.len()), ("u", self.u.len()), ("z", self.z.len())];
-        if let Some((name, len)) = lens.into_iter().find(|(_, len)| *len != steps_len) {
-            return Err(format!("{name} has {len} steps, steps has {steps_len}"));
+        if let Some((name, len)) = lens.into_iter().find(|(_, len)| *len != step_count) {
+            return Err(format!("{name} has {len} steps, steps has {step_count}"));
         }
-        if let Some(k) = self.noise.iter().position(|noise| noise.len() != particles_len) {
-            return Err(format!("noise of step {k} is not for {particles_len} particles"));
+        if let Some(k) = self.noise.iter().position(|noise| noise.len() != particle_count) {
+            return Err(format!("noise of step {k} is not for {particle_count} particles"));
         }
-        if let Some(k) = self.steps.iter().position(|step| step.idx.len() != particles_len) {
-            return Err(format!("idx of step {k} is not for {particles_len} particles"));
+        if let Some(k) = self.steps.iter().position(|step| step.idx.len() != particle_count) {
+            return Err(format!("idx of step {k} is not for {particle_count} particles"));
         }
         match self.u.iter().position(|u| !(0.0..1.0).contains(u)) {
             Some(k) => Err(format!("u of step {k} is {}, not within [0, 1)", self.u[k])),

@@ -77,33 +77,33 @@ impl Table {
 /// A matrix from a CSV file without a header line, row by row.
 #[derive(Debug, PartialEq)]
 pub(super) struct Matrix {
-    pub(super) rows_len: usize,
-    pub(super) columns_len: usize,
+    pub(super) row_count: usize,
+    pub(super) column_count: usize,
     numbers: Vec<f64>,
 }
 
 impl Matrix {
     pub(super) fn read(path: &Path) -> Result<Self, VerifyError> {
         let text = read(path)?;
-        let mut matrix = Self { rows_len: 0, columns_len: 0, numbers: Vec::new() };
+        let mut matrix = Self { row_count: 0, column_count: 0, numbers: Vec::new() };
         for (line, text) in lines(&text) {
             let before = matrix.numbers.len();
             for cell in cells(text) {
                 matrix.numbers.push(number(path, line, cell)?);
             }
-            let columns_len = matrix.numbers.len() - before;
-            if matrix.rows_len > 0 && columns_len != matrix.columns_len {
-                let reason = format!("{columns_len} cells where the first row has {}", matrix.columns_len);
+            let column_count = matrix.numbers.len() - before;
+            if matrix.row_count > 0 && column_count != matrix.column_count {
+                let reason = format!("{column_count} cells where the first row has {}", matrix.column_count);
                 return Err(malformed(path, line, reason));
             }
-            matrix.rows_len += 1;
-            matrix.columns_len = columns_len;
+            matrix.row_count += 1;
+            matrix.column_count = column_count;
         }
         Ok(matrix)
     }
 
     pub(super) fn at(&self, row: usize, column: usize) -> f64 {
-        self.numbers[row * self.columns_len + column]
+        self.numbers[row * self.column_count + column]
     }
 
     pub(super) fn numbers(&self) -> &[f64] {

@@ -103,13 +103,13 @@ fn compare_jacobians(part: &mut Part, ledger: &mut Ledger) -> Result<(), VerifyE
         states.extend(moved.next.iter());
         rests.extend((moved.next - moved.by_state * before).iter());
     }
-    let cases_len = cases.len();
+    let case_count = cases.len();
     let expected: Vec<_> = cases.iter().flat_map(|case| case.by_state.as_flattened()).copied().collect();
-    ledger.compare(part.vector(file, "J"), &[cases_len, 5, 5], &jacobians, &expected, &EXACT);
+    ledger.compare(part.vector(file, "J"), &[case_count, 5, 5], &jacobians, &expected, &EXACT);
     let expected: Vec<_> = cases.iter().flat_map(|case| case.f).collect();
-    ledger.compare(part.vector(file, "f"), &[cases_len, 5], &states, &expected, &STATE);
+    ledger.compare(part.vector(file, "f"), &[case_count, 5], &states, &expected, &STATE);
     let expected: Vec<_> = cases.iter().flat_map(|case| case.affine).collect();
-    ledger.compare(part.vector(file, "affine"), &[cases_len, 5], &rests, &expected, &STATE);
+    ledger.compare(part.vector(file, "affine"), &[case_count, 5], &rests, &expected, &STATE);
     Ok(())
 }
 
@@ -117,15 +117,15 @@ fn compare_associations(part: &mut Part, ledger: &mut Ledger) -> Result<(), Veri
     let file = "jpda.json";
     let Some(path) = part.find(file) else { return Ok(()) };
     for (number, case) in document::<Associations>(&path)?.cases.iter().enumerate() {
-        let (tracks_len, detections_len) = (case.tracks.len(), case.meas.len());
-        let d2 = rows(&path, &format!("case {number}, d2"), &case.d2, [tracks_len, detections_len])?;
+        let (track_count, detection_count) = (case.tracks.len(), case.meas.len());
+        let d2 = rows(&path, &format!("case {number}, d2"), &case.d2, [track_count, detection_count])?;
         let beta =
-            rows(&path, &format!("case {number}, beta"), &case.beta, [tracks_len, detections_len + 1])?;
+            rows(&path, &format!("case {number}, beta"), &case.beta, [track_count, detection_count + 1])?;
         let [found_d2, found_beta] =
             case.associate().map_err(|error| VerifyError::caused(&path, &format!("case {number}"), error))?;
         let vector = |what: &str| part.vector(file, &format!("{number}.{what}"));
-        ledger.compare(vector("d2"), &[tracks_len, detections_len], &found_d2, &d2, &EXACT);
-        ledger.compare(vector("beta"), &[tracks_len, detections_len + 1], &found_beta, &beta, &EXACT);
+        ledger.compare(vector("d2"), &[track_count, detection_count], &found_d2, &d2, &EXACT);
+        ledger.compare(vector("beta"), &[track_count, detection_count + 1], &found_beta, &beta, &EXACT);
     }
     Ok(())
 }
@@ -144,10 +144,10 @@ impl AssociationCase {
             let d2 = d2(track, detection);
             (d2 <= self.gate).then_some(-0.5 * d2 - log_root_det)
         };
-        let (tracks_len, detections_len) = (self.tracks.len(), self.meas.len());
-        let association = JointAssociation::new(tracks_len, detections_len, &sensor, log_likelihood)?;
-        let pairs = (0..tracks_len).flat_map(|track| (0..detections_len).map(move |j| (track, j)));
-        let beta = (0..tracks_len).flat_map(|track| association.of_track(track).iter().copied());
+        let (track_count, detection_count) = (self.tracks.len(), self.meas.len());
+        let association = JointAssociation::new(track_count, detection_count, &sensor, log_likelihood)?;
+        let pairs = (0..track_count).flat_map(|track| (0..detection_count).map(move |j| (track, j)));
+        let beta = (0..track_count).flat_map(|track| association.of_track(track).iter().copied());
         Ok([pairs.map(|(track, detection)| d2(track, detection)).collect(), beta.collect()])
     }
 }
@@ -157,17 +157,17 @@ fn compare_samples(part: &mut Part, ledger: &mut Ledger) -> Result<(), VerifyErr
     let Some(path) = part.find(file) else { return Ok(()) };
     let Samples { step, samples, queries } = document(&path)?;
     let wrong = |reason: String| VerifyError::malformed(&path, reason);
-    let steps_len = samples.first().map_or(0, Vec::len);
-    if steps_len < 2 || samples.iter().any(|sample| sample.len() != steps_len) {
+    let step_count = samples.first().map_or(0, Vec::len);
+    if step_count < 2 || samples.iter().any(|sample| sample.len() != step_count) {
         return Err(wrong("samples are not two or more states each, equally many".to_owned()));
     }
     let [mut means, mut covariances] = [const { Vec::new() }; 2];
     for query in &queries {
         let at = query.tau / step;
-        if !(0.0..=(steps_len - 1) as f64).contains(&at) {
+        if !(0.0..=(step_count - 1) as f64).contains(&at) {
             return Err(wrong(format!("tau {} lies beyond the samples", query.tau)));
         }
-        let before = (at.floor() as usize).min(steps_len - 2);
+        let before = (at.floor() as usize).min(step_count - 2);
         let share = at - before as f64;
         let point = |sample: &Vec<[f64; 5]>| {
             interpolated(&sample[before].into(), &sample[before + 1].into(), share, STATE.angles)
@@ -187,9 +187,9 @@ fn compare_samples(part: &mut Part, ledger: &mut Ledger) -> Result<(), VerifyErr
 
 /// The numbers of rows of equal length. The shape is checked.
 fn rows(path: &Path, name: &str, rows: &[Vec<f64>], shape: [usize; 2]) -> Result<Vec<f64>, VerifyError> {
-    let [rows_len, row_len] = shape;
-    if rows.len() != rows_len || rows.iter().any(|row| row.len() != row_len) {
-        let reason = format!("{name} is not {rows_len} rows of {row_len}");
+    let [row_count, row_len] = shape;
+    if rows.len() != row_count || rows.iter().any(|row| row.len() != row_len) {
+        let reason = format!("{name} is not {row_count} rows of {row_len}");
         return Err(VerifyError::malformed(path, reason));
     }
     Ok(rows.concat())

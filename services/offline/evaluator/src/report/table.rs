@@ -36,7 +36,7 @@ pub struct Table {
     note: String,
     head: Vec<String>,
     /// Columns of names; they come before the columns of figures.
-    names_len: usize,
+    name_count: usize,
     rows: Vec<Vec<String>>,
     /// Whether a summary contains the table.
     is_main: bool,
@@ -73,7 +73,7 @@ impl Table {
             title: title.to_owned(),
             note: note.to_owned(),
             head,
-            names_len: names.len(),
+            name_count: names.len(),
             rows: Vec::new(),
             is_main: false,
             is_brief: false,
@@ -88,7 +88,7 @@ impl Table {
     /// The table's rows for a summary; `None` unless the table is a main table.
     pub(crate) fn summary(&self) -> Option<Self> {
         let is_included =
-            |row: &&Vec<String>| self.is_brief || self.names_len < 2 || SUMMARISED.contains(&&row[1][..]);
+            |row: &&Vec<String>| self.is_brief || self.name_count < 2 || SUMMARISED.contains(&&row[1][..]);
         let rows = self.rows.iter().filter(is_included).filter(|row| row[0] != Measure::JointRanked.name());
         self.is_main.then(|| Self { rows: rows.cloned().collect(), ..self.clone() })
     }
@@ -186,11 +186,11 @@ impl Table {
     pub(crate) fn add_paper<'a>(
         &mut self,
         paper: &'a [PaperRow],
-        columns_len: usize,
+        column_count: usize,
         cell: impl Fn(&'a [PaperRow], &str, usize) -> Option<Errors>,
     ) {
         for method in crate::reference::methods(paper) {
-            let cells = (0..columns_len).map(|column| cell(paper, method, column));
+            let cells = (0..column_count).map(|column| cell(paper, method, column));
             self.push([Measure::BestOf.name(), &format!("{method} (paper)")], cells);
         }
     }
@@ -268,14 +268,14 @@ impl Table {
 
     /// Only the head and the rows.
     pub fn grid(&self) -> String {
-        let columns_len = self.head.len();
+        let column_count = self.head.len();
         let rows = || std::iter::once(&self.head).chain(&self.rows);
         let width = |column: usize| rows().map(|row| row[column].chars().count()).max().unwrap_or(0);
-        let widths: Vec<usize> = (0..columns_len).map(width).collect();
+        let widths: Vec<usize> = (0..column_count).map(width).collect();
         let line = |row: &Vec<String>| {
             let cells = row.iter().zip(&widths).enumerate().map(|(column, (cell, &width))| {
                 // Names are aligned left, figures right.
-                if column < self.names_len {
+                if column < self.name_count {
                     format!(" {cell:<width$} |")
                 } else {
                     format!(" {cell:>width$} |")
@@ -321,7 +321,7 @@ pub(crate) fn rates(tally: &Tally, horizon: usize) -> Vec<Rate> {
     };
     let calibration =
         Method::OURS.iter().enumerate().map(|(ours, &method)| (method, tally.calibration(ours, horizon)));
-    let mut rates = vec![count("scenes", tally.scenes_len), count("agents", tally.agents_len)];
+    let mut rates = vec![count("scenes", tally.scene_count), count("agents", tally.agents_len)];
     rates.extend(calibration.clone().map(|(method, of)| rate("KDE-NLL", method, of.kde_nll.value(), 3)));
     let mut shares = |name, share: fn(&Calibration) -> &metrics::Share| {
         rates.extend(calibration.clone().map(|(method, of)| percent(name, method, share(&of))));

@@ -81,17 +81,17 @@ fn every_link_resolves() {
 
 #[test]
 fn every_command_line_parses() {
-    let (mut refused, mut commands_len) = (Vec::new(), 0);
+    let (mut refused, mut command_count) = (Vec::new(), 0);
     for page in pages() {
         for (number, command) in commands::of_page(&page) {
-            commands_len += 1;
+            command_count += 1;
             if let Err(error) = commands::parse(&command) {
                 let reason = error.lines().next().unwrap_or_default();
                 refused.push(format!("{}:{number}: {}\n    {reason}", page.name, command.join(" ")));
             }
         }
     }
-    assert!(refused.is_empty(), "{} of {commands_len} refused:\n{}", refused.len(), refused.join("\n"));
+    assert!(refused.is_empty(), "{} of {command_count} refused:\n{}", refused.len(), refused.join("\n"));
 }
 
 #[test]

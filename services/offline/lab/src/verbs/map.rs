@@ -57,7 +57,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     site.map.save(&arguments.out).map_err(Failure::data)?;
     let (rows, cols) = (site.map.rows(), site.map.cols());
     let [x_m, y_m] = site.map.origin_m();
-    say!("{}: {cols} × {rows} m from ({x_m}, {y_m}), {} visits", arguments.out.display(), site.visits_len);
+    say!("{}: {cols} × {rows} m from ({x_m}, {y_m}), {} visits", arguments.out.display(), site.visit_count);
     if site.left_out_len > 0 {
         say!("{} detections left out: their velocity is unknown", site.left_out_len);
     }
@@ -69,8 +69,8 @@ fn draw_lanes(path: &Path, arguments: &Arguments) -> Result<Exit, Failure> {
     let lanes = open_lanes(path, arguments.origin::<Coordinates>()?.unwrap_or_default())?;
     let map = mapper::of_lanes(&lanes).map_err(Failure::data)?;
     map.save(&arguments.out).map_err(Failure::data)?;
-    let ([x_m, y_m], lanes_len) = (map.origin_m(), lanes.lanes().len());
+    let ([x_m, y_m], lane_count) = (map.origin_m(), lanes.lanes().len());
     let (rows, cols) = (map.rows(), map.cols());
-    say!("{}: {cols} × {rows} m from ({x_m}, {y_m}), {lanes_len} lanes", arguments.out.display());
+    say!("{}: {cols} × {rows} m from ({x_m}, {y_m}), {lane_count} lanes", arguments.out.display());
     Ok(Exit::Done)
 }

@@ -83,9 +83,9 @@ impl Counts {
             KittiMeasure::Hota => (self.clear.truths_len() > 0).then(|| self.hota.mean().hota),
             KittiMeasure::Gospa => self.gospa_m.value(),
             KittiMeasure::Ospa => self.ospa_m.value(),
-            KittiMeasure::Missed => count(self.clear.missed_len),
-            KittiMeasure::False => count(self.clear.false_len),
-            KittiMeasure::Switches => count(self.clear.switches_len),
+            KittiMeasure::Missed => count(self.clear.missed_count),
+            KittiMeasure::False => count(self.clear.false_count),
+            KittiMeasure::Switches => count(self.clear.switch_count),
         }
     }
 }

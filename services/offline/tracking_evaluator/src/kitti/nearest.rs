@@ -20,8 +20,8 @@ const MISSES_MAX: u32 = 2;
 struct Target {
     id: u64,
     state: Gaussian<4>,
-    hits_len: u32,
-    misses_len: u32,
+    hit_count: u32,
+    miss_count: u32,
 }
 
 /// The baseline: a constant-velocity Kalman filter per track, nearest-neighbour assignment starting with the
@@ -43,16 +43,16 @@ pub(crate) fn nearest_neighbours(recording: &Recording) -> Published {
             for (t, target) in targets.iter_mut().enumerate() {
                 match paired.iter().find(|pair| pair.0 == t) {
                     Some(&(_, d)) => target.take(&seen[d], &process),
-                    None => target.misses_len += 1,
+                    None => target.miss_count += 1,
                 }
             }
-            targets.retain(|target| target.misses_len <= MISSES_MAX);
+            targets.retain(|target| target.miss_count <= MISSES_MAX);
             let alone = (0..seen.len()).filter(|&d| paired.iter().all(|pair| pair.1 != d));
             for (id, d) in (next_id..).zip(alone) {
                 targets.push(Target::new(id, &seen[d], SPEED_MPS[class]));
                 next_id = id + 1;
             }
-            let confirmed = targets.iter().filter(|target| target.hits_len >= HITS_TO_CONFIRM);
+            let confirmed = targets.iter().filter(|target| target.hit_count >= HITS_TO_CONFIRM);
             tracks.extend(confirmed.map(|target| target.published(agent_type)));
         }
     }
@@ -93,13 +93,13 @@ impl Target {
         let [x, y] = seen.position_m;
         let [place, motion] = [seen.position_variance, speed_mps * speed_mps];
         let state = Gaussian::new([x, y, 0.0, 0.0], [place, place, motion, motion]);
-        Self { id, state, hits_len: 1, misses_len: 0 }
+        Self { id, state, hit_count: 1, miss_count: 0 }
     }
 
     fn take(&mut self, seen: &Observation, process: &ConstantVelocity) {
-        self.misses_len = 0;
+        self.miss_count = 0;
         // If the filter can't use a detection, the prediction remains.
-        self.hits_len += u32::from(self.state.update(seen, process).is_ok());
+        self.hit_count += u32::from(self.state.update(seen, process).is_ok());
     }
 
     fn position_m(&self) -> [f64; 2] {

@@ -72,8 +72,8 @@ impl KittiRow {
             Some(of(&self.last_on_same)? - of(&self.counts)?)
         };
         let len = self.counts.len();
-        let with_class_len = self.counts.iter().filter(|counts| counts[class].truths_len() > 0).count();
-        if with_class_len < SEQUENCES_MIN {
+        let with_class_count = self.counts.iter().filter(|counts| counts[class].truths_len() > 0).count();
+        if with_class_count < SEQUENCES_MIN {
             return lead(&(0..len).collect::<Vec<_>>()).map(|figure| format!("{figure:+.3}"));
         }
         let Interval { low, mean, high } = cluster_bootstrap(len, RESAMPLES, SEED, lead)?;

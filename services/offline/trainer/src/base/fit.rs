@@ -204,12 +204,12 @@ impl TypeBase {
         config: &ModelConfig,
         seed: u64,
     ) -> Result<(), TrainError> {
-        let controls_len = 2 * config.horizon_len;
+        let control_count = 2 * config.horizon_len;
         let walks = agent_type == AgentType::Pedestrian;
         if !walks {
-            self.fit_ridge(samples, controls_len)?;
+            self.fit_ridge(samples, control_count)?;
         }
-        self.fit_anchors(samples, config.modes, controls_len, (walks, seed));
+        self.fit_anchors(samples, config.modes, control_count, (walks, seed));
         self.fit_support(samples);
         Ok(())
     }
@@ -229,20 +229,20 @@ impl TypeBase {
         }
     }
 
-    fn fit_ridge(&mut self, samples: &[Sample], controls_len: usize) -> Result<(), TrainError> {
-        let per_bin = binning::FEATURES * controls_len;
+    fn fit_ridge(&mut self, samples: &[Sample], control_count: usize) -> Result<(), TrainError> {
+        let per_bin = binning::FEATURES * control_count;
         for class in 0..binning::CLASSES {
             let of_class: Vec<&Sample> = samples.iter().filter(|sample| sample.bins.class == class).collect();
             let own = (0..binning::SPEED_BINS).map(|bin| {
                 let of_bin = of_class.iter().copied().filter(|sample| sample.bins.speed_bin == bin);
                 let of_bin: Vec<&Sample> = of_bin.collect();
                 let is_enough = of_bin.len() >= RIDGE_WINDOWS_MIN;
-                is_enough.then(|| ridge_regression(&of_bin, controls_len)).transpose()
+                is_enough.then(|| ridge_regression(&of_bin, control_count)).transpose()
             });
             let own = own.collect::<Result<Vec<_>, _>>()?;
             let pooled = match own.iter().any(Option::is_some) {
                 true => None,
-                false => Some(ridge_regression(&of_class, controls_len)?),
+                false => Some(ridge_regression(&of_class, control_count)?),
             };
             for bin in 0..binning::SPEED_BINS {
                 let of_bin = own[bin].as_ref().or_else(|| nearest(&own, |other| bin.abs_diff(other)));
@@ -259,7 +259,7 @@ impl TypeBase {
         &mut self,
         samples: &[Sample],
         modes: usize,
-        controls_len: usize,
+        control_count: usize,
         (by_speed_alone, seed): (bool, u64),
     ) {
         let longest = samples.iter().filter(|sample| sample.bins.class + 1 == binning::CLASSES);
@@ -277,30 +277,30 @@ impl TypeBase {
         let own: Vec<Option<Vec<f32>>> = by_bin
             .iter()
             .map(|of_bin| {
-                (of_bin.len() >= WINDOWS_MIN).then(|| self.cluster(of_bin, modes, controls_len, seed))
+                (of_bin.len() >= WINDOWS_MIN).then(|| self.cluster(of_bin, modes, control_count, seed))
             })
             .collect();
         let all: Vec<&Sample> = by_bin.iter().flatten().copied().collect();
-        let pooled = (all.len() >= modes).then(|| self.cluster(&all, modes, controls_len, seed));
-        let per_bin = (modes + 1) * controls_len;
+        let pooled = (all.len() >= modes).then(|| self.cluster(&all, modes, control_count, seed));
+        let per_bin = (modes + 1) * control_count;
         for bin in 0..binning::BINS {
             let own_bin = if by_speed_alone { bin / per_speed * per_speed } else { bin };
             let anchors = own[own_bin].as_ref().or_else(|| nearest(&own, |other| bin_distance(bin, other)));
             if let Some(anchors) = anchors.or(pooled.as_ref()) {
-                self.anchors[bin * per_bin..][..modes * controls_len].copy_from_slice(anchors);
+                self.anchors[bin * per_bin..][..modes * control_count].copy_from_slice(anchors);
             }
         }
     }
 
     /// Mean control residuals of the clusters of position residuals, `[modes × controls]`, largest cluster
     /// first.
-    fn cluster(&self, samples: &[&Sample], modes: usize, controls_len: usize, seed: u64) -> Vec<f32> {
+    fn cluster(&self, samples: &[&Sample], modes: usize, control_count: usize, seed: u64) -> Vec<f32> {
         let stride = samples.len().div_ceil(CLUSTERED_MAX);
         let samples: Vec<&Sample> = samples.iter().copied().step_by(stride).collect();
-        let mut positions = Vec::with_capacity(samples.len() * controls_len);
-        let mut residuals = Vec::with_capacity(samples.len() * controls_len);
+        let mut positions = Vec::with_capacity(samples.len() * control_count);
+        let mut residuals = Vec::with_capacity(samples.len() * control_count);
         for sample in &samples {
-            let ridge = self.ridge(&sample.features, sample.bins, controls_len);
+            let ridge = self.ridge(&sample.features, sample.bins, control_count);
             let (ridge, _) = ridge.as_chunks::<2>();
             let forecast = sample.motion.positions(ridge);
             positions
@@ -308,16 +308,16 @@ impl TypeBase {
             residuals
                 .extend(sample.controls.iter().flatten().zip(ridge.iter().flatten()).map(|(c, r)| c - r));
         }
-        let clusters = kmeans(&positions, controls_len, modes, seed, KMEANS_ITERATIONS);
-        let mut sums = vec![0.0; modes * controls_len];
-        for (residual, &label) in residuals.chunks_exact(controls_len).zip(&clusters.labels) {
+        let clusters = kmeans(&positions, control_count, modes, seed, KMEANS_ITERATIONS);
+        let mut sums = vec![0.0; modes * control_count];
+        for (residual, &label) in residuals.chunks_exact(control_count).zip(&clusters.labels) {
             let share = 1.0 / clusters.sizes[label as usize].max(1) as f32;
-            let sum = &mut sums[label as usize * controls_len..][..controls_len];
+            let sum = &mut sums[label as usize * control_count..][..control_count];
             sum.iter_mut().zip(residual).for_each(|(sum, value)| *sum += value * share);
         }
         let mut order: Vec<usize> = (0..modes).collect();
         order.sort_by_key(|&mode| std::cmp::Reverse(clusters.sizes[mode]));
-        order.iter().flat_map(|&mode| &sums[mode * controls_len..][..controls_len]).copied().collect()
+        order.iter().flat_map(|&mode| &sums[mode * control_count..][..control_count]).copied().collect()
     }
 }
 
@@ -339,15 +339,15 @@ fn bin_distance(a: usize, b: usize) -> usize {
 
 /// Coefficients W `[features × controls]` that minimise ‖X W − Y‖² + λ‖W‖², by the normal equations (XᵀX +
 /// λI) W = XᵀY.
-fn ridge_regression(samples: &[&Sample], controls_len: usize) -> Result<Vec<f32>, TrainError> {
+fn ridge_regression(samples: &[&Sample], control_count: usize) -> Result<Vec<f32>, TrainError> {
     let features = Mat::from_fn(samples.len(), binning::FEATURES, |i, j| f64::from(samples[i].features[j]));
     let controls =
-        Mat::from_fn(samples.len(), controls_len, |i, j| f64::from(samples[i].controls[j / 2][j % 2]));
+        Mat::from_fn(samples.len(), control_count, |i, j| f64::from(samples[i].controls[j / 2][j % 2]));
     let penalty = Scale(RIDGE) * Mat::<f64>::identity(binning::FEATURES, binning::FEATURES);
     let normal = features.transpose() * &features + penalty;
     let factor = normal.llt(Side::Lower).map_err(|_| TrainError::Fit { windows: samples.len() })?;
     let solution = factor.solve(features.transpose() * &controls);
-    let rows = (0..binning::FEATURES).flat_map(|i| (0..controls_len).map(move |j| (i, j)));
+    let rows = (0..binning::FEATURES).flat_map(|i| (0..control_count).map(move |j| (i, j)));
     Ok(rows.map(|at| solution[at] as f32).collect())
 }
 

@@ -25,7 +25,7 @@ pub(crate) struct Graph {
     /// Row of every agent and step `[agents × steps]`; [`u32::MAX`] where the agent is absent.
     pub(crate) steps: Vec<u32>,
     /// Steps per agent.
-    pub(crate) steps_len: usize,
+    pub(crate) step_count: usize,
     /// Map patches `[patches, 3 × P × P]`, without duplicates; the first one is empty.
     pub(crate) patches: Matrix,
     /// Patch of every row.
@@ -84,7 +84,7 @@ impl Placed<'_> {
             state: Matrix::new(rows.len(), 6, rows.state),
             type_rows: rows.type_rows,
             steps: rows.of_step,
-            steps_len: rows.steps_len,
+            step_count: rows.step_count,
             patches,
             patch_of_row,
         })
@@ -106,7 +106,7 @@ impl Placed<'_> {
         let mut relations = Relations::default();
         let (mut edges, mut vertices) = (Vec::new(), Vec::new());
         for (view, position_of) in self.scenes.iter().zip(&position_of) {
-            for step in 0..rows.steps_len {
+            for step in 0..rows.step_count {
                 let state = |agent: usize| steps.of(&view.agents[agent])[step];
                 vertices.clear();
                 vertices.extend(view.agents.iter().enumerate().map(|(agent, of)| {
@@ -148,7 +148,7 @@ impl Placed<'_> {
             let view = &self.scenes[scene];
             let Some(map) = view.map else { continue };
             let of_agent = &view.agents[agent].agent.patches[steps.first_patch(config)..];
-            for (step, patch) in of_agent.iter().take(rows.steps_len).enumerate() {
+            for (step, patch) in of_agent.iter().take(rows.step_count).enumerate() {
                 let (Some(patch), Some(row)) = (*patch, rows.present(position, step)) else { continue };
                 let next = known.len() as u32 + 1;
                 let number = *known.entry((map.recording, patch, view.mirrored)).or_insert(next);
@@ -173,7 +173,7 @@ struct Rows {
     /// Row of every agent and step; [`u32::MAX`] where absent.
     of_step: Vec<u32>,
     type_rows: [Range<usize>; 3],
-    steps_len: usize,
+    step_count: usize,
 }
 
 impl Rows {
@@ -197,7 +197,7 @@ impl Rows {
             first_row.push(state.len() / 6);
         }
         let type_rows = type_agents.clone().map(|agents| first_row[agents.start]..first_row[agents.end]);
-        Self { state, of_step, type_rows, steps_len: steps.len(config) }
+        Self { state, of_step, type_rows, step_count: steps.len(config) }
     }
 
     fn len(&self) -> usize {
@@ -205,7 +205,7 @@ impl Rows {
     }
 
     fn at(&self, agent: usize, step: usize) -> u32 {
-        self.of_step[agent * self.steps_len + step]
+        self.of_step[agent * self.step_count + step]
     }
 
     fn present(&self, agent: usize, step: usize) -> Option<usize> {
@@ -240,10 +240,10 @@ impl Relations {
     }
 
     /// The edges sorted by receiver, and the relation of each of them.
-    fn by_receiver(&self, rows_len: usize) -> (Edges, Vec<u32>) {
-        let mut first = vec![0; rows_len + 1];
+    fn by_receiver(&self, row_count: usize) -> (Edges, Vec<u32>) {
+        let mut first = vec![0; row_count + 1];
         self.receiver.iter().for_each(|&row| first[row as usize + 1] += 1);
-        (0..rows_len).for_each(|row| first[row + 1] += first[row]);
+        (0..row_count).for_each(|row| first[row + 1] += first[row]);
         let mut order = vec![0; self.receiver.len()];
         let mut next = first.clone();
         for (edge, &row) in self.receiver.iter().enumerate() {

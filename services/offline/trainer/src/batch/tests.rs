@@ -81,9 +81,9 @@ impl Shown {
             ..data::WindowOptions::new(config.history_len, config.horizon_len, step_ns)
         };
         let windows = data::windows(recording, &options);
-        let windows_len = windows.partition_point(|window| window.stamp_ns <= now_ns);
+        let window_count = windows.partition_point(|window| window.stamp_ns <= now_ns);
         let (mut scenes, ground, spool) = cut_all(recording, selection, &config);
-        scenes.truncate(windows_len);
+        scenes.truncate(window_count);
         // The future may determine which agents have a target, and so the order of a batch. Here all agents
         // have one.
         scenes

@@ -25,7 +25,7 @@ pub(crate) struct Encoded {
     states: Vec<(usize, PerceptronTrace)>,
     context: Option<Embedded>,
     relation: PerceptronTrace,
-    relations_len: usize,
+    relation_count: usize,
     rounds: Vec<Round>,
     summary: Summary,
 }
@@ -63,13 +63,13 @@ pub(crate) fn encode(
         edge = round.edge.clone().unwrap_or_default();
         rounds.push(round);
     }
-    let summary = temporal::temporal(weights, Reading::of(config), &node, &graph.steps, graph.steps_len);
+    let summary = temporal::temporal(weights, Reading::of(config), &node, &graph.steps, graph.step_count);
     Encoded {
         encoding: summary.encoding.clone(),
         states,
         context,
         relation: relation_trace,
-        relations_len: relation.rows,
+        relation_count: relation.rows,
         rounds,
         summary,
     }
@@ -124,7 +124,7 @@ impl Encoded {
             (d_node, d_edge) = (node, Some(edge));
         }
         if let Some(d_edge) = d_edge {
-            let mut d_relation = Matrix::zeros(self.relations_len, d_edge.cols);
+            let mut d_relation = Matrix::zeros(self.relation_count, d_edge.cols);
             d_relation.scatter_add(&graph.relation_of_edge, &d_edge);
             perceptron_backward(weights, gradients, "fe.relation", &self.relation, d_relation, false);
         }

@@ -91,7 +91,7 @@ impl<'a> View<'a> {
     }
 
     fn columns_of(self) -> Columns<'a> {
-        Columns { values: self.values, rows_len: self.rows, cols_len: self.cols, stride: self.stride }
+        Columns { values: self.values, row_count: self.rows, col_count: self.cols, stride: self.stride }
     }
 
     fn is_empty(self) -> bool {

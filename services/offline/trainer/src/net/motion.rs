@@ -42,19 +42,19 @@ impl Start {
 }
 
 /// Positions `[rows, horizon × 2]` under `controls` of the same shape; vehicles' controls are before
-/// saturation. Row r starts from `starts[r / draws_len]`. \[model §4\]
+/// saturation. Row r starts from `starts[r / draw_count]`. \[model §4\]
 pub(crate) fn positions(
     config: &ModelConfig,
     agent_type: AgentType,
     starts: &[Start],
-    draws_len: usize,
+    draw_count: usize,
     controls: &Matrix,
 ) -> Matrix {
-    assert_eq!(starts.len() * draws_len, controls.rows, "a start for every {draws_len} rows");
+    assert_eq!(starts.len() * draw_count, controls.rows, "a start for every {draw_count} rows");
     if config.drives(agent_type) {
-        bicycle::positions(config, starts, draws_len, controls)
+        bicycle::positions(config, starts, draw_count, controls)
     } else {
-        displace(config, starts, draws_len, controls)
+        displace(config, starts, draw_count, controls)
     }
 }
 
@@ -64,28 +64,28 @@ pub(crate) fn positions_backward(
     config: &ModelConfig,
     agent_type: AgentType,
     starts: &[Start],
-    draws_len: usize,
+    draw_count: usize,
     controls: &Matrix,
     d_positions: &Matrix,
 ) -> Matrix {
-    assert_eq!(starts.len() * draws_len, controls.rows, "a start for every {draws_len} rows");
+    assert_eq!(starts.len() * draw_count, controls.rows, "a start for every {draw_count} rows");
     assert_eq!((controls.rows, controls.cols), (d_positions.rows, d_positions.cols), "shape of the gradient");
     if config.drives(agent_type) {
-        bicycle::positions_backward(config, starts, draws_len, controls, d_positions)
+        bicycle::positions_backward(config, starts, draw_count, controls, d_positions)
     } else {
         displace_backward(d_positions)
     }
 }
 
 /// Cumulative sums of the displacements. Residual displacements are relative to constant velocity.
-fn displace(config: &ModelConfig, starts: &[Start], draws_len: usize, controls: &Matrix) -> Matrix {
+fn displace(config: &ModelConfig, starts: &[Start], draw_count: usize, controls: &Matrix) -> Matrix {
     let carried_s = match config.displacement {
         Displacement::Residual => config.dt_s as f32,
         Displacement::Absolute => 0.0,
     };
     let mut positions = controls.clone();
     for (row, trajectory) in positions.values.chunks_exact_mut(controls.cols.max(1)).enumerate() {
-        let carried = starts[row / draws_len].velocity_mps.map(|velocity| velocity * carried_s);
+        let carried = starts[row / draw_count].velocity_mps.map(|velocity| velocity * carried_s);
         let mut position = [0.0; 2];
         for step in trajectory.as_chunks_mut::<2>().0 {
             position = [0, 1].map(|axis| position[axis] + carried[axis] + step[axis]);

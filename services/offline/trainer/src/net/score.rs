@@ -21,8 +21,8 @@ pub(crate) struct Truth<'a> {
     pub(crate) positions: &'a Matrix,
     /// 1 if the true position is known and counts, otherwise 0, `[agents, horizon]`.
     pub(crate) counts: &'a Matrix,
-    /// Trajectories per agent: row r belongs to agent r / `draws_len`.
-    pub(crate) draws_len: usize,
+    /// Trajectories per agent: row r belongs to agent r / `draw_count`.
+    pub(crate) draw_count: usize,
 }
 
 impl Truth<'_> {
@@ -44,8 +44,8 @@ impl Truth<'_> {
 /// distance at the last step.
 pub(crate) fn trajectory_error(positions: &Matrix, truth: &Truth<'_>, last_weight: f32) -> Vec<f32> {
     let weights = truth.step_weights(last_weight);
-    let distances = distances(positions, truth.positions, truth.draws_len);
-    (0..positions.rows).map(|row| dot(weights.row(row / truth.draws_len), distances.row(row))).collect()
+    let distances = distances(positions, truth.positions, truth.draw_count);
+    (0..positions.rows).map(|row| dot(weights.row(row / truth.draw_count), distances.row(row))).collect()
 }
 
 /// Gradient by the positions of the sum over rows of `row_weights` times [`trajectory_error`].
@@ -56,7 +56,7 @@ pub(crate) fn trajectory_error_backward(
     row_weights: &[f32],
 ) -> Matrix {
     let slopes = slopes(truth, last_weight, row_weights);
-    distances_backward(positions, truth.positions, truth.draws_len, &slopes)
+    distances_backward(positions, truth.positions, truth.draw_count, &slopes)
 }
 
 /// Energy score of forecasts with two draws X per row, and the gradients by the draws of its sum weighted by
@@ -74,10 +74,10 @@ pub(crate) fn energy_score(
     row_weights: &[f32],
 ) -> (Vec<f32>, [Matrix; 2]) {
     let weights = truth.step_weights(0.0);
-    let to_truth = draws.map(|draw| distances(draw, truth.positions, truth.draws_len));
+    let to_truth = draws.map(|draw| distances(draw, truth.positions, truth.draw_count));
     let between = distances(draws[0], draws[1], 1);
     let score = |row: usize| {
-        let mean = |distances: &Matrix| dot(weights.row(row / truth.draws_len), distances.row(row));
+        let mean = |distances: &Matrix| dot(weights.row(row / truth.draw_count), distances.row(row));
         0.5 * (mean(&to_truth[0]) + mean(&to_truth[1]) - mean(&between))
     };
     let scores = (0..between.rows).map(score).collect();
@@ -86,7 +86,7 @@ pub(crate) fn energy_score(
     let slopes = slopes(truth, 0.0, &halves);
     let apart = distances_backward(draws[0], draws[1], 1, &slopes);
     let [mut first, mut second] =
-        draws.map(|draw| distances_backward(draw, truth.positions, truth.draws_len, &slopes));
+        draws.map(|draw| distances_backward(draw, truth.positions, truth.draw_count, &slopes));
     first.values.iter_mut().zip(&apart.values).for_each(|(by_first, apart)| *by_first -= apart);
     second.add(&apart);
     (scores, [first, second])
@@ -95,10 +95,10 @@ pub(crate) fn energy_score(
 /// Gradient of a weighted sum of step errors by the error of each step `[rows, horizon]`.
 fn slopes(truth: &Truth<'_>, last_weight: f32, row_weights: &[f32]) -> Matrix {
     let weights = truth.step_weights(last_weight);
-    assert_eq!(row_weights.len(), weights.rows * truth.draws_len, "a weight for every row");
+    assert_eq!(row_weights.len(), weights.rows * truth.draw_count, "a weight for every row");
     let mut slopes = Vec::with_capacity(row_weights.len() * weights.cols);
     for (row, row_weight) in row_weights.iter().enumerate() {
-        slopes.extend(weights.row(row / truth.draws_len).iter().map(|weight| weight * row_weight));
+        slopes.extend(weights.row(row / truth.draw_count).iter().map(|weight| weight * row_weight));
     }
     Matrix::new(row_weights.len(), weights.cols, slopes)
 }

@@ -61,21 +61,21 @@ pub(crate) struct Summary {
 #[derive(Debug)]
 struct Trace {
     reading: Reading,
-    steps_len: usize,
+    step_count: usize,
     /// w v `[rows, heads]`; with equal attention, zeros of one head.
     score: Matrix,
     /// V v `[rows, 64]`; `None` if it is the score.
     value: Option<Matrix>,
 }
 
-/// Sums `node` `[rows, 64]` over the steps of every agent. `steps` `[agents × steps_len]` are the agents'
+/// Sums `node` `[rows, 64]` over the steps of every agent. `steps` `[agents × step_count]` are the agents'
 /// rows, `u32::MAX` if the agent is absent.
 pub(crate) fn temporal(
     weights: &Tensors,
     reading: Reading,
     node: &Matrix,
     steps: &[u32],
-    steps_len: usize,
+    step_count: usize,
 ) -> Summary {
     let product = |name: &str| {
         let matrix = weights.matrix(name);
@@ -88,12 +88,12 @@ pub(crate) fn temporal(
         (Attention::Dual, Temporal::ValueMatrix) => (product(SCORE), Some(product(VALUE))),
         (Attention::Equal, _) => (Matrix::zeros(node.rows, 1), Some(product(reading.value()))),
     };
-    let trace = Trace { reading, steps_len, score, value };
-    let present = present(steps, steps_len);
+    let trace = Trace { reading, step_count, score, value };
+    let present = present(steps, step_count);
     let mut beta = trace.score.gather(&present.sender);
     beta.values.iter_mut().for_each(|x| *x *= leaky_factor(reading.leaky_slope, *x));
     softmax(&mut beta, &present.first);
-    let mut encoding = Matrix::zeros(steps.len() / steps_len, NODE);
+    let mut encoding = Matrix::zeros(steps.len() / step_count, NODE);
     let own = [0.0; BLOCK * NODE];
     for block in present.blocks() {
         trace.messages(block, &beta).sum(&own, &mut encoding);
@@ -102,9 +102,9 @@ pub(crate) fn temporal(
 }
 
 /// The present steps as edges from their rows to their agents.
-fn present(steps: &[u32], steps_len: usize) -> Edges {
+fn present(steps: &[u32], step_count: usize) -> Edges {
     let mut edges = Edges { first: vec![0], ..Edges::default() };
-    for (agent, steps) in steps.chunks_exact(steps_len).enumerate() {
+    for (agent, steps) in steps.chunks_exact(step_count).enumerate() {
         for row in steps.iter().filter(|row| **row != ABSENT) {
             edges.receiver.push(agent as u32);
             edges.sender.push(*row);
@@ -135,8 +135,8 @@ impl Summary {
         steps: &[u32],
         d_encoding: &Matrix,
     ) -> Matrix {
-        let Trace { reading, steps_len, score, .. } = &self.trace;
-        let present = present(steps, *steps_len);
+        let Trace { reading, step_count, score, .. } = &self.trace;
+        let present = present(steps, *step_count);
         let mut back = MessagesBackward::new(present.len(), node.rows, score.cols);
         let mut own = [0.0; BLOCK * NODE];
         for block in present.blocks() {

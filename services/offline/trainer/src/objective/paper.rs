@@ -97,7 +97,7 @@ impl Paper<'_> {
             first = rows.end;
             let rollout = forecast.decode(&latent.rows_of(rows.clone()), None, true);
             let (positions, counts) = forecast.truth();
-            let truth = Truth { positions: &positions, counts: &counts, draws_len: 1 };
+            let truth = Truth { positions: &positions, counts: &counts, draw_count: 1 };
             let (value, d_positions) = squared_displacement(&rollout.positions, &truth, weight);
             sum += value;
             let mut d_raw = Matrix::zeros(rollout.unroll.raw.rows, rollout.unroll.raw.cols);

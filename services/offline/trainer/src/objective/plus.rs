@@ -101,8 +101,8 @@ impl Plus<'_> {
         let agents_len = forecast.agents.len();
         let (positions, counts) = forecast.truth();
         let errors = |trajectories: &Matrix, last_step: f32| {
-            let draws_len = trajectories.rows / agents_len;
-            let truth = Truth { positions: &positions, counts: &counts, draws_len };
+            let draw_count = trajectories.rows / agents_len;
+            let truth = Truth { positions: &positions, counts: &counts, draw_count };
             trajectory_error(trajectories, &truth, last_step)
         };
         let all: Vec<usize> = (0..agents_len).flat_map(|_| 0..modes_len).collect();
@@ -158,7 +158,7 @@ fn displacement(
     d_raw: &mut Matrix,
 ) -> [f32; 2] {
     let (positions, counts) = forecast.truth();
-    let truth = Truth { positions: &positions, counts: &counts, draws_len: DRAWS };
+    let truth = Truth { positions: &positions, counts: &counts, draw_count: DRAWS };
     let [by_mean, by_last, any, single] = scale.draws;
     let agents_len = forecast.agents.len();
     // (mean + last) minus mean leaves the last step.
@@ -195,7 +195,7 @@ fn energy(
     let controls = noise.each_ref().map(|noise| noisy_controls(raw, &rollout.mean, noise));
     let [first, second] = controls.each_ref().map(|controls| forecast.positions(controls));
     let (positions, counts) = forecast.truth();
-    let truth = Truth { positions: &positions, counts: &counts, draws_len: DRAWS };
+    let truth = Truth { positions: &positions, counts: &counts, draw_count: DRAWS };
     let row_weights = vec![scale.spread; rollout.mean.rows];
     let (scores, d_positions) = energy_score([&first, &second], &truth, &row_weights);
     for ((noise, controls), d_positions) in noise.iter().zip(&controls).zip(&d_positions) {

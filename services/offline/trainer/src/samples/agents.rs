@@ -103,7 +103,7 @@ pub(crate) struct Window {
 
 impl Window {
     /// Agents that have a target.
-    pub(crate) fn counted_len(&self) -> usize {
+    pub(crate) fn counted_count(&self) -> usize {
         self.counted.iter().map(|&len| len as usize).sum()
     }
 }
@@ -168,10 +168,10 @@ impl Scene {
         [history_len, horizon_len]: [usize; 2],
     ) -> Result<Self, TrainError> {
         let agents_len = window.agents_len as usize;
-        let steps_len = history_len + horizon_len;
+        let step_count = history_len + horizon_len;
         let agents: Vec<StoredAgent> = spool.read(window.offset, agents_len)?;
         let steps_offset = window.offset + size_of_val(agents.as_slice()) as u64;
-        let steps: Vec<StoredStep> = spool.read(steps_offset, agents_len * steps_len)?;
+        let steps: Vec<StoredStep> = spool.read(steps_offset, agents_len * step_count)?;
         let restore = |(agent, steps): (&StoredAgent, &[StoredStep])| {
             let states = |steps: &[StoredStep]| {
                 steps.iter().map(|step| (step.is_present != 0).then(|| restored(step.state))).collect()
@@ -188,7 +188,7 @@ impl Scene {
                 counts: agent.counts != 0,
             }))
         };
-        let agents = agents.iter().zip(steps.chunks_exact(steps_len)).map(restore);
+        let agents = agents.iter().zip(steps.chunks_exact(step_count)).map(restore);
         Ok(Self { agents: agents.collect::<Result<_, TrainError>>()? })
     }
 }

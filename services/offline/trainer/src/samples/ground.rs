@@ -14,7 +14,7 @@ pub(crate) struct Ground {
     online: u64,
     /// The state of each patch's agent.
     states: u64,
-    patches_len: usize,
+    patch_count: usize,
     /// Bounding box of all agents: lower left and upper right.
     corners_m: [[f32; 2]; 2],
     /// The map of the site's other training recordings.
@@ -52,7 +52,7 @@ impl<'a> GroundSpooling<'a> {
         Ok(Ground {
             online,
             states: spooling.append(&states)?,
-            patches_len: states.len(),
+            patch_count: states.len(),
             corners_m: [corner(f32::min, f32::INFINITY), corner(f32::max, f32::NEG_INFINITY)],
             site: None,
         })
@@ -81,7 +81,7 @@ impl Ground {
     /// The patches, for the recording with this index; `None` if there is no such map.
     pub(crate) fn view<'a>(&'a self, spool: &'a Spool, recording: u32, kind: MapKind) -> Option<MapView<'a>> {
         let known = match kind {
-            MapKind::Online => self.patches_len > 0,
+            MapKind::Online => self.patch_count > 0,
             MapKind::Site => self.site.is_some(),
         };
         known.then_some(MapView { recording, ground: self, spool, kind })
@@ -105,7 +105,7 @@ pub(super) fn site_map(spool: &Spool, grounds: &[&Ground]) -> Result<Option<Cont
     let Some(mut builder) = MapBuilder::new(origin_m, rows, cols) else { return Ok(None) };
     let mut is_visited = false;
     for ground in grounds {
-        for state in spool.read::<StoredState>(ground.states, ground.patches_len)? {
+        for state in spool.read::<StoredState>(ground.states, ground.patch_count)? {
             let state = restored(state);
             is_visited |= builder.visit(state.position_m, state.velocity_mps);
         }

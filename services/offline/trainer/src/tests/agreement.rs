@@ -152,13 +152,13 @@ impl<'a> Trained<'a> {
             let Some(forecast) = TypeForecast::new(tensors, config, &batch, &encoded, of_type) else {
                 continue;
             };
-            let draws_len = config.modes + 1;
-            let modes: Vec<usize> = forecast.agents.clone().flat_map(|_| 0..draws_len).collect();
+            let draw_count = config.modes + 1;
+            let modes: Vec<usize> = forecast.agents.clone().flat_map(|_| 0..draw_count).collect();
             let rollout = forecast.by_points(&modes, false);
             let (encoding, hidden) = (&forecast.encoding, &forecast.burn_in.hidden);
             let (logits, _) = mode_logits(tensors, &forecast.name(), encoding, hidden);
             for (row, agent) in forecast.agents.clone().enumerate() {
-                let rows = row * draws_len..(row + 1) * draws_len;
+                let rows = row * draw_count..(row + 1) * draw_count;
                 computed[batch.origin[agent].1] = Computed {
                     encoding: encoding.row(row).to_vec(),
                     probability: softmax(logits.row(row)),

@@ -34,7 +34,7 @@ pub(crate) struct GoldenGraph {
     pub(crate) edges: Edges,
     /// Row of every agent and step, `u32::MAX` where absent.
     pub(crate) steps: Vec<u32>,
-    pub(crate) steps_len: usize,
+    pub(crate) step_count: usize,
 }
 
 impl Golden {
@@ -94,11 +94,11 @@ impl Golden {
     /// The graph of `history` or `future`.
     pub(crate) fn graph(&self, part: &str) -> GoldenGraph {
         let (shape, adjacency) = self.tensor(&format!("{part}.adjacency"));
-        let (steps_len, agents_len) = (shape[0], shape[1]);
+        let (step_count, agents_len) = (shape[0], shape[1]);
         let start = if part == "history" { 0 } else { self.config.history_len };
         let (mut rows, mut steps) = (Vec::new(), Vec::new());
         for agent in 0..agents_len {
-            for step in 0..steps_len {
+            for step in 0..step_count {
                 let present = self.present(start + step, agent);
                 steps.push(if present { rows.len() as u32 } else { u32::MAX });
                 if present {
@@ -114,12 +114,12 @@ impl Golden {
                 if adjacency[(step * agents_len + receiver) * agents_len + sender] > 0.0 {
                     joined.push(vec![step, receiver, sender]);
                     edges.receiver.push(number as u32);
-                    edges.sender.push(steps[sender * steps_len + step]);
+                    edges.sender.push(steps[sender * step_count + step]);
                 }
             }
             edges.first.push(joined.len() as u32);
         }
-        GoldenGraph { rows, joined, edges, steps, steps_len }
+        GoldenGraph { rows, joined, edges, steps, step_count }
     }
 }
 

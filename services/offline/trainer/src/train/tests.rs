@@ -203,8 +203,8 @@ fn forecasts_by_points_agree_with_the_onboard_decoder() {
     let encoded = encode(&tensors, config, &batch.graph, Normalisation::Running, false);
     let pedestrian = TYPE_NAMES.len() - 1;
     let forecast = TypeForecast::new(&tensors, config, &batch, &encoded, pedestrian).unwrap();
-    let draws_len = config.modes + 1;
-    let modes: Vec<usize> = view.agents.iter().flat_map(|_| 0..draws_len).collect();
+    let draw_count = config.modes + 1;
+    let modes: Vec<usize> = view.agents.iter().flat_map(|_| 0..draw_count).collect();
     let ours = forecast.by_points(&modes, false).mean.values;
 
     let onboard = Decoder::new(&weights).unwrap();
@@ -219,16 +219,16 @@ fn forecasts_by_points_agree_with_the_onboard_decoder() {
         let burn_in = BurnIn { agents_len: 1, states, present: &present };
         decoder.burn_in(&burn_in, &mut memory, &mut hidden);
         let encoding: [f32; 64] = encodings[agent * 64..][..64].try_into().unwrap();
-        let mut raw = vec![[0.0; 5]; draws_len * config.horizon_len];
+        let mut raw = vec![[0.0; 5]; draw_count * config.horizon_len];
         let features = base::BaseFeatures::new(states, |step| present[step], config);
-        let mut of_base = vec![[0.0; 2]; base.controls_len()];
+        let mut of_base = vec![[0.0; 2]; base.control_count()];
         base.controls(&features, &mut of_base);
         decoder.forecast(&hidden, &[encoding], Draws::Points(&of_base), &mut memory, &mut raw);
         for (mode, steps) in raw.chunks_exact(config.horizon_len).enumerate() {
             let of_base = &of_base[mode * config.horizon_len..];
             let means =
                 steps.iter().zip(of_base).flat_map(|(raw, base)| [raw[0] + base[0], raw[1] + base[1]]);
-            let ours = &ours[(agent * draws_len + mode) * steps.len() * 2..];
+            let ours = &ours[(agent * draw_count + mode) * steps.len() * 2..];
             for (ours, theirs) in ours.iter().zip(means) {
                 assert!((ours - theirs).abs() < 1e-4, "agent {agent}, mode {mode}: {ours} and {theirs}");
             }

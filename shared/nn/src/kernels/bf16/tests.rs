@@ -20,16 +20,16 @@ fn proof() -> Option<DotProducts> {
 #[test]
 fn products_agree_with_double_precision_within_the_rounding_of_their_factors() {
     let Some(proof) = proof() else { return };
-    for (rows_len, in_len, out_len) in [(1, 1, 1), (12, 3, 16), (31, 5, 33), (47, 96, 20), (61, 128, 384)] {
+    for (row_count, in_len, out_len) in [(1, 1, 1), (12, 3, 16), (31, 5, 33), (47, 96, 20), (61, 128, 384)] {
         let weight = |out: usize, i: usize| value(out * 7 + i * 3);
         let panels = PairPanels::pack(proof, [out_len, in_len], weight, value);
         let out_stride = panels.out_stride();
         // Extra floats between the rows, which must not affect any result.
         let stride = in_len + 3;
-        let input: Vec<f32> = (0..stride * rows_len).map(value).collect();
-        let residual: Vec<f32> = (0..rows_len * out_stride).map(value).collect();
+        let input: Vec<f32> = (0..stride * row_count).map(value).collect();
+        let residual: Vec<f32> = (0..row_count * out_stride).map(value).collect();
         for relu in [false, true] {
-            let mut out = vec![f32::NAN; rows_len * out_stride];
+            let mut out = vec![f32::NAN; row_count * out_stride];
             let residual = Some(&residual[..]);
             PairProduct { input: &input, stride, panels: &panels, residual, relu, out: &mut out }.run();
             for (row, out) in out.chunks_exact(out_stride).enumerate() {
@@ -80,8 +80,8 @@ fn a_row_has_the_same_bits_alone_and_in_a_batch() {
         out.into_iter().map(f32::to_bits).collect::<Vec<_>>()
     };
     let alone: Vec<u32> = input.chunks_exact(in_len).flat_map(run).collect();
-    for rows_len in 1..=rows_max {
-        assert_eq!(run(&input[..rows_len * in_len]), alone[..rows_len * 48], "{rows_len} rows");
+    for row_count in 1..=rows_max {
+        assert_eq!(run(&input[..row_count * in_len]), alone[..row_count * 48], "{row_count} rows");
     }
 }
 

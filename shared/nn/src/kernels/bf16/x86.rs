@@ -15,29 +15,29 @@ const TOGETHER: usize = 16;
 type Rounded = [[i32; PAIRS]; ROWS];
 
 /// Computes a product whose slice lengths were checked.
-pub(super) fn run(product: PairProduct<'_>, rows_len: usize) {
+pub(super) fn run(product: PairProduct<'_>, row_count: usize) {
     // SAFETY: the panels hold a proof that the processor has AVX-512 BF16, and slices and rows were checked.
-    unsafe { blocks(product, rows_len) }
+    unsafe { blocks(product, row_count) }
 }
 
 /// # Safety
-/// The processor has the features; input and output hold `rows_len` rows.
+/// The processor has the features; input and output hold `row_count` rows.
 #[target_feature(enable = "avx512f,avx512bf16")]
-unsafe fn blocks(mut product: PairProduct<'_>, rows_len: usize) {
+unsafe fn blocks(mut product: PairProduct<'_>, row_count: usize) {
     let mut rounded = [[0; PAIRS]; ROWS];
     let mut first = 0;
-    while first < rows_len {
-        let len = ROWS.min(rows_len - first);
+    while first < row_count {
+        let len = ROWS.min(row_count - first);
         // SAFETY: the rows lie within the input.
         unsafe { round(&product, first, &mut rounded[..len]) };
-        let panels_len = product.panels.panels_len;
+        let panel_count = product.panels.panel_count;
         let mut panel = 0;
-        while panel + 2 <= panels_len {
+        while panel + 2 <= panel_count {
             // SAFETY: `len` rows were rounded, and panels and output contain the addressed places.
             unsafe { rows::<2>(&mut product, &rounded, panel, first, len) };
             panel += 2;
         }
-        if panel < panels_len {
+        if panel < panel_count {
             // SAFETY: as above.
             unsafe { rows::<1>(&mut product, &rounded, panel, first, len) };
         }
@@ -104,19 +104,19 @@ unsafe fn tiles<const R: usize, const V: usize>(
     mut row: usize,
     len: usize,
 ) -> usize {
-    let pairs_len = product.panels.pairs_len();
+    let pair_count = product.panels.pair_count();
     let values = product.panels.values.as_ptr().cast::<i32>();
     let mut weights = [values; V];
     for (v, weights) in weights.iter_mut().enumerate() {
-        *weights = values.wrapping_add((panel + v) * pairs_len * PANEL);
+        *weights = values.wrapping_add((panel + v) * pair_count * PANEL);
     }
     while row + R <= len {
         let mut from = [rounded[row].as_ptr(); R];
         for (r, from) in from.iter_mut().enumerate() {
             *from = rounded[row + r].as_ptr();
         }
-        // SAFETY: rows and panels hold `pairs_len` pairs, of each column in a panel.
-        let sums = unsafe { chain(from, weights, pairs_len) };
+        // SAFETY: rows and panels hold `pair_count` pairs, of each column in a panel.
+        let sums = unsafe { chain(from, weights, pair_count) };
         // SAFETY: the caller vouches for the places of the tile.
         unsafe { write(product, panel, first + row, &sums) };
         row += R;

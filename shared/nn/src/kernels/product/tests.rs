@@ -8,17 +8,17 @@ fn value(i: usize) -> f32 {
 /// size.
 #[test]
 fn rows_and_columns_agree_with_the_definition() {
-    for (rows_len, in_len, out_len) in [(1, 1, 1), (12, 3, 16), (31, 5, 33), (47, 96, 20), (6, 40, 64)] {
+    for (row_count, in_len, out_len) in [(1, 1, 1), (12, 3, 16), (31, 5, 33), (47, 96, 20), (6, 40, 64)] {
         let weight = |out: usize, i: usize| value(out * 7 + i * 3);
         let panels = Panels::pack([out_len, 1, in_len], |out, _, i| weight(out, i), value);
         let out_stride = panels.out_stride();
-        let residual: Vec<f32> = (0..rows_len * out_stride).map(value).collect();
+        let residual: Vec<f32> = (0..row_count * out_stride).map(value).collect();
         for across in [false, true] {
             // Extra floats between the rows, which must not affect any result.
-            let stride = 3 + if across { rows_len } else { in_len };
-            let input: Vec<f32> = (0..stride * rows_len.max(in_len)).map(value).collect();
+            let stride = 3 + if across { row_count } else { in_len };
+            let input: Vec<f32> = (0..stride * row_count.max(in_len)).map(value).collect();
             let gather = if across { Gather::Columns { stride } } else { Gather::Rows { stride } };
-            let mut out = vec![0.0; rows_len * out_stride];
+            let mut out = vec![0.0; row_count * out_stride];
             let residual = Some(&residual[..]);
             Product { input: &input, gather, panels: &panels, residual, relu: false, out: &mut out }.run();
             for (row, out) in out.chunks_exact(out_stride).enumerate() {
@@ -59,9 +59,9 @@ fn a_row_has_the_same_bits_alone_and_in_a_batch() {
         let panels = pack(out_len);
         let mut alone: Vec<u32> = input.chunks_exact(in_len).flat_map(|row| run(&whole, row)).collect();
         alone.chunks_exact_mut(48).for_each(|row| row[out_len..].fill(0));
-        for rows_len in 1..=rows_max {
-            let batch = run(&panels, &input[..rows_len * in_len]);
-            assert_eq!(batch, alone[..rows_len * 48], "{rows_len} rows, {out_len} outputs");
+        for row_count in 1..=rows_max {
+            let batch = run(&panels, &input[..row_count * in_len]);
+            assert_eq!(batch, alone[..row_count * 48], "{row_count} rows, {out_len} outputs");
         }
     }
 }

@@ -24,7 +24,7 @@ use crate::kernels::{Kernel, Lanes};
 /// A product whose slice lengths match.
 pub(super) struct Checked<'a> {
     pub(super) product: Product<'a>,
-    pub(super) rows_len: usize,
+    pub(super) row_count: usize,
 }
 
 /// The live taps, at most T, of a register tile of R rows.
@@ -33,19 +33,19 @@ struct Tile<const R: usize, const T: usize> {
     rows: [[*const f32; R]; T],
     /// The live taps.
     taps: [usize; T],
-    live_len: usize,
+    live_count: usize,
 }
 
 impl<const R: usize, const T: usize> Tile<R, T> {
     const fn new() -> Self {
-        Self { rows: [[std::ptr::null(); R]; T], taps: [0; T], live_len: 0 }
+        Self { rows: [[std::ptr::null(); R]; T], taps: [0; T], live_count: 0 }
     }
 
     #[inline(always)]
     fn push(&mut self, tap: usize, rows: [*const f32; R]) {
-        self.rows[self.live_len] = rows;
-        self.taps[self.live_len] = tap;
-        self.live_len += 1;
+        self.rows[self.live_count] = rows;
+        self.taps[self.live_count] = tap;
+        self.live_count += 1;
     }
 }
 
@@ -67,16 +67,16 @@ impl Checked<'_> {
     /// matrix. The module doc has the table of tiles.
     #[inline(always)]
     fn panels<L: Lanes, const T: usize, const ACROSS: bool>(&mut self, l: L) {
-        let panels_len = self.product.panels.panels_len;
+        let panel_count = self.product.panels.panel_count;
         let mut panel = 0;
         // No closures: they would be compiled without the set's features.
-        while panel < panels_len {
-            let is_half = panel + 1 == panels_len && self.product.panels.ends_in_half();
+        while panel < panel_count {
+            let is_half = panel + 1 == panel_count && self.product.panels.ends_in_half();
             match (L::LEN, L::REGISTERS) {
                 (8, _) if is_half => self.up_to_12::<L, 1, T, ACROSS>(l, panel),
                 (4, 32) if is_half => self.up_to_12::<L, 2, T, ACROSS>(l, panel),
                 (4, _) if is_half => self.up_to_6::<L, 2, T, ACROSS>(l, panel),
-                (PANEL, _) if panel + 2 <= panels_len => {
+                (PANEL, _) if panel + 2 <= panel_count => {
                     self.up_to_12::<L, 2, T, ACROSS>(l, panel);
                     panel += 1;
                 }
@@ -131,11 +131,11 @@ impl Checked<'_> {
         panel: usize,
         mut row: usize,
     ) -> usize {
-        if row + R > self.rows_len {
+        if row + R > self.row_count {
             return row;
         }
         let mut tile = Tile::<R, T>::new();
-        while row + R <= self.rows_len {
+        while row + R <= self.row_count {
             self.gather(row, &mut tile);
             // SAFETY: `Product::run` has checked that input, panels and output hold what the tile addresses.
             unsafe { self.multiply::<L, R, V, T, ACROSS>(lanes, panel, row, &tile) };
@@ -151,32 +151,32 @@ impl Checked<'_> {
         let in_len = self.product.panels.in_len;
         match self.product.gather {
             Gather::Rows { stride } => {
-                tile.live_len = 0;
+                tile.live_count = 0;
                 tile.push(0, rows_from(input.wrapping_add(row * stride), stride));
             }
             Gather::Columns { .. } => {
-                tile.live_len = 0;
+                tile.live_count = 0;
                 tile.push(0, rows_from(input.wrapping_add(row), 1));
             }
-            Gather::Taps { taps, images_len, zeros } => {
-                tile.live_len = 0;
-                let (position, image) = (row / images_len, row % images_len);
-                if image + R <= images_len {
+            Gather::Taps { taps, image_count, zeros } => {
+                tile.live_count = 0;
+                let (position, image) = (row / image_count, row % image_count);
+                if image + R <= image_count {
                     let sources = taps.sources(position).iter().enumerate().filter(|(_, s)| **s != DEAD);
                     for (tap, &source) in sources {
-                        let first = (source as usize * images_len + image) * in_len;
+                        let first = (source as usize * image_count + image) * in_len;
                         tile.push(tap, rows_from(input.wrapping_add(first), in_len));
                     }
                     return;
                 }
-                let places = places::<R>(position, image, images_len);
-                for tap in 0..taps.taps_len {
+                let places = places::<R>(position, image, image_count);
+                for tap in 0..taps.tap_count {
                     let mut rows = [zeros.as_ptr(); R];
                     let mut live = false;
                     for (from, (position, image)) in rows.iter_mut().zip(places) {
-                        let source = taps.sources[position * taps.taps_len + tap];
+                        let source = taps.sources[position * taps.tap_count + tap];
                         if source != DEAD {
-                            *from = input.wrapping_add((source as usize * images_len + image) * in_len);
+                            *from = input.wrapping_add((source as usize * image_count + image) * in_len);
                             live = true;
                         }
                     }
@@ -208,7 +208,7 @@ impl Checked<'_> {
             _ => 1,
         };
         let mut sums = [[l.splat(0.0); V]; R];
-        for live in 0..tile.live_len {
+        for live in 0..tile.live_count {
             let first = values.as_ptr().wrapping_add(panel * panel_len + tile.taps[live] * in_len * PANEL);
             let mut weights = [first; V];
             for (v, weights) in weights.iter_mut().enumerate() {
@@ -320,12 +320,12 @@ fn ahead<const N: usize>(mut pointers: [*const f32; N], by: usize) -> [*const f3
 
 /// Position and image of R consecutive rows.
 #[inline(always)]
-fn places<const R: usize>(mut position: usize, mut image: usize, images_len: usize) -> [(usize, usize); R] {
+fn places<const R: usize>(mut position: usize, mut image: usize, image_count: usize) -> [(usize, usize); R] {
     let mut places = [(0, 0); R];
     for place in &mut places {
         *place = (position, image);
         image += 1;
-        if image == images_len {
+        if image == image_count {
             (position, image) = (position + 1, 0);
         }
     }

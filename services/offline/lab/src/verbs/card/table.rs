@@ -51,7 +51,7 @@ pub(super) fn text(rows: &[Row]) -> String {
 /// The update of the weights and the number of updates, or the number of averaged files.
 fn updates(card: &ModelCard) -> String {
     match (card.step, card.options.begin_with.len()) {
-        (0, files_len @ 1..) => format!("mean of {files_len}"),
+        (0, file_count @ 1..) => format!("mean of {file_count}"),
         (step, _) => format!("{step} of {}", card.options.steps),
     }
 }

@@ -127,9 +127,9 @@ impl Arguments {
         }
     }
 
-    fn columns(&self, panels_len: usize) -> usize {
+    fn columns(&self, panel_count: usize) -> usize {
         // The best are above the worst.
-        let usual = self.best_worst.map_or(panels_len.clamp(1, 2), usize::from).min(4);
+        let usual = self.best_worst.map_or(panel_count.clamp(1, 2), usize::from).min(4);
         self.columns.map_or(usual, usize::from)
     }
 

@@ -96,7 +96,7 @@ impl Convolution {
 
 fn convolve(x: &Map, taps: &Taps, panels: &Panels, residual: Option<&Map>, mut y: Map) -> Map {
     let zeros = vec![0.0; x.channels];
-    let gather = Gather::Taps { taps, images_len: x.images, zeros: &zeros };
+    let gather = Gather::Taps { taps, image_count: x.images, zeros: &zeros };
     let residual = residual.map(|residual| residual.values.as_slice());
     Product { input: &x.values, gather, panels, residual, relu: false, out: &mut y.values }.run();
     y

@@ -146,9 +146,9 @@ impl Norm {
         }
     }
 
-    /// Moves the running moments towards the moments of a batch with `rows_len` rows.
-    fn move_running(&self, pass: &mut Pass<'_>, batch: &ChannelMoments, rows_len: usize) {
-        let unbiased = (rows_len as f64 / (rows_len as f64 - 1.0).max(1.0)) as f32;
+    /// Moves the running moments towards the moments of a batch with `row_count` rows.
+    fn move_running(&self, pass: &mut Pass<'_>, batch: &ChannelMoments, row_count: usize) {
+        let unbiased = (row_count as f64 / (row_count as f64 - 1.0).max(1.0)) as f32;
         for (part, new, factor) in
             [("running_mean", &batch.mean, 1.0), ("running_var", &batch.variance, unbiased)]
         {
@@ -184,8 +184,8 @@ impl ChannelMoments {
         let means = |sums: Vec<[Sums; 1]>| -> Vec<Panel> {
             sums.iter().map(|[sums]| sums.map(|sum| (sum * share) as f32)).collect()
         };
-        let panels_len = x.channels / PANEL;
-        let mean = means(dispatch(Total { x: x.panels(), panels_len }));
+        let panel_count = x.channels / PANEL;
+        let mean = means(dispatch(Total { x: x.panels(), panel_count }));
         let variance = means(dispatch(Spread { x: x.panels(), mean: &mean }));
         Self { mean, variance }
     }

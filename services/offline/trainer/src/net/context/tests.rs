@@ -40,8 +40,8 @@ fn random(config: &ModelConfig) -> Tensors {
 }
 
 /// Patches with mostly empty cells, like those of a map.
-fn patches(config: &ModelConfig, patches_len: usize) -> Vec<f32> {
-    let len = patches_len * 3 * config.patch_size * config.patch_size;
+fn patches(config: &ModelConfig, patch_count: usize) -> Vec<f32> {
+    let len = patch_count * 3 * config.patch_size * config.patch_size;
     values(len, 1.0, 99).iter().map(|value| value.max(0.0)).collect()
 }
 

@@ -22,20 +22,20 @@ pub(crate) struct BurnIn {
 /// Hidden states after the present history steps, from 0: `state` `[agents, steps × 6]`, `present` `[agents,
 /// steps]` of 0 and 1.
 pub(crate) fn burn_in(weights: &Tensors, name: &str, state: &Matrix, present: &Matrix) -> BurnIn {
-    let (agents_len, steps_len) = (present.rows, present.cols);
-    assert_eq!((state.rows, state.cols), (agents_len, steps_len * FEATURES), "a state per agent and step");
+    let (agents_len, step_count) = (present.rows, present.cols);
+    assert_eq!((state.rows, state.cols), (agents_len, step_count * FEATURES), "a state per agent and step");
     let tensor = |part: &str| weights.get(&format!("{name}.gru.{part}"));
     let recurrent_bias = tensor("bias_hh");
     let input = by_input(weights, name, FEATURE_COLUMNS, Some(tensor("bias_ih")));
     let recurrent = by_state(tensor("weight_hh"), recurrent_bias);
     let mut hidden = Matrix::zeros(agents_len, HIDDEN);
-    let mut kept = Vec::with_capacity(agents_len * steps_len * KEPT);
+    let mut kept = Vec::with_capacity(agents_len * step_count * KEPT);
     let [mut input_gates, mut state_gates] = [(); 2].map(|()| vec![0.0; BLOCK * GATES]);
     for (block, hidden) in hidden.values.chunks_mut(BLOCK * HIDDEN).enumerate() {
         let (first, len) = (block * BLOCK, hidden.len() / HIDDEN);
         let input_gates = &mut input_gates[..len * GATES];
         let state_gates = &mut state_gates[..len * GATES];
-        for step in 0..steps_len {
+        for step in 0..step_count {
             let features = &state.values[first * state.cols + step * FEATURES..];
             product(&input, features, state.cols, None, input_gates);
             if step == 0 {
@@ -59,7 +59,7 @@ pub(crate) fn burn_in(weights: &Tensors, name: &str, state: &Matrix, present: &M
 impl BurnIn {
     /// Adds to the gradients of the recurrent unit, given the gradient by `hidden`.
     pub(crate) fn backward(&self, weights: &Tensors, gradients: &mut Gradients, mut d_hidden: Matrix) {
-        let steps_len = self.state.cols / FEATURES;
+        let step_count = self.state.cols / FEATURES;
         let recurrent = to_state(weights.get(&format!("{}.gru.weight_hh", self.name)));
         let mut by_hidden = MatrixSum::zeros(GATES, HIDDEN);
         let mut by_features = MatrixSum::zeros(GATES, FEATURES);
@@ -72,8 +72,8 @@ impl BurnIn {
             let d_recurrent = &mut d_recurrent[..len * GATES];
             let d_input = &mut d_input[..len * GATES];
             let state = &self.state.values[first * self.state.cols..][..len * self.state.cols];
-            for step in (0..steps_len).rev() {
-                let kept = &self.kept[(first * steps_len + step * len) * KEPT..][..len * KEPT];
+            for step in (0..step_count).rev() {
+                let kept = &self.kept[(first * step_count + step * len) * KEPT..][..len * KEPT];
                 dispatch(StepBackward {
                     kept,
                     d_state,

@@ -36,9 +36,9 @@ impl Kernel for Step<'_> {
 
     #[inline(always)]
     fn run<L: Lanes>(mut self, l: L) {
-        let rows_len = self.state.len() / HIDDEN;
+        let row_count = self.state.len() / HIDDEN;
         let input_stride = if self.input.len() == GATES { 0 } else { GATES };
-        let stride = self.recurrent.len() / rows_len.max(1);
+        let stride = self.recurrent.len() / row_count.max(1);
         let mut kept = [0.0; KEPT];
         for (row, state) in self.state.as_chunks_mut::<HIDDEN>().0.iter_mut().enumerate() {
             if self.present.is_some_and(|present| present[row] == 0.0) {
@@ -97,8 +97,8 @@ impl Kernel for StepBackward<'_> {
 
     #[inline(always)]
     fn run<L: Lanes>(mut self, l: L) {
-        let rows_len = self.d_state.len() / HIDDEN;
-        let stride = self.d_recurrent.len() / rows_len.max(1);
+        let row_count = self.d_state.len() / HIDDEN;
+        let stride = self.d_recurrent.len() / row_count.max(1);
         let one = l.splat(1.0);
         let rows = self.kept.as_chunks::<KEPT>().0.iter().zip(self.d_state.as_chunks_mut::<HIDDEN>().0);
         for (row, (kept, d_state)) in rows.enumerate() {

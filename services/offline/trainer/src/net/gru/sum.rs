@@ -13,15 +13,15 @@ pub(super) struct MatrixSum {
 }
 
 impl MatrixSum {
-    pub(super) fn zeros(rows_len: usize, cols_len: usize) -> Self {
-        let stride = cols_len.next_multiple_of(PANEL);
-        let zeros = vec![0.0; rows_len * stride];
+    pub(super) fn zeros(row_count: usize, col_count: usize) -> Self {
+        let stride = col_count.next_multiple_of(PANEL);
+        let zeros = vec![0.0; row_count * stride];
         Self { sum: zeros.clone(), next: zeros, stride }
     }
 
     /// Adds dyᵀ x. Rows of dy are `stride` floats apart. Columns of dy beyond the sum's rows are ignored.
     pub(super) fn add(&mut self, dy: &[f32], stride: usize, x: Columns<'_>) {
-        if x.rows_len == 0 {
+        if x.row_count == 0 {
             return;
         }
         Product {
@@ -49,6 +49,6 @@ impl MatrixSum {
 
 /// Some columns of a matrix with these values and rows of length `row_len`.
 pub(super) fn columns(values: &[f32], row_len: usize, start: usize, len: usize) -> Columns<'_> {
-    let rows_len = values.len() / row_len;
-    Columns { values: values.get(start..).unwrap_or_default(), rows_len, cols_len: len, stride: row_len }
+    let row_count = values.len() / row_len;
+    Columns { values: values.get(start..).unwrap_or_default(), row_count, col_count: len, stride: row_len }
 }

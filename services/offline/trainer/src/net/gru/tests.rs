@@ -34,23 +34,23 @@ fn matrix(rows: usize, cols: usize, seed: u64) -> Matrix {
 }
 
 /// States and presence of agents that appear late, disappear early or miss a step.
-fn history(agents_len: usize, steps_len: usize) -> (Matrix, Matrix) {
+fn history(agents_len: usize, step_count: usize) -> (Matrix, Matrix) {
     let absent = |agent: usize, step: usize| match agent % 4 {
         0 => step < 2,
         1 => step == 3,
-        2 => step + 1 == steps_len,
+        2 => step + 1 == step_count,
         _ => false,
     };
-    let present = (0..agents_len * steps_len).map(|i| f32::from(!absent(i / steps_len, i % steps_len)));
-    (matrix(agents_len, steps_len * FEATURES, 20), Matrix::new(agents_len, steps_len, present.collect()))
+    let present = (0..agents_len * step_count).map(|i| f32::from(!absent(i / step_count, i % step_count)));
+    (matrix(agents_len, step_count * FEATURES, 20), Matrix::new(agents_len, step_count, present.collect()))
 }
 
 /// Hidden states, encodings and latent variables.
-fn inputs(agents_len: usize, draws_len: usize) -> [Matrix; 3] {
+fn inputs(agents_len: usize, draw_count: usize) -> [Matrix; 3] {
     [
         matrix(agents_len, HIDDEN, 30),
         matrix(agents_len, ENCODING, 31),
-        matrix(agents_len * draws_len, LATENT, 32),
+        matrix(agents_len * draw_count, LATENT, 32),
     ]
 }
 
@@ -96,9 +96,9 @@ fn absent_steps_do_not_count() {
         let steps = (0..6).filter(|&step| present.row(agent)[step] > 0.0);
         let states: Vec<f32> =
             steps.flat_map(|step| &state.row(agent)[step * FEATURES..][..FEATURES]).copied().collect();
-        let steps_len = states.len() / FEATURES;
+        let step_count = states.len() / FEATURES;
         let state = Matrix::new(1, states.len(), states);
-        let alone = burn_in(&weights, NAME, &state, &Matrix::new(1, steps_len, vec![1.0; steps_len]));
+        let alone = burn_in(&weights, NAME, &state, &Matrix::new(1, step_count, vec![1.0; step_count]));
         let difference = alone.hidden.values.iter().zip(whole.hidden.row(agent)).map(|(a, b)| (a - b).abs());
         assert!(difference.fold(0.0, f32::max) < 1e-6, "agent {agent}");
     }
@@ -160,13 +160,13 @@ fn apart(found: &[f32], expected: &[f32]) -> f32 {
 
 /// Burn-in and forecast, forward and backward. Returns the forecast, the gradients by the weights and the
 /// gradients by the latent variables.
-fn forward_and_backward(weights: &Tensors, agents: &[u32], draws_len: usize) -> (Matrix, Gradients, Matrix) {
+fn forward_and_backward(weights: &Tensors, agents: &[u32], draw_count: usize) -> (Matrix, Gradients, Matrix) {
     let (state, present) = history(2 * BLOCK, 5);
-    let [_, encoding, latent] = inputs(2 * BLOCK, draws_len);
+    let [_, encoding, latent] = inputs(2 * BLOCK, draw_count);
     let d_raw = matrix(latent.rows, 3 * CONTROL, 35);
     let rows: Vec<u32> = agents
         .iter()
-        .flat_map(|&agent| (0..draws_len as u32).map(move |draw| agent * draws_len as u32 + draw))
+        .flat_map(|&agent| (0..draw_count as u32).map(move |draw| agent * draw_count as u32 + draw))
         .collect();
     let mut gradients = Gradients::zeros(weights);
     let burnt = burn_in(weights, NAME, &state.gather(agents), &present.gather(agents));
@@ -231,20 +231,20 @@ fn forecasts_agree_with_the_golden_vectors() {
         for (agent_type, type_name) in ["vehicle", "cyclist", "pedestrian"].into_iter().enumerate() {
             let agents: Vec<usize> =
                 (0..golden.types.len()).filter(|&agent| golden.types[agent] == agent_type).collect();
-            let steps_len = golden.config.history_len;
+            let step_count = golden.config.history_len;
             let by_step =
-                || agents.iter().flat_map(|&agent| (0..steps_len).map(move |step| vec![step, agent]));
+                || agents.iter().flat_map(|&agent| (0..step_count).map(move |step| vec![step, agent]));
             let state = golden.rows("history.state", by_step());
-            let state = Matrix::new(agents.len(), steps_len * FEATURES, state);
+            let state = Matrix::new(agents.len(), step_count * FEATURES, state);
             let present = by_step().map(|at| f32::from(golden.present(at[0], at[1]))).collect();
-            let present = Matrix::new(agents.len(), steps_len, present);
+            let present = Matrix::new(agents.len(), step_count, present);
             let encoding = golden.rows("history.temporal", agents.iter().map(|&agent| vec![agent]));
             let encoding = Matrix::new(agents.len(), ENCODING, encoding);
-            let draws_len = golden.tensor("latent.z").0[0];
+            let draw_count = golden.tensor("latent.z").0[0];
             let by_draw =
-                || agents.iter().flat_map(|&agent| (0..draws_len).map(move |draw| vec![draw, agent]));
+                || agents.iter().flat_map(|&agent| (0..draw_count).map(move |draw| vec![draw, agent]));
             let latent = golden.rows("latent.z", by_draw());
-            let latent = Matrix::new(agents.len() * draws_len, LATENT, latent);
+            let latent = Matrix::new(agents.len() * draw_count, LATENT, latent);
             let name = format!("decoder.{type_name}");
             let hidden = burn_in(&golden.weights, &name, &state, &present).hidden;
             let horizon_len = golden.config.horizon_len;

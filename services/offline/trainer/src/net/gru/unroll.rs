@@ -63,7 +63,7 @@ pub(crate) fn unroll(
     keep_trace: bool,
 ) -> Unroll {
     assert!(horizon_len > 0, "a step to forecast");
-    let draws_len = draws_len(hidden, encoding, latent);
+    let draw_count = draw_count(hidden, encoding, latent);
     // Only the backward pass needs the copies.
     let inputs = keep_trace.then(|| Inputs {
         name: name.to_owned(),
@@ -80,8 +80,8 @@ pub(crate) fn unroll(
         last: Vec::with_capacity(latent.rows * HIDDEN),
     });
     let mut memory = Memory::default();
-    for agents in blocks(hidden.rows, draws_len) {
-        let rows = agents.start * draws_len..agents.end * draws_len;
+    for agents in blocks(hidden.rows, draw_count) {
+        let rows = agents.start * draw_count..agents.end * draw_count;
         network.start(agents, hidden, &latent.values[rows.start * LATENT..rows.end * LATENT], &mut memory);
         let raw = &mut raw.values[rows.start * horizon_len * CONTROL..rows.end * horizon_len * CONTROL];
         network.run(&mut memory, horizon_len, raw, trace.as_mut());
@@ -91,13 +91,13 @@ pub(crate) fn unroll(
 
 impl Inputs {
     /// Draws per agent.
-    pub(super) fn draws_len(&self) -> usize {
-        draws_len(&self.hidden, &self.encoding, &self.latent)
+    pub(super) fn draw_count(&self) -> usize {
+        draw_count(&self.hidden, &self.encoding, &self.latent)
     }
 }
 
 /// Draws per agent.
-fn draws_len(hidden: &Matrix, encoding: &Matrix, latent: &Matrix) -> usize {
+fn draw_count(hidden: &Matrix, encoding: &Matrix, latent: &Matrix) -> usize {
     assert_eq!((hidden.cols, encoding.cols, latent.cols), (HIDDEN, ENCODING, LATENT), "columns");
     assert_eq!(hidden.rows, encoding.rows, "a state and an encoding per agent");
     assert!(latent.rows.is_multiple_of(hidden.rows.max(1)), "as many draws for each agent");
@@ -105,9 +105,9 @@ fn draws_len(hidden: &Matrix, encoding: &Matrix, latent: &Matrix) -> usize {
 }
 
 /// The agents of each block; empty without draws.
-fn blocks(agents_len: usize, draws_len: usize) -> impl Iterator<Item = Range<usize>> {
-    let block = (BLOCK / draws_len.max(1)).max(1);
-    let agents_len = if draws_len == 0 { 0 } else { agents_len };
+fn blocks(agents_len: usize, draw_count: usize) -> impl Iterator<Item = Range<usize>> {
+    let block = (BLOCK / draw_count.max(1)).max(1);
+    let agents_len = if draw_count == 0 { 0 } else { agents_len };
     (0..agents_len).step_by(block).map(move |first| first..agents_len.min(first + block))
 }
 
@@ -160,13 +160,13 @@ impl<'a> Entering<'a> {
 
     /// Writes I of the first step for all draws of `agents` to `input`, and its part without z to `context`.
     fn put(&self, agents: Range<usize>, latent: &[f32], context: &mut Vec<f32>, input: &mut Vec<f32>) {
-        let rows_len = latent.len() / LATENT;
-        let draws_len = rows_len / agents.len().max(1);
+        let row_count = latent.len() / LATENT;
+        let draw_count = row_count / agents.len().max(1);
         context.clear();
         agents.for_each(|agent| {
-            (0..draws_len).for_each(|_| context.extend_from_slice(self.context.row(agent)));
+            (0..draw_count).for_each(|_| context.extend_from_slice(self.context.row(agent)));
         });
-        input.resize(rows_len * GATES, 0.0);
+        input.resize(row_count * GATES, 0.0);
         product(&self.latent, latent, LATENT, Some(context), input);
     }
 }
@@ -182,16 +182,16 @@ impl<'a> Network<'a> {
 
     /// Sets state, I and H of the first step for all draws of `agents`.
     fn start(&self, agents: Range<usize>, hidden: &Matrix, latent: &[f32], memory: &mut Memory) {
-        let rows_len = latent.len() / LATENT;
-        let draws_len = rows_len / agents.len().max(1);
+        let row_count = latent.len() / LATENT;
+        let draw_count = row_count / agents.len().max(1);
         self.entering.put(agents.clone(), latent, &mut memory.context, &mut memory.input);
         memory.recurrent.clear();
         memory.state.clear();
-        for agent in agents.flat_map(|agent| std::iter::repeat_n(agent, draws_len)) {
+        for agent in agents.flat_map(|agent| std::iter::repeat_n(agent, draw_count)) {
             memory.recurrent.extend_from_slice(self.first.row(agent));
             memory.state.extend_from_slice(hidden.row(agent));
         }
-        memory.head.resize(rows_len * HEAD_STRIDE, 0.0);
+        memory.head.resize(row_count * HEAD_STRIDE, 0.0);
     }
 
     /// Runs a block over the horizon; `raw` `[rows, horizon × 5]`.

@@ -23,10 +23,10 @@ const LANES_MAX: usize = 16;
 pub(super) fn positions(
     config: &ModelConfig,
     starts: &[Start],
-    draws_len: usize,
+    draw_count: usize,
     controls: &Matrix,
 ) -> Matrix {
-    let vehicles = Vehicles { bicycle: Bicycle::new(config), starts, draws_len, controls };
+    let vehicles = Vehicles { bicycle: Bicycle::new(config), starts, draw_count, controls };
     let mut positions = Matrix::zeros(controls.rows, controls.cols);
     dispatch(Forward { vehicles, positions: &mut positions });
     positions
@@ -36,11 +36,11 @@ pub(super) fn positions(
 pub(super) fn positions_backward(
     config: &ModelConfig,
     starts: &[Start],
-    draws_len: usize,
+    draw_count: usize,
     controls: &Matrix,
     d_positions: &Matrix,
 ) -> Matrix {
-    let vehicles = Vehicles { bicycle: Bicycle::new(config), starts, draws_len, controls };
+    let vehicles = Vehicles { bicycle: Bicycle::new(config), starts, draw_count, controls };
     let mut d_controls = Matrix::zeros(controls.rows, controls.cols);
     dispatch(Backward { vehicles, d_positions, d_controls: &mut d_controls });
     d_controls
@@ -161,7 +161,7 @@ impl Bicycle {
 struct Vehicles<'a> {
     bicycle: Bicycle,
     starts: &'a [Start],
-    draws_len: usize,
+    draw_count: usize,
     controls: &'a Matrix,
 }
 
@@ -173,7 +173,7 @@ impl Vehicles<'_> {
             let mut values = [0.0; LANES_MAX];
             for (lane, lane_value) in values[..L::LEN].iter_mut().enumerate() {
                 let row = (first + lane).min(self.controls.rows - 1);
-                *lane_value = value(&self.starts[row / self.draws_len]);
+                *lane_value = value(&self.starts[row / self.draw_count]);
             }
             Reals::load(lanes, &values)
         };
@@ -266,13 +266,13 @@ impl Kernel for Backward<'_> {
     #[inline(always)]
     fn run<L: Lanes>(self, lanes: L) {
         let Self { vehicles, d_positions, d_controls } = self;
-        let steps_len = d_controls.cols / 2;
-        let (mut columns, mut steps) = (Columns::new(d_controls.cols), Vec::with_capacity(steps_len));
+        let step_count = d_controls.cols / 2;
+        let (mut columns, mut steps) = (Columns::new(d_controls.cols), Vec::with_capacity(step_count));
         for first in (0..d_controls.rows).step_by(L::LEN) {
             columns.gather::<L>(vehicles.controls, first);
             let (mut state, rear_axle) = vehicles.start(lanes, first);
             steps.clear();
-            for number in 0..steps_len {
+            for number in 0..step_count {
                 let (step, next) = vehicles.bicycle.step(state, rear_axle, columns.load(lanes, number));
                 steps.push(step);
                 state = next;

@@ -75,12 +75,12 @@ fn vehicles_agree_with_the_golden_vectors() {
     for golden in Golden::all() {
         let vehicles: Vec<usize> =
             (0..golden.types.len()).filter(|&agent| golden.types[agent] == 0).collect();
-        let draws_len = golden.tensor("bicycle.mean").0[0];
+        let draw_count = golden.tensor("bicycle.mean").0[0];
         // Our rows are sorted by agent and then draw, the vectors by draw and then agent.
         let rows = |name: &str, agents: &[usize]| {
             golden.rows(
                 name,
-                agents.iter().flat_map(|&agent| (0..draws_len).map(move |draw| vec![draw, agent])),
+                agents.iter().flat_map(|&agent| (0..draw_count).map(move |draw| vec![draw, agent])),
             )
         };
         let initial = golden.tensor("bicycle.initial").1;
@@ -97,7 +97,7 @@ fn vehicles_agree_with_the_golden_vectors() {
             })
             .collect();
         let width = golden.config.horizon_len * 2;
-        let controls = Matrix::new(starts.len() * draws_len, width, rows("control.mean", &vehicles));
+        let controls = Matrix::new(starts.len() * draw_count, width, rows("control.mean", &vehicles));
         for (integrator, name) in
             [(Integrator::Euler, "bicycle.mean"), (Integrator::Midpoint, "bicycle.midpoint_mean")]
         {
@@ -108,11 +108,11 @@ fn vehicles_agree_with_the_golden_vectors() {
                 slip_limit_rad: None,
                 ..golden.config.clone()
             };
-            let found = positions(&config, AgentType::Vehicle, &starts, draws_len, &controls);
+            let found = positions(&config, AgentType::Vehicle, &starts, draw_count, &controls);
             // Our trajectories begin at the origin.
             let states = rows(name, &(0..vehicles.len()).collect::<Vec<usize>>());
             let expected = states.as_chunks::<5>().0.iter().enumerate().flat_map(|(number, state)| {
-                let vehicle = number / golden.config.horizon_len / draws_len;
+                let vehicle = number / golden.config.horizon_len / draw_count;
                 [state[0] - initial[5 * vehicle], state[1] - initial[5 * vehicle + 1]]
             });
             golden.check(name, &found.values, &expected.collect::<Vec<f32>>());

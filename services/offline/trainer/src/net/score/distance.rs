@@ -8,32 +8,32 @@ use super::super::matrix::Matrix;
 const ROOT_EPSILON_M2: f32 = 1e-6;
 
 /// Distances `[rows, horizon]` between the positions of `a` and `b`. Row r of `a` belongs to row r /
-/// `draws_len` of `b`.
-pub(super) fn distances(a: &Matrix, b: &Matrix, draws_len: usize) -> Matrix {
-    assert_shapes(a, b, draws_len);
+/// `draw_count` of `b`.
+pub(super) fn distances(a: &Matrix, b: &Matrix, draw_count: usize) -> Matrix {
+    assert_shapes(a, b, draw_count);
     let mut distances = Matrix::zeros(a.rows, a.cols / 2);
-    dispatch(Distances { a, b, draws_len, distances: &mut distances });
+    dispatch(Distances { a, b, draw_count, distances: &mut distances });
     distances
 }
 
 /// Gradient by `a`, given the `slopes` by its [`distances`] to `b`. The gradient by `b` is the negative of
 /// it.
-pub(super) fn distances_backward(a: &Matrix, b: &Matrix, draws_len: usize, slopes: &Matrix) -> Matrix {
-    assert_shapes(a, b, draws_len);
+pub(super) fn distances_backward(a: &Matrix, b: &Matrix, draw_count: usize, slopes: &Matrix) -> Matrix {
+    assert_shapes(a, b, draw_count);
     assert_eq!((a.rows, a.cols), (slopes.rows, slopes.cols * 2), "a slope for every position");
     let mut gradient = Matrix::zeros(a.rows, a.cols);
-    dispatch(DistancesBackward { a, b, draws_len, slopes, gradient: &mut gradient });
+    dispatch(DistancesBackward { a, b, draw_count, slopes, gradient: &mut gradient });
     gradient
 }
 
-fn assert_shapes(a: &Matrix, b: &Matrix, draws_len: usize) {
-    assert_eq!((a.rows, a.cols), (b.rows * draws_len, b.cols), "shapes of trajectories");
+fn assert_shapes(a: &Matrix, b: &Matrix, draw_count: usize) {
+    assert_eq!((a.rows, a.cols), (b.rows * draw_count, b.cols), "shapes of trajectories");
 }
 
 struct Distances<'a> {
     a: &'a Matrix,
     b: &'a Matrix,
-    draws_len: usize,
+    draw_count: usize,
     distances: &'a mut Matrix,
 }
 
@@ -43,7 +43,7 @@ impl Kernel for Distances<'_> {
     #[inline(always)]
     fn run<L: Lanes>(self, _: L) {
         for row in 0..self.a.rows {
-            let (a, b) = (self.a.row(row).as_chunks().0, self.b.row(row / self.draws_len).as_chunks().0);
+            let (a, b) = (self.a.row(row).as_chunks().0, self.b.row(row / self.draw_count).as_chunks().0);
             for ((distance, a), b) in self.distances.row_mut(row).iter_mut().zip(a).zip(b) {
                 *distance = between(*a, *b).1;
             }
@@ -54,7 +54,7 @@ impl Kernel for Distances<'_> {
 struct DistancesBackward<'a> {
     a: &'a Matrix,
     b: &'a Matrix,
-    draws_len: usize,
+    draw_count: usize,
     slopes: &'a Matrix,
     gradient: &'a mut Matrix,
 }
@@ -65,7 +65,7 @@ impl Kernel for DistancesBackward<'_> {
     #[inline(always)]
     fn run<L: Lanes>(self, _: L) {
         for row in 0..self.a.rows {
-            let (a, b) = (self.a.row(row).as_chunks().0, self.b.row(row / self.draws_len).as_chunks().0);
+            let (a, b) = (self.a.row(row).as_chunks().0, self.b.row(row / self.draw_count).as_chunks().0);
             let gradient = self.gradient.row_mut(row).as_chunks_mut().0.iter_mut();
             for (((gradient, a), b), slope) in gradient.zip(a).zip(b).zip(self.slopes.row(row)) {
                 let (difference, distance) = between(*a, *b);

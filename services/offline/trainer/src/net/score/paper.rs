@@ -11,12 +11,12 @@ const KERNEL_SCALES: [f32; 7] = [0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0];
 /// Squared displacements from the truth, summed over the counted steps and multiplied by `weight`, and the
 /// gradient by the positions. The paper's mean has `weight` = 1 / number of steps.
 pub(crate) fn squared_displacement(positions: &Matrix, truth: &Truth<'_>, weight: f32) -> (f32, Matrix) {
-    assert_eq!(positions.rows, truth.positions.rows * truth.draws_len, "rows of trajectories");
+    assert_eq!(positions.rows, truth.positions.rows * truth.draw_count, "rows of trajectories");
     assert_eq!(positions.cols, truth.positions.cols, "steps of trajectories");
     let mut gradient = positions.clone();
     let mut sum = 0.0;
     for row in 0..positions.rows {
-        let agent = row / truth.draws_len;
+        let agent = row / truth.draw_count;
         let steps = gradient.row_mut(row).as_chunks_mut::<2>().0.iter_mut();
         let known = truth.positions.row(agent).as_chunks::<2>().0.iter().zip(truth.counts.row(agent));
         for (step, (truth, counts)) in steps.zip(known) {

@@ -32,7 +32,7 @@ fn distance(a: &[f32], b: &[f32], step: usize) -> f64 {
 #[test]
 fn errors_are_means_over_the_steps_that_count_and_the_last() {
     let (positions, (truth, counts)) = (trajectories(2), truth());
-    let held = Truth { positions: &truth, counts: &counts, draws_len: DRAWS };
+    let held = Truth { positions: &truth, counts: &counts, draw_count: DRAWS };
     let errors = trajectory_error(&positions, &held, 0.5);
     for (row, error) in errors.iter().enumerate() {
         let agent = row / DRAWS;
@@ -48,7 +48,7 @@ fn errors_are_means_over_the_steps_that_count_and_the_last() {
 #[test]
 fn gradient_of_the_errors_agrees_with_differences() {
     let (positions, (truth, counts)) = (trajectories(2), truth());
-    let truth = Truth { positions: &truth, counts: &counts, draws_len: DRAWS };
+    let truth = Truth { positions: &truth, counts: &counts, draw_count: DRAWS };
     let weights = values(ROWS, 1.0, 3);
     let gradient = trajectory_error_backward(&positions, &truth, 0.5, &weights);
     check("trajectory error", &positions.values, &gradient.values, (1e-2, 60), |moved| {
@@ -60,7 +60,7 @@ fn gradient_of_the_errors_agrees_with_differences() {
 #[test]
 fn a_perfect_forecast_has_a_finite_gradient() {
     let (positions, counts) = truth();
-    let truth = Truth { positions: &positions, counts: &counts, draws_len: 1 };
+    let truth = Truth { positions: &positions, counts: &counts, draw_count: 1 };
     let weights = [1.0; AGENTS];
     let (scores, gradients) = energy_score([&positions, &positions], &truth, &weights);
     assert!(scores.iter().all(|score| score.abs() < 1e-3), "{scores:?}");
@@ -72,7 +72,7 @@ fn a_perfect_forecast_has_a_finite_gradient() {
 #[test]
 fn energy_score_and_gradients_agree_with_the_definition() {
     let (draws, (truth, counts)) = ([trajectories(4), trajectories(5)], truth());
-    let held = Truth { positions: &truth, counts: &counts, draws_len: DRAWS };
+    let held = Truth { positions: &truth, counts: &counts, draw_count: DRAWS };
     let weights = values(ROWS, 1.0, 6);
     let (scores, gradients) = energy_score([&draws[0], &draws[1]], &held, &weights);
     for (row, score) in scores.iter().enumerate() {
@@ -126,7 +126,7 @@ fn gradient_of_the_cross_entropy_agrees_with_differences() {
 #[test]
 fn squared_displacement_agrees_with_the_definition() {
     let (positions, (truth, counts)) = (trajectories(10), truth());
-    let held = Truth { positions: &truth, counts: &counts, draws_len: DRAWS };
+    let held = Truth { positions: &truth, counts: &counts, draw_count: DRAWS };
     let (sum, gradient) = squared_displacement(&positions, &held, 0.25);
     let at = |row: usize, step: usize| {
         let squared = distance(positions.row(row), truth.row(row / DRAWS), step).powi(2) - 1e-6;

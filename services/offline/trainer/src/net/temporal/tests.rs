@@ -101,7 +101,7 @@ fn summaries_agree_with_the_reference() {
             let node = golden.rows(&last, graph.rows.iter().cloned());
             let node = Matrix::new(graph.rows.len(), NODE, node);
             let reading = Reading::of(&golden.config);
-            let summary = temporal(&golden.weights, reading, &node, &graph.steps, graph.steps_len);
+            let summary = temporal(&golden.weights, reading, &node, &graph.steps, graph.step_count);
             let beta = golden.rows(&format!("{part}.beta"), graph.rows.iter().cloned());
             golden.check(&format!("{part}.beta"), &summary.beta.values, &beta);
             let name = format!("{part}.temporal");

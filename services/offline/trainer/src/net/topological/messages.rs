@@ -51,12 +51,12 @@ pub(in crate::net) struct MessagesBackward {
 }
 
 impl MessagesBackward {
-    pub(in crate::net) fn new(edges_len: usize, rows_len: usize, heads: usize) -> Self {
+    pub(in crate::net) fn new(edges_len: usize, row_count: usize, heads: usize) -> Self {
         let mut head_sums = Matrix::zeros(heads, NODE);
         for (head, section) in sections(heads).enumerate() {
             head_sums.row_mut(head)[section].fill(1.0);
         }
-        let (by_scores, by_values) = (Matrix::zeros(edges_len, heads), Matrix::zeros(rows_len, NODE));
+        let (by_scores, by_values) = (Matrix::zeros(edges_len, heads), Matrix::zeros(row_count, NODE));
         Self { by_scores, by_values, terms: vec![0.0; BLOCK * NODE], head_sums }
     }
 

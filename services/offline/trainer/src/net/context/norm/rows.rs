@@ -17,24 +17,24 @@ const ROWS: usize = 256;
 struct Totals<const K: usize>(Vec<[Sums; K]>);
 
 impl<const K: usize> Totals<K> {
-    fn zeros(panels_len: usize) -> Self {
-        Self(vec![[[0.0; PANEL]; K]; panels_len])
+    fn zeros(panel_count: usize) -> Self {
+        Self(vec![[[0.0; PANEL]; K]; panel_count])
     }
 
     /// The places \[row, panel\] of each block.
-    fn blocks(&self, places_len: usize) -> impl Iterator<Item = Range<usize>> + use<K> {
+    fn blocks(&self, place_count: usize) -> impl Iterator<Item = Range<usize>> + use<K> {
         let block_len = ROWS * self.0.len();
-        (0..places_len).step_by(block_len).map(move |start| start..places_len.min(start + block_len))
+        (0..place_count).step_by(block_len).map(move |start| start..place_count.min(start + block_len))
     }
 
     /// Adds the `terms` of (panel, place, channels from … on) of a block.
     #[inline(always)]
     fn add<L: Lanes>(&mut self, l: L, block: Range<usize>, terms: impl Fn(usize, usize, usize) -> [L::V; K]) {
-        let panels_len = self.0.len();
+        let panel_count = self.0.len();
         for (panel, totals) in self.0.iter_mut().enumerate() {
             for c in (0..PANEL).step_by(L::LEN) {
                 let mut sums = [l.splat(0.0); K];
-                for place in (block.start + panel..block.end).step_by(panels_len) {
+                for place in (block.start + panel..block.end).step_by(panel_count) {
                     for (sum, term) in sums.iter_mut().zip(terms(panel, place, c)) {
                         *sum = l.add(*sum, term);
                     }
@@ -54,7 +54,7 @@ impl<const K: usize> Totals<K> {
 /// Σ x.
 pub(super) struct Total<'a> {
     pub(super) x: &'a [Panel],
-    pub(super) panels_len: usize,
+    pub(super) panel_count: usize,
 }
 
 impl Kernel for Total<'_> {
@@ -62,7 +62,7 @@ impl Kernel for Total<'_> {
 
     #[inline(always)]
     fn run<L: Lanes>(self, l: L) -> Self::Output {
-        let mut totals = Totals::zeros(self.panels_len);
+        let mut totals = Totals::zeros(self.panel_count);
         for block in totals.blocks(self.x.len()) {
             totals.add(l, block, |_, place, c| [l.load(&self.x[place][c..])]);
         }

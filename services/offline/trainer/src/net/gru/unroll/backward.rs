@@ -43,7 +43,7 @@ impl Unroll {
 impl Kept {
     fn backward(&self, weights: &Tensors, gradients: &mut Gradients, d_raw: &Matrix) -> UnrollGradients {
         let Self { inputs, .. } = self;
-        let draws_len = inputs.draws_len();
+        let draw_count = inputs.draw_count();
         let stacked = stacked(weights, &inputs.name, "weight");
         let mut pass = HorizonBackward {
             kept: self,
@@ -59,8 +59,8 @@ impl Kept {
                 d_input: Matrix::zeros(d_raw.rows, GATES),
             },
         };
-        for agents in blocks(inputs.hidden.rows, draws_len) {
-            pass.block(agents.start * draws_len..agents.end * draws_len, d_raw);
+        for agents in blocks(inputs.hidden.rows, draw_count) {
+            pass.block(agents.start * draw_count..agents.end * draw_count, d_raw);
         }
         pass.add_to(gradients, d_raw);
         pass.first.backward(weights, gradients, inputs)
@@ -197,9 +197,9 @@ impl First {
 /// The sum of each agent's rows. All agents have the same number of rows.
 fn sum_of_draws(rows: &Matrix, agents_len: usize) -> Matrix {
     let mut sums = Matrix::zeros(agents_len, rows.cols);
-    let draws_len = rows.rows / agents_len.max(1);
+    let draw_count = rows.rows / agents_len.max(1);
     for (row, values) in rows.values.chunks_exact(rows.cols).enumerate() {
-        let sum = sums.row_mut(row / draws_len);
+        let sum = sums.row_mut(row / draw_count);
         sum.iter_mut().zip(values).for_each(|(sum, value)| *sum += value);
     }
     sums
