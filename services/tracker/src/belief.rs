@@ -152,7 +152,6 @@ impl Belief {
                 let mut mixture = Mixture::new(*state, trust.displacement(models), seed);
                 (mixture.adopt(forecast), Hypotheses::Displacement(Box::new(mixture)))
             }
-            (Filter::ConstantAcceleration(_) | Filter::ConstantTurnRate(_), _) => return Ok(()),
         };
         self.hypotheses = Some(hypotheses);
         self.match_moments();

@@ -28,9 +28,9 @@ use crate::trials::{PART_NS, Shown, Trials};
 
 /// Standard deviations of the quantities that the first detection does not measure, by type.
 const UNKNOWN: [Unknown; 3] = [
-    Unknown { speed_mps: 10.0, acceleration_mps2: 3.0, turn_rate_radps: 0.3, slip_rad: 0.05 },
-    Unknown { speed_mps: 5.0, acceleration_mps2: 2.0, turn_rate_radps: 0.5, slip_rad: 0.05 },
-    Unknown { speed_mps: 2.0, acceleration_mps2: 1.0, turn_rate_radps: 1.0, slip_rad: 0.05 },
+    Unknown { speed_mps: 10.0, slip_rad: 0.05 },
+    Unknown { speed_mps: 5.0, slip_rad: 0.05 },
+    Unknown { speed_mps: 2.0, slip_rad: 0.05 },
 ];
 /// The course sets an unknown heading once its standard deviation is this small, from the speed below on.
 const COURSE_SIGMA_MAX_RAD: f64 = 0.3;

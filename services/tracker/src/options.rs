@@ -1,4 +1,4 @@
-use filters::{Bicycle, ConstantAcceleration, ConstantTurnRate, ConstantVelocity, Integrator, Models};
+use filters::{Bicycle, ConstantVelocity, Integrator, Models};
 use run::{Declaration, SpeedLimits};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -296,8 +296,6 @@ impl InputModel {
         let length_m = if length_m > 0.0 { length_m } else { LENGTH_M[agent_type.index()] };
         Models {
             constant_velocity: ConstantVelocity { density: noise.density },
-            constant_acceleration: ConstantAcceleration { density: noise.density },
-            constant_turn_rate: ConstantTurnRate { acceleration_density: noise.density, yaw_density: 0.2 },
             bicycle: Bicycle {
                 integrator: Integrator::Euler,
                 rear_axle_m: REAR_AXLE_RATIO * length_m.clamp(1.0, 25.0),

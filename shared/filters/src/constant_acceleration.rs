@@ -9,6 +9,24 @@ pub struct ConstantAcceleration {
     pub density: f64,
 }
 
+impl ConstantAcceleration {
+    /// A state \[x, y, vx, vy\], extended by an acceleration of mean 0 and this standard deviation per axis.
+    pub fn of(state: &Gaussian<4>, sigma_mps2: f64) -> Gaussian<6> {
+        let mut extended = Gaussian::new([0.0; 6], [sigma_mps2.powi(2); 6]);
+        extended.mean.fixed_rows_mut::<4>(0).copy_from(&state.mean);
+        extended.covariance.fixed_view_mut::<4, 4>(0, 0).copy_from(&state.covariance);
+        extended
+    }
+
+    /// The components \[x, y, vx, vy\] of a state.
+    pub fn cartesian(state: &Gaussian<6>) -> Gaussian<4> {
+        Gaussian {
+            mean: state.mean.fixed_rows::<4>(0).into_owned(),
+            covariance: state.covariance.fixed_view::<4, 4>(0, 0).into_owned(),
+        }
+    }
+}
+
 impl Process<6> for ConstantAcceleration {
     const ANGLES: &'static [usize] = &[];
 

@@ -1,38 +1,15 @@
 use elementary::hypot;
-use nalgebra::{Matrix4x5, Matrix5, Matrix5x4, Matrix6, SVector, Vector4, Vector5, Vector6};
+use nalgebra::{Matrix4x5, Matrix5, Matrix5x4, Vector4, Vector5};
 
-use crate::{
-    Bicycle, ConstantAcceleration, ConstantTurnRate, ConstantVelocity, Evidence, FilterFault, Gaussian,
-    Motion, Observation,
-};
+use crate::{Bicycle, ConstantVelocity, Evidence, FilterFault, Gaussian, Motion, Observation};
 
 /// A process model by name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
     /// [`ConstantVelocity`]
     ConstantVelocity,
-    /// [`ConstantAcceleration`]
-    ConstantAcceleration,
-    /// [`ConstantTurnRate`]
-    ConstantTurnRate,
     /// [`Bicycle`]
     Bicycle,
-}
-
-impl Kind {
-    /// All kinds, simplest first.
-    pub const ALL: [Self; 4] =
-        [Self::ConstantVelocity, Self::ConstantAcceleration, Self::ConstantTurnRate, Self::Bicycle];
-
-    /// The name used in files and reports.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::ConstantVelocity => "constant-velocity",
-            Self::ConstantAcceleration => "constant-acceleration",
-            Self::ConstantTurnRate => "constant-turn-rate",
-            Self::Bicycle => "bicycle",
-        }
-    }
 }
 
 /// The process models of one agent, one per [`Kind`].
@@ -40,10 +17,6 @@ impl Kind {
 pub struct Models {
     /// \[x, y, vx, vy\]
     pub constant_velocity: ConstantVelocity,
-    /// \[x, y, vx, vy, ax, ay\]
-    pub constant_acceleration: ConstantAcceleration,
-    /// \[x, y, ψ, v, ω\]
-    pub constant_turn_rate: ConstantTurnRate,
     /// \[x, y, ψ, v, β\]
     pub bicycle: Bicycle,
 }
@@ -53,10 +26,6 @@ pub struct Models {
 pub struct Unknown {
     /// Standard deviation of the speed, and of the velocity per axis.
     pub speed_mps: f64,
-    /// Standard deviation of the acceleration per axis.
-    pub acceleration_mps2: f64,
-    /// Standard deviation of the turn rate.
-    pub turn_rate_radps: f64,
     /// Standard deviation of the slip angle.
     pub slip_rad: f64,
 }
@@ -66,10 +35,6 @@ pub struct Unknown {
 pub enum Filter {
     /// \[x, y, vx, vy\]
     ConstantVelocity(Gaussian<4>),
-    /// \[x, y, vx, vy, ax, ay\]
-    ConstantAcceleration(Gaussian<6>),
-    /// \[x, y, ψ, v, ω\]
-    ConstantTurnRate(Gaussian<5>),
     /// \[x, y, ψ, v, β\]
     Bicycle(Gaussian<5>),
 }
@@ -84,30 +49,19 @@ impl Filter {
     pub fn start(kind: Kind, observation: &Observation, unknown: &Unknown) -> Self {
         let ([x, y], var) = (observation.position_m, observation.position_variance);
         let unknown_speed = unknown.speed_mps.powi(2);
-        let polar = |last: f64| {
-            let (heading, var_h) = observation.heading_rad?;
+        if let (Kind::Bicycle, Some((heading, var_h))) = (kind, observation.heading_rad) {
             let (speed, var_v) = observation.speed_mps.unwrap_or((0.0, unknown_speed));
-            Some(Gaussian::new([x, y, heading, speed, 0.0], [var, var, var_h, var_v, last.powi(2)]))
-        };
-        let ([vx, vy], var_v) = observation.velocity_mps().unwrap_or(([0.0; 2], unknown_speed));
-        let cartesian = Gaussian::new([x, y, vx, vy], [var, var, var_v, var_v]);
-        match kind {
-            Kind::Bicycle => polar(unknown.slip_rad).map(Self::Bicycle),
-            Kind::ConstantTurnRate => polar(unknown.turn_rate_radps).map(Self::ConstantTurnRate),
-            Kind::ConstantAcceleration => {
-                Some(Self::ConstantAcceleration(with_acceleration(&cartesian, unknown.acceleration_mps2)))
-            }
-            Kind::ConstantVelocity => None,
+            let variance = [var, var, var_h, var_v, unknown.slip_rad.powi(2)];
+            return Self::Bicycle(Gaussian::new([x, y, heading, speed, 0.0], variance));
         }
-        .unwrap_or(Self::ConstantVelocity(cartesian))
+        let ([vx, vy], var_v) = observation.velocity_mps().unwrap_or(([0.0; 2], unknown_speed));
+        Self::ConstantVelocity(Gaussian::new([x, y, vx, vy], [var, var, var_v, var_v]))
     }
 
     /// The kind of the process model.
     pub const fn kind(&self) -> Kind {
         match self {
             Self::ConstantVelocity(_) => Kind::ConstantVelocity,
-            Self::ConstantAcceleration(_) => Kind::ConstantAcceleration,
-            Self::ConstantTurnRate(_) => Kind::ConstantTurnRate,
             Self::Bicycle(_) => Kind::Bicycle,
         }
     }
@@ -119,8 +73,6 @@ impl Filter {
     pub fn predict(&mut self, dt_ns: u64, models: &Models) -> Result<(), FilterFault> {
         match self {
             Self::ConstantVelocity(state) => state.predict(dt_ns, &models.constant_velocity),
-            Self::ConstantAcceleration(state) => state.predict(dt_ns, &models.constant_acceleration),
-            Self::ConstantTurnRate(state) => state.predict(dt_ns, &models.constant_turn_rate),
             Self::Bicycle(state) => state.predict(dt_ns, &models.bicycle),
         }
     }
@@ -133,10 +85,6 @@ impl Filter {
                 Self::ConstantVelocity(state.shifted(dt_s, &models.constant_velocity.noiseless()))
             }
             Self::Bicycle(state) => Self::Bicycle(state.shifted(dt_s, &models.bicycle.noiseless())),
-            // No tracker uses these kinds. Their positions move at the present velocity.
-            Self::ConstantAcceleration(_) | Self::ConstantTurnRate(_) => {
-                Self::ConstantVelocity(self.cartesian()).shifted(dt_s, models)
-            }
         }
     }
 
@@ -145,8 +93,7 @@ impl Filter {
     pub fn moved_to(mut self, position_m: [f64; 2], variance: f64) -> Self {
         match &mut self {
             Self::ConstantVelocity(state) => move_to(state, position_m, variance),
-            Self::ConstantAcceleration(state) => move_to(state, position_m, variance),
-            Self::ConstantTurnRate(state) | Self::Bicycle(state) => move_to(state, position_m, variance),
+            Self::Bicycle(state) => move_to(state, position_m, variance),
         }
         self
     }
@@ -156,10 +103,7 @@ impl Filter {
     pub fn slowed(mut self, share: f64) -> Self {
         match &mut self {
             Self::ConstantVelocity(Gaussian { mean, .. }) => mean.rows_mut(2, 2).scale_mut(share),
-            Self::ConstantAcceleration(Gaussian { mean, .. }) => mean.rows_mut(2, 2).scale_mut(share),
-            Self::ConstantTurnRate(Gaussian { mean, .. }) | Self::Bicycle(Gaussian { mean, .. }) => {
-                mean[3] *= share;
-            }
+            Self::Bicycle(Gaussian { mean, .. }) => mean[3] *= share,
         }
         self
     }
@@ -171,8 +115,6 @@ impl Filter {
     pub fn update(&mut self, observation: &Observation, models: &Models) -> Result<Evidence, FilterFault> {
         match self {
             Self::ConstantVelocity(state) => state.update(observation, &models.constant_velocity),
-            Self::ConstantAcceleration(state) => state.update(observation, &models.constant_acceleration),
-            Self::ConstantTurnRate(state) => state.update(observation, &models.constant_turn_rate),
             Self::Bicycle(state) => state.update(observation, &models.bicycle),
         }
     }
@@ -193,10 +135,6 @@ impl Filter {
     ) -> Result<(), FilterFault> {
         match self {
             Self::ConstantVelocity(state) => state.update_jointly(observations, &models.constant_velocity),
-            Self::ConstantAcceleration(state) => {
-                state.update_jointly(observations, &models.constant_acceleration)
-            }
-            Self::ConstantTurnRate(state) => state.update_jointly(observations, &models.constant_turn_rate),
             Self::Bicycle(state) => state.update_jointly(observations, &models.bicycle),
         }
     }
@@ -206,8 +144,7 @@ impl Filter {
     pub fn position(&self) -> ([f64; 2], [f64; 3]) {
         match self {
             Self::ConstantVelocity(state) => position(state),
-            Self::ConstantAcceleration(state) => position(state),
-            Self::ConstantTurnRate(state) | Self::Bicycle(state) => position(state),
+            Self::Bicycle(state) => position(state),
         }
     }
 
@@ -215,10 +152,23 @@ impl Filter {
     #[inline]
     pub fn motion(&self) -> Motion {
         match self {
-            Self::ConstantVelocity(Gaussian { mean: m, .. }) => cartesian_motion(m),
-            Self::ConstantAcceleration(Gaussian { mean: m, .. }) => cartesian_motion(m),
-            Self::ConstantTurnRate(Gaussian { mean: m, .. }) => polar_motion(m, 0.0),
-            Self::Bicycle(Gaussian { mean: m, .. }) => polar_motion(m, m[4]),
+            Self::ConstantVelocity(Gaussian { mean: m, .. }) => Motion {
+                position_m: [m[0], m[1]],
+                velocity_mps: [m[2], m[3]],
+                heading_rad: None,
+                speed_mps: hypot(m[2], m[3]),
+                slip_rad: 0.0,
+            },
+            Self::Bicycle(Gaussian { mean: m, .. }) => {
+                let (sin, cos) = (m[2] + m[4]).sin_cos();
+                Motion {
+                    position_m: [m[0], m[1]],
+                    velocity_mps: [m[3] * cos, m[3] * sin],
+                    heading_rad: Some(m[2]),
+                    speed_mps: m[3],
+                    slip_rad: m[4],
+                }
+            }
         }
     }
 
@@ -228,12 +178,10 @@ impl Filter {
             Self::Bicycle(Gaussian { covariance: p, .. }) => {
                 (p[(2, 2)] + 2.0 * p[(2, 4)] + p[(4, 4)]).max(0.0).sqrt()
             }
-            Self::ConstantTurnRate(Gaussian { covariance: p, .. }) => p[(2, 2)].max(0.0).sqrt(),
             Self::ConstantVelocity(Gaussian { mean: m, covariance: p }) => {
                 let spread = p[(2, 2)].max(p[(3, 3)]).sqrt();
                 spread / hypot(m[2], m[3]).max(f64::MIN_POSITIVE)
             }
-            Self::ConstantAcceleration(_) => Self::ConstantVelocity(self.cartesian()).course_sigma_rad(),
         }
     }
 
@@ -241,12 +189,7 @@ impl Filter {
     pub fn cartesian(&self) -> Gaussian<4> {
         match self {
             Self::ConstantVelocity(state) => *state,
-            Self::ConstantAcceleration(state) => Gaussian {
-                mean: state.mean.fixed_rows::<4>(0).into_owned(),
-                covariance: state.covariance.fixed_view::<4, 4>(0, 0).into_owned(),
-            },
-            Self::ConstantTurnRate(state) => cartesian(state, 0.0, &[2]),
-            Self::Bicycle(state) => cartesian(state, state.mean[4], &[2, 4]),
+            Self::Bicycle(state) => cartesian(state),
         }
     }
 
@@ -260,10 +203,6 @@ impl Filter {
         let from = self.cartesian();
         match kind {
             Kind::ConstantVelocity => Self::ConstantVelocity(from),
-            Kind::ConstantAcceleration => {
-                Self::ConstantAcceleration(with_acceleration(&from, unknown.acceleration_mps2))
-            }
-            Kind::ConstantTurnRate => Self::ConstantTurnRate(polar(&from, unknown.turn_rate_radps)),
             Kind::Bicycle => Self::Bicycle(polar(&from, unknown.slip_rad)),
         }
     }
@@ -282,35 +221,14 @@ fn move_to<const N: usize>(state: &mut Gaussian<N>, position_m: [f64; 2], varian
     }
 }
 
-fn cartesian_motion<const N: usize>(m: &SVector<f64, N>) -> Motion {
-    Motion {
-        position_m: [m[0], m[1]],
-        velocity_mps: [m[2], m[3]],
-        heading_rad: None,
-        speed_mps: hypot(m[2], m[3]),
-        slip_rad: 0.0,
-    }
-}
-
-fn polar_motion(m: &Vector5<f64>, slip_rad: f64) -> Motion {
-    let (sin, cos) = (m[2] + slip_rad).sin_cos();
-    Motion {
-        position_m: [m[0], m[1]],
-        velocity_mps: [m[3] * cos, m[3] * sin],
-        heading_rad: Some(m[2]),
-        speed_mps: m[3],
-        slip_rad,
-    }
-}
-
-/// Converts a state \[x, y, ψ, v, …\] to \[x, y, vx, vy\]. The components `turns` add up to the course.
-fn cartesian(state: &Gaussian<5>, slip_rad: f64, turns: &[usize]) -> Gaussian<4> {
+/// Converts a state \[x, y, ψ, v, β\] to \[x, y, vx, vy\].
+fn cartesian(state: &Gaussian<5>) -> Gaussian<4> {
     let m = &state.mean;
-    let (sin, cos) = (m[2] + slip_rad).sin_cos();
+    let (sin, cos) = (m[2] + m[4]).sin_cos();
     let mut jacobian = Matrix4x5::zeros();
     jacobian[(0, 0)] = 1.0;
     jacobian[(1, 1)] = 1.0;
-    for &turn in turns {
+    for turn in [2, 4] {
         jacobian[(2, turn)] = -m[3] * sin;
         jacobian[(3, turn)] = m[3] * cos;
     }
@@ -320,8 +238,7 @@ fn cartesian(state: &Gaussian<5>, slip_rad: f64, turns: &[usize]) -> Gaussian<4>
     state.transformed(mean, &jacobian)
 }
 
-/// Converts a state \[x, y, vx, vy\] to \[x, y, ψ, v, …\]. The last component is 0 with the standard
-/// deviation `sigma`.
+/// Converts a state \[x, y, vx, vy\] to \[x, y, ψ, v, β\]. The slip is 0 with the standard deviation `sigma`.
 fn polar(state: &Gaussian<4>, sigma: f64) -> Gaussian<5> {
     let m = &state.mean;
     let speed = hypot(m[2], m[3]).max(1e-6);
@@ -336,15 +253,4 @@ fn polar(state: &Gaussian<4>, sigma: f64) -> Gaussian<5> {
     let mut moved = state.transformed(Vector5::new(m[0], m[1], m[3].atan2(m[2]), speed, 0.0), &jacobian);
     moved.covariance += Matrix5::from_diagonal(&Vector5::new(0.0, 0.0, 0.0, 0.0, sigma.powi(2)));
     moved
-}
-
-fn with_acceleration(state: &Gaussian<4>, sigma_mps2: f64) -> Gaussian<6> {
-    let mut mean = Vector6::zeros();
-    mean.fixed_rows_mut::<4>(0).copy_from(&state.mean);
-    let mut covariance = Matrix6::zeros();
-    covariance.fixed_view_mut::<4, 4>(0, 0).copy_from(&state.covariance);
-    for axis in [4, 5] {
-        covariance[(axis, axis)] = sigma_mps2.powi(2);
-    }
-    Gaussian { mean, covariance }
 }

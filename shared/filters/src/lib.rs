@@ -13,7 +13,8 @@
 //! | [`Particles`] | bootstrap, with kernels if it degenerates | a forecast, by Monte Carlo |
 //!
 //! **Processes.** [`ConstantVelocity`], [`ConstantAcceleration`], [`ConstantTurnRate`] and the kinematic
-//! [`Bicycle`]. [`Filter`] is a [`Gaussian`] under a [`Kind`] chosen at run time.
+//! [`Bicycle`]. [`Filter`] is a [`Gaussian`] under one of the two that
+//! trackers use, a [`Kind`] chosen at run time.
 //!
 //! **The learned prior.** A [`Forecast`] is a set of weighted hypotheses about an agent's controls. As the
 //! prior of a [`Mixture`] it bridges a gap in which no process model knows the agent's motion. In the example

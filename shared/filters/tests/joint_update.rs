@@ -86,12 +86,7 @@ fn update_has_the_moments_of_all_posteriors() {
 }
 
 fn models() -> Models {
-    Models {
-        constant_velocity: PEDESTRIAN,
-        constant_acceleration: filters::ConstantAcceleration { density: 1.0 },
-        constant_turn_rate: filters::ConstantTurnRate { acceleration_density: 1.0, yaw_density: 0.1 },
-        bicycle: BICYCLE,
-    }
+    Models { constant_velocity: PEDESTRIAN, bicycle: BICYCLE }
 }
 
 #[test]

@@ -2,7 +2,9 @@
 
 use std::collections::BTreeMap;
 
-use filters::{Filter, Forecast, Gaussian, Kind, Mixture, Observation, Particles};
+use filters::{
+    ConstantAcceleration, Filter, Forecast, Gaussian, Kind, Mixture, Observation, Particles, Unknown,
+};
 use metrics::tracking::{PlanarState, normalised_square};
 use nalgebra::{Matrix2, Vector4};
 use scene::State;
@@ -10,7 +12,9 @@ use wire::AgentType;
 
 use super::course::{Course, Instant, Seen};
 use super::hypotheses::{Estimate, Hypotheses, OnboardForecasts};
-use super::method::{Settings, TrackingMethod, UNKNOWN, control_gains};
+use super::method::{
+    ACCELERATION_MPS2, Settings, StateKind, TURN_RATE_RADPS, TrackingMethod, UNKNOWN, control_gains,
+};
 use super::outcome::{DEGREES, Error, Outcome, SETTLED_S};
 use super::singer::SingerBicycle;
 use super::smoother::smooth;
@@ -33,6 +37,8 @@ pub(crate) struct Follower<'a> {
 /// The state estimate of one agent.
 enum Estimator {
     Filter(Box<Filter>),
+    Acceleration(Box<Gaussian<6>>),
+    TurnRate(Box<Gaussian<5>>),
     /// A mixture with one component if there is no forecast.
     Mixture(Box<Mixture<SingerBicycle, 7>>),
     Particles(Box<Particles<SingerBicycle, 7>>),
@@ -137,7 +143,8 @@ impl Follower<'_> {
                 length_m: track.length_m,
                 state: track.state(),
                 is_measured: instant.measures(id),
-                wanted: track.is_fresh && !matches!(track.estimator, Estimator::Filter(_)),
+                wanted: track.is_fresh
+                    && matches!(track.estimator, Estimator::Mixture(_) | Estimator::Particles(_)),
             })
             .collect();
         let step_ns = self.forecaster.config().step_ns();
@@ -148,7 +155,7 @@ impl Follower<'_> {
                 Forecast { age_ns: 0, step_ns, heading_rad, probability: &probability, controls: &controls };
             let priors = |state| self.settings.priors(self.method, track.length_m, control_gains(state));
             let adopted = match &mut track.estimator {
-                Estimator::Filter(_) => Ok(()),
+                Estimator::Filter(_) | Estimator::Acceleration(_) | Estimator::TurnRate(_) => Ok(()),
                 Estimator::Mixture(mixture) => {
                     mixture.priors = priors(&mixture.moments());
                     mixture.adopt(&forecast)
@@ -180,6 +187,8 @@ impl Track {
     fn predict(&mut self, elapsed_ns: u64, settings: &Settings) -> Option<()> {
         match &mut self.estimator {
             Estimator::Filter(filter) => filter.predict(elapsed_ns, &settings.models(self.length_m)).ok(),
+            Estimator::Acceleration(state) => state.predict(elapsed_ns, &settings.acceleration()).ok(),
+            Estimator::TurnRate(state) => state.predict(elapsed_ns, &settings.turn_rate()).ok(),
             Estimator::Mixture(mixture) => mixture.predict(elapsed_ns).ok(),
             Estimator::Particles(particles) => particles.predict(elapsed_ns).ok(),
         }
@@ -187,20 +196,20 @@ impl Track {
 
     /// Normalised squared innovation and log-likelihood.
     fn update(&mut self, seen: &Observation, settings: &Settings) -> Option<(f64, f64)> {
-        match &mut self.estimator {
-            Estimator::Filter(filter) => {
-                let evidence = filter.update(seen, &settings.models(self.length_m)).ok()?;
-                Some((evidence.nis, evidence.log_likelihood))
-            }
+        let evidence = match &mut self.estimator {
+            Estimator::Filter(filter) => filter.update(seen, &settings.models(self.length_m)),
+            Estimator::Acceleration(state) => state.update(seen, &settings.acceleration()),
+            Estimator::TurnRate(state) => state.update(seen, &settings.turn_rate()),
             Estimator::Mixture(mixture) => {
                 let nis = innovation_squared(&mixture.moments(), seen)?;
-                Some((nis, mixture.update(seen).ok()?))
+                return Some((nis, mixture.update(seen).ok()?));
             }
             Estimator::Particles(particles) => {
                 let nis = innovation_squared(&particles.moments(), seen)?;
-                Some((nis, particles.update(seen).ok()?))
+                return Some((nis, particles.update(seen).ok()?));
             }
-        }
+        };
+        evidence.ok().map(|evidence| (evidence.nis, evidence.log_likelihood))
     }
 
     /// Switches to the method's state once the motion determines a heading.
@@ -208,33 +217,55 @@ impl Track {
         let Estimator::Filter(filter) = &self.estimator else { return };
         let kind = method.kind();
         let is_ready = match kind {
-            Kind::ConstantVelocity => false,
-            Kind::ConstantAcceleration => true,
-            Kind::ConstantTurnRate | Kind::Bicycle => {
+            StateKind::ConstantVelocity => false,
+            StateKind::ConstantAcceleration => true,
+            StateKind::ConstantTurnRate | StateKind::Bicycle => {
                 filter.motion().speed_mps > COURSE_KNOWN_MPS && filter.course_sigma_rad() < COURSE_KNOWN_RAD
             }
         };
-        if self.agent_type != AgentType::Vehicle || filter.kind() == kind || !is_ready {
+        if self.agent_type != AgentType::Vehicle || filter.kind() == Kind::Bicycle || !is_ready {
             return;
         }
-        let ripe = filter.into_kind(kind, &UNKNOWN);
+        let polar = |last_sigma: f64| match filter
+            .into_kind(Kind::Bicycle, &Unknown { slip_rad: last_sigma, ..UNKNOWN })
+        {
+            Filter::Bicycle(state) => state,
+            Filter::ConstantVelocity(_) => unreachable!("the filter was converted to a bicycle"),
+        };
         let priors = settings.priors(method, self.length_m, [1.0; 2]);
-        self.estimator = match (method, ripe) {
-            (
-                TrackingMethod::SingerBicycle | TrackingMethod::Learned | TrackingMethod::WarmStarted,
-                Filter::Bicycle(state),
-            ) => Estimator::Mixture(Box::new(Mixture::new(priors.kinematic.of(&state), priors, id))),
-            (TrackingMethod::LearnedParticles, Filter::Bicycle(state)) => {
-                let start = priors.kinematic.of(&state);
+        self.estimator = match (kind, method) {
+            (StateKind::ConstantVelocity | StateKind::ConstantAcceleration, _) => Estimator::Acceleration(
+                Box::new(ConstantAcceleration::of(&filter.cartesian(), ACCELERATION_MPS2)),
+            ),
+            (StateKind::ConstantTurnRate, _) => Estimator::TurnRate(Box::new(polar(TURN_RATE_RADPS))),
+            (_, TrackingMethod::Bicycle) => {
+                Estimator::Filter(Box::new(Filter::Bicycle(polar(UNKNOWN.slip_rad))))
+            }
+            (_, TrackingMethod::LearnedParticles) => {
+                let start = priors.kinematic.of(&polar(UNKNOWN.slip_rad));
                 Estimator::Particles(Box::new(Particles::new(&start, priors, PARTICLES, id)))
             }
-            _ => Estimator::Filter(Box::new(ripe)),
+            _ => {
+                let start = priors.kinematic.of(&polar(UNKNOWN.slip_rad));
+                Estimator::Mixture(Box::new(Mixture::new(start, priors, id)))
+            }
         };
     }
 
     fn filter(&self) -> Filter {
         match &self.estimator {
             Estimator::Filter(filter) => **filter,
+            Estimator::Acceleration(state) => {
+                Filter::ConstantVelocity(ConstantAcceleration::cartesian(state))
+            }
+            // The motion of a bicycle without slip.
+            Estimator::TurnRate(state) => {
+                let mut state = **state;
+                state.mean[4] = 0.0;
+                state.covariance.row_mut(4).fill(0.0);
+                state.covariance.column_mut(4).fill(0.0);
+                Filter::Bicycle(state)
+            }
             Estimator::Mixture(mixture) => Filter::Bicycle(SingerBicycle::bicycle_of(&mixture.moments())),
             Estimator::Particles(particles) => {
                 Filter::Bicycle(SingerBicycle::bicycle_of(&particles.moments()))

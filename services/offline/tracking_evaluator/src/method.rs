@@ -1,15 +1,17 @@
 //! The compared methods and their tuned settings.
 
 use filters::{
-    Bicycle, ConstantAcceleration, ConstantTurnRate, ConstantVelocity, Gaussian, Integrator, Kind, Models,
-    Priors, Unknown, control_gain,
+    Bicycle, ConstantAcceleration, ConstantTurnRate, ConstantVelocity, Gaussian, Integrator, Models, Priors,
+    Unknown, control_gain,
 };
 
 use super::singer::SingerBicycle;
 
 /// Prior standard deviations of a vehicle's unmeasured components.
-pub(crate) const UNKNOWN: Unknown =
-    Unknown { speed_mps: 10.0, acceleration_mps2: 2.0, turn_rate_radps: 0.3, slip_rad: 0.05 };
+pub(crate) const UNKNOWN: Unknown = Unknown { speed_mps: 10.0, slip_rad: 0.05 };
+/// The same of an acceleration per axis, and of a turn rate.
+pub(crate) const ACCELERATION_MPS2: f64 = 2.0;
+pub(crate) const TURN_RATE_RADPS: f64 = 0.3;
 
 /// A method that estimates motion.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -34,6 +36,15 @@ pub(crate) enum TrackingMethod {
     /// Constant acceleration that also uses later measurements: not a filter, but a bound for filters
     /// (oracle).
     Smoother,
+}
+
+/// The state of a method's filter.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum StateKind {
+    ConstantVelocity,
+    ConstantAcceleration,
+    ConstantTurnRate,
+    Bicycle,
 }
 
 /// The tuned numbers of a method. Each method defines their meaning and how many it uses.
@@ -142,16 +153,16 @@ impl TrackingMethod {
     }
 
     /// The kind of the method's filter once its state is initialised.
-    pub(crate) const fn kind(self) -> Kind {
+    pub(crate) const fn kind(self) -> StateKind {
         match self {
-            Self::ConstantVelocity => Kind::ConstantVelocity,
-            Self::ConstantAcceleration | Self::Smoother => Kind::ConstantAcceleration,
-            Self::ConstantTurnRate => Kind::ConstantTurnRate,
+            Self::ConstantVelocity => StateKind::ConstantVelocity,
+            Self::ConstantAcceleration | Self::Smoother => StateKind::ConstantAcceleration,
+            Self::ConstantTurnRate => StateKind::ConstantTurnRate,
             Self::Bicycle
             | Self::SingerBicycle
             | Self::Learned
             | Self::WarmStarted
-            | Self::LearnedParticles => Kind::Bicycle,
+            | Self::LearnedParticles => StateKind::Bicycle,
         }
     }
 }
@@ -178,18 +189,21 @@ impl Settings {
     /// The process models of a vehicle.
     pub(crate) fn models(&self, length_m: Option<f32>) -> Models {
         let [density, ..] = self.of(TrackingMethod::ConstantVelocity);
-        let [jerk_density, ..] = self.of(TrackingMethod::ConstantAcceleration);
-        let [acceleration, yaw_acceleration, _] = self.of(TrackingMethod::ConstantTurnRate);
         let [acceleration_mps2, slip_rate_radps, _] = self.of(TrackingMethod::Bicycle);
         Models {
             constant_velocity: ConstantVelocity { density },
-            constant_acceleration: ConstantAcceleration { density: jerk_density },
-            constant_turn_rate: ConstantTurnRate {
-                acceleration_density: acceleration.powi(2),
-                yaw_density: yaw_acceleration.powi(2),
-            },
             bicycle: bicycle(acceleration_mps2, slip_rate_radps, length_m),
         }
+    }
+
+    pub(crate) fn acceleration(&self) -> ConstantAcceleration {
+        let [density, ..] = self.of(TrackingMethod::ConstantAcceleration);
+        ConstantAcceleration { density }
+    }
+
+    pub(crate) fn turn_rate(&self) -> ConstantTurnRate {
+        let [acceleration, yaw_acceleration, _] = self.of(TrackingMethod::ConstantTurnRate);
+        ConstantTurnRate { acceleration_density: acceleration.powi(2), yaw_density: yaw_acceleration.powi(2) }
     }
 
     /// The processes of a Singer bicycle with and without forecasts, at these gains of the controls.

@@ -13,7 +13,7 @@ use nalgebra::{Matrix2, Matrix3, Matrix3x2, RowVector2, Vector2};
 use wire::AgentType;
 
 use super::course::{Course, Seen};
-use super::method::UNKNOWN;
+use super::method::{ACCELERATION_MPS2, UNKNOWN};
 use super::outcome::{DEGREES, Error, Outcome, SETTLED_S};
 
 /// Position, velocity and acceleration of both axes, and the covariance that the axes share.
@@ -118,7 +118,7 @@ fn finish(track: &[SmootherStep<'_>], outcome: &mut Outcome) {
 impl AxisGaussian {
     /// The state of a vehicle after its first measurement.
     fn start(position_m: [f64; 2], variance: f64) -> Self {
-        let [speed, acceleration] = [UNKNOWN.speed_mps, UNKNOWN.acceleration_mps2];
+        let [speed, acceleration] = [UNKNOWN.speed_mps, ACCELERATION_MPS2];
         let mut mean = Matrix3x2::zeros();
         mean.set_row(0, &RowVector2::from(position_m));
         let variances = [variance, speed.powi(2), acceleration.powi(2)];

@@ -89,7 +89,7 @@ pub(super) fn compare(part: &mut Part, ledger: &mut Ledger) -> Result<(), Verify
             start: |tick| [tick.position_m[0], tick.position_m[1], 0.0, 0.0, 0.0, 0.0],
             start_variance: [position, position, speed, speed, acceleration, acceleration],
             heading_variance: None,
-            filter: Filter::ConstantAcceleration,
+            filter: |state| Filter::ConstantVelocity(ConstantAcceleration::cartesian(&state)),
         };
         recording.compare(&run, part, ledger)?;
     }
