@@ -10,9 +10,11 @@ mod process;
 mod ring_arguments;
 mod server;
 mod topic;
+mod view_arguments;
 
 pub use flight::FlightRecorder;
 pub use follow::{Recorded, follow};
 pub use process::{Recording, Tap};
 pub use ring_arguments::{Limits, RingArguments};
 pub use server::serve;
+pub use view_arguments::ViewArguments;

@@ -6,6 +6,7 @@ pub mod clean;
 pub mod completions;
 pub mod diff;
 pub mod doctor;
+pub mod export;
 pub mod fault;
 pub mod graph;
 pub mod inspect;
@@ -67,6 +68,8 @@ pub enum Verb {
     Replay(replay::Arguments),
     /// Compare two recordings of `record`: the first number that differs, and how that grows
     Diff(diff::Arguments),
+    /// Write the messages of a recorded run for other tools: Foxglove, Autoware
+    Export(export::Arguments),
     /// Show a run that goes on: latency, losses, quality and processes, stage by stage
     Top(top::Arguments),
     /// Write the report of a run, or of two side by side, as one HTML page
@@ -138,6 +141,7 @@ impl Verb {
             Self::Mark(arguments) => mark::execute(&arguments),
             Self::Replay(arguments) => replay::execute(&arguments),
             Self::Diff(arguments) => diff::execute(&arguments),
+            Self::Export(arguments) => export::execute(&arguments),
             Self::Top(arguments) => top::execute(&arguments),
             Self::Report(arguments) => report::execute(&arguments),
             Self::View(arguments) => view::execute(&arguments),

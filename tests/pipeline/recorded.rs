@@ -69,9 +69,14 @@ fn a_lockstep_recording_replays_to_the_same_bytes() {
 
 /// PyPI's `mcap` reads the file, if it is installed.
 fn read_by_python(file: &str, forecasts: &str, lines: &[&str]) {
+    python("read_mcap.py", &[file, forecasts], lines);
+}
+
+/// Runs a script of tests/interop, if the packages that it needs are installed.
+fn python(script: &str, arguments: &[&str], lines: &[&str]) {
     let python = std::env::var("STGDAT_PYTHON").unwrap_or_else(|_| "python3".into());
-    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/interop/read_mcap.py");
-    let output = match piped(&python).args([script, file, forecasts]).output() {
+    let script = format!("{}/../tests/interop/{script}", env!("CARGO_MANIFEST_DIR"));
+    let output = match piped(&python).arg(script).args(arguments).output() {
         Ok(output) => output,
         Err(error) => return eprintln!("skipped: {python}: {error}"),
     };
@@ -83,6 +88,36 @@ fn read_by_python(file: &str, forecasts: &str, lines: &[&str]) {
     for line in lines.iter().chain(&["different: none"]) {
         assert!(said.contains(line), "no {line:?}: {said}");
     }
+}
+
+#[test]
+fn other_tools_read_the_published_numbers_in_a_recording() {
+    let scratch = Scratch::new("record-for");
+    let [file, exported, scene, lines] =
+        ["a.mcap", "ros.mcap", "both.mcap", "a.jsonl"].map(|n| scratch.path(n));
+    let scene_of = ["--ticks", "60", "--agents", "8", "--seed", "3", "--speed", "max", "--quiet"];
+    let record =
+        ["--record", &file, "--record-topics", "detections", "--for", "autoware", "--forecasts", &lines];
+    run_well(&[&scene_of[..], &record].concat());
+    // Tracks and forecasts are added: the objects are made of them.
+    let replayed = run_well(&["replay", &file]);
+    assert!(stdout(&replayed).contains("equal to the byte: 60 ticks"), "{}", stdout(&replayed));
+    run_well(&["export", &file, &exported, "--for", "autoware", "--paths", "20"]);
+    run_well(&["export", &file, &scene, "--for", "foxglove,autoware"]);
+
+    let objects = "/perception/object_recognition/objects 60";
+    let of_ros = [objects, "/perception/object_recognition/tracking/objects 60", "/tf 60", "/diagnostics 60"];
+    for file in [&file, &exported] {
+        python("read_views.py", &[file, &lines, "rosbags"], &[&of_ros[..], &["rosbags"]].concat());
+        python("cdr_by_cyclonedds.py", &[file], &of_ros);
+    }
+    python("read_views.py", &[&scene, &lines], &of_ros);
+    python("read_scene.py", &[&scene, &lines], &["foxglove.SceneUpdate 60", "foxglove.FrameTransforms 60"]);
+
+    let again = run(&["export", &file, &exported, "--for", "foxglove"]);
+    assert!(!again.status.success() && stderr(&again).contains("not replaced"), "{}", stderr(&again));
+    let without = run(&["--ticks", "9", "--quiet", "--for", "foxglove"]);
+    assert!(!without.status.success() && stderr(&without).contains("--record FILE"), "{}", stderr(&without));
 }
 
 #[test]

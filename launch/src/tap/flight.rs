@@ -10,9 +10,8 @@ use recording::flight::{Act, Flight, Trigger, caused_by};
 use recording::{About, Before, Event, Forgotten, Happened, Message, Ring, WriteError, Writer, Written};
 use wire::{Forecast, ForecastsTopic, Header, Topic};
 
-use super::Limits;
 use super::follow::Keep;
-use crate::verbs::wire::layout;
+use super::{Limits, ViewArguments};
 
 /// Keeps a ring of messages and writes it to numbered files.
 pub struct FlightRecorder {
@@ -29,6 +28,7 @@ pub struct FlightRecorder {
     error: Option<io::Error>,
     is_cut_told: bool,
     say: fn(&str),
+    view: ViewArguments,
 }
 
 /// Returns the name of a file by its number: `drive.mcap` becomes `drive-1.mcap`.
@@ -47,7 +47,14 @@ fn wrong_with(header: &Header, forecasts: &[Forecast]) -> Option<(Trigger, Strin
 
 impl FlightRecorder {
     /// Creates an empty ring; `say` reports each file.
-    pub fn new(path: &Path, about: About, limits: Limits, asked: Asked, say: fn(&str)) -> Self {
+    pub fn new(
+        path: &Path,
+        about: About,
+        limits: Limits,
+        asked: Asked,
+        say: fn(&str),
+        view: ViewArguments,
+    ) -> Self {
         Self {
             ring: Ring::new(limits.ring),
             before: Before::new(limits.before_bytes, &about.topics),
@@ -60,6 +67,7 @@ impl FlightRecorder {
             error: None,
             is_cut_told: false,
             say,
+            view,
         }
     }
 
@@ -71,7 +79,7 @@ impl FlightRecorder {
             Act::Begin(number) => {
                 let path = numbered(&self.path, number);
                 let about = About { before: self.before.is_whole(), ..self.about.clone() };
-                match Writer::create(&path, &about, &layout()) {
+                match self.view.create(&path, &about) {
                     Ok(mut writer) => {
                         self.before.frames().for_each(|frame| writer.before(&frame));
                         self.ring.messages().for_each(|message| writer.add(message));

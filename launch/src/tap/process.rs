@@ -17,8 +17,8 @@ use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
 use crate::child::die_with_this_process;
 use crate::failure::Failure;
 use crate::log;
-use crate::tap::RingArguments;
 use crate::tap::server::Told;
+use crate::tap::{RingArguments, ViewArguments};
 
 /// Pause before a dead tap is restarted.
 const PAUSE: Duration = Duration::from_secs(1);
@@ -175,10 +175,17 @@ pub struct Recording {
 
 impl Recording {
     /// Starts `stgdat record` for a run and waits until it receives all frames.
-    pub fn start(root: &Path, file: &Path, topics: &str, ring: &RingArguments) -> Result<Self, Failure> {
+    pub fn start(
+        root: &Path,
+        file: &Path,
+        topics: &str,
+        ring: &RingArguments,
+        view: &ViewArguments,
+    ) -> Result<Self, Failure> {
         let mut command = Command::new(std::env::current_exe().map_err(Failure::unavailable)?);
         command.arg("record").arg(file).arg("--run").arg(root).args(["--topics", topics]);
         ring.pass_on(&mut command);
+        view.pass_on(&mut command);
         command.stdin(Stdio::null()).stdout(Stdio::piped()).process_group(0);
         let mut process = log::pass_on(&mut command).spawn().map_err(Failure::unavailable)?;
         let lines = process.stdout.take().map(read).unwrap_or_else(|| channel().1);

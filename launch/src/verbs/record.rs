@@ -6,14 +6,13 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use clap::Args;
 use ports::{Asked, Stop, monotonic_ns};
 use recording::tap::{Client, Item, Request};
-use recording::{About, EVENTS, LOG, Writer};
+use recording::{About, EVENTS, LOG};
 use run::Exit;
 use wire::{ForecastsTopic, TABLE, Topic as _};
 
 use crate::failure::Failure;
 use crate::runs;
-use crate::tap::{FlightRecorder, Recorded, RingArguments, follow};
-use crate::verbs::wire::layout;
+use crate::tap::{FlightRecorder, Recorded, RingArguments, ViewArguments, follow};
 
 /// The topic name of forecasts with all their fields.
 const WHOLE: &str = "forecasts-whole";
@@ -43,6 +42,8 @@ pub struct Arguments {
     seconds: Option<f64>,
     #[command(flatten)]
     ring: RingArguments,
+    #[command(flatten)]
+    view: ViewArguments,
 }
 
 /// The topics to record.
@@ -85,11 +86,13 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let limit = arguments.seconds.map(Duration::try_from_secs_f64).transpose();
     let limit = limit.map_err(|error| Failure::Usage(format!("--seconds: {error}")))?;
     let run = runs::find(arguments.run.as_deref())?;
-    let Topics { names, whole, events } = arguments.topics.clone();
+    let Topics { mut names, whole, events } = arguments.topics.clone();
     let element_bytes = if whole { BTreeMap::new() } else { recording::lean() };
     let about =
         About::of_run(&run.root).map_err(|error| Failure::file(&run.root.join(recording::ABOUT), error))?;
     let about = About { topics: names.clone(), element_bytes, clock_offset_ns: clock_offset_ns(), ..about };
+    // The file has the requested topics; the messages for other tools may need more.
+    arguments.view.add_topics(&mut names);
     let keeps_events = events || arguments.ring.limits().is_some();
     let recording = keeps_events.then(|| arguments.file.display().to_string());
     let tool = "record".to_owned();
@@ -103,7 +106,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let file = &arguments.file;
     let recorded = match arguments.ring.limits() {
         None => {
-            let writer = Writer::create(file, &about, &layout()).map_err(Failure::data)?;
+            let writer = arguments.view.create(file, &about).map_err(Failure::data)?;
             say(&format!("recording {} to {}; Ctrl-C ends it", run.name, file.display()));
             let recorded = follow(&run.root, &request, client, writer, events, limit, &stop)?;
             say(&summary(file, &recorded));
@@ -115,7 +118,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
             let _ = rustix::process::nice(NICE);
             let asked = Asked::by_usr1().map_err(Failure::unavailable)?;
             say(&format!("{}: {}", run.name, arguments.ring.told(file)));
-            let recorder = FlightRecorder::new(file, about, limits, asked, say);
+            let recorder = FlightRecorder::new(file, about, limits, asked, say, arguments.view.clone());
             follow(&run.root, &request, client, recorder, true, limit, &stop)?
         }
     };

@@ -32,7 +32,7 @@ use crate::options::{Setting, StageOptions, text};
 use crate::outages::Outages;
 use crate::pipeline_file;
 use crate::play_report::input_of;
-use crate::tap::{Recording, RingArguments, Tap};
+use crate::tap::{Recording, RingArguments, Tap, ViewArguments};
 use crate::verbs::record;
 use crate::verbs::report::RunReport;
 use crate::verbs::view::Page;
@@ -87,6 +87,8 @@ pub struct Arguments {
     #[command(flatten)]
     ring: RingArguments,
     #[command(flatten)]
+    tools: ViewArguments,
+    #[command(flatten)]
     observe: ObserveArguments,
     /// Show the run in a browser (`stgdat view`): serve the page on this address or port
     #[arg(long, value_name = "ADDRESS", num_args = 0..=1, value_parser = address)]
@@ -110,6 +112,9 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     }
     if arguments.ring.limits().is_some() && arguments.html.is_some() {
         return Err(Failure::Usage("--html: the page needs the whole run, without --last".to_owned()));
+    }
+    if !arguments.tools.is_empty() && arguments.record.is_none() {
+        return Err(Failure::Usage("--for: --record FILE names the file that it is written to".to_owned()));
     }
     if let Some(report) = &arguments.report {
         check_place(report)?;
@@ -165,7 +170,9 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let html = html.transpose()?;
     let recording = arguments.record.as_deref().or(html.as_ref().map(RunReport::recording));
     let recording = recording
-        .map(|file| Recording::start(&run.root, file, &arguments.record_topics, &arguments.ring))
+        .map(|file| {
+            Recording::start(&run.root, file, &arguments.record_topics, &arguments.ring, &arguments.tools)
+        })
         .transpose()?;
     let observer = Observer::open(&run, &arguments.observe, input.clone(), title, ticks_limit)?;
     let watch = Watch::open(&run, arguments.quiet, observer)?;

@@ -1,4 +1,4 @@
-//! The part of Protobuf that traces need: numbers, texts, doubles and nested messages.
+//! The part of Protobuf that traces and scenes need: numbers, texts, bytes, doubles and nested messages.
 
 /// Bytes of a nested message's length: seven bits each, padded so that the length can be filled in
 /// afterwards.
@@ -16,6 +16,7 @@ enum Wire {
     Varint = 0,
     Fixed = 1,
     Length = 2,
+    Fixed32 = 5,
 }
 
 impl<'a> Message<'a> {
@@ -48,6 +49,12 @@ impl<'a> Message<'a> {
         self.bytes.extend_from_slice(&value.to_le_bytes());
     }
 
+    /// Appends a field of type fixed32.
+    pub fn fixed32(&mut self, field: u32, value: u32) {
+        self.key(field, Wire::Fixed32);
+        self.bytes.extend_from_slice(&value.to_le_bytes());
+    }
+
     /// Appends a field of type double.
     pub fn double(&mut self, field: u32, value: f64) {
         self.fixed(field, value.to_bits());
@@ -55,9 +62,14 @@ impl<'a> Message<'a> {
 
     /// Appends a field with a text.
     pub fn text(&mut self, field: u32, text: &str) {
+        self.data(field, text.as_bytes());
+    }
+
+    /// Appends a field with bytes.
+    pub fn data(&mut self, field: u32, data: &[u8]) {
         self.key(field, Wire::Length);
-        self.varint(text.len() as u64);
-        self.bytes.extend_from_slice(text.as_bytes());
+        self.varint(data.len() as u64);
+        self.bytes.extend_from_slice(data);
     }
 
     /// Appends a field that is a message; `fill` appends the message's fields.

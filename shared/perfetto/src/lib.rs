@@ -12,7 +12,7 @@
 
 mod encode;
 
-use encode::Message;
+pub use encode::Message;
 
 /// Fields of a `TracePacket`.
 mod packet {

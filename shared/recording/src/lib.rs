@@ -54,6 +54,7 @@ mod sink;
 pub mod tap;
 #[cfg(test)]
 mod tests;
+mod view;
 mod writer;
 
 pub use about::{ABOUT, About};
@@ -65,6 +66,7 @@ pub use frame::{Frame, FrameError, lean, topic_number};
 pub use reader::{Ending, Message, Messages, Recording};
 pub use ring::{Ring, RingLimits};
 pub use sink::{FileSink, Sink};
+pub use view::{View, ViewChannel};
 pub use writer::{CHUNK_BYTES, CHUNK_NS, Losses, Writer, Written};
 
 /// Topic of the supervisor's events, JSON.

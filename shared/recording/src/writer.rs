@@ -12,7 +12,7 @@ use wire::{Header, TABLE, TopicEntry};
 use crate::before::kept_bytes;
 use crate::format::{BEGIN, Body, END, PREFIX};
 use crate::sink::FileSink;
-use crate::{About, EVENTS, Event, Frame, Happened, LOG, LogLine, Message, Sink, WriteError};
+use crate::{About, EVENTS, Event, Frame, Happened, LOG, LogLine, Message, Sink, View, WriteError};
 
 /// A chunk is written when it has this many bytes …
 pub const CHUNK_BYTES: usize = 1 << 20;
@@ -27,10 +27,14 @@ const JSON_SCHEMA: u16 = 2;
 const TOPIC_CHANNELS: u16 = 1;
 /// The same for channels of frames from before the recording.
 const BEFORE_CHANNELS: u16 = 50;
+/// Profile of a file without a view.
+const PROFILE: &str = "stgdat";
 /// Prefix of the topic names of these channels.
 pub(crate) const BEFORE: &str = "before/";
 const EVENT_CHANNEL: u16 = 100;
 const LOG_CHANNEL: u16 = 101;
+/// Number of the first channel and of the first schema of a view.
+const VIEW_CHANNELS: u16 = 200;
 /// Encoding of frames.
 pub(crate) const WIRE: &str = "stgdat-wire";
 /// Encoding of events and log lines.
@@ -67,6 +71,8 @@ pub struct Writer<S: Sink = FileSink> {
     /// Records of schemas and of channels, which the summary repeats.
     head: [Vec<u8>; 2],
     channels: Vec<(u16, String)>,
+    schemas_len: u16,
+    view: Option<Box<dyn View>>,
     /// Number of written leading bytes per element, for topics whose elements are written in part.
     element_bytes: BTreeMap<String, usize>,
     chunks: Vec<ChunkIndex>,
@@ -104,9 +110,22 @@ impl Writer {
     /// # Errors
     /// [`WriteError`] if a file with this name exists or the file can't be started.
     pub fn create(path: &Path, about: &About, layout: &str) -> Result<Self, WriteError> {
+        Self::with_view(path, about, layout, None)
+    }
+
+    /// Creates a file to which a view adds messages for other tools.
+    ///
+    /// # Errors
+    /// [`WriteError`] if a file with this name exists or the file can't be started.
+    pub fn with_view(
+        path: &Path,
+        about: &About,
+        layout: &str,
+        view: Option<Box<dyn View>>,
+    ) -> Result<Self, WriteError> {
         let failed = |source| WriteError { path: path.to_owned(), source };
         let sink = FileSink::create(path).map_err(failed)?;
-        Ok(Self { path: path.to_owned(), ..Self::over(sink, about, layout).map_err(failed)? })
+        Ok(Self { path: path.to_owned(), ..Self::over(sink, about, layout, view).map_err(failed)? })
     }
 }
 
@@ -115,20 +134,23 @@ impl<S: Sink> Writer<S> {
     ///
     /// # Errors
     /// If the sink does not take the first block.
-    pub fn over(sink: S, about: &About, layout: &str) -> io::Result<Self> {
+    pub fn over(sink: S, about: &About, layout: &str, view: Option<Box<dyn View>>) -> io::Result<Self> {
         let [mut schemas, mut channel_records] = [Vec::new(), Vec::new()];
+        let profile = view.as_ref().map_or(PROFILE, |view| view.profile());
+        // Readers of ROS bags refuse files with schemas of encodings that they do not know.
+        let encoding = |name| if profile == PROFILE { name } else { "" };
         let wire = format!("stgdat.wire.{}", about.schema);
         Body::default()
             .u16(WIRE_SCHEMA)
             .text(&wire)
-            .text("stgdat-wire-json")
+            .text(encoding("stgdat-wire-json"))
             .text(layout)
             .record(op::SCHEMA, &mut schemas);
         let object = r#"{"type":"object","properties":{"at_ns":{"type":"integer"}}}"#;
         Body::default()
             .u16(JSON_SCHEMA)
             .text("stgdat.json")
-            .text("jsonschema")
+            .text(encoding("jsonschema"))
             .text(object)
             .record(op::SCHEMA, &mut schemas);
         let mut channels = Vec::new();
@@ -151,6 +173,14 @@ impl<S: Sink> Writer<S> {
             body.texts(&[]).record(op::CHANNEL, &mut channel_records);
             channels.push((id, name.to_owned()));
         }
+        let view_channels = view.as_ref().map(|view| view.channels()).unwrap_or_default();
+        for (id, channel) in (VIEW_CHANNELS..).zip(&view_channels) {
+            let body = Body::default().u16(id).text(channel.schema).text(channel.schema_encoding);
+            body.bytes(&channel.schema_data).record(op::SCHEMA, &mut schemas);
+            let body = Body::default().u16(id).u16(id).text(channel.topic).text(channel.encoding);
+            body.texts(&channel.metadata).record(op::CHANNEL, &mut channel_records);
+            channels.push((id, channel.topic.to_owned()));
+        }
 
         let mut writer = Self {
             sink,
@@ -160,6 +190,8 @@ impl<S: Sink> Writer<S> {
             chunk: Chunk::default(),
             head: [schemas, channel_records],
             channels,
+            schemas_len: JSON_SCHEMA + view_channels.len() as u16,
+            view,
             element_bytes: about.element_bytes.clone(),
             chunks: Vec::new(),
             metadata: Vec::new(),
@@ -168,7 +200,7 @@ impl<S: Sink> Writer<S> {
             error: None,
         };
         let mut begin = MAGIC.to_vec();
-        Body::default().text("stgdat").text(&about.program).record(op::HEADER, &mut begin);
+        Body::default().text(profile).text(&about.program).record(op::HEADER, &mut begin);
         let at = begin.len() as u64;
         Body::default().text(BEGIN).texts(&about.pairs()).record(op::METADATA, &mut begin);
         writer.metadata.push((at, begin.len() as u64 - at, BEGIN));
@@ -222,6 +254,16 @@ impl<S: Sink> Writer<S> {
             Message::Before(frame) => self.before(frame),
             Message::Event(event) => self.event(event),
             Message::Line(line) => self.line(line),
+        }
+        if let Some(mut view) = self.view.take() {
+            let (sequence, times_ns) = match message {
+                Message::Frame(frame) => (frame.header().seq as u32, [frame.received_ns(), frame.sent_ns()]),
+                other => (0, [other.at_ns(); 2]),
+            };
+            view.add(message, &mut |channel, data| {
+                self.message(VIEW_CHANNELS + channel, sequence, times_ns, data);
+            });
+            self.view = Some(view);
         }
     }
 
@@ -398,7 +440,7 @@ impl<S: Sink> Writer<S> {
         let end_ns = self.chunks.iter().map(|chunk| chunk.times_ns[1]).max().unwrap_or(0);
         let counts =
             self.channels.iter().filter_map(|(id, name)| Some((*id, *self.written.by_topic.get(name)?)));
-        let body = Body::default().u64(self.written.messages).u16(JSON_SCHEMA);
+        let body = Body::default().u64(self.written.messages).u16(self.schemas_len);
         let body = body.u32(self.channels.len() as u32).u32(0).u32(self.metadata.len() as u32);
         let body = body.u32(self.chunks.len() as u32).u64(begin_ns).u64(end_ns).counts(counts);
         let mut out = Vec::new();

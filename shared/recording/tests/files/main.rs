@@ -149,7 +149,7 @@ impl Sink for Disk {
 #[test]
 fn what_a_full_disk_did_not_take_is_counted_in_the_file() {
     let all = messages(75);
-    let mut writer = Writer::over(Disk::default(), &about(), "{}").unwrap();
+    let mut writer = Writer::over(Disk::default(), &about(), "{}", None).unwrap();
     all.iter().for_each(|message| writer.add(message));
     assert!(matches!(writer.take_error(), Some(error) if error.kind() == ErrorKind::StorageFull));
     let written = writer.finish("over").unwrap();

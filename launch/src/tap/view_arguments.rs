@@ -1,0 +1,56 @@
+use std::path::Path;
+use std::process::Command;
+
+use clap::Args;
+use interop::Target;
+use recording::{About, View, WriteError, Writer};
+use wire::{ForecastsTopic, MODES_MAX, Topic as _, TracksTopic};
+
+use crate::verbs::wire::layout;
+
+/// The tools that a recording also holds messages for.
+#[derive(Clone, Debug, Default, Args)]
+pub struct ViewArguments {
+    /// Add messages for these tools: `foxglove` (scene, transforms and log in protobuf) and `autoware` (tracked and
+    /// predicted objects, tf and diagnostics in CDR)
+    #[arg(long = "for", value_name = "TOOLS", value_delimiter = ',')]
+    targets: Vec<Target>,
+    /// Paths of each agent in these messages, the most probable first
+    #[arg(long, value_name = "N", requires = "targets", default_value_t = 3, value_parser = clap::value_parser!(u16).range(1..=MODES_MAX as i64))]
+    paths: u16,
+}
+
+impl ViewArguments {
+    /// Whether a recording holds messages for no other tool.
+    pub fn is_empty(&self) -> bool {
+        self.targets.is_empty()
+    }
+
+    /// The topics that the messages are made of, besides `names`.
+    pub fn add_topics(&self, names: &mut Vec<String>) {
+        for needed in [TracksTopic::NAME, ForecastsTopic::NAME] {
+            if !self.is_empty() && !names.iter().any(|name| name == needed) {
+                names.push(needed.to_owned());
+            }
+        }
+    }
+
+    /// Creates a recording with these messages.
+    pub fn create(&self, file: &Path, about: &About) -> Result<Writer, WriteError> {
+        Writer::with_view(file, about, &layout(), self.view(about))
+    }
+
+    fn view(&self, about: &About) -> Option<Box<dyn View>> {
+        interop::views(&self.targets, self.paths.into(), about)
+    }
+
+    /// Passes the same arguments to a recording in its own process.
+    pub fn pass_on(&self, command: &mut Command) {
+        for target in &self.targets {
+            command.args(["--for", target.name()]);
+        }
+        if !self.is_empty() {
+            command.arg("--paths").arg(self.paths.to_string());
+        }
+    }
+}

@@ -1,0 +1,55 @@
+use std::path::PathBuf;
+
+use clap::Args;
+use recording::{About, EVENTS};
+use run::Exit;
+use wire::{ForecastsTopic, Topic as _, TracksTopic};
+
+use crate::failure::Failure;
+use crate::recorded;
+use crate::tap::ViewArguments;
+
+/// Arguments of `stgdat export`.
+#[derive(Debug, Args)]
+pub struct Arguments {
+    /// Recording of a run, as `run --record` and `record` write them
+    #[arg(value_name = "RUN")]
+    recording: PathBuf,
+    /// File to write; there must be none of that name
+    #[arg(value_name = "FILE")]
+    file: PathBuf,
+    #[command(flatten)]
+    view: ViewArguments,
+}
+
+/// Writes the messages of a recorded run that other tools read.
+pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
+    let Arguments { recording, file, view } = arguments;
+    if view.is_empty() {
+        return Err(Failure::Usage("--for names the tools: foxglove, autoware".to_owned()));
+    }
+    let recording = recorded::open(recording)?;
+    for topic in [TracksTopic::NAME, ForecastsTopic::NAME] {
+        if !recording.has_topic(topic) {
+            let why = format!("it has no {topic}, which the messages are made of");
+            return Err(Failure::data_about(recording.path().display(), why));
+        }
+    }
+    // The frames themselves stay in the recording.
+    let about = About { topics: vec![EVENTS.to_owned()], before: false, ..recording.about().clone() };
+    let mut writer = view.create(file, &about).map_err(Failure::data)?;
+    let mut damages = Vec::new();
+    for message in recording.messages() {
+        match message {
+            Ok(message) => writer.add(&message),
+            Err(error) => damages.push(error),
+        }
+    }
+    let written = writer.finish("exported").map_err(Failure::data)?;
+    let topics: Vec<String> = written.by_topic.iter().map(|(name, len)| format!("{len} {name}")).collect();
+    say!("{}: {:.1} MB; {}", file.display(), written.bytes as f64 / 1e6, topics.join(", "));
+    if !written.lost.is_empty() {
+        return Err(Failure::Failed(format!("{}: not written: {:?}", file.display(), written.lost)));
+    }
+    recorded::told(damages)
+}
