@@ -6,9 +6,10 @@
 
 use std::collections::BTreeMap;
 use std::fmt::Display;
+use std::ops::Deref;
 
 use tick_view::{AgentView, ForecastView, Point, TickView};
-use wire::{AGENT_TYPES, AgentType, Cause, Expert, Hop, Quality, StageId};
+use wire::{AGENT_TYPES, AgentType, Cause, Expert, Hop, Quality, StageId, Track, WorldOrigin};
 
 use crate::cdr::Byte;
 use crate::messages::{
@@ -34,6 +35,35 @@ const STEP_MIN_M: f32 = 0.05;
 const OK: Byte = Byte(0);
 /// The same, of a state to look at.
 const WARN: Byte = Byte(1);
+
+/// A tick with what its view leaves out.
+#[derive(Debug)]
+pub struct Tick<'a> {
+    /// The view.
+    pub view: TickView,
+    /// The tracks of the view.
+    pub tracks: &'a [Track],
+    /// The world frame's origin in the recording's own frame.
+    pub origin: WorldOrigin,
+}
+
+impl Deref for Tick<'_> {
+    type Target = TickView;
+
+    fn deref(&self) -> &TickView {
+        &self.view
+    }
+}
+
+impl Tick<'_> {
+    /// The agents of the view with their tracks.
+    fn agents(&self) -> impl Iterator<Item = (&AgentView, &Track)> {
+        self.view.agents.iter().filter_map(|agent| {
+            let track = self.tracks.iter().find(|track| track.id == agent.id)?;
+            Some((agent, track))
+        })
+    }
+}
 
 /// Length, width and height of a typical agent, m.
 #[must_use]
@@ -71,7 +101,7 @@ fn split(ns: i64) -> (i32, u32) {
     (sec as i32, ns.rem_euclid(1_000_000_000) as u32)
 }
 
-fn header(view: &TickView) -> Header {
+fn header(view: &Tick<'_>) -> Header {
     let (sec, nanosec) = split(view.stamp_ns);
     Header { stamp: Time { sec, nanosec }, frame_id: MAP.to_owned() }
 }
@@ -99,22 +129,22 @@ fn z_m(agent: &AgentView) -> f64 {
     f64::from(size_m(agent)[2]) / 2.0
 }
 
-fn classification(agent: &AgentView) -> Vec<ObjectClassification> {
+fn classification(track: &Track, own: AgentType) -> Vec<ObjectClassification> {
     let label = |of| match of {
         AgentType::Vehicle => label::CAR,
         AgentType::Cyclist => label::BICYCLE,
         AgentType::Pedestrian => label::PEDESTRIAN,
     };
-    let has_probabilities = agent.type_probability.iter().any(|probability| *probability > 0.0);
+    let has_probabilities = track.type_probability.iter().any(|probability| *probability > 0.0);
     let of = |of: AgentType| match has_probabilities {
-        true => agent.type_probability[of.index()],
-        false => f32::from(u8::from(of == agent.agent_type)),
+        true => track.type_probability[of.index()],
+        false => f32::from(u8::from(of == own)),
     };
     let classes =
         AGENT_TYPES.map(|class| ObjectClassification { label: label(class), probability: of(class) });
     let mut classes: Vec<_> = classes.into_iter().filter(|class| class.probability > 0.0).collect();
     // The agent's own type is the first of equal ones.
-    let is_other = |class: &ObjectClassification| class.label != label(agent.agent_type);
+    let is_other = |class: &ObjectClassification| class.label != label(own);
     classes.sort_by(|a, b| b.probability.total_cmp(&a.probability).then(is_other(a).cmp(&is_other(b))));
     classes
 }
@@ -127,14 +157,18 @@ fn shape(agent: &AgentView) -> Shape {
 /// Rows and columns of a state's entries in ROS's covariances: x, y, ψ of the pose.
 const POSE: [usize; 3] = [0, 1, 5];
 
-fn pose_with_covariance(view: &TickView, agent: &AgentView) -> PoseWithCovariance {
+fn pose_with_covariance(view: &Tick<'_>, agent: &AgentView, track: &Track) -> PoseWithCovariance {
     let mut covariance = Covariance::default();
-    let state_len = agent.covariance.len().isqrt();
+    let state_len = track.state_len as usize;
     // (x, y, ψ, v, β) has the heading, (x, y, vx, vy) has not.
-    let known = if state_len == 5 { 3 } else { 2.min(state_len) };
+    let known = match state_len {
+        5 => 3,
+        4 => 2,
+        _ => 0,
+    };
     for (row, to_row) in POSE.into_iter().enumerate().take(known) {
         for (column, to_column) in POSE.into_iter().enumerate().take(known) {
-            covariance.0[to_row * 6 + to_column] = agent.covariance[row * state_len + column].into();
+            covariance.0[to_row * 6 + to_column] = track.covariance[row * state_len + column].into();
         }
     }
     let position_m = view.origin.own_m(agent.position_m);
@@ -142,13 +176,13 @@ fn pose_with_covariance(view: &TickView, agent: &AgentView) -> PoseWithCovarianc
 }
 
 /// The velocity along and across the agent.
-fn twist(agent: &AgentView) -> TwistWithCovariance {
+fn twist(agent: &AgentView, track: &Track) -> TwistWithCovariance {
     let (sin, cos) = f64::from(agent.heading_rad).sin_cos();
     let [vx, vy] = agent.velocity_mps.map(f64::from);
     let linear = Vector3 { x: cos * vx + sin * vy, y: cos * vy - sin * vx, z: 0.0 };
     let mut covariance = Covariance::default();
-    let at = |row: usize, column: usize, len: usize| f64::from(agent.covariance[row * len + column]);
-    match agent.covariance.len().isqrt() {
+    let at = |row: usize, column: usize, len: usize| f64::from(track.covariance[row * len + column]);
+    match track.state_len {
         5 => {
             // v along the heading; slip turns the velocity.
             let speed_mps = vx.hypot(vy);
@@ -169,20 +203,20 @@ fn twist(agent: &AgentView) -> TwistWithCovariance {
 
 /// The tracks of a tick.
 #[must_use]
-pub fn tracked_objects(view: &TickView) -> TrackedObjects {
-    let objects = view.agents.iter().map(|agent| {
+pub fn tracked_objects(view: &Tick<'_>) -> TrackedObjects {
+    let objects = view.agents().map(|(agent, track)| {
         let [vx_mps, vy_mps] = agent.velocity_mps;
         let kinematics = TrackedObjectKinematics {
-            pose_with_covariance: pose_with_covariance(view, agent),
-            twist_with_covariance: twist(agent),
+            pose_with_covariance: pose_with_covariance(view, agent, track),
+            twist_with_covariance: twist(agent, track),
             orientation_availability: AVAILABLE,
             is_stationary: vx_mps.hypot(vy_mps) < STATIONARY_MPS,
             ..TrackedObjectKinematics::default()
         };
         TrackedObject {
             object_id: object_id(agent),
-            existence_probability: agent.existence,
-            classification: classification(agent),
+            existence_probability: track.existence,
+            classification: classification(track, agent.agent_type),
             kinematics,
             shape: shape(agent),
         }
@@ -193,10 +227,10 @@ pub fn tracked_objects(view: &TickView) -> TrackedObjects {
 /// The forecasts of a tick: of each agent the most probable paths first. An agent without a forecast is left
 /// out, because Autoware's readers expect a path.
 #[must_use]
-pub fn predicted_objects(view: &TickView, paths_max: usize) -> PredictedObjects {
+pub fn predicted_objects(view: &Tick<'_>, paths_max: usize) -> PredictedObjects {
     let (sec, nanosec) = split(i64::try_from(view.step_ns).unwrap_or(i64::MAX));
     let time_step = Duration { sec, nanosec };
-    let objects = view.agents.iter().filter_map(|agent| {
+    let objects = view.agents().filter_map(|(agent, track)| {
         let forecast = agent.forecast.as_ref()?;
         let path = |(points, confidence)| PredictedPath {
             path: path(view, agent, points),
@@ -204,15 +238,15 @@ pub fn predicted_objects(view: &TickView, paths_max: usize) -> PredictedObjects 
             confidence,
         };
         let kinematics = PredictedObjectKinematics {
-            initial_pose_with_covariance: pose_with_covariance(view, agent),
-            initial_twist_with_covariance: twist(agent),
+            initial_pose_with_covariance: pose_with_covariance(view, agent, track),
+            initial_twist_with_covariance: twist(agent, track),
             predicted_paths: probable_paths(forecast, paths_max).into_iter().map(path).collect(),
             ..PredictedObjectKinematics::default()
         };
         Some(PredictedObject {
             object_id: object_id(agent),
-            existence_probability: agent.existence,
-            classification: classification(agent),
+            existence_probability: track.existence,
+            classification: classification(track, agent.agent_type),
             kinematics,
             shape: shape(agent),
         })
@@ -221,7 +255,7 @@ pub fn predicted_objects(view: &TickView, paths_max: usize) -> PredictedObjects 
 }
 
 /// The present pose, then a pose for each step in the direction of the motion.
-fn path(view: &TickView, agent: &AgentView, points: &[Point]) -> Vec<Pose> {
+fn path(view: &Tick<'_>, agent: &AgentView, points: &[Point]) -> Vec<Pose> {
     let mut heading_rad = agent.heading_rad;
     let mut last = agent.position_m;
     let steps = points.iter().map(|&point| {
@@ -238,7 +272,7 @@ fn path(view: &TickView, agent: &AgentView, points: &[Point]) -> Vec<Pose> {
 
 /// The ego vehicle's pose; `None` if it is unknown.
 #[must_use]
-pub fn transforms(view: &TickView) -> Option<TfMessage> {
+pub fn transforms(view: &Tick<'_>) -> Option<TfMessage> {
     let (position_m, heading_rad) = view.ego?;
     let [x, y] = view.origin.own_m(position_m);
     let translation = Vector3 { x, y, z: 0.0 };
@@ -250,7 +284,7 @@ pub fn transforms(view: &TickView) -> Option<TfMessage> {
 /// Everything of a tick that has no field in Autoware's messages: quality, cause, age and evidence of each
 /// forecast, how many agents have one, doubts about the input, and each stage's time beside its budget.
 #[must_use]
-pub fn diagnostics(view: &TickView, hops: &[Hop], budgets_ms: &BTreeMap<StageId, f64>) -> DiagnosticArray {
+pub fn diagnostics(view: &Tick<'_>, hops: &[Hop], budgets_ms: &BTreeMap<StageId, f64>) -> DiagnosticArray {
     let mut status = vec![input_status(view)];
     status.extend(hops.iter().filter_map(|hop| stage_status(hop, budgets_ms)));
     status.extend(view.agents.iter().map(agent_status));
@@ -265,7 +299,7 @@ fn ms(ns: u64) -> f64 {
     (ns as f64 / 1e3).round() / 1e3
 }
 
-fn input_status(view: &TickView) -> DiagnosticStatus {
+fn input_status(view: &Tick<'_>) -> DiagnosticStatus {
     let of = |quality| {
         view.agents
             .iter()

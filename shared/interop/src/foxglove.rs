@@ -3,10 +3,10 @@
 //! The [`schemas`] are Foxglove's own descriptors; the numbers of the fields below come from them.
 
 use perfetto::Message;
-use tick_view::{AgentView, Point, TickView};
+use tick_view::{AgentView, Point};
 use wire::{AgentType, Quality};
 
-use crate::autoware::{EGO, MAP, probable_paths, size_m};
+use crate::autoware::{EGO, MAP, Tick, probable_paths, size_m};
 
 /// Descriptors of Foxglove's messages.
 pub mod schemas {
@@ -75,7 +75,7 @@ fn pose(message: &mut Message<'_>, field: u32, [x, y]: [f64; 2], z_m: f64, headi
 /// A `foxglove.SceneUpdate` that replaces the previous one: of each agent a box, its most probable paths, its
 /// history and a label, colored by the quality of its forecast.
 #[must_use]
-pub fn scene_update(view: &TickView, paths_max: usize) -> Vec<u8> {
+pub fn scene_update(view: &Tick<'_>, paths_max: usize) -> Vec<u8> {
     let mut bytes = Vec::new();
     let mut scene = Message::new(&mut bytes);
     scene.message(1, |deletion| {
@@ -116,7 +116,7 @@ fn metadata(agent: &AgentView) -> Vec<(&'static str, String)> {
     pairs
 }
 
-fn shape(entity: &mut Message<'_>, view: &TickView, agent: &AgentView) {
+fn shape(entity: &mut Message<'_>, view: &Tick<'_>, agent: &AgentView) {
     let size_m = size_m(agent).map(f64::from);
     let [red, green, blue, _] = color(agent.forecast.as_ref().map(|forecast| forecast.quality));
     // Pedestrians are cylinders.
@@ -135,7 +135,7 @@ fn shape(entity: &mut Message<'_>, view: &TickView, agent: &AgentView) {
 }
 
 /// The paths, the more probable the more opaque, and the history in grey.
-fn lines(entity: &mut Message<'_>, view: &TickView, agent: &AgentView, paths_max: usize) {
+fn lines(entity: &mut Message<'_>, view: &Tick<'_>, agent: &AgentView, paths_max: usize) {
     let strip = |entity: &mut Message<'_>, points: &mut dyn Iterator<Item = Point>, color| {
         entity.message(11, |line| {
             line.message(2, |pose| rotation(pose, 2, 0.0));
@@ -163,7 +163,7 @@ fn lines(entity: &mut Message<'_>, view: &TickView, agent: &AgentView, paths_max
     strip(entity, &mut past, color(None));
 }
 
-fn label(entity: &mut Message<'_>, view: &TickView, agent: &AgentView) {
+fn label(entity: &mut Message<'_>, view: &Tick<'_>, agent: &AgentView) {
     let mut text = format!("{} {}", agent.agent_type.name(), agent.known_as());
     if let Some(forecast) = agent.forecast.as_ref().filter(|forecast| forecast.quality != Quality::Learned) {
         text += &format!("\n{}: {}", forecast.quality.name(), forecast.cause.name());
@@ -180,7 +180,7 @@ fn label(entity: &mut Message<'_>, view: &TickView, agent: &AgentView) {
 
 /// A `foxglove.FrameTransforms` with the ego vehicle's pose; `None` if it is unknown.
 #[must_use]
-pub fn frame_transforms(view: &TickView) -> Option<Vec<u8>> {
+pub fn frame_transforms(view: &Tick<'_>) -> Option<Vec<u8>> {
     let (position_m, heading_rad) = view.ego?;
     let [x, y] = view.origin.own_m(position_m);
     let mut bytes = Vec::new();

@@ -7,6 +7,7 @@ use recording::{About, Event, Frame, Happened, LogLine, Message, View, ViewChann
 use tick_view::TickView;
 use wire::{ForecastsTopic, Header, StageId, Topic as _, Track, TracksTopic, WorldOrigin};
 
+use crate::autoware::Tick;
 use crate::cdr::to_bytes;
 use crate::foxglove::{Level, schemas};
 use crate::messages::{DiagnosticArray, PredictedObjects, TfMessage, TrackedObjects};
@@ -132,7 +133,7 @@ impl Views {
         }
         let none = Header { counts: frame.header().counts, ..Header::default() };
         let view = TickView::new((frame.header(), &tracks), (&none, &[]));
-        let view = TickView { origin: self.origin, ..view };
+        let view = Tick { view, tracks: &tracks, origin: self.origin };
         self.send(Kind::Tracked, output, || Some(to_bytes(&autoware::tracked_objects(&view))));
         self.send(Kind::Tf, output, || autoware::transforms(&view).map(|tf| to_bytes(&tf)));
         self.send(Kind::FrameTransforms, output, || foxglove::frame_transforms(&view));
@@ -150,7 +151,7 @@ impl Views {
         let Some(place) = self.waiting.iter().position(of_tick) else { return };
         let (of, tracks) = &self.waiting[place];
         let view = TickView::new((of, tracks), (header, &forecasts[..]));
-        let view = TickView { origin: self.origin, ..view };
+        let view = Tick { view, tracks, origin: self.origin };
         self.send(Kind::Predicted, output, || {
             Some(to_bytes(&autoware::predicted_objects(&view, self.paths_max)))
         });

@@ -5,7 +5,7 @@
 
 use wire::{
     AgentType, Cause, EXPERTS_MAX, Forecast, HISTORY_MAX, HORIZON_MAX, Header, HistoryState, MODES_MAX,
-    Quality, Track, WorldOrigin, flags,
+    Quality, Track, flags,
 };
 
 /// A position in the world frame, m.
@@ -22,8 +22,6 @@ pub struct TickView {
     pub step_ns: u64,
     /// Position and heading of the ego vehicle, if the detections were made from it.
     pub ego: Option<(Point, f32)>,
-    /// Origin of the world frame in the recording's own frame. [`TickView::new`] leaves it at zero.
-    pub origin: WorldOrigin,
     /// Doubts about the input so far: bits of `wire::doubts`.
     pub doubts: u32,
     /// The tracks, in the order of the frame.
@@ -45,12 +43,6 @@ pub struct AgentView {
     pub velocity_mps: Point,
     /// Heading at the stamp, counter-clockwise from +x.
     pub heading_rad: f32,
-    /// Probability that the agent exists.
-    pub existence: f32,
-    /// Probability of each [`AgentType`].
-    pub type_probability: [f32; 3],
-    /// Covariance of (x, y, ψ, v, β) or (x, y, vx, vy), row-major.
-    pub covariance: Vec<f32>,
     /// Extent along the heading; `None` if it is unknown.
     pub length_m: Option<f32>,
     /// Extent across the heading; `None` if it is unknown.
@@ -103,7 +95,6 @@ impl TickView {
             stamp_ns: header.stamp_ns,
             step_ns: header.step_ns,
             ego: header.has(flags::SEEN_FROM_EGO).then_some((header.ego_m, header.ego_heading_rad)),
-            origin: WorldOrigin::default(),
             doubts: header.input.doubts,
             agents: agents.collect(),
         }
@@ -123,9 +114,6 @@ impl AgentView {
             position_m: [track.x_m, track.y_m],
             velocity_mps: [track.vx_mps, track.vy_mps],
             heading_rad: track.heading_rad,
-            existence: track.existence,
-            type_probability: track.type_probability,
-            covariance: track.covariance[..(track.state_len.min(5) as usize).pow(2)].to_vec(),
             length_m: known(track.length_m),
             width_m: known(track.width_m),
             unseen_ns: track.unseen_ns,
