@@ -57,18 +57,6 @@ function lineChart(canvas, x, series, { limit = null, high = null, unit = "", xU
     const text = `${+(absolute ? place : place - x0).toFixed(6)} ${xUnit}`;
     if (px(place) < left + inner - 12 || absolute) context.fillText(text, Math.min(px(place), width - 16), height - 5);
   }
-  if (limit) {
-    context.strokeStyle = themed("bad");
-    context.setLineDash([4, 3]);
-    context.beginPath();
-    context.moveTo(left, py(limit));
-    context.lineTo(left + inner, py(limit));
-    context.stroke();
-    context.setLineDash([]);
-    context.textAlign = "left";
-    context.fillStyle = themed("bad");
-    context.fillText(`${limit} ${unit}`, left + 4, py(limit) - 4);
-  }
   for (const { values, color, dash } of series) {
     context.strokeStyle = color;
     context.lineWidth = 1.4;
@@ -83,6 +71,22 @@ function lineChart(canvas, x, series, { limit = null, high = null, unit = "", xU
     });
     context.stroke();
     context.setLineDash([]);
+  }
+  if (limit) {
+    context.strokeStyle = themed("bad");
+    context.setLineDash([4, 3]);
+    context.beginPath();
+    context.moveTo(left, py(limit));
+    context.lineTo(left + inner, py(limit));
+    context.stroke();
+    context.setLineDash([]);
+    context.textAlign = "left";
+    context.fillStyle = themed("bad");
+    // The line's label stays legible on the curves.
+    context.strokeStyle = themed("panel");
+    context.lineWidth = 3;
+    context.strokeText(`${limit} ${unit}`, left + 4, py(limit) - 4);
+    context.fillText(`${limit} ${unit}`, left + 4, py(limit) - 4);
   }
 }
 

@@ -167,7 +167,7 @@ function accuracyTable({ report }) {
 
 function factsOf({ report }) {
   const { run, forecasts } = report;
-  const causes = Object.entries(forecasts.causes).map(([cause, count]) => `${cause} ${count.toLocaleString("en")}`);
+  const causes = Object.entries(forecasts.causes).filter(([, count]) => count).map(([cause, count]) => `${cause} ${count.toLocaleString("en")}`);
   const rows = [["recording", run.recording], ["SHA-256", run.recording_sha256], ["weights", run.weights],
     ["weights SHA-256", run.weights_sha256], ["seed", run.seed], ["speed", run.speed],
     ["interval", run.interval_ms && `${run.interval_ms} ms`], ["retrieval", run.retrieval === null ? null : run.retrieval ? "on" : "off"],

@@ -558,6 +558,10 @@ class SceneCanvas {
     const { context, colors, height } = this;
     const step = this.gridStep();
     const [x, y, length] = [16, height - 18, step * this.scale];
+    context.globalAlpha = 0.8;
+    context.fillStyle = colors.ground;
+    context.fillRect(x - 6, y - 11, length + 52, 20);
+    context.globalAlpha = 1;
     context.strokeStyle = colors.ink;
     context.lineWidth = 1.5;
     context.beginPath();
