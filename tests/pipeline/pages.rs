@@ -4,37 +4,49 @@ use std::io::{BufRead as _, BufReader, Write as _};
 use std::net::TcpStream;
 use std::path::Path;
 
+use rustix::process::Signal;
 use testing::Scratch;
 
-use crate::started::{Started, assert_nothing_left, piped, run, run_well, stderr, stdout, stgdat};
+use crate::started::{Started, assert_nothing_left, piped, run, run_well, stderr, stdout, stgdat, wait_for};
 
-/// Opens a page in Chromium with a log of its network, and returns the page's elements; `None` if Chromium is
-/// not installed.
-fn dom_of(scratch: &Scratch, url: &str, width: u32, more: &[&str]) -> Option<String> {
-    let chromium = std::env::var("STGDAT_CHROMIUM").unwrap_or_else(|_| "chromium".into());
-    let log = scratch.path("network.json");
-    let profile = scratch.path("profile");
-    let fixed = ["--headless=new", "--no-sandbox", "--disable-gpu", "--disable-background-networking"];
-    let mut command = piped(&chromium);
-    command.args(fixed).args(["--no-first-run", "--disable-component-update", "--dump-dom"]);
-    command.arg(format!("--window-size={width},900")).arg(format!("--user-data-dir={profile}"));
-    command.arg(format!("--log-net-log={log}")).args(more).arg(url);
-    let output = match command.spawn() {
-        Ok(child) => child.wait_with_output().expect("it ends"),
-        Err(error) => {
+/// Chromium that has opened a page.
+struct Browser {
+    process: Started,
+    url: String,
+    log: String,
+}
+
+impl Browser {
+    /// Opens a page, with a log of the network; `None` if Chromium is not installed.
+    fn open(scratch: &Scratch, url: &str, width: u32, more: &[&str]) -> Option<Self> {
+        let chromium = std::env::var("STGDAT_CHROMIUM").unwrap_or_else(|_| "chromium".into());
+        if let Err(error) = piped(&chromium).arg("--version").output() {
             eprintln!("skipped: {chromium}: {error} (STGDAT_CHROMIUM names another program)");
             return None;
         }
-    };
-    let text = String::from_utf8(scratch.read("network.json")).expect("the log is text");
-    let origin = url.split('/').take(3).collect::<Vec<_>>().join("/");
-    // Chromium itself looks for updates and the like; a page's requests have the page as their initiator.
-    for line in text.lines().filter(|line| line.contains("\"initiator\"") && line.contains("\"url\"")) {
-        let own = format!("\"url\":\"{origin}");
-        let is_of_browser = line.contains("\"initiator\":\"not an origin\"");
-        assert!(is_of_browser || line.contains(&own), "a request left the page: {line}");
+        let [log, profile] = ["log", "profile"].map(|name| scratch.path(&format!("{name}-{width}")));
+        let fixed = ["--headless=new", "--no-sandbox", "--disable-gpu", "--disable-background-networking"];
+        let mut command = piped(&chromium);
+        command.args(fixed).args(["--no-first-run", "--disable-component-update", "--dump-dom"]);
+        command.arg(format!("--window-size={width},900")).arg(format!("--user-data-dir={profile}"));
+        // Virtual time stands still while a request is open.
+        command.arg(format!("--log-net-log={log}")).arg("--virtual-time-budget=10000").args(more).arg(url);
+        Some(Self { process: Started::spawn(&mut command), url: url.to_owned(), log })
     }
-    Some(stdout(&output))
+
+    /// The page's elements after its scripts. Asserts that no request has left the page.
+    fn dom(self) -> String {
+        let dom = stdout(&self.process.output());
+        let log = std::fs::read_to_string(self.log).expect("the log is text");
+        let origin = self.url.split('/').take(3).collect::<Vec<_>>().join("/");
+        // A page's requests have the page as their initiator; Chromium's own requests have none.
+        for line in log.lines().filter(|line| line.contains("\"initiator\"") && line.contains("\"url\"")) {
+            let is_of_browser = line.contains("\"initiator\":\"not an origin\"");
+            let is_own = line.contains(&format!("\"url\":\"{origin}"));
+            assert!(is_of_browser || is_own, "a request left the page: {line}");
+        }
+        dom
+    }
 }
 
 /// The value of an attribute of the first element that has it.
@@ -56,46 +68,48 @@ fn the_live_page_shows_a_run_and_its_end() {
     let mut view = Started::spawn(stgdat().args(["view", "--address", "0", "--run"]).arg(&root));
     let url = url_of(&mut view);
     assert!(url.starts_with("http://127.0.0.1:"), "{url}");
-    for width in [1400, 700] {
-        let Some(dom) = dom_of(&scratch, &url, width, &["--timeout=5000"]) else { break };
-        assert!(dom.contains("generated intersection, 12 agents"), "the title is missing: {dom}");
-        for stage in ["tracker", "localiser", "extractor", "encoder", "decoder", "sampler"] {
-            assert!(dom.contains(&format!("<td>{stage}</td>")), "{stage} at {width}");
-        }
-        let number = |name: &str| attribute(&dom, name).parse::<u64>().unwrap();
-        assert!(number("data-ticks") > 5 && number("data-draws") > 5 && number("data-agents") > 3);
-        assert!(dom.contains("id=\"notice\" hidden"), "the page waits for a tick");
-    }
+    let browsers = [1400, 700].map(|width| Browser::open(&scratch, &url, width, &[]));
     let output = run.output();
     assert!(output.status.success(), "{}", stderr(&output));
     assert!(view.output().status.success(), "the view ends with its run");
     assert_nothing_left(&root);
+    for dom in browsers.into_iter().flatten().map(Browser::dom) {
+        assert!(dom.contains("generated intersection, 12 agents"), "the title is missing: {dom}");
+        for stage in ["tracker", "localiser", "extractor", "encoder", "decoder", "sampler"] {
+            assert!(dom.contains(&format!("<td>{stage}</td>")), "{stage}");
+        }
+        let number = |name: &str| attribute(&dom, name).parse::<u64>().unwrap();
+        assert!(number("data-ticks") > 5 && number("data-draws") > 0 && number("data-agents") > 3);
+        assert!(dom.contains(">The run has ended</div>"));
+    }
 }
 
 #[test]
 fn browsers_that_come_and_go_leave_nothing() {
-    let mut run = Started::run(&["--agents", "8", "--ticks", "375", "--quiet", "--view", "0"]);
+    let mut run = Started::run(&["--agents", "8", "--quiet", "--view", "0"]);
     let root = run.wait_until_it_runs();
     let url = url_of(&mut run);
     let address = url.trim_start_matches("http://").trim_end_matches('/').to_owned();
+    // A browser that is gone keeps its connection until the server writes to it, and tries again if it finds
+    // none that is free.
     let open = || {
-        let mut stream = TcpStream::connect(&address).unwrap();
-        write!(stream, "GET /events HTTP/1.1\r\nHost: {address}\r\n\r\n").unwrap();
-        stream
+        let mut stream = TcpStream::connect(&address).ok()?;
+        write!(stream, "GET /events HTTP/1.1\r\nHost: {address}\r\n\r\n").ok()?;
+        let mut lines = BufReader::new(stream).lines().map_while(Result::ok);
+        lines.next().filter(|line| line.ends_with("200 OK")).map(|_| lines)
     };
     let mut ticks = 0;
     for number in 0..100 {
-        let stream = open();
+        let mut lines = wait_for("no connection is free", open);
         // Every fourth browser leaves before it has read anything.
-        if number % 4 == 0 {
-            continue;
+        if number % 4 > 0 {
+            ticks += u64::from(lines.any(|line| line == "event: tick"));
         }
-        let mut lines = BufReader::new(stream).lines().map_while(Result::ok);
-        ticks += u64::from(lines.any(|line| line == "event: tick"));
     }
     assert!(ticks > 0);
+    run.signal(Signal::INT);
     let output = run.output();
-    assert!(output.status.success(), "{}", stderr(&output));
+    assert_eq!(output.status.code(), Some(130), "{}", stderr(&output));
     assert_nothing_left(&root);
 }
 
@@ -111,8 +125,8 @@ fn the_report_page_has_verdict_scenes_and_worst_ticks() {
     assert!(!text.contains("https://") && !text.contains("src=") && !text.contains("@import"));
     for (width, more) in [(1300, &[][..]), (480, &["--blink-settings=preferredColorScheme=0"][..])] {
         let url = format!("file://{page}");
-        let more = [&["--virtual-time-budget=10000"], more].concat();
-        let Some(dom) = dom_of(&scratch, &url, width, &more) else { return };
+        let Some(browser) = Browser::open(&scratch, &url, width, more) else { return };
+        let dom = browser.dom();
         assert_eq!(attribute(&dom, "data-ready"), "true");
         let draws: Vec<u64> = attribute(&dom, "data-scenes").split(' ').map(|n| n.parse().unwrap()).collect();
         assert!(draws.len() > 3 && draws.iter().all(|draws| *draws > 0), "{draws:?}");
@@ -141,7 +155,8 @@ fn the_report_page_unpacks_the_published_numbers() {
     let probe = scratch.path("probe.html");
     std::fs::write(&probe, html).unwrap();
     let url = format!("file://{probe}");
-    let Some(dom) = dom_of(&scratch, &url, 1300, &["--virtual-time-budget=10000"]) else { return };
+    let Some(browser) = Browser::open(&scratch, &url, 1300, &[]) else { return };
+    let dom = browser.dom();
     let unpacked: serde_json::Value =
         serde_json::from_str(&attribute(&dom, "data-numbers").replace('\'', "\"")).unwrap();
     assert_eq!(unpacked["seq"], 41);
@@ -178,10 +193,12 @@ fn two_runs_are_side_by_side_and_a_report_alone_is_enough() {
     let refused = run(&["report", &scratch.path("missing.mcap")]);
     assert!(!refused.status.success() && stderr(&refused).contains("missing.mcap"));
     let url = format!("file://{page}");
-    let Some(dom) = dom_of(&scratch, &url, 1700, &["--virtual-time-budget=10000"]) else { return };
-    assert_eq!(dom.matches("<article class=\"run\">").count(), 2);
+    let Some(browser) = Browser::open(&scratch, &url, 1700, &[]) else { return };
+    let dom = browser.dom();
+    assert_eq!(dom.matches("<article class=\"run\"><header>").count(), 2);
     assert!(dom.contains("class=\"two\"") && dom.contains("seed 1") && dom.contains("seed 2"));
     let print = scratch.path("two.pdf");
-    dom_of(&scratch, &url, 1700, &["--virtual-time-budget=10000", &format!("--print-to-pdf={print}")]);
+    let printing = Browser::open(&scratch, &url, 1600, &[&format!("--print-to-pdf={print}")]);
+    printing.map(Browser::dom);
     assert!(Path::new(&print).metadata().is_ok_and(|file| file.len() > 10_000), "the page prints");
 }

@@ -13,8 +13,8 @@ use crate::http::{self, PLAIN, Request, respond};
 
 /// Time limit for a browser to accept an event.
 pub const WRITE_LIMIT: Duration = Duration::from_secs(5);
-/// Interval between signs of life if nothing happens.
-const ALIVE: Duration = Duration::from_secs(2);
+/// Interval between signs of life if nothing happens. They also find browsers that are gone.
+const ALIVE: Duration = Duration::from_millis(250);
 /// Number of bytes of a token.
 const TOKEN_BYTES: usize = 16;
 
