@@ -61,7 +61,11 @@ fn paths_of(lines: &str, tick: usize) -> Vec<Vec<Point>> {
         std::iter::once(start).chain(steps).collect::<Vec<_>>()
     };
     let paths = line["agents"].as_array().unwrap().iter().map(path);
-    paths.filter(|path| (path[12][0] - path[0][0]).hypot(path[12][1] - path[0][1]) > 3.0).collect()
+    let length_m = |path: &Vec<Point>| (path[12][0] - path[0][0]).hypot(path[12][1] - path[0][1]);
+    let mut paths: Vec<Vec<Point>> = paths.filter(|path| length_m(path) > 3.0).collect();
+    // The longest path gives the scale: spots have two decimals.
+    paths.sort_by(|a, b| length_m(b).total_cmp(&length_m(a)));
+    paths
 }
 
 /// Asserts that a picture has the best forecast of every agent, all under one map.
