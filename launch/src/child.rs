@@ -13,7 +13,7 @@ use std::sync::mpsc::Sender;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 
-use config::Scheduling;
+use crate::config::Scheduling;
 use nn::kernels;
 use ports::{
     COLOR_VARIABLE, Color, INCARNATION_VARIABLE, LAUNCHER_VARIABLE, RUN_VARIABLE, STANDBY_VARIABLE,
@@ -59,7 +59,7 @@ pub struct Program {
 
 impl Program {
     /// Returns the program of a pipeline's stage.
-    pub fn of(stage: &config::Stage) -> Self {
+    pub fn of(stage: &crate::config::Stage) -> Self {
         let topics = stage.topics.iter().map(|(topic, name)| format!("{topic}={name}")).collect();
         Self { command: stage.command.clone(), topics, scheduling: stage.scheduling.clone(), record: None }
     }

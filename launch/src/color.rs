@@ -5,9 +5,8 @@ use std::ffi::OsString;
 use std::io::IsTerminal;
 use std::sync::OnceLock;
 
-use clap::ColorChoice;
+use crate::config::SourceError;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
-use config::SourceError;
 use ports::Color;
 
 /// The choice made on the command line or in the environment.
@@ -24,8 +23,8 @@ pub fn choice() -> Color {
 }
 
 /// Takes the choice from unparsed arguments, because parse errors are coloured too.
-pub fn choose(arguments: impl Iterator<Item = OsString>) -> Color {
-    *CHOICE.get_or_init(|| of_arguments(arguments).unwrap_or_else(Color::of_environment))
+pub fn choose(arguments: impl Iterator<Item = OsString>) {
+    CHOICE.get_or_init(|| of_arguments(arguments).unwrap_or_else(Color::of_environment));
 }
 
 /// The value of `--color`.
@@ -34,15 +33,6 @@ fn of_arguments(arguments: impl Iterator<Item = OsString>) -> Option<Color> {
     let named = words.iter().zip(words.iter().skip(1)).filter(|(flag, _)| *flag == "--color");
     let joined = words.iter().filter_map(|word| word.strip_prefix("--color="));
     named.map(|(_, value)| value.as_str()).chain(joined).filter_map(|value| value.parse().ok()).next_back()
-}
-
-/// The same choice for the argument parser.
-pub const fn for_clap(color: Color) -> ColorChoice {
-    match color {
-        Color::Auto => ColorChoice::Auto,
-        Color::Always => ColorChoice::Always,
-        Color::Never => ColorChoice::Never,
-    }
 }
 
 /// Formats a mistake in a file for standard error.

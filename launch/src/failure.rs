@@ -5,7 +5,7 @@ use std::fmt::Display;
 use std::io::Write as _;
 use std::path::Path;
 
-use config::SourceError;
+use crate::config::SourceError;
 use nn::{StartError, WeightsError};
 use onboard::ChainError;
 use ports::{LogFormat, PortError, SpaceError, StageError};

@@ -8,7 +8,7 @@ use std::process::ExitStatus;
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::{Duration, Instant};
 
-use config::{Pipeline, Restart};
+use crate::config::{Pipeline, Restart};
 use recording::Happened;
 use run::{Exit, Run};
 use rustix::process::{Pid, Signal};

@@ -74,7 +74,7 @@ fn fuzz(good: &str, read: fn(&str)) {
 
 #[test]
 fn pipeline_file() {
-    fuzz(SHIPPED, |text| match config::Pipeline::parse("p.toml", text, &declared()) {
+    fuzz(SHIPPED, |text| match crate::config::Pipeline::parse("p.toml", text, &declared()) {
         Ok(pipeline) => {
             assert!(!pipeline.stages.is_empty());
             assert!(pipeline.stages.iter().all(|stage| stage.restart.restarts_max > 0));

@@ -11,9 +11,11 @@ pub mod show;
 
 pub mod arguments;
 mod awake;
+mod checker;
 mod child;
 mod cleaner;
 mod color;
+mod config;
 mod control;
 mod differences;
 mod fail_if;
@@ -85,9 +87,10 @@ pub fn command() -> Command {
 /// The entry point of `stgdat`.
 #[must_use]
 pub fn main() -> ExitCode {
-    let command = command().color(program::begin());
+    program::begin();
     let arguments = program::verb_first(std::env::args_os().collect(), verbs::Verb::has_subcommand);
-    let parsed = command.try_get_matches_from(arguments).and_then(|matches| Cli::from_arg_matches(&matches));
+    let parsed =
+        command().try_get_matches_from(arguments).and_then(|matches| Cli::from_arg_matches(&matches));
     let may_be_mistaken = match &parsed {
         Ok(cli) => cli.verb.is_none() && !cli.version,
         Err(error) => error.use_stderr(),
@@ -97,7 +100,7 @@ pub fn main() -> ExitCode {
     if let Some(failure) = mistaken {
         return program::end(Err(failure));
     }
-    let cli = parsed.unwrap_or_else(|error| error.exit());
+    let cli = parsed.unwrap_or_else(|error| program::exit(&error));
     let outcome = cli.global.apply().and_then(|()| match cli.verb {
         _ if cli.version => {
             say!("{}", version::text().trim_end());

@@ -40,7 +40,7 @@ pub fn format() -> LogFormat {
 pub fn begin(format: Option<LogFormat>) {
     let format = *FORMAT.get_or_init(|| format.unwrap_or_default());
     if std::env::var_os(LAUNCHER_VARIABLE).is_some() {
-        ports::begin_logging(format, color::choice());
+        ports::begin_logging(format);
     } else {
         ports::begin_command_logging(format, EVENTS, || Output);
     }

@@ -5,7 +5,7 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
-use config::Pipeline;
+use crate::config::Pipeline;
 use run::options::OptionSchema;
 use run::{Declaration, Declared, OptionError, StageRun};
 use serde::de::DeserializeOwned;
@@ -115,7 +115,7 @@ pub struct StageOptions(BTreeMap<StageId, Options>);
 impl StageOptions {
     /// The options in a pipeline.toml.
     pub fn of_pipeline(pipeline: &Pipeline) -> Self {
-        let of_stage = |stage: &config::Stage| {
+        let of_stage = |stage: &crate::config::Stage| {
             let built_in = stages::built_in(stage.id).filter(|_| stage.command.is_none());
             let declared = built_in.map(|built_in| built_in.declared);
             let (table, places) = (stage.options.clone(), stage.places.clone());

@@ -1,6 +1,6 @@
 use std::path::Path;
 
-use config::Pipeline;
+use crate::config::Pipeline;
 
 use crate::failure::Failure;
 use crate::scheduling;

@@ -12,7 +12,7 @@
 use std::collections::VecDeque;
 use std::time::Duration;
 
-use config::{Restart, RestartPolicy};
+use crate::config::{Restart, RestartPolicy};
 
 /// How a process ended, as far as the policy depends on it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

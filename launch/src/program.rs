@@ -1,10 +1,11 @@
 //! Common set-up and exit of `stgdat` and `stgdat-lab`.
 
 use std::ffi::OsString;
+use std::io::Write;
 use std::process::ExitCode;
 
+use clap::Args;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
-use clap::{Args, ColorChoice};
 use nn::kernels::{self, Isa};
 use run::Exit;
 
@@ -42,10 +43,20 @@ fn instruction_set() -> impl TypedValueParser<Value = Isa> {
     PossibleValuesParser::new(Isa::ALL.map(Isa::key)).try_map(|key| key.parse::<Isa>())
 }
 
-/// Chooses colours by the command line and the environment. Returns clap's colour choice.
-#[must_use]
-pub fn begin() -> ColorChoice {
-    color::for_clap(color::choose(std::env::args_os()))
+/// Chooses colours by the command line and the environment.
+pub fn begin() {
+    color::choose(std::env::args_os());
+}
+
+/// Prints the help or the error of the argument parser and ends the process.
+pub fn exit(error: &clap::Error) -> ! {
+    if error.use_stderr() && color::choice().is_on(&std::io::stderr()) {
+        let painted = error.to_string().replacen("error:", "\x1b[1;31merror:\x1b[0m", 1);
+        // A closed pipe is no reason for another exit code.
+        let _ = write!(std::io::stderr(), "{painted}");
+        std::process::exit(error.exit_code());
+    }
+    error.exit()
 }
 
 /// The flags of [`GlobalArguments`].

@@ -7,7 +7,7 @@
 use std::os::unix::process::CommandExt;
 use std::process::Command;
 
-use config::Scheduling;
+use crate::config::Scheduling;
 use rustix::process::Pid;
 use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
 use wire::StageId;

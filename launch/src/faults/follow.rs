@@ -4,7 +4,7 @@ use std::io::Write as _;
 use std::path::Path;
 use std::time::Duration;
 
-use checker::{Line, Output};
+use crate::checker::{Line, Output};
 use ports::{Node, Peers};
 use run::{Exit, Run};
 use wire::{ForecastsTopic, HeartbeatsTopic, StageId, Topic};

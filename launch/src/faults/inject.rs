@@ -4,7 +4,7 @@
 use std::path::Path;
 use std::time::Duration;
 
-use checker::Line;
+use crate::checker::Line;
 use ports::{AddedFrame, AddedRelay, PortError, RawFrame, Relay, Stop, monotonic_ns};
 use run::{Exit, Run, TopicRun, injected_name};
 use wire::{

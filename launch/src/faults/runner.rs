@@ -9,8 +9,8 @@ use std::process::{Child, Command, ExitStatus, Stdio};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::time::{Duration, Instant};
 
-use checker::Line;
-use config::Pipeline;
+use crate::checker::Line;
+use crate::config::Pipeline;
 use ports::{POINTS_VARIABLE, Point};
 use recorder::Report;
 use run::{Run, injected_name};
@@ -694,7 +694,8 @@ mod tests {
              [[fault]]\nkind = \"command\"\nstage = \"encoder\"\ncommand = [\"/nowhere\"]",
         );
         let declared = crate::stages::declared();
-        let pipeline = config::Pipeline::parse("a.toml", &pipeline(&spec).unwrap(), &declared).unwrap();
+        let pipeline =
+            crate::config::Pipeline::parse("a.toml", &pipeline(&spec).unwrap(), &declared).unwrap();
         let stage = |id| pipeline.stages.iter().find(|stage| stage.id == id).unwrap();
         assert_eq!(stage(StageId::Tracker).topics["tracks"], "tracks-injected");
         assert!(stage(StageId::Localiser).topics.is_empty());

@@ -6,7 +6,7 @@ mod table;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use config::SourceError;
+use crate::config::SourceError;
 use ports::Point;
 use run::TopicRun;
 use serde::{Deserialize, Serialize};

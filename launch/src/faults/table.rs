@@ -224,7 +224,7 @@ impl Row {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use checker::{ForecastSeen, Line, Output};
+    use crate::checker::{ForecastSeen, Line, Output};
     use recorder::{Report, Supervision};
 
     fn plan(stage: StageId, series: Series) -> Plan {

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Display;
 
-use checker::{Finding, Line, Output, Promise, Told};
+use crate::checker::{Finding, Line, Output, Promise, Told};
 use recorder::{Outage, ReplacementOutcome, Report};
 use serde::Serialize;
 use wire::StageId;
@@ -206,7 +206,7 @@ impl Observation {
 
     /// Returns the checker's findings in the history; empty until the run's end is known.
     fn findings(&self) -> Vec<Finding> {
-        checker::check(&self.lines)
+        crate::checker::check(&self.lines)
     }
 
     /// Counts missing ticks that no outage, fault or stage counter explains. Also counts forecasts without a
@@ -253,7 +253,7 @@ impl Observation {
         };
         let Some(report) = &self.report else { return told };
         told.lockstep = report.run.lockstep.unwrap_or(false);
-        let outage = |outage: &recorder::Outage| checker::Outage {
+        let outage = |outage: &recorder::Outage| crate::checker::Outage {
             stage: outage.stage.clone(),
             tick: outage.tick,
             ticks_to_learned: outage.ticks_to_learned,
@@ -534,7 +534,7 @@ mod tests {
     use std::path::Path;
 
     use super::*;
-    use checker::ForecastSeen;
+    use crate::checker::ForecastSeen;
     use recorder::report::StageReport;
     use recorder::{Outage, Supervision};
 

@@ -8,7 +8,7 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-use config::RestartPolicy;
+use crate::config::RestartPolicy;
 use recorder::SpareReport;
 use run::{Exit, Run};
 use rustix::process::Signal;

@@ -1,7 +1,7 @@
 use std::path::PathBuf;
 
+use crate::config::BUDGET_MAX_MS;
 use clap::Args;
-use config::BUDGET_MAX_MS;
 use run::Exit;
 
 use crate::failure::Failure;

@@ -217,9 +217,9 @@ fn measure(arguments: &TableArguments) -> Result<Exit, Failure> {
 }
 
 fn verify(path: &Path) -> Result<Exit, Failure> {
-    let findings = checker::check(&checker::read(path).map_err(Failure::data)?);
+    let findings = crate::checker::check(&crate::checker::read(path).map_err(Failure::data)?);
     let mut is_kept = true;
-    for checker::Finding { promise, count, first } in findings {
+    for crate::checker::Finding { promise, count, first } in findings {
         is_kept &= count == 0;
         let first = if count == 0 { String::new() } else { format!(", first {first}") };
         show(&format!("{count:6}  {}{first}\n", promise.broken_by()))?;

@@ -1,7 +1,7 @@
 use std::path::PathBuf;
 
+use crate::config::{Pipeline, Stage};
 use clap::{Args, ValueEnum};
-use config::{Pipeline, Stage};
 use run::Exit;
 
 use crate::failure::Failure;

@@ -3,8 +3,8 @@ use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant, SystemTime};
 
+use crate::config::Pipeline;
 use clap::{Args, ValueEnum};
-use config::Pipeline;
 use localiser::MapChoice;
 use nn::Weights;
 use ports::{Space, Stop, Topics};
@@ -315,7 +315,7 @@ fn stage_runs(pipeline: &Pipeline, options: &StageOptions) -> Vec<StageRun> {
 /// Returns the spares for the run record; empty in lockstep, in which stages are not restarted.
 fn spare_runs(pipeline: &Pipeline, lockstep: bool) -> Vec<SpareRun> {
     let with_spare = pipeline.stages.iter().filter(|stage| stage.spare && !lockstep);
-    let topics = |stage: &config::Stage| {
+    let topics = |stage: &crate::config::Stage| {
         let topics = stage.reads.iter().chain(&stage.writes);
         topics.map(|topic| stage.topics.get(topic).unwrap_or(topic).clone()).collect()
     };

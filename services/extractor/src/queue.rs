@@ -1,6 +1,6 @@
 //! Orders the agents for ticks that may not have time for all of them.
 
-use shedding::{Candidate, Ego, Turns};
+use ports::shedding::{Candidate, Ego, Turns};
 use wire::{AGENTS_MAX, AgentFeatures, Header, Track};
 
 /// The agents of the scene, and how long each has waited for a learned forecast.

@@ -23,6 +23,7 @@ mod lanes;
 mod losses;
 mod options;
 pub mod passage;
+pub mod perfetto;
 mod record;
 mod refusals;
 mod render;

@@ -16,8 +16,8 @@
 
 use std::f64::consts::{PI, TAU};
 
-use elementary::hypot;
 use filters::wrapped;
+use kinematics::hypot;
 
 use crate::FieldOfView;
 

@@ -1,4 +1,4 @@
-use elementary::hypot;
+use kinematics::hypot;
 use nalgebra::{Matrix4x5, Matrix5, Matrix5x4, Vector4, Vector5};
 
 use crate::{Bicycle, ConstantVelocity, Evidence, FilterFault, Gaussian, Motion, Observation};

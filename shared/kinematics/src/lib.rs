@@ -66,6 +66,7 @@
 mod belief;
 mod bicycle;
 mod displacement;
+mod elementary;
 mod follow;
 mod mixture;
 mod model;
@@ -74,6 +75,8 @@ mod normals;
 mod options;
 mod particles;
 mod vehicle;
+
+pub use elementary::hypot;
 
 pub use belief::{Belief, semidefinite_cholesky};
 pub use bicycle::{Bicycle, BicycleState, Integrator, initial_slip, wrap_angle};

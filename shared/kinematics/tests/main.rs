@@ -1,4 +1,5 @@
 //! Motion models: golden vectors and properties.
 
+mod elementary;
 mod golden;
 mod properties;

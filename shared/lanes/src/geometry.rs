@@ -1,6 +1,6 @@
 //! The middle of a lanelet, between its bounds.
 
-use elementary::hypot;
+use kinematics::hypot;
 
 use crate::lane::{POINTS_MAX, SPACING_M};
 use crate::osm::Line;

@@ -17,6 +17,7 @@ mod context;
 mod decoder;
 mod embedding;
 mod encoding;
+mod halves;
 mod linear;
 mod motion;
 mod precision;

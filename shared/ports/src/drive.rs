@@ -1,7 +1,7 @@
 //! Runs a step as a process of a run.
 
+use crate::shedding::Shedder;
 use run::{Declaration, Run};
-use shedding::Shedder;
 use wire::{Header, Rejected, Topic, flags};
 
 use crate::missing::Missing;

@@ -64,6 +64,7 @@ mod program;
 mod publisher;
 mod raw;
 mod relay;
+pub mod shedding;
 mod space;
 mod stage;
 mod standby;
@@ -74,6 +75,7 @@ mod topics;
 mod transport;
 mod wait;
 
+pub use crate::shedding::Allowance;
 pub use added_relay::AddedRelay;
 pub use added_subscriber::{AddedFrame, AddedSubscriber, Beside};
 pub use clock::monotonic_ns;
@@ -96,7 +98,6 @@ pub use program::{
 pub use publisher::{Loan, Publisher};
 pub use raw::RawSubscriber;
 pub use relay::{RawFrame, Relay};
-pub use shedding::Allowance;
 pub use space::{
     Leftover, LivingRun, Space, SpaceError, leftovers, living_runs, remove_half_made_connections,
     shared_memory_free,

@@ -13,8 +13,6 @@ use tracing_subscriber::fmt::format::Writer;
 use tracing_subscriber::fmt::{FmtContext, FormatEvent, FormatFields, MakeWriter};
 use tracing_subscriber::registry::LookupSpan;
 
-use crate::Color;
-
 /// The environment variable that holds a [`LogFormat`], for programs that get no `--log`.
 pub const LOG_VARIABLE: &str = "STGDAT_LOG";
 
@@ -65,12 +63,11 @@ impl FromStr for LogFormat {
 }
 
 /// Starts the log of a stage's process on standard error, with time and level in each line. Without
-/// `RUST_LOG`, it has warnings and errors.
-pub fn begin_logging(format: LogFormat, color: Color) {
+/// `RUST_LOG`, it has warnings and errors. The launcher adds the colours.
+pub fn begin_logging(format: LogFormat) {
     let builder = tracing_subscriber::fmt()
         .with_env_filter(filter("warn"))
         .with_writer(std::io::stderr)
-        .with_ansi(color.is_on(&std::io::stderr()))
         // A closed pipe would make a second message about it panic.
         .log_internal_errors(false);
     // Starting fails if a test or an embedding program has already installed a log, which is then used.
@@ -91,11 +88,8 @@ pub fn begin_command_logging(
         Ok(directive) => filter(default).add_directive(directive),
         Err(_) => filter(default),
     };
-    let builder = tracing_subscriber::fmt()
-        .with_env_filter(filter)
-        .with_writer(writer)
-        .with_ansi(false)
-        .log_internal_errors(false);
+    let builder =
+        tracing_subscriber::fmt().with_env_filter(filter).with_writer(writer).log_internal_errors(false);
     // As above.
     let _ = match format {
         LogFormat::Text => builder.event_format(Message).try_init(),
@@ -159,7 +153,7 @@ mod tests {
     fn a_command_prints_messages_with_their_level_or_the_launcher() {
         let kept = Kept::default();
         let writer = kept.clone();
-        let builder = tracing_subscriber::fmt().with_ansi(false).event_format(Message);
+        let builder = tracing_subscriber::fmt().event_format(Message);
         let subscriber = builder.with_writer(move || writer.clone()).finish();
         tracing::subscriber::with_default(subscriber, || {
             tracing::info!("lanes 3");

@@ -5,7 +5,7 @@ use std::process::ExitCode;
 use run::{Exit, Run};
 use rustix::process::{Pid, Signal, getppid, set_parent_process_death_signal};
 
-use crate::{Color, LogFormat, StageError, begin_logging};
+use crate::{LogFormat, StageError, begin_logging};
 
 /// The environment variable that names the run's record, for stages that get no `--run`.
 pub const RUN_VARIABLE: &str = "STGDAT_RUN";
@@ -24,7 +24,7 @@ pub fn incarnation() -> u32 {
 
 /// The main function of a stage's own program: `program [--run FILE]`.
 pub fn stage_main(stage: fn(&Run) -> Result<(), StageError>) -> ExitCode {
-    begin_logging(LogFormat::of_environment(), Color::of_environment());
+    begin_logging(LogFormat::of_environment());
     let mut arguments = std::env::args_os().skip(1);
     let path = match (arguments.next(), arguments.next(), arguments.next()) {
         (None, ..) => std::env::var_os(RUN_VARIABLE).map(PathBuf::from),

@@ -1,7 +1,7 @@
 //! A stage's computation, apart from the way in which its frames arrive and leave.
 
+use crate::shedding::Allowance;
 use run::Run;
-use shedding::Allowance;
 use wire::{Header, Rejected, Topic};
 
 use crate::StageError;

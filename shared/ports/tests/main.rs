@@ -3,3 +3,4 @@
 mod integrity;
 mod relay;
 mod round_trip;
+mod turns;

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-use config::{Mistake, Pipeline, SourceError};
+use crate::config::{Mistake, Pipeline, SourceError};
 use ports::Point;
 use run::TopicRun;
 use toml::Spanned;

@@ -239,7 +239,8 @@ mod tests {
     fn the_pipeline_of_a_project_starts_its_program() {
         for of in Template::value_variants() {
             let Some(text) = pipeline(*of, "mine") else { continue };
-            let pipeline = config::Pipeline::parse("a.toml", &text, &crate::stages::declared()).unwrap();
+            let pipeline =
+                crate::config::Pipeline::parse("a.toml", &text, &crate::stages::declared()).unwrap();
             let own: Vec<_> = pipeline.stages.iter().filter_map(|stage| stage.command.clone()).collect();
             assert_eq!(own, [["target/release/mine"]]);
             let added = pipeline.stages.iter().find(|stage| stage.id.is_added());

@@ -29,8 +29,8 @@ struct Cli {
 }
 
 fn main() -> ExitCode {
-    let command = Cli::command().color(program::begin());
-    let parsed = command.try_get_matches().and_then(|matches| Cli::from_arg_matches(&matches));
-    let cli = parsed.unwrap_or_else(|error| error.exit());
+    program::begin();
+    let parsed = Cli::command().try_get_matches().and_then(|matches| Cli::from_arg_matches(&matches));
+    let cli = parsed.unwrap_or_else(|error| program::exit(&error));
     program::end(cli.global.apply().and_then(|()| cli.verb.execute()))
 }

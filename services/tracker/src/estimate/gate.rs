@@ -5,8 +5,8 @@
 //! like the track show that the localisation jumped. Three misfits that move like an agent of their type show
 //! that an identity was handed on.
 
-use elementary::hypot;
 use filters::Observation;
+use kinematics::hypot;
 use wire::{AgentType, Detection};
 
 use crate::estimate::reports::Reported;

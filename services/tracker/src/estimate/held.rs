@@ -1,7 +1,7 @@
 //! The course between two measurements of a detector that is slower than the frames.
 
-use elementary::hypot;
 use filters::{Motion, wrapped};
+use kinematics::hypot;
 
 use crate::estimate::Estimate;
 

@@ -1,0 +1,154 @@
+//! The graph of stages in pipeline.toml.
+
+mod added;
+mod check;
+mod file;
+mod options;
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+pub use check::BUDGET_MAX_MS;
+use run::{Declared, TopicRun};
+use wire::{StageId, WorldOrigin};
+
+use crate::config::mistake::line_of;
+use crate::config::{Mistake, RestartPolicy, Scheduling, SourceError};
+
+/// A process of the pipeline.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Stage {
+    /// Id of the stage.
+    pub id: StageId,
+    /// Name of the stage.
+    pub name: String,
+    /// The program that runs as this stage, with its arguments; `None` for this project's own program.
+    pub command: Option<Vec<String>>,
+    /// Names of the topics that the stage reads.
+    pub reads: Vec<String>,
+    /// Names of the topics that the stage writes.
+    pub writes: Vec<String>,
+    /// Share of the 80 ms of a tick; `None` for a stage outside the tick's path.
+    pub budget_ms: Option<f64>,
+    /// Options of the stage. Its declaration checks them; they are unchecked if the stage has a `command`.
+    pub options: toml::Table,
+    /// File and line of each option, as `pipeline.toml:12`.
+    pub places: BTreeMap<String, String>,
+    /// Topics that the stage opens under another name, with this name.
+    pub topics: BTreeMap<String, String>,
+    /// The action when the stage ends.
+    pub restart: RestartPolicy,
+    /// Processors and priority.
+    pub scheduling: Scheduling,
+    /// Whether a second process waits to replace the stage.
+    pub spare: bool,
+}
+
+/// A checked graph of stages, in the order of the file.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Pipeline {
+    /// The file of the weights; `None` for the embedded weights.
+    pub weights: Option<PathBuf>,
+    /// The world frame's origin in the frame of detections and map.
+    pub origin: Option<WorldOrigin>,
+    /// Topics whose frames carry a check value.
+    pub protected: Vec<String>,
+    /// Whether a tick that is short of time leaves out some agents to serve the others.
+    pub shed: bool,
+    /// Whether processors are kept from sleeping between ticks.
+    pub awake: bool,
+    /// Number of additional reader places of topics, by topic.
+    pub readers: BTreeMap<String, u32>,
+    /// The stages.
+    pub stages: Vec<Stage>,
+    /// The topics that the file declares.
+    pub topics: Vec<TopicRun>,
+    /// Sum of the budgets on a tick's way.
+    pub budget_ms: f64,
+    /// Warnings for the file's author, such as about keys with a new name.
+    pub warnings: Vec<String>,
+}
+
+impl Pipeline {
+    /// Reads and checks the text of a pipeline.toml. `name` is the file's name in errors. `declared` contains
+    /// the stages for which this project has programs.
+    ///
+    /// # Errors
+    /// [`SourceError`] points to the first fault in the text.
+    pub fn parse(name: &str, text: &str, declared: &[&dyn Declared]) -> Result<Self, SourceError> {
+        let file: file::File = toml::from_str(text).map_err(|e| Mistake::syntax(text, &e).at(name, text))?;
+        let mut pipeline = check::check(&file, declared).map_err(|mistake| mistake.at(name, text))?;
+        for (stage, table) in pipeline.stages.iter_mut().zip(&file.stages) {
+            let place = |at: usize| format!("{name}:{}", line_of(text, at));
+            let options = table.get_ref().options.iter();
+            stage.places =
+                options.map(|(key, value)| (key.get_ref().clone(), place(value.span().start))).collect();
+        }
+        Ok(pipeline)
+    }
+
+    /// Refuses a file that this machine cannot run: `find` does not find a `command`, or `has_cpu` does not
+    /// know a processor.
+    ///
+    /// # Errors
+    /// [`SourceError`] points to the first fault in the text. [`Pipeline::parse`] must accept the text.
+    pub fn check_here(
+        name: &str,
+        text: &str,
+        find: &dyn Fn(&str) -> Result<(), String>,
+        has_cpu: &dyn Fn(u32) -> bool,
+    ) -> Result<(), SourceError> {
+        let file: file::File = toml::from_str(text).map_err(|e| Mistake::syntax(text, &e).at(name, text))?;
+        check::check_here(&file, find, has_cpu).map_err(|mistake| mistake.at(name, text))
+    }
+
+    /// The topics that a stage reads, by their names in shared memory.
+    pub fn read_by<'a>(&'a self, stage: &'a Stage) -> impl Iterator<Item = &'a str> {
+        stage.reads.iter().map(|topic| self.name_of(stage, topic))
+    }
+
+    /// The topics that a stage writes, by their names in shared memory.
+    pub fn written_by<'a>(&'a self, stage: &'a Stage) -> impl Iterator<Item = &'a str> {
+        stage.writes.iter().map(|topic| self.name_of(stage, topic))
+    }
+
+    /// The name in shared memory of a stage's topic, without an injector.
+    fn name_of<'a>(&'a self, stage: &'a Stage, topic: &'a str) -> &'a str {
+        let renamed = stage.topics.get(topic);
+        renamed.and_then(|name| added::declared_name(name, &self.topics)).unwrap_or(topic)
+    }
+
+    /// The stage that writes a topic, by the topic's name in shared memory, and the name under which its
+    /// program knows the topic.
+    #[must_use]
+    pub fn writer<'a>(&'a self, topic: &str) -> Option<(&'a Stage, &'a str)> {
+        let mut writes =
+            self.stages.iter().flat_map(|stage| stage.writes.iter().map(move |own| (stage, own.as_str())));
+        writes.find(|(stage, own)| self.name_of(stage, own) == topic)
+    }
+
+    /// Registers the names of the added stages in this process.
+    pub fn name_stages(&self) {
+        for stage in self.stages.iter().filter(|stage| stage.id.is_added()) {
+            StageId::name_added((stage.id.number() - StageId::ADDED_FIRST) as usize, &stage.name);
+        }
+    }
+
+    /// The edges of the graph as (producer, topic, consumer), in the order of the file.
+    #[must_use]
+    pub fn edges(&self) -> Vec<(StageId, &str, StageId)> {
+        let mut edges = Vec::new();
+        for producer in &self.stages {
+            for topic in self.written_by(producer) {
+                let reads = |stage: &&Stage| self.read_by(stage).any(|read| read == topic);
+                edges.extend(
+                    self.stages.iter().filter(reads).map(|consumer| (producer.id, topic, consumer.id)),
+                );
+            }
+        }
+        edges
+    }
+}
+
+#[cfg(test)]
+mod tests;

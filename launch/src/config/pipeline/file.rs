@@ -1,0 +1,61 @@
+//! pipeline.toml as written. Every value has its span in the text.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+use serde::Deserialize;
+use toml::Spanned;
+
+use crate::config::Restart;
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct File {
+    pub weights: Option<PathBuf>,
+    pub origin: Option<Spanned<String>>,
+    pub protect: Option<Vec<Spanned<String>>>,
+    pub shed: Option<bool>,
+    pub awake: Option<bool>,
+    #[serde(default)]
+    pub readers: BTreeMap<Spanned<String>, Spanned<u64>>,
+    #[serde(rename = "stage", default)]
+    pub stages: Vec<Spanned<StageTable>>,
+    #[serde(rename = "topic", default)]
+    pub topics: Vec<Spanned<TopicTable>>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct TopicTable {
+    pub name: Spanned<String>,
+    pub type_name: Spanned<String>,
+    pub element_bytes: Spanned<u64>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct StageTable {
+    pub name: Spanned<String>,
+    pub command: Option<Spanned<Vec<String>>>,
+    #[serde(default)]
+    pub reads: Vec<Spanned<String>>,
+    #[serde(default)]
+    pub writes: Vec<Spanned<String>>,
+    pub budget_ms: Option<Spanned<f64>>,
+    #[serde(default)]
+    pub options: OptionsTable,
+    #[serde(default)]
+    pub topics: BTreeMap<Spanned<String>, Spanned<String>>,
+    pub restart: Option<Restart>,
+    pub backoff_ms: Option<Spanned<u64>>,
+    pub restarts_max: Option<Spanned<u64>>,
+    pub window_s: Option<Spanned<u64>>,
+    pub start_limit_s: Option<Spanned<u64>>,
+    pub hang_after_ms: Option<Spanned<u64>>,
+    pub cpu: Option<Spanned<Vec<Spanned<u64>>>>,
+    pub priority: Option<Spanned<u64>>,
+    pub spare: Option<Spanned<bool>>,
+}
+
+/// A stage's options. The stage's declaration checks them.
+pub(super) type OptionsTable = BTreeMap<Spanned<String>, Spanned<toml::Value>>;
