@@ -8,7 +8,9 @@
 pub mod effect;
 pub mod follow;
 pub mod inject;
+mod observation;
 pub mod output;
+mod plan;
 pub mod processes;
 pub mod runner;
 pub mod scenarios;

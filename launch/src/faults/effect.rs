@@ -7,49 +7,55 @@ use crate::faults::spec::TopicFault;
 
 /// The effect on a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum Effect {
     /// The frame is forwarded later; later frames may overtake it.
     Delay {
         /// The minimum delay in milliseconds.
+        #[serde(rename = "delay_ms")]
         ms: u64,
         /// The maximum additional delay in milliseconds.
+        #[serde(default)]
         jitter_ms: u64,
     },
     /// The frame is dropped.
-    Drop,
+    Drop {},
     /// The frame is forwarded twice.
-    Duplicate,
+    Duplicate {},
     /// The frame is forwarded after the next frame.
-    Reorder,
+    Reorder {},
     /// Some bits of the frame are flipped.
     BitFlip {
         /// Number of flipped bits.
+        #[serde(default = "one")]
         bits: u32,
-        /// The part in which bits are flipped.
+        /// The part in which bits are flipped: header or payload.
+        #[serde(rename = "in", default = "payload")]
         part: Part,
     },
     /// One number of the frame is replaced by a non-finite one.
-    NotFinite,
+    NotFinite {},
     /// One number of the frame is replaced by 1e30.
-    Huge,
+    Huge {},
     /// The frame loses one element, or gains one if it is empty.
-    WrongLength,
+    WrongLength {},
     /// The schema version is increased by one.
-    WrongSchema,
+    WrongSchema {},
     /// The frame carries another run's id.
-    ForeignRun,
+    ForeignRun {},
     /// From the first tick on, the sender is in its next incarnation. The affected frames carry the previous
     /// one.
-    OldIncarnation,
+    OldIncarnation {},
     /// The frame repeats the stamp or the payload of the first frame.
     Frozen {
-        /// The part that is repeated.
+        /// The part that is repeated: stamp or payload.
+        #[serde(rename = "in")]
         part: Part,
     },
     /// The stamp is shifted.
     ClockJump {
         /// The shift in milliseconds; negative means earlier.
+        #[serde(rename = "jump_ms")]
         ms: i64,
     },
 }
@@ -66,17 +72,42 @@ pub enum Part {
     Stamp,
 }
 
+const fn one() -> u32 {
+    1
+}
+
+const fn payload() -> Part {
+    Part::Payload
+}
+
 impl Effect {
+    /// The names of all effects.
+    pub const NAMES: [&'static str; 13] = [
+        "delay",
+        "drop",
+        "duplicate",
+        "reorder",
+        "bit-flip",
+        "not-finite",
+        "huge",
+        "wrong-length",
+        "wrong-schema",
+        "foreign-run",
+        "old-incarnation",
+        "frozen",
+        "clock-jump",
+    ];
+
     /// Whether the effect imitates a sender with wrong content, not damage in transport.
     const fn is_lie(self) -> bool {
         matches!(
             self,
-            Self::NotFinite
-                | Self::Huge
-                | Self::WrongLength
-                | Self::WrongSchema
-                | Self::ForeignRun
-                | Self::OldIncarnation
+            Self::NotFinite {}
+                | Self::Huge {}
+                | Self::WrongLength {}
+                | Self::WrongSchema {}
+                | Self::ForeignRun {}
+                | Self::OldIncarnation {}
                 | Self::Frozen { .. }
                 | Self::ClockJump { .. }
         )
@@ -84,21 +115,21 @@ impl Effect {
 
     /// Returns the kind of fault as a specification writes it.
     pub const fn name(self) -> &'static str {
-        match self {
-            Self::Delay { .. } => "delay",
-            Self::Drop => "drop",
-            Self::Duplicate => "duplicate",
-            Self::Reorder => "reorder",
-            Self::BitFlip { .. } => "bit-flip",
-            Self::NotFinite => "not-finite",
-            Self::Huge => "huge",
-            Self::WrongLength => "wrong-length",
-            Self::WrongSchema => "wrong-schema",
-            Self::ForeignRun => "foreign-run",
-            Self::OldIncarnation => "old-incarnation",
-            Self::Frozen { .. } => "frozen",
-            Self::ClockJump { .. } => "clock-jump",
-        }
+        Self::NAMES[match self {
+            Self::Delay { .. } => 0,
+            Self::Drop {} => 1,
+            Self::Duplicate {} => 2,
+            Self::Reorder {} => 3,
+            Self::BitFlip { .. } => 4,
+            Self::NotFinite {} => 5,
+            Self::Huge {} => 6,
+            Self::WrongLength {} => 7,
+            Self::WrongSchema {} => 8,
+            Self::ForeignRun {} => 9,
+            Self::OldIncarnation {} => 10,
+            Self::Frozen { .. } => 11,
+            Self::ClockJump { .. } => 12,
+        }]
     }
 }
 
@@ -157,13 +188,13 @@ impl Injector {
             let Some(tick) = tick else { continue };
             let mut random = Random::new(seed ^ (i as u64) << 32, tick);
             let acts = (first..=last).contains(&tick) && random.share() < probability;
-            if effect == Effect::OldIncarnation && tick >= first && (!acts || tick == first) {
+            if matches!(effect, Effect::OldIncarnation {}) && tick >= first && (!acts || tick == first) {
                 frame.header.incarnation += 1;
                 frame.is_lie = true;
                 continue;
             }
             // Only one frame at a time is held back.
-            if !acts || (effect == Effect::Reorder && self.held.is_some()) {
+            if !acts || (matches!(effect, Effect::Reorder {}) && self.held.is_some()) {
                 continue;
             }
             acted.push(effect.name());
@@ -171,9 +202,9 @@ impl Injector {
                 Effect::Delay { ms, jitter_ms } => {
                     delay_ns += 1_000_000 * (ms + random.below(jitter_ms + 1));
                 }
-                Effect::Drop => copies = 0,
-                Effect::Duplicate => copies *= 2,
-                Effect::Reorder => holds = true,
+                Effect::Drop {} => copies = 0,
+                Effect::Duplicate {} => copies *= 2,
+                Effect::Reorder {} => holds = true,
                 _ => self.change(i, effect, &mut frame, &mut random),
             }
         }
@@ -196,12 +227,12 @@ impl Injector {
             Effect::BitFlip { bits, .. } => {
                 flip(bytemuck::bytes_of_mut(header), bits, random);
             }
-            Effect::NotFinite => self.set_real(payload, f32::NAN, random),
-            Effect::Huge => self.set_real(payload, 1e30, random),
-            Effect::WrongLength if payload.is_empty() => payload.resize(self.size, 0),
-            Effect::WrongLength => payload.truncate(payload.len() - self.size),
-            Effect::WrongSchema => header.schema += 1,
-            Effect::ForeignRun => header.run_id ^= 1,
+            Effect::NotFinite {} => self.set_real(payload, f32::NAN, random),
+            Effect::Huge {} => self.set_real(payload, 1e30, random),
+            Effect::WrongLength {} if payload.is_empty() => payload.resize(self.size, 0),
+            Effect::WrongLength {} => payload.truncate(payload.len() - self.size),
+            Effect::WrongSchema {} => header.schema += 1,
+            Effect::ForeignRun {} => header.run_id ^= 1,
             Effect::Frozen { part: Part::Payload } => {
                 payload.clone_from(&first.payload);
                 header.counts = first.header.counts;
@@ -209,10 +240,10 @@ impl Injector {
             Effect::Frozen { .. } => header.stamp_ns = first.header.stamp_ns,
             Effect::ClockJump { ms } => header.stamp_ns += ms * 1_000_000,
             Effect::Delay { .. }
-            | Effect::Drop
-            | Effect::Duplicate
-            | Effect::Reorder
-            | Effect::OldIncarnation => {}
+            | Effect::Drop {}
+            | Effect::Duplicate {}
+            | Effect::Reorder {}
+            | Effect::OldIncarnation {} => {}
         }
     }
 
@@ -300,14 +331,14 @@ mod tests {
 
     #[test]
     fn frames_are_dropped_duplicated_and_reordered_in_the_range_alone() {
-        assert_eq!(order(&mut injector(Effect::Drop, [1, 2], 1.0), 5), (vec![0, 3, 4], 2));
-        assert_eq!(order(&mut injector(Effect::Duplicate, [1, 1], 1.0), 3), (vec![0, 1, 1, 2], 1));
-        assert_eq!(order(&mut injector(Effect::Reorder, [1, 1], 1.0), 4), (vec![0, 2, 1, 3], 1));
+        assert_eq!(order(&mut injector(Effect::Drop {}, [1, 2], 1.0), 5), (vec![0, 3, 4], 2));
+        assert_eq!(order(&mut injector(Effect::Duplicate {}, [1, 1], 1.0), 3), (vec![0, 1, 1, 2], 1));
+        assert_eq!(order(&mut injector(Effect::Reorder {}, [1, 1], 1.0), 4), (vec![0, 2, 1, 3], 1));
     }
 
     #[test]
     fn a_probability_repeats_with_its_seed_and_is_met() {
-        let drop = || injector(Effect::Drop, [0, 9_999], 0.25);
+        let drop = || injector(Effect::Drop {}, [0, 9_999], 0.25);
         let (kept, dropped) = order(&mut drop(), 10_000);
         assert_eq!(order(&mut drop(), 10_000), (kept, dropped));
         assert!((2_300..2_700).contains(&dropped), "{dropped}");
@@ -324,16 +355,18 @@ mod tests {
         let same = frame(2);
         let flipped = changed(Effect::BitFlip { bits: 1, part: Part::Payload });
         assert_eq!((count_bits(&flipped.payload, &same.payload), flipped.header), (1, same.header));
-        assert!(!flipped.is_lie && changed(Effect::NotFinite).is_lie && changed(Effect::ForeignRun).is_lie);
+        assert!(
+            !flipped.is_lie && changed(Effect::NotFinite {}).is_lie && changed(Effect::ForeignRun {}).is_lie
+        );
         let flipped = changed(Effect::BitFlip { bits: 1, part: Part::Header });
         let bits = count_bits(bytemuck::bytes_of(&flipped.header), bytemuck::bytes_of(&same.header));
         assert_eq!((bits, flipped.payload == same.payload), (1, true));
-        let not_finite = changed(Effect::NotFinite).payload;
+        let not_finite = changed(Effect::NotFinite {}).payload;
         assert_eq!(not_finite.chunks(4).filter(|bytes| *bytes == f32::NAN.to_le_bytes()).count(), 1);
         assert_eq!(not_finite.len(), 2 * size_of::<Track>());
-        assert_eq!(changed(Effect::WrongLength).payload.len(), size_of::<Track>());
-        assert_eq!(changed(Effect::ForeignRun).header.run_id, 6);
-        assert_eq!(changed(Effect::WrongSchema).header.schema, wire::SCHEMA + 1);
+        assert_eq!(changed(Effect::WrongLength {}).payload.len(), size_of::<Track>());
+        assert_eq!(changed(Effect::ForeignRun {}).header.run_id, 6);
+        assert_eq!(changed(Effect::WrongSchema {}).header.schema, wire::SCHEMA + 1);
         assert_eq!(changed(Effect::Frozen { part: Part::Stamp }).header.stamp_ns, 80_000_000);
         assert_eq!(changed(Effect::ClockJump { ms: -80 }).header.stamp_ns, 80_000_000);
         assert_eq!(
@@ -344,7 +377,7 @@ mod tests {
 
     #[test]
     fn an_old_incarnation_comes_after_the_new_one() {
-        let mut injector = injector(Effect::OldIncarnation, [1, 3], 1.0);
+        let mut injector = injector(Effect::OldIncarnation {}, [1, 3], 1.0);
         let incarnations: Vec<u32> =
             (0..6).map(|seq| injector.pass(frame(seq)).0[0].frame.header.incarnation).collect();
         assert_eq!(incarnations, [0, 1, 0, 0, 1, 1]);
@@ -352,7 +385,7 @@ mod tests {
 
     #[test]
     fn frames_that_link_the_pipeline_pass_untouched() {
-        let mut injector = injector(Effect::Drop, [0, 99], 1.0);
+        let mut injector = injector(Effect::Drop {}, [0, 99], 1.0);
         let mut warm_up = frame(0);
         warm_up.header.flags = flags::WARM_UP;
         let (due, acted) = injector.pass(warm_up.clone());

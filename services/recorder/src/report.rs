@@ -6,6 +6,10 @@
 //! cv_ade_m, cv_fde_m, draws}`. Names end in their units. Shares are 0 to 1. An unknown value is `null`,
 //! never NaN.
 
+mod accuracy;
+mod supervision;
+mod verdict;
+
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
@@ -13,6 +17,11 @@ use serde::{Deserialize, Serialize};
 use crate::input::{DOUBT, InputReport};
 use crate::lanes::LaneCounts;
 use crate::text::percent;
+pub use accuracy::{Accuracy, AgentErrors, Errors, WorstForecast};
+pub use supervision::{
+    Outage, Replacement, ReplacementOutcome, SpareReport, StageMemory, Supervision, program_name,
+};
+pub use verdict::{Status, Verdict};
 
 /// Version of the report's fields.
 pub const REPORT_VERSION: u32 = 1;
@@ -111,207 +120,6 @@ pub struct RefusedFrames {
     pub cause: String,
     /// Number of frames.
     pub frames: u64,
-}
-
-/// The launcher's observations of the stages.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(default)]
-pub struct Supervision {
-    /// The reason why the run ended early; `None` if the recording ended or a signal asked for the end.
-    pub ended_by: Option<String>,
-    /// Stages that the launcher has given up on, with the reason.
-    pub given_up: BTreeMap<String, String>,
-    /// Each death of a stage that was followed by a restart.
-    pub outages: Vec<Outage>,
-    /// Number of outages that are not listed.
-    pub outages_unlisted: u64,
-    /// Number of times that a stage got no CPU for longer than its `hang_after`, by stage.
-    pub starved: BTreeMap<String, u64>,
-    /// Settings of pipeline.toml that the system did not allow.
-    pub notes: Vec<String>,
-    /// Page faults and memory of each stage.
-    pub memory: BTreeMap<String, StageMemory>,
-    /// Stages that were replaced during the run, or should have been.
-    pub replacements: Vec<Replacement>,
-    /// Number of replacements that are not listed.
-    pub replacements_unlisted: u64,
-    /// The spares, by stage.
-    pub spares: BTreeMap<String, SpareReport>,
-    /// Number of processes other than stages that read topics and have died. Their places on the topics were
-    /// released.
-    pub dead_readers: u64,
-}
-
-/// The spare of a stage: a process that waits to take the stage's place.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(default)]
-pub struct SpareReport {
-    /// Final state: `ready`, `starting`, `waiting` or `given up`.
-    pub state: String,
-    /// Number of times that it took the stage's place after a death.
-    pub promotions: u32,
-    /// Number of times that it died while it waited.
-    pub deaths: u32,
-    /// Why the launcher gave up on it, if it did.
-    pub given_up: Option<String>,
-    /// Time from its start until it was ready.
-    pub warm_up_ms: Option<f64>,
-    /// Private resident memory at the last check.
-    pub memory_kib: u64,
-    /// Memory that is shared with other processes.
-    pub shared_kib: u64,
-}
-
-/// Memory of a stage's newest process, after its first ticks.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct StageMemory {
-    /// Number of ticks in which its faults were counted.
-    pub ticks: u64,
-    /// Number of page faults that needed no file or swap.
-    pub minor_faults: u64,
-    /// Number of page faults that had to read.
-    pub major_faults: u64,
-    /// Resident memory.
-    pub resident_kib: u64,
-    /// Locked part of the resident memory.
-    pub locked_kib: u64,
-}
-
-/// A stage that was replaced during the run, or should have been.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Replacement {
-    /// The new program with its arguments; empty for the built-in one.
-    pub command: Vec<String>,
-    /// The outcome.
-    pub outcome: ReplacementOutcome,
-    /// Time from the start of the new process until it was ready.
-    pub warm_up_ms: Option<f64>,
-    /// Time from the request that the old process end until the new one was told to begin.
-    pub hand_over_ms: Option<f64>,
-    /// The ticks from the hand-over until the incarnation that stays makes learned forecasts again. `cause`
-    /// states why the new one is not used.
-    #[serde(flatten)]
-    pub outage: Outage,
-}
-
-/// The outcome of a replacement.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum ReplacementOutcome {
-    /// The new process is linked and stays.
-    Replaced,
-    /// The new process failed before its turn. The old process continued unchanged.
-    #[default]
-    NotUsed,
-    /// The new process failed after its turn. The old program was started again.
-    RolledBack,
-}
-
-impl ReplacementOutcome {
-    /// The outcome in words.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Replaced => "replaced",
-            Self::NotUsed => "not used",
-            Self::RolledBack => "rolled back",
-        }
-    }
-
-    /// Number of the stage's incarnations that were not restarts: the new process, and the old program after
-    /// it.
-    #[must_use]
-    pub const fn incarnations(self) -> u32 {
-        match self {
-            Self::Replaced => 1,
-            Self::NotUsed => 0,
-            Self::RolledBack => 2,
-        }
-    }
-}
-
-impl Replacement {
-    /// The program as text for people.
-    #[must_use]
-    pub fn program(&self) -> String {
-        program_name(&self.command)
-    }
-}
-
-/// A command as text for people: "the built-in one" if it is empty.
-#[must_use]
-pub fn program_name(command: &[String]) -> String {
-    if command.is_empty() { "the built-in one".to_owned() } else { command.join(" ") }
-}
-
-/// The time from a death of a stage until the forecasts are learned again.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Outage {
-    /// The stage.
-    pub stage: String,
-    /// The incarnation that takes over.
-    pub incarnation: u32,
-    /// How the previous incarnation ended.
-    pub cause: String,
-    /// Number of the newest tick with forecasts when the death was noticed.
-    pub tick: u64,
-    /// Number of ticks without forecasts.
-    pub ticks_lost: u64,
-    /// Number of ticks with forecasts that are not learned because of a fault.
-    pub ticks_not_learned: u64,
-    /// Number of ticks with predicted tracks. Their detections are missing.
-    pub ticks_predicted: u64,
-    /// Number of ticks from its end until forecasts are learned again; `None` if the run ended before.
-    pub ticks_to_learned: Option<u64>,
-    /// Whether a spare took its place.
-    #[serde(default)]
-    pub by_spare: bool,
-}
-
-/// Status of a run.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Status {
-    /// Every tick was in time, nothing was lost, and every forecast was learned once its agent was old
-    /// enough.
-    Ok,
-    /// Like `ok`, but the input is doubtful: a finding of the audit concerns more than [`audit::DOUBT_SHARE`]
-    /// of its rows.
-    Doubtful,
-    /// Forecasts were received, but some were late, lost or not learned.
-    Degraded,
-    /// No agent was forecast in any tick.
-    #[default]
-    Empty,
-}
-
-/// The status of a run, and why it is not `ok`.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Verdict {
-    /// The status.
-    pub status: Status,
-    /// The faults, worst first.
-    pub reasons: Vec<String>,
-}
-
-impl Verdict {
-    /// The verdict for these reasons. A fault of the run takes precedence over a doubt about its input.
-    #[must_use]
-    pub fn new(is_empty: bool, reasons: Vec<String>) -> Self {
-        let mut verdict = Self { status: if is_empty { Status::Empty } else { Status::Ok }, reasons };
-        verdict.settle();
-        verdict
-    }
-
-    /// Determines the status again after the reasons have changed.
-    fn settle(&mut self) {
-        self.status = match self.status {
-            Status::Empty => Status::Empty,
-            _ if self.reasons.is_empty() => Status::Ok,
-            _ if self.reasons.iter().all(|reason| reason.starts_with(DOUBT)) => Status::Doubtful,
-            _ => Status::Degraded,
-        };
-    }
 }
 
 /// The data of the run. A value is `None` if the caller does not know it.
@@ -527,99 +335,6 @@ impl StageDrops {
     pub const fn total(&self) -> u64 {
         self.gap + self.refused + self.restart
     }
-}
-
-/// Accuracy of the forecasts as published, against the recording's later truth.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Accuracy {
-    /// Errors of all forecasts.
-    #[serde(flatten)]
-    pub errors: Errors,
-    /// Largest number of modes of a forecast, K.
-    pub draws: Option<u32>,
-    /// Time from the stamp to the last step.
-    pub horizon_s: Option<f64>,
-    /// Distance between the last position of a forecast and the truth above which the forecast is a miss.
-    pub miss_radius_m: f64,
-    /// Errors of the learned forecasts alone.
-    pub learned: Errors,
-    /// Errors by agent type.
-    pub by_type: BTreeMap<String, Errors>,
-    /// Errors of each agent, by its identity in the truth.
-    #[serde(default)]
-    pub agents: Vec<AgentErrors>,
-    /// Number of agents that are not listed.
-    #[serde(default)]
-    pub agents_unlisted: u64,
-    /// Number of forecasts whose agent lacks truth for the whole horizon. It left the scene, or the run
-    /// ended.
-    pub uncovered: u64,
-    /// Number of forecasts that match no agent of the truth. They are false alarms, or no truth was near.
-    pub unmatched: u64,
-}
-
-/// Errors of the forecasts of one agent.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct AgentErrors {
-    /// Identity in the truth.
-    pub agent: u64,
-    /// Type in the agent's last forecast.
-    #[serde(rename = "type")]
-    pub agent_type: String,
-    /// Number of forecasts compared.
-    pub forecasts: u64,
-    /// minADE_K.
-    pub ade_m: Option<f64>,
-    /// minFDE_K.
-    pub fde_m: Option<f64>,
-    /// The forecast whose best mode ends farthest from the truth.
-    pub worst: WorstForecast,
-}
-
-/// The worst forecast of an agent.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct WorstForecast {
-    /// Tick.
-    pub tick: u64,
-    /// The tick's stamp.
-    pub stamp_ns: i64,
-    /// Position of the agent, x.
-    pub x_m: f32,
-    /// Position of the agent, y.
-    pub y_m: f32,
-    /// minFDE_K of this forecast.
-    pub fde_m: f64,
-}
-
-/// Errors of a group of forecasts, and errors of constant velocity for the same agents.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Errors {
-    /// Number of forecasts compared.
-    pub forecasts: u64,
-    /// minADE_K: mean distance over the horizon of each forecast's best mode.
-    pub ade_m: Option<f64>,
-    /// minFDE_K: distance at the end of the horizon of each forecast's best mode.
-    pub fde_m: Option<f64>,
-    /// Miss rate: share of forecasts in which no mode ends within the miss radius.
-    pub miss_rate: Option<f64>,
-    /// ADE of the single best forecast (K = 1).
-    pub single_ade_m: Option<f64>,
-    /// FDE of the single best forecast.
-    pub single_fde_m: Option<f64>,
-    /// Miss rate of the single best forecast.
-    pub single_miss_rate: Option<f64>,
-    /// ADE of constant velocity.
-    pub cv_ade_m: Option<f64>,
-    /// FDE of constant velocity.
-    pub cv_fde_m: Option<f64>,
-    /// Miss rate of constant velocity.
-    pub cv_miss_rate: Option<f64>,
-    /// Share of the 50 % regions at the end of the horizon that contained the truth.
-    #[serde(default)]
-    pub held_50: Option<f64>,
-    /// Share of the 90 % regions that contained it.
-    #[serde(default)]
-    pub held_90: Option<f64>,
 }
 
 /// Why a report file could not be written or read.

@@ -7,56 +7,41 @@ use std::path::{Path, PathBuf};
 use crate::config::{Mistake, Pipeline, SourceError};
 use ports::Point;
 use run::TopicRun;
+use serde::Deserialize;
 use toml::Spanned;
+use toml::de::{DeTable, DeValue};
 use wire::{RefusalCause, StageId, TABLE};
 
-use super::table::{At, Expect, FaultTable, File};
+use super::table::{At, Expect, FaultTable, File, Process, TopicTable};
 use super::{Fault, RunSpec, Spec, Target, TopicFault, When};
-use crate::faults::effect::{Effect, Part};
+use crate::faults::effect::Effect;
 use crate::stages::declared;
 
-/// Kinds of process faults, with their required and optional keys.
-const KINDS: [(&str, &[&str], &[&str]); 9] = [
-    ("kill", &["stage"], &["at", "after_start_ms", "within_ms", "point"]),
-    ("random", &["ticks", "count"], &["stages", "for_ms"]),
-    ("stop", &["stage", "at", "for_ms"], &[]),
-    ("limit", &["stage", "at", "resource", "value"], &[]),
-    ("crash-loop", &["stage", "at"], &["exit_code"]),
-    ("command", &["stage", "command"], &[]),
-    ("replace", &["stage", "at"], &["command", "point"]),
-    ("cpu", &["at", "for_ms"], &["threads"]),
-    ("consumer", &["topic"], &["hold_ms", "within_ms"]),
-];
-/// Kinds of topic faults, with their required and optional keys in addition to the common ones.
-const EFFECTS: [(&str, &[&str], &[&str]); 13] = [
-    ("delay", &["delay_ms"], &["jitter_ms"]),
-    ("drop", &[], &[]),
-    ("duplicate", &[], &[]),
-    ("reorder", &[], &[]),
-    ("bit-flip", &[], &["bits", "in"]),
-    ("not-finite", &[], &[]),
-    ("huge", &[], &[]),
-    ("wrong-length", &[], &[]),
-    ("wrong-schema", &[], &[]),
-    ("foreign-run", &[], &[]),
-    ("old-incarnation", &[], &[]),
-    ("frozen", &["in"], &[]),
-    ("clock-jump", &["jump_ms"], &[]),
-];
-/// Required and optional keys of every topic fault.
-const OF_TOPIC: (&[&str], &[&str]) = (&["topic", "ticks"], &["probability", "seed"]);
 /// Causes for which a stage counts lost frames.
 const COUNTERS: [&str; 3] = ["gap", "refused", "restart"];
 /// Threads per core of a CPU fault, enough to leave a stage only a small share.
 const HOGS_PER_CORE: usize = 8;
 
 pub(super) fn parse(path: &Path, text: &str) -> Result<Spec, SourceError> {
-    let name = path.display().to_string();
-    let file: File = toml::from_str(text).map_err(|error| Mistake::syntax(text, &error).at(&name, text))?;
-    check(path, file).map_err(|mistake| mistake.at(&name, text))
+    read(path, text).map_err(|mistake| mistake.at(&path.display().to_string(), text))
 }
 
-fn check(path: &Path, file: File) -> Result<Spec, Mistake> {
+fn read(path: &Path, text: &str) -> Result<Spec, Mistake> {
+    let syntax = |error| Mistake::syntax(text, &error);
+    let mut table = DeTable::parse(text).map_err(syntax)?;
+    let faults = table.get_mut().remove("fault");
+    let file = File::deserialize(toml::Deserializer::from(table)).map_err(syntax)?;
+    let faults = match faults.map(|faults| (faults.span(), faults.into_inner())) {
+        None => Vec::new(),
+        Some((_, DeValue::Array(faults))) => {
+            faults.into_iter().map(FaultTable::read).collect::<Result<_, _>>()?
+        }
+        Some((span, _)) => return Err(Mistake::new(span, "`fault` is not a list", "expected [[fault]]")),
+    };
+    check(path, file, &faults)
+}
+
+fn check(path: &Path, file: File, tables: &[Spanned<FaultTable>]) -> Result<Spec, Mistake> {
     let folder = path.parent().unwrap_or(Path::new(""));
     let ticks = *file.run.ticks.get_ref();
     if ticks == 0 {
@@ -90,8 +75,8 @@ fn check(path: &Path, file: File) -> Result<Spec, Mistake> {
         known_stage(name.get_ref(), name.span(), &run)?;
         run.stages.insert(name.into_inner(), keys);
     }
-    let faults = file.faults.iter().map(|table| fault(table, &run)).collect::<Result<Vec<_>, _>>()?;
-    for (i, table) in file.faults.iter().enumerate() {
+    let faults = tables.iter().map(|table| fault(table, &run)).collect::<Result<Vec<_>, _>>()?;
+    for (i, table) in tables.iter().enumerate() {
         not_mixed(table, &faults[i], &faults[..i])?;
     }
     expectations(&file.expect, &run)?;
@@ -132,103 +117,76 @@ fn not_mixed(table: &Spanned<FaultTable>, fault: &Fault, earlier: &[Fault]) -> R
 }
 
 fn fault(table: &Spanned<FaultTable>, run: &RunSpec) -> Result<Fault, Mistake> {
-    let (span, table) = (table.span(), table.get_ref());
-    let kind = table.kind.get_ref().as_str();
-    let of_kind = |list: &[(&'static str, &'static [&'static str], &'static [&'static str])]| {
-        list.iter().find(|(name, ..)| *name == kind).map(|(_, must, may)| (*must, *may))
+    let process = match table.get_ref() {
+        FaultTable::Topic(of, effect) => return of_topic(of, *effect, run).map(Fault::Topic),
+        FaultTable::Process(process) => process,
     };
-    let (must, may) = match (of_kind(&KINDS), of_kind(&EFFECTS)) {
-        (Some((must, may)), _) => (must.to_vec(), may.to_vec()),
-        (None, Some((must, may))) => ([OF_TOPIC.0, must].concat(), [OF_TOPIC.1, may].concat()),
-        (None, None) => {
-            let known: Vec<&str> = KINDS.iter().chain(&EFFECTS).map(|(name, ..)| *name).collect();
-            let label = format!("expected one of {}", known.join(", "));
-            return Err(Mistake::new(table.kind.span(), format!("unknown kind of fault \"{kind}\""), label));
+    Ok(match process {
+        Process::Kill { stage, at, after_start_ms, within_ms, point } => {
+            let target = target(stage, run)?;
+            let when = match (within_ms, at, after_start_ms, point) {
+                (Some(ms), None, None, None) => When::Within { ms: within(ms)? },
+                (None, None, Some(ms), None) => When::AfterStart { ms: *ms },
+                (None, Some(at), None, None) => When::Ticks(ticks(at, run)?),
+                (None, Some(at), None, Some(point)) => {
+                    let stage = self::stage(stage, run)?;
+                    let (point, ticks) = (known_point(stage, point)?, ticks(at, run)?);
+                    return Ok(Fault::KillAt { stage, point, ticks });
+                }
+                _ => {
+                    let label = "needs `at`, alone or with a `point`, `after_start_ms` or `within_ms`";
+                    return Err(Mistake::new(table.span(), "when does it kill?", label));
+                }
+            };
+            Fault::Kill { target, when }
         }
-    };
-    let keys = table.keys();
-    if let Some((key, span)) = keys.iter().find(|(key, _)| !must.contains(key) && !may.contains(key)) {
-        let expected = [&must[..], &may[..]].concat().join(", ");
-        let label = format!("a \"{kind}\" has {expected}");
-        return Err(Mistake::new(
-            span.clone(),
-            format!("`{key}` means nothing to a fault \"{kind}\""),
-            label,
-        ));
-    }
-    if let Some(missing) = must.iter().find(|key| !keys.iter().any(|(set, _)| set == *key)) {
-        return Err(Mistake::new(span, format!("a fault \"{kind}\" needs `{missing}`"), "in this fault"));
-    }
-    match kind {
-        "kill" => kill(table, span, run),
-        "random" => random(table, run),
-        "stop" => Ok(Fault::Stop {
-            target: target(table, run)?,
-            ticks: ticks(table, run)?,
-            for_ms: value(&table.for_ms),
-        }),
-        "limit" => {
-            let resource = *table.resource.as_ref().expect("a key that the kind must have").get_ref();
-            let (stage, tick) = (stage(table, run)?, tick(table, run)?);
-            Ok(Fault::Limit { stage, tick, resource, value: value(&table.value) })
+        Process::Random { ticks, count, stages, for_ms } => Fault::Random {
+            stages: random(stages.as_ref(), run)?,
+            ticks: range(ticks, run)?,
+            count: *count,
+            stop_ms: *for_ms,
+        },
+        Process::Stop { stage, at, for_ms } => {
+            Fault::Stop { target: target(stage, run)?, ticks: ticks(at, run)?, for_ms: *for_ms }
         }
-        "crash-loop" => {
-            let exit_code = table.exit_code.as_ref().map_or(3, |code| *code.get_ref());
-            Ok(Fault::CrashLoop { stage: stage(table, run)?, tick: tick(table, run)?, exit_code })
+        Process::Limit { stage, at, resource, value } => Fault::Limit {
+            stage: self::stage(stage, run)?,
+            tick: tick(at, run)?,
+            resource: *resource,
+            value: *value,
+        },
+        Process::CrashLoop { stage, at, exit_code } => Fault::CrashLoop {
+            stage: self::stage(stage, run)?,
+            tick: tick(at, run)?,
+            exit_code: exit_code.unwrap_or(3),
+        },
+        Process::Command { stage, command } => {
+            Fault::Command { stage: self::stage(stage, run)?, command: self::command(command)? }
         }
-        "command" => {
-            let command = command(table)?.expect("a key that the kind must have");
-            Ok(Fault::Command { stage: stage(table, run)?, command })
-        }
-        "replace" => {
-            let (stage, ticks, command) = (stage(table, run)?, ticks(table, run)?, command(table)?);
-            let point = table.point.as_ref().map(|point| known_point(stage, point)).transpose()?;
-            if let Some(command) = table.command.as_ref().filter(|_| point.is_some()) {
+        Process::Replace { stage, at, command, point } => {
+            let stage = self::stage(stage, run)?;
+            if let (Some(command), Some(_)) = (command, point) {
                 let label = "without it the new process is the built-in one, which has points";
                 return Err(Mistake::new(command.span(), "`command` and `point` exclude each other", label));
             }
-            Ok(Fault::Replace { stage, ticks, command, point })
+            Fault::Replace {
+                stage,
+                ticks: ticks(at, run)?,
+                command: command.as_ref().map(self::command).transpose()?,
+                point: point.as_ref().map(|point| known_point(stage, point)).transpose()?,
+            }
         }
-        "cpu" => {
+        Process::Cpu { at, for_ms, threads } => {
             let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
-            let threads = table.threads.as_ref().map_or(HOGS_PER_CORE * cores, |threads| *threads.get_ref());
-            Ok(Fault::Cpu { tick: tick(table, run)?, for_ms: value(&table.for_ms), threads })
+            let threads = threads.unwrap_or(HOGS_PER_CORE * cores);
+            Fault::Cpu { tick: tick(at, run)?, for_ms: *for_ms, threads }
         }
-        "consumer" => {
-            let hold_ms = table.hold_ms.as_ref().map(|ms| *ms.get_ref());
-            let within_ms = table.within_ms.as_ref().map(within).transpose()?;
-            Ok(Fault::Consumer { topic: topic(table, run)?, hold_ms, within_ms })
-        }
-        _ => of_topic(kind, table, run).map(Fault::Topic),
-    }
-}
-
-fn kill(table: &FaultTable, span: Range<usize>, run: &RunSpec) -> Result<Fault, Mistake> {
-    let is_alone = table.point.is_none() && table.at.is_none() && table.after_start_ms.is_none();
-    if let Some(within) = &table.within_ms {
-        if !is_alone {
-            return Err(Mistake::new(span, "when does it kill?", "`within_ms` needs no other time"));
-        }
-        let ms = self::within(within)?;
-        return Ok(Fault::Kill { target: target(table, run)?, when: When::Within { ms } });
-    }
-    match (&table.point, &table.at, &table.after_start_ms) {
-        (Some(point), Some(_), None) => {
-            let stage = stage(table, run)?;
-            Ok(Fault::KillAt { stage, point: known_point(stage, point)?, ticks: ticks(table, run)? })
-        }
-        (None, Some(_), None) => {
-            Ok(Fault::Kill { target: target(table, run)?, when: When::Ticks(ticks(table, run)?) })
-        }
-        (None, None, Some(ms)) => {
-            Ok(Fault::Kill { target: target(table, run)?, when: When::AfterStart { ms: *ms.get_ref() } })
-        }
-        _ => Err(Mistake::new(
-            span,
-            "when does it kill?",
-            "needs `at`, alone or with a `point`, `after_start_ms` or `within_ms`",
-        )),
-    }
+        Process::Consumer { topic, hold_ms, within_ms } => Fault::Consumer {
+            topic: self::topic(topic, run)?,
+            hold_ms: *hold_ms,
+            within_ms: within_ms.as_ref().map(within).transpose()?,
+        },
+    })
 }
 
 /// The shortest and the longest time until a death.
@@ -241,27 +199,17 @@ fn within(within: &Spanned<[u64; 2]>) -> Result<[u64; 2], Mistake> {
     Err(Mistake::new(within.span(), message, "expected [shortest, longest]"))
 }
 
-/// Kills or stops at random ticks; applies to all stages if none are named.
-fn random(table: &FaultTable, run: &RunSpec) -> Result<Fault, Mistake> {
-    let stages: Vec<StageId> = match &table.stages {
-        None => run.stages().map(|(stage, _)| stage).collect(),
-        Some(names) => {
-            let of = |name: &String| known_stage(name, names.span(), run);
-            names.get_ref().iter().map(of).collect::<Result<_, _>>()?
-        }
-    };
-    if stages.is_empty() {
-        let span = table.stages.as_ref().map_or(0..0, Spanned::span);
-        return Err(Mistake::new(span, "`stages` is empty", "expected names of stages"));
+/// The stages of a random fault; all stages if none are named.
+fn random(stages: Option<&Spanned<Vec<String>>>, run: &RunSpec) -> Result<Vec<StageId>, Mistake> {
+    let Some(names) = stages else { return Ok(run.stages().map(|(stage, _)| stage).collect()) };
+    if names.get_ref().is_empty() {
+        return Err(Mistake::new(names.span(), "`stages` is empty", "expected names of stages"));
     }
-    let ticks = range(table, run)?;
-    let stop_ms = table.for_ms.as_ref().map(|ms| *ms.get_ref());
-    Ok(Fault::Random { stages, ticks, count: value(&table.count), stop_ms })
+    names.get_ref().iter().map(|name| known_stage(name, names.span(), run)).collect()
 }
 
 /// The range of ticks in which a fault may act.
-fn range(table: &FaultTable, run: &RunSpec) -> Result<[u64; 2], Mistake> {
-    let ticks = table.ticks.as_ref().expect("a key that the kind must have");
+fn range(ticks: &Spanned<[u64; 2]>, run: &RunSpec) -> Result<[u64; 2], Mistake> {
     let [first, last] = *ticks.get_ref();
     if first > last || last >= run.ticks {
         let message = format!("`ticks` = [{first}, {last}] of a run of {} ticks", run.ticks);
@@ -285,94 +233,44 @@ fn known_point(stage: StageId, point: &Spanned<String>) -> Result<Point, Mistake
     Ok(found)
 }
 
-/// Returns the command, if any.
-fn command(table: &FaultTable) -> Result<Option<Vec<String>>, Mistake> {
-    match &table.command {
-        Some(command) if command.get_ref().is_empty() => {
-            Err(Mistake::new(command.span(), "`command` is empty", "expected [\"program\", …]"))
-        }
-        command => Ok(command.as_ref().map(|command| command.get_ref().clone())),
+fn command(command: &Spanned<Vec<String>>) -> Result<Vec<String>, Mistake> {
+    if command.get_ref().is_empty() {
+        return Err(Mistake::new(command.span(), "`command` is empty", "expected [\"program\", …]"));
     }
+    Ok(command.get_ref().clone())
 }
 
-fn of_topic(kind: &str, table: &FaultTable, run: &RunSpec) -> Result<TopicFault, Mistake> {
-    let effect = match kind {
-        "delay" => Effect::Delay {
-            ms: value(&table.delay_ms),
-            jitter_ms: table.jitter_ms.as_ref().map_or(0, |ms| *ms.get_ref()),
-        },
-        "drop" => Effect::Drop,
-        "duplicate" => Effect::Duplicate,
-        "reorder" => Effect::Reorder,
-        "bit-flip" => {
-            let bits = table.bits.as_ref().map_or(1, |bits| *bits.get_ref());
-            Effect::BitFlip { bits, part: part(table, &["header", "payload"])?.unwrap_or(Part::Payload) }
-        }
-        "not-finite" => Effect::NotFinite,
-        "huge" => Effect::Huge,
-        "wrong-length" => Effect::WrongLength,
-        "wrong-schema" => Effect::WrongSchema,
-        "foreign-run" => Effect::ForeignRun,
-        "old-incarnation" => Effect::OldIncarnation,
-        "frozen" => Effect::Frozen { part: part(table, &["stamp", "payload"])?.unwrap_or(Part::Stamp) },
-        _ => Effect::ClockJump { ms: table.jump_ms.as_ref().map_or(0, |ms| *ms.get_ref()) },
-    };
-    let [first, last] = range(table, run)?;
-    let probability = table.probability.as_ref().map_or(1.0, |probability| *probability.get_ref());
-    if !(probability > 0.0 && probability <= 1.0) {
-        let span = table.probability.as_ref().map_or(0..0, Spanned::span);
-        return Err(Mistake::new(
-            span,
-            format!("`probability` = {probability}"),
-            "expected more than 0, at most 1",
-        ));
+fn of_topic(table: &TopicTable, effect: Effect, run: &RunSpec) -> Result<TopicFault, Mistake> {
+    let ticks = range(&table.ticks, run)?;
+    if let Some(chance) = table
+        .probability
+        .as_ref()
+        .filter(|chance| !(0.0..=1.0).contains(chance.get_ref()) || *chance.get_ref() == 0.0)
+    {
+        let message = format!("`probability` = {}", chance.get_ref());
+        return Err(Mistake::new(chance.span(), message, "expected more than 0, at most 1"));
     }
-    let seed = table.seed.as_ref().map_or(run.seed, |seed| *seed.get_ref());
-    let topic = topic(table, run)?;
+    let probability = table.probability.as_ref().map_or(1.0, |chance| *chance.get_ref());
+    let topic = topic(&table.topic, run)?;
     let has_fields = |topic: &TopicRun| TABLE.topics.iter().any(|known| known.type_name == topic.type_name);
     let unknown = run.topics.iter().find(|declared| declared.name == topic && !has_fields(declared));
-    if let (Some(unknown), Effect::NotFinite | Effect::Huge) = (unknown, effect) {
-        let message =
-            format!("\"{kind}\" on \"{topic}\": the fields of \"{}\" are not known", unknown.type_name);
+    if let (Some(unknown), Effect::NotFinite {} | Effect::Huge {}) = (unknown, effect) {
+        let (kind, unknown) = (effect.name(), &unknown.type_name);
+        let message = format!("\"{kind}\" on \"{topic}\": the fields of \"{unknown}\" are not known");
         let label = "expected a topic whose numbers are known; a \"bit-flip\" needs no fields";
-        return Err(Mistake::new(table.topic.as_ref().map_or(0..0, Spanned::span), message, label));
+        return Err(Mistake::new(table.topic.span(), message, label));
     }
-    Ok(TopicFault { topic, effect, ticks: [first, last], probability, seed })
+    Ok(TopicFault { topic, effect, ticks, probability, seed: table.seed.unwrap_or(run.seed) })
 }
 
-fn part(table: &FaultTable, known: &[&str]) -> Result<Option<Part>, Mistake> {
-    let Some(part) = &table.r#in else { return Ok(None) };
-    let found = match part.get_ref().as_str() {
-        "header" => Some(Part::Header),
-        "payload" => Some(Part::Payload),
-        "stamp" => Some(Part::Stamp),
-        _ => None,
-    };
-    match found.filter(|_| known.contains(&part.get_ref().as_str())) {
-        Some(found) => Ok(Some(found)),
-        None => {
-            let label = format!("expected {}", known.join(" or "));
-            Err(Mistake::new(part.span(), format!("`in` = \"{}\"", part.get_ref()), label))
-        }
-    }
-}
-
-fn value(of: &Option<Spanned<u64>>) -> u64 {
-    of.as_ref().map_or(0, |value| *value.get_ref())
-}
-
-fn ticks(table: &FaultTable, run: &RunSpec) -> Result<Vec<u64>, Mistake> {
-    let at = table.at.as_ref().expect("a key that the kind must have");
+fn ticks(at: &Spanned<At>, run: &RunSpec) -> Result<Vec<u64>, Mistake> {
     let ticks = match at.get_ref() {
         At::One(tick) => vec![*tick],
         At::Many(ticks) => ticks.clone(),
     };
     if ticks.is_empty() || !ticks.is_sorted_by(|a, b| a < b) {
-        return Err(Mistake::new(
-            at.span(),
-            format!("`at` = {ticks:?}"),
-            "expected ticks, each after the one before",
-        ));
+        let label = "expected ticks, each after the one before";
+        return Err(Mistake::new(at.span(), format!("`at` = {ticks:?}"), label));
     }
     match ticks.last() {
         Some(last) if *last >= run.ticks => {
@@ -383,29 +281,21 @@ fn ticks(table: &FaultTable, run: &RunSpec) -> Result<Vec<u64>, Mistake> {
     }
 }
 
-fn tick(table: &FaultTable, run: &RunSpec) -> Result<u64, Mistake> {
-    match &ticks(table, run)?[..] {
+fn tick(at: &Spanned<At>, run: &RunSpec) -> Result<u64, Mistake> {
+    match &ticks(at, run)?[..] {
         [tick] => Ok(*tick),
         more => {
-            let span = table.at.as_ref().map_or(0..0, Spanned::span);
-            Err(Mistake::new(
-                span,
-                format!("`at` = {more:?}"),
-                "expected a single tick for this kind of fault",
-            ))
+            let label = "expected a single tick for this kind of fault";
+            Err(Mistake::new(at.span(), format!("`at` = {more:?}"), label))
         }
     }
 }
 
-fn target(table: &FaultTable, run: &RunSpec) -> Result<Target, Mistake> {
-    match &table.stage {
-        Some(name) if name.get_ref() == "launcher" => Ok(Target::Launcher),
-        _ => stage(table, run).map(Target::Stage),
-    }
+fn target(name: &Spanned<String>, run: &RunSpec) -> Result<Target, Mistake> {
+    if name.get_ref() == "launcher" { Ok(Target::Launcher) } else { stage(name, run).map(Target::Stage) }
 }
 
-fn stage(table: &FaultTable, run: &RunSpec) -> Result<StageId, Mistake> {
-    let name = table.stage.as_ref().expect("a key that the kind must have");
+fn stage(name: &Spanned<String>, run: &RunSpec) -> Result<StageId, Mistake> {
     known_stage(name.get_ref(), name.span(), run)
 }
 
@@ -417,8 +307,7 @@ fn known_stage(name: &str, span: Range<usize>, run: &RunSpec) -> Result<StageId,
     })
 }
 
-fn topic(table: &FaultTable, run: &RunSpec) -> Result<String, Mistake> {
-    let name = table.topic.as_ref().expect("a key that the kind must have");
+fn topic(name: &Spanned<String>, run: &RunSpec) -> Result<String, Mistake> {
     let shipped = TABLE.topics.iter().filter(|topic| topic.publishers_max == 1).map(|topic| topic.name);
     let topics: Vec<&str> = shipped.chain(run.topics.iter().map(|topic| topic.name.as_str())).collect();
     if topics.contains(&name.get_ref().as_str()) {
@@ -455,12 +344,9 @@ fn expectations(expect: &Expect, run: &RunSpec) -> Result<(), Mistake> {
                 label,
             ));
         }
-        let kinds = || EFFECTS.iter().map(|(name, ..)| *name);
-        if let Some(kind) =
-            counted.as_injected.as_ref().filter(|kind| !kinds().any(|known| known == kind.as_str()))
-        {
-            let label =
-                format!("in `[[expect.counted]]`; the kinds are {}", kinds().collect::<Vec<_>>().join(", "));
+        let is_known = |kind: &&String| Effect::NAMES.contains(&kind.as_str());
+        if let Some(kind) = counted.as_injected.as_ref().filter(|kind| !is_known(kind)) {
+            let label = format!("in `[[expect.counted]]`; the kinds are {}", Effect::NAMES.join(", "));
             return Err(Mistake::new(0..0, format!("unknown kind of fault \"{kind}\""), label));
         }
     }
@@ -492,7 +378,7 @@ mod tests {
         assert_eq!((read.name.as_str(), read.run.recording), ("07-test", Some("folder/a.csv".into())));
         let topic = TopicFault {
             topic: "tracks".into(),
-            effect: Effect::Drop,
+            effect: Effect::Drop {},
             ticks: [20, 40],
             probability: 0.5,
             seed: 4,
@@ -564,20 +450,20 @@ mod tests {
 
     #[test]
     fn mistakes_name_the_line_the_value_and_what_is_expected() {
-        refused("[[fault]]\nkind = \"explode\"", ":5: unknown kind of fault \"explode\"");
+        refused(
+            "[[fault]]\nkind = \"explode\"",
+            ":5: unknown variant `explode`, expected one of `kill`, `random`",
+        );
         refused(
             "[[fault]]\nkind = \"kill\"\nstage = \"decoder\"\nat = 100",
             ":7: `at` = 100 of a run of 100 ticks",
         );
         refused("[[fault]]\nkind = \"kill\"\nstage = \"enkoder\"\nat = 10", ":6: unknown stage \"enkoder\"");
         refused("[[fault]]\nkind = \"kill\"\nstage = \"decoder\"", ":4: when does it kill?");
-        refused(
-            "[[fault]]\nkind = \"stop\"\nstage = \"decoder\"\nat = 10",
-            ":4: a fault \"stop\" needs `for_ms`",
-        );
+        refused("[[fault]]\nkind = \"stop\"\nstage = \"decoder\"\nat = 10", ":4: missing field `for_ms`");
         refused(
             "[[fault]]\nkind = \"cpu\"\nat = 10\nfor_ms = 5\nbits = 2",
-            ":8: `bits` means nothing to a fault \"cpu\"",
+            ":8: unexpected keys in table: bits, available keys: at, for_ms, threads",
         );
         refused(
             "[[fault]]\nkind = \"kill\"\nstage = \"recorder\"\npoint = \"mid-write\"\nat = 9",
@@ -592,6 +478,15 @@ mod tests {
             "[[fault]]\nkind = \"replace\"\nstage = \"encoder\"\nat = 9\npoint = \"idle\"\ncommand = [\"a\"]",
             ":9: `command` and `point` exclude each other",
         );
+        let drop = "[[fault]]\nkind = \"drop\"\ntopic = \"tracks\"\n";
+        refused(&format!("{drop}ticks = [1, 2]\nbits = 2"), ":8: unexpected keys in table: bits");
+        refused(&format!("{drop}ticks = \"1\""), ":7: invalid type: string");
+        refused(drop, ":4: missing field `ticks`");
+        refused(&format!("{drop}ticks = [1, 2]\nprobability = 0"), ":8: `probability` = 0");
+        let frozen = "[[fault]]\nkind = \"frozen\"\ntopic = \"tracks\"\nticks = [1, 2]\nin = ";
+        refused(&format!("{frozen}\"header\""), ":8: `in` of a \"frozen\"");
+        refused("[[fault]]\nstage = \"decoder\"", ":4: a fault needs `kind`");
+        refused("fault = 3", "unknown field `fault`");
         refused("[expect]\nhole = 3", ":5: unknown field `hole`");
         refused("[expect]\ngiven_up = [\"me\"]", "unknown stage \"me\"");
         refused(

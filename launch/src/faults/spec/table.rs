@@ -1,20 +1,26 @@
 //! The specification as written. Values that can be wrong have their span in the text.
+//!
+//! The key `kind` of a fault selects the fields of its other keys. An internally tagged enum of serde would lose
+//! the spans. So `kind` is taken from the table first, and the rest is read as the variant of this name.
 
 use std::collections::BTreeMap;
+use std::ops::Range;
 use std::path::PathBuf;
 
 use serde::Deserialize;
+use serde::de::DeserializeOwned;
 use toml::Spanned;
+use toml::de::{DeTable, DeValue, ValueDeserializer};
 
 use super::Resource;
+use crate::config::Mistake;
+use crate::faults::effect::{Effect, Part};
 
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct File {
     pub shows: String,
     pub run: RunTable,
-    #[serde(rename = "fault", default)]
-    pub faults: Vec<Spanned<FaultTable>>,
     #[serde(default)]
     pub expect: Expect,
 }
@@ -40,34 +46,118 @@ const fn one() -> u64 {
     1
 }
 
-/// A fault with the keys of all kinds. The check decides which keys a kind may have.
+/// A fault of a process as written.
 #[derive(Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(super) struct FaultTable {
-    pub kind: Spanned<String>,
-    pub stage: Option<Spanned<String>>,
-    pub topic: Option<Spanned<String>>,
-    pub at: Option<Spanned<At>>,
-    pub after_start_ms: Option<Spanned<u64>>,
-    pub within_ms: Option<Spanned<[u64; 2]>>,
-    pub stages: Option<Spanned<Vec<String>>>,
-    pub count: Option<Spanned<u64>>,
-    pub point: Option<Spanned<String>>,
-    pub for_ms: Option<Spanned<u64>>,
-    pub ticks: Option<Spanned<[u64; 2]>>,
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+pub(super) enum Process {
+    Kill {
+        stage: Spanned<String>,
+        at: Option<Spanned<At>>,
+        after_start_ms: Option<u64>,
+        within_ms: Option<Spanned<[u64; 2]>>,
+        point: Option<Spanned<String>>,
+    },
+    Random {
+        ticks: Spanned<[u64; 2]>,
+        count: u64,
+        stages: Option<Spanned<Vec<String>>>,
+        for_ms: Option<u64>,
+    },
+    Stop {
+        stage: Spanned<String>,
+        at: Spanned<At>,
+        for_ms: u64,
+    },
+    Limit {
+        stage: Spanned<String>,
+        at: Spanned<At>,
+        resource: Resource,
+        value: u64,
+    },
+    CrashLoop {
+        stage: Spanned<String>,
+        at: Spanned<At>,
+        exit_code: Option<u8>,
+    },
+    Command {
+        stage: Spanned<String>,
+        command: Spanned<Vec<String>>,
+    },
+    Replace {
+        stage: Spanned<String>,
+        at: Spanned<At>,
+        command: Option<Spanned<Vec<String>>>,
+        point: Option<Spanned<String>>,
+    },
+    Cpu {
+        at: Spanned<At>,
+        for_ms: u64,
+        threads: Option<usize>,
+    },
+    Consumer {
+        topic: Spanned<String>,
+        hold_ms: Option<u64>,
+        within_ms: Option<Spanned<[u64; 2]>>,
+    },
+}
+
+/// The keys that every fault of a topic has in addition to those of its [`Effect`].
+#[derive(Debug, Deserialize)]
+pub(super) struct TopicTable {
+    pub topic: Spanned<String>,
+    pub ticks: Spanned<[u64; 2]>,
     pub probability: Option<Spanned<f64>>,
-    pub seed: Option<Spanned<u64>>,
-    pub delay_ms: Option<Spanned<u64>>,
-    pub jitter_ms: Option<Spanned<u64>>,
-    pub jump_ms: Option<Spanned<i64>>,
-    pub bits: Option<Spanned<u32>>,
-    pub r#in: Option<Spanned<String>>,
-    pub hold_ms: Option<Spanned<u64>>,
-    pub resource: Option<Spanned<Resource>>,
-    pub value: Option<Spanned<u64>>,
-    pub exit_code: Option<Spanned<u8>>,
-    pub command: Option<Spanned<Vec<String>>>,
-    pub threads: Option<Spanned<usize>>,
+    pub seed: Option<u64>,
+}
+
+/// A fault as written.
+#[derive(Debug)]
+pub(super) enum FaultTable {
+    Process(Process),
+    Topic(TopicTable, Effect),
+}
+
+impl FaultTable {
+    /// Reads a fault by its `kind`.
+    pub fn read(fault: Spanned<DeValue<'_>>) -> Result<Spanned<Self>, Mistake> {
+        let span = fault.span();
+        let missing = || Mistake::new(span.clone(), "a fault needs `kind`", "in this fault");
+        let DeValue::Table(mut table) = fault.into_inner() else { return Err(missing()) };
+        let kind = table.remove("kind").ok_or_else(missing)?;
+        let kind_span = kind.span();
+        let DeValue::String(kind) = kind.into_inner() else {
+            return Err(Mistake::new(kind_span, "`kind` is not a text", "expected the kind of a fault"));
+        };
+        let is_effect = Effect::NAMES.contains(&&*kind);
+        let common = ["topic", "ticks", "probability", "seed"].into_iter().filter(|_| is_effect);
+        let common: DeTable<'_> = common.filter_map(|key| table.remove_entry(key)).collect();
+        let part = table.get("in").map(Spanned::span);
+        let own = Spanned::new(span.clone(), DeValue::Table(table));
+        let tagged = DeTable::from_iter([(Spanned::new(kind_span, kind), own)]);
+        let fault = if is_effect {
+            let effect = deserialize(&span, tagged)?;
+            if let Effect::BitFlip { part: Part::Stamp, .. } | Effect::Frozen { part: Part::Header } = effect
+            {
+                let other = if matches!(effect, Effect::Frozen { .. }) { "stamp" } else { "header" };
+                let label = format!("expected {other} or payload");
+                return Err(Mistake::new(
+                    part.unwrap_or(span),
+                    format!("`in` of a \"{}\"", effect.name()),
+                    label,
+                ));
+            }
+            Self::Topic(deserialize(&span, common)?, effect)
+        } else {
+            let listed = format!("the kinds of faults of a topic are {}", Effect::NAMES.join(", "));
+            Self::Process(deserialize(&span, tagged).map_err(|mistake| mistake.help(listed))?)
+        };
+        Ok(Spanned::new(span, fault))
+    }
+}
+
+fn deserialize<T: DeserializeOwned>(span: &Range<usize>, table: DeTable<'_>) -> Result<T, Mistake> {
+    let value = Spanned::new(span.clone(), DeValue::Table(table));
+    T::deserialize(ValueDeserializer::from(value)).map_err(|error| Mistake::syntax("", &error))
 }
 
 /// One tick or several.
@@ -76,25 +166,6 @@ pub(super) struct FaultTable {
 pub(super) enum At {
     One(u64),
     Many(Vec<u64>),
-}
-
-impl FaultTable {
-    /// Returns the keys that are set in addition to `kind`, with the spans of their values.
-    pub fn keys(&self) -> Vec<(&'static str, std::ops::Range<usize>)> {
-        macro_rules! spans {
-            ($($key:literal $field:ident),*) => {
-                [$(self.$field.as_ref().map(|value| ($key, value.span()))),*]
-            };
-        }
-        let spans = spans!(
-            "stage" stage, "topic" topic, "at" at, "after_start_ms" after_start_ms,
-            "within_ms" within_ms, "stages" stages, "count" count, "point" point,
-            "for_ms" for_ms, "ticks" ticks, "probability" probability, "seed" seed, "delay_ms" delay_ms,
-            "jitter_ms" jitter_ms, "jump_ms" jump_ms, "bits" bits, "in" r#in, "hold_ms" hold_ms,
-            "resource" resource, "value" value, "exit_code" exit_code, "command" command, "threads" threads
-        );
-        spans.into_iter().flatten().collect()
-    }
 }
 
 /// The expected behaviour of a run. A value that is not set is not checked, except for the defaults.
