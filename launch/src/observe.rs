@@ -15,9 +15,9 @@ use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::time::Instant;
 
 use clap::Args;
+use perfetto::Clocks;
 use ports::monotonic_ns;
 use recorder::exposition::metrics;
-use recorder::perfetto::Clocks;
 use recorder::status::{Facts, ProcessStatus, RunStatus, StatusEvent};
 use recorder::trace::Tracer;
 use recorder::{Errors, InputReport, Recorder, RecorderOptions, Supervision, Tick};

@@ -2,7 +2,7 @@ use std::io::Write as _;
 use std::path::PathBuf;
 
 use clap::Args;
-use recorder::perfetto::Clocks;
+use perfetto::Clocks;
 use recorder::trace::Tracer;
 use recorder::{Recorder, RecorderOptions, WholeFile};
 use recording::{Event, FrameError, Happened, Message, Recording};

@@ -23,7 +23,6 @@ mod lanes;
 mod losses;
 mod options;
 pub mod passage;
-pub mod perfetto;
 mod record;
 mod refusals;
 mod render;

@@ -13,7 +13,7 @@
 //!
 //! [`Tracer`] converts each frame to packets, which the caller takes. It keeps only the newest ticks.
 
-use crate::perfetto::{Clocks, Details, Trace, Value};
+use perfetto::{Clocks, Details, Trace, Value};
 use wire::{Header, Heartbeat, Hop, Quality, REFUSALS_MAX, RefusalCause, Refusals, StageId, flags};
 
 use crate::distribution::ms;
