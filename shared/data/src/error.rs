@@ -73,6 +73,28 @@ pub enum ReadError {
         /// What is wrong with it.
         problem: String,
     },
+    /// A message of a bag has a value that it must not have.
+    #[error("{path}: message {message}: {field} = \"{value}\": {problem}")]
+    Message {
+        /// The file.
+        path: String,
+        /// The message's place in the file, from 1.
+        message: usize,
+        /// The field.
+        field: &'static str,
+        /// The value, shortened.
+        value: String,
+        /// What is wrong with it.
+        problem: String,
+    },
+    /// A bag can't be read, or has no objects.
+    #[error("{path}: {problem}")]
+    Bag {
+        /// The file.
+        path: String,
+        /// What is wrong.
+        problem: String,
+    },
     /// The file violates the rules of its notation.
     #[error("{path}:{line}:{column}: {problem}")]
     Syntax {

@@ -32,6 +32,8 @@ pub enum Format {
     HighD,
     /// [`crate::formats::commonroad`].
     CommonRoad,
+    /// [`crate::formats::rosbag`], rosbag2 as MCAP.
+    Rosbag,
     /// [`crate::formats::csv`], the project's own.
     Csv,
 }
@@ -46,7 +48,7 @@ const LINES_MAX: usize = 2_000;
 
 impl Format {
     /// All formats.
-    pub const ALL: [Self; 12] = [
+    pub const ALL: [Self; 13] = [
         Self::EthUcy,
         Self::Obsmat,
         Self::SddTrajnet,
@@ -58,6 +60,7 @@ impl Format {
         Self::LevelX,
         Self::HighD,
         Self::CommonRoad,
+        Self::Rosbag,
         Self::Csv,
     ];
 
@@ -75,6 +78,7 @@ impl Format {
             Self::LevelX => "levelx",
             Self::HighD => "highd",
             Self::CommonRoad => "commonroad",
+            Self::Rosbag => "rosbag",
             Self::Csv => "csv",
         }
     }
@@ -93,6 +97,7 @@ impl Format {
             | Self::LevelX
             | Self::HighD
             | Self::CommonRoad
+            | Self::Rosbag
             | Self::Csv => None,
         }
     }
@@ -107,6 +112,7 @@ impl Format {
             | Self::VciDut
             | Self::LevelX
             | Self::CommonRoad
+            | Self::Rosbag
             | Self::Csv => true,
             Self::SddTrajnet | Self::SddRaw | Self::KittiDetections | Self::KittiLabels | Self::HighD => {
                 false
@@ -126,6 +132,9 @@ impl Format {
     /// [`ReadError::UnknownFormat`] if the content fits none, [`ReadError::NotText`],
     /// [`ReadError::Empty`].
     pub fn detect(input: &Input) -> Result<Self, ReadError> {
+        if recording::is_bag(&input.bytes) {
+            return Ok(Self::Rosbag);
+        }
         let mut lines =
             text::lines(input).filter(|line| !matches!(line, Ok(line) if line.text.starts_with('#')));
         let first = lines.next().ok_or_else(|| ReadError::Empty { path: input.path.clone() })??;

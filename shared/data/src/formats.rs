@@ -9,5 +9,6 @@ pub mod kitti;
 pub mod levelx;
 pub mod obsmat;
 pub mod positions;
+pub mod rosbag;
 pub mod sdd_raw;
 pub mod vci_dut;

@@ -8,7 +8,7 @@ use sha2::{Digest, Sha256};
 use wire::WorldOrigin;
 
 use crate::formats::{
-    commonroad, csv, highd, interaction, kitti, levelx, obsmat, positions, sdd_raw, vci_dut,
+    commonroad, csv, highd, interaction, kitti, levelx, obsmat, positions, rosbag, sdd_raw, vci_dut,
 };
 use crate::input::{FILE_BYTES_MAX, stem};
 use crate::{Format, FrameRate, Input, ReadError, Recording, Role, text};
@@ -99,6 +99,7 @@ pub fn parse_at(format: Format, inputs: &[Input], fps: Option<FrameRate>) -> Res
         Format::LevelX => levelx::parse(inputs),
         Format::HighD => highd::parse(inputs),
         Format::CommonRoad => commonroad::parse(inputs),
+        Format::Rosbag => rosbag::parse(inputs),
         Format::Csv => csv::parse(inputs),
     }?;
     let mut hasher = Sha256::new();
@@ -155,7 +156,9 @@ pub(crate) fn read_needed(path: &Path, role: Role, opened: &str) -> Result<Input
 fn with_companions(path: &Path, mut opened: Input, format: Format) -> Result<Vec<Input>, ReadError> {
     let up = |depth: usize| path.ancestors().nth(depth).unwrap_or(Path::new(""));
     match format {
-        Format::EthUcy | Format::Obsmat | Format::CommonRoad | Format::Csv => Ok(vec![opened]),
+        Format::EthUcy | Format::Obsmat | Format::CommonRoad | Format::Rosbag | Format::Csv => {
+            Ok(vec![opened])
+        }
         Format::LevelX | Format::HighD => levelx_files(path, opened),
         Format::SddTrajnet => {
             let table = read_if_there(&up(2).join("H_SDD.txt"), Role::Scales)?;

@@ -427,7 +427,7 @@ fn an_unknown_format_error_lists_the_known_ones() {
         unknown("1 2 3\n"),
         "a.txt: the first row has 3 columns and is no header, such as stamp_s,id,type,x_m,y_m with commas, \
          semicolons or tabs; name the format (one of eth-ucy, obsmat, sdd-trajnet, sdd-raw, interaction, vci-dut, \
-         kitti-detections, kitti-labels, levelx, highd, commonroad, csv)"
+         kitti-detections, kitti-labels, levelx, highd, commonroad, rosbag, csv)"
     );
     assert!(
         unknown("stamp_s|id|type|x_m|y_m\n")

@@ -8,6 +8,7 @@ mod inspection;
 mod kitti_files;
 mod origins;
 mod recordings;
+mod rosbags;
 mod strangers;
 mod sweeps;
 mod windows;

@@ -41,6 +41,7 @@
 //! [`tap`] gives tools the frames of a running pipeline: one process reads the topics and forwards them.
 
 mod about;
+mod bag;
 mod before;
 mod compare;
 mod error;
@@ -58,6 +59,7 @@ mod view;
 mod writer;
 
 pub use about::{ABOUT, About};
+pub use bag::{BagMessage, bag_messages, is_bag};
 pub use before::{Before, Forgotten};
 pub use compare::{Comparison, Difference, FrameDifference, TopicComparison, compare, computed};
 pub use error::{ReadError, WriteError};

@@ -15,7 +15,6 @@ use self::messages::{Channel, Content, Part};
 use crate::format::{BEGIN, END, PREFIX};
 use crate::{About, Event, Frame, LogLine, ReadError};
 
-#[cfg(test)]
 pub(crate) use chunk::{record, unpack};
 pub use messages::Messages;
 

@@ -20,7 +20,7 @@ const WIDTH: usize = 110;
 const GROUPS: [(&str, &[&str]); 5] = [
     ("Run", &["run", "predict", "track", "check", "graph", "stage", "wire"]),
     ("Observe", &["top", "view", "report", "trace", "tick"]),
-    ("Record", &["record", "mark", "replay", "diff"]),
+    ("Record", &["record", "export", "mark", "replay", "diff"]),
     ("Diagnose", &["inspect", "verify", "bench", "fault", "doctor", "clean", "completions"]),
     ("Laboratory", &["train", "evaluate", "card", "plot", "map", "manual"]),
 ];

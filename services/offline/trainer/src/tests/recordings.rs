@@ -55,7 +55,9 @@ pub(crate) fn frame_rate(format: Format) -> f64 {
         Format::SddRaw => 30.0,
         Format::VciDut => 23.98,
         Format::Interaction | Format::KittiDetections | Format::KittiLabels | Format::Csv => 10.0,
-        Format::LevelX | Format::HighD | Format::CommonRoad => unreachable!("{format} is not written"),
+        Format::LevelX | Format::HighD | Format::CommonRoad | Format::Rosbag => {
+            unreachable!("{format} is not written")
+        }
     }
 }
 
@@ -174,7 +176,9 @@ impl Scenery {
                 [files, self.kitti()].concat()
             }
             Format::Csv => vec![("rows.csv", self.csv())],
-            Format::LevelX | Format::HighD | Format::CommonRoad => unreachable!("{format} is not written"),
+            Format::LevelX | Format::HighD | Format::CommonRoad | Format::Rosbag => {
+                unreachable!("{format} is not written")
+            }
         }
     }
 

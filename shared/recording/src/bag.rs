@@ -1,0 +1,98 @@
+//! The messages of any MCAP file, such as a rosbag2 of ROS 2.
+
+use std::collections::BTreeMap;
+
+use mcap::MAGIC;
+use mcap::records::{Record, op};
+
+use crate::reader::{record, unpack};
+
+/// A message of a bag.
+#[derive(Clone, Copy, Debug)]
+pub struct BagMessage<'a> {
+    /// Its place among all messages of the file, from 1.
+    pub number: usize,
+    /// The topic.
+    pub topic: &'a str,
+    /// The name of its schema, such as `std_msgs/msg/String`; empty without a schema.
+    pub schema: &'a str,
+    /// The encoding, such as `cdr`.
+    pub encoding: &'a str,
+    /// When it was recorded, in Unix time.
+    pub log_ns: u64,
+    /// The message.
+    pub data: &'a [u8],
+}
+
+#[derive(Default)]
+struct Known {
+    schemas: BTreeMap<u16, String>,
+    /// Topic, schema and encoding.
+    channels: BTreeMap<u16, [String; 3]>,
+    messages_len: usize,
+}
+
+/// Whether the bytes begin as an MCAP file.
+#[must_use]
+pub fn is_bag(bytes: &[u8]) -> bool {
+    bytes.starts_with(MAGIC)
+}
+
+/// Calls `take` with each message, in the order of the file. A file that was cut off has the messages up to its
+/// last whole record.
+///
+/// # Errors
+/// The damaged part of the file, or the error of `take`.
+pub fn bag_messages<E: From<String>>(
+    bytes: &[u8],
+    mut take: impl FnMut(BagMessage<'_>) -> Result<(), E>,
+) -> Result<(), E> {
+    let mut rest = bytes.strip_prefix(MAGIC).ok_or_else(|| "not an MCAP file".to_owned())?;
+    let mut known = Known::default();
+    while let Some((op, body)) = record(&mut rest) {
+        match op {
+            op::CHUNK => {
+                let chunk = unpack(body)?;
+                let mut chunk = &chunk[..];
+                while let Some((op, body)) = record(&mut chunk) {
+                    known.take(op, body, &mut take)?;
+                }
+            }
+            op::DATA_END => break,
+            op => known.take(op, body, &mut take)?,
+        }
+    }
+    Ok(())
+}
+
+impl Known {
+    fn take<E: From<String>>(
+        &mut self,
+        op: u8,
+        body: &[u8],
+        take: &mut impl FnMut(BagMessage<'_>) -> Result<(), E>,
+    ) -> Result<(), E> {
+        if !matches!(op, op::SCHEMA | op::CHANNEL | op::MESSAGE) {
+            return Ok(());
+        }
+        match mcap::parse_record(op, body).map_err(|error| error.to_string())? {
+            Record::Schema { header, .. } => {
+                self.schemas.insert(header.id, header.name);
+            }
+            Record::Channel(channel) => {
+                let schema = self.schemas.get(&channel.schema_id).cloned().unwrap_or_default();
+                self.channels.insert(channel.id, [channel.topic, schema, channel.message_encoding]);
+            }
+            Record::Message { header, data } => {
+                self.messages_len += 1;
+                let (number, log_ns) = (self.messages_len, header.log_time);
+                let Some([topic, schema, encoding]) = self.channels.get(&header.channel_id) else {
+                    return Err(format!("message {number}: its channel is missing").into());
+                };
+                take(BagMessage { number, topic, schema, encoding, log_ns, data: &data })?;
+            }
+            _ => {}
+        }
+        Ok(())
+    }
+}
