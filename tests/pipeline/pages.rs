@@ -29,6 +29,8 @@ impl Browser {
         let mut command = piped(&chromium);
         command.args(fixed).args(["--no-first-run", "--disable-component-update", "--dump-dom"]);
         command.arg(format!("--window-size={width},900")).arg(format!("--user-data-dir={profile}"));
+        // Chromium itself would look for updates and the like.
+        command.arg("--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1");
         // Virtual time stands still while a request is open.
         command.arg(format!("--log-net-log={log}")).arg("--virtual-time-budget=10000").args(more).arg(url);
         Some(Self { process: Started::spawn(&mut command), url: url.to_owned(), log })
