@@ -28,14 +28,20 @@ function takeTick({ missed, scene: tick }) {
   $("clock").textContent = `tick ${tick.seq} · ${seconds.toFixed(1)} s · ${tick.agents.length} agents`;
   // Charts and texts change four times a second; the scene with every tick.
   const now = performance.now();
-  if (now - (live.shown || 0) > 240) {
+  if (live.shown === undefined || now - live.shown > 240) {
     live.shown = now;
-    showQuality();
-    showAgent();
-    showLegend(tick);
-    // For tests: what was received and drawn.
-    Object.assign($("scene").dataset, { ticks: live.ticks, draws: scene.draws, missed, agents: tick.agents.length });
+    showDetails();
   }
+}
+
+function showDetails() {
+  if (!scene.scene) return;
+  showQuality();
+  showAgent();
+  showLegend(scene.scene);
+  // For tests: what was received and drawn.
+  const agents = scene.scene.agents.length;
+  Object.assign($("scene").dataset, { ticks: live.ticks, draws: scene.draws, missed: live.missed, agents });
 }
 
 // Keeps the history of qualities, and of each agent the forecasts that later positions are compared with.
@@ -208,6 +214,8 @@ function listen() {
   on("status", showStatus);
   on("end", () => {
     source.close();
+    scene.draw();
+    showDetails();
     setState("ended", "soft");
     live.ended = true;
     notice("The run has ended");
