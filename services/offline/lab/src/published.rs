@@ -6,7 +6,7 @@ use std::io::{BufRead as _, BufReader};
 use std::path::{Path, PathBuf};
 
 use launch::failure::Failure;
-use recording::{Message, Recording};
+use recording::{Message, ReadError, Recording};
 use serde::Deserialize;
 use tick_view::{AgentView, ForecastView, Point, TickView};
 use view::Pairing;
@@ -57,14 +57,17 @@ struct Agent {
 type Past = BTreeMap<u64, VecDeque<(i64, Point)>>;
 
 impl Published {
-    /// The file, by its ending: `.mcap` or `.jsonl`; `None` for other files.
+    /// The file, by its ending: `.mcap` or `.jsonl`; `None` for other files and for bags of other systems.
     ///
     /// # Errors
-    /// [`Failure::Data`] if the file is not a recording of a run.
+    /// [`Failure::Data`] if the file cannot be read.
     pub fn open(path: &Path) -> Result<Option<Self>, Failure> {
         let ending = path.extension().map(|ending| ending.to_string_lossy().to_lowercase());
         Ok(match ending.as_deref() {
-            Some("mcap") => Some(Self::Recording(Box::new(Recording::open(path).map_err(Failure::data)?))),
+            Some("mcap") => match Recording::open(path) {
+                Err(ReadError::NotOurs { .. }) => None,
+                opened => Some(Self::Recording(Box::new(opened.map_err(Failure::data)?))),
+            },
             Some("jsonl") => Some(Self::Lines(path.to_owned())),
             _ => None,
         })
