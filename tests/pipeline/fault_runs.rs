@@ -158,5 +158,5 @@ fn specifications_are_listed_and_checked() {
     let output = run(&["fault", "check", &spec]);
     let text = stderr(&output);
     assert_eq!(output.status.code(), Some(78), "{text}");
-    assert!(text.contains("bad.toml:5") && text.contains("unknown kind of fault \"kil\""), "{text}");
+    assert!(text.contains("bad.toml:5") && text.contains("unknown variant `kil`"), "{text}");
 }

@@ -96,10 +96,8 @@ fn other_tools_read_the_published_numbers_in_a_recording() {
     let [file, exported, scene, lines] =
         ["a.mcap", "ros.mcap", "both.mcap", "a.jsonl"].map(|n| scratch.path(n));
     let scene_of = ["--ticks", "60", "--agents", "8", "--seed", "3", "--speed", "max", "--quiet"];
-    let record =
-        ["--record", &file, "--record-topics", "detections", "--for", "autoware", "--forecasts", &lines];
+    let record = ["--record", &file, "--for", "autoware", "--forecasts", &lines];
     run_well(&[&scene_of[..], &record].concat());
-    // Tracks and forecasts are added: the objects are made of them.
     let replayed = run_well(&["replay", &file]);
     assert!(stdout(&replayed).contains("equal to the byte: 60 ticks"), "{}", stdout(&replayed));
     run_well(&["export", &file, &exported, "--for", "autoware", "--paths", "20"]);

@@ -44,7 +44,7 @@ struct Row {
 
 /// The formats that these tests write. Tests of `data` cover the others.
 pub(crate) fn written() -> impl Iterator<Item = Format> {
-    let others = [Format::LevelX, Format::HighD, Format::CommonRoad];
+    let others = [Format::LevelX, Format::HighD, Format::CommonRoad, Format::Rosbag];
     Format::ALL.into_iter().filter(move |format| !others.contains(format))
 }
 
