@@ -118,7 +118,7 @@ def main(recording, golden=None):
             Path(golden, f"{name.split('/')[1]}.cdr").write_bytes(value.serialize(use_version_2=False))
     for topic, found in sorted(counts.items()):
         print(f"{topic} {found}")
-    print(f"{sum(counts.values())} messages, different from Cyclone's bytes: {wrong[:5] or 'none'}")
+    print(f"{sum(counts.values())} messages, different: {wrong[:5] or 'none'}")
     return 0 if counts and not wrong else 1
 
 

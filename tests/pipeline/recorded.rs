@@ -112,14 +112,16 @@ fn other_tools_read_the_published_numbers_in_a_recording() {
     python("read_views.py", &[&scene, &lines], &of_ros);
     python("read_scene.py", &[&scene, &lines], &["foxglove.SceneUpdate 60", "foxglove.FrameTransforms 60"]);
 
-    // A recording of no frames, and the scene of all of them.
+    // The scene needs the tracks and forecasts, which are recorded with it.
     let [small, lines] = ["small.mcap", "small.jsonl"].map(|n| scratch.path(n));
     let record =
         ["--record", &small, "--record-topics", "events", "--for", "foxglove", "--forecasts", &lines];
     run_well(&[&scene_of[..], &record].concat());
     python("read_scene.py", &[&small, &lines], &["foxglove.SceneUpdate 60"]);
-    let without = run(&["export", &small, &scratch.path("none.mcap"), "--for", "autoware"]);
-    assert!(!without.status.success() && stderr(&without).contains("no tracks"), "{}", stderr(&without));
+    let bare = scratch.path("bare.mcap");
+    run_well(&[&scene_of[..], &["--record", &bare, "--record-topics", "detections"]].concat());
+    let without = run(&["export", &bare, &scratch.path("none.mcap"), "--for", "autoware"]);
+    assert!(!without.status.success() && stderr(&without).contains("forecasts"), "{}", stderr(&without));
 
     let again = run(&["export", &file, &exported, "--for", "foxglove"]);
     assert!(!again.status.success() && stderr(&again).contains("not replaced"), "{}", stderr(&again));
