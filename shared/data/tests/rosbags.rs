@@ -57,18 +57,18 @@ fn tracked(sec: i32, uuids: &[u8]) -> (&'static str, &'static str, Vec<u8>) {
 
 fn read(messages: &[(&str, &str, Vec<u8>)]) -> Result<Recording, String> {
     let mut bytes = Cursor::new(Vec::new());
-    let mut writer = mcap::WriteOptions::new().compression(None).create(&mut bytes).unwrap();
+    let mut writer = mcap::WriteOptions::new().compression(None).create(&mut bytes).expect("a bag in memory");
     for (place, (topic, schema, data)) in messages.iter().enumerate() {
-        let schema = writer.add_schema(schema, "ros2msg", b"").unwrap();
-        let channel_id = writer.add_channel(schema, topic, "cdr", &BTreeMap::new()).unwrap();
+        let schema = writer.add_schema(schema, "ros2msg", b"").expect("a bag in memory");
+        let channel_id = writer.add_channel(schema, topic, "cdr", &BTreeMap::new()).expect("a bag in memory");
         let (sequence, log_time) = (0, place as u64);
         let header = mcap::records::MessageHeader { channel_id, sequence, log_time, publish_time: log_time };
-        writer.write_to_known_channel(&header, data).unwrap();
+        writer.write_to_known_channel(&header, data).expect("a bag in memory");
     }
-    writer.finish().unwrap();
+    writer.finish().expect("a bag in memory");
     drop(writer);
     let input = Input::new(Role::Rows, "drive.mcap", bytes.into_inner());
-    assert_eq!(Format::detect(&input).unwrap(), Format::Rosbag);
+    assert_eq!(Format::detect(&input).expect("a bag in memory"), Format::Rosbag);
     parse(Format::Rosbag, &[input]).map_err(|error| error.to_string())
 }
 
