@@ -37,7 +37,7 @@ const HERE: usize = 7;
 /// Ticks until all caches are filled.
 const WARM_UP: u64 = 150;
 const TICKS: u64 = 400;
-/// Names the variant that this process runs. The first process runs all variants, each in a process of its own.
+/// Names the variant that this process runs. The first process starts one process per variant.
 const VARIABLE: &str = "STGDAT_ALLOCATION_VARIANT";
 /// The options that change a stage's path, besides the defaults.
 const VARIANTS: [&str; 5] = ["defaults", "kinematic", "jpda", "plain", "silent"];

@@ -162,14 +162,12 @@ function escaped(text) {
   return String(text).replace(/[&<>"]/g, (c) => ({ "&": "&amp;", "<": "&lt;", ">": "&gt;", '"': "&quot;" }[c]));
 }
 
-// The theme of the system, or the other one after a click.
+// Follows the theme of the system; a click changes it.
 function themeButton(button, changed) {
-  const root = document.documentElement;
-  const dark = () => (root.dataset.theme || (matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light"))
-    === "dark";
-  button.addEventListener("click", () => {
-    root.dataset.theme = dark() ? "light" : "dark";
+  const set = (theme) => {
+    root.dataset.theme = theme;
     changed();
-  });
-  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", changed);
+  };
+  button.addEventListener("click", () => set(root.dataset.theme === "dark" ? "light" : "dark"));
+  systemDark.addEventListener("change", () => set(systemDark.matches ? "dark" : "light"));
 }

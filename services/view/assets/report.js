@@ -344,5 +344,15 @@ addEventListener("resize", () => {
   clearTimeout(waiting);
   waiting = setTimeout(() => later.forEach((draw) => draw()), 100);
 });
-addEventListener("beforeprint", redraw);
+// Paper is light.
+let shown;
+addEventListener("beforeprint", () => {
+  shown = root.dataset.theme;
+  root.dataset.theme = "light";
+  redraw();
+});
+addEventListener("afterprint", () => {
+  root.dataset.theme = shown;
+  redraw();
+});
 build();

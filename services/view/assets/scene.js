@@ -12,6 +12,10 @@ const CAUSE_WORDS = {
 const EXPERTS = ["network", "base", "constant velocity", "decaying turn", "process model",
                  "decaying acceleration"];
 
+const root = document.documentElement;
+const systemDark = matchMedia("(prefers-color-scheme: dark)");
+root.dataset.theme = systemDark.matches ? "dark" : "light";
+
 // The value of a style variable, so that canvases follow the theme.
 function themed(name) {
   return getComputedStyle(document.documentElement).getPropertyValue("--" + name).trim();

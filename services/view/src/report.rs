@@ -32,7 +32,7 @@ const DETAIL_BYTES: usize = 160_000;
 /// Number of worst ticks that are drawn.
 const WORST_DRAWN: usize = 6;
 /// Bounds of lanes with more points than this are not embedded.
-const LANE_POINTS_MAX: usize = 20_000;
+const LANE_POINTS_MAX: usize = 4_000;
 /// Number of agents and events that the page lists.
 const LISTED_MAX: usize = 100;
 

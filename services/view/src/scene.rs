@@ -89,7 +89,8 @@ fn relative(points_m: &[Point], origin: [i64; 2]) -> Vec<i64> {
 }
 
 impl Scene {
-    /// The scene of a tick. `modes` is the number of drawn modes; without modes there are no regions either.
+    /// The scene of a tick. `modes` is the number of drawn modes. Regions belong to modes, so 0 leaves out
+    /// both.
     #[must_use]
     pub fn new(view: &TickView, modes: usize) -> Self {
         let ego = view.ego.map(|([x_m, y_m], heading_rad)| [x_m, y_m, heading_rad].map(f64::from));

@@ -1,8 +1,8 @@
 //! A tick as Autoware's messages.
 //!
-//! Objects are in the frame [`MAP`]: the recording's own one, so the run's origin is added again. Velocities are along and across the object, as in Autoware. The z of a pose
-//! is half the height of a typical object of its type, because the tracks are flat. Sizes that the detections
-//! lack are typical ones too.
+//! Objects are in the frame [`MAP`]. It is the recording's own frame, so the run's origin is added again.
+//! Velocities are along and across the object, as in Autoware. The tracks are flat, so the z of a pose is half the
+//! height of a typical object of the type. Sizes that the detections lack are typical ones too.
 
 use std::collections::BTreeMap;
 use std::fmt::Display;
@@ -281,8 +281,8 @@ pub fn transforms(view: &Tick<'_>) -> Option<TfMessage> {
     Some(TfMessage { transforms: vec![ego] })
 }
 
-/// Everything of a tick that has no field in Autoware's messages: quality, cause, age and evidence of each
-/// forecast, how many agents have one, doubts about the input, and each stage's time beside its budget.
+/// The values of a tick that have no field in Autoware's messages. Each forecast has its quality, cause, age and
+/// evidence. The tick has the number of forecasts, the doubts about the input, and each stage's time and budget.
 #[must_use]
 pub fn diagnostics(view: &Tick<'_>, hops: &[Hop], budgets_ms: &BTreeMap<StageId, f64>) -> DiagnosticArray {
     let mut status = vec![input_status(view)];

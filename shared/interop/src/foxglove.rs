@@ -14,8 +14,6 @@ pub mod schemas {
     pub const SCENE_UPDATE: &[u8] = include_bytes!("foxglove_schemas/SceneUpdate.bin");
     /// `foxglove.FrameTransforms`.
     pub const FRAME_TRANSFORMS: &[u8] = include_bytes!("foxglove_schemas/FrameTransforms.bin");
-    /// `foxglove.Grid`.
-    pub const GRID: &[u8] = include_bytes!("foxglove_schemas/Grid.bin");
     /// `foxglove.Log`.
     pub const LOG: &[u8] = include_bytes!("foxglove_schemas/Log.bin");
 }
