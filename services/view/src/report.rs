@@ -15,7 +15,7 @@ use lanes::LaneMap;
 use recorder::{Recorder, RecorderOptions, Report, WorstTick};
 use recording::{Frame, FrameError, Message, ReadError, Recording};
 use serde::Serialize;
-use tick_view::TickView;
+use wire::tick_view::TickView;
 use wire::{ForecastsTopic, HeartbeatsTopic, Topic as _, TruthTopic};
 
 use self::errors::{ErrorRow, HorizonErrors};

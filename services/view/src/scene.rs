@@ -7,7 +7,7 @@ use std::collections::VecDeque;
 
 use recording::Frame;
 use serde::Serialize;
-use tick_view::{AgentView, ForecastView, Point, TickView};
+use wire::tick_view::{AgentView, ForecastView, Point, TickView};
 use wire::{ForecastsTopic, Topic as _, TracksTopic};
 
 /// Number of drawn modes: the most probable ones.

@@ -2,7 +2,7 @@
 
 use std::f64::consts::LN_2;
 
-use tick_view::ForecastView;
+use wire::tick_view::ForecastView;
 
 use super::contour::{Place, Raster};
 use super::mixture::{self, Mixture, add_density, highest_density_levels, raster_for};

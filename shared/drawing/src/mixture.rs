@@ -1,6 +1,6 @@
 //! The forecast distribution as a density over the ground.
 
-use tick_view::ForecastView;
+use wire::tick_view::ForecastView;
 
 use super::contour::{Place, Raster};
 

@@ -7,7 +7,7 @@ mod panel;
 
 use metrics::Point;
 use scene::ContextMap;
-use tick_view::AgentView;
+use wire::tick_view::AgentView;
 
 use super::canvas::{Align, Canvas, Frame, Type};
 use super::colour::{GREY, INK};

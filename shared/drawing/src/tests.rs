@@ -3,7 +3,7 @@ use std::f32::consts::PI;
 use ::scene::{AgentType, MapBuilder};
 use metrics::Point;
 use resvg::usvg::{Options, Tree};
-use tick_view::{AgentView, ForecastView};
+use wire::tick_view::{AgentView, ForecastView};
 use wire::{Cause, Quality};
 
 use super::*;

@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 use std::fmt::Display;
 use std::ops::Deref;
 
-use tick_view::{AgentView, ForecastView, Point, TickView};
+use wire::tick_view::{AgentView, ForecastView, Point, TickView};
 use wire::{AGENT_TYPES, AgentType, Cause, Expert, Hop, Quality, StageId, Track, WorldOrigin};
 
 use crate::cdr::Byte;

@@ -3,7 +3,7 @@
 //! The [`schemas`] are Foxglove's own descriptors; the numbers of the fields below come from them.
 
 use perfetto::Message;
-use tick_view::{AgentView, Point};
+use wire::tick_view::{AgentView, Point};
 use wire::{AgentType, Quality};
 
 use crate::autoware::{EGO, MAP, Tick, probable_paths, size_m};

@@ -2,7 +2,7 @@
 //!
 //! [`messages`] declares the ROS messages. A declaration gives the struct, its [`cdr`] writer and reader, and
 //! its [`Definition`] with the schema text and the type hash. [`autoware`] and [`foxglove`] fill messages from
-//! a [`tick_view::TickView`]. [`Views`] adds them to a recording.
+//! a [`wire::tick_view::TickView`]. [`Views`] adds them to a recording.
 //!
 //! Sources: `autoware_msgs` 1.12.0, `common_interfaces` of ROS 2, OMG's CDR (formal/2002-06-51, §15.3), REP-2016
 //! for the type hash, and the messages of Foxglove's SDK 0.30.3.

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, VecDeque};
 use std::str::FromStr;
 
 use recording::{About, Event, Frame, Happened, LogLine, Message, View, ViewChannel};
-use tick_view::TickView;
+use wire::tick_view::TickView;
 use wire::{ForecastsTopic, Header, StageId, Topic as _, Track, TracksTopic, WorldOrigin};
 
 use crate::autoware::Tick;

@@ -12,7 +12,7 @@
 //! | [`SetDistance::gospa`] | distance of two sets, with its components | Rahmathullah et al. 2017 |
 //! | [`SetDistance::ospa`] | the same per object | Schuhmacher et al. 2008 |
 //! | [`StateErrors`] | RMSE and MAE of position and velocity | |
-//! | [`Consistency`] | whether covariances fit the errors (NEES, NIS) | Bar-Shalom et al. 2001, §5.4 |
+//! | `Consistency` (feature `consistency`) | whether covariances fit the errors (NEES, NIS) | Bar-Shalom et al. 2001, §5.4 |
 //!
 //! The first three take [`Frame`]s in the order of time and return counts at the end. Every ratio follows
 //! from these counts. Counts of several recordings can be merged. The ratios of the sum equal the ratios of
@@ -30,6 +30,7 @@
 //! * Y. Bar-Shalom et al.: *Estimation with applications to tracking and navigation*, 2001.
 
 mod clear_mot;
+#[cfg(feature = "consistency")]
 mod consistency;
 mod frame;
 mod hota;
@@ -39,6 +40,7 @@ mod set_distance;
 mod state_error;
 
 pub use clear_mot::{ClearMot, ClearMotCounts};
+#[cfg(feature = "consistency")]
 pub use consistency::{Bounds, Consistency, ConsistencySummary, chi_square_bounds, normalised_square};
 pub use frame::{Frame, OBJECTS_MAX, Object, Position, Side, TrackingError};
 pub use hota::{ALPHAS, AlphaCounts, Hota, HotaCounts, HotaScore, linear_similarity};

@@ -91,6 +91,7 @@ mod table;
 #[cfg(test)]
 mod tests;
 mod tick;
+pub mod tick_view;
 mod topic;
 mod whole;
 

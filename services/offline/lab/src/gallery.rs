@@ -14,7 +14,7 @@ use run::Run;
 use scene::{ContextMap, MapBuilder, State};
 use source::Playback;
 use thiserror::Error;
-use tick_view::{AgentView, ForecastView, TickView};
+use wire::tick_view::{AgentView, ForecastView, TickView};
 use wire::{Detection, WorldOrigin, detection_flags};
 
 use crate::published::Published;

@@ -8,8 +8,8 @@ use std::path::{Path, PathBuf};
 use launch::failure::Failure;
 use recording::{Message, ReadError, Recording};
 use serde::Deserialize;
-use tick_view::{AgentView, ForecastView, Point, TickView};
 use view::Pairing;
+use wire::tick_view::{AgentView, ForecastView, Point, TickView};
 use wire::{AgentType, Cause, EXPERTS_MAX, Quality, WorldOrigin};
 
 /// Number of earlier positions of an agent, Δt apart; JSON lines contain no histories.

@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, VecDeque};
 
 use metrics::HighestDensity;
 use serde::Serialize;
-use tick_view::{AgentView, ForecastView, TickView};
+use wire::tick_view::{AgentView, ForecastView, TickView};
 use wire::{AGENT_TYPES, HORIZON_MAX, MODES_MAX};
 
 /// Maximum number of ticks whose forecasts wait for later positions.

@@ -13,7 +13,7 @@
 
 use std::collections::BTreeMap;
 
-use tick_view::{AgentView, Point, TickView};
+use wire::tick_view::{AgentView, Point, TickView};
 
 /// Maximum number of kept ticks; of longer runs every second, fourth, … tick is kept.
 const TICKS_MAX: usize = 1_500;
@@ -188,7 +188,7 @@ fn put(bytes: &mut Vec<u8>, value: i64) {
 
 #[cfg(test)]
 mod tests {
-    use tick_view::ForecastView;
+    use wire::tick_view::ForecastView;
     use wire::{AgentType, Cause, Quality};
 
     use super::*;

@@ -2,8 +2,8 @@
 
 use metrics::Point;
 use scene::AgentType;
-use tick_view::{AgentView, ForecastView};
 use wire::Quality;
+use wire::tick_view::{AgentView, ForecastView};
 
 use crate::canvas::{Canvas, Stroke};
 use crate::colour::{BLUE, Colour, GREEN, GREY, INK, ORANGE, PALE, PURPLE, SKY, VERMILION, WHITE};

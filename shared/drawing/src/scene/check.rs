@@ -2,7 +2,7 @@
 
 use metrics::Point;
 
-use tick_view::ForecastView;
+use wire::tick_view::ForecastView;
 
 use super::{AgentDrawing, SceneDrawing, SceneOptions};
 use crate::error::{PictureError, within};

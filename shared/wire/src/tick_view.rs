@@ -3,7 +3,7 @@
 //! Every picture of forecasts is drawn from a [`TickView`], so all pictures show the forecasts that the run
 //! published.
 
-use wire::{
+use crate::{
     AgentType, Cause, EXPERTS_MAX, Forecast, HISTORY_MAX, HORIZON_MAX, Header, HistoryState, MODES_MAX,
     Quality, Track, flags,
 };
@@ -22,7 +22,7 @@ pub struct TickView {
     pub step_ns: u64,
     /// Position and heading of the ego vehicle, if the detections were made from it.
     pub ego: Option<(Point, f32)>,
-    /// Doubts about the input so far: bits of `wire::doubts`.
+    /// Doubts about the input so far: bits of [`doubts`](crate::doubts).
     pub doubts: u32,
     /// The tracks, in the order of the frame.
     pub agents: Vec<AgentView>,
