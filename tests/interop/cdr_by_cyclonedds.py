@@ -10,12 +10,11 @@ bytes of a message of each type with a different value in every field. Exit code
 
 import sys
 from collections import Counter
-from dataclasses import make_dataclass
 from itertools import count
 from pathlib import Path
 
 try:
-    from cyclonedds.idl import IdlStruct, types
+    from cyclonedds.idl import make_idl_struct, types
     from mcap.reader import make_reader
 except ImportError as error:
     print(f"skipped: {error}: pip install cyclonedds mcap")
@@ -72,9 +71,9 @@ class Types:
             return PRIMITIVES[text]
         if text not in self.made:
             lines = [line.split() for line in self.texts[text].splitlines() if line and "=" not in line]
-            members = [(name, self.of(of)) for of, name in lines]
+            members = {name: self.of(of) for of, name in lines}
             name = text.replace("/", ".msg.dds_.") + "_"
-            self.made[text] = make_dataclass(name.split(".")[-1], members, bases=(IdlStruct,))
+            self.made[text] = make_idl_struct(name.split(".")[-1], name, members)
         return self.made[text]
 
 

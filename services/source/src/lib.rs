@@ -13,5 +13,7 @@ pub mod stage;
 mod thinning;
 
 pub use options::{Options, STAGE};
+pub use outputs::Outputs;
 pub use playback::{Playback, PlaybackOptions, Tick};
 pub use scene::recording;
+pub use thinning::merge;

@@ -13,18 +13,34 @@ const TAKE_OVER_LEN: usize = 4;
 
 /// The source's publishers, and the heartbeats of the later stages.
 #[derive(Debug)]
-pub(crate) struct Outputs {
+pub struct Outputs {
     detections: Publisher<DetectionsTopic>,
     truth: Publisher<TruthTopic>,
     peers: Peers,
 }
 
 impl Outputs {
+    /// Opens the topics.
+    ///
+    /// # Errors
+    /// [`PortError`] if the run's shared memory can't be used.
     pub fn open(stage: &mut Stage, run: &Run) -> Result<Self, PortError> {
         Ok(Self { detections: stage.publish()?, truth: stage.publish()?, peers: stage.peers(run)? })
     }
 
+    /// Does what is due between two ticks, without a wait.
+    ///
+    /// # Errors
+    /// [`PortError`] if the transport fails.
+    pub fn tend(&mut self, stage: &mut Stage) -> Result<(), PortError> {
+        self.peers.listen()?;
+        stage.sleep_on(self.peers.heartbeats(), 0).map(drop)
+    }
+
     /// Releases a tick. The truth goes first, so that it is available when the forecasts arrive.
+    ///
+    /// # Errors
+    /// [`PortError`] if the transport fails.
     pub fn send(&self, stage: &mut Stage, tick: &Tick<'_>) -> Result<(), PortError> {
         self.release(stage, tick.header, tick.detections, tick.truth_header(), tick.truth)
     }

@@ -30,14 +30,13 @@ pub(crate) fn thin(recording: &mut Recording, n: u64) -> Played {
     let interval_ns = recording.interval_ns.max(1);
     let places = every_nth(&recording.frames, n, interval_ns);
     let mut counts = Vec::with_capacity(places.len());
-    let part_ns = i64::try_from(interval_ns / 10).unwrap_or(i64::MAX);
     let (mut merged_len, mut start) = (0, 0);
     for &place in &places {
         let (unplayed, rest) = recording.frames.split_at_mut(place);
         if recording.own_stamps
             && let Some(frame) = rest.first_mut()
         {
-            merged_len += merge(&unplayed[start..], frame, part_ns);
+            merged_len += merge(&unplayed[start..], frame, interval_ns);
         }
         counts.push([0, merged_len]);
         start = place + 1;
@@ -61,8 +60,9 @@ fn every_nth(frames: &[Frame], n: u64, interval_ns: u64) -> Vec<usize> {
 }
 
 /// Merges the parts of unplayed frames that come from another sensor, newest first. Returns the number of
-/// merged detections.
-fn merge(unplayed: &[Frame], into: &mut Frame, part_ns: i64) -> u32 {
+/// merged detections. `interval_ns` is the interval between the frames.
+pub fn merge(unplayed: &[Frame], into: &mut Frame, interval_ns: u64) -> u32 {
+    let part_ns = i64::try_from(interval_ns / 10).unwrap_or(i64::MAX);
     let mut merged_len = 0;
     for frame in unplayed.iter().rev() {
         let mut detections: Vec<Detection> = frame.detections.clone();

@@ -147,6 +147,7 @@ impl Cdr for bool {
 
 /// ROS's type `byte`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Byte(pub u8);
 
 impl Cdr for Byte {

@@ -8,6 +8,7 @@ macro_rules! messages {
     ($($(#[$doc:meta])+ $name:ident = $ros:literal $([$($constant:literal),+])? { $($field:ident: $type:ty,)+ })+) => {
         $($(#[$doc])+
         #[derive(Clone, Debug, Default, PartialEq)]
+        #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
         pub struct $name {
             $(pub $field: $type,)+
         }
@@ -49,7 +50,22 @@ pub mod label {
 
 /// A 6 × 6 covariance, row-major.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+#[cfg_attr(feature = "serde", serde(from = "[[f64; 6]; 6]", into = "[[f64; 6]; 6]"))]
 pub struct Covariance(pub [f64; 36]);
+
+/// serde has no arrays of more than 32 elements. The rows have the same bytes.
+impl From<[[f64; 6]; 6]> for Covariance {
+    fn from(rows: [[f64; 6]; 6]) -> Self {
+        Self(std::array::from_fn(|place| rows[place / 6][place % 6]))
+    }
+}
+
+impl From<Covariance> for [[f64; 6]; 6] {
+    fn from(covariance: Covariance) -> Self {
+        std::array::from_fn(|row| std::array::from_fn(|column| covariance.0[row * 6 + column]))
+    }
+}
 
 impl Default for Covariance {
     fn default() -> Self {

@@ -12,6 +12,7 @@
 //!
 //! The objects become rows of [`crate::formats::csv`], which checks their values.
 
+mod objects;
 mod transforms;
 
 use std::collections::HashMap;
@@ -19,22 +20,18 @@ use std::fmt::Write as _;
 
 use interop::autoware::EGO;
 use interop::cdr::{Cdr, from_bytes};
-use interop::messages::{
-    DetectedObject, DetectedObjects, Header, ObjectClassification, Pose, Shape, TfMessage, TrackedObject,
-    TrackedObjects, label,
-};
-use nalgebra::{Isometry3, Vector3};
+use interop::messages::{DetectedObjects, Header, TfMessage, TrackedObjects};
+use nalgebra::Isometry3;
 use recording::{BagMessage, bag_messages};
-use wire::AgentType;
 
-use self::transforms::Transforms;
+use self::objects::heading_rad;
+pub use self::objects::{Object, Placed};
+pub use self::transforms::Transforms;
 use crate::formats::csv;
 use crate::input::need;
 use crate::recording::LeftOut;
 use crate::{Input, ReadError, Recording, Role};
 
-/// `orientation_availability` of an orientation whose sign is known.
-const AVAILABLE: u8 = 2;
 /// Topics that are read if several have objects.
 const USUAL: [&str; 3] = [
     "/perception/object_recognition/detection/objects",
@@ -50,18 +47,6 @@ struct Message {
     topic: String,
     header: Header,
     objects: Vec<Object>,
-}
-
-/// What both kinds of objects have.
-struct Object {
-    id: Option<[u8; 16]>,
-    score: f32,
-    class: u8,
-    pose: Pose,
-    has_heading: bool,
-    speed_mps: Option<f64>,
-    sigma_m: Option<f64>,
-    size_m: [f64; 2],
 }
 
 /// A problem of the bag, or of one message.
@@ -163,53 +148,6 @@ fn decode<M: Cdr>(message: &BagMessage<'_>) -> Result<M, Problem> {
         .map_err(|error| Problem(Some(message.number), format!("{}: {error}", message.topic)))
 }
 
-fn class(classification: &[ObjectClassification]) -> u8 {
-    // The first of equally probable ones, as in Autoware.
-    let best = classification.iter().rev().max_by(|a, b| a.probability.total_cmp(&b.probability));
-    best.map_or(label::UNKNOWN, |best| best.label)
-}
-
-fn size_m(shape: &Shape) -> [f64; 2] {
-    [shape.dimensions.x, shape.dimensions.y]
-}
-
-impl From<DetectedObject> for Object {
-    fn from(object: DetectedObject) -> Self {
-        let kinematics = object.kinematics;
-        let covariance = kinematics.pose_with_covariance.covariance.0;
-        let has_heading = kinematics.orientation_availability == AVAILABLE;
-        Self {
-            id: None,
-            score: object.existence_probability,
-            class: class(&object.classification),
-            pose: kinematics.pose_with_covariance.pose,
-            has_heading,
-            speed_mps: kinematics.has_twist.then_some(kinematics.twist_with_covariance.twist.linear.x),
-            sigma_m: kinematics
-                .has_position_covariance
-                .then(|| ((covariance[0] + covariance[7]) / 2.0).sqrt()),
-            size_m: size_m(&object.shape),
-        }
-    }
-}
-
-impl From<TrackedObject> for Object {
-    fn from(object: TrackedObject) -> Self {
-        let kinematics = object.kinematics;
-        Self {
-            id: Some(object.object_id.uuid),
-            score: object.existence_probability,
-            class: class(&object.classification),
-            pose: kinematics.pose_with_covariance.pose,
-            has_heading: kinematics.orientation_availability == AVAILABLE,
-            speed_mps: Some(kinematics.twist_with_covariance.twist.linear.x),
-            // The uncertainty of a track is not the one of a measurement.
-            sigma_m: None,
-            size_m: size_m(&object.shape),
-        }
-    }
-}
-
 /// The objects as rows of the project's own CSV.
 struct Table {
     text: String,
@@ -237,13 +175,13 @@ impl Table {
         let stamp_s = format!("{sign}{}.{:09}", at / 1_000_000_000, at % 1_000_000_000);
         let of_message = |problem| Problem(Some(message.number), problem);
         let frame = message.header.frame_id.trim_start_matches('/');
-        let world_from_frame = transforms.to_root(frame, stamp_ns).map_err(of_message)?;
+        let world_from_frame = transforms.to_root(frame, None, stamp_ns).map_err(of_message)?;
         if frame == EGO && !transforms.has(EGO) {
             return Err(of_message(format!("objects in the frame {EGO}, and no transform of it in /tf")));
         }
         if transforms.has(EGO)
             && self.ego_ns != Some(stamp_ns)
-            && let Ok(ego) = transforms.to_root(EGO, stamp_ns)
+            && let Ok(ego) = transforms.to_root(EGO, None, stamp_ns)
         {
             self.ego_ns = Some(stamp_ns);
             let (position, heading_rad) = (ego.translation.vector, heading_rad(&ego));
@@ -262,33 +200,22 @@ impl Table {
         stamp_s: &str,
         world_from_frame: &Isometry3<f64>,
     ) {
-        let agent_type = match object.class {
-            label::CAR | label::TRUCK | label::BUS | label::TRAILER | label::MOTORCYCLE => AgentType::Vehicle,
-            label::BICYCLE => AgentType::Cyclist,
-            label::PEDESTRIAN => AgentType::Pedestrian,
-            _ => return self.other += 1,
-        };
+        let Some(placed) = object.placed(world_from_frame) else { return self.other += 1 };
         let next = self.ids.len() + 1;
         let id = object.id.map(|uuid| *self.ids.entry(uuid).or_insert(next));
-        let pose = world_from_frame * transforms::pose(&object.pose);
         let given = |value: Option<f64>| value.map_or_else(String::new, |value| value.to_string());
-        let heading = object.has_heading.then(|| heading_rad(&pose));
-        let [length_m, width_m] = object.size_m.map(Some);
-        let has_size = object.size_m.iter().all(|size_m| *size_m > 0.0);
-        let position = pose.translation.vector;
+        let [x_m, y_m] = placed.position_m;
+        let [length_m, width_m] = [0, 1].map(|axis| placed.size_m.map(|size_m| size_m[axis]));
         let row = format!(
-            "{stamp_s},{},{},{},{},{},{},{},{},{},{}",
+            "{stamp_s},{},{},{x_m},{y_m},{},{},{},{},{},{}",
             id.map_or_else(String::new, |id| id.to_string()),
-            agent_type.name(),
-            position.x,
-            position.y,
-            given(heading),
-            // A speed is along the heading.
-            given(object.speed_mps.filter(|_| object.has_heading)),
-            given(length_m.filter(|_| has_size)),
-            given(width_m.filter(|_| has_size)),
-            object.score,
-            given(object.sigma_m),
+            placed.agent_type.name(),
+            given(placed.heading_rad),
+            given(placed.speed_mps),
+            given(length_m),
+            given(width_m),
+            placed.score,
+            given(placed.sigma_m),
         );
         self.row(message, &row);
     }
@@ -297,12 +224,6 @@ impl Table {
         let _ = writeln!(self.text, "{row}");
         self.numbers.push(message.number);
     }
-}
-
-/// The direction of the x axis on the ground.
-fn heading_rad(pose: &Isometry3<f64>) -> f64 {
-    let along = pose.rotation * Vector3::x();
-    along.y.atan2(along.x)
 }
 
 /// The message of a line, from 1.

@@ -18,9 +18,9 @@ struct Frame {
     poses: BTreeMap<i64, Isometry3<f64>>,
 }
 
-/// All transforms of a bag.
+/// The transforms of `/tf` and `/tf_static` so far.
 #[derive(Debug, Default)]
-pub(super) struct Transforms(HashMap<String, Frame>);
+pub struct Transforms(HashMap<String, Frame>);
 
 /// A pose as a transform. The rotation of a quaternion without a direction is none.
 pub(super) fn pose(Pose { position: at, orientation: q }: &Pose) -> Isometry3<f64> {
@@ -38,6 +38,7 @@ fn bare(frame: &str) -> &str {
 }
 
 impl Transforms {
+    /// Adds a transform.
     pub fn add(&mut self, found: &TransformStamped, is_static: bool) {
         let (stamp, at, q) = (&found.header.stamp, &found.transform.translation, &found.transform.rotation);
         let stamp_ns = i64::from(stamp.sec) * 1_000_000_000 + i64::from(stamp.nanosec);
@@ -48,18 +49,50 @@ impl Transforms {
     }
 
     /// Whether the frame has a place in another frame.
+    #[must_use]
     pub fn has(&self, frame: &str) -> bool {
         self.0.contains_key(frame)
     }
 
-    /// The transform from a frame to the root of its tree, at a time.
+    /// Whether the moving frames from `frame` up to `world` have a transform at a time or later. If so, later
+    /// messages do not change the transform at this time.
+    #[must_use]
+    pub fn reach(&self, frame: &str, world: &str, stamp_ns: i64) -> bool {
+        let mut name = frame;
+        for _ in 0..DEPTH_MAX {
+            match self.0.get(name) {
+                _ if name == world => return true,
+                Some(frame) if frame.is_static || frame.poses.range(stamp_ns..).next().is_some() => {
+                    name = &frame.parent;
+                }
+                _ => return false,
+            }
+        }
+        false
+    }
+
+    /// Forgets the dynamic transforms before a time.
+    pub fn forget_before(&mut self, stamp_ns: i64) {
+        for frame in self.0.values_mut().filter(|frame| !frame.is_static) {
+            frame.poses = frame.poses.split_off(&stamp_ns);
+        }
+    }
+
+    /// The transform from a frame to `world`, at a time; to the root of its tree without `world`.
     ///
     /// # Errors
     /// The frame whose place at the time is unknown.
-    pub fn to_root(&self, frame: &str, stamp_ns: i64) -> Result<Isometry3<f64>, String> {
+    pub fn to_root(&self, frame: &str, world: Option<&str>, stamp_ns: i64) -> Result<Isometry3<f64>, String> {
         let (mut name, mut root_from_frame) = (frame, Isometry3::identity());
         for _ in 0..DEPTH_MAX {
-            let Some(frame) = self.0.get(name) else { return Ok(root_from_frame) };
+            let frame = match self.0.get(name) {
+                Some(frame) if world != Some(name) => frame,
+                None if world.is_some_and(|world| world != name) => {
+                    let world = world.unwrap_or_default();
+                    return Err(format!("no transform from {name} to {world} in /tf"));
+                }
+                _ => return Ok(root_from_frame),
+            };
             let pose = frame.at(stamp_ns).ok_or_else(|| {
                 let parent = &frame.parent;
                 let stamp_s = stamp_ns as f64 / 1e9;

@@ -1,0 +1,156 @@
+//! The tracks and forecasts of a run as messages of ROS.
+//!
+//! [`Output`] fills the messages from the frames of a run and never waits: a thread publishes them. If DDS is
+//! slow, the newest messages replace those that wait, which are counted.
+
+use std::collections::{BTreeMap, VecDeque};
+
+use interop::autoware::{self, Tick};
+use interop::messages::{
+    DiagnosticArray, DiagnosticStatus, KeyValue, PredictedObjects, TfMessage, TrackedObjects,
+};
+use wire::tick_view::TickView;
+use wire::{Forecast, Header, StageId, Track, WorldOrigin};
+
+use crate::options::Options;
+
+/// Tracks that wait for the forecasts of their tick.
+const WAITING_MAX: usize = 16;
+
+/// A message to publish.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Outgoing {
+    /// The tracks of a tick, and the ego vehicle's pose.
+    Tracks(TrackedObjects, Option<TfMessage>),
+    /// The forecasts of a tick, and its diagnostics.
+    Forecasts(PredictedObjects, DiagnosticArray),
+}
+
+/// What became of the ticks so far.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Published {
+    /// Messages with forecasts that DDS has taken.
+    pub sent: u64,
+    /// Messages that newer ones have replaced, or that DDS had no room for.
+    pub dropped: u64,
+    /// Objects that were left out because their forecasts were too old.
+    pub too_old: u64,
+    /// Forecasts whose tracks did not arrive.
+    pub unpaired: u64,
+}
+
+/// Fills the messages of a run.
+#[derive(Debug)]
+pub struct Output {
+    origin: WorldOrigin,
+    budgets_ms: BTreeMap<StageId, f64>,
+    frame: String,
+    paths: usize,
+    max_age_ns: Option<u64>,
+    has_tf: bool,
+    waiting: VecDeque<(Header, Vec<Track>)>,
+    /// What became of the ticks so far.
+    pub published: Published,
+}
+
+impl Output {
+    /// The messages of a run with these options.
+    #[must_use]
+    pub fn new(run: &run::Run, options: &Options) -> Self {
+        let is_vehicle = run.stage(StageId::Source).is_some_and(|source| !source.built_in);
+        Self {
+            origin: run.origin(),
+            budgets_ms: run.budgets_ms(),
+            frame: options.frame.clone(),
+            paths: options.paths,
+            max_age_ns: options.max_age_ms.map(|age_ms| (age_ms * 1e6) as u64),
+            has_tf: options.tf.unwrap_or(!is_vehicle),
+            waiting: VecDeque::with_capacity(WAITING_MAX),
+            published: Published::default(),
+        }
+    }
+
+    /// The message of a tick's tracks; `None` if the frame is not a tick.
+    pub fn tracks(&mut self, header: &Header, tracks: &[Track]) -> Option<Outgoing> {
+        if !header.is_tick() {
+            return None;
+        }
+        let none = Header { counts: header.counts, ..Header::default() };
+        let view = TickView::new((header, tracks), (&none, &[]));
+        let tick = Tick { view, tracks, origin: self.origin };
+        let mut tracked = autoware::tracked_objects(&tick);
+        tracked.header.frame_id.clone_from(&self.frame);
+        let mut transforms = autoware::transforms(&tick).filter(|_| self.has_tf);
+        for transform in transforms.iter_mut().flat_map(|message| &mut message.transforms) {
+            transform.header.frame_id.clone_from(&self.frame);
+        }
+        if self.waiting.len() == WAITING_MAX {
+            self.waiting.pop_front();
+        }
+        self.waiting.push_back((*header, tracks.to_vec()));
+        Some(Outgoing::Tracks(tracked, transforms))
+    }
+
+    /// The messages of a tick's forecasts at `now_ns` on `CLOCK_MONOTONIC`; `None` if the frame is not a tick or
+    /// its tracks did not arrive.
+    pub fn forecasts(&mut self, header: &Header, forecasts: &[Forecast], now_ns: u64) -> Option<Outgoing> {
+        if !header.is_tick() {
+            return None;
+        }
+        let is_of_tick = |(tracks, _): &(Header, _)| tracks.seq == header.seq;
+        let Some(place) = self.waiting.iter().position(is_of_tick) else {
+            self.published.unpaired += 1;
+            return None;
+        };
+        let (of, tracks) = self.waiting.drain(..=place).next_back()?;
+        let view = TickView::new((&of, &tracks), (header, forecasts));
+        let mut tick = Tick { view, tracks: &tracks, origin: self.origin };
+        let mut diagnostics = autoware::diagnostics(&tick, header.hops(), &self.budgets_ms);
+        let passed_ns = now_ns.saturating_sub(header.released_ns);
+        let left_out = self.leave_out_old(&mut tick.view, passed_ns);
+        self.published.too_old += left_out;
+        diagnostics.status.push(self.status(left_out));
+        diagnostics.header.frame_id.clone_from(&self.frame);
+        let mut predicted = autoware::predicted_objects(&tick, self.paths);
+        predicted.header.frame_id.clone_from(&self.frame);
+        Some(Outgoing::Forecasts(predicted, diagnostics))
+    }
+
+    /// Removes forecasts that are older than the limit. The age of a forecast is its age at the release of the tick
+    /// and the time since then. Returns the number of removed forecasts.
+    fn leave_out_old(&self, view: &mut TickView, passed_ns: u64) -> u64 {
+        let Some(max_age_ns) = self.max_age_ns else { return 0 };
+        let mut left_out = 0;
+        for agent in &mut view.agents {
+            let is_old = |age_ns: u64| age_ns.saturating_add(passed_ns) > max_age_ns;
+            if agent.forecast.take_if(|forecast| is_old(forecast.age_ns)).is_some() {
+                left_out += 1;
+            }
+        }
+        left_out
+    }
+
+    /// The diagnostics of the bridge.
+    fn status(&self, left_out: u64) -> DiagnosticStatus {
+        let Published { sent, dropped, too_old, unpaired } = self.published;
+        let values = [
+            ("published", sent),
+            ("dropped", dropped),
+            ("without tracks", unpaired),
+            ("left out now", left_out),
+            ("left out so far", too_old),
+        ];
+        let values = values.map(|(key, value)| KeyValue { key: key.to_owned(), value: value.to_string() });
+        let message = if left_out > 0 { "objects are left out: their forecasts are too old" } else { "" };
+        DiagnosticStatus {
+            level: interop::cdr::Byte(u8::from(left_out > 0)),
+            name: "stgdat: ros2".to_owned(),
+            message: message.to_owned(),
+            values: values.to_vec(),
+            ..DiagnosticStatus::default()
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;
