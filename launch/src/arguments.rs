@@ -162,6 +162,16 @@ pub struct Played {
     pub model: ModelConfig,
 }
 
+/// A lockstep run in this process whose recording is not read yet.
+pub struct Prepared {
+    /// The recording and how it is read.
+    pub source: source::Options,
+    /// The run, with the default interval.
+    pub run: Run,
+    /// Model.
+    pub model: ModelConfig,
+}
+
 /// The stages that run in this process.
 const IN_PROCESS: [StageId; 7] = [
     StageId::Source,
@@ -325,6 +335,19 @@ impl PlaybackArguments {
 
     /// Returns the recording at its start and the lockstep run that plays it.
     pub fn start(&self) -> Result<Played, Failure> {
+        let Prepared { source, mut run, model } = self.prepare()?;
+        let recording = source::recording(&source, run.origin(), run.seed)?;
+        warn_of_doubts(&recording);
+        // Counted before frames are merged, so the line numbers match the files.
+        let input = input_of(&recording);
+        let playing = PlaybackOptions { run_id: 0, ticks_max: source.ticks, lockstep: true };
+        let playback = Playback::new(recording, playing);
+        run.interval_ns = playback.interval_ns();
+        Ok(Played { playback, input, run, model })
+    }
+
+    /// Checks the arguments and returns the lockstep run that they describe, before its recording is read.
+    pub fn prepare(&self) -> Result<Prepared, Failure> {
         let (weights_path, weights) = self.model.open_weights(None)?;
         let options = self.options()?;
         let sampler = options.read(&sampler::STAGE)?;
@@ -334,24 +357,16 @@ impl PlaybackArguments {
         if self.seed.is_some() && self.recording.is_some() {
             note_unused_seed(&sampler, weights.config());
         }
-        let seed = self.seed.unwrap_or(SEED);
         let source = source::Options { recording: self.path()?, ..options.read(&source::STAGE)? };
-        let recording = source::recording(&source, origin, seed)?;
-        warn_of_doubts(&recording);
-        // Counted before frames are merged, so the line numbers match the files.
-        let input = input_of(&recording);
-        let playing = PlaybackOptions { run_id: 0, ticks_max: source.ticks, lockstep: true };
-        let playback = Playback::new(recording, playing);
         let run = Run {
-            interval_ns: playback.interval_ns(),
             lockstep: true,
-            seed,
+            seed: self.seed.unwrap_or(SEED),
             weights: weights_path,
             origin_m: origin.position_m(),
             stages: options.stage_runs(),
             ..Run::default()
         };
-        Ok(Played { playback, input, run, model: weights.config().clone() })
+        Ok(Prepared { source, run, model: weights.config().clone() })
     }
 
     fn options(&self) -> Result<StageOptions, Failure> {

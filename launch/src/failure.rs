@@ -168,7 +168,7 @@ impl Failure {
 
     /// Returns the message. It includes the last output lines of a dead stage, and underlying errors if they
     /// add information.
-    fn message(&self) -> String {
+    pub fn message(&self) -> String {
         let mut text = String::new();
         match self {
             Self::Source(error) => return color::report(error),

@@ -38,7 +38,7 @@ pub mod program;
 mod readers;
 mod recorded;
 mod report_differences;
-mod runs;
+pub mod runs;
 mod scheduling;
 mod screen;
 pub mod stages;

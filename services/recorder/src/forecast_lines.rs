@@ -91,7 +91,11 @@ impl ForecastWriter {
     /// # Errors
     /// The error of the file system, such as a full disk.
     pub fn write(&mut self, header: &Header, forecasts: &[Forecast]) -> io::Result<()> {
-        if header.is_tick() { write_line(&mut self.file, header, forecasts, self.origin) } else { Ok(()) }
+        if header.is_tick() {
+            write_forecast_line(&mut self.file, header, forecasts, self.origin)
+        } else {
+            Ok(())
+        }
     }
 
     /// Writes the buffered data and gives the file its name.
@@ -103,7 +107,11 @@ impl ForecastWriter {
     }
 }
 
-fn write_line(
+/// Writes the forecasts of a tick as one line.
+///
+/// # Errors
+/// The error of the output.
+pub fn write_forecast_line(
     output: &mut impl Write,
     header: &Header,
     forecasts: &[Forecast],
@@ -304,7 +312,7 @@ mod tests {
 
     fn line(header: &Header, forecasts: &[Forecast]) -> String {
         let mut bytes = Vec::new();
-        write_line(&mut bytes, header, forecasts, WorldOrigin::default()).unwrap();
+        write_forecast_line(&mut bytes, header, forecasts, WorldOrigin::default()).unwrap();
         String::from_utf8(bytes).unwrap()
     }
 
@@ -324,7 +332,7 @@ mod tests {
     fn positions_are_in_the_frame_of_the_recording() {
         let origin: WorldOrigin = "81000,5428000.5".parse().unwrap();
         let mut bytes = Vec::new();
-        write_line(&mut bytes, &header(1), &[forecast()], origin).unwrap();
+        write_forecast_line(&mut bytes, &header(1), &[forecast()], origin).unwrap();
         let line: serde_json::Value = serde_json::from_slice(&bytes).unwrap();
         let agent = &line["agents"][0];
         assert_eq!((&agent["x_m"], &agent["y_m"]), (&81_001.234_6.into(), &5_428_000.5.into()));

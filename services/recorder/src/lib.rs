@@ -35,7 +35,7 @@ pub mod trace;
 mod whole_file;
 mod worst;
 
-pub use forecast_lines::{FORECASTS_VERSION, ForecastWriter};
+pub use forecast_lines::{FORECASTS_VERSION, ForecastWriter, write_forecast_line};
 pub use input::{InputReport, InputTally};
 pub use lanes::LaneCounts;
 pub use options::{Options, STAGE};

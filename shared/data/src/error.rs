@@ -190,3 +190,43 @@ pub enum ReadError {
         known: String,
     },
 }
+
+/// The place of an error in a file.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ErrorPlace {
+    /// The file.
+    pub path: String,
+    /// The line, or for bags the message, from 1.
+    pub line: Option<usize>,
+    /// The value, shortened.
+    pub value: Option<String>,
+}
+
+impl ReadError {
+    /// The place of the error, for programs that show it.
+    #[must_use]
+    pub fn place(&self) -> ErrorPlace {
+        let (path, line, value) = match self {
+            Self::Io { path, .. } => {
+                return ErrorPlace { path: path.display().to_string(), line: None, value: None };
+            }
+            Self::TooLarge { path, .. }
+            | Self::Bag { path, .. }
+            | Self::Empty { path }
+            | Self::Missing { path, .. }
+            | Self::FrameRate { path, .. }
+            | Self::Origin { path, .. }
+            | Self::UnknownFormat { path, .. } => (path, None, None),
+            Self::TooManyRows { path, line, .. }
+            | Self::NotText { path, line, .. }
+            | Self::Syntax { path, line, .. } => (path, Some(*line), None),
+            Self::Columns { path, line, text, .. } => (path, Some(*line), Some(text.clone())),
+            Self::Value { path, line, value, .. } | Self::Message { path, message: line, value, .. } => {
+                (path, Some(*line), Some(value.clone()))
+            }
+            Self::Duplicate { path, line, id, .. } => (path, Some(*line), Some(id.to_string())),
+            Self::TimeGoesBack { path, line, stamp_s, .. } => (path, Some(*line), Some(stamp_s.to_string())),
+        };
+        ErrorPlace { path: path.clone(), line, value }
+    }
+}

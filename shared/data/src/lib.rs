@@ -60,7 +60,7 @@ mod track_file;
 mod tracks;
 mod windows;
 
-pub use error::ReadError;
+pub use error::{ErrorPlace, ReadError};
 pub use folder::recordings_in;
 pub use format::{Format, UnknownFormat};
 pub use frame_rate::{FrameRate, UnknownFrameRate};

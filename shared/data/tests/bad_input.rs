@@ -186,6 +186,21 @@ fn bad_values_are_named_with_file_line_and_column() {
 }
 
 #[test]
+fn an_error_has_its_place_as_fields() {
+    let place = |text: &str| {
+        let place = with_rows(Format::EthUcy, text.as_bytes()).unwrap_err().place();
+        (place.path, place.line, place.value)
+    };
+    let of = |line, value: &str| ("a.txt".to_owned(), Some(line), Some(value.to_owned()));
+    assert_eq!(place("780\t1\t2\t3\n\n790\t1\tinf\t3\n"), of(3, "inf"));
+    assert_eq!(place("780\t1\t2\t3\n790\t1\t2\n"), of(2, "790\\t1\\t2"));
+    assert_eq!(place("780\t4\t2\t3\n780\t4\t2\t3\n"), of(2, "4"));
+    assert_eq!(place(""), ("a.txt".to_owned(), None, None));
+    let missing = data::open("nowhere/b.csv".as_ref(), None).unwrap_err().place();
+    assert_eq!((missing.path.as_str(), missing.line, missing.value), ("nowhere/b.csv", None, None));
+}
+
+#[test]
 fn ids_have_64_bits_and_those_beyond_are_named() {
     let ids = [0, 1 << 63, u64::MAX - 1];
     let text: String = ids.iter().map(|id| format!("10\t{id}\t2\t3\n")).collect();

@@ -1,0 +1,19 @@
+"""A planner's view of a live run: `stgdat run` in one terminal, `python planner.py` in another.
+
+Prints the smallest distance of any likely path to the ego vehicle's place, tick by tick.
+"""
+
+import numpy as np
+
+import stgdat
+
+run = stgdat.Run.attach()
+for frame in run.frames("forecasts"):
+    assert isinstance(frame, stgdat.Forecasts)
+    if len(frame) == 0:
+        continue
+    likely = frame.probabilities.argmax(axis=1)
+    paths_m = frame.modes_m[np.arange(len(frame)), likely]
+    distances_m = np.linalg.norm(paths_m - frame.header["ego_m"], axis=-1)
+    agent, step = np.unravel_index(distances_m.argmin(), distances_m.shape)
+    print(f"tick {frame.seq}: track {frame.ids[agent]} comes within {distances_m[agent, step]:.1f} m in {frame.times_s[step]:.1f} s")

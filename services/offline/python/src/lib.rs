@@ -1,0 +1,47 @@
+//! The compiled part of the Python package `stgdat`: the same crates as `stgdat predict`, `track`,
+//! `evaluate` and `record`, behind a few classes. The Python files beside this crate give it types,
+//! documentation and numpy arrays.
+//!
+//! A [`frame`] holds header and elements of one topic, whatever made it: a recording, the stages in this
+//! process, a file of a run, or a live run. Its memory is a [`block`], which numpy reads in place.
+//! Computations release Python's global lock.
+
+mod block;
+mod error;
+mod evaluate;
+mod frame;
+mod layout;
+mod live;
+mod record;
+mod recording;
+mod stages;
+
+#[pyo3::pymodule]
+mod _stgdat {
+    use pyo3::prelude::*;
+
+    #[pymodule_export]
+    use crate::block::Block;
+    #[pymodule_export]
+    use crate::error::InputError;
+    #[pymodule_export]
+    use crate::evaluate::evaluate;
+    #[pymodule_export]
+    use crate::frame::{Frame, detections};
+    #[pymodule_export]
+    use crate::layout::{constants, layout, numbers};
+    #[pymodule_export]
+    use crate::live::{Tap, living_run};
+    #[pymodule_export]
+    use crate::record::{Messages, Record};
+    #[pymodule_export]
+    use crate::recording::{Playback, Recording, open};
+    #[pymodule_export]
+    use crate::stages::{Predictor, Tracker};
+
+    #[pymodule_init]
+    fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
+        module.add("__version__", env!("CARGO_PKG_VERSION"))?;
+        Ok(())
+    }
+}

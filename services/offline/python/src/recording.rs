@@ -1,0 +1,157 @@
+//! Recordings.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use clap::Parser;
+use launch::arguments::{PlaybackArguments, Prepared};
+use launch::failure::Failure;
+use pyo3::prelude::*;
+use source::PlaybackOptions;
+use wire::{Detection, DetectionsTopic, WorldOrigin};
+
+use crate::block::{Block, Owner};
+use crate::error;
+use crate::frame::Frame;
+
+/// The command line of `stgdat predict`.
+#[derive(Parser)]
+#[command(name = "stgdat", no_binary_name = true)]
+struct Line {
+    #[command(flatten)]
+    playback: PlaybackArguments,
+}
+
+/// Reads the arguments of `stgdat predict` and checks them.
+pub fn prepare(arguments: Vec<String>) -> PyResult<Prepared> {
+    let line = Line::try_parse_from(arguments).map_err(|wrong| {
+        let text = wrong.to_string();
+        let first = text.lines().next().unwrap_or_default();
+        error::InputError::new_err(first.strip_prefix("error: ").unwrap_or(first).to_owned())
+    })?;
+    line.playback.prepare().map_err(|failure| error::of_failure(&failure))
+}
+
+/// A recording: frames of detections in time order.
+#[pyclass(frozen, module = "stgdat._stgdat")]
+pub struct Recording {
+    pub recording: data::Recording,
+    pub origin: WorldOrigin,
+    path: Option<String>,
+    detections: Arc<[Detection]>,
+    stamps_ns: Arc<[i64]>,
+    offsets: Arc<[i64]>,
+}
+
+/// Opens the recording of these arguments of `stgdat predict`; a generated scene if they name none.
+#[pyfunction]
+pub fn open(py: Python<'_>, arguments: Vec<String>) -> PyResult<Recording> {
+    py.detach(|| {
+        let Prepared { source, run, .. } = prepare(arguments)?;
+        let recording = source::recording(&source, run.origin(), run.seed)
+            .map_err(|why| error::of_failure(&Failure::from(why)))?;
+        let frames = || recording.frames.iter();
+        let mut end = 0;
+        let ends = frames().map(|frame| {
+            end += frame.detections.len() as i64;
+            end
+        });
+        Ok(Recording {
+            offsets: std::iter::once(0).chain(ends).collect(),
+            detections: frames().flat_map(|frame| &frame.detections).copied().collect(),
+            stamps_ns: frames().map(|frame| frame.stamp_ns).collect(),
+            path: source.recording.map(|path| path.display().to_string()),
+            origin: run.origin(),
+            recording,
+        })
+    })
+}
+
+#[pymethods]
+impl Recording {
+    #[getter]
+    fn name(&self) -> &str {
+        &self.recording.name
+    }
+
+    #[getter]
+    fn path(&self) -> Option<&str> {
+        self.path.as_deref()
+    }
+
+    #[getter]
+    fn sha256(&self) -> &str {
+        &self.recording.sha256
+    }
+
+    #[getter]
+    const fn interval_ns(&self) -> u64 {
+        self.recording.interval_ns
+    }
+
+    #[getter]
+    const fn has_identities(&self) -> bool {
+        self.recording.has_identities
+    }
+
+    #[getter]
+    const fn origin_m(&self) -> (f64, f64) {
+        let [x_m, y_m] = self.origin.position_m();
+        (x_m, y_m)
+    }
+
+    /// What the audit of the recording doubts.
+    fn doubts(&self) -> Vec<String> {
+        let findings = data::findings(&self.recording);
+        findings.iter().filter(|found| found.doubtful).map(ToString::to_string).collect()
+    }
+
+    fn detections(&self) -> Block {
+        Block::new(Owner::Detections(self.detections.clone()))
+    }
+
+    fn stamps_ns(&self) -> Block {
+        Block::new(Owner::Numbers(self.stamps_ns.clone()))
+    }
+
+    fn offsets(&self) -> Block {
+        Block::new(Owner::Numbers(self.offsets.clone()))
+    }
+
+    /// Plays the recording tick by tick, as `stgdat predict` does.
+    fn play(&self, py: Python<'_>, ticks: Option<u64>) -> Playback {
+        let options = PlaybackOptions { run_id: 0, ticks_max: ticks, lockstep: true };
+        let playback = py.detach(|| source::Playback::new(self.recording.clone(), options));
+        Playback { origin: self.origin, playback: Mutex::new(playback) }
+    }
+}
+
+/// The ticks of a recording.
+#[pyclass(frozen, module = "stgdat._stgdat")]
+pub struct Playback {
+    origin: WorldOrigin,
+    playback: Mutex<source::Playback>,
+}
+
+#[pymethods]
+impl Playback {
+    fn __len__(&self) -> usize {
+        usize::try_from(self.lock().ticks_len()).unwrap_or(usize::MAX)
+    }
+
+    const fn __iter__(this: PyRef<'_, Self>) -> PyRef<'_, Self> {
+        this
+    }
+
+    fn __next__(&self) -> Option<Frame> {
+        let mut playback = self.lock();
+        let tick = playback.next_tick()?;
+        let frame = recording::Frame::of::<DetectionsTopic>(&tick.header, tick.detections, 0);
+        Some(Frame::new(frame, self.origin))
+    }
+}
+
+impl Playback {
+    fn lock(&self) -> std::sync::MutexGuard<'_, source::Playback> {
+        self.playback.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}

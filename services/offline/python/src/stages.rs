@@ -1,0 +1,156 @@
+//! The compute stages in this process.
+
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use launch::arguments::Prepared;
+use launch::failure::Failure;
+use launch::tracking::Tracking;
+use onboard::Chain;
+use pyo3::prelude::*;
+use wire::{DetectionsTopic, ForecastsTopic, Header, TracksTopic, WorldOrigin};
+
+use crate::error;
+use crate::frame::Frame;
+use crate::recording::{Recording, prepare};
+
+/// Stages at a tick of their run.
+struct Started<S> {
+    prepared: Prepared,
+    stages: S,
+    /// Number of the next tick that has none.
+    seq: u64,
+}
+
+/// Stages that Python's threads share.
+struct Shared<S>(Mutex<Started<S>>);
+
+impl<S: Send> Shared<S> {
+    fn new(
+        py: Python<'_>,
+        arguments: Vec<String>,
+        start: fn(&Prepared) -> Result<S, Failure>,
+    ) -> PyResult<Self> {
+        py.detach(|| {
+            let prepared = prepare(arguments)?;
+            let stages = start(&prepared).map_err(|failure| error::of_failure(&failure))?;
+            Ok(Self(Mutex::new(Started { prepared, stages, seq: 0 })))
+        })
+    }
+
+    /// Begins a run. A recording gives it interval and origin.
+    fn begin(
+        &self,
+        py: Python<'_>,
+        recording: Option<&Recording>,
+        start: fn(&Prepared) -> Result<S, Failure>,
+    ) -> PyResult<()> {
+        let played = recording.map(|of| (of.recording.interval_ns, of.origin));
+        py.detach(|| {
+            let mut started = self.lock();
+            if let Some((interval_ns, origin)) = played {
+                started.prepared.run.interval_ns = interval_ns;
+                started.prepared.run.origin_m = origin.position_m();
+            }
+            started.stages = start(&started.prepared).map_err(|failure| error::of_failure(&failure))?;
+            started.seq = 0;
+            Ok(())
+        })
+    }
+
+    /// Takes a tick through the stages.
+    fn step(
+        &self,
+        py: Python<'_>,
+        detections: &Frame,
+        tick: impl FnOnce(&mut S, &Header, &[wire::Detection]) -> recording::Frame + Send,
+    ) -> PyResult<Frame> {
+        let elements = detections.frame.elements::<DetectionsTopic>().map_err(|why| error::of(&why))?;
+        let mut header = *detections.frame.header();
+        crate::frame::check(&header, &elements)?;
+        py.detach(|| {
+            let mut started = self.lock();
+            if !detections.is_numbered {
+                header.seq = started.seq;
+            }
+            started.seq = header.seq + 1;
+            let frame = tick(&mut started.stages, &header, &elements);
+            let own = WorldOrigin::new(started.prepared.run.origin_m).unwrap_or_default();
+            Ok(Frame::new(frame, own))
+        })
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Started<S>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+fn chain(prepared: &Prepared) -> Result<Chain, Failure> {
+    Ok(Chain::new(&prepared.run, &prepared.model)?)
+}
+
+fn tracking(prepared: &Prepared) -> Result<Tracking, Failure> {
+    Tracking::new(&prepared.run, &prepared.model)
+}
+
+/// All stages, from detections to forecasts.
+#[pyclass(frozen, module = "stgdat._stgdat")]
+pub struct Predictor(Shared<Chain>);
+
+#[pymethods]
+impl Predictor {
+    #[new]
+    fn new(py: Python<'_>, arguments: Vec<String>) -> PyResult<Self> {
+        Shared::new(py, arguments, chain).map(Self)
+    }
+
+    fn begin(&self, py: Python<'_>, recording: Option<&Recording>) -> PyResult<()> {
+        self.0.begin(py, recording, chain)
+    }
+
+    fn step(&self, py: Python<'_>, detections: &Frame) -> PyResult<Frame> {
+        self.0.step(py, detections, |chain, header, detections| {
+            let (header, forecasts) = chain.tick(header, detections, |_| ());
+            recording::Frame::of::<ForecastsTopic>(&header, forecasts, 0)
+        })
+    }
+
+    /// The tracks of the last tick.
+    fn tracks(&self) -> Frame {
+        let started = self.0.lock();
+        let (tracks, _) = started.stages.frames();
+        let frame = recording::Frame::of::<TracksTopic>(&tracks.header, &tracks.elements, 0);
+        Frame::new(frame, started.prepared.run.origin())
+    }
+
+    /// Writes the retrieval memory to its file.
+    fn save_memory(&self, py: Python<'_>) -> PyResult<()> {
+        py.detach(|| {
+            let started = self.0.lock();
+            let kept = started.stages.keep_memory(&started.prepared.run);
+            kept.map_err(|why| error::of_failure(&Failure::from(why)))
+        })
+    }
+}
+
+/// The tracker, with the stages that its prior needs.
+#[pyclass(frozen, module = "stgdat._stgdat")]
+pub struct Tracker(Shared<Tracking>);
+
+#[pymethods]
+impl Tracker {
+    #[new]
+    fn new(py: Python<'_>, arguments: Vec<String>) -> PyResult<Self> {
+        Shared::new(py, arguments, tracking).map(Self)
+    }
+
+    fn begin(&self, py: Python<'_>, recording: Option<&Recording>) -> PyResult<()> {
+        self.0.begin(py, recording, tracking)
+    }
+
+    fn step(&self, py: Python<'_>, detections: &Frame) -> PyResult<Frame> {
+        self.0.step(py, detections, |tracking, header, detections| {
+            let (header, tracks) = tracking.tick(header, detections);
+            recording::Frame::of::<TracksTopic>(&header, tracks, 0)
+        })
+    }
+}

@@ -1,0 +1,53 @@
+"""stgdat tracks and forecasts people and vehicles around a robot.
+
+    >>> import stgdat
+    >>> recording = stgdat.generate(agents=8, ticks=60)
+    >>> predictor = stgdat.Predictor()
+    >>> for forecasts in predictor.run(recording):
+    ...     pass
+    >>> forecasts.modes_m.shape[1:]  # modes, steps, x and y
+    (20, 12, 2)
+
+* `open` reads a recording; `generate` makes one.
+* `Predictor` and `Tracker` run the stages in this process.
+* `evaluate` compares forecasts with the recorded motion.
+* `Run.attach` reads the topics of a live run, `read_record` those of a recorded one.
+
+Arrays are read-only views of memory that Rust owns. Positions are in metres in the world frame, and headings in
+radians counter-clockwise from +x. If a recording has an origin, add `origin_m` to get its own frame.
+"""
+
+from ._stgdat import InputError, __version__
+from .evaluation import Evaluation, evaluate
+from .frames import Detections, Forecasts, Frame, Tracks, detections, dtype
+from .numbers import AgentType, Cause, DetectionFlags, Expert, Quality, TrackStatus
+from .recording import Recording, generate, open
+from .runs import Record, Run, read_record
+from .stages import Predictor, Tracker
+
+__all__ = [
+    "AgentType",
+    "Cause",
+    "DetectionFlags",
+    "Detections",
+    "Evaluation",
+    "Expert",
+    "Forecasts",
+    "Frame",
+    "InputError",
+    "Predictor",
+    "Quality",
+    "Record",
+    "Recording",
+    "Run",
+    "TrackStatus",
+    "Tracker",
+    "Tracks",
+    "__version__",
+    "detections",
+    "dtype",
+    "evaluate",
+    "generate",
+    "open",
+    "read_record",
+]

@@ -1,0 +1,149 @@
+"""Recordings."""
+
+from __future__ import annotations
+
+import functools
+import os
+from typing import TYPE_CHECKING, Iterator, List, Optional, Tuple
+
+import numpy as np
+
+from . import _stgdat, tables
+from .arguments import Origin, Path, written
+from .frames import Array, Detections, array_of, dtype
+from .numbers import AgentType
+
+if TYPE_CHECKING:
+    import pandas
+    import pyarrow
+
+_AGENT = np.dtype([("id", "<u8"), ("agent_type", "<u4"), ("first_ns", "<i8"), ("last_ns", "<i8"), ("rows", "<i8")])
+
+
+class Recording:
+    """A recording: frames of detections in time order. `open` and `generate` make it.
+
+    >>> import stgdat
+    >>> recording = stgdat.generate(agents=4, ticks=10)
+    >>> len(recording), recording.detections.dtype.names[:3]
+    (10, ('id', 'x_m', 'y_m'))
+    """
+
+    detections: Array
+    """All detections in time order; `dtype("detections")` has their fields."""
+    stamps_ns: Array
+    """The time of each frame, [frame]."""
+    offsets: Array
+    """The rows of frame i are `detections[offsets[i]:offsets[i + 1]]`, [frame + 1]."""
+
+    def __init__(self, recording: _stgdat.Recording) -> None:
+        self._recording = recording
+        self.detections = array_of(recording.detections(), dtype("detections"))
+        self.stamps_ns = array_of(recording.stamps_ns(), "<i8")
+        self.offsets = array_of(recording.offsets(), "<i8")
+
+    def __len__(self) -> int:
+        return len(self.stamps_ns)
+
+    def __repr__(self) -> str:
+        return f"<Recording {self.name}: {len(self)} frames, {len(self.detections)} detections>"
+
+    @property
+    def name(self) -> str:
+        """Name in reports."""
+        return self._recording.name
+
+    @property
+    def path(self) -> Optional[str]:
+        """The file; `None` for a generated recording."""
+        return self._recording.path
+
+    @property
+    def sha256(self) -> str:
+        """SHA-256 of the files; empty for a generated recording."""
+        return self._recording.sha256
+
+    @property
+    def interval_ns(self) -> int:
+        """Nominal time between frames."""
+        return self._recording.interval_ns
+
+    @property
+    def has_identities(self) -> bool:
+        """Whether the detections have identities that the tracker may trust."""
+        return self._recording.has_identities
+
+    @property
+    def origin_m(self) -> Tuple[float, float]:
+        """The world frame's origin in the recording's own frame."""
+        return self._recording.origin_m
+
+    @functools.cached_property
+    def doubts(self) -> List[str]:
+        """Probable defects, such as headings in degrees. `stgdat inspect` names their lines."""
+        return self._recording.doubts()
+
+    @property
+    def types(self) -> Array:
+        """`AgentType` of each detection as numbers, [row]."""
+        types: Array = self.detections["agent_type"]
+        return types
+
+    @functools.cached_property
+    def times_ns(self) -> Array:
+        """The time of each detection, [row]."""
+        times: Array = np.repeat(self.stamps_ns, np.diff(self.offsets)) + self.detections["offset_ns"]
+        return times
+
+    @functools.cached_property
+    def agents(self) -> Array:
+        """Identities with type, first and last time and number of detections, in the order of their numbers."""
+        ids, first, agent, rows = np.unique(
+            self.detections["id"], return_index=True, return_inverse=True, return_counts=True
+        )
+        agents = np.zeros(len(ids), _AGENT)
+        agents["id"], agents["rows"], agents["agent_type"] = ids, rows, self.types[first]
+        agents["first_ns"] = np.iinfo(np.int64).max
+        agents["last_ns"] = np.iinfo(np.int64).min
+        np.minimum.at(agents["first_ns"], agent, self.times_ns)
+        np.maximum.at(agents["last_ns"], agent, self.times_ns)
+        return agents
+
+    def ticks(self, count: Optional[int] = None) -> Iterator[Detections]:
+        """The ticks that `stgdat predict` plays, at most `count`. A recording above 12.5 Hz is thinned."""
+        return map(Detections, self._recording.play(count))
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """A row per detection. Needs `stgdat[pandas]`."""
+        return tables.to_pandas(self._columns())
+
+    def to_arrow(self) -> pyarrow.Table:
+        """As `to_pandas`."""
+        return tables.to_arrow(self._columns())
+
+    def _columns(self) -> tables.Columns:
+        numbers = ["id", "x_m", "y_m", "heading_rad", "speed_mps", "length_m", "width_m", "score"]
+        columns = {name: self.detections[name] for name in numbers}
+        return {"stamp_s": self.times_ns / 1e9, "type": tables.names(self.types, AgentType), **columns}
+
+
+def open(
+    path: Path,
+    *,
+    format: Optional[str] = None,
+    fps: Optional[float] = None,
+    origin: Optional[Origin] = None,
+) -> Recording:
+    """Reads a recording: any file or folder that `stgdat predict` plays.
+
+    `format` is detected unless it is given. `fps` is the rate of frame numbers, for formats whose files do not hold
+    it. `origin` is subtracted from all positions, in metres.
+
+    Raises `InputError` with file, line and value.
+    """
+    return Recording(_stgdat.open(written(format=format, fps=fps, origin=origin) + ["--", os.fspath(path)]))
+
+
+def generate(*, agents: int = 32, ticks: int = 250, seed: int = 1) -> Recording:
+    """Generates an intersection, as `stgdat predict` does without a recording."""
+    return Recording(_stgdat.open(written({"source.agents": agents}, ticks=ticks, seed=seed)))

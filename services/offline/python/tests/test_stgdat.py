@@ -1,0 +1,384 @@
+"""Tests of the installed package: `check.sh` runs them.
+
+`STGDAT_PROGRAM` is the executable `stgdat` of the same sources.
+"""
+
+from __future__ import annotations
+
+import doctest
+import gc
+import importlib
+import json
+import math
+import os
+import pickle
+import subprocess
+import sys
+import tempfile
+import threading
+import unittest
+from pathlib import Path
+from typing import Any, List
+
+import numpy as np
+import numpy.typing as npt
+
+import stgdat
+from stgdat import _stgdat
+
+PROGRAM = os.environ.get("STGDAT_PROGRAM", "stgdat")
+HEAD = "stamp_s,id,type,x_m,y_m,heading_rad,speed_mps\n"
+
+
+def rounded(values: npt.NDArray[Any], decimals: int) -> npt.NDArray[Any]:
+    """The numbers of forecasts.jsonl: rounded half away from zero."""
+    scaled = values.astype(np.float64) * 10.0**decimals
+    nearest: npt.NDArray[Any] = np.trunc(scaled) + np.where(np.abs(scaled - np.trunc(scaled)) >= 0.5, np.sign(scaled), 0)
+    return nearest / 10.0**decimals + 0.0
+
+
+def walk(shift_m: float = 0.0) -> str:
+    """Two cars and two pedestrians for 8 s at 10 Hz."""
+    rows: List[str] = []
+    for k in range(80):
+        t = k / 10
+        rows.append(f"{t},1,vehicle,{shift_m + 8 * t - 30:.2f},-2,0,8\n")
+        rows.append(f"{t},2,vehicle,{shift_m - 2:.2f},{30 - 6 * t:.2f},-1.5708,6\n")
+        rows.append(f"{t},3,pedestrian,{shift_m + 1.4 * t - 6:.2f},8,0,1.4\n")
+        rows.append(f"{t},4,pedestrian,{shift_m + 9:.2f},{1.2 * t - 5:.2f},1.5708,1.2\n")
+    return HEAD + "".join(rows)
+
+
+def predicted(*arguments: str) -> List[bytes]:
+    """The lines of `stgdat predict`."""
+    done = subprocess.run([PROGRAM, "predict", *arguments], check=True, capture_output=True)
+    return done.stdout.splitlines(keepends=True)
+
+
+class InFolder(unittest.TestCase):
+    """A test with a folder of its own."""
+
+    def setUp(self) -> None:
+        folder = tempfile.TemporaryDirectory()
+        self.addCleanup(folder.cleanup)
+        self.folder = Path(folder.name)
+
+    def write(self, name: str, text: str) -> Path:
+        path = self.folder / name
+        path.write_text(text)
+        return path
+
+
+class Forecasts(InFolder):
+    def same(self, forecasts: List[stgdat.Forecasts], lines: List[bytes]) -> None:
+        """Each line has the bytes of the forecasts, and each number is the array's."""
+        self.assertEqual([of.to_json() for of in forecasts], lines)
+        for of, line in zip(forecasts, lines):
+            agents = json.loads(line)["agents"]
+            self.assertEqual(of.ids.tolist(), [agent["id"] for agent in agents])
+            origin = np.array(of.origin_m)
+            for row, agent in enumerate(agents):
+                modes = len(agent["probability"])
+                self.assertEqual(rounded(of.probabilities[row, :modes], 6).tolist(), agent["probability"])
+                self.assertFalse(of.probabilities[row, modes:].any())
+                self.assertEqual(rounded(of.covariances_m2[row], 6).tolist(), agent["covariance_m2"])
+                for array, name in [(of.best_m[row], "best_m"), (of.mean_m[row], "mean_m")]:
+                    self.assertEqual(rounded(array + origin, 4).tolist(), agent[name])
+                self.assertEqual(rounded(of.modes_m[row, :modes] + origin, 4).tolist(), agent["modes_m"])
+                position = rounded(of.positions_m[row] + origin, 4).tolist()
+                self.assertEqual(position, [agent["x_m"], agent["y_m"]])
+                self.assertEqual(stgdat.Quality(of.quality[row]).name.lower(), agent["quality"])
+                self.assertEqual(stgdat.Cause(of.cause[row]).name.lower(), agent["cause"])
+                self.assertEqual(stgdat.AgentType(of.types[row]).name.lower(), agent["type"])
+                weights = {expert: rounded(weight, 4) for expert, weight in enumerate(of.evidence[row]) if weight > 0}
+                names = {stgdat.Expert(of).name.lower().replace("_", " "): float(w) for of, w in weights.items()}
+                self.assertEqual(names, agent["experts"])
+
+    def test_generated_scene_equals_predict(self) -> None:
+        forecasts = list(stgdat.Predictor().run(stgdat.generate(ticks=90)))
+        self.assertGreater(len(forecasts[-1]), 8)
+        self.same(forecasts, predicted("--ticks", "90"))
+
+    def test_csv_with_origin_equals_predict(self) -> None:
+        path = self.write("walk.csv", walk(458_000))
+        recording = stgdat.open(path, origin=(458_000, -5.5))
+        forecasts = list(stgdat.Predictor().run(recording))
+        self.assertEqual(forecasts[-1].origin_m, (458_000.0, -5.5))
+        self.same(forecasts, predicted(str(path), "--origin", "458000,-5.5"))
+
+    def test_options_reach_the_stages(self) -> None:
+        path = self.write("walk.csv", walk())
+        predictor = stgdat.Predictor(map="none", retrieval=False, associate=True, settings={"tracker.prior": "kinematic"})
+        options = ["--map", "none", "--no-retrieval", "--associate", "--set", "tracker.prior=kinematic"]
+        self.same(list(predictor.run(path, ticks=60)), predicted(str(path), "--ticks", "60", *options))
+
+    @unittest.skipUnless("STGDAT_CASES" in os.environ, "STGDAT_CASES is not set")
+    def test_cases_equal_predict(self) -> None:
+        compared = 0
+        for path in sorted(Path(os.environ["STGDAT_CASES"]).rglob("*.csv")):
+            with self.subTest(path=path.name):
+                done = subprocess.run([PROGRAM, "predict", str(path)], capture_output=True)
+                if done.returncode != 0:
+                    with self.assertRaises(stgdat.InputError) as raised:
+                        stgdat.open(path)
+                    self.assertIn(str(raised.exception), done.stderr.decode())
+                    continue
+                self.same(list(stgdat.Predictor().run(path)), done.stdout.splitlines(keepends=True))
+                compared += 1
+        if not compared:
+            self.skipTest("no case in STGDAT_CASES")
+
+    def test_steps_equal_a_run(self) -> None:
+        recording = stgdat.generate(agents=8, ticks=60)
+        predictor = stgdat.Predictor()
+        played = [of.to_json() for of in predictor.run(recording)]
+        predictor.reset()
+        self.assertEqual([predictor.step(tick).to_json() for tick in recording.ticks()], played)
+        # The same detections as arrays.
+        predictor.reset()
+        for tick, line in zip(recording.ticks(), played):
+            rows = tick.records
+            known = [(rows["flags"] & flag) > 0 for flag in (stgdat.DetectionFlags.HAS_HEADING, stgdat.DetectionFlags.HAS_SIZE)]
+            sizes_m = np.stack([rows["length_m"], rows["width_m"]], 1)
+            made = stgdat.detections(
+                tick.stamp_ns,
+                rows["agent_type"],
+                rows["x_m"],
+                rows["y_m"],
+                headings_rad=np.where(known[0], rows["heading_rad"], np.nan),
+                sizes_m=np.where(known[1][:, None], sizes_m, np.nan),
+                scores=rows["score"],
+                sigmas_m=rows["sigma_m"],
+                ego=(*tick.header["ego_m"].tolist(), float(tick.header["ego_heading_rad"])),
+            )
+            self.assertEqual(rows["flags"].tolist(), made.records["flags"].tolist())
+            self.assertEqual(predictor.step(made).to_json(), line)
+
+    def test_arrays_are_views_of_the_frame(self) -> None:
+        *_, last = stgdat.Predictor().run(stgdat.generate(agents=8, ticks=50))
+        start = last._frame.elements().__array_interface__["data"][0]
+        end = start + last.records.nbytes
+        fields = last.records.dtype.fields
+        assert fields is not None
+        names = {"modes_m": "modes", "probabilities": "probability", "covariances_m2": "covariance", "best_m": "best"}
+        names.update(mean_m="mean", quality="quality", cause="cause", evidence="expert_weights", positions_m="x_m")
+        for name, field in names.items():
+            array = getattr(last, name)
+            address = array.__array_interface__["data"][0]
+            self.assertEqual(address, start + fields[field][1], name)
+            self.assertLess(address, end)
+            with self.assertRaises(ValueError):
+                array[...] = 0
+        modes, before = last.modes_m, last.modes_m.copy()
+        del last, array
+        gc.collect()
+        self.assertTrue((modes == before).all(), "the array keeps its memory")
+
+    def test_two_threads_share_the_processor(self) -> None:
+        """A step releases the global lock: another thread runs while it computes."""
+        turns: List[int] = []
+        done = threading.Event()
+
+        def count() -> None:
+            while not done.is_set():
+                turns.append(1)
+                done.wait(0.0001)
+
+        interval = sys.getswitchinterval()
+        self.addCleanup(sys.setswitchinterval, interval)
+        sys.setswitchinterval(100)  # A thread gives the lock away only when it releases it.
+        counter = threading.Thread(target=count)
+        counter.start()
+        predictor, ticks = stgdat.Predictor(), list(stgdat.generate(ticks=40).ticks())
+        before = len(turns)
+        for tick in ticks:
+            predictor.step(tick)
+        during = len(turns) - before
+        done.set()
+        counter.join()
+        self.assertGreater(during, 10)
+
+    def test_tables(self) -> None:
+        try:
+            import pandas  # noqa: F401
+            import pyarrow  # noqa: F401
+        except ModuleNotFoundError as error:
+            self.skipTest(str(error))
+        *_, last = stgdat.Predictor().run(stgdat.generate(agents=4, ticks=50))
+        frame = last.to_pandas()
+        modes = int(last.records["modes_len"].sum())
+        self.assertEqual(len(frame), 12 * modes)
+        row = frame.iloc[13]
+        agent = last.ids.tolist().index(row["id"])
+        self.assertEqual((row["mode"], row["time_s"]), (1, 0.8))
+        self.assertEqual([row["mode_x_m"], row["mode_y_m"]], last.modes_m[agent, 1, 1].tolist())
+        self.assertEqual(last.to_arrow().num_rows, len(frame))
+
+
+class Recordings(InFolder):
+    def test_columns_of_a_csv(self) -> None:
+        recording = stgdat.open(self.write("walk.csv", walk()))
+        self.assertEqual((len(recording), recording.interval_ns, recording.has_identities), (80, 100_000_000, True))
+        self.assertEqual(recording.stamps_ns[:3].tolist(), [0, 100_000_000, 200_000_000])
+        self.assertEqual(recording.offsets[:3].tolist(), [0, 4, 8])
+        self.assertEqual(sorted(recording.detections["id"][:4].tolist()), [1, 2, 3, 4])
+        self.assertEqual(recording.times_ns[4], 100_000_000)
+        agents = {int(of["id"]): of for of in recording.agents}
+        self.assertEqual(agents[1]["agent_type"], stgdat.AgentType.VEHICLE)
+        self.assertEqual(agents[3]["agent_type"], stgdat.AgentType.PEDESTRIAN)
+        self.assertEqual((agents[3]["first_ns"], agents[3]["last_ns"], agents[3]["rows"]), (0, 7_900_000_000, 80))
+        self.assertEqual(recording.doubts, [])
+        self.assertFalse(recording.detections.flags.writeable)
+
+    def test_bad_input_names_file_line_and_value(self) -> None:
+        path = self.write("b.csv", HEAD + "0,1,pedestrian,1,2,,\n0.1,1,car,1,2,,\n")
+        with self.assertRaises(stgdat.InputError) as raised:
+            stgdat.open(path)
+        error = raised.exception
+        self.assertTrue(str(error).startswith(f'{path}:3:7: type = "car": expected vehicle'), str(error))
+        self.assertEqual((error.path, error.line, error.value), (str(path), 3, "car"))
+        self.assertIsInstance(error, ValueError)
+        with self.assertRaises(stgdat.InputError) as raised:
+            stgdat.open(self.folder / "none.csv")
+        self.assertIn("none.csv", str(raised.exception))
+        self.assertIsNone(raised.exception.line)
+        with self.assertRaisesRegex(stgdat.InputError, "b.csv:3:7"):
+            stgdat.evaluate(path)
+
+    def test_bad_arguments_are_refused(self) -> None:
+        path = self.write("weights.safetensors", "nothing")
+        with self.assertRaisesRegex(stgdat.InputError, "weights.safetensors"):
+            stgdat.Predictor(path)
+        with self.assertRaisesRegex(stgdat.InputError, "tracker.fov"):
+            stgdat.Predictor(settings={"tracker.fov": "wide"})
+        with self.assertRaisesRegex(stgdat.InputError, "xml"):
+            stgdat.open(self.write("a.csv", walk()), format="xml")
+
+    def test_bad_detections_name_row_and_value(self) -> None:
+        predictor = stgdat.Predictor()
+        with self.assertRaisesRegex(stgdat.InputError, r"detections\[1\]: .*position is not finite"):
+            stgdat.detections(0, [0, 0], [1.0, math.nan], [0.0, 0.0])
+        with self.assertRaisesRegex(stgdat.InputError, r"detections\[0\]: .*7"):
+            stgdat.detections(0, [7], [1.0], [0.0])
+        with self.assertRaises(stgdat.InputError):
+            stgdat.detections(0, np.zeros(600), np.zeros(600), np.zeros(600))
+        self.assertEqual(len(predictor.step(stgdat.detections(0, [0], [1.0], [0.0]))), 0)
+
+    def test_tracker_alone(self) -> None:
+        path = self.write("walk.csv", walk())
+        *_, tracks = stgdat.Tracker().run(path)
+        self.assertEqual(sorted(tracks.source_ids.tolist()), [1, 2, 3, 4])
+        car = tracks.source_ids.tolist().index(1)
+        self.assertAlmostEqual(tracks.positions_m[car, 0], 8 * 7.9 - 30, delta=0.5)
+        self.assertAlmostEqual(tracks.velocities_mps[car, 0], 8, delta=0.5)
+        self.assertEqual(tracks.history["x_m"].shape[0], 4)
+        predictor = stgdat.Predictor()
+        *_, forecasts = predictor.run(path)
+        *_, learned = stgdat.Tracker(prior="learned").run(path)
+        self.assertEqual(learned.records.tobytes(), predictor.tracks.records.tobytes())
+
+    def test_evaluate_equals_the_program(self) -> None:
+        path = self.write("walk.csv", walk())
+        evaluation = stgdat.evaluate([path])
+        lab = Path(PROGRAM).with_name("stgdat-lab")
+        if not lab.exists():
+            self.skipTest("stgdat-lab is not built")
+        out = self.folder / "figures.json"
+        done = subprocess.run([lab, "evaluate", path, "--json", out], check=True, capture_output=True, text=True)
+        self.assertEqual(json.loads(out.read_text())["figures"], evaluation.figures)
+        self.assertTrue(done.stdout.startswith(evaluation.table))
+
+
+class Runs(InFolder):
+    def test_record_and_live_run(self) -> None:
+        path = self.folder / "run.mcap"
+        run = subprocess.Popen(
+            [PROGRAM, "run", "--ticks", "150", "--agents", "6", "--speed", "real", "--record", str(path)],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+        )
+        try:
+            attached = self.attach(run)
+            frames = list(attached.frames("tracks", "forecasts"))
+        finally:
+            output, _ = run.communicate(timeout=120)
+        self.assertEqual(run.returncode, 0, output)
+        live = {of.seq: of for of in frames if isinstance(of, stgdat.Forecasts)}
+        self.assertGreater(len(live), 20)
+        record = stgdat.read_record(path)
+        self.assertIsNone(record.incomplete)
+        self.assertEqual(record.damages(), [])
+        self.assertEqual(record.about["run"]["lockstep"], False)
+        kept = {of.seq: of for of in record.frames("forecasts") if isinstance(of, stgdat.Forecasts)}
+        self.assertEqual(len(kept), 150)
+        for seq, forecasts in live.items():
+            self.assertEqual(forecasts.modes_m.tobytes(), kept[seq].modes_m.tobytes())
+            self.assertEqual(forecasts.ids.tolist(), kept[seq].ids.tolist())
+        self.assertTrue(any("ended" in json.dumps(event).lower() for event in record.events()))
+        # The record leaves out the controls, which do not end the fields before them.
+        self.assertNotIn("controls", kept[149].records.dtype.names or ())
+        self.assertIn("controls", live[max(live)].records.dtype.names or ())
+
+    def attach(self, run: subprocess.Popen[str]) -> stgdat.Run:
+        """The run's own process, not another one on this machine."""
+        for _ in range(600):
+            assert run.poll() is None, run.communicate()[0]
+            for root in Path("/tmp").glob("stgdat_????????"):
+                try:
+                    launcher = (root / "tap").exists() and self.is_of(root, run.pid)
+                except OSError:
+                    continue
+                if launcher:
+                    return stgdat.Run.attach(root)
+            threading.Event().wait(0.05)
+        raise AssertionError("no run")
+
+    @staticmethod
+    def is_of(root: Path, pid: int) -> bool:
+        """Whether a process of this run has that parent."""
+        for status in Path("/proc").glob("[0-9]*/environ"):
+            try:
+                found = status.read_bytes()
+                parent = (status.parent / "stat").read_text().rsplit(")", 1)[1].split()[1]
+            except OSError:
+                continue
+            if os.fsencode(root) in found and parent == str(pid):
+                return True
+        return False
+
+    def test_missing_runs_and_records_are_refused(self) -> None:
+        with self.assertRaisesRegex(stgdat.InputError, "no run /nowhere"):
+            stgdat.Run.attach("/nowhere")
+        with self.assertRaisesRegex(stgdat.InputError, "a.mcap"):
+            stgdat.read_record(self.write("a.mcap", "no record"))
+
+
+class Package(unittest.TestCase):
+    def test_enumerations_are_those_of_the_wire(self) -> None:
+        wire = _stgdat.numbers()
+        for enumeration in [stgdat.AgentType, stgdat.TrackStatus, stgdat.Quality, stgdat.Cause, stgdat.Expert]:
+            names = {member.value: member.name.lower().replace("_", " ") for member in enumeration}
+            self.assertEqual(names, wire[enumeration.__name__], enumeration)
+        bits = _stgdat.constants()
+        for flag in stgdat.DetectionFlags:
+            self.assertEqual(flag.value, bits[flag.name or ""])
+
+    def test_examples_in_the_documentation(self) -> None:
+        examples = 0
+        for name in ["", ".arguments", ".frames", ".recording", ".stages"]:
+            result = doctest.testmod(importlib.import_module(f"stgdat{name}"))
+            self.assertEqual(result.failed, 0, name)
+            examples += result.attempted
+        self.assertGreater(examples, 15)
+
+    def test_errors_can_be_sent_to_other_processes(self) -> None:
+        with self.assertRaises(stgdat.InputError) as raised:
+            stgdat.open("/nowhere/a.csv")
+        copied = pickle.loads(pickle.dumps(raised.exception))
+        self.assertEqual((type(copied), str(copied)), (stgdat.InputError, str(raised.exception)))
+
+
+if __name__ == "__main__":
+    unittest.main()
