@@ -16,6 +16,7 @@ pub mod predict;
 pub mod record;
 pub mod replay;
 pub mod report;
+pub mod ros2;
 pub mod run;
 pub mod stage;
 pub mod sweep;
@@ -76,6 +77,9 @@ pub enum Verb {
     Report(report::Arguments),
     /// Show a run that goes on in a browser: the moving scene, stages, qualities
     View(view::Arguments),
+    /// Publish the tracks and forecasts of a running pipeline in ROS 2 (stgdat-ros2)
+    #[command(disable_help_flag = true)]
+    Ros2(ros2::Arguments),
     /// Write the trace of a recorded run for Perfetto
     Trace(trace::Arguments),
     /// Tell one tick of a recorded run: each stage's time in it, and what became of each agent
@@ -145,6 +149,7 @@ impl Verb {
             Self::Top(arguments) => top::execute(&arguments),
             Self::Report(arguments) => report::execute(&arguments),
             Self::View(arguments) => view::execute(&arguments),
+            Self::Ros2(arguments) => ros2::execute(arguments),
             Self::Trace(arguments) => trace::execute(&arguments),
             Self::Tick(arguments) => tick::execute(&arguments),
             Self::Doctor(arguments) => doctor::execute(&arguments),

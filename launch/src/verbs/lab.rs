@@ -49,22 +49,29 @@ impl Verb {
     /// [`Failure::Unavailable`] with the build command, if the program is neither in this program's folder
     /// nor in PATH.
     pub fn execute(&self) -> Result<Exit, Failure> {
-        let beside = std::env::current_exe().ok().and_then(|program| lab_beside(&program));
-        let program = beside.unwrap_or_else(|| PROGRAM.into());
-        let error = Command::new(&program).args(std::env::args_os().skip(1)).exec();
-        Err(match error.kind() {
-            ErrorKind::NotFound => Failure::unavailable(format!(
-                "`{PROGRAM}`, which has this verb, is neither beside stgdat nor in PATH; build it with \
-                 `cargo build --release --package {PROGRAM}`"
-            )),
-            _ => Failure::unavailable_about(program.display(), error),
-        })
+        Err(replace_by(PROGRAM, "", std::env::args_os().skip(1)))
     }
 }
 
-/// Returns the laboratory program in the folder of this program, if it exists.
-fn lab_beside(program: &Path) -> Option<PathBuf> {
-    Some(program.with_file_name(PROGRAM)).filter(|lab| lab.is_file())
+/// Replaces this process by another program of this project with these arguments. Returns only if it can't:
+/// with the build command, whose options are `options`, if the program is neither in this program's folder nor
+/// in PATH.
+pub fn replace_by(name: &str, options: &str, arguments: impl Iterator<Item = OsString>) -> Failure {
+    let found = std::env::current_exe().ok().and_then(|program| beside(&program, name));
+    let program = found.unwrap_or_else(|| name.into());
+    let error = Command::new(&program).args(arguments).exec();
+    match error.kind() {
+        ErrorKind::NotFound => Failure::unavailable(format!(
+            "`{name}`, which has this verb, is neither beside stgdat nor in PATH; build it with \
+             `cargo build --release --package {name}{options}`"
+        )),
+        _ => Failure::unavailable_about(program.display(), error),
+    }
+}
+
+/// Returns the program of this name in the folder of this program, if it exists.
+fn beside(program: &Path, name: &str) -> Option<PathBuf> {
+    Some(program.with_file_name(name)).filter(|found| found.is_file())
 }
 
 #[cfg(test)]
@@ -75,11 +82,11 @@ mod tests {
     fn the_laboratory_is_found_beside_the_program() {
         let folder = tempfile::tempdir().unwrap();
         let program = folder.path().join("stgdat");
-        assert_eq!(lab_beside(&program), None);
+        assert_eq!(beside(&program, PROGRAM), None);
         std::fs::create_dir(folder.path().join(PROGRAM)).unwrap();
-        assert_eq!(lab_beside(&program), None, "a folder is no program");
+        assert_eq!(beside(&program, PROGRAM), None, "a folder is no program");
         std::fs::remove_dir(folder.path().join(PROGRAM)).unwrap();
         std::fs::write(folder.path().join(PROGRAM), "").unwrap();
-        assert_eq!(lab_beside(&program), Some(folder.path().join(PROGRAM)));
+        assert_eq!(beside(&program, PROGRAM), Some(folder.path().join(PROGRAM)));
     }
 }

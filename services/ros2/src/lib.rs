@@ -11,6 +11,7 @@
 //! DDS is behind the feature `ros2`: `ros2-client` on `rustdds`. Without the feature the crate has the options
 //! and the conversions.
 
+pub mod command;
 #[cfg(feature = "ros2")]
 mod inbox;
 #[cfg(feature = "ros2")]

@@ -1,11 +1,13 @@
 //! The node in ROS 2: publishers and subscriptions with the QoS of Autoware.
 
+use std::net::{IpAddr, UdpSocket};
 use std::sync::Arc;
 use std::time::Duration;
 
 use futures::StreamExt as _;
 use futures::executor::block_on;
 use interop::Definition;
+use ports::StageError;
 use ros2_client::qos::{Durability, History, WhenFull};
 use ros2_client::{
     Context, CreateError, MessageTypeName, Name, NodeName, NodeOptions, Publisher, QosProfile, WriteError,
@@ -26,6 +28,14 @@ pub enum NodeError {
     /// The environment names no domain.
     #[error(transparent)]
     Domain(#[from] UnknownDomain),
+    /// No interface of this machine has the address.
+    #[error("interfaces: {address}: {why}")]
+    Interface {
+        /// The address.
+        address: IpAddr,
+        /// The system's error.
+        why: std::io::Error,
+    },
     /// DDS refuses the participant, the node or a topic.
     #[error("{what}: {why}")]
     Dds {
@@ -37,6 +47,16 @@ pub enum NodeError {
     /// A thread can't be started.
     #[error("a thread can't be started: {0}")]
     Thread(#[from] std::io::Error),
+}
+
+impl From<NodeError> for StageError {
+    fn from(error: NodeError) -> Self {
+        match error {
+            NodeError::Domain(_) => Self::config(error),
+            // An interface may come up later: the stage is started again.
+            NodeError::Interface { .. } | NodeError::Dds { .. } | NodeError::Thread(_) => Self::data(error),
+        }
+    }
 }
 
 fn dds(what: impl Into<String>) -> impl FnOnce(CreateError) -> NodeError {
@@ -79,6 +99,10 @@ impl Node {
     /// [`NodeError`] if the domain is unknown or DDS can't be started.
     pub fn open(options: &Options, name: &str) -> Result<Self, NodeError> {
         let domain = options.domain()?;
+        for &address in &options.interfaces {
+            // DDS would be silent.
+            UdpSocket::bind((address, 0)).map_err(|why| NodeError::Interface { address, why })?;
+        }
         let participant = DomainParticipantBuilder::new(domain)
             .with_only_networks(options.interfaces.iter().copied())
             .socket_receive_buffer_size(BUFFER_BYTES)

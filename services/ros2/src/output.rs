@@ -10,7 +10,7 @@ use interop::messages::{
     DiagnosticArray, DiagnosticStatus, KeyValue, PredictedObjects, TfMessage, TrackedObjects,
 };
 use wire::tick_view::TickView;
-use wire::{Forecast, Header, StageId, Track, WorldOrigin};
+use wire::{Forecast, Header, StageId, Track, WorldOrigin, flags};
 
 use crate::options::Options;
 
@@ -70,9 +70,9 @@ impl Output {
         }
     }
 
-    /// The message of a tick's tracks; `None` if the frame is not a tick.
+    /// The message of a tick's tracks; `None` if the frame is not a tick, or was refused.
     pub fn tracks(&mut self, header: &Header, tracks: &[Track]) -> Option<Outgoing> {
-        if !header.is_tick() {
+        if !has_agents(header) {
             return None;
         }
         let none = Header { counts: header.counts, ..Header::default() };
@@ -94,7 +94,7 @@ impl Output {
     /// The messages of a tick's forecasts at `now_ns` on `CLOCK_MONOTONIC`; `None` if the frame is not a tick or
     /// its tracks did not arrive.
     pub fn forecasts(&mut self, header: &Header, forecasts: &[Forecast], now_ns: u64) -> Option<Outgoing> {
-        if !header.is_tick() {
+        if !has_agents(header) {
             return None;
         }
         let is_of_tick = |(tracks, _): &(Header, _)| tracks.seq == header.seq;
@@ -150,6 +150,12 @@ impl Output {
             ..DiagnosticStatus::default()
         }
     }
+}
+
+/// Whether a frame is a tick that no stage has refused. Without this check a reader would take a refused tick for an
+/// empty road.
+const fn has_agents(header: &Header) -> bool {
+    header.is_tick() && !header.has(flags::VOID)
 }
 
 #[cfg(test)]

@@ -41,7 +41,7 @@ pub fn run(run: &Run) -> Result<(), StageError> {
     let mut stage = Stage::open(run, &STAGE)?;
     let tracks = stage.subscribe_deep::<TracksTopic>(TracksTopic::DEPTH_MAX)?;
     let forecasts = stage.subscribe_deep::<ForecastsTopic>(ForecastsTopic::DEPTH_MAX)?;
-    let mut bridge = Bridge::open(run, &options).map_err(StageError::config)?;
+    let mut bridge = Bridge::open(run, &options)?;
     while let Some(frame) = stage.take(&tracks)? {
         let header = *frame.header();
         bridge.tracks(&header, &frame);

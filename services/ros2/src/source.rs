@@ -50,7 +50,7 @@ pub fn run(run: &Run) -> Result<(), StageError> {
     let mut stage = Stage::open(run, &STAGE)?;
     let mut outputs = Outputs::open(&mut stage, run)?;
     let inbox = Arc::new(Inbox::new(INBOX_MAX));
-    let node = subscribe(&options, &inbox).map_err(StageError::config)?;
+    let node = subscribe(&options, &inbox)?;
     let world = World { frame: options.frame.clone(), origin: run.origin(), pose: options.pose };
     let mut source = Source {
         ticks: Ticks::new(world),

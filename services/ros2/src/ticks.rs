@@ -4,7 +4,7 @@
 //! to the previous tick wait:
 //!
 //! 1. The interval I of the messages is the mean difference of their last stamps, without gaps.
-//! 2. With n = ⌈80 ms / I⌉, a frame is due if its stamp is at least n I − I / 2 after the previous tick's stamp.
+//! 2. With n = ⌈72 ms / I⌉, a frame is due if its stamp is at least n I − I / 2 after the previous tick's stamp.
 //! 3. When a tick goes out, the detections of other sensors in the waiting frames are merged into it, each with
 //!    its own time. The rules are those of a recording ([`source::merge`]).
 //! 4. If no frame is due for 80 ms after a frame arrived, the waiting frames go out.
@@ -24,12 +24,14 @@ use wire::{AGENT_TYPES, DETECTIONS_MAX, Detection, InputCounts, OFFSET_MAX_NS, T
 pub const TRANSFORM_WAIT_NS: u64 = 50_000_000;
 /// The time of transforms that is remembered.
 const TRANSFORMS_NS: i64 = 10_000_000_000;
-/// Number of stamps from which the interval of the messages is estimated.
-const STAMPS_MAX: usize = 16;
+/// Numbers of stamps from which the interval of the messages is estimated.
+const STAMPS_MIN: usize = 9;
+const STAMPS_MAX: usize = 32;
 /// A difference of this many times the median is a gap, not an interval.
 const GAP: i64 = 4;
-/// A rate may exceed that of the ticks by one part in this many before messages wait.
-const TOLERANCE: u64 = 50;
+/// The rate of the messages may exceed that of the ticks by one part in this many before messages wait. Stamps of
+/// a live sensor vary, and a rate that is taken for a higher one costs every second message.
+const TOLERANCE: u64 = 10;
 /// Maximum number of messages that wait.
 const WAITING_MAX: usize = 64;
 
@@ -281,8 +283,11 @@ impl Ticks {
         }
     }
 
-    /// The mean interval of the messages; that of the ticks if it is unknown.
+    /// The mean interval of the messages; that of the ticks while few are known.
     fn interval_ns(&self) -> u64 {
+        if self.stamps.len() < STAMPS_MIN {
+            return TICK_NS;
+        }
         let mut differences: Vec<i64> = self.stamps.windows(2).map(|pair| pair[1] - pair[0]).collect();
         differences.sort_unstable();
         let Some(&median) = differences.get(differences.len() / 2) else { return TICK_NS };

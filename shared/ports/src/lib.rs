@@ -52,6 +52,7 @@ mod error;
 mod keep;
 mod kept;
 mod limits;
+mod living;
 mod log;
 mod memory;
 mod missing;
@@ -84,6 +85,7 @@ pub use drive::drive;
 pub use error::{Awaiting, PortError, StageError};
 pub use kept::KeptMemory;
 pub use limits::HEARTBEAT;
+pub use living::choose_run;
 pub use log::{
     LOG_VARIABLE, LogFormat, OUTPUT_TARGET, UnknownLogFormat, begin_command_logging, begin_logging,
 };

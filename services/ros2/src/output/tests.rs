@@ -1,6 +1,6 @@
 use bytemuck::Zeroable as _;
 use run::{Run, StageRun};
-use wire::{Cause, HistoryState, Quality, flags};
+use wire::{Cause, HistoryState, Quality};
 
 use super::*;
 
@@ -96,6 +96,7 @@ fn forecasts_without_tracks_and_frames_that_are_no_ticks_have_no_message() {
     let (tracks, forecasts) = frames([0, 0]);
     let warm_up = Header { flags: flags::WARM_UP, ..header(0) };
     assert_eq!(output.tracks(&warm_up, &[]), None);
+    assert_eq!(output.tracks(&Header { flags: flags::VOID, ..header(0) }, &[]), None, "not an empty road");
     assert_eq!(output.forecasts(&warm_up, &[], 0), None);
     (1..40).for_each(|seq| drop(output.tracks(&header(seq), &tracks)));
     assert_eq!(output.waiting.len(), WAITING_MAX);

@@ -19,7 +19,7 @@ const WIDTH: usize = 110;
 /// The verbs by purpose. A unit test finds verbs without a group.
 const GROUPS: [(&str, &[&str]); 5] = [
     ("Run", &["run", "predict", "track", "check", "graph", "stage", "wire"]),
-    ("Observe", &["top", "view", "report", "trace", "tick"]),
+    ("Observe", &["top", "view", "ros2", "report", "trace", "tick"]),
     ("Record", &["record", "export", "mark", "replay", "diff"]),
     ("Diagnose", &["inspect", "verify", "bench", "fault", "doctor", "clean", "completions"]),
     ("Laboratory", &["train", "evaluate", "card", "plot", "map", "manual"]),
@@ -58,11 +58,12 @@ pub fn execute(_: &Arguments) -> Result<Exit, Failure> {
     show(&page())
 }
 
-/// The command line of `stgdat`, in which the verbs of `stgdat-lab` have that program's definitions.
+/// The command line of `stgdat`, in which the verbs of its other programs have those programs' definitions.
 pub fn command() -> Command {
     let with_verb =
         |program: Command, verb: &Command| program.mut_subcommand(verb.get_name(), |_| verb.clone());
-    crate::Cli::command().get_subcommands().fold(launch::command(), with_verb)
+    let bridge = ros2::command::Arguments::command().name("ros2");
+    crate::Cli::command().get_subcommands().chain([&bridge]).fold(launch::command(), with_verb)
 }
 
 /// The whole page.

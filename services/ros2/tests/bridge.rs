@@ -1,0 +1,94 @@
+//! Eclipse Cyclone DDS on the other side of the bridge (`tests/interop/ros2_bridge.py`), in a network namespace.
+//!
+//! The tests need the program `stgdat` beside `stgdat-ros2`, `unshare` and `ip`, and a Python with PyPI's `cyclonedds` and
+//! `mcap` (STGDAT_PYTHON names another interpreter). They print why they are skipped.
+
+use std::path::Path;
+use std::process::Command;
+use std::sync::Mutex;
+
+use serde_json::Value;
+
+/// Two runs at once would delay each other.
+static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
+
+/// The findings of a scenario; `None`, with a printed note, if it can't be tried on this machine.
+fn tried(scenario: &[&str]) -> Option<Value> {
+    let _guard = ONE_AT_A_TIME.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+    let bridge = Path::new(env!("CARGO_BIN_EXE_stgdat-ros2"));
+    let programs = bridge.parent().expect("a program is in a folder");
+    if !programs.join("stgdat").is_file() {
+        println!("skipped: no stgdat in {}: build it with the same profile", programs.display());
+        return None;
+    }
+    let python = std::env::var("STGDAT_PYTHON").unwrap_or_else(|_| "python3".into());
+    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/interop/ros2_bridge.py");
+    let output = match Command::new(&python).arg(script).arg(programs).args(scenario).output() {
+        Ok(output) => output,
+        Err(error) => {
+            println!("skipped: {python}: {error}");
+            return None;
+        }
+    };
+    let text = String::from_utf8_lossy(&output.stdout);
+    if output.status.code() == Some(77) {
+        println!("{text} (STGDAT_PYTHON names another interpreter)");
+        return None;
+    }
+    assert!(output.status.success(), "{scenario:?}: {text}{}", String::from_utf8_lossy(&output.stderr));
+    let line = text.lines().last().unwrap_or_default();
+    Some(serde_json::from_str(line).unwrap_or_else(|error| panic!("{error}: {text}")))
+}
+
+/// A busy machine loses messages, so a test asks for one at least.
+fn has_answers(figures: &Value) -> bool {
+    figures["answered"].as_u64().is_some_and(|answered| answered > 0)
+}
+
+#[test]
+fn detections_of_cyclone_come_back_as_forecasts() {
+    for count in [8, 32, 128] {
+        let Some(found) = tried(&["round-trip", &count.to_string(), "4"]) else { return };
+        assert!(has_answers(&found), "{found}");
+        assert_eq!(found["objects"], count, "{found}");
+        assert!(found["paths"].as_u64().is_some_and(|paths| (1..=3).contains(&paths)), "{found}");
+    }
+}
+
+#[test]
+fn a_stopped_and_a_killed_reader_cost_the_others_nothing() {
+    let Some(found) = tried(&["stopped-reader"]) else { return };
+    for phase in ["both run", "one is stopped", "continued", "killed", "started again", "after", "again"] {
+        assert!(has_answers(&found[phase]), "{phase}: {found}");
+    }
+}
+
+#[test]
+fn objects_are_moved_by_the_transform_at_their_stamp() {
+    let Some(found) = tried(&["transforms"]) else { return };
+    assert!(has_answers(&found), "{found}");
+    // The previous transform would be off by 1.6 m.
+    assert!(found["farthest_m"].as_f64().is_some_and(|far_m| far_m < 1.0), "{found}");
+}
+
+#[test]
+fn a_killed_bridge_comes_back() {
+    let Some(found) = tried(&["killed-bridge"]) else { return };
+    for phase in ["before", "after the source was killed", "after the ros2 was killed"] {
+        assert!(has_answers(&found[phase]), "{phase}: {found}");
+    }
+}
+
+#[test]
+fn a_running_pipeline_is_published_until_it_ends() {
+    let Some(found) = tried(&["attached"]) else { return };
+    assert_eq!(found["exit"], 0, "{found}");
+    assert!(found["messages"].as_u64().is_some_and(|messages| messages > 0), "{found}");
+}
+
+#[test]
+fn a_reader_in_another_domain_receives_nothing() {
+    let Some(found) = tried(&["domains"]) else { return };
+    assert!(has_answers(&found["same"]), "{found}");
+    assert_eq!(found["other"], 0, "{found}");
+}
