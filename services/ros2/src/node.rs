@@ -205,3 +205,16 @@ impl<M: Serialize> Writer<M> {
 
 /// Time that DDS has to send the end of its writers.
 pub const FAREWELL: Duration = Duration::from_millis(50);
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_address_of_another_machine_is_refused() {
+        let interfaces = vec!["192.0.2.1".parse().expect("an address for documents")];
+        let options = Options { interfaces, ..Options::default() };
+        let error = Node::open(&options, "test").err().expect("an error").to_string();
+        assert!(error.starts_with("interfaces: 192.0.2.1: "), "{error}");
+    }
+}

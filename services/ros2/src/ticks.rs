@@ -152,11 +152,7 @@ impl Ticks {
     /// Adds transforms.
     pub fn transform(&mut self, message: &TfMessage, is_static: bool) {
         for transform in &message.transforms {
-            self.transforms.add(transform, is_static);
-        }
-        let newest = message.transforms.iter().map(|transform| stamp_ns(&transform.header)).max();
-        if let Some(newest) = newest.filter(|_| !is_static) {
-            self.transforms.forget_before(newest.saturating_sub(TRANSFORMS_NS));
+            self.transforms.add_live(transform, is_static, TRANSFORMS_NS);
         }
     }
 

@@ -139,6 +139,27 @@ fn a_message_waits_for_its_transform_and_is_counted_without_one() {
 }
 
 #[test]
+fn transforms_follow_a_clock_that_is_set_back_or_wrong_once() {
+    let mut ticks = Ticks::new(world(None));
+    let mut add = |stamp_ms: i64, x_m: f64| {
+        ticks.transform(&transform(stamp_ms, "map", "base_link", x_m, 0.0), false);
+        let found =
+            ticks.transforms.to_root("base_link", Some("map"), stamp_ms * MS).map(|at| at.translation.x);
+        (found.unwrap(), ticks.transforms.to_root("base_link", Some("map"), 0).is_ok())
+    };
+    assert_eq!(add(0, 1.0), (1.0, true));
+    // What is older than 10 s is forgotten.
+    assert!((1..=12).all(|k| add(k * 1_000, 2.0).0 == 2.0));
+    assert_eq!(add(12_500, 3.0), (3.0, false));
+    // An hour ahead, and back.
+    assert_eq!(add(3_600_000, 4.0), (4.0, false));
+    assert_eq!(add(12_600, 5.0), (5.0, false));
+    assert_eq!(add(12_700, 6.0), (6.0, false));
+    // A bag that begins again.
+    assert_eq!(add(100, 7.0), (7.0, true));
+}
+
+#[test]
 fn every_message_at_the_rate_of_the_ticks_or_below_is_a_tick() {
     for interval_ms in [75, 79, 80, 100, 400] {
         // A jitter of a quarter.

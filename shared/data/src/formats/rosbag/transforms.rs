@@ -32,6 +32,10 @@ fn isometry([x, y, z]: [f64; 3], [i, j, k, w]: [f64; 4]) -> Isometry3<f64> {
     Isometry3::from_parts(Translation3::new(x, y, z), rotation.unwrap_or_else(UnitQuaternion::identity))
 }
 
+fn stamp_ns(found: &TransformStamped) -> i64 {
+    i64::from(found.header.stamp.sec) * 1_000_000_000 + i64::from(found.header.stamp.nanosec)
+}
+
 /// A frame's name without the slash of ROS 1.
 fn bare(frame: &str) -> &str {
     frame.trim_start_matches('/')
@@ -40,12 +44,11 @@ fn bare(frame: &str) -> &str {
 impl Transforms {
     /// Adds a transform.
     pub fn add(&mut self, found: &TransformStamped, is_static: bool) {
-        let (stamp, at, q) = (&found.header.stamp, &found.transform.translation, &found.transform.rotation);
-        let stamp_ns = i64::from(stamp.sec) * 1_000_000_000 + i64::from(stamp.nanosec);
+        let (at, q) = (&found.transform.translation, &found.transform.rotation);
         let frame = self.0.entry(bare(&found.child_frame_id).to_owned()).or_default();
         frame.parent = bare(&found.header.frame_id).to_owned();
         frame.is_static = is_static;
-        frame.poses.insert(stamp_ns, isometry([at.x, at.y, at.z], [q.x, q.y, q.z, q.w]));
+        frame.poses.insert(stamp_ns(found), isometry([at.x, at.y, at.z], [q.x, q.y, q.z, q.w]));
     }
 
     /// Whether the frame has a place in another frame.
@@ -71,11 +74,18 @@ impl Transforms {
         false
     }
 
-    /// Forgets the dynamic transforms before a time.
-    pub fn forget_before(&mut self, stamp_ns: i64) {
-        for frame in self.0.values_mut().filter(|frame| !frame.is_static) {
-            frame.poses = frame.poses.split_off(&stamp_ns);
+    /// Adds a live transform. A moving frame keeps `keep_ns` before its newest transform. If a transform is older than
+    /// that, the clock was set back, and the frame begins again.
+    pub fn add_live(&mut self, found: &TransformStamped, is_static: bool, keep_ns: i64) {
+        let from_ns = stamp_ns(found).saturating_sub(keep_ns);
+        if let Some(frame) = self.0.get_mut(bare(&found.child_frame_id)) {
+            let newest_ns = frame.poses.last_key_value().map(|(newest_ns, _)| *newest_ns);
+            let went_back =
+                newest_ns.is_some_and(|newest_ns| stamp_ns(found) < newest_ns.saturating_sub(keep_ns));
+            frame.poses =
+                if is_static || went_back { BTreeMap::new() } else { frame.poses.split_off(&from_ns) };
         }
+        self.add(found, is_static);
     }
 
     /// The transform from a frame to `world`, at a time; to the root of its tree without `world`.
