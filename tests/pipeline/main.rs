@@ -6,6 +6,7 @@ mod daily;
 mod endings;
 mod fault_runs;
 mod faults;
+mod foxglove;
 mod frames;
 mod live;
 mod lockstep;

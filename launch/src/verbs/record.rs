@@ -1,10 +1,10 @@
 use std::collections::BTreeMap;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::Duration;
 
 use clap::Args;
-use ports::{Asked, Stop, monotonic_ns};
+use ports::{Asked, Stop, clock_offset_ns};
 use recording::tap::{Client, Item, Request};
 use recording::{About, EVENTS, LOG};
 use run::Exit;
@@ -127,13 +127,6 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         say(&format!("  {lost} frames are not in it: {}", losses(&recorded)));
     }
     Ok(Exit::Done)
-}
-
-/// Returns the Unix time minus `CLOCK_MONOTONIC`.
-fn clock_offset_ns() -> i64 {
-    let unix = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-    let unix_ns = i64::try_from(unix.as_nanos()).unwrap_or(i64::MAX);
-    unix_ns.saturating_sub_unsigned(monotonic_ns())
 }
 
 /// Prints a line on standard output immediately, because the launcher may wait for it. A closed pipe is not

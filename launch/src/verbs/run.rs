@@ -7,7 +7,7 @@ use crate::config::Pipeline;
 use clap::{Args, ValueEnum};
 use localiser::MapChoice;
 use nn::Weights;
-use ports::{Space, Stop, Topics};
+use ports::{Space, Stop, Topics, clock_offset_ns};
 use recorder::{InputReport, Report, RunInfo, SpareReport, Supervision};
 use recording::{About, Happened};
 use run::{Exit, Run, SpareRun, StageRun};
@@ -531,6 +531,7 @@ fn about(arguments: &Arguments, info: &RunInfo, run: &Run) -> Result<About, Fail
         kernels: version::kernels(run),
         scene: info.recording.clone().unwrap_or_else(|| "detections of a producer".to_owned()),
         run: run.clone(),
+        clock_offset_ns: clock_offset_ns(),
         ..About::default()
     })
 }

@@ -1,3 +1,4 @@
+use std::ffi::OsString;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
@@ -9,13 +10,14 @@ use recording::About;
 use recording::tap::{Client as TapClient, Item, Request};
 use run::Exit;
 use view::{Live, MODES_DRAWN, Pairing, Scene};
-use wire::{ForecastsTopic, Topic as _, TracksTopic};
+use wire::{ForecastsTopic, MODES_MAX, Topic as _, TracksTopic};
 
 use crate::arguments::lanes_of;
 use crate::child::die_with_this_process;
 use crate::failure::Failure;
 use crate::observe::address;
 use crate::top::Client;
+use crate::verbs::lab::replace_by;
 use crate::{log, runs};
 
 /// The address if none is named; any free port if this one is taken.
@@ -39,13 +41,27 @@ pub struct Arguments {
     /// address is not of the loopback interface
     #[arg(long, value_name = "ADDRESS", value_parser = address)]
     address: Option<SocketAddr>,
+    /// Serve Foxglove's websocket instead of the page, by default on port 8765 of the loopback interface. An
+    /// address that other machines reach has no token
+    #[arg(long)]
+    foxglove: bool,
+    /// Paths of each agent in Foxglove, the most probable first
+    #[arg(long, value_name = "N", requires = "foxglove", default_value_t = 3, value_parser = clap::value_parser!(u16).range(1..=MODES_MAX as i64))]
+    paths: u16,
 }
+
+/// The server of Foxglove's websocket, and the option that it is built with.
+const FOXGLOVE: [&str; 2] = ["stgdat-foxglove", " --features websocket"];
 
 /// Serves the live page of a run until the run ends.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
-    let stop = Stop::on_signals().map_err(Failure::unavailable)?;
     let run = runs::find(arguments.run.as_deref())?;
     let _ = rustix::process::nice(NICE);
+    if arguments.foxglove {
+        let [name, options] = FOXGLOVE;
+        return Err(replace_by(name, options, foxglove_arguments(arguments, &run).into_iter()));
+    }
+    let stop = Stop::on_signals().map_err(Failure::unavailable)?;
     let hello = hello(&run)?;
     let wanted = arguments.address.unwrap_or_else(|| ADDRESS.into());
     let live = Live::serve(wanted, &hello).or_else(|error| match arguments.address {
@@ -64,6 +80,15 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     }
     live.end(END_LIMIT);
     Ok(Exit::Done)
+}
+
+fn foxglove_arguments(arguments: &Arguments, run: &LivingRun) -> Vec<OsString> {
+    let mut words = vec!["--run".into(), run.root.clone().into_os_string()];
+    words.extend(["--paths".into(), arguments.paths.to_string().into()]);
+    if let Some(address) = arguments.address {
+        words.extend(["--address".into(), address.to_string().into()]);
+    }
+    words
 }
 
 /// The facts of a run that do not change, as JSON: its title and the bounds of its lanes.

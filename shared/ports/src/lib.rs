@@ -79,7 +79,7 @@ mod wait;
 pub use crate::shedding::Allowance;
 pub use added_relay::AddedRelay;
 pub use added_subscriber::{AddedFrame, AddedSubscriber, Beside};
-pub use clock::monotonic_ns;
+pub use clock::{clock_offset_ns, monotonic_ns};
 pub use color::{COLOR_VARIABLE, Color, UnknownColor};
 pub use drive::drive;
 pub use error::{Awaiting, PortError, StageError};
