@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
 """Writes a bag with Autoware's objects by PyPI's `rosbags`: two cars, a pedestrian and an animal, seen from a moving ego.
 
-KIND is detected or tracked; STORAGE is mcap or sqlite3. Objects are in the frame base_link. Exit code 77: a module is
-missing.
+KIND is detected, tracked or predicted; STORAGE is mcap or sqlite3. Objects are in the frame base_link. Predicted objects
+have a straight path and a less confident one of standing, in steps of 0.5 s. Exit code 77: a module is missing.
 
     python3 tests/interop/write_bag.py BAG_FOLDER SCHEMAS.mcap KIND STORAGE
 """
@@ -35,6 +35,12 @@ autoware_perception_msgs/Shape shape""",
 autoware_perception_msgs/DetectedObject[] objects""",
 }
 # Label, position and speed along +x in the world.
+KINDS = {
+    "detected": ("DetectedObjects", "/perception/object_recognition/detection/objects"),
+    "tracked": ("TrackedObjects", "/perception/object_recognition/tracking/objects"),
+    "predicted": ("PredictedObjects", "/perception/object_recognition/objects"),
+}
+STEP_NS, STEPS = 500_000_000, 10
 AGENTS = [(1, 10.0, 5.0, 8.0), (1, -20.0, -5.0, 4.0), (7, 3.0, 9.0, 1.25), (8, 0.0, 0.0, 0.0)]
 TICKS, INTERVAL_NS = 60, 100_000_000
 EGO = (1.0, 2.0, 0.5)
@@ -62,10 +68,9 @@ def main(folder, schemas, kind, storage):
 
     none = numpy.zeros(36)
     zero = geometry("Vector3", 0.0, 0.0, 0.0)
-    name = PACKAGE + ("DetectedObjects" if kind == "detected" else "TrackedObjects")
+    name, topic = PACKAGE + KINDS[kind][0], KINDS[kind][1]
     plugin = StoragePlugin.MCAP if storage == "mcap" else StoragePlugin.SQLITE3
     with Writer(Path(folder), version=9, storage_plugin=plugin) as bag:
-        topic = "/perception/object_recognition/" + ("detection" if kind == "detected" else "tracking") + "/objects"
         objects = bag.add_connection(topic, name, typestore=types)
         tf = bag.add_connection("/tf", "tf2_msgs/msg/TFMessage", typestore=types)
         for tick in range(TICKS):
@@ -81,8 +86,13 @@ def main(folder, schemas, kind, storage):
             for number, (label, x, y, speed) in enumerate(AGENTS):
                 dx, dy = x + speed * t - ego[0], y - ego[1]
                 cos, sin = math.cos(ego[2]), math.sin(ego[2])
-                point = geometry("Point", cos * dx + sin * dy, cos * dy - sin * dx, 0.0)
-                pose = geometry("PoseWithCovariance", geometry("Pose", point, turn(-ego[2])), none)
+                # The agent in base_link, after it has gone further.
+                at = lambda ahead: geometry(
+                    "Pose",
+                    geometry("Point", cos * (dx + ahead) + sin * dy, cos * dy - sin * (dx + ahead), 0.0),
+                    turn(-ego[2]),
+                )
+                pose = geometry("PoseWithCovariance", at(0.0), none)
                 linear = geometry("Vector3", speed, 0.0, 0.0)
                 twist = geometry("TwistWithCovariance", geometry("Twist", linear, zero), none)
                 classes = [of[PACKAGE + "ObjectClassification"](label, 0.9)]
@@ -90,10 +100,17 @@ def main(folder, schemas, kind, storage):
                 if kind == "detected":
                     kinematics = of[PACKAGE + "DetectedObjectKinematics"](pose, False, 2, twist, True, False)
                     found.append(of[PACKAGE + "DetectedObject"](0.8, classes, kinematics, shape))
+                    continue
+                accel = geometry("AccelWithCovariance", geometry("Accel", zero, zero), none)
+                uuid = ros("unique_identifier_msgs/msg/UUID", numpy.full(16, number + 1, dtype=numpy.uint8))
+                if kind == "predicted":
+                    step = ros("builtin_interfaces/msg/Duration", STEP_NS // 10**9, STEP_NS % 10**9)
+                    path = lambda mps: [at(mps * k * STEP_NS / 1e9) for k in range(STEPS + 1)]
+                    paths = [of[PACKAGE + "PredictedPath"](path(mps), step, p) for mps, p in ((0.0, 0.25), (speed, 0.75))]
+                    kinematics = of[PACKAGE + "PredictedObjectKinematics"](pose, twist, accel, paths)
+                    found.append(of[PACKAGE + "PredictedObject"](uuid, 0.8, classes, kinematics, shape))
                 else:
-                    accel = geometry("AccelWithCovariance", geometry("Accel", zero, zero), none)
                     kinematics = of[PACKAGE + "TrackedObjectKinematics"](pose, twist, accel, 2, False)
-                    uuid = ros("unique_identifier_msgs/msg/UUID", numpy.full(16, number + 1, dtype=numpy.uint8))
                     found.append(of[PACKAGE + "TrackedObject"](uuid, 0.8, classes, kinematics, shape))
             header = ros("std_msgs/msg/Header", stamp, "base_link")
             bag.write(objects, stamp_ns, types.serialize_cdr(of[name](header, found), name))

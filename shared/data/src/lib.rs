@@ -63,6 +63,7 @@ mod windows;
 pub use error::{ErrorPlace, ReadError};
 pub use folder::recordings_in;
 pub use format::{Format, UnknownFormat};
+pub use formats::rosbag::{PredictedAgent, PredictedFrame, PredictedPath, predicted_objects};
 pub use frame_rate::{FrameRate, UnknownFrameRate};
 pub use generated::{GeneratedScene, OptionError, SceneOptions};
 pub use input::{Input, Role};

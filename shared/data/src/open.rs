@@ -123,7 +123,7 @@ fn name(path: &str) -> String {
     }
 }
 
-fn read(path: &Path, role: Role) -> Result<Input, ReadError> {
+pub(crate) fn read(path: &Path, role: Role) -> Result<Input, ReadError> {
     let failed = |source| ReadError::Io { path: path.to_owned(), source };
     let file = File::open(path).map_err(failed)?;
     if !file.metadata().map_err(failed)?.is_file() {

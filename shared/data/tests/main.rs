@@ -7,6 +7,8 @@ mod frame_rates;
 mod inspection;
 mod kitti_files;
 mod origins;
+mod predictions;
+mod python_bags;
 mod recordings;
 mod rosbags;
 mod strangers;

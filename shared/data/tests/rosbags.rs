@@ -12,7 +12,7 @@ use interop::messages::{
 };
 use wire::{AgentType, Detection, detection_flags};
 
-fn header(sec: i32, frame: &str) -> Header {
+pub fn header(sec: i32, frame: &str) -> Header {
     Header { stamp: Time { sec, nanosec: 0 }, frame_id: frame.to_owned() }
 }
 
@@ -21,7 +21,7 @@ fn turned(angle_rad: f64) -> Quaternion {
 }
 
 /// `child` at (`x_m`, 0) in `parent`, turned to the left.
-fn tf(sec: i32, parent: &str, child: &str, x_m: f64) -> (&'static str, &'static str, Vec<u8>) {
+pub fn tf(sec: i32, parent: &str, child: &str, x_m: f64) -> (&'static str, &'static str, Vec<u8>) {
     let mut found = TransformStamped {
         header: header(sec, parent),
         child_frame_id: child.into(),
@@ -55,7 +55,8 @@ fn tracked(sec: i32, uuids: &[u8]) -> (&'static str, &'static str, Vec<u8>) {
     ("/tracks", TrackedObjects::DEFINITION.name, to_bytes(&message))
 }
 
-fn read(messages: &[(&str, &str, Vec<u8>)]) -> Result<Recording, String> {
+/// A bag of messages: topic, schema and bytes of each.
+pub fn bag(messages: &[(&str, &str, Vec<u8>)]) -> Vec<u8> {
     let mut bytes = Cursor::new(Vec::new());
     let mut writer = mcap::WriteOptions::new().compression(None).create(&mut bytes).expect("a bag in memory");
     for (place, (topic, schema, data)) in messages.iter().enumerate() {
@@ -67,7 +68,11 @@ fn read(messages: &[(&str, &str, Vec<u8>)]) -> Result<Recording, String> {
     }
     writer.finish().expect("a bag in memory");
     drop(writer);
-    let input = Input::new(Role::Rows, "drive.mcap", bytes.into_inner());
+    bytes.into_inner()
+}
+
+fn read(messages: &[(&str, &str, Vec<u8>)]) -> Result<Recording, String> {
+    let input = Input::new(Role::Rows, "drive.mcap", bag(messages));
     assert_eq!(Format::detect(&input).expect("a bag in memory"), Format::Rosbag);
     parse(Format::Rosbag, &[input]).map_err(|error| error.to_string())
 }

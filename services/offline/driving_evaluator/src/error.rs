@@ -35,6 +35,9 @@ pub enum DrivingError {
         /// What is wrong with it.
         source: WeightsError,
     },
+    /// A bag's forecasts can't be compared with ours.
+    #[error("{0}")]
+    Against(String),
     /// The stages can't be set up.
     #[error(transparent)]
     Stages(#[from] ChainError),

@@ -14,9 +14,12 @@
 //! No source has motorway speeds. Fast sources are therefore also shown at twice their scale, as separate
 //! sources.
 //!
+//! [`against_bag`] compares the forecasts with the ones of another system.
+//!
 //! [`through_gaps`] evaluates how much forecasts help the tracker on the same sources. It returns a
 //! [`GapReport`].
 
+mod against;
 mod cell;
 mod error;
 mod gaps;
@@ -28,6 +31,7 @@ mod report;
 mod sample;
 mod source;
 
+pub use against::{AgainstReport, AgainstRow, against_bag};
 pub use error::DrivingError;
 pub use gaps::{GapReport, through_gaps};
 pub use report::Report;

@@ -48,7 +48,7 @@ pub const METHODS: [Method; 6] = [
 ];
 
 /// Mean and final error of a forecast, m.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
 pub struct Errors {
     /// Over all steps.
     pub ade_m: f64,
@@ -132,7 +132,7 @@ impl Sample {
 }
 
 impl Errors {
-    fn of(displacement: Displacement) -> Self {
+    pub(crate) fn of(displacement: Displacement) -> Self {
         Self { ade_m: displacement.ade_m.unwrap_or(f64::NAN), fde_m: displacement.fde_m.unwrap_or(f64::NAN) }
     }
 }

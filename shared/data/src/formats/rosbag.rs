@@ -13,6 +13,7 @@
 //! The objects become rows of [`crate::formats::csv`], which checks their values.
 
 mod objects;
+mod predicted;
 mod transforms;
 
 use std::collections::HashMap;
@@ -20,12 +21,13 @@ use std::fmt::Write as _;
 
 use interop::autoware::EGO;
 use interop::cdr::{Cdr, from_bytes};
-use interop::messages::{DetectedObjects, Header, TfMessage, TrackedObjects};
+use interop::messages::{DetectedObjects, Header, TfMessage, Time, TrackedObjects};
 use nalgebra::Isometry3;
 use recording::{BagMessage, bag_messages};
 
 use self::objects::heading_rad;
 pub use self::objects::{Object, Placed};
+pub use self::predicted::{PredictedAgent, PredictedFrame, PredictedPath, predicted_objects};
 pub use self::transforms::Transforms;
 use crate::formats::csv;
 use crate::input::need;
@@ -58,13 +60,18 @@ impl From<String> for Problem {
     }
 }
 
+impl Problem {
+    fn of(self, path: &str) -> ReadError {
+        let Self(message, problem) = self;
+        let problem = message.map_or(problem.clone(), |number| format!("message {number}: {problem}"));
+        ReadError::Bag { path: path.to_owned(), problem }
+    }
+}
+
 /// Reads a bag.
 pub(crate) fn parse(inputs: &[Input]) -> Result<Recording, ReadError> {
     let input = need(inputs, Role::Rows)?;
-    let failed = |Problem(message, problem): Problem| {
-        let problem = message.map_or(problem.clone(), |number| format!("message {number}: {problem}"));
-        ReadError::Bag { path: input.path.clone(), problem }
-    };
+    let failed = |problem: Problem| problem.of(&input.path);
     let (messages, transforms) = read(&input.bytes).map_err(failed)?;
     let mut table = Table::new();
     for message in &messages {
@@ -95,11 +102,7 @@ fn read(bytes: &[u8]) -> Result<(Vec<Message>, Transforms), Problem> {
             schemas.push(message.schema.to_owned());
         }
         if message.schema == TfMessage::DEFINITION.name {
-            let is_static = message.topic.ends_with("_static");
-            decode::<TfMessage>(&message)?
-                .transforms
-                .iter()
-                .for_each(|found| transforms.add(found, is_static));
+            add_transforms(&message, &mut transforms)?;
         } else if let Some(kind) = OBJECTS.iter().position(|schema| *schema == message.schema) {
             let (header, objects) = if kind == 0 {
                 let DetectedObjects { header, objects } = decode(&message)?;
@@ -121,20 +124,45 @@ fn read(bytes: &[u8]) -> Result<(Vec<Message>, Transforms), Problem> {
     };
     let mut messages: Vec<Message> =
         messages.into_iter().filter(|(of, _)| *of == kind).map(|(_, message)| message).collect();
-    let mut topics: Vec<String> = messages.iter().map(|message| message.topic.clone()).collect();
-    topics.sort();
-    topics.dedup();
-    if let [_, _, ..] = &topics[..] {
-        let Some(usual) = USUAL.into_iter().find(|usual| topics.iter().any(|topic| topic == usual)) else {
-            return Err(format!(
-                "objects on several topics: {}; keep one of them, as with `mcap filter`",
-                topics.join(", ")
-            )
-            .into());
-        };
+    let topics = messages.iter().map(|message| message.topic.clone()).collect();
+    if let Some(usual) = usual(topics, &USUAL)? {
         messages.retain(|message| message.topic == usual);
     }
     Ok((messages, transforms))
+}
+
+/// The topic to read if there are several; `None` if there is one.
+fn usual(mut topics: Vec<String>, known: &[&'static str]) -> Result<Option<&'static str>, Problem> {
+    topics.sort();
+    topics.dedup();
+    if topics.len() < 2 {
+        return Ok(None);
+    }
+    let usual = known.iter().find(|usual| topics.iter().any(|topic| topic == *usual));
+    usual.copied().map(Some).ok_or_else(|| {
+        let topics = topics.join(", ");
+        format!("objects on several topics: {topics}; keep one of them, as with `mcap filter`").into()
+    })
+}
+
+/// Adds the transforms of a message of `/tf` or `/tf_static`.
+fn add_transforms(message: &BagMessage<'_>, transforms: &mut Transforms) -> Result<(), Problem> {
+    let is_static = message.topic.ends_with("_static");
+    decode::<TfMessage>(message)?.transforms.iter().for_each(|found| transforms.add(found, is_static));
+    Ok(())
+}
+
+/// The transform from a message's frame to the root, at its stamp.
+fn to_root(header: &Header, transforms: &Transforms, stamp_ns: i64) -> Result<Isometry3<f64>, String> {
+    let frame = header.frame_id.trim_start_matches('/');
+    if frame == EGO && !transforms.has(EGO) {
+        return Err(format!("objects in the frame {EGO}, and no transform of it in /tf"));
+    }
+    transforms.to_root(frame, None, stamp_ns)
+}
+
+fn stamp_ns(stamp: &Time) -> i64 {
+    i64::from(stamp.sec) * 1_000_000_000 + i64::from(stamp.nanosec)
 }
 
 fn decode<M: Cdr>(message: &BagMessage<'_>) -> Result<M, Problem> {
@@ -168,17 +196,12 @@ impl Table {
     }
 
     fn add(&mut self, message: &Message, transforms: &Transforms) -> Result<(), Problem> {
-        let stamp = &message.header.stamp;
-        let stamp_ns = i64::from(stamp.sec) * 1_000_000_000 + i64::from(stamp.nanosec);
+        let stamp_ns = stamp_ns(&message.header.stamp);
         let sign = if stamp_ns < 0 { "-" } else { "" };
         let at = stamp_ns.unsigned_abs();
         let stamp_s = format!("{sign}{}.{:09}", at / 1_000_000_000, at % 1_000_000_000);
         let of_message = |problem| Problem(Some(message.number), problem);
-        let frame = message.header.frame_id.trim_start_matches('/');
-        let world_from_frame = transforms.to_root(frame, None, stamp_ns).map_err(of_message)?;
-        if frame == EGO && !transforms.has(EGO) {
-            return Err(of_message(format!("objects in the frame {EGO}, and no transform of it in /tf")));
-        }
+        let world_from_frame = to_root(&message.header, transforms, stamp_ns).map_err(of_message)?;
         if transforms.has(EGO)
             && self.ego_ns != Some(stamp_ns)
             && let Ok(ego) = transforms.to_root(EGO, None, stamp_ns)

@@ -72,6 +72,10 @@ pub struct Arguments {
     /// other roads
     #[arg(long, value_name = "FILE")]
     prior: Option<PathBuf>,
+    /// Compare the forecasts with the `PredictedObjects` of this bag: same agents, times, horizon and truth. The
+    /// target is one recording, which is played as `predict` plays it; it may be the same bag
+    #[arg(long, value_name = "BAG", conflicts_with_all = ["positions", "all", "validation", "beside"])]
+    against_bag: Option<PathBuf>,
     #[command(flatten)]
     read: ReadArguments,
     /// Derive velocities and headings of the recordings from their positions
@@ -114,6 +118,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     };
     refuse_unused(name, arguments)?;
     let written = match name {
+        _ if arguments.against_bag.is_some() => vec![against(arguments)?],
         "tracking" => track(arguments)?,
         "driving" => vec![drive(arguments)?],
         _ => {
@@ -165,6 +170,12 @@ fn refuse_unused(name: &str, arguments: &Arguments) -> Result<(), Failure> {
         ("--prior", arguments.prior.is_some(), is_driving, "`driving`"),
         ("--sigmas", !arguments.sigmas.is_empty(), is_tracking, "`tracking`"),
         ("--particles", arguments.particles, is_tracking, "`tracking`"),
+        (
+            "--against-bag",
+            arguments.against_bag.is_some(),
+            !is_set && arguments.targets.len() == 1,
+            "one recording",
+        ),
         ("--format", arguments.read.format.is_some(), !is_set, "recordings"),
         ("--fps", arguments.read.fps.is_some(), !is_set, "recordings"),
         ("--all", arguments.all, !is_set, "recordings"),
@@ -289,6 +300,19 @@ fn drive(arguments: &Arguments) -> Result<Written, Failure> {
     }
     let texts = [report.markdown(), report.summary(), report.csv()];
     Ok(Written::new("driving", "evaluate driving", texts, report.json()))
+}
+
+/// Our forecasts of a recording beside the forecasts of a bag.
+fn against(arguments: &Arguments) -> Result<Written, Failure> {
+    let (Some(bag), [target]) = (&arguments.against_bag, &arguments.targets[..]) else {
+        return Err(Failure::Usage("--against-bag is for one recording".to_owned()));
+    };
+    let frames = data::predicted_objects(bag, arguments.read.options().origin).map_err(Failure::data)?;
+    let recording = arguments.read.open(target)?;
+    let report = driving_evaluator::against_bag(recording, frames, &driving(arguments, &[])?);
+    let report = report.map_err(Failure::data)?;
+    let texts = [report.markdown(), report.markdown(), report.csv()];
+    Ok(Written::new("against bag", "evaluate --against-bag", texts, report.json()))
 }
 
 /// The parts of `tracking`, whose figures share one table.

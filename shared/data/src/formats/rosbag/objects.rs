@@ -45,10 +45,20 @@ pub struct Placed {
     pub sigma_m: Option<f64>,
 }
 
-fn class(classification: &[ObjectClassification]) -> u8 {
+pub(super) fn class(classification: &[ObjectClassification]) -> u8 {
     // The first of equally probable ones, as in Autoware.
     let best = classification.iter().rev().max_by(|a, b| a.probability.total_cmp(&b.probability));
     best.map_or(label::UNKNOWN, |best| best.label)
+}
+
+/// The type of a class; `None` for other classes.
+pub(super) const fn agent_type(class: u8) -> Option<AgentType> {
+    Some(match class {
+        label::CAR | label::TRUCK | label::BUS | label::TRAILER | label::MOTORCYCLE => AgentType::Vehicle,
+        label::BICYCLE => AgentType::Cyclist,
+        label::PEDESTRIAN => AgentType::Pedestrian,
+        _ => return None,
+    })
 }
 
 fn size_m(shape: &Shape) -> [f64; 2] {
@@ -96,12 +106,7 @@ impl Object {
     /// The object in the world; `None` if it is neither vehicle, cyclist nor pedestrian.
     #[must_use]
     pub fn placed(&self, world_from_frame: &Isometry3<f64>) -> Option<Placed> {
-        let agent_type = match self.class {
-            label::CAR | label::TRUCK | label::BUS | label::TRAILER | label::MOTORCYCLE => AgentType::Vehicle,
-            label::BICYCLE => AgentType::Cyclist,
-            label::PEDESTRIAN => AgentType::Pedestrian,
-            _ => return None,
-        };
+        let agent_type = agent_type(self.class)?;
         let pose = world_from_frame * transforms::pose(&self.pose);
         Some(Placed {
             agent_type,
