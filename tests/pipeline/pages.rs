@@ -100,6 +100,14 @@ fn browsers_that_come_and_go_leave_nothing() {
         let mut lines = BufReader::new(stream).lines().map_while(Result::ok);
         lines.next().filter(|line| line.ends_with("200 OK")).map(|_| lines)
     };
+    let descriptors = || ["tap", "view"].map(|verb| run.descriptors(verb));
+    // The tap joins the run for its first reader and stays.
+    let mut first = wait_for("no connection is free", open);
+    assert!(first.any(|line| line == "event: tick"));
+    let attached = descriptors();
+    drop(first);
+    let fewer = || Some(descriptors()).filter(|now| now[0] < attached[0] && now[1] < attached[1]);
+    let detached = wait_for("the first browser is still attached", fewer);
     let mut ticks = 0;
     for number in 0..100 {
         let mut lines = wait_for("no connection is free", open);
@@ -109,6 +117,8 @@ fn browsers_that_come_and_go_leave_nothing() {
         }
     }
     assert!(ticks > 0);
+    let same = || descriptors().iter().zip(detached).all(|(now, then)| *now <= then).then_some(());
+    wait_for("descriptors are left over", same);
     run.signal(Signal::INT);
     let output = run.output();
     assert_eq!(output.status.code(), Some(130), "{}", stderr(&output));

@@ -72,19 +72,33 @@ impl Started {
         Self::spawn(stgdat().arg("run").args(arguments))
     }
 
-    /// The processes of the run's stages, with their command lines.
-    pub fn stages(&self) -> Vec<(Pid, Vec<String>)> {
+    /// The child processes, with their command lines.
+    fn children(&self) -> Vec<(Pid, Vec<String>)> {
         let children = format!("/proc/{0}/task/{0}/children", self.0.id());
         let Ok(children) = std::fs::read_to_string(children) else { return Vec::new() };
         let pids = children.split_whitespace().filter_map(|pid| pid.parse().ok());
         pids.filter_map(|pid: i32| {
             let line = std::fs::read_to_string(format!("/proc/{pid}/cmdline")).ok()?;
-            let line: Vec<String> = line.split('\0').map(str::to_owned).collect();
-            // The tap, a recording and a page belong to the run, but they are not stages.
-            let is_stage = line.get(1).is_none_or(|verb| !["tap", "record", "view"].contains(&verb.as_str()));
-            is_stage.then_some((Pid::from_raw(pid)?, line))
+            Some((Pid::from_raw(pid)?, line.split('\0').map(str::to_owned).collect()))
         })
         .collect()
+    }
+
+    /// The processes of the run's stages, with their command lines.
+    pub fn stages(&self) -> Vec<(Pid, Vec<String>)> {
+        // The tap, a recording and a page belong to the run, but they are not stages.
+        let is_stage = |line: &[String]| {
+            line.get(1).is_none_or(|verb| !["tap", "record", "view"].contains(&verb.as_str()))
+        };
+        self.children().into_iter().filter(|(_, line)| is_stage(line)).collect()
+    }
+
+    /// Number of open descriptors of the run's process with a verb, such as `tap`.
+    pub fn descriptors(&self, verb: &str) -> usize {
+        let children = self.children();
+        let found = children.iter().find(|(_, line)| line.get(1).is_some_and(|word| word == verb));
+        let (pid, _) = found.unwrap_or_else(|| panic!("no process {verb}"));
+        std::fs::read_dir(format!("/proc/{}/fd", pid.as_raw_nonzero())).expect("the process runs").count()
     }
 
     /// The run's directory, once the recorder has started.

@@ -34,84 +34,123 @@ function colorOf(colors, forecast) {
   return forecast ? colors.cause[forecast.c] || colors.unknown : colors.unknown;
 }
 
-// The density of a mixture at the end of the horizon on a grid, and the densities on the borders of its 50 % and
-// 90 % highest-density regions. The border of the grid is 0, so that every contour is closed.
-function densityOf(mixture, cells) {
-  let [x0, y0, x1, y1] = [Infinity, Infinity, -Infinity, -Infinity];
+// The modes of a mixture at the end of the horizon, for densities, and the box around three standard deviations.
+function shapeOf(mixture) {
+  const box = [Infinity, Infinity, -Infinity, -Infinity];
   const modes = [];
   for (const [p, x, y, xx, xy, yy] of mixture) {
     const determinant = xx * yy - xy * xy;
     if (!(determinant > 0) || p < 4) continue;
     const [sx, sy] = [3 * Math.sqrt(xx), 3 * Math.sqrt(yy)];
-    [x0, y0] = [Math.min(x0, x - sx), Math.min(y0, y - sy)];
-    [x1, y1] = [Math.max(x1, x + sx), Math.max(y1, y + sy)];
+    [box[0], box[1]] = [Math.min(box[0], x - sx), Math.min(box[1], y - sy)];
+    [box[2], box[3]] = [Math.max(box[2], x + sx), Math.max(box[3], y + sy)];
     modes.push([p / Math.sqrt(determinant), x, y, yy / determinant / 2, -xy / determinant, xx / determinant / 2, sx, sy]);
   }
-  if (!modes.length) return null;
-  const [dx, dy] = [(x1 - x0) / (cells - 3), (y1 - y0) / (cells - 3)];
-  [x0, y0] = [x0 - dx, y0 - dy];
+  return { modes, box };
+}
+
+// The number of steps in which the level of a region is sought.
+const BINS = 255;
+
+// The density of a mixture on a grid, and the densities on the borders of its 50 % and 90 % highest-density regions.
+// The border of the grid is 0, so that every contour is closed.
+function densityOf({ modes, box }, cells) {
+  const [dx, dy] = [(box[2] - box[0]) / (cells - 3), (box[3] - box[1]) / (cells - 3)];
+  const [x0, y0] = [box[0] - dx, box[1] - dy];
   const values = new Float32Array(cells * cells);
   const range = (middle, reach, begin, step) =>
     [Math.max(Math.ceil((middle - reach - begin) / step), 1), Math.min(Math.floor((middle + reach - begin) / step), cells - 2)];
   for (const [weight, x, y, a, b, c, sx, sy] of modes) {
     const [col0, col1] = range(x, sx, x0, dx);
     const [row0, row1] = range(y, sy, y0, dy);
+    const least = weight * 1e-5;
+    const bend = Math.exp(-2 * a * dx * dx);
     for (let row = row0; row <= row1; row++) {
       const v = y0 + row * dy - y;
-      for (let col = col0; col <= col1; col++) {
-        const u = x0 + col * dx - x;
-        values[row * cells + col] += weight * Math.exp(-(a * u * u + b * u * v + c * v * v));
+      // From the cell with the most, to both sides. The ratio of neighbours changes by a constant factor.
+      const peak = Math.min(Math.max(Math.round((x - b * v / (2 * a) - x0) / dx), col0), col1);
+      const u = x0 + peak * dx - x;
+      const most = weight * Math.exp(-(a * u * u + b * u * v + c * v * v));
+      values[row * cells + peak] += most;
+      for (const step of [1, -1]) {
+        let [value, ratio] = [most, Math.exp(-(a * dx * dx + step * dx * (2 * a * u + b * v)))];
+        for (let col = peak + step; col >= col0 && col <= col1 && value > least; col += step) {
+          value *= ratio;
+          ratio *= bend;
+          values[row * cells + col] += value;
+        }
       }
     }
   }
-  const sorted = Float32Array.from(values).sort();
-  const total = sorted.reduce((sum, value) => sum + value, 0);
+  // Sums by value, in steps that are finer for small values.
+  let [most, total] = [0, 0];
+  for (const value of values) {
+    total += value;
+    if (value > most) most = value;
+  }
+  const sums = new Float64Array(BINS + 1);
+  for (const value of values) sums[Math.floor(Math.sqrt(value / most) * BINS)] += value;
   const levels = [];
-  let sum = 0;
-  for (let at = sorted.length - 1; at >= 0; at--) {
-    sum += sorted[at];
-    while (levels.length < 2 && sum >= [0.5, 0.9][levels.length] * total) levels.push(sorted[at]);
+  let above = 0;
+  for (let bin = BINS; bin >= 0 && levels.length < 2; bin--) {
+    let wanted;
+    while (levels.length < 2 && above + sums[bin] >= (wanted = [0.5, 0.9][levels.length] * total)) {
+      const level = ((bin + 1 - (wanted - above) / sums[bin]) / BINS) ** 2 * most;
+      levels.push(Math.min(level, 0.99 * most));
+    }
+    above += sums[bin];
   }
   return { values, cells, x0, y0, dx, dy, levels };
 }
 
-// Traces the borders of the area above a level: marching squares, linked to closed lines.
-function traceRegion(path, { values, cells, x0, y0, dx, dy }, level) {
-  // An edge of the grid is named by twice its first corner, plus 1 if it goes along a column.
-  const next = new Map();
+// The most cells along a side of a density.
+const CELLS_MAX = 26;
+// For each edge of a grid the edge at which a border enters next; 0 if no border leaves there.
+const nextEdge = new Int32Array(2 * CELLS_MAX * CELLS_MAX);
+
+// Traces the borders of the area above a level: marching squares, linked to closed lines. The density is relative to
+// `origin`.
+function traceRegion(path, { values, cells, x0, y0, dx, dy }, level, origin) {
+  // An edge of the grid is named by twice its first corner, plus 1 if it goes along a column. The border of the grid
+  // is outside, so no border of the area crosses edge 0.
+  const leaves = [];
   for (let row = 0; row + 1 < cells; row++) {
     for (let col = 0; col + 1 < cells; col++) {
       const at = row * cells + col;
-      const inside = [values[at] >= level, values[at + 1] >= level,
-                      values[at + cells + 1] >= level, values[at + cells] >= level];
-      if (inside[0] === inside[1] && inside[1] === inside[2] && inside[2] === inside[3]) continue;
+      const corners = (values[at] >= level) | (values[at + 1] >= level) << 1 |
+        (values[at + cells + 1] >= level) << 2 | (values[at + cells] >= level) << 3;
+      if (corners === 0 || corners === 15) continue;
+      const inside = (side) => corners >> (side & 3) & 1;
       const edges = [2 * at, 2 * (at + 1) + 1, 2 * (at + cells), 2 * at + 1];
       for (let side = 0; side < 4; side++) {
-        if (!inside[side] || inside[(side + 1) % 4]) continue;
+        if (!inside(side) || inside(side + 1)) continue;
         // The border leaves through this side, and enters through the next side that it crosses.
-        let other = (side + 1) % 4;
-        while (inside[other] || !inside[(other + 1) % 4]) other = (other + 1) % 4;
-        next.set(edges[side], edges[other]);
+        let other = side + 1;
+        while (inside(other) || !inside(other + 1)) other++;
+        nextEdge[edges[side]] = edges[other & 3];
+        leaves.push(edges[side]);
       }
     }
   }
-  const spot = (edge) => {
+  const point = (edge, isFirst) => {
     const [at, isColumn] = [edge >> 1, edge & 1];
     const [value, after] = [values[at], values[at + (isColumn ? cells : 1)]];
     const share = (level - value) / (after - value);
     const [row, col] = [Math.floor(at / cells), at % cells];
-    return [x0 + (col + (isColumn ? 0 : share)) * dx, y0 + (row + (isColumn ? share : 0)) * dy];
+    const x = origin[0] + x0 + (col + (isColumn ? 0 : share)) * dx;
+    const y = origin[1] + y0 + (row + (isColumn ? share : 0)) * dy;
+    if (isFirst) path.moveTo(x, y); else path.lineTo(x, y);
   };
-  while (next.size) {
-    const [first] = next.keys();
-    path.moveTo(...spot(first));
-    for (let edge = next.get(first); edge !== undefined && edge !== first;) {
-      path.lineTo(...spot(edge));
-      const after = next.get(edge);
-      next.delete(edge);
+  for (const first of leaves) {
+    if (!nextEdge[first]) continue;
+    point(first, true);
+    for (let edge = first; ;) {
+      const after = nextEdge[edge];
+      nextEdge[edge] = 0;
+      if (!after || after === first) break;
+      point(after, false);
       edge = after;
     }
-    next.delete(first);
     path.closePath();
   }
 }
@@ -159,7 +198,7 @@ class SceneCanvas {
     this.scale = 6; // pixels per metre
     this.fitted = false;
     this.places = new Places();
-    this.densities = new WeakMap();
+    this.regions = new WeakMap();
     this.draws = 0;
     this.pointers = new Map();
     this.colors = palette();
@@ -341,7 +380,7 @@ class SceneCanvas {
       const margin = Math.min(reach * this.scale / 100, 600);
       return x > -margin && y > -margin && x < this.width + margin && y < this.height + margin;
     });
-    if (this.options.regions) seen.forEach((agent) => this.drawRegions(agent));
+    if (this.options.regions) this.drawRegions();
     seen.forEach((agent) => this.drawPaths(agent));
     if (scene.ego) this.drawEgo(scene.ego);
     seen.forEach((agent) => this.drawBody(agent));
@@ -381,36 +420,46 @@ class SceneCanvas {
     const { context } = this;
     context.strokeStyle = this.colors.lane;
     context.lineWidth = 1.2 * this.thin;
-    context.beginPath();
-    for (const bound of this.lanes) {
-      for (let at = 0; at < bound.length; at += 2) {
-        if (at) context.lineTo(bound[at], bound[at + 1]); else context.moveTo(bound[at], bound[at + 1]);
+    if (this.drawnLanes !== this.lanes) {
+      this.drawnLanes = this.lanes;
+      this.lanePath = new Path2D();
+      for (const bound of this.lanes) {
+        for (let at = 0; at < bound.length; at += 2) {
+          if (at) this.lanePath.lineTo(bound[at], bound[at + 1]); else this.lanePath.moveTo(bound[at], bound[at + 1]);
+        }
       }
     }
-    context.stroke();
+    context.stroke(this.lanePath);
   }
 
-  drawRegions({ p, f }) {
-    if (!f || !f.e || !f.e.length) return;
-    let regions = this.densities.get(f);
-    if (!regions) {
-      const density = densityOf(f.e, 26);
-      regions = density ? density.levels.map((level) => {
-        const path = new Path2D();
-        traceRegion(path, density, level);
-        return path;
-      }) : [];
-      this.densities.set(f, regions);
+  // The regions of all agents, with one path for each colour and level: few large paths are drawn faster than many.
+  drawRegions() {
+    const { context, scene } = this;
+    let drawn = this.regions.get(scene);
+    // A closer view needs finer regions.
+    if (!drawn || this.scale > 1.5 * drawn.scale) {
+      drawn = { scale: this.scale, paths: new Map() };
+      scene.agents.forEach((agent) => agent.f && agent.f.e && this.addRegions(drawn.paths, agent));
+      this.regions.set(scene, drawn);
     }
-    const { context } = this;
-    context.save();
-    context.translate(p[0], p[1]);
-    context.fillStyle = colorOf(this.colors, f);
-    regions.slice().reverse().forEach((path, place) => {
-      context.globalAlpha = place ? 0.17 : 0.1;
-      context.fill(path);
-    });
-    context.restore();
+    for (const [cause, levels] of drawn.paths) {
+      context.fillStyle = colorOf(this.colors, { c: cause });
+      [0.17, 0.1].forEach((alpha, place) => {
+        context.globalAlpha = alpha;
+        context.fill(levels[place]);
+      });
+    }
+    context.globalAlpha = 1;
+  }
+
+  addRegions(paths, { p, f }) {
+    const shape = shapeOf(f.e);
+    if (!shape.modes.length) return;
+    // Small regions need few cells: one for each five pixels.
+    const side = Math.max(shape.box[2] - shape.box[0], shape.box[3] - shape.box[1]) / this.thin;
+    const density = densityOf(shape, Math.min(Math.max(Math.ceil(side / 5) + 3, 12), CELLS_MAX));
+    if (!paths.has(f.c)) paths.set(f.c, [new Path2D(), new Path2D()]);
+    density.levels.forEach((level, place) => traceRegion(paths.get(f.c)[place], density, level, p));
   }
 
   trace(origin, flat, fromOrigin) {
