@@ -3,14 +3,18 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use onboard::Chain;
 use recorder::{ForecastWriter, is_standard_output};
+use recording::{About, Frame, Writer};
 use run::Exit;
-use source::Playback;
-use wire::WorldOrigin;
+use run::Run;
+use source::{Playback, Tick};
+use wire::{ForecastsTopic, Topic as _, TracksTopic, TruthTopic, WorldOrigin};
 
 use crate::arguments::{PlaybackArguments, Played};
 use crate::failure::Failure;
 use crate::play_report::{PlayReport, VerdictArguments};
 use crate::show::is_read;
+use crate::verbs::report::RunReport;
+use crate::verbs::wire::layout;
 
 /// Arguments of `stgdat predict`.
 #[derive(Debug, Args)]
@@ -18,6 +22,9 @@ pub struct Arguments {
     /// Output file, a line of JSON per tick; `-` is standard output
     #[arg(long, value_name = "FILE", default_value = "-")]
     out: PathBuf,
+    /// Write the scenes, qualities and errors as an HTML page, as `run --html` does
+    #[arg(long, value_name = "FILE")]
+    html: Option<PathBuf>,
     #[command(flatten)]
     playback: PlaybackArguments,
     #[command(flatten)]
@@ -30,10 +37,14 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let Played { mut playback, input, run, model } = arguments.playback.start()?;
     let mut chain = Chain::new(&run, &model)?;
     let mut report = PlayReport::new(&playback, input);
-    let played = play(&arguments.out, run.origin(), &mut playback, &mut chain, &mut report);
+    let name = playback.recording().name.clone();
+    let mut page = arguments.html.as_deref().map(|path| PlayedPage::new(path, &name, &run)).transpose()?;
+    let out = (&*arguments.out, run.origin());
+    let played = play(out, &mut playback, &mut chain, &mut report, page.as_mut());
     let kept = chain.keep_memory(&run);
     let is_whole = played?;
     kept?;
+    page.map_or(Ok(()), PlayedPage::write)?;
     // A verdict needs the whole recording.
     match is_whole {
         true => report.finish(&playback, arguments.verdict.report.as_deref(), arguments.verdict.strict),
@@ -43,11 +54,11 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
 
 /// Writes the forecasts of all ticks.
 fn play(
-    out: &Path,
-    origin: WorldOrigin,
+    (out, origin): (&Path, WorldOrigin),
     playback: &mut Playback,
     chain: &mut Chain,
     report: &mut PlayReport,
+    mut page: Option<&mut PlayedPage>,
 ) -> Result<bool, Failure> {
     let written = |error: std::io::Error| Failure::output(out, error);
     let mut writer = ForecastWriter::create(out, origin).map_err(written)?;
@@ -61,6 +72,9 @@ fn play(
         report.lanes.add(forecasts);
         ticks += 1;
         forecasts_len += forecasts.len() as u64;
+        if let Some(page) = &mut page {
+            page.add(&tick, chain);
+        }
     }
     let is_read = is_read(writer.finish()).map_err(written)?;
     if is_read && !is_standard_output(out) {
@@ -70,4 +84,41 @@ fn play(
         }
     }
     Ok(is_read)
+}
+
+/// The page of a played recording, and the recording of the frames that it is made of.
+struct PlayedPage {
+    page: RunReport,
+    writer: Writer,
+}
+
+impl PlayedPage {
+    fn new(path: &Path, name: &str, run: &Run) -> Result<Self, Failure> {
+        let page = RunReport::new(path, None)?;
+        let topics = [TracksTopic::NAME, ForecastsTopic::NAME, TruthTopic::NAME].map(str::to_owned).to_vec();
+        let about = About { scene: name.to_owned(), run: run.clone(), topics, ..About::default() };
+        let writer = Writer::create(page.recording(), &about, &layout()).map_err(Failure::data)?;
+        Ok(Self { page, writer })
+    }
+
+    /// Adds the frames of a tick that the chain has answered.
+    fn add(&mut self, tick: &Tick<'_>, chain: &Chain) {
+        let (tracks, forecasts) = chain.frames();
+        if tracks.header.has(wire::flags::VOID) {
+            return;
+        }
+        // A page of frames without a clock has no latencies, and only the order counts.
+        let at_ns = tick.due_ns;
+        if !tick.truth.is_empty() {
+            self.writer.frame(&Frame::of::<TruthTopic>(&tick.truth_header(), tick.truth, at_ns));
+        }
+        self.writer.frame(&Frame::of::<TracksTopic>(&tracks.header, &tracks.elements, at_ns));
+        self.writer.frame(&Frame::of::<ForecastsTopic>(&forecasts.header, &forecasts.elements, at_ns));
+    }
+
+    fn write(self) -> Result<(), Failure> {
+        let Self { page, writer } = self;
+        writer.finish("played").map_err(Failure::data)?;
+        page.write(None)
+    }
 }

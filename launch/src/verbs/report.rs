@@ -2,7 +2,7 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use recorder::{Report, WholeFile};
-use recording::{ReadError, Recording};
+use recording::{About, ReadError, Recording};
 use run::Exit;
 use view::RunPage;
 
@@ -49,8 +49,31 @@ fn load(path: &Path) -> Result<(RunPage, Vec<ReadError>), Failure> {
     }
     let recording = recorded::open(path)?;
     let beside = path.with_extension("json");
-    let report = beside.exists().then(|| Report::read(&beside)).transpose().map_err(Failure::data)?;
+    let report = if beside.exists() { report_beside(&beside, recording.about()) } else { None };
     Ok(page_of(name, &recording, report))
+}
+
+/// The report beside a recording. A file that is no report, or the report of another run, is left out with a warning.
+fn report_beside(path: &Path, about: &About) -> Option<Report> {
+    let report = Report::read(path).map_err(|error| error.to_string());
+    let report = report.and_then(|report| match is_of_run(&report, about) {
+        true => Ok(report),
+        false => Err(format!("{}: the report of another run", path.display())),
+    });
+    report.inspect_err(|why| tracing::warn!("{why}: the figures are measured from the recording")).ok()
+}
+
+/// Whether a report is of a recorded run. Reports of earlier versions have no number of the run; their scene and seed
+/// are compared.
+fn is_of_run(report: &Report, about: &About) -> bool {
+    let info = &report.run;
+    match &info.run_id {
+        Some(id) => *id == format!("{:016x}", about.run.id),
+        None => {
+            info.recording.as_ref().is_none_or(|name| *name == about.scene)
+                && info.seed.is_none_or(|seed| seed == about.run.seed)
+        }
+    }
 }
 
 /// The page of a recorded run. A map of lanes that has moved since is left out.
@@ -93,11 +116,12 @@ impl RunReport {
         &self.recording
     }
 
-    /// Writes the page.
-    pub fn write(&self, report: Report) -> Result<(), Failure> {
-        let name = report.run.recording.clone().unwrap_or_default();
+    /// Writes the page. Without a `report` it is measured from the recording.
+    pub fn write(&self, report: Option<Report>) -> Result<(), Failure> {
         let recording = Recording::open(&self.recording).map_err(Failure::data)?;
-        let (run, damages) = page_of(name, &recording, Some(report));
+        let name = report.as_ref().and_then(|report| report.run.recording.clone());
+        let name = name.unwrap_or_else(|| recording.about().scene.clone());
+        let (run, damages) = page_of(name, &recording, report);
         write(&self.path, &[run])?;
         recorded::told(damages).map(drop)
     }
@@ -116,4 +140,35 @@ fn write(path: &Path, runs: &[RunPage]) -> Result<(), Failure> {
     let failed = |error| Failure::file(path, error);
     let mut file = WholeFile::create(path).map_err(failed)?;
     file.write_all(view::html(runs).as_bytes()).and_then(|()| file.finish()).map_err(failed)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_report_belongs_to_its_own_run_alone() {
+        let mut about = About { scene: "a".to_owned(), ..About::default() };
+        (about.run.id, about.run.seed) = (0xab, 7);
+        let report = |run_id: Option<&str>, name: &str, seed| {
+            let mut report = Report::default();
+            report.run.run_id = run_id.map(str::to_owned);
+            (report.run.recording, report.run.seed) = (Some(name.to_owned()), seed);
+            report
+        };
+        let is = |run_id, name, seed| is_of_run(&report(run_id, name, seed), &about);
+        assert!(is(Some("00000000000000ab"), "b", Some(8)), "the number decides");
+        assert!(!is(Some("00000000000000ac"), "a", Some(7)));
+        assert!(is(None, "a", Some(7)) && is(None, "a", None));
+        assert!(!is(None, "b", Some(7)) && !is(None, "a", Some(8)));
+
+        let folder = tempfile::tempdir().unwrap();
+        let beside = folder.path().join("a.json");
+        std::fs::write(&beside, "{}").unwrap();
+        assert!(report_beside(&beside, &about).is_none(), "not a report");
+        report(Some("1"), "a", None).write(&beside).unwrap();
+        assert!(report_beside(&beside, &about).is_none());
+        report(Some("00000000000000ab"), "a", None).write(&beside).unwrap();
+        assert!(report_beside(&beside, &about).is_some());
+    }
 }

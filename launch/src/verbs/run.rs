@@ -158,6 +158,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     };
     weights.config().write(&run.root).map_err(Failure::data)?;
     info.precision = version::precision(&run);
+    info.run_id = Some(format!("{:016x}", run.id));
     let (title, ticks_limit) = (info.recording.clone().unwrap_or_default(), Some(playback.ticks_len()));
     drop((playback, weights));
 
@@ -206,7 +207,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         measured.audited(&input);
         let measured = report(arguments, measured, info, supervision)?;
         ended.recorded.iter().for_each(|line| say!("{line}"));
-        html.map_or(Ok(()), |html| html.write(measured.clone()))?;
+        html.map_or(Ok(()), |html| html.write(Some(measured.clone())))?;
         if matches!(ended.outcome, Ok(Exit::Done)) {
             fail_if::check(&arguments.fail_if, &measured)?;
             if given_up {

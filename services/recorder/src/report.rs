@@ -126,6 +126,9 @@ pub struct RefusedFrames {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct RunInfo {
+    /// Number of the run in hexadecimal, which its recordings have too.
+    #[serde(default)]
+    pub run_id: Option<String>,
     /// Name of the recording or generated scene.
     pub recording: Option<String>,
     /// SHA-256 of the recording's files.
