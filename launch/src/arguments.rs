@@ -13,6 +13,7 @@ use retrieval::RetrievalMemory;
 use run::Run;
 use rustix::fs::Access;
 use sampler::LanesOrigin;
+use scene::ContextMap;
 use source::{Playback, PlaybackOptions};
 use toml::Value;
 use wire::{StageId, WorldOrigin};
@@ -453,6 +454,23 @@ pub fn check_lanes(options: &sampler::Options, origin: WorldOrigin) -> Result<()
     let Some(path) = &options.lanes else { return Ok(()) };
     let coordinates = LanesOrigin::coordinates(options.lanes_origin, origin);
     open_lanes(&absolute(path)?, coordinates).map(|_| ())
+}
+
+/// The file of the fixed context map that the run's own localiser uses, if any.
+pub fn map_path(run: &Run) -> Option<PathBuf> {
+    let localiser = run.stage(StageId::Localiser).filter(|stage| stage.built_in)?;
+    match toml::from_str::<localiser::Options>(&localiser.options).ok()?.map {
+        MapChoice::File(path) => Some(path),
+        MapChoice::Online | MapChoice::None => None,
+    }
+}
+
+/// The fixed context map of a run, if it has one.
+///
+/// # Errors
+/// [`Failure::Data`] if the map can't be read.
+pub fn map_of(run: &Run) -> Result<Option<ContextMap>, Failure> {
+    map_path(run).map(|path| ContextMap::load(&absolute(&path)?).map_err(Failure::data)).transpose()
 }
 
 /// The map of lanes that the run's own sampler uses, if any.

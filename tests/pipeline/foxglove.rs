@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use recording::bag_messages;
+use scene::MapBuilder;
 use testing::Scratch;
 
 use crate::started::{Started, assert_nothing_left, piped, run, stderr, stdout, stgdat};
@@ -48,16 +49,20 @@ fn foxglove_receives_live_what_a_recording_holds() {
         return;
     }
     let scratch = Scratch::new("foxglove-live");
-    let [file, live] = ["a.mcap", "live.txt"].map(|name| scratch.path(name));
-    let scene = ["--agents", "12", "--ticks", "250", "--quiet", "--record", &file, "--for", "foxglove"];
-    let run = Started::run(&scene);
+    let [file, live, map] = ["a.mcap", "live.txt", "map.safetensors"].map(|name| scratch.path(name));
+    let mut visited = MapBuilder::new([-50.0, -50.0], 100, 100).expect("a small map");
+    assert!(visited.visit([3.5, -2.5], [1.0, 2.0]));
+    visited.build().save(Path::new(&map)).expect("a map");
+    let scene = ["--agents", "12", "--ticks", "250", "--quiet", "--map", &map];
+    let run = Started::run(&[&scene[..], &["--record", &file, "--for", "foxglove"]].concat());
     let root = run.wait_until_it_runs();
     let mut view =
         Started::spawn(stgdat().args(["view", "--foxglove", "--address", "0", "--run"]).arg(&root));
     let url = view.line().split(' ').next().unwrap_or_default().to_owned();
     assert!(url.starts_with("ws://127.0.0.1:"), "{url}");
     // A client that subscribes and does not read.
-    let stalled = client(&url, &scratch.path("stalled.txt"), &["stall"]);
+    let mut stalled = client(&url, &scratch.path("stalled.txt"), &["stall"]);
+    let _ = stalled.line();
     let reader = client(&url, &live, &[]).output();
     drop(stalled);
     let view = view.output();
@@ -72,6 +77,11 @@ fn foxglove_receives_live_what_a_recording_holds() {
     assert!(reader.status.success(), "{}{}", stdout(&reader), stderr(&reader));
     let (live, file) =
         (received(&String::from_utf8_lossy(&scratch.read("live.txt"))), recorded(&scratch.read("a.mcap")));
+    // The map is sent once, and to the second client when it subscribes. Only its stamp is another one.
+    let of_map = [&live, &file].map(|messages| &messages["/stgdat/map"]);
+    assert_eq!(of_map.map(Vec::len), [1, 1]);
+    let cells = of_map.map(|messages| &messages[0][messages[0].len() - 100 * 100 * 12..]);
+    assert!(cells[0] == cells[1] && cells[0].iter().any(|byte| *byte != 0));
     for topic in ["/stgdat/scene", "/stgdat/tf"] {
         let (live, file) = (&live[topic], &file[topic]);
         assert!(live.len() > 20, "{} messages of {topic}", live.len());

@@ -2,10 +2,11 @@ use std::path::Path;
 use std::process::Command;
 
 use clap::Args;
-use interop::Target;
+use interop::{Target, ViewOptions};
 use recording::{About, View, WriteError, Writer};
 use wire::{ForecastsTopic, MODES_MAX, Topic as _, TracksTopic};
 
+use crate::arguments::map_of;
 use crate::verbs::wire::layout;
 
 /// The tools that a recording also holds messages for.
@@ -18,6 +19,10 @@ pub struct ViewArguments {
     /// Paths of each agent in these messages, the most probable first
     #[arg(long, value_name = "N", requires = "targets", default_value_t = 3, value_parser = clap::value_parser!(u16).range(1..=MODES_MAX as i64))]
     paths: u16,
+    /// Leave out Autoware's predicted objects whose forecast is older than this, in ms: as it is published, held
+    /// forecasts included
+    #[arg(long = "max-age", value_name = "MS", requires = "targets")]
+    max_age_ms: Option<u32>,
 }
 
 impl ViewArguments {
@@ -41,7 +46,14 @@ impl ViewArguments {
     }
 
     fn view(&self, about: &About) -> Option<Box<dyn View>> {
-        interop::views(&self.targets, self.paths.into(), about)
+        let max_age_ns = self.max_age_ms.map(|age_ms| u64::from(age_ms) * 1_000_000);
+        let map = map_of(&about.run).unwrap_or_else(|failure| {
+            tracing::warn!("{failure}: the messages have no map");
+            None
+        });
+        let map = map.filter(|_| self.targets.contains(&Target::Foxglove));
+        let paths_max = self.paths.into();
+        interop::views(ViewOptions { targets: &self.targets, paths_max, max_age_ns, map }, about)
     }
 
     /// Passes the same arguments to a recording in its own process.
@@ -51,6 +63,9 @@ impl ViewArguments {
         }
         if !self.is_empty() {
             command.arg("--paths").arg(self.paths.to_string());
+        }
+        if let Some(age_ms) = self.max_age_ms {
+            command.arg("--max-age").arg(age_ms.to_string());
         }
     }
 }

@@ -12,10 +12,11 @@ use run::Exit;
 use view::{Live, MODES_DRAWN, Pairing, Scene};
 use wire::{ForecastsTopic, MODES_MAX, Topic as _, TracksTopic};
 
-use crate::arguments::lanes_of;
+use crate::arguments::{lanes_of, map_path};
 use crate::child::die_with_this_process;
 use crate::failure::Failure;
 use crate::observe::address;
+use crate::options::absolute;
 use crate::top::Client;
 use crate::verbs::lab::replace_by;
 use crate::{log, runs};
@@ -59,7 +60,8 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let _ = rustix::process::nice(NICE);
     if arguments.foxglove {
         let [name, options] = FOXGLOVE;
-        return Err(replace_by(name, options, foxglove_arguments(arguments, &run).into_iter()));
+        let words = foxglove_arguments(arguments, &run)?;
+        return Err(replace_by(name, options, words.into_iter()));
     }
     let stop = Stop::on_signals().map_err(Failure::unavailable)?;
     let hello = hello(&run)?;
@@ -82,13 +84,17 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     Ok(Exit::Done)
 }
 
-fn foxglove_arguments(arguments: &Arguments, run: &LivingRun) -> Vec<OsString> {
+fn foxglove_arguments(arguments: &Arguments, run: &LivingRun) -> Result<Vec<OsString>, Failure> {
     let mut words = vec!["--run".into(), run.root.clone().into_os_string()];
     words.extend(["--paths".into(), arguments.paths.to_string().into()]);
     if let Some(address) = arguments.address {
         words.extend(["--address".into(), address.to_string().into()]);
     }
-    words
+    let about = About::of_run(&run.root).map_err(|error| Failure::file(&run.root, error))?;
+    if let Some(path) = map_path(&about.run) {
+        words.extend(["--map".into(), absolute(&path)?.into_os_string()]);
+    }
+    Ok(words)
 }
 
 /// The facts of a run that do not change, as JSON: its title and the bounds of its lanes.

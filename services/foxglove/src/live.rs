@@ -1,18 +1,20 @@
 use std::io::{Error, Result, Write as _};
 use std::net::SocketAddr;
-use std::path::Path;
-use std::sync::Arc;
 use std::sync::mpsc::channel;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use foxglove::websocket::Status;
+use foxglove::websocket::{ChannelView, Client as Subscriber, ServerListener, Status};
 use foxglove::{
     ChannelBuilder, Context, PartialMetadata, RawChannel, Schema, WebSocketServer, WebSocketServerHandle,
 };
-use interop::Target;
+use interop::{GRID_TOPIC, Target, ViewOptions};
 use recording::tap::{Client, Item, Request};
 use recording::{ABOUT, About, Event, Happened, Message, View, ViewChannel};
+use scene::ContextMap;
 use wire::{ForecastsTopic, Topic as _, TracksTopic};
+
+use crate::Arguments;
 
 /// The address if none is named; any free port if this one is taken. Foxglove offers this port by default.
 const ADDRESS: ([u8; 4], u16) = ([127, 0, 0, 1], 8765);
@@ -26,13 +28,17 @@ const ATTACH_LIMIT: Duration = Duration::from_secs(10);
 /// Time limit for clients to accept the end of the connection.
 const END_LIMIT: Duration = Duration::from_secs(2);
 
-/// Serves the run with this folder until it ends.
-pub fn serve(root: &Path, address: Option<SocketAddr>, paths_max: usize) -> Result<()> {
+/// Serves a run until it ends.
+pub fn serve(arguments: &Arguments) -> Result<()> {
+    let Arguments { run: root, address, paths, map } = arguments;
     let about_path = root.join(ABOUT);
     let about = About::of_run(root)
         .map_err(|error| Error::new(error.kind(), format!("{}: {error}", about_path.display())))?;
-    let Some(view) = interop::views(&[Target::Foxglove], paths_max, &about) else { return Ok(()) };
-    let mut live = Live::new(&about, address, view)?;
+    let map = map.as_deref().map(ContextMap::load).transpose().map_err(Error::other)?;
+    let targets = &[Target::Foxglove];
+    let options = ViewOptions { targets, paths_max: (*paths).into(), max_age_ns: None, map };
+    let Some(view) = interop::views(options, &about) else { return Ok(()) };
+    let mut live = Live::new(&about, *address, view)?;
     let mut refused_since: Option<Instant> = None;
     while about_path.exists() && !live.has_ended {
         if !live.is_watched() {
@@ -68,6 +74,7 @@ struct Live {
     /// The channels belong to it: without it they are closed.
     _context: Arc<Context>,
     channels: Vec<Arc<RawChannel>>,
+    latched: Arc<Latched>,
     view: Box<dyn View>,
     clock_offset_ns: i64,
     /// Frames that did not arrive from the tap.
@@ -81,9 +88,10 @@ impl Live {
         let context = Context::new();
         let channels = view.channels().into_iter().map(|channel| build(channel, &context));
         let channels = channels.collect::<std::result::Result<_, _>>().map_err(Error::other)?;
+        let latched = Arc::<Latched>::default();
         let start = |address: SocketAddr| {
             let server = WebSocketServer::new().name(format!("stgdat: {}", about.scene)).context(&context);
-            let server = server.message_backlog_size(BACKLOG);
+            let server = server.message_backlog_size(BACKLOG).listener(latched.clone());
             let started = server.bind(address.ip().to_string(), address.port()).start_blocking();
             started.map_err(|error| Error::other(format!("{address}: {error}")))
         };
@@ -101,7 +109,16 @@ impl Live {
         let _ = writeln!(output, "ws://{url} shows {} in Foxglove; Ctrl-C ends it", about.scene)
             .and_then(|()| output.flush());
         let clock_offset_ns = about.clock_offset_ns;
-        Ok(Self { server, _context: context, channels, view, clock_offset_ns, lost: 0, has_ended: false })
+        Ok(Self {
+            server,
+            _context: context,
+            channels,
+            latched,
+            view,
+            clock_offset_ns,
+            lost: 0,
+            has_ended: false,
+        })
     }
 
     /// Whether a client subscribes to a channel.
@@ -153,13 +170,41 @@ impl Live {
     }
 
     fn send(&mut self, message: &Message) {
-        let Self { channels, view, clock_offset_ns, .. } = self;
+        let Self { channels, latched, view, clock_offset_ns, .. } = self;
         let log_time = message.at_ns().saturating_add_signed(*clock_offset_ns);
         view.add(message, &mut |place, bytes| {
             if let Some(channel) = channels.get(usize::from(place)) {
+                if channel.topic() == GRID_TOPIC {
+                    latched.keep(channel, bytes);
+                }
                 channel.log_with_meta(bytes, PartialMetadata::with_log_time(log_time));
             }
         });
+    }
+}
+
+/// The map, which is sent once and which later subscribers need too.
+#[derive(Default)]
+struct Latched(Mutex<Option<(Arc<RawChannel>, Vec<u8>)>>);
+
+impl Latched {
+    fn kept(&self) -> MutexGuard<'_, Option<(Arc<RawChannel>, Vec<u8>)>> {
+        // The only change is an assignment, so a panic leaves the value whole.
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn keep(&self, channel: &Arc<RawChannel>, bytes: &[u8]) {
+        *self.kept() = Some((channel.clone(), bytes.to_vec()));
+    }
+}
+
+impl ServerListener for Latched {
+    fn on_subscribe(&self, client: Subscriber, channel: ChannelView<'_>) {
+        if let Some((kept, bytes)) = &*self.kept()
+            && kept.id() == channel.id()
+        {
+            kept.log_to_sink(bytes, client.sink_id());
+        }
     }
 }
 

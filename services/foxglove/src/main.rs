@@ -33,6 +33,9 @@ struct Arguments {
     /// Paths of each agent, the most probable first
     #[arg(long, value_name = "N", default_value_t = 3)]
     paths: u16,
+    /// The fixed context map of the run
+    #[arg(long, value_name = "FILE")]
+    map: Option<PathBuf>,
 }
 
 fn main() -> ExitCode {
@@ -40,8 +43,7 @@ fn main() -> ExitCode {
     let filter = tracing_subscriber::EnvFilter::try_from_default_env();
     let filter = filter.unwrap_or_else(|_| tracing_subscriber::EnvFilter::new(LOG));
     tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
-    let Arguments { run, address, paths } = arguments;
-    match live::serve(&run, address, paths.into()) {
+    match live::serve(&arguments) {
         Ok(()) => Exit::Done.into(),
         Err(error) => {
             let _ = std::io::Write::write_fmt(&mut std::io::stderr(), format_args!("error: {error}\n"));

@@ -107,27 +107,14 @@ impl Output {
         let mut tick = Tick { view, tracks: &tracks, origin: self.origin };
         let mut diagnostics = autoware::diagnostics(&tick, header.hops(), &self.budgets_ms);
         let passed_ns = now_ns.saturating_sub(header.released_ns);
-        let left_out = self.leave_out_old(&mut tick.view, passed_ns);
+        let old = |max_age_ns| autoware::leave_out_old(&mut tick.view, max_age_ns, passed_ns);
+        let left_out = self.max_age_ns.map_or(0, old);
         self.published.too_old += left_out;
         diagnostics.status.push(self.status(left_out));
         diagnostics.header.frame_id.clone_from(&self.frame);
         let mut predicted = autoware::predicted_objects(&tick, self.paths);
         predicted.header.frame_id.clone_from(&self.frame);
         Some(Outgoing::Forecasts(predicted, diagnostics))
-    }
-
-    /// Removes forecasts that are older than the limit. The age of a forecast is its age at the release of the tick
-    /// and the time since then. Returns the number of removed forecasts.
-    fn leave_out_old(&self, view: &mut TickView, passed_ns: u64) -> u64 {
-        let Some(max_age_ns) = self.max_age_ns else { return 0 };
-        let mut left_out = 0;
-        for agent in &mut view.agents {
-            let is_old = |age_ns: u64| age_ns.saturating_add(passed_ns) > max_age_ns;
-            if agent.forecast.take_if(|forecast| is_old(forecast.age_ns)).is_some() {
-                left_out += 1;
-            }
-        }
-        left_out
     }
 
     /// The diagnostics of the bridge.

@@ -39,17 +39,18 @@ fn script(name: &str, arguments: &[&str]) -> bool {
 /// A bag with the definitions of Autoware's messages, which `rosbags` does not have.
 fn schemas(folder: &Path) -> String {
     let mut bytes = Cursor::new(Vec::new());
-    let mut writer = mcap::WriteOptions::new().compression(None).create(&mut bytes).unwrap();
+    let mut writer = mcap::WriteOptions::new().compression(None).create(&mut bytes).expect("a bag");
     for definition in [&PredictedObjects::DEFINITION, &TrackedObjects::DEFINITION] {
-        let schema = writer.add_schema(definition.name, "ros2msg", definition.schema().as_bytes()).unwrap();
-        let channel_id = writer.add_channel(schema, definition.name, "cdr", &BTreeMap::new()).unwrap();
+        let schema =
+            writer.add_schema(definition.name, "ros2msg", definition.schema().as_bytes()).expect("a bag");
+        let channel_id = writer.add_channel(schema, definition.name, "cdr", &BTreeMap::new()).expect("a bag");
         let header = mcap::records::MessageHeader { channel_id, sequence: 0, log_time: 0, publish_time: 0 };
-        writer.write_to_known_channel(&header, &[]).unwrap();
+        writer.write_to_known_channel(&header, &[]).expect("a bag");
     }
-    writer.finish().unwrap();
+    writer.finish().expect("a bag");
     drop(writer);
     let path = folder.join("schemas.mcap");
-    std::fs::write(&path, bytes.into_inner()).unwrap();
+    std::fs::write(&path, bytes.into_inner()).expect("a bag");
     path.display().to_string()
 }
 
@@ -59,7 +60,7 @@ fn written(folder: &Path, kind: &str, storage: &str) -> Option<PathBuf> {
     script("write_bag.py", &[&bag.display().to_string(), &schemas, kind, storage]).then_some(())?;
     if storage == "mcap" {
         let file = |entry: std::io::Result<std::fs::DirEntry>| Some(entry.ok()?.path());
-        let mut files = std::fs::read_dir(&bag).unwrap().filter_map(file);
+        let mut files = std::fs::read_dir(&bag).expect("a bag").filter_map(file);
         return files.find(|path| path.extension().is_some_and(|ending| ending == "mcap"));
     }
     let converted = folder.join("converted.mcap");
@@ -86,7 +87,7 @@ fn assert_recording(recording: &Recording, has_identities: bool) {
     assert_eq!((recording.has_identities, recording.left_out[0].row_count), (has_identities, 60));
     for (number, frame) in recording.frames.iter().enumerate() {
         let of = |detection: &Detection| {
-            (AgentType::try_from(detection.agent_type).unwrap(), [detection.x_m, detection.y_m])
+            (AgentType::try_from(detection.agent_type).expect("a type"), [detection.x_m, detection.y_m])
         };
         let found: Vec<_> = frame.detections.iter().map(of).collect();
         assert_agents(&found, number as f32 / 10.0);

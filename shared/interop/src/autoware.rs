@@ -82,6 +82,14 @@ pub fn size_m(agent: &AgentView) -> [f32; 3] {
     [agent.length_m.unwrap_or(length_m), agent.width_m.unwrap_or(width_m), height_m]
 }
 
+/// Removes forecasts that are older than the limit, and returns their number. The age of a forecast is its age at the
+/// release of the tick and the time `passed_ns` since then.
+pub fn leave_out_old(view: &mut TickView, max_age_ns: u64, passed_ns: u64) -> u64 {
+    let is_old = |age_ns: u64| age_ns.saturating_add(passed_ns) > max_age_ns;
+    let old = |agent: &mut AgentView| agent.forecast.take_if(|forecast| is_old(forecast.age_ns)).is_some();
+    view.agents.iter_mut().map(|agent| u64::from(old(agent))).sum()
+}
+
 /// The modes of a forecast by falling probability, at most `paths_max`; the best forecast if it has no modes.
 #[must_use]
 pub fn probable_paths(forecast: &ForecastView, paths_max: usize) -> Vec<(&[Point], f32)> {

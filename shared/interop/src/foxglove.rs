@@ -3,8 +3,9 @@
 //! The [`schemas`] are Foxglove's own descriptors; the numbers of the fields below come from them.
 
 use perfetto::Message;
+use scene::ContextMap;
 use wire::tick_view::{AgentView, Point};
-use wire::{AgentType, Quality};
+use wire::{AgentType, Quality, WorldOrigin};
 
 use crate::autoware::{EGO, MAP, Tick, probable_paths, size_m};
 
@@ -14,6 +15,8 @@ pub mod schemas {
     pub const SCENE_UPDATE: &[u8] = include_bytes!("foxglove_schemas/SceneUpdate.bin");
     /// `foxglove.FrameTransforms`.
     pub const FRAME_TRANSFORMS: &[u8] = include_bytes!("foxglove_schemas/FrameTransforms.bin");
+    /// `foxglove.Grid`.
+    pub const GRID: &[u8] = include_bytes!("foxglove_schemas/Grid.bin");
     /// `foxglove.Log`.
     pub const LOG: &[u8] = include_bytes!("foxglove_schemas/Log.bin");
 }
@@ -190,6 +193,39 @@ pub fn frame_transforms(view: &Tick<'_>) -> Option<Vec<u8>> {
         rotation(transform, 5, heading_rad);
     });
     Some(bytes)
+}
+
+/// The fields of a cell of [`grid`], each a `float32`: visits as the network sees them, ln(1 + B / B̄), and the mean
+/// velocity.
+const CELL_FIELDS: [&str; 3] = ["visits", "vx_mps", "vy_mps"];
+/// `PackedElementField.NumericType` of `float32`.
+const FLOAT32: u64 = 7;
+
+/// A `foxglove.Grid` of a context map.
+#[must_use]
+pub fn grid(map: &ContextMap, origin: WorldOrigin, stamp_ns: i64) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    let mut grid = Message::new(&mut bytes);
+    let cell_bytes = 4 * CELL_FIELDS.len();
+    time(&mut grid, 1, stamp_ns);
+    grid.text(2, MAP);
+    pose(&mut grid, 3, origin.own_m(map.origin_m()), 0.0, 0.0);
+    grid.fixed32(4, map.cols() as u32);
+    // Cells have 1 m.
+    grid.message(5, |size| (1..=2).for_each(|field| size.double(field, 1.0)));
+    grid.fixed32(6, (map.cols() * cell_bytes) as u32);
+    grid.fixed32(7, cell_bytes as u32);
+    for (place, name) in CELL_FIELDS.into_iter().enumerate() {
+        grid.message(8, |field| {
+            field.text(1, name);
+            field.fixed32(2, 4 * place as u32);
+            field.number(3, FLOAT32);
+        });
+    }
+    let cells = map.visits().zip(map.velocity_mps());
+    let cells = cells.flat_map(|(visits, [vx_mps, vy_mps])| [visits, vx_mps, vy_mps]);
+    grid.data(9, &cells.flat_map(f32::to_le_bytes).collect::<Vec<u8>>());
+    bytes
 }
 
 /// Levels of `foxglove.Log`.

@@ -17,4 +17,4 @@ mod tests;
 mod views;
 
 pub use definition::{Definition, Primitive, Type};
-pub use views::{Target, Views, views};
+pub use views::{GRID_TOPIC, Target, ViewOptions, Views, views};

@@ -1,10 +1,11 @@
 use bytemuck::Zeroable as _;
 use recording::{About, Event, Frame, Happened, Message};
-use wire::{Forecast, ForecastsTopic, Header, HistoryState, Quality, Topic, Track, TracksTopic, flags};
+use scene::MapBuilder;
+use wire::{Forecast, ForecastsTopic, Header, HistoryState, Hop, Quality, Topic, Track, TracksTopic, flags};
 
 use crate::cdr::{Cdr, from_bytes, to_bytes};
 use crate::messages::{DetectedObjects, DiagnosticArray, PredictedObjects, TfMessage, TrackedObjects, label};
-use crate::{Target, views};
+use crate::{GRID_TOPIC, Target, ViewOptions, views};
 
 /// Reads Cyclone's bytes, writes them again, and returns the message.
 fn golden<M: Cdr>(bytes: &[u8]) -> M {
@@ -40,7 +41,8 @@ fn frame<T: Topic>(seq: u64, elements: &[T::Element]) -> Message {
         ego_m: [1.0, 2.0],
         ..Header::new(1, seq, 1_500_000_000)
     };
-    (header.counts.agents_len, header.counts.history_len, header.counts.horizon_len) = (1, 2, 2);
+    header.counts.agents_len = elements.len() as u32;
+    (header.counts.history_len, header.counts.horizon_len) = (2, 2);
     Message::Frame(Frame::of::<T>(&header, elements, 7))
 }
 
@@ -73,9 +75,17 @@ fn forecast() -> Forecast {
 
 /// The messages that follow from these, by channel.
 fn viewed(targets: &[Target], messages: &[Message]) -> Vec<(&'static str, Vec<u8>)> {
+    viewed_within(targets, None, messages)
+}
+
+fn viewed_within(
+    targets: &[Target],
+    max_age_ns: Option<u64>,
+    messages: &[Message],
+) -> Vec<(&'static str, Vec<u8>)> {
     let mut about = About { clock_offset_ns: 1_000, ..About::default() };
     about.run.origin_m = [1e6, 5e6];
-    let mut view = views(targets, 2, &about).unwrap();
+    let mut view = views(ViewOptions { targets, paths_max: 2, max_age_ns, map: None }, &about).unwrap();
     let topics: Vec<&str> = view.channels().iter().map(|channel| channel.topic).collect();
     let mut found = Vec::new();
     for message in messages {
@@ -116,6 +126,31 @@ fn objects_hold_the_published_numbers_in_the_recordings_own_frame() {
 }
 
 #[test]
+fn forecasts_older_than_the_limit_are_left_out_of_the_predicted_objects() {
+    let tracks = [track(), Track { id: 6, source_id: 42, ..track() }];
+    let forecasts = [forecast(), Forecast { id: 6, age_ns: 100_000_000, ..forecast() }];
+    let with_times = |message: Message| {
+        let Message::Frame(frame) = message else { return message };
+        let mut header = *frame.header();
+        header.released_ns = 1_000_000_000;
+        header.push_hop(Hop { sent_ns: 1_050_000_000, ..Hop::default() });
+        Message::Frame(Frame::of::<ForecastsTopic>(&header, &forecasts, 1_060_000_000))
+    };
+    let messages = [frame::<TracksTopic>(3, &tracks), with_times(frame::<ForecastsTopic>(3, &forecasts))];
+    // The ages are 50 and 150 ms when the forecasts are sent.
+    for (max_age_ms, expected) in [(None, 2), (Some(150), 2), (Some(149), 1), (Some(50), 1), (Some(49), 0)] {
+        let max_age_ns = max_age_ms.map(|age_ms: u64| age_ms * 1_000_000);
+        let found = viewed_within(&[Target::Autoware, Target::Foxglove], max_age_ns, &messages);
+        let of = |wanted: &str| found.iter().find(|(topic, _)| *topic == wanted).unwrap().1.clone();
+        let predicted: PredictedObjects = from_bytes(&of("/perception/object_recognition/objects")).unwrap();
+        assert_eq!(predicted.objects.len(), expected, "{max_age_ms:?}");
+        let diagnostics: DiagnosticArray = from_bytes(&of("/diagnostics")).unwrap();
+        let agents = diagnostics.status.iter().filter(|status| status.name.starts_with("stgdat: agent"));
+        assert_eq!(agents.count(), 2, "the diagnostics have all forecasts");
+    }
+}
+
+#[test]
 fn covariances_are_along_and_across_the_agent() {
     let found = viewed(&[Target::Autoware], &[frame::<TracksTopic>(3, &[track()])]);
     let tracked: TrackedObjects = from_bytes(&found[0].1).unwrap();
@@ -135,4 +170,39 @@ fn forecasts_without_their_tracks_and_control_frames_have_no_view() {
     let found = viewed(&[Target::Foxglove], &events);
     assert_eq!(found[0].0, "/stgdat/log");
     assert!(found[0].1.ends_with(b"\x22\x0asupervisor"), "{:?}", found[0].1);
+}
+
+#[test]
+fn a_fixed_map_is_sent_once_as_a_grid() {
+    let mut map = MapBuilder::new([-3.0, 4.0], 2, 3).unwrap();
+    assert!(map.visit([-0.5, 5.5], [2.0, -1.0]));
+    let mut about = About::default();
+    about.run.origin_m = [1e6, 5e6];
+    let options = |map| ViewOptions { targets: &[Target::Foxglove], paths_max: 1, max_age_ns: None, map };
+    let mut view = views(options(Some(map.build())), &about).unwrap();
+    let place = view.channels().iter().position(|channel| channel.topic == GRID_TOPIC).unwrap();
+    let mut grids = Vec::new();
+    for seq in 3..6 {
+        view.add(&frame::<TracksTopic>(seq, &[track()]), &mut |channel, bytes| {
+            if usize::from(channel) == place {
+                grids.push(bytes.to_vec());
+            }
+        });
+    }
+    let [grid] = &grids[..] else { panic!("{} grids", grids.len()) };
+    // Six cells of three numbers at the end; the visited one is the last.
+    let numbers =
+        grid[grid.len() - 6 * 12..].chunks(4).map(|bytes| f32::from_le_bytes(bytes.try_into().unwrap()));
+    let numbers: Vec<f32> = numbers.collect();
+    assert!(numbers[..15].iter().all(|number| *number == 0.0), "{numbers:?}");
+    assert!((numbers[15] - 2_f32.ln()).abs() < 1e-6, "the mean density");
+    assert_eq!(numbers[16..], [2.0, -1.0]);
+    let corner: Vec<u8> = [1e6 - 3.0, 5e6 + 4.0_f64].into_iter().flat_map(f64::to_le_bytes).collect();
+    assert!(
+        grid.windows(8).any(|bytes| bytes == &corner[..8])
+            && grid.windows(8).any(|bytes| bytes == &corner[8..])
+    );
+    assert!(
+        views(options(None), &about).unwrap().channels().iter().all(|channel| channel.topic != GRID_TOPIC)
+    );
 }

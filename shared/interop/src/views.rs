@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, VecDeque};
 use std::str::FromStr;
 
 use recording::{About, Event, Frame, Happened, LogLine, Message, View, ViewChannel};
+use scene::ContextMap;
 use wire::tick_view::TickView;
 use wire::{ForecastsTopic, Header, StageId, Topic as _, Track, TracksTopic, WorldOrigin};
 
@@ -15,6 +16,8 @@ use crate::{Definition, autoware, foxglove};
 
 /// Tracks that wait for the forecasts of their tick.
 const WAITING_MAX: usize = 16;
+/// The topic of the context map.
+pub const GRID_TOPIC: &str = "/stgdat/map";
 /// Infinite duration of a QoS.
 const INFINITE: &str = "{sec: 9223372036, nsec: 854775807}";
 
@@ -55,6 +58,7 @@ impl FromStr for Target {
 enum Kind {
     Scene,
     FrameTransforms,
+    Grid,
     Log,
     Tracked,
     Predicted,
@@ -62,11 +66,27 @@ enum Kind {
     Diagnostics,
 }
 
+/// The messages that other tools need.
+#[derive(Clone, Debug, Default)]
+pub struct ViewOptions<'a> {
+    /// The tools.
+    pub targets: &'a [Target],
+    /// Largest number of paths of an object.
+    pub paths_max: usize,
+    /// Largest age of a forecast among Autoware's predicted objects; no limit if `None`.
+    pub max_age_ns: Option<u64>,
+    /// The context map, if the run has a fixed one. Foxglove receives it once, with the first tick.
+    pub map: Option<ContextMap>,
+}
+
 /// Adds a run's messages for other tools to its recording. A tick needs the frames of tracks and forecasts.
 #[derive(Debug)]
 pub struct Views {
     kinds: Vec<Kind>,
     paths_max: usize,
+    max_age_ns: Option<u64>,
+    /// The context map until it is sent.
+    map: Option<ContextMap>,
     budgets_ms: BTreeMap<StageId, f64>,
     origin: WorldOrigin,
     /// Unix time minus `CLOCK_MONOTONIC`.
@@ -75,12 +95,14 @@ pub struct Views {
     waiting: VecDeque<(Header, Vec<Track>)>,
 }
 
-/// The view of a run for these tools; `None` without any. Objects have at most `paths_max` paths.
+/// The view of a run for these tools; `None` without any.
 #[must_use]
-pub fn views(targets: &[Target], paths_max: usize, about: &About) -> Option<Box<dyn View>> {
+pub fn views(options: ViewOptions<'_>, about: &About) -> Option<Box<dyn View>> {
+    let ViewOptions { targets, paths_max, max_age_ns, map } = options;
     let mut kinds = Vec::new();
     if targets.contains(&Target::Foxglove) {
         kinds.extend([Kind::Scene, Kind::FrameTransforms, Kind::Log]);
+        kinds.extend(map.is_some().then_some(Kind::Grid));
     }
     if targets.contains(&Target::Autoware) {
         kinds.extend([Kind::Tracked, Kind::Predicted, Kind::Tf, Kind::Diagnostics]);
@@ -88,7 +110,7 @@ pub fn views(targets: &[Target], paths_max: usize, about: &About) -> Option<Box<
     let waiting = VecDeque::with_capacity(WAITING_MAX);
     let (budgets_ms, origin) = (about.run.budgets_ms(), about.run.origin());
     let clock_offset_ns = about.clock_offset_ns;
-    let views = Views { kinds, paths_max, budgets_ms, origin, clock_offset_ns, waiting };
+    let views = Views { kinds, paths_max, max_age_ns, map, budgets_ms, origin, clock_offset_ns, waiting };
     (!targets.is_empty()).then(|| Box::new(views) as Box<dyn View>)
 }
 
@@ -134,6 +156,9 @@ impl Views {
         let none = Header { counts: frame.header().counts, ..Header::default() };
         let view = TickView::new((frame.header(), &tracks), (&none, &[]));
         let view = Tick { view, tracks: &tracks, origin: self.origin };
+        if let Some(map) = self.map.take() {
+            self.send(Kind::Grid, output, || Some(foxglove::grid(&map, self.origin, view.stamp_ns)));
+        }
         self.send(Kind::Tracked, output, || Some(to_bytes(&autoware::tracked_objects(&view))));
         self.send(Kind::Tf, output, || autoware::transforms(&view).map(|tf| to_bytes(&tf)));
         self.send(Kind::FrameTransforms, output, || foxglove::frame_transforms(&view));
@@ -152,8 +177,16 @@ impl Views {
         let (of, tracks) = &self.waiting[place];
         let view = TickView::new((of, tracks), (header, &forecasts[..]));
         let view = Tick { view, tracks, origin: self.origin };
+        let limited = self.max_age_ns.map(|max_age_ns| {
+            let mut limited = view.view.clone();
+            // Only a released tick has an age of its own.
+            let passed_ns =
+                if header.released_ns == 0 { 0 } else { frame.sent_ns().saturating_sub(header.released_ns) };
+            autoware::leave_out_old(&mut limited, max_age_ns, passed_ns);
+            Tick { view: limited, tracks, origin: self.origin }
+        });
         self.send(Kind::Predicted, output, || {
-            Some(to_bytes(&autoware::predicted_objects(&view, self.paths_max)))
+            Some(to_bytes(&autoware::predicted_objects(limited.as_ref().unwrap_or(&view), self.paths_max)))
         });
         self.send(Kind::Diagnostics, output, || {
             Some(to_bytes(&autoware::diagnostics(&view, header.hops(), &self.budgets_ms)))
@@ -198,6 +231,7 @@ impl Kind {
             Self::FrameTransforms => {
                 protobuf("/stgdat/tf", "foxglove.FrameTransforms", schemas::FRAME_TRANSFORMS)
             }
+            Self::Grid => protobuf(GRID_TOPIC, "foxglove.Grid", schemas::GRID),
             Self::Log => protobuf("/stgdat/log", "foxglove.Log", schemas::LOG),
             Self::Tracked => {
                 ros("/perception/object_recognition/tracking/objects", &TrackedObjects::DEFINITION, 1)

@@ -70,6 +70,11 @@ impl ContextMap {
         self.cells.iter().map(|cell| cell[3])
     }
 
+    /// ln(1 + B/B̄) of each cell, row-major: the density as the network sees it.
+    pub fn visits(&self) -> impl ExactSizeIterator<Item = f32> + '_ {
+        self.cells.iter().map(|cell| cell[0])
+    }
+
     /// VF (x, y) of each cell, row-major, m/s.
     pub fn velocity_mps(&self) -> impl ExactSizeIterator<Item = [f32; 2]> + '_ {
         self.cells.iter().map(|cell| [cell[1], cell[2]])
