@@ -11,7 +11,6 @@ use nn::Weights;
 use recorder::InputReport;
 use retrieval::RetrievalMemory;
 use run::Run;
-use rustix::fs::Access;
 use sampler::LanesOrigin;
 use scene::ContextMap;
 use source::{Playback, PlaybackOptions};
@@ -19,9 +18,9 @@ use toml::Value;
 use wire::{StageId, WorldOrigin};
 
 use crate::failure::Failure;
+use crate::files::{check_place, quoted};
 use crate::options::{Setting, StageOptions, absolute, text};
 use crate::play_report::input_of;
-use crate::verbs::inspect::quoted;
 
 /// How fast ticks follow one another.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -500,25 +499,4 @@ pub fn check_memory(options: &sampler::Options, weights: &Weights) -> Result<Opt
     }
     check_place(&path)?;
     Ok(Some(entry_count as u64))
-}
-
-/// Checks that an output file can be written, before the work that produces it starts.
-///
-/// # Errors
-/// [`Failure::Data`] if `path` is a folder or this user can't write to its parent folder.
-pub fn check_place(path: &Path) -> Result<(), Failure> {
-    if recorder::is_standard_output(path) {
-        return Ok(());
-    }
-    let path = std::fs::canonicalize(path).or_else(|_| absolute(path))?;
-    if path.is_dir() {
-        return Err(Failure::file(&path, std::io::Error::from(std::io::ErrorKind::IsADirectory)));
-    }
-    let (written, how) = match path.parent() {
-        // A complete file replaces the old one.
-        Some(folder) if path.is_file() || !path.exists() => (folder, Access::WRITE_OK | Access::EXEC_OK),
-        _ => (&*path, Access::WRITE_OK),
-    };
-    let access = rustix::fs::access(written, how);
-    access.map_err(|error| Failure::file(written, std::io::Error::from(error)))
 }

@@ -1,29 +1,31 @@
+mod event;
+mod member;
 mod replace;
 mod spare;
+mod spares;
+mod trial;
 
-use std::fmt;
 use std::os::fd::BorrowedFd;
 use std::path::{Path, PathBuf};
-use std::process::ExitStatus;
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::{Duration, Instant};
 
-use crate::config::{Pipeline, Restart};
-use recording::Happened;
 use run::{Exit, Run};
 use rustix::process::{Pid, Signal};
 use wire::{Heartbeat, StageId};
 
 use crate::child::{Child, Line, Program};
-use crate::cleaner::{Cleaner, Hung};
+use crate::cleaner::Cleaner;
+use crate::config::Pipeline;
 use crate::failure::{Failure, StageDeath};
-use crate::health::{Finding, Health, look};
-use crate::policy::{End, State, Supervision};
-use crate::readers::{DeadReader, Readers};
+use crate::health::Health;
+use crate::policy::{State, Supervision};
+use crate::readers::Readers;
 use crate::scheduling;
-pub use replace::Replaced;
-use replace::Trial;
+pub use event::{Event, Replaced};
+use member::{Member, STOPPED};
 use spare::Spare;
+use trial::Trial;
 
 /// Time that the stages have to end after a request to end.
 const END_LIMIT: Duration = Duration::from_secs(3);
@@ -31,9 +33,6 @@ const END_LIMIT: Duration = Duration::from_secs(3);
 const MEMORY_LIMIT: Duration = Duration::from_secs(20);
 /// Interval between checks of ending processes.
 const LOOK: Duration = Duration::from_millis(5);
-/// The launcher checks at least every 50 ms. After ten times that long without a check, the launcher itself
-/// was stopped or starved, and it does not know what happened in between.
-const STOPPED: Duration = Duration::from_millis(500);
 
 /// The processes of a run; dropping it ends them all.
 #[derive(Debug)]
@@ -56,22 +55,6 @@ pub struct Fleet {
     readers: Readers,
 }
 
-/// A stage with its process.
-#[derive(Debug)]
-struct Member {
-    stage: StageId,
-    program: Program,
-    child: Child,
-    supervision: Supervision,
-    health: Health,
-    /// Number of the clean-up after its last death.
-    ticket: u64,
-    /// Why the launcher killed the process, if it did.
-    killed_for: Option<&'static str>,
-    /// The spare that waits to take over.
-    spare: Option<Spare>,
-}
-
 /// A stage's process as the supervisor sees it.
 #[derive(Clone, Copy, Debug)]
 pub struct Process {
@@ -83,105 +66,6 @@ pub struct Process {
     pub pid: Option<Pid>,
     /// Number of earlier starts.
     pub incarnation: u32,
-}
-
-/// An event of a stage.
-#[derive(Debug)]
-pub enum Event {
-    /// The stage has died and will be restarted.
-    Died {
-        /// The stage.
-        stage: StageId,
-        /// How the stage ended, phrased to follow its name.
-        how: String,
-        /// The stage's next incarnation.
-        next: u32,
-    },
-    /// The stage has ended and will not be restarted.
-    GivenUp {
-        /// The stage.
-        stage: StageId,
-        /// How the stage ended, phrased to follow its name.
-        how: String,
-        /// The reason for giving up.
-        why: &'static str,
-    },
-    /// The stage gets no CPU time.
-    Starved {
-        /// The stage.
-        stage: StageId,
-    },
-    /// The old process has ended and the new one takes over.
-    HandedOver(Replaced),
-    /// A replacement has an outcome.
-    Tried(Replaced),
-    /// The spare has taken over after the stage's death.
-    Promoted {
-        /// The stage.
-        stage: StageId,
-    },
-    /// A clean-up after dead processes timed out and will be retried.
-    CleanUpHung(Hung),
-    /// A process that read topics and is not a stage has died.
-    ReaderDied(DeadReader),
-    /// The spare has died too often and will not be restarted.
-    SpareGivenUp {
-        /// The stage.
-        stage: StageId,
-        /// How the spare ended, phrased to follow its name.
-        how: String,
-    },
-}
-
-impl fmt::Display for Event {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::HandedOver(replaced) | Self::Tried(replaced) => write!(f, "{replaced}"),
-            Self::Promoted { stage } => write!(f, "the spare of the {} takes its place", stage.name()),
-            Self::CleanUpHung(hung) => write!(f, "{hung}"),
-            Self::ReaderDied(reader) => write!(f, "{reader}"),
-            Self::SpareGivenUp { stage, how } => write!(f, "the {}: {how}", stage.name()),
-            Self::Died { .. } | Self::GivenUp { .. } | Self::Starved { .. } => {
-                self.happened().map_or(Ok(()), |what| write!(f, "{what}"))
-            }
-        }
-    }
-}
-
-impl Event {
-    /// Whether the log has it. A replacement is logged once it has an outcome.
-    pub fn is_logged(&self) -> bool {
-        match self {
-            Self::HandedOver(_) => false,
-            Self::ReaderDied(reader) => reader.is_logged(),
-            _ => true,
-        }
-    }
-
-    /// Returns the event for the run's tools; `None` for unfinished events.
-    pub fn happened(&self) -> Option<Happened> {
-        let name = |stage: &StageId| stage.name().to_owned();
-        Some(match self {
-            Self::Died { stage, how, next } => {
-                Happened::Died { stage: name(stage), how: how.clone(), next: *next }
-            }
-            Self::GivenUp { stage, how, why } => {
-                Happened::GivenUp { stage: name(stage), how: how.clone(), why: (*why).to_owned() }
-            }
-            Self::Starved { stage } => Happened::Starved { stage: name(stage) },
-            Self::HandedOver(_)
-            | Self::Promoted { .. }
-            | Self::CleanUpHung(_)
-            | Self::ReaderDied(_)
-            | Self::SpareGivenUp { .. } => return None,
-            Self::Tried(Replaced { stage, command, outcome, cause, .. }) => Happened::Replaced {
-                stage: name(stage),
-                outcome: outcome.name().to_owned(),
-                program: recorder::program_name(command),
-                cause: cause.clone(),
-            },
-        })
-    }
 }
 
 impl Fleet {
@@ -421,100 +305,6 @@ impl Fleet {
         let child = &mut self.members.iter_mut().find(|member| member.stage == stage)?.child;
         let status = child.ended().filter(|status| !status.success())?;
         Some(child.death(status))
-    }
-}
-
-impl Member {
-    /// Whether the process has ended because its work is done.
-    fn is_done(&self, status: ExitStatus) -> bool {
-        status.success() && matches!(self.stage, StageId::Source | StageId::Recorder)
-    }
-
-    /// Records the start of the process. An external program does not report linking, so it counts as linked.
-    fn has_started(&mut self) {
-        if self.program.command.is_some() {
-            self.supervision.linked();
-        }
-    }
-
-    /// Records the end of the process.
-    fn bury(
-        &mut self,
-        status: ExitStatus,
-        is_restartable: bool,
-        now: Duration,
-    ) -> Result<Option<Event>, Failure> {
-        let end = match status.code() {
-            Some(0) if self.is_done(status) => End::Done,
-            Some(0) => End::Success,
-            Some(code) if code == Exit::Config as i32 => End::Config,
-            _ => End::Failure,
-        };
-        if end != End::Done && !is_restartable {
-            return Err(self.child.death(status).into());
-        }
-        let stage = self.stage;
-        match self.supervision.ended(end, now) {
-            State::Waiting { .. } => {
-                let how = match self.killed_for {
-                    Some(why) => why.to_owned(),
-                    None => self.child.death(status).how,
-                };
-                Ok(Some(Event::Died { stage, how, next: self.supervision.incarnation() + 1 }))
-            }
-            // The output depends on this stage, so the run ends.
-            State::GivenUp { why }
-                if matches!(stage, StageId::Source | StageId::Tracker | StageId::Sampler) =>
-            {
-                let mut death = self.child.death(status);
-                death.how += &format!(" and is given up: {why}");
-                Err(death.into())
-            }
-            State::GivenUp { why } => {
-                let StageDeath { how, .. } = self.child.death(status);
-                Ok(Some(Event::GivenUp { stage, how, why }))
-            }
-            State::Running { .. } | State::Done => Ok(None),
-        }
-    }
-
-    /// Kills a silent process before the pipeline is linked, after another one has died. It may wait forever
-    /// for files that the dead process left half made.
-    fn free(&mut self, now: Duration) {
-        let sends_heartbeats = self.program.command.is_none();
-        if sends_heartbeats && self.supervision.is_stuck(now) && self.health.is_silent(now) {
-            self.killed_for.get_or_insert("was not linked within its start limit, and killed");
-            self.child.signal(Signal::KILL);
-        }
-    }
-
-    /// Checks a silent process. Kills it if it is stopped, hangs or missed its limit for linking; its end is
-    /// then handled like any other.
-    fn examine(&mut self, now: Duration) -> Option<Event> {
-        let policy = *self.supervision.policy();
-        let finding = if self.supervision.is_overdue(now) {
-            self.killed_for = Some("was not linked within its start limit, and killed");
-            Finding::Hung
-        } else if self.health.is_silent(now) {
-            self.health.judge(look(self.child.pid())?, policy.hang_after, now)
-        } else {
-            Finding::Well
-        };
-        match finding {
-            Finding::Well => None,
-            Finding::Stopped | Finding::Hung if policy.restart == Restart::Never => None,
-            Finding::Stopped | Finding::Hung => {
-                let why = if finding == Finding::Stopped {
-                    "was stopped, and killed"
-                } else {
-                    "hung, and was killed"
-                };
-                self.killed_for.get_or_insert(why);
-                self.child.signal(Signal::KILL);
-                None
-            }
-            Finding::Starved => Some(Event::Starved { stage: self.stage }),
-        }
     }
 }
 

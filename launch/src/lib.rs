@@ -21,6 +21,7 @@ mod differences;
 mod fail_if;
 pub mod failure;
 mod faults;
+mod files;
 mod fleet;
 #[cfg(test)]
 mod fuzz;
@@ -34,6 +35,7 @@ mod pipeline_file;
 mod play_report;
 mod policy;
 mod prediction;
+mod processes;
 pub mod program;
 mod readers;
 mod recorded;
@@ -95,8 +97,10 @@ pub fn main() -> ExitCode {
         Ok(cli) => cli.verb.is_none() && !cli.version,
         Err(error) => error.use_stderr(),
     };
-    let mistaken =
-        std::env::args().nth(1).filter(|_| may_be_mistaken).and_then(|word| verbs::mistaken(&word));
+    let mistaken = std::env::args()
+        .nth(1)
+        .filter(|_| may_be_mistaken)
+        .and_then(|word| verbs::mistaken(&word, command()));
     if let Some(failure) = mistaken {
         return program::end(Err(failure));
     }
@@ -106,7 +110,7 @@ pub fn main() -> ExitCode {
             say!("{}", version::text().trim_end());
             Ok(run::Exit::Done)
         }
-        Some(verb) => verb.execute(),
+        Some(verb) => verb.execute(command),
         None => verbs::run::execute(&cli.run),
     });
     program::end(outcome)

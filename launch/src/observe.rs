@@ -5,13 +5,13 @@
 //! so a slow client or disk does not delay the launcher.
 
 mod files;
-mod processes;
+mod mark;
 mod server;
 
 use std::collections::{BTreeMap, VecDeque};
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
-use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::sync::mpsc::{Receiver, sync_channel};
 use std::time::Instant;
 
 use clap::Args;
@@ -29,13 +29,12 @@ use wire::{Forecast, Header, Heartbeat, StageId};
 use crate::failure::Failure;
 use crate::fleet::{Event, Fleet};
 use crate::outages::Outages;
-use crate::verbs::trace::mark;
+use crate::processes::Usage;
 use files::{MetricsFile, TraceFile};
-use processes::Usage;
-pub use processes::memory as memory_of;
+pub use mark::mark;
+pub use server::SOCKET;
+use server::{Asked, Question};
 
-/// Name of the status socket in a run's folder.
-pub const SOCKET: &str = "status";
 /// Maximum number of waiting questions.
 const QUESTIONS_MAX: usize = 16;
 /// Maximum number of questions answered in a row, so that supervision is not delayed.
@@ -65,18 +64,6 @@ pub fn address(text: &str) -> Result<SocketAddr, String> {
     }
     text.parse().map_err(|_| "expected an IP address with a port, such as 127.0.0.1:9464".to_owned())
 }
-
-/// A question about a run.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Question {
-    /// The metrics, as text.
-    Metrics,
-    /// The status, as JSON.
-    Status,
-}
-
-/// A question, with the channel for its answer.
-type Asked = (Question, SyncSender<String>);
 
 /// Measures a run from the launcher, and answers questions about it.
 pub struct Observer {

@@ -2,6 +2,7 @@
 
 use std::fmt::Write as _;
 
+use clap::builder::PossibleValuesParser;
 use ports::StageError;
 use run::options::OptionSchema;
 use run::{Declared, Run};
@@ -70,6 +71,11 @@ fn option_help(stage: StageId, option: &OptionSchema) -> String {
         line = format!("{line} {word}");
     }
     text + &format!("     {line}\n")
+}
+
+/// The names of the built-in stages.
+pub fn names() -> PossibleValuesParser {
+    PossibleValuesParser::new(StageId::ALL.map(StageId::name))
 }
 
 #[cfg(test)]

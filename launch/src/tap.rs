@@ -15,6 +15,6 @@ mod view_arguments;
 pub use flight::FlightRecorder;
 pub use follow::{Recorded, follow};
 pub use process::{Recording, Tap};
-pub use ring_arguments::{Limits, RingArguments};
+pub use ring_arguments::RingArguments;
 pub use server::serve;
 pub use view_arguments::ViewArguments;

@@ -5,11 +5,11 @@ mod columns;
 mod draw;
 mod stage;
 
-use crate::screen::Line;
 use clap::ValueEnum;
 use recorder::status::{RunStatus, StageStatus};
 
 pub use client::Client;
+pub use draw::text;
 
 /// Order of the stages.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
@@ -144,26 +144,6 @@ impl View {
     fn of_report(&self, stage: &StageStatus) -> Option<&recorder::report::StageReport> {
         self.status.report.stages.iter().find(|report| report.name == stage.name)
     }
-
-    /// Returns the view in at most `height` lines, without keys.
-    pub fn table(&self, width: usize, height: usize) -> Vec<Line> {
-        let mut lines = draw::lines(self, width);
-        draw::truncate(&mut lines, height);
-        lines
-    }
-
-    /// Returns the view as a screen of this size, with a line of keys at the bottom.
-    pub fn screen(&self, width: usize, height: usize) -> Vec<Line> {
-        draw::screen(self, width, height)
-    }
-}
-
-/// Formats the view as plain text.
-pub fn text(view: &View, width: usize) -> String {
-    let lines = draw::lines(view, width);
-    let text: String =
-        lines.iter().map(|line| line.paint(width, false).trim_end().to_owned() + "\n").collect();
-    text.trim_end().to_owned() + "\n"
 }
 
 #[cfg(test)]

@@ -102,10 +102,9 @@ pub enum Verb {
     Lab(lab::Verb),
 }
 
-/// Returns the failure for a first argument that is neither a verb nor a file; `None` if it looks like a
-/// path.
-pub fn mistaken(word: &str) -> Option<Failure> {
-    let mut program = crate::command();
+/// Returns the failure for a first argument that is neither a verb of `program` nor a file; `None`
+/// if it looks like a path.
+pub fn mistaken(word: &str, mut program: Command) -> Option<Failure> {
     program.build();
     let is_verb = program.find_subcommand(word).is_some();
     if is_verb || word.starts_with('-') || word.contains(['.', '/']) || Path::new(word).exists() {
@@ -128,8 +127,8 @@ pub fn mistaken(word: &str) -> Option<Failure> {
 }
 
 impl Verb {
-    /// Executes the verb.
-    pub fn execute(self) -> Result<Exit, Failure> {
+    /// Executes the verb of the program that `command` describes.
+    pub fn execute(self, command: fn() -> Command) -> Result<Exit, Failure> {
         match self {
             Self::Run(arguments) => run::execute(&arguments),
             Self::Predict(arguments) => predict::execute(&arguments),
@@ -155,7 +154,7 @@ impl Verb {
             Self::Doctor(arguments) => doctor::execute(&arguments),
             Self::Clean(arguments) => clean::execute(&arguments),
             Self::Wire(arguments) => wire::execute(&arguments),
-            Self::Completions(arguments) => completions::execute(&arguments),
+            Self::Completions(arguments) => completions::execute(&arguments, command()),
             Self::Sweep(arguments) => sweep::execute(&arguments),
             Self::Tap(arguments) => tap::execute(&arguments),
             Self::Lab(verb) => verb.execute(),
@@ -169,7 +168,7 @@ mod tests {
 
     #[test]
     fn a_misspelt_verb_is_not_taken_for_a_file() {
-        let message = |word: &str| mistaken(word).map(|failure| failure.to_string());
+        let message = |word: &str| mistaken(word, crate::command()).map(|failure| failure.to_string());
         assert!(message("evalute").is_some_and(|text| text.contains("did you mean `stgdat evaluate`?")));
         assert!(message("qqq").is_some_and(|text| text.contains("stgdat --help")));
         for word in ["evaluate", "help", "mine.csv", "./mine", "--agents", "src"] {

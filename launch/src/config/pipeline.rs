@@ -4,16 +4,16 @@ mod added;
 mod check;
 mod file;
 mod options;
+mod parse;
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 pub use check::BUDGET_MAX_MS;
-use run::{Declared, TopicRun};
+use run::TopicRun;
 use wire::{StageId, WorldOrigin};
 
-use crate::config::mistake::line_of;
-use crate::config::{Mistake, RestartPolicy, Scheduling, SourceError};
+use crate::config::{RestartPolicy, Scheduling};
 
 /// A process of the pipeline.
 #[derive(Clone, Debug, PartialEq)]
@@ -70,38 +70,6 @@ pub struct Pipeline {
 }
 
 impl Pipeline {
-    /// Reads and checks the text of a pipeline.toml. `name` is the file's name in errors. `declared` contains
-    /// the stages for which this project has programs.
-    ///
-    /// # Errors
-    /// [`SourceError`] points to the first fault in the text.
-    pub fn parse(name: &str, text: &str, declared: &[&dyn Declared]) -> Result<Self, SourceError> {
-        let file: file::File = toml::from_str(text).map_err(|e| Mistake::syntax(text, &e).at(name, text))?;
-        let mut pipeline = check::check(&file, declared).map_err(|mistake| mistake.at(name, text))?;
-        for (stage, table) in pipeline.stages.iter_mut().zip(&file.stages) {
-            let place = |at: usize| format!("{name}:{}", line_of(text, at));
-            let options = table.get_ref().options.iter();
-            stage.places =
-                options.map(|(key, value)| (key.get_ref().clone(), place(value.span().start))).collect();
-        }
-        Ok(pipeline)
-    }
-
-    /// Refuses a file that this machine cannot run: `find` does not find a `command`, or `has_cpu` does not
-    /// know a processor.
-    ///
-    /// # Errors
-    /// [`SourceError`] points to the first fault in the text. [`Pipeline::parse`] must accept the text.
-    pub fn check_here(
-        name: &str,
-        text: &str,
-        find: &dyn Fn(&str) -> Result<(), String>,
-        has_cpu: &dyn Fn(u32) -> bool,
-    ) -> Result<(), SourceError> {
-        let file: file::File = toml::from_str(text).map_err(|e| Mistake::syntax(text, &e).at(name, text))?;
-        check::check_here(&file, find, has_cpu).map_err(|mistake| mistake.at(name, text))
-    }
-
     /// The topics that a stage reads, by their names in shared memory.
     pub fn read_by<'a>(&'a self, stage: &'a Stage) -> impl Iterator<Item = &'a str> {
         stage.reads.iter().map(|topic| self.name_of(stage, topic))

@@ -3,8 +3,6 @@
 use serde::{Deserialize, Serialize};
 use wire::{Header, Leaf, Primitive, Record};
 
-use crate::faults::spec::TopicFault;
-
 /// The effect on a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
@@ -299,6 +297,21 @@ impl Random {
     pub const fn below(&mut self, limit: u64) -> u64 {
         self.next() % limit
     }
+}
+
+/// A fault between a topic's writer and its readers.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct TopicFault {
+    /// The topic.
+    pub topic: String,
+    /// The effect on a frame.
+    pub effect: Effect,
+    /// The range of ticks on which it may act, inclusive.
+    pub ticks: [u64; 2],
+    /// The probability that it acts on a tick.
+    pub probability: f64,
+    /// Seed of this random choice and of the effect.
+    pub seed: u64,
 }
 
 #[cfg(test)]

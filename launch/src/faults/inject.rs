@@ -13,9 +13,9 @@ use wire::{
 };
 
 use crate::failure::Failure;
+use crate::faults::effect::TopicFault;
 use crate::faults::effect::{Due, Injector, Raw};
 use crate::faults::follow::print;
-use crate::faults::spec::TopicFault;
 
 /// Longest sleep between checks that the run is still there.
 const SLEEP: Duration = Duration::from_millis(50);

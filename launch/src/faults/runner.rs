@@ -19,11 +19,12 @@ use wire::StageId;
 
 use crate::failure::Failure;
 use crate::faults::effect::Random;
+use crate::faults::effect::TopicFault;
 use crate::faults::plan::{Action, Due, What, actions, arguments, pipeline, points};
 use crate::faults::processes::{
     Launcher, Mortal, Writer, is_alive, limit, resident_bytes, this_program, use_cpu,
 };
-use crate::faults::spec::{Fault, Spec, Target, TopicFault};
+use crate::faults::spec::{Fault, Spec, Target};
 use crate::faults::verdict::{Check, Cost, Observation, Outcome, judge};
 
 /// Ticks at the end of a run in which consumers are neither killed nor started again.

@@ -4,17 +4,14 @@ mod check;
 mod table;
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
-use crate::config::SourceError;
 use ports::Point;
 use run::TopicRun;
-use serde::{Deserialize, Serialize};
 use wire::StageId;
 
-use crate::failure::Failure;
-use crate::faults::effect::Effect;
-pub use table::{Counted, Expect};
+use crate::faults::effect::TopicFault;
+pub use table::{Counted, Expect, Resource};
 
 /// The run, its faults and the expectation.
 #[derive(Clone, Debug)]
@@ -209,49 +206,7 @@ pub enum When {
     },
 }
 
-/// A resource of a process.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Resource {
-    /// Open descriptors.
-    Descriptors,
-    /// Maximum size of written files, as on a full disk. It applies to shared memory too.
-    FileSize,
-    /// Address space.
-    Memory,
-}
-
-/// A fault between a topic's writer and its readers.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct TopicFault {
-    /// The topic.
-    pub topic: String,
-    /// The effect on a frame.
-    pub effect: Effect,
-    /// The range of ticks on which it may act, inclusive.
-    pub ticks: [u64; 2],
-    /// The probability that it acts on a tick.
-    pub probability: f64,
-    /// Seed of this random choice and of the effect.
-    pub seed: u64,
-}
-
 impl Spec {
-    /// Reads and checks a specification.
-    ///
-    /// # Errors
-    /// [`Failure::Source`] points to the first place in the text that is wrong.
-    pub fn read(path: &Path) -> Result<Self, Failure> {
-        let text =
-            std::fs::read_to_string(path).map_err(|error| Failure::config_about(path.display(), error))?;
-        Ok(Self::parse(path, &text)?)
-    }
-
-    /// Checks the text of a specification.
-    pub fn parse(path: &Path, text: &str) -> Result<Self, SourceError> {
-        check::parse(path, text)
-    }
-
     /// Returns the faults that act on topics.
     pub fn topic_faults(&self) -> impl Iterator<Item = &TopicFault> {
         self.faults

@@ -2,15 +2,17 @@
 //! over between two ticks. If the new process fails before it takes over, nothing changes. If it fails
 //! afterwards, the replacement is rolled back.
 
-use std::process::ExitStatus;
 use std::time::{Duration, Instant};
 
-use recorder::{ReplacementOutcome, program_name};
+use recorder::ReplacementOutcome;
 use run::Run;
 use rustix::process::Signal;
 use wire::StageId;
 
-use super::{Event, Fleet, Member};
+use super::Fleet;
+use super::event::Event;
+use super::member::{Member, STOPPED};
+use super::trial::Trial;
 use crate::child::{Child, Program};
 use crate::control::{self, Client, Order};
 use crate::failure::Failure;
@@ -27,132 +29,6 @@ const READY_TICKS: u64 = 2;
 const READY_LIMIT: Duration = Duration::from_millis(400);
 /// Interval between checks of an ending process.
 const LOOK: Duration = Duration::from_millis(1);
-
-/// A replacement in progress.
-#[derive(Debug)]
-pub struct Trial {
-    stage: StageId,
-    program: Program,
-    /// The new process until it becomes the stage's process.
-    child: Option<Child>,
-    /// The previous program.
-    before: Option<Program>,
-    incarnation: u32,
-    /// When the new process was started or, later, took over.
-    started: Duration,
-    start_limit: Duration,
-    warm_up: Option<Duration>,
-    hand_over: Option<Duration>,
-    client: Client,
-    /// The new process's connection, once it is warm.
-    turn: Option<Client>,
-    /// Number of ticks and the time when the new process was ready.
-    ready: (u64, Duration),
-}
-
-/// The progress or outcome of a replacement.
-#[derive(Clone, Debug)]
-pub struct Replaced {
-    /// The stage.
-    pub stage: StageId,
-    /// The new program with its arguments; empty for the built-in one.
-    pub command: Vec<String>,
-    /// The outcome, as far as it is known.
-    pub outcome: ReplacementOutcome,
-    /// The incarnation that remains.
-    pub incarnation: u32,
-    /// Why the new process is not used, phrased to follow "it ".
-    pub cause: String,
-    /// Time until the new process was ready.
-    pub warm_up: Option<Duration>,
-    /// Time from the request to the old process to end until the new one takes over.
-    pub hand_over: Option<Duration>,
-}
-
-impl Trial {
-    /// The stage.
-    pub const fn stage(&self) -> StageId {
-        self.stage
-    }
-
-    /// The new process until it becomes the stage's process.
-    pub const fn child(&self) -> Option<&Child> {
-        self.child.as_ref()
-    }
-
-    /// Whether the new process has taken over as this stage.
-    pub fn has_turn(&self, stage: StageId) -> bool {
-        self.stage == stage && self.child.is_none()
-    }
-
-    fn outcome(&self, outcome: ReplacementOutcome, incarnation: u32, cause: String) -> Replaced {
-        Replaced {
-            stage: self.stage,
-            command: self.program.command.clone().unwrap_or_default(),
-            outcome,
-            incarnation,
-            cause,
-            warm_up: self.warm_up,
-            hand_over: self.hand_over,
-        }
-    }
-
-    /// Ends the replacement. The client gets the same outcome as the event.
-    fn conclude(mut self, outcome: ReplacementOutcome, incarnation: u32, cause: String) -> Event {
-        let replaced = self.outcome(outcome, incarnation, cause);
-        self.client.answer(outcome, replaced.to_string());
-        Event::Tried(replaced)
-    }
-
-    /// Rolls back after the new process ended in its turn: the previous program is started again.
-    pub fn roll_back(mut self, member: &mut Member, status: ExitStatus, now: Duration) -> Event {
-        let cause = match member.killed_for {
-            Some(why) => why.to_owned(),
-            None => member.child.death(status).how,
-        };
-        member.program = self.before.take().unwrap_or_else(|| member.program.clone());
-        member.supervision.rolled_back(now);
-        let next = member.supervision.incarnation() + 1;
-        self.conclude(ReplacementOutcome::RolledBack, next, cause)
-    }
-}
-
-impl std::fmt::Display for Replaced {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let (stage, program) = (self.stage.name(), program_name(&self.command));
-        match self.outcome {
-            ReplacementOutcome::Replaced => {
-                let ms = |time: Option<Duration>| time.unwrap_or_default().as_millis();
-                let (warm, over) = (ms(self.warm_up), ms(self.hand_over));
-                write!(
-                    f,
-                    "the {stage} is replaced by {program}: warm after {warm} ms, handed over in {over} ms"
-                )
-            }
-            ReplacementOutcome::NotUsed => {
-                write!(f, "the {stage} is not replaced by {program}: it {}; the old one went on", self.cause)
-            }
-            ReplacementOutcome::RolledBack => {
-                let cause = &self.cause;
-                write!(
-                    f,
-                    "the {stage} is rolled back from {program}: it {cause}; the old program is started again"
-                )
-            }
-        }
-    }
-}
-
-impl Drop for Trial {
-    fn drop(&mut self) {
-        if let Some(child) = &mut self.child {
-            child.signal(Signal::KILL);
-            while child.ended().is_none() {
-                std::thread::sleep(LOOK);
-            }
-        }
-    }
-}
 
 impl Fleet {
     /// Starts the new process of an order, or refuses the order.
@@ -331,7 +207,7 @@ impl Fleet {
     /// linked.
     pub(super) fn tend_trial(&mut self, stopped: Duration, now: Duration) -> Option<Event> {
         let trial = self.trial.as_mut()?;
-        if stopped > super::STOPPED {
+        if stopped > STOPPED {
             trial.started += stopped;
         }
         let member = self.members.iter_mut().find(|member| member.stage == trial.stage)?;
@@ -366,15 +242,5 @@ impl Fleet {
         // The new process held places on the topics that it reads.
         self.swept = self.cleaner.ticket();
         Some(trial.conclude(ReplacementOutcome::NotUsed, incarnation, cause))
-    }
-}
-
-impl Member {
-    /// Adopts a warm process as the stage's own.
-    pub(super) fn take_place(&mut self, child: Child, now: Duration) {
-        self.child = child;
-        self.supervision.replaced(now);
-        self.health = crate::health::Health::new(now);
-        self.killed_for = None;
     }
 }

@@ -5,25 +5,18 @@
 //! next incarnation. Nothing depends on a spare, and its deaths are counted instead of reported one by one.
 //! The stage's restart policy applies to the spare, too.
 
-use std::collections::BTreeMap;
 use std::time::Duration;
 
 use crate::config::RestartPolicy;
 use recorder::SpareReport;
-use run::{Exit, Run};
+use run::Exit;
 use rustix::process::Signal;
-use wire::StageId;
 
-use super::{Event, Fleet, Member};
 use crate::child::Child;
-use crate::control::{self, Client};
-use crate::failure::Failure;
-use crate::observe::memory_of;
+use crate::control::Client;
 use crate::policy::{End, State, Supervision};
+use crate::processes::memory;
 
-/// Time from the start of a stage's process to the start of its spare: five ticks. The two processes then do
-/// not compete for processors while the stage catches up.
-const SETTLED: Duration = Duration::from_millis(400);
 /// Interval between checks of a spare's memory.
 const LOOK: Duration = Duration::from_secs(1);
 /// Interval between checks of a killed process.
@@ -33,16 +26,16 @@ const PAUSE: Duration = Duration::from_millis(1);
 #[derive(Debug)]
 pub struct Spare {
     /// When the next process is started.
-    supervision: Supervision,
-    child: Option<Child>,
+    pub(super) supervision: Supervision,
+    pub(super) child: Option<Child>,
     /// The spare's connection, once it is warm.
-    turn: Option<Client>,
-    incarnation: u32,
-    started: Duration,
-    looked: Duration,
+    pub(super) turn: Option<Client>,
+    pub(super) incarnation: u32,
+    pub(super) started: Duration,
+    pub(super) looked: Duration,
     /// Number of the clean-up after the spare's last death.
-    ticket: u64,
-    report: SpareReport,
+    pub(super) ticket: u64,
+    pub(super) report: SpareReport,
 }
 
 impl Spare {
@@ -111,7 +104,7 @@ impl Spare {
     }
 
     /// Handles the report of a warm process, if it comes from this spare.
-    fn ready(&mut self, incarnation: u32, client: Client, now: Duration) {
+    pub(super) fn ready(&mut self, incarnation: u32, client: Client, now: Duration) {
         if self.is_starting() && self.incarnation == incarnation {
             let warm_up = now.saturating_sub(self.started);
             self.report.warm_up_ms = Some((warm_up.as_secs_f64() * 1e4).round() / 1e1);
@@ -121,7 +114,7 @@ impl Spare {
 
     /// Checks the spare's process. Returns whether it has ended and, if the spare is given up now, the
     /// reason.
-    fn tend(&mut self, stopped: Duration, now: Duration) -> (bool, Option<String>) {
+    pub(super) fn tend(&mut self, stopped: Duration, now: Duration) -> (bool, Option<String>) {
         self.started += stopped;
         let Some(child) = &mut self.child else { return (false, None) };
         let Some(status) = child.ended() else {
@@ -131,7 +124,7 @@ impl Spare {
                 }
             } else if now.saturating_sub(self.looked) > LOOK {
                 self.looked = now;
-                let [own, shared] = memory_of(child.pid()).unwrap_or_default();
+                let [own, shared] = memory(child.pid()).unwrap_or_default();
                 (self.report.memory_kib, self.report.shared_kib) = (own >> 10, shared >> 10);
             }
             return (false, None);
@@ -147,86 +140,5 @@ impl Spare {
         (self.child, self.turn) = (None, None);
         self.report.given_up.clone_from(&how);
         (true, how)
-    }
-}
-
-impl Fleet {
-    /// Returns each spare's state and the number of its takeovers.
-    pub fn spares(&self) -> impl Iterator<Item = (StageId, &'static str, u32)> {
-        let spares = self.members.iter().filter_map(|member| Some((member.stage, member.spare.as_ref()?)));
-        spares.map(|(stage, spare)| (stage, spare.state(), spare.report.promotions))
-    }
-
-    /// Returns the outcome of each spare, for the report.
-    pub fn spare_reports(&self) -> BTreeMap<String, SpareReport> {
-        let spares = self.members.iter().filter_map(|member| Some((member, member.spare.as_ref()?)));
-        let report = |spare: &Spare| SpareReport { state: spare.state().to_owned(), ..spare.report.clone() };
-        spares.map(|(member, spare)| (member.stage.name().to_owned(), report(spare))).collect()
-    }
-
-    /// Handles the report of a warm process, which may be a spare.
-    pub(super) fn spare_ready(&mut self, stage: StageId, incarnation: u32, client: Client, now: Duration) {
-        let member = self.members.iter_mut().find(|member| member.stage == stage);
-        if let Some(spare) = member.and_then(|member| member.spare.as_mut()) {
-            spare.ready(incarnation, client, now);
-        }
-    }
-
-    /// Checks the spares and starts those that are due.
-    pub(super) fn tend_spares(
-        &mut self,
-        is_linked: bool,
-        stopped: Duration,
-        now: Duration,
-    ) -> Result<Vec<Event>, Failure> {
-        let mut events = Vec::new();
-        if self.run.lockstep || !is_linked {
-            return Ok(events);
-        }
-        let socket = control::path(&self.run);
-        for member in &mut self.members {
-            let is_tried = self.trial.as_ref().is_some_and(|trial| trial.stage() == member.stage);
-            let state = member.supervision.state();
-            let Some(spare) = &mut member.spare else { continue };
-            let has_stage = matches!(state, State::Running { .. } | State::Waiting { .. });
-            if is_tried || !has_stage {
-                if spare.dismiss(now) {
-                    spare.ticket = self.cleaner.ticket();
-                }
-                continue;
-            }
-            let stopped = if stopped > super::STOPPED { stopped } else { Duration::ZERO };
-            let (has_ended, given_up) = spare.tend(stopped, now);
-            if has_ended {
-                spare.ticket = self.cleaner.ticket();
-            }
-            events.extend(given_up.map(|how| Event::SpareGivenUp { stage: member.stage, how }));
-            let is_settled = matches!(state, State::Running { since, linked: true }
-                if now.saturating_sub(since) > SETTLED);
-            let is_due = spare.child.is_none() && spare.supervision.is_due(now);
-            if is_settled && is_due && self.cleaner.is_done(spare.ticket) {
-                member.start_spare(&self.run, &self.record, &self.sender, &socket, now)?;
-            }
-        }
-        Ok(events)
-    }
-}
-
-impl Member {
-    fn start_spare(
-        &mut self,
-        run: &Run,
-        record: &std::path::Path,
-        lines: &std::sync::mpsc::Sender<crate::child::Line>,
-        socket: &std::path::Path,
-        now: Duration,
-    ) -> Result<(), Failure> {
-        let incarnation = self.supervision.incarnation() + 1;
-        let child = Child::start(self.stage, &self.program, incarnation, run, record, lines, Some(socket))?;
-        if let Some(spare) = &mut self.spare {
-            spare.supervision.restarted(now);
-            (spare.child, spare.incarnation, spare.started) = (Some(child), incarnation, now);
-        }
-        Ok(())
     }
 }

@@ -9,8 +9,7 @@ use std::time::Duration;
 
 use recorder::WholeFile;
 
-use super::server::ask_launcher;
-use super::{Asked, Question};
+use super::server::{Asked, Question, ask_launcher};
 use crate::failure::Failure;
 
 /// Interval between updates of the metrics file.

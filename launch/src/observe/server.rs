@@ -10,7 +10,6 @@ use std::time::Duration;
 use recorder::exposition::CONTENT_TYPE;
 use view::http::{Connection, PLAIN, Request, accept, respond};
 
-use super::{Asked, Question};
 use crate::failure::Failure;
 
 /// Time limit for the launcher to answer.
@@ -79,6 +78,21 @@ pub fn ask_launcher(question: Question, ask: &SyncSender<Asked>) -> Option<Strin
     ask.try_send((question, reply)).ok()?;
     answered.recv_timeout(ANSWER_LIMIT).ok()
 }
+
+/// A question about a run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Question {
+    /// The metrics, as text.
+    Metrics,
+    /// The status, as JSON.
+    Status,
+}
+
+/// A question, with the channel for its answer.
+pub type Asked = (Question, SyncSender<String>);
+
+/// Name of the status socket in a run's folder.
+pub const SOCKET: &str = "status";
 
 #[cfg(test)]
 mod tests {

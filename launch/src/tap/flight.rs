@@ -10,8 +10,9 @@ use recording::flight::{Act, Flight, Trigger, caused_by};
 use recording::{About, Before, Event, Forgotten, Happened, Message, Ring, WriteError, Writer, Written};
 use wire::{Forecast, ForecastsTopic, Header, Topic};
 
+use super::ViewArguments;
 use super::follow::Keep;
-use super::{Limits, ViewArguments};
+use super::ring_arguments::{Limits, numbered};
 
 /// Keeps a ring of messages and writes it to numbered files.
 pub struct FlightRecorder {
@@ -29,13 +30,6 @@ pub struct FlightRecorder {
     is_cut_told: bool,
     say: fn(&str),
     view: ViewArguments,
-}
-
-/// Returns the name of a file by its number: `drive.mcap` becomes `drive-1.mcap`.
-pub fn numbered(path: &Path, number: u32) -> PathBuf {
-    let stem = path.file_stem().unwrap_or_default().to_string_lossy();
-    let extension = path.extension().unwrap_or("mcap".as_ref()).to_string_lossy();
-    path.with_file_name(format!("{stem}-{number}.{extension}"))
 }
 
 /// The fault of a tick, in words; `None` if it has none.

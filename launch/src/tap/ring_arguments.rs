@@ -1,4 +1,4 @@
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Duration;
 
@@ -6,7 +6,6 @@ use clap::Args;
 use recording::RingLimits;
 use recording::flight::FlightLimits;
 
-use super::flight::numbered;
 use crate::failure::Failure;
 
 /// Maximum duration of a ring. For longer durations, a recording is the right tool.
@@ -107,6 +106,13 @@ fn bytes(mebibytes: u64) -> usize {
 
 fn nanoseconds(time: Duration) -> u64 {
     u64::try_from(time.as_nanos()).unwrap_or(u64::MAX)
+}
+
+/// Returns the name of a file by its number: `drive.mcap` becomes `drive-1.mcap`.
+pub fn numbered(path: &Path, number: u32) -> PathBuf {
+    let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+    let extension = path.extension().unwrap_or("mcap".as_ref()).to_string_lossy();
+    path.with_file_name(format!("{stem}-{number}.{extension}"))
 }
 
 #[cfg(test)]

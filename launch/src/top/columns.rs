@@ -1,7 +1,7 @@
 //! The columns of the table of stages.
 
 use crate::screen::{BOLD, Color, DIM, Line, Span, Style};
-use recorder::report::StageReport;
+use recorder::report::{StageReport, WorstTick};
 use recorder::status::StageStatus;
 use recorder::text::{bar, count, number};
 
@@ -177,4 +177,42 @@ pub fn share_spans(share: Option<f64>, cells: usize) -> [Span; 2] {
     let filled = share.map_or_else(|| " ".repeat(cells), |share| bar(share, cells));
     let percent = share.map_or_else(String::new, |share| format!("{:.0}%", (share * 1e2).min(9_999.0)));
     [Span::colored(format!(" {filled}"), colour), Span::raw(format!("{percent:>5}"))]
+}
+
+/// Heading of the worst ticks.
+pub const WORST: &str = "worst tick";
+
+/// The worst ticks with their causes.
+pub fn worst(ticks: &[WorstTick], width: usize, most: usize) -> Vec<Line> {
+    let mut lines: Vec<Line> = ticks
+        .iter()
+        .take(most)
+        .map(|tick| {
+            let (number_of, time) = (count(tick.tick), number(tick.end_to_end_ms));
+            Line(vec![
+                Span::raw(format!("  {number_of:>10}{time:>8}   ")),
+                Span::raw(cut(&tick.cause, width.saturating_sub(23))),
+            ])
+        })
+        .collect();
+    if !lines.is_empty() {
+        lines.insert(0, Line::styled(format!("  {WORST:>10}{:>8}   why", "ms"), DIM));
+    }
+    section(lines)
+}
+
+/// Returns the lines with an empty line before them.
+pub fn section(mut lines: Vec<Line>) -> Vec<Line> {
+    if !lines.is_empty() {
+        lines.insert(0, Line::default());
+    }
+    lines
+}
+
+/// Cuts a text to `width` characters, with an ellipsis if it was longer.
+pub fn cut(text: &str, width: usize) -> String {
+    if text.chars().count() <= width {
+        return text.to_owned();
+    }
+    text.chars().take(width.saturating_sub(1)).chain(['…']).collect()
 }

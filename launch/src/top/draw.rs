@@ -1,9 +1,9 @@
 use recorder::Status;
-use recorder::report::{Percentiles, WorstTick};
+use recorder::report::Percentiles;
 use recorder::text::{count, number, percent};
 
 use super::View;
-use super::columns::{Row, bar_width, heading, line, share_spans};
+use super::columns::{Row, WORST, bar_width, cut, heading, line, section, share_spans, worst};
 use crate::screen::{BOLD, Color, DIM, Line, Span, TITLE, curve};
 
 /// Maximum number of lines for events and for worst ticks.
@@ -11,8 +11,28 @@ const EVENTS_MAX: usize = 4;
 const WORST_MAX: usize = 5;
 /// Cells in the curve's line that are not part of the curve.
 const CURVE_MARGIN: usize = 28;
-/// Heading of the worst ticks.
-const WORST: &str = "worst tick";
+
+impl View {
+    /// Returns the view in at most `height` lines, without keys.
+    pub fn table(&self, width: usize, height: usize) -> Vec<Line> {
+        let mut lines = lines(self, width);
+        truncate(&mut lines, height);
+        lines
+    }
+
+    /// Returns the view as a screen of this size, with a line of keys at the bottom.
+    pub fn screen(&self, width: usize, height: usize) -> Vec<Line> {
+        screen(self, width, height)
+    }
+}
+
+/// Formats the view as plain text.
+pub fn text(view: &View, width: usize) -> String {
+    let lines = lines(view, width);
+    let text: String =
+        lines.iter().map(|line| line.paint(width, false).trim_end().to_owned() + "\n").collect();
+    text.trim_end().to_owned() + "\n"
+}
 
 /// Returns the view in at most `height` lines, with a line of keys at the bottom.
 pub fn screen(view: &View, width: usize, height: usize) -> Vec<Line> {
@@ -234,43 +254,8 @@ fn events(view: &View, width: usize) -> Vec<Line> {
     section(lines.collect())
 }
 
-/// The worst ticks with their causes.
-pub fn worst(ticks: &[WorstTick], width: usize, most: usize) -> Vec<Line> {
-    let mut lines: Vec<Line> = ticks
-        .iter()
-        .take(most)
-        .map(|tick| {
-            let (number_of, time) = (count(tick.tick), number(tick.end_to_end_ms));
-            Line(vec![
-                Span::raw(format!("  {number_of:>10}{time:>8}   ")),
-                Span::raw(cut(&tick.cause, width.saturating_sub(23))),
-            ])
-        })
-        .collect();
-    if !lines.is_empty() {
-        lines.insert(0, Line::styled(format!("  {WORST:>10}{:>8}   why", "ms"), DIM));
-    }
-    section(lines)
-}
-
 fn is_heading_of_worst(line: &Line) -> bool {
     line.0.first().is_some_and(|span| span.text.trim_start().starts_with(WORST))
-}
-
-/// Returns the lines with an empty line before them.
-fn section(mut lines: Vec<Line>) -> Vec<Line> {
-    if !lines.is_empty() {
-        lines.insert(0, Line::default());
-    }
-    lines
-}
-
-/// Cuts a text to `width` characters, with an ellipsis if it was longer.
-pub fn cut(text: &str, width: usize) -> String {
-    if text.chars().count() <= width {
-        return text.to_owned();
-    }
-    text.chars().take(width.saturating_sub(1)).chain(['…']).collect()
 }
 
 fn keys_line(view: &View) -> Line {

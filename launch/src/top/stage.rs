@@ -6,8 +6,7 @@ use recorder::status::StageStatus;
 use recorder::text::{count, number};
 
 use super::View;
-use super::columns::{bytes, share_spans};
-use super::draw::{cut, worst};
+use super::columns::{bytes, cut, share_spans, worst};
 
 /// Maximum number of displayed worst ticks of the stage.
 const WORST_MAX: usize = 8;

@@ -1,59 +1,31 @@
+mod arguments;
 mod chain;
 mod cost;
 mod handover;
 mod modes;
+mod percentile;
 mod pipe;
 mod stages;
 mod work;
 
-use std::path::PathBuf;
 use std::time::Duration;
 
-use clap::Args;
 use nn::kernels;
 use run::{Exit, Run};
 use wire::StageId;
 
-use crate::arguments::{ModelArguments, SetArguments};
-use crate::fail_if::{self, Condition};
+use crate::fail_if;
 use crate::failure::Failure;
 use crate::options::{Setting, StageOptions};
 use crate::show::show;
 use crate::tables;
 use crate::version;
 
+pub use arguments::Arguments;
+pub use percentile::percentile;
+
 /// Duration of each peak measurement.
 const PEAK_TIME: Duration = Duration::from_millis(400);
-
-/// Arguments of `stgdat bench`.
-#[derive(Debug, Args)]
-pub struct Arguments {
-    /// Numbers of agents to measure compute with
-    #[arg(long, value_name = "N,…", value_delimiter = ',', default_values_t = [1, 16, 64, 128],
-          value_parser = clap::value_parser!(u16).range(1..=wire::AGENTS_MAX as i64))]
-    agents: Vec<u16>,
-    /// Measured ticks per number of agents
-    #[arg(long, value_name = "N", default_value_t = 100, value_parser = clap::value_parser!(u64).range(10..))]
-    ticks: u64,
-    /// Seconds for which the whole pipeline runs at 12.5 Hz; 0 skips it
-    #[arg(long, value_name = "S", default_value_t = 20)]
-    seconds: u64,
-    /// Measure what agents and modes cost instead: 1 to 128 agents by 1, 6 and 20 modes
-    #[arg(long, conflicts_with = "agents")]
-    cost: bool,
-    /// Fail, with exit code 70, where the run of --seconds has such a figure, as `end_to_end_p99 > 75 ms`; may be
-    /// given several times, and a wrong name lists the figures that there are
-    #[arg(long, value_name = "CONDITION", conflicts_with = "cost")]
-    fail_if: Vec<Condition>,
-    /// Markdown file whose marks `stgdat bench` (`stgdat bench cost`) get the tables, as the
-    /// section of this processor
-    #[arg(long, value_name = "FILE")]
-    table: Option<PathBuf>,
-    #[command(flatten)]
-    model: ModelArguments,
-    #[command(flatten)]
-    set: SetArguments,
-}
 
 /// Measures compute per stage, the overhead of the pipeline and this machine's peaks in one run, or only the
 /// requested part.
@@ -115,25 +87,4 @@ fn processor(cpus: &str) -> Option<&str> {
     let named = |line: &'_ str| line.starts_with("model name");
     let line = cpus.lines().find(|line| named(line))?;
     line.split_once(':').map(|(_, name)| name.trim())
-}
-
-/// The quantile `share` of `values`, by nearest rank.
-pub fn percentile(values: &mut [f64], share: f64) -> f64 {
-    values.sort_by(f64::total_cmp);
-    let rank = (share * values.len() as f64).ceil() as usize;
-    values.get(rank.clamp(1, values.len().max(1)) - 1).copied().unwrap_or(f64::NAN)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn percentiles_are_by_nearest_rank() {
-        let mut values: Vec<f64> = (1..=100).rev().map(f64::from).collect();
-        assert_eq!(percentile(&mut values, 0.5), 50.0);
-        assert_eq!(percentile(&mut values, 0.99), 99.0);
-        assert_eq!(percentile(&mut values, 1.0), 100.0);
-        assert!(percentile(&mut [], 0.5).is_nan());
-    }
 }

@@ -1,4 +1,4 @@
-use clap::Args;
+use clap::{Args, Command};
 use clap_complete::Shell;
 use run::Exit;
 
@@ -14,8 +14,8 @@ pub struct Arguments {
 }
 
 /// Prints the completions.
-pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
+pub fn execute(arguments: &Arguments, mut command: Command) -> Result<Exit, Failure> {
     let mut text = Vec::new();
-    clap_complete::generate(arguments.shell, &mut crate::command(), "stgdat", &mut text);
+    clap_complete::generate(arguments.shell, &mut command, "stgdat", &mut text);
     show(&String::from_utf8_lossy(&text))
 }

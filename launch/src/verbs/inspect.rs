@@ -11,6 +11,7 @@ use wire::detection_flags;
 
 use crate::arguments::{ModelArguments, ReadArguments};
 use crate::failure::Failure;
+use crate::files::quoted;
 use crate::show::show;
 
 /// Width of the picture, pt.
@@ -137,15 +138,6 @@ fn next(arguments: &Arguments, inspection: &Inspection) -> String {
     let is_doubtful = inspection.findings.iter().any(|found| found.doubtful);
     let when = if is_doubtful { "next, once the doubts are settled:" } else { "next:" };
     format!("{when}\n  {command}")
-}
-
-/// Quotes a word of a command line if a shell needs it.
-pub fn quoted(word: &str) -> String {
-    let is_plain = |c: char| c.is_ascii_alphanumeric() || "/._-+=:,@%".contains(c);
-    match word.chars().all(is_plain) && !word.is_empty() {
-        true => word.to_owned(),
-        false => format!("'{}'", word.replace('\'', r"'\''")),
-    }
 }
 
 /// Draws the paths of all agents and of the sensor.

@@ -6,8 +6,9 @@ use recording::{About, ReadError, Recording};
 use run::Exit;
 use view::RunPage;
 
-use crate::arguments::{check_place, lanes_of};
+use crate::arguments::lanes_of;
 use crate::failure::Failure;
+use crate::files::check_place;
 use crate::recorded;
 
 /// Arguments of `stgdat report`.

@@ -18,13 +18,14 @@ use wire::{StageId, WorldOrigin};
 
 use crate::arguments::{
     ModelArguments, RetrievalArguments, SceneArguments, SetArguments, Speed, TrackerArguments, canonical,
-    check_lanes, check_memory, check_place, warn_of_doubts,
+    check_lanes, check_memory, warn_of_doubts,
 };
 use crate::awake::Awake;
 use crate::child::Line;
 use crate::control::{Control, Request};
 use crate::fail_if::{self, Condition};
 use crate::failure::{Failure, StageDeath};
+use crate::files::check_place;
 use crate::fleet::Fleet;
 use crate::memory::Memory;
 use crate::observe::{ObserveArguments, Observer, address};

@@ -3,7 +3,6 @@ mod replace;
 
 use std::path::PathBuf;
 
-use clap::builder::PossibleValuesParser;
 use clap::{Args, Subcommand};
 use ports::{RUN_VARIABLE, StageError};
 use run::{Exit, Run};
@@ -23,7 +22,7 @@ pub struct Arguments {
     #[command(subcommand)]
     verb: Option<Verb>,
     /// The stage
-    #[arg(value_parser = names(), required = true)]
+    #[arg(value_parser = stages::names(), required = true)]
     name: Option<String>,
     /// The run's record, written by `stgdat run`
     #[arg(long, env = RUN_VARIABLE, required = true)]
@@ -37,11 +36,6 @@ enum Verb {
     New(new::Arguments),
     /// Replace a stage of a run while it goes on, between two ticks
     Replace(replace::Arguments),
-}
-
-/// The names of the built-in stages.
-fn names() -> PossibleValuesParser {
-    PossibleValuesParser::new(StageId::ALL.map(StageId::name))
 }
 
 /// Runs one stage of a run until the process is asked to end, as the stage's own program does.

@@ -1,4 +1,4 @@
-use run::{Conflict, Declaration, NoOptions, TopicRun};
+use run::{Conflict, Declaration, Declared, NoOptions, TopicRun};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use wire::{

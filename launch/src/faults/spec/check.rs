@@ -13,8 +13,9 @@ use toml::de::{DeTable, DeValue};
 use wire::{RefusalCause, StageId, TABLE};
 
 use super::table::{At, Expect, FaultTable, File, Process, TopicTable};
-use super::{Fault, RunSpec, Spec, Target, TopicFault, When};
-use crate::faults::effect::Effect;
+use super::{Fault, RunSpec, Spec, Target, When};
+use crate::failure::Failure;
+use crate::faults::effect::{Effect, TopicFault};
 use crate::stages::declared;
 
 /// Causes for which a stage counts lost frames.
@@ -22,8 +23,21 @@ const COUNTERS: [&str; 3] = ["gap", "refused", "restart"];
 /// Threads per core of a CPU fault, enough to leave a stage only a small share.
 const HOGS_PER_CORE: usize = 8;
 
-pub(super) fn parse(path: &Path, text: &str) -> Result<Spec, SourceError> {
-    read(path, text).map_err(|mistake| mistake.at(&path.display().to_string(), text))
+impl Spec {
+    /// Reads and checks a specification.
+    ///
+    /// # Errors
+    /// [`Failure::Source`] points to the first place in the text that is wrong.
+    pub fn read(path: &Path) -> Result<Self, Failure> {
+        let text =
+            std::fs::read_to_string(path).map_err(|error| Failure::config_about(path.display(), error))?;
+        Ok(Self::parse(path, &text)?)
+    }
+
+    /// Checks the text of a specification.
+    pub fn parse(path: &Path, text: &str) -> Result<Self, SourceError> {
+        read(path, text).map_err(|mistake| mistake.at(&path.display().to_string(), text))
+    }
 }
 
 fn read(path: &Path, text: &str) -> Result<Spec, Mistake> {
@@ -359,7 +373,7 @@ mod tests {
 
     fn spec(body: &str) -> Result<Spec, String> {
         let text = format!("shows = \"a test\"\n[run]\nticks = 100\n{body}");
-        parse(Path::new("folder/07-test.toml"), &text).map_err(|error| error.to_string())
+        Spec::parse(Path::new("folder/07-test.toml"), &text).map_err(|error| error.to_string())
     }
 
     fn refused(body: &str, with: &str) {
@@ -398,7 +412,7 @@ mod tests {
             .unwrap();
         let read = |pipeline: &str, body: &str| {
             let text = format!("shows = \"a test\"\n[run]\nticks = 100\npipeline = \"{pipeline}\"\n{body}");
-            parse(&folder.path().join("a.toml"), &text).map_err(|error| error.to_string())
+            Spec::parse(&folder.path().join("a.toml"), &text).map_err(|error| error.to_string())
         };
         let spec = read(
             "p.toml",
@@ -428,7 +442,7 @@ mod tests {
         let head = format!("shows = \"a test\"\n[run]\nticks = 100\npipeline = \"{examples}\"\n");
         let read = |fault: &str| {
             let text = format!("{head}[[fault]]\n{fault}\nticks = [1, 2]\n");
-            parse(&path, &text).map_err(|error| error.to_string())
+            Spec::parse(&path, &text).map_err(|error| error.to_string())
         };
         let injected = |fault: &str| read(fault).unwrap().injected_topics().join(", ");
         assert_eq!(injected("kind = \"bit-flip\"\ntopic = \"approaches\""), "approaches");

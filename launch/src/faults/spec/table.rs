@@ -12,9 +12,20 @@ use serde::de::DeserializeOwned;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue, ValueDeserializer};
 
-use super::Resource;
 use crate::config::Mistake;
 use crate::faults::effect::{Effect, Part};
+
+/// A resource of a process.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Resource {
+    /// Open descriptors.
+    Descriptors,
+    /// Maximum size of written files, as on a full disk. It applies to shared memory too.
+    FileSize,
+    /// Address space.
+    Memory,
+}
 
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]

@@ -6,7 +6,8 @@ use std::time::Duration;
 
 use recorder::Report;
 
-use super::{percentile, pipe};
+use super::percentile::percentile;
+use super::pipe;
 use crate::arguments::{ModelArguments, SetArguments};
 use crate::failure::Failure;
 use crate::options::Setting;

@@ -2,7 +2,9 @@
 
 use std::path::PathBuf;
 
-use super::{Arguments, modes, percentile, stages};
+use super::arguments::Arguments;
+use super::percentile::percentile;
+use super::{modes, stages};
 use crate::failure::Failure;
 use crate::tables;
 

@@ -4,7 +4,7 @@ use std::time::{Duration, Instant};
 
 use nn::{Job, Workers, default_workers};
 
-use super::percentile;
+use super::percentile::percentile;
 use crate::failure::Failure;
 
 /// Duration of a block.

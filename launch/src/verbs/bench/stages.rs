@@ -10,8 +10,9 @@ use run::Run;
 use source::{Playback, PlaybackOptions};
 use wire::StageId;
 
+use super::arguments::Arguments;
+use super::percentile::percentile;
 use super::work::Work;
-use super::{Arguments, percentile};
 use crate::failure::Failure;
 use crate::options::{Setting, StageOptions};
 use crate::prediction::SHARED;

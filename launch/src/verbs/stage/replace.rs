@@ -15,7 +15,7 @@ use crate::stages;
 #[derive(Debug, Args)]
 pub struct Arguments {
     /// The stage
-    #[arg(value_parser = super::names())]
+    #[arg(value_parser = stages::names())]
     name: String,
     /// The run's folder or record; by default the only one of this user
     #[arg(long, value_name = "PATH")]

@@ -1,0 +1,38 @@
+//! Files and words that a command line names.
+
+use std::path::Path;
+
+use rustix::fs::Access;
+
+use crate::failure::Failure;
+use crate::options::absolute;
+
+/// Checks that an output file can be written, before the work that produces it starts.
+///
+/// # Errors
+/// [`Failure::Data`] if `path` is a folder or this user can't write to its parent folder.
+pub fn check_place(path: &Path) -> Result<(), Failure> {
+    if recorder::is_standard_output(path) {
+        return Ok(());
+    }
+    let path = std::fs::canonicalize(path).or_else(|_| absolute(path))?;
+    if path.is_dir() {
+        return Err(Failure::file(&path, std::io::Error::from(std::io::ErrorKind::IsADirectory)));
+    }
+    let (written, how) = match path.parent() {
+        // A complete file replaces the old one.
+        Some(folder) if path.is_file() || !path.exists() => (folder, Access::WRITE_OK | Access::EXEC_OK),
+        _ => (&*path, Access::WRITE_OK),
+    };
+    let access = rustix::fs::access(written, how);
+    access.map_err(|error| Failure::file(written, std::io::Error::from(error)))
+}
+
+/// Quotes a word of a command line if a shell needs it.
+pub fn quoted(word: &str) -> String {
+    let is_plain = |c: char| c.is_ascii_alphanumeric() || "/._-+=:,@%".contains(c);
+    match word.chars().all(is_plain) && !word.is_empty() {
+        true => word.to_owned(),
+        false => format!("'{}'", word.replace('\'', r"'\''")),
+    }
+}

@@ -1,0 +1,138 @@
+//! A stage with its process.
+
+use std::process::ExitStatus;
+use std::time::Duration;
+
+use run::Exit;
+use rustix::process::Signal;
+use wire::StageId;
+
+use super::event::Event;
+use super::spare::Spare;
+use crate::child::{Child, Program};
+use crate::config::Restart;
+use crate::failure::{Failure, StageDeath};
+use crate::health::{Finding, Health, look};
+use crate::policy::{End, State, Supervision};
+
+/// The launcher checks at least every 50 ms. After ten times that long without a check, the launcher itself
+/// was stopped or starved, and it does not know what happened in between.
+pub(super) const STOPPED: Duration = Duration::from_millis(500);
+
+/// A stage with its process.
+#[derive(Debug)]
+pub(super) struct Member {
+    pub(super) stage: StageId,
+    pub(super) program: Program,
+    pub(super) child: Child,
+    pub(super) supervision: Supervision,
+    pub(super) health: Health,
+    /// Number of the clean-up after its last death.
+    pub(super) ticket: u64,
+    /// Why the launcher killed the process, if it did.
+    pub(super) killed_for: Option<&'static str>,
+    /// The spare that waits to take over.
+    pub(super) spare: Option<Spare>,
+}
+
+impl Member {
+    /// Whether the process has ended because its work is done.
+    pub(super) fn is_done(&self, status: ExitStatus) -> bool {
+        status.success() && matches!(self.stage, StageId::Source | StageId::Recorder)
+    }
+
+    /// Records the start of the process. An external program does not report linking, so it counts as linked.
+    pub(super) fn has_started(&mut self) {
+        if self.program.command.is_some() {
+            self.supervision.linked();
+        }
+    }
+
+    /// Records the end of the process.
+    pub(super) fn bury(
+        &mut self,
+        status: ExitStatus,
+        is_restartable: bool,
+        now: Duration,
+    ) -> Result<Option<Event>, Failure> {
+        let end = match status.code() {
+            Some(0) if self.is_done(status) => End::Done,
+            Some(0) => End::Success,
+            Some(code) if code == Exit::Config as i32 => End::Config,
+            _ => End::Failure,
+        };
+        if end != End::Done && !is_restartable {
+            return Err(self.child.death(status).into());
+        }
+        let stage = self.stage;
+        match self.supervision.ended(end, now) {
+            State::Waiting { .. } => {
+                let how = match self.killed_for {
+                    Some(why) => why.to_owned(),
+                    None => self.child.death(status).how,
+                };
+                Ok(Some(Event::Died { stage, how, next: self.supervision.incarnation() + 1 }))
+            }
+            // The output depends on this stage, so the run ends.
+            State::GivenUp { why }
+                if matches!(stage, StageId::Source | StageId::Tracker | StageId::Sampler) =>
+            {
+                let mut death = self.child.death(status);
+                death.how += &format!(" and is given up: {why}");
+                Err(death.into())
+            }
+            State::GivenUp { why } => {
+                let StageDeath { how, .. } = self.child.death(status);
+                Ok(Some(Event::GivenUp { stage, how, why }))
+            }
+            State::Running { .. } | State::Done => Ok(None),
+        }
+    }
+
+    /// Kills a silent process before the pipeline is linked, after another one has died. It may wait forever
+    /// for files that the dead process left half made.
+    pub(super) fn free(&mut self, now: Duration) {
+        let sends_heartbeats = self.program.command.is_none();
+        if sends_heartbeats && self.supervision.is_stuck(now) && self.health.is_silent(now) {
+            self.killed_for.get_or_insert("was not linked within its start limit, and killed");
+            self.child.signal(Signal::KILL);
+        }
+    }
+
+    /// Checks a silent process. Kills it if it is stopped, hangs or missed its limit for linking; its end is
+    /// then handled like any other.
+    pub(super) fn examine(&mut self, now: Duration) -> Option<Event> {
+        let policy = *self.supervision.policy();
+        let finding = if self.supervision.is_overdue(now) {
+            self.killed_for = Some("was not linked within its start limit, and killed");
+            Finding::Hung
+        } else if self.health.is_silent(now) {
+            self.health.judge(look(self.child.pid())?, policy.hang_after, now)
+        } else {
+            Finding::Well
+        };
+        match finding {
+            Finding::Well => None,
+            Finding::Stopped | Finding::Hung if policy.restart == Restart::Never => None,
+            Finding::Stopped | Finding::Hung => {
+                let why = if finding == Finding::Stopped {
+                    "was stopped, and killed"
+                } else {
+                    "hung, and was killed"
+                };
+                self.killed_for.get_or_insert(why);
+                self.child.signal(Signal::KILL);
+                None
+            }
+            Finding::Starved => Some(Event::Starved { stage: self.stage }),
+        }
+    }
+
+    /// Adopts a warm process as the stage's own.
+    pub(super) fn take_place(&mut self, child: Child, now: Duration) {
+        self.child = child;
+        self.supervision.replaced(now);
+        self.health = Health::new(now);
+        self.killed_for = None;
+    }
+}
