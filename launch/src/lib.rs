@@ -21,7 +21,7 @@ mod differences;
 mod fail_if;
 pub mod failure;
 mod faults;
-mod files;
+pub mod files;
 mod fleet;
 #[cfg(test)]
 mod fuzz;

@@ -15,24 +15,14 @@ mod unroll;
 
 pub use base::BaseDecoder;
 pub use nn::StartError;
-use nn::{Deadline, DecoderGroup, ModelConfig, Precision, Weights, WeightsError, Workers};
+use nn::{Deadline, DecoderGroup, ModelConfig, Weights, WeightsError, Workers};
 pub use options::{Options, STAGE};
 use ports::Allowance;
 pub use step::{run, settings};
 use wire::{AGENT_TYPES, AGENTS_MAX, AgentControls, AgentEncoding, Header, Rejected};
 
+pub use unroll::DecoderOptions;
 use unroll::Unroller;
-
-/// Settings of a [`Decoder`].
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct DecoderOptions {
-    /// Number of threads that run the network, including the stage's own thread. Results do not depend on it.
-    pub workers: usize,
-    /// Seed of the draws from N(0, I).
-    pub seed: u64,
-    /// Precision of the recurrent layer.
-    pub precision: Precision,
-}
 
 /// The decoder: its workers and the order in which they decode the agents.
 pub struct Decoder {

@@ -3,13 +3,25 @@
 use std::ops::Range;
 use std::sync::Arc;
 
-use nn::{AgentDraws, Decoder, DecoderGroup, Encoded, Job, ModelConfig, Weights, Workers};
+use nn::{
+    AgentDraws, Decoder, DecoderGroup, Encoded, Job, ModelConfig, Precision, StartError, Weights, Workers,
+};
 use wire::{
     AGENT_TYPES, AGENTS_MAX, AgentControls, AgentEncoding, AgentType, LATENT, STATE_FEATURES, TEMPORAL,
 };
 
 use crate::draws::Stream;
-use crate::{DecoderOptions, StartError};
+
+/// Settings of a [`Decoder`].
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct DecoderOptions {
+    /// Number of threads that run the network, including the stage's own thread. Results do not depend on it.
+    pub workers: usize,
+    /// Seed of the draws from N(0, I).
+    pub seed: u64,
+    /// Precision of the recurrent layer.
+    pub precision: Precision,
+}
 
 /// The agents of a frame that are to be forecast, block by block.
 #[derive(Default)]

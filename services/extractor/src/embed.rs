@@ -3,12 +3,10 @@
 use std::ops::Range;
 use std::sync::Arc;
 
-use nn::{ContextCnn, ContextMemory, Job, MlpMemory, RelationMlp, StateMlp, Weights, Workers};
+use nn::{ContextCnn, ContextMemory, Job, MlpMemory, RelationMlp, StartError, StateMlp, Weights, Workers};
 use wire::{
     AgentType, CONTEXT_EMBEDDING, Context, EDGE_ATTRIBUTES, HISTORY_MAX, RELATION_FEATURES, STATE_FEATURES,
 };
-
-use crate::StartError;
 
 /// Patches in one CNN batch. The number fills whole register tiles on every instruction set.
 const PATCHES: usize = 12;

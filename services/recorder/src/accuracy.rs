@@ -9,6 +9,7 @@
 //! scene early would contribute only the easy first steps. Such forecasts are counted as uncovered.
 
 mod agents;
+mod forecast;
 mod truth;
 
 use std::collections::{BTreeMap, VecDeque};
@@ -19,6 +20,7 @@ use wire::{AGENT_TYPES, AgentType, Forecast, HORIZON_MAX, Header, MODES_MAX, Qua
 
 use crate::report::{Accuracy, Errors};
 use agents::Agents;
+use forecast::{Scored, Waiting, rounded};
 use truth::{GAP_MAX_NS, Paths};
 
 /// Largest distance between a forecast and the truth with which it is matched, if identities are missing.
@@ -33,71 +35,6 @@ const WAITING_MAX: usize = 256;
 const LEVELS: [f64; 2] = [0.5, 0.9];
 /// Largest number of forecasts per tick whose regions are scored, spread evenly over the agents.
 const REGIONS_MAX: usize = 8;
-/// Seed of the draws that determine the border of a region.
-const SEED: u64 = 1;
-
-/// The scored data of a forecast.
-#[derive(Clone, Copy, Debug)]
-struct Scored {
-    source_id: u64,
-    agent_type: u32,
-    quality: u32,
-    position_m: Point,
-    velocity_mps: Point,
-    modes_len: u32,
-    modes: [[Point; HORIZON_MAX]; MODES_MAX],
-    best: [Point; HORIZON_MAX],
-    probability: [f32; MODES_MAX],
-    mode_covariance_m2: [[[f32; 3]; HORIZON_MAX]; MODES_MAX],
-}
-
-impl From<&Forecast> for Scored {
-    fn from(forecast: &Forecast) -> Self {
-        Self {
-            source_id: forecast.source_id,
-            agent_type: forecast.agent_type,
-            quality: forecast.quality,
-            position_m: [forecast.x_m, forecast.y_m],
-            velocity_mps: [forecast.vx_mps, forecast.vy_mps],
-            modes_len: forecast.modes_len,
-            modes: forecast.modes,
-            best: forecast.best,
-            probability: forecast.probability,
-            mode_covariance_m2: forecast.mode_covariance,
-        }
-    }
-}
-
-impl Scored {
-    /// The level of the highest-density region at a step that has the position on its border.
-    fn level(&self, step: usize, position_m: Point, levels: &mut HighestDensity) -> f64 {
-        let len = (self.modes_len as usize).min(MODES_MAX);
-        let means_m = self.modes.map(|mode| mode[step]);
-        let covariances_m2 = self.mode_covariance_m2.map(|mode| mode[step]);
-        levels.level(&means_m[..len], &covariances_m2[..len], &self.probability[..len], position_m, SEED)
-    }
-}
-
-/// The forecasts of one tick.
-#[derive(Clone, Debug, Default)]
-struct Waiting {
-    seq: u64,
-    stamp_ns: i64,
-    step_ns: i64,
-    horizon_len: usize,
-    forecasts: Vec<Scored>,
-}
-
-impl Waiting {
-    const fn step_stamp_ns(&self, step: usize) -> i64 {
-        self.stamp_ns.saturating_add(self.step_ns.saturating_mul(step as i64 + 1))
-    }
-
-    /// Stamp of the last step.
-    const fn end_ns(&self) -> i64 {
-        self.stamp_ns.saturating_add(self.step_ns.saturating_mul(self.horizon_len as i64))
-    }
-}
 
 /// Scores forecasts against later truth. Its memory is bounded, even if truth is missing.
 #[derive(Clone, Debug)]
@@ -246,11 +183,6 @@ impl Group {
             held_90: rounded(held[1]),
         }
     }
-}
-
-/// Rounds errors to a tenth of a millimetre.
-fn rounded(value: Option<f64>) -> Option<f64> {
-    value.map(|v| (v * 1e4).round() / 1e4)
 }
 
 /// Sums of the errors so far.

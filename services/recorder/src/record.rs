@@ -2,6 +2,7 @@ mod checkpoint;
 mod recent;
 mod shed;
 mod verdict;
+mod window;
 
 use std::collections::BTreeMap;
 

@@ -1,9 +1,12 @@
 mod fit;
 mod gate;
 mod held;
+mod judgement;
 mod reports;
+mod resent;
 mod track;
 mod visibility;
+mod written;
 
 pub use fit::Fit;
 pub use gate::Verdict;

@@ -5,7 +5,6 @@ use filters::{OBSERVATIONS_MAX, Observation};
 use wire::{DETECTIONS_MAX, Header, flags};
 
 use crate::estimate::{Birth, Estimate};
-use crate::estimates::identities::Stray;
 use crate::forecasts::{Controls, Forecasts};
 use crate::observation::{Found, observation};
 use crate::occlusion::Occlusion;
@@ -303,4 +302,13 @@ impl Estimates {
         tracked.ended_len += before - self.all.len();
         tracked.held_len = self.all.len();
     }
+}
+
+/// A detection that may not belong to the estimate of its identity.
+#[derive(Clone, Copy, Debug)]
+pub struct Stray {
+    estimate: usize,
+    detection: usize,
+    /// The place, among the strays, of the estimate with which it has exchanged its identity.
+    exchanged: Option<usize>,
 }

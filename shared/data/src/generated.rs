@@ -25,7 +25,7 @@ pub use options::{OptionError, SceneOptions};
 use wire::{AGENT_TYPES, AgentType, Truth};
 
 use crate::{Frame, Recording};
-use sensor::Sensor;
+use sensor::{Agent, Sensor};
 use traffic::{Population, Traffic};
 
 /// Time between two frames of a generated scene.
@@ -35,20 +35,6 @@ const FRAME_INTERVAL_NS: u64 = wire::TICK_NS;
 const STEPS: u16 = 2;
 /// Frames that are simulated before the first returned one, so that traffic is at its steady level.
 const WARM_UP_FRAMES: u16 = 625;
-
-type Point = [f32; 2];
-
-/// The true state of an agent.
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct Agent {
-    id: u64,
-    agent_type: AgentType,
-    position_m: Point,
-    heading_rad: f32,
-    speed_mps: f32,
-    length_m: f32,
-    width_m: f32,
-}
 
 /// An endless scene that advances by one frame at a time.
 #[derive(Clone, Debug)]

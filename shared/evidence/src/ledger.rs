@@ -12,6 +12,7 @@ use std::collections::{HashMap, VecDeque, hash_map};
 use wire::{AGENT_TYPES, AGENTS_MAX, AgentType, EXPERTS_MAX, Expert, HORIZON_MAX, MODES_MAX, POSITION_MAX_M};
 
 use self::kept::Kept;
+pub use self::kept::Mixture;
 use self::knowledge::{Knowledge, OfType};
 use self::pending::Pending;
 use crate::blend::Outcome;
@@ -47,23 +48,6 @@ pub struct Agent {
     pub speed_mps: f32,
     /// Cosine and sine of its course.
     pub course: [f32; 2],
-}
-
-/// A published forecast as a mixture of Gaussians at the knots.
-#[derive(Clone, Copy, Debug)]
-pub struct Mixture<'a> {
-    /// Probability of each mode.
-    pub probability: &'a [f32],
-    /// Position of each mode and step, m.
-    pub modes_m: &'a [[[f32; 2]; HORIZON_MAX]; MODES_MAX],
-    /// Covariance of each mode and step as (xx, xy, yy), m².
-    pub covariances_m2: &'a [[[f32; 3]; HORIZON_MAX]; MODES_MAX],
-    /// Factors by which the mixture was widened, step by step.
-    pub widths: &'a [f32; HORIZON_MAX],
-    /// The network's modes, whether they were published or not, m.
-    pub network_m: &'a [[[f32; 2]; HORIZON_MAX]],
-    /// The fan, whether it was published or not.
-    pub fan: &'a Fan,
 }
 
 /// The last observation of an agent, and its pending forecasts.

@@ -5,6 +5,7 @@
 //! a step are therefore adjacent in memory, and softmax and sums run along the list. Nodes are rows \[step,
 //! agent\].
 
+mod graph;
 mod reach;
 mod temporal;
 mod topological;
@@ -13,24 +14,10 @@ use wire::{AGENTS_MAX, EDGE_ATTRIBUTES, Edge, NODE_ATTRIBUTES, TEMPORAL};
 
 use crate::buffer::Buffer;
 use crate::weights::{Weights, WeightsError};
+pub use graph::Graph;
 pub use reach::{AgentSet, with_senders};
 use temporal::{TemporalAttention, TemporalMemory};
 use topological::{Round, RoundMemory};
-
-/// A scene graph over several steps.
-#[derive(Clone, Copy, Debug)]
-pub struct Graph<'a> {
-    /// Agents, the same at all steps.
-    pub agents_len: usize,
-    /// Whether an agent has a state at a step, \[step, agent\].
-    pub present: &'a [bool],
-    /// Node attributes v, \[step, agent\]; rows of absent agents are ignored.
-    pub nodes: &'a [[f32; NODE_ATTRIBUTES]],
-    /// Edges between present agents, including each one's self edge, sorted by (step, receiver, sender).
-    pub edges: &'a [Edge],
-    /// Edge attributes e, in the order of `edges`.
-    pub attributes: &'a [[f32; EDGE_ATTRIBUTES]],
-}
 
 /// Intermediate results of a round of topological attention.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -253,33 +240,4 @@ fn keep_received(receivers: &AgentSet, edges: &mut Vec<Edge>, attributes: &mut V
     }
     edges.truncate(kept);
     attributes.truncate(kept);
-}
-
-impl Graph<'_> {
-    fn assert_fits(&self) {
-        assert_eq!(self.present.len(), self.nodes.len(), "presence of each node");
-        assert_eq!(self.edges.len(), self.attributes.len(), "attributes of each edge");
-        assert!(self.agents_len > 0 || self.nodes.is_empty(), "agents of the nodes");
-        assert!(self.agents_len == 0 || self.nodes.len().is_multiple_of(self.agents_len), "whole steps");
-        let known = |agent: u16| usize::from(agent) < self.agents_len;
-        let fits = |e: &Edge| {
-            known(e.receiver) && known(e.sender) && self.row(e.step, e.receiver) < self.nodes.len()
-        };
-        assert!(self.edges.iter().all(fits), "ends of each edge");
-    }
-
-    /// A node's row.
-    fn row(&self, step: u16, agent: u16) -> usize {
-        usize::from(step) * self.agents_len + usize::from(agent)
-    }
-
-    /// The rows of an edge's receiver and sender.
-    fn ends(&self, edge: &Edge) -> [usize; 2] {
-        [self.row(edge.step, edge.receiver), self.row(edge.step, edge.sender)]
-    }
-}
-
-/// f_act: LeakyReLU.
-fn leaky(slope: f32, x: f32) -> f32 {
-    if x > 0.0 { x } else { slope * x }
 }

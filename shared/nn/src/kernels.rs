@@ -29,7 +29,7 @@ pub mod peak;
 mod portable;
 pub mod product;
 
-pub use lanes::Lanes;
+pub use lanes::{Kernel, Lanes};
 pub use math::{exp, exp_in_place, sigmoid, sin_cos, tanh};
 
 /// An instruction set that the kernels are compiled for.
@@ -182,15 +182,6 @@ pub fn force(isa: Isa) -> Result<(), IsaError> {
     FORCED.store(isa as u8, Ordering::Relaxed);
     ACTIVE.store(isa as u8, Ordering::Relaxed);
     Ok(())
-}
-
-/// A computation that is compiled once per instruction set. `run` must be `#[inline(always)]`, so that its
-/// body is compiled in a function with the set's target features.
-pub trait Kernel {
-    /// The result.
-    type Output;
-    /// Runs the computation on `lanes`.
-    fn run<L: Lanes>(self, lanes: L) -> Self::Output;
 }
 
 /// Runs a kernel on the instruction set in use.

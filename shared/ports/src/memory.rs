@@ -15,7 +15,6 @@ mod maps;
 
 use std::ffi::c_void;
 use std::fs::File;
-use std::io::Read;
 use std::os::unix::fs::FileExt;
 
 use rustix::fs::SeekFrom;
@@ -171,12 +170,4 @@ fn lock_used() {
         left >> 10,
         limit >> 10
     );
-}
-
-/// The whole content of a file of /proc; empty if it can't be read.
-fn text_of(path: &str) -> String {
-    let mut text = String::new();
-    // A text with an odd path is discarded as a whole: then nothing is populated.
-    let _ = File::open(path).and_then(|mut file| file.read_to_string(&mut text));
-    text
 }

@@ -15,7 +15,6 @@ use crate::added::Added;
 use crate::limits::Limits;
 use crate::names::Names;
 use crate::nodes::{self, NodeNumber, NodeProcess, transport_config};
-use crate::publisher::Sender;
 use crate::space::{half_made_services, remove_half_made_services};
 use crate::{PortError, Stop};
 
@@ -48,6 +47,15 @@ pub(crate) mod event_id {
     pub const CREATED: usize = 1;
     pub const DROPPED: usize = 2;
     pub const DEAD: usize = 3;
+}
+
+/// The sender in the headers; zeros if it is not a stage.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Sender {
+    /// The stage's number.
+    pub stage: u32,
+    /// The stage's number of earlier starts.
+    pub incarnation: u32,
 }
 
 /// This process's place in a run's shared memory.

@@ -6,6 +6,7 @@ use bytemuck::{cast_slice, cast_slice_mut};
 use wire::{Header, Protection, Topic};
 
 use crate::PortError;
+use crate::node::Sender;
 use crate::points::{self, Point};
 use crate::transport::{Loaned, Writer};
 
@@ -18,15 +19,6 @@ pub struct Publisher<T: Topic> {
     topic: PhantomData<T>,
     /// Frames sent, for [`Protection::counter`].
     counter: Cell<u32>,
-}
-
-/// The sender in the headers; zeros if it is not a stage.
-#[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct Sender {
-    /// The stage's number.
-    pub stage: u32,
-    /// The stage's number of earlier starts.
-    pub incarnation: u32,
 }
 
 /// Space for one frame in shared memory, to be written and sent.

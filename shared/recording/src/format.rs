@@ -61,3 +61,12 @@ impl Body {
         out.extend(self.0);
     }
 }
+
+/// Prefix of the topic names of these channels.
+pub const BEFORE: &str = "before/";
+
+/// Encoding of frames.
+pub const WIRE: &str = "stgdat-wire";
+
+/// Encoding of events and log lines.
+pub const JSON: &str = "json";

@@ -49,6 +49,7 @@ mod event;
 pub mod flight;
 mod format;
 mod frame;
+mod message;
 mod reader;
 mod ring;
 mod sink;
@@ -65,7 +66,8 @@ pub use compare::{Comparison, Difference, FrameDifference, TopicComparison, comp
 pub use error::{ReadError, WriteError};
 pub use event::{Event, Happened, LogLine};
 pub use frame::{Frame, FrameError, lean, topic_number};
-pub use reader::{Ending, Message, Messages, Recording};
+pub use message::Message;
+pub use reader::{Ending, Messages, Recording};
 pub use ring::{Ring, RingLimits};
 pub use sink::{FileSink, Sink};
 pub use view::{View, ViewChannel};

@@ -1,6 +1,7 @@
 mod chunk;
 mod layout;
 mod messages;
+mod parts;
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -11,9 +12,9 @@ use mcap::records::{self, Record, op};
 use wire::{SCHEMA, TABLE};
 
 use self::layout::{Layout, Place};
-use self::messages::{Channel, Content, Part};
+use self::parts::{Channel, Content, Part, channels};
 use crate::format::{BEGIN, END, PREFIX};
-use crate::{About, Event, Frame, LogLine, ReadError};
+use crate::{About, ReadError};
 
 pub(crate) use chunk::{record, unpack};
 pub use messages::Messages;
@@ -66,31 +67,6 @@ pub enum Ending {
         /// Description of the content at that place.
         why: String,
     },
-}
-
-/// A message of a recording.
-#[derive(Clone, Debug, PartialEq)]
-pub enum Message {
-    /// A frame.
-    Frame(Frame),
-    /// A frame from before the file's start: its header, and only the bytes of its elements that a replay
-    /// needs.
-    Before(Frame),
-    /// An event of the run.
-    Event(Event),
-    /// A line of a stage's log.
-    Line(LogLine),
-}
-
-impl Message {
-    /// Time of receipt or of the event, on `CLOCK_MONOTONIC`.
-    pub const fn at_ns(&self) -> u64 {
-        match self {
-            Self::Frame(frame) | Self::Before(frame) => frame.received_ns(),
-            Self::Event(event) => event.at_ns,
-            Self::Line(line) => line.at_ns,
-        }
-    }
 }
 
 /// The state of a scan over the file's records.
@@ -286,7 +262,7 @@ impl Recording {
     /// The channels of a file that defines them only in its chunks and has no index.
     fn channels_in_chunks(&self) -> Vec<records::Channel> {
         let chunks = self.parts.iter().filter_map(|part| self.content(part).ok()?.ok());
-        chunks.flat_map(|bytes| messages::channels(&bytes)).collect()
+        chunks.flat_map(|bytes| channels(&bytes)).collect()
     }
 
     /// The records of a part.

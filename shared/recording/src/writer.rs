@@ -10,7 +10,7 @@ use serde::Serialize;
 use wire::{Header, TABLE, TopicEntry};
 
 use crate::before::kept_bytes;
-use crate::format::{BEGIN, Body, END, PREFIX};
+use crate::format::{BEFORE, BEGIN, Body, END, JSON, PREFIX, WIRE};
 use crate::sink::FileSink;
 use crate::{About, EVENTS, Event, Frame, Happened, LOG, LogLine, Message, Sink, View, WriteError};
 
@@ -29,16 +29,10 @@ const TOPIC_CHANNELS: u16 = 1;
 const BEFORE_CHANNELS: u16 = 50;
 /// Profile of a file without a view.
 const PROFILE: &str = "stgdat";
-/// Prefix of the topic names of these channels.
-pub(crate) const BEFORE: &str = "before/";
 const EVENT_CHANNEL: u16 = 100;
 const LOG_CHANNEL: u16 = 101;
 /// Number of the first channel and of the first schema of a view.
 const VIEW_CHANNELS: u16 = 200;
-/// Encoding of frames.
-pub(crate) const WIRE: &str = "stgdat-wire";
-/// Encoding of events and log lines.
-pub(crate) const JSON: &str = "json";
 /// Compression of chunks.
 const LZ4: &str = "lz4";
 /// Messages that are missing in the file, by topic.

@@ -109,10 +109,11 @@ pub use limits::{
     RELATION_FEATURES, SCHEMA, SHED_WORDS, SPEED_MAX_MPS, STATE_EMBEDDING, STATE_FEATURES, TEMPORAL,
 };
 pub use origin::{UnknownWorldOrigin, WorldOrigin};
-pub use protection::{RefusalCause, Refusals, crc64, data_id};
+pub use protection::{crc64, data_id};
 pub use records::{
     AgentControls, AgentEncoding, AgentFeatures, Cause, ControlGaussian, Detection, Expert, Forecast,
-    Heartbeat, HistoryState, Quality, Steering, Track, TrackStatus, Truth, detection_flags,
+    Heartbeat, HistoryState, Quality, RefusalCause, Refusals, Steering, Track, TrackStatus, Truth,
+    detection_flags,
 };
 pub use stage::StageId;
 pub use table::{

@@ -4,47 +4,7 @@
 use bytemuck::{bytes_of, cast_slice};
 use crc_fast::{CrcAlgorithm, Digest};
 
-use crate::declare::{numbers, record};
-use crate::{Header, Protection, Rejected, Topic};
-
-numbers! {
-    /// Why frames were refused, as heartbeats and reports count it.
-    pub enum RefusalCause {
-        /// Another schema.
-        Schema = 1 => "schema",
-        /// A frame of another run.
-        ForeignRun = 2 => "foreign run",
-        /// A frame of a process that has been replaced.
-        OldIncarnation = 3 => "old incarnation",
-        /// Sizes that exceed their limits, or that do not match each other or the model.
-        Size = 4 => "size",
-        /// A number that is not finite or is impossible.
-        Value = 5 => "value",
-        /// Stamps or elements out of order, or repeated.
-        Order = 6 => "order",
-        /// A check value that does not match header and payload.
-        CheckValue = 7 => "check value",
-        /// No check value, although pipeline.toml requires one.
-        Unprotected = 8 => "unprotected",
-        /// A repeated frame, or one that a newer frame has overtaken.
-        Repeated = 9 => "repeated",
-        /// Content that does not change while its stamps advance.
-        Frozen = 10 => "frozen",
-    }
-}
-
-record! {
-    /// Frames of one sender that one reader has refused for one cause.
-    #[derive(Eq)]
-    pub struct Refusals: 8 bytes {
-        /// The [`StageId`](crate::StageId) of the frames' sender as a number; 0 if the sender is not a stage.
-        0 => sender: u16,
-        /// The [`RefusalCause`] as a number; 0 if the entry is free.
-        2 => cause: u16,
-        /// Number of frames.
-        4 => frames_len: u32,
-    }
-}
+use crate::{Header, Protection, RefusalCause, Rejected, Topic};
 
 /// The number of a topic in [`Protection::data_id`]: FNV-1a of its name, in 32 bits.
 #[must_use]
@@ -143,28 +103,6 @@ impl Rejected {
     }
 }
 
-impl Refusals {
-    /// Counts frames of `sender` that were refused for `cause`. If all entries are taken by others, the
-    /// frames are only part of the reader's total.
-    pub fn count(entries: &mut [Self], sender: u32, cause: RefusalCause, frames_len: u32) {
-        let (sender, cause) = (sender.min(u32::from(u16::MAX)) as u16, cause as u16);
-        let of_both = |entry: &&mut Self| entry.cause == 0 || (entry.sender, entry.cause) == (sender, cause);
-        if let Some(entry) = entries.iter_mut().find(of_both) {
-            let frames_len = entry.frames_len.saturating_add(frames_len);
-            *entry = Self { sender, cause, frames_len };
-        }
-    }
-
-    /// Adds the counts of `others`.
-    pub fn add(entries: &mut [Self], others: &[Self]) {
-        for other in others {
-            if let Some(cause) = RefusalCause::from_number(u32::from(other.cause)) {
-                Self::count(entries, u32::from(other.sender), cause, other.frames_len);
-            }
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -212,21 +150,6 @@ mod tests {
         assert_eq!(counter(7).check_counter(7), Err(Rejected::Repeated { counter: 7, newest: 7 }));
         assert!(counter(u32::MAX).check_counter(3).is_err());
         assert_eq!(counter(0).check_counter(17), Ok(()), "a sender that began anew");
-    }
-
-    #[test]
-    fn refusals_add_up_by_sender_and_cause_and_overflow_quietly() {
-        let mut entries = [Refusals::default(); 2];
-        Refusals::count(&mut entries, 3, RefusalCause::Value, 1);
-        Refusals::count(&mut entries, 3, RefusalCause::Value, 2);
-        Refusals::count(&mut entries, 4, RefusalCause::Value, 1);
-        Refusals::count(&mut entries, 5, RefusalCause::Value, 1);
-        let of = |sender, frames_len| Refusals { sender, cause: RefusalCause::Value as u16, frames_len };
-        assert_eq!(entries, [of(3, 3), of(4, 1)]);
-        let mut sum = [Refusals::default(); 8];
-        Refusals::add(&mut sum, &entries);
-        Refusals::add(&mut sum, &entries);
-        assert_eq!(sum[..3], [of(3, 6), of(4, 2), Refusals::default()]);
     }
 
     /// A xorshift generator: the state and its next number.

@@ -24,6 +24,7 @@ mod cell;
 mod error;
 mod gaps;
 mod gaussian;
+mod options;
 mod patterns;
 mod play;
 mod region_of_steady;
@@ -34,37 +35,13 @@ mod source;
 pub use against::{AgainstReport, AgainstRow, against_bag};
 pub use error::DrivingError;
 pub use gaps::{GapReport, through_gaps};
+pub use options::Options;
 pub use report::Report;
 pub use sample::{Errors, METHODS, Method, Sample};
 pub use source::{Source, sources};
 
-use std::path::PathBuf;
-
 use evaluator::threads;
-use evidence::Prior;
 use nn::Weights;
-
-/// The options of an evaluation.
-#[derive(Clone, Debug)]
-pub struct Options {
-    /// Folder that contains one folder of recordings per source.
-    pub folder: PathBuf,
-    /// Names of the sources; all sources if empty.
-    pub sources: Vec<String>,
-    /// Weights; `None` uses the embedded weights.
-    pub weights: Option<PathBuf>,
-    /// Precision of the decoder.
-    pub precision: nn::Precision,
-    /// Whether the network reads the online map.
-    pub map: bool,
-    /// Whether the sampler uses evidence from matured forecasts.
-    pub evidence: bool,
-    /// Whether a source begins with a prior from the other sources. If not, it begins without a prior, so its
-    /// evidence is independent of them.
-    pub priors: bool,
-    /// Threads that share the work; results do not depend on their number.
-    pub threads: usize,
-}
 
 /// Plays all sources. Calls `progress` with each source's name before it is read and before it is played.
 ///
@@ -93,6 +70,3 @@ fn model_of(options: &Options) -> Result<Weights, DrivingError> {
     let Some(path) = &options.weights else { return Ok(Weights::onboard()) };
     Weights::open(path).map_err(|source| DrivingError::Weights { path: path.clone(), source })
 }
-
-/// The evidence of a source, as a prior for others.
-pub(crate) type Learned = Option<Prior>;

@@ -12,9 +12,13 @@ use scene::AgentType;
 use source::{Playback, PlaybackOptions};
 use wire::{Forecast, MODES_MAX};
 
+use crate::error::DrivingError;
+use crate::options::Options;
 use crate::sample::{Judge, Sample};
 use crate::source::Source;
-use crate::{DrivingError, Learned, Options};
+
+/// The evidence of a source, as a prior for others.
+pub(crate) type Learned = Option<Prior>;
 
 /// Time between two forecasts of an agent that count.
 const EVERY_NS: i64 = 400_000_000;

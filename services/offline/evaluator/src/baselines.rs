@@ -7,7 +7,7 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use scene::AgentType;
 
-use crate::forecaster::{Forecast, Variants};
+use crate::forecast::{Forecast, Variants};
 use crate::{Agent, Cut, Method, Scene};
 
 /// Maximum number of agents per type that anchors are fitted to, spread evenly over the training part.

@@ -10,7 +10,8 @@ use retrieval::RetrievalMemory;
 use scene::AgentType;
 
 use crate::baselines::{Baselines, Candidate};
-use crate::forecaster::{Decoded, Forecast, Samplers, Session, TOGETHER, Variants};
+use crate::forecast::{Forecast, Variants};
+use crate::forecaster::{Decoded, Samplers, Session, TOGETHER};
 use crate::maps::MapInput;
 use crate::{Agent, Forecaster, Method, Scene, Tally, threads};
 

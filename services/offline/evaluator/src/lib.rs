@@ -12,6 +12,7 @@
 
 mod baselines;
 mod error;
+mod forecast;
 mod forecaster;
 mod group;
 mod judge;
@@ -28,7 +29,8 @@ mod weights;
 
 pub use baselines::{ANCHOR_AGENTS, Baselines};
 pub use error::EvaluateError;
-pub use forecaster::{Forecast, Forecaster, Variants};
+pub use forecast::{Forecast, Variants};
+pub use forecaster::Forecaster;
 pub use group::{Contrast, Group, RESAMPLES};
 pub use judge::{Block, Judge, MOVING_MPS, Subset};
 pub use maps::{MapInput, site_map};

@@ -6,29 +6,28 @@
 //! plus anchors is a forecaster with modes (B\*), and the network starts from it.
 
 mod fit;
+mod fitness;
+mod tables;
 mod targets;
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use nn::{ModelConfig, base as binning, base::BaseFeatures, base::Support};
+use nn::{ModelConfig, base as binning};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
-use scene::{AgentFrame, AgentType, FeatureScales, State, state_features};
+use scene::{AgentFrame, AgentType, State};
 use wire::AGENT_TYPES;
 
 use crate::TrainError;
-use crate::card::Fitness;
 use crate::net::layout::TYPE_NAMES;
 use crate::net::tensors::{TensorRole, Tensors};
 use crate::samples::Agent;
 pub(crate) use fit::Augmentation;
 use fit::Sample;
+pub use fitness::Fitness;
+use tables::{EVERYWHERE, TypeBase, describe};
 
-type Features = [f32; binning::FEATURES];
-
-/// Bounds that contain every value of a feature, also in half precision.
-const EVERYWHERE: [f32; 2] = [-65504.0, 65504.0];
 /// Maximum number of agents per type in the fit, spread evenly.
 pub(crate) const FITTED_MAX: usize = 60_000;
 
@@ -37,17 +36,6 @@ pub(crate) const FITTED_MAX: usize = 60_000;
 pub(crate) struct BaseControl {
     config: ModelConfig,
     types: Vec<TypeBase>,
-}
-
-#[derive(Clone, Debug)]
-struct TypeBase {
-    speed_cuts_mps: [f32; binning::SPEED_BINS - 1],
-    /// `[classes, speed bins, features, controls]`.
-    ridge: Vec<f32>,
-    /// `[bins, modes + 1, controls]`; the last of each bin is zero, for the single best forecast.
-    anchors: Vec<f32>,
-    /// `[classes, features]`: lower and upper bounds; `None` if the model has none.
-    support: Option<Vec<[f32; 2]>>,
 }
 
 /// Base control of one agent.
@@ -215,61 +203,4 @@ fn samples(
         samples.extend(Sample::of_every_class(&agent?, config, cuts_mps, augmentation, random));
     }
     Ok(samples)
-}
-
-/// An agent's bins in the tables.
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct Bins {
-    class: usize,
-    speed_bin: usize,
-    bin: usize,
-}
-
-fn describe(
-    history: &[Option<State>],
-    frame: &AgentFrame,
-    cuts_mps: &[f32],
-    config: &ModelConfig,
-) -> (Features, Bins) {
-    let scales = FeatureScales { position: config.position_scale, velocity: config.velocity_scale };
-    let states: Vec<[f32; 6]> = history
-        .iter()
-        .map(|state| state.map_or([0.0; 6], |state| state_features(frame, &state, scales)))
-        .collect();
-    let features = BaseFeatures::new(&states, |step| history[step].is_some(), config);
-    let bins = Bins {
-        class: features.class,
-        speed_bin: features.speed_bin(cuts_mps),
-        bin: features.anchor_bin(cuts_mps),
-    };
-    (features.values, bins)
-}
-
-impl TypeBase {
-    fn zero(config: &ModelConfig, agent_type: AgentType) -> Self {
-        let control_count = 2 * config.horizon_len;
-        Self {
-            speed_cuts_mps: metrics::speed_cuts_mps(agent_type),
-            ridge: vec![0.0; binning::CLASSES * binning::SPEED_BINS * binning::FEATURES * control_count],
-            anchors: vec![0.0; binning::BINS * (config.modes + 1) * control_count],
-            support: config.base_support.then(|| vec![EVERYWHERE; binning::CLASSES * binning::FEATURES]),
-        }
-    }
-
-    /// The features clamped to the support, and their distance outside of it.
-    fn supported(&self, features: &Features, bins: Bins) -> (Features, f32) {
-        self.support.as_ref().map_or((*features, 0.0), |support| {
-            Support::new(&support[bins.class * binning::FEATURES..]).clamp(features)
-        })
-    }
-
-    fn ridge(&self, features: &Features, bins: Bins, control_count: usize) -> Vec<f32> {
-        let per_bin = binning::FEATURES * control_count;
-        let table = &self.ridge[(bins.class * binning::SPEED_BINS + bins.speed_bin) * per_bin..][..per_bin];
-        let mut controls = vec![0.0; control_count];
-        for (feature, row) in features.iter().zip(table.chunks_exact(control_count)) {
-            controls.iter_mut().zip(row).for_each(|(control, weight)| *control += feature * weight);
-        }
-        controls
-    }
 }

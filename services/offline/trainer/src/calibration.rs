@@ -14,8 +14,9 @@ use nn::ModelConfig;
 use scene::AgentType;
 
 use crate::TrainError;
+use crate::agent_view::SceneView;
 use crate::base::BaseControl;
-use crate::batch::{Batch, BatchOptions, SceneView};
+use crate::batch::{Batch, BatchOptions};
 use crate::net::context::Normalisation;
 use crate::net::dense;
 use crate::net::graph::encode;

@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, HashMap};
 use std::path::PathBuf;
 
 use crate::TrainError;
+use crate::base::Fitness;
 use crate::checkpoint::RunProgress;
 use crate::machine;
 use crate::net::file::Precision;
@@ -11,7 +12,7 @@ use crate::net::tensors::Tensors;
 use crate::options::TrainOptions;
 use crate::options::set_named;
 use crate::samples::Source;
-use crate::validate::{BASELINE_MIN_M, SetScore, rounded};
+use crate::score::{BASELINE_MIN_M, SetScore, rounded};
 
 /// Provenance and figures of a set of weights.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -54,31 +55,6 @@ pub struct ModelCard {
     /// in this range. Absent if the model has no support.
     #[serde(default)]
     pub fitness: BTreeMap<String, Fitness>,
-}
-
-/// Range of motion of nearly all training windows of a type.
-#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
-pub struct Fitness {
-    /// Largest speed.
-    pub speed_max_mps: f64,
-    /// Strongest braking (negative) and acceleration along the course.
-    pub accel_mps2: [f64; 2],
-    /// Largest acceleration across the course.
-    pub lateral_accel_max_mps2: f64,
-}
-
-impl Fitness {
-    /// The range of motion within the bounds of the base control's features.
-    #[must_use]
-    pub(crate) fn within(bounds: &[[f32; 2]]) -> Self {
-        use nn::base::{ACCELERATION, LATERAL_ACCELERATION, SPEED_SQUARED};
-        let value = |x: f32| rounded(f64::from(x));
-        Self {
-            speed_max_mps: value(bounds[SPEED_SQUARED][1].max(0.0).sqrt()),
-            accel_mps2: bounds[ACCELERATION].map(value),
-            lateral_accel_max_mps2: value(bounds[LATERAL_ACCELERATION][1]),
-        }
-    }
 }
 
 /// The licences of data sets, by name. A set with several sources has those of the sources with recordings.
@@ -225,7 +201,7 @@ impl ModelCard {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::validate::Errors;
+    use crate::score::Errors;
 
     #[test]
     fn even_motion_gives_no_boundless_gain() {

@@ -12,7 +12,7 @@ use crate::net::layout::layout;
 use crate::net::tensors::{TensorRole, Tensors};
 use crate::optimiser::{Adam, Moments};
 use crate::options::TrainOptions;
-use crate::validate::SetScore;
+use crate::score::SetScore;
 
 /// Name of the file in the checkpoint folder.
 const FILE: &str = "checkpoint.safetensors";

@@ -20,6 +20,7 @@
 //!
 //! One seed determines all random numbers: a run on one machine repeats to the bit.
 
+mod agent_view;
 mod base;
 mod batch;
 mod calibration;
@@ -38,6 +39,7 @@ mod progress;
 mod recipes;
 mod rollout;
 mod samples;
+mod score;
 mod spool;
 #[cfg(test)]
 mod tests;
@@ -54,5 +56,5 @@ pub use own::{begin_with_onboard, own};
 pub use presets::PRESETS;
 pub use recipes::{RECIPES, recipe};
 pub use samples::Source;
+pub use score::{Errors, SetScore};
 pub use train::{Summary, train};
-pub use validate::{Errors, SetScore};

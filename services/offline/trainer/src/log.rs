@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::TrainError;
 use crate::objective::{LossParts, Objective};
-use crate::validate::SetScore;
+use crate::score::SetScore;
 
 /// Name of the file in the checkpoint folder.
 const FILE: &str = "log.jsonl";

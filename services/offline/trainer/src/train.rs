@@ -13,8 +13,9 @@ use nn::{Latents, ModelConfig};
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
+use crate::agent_view::SceneView;
 use crate::base::{Augmentation, BaseControl, FITTED_MAX};
-use crate::batch::{Batch, BatchOptions, SceneView};
+use crate::batch::{Batch, BatchOptions};
 use crate::calibration::Calibration;
 use crate::card::{ModelCard, Seen};
 use crate::checkpoint::{RunState, write_whole};
@@ -26,8 +27,9 @@ use crate::objective::{Differentiated, LossParts, Objective, differentiate};
 use crate::options::{TrainOptions, set_named};
 use crate::progress::Progress;
 use crate::samples::{MapKind, MapView, Samples, Scene, Selection, SetSamples, Source};
+use crate::score::{SetScore, choose_by};
 use crate::spool::Spooling;
-use crate::validate::{Baselines, SetScore, Validation, choose_by};
+use crate::validate::{Baselines, Validation};
 use crate::view::Clip;
 use crate::{TrainError, own};
 
@@ -490,7 +492,7 @@ fn weighted(weights: &[f64], random: &mut impl Rng) -> usize {
 /// The figures of a validation, one line per set.
 fn table(scores: &[SetScore]) -> String {
     let line = |score: &SetScore| {
-        let cell = |errors: crate::validate::Errors| format!("{:.3}/{:.3}", errors.ade_m, errors.fde_m);
+        let cell = |errors: crate::score::Errors| format!("{:.3}/{:.3}", errors.ade_m, errors.fde_m);
         format!(
             "  {:<14} {:>6} agents  best of modes {} (base {}, anchors {})  single {} (base {}, CV {})",
             score.set,

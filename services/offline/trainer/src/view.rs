@@ -10,7 +10,7 @@ use rand::{Rng, RngExt};
 use rand_distr::{Distribution, StandardNormal};
 use scene::{State, agent_frame};
 
-use crate::batch::{AgentView, SceneView};
+use crate::agent_view::{AgentView, SceneView};
 use crate::options::TrainOptions;
 use crate::samples::{Agent, MapView, Scene};
 

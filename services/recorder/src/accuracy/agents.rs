@@ -4,7 +4,7 @@ use metrics::{Displacement, DisplacementMean};
 use serde::{Deserialize, Serialize};
 use wire::AgentType;
 
-use super::{Scored, Waiting, rounded};
+use super::forecast::{Scored, Waiting, rounded};
 use crate::report::{AgentErrors, WorstForecast};
 
 /// Largest number of agents whose errors are kept: the first ones. Up to the same number of further agents is

@@ -3,8 +3,6 @@
 use filters::{Motion, wrapped};
 use kinematics::hypot;
 
-use crate::estimate::Estimate;
-
 /// Time constant of the mean turn rate.
 const TURN_S: f64 = 3.0;
 /// Courses of slower agents are meaningless.
@@ -23,7 +21,7 @@ pub(super) struct Held {
     from: Motion,
     from_ns: i64,
     turn_radps: f64,
-    is_held: bool,
+    pub is_held: bool,
 }
 
 impl Held {
@@ -68,12 +66,5 @@ impl Held {
             slip_rad: from.slip_rad,
             ..now
         }
-    }
-}
-
-impl Estimate {
-    /// Holds the mean turn until the next measurement, because the detection was sent again.
-    pub const fn hold_turn(&mut self) {
-        self.held.is_held = true;
     }
 }

@@ -6,14 +6,11 @@
 
 use wire::{AgentType, Detection};
 
-use crate::estimate::Estimate;
 use crate::observation::Found;
 
 /// Without a new report for this time or the detector's own period, a repetition counts as a measurement: the
 /// agent rests.
 const HOLD_MAX_NS: u64 = 350_000_000;
-/// Slower agents may be measured at the same position again.
-const MOVING_MIN_MPS: f64 = 0.3;
 /// Share of the detector's period after which the next measurement may be due.
 const PERIOD_SHARE: f64 = 0.9;
 /// Speed and braking, by type. A faster agent cannot have stopped since the previous detection.
@@ -56,7 +53,7 @@ impl Reported {
 pub struct Reports {
     pub last: Reported,
     /// Own time of the first detection with this report.
-    fresh_ns: i64,
+    pub fresh_ns: i64,
     /// Time from the previous report to this one; 0 if there was none.
     period_ns: u64,
     /// Whether all reports had the same position.
@@ -81,13 +78,13 @@ impl Reports {
     }
 
     /// Whether the detector's next measurement is not due yet.
-    fn is_early(&self, age_ns: u64) -> bool {
+    pub fn is_early(&self, age_ns: u64) -> bool {
         (age_ns as f64) < PERIOD_SHARE * self.period_ns as f64
     }
 
     /// Whether a detection with the same report is only resent. `speed_mps` is the agent's speed, if it is
     /// known.
-    fn is_resent(&self, own_ns: i64, agent_type: AgentType, speed_mps: Option<f64>) -> bool {
+    pub fn is_resent(&self, own_ns: i64, agent_type: AgentType, speed_mps: Option<f64>) -> bool {
         let age_ns = own_ns.saturating_sub(self.fresh_ns).max(0).unsigned_abs();
         if age_ns > HOLD_MAX_NS.max(self.period_ns) {
             return false;
@@ -96,42 +93,5 @@ impl Reports {
         let (least_mps, braking_mps2) = STOPPING[agent_type.index()];
         let since_ns = if self.period_ns > 0 { self.period_ns } else { age_ns };
         self.is_early(age_ns) || speed_mps > least_mps + braking_mps2 * since_ns as f64 / 1e9
-    }
-}
-
-impl Estimate {
-    /// Whether a detection repeats the last one although the agent moves.
-    #[must_use]
-    pub fn is_resent(&self, found: &Found<'_>) -> bool {
-        if Reported::new(found.detection) != self.reports.last {
-            return false;
-        }
-        let own_mps = self.has_velocity.then(|| self.belief.motion().speed_mps.abs());
-        let speed_mps = match (own_mps, found.speed_mps()) {
-            (Some(own_mps), Some(reported_mps)) => Some(own_mps.max(reported_mps)),
-            (own_mps, reported_mps) => own_mps.or(reported_mps),
-        };
-        self.reports.is_resent(found.own_ns, self.class.current(), speed_mps)
-    }
-
-    /// The bits of the last reported position, if the agent may move or its next measurement is not due yet.
-    #[must_use]
-    pub fn resent_from(&self) -> Option<[u32; 2]> {
-        let age_ns = self.stamp_ns.saturating_sub(self.reports.fresh_ns).max(0).unsigned_abs();
-        let early = self.reports.is_early(age_ns).then(|| self.reports.last.place());
-        early.or_else(|| self.moving_from())
-    }
-
-    /// The bits of the last reported position, if the agent may move.
-    #[must_use]
-    pub fn moving_from(&self) -> Option<[u32; 2]> {
-        let is_moving = !self.has_velocity || self.belief.motion().speed_mps.abs() > MOVING_MIN_MPS;
-        is_moving.then(|| self.reports.last.place())
-    }
-
-    /// The bits of the agent's only position, if all its detections have the same one.
-    #[must_use]
-    pub fn standing_at(&self) -> Option<[u32; 2]> {
-        self.reports.stands.then(|| self.reports.last.place())
     }
 }

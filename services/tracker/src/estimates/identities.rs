@@ -3,22 +3,13 @@
 use wire::{Detection, Header};
 
 use crate::estimate::{Birth, Estimate, Verdict};
-use crate::estimates::{Estimates, Scratch};
+use crate::estimates::{Estimates, Scratch, Stray};
 use crate::observation::{Found, observation};
 use crate::options::TrackerOptions;
 use crate::placeholders::is_marked;
 use crate::publication::Publications;
 use crate::scan::Scan;
 use crate::tracked::Tracked;
-
-/// A detection that may not belong to the estimate of its identity.
-#[derive(Clone, Copy, Debug)]
-pub struct Stray {
-    estimate: usize,
-    detection: usize,
-    /// The place, among the strays, of the estimate with which it has exchanged its identity.
-    exchanged: Option<usize>,
-}
 
 /// Twice the log-likelihood ratio (of 1000) from which two identities count as exchanged.
 const EXCHANGE_EVIDENCE: f64 = 13.8;

@@ -7,8 +7,7 @@
 
 use std::ops::Range;
 
-use super::Point;
-use super::path::{Path, curve};
+use super::path::{Path, Point, curve};
 
 /// Distance from the centre at which agents enter and leave.
 pub(super) const ARM_M: f32 = 80.0;

@@ -2,7 +2,7 @@
 
 use kinematics::wrap_angle;
 
-use super::Point;
+pub(super) type Point = [f32; 2];
 
 /// Distance between two samples of a path.
 const STEP_M: f32 = 0.5;

@@ -3,8 +3,8 @@
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
-use super::Point;
 use super::layout::{ARM_M, CROSSING_M, KERB_M, to_world};
+use super::path::Point;
 use super::road_user::drawn;
 
 /// Radius of a body.

@@ -6,7 +6,20 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, Poisson, StandardNormal};
 use wire::{AGENT_TYPES, AgentType, DETECTIONS_MAX, Detection, detection_flags};
 
-use super::{Agent, SceneOptions};
+use super::options::SceneOptions;
+use super::path::Point;
+
+/// The true state of an agent.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Agent {
+    pub(super) id: u64,
+    pub(super) agent_type: AgentType,
+    pub(super) position_m: Point,
+    pub(super) heading_rad: f32,
+    pub(super) speed_mps: f32,
+    pub(super) length_m: f32,
+    pub(super) width_m: f32,
+}
 
 /// Clutter appears within this square around the centre.
 const CLUTTER_WITHIN_M: f32 = 40.0;

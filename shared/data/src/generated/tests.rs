@@ -1,5 +1,6 @@
 use std::collections::BTreeMap;
 
+use super::path::Point;
 use super::*;
 
 /// Frames in ten simulated minutes.

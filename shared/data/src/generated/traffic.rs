@@ -4,9 +4,8 @@ use rand::RngExt;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
-use super::Point;
 use super::layout::{Kind, Layout, Turn};
-use super::path::Pose;
+use super::path::{Point, Pose};
 use super::pedestrian::{BODY_M, Pedestrian};
 use super::right_of_way::{among_users_mps2, take_turns};
 use super::road_user::{BRAKING_MAX_MPS2, RoadUser};

@@ -5,9 +5,8 @@
 //! about to reach it. Pedestrians at the kerb let a driver pass that has waited long, so an endless stream of
 //! pedestrians can't block the road.
 
-use super::Point;
 use super::layout::{Layout, Passage, to_arm};
-use super::path::Pose;
+use super::path::{Point, Pose};
 use super::pedestrian::{BODY_M, Pedestrian};
 use super::road_user::RoadUser;
 

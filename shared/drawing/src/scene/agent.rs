@@ -10,7 +10,7 @@ use crate::colour::{BLUE, Colour, GREEN, GREY, INK, ORANGE, PALE, PURPLE, SKY, V
 use crate::contour::{Place, simplified};
 use crate::mask::{Mask, Outline};
 use crate::path::Path;
-use crate::scene::AgentDrawing;
+use crate::scene::content::AgentDrawing;
 use crate::view::View;
 
 /// The look of each line. The legend uses the same looks.

@@ -4,7 +4,7 @@ use metrics::Point;
 
 use wire::tick_view::ForecastView;
 
-use super::{AgentDrawing, SceneDrawing, SceneOptions};
+use super::content::{AgentDrawing, SceneDrawing, SceneOptions};
 use crate::error::{PictureError, within};
 
 /// Maximum numbers of agents in a panel, modes of an agent and steps of a trajectory.

@@ -3,7 +3,7 @@
 use wire::Quality;
 
 use super::agent::{BEST, HINDSIGHT, HISTORY, LIKELIEST, MODE, OTHER, REGION_OPACITY, TRUTH, quality_colour};
-use super::{AgentDrawing, LABEL_SIZE, SceneDrawing, SceneOptions};
+use super::content::{AgentDrawing, LABEL_SIZE, SceneDrawing, SceneOptions};
 use crate::canvas::{Align, Canvas, Frame, Stroke, Type};
 use crate::colour::{Colour, GREEN, GREY, INK, WHITE};
 use crate::ground::{self, LANE};

@@ -4,7 +4,7 @@ use metrics::Point;
 use scene::{AgentType, ContextMap};
 
 use super::agent::{REGION_OPACITY, Sketch};
-use super::{LABEL_SIZE, SceneOptions};
+use super::content::{LABEL_SIZE, SceneOptions};
 use crate::canvas::{Align, Canvas, Frame, Stroke, Type};
 use crate::colour::{GREY, INK, WHITE};
 use crate::ground;

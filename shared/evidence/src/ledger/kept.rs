@@ -1,11 +1,27 @@
 //! Mixtures of Gaussians that are stored until their forecasts mature.
 
-use wire::MODES_MAX;
+use wire::{HORIZON_MAX, MODES_MAX};
 
-use super::Mixture;
 use crate::due::Due;
 use crate::fan::MIDDLES;
-use crate::{Context, KNOTS, OUTLIER};
+use crate::{Context, Fan, KNOTS, OUTLIER};
+
+/// A published forecast as a mixture of Gaussians at the knots.
+#[derive(Clone, Copy, Debug)]
+pub struct Mixture<'a> {
+    /// Probability of each mode.
+    pub probability: &'a [f32],
+    /// Position of each mode and step, m.
+    pub modes_m: &'a [[[f32; 2]; HORIZON_MAX]; MODES_MAX],
+    /// Covariance of each mode and step as (xx, xy, yy), m².
+    pub covariances_m2: &'a [[[f32; 3]; HORIZON_MAX]; MODES_MAX],
+    /// Factors by which the mixture was widened, step by step.
+    pub widths: &'a [f32; HORIZON_MAX],
+    /// The network's modes, whether they were published or not, m.
+    pub network_m: &'a [[[f32; 2]; HORIZON_MAX]],
+    /// The fan, whether it was published or not.
+    pub fan: &'a Fan,
+}
 
 /// A stored mixture.
 #[derive(Clone, Debug)]

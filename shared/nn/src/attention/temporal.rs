@@ -1,6 +1,6 @@
 use wire::{NODE_ATTRIBUTES, TEMPORAL};
 
-use super::leaky;
+use super::graph::leaky;
 use crate::buffer::Buffer;
 use crate::kernels::exp_in_place;
 use crate::linear::{Activation, Linear};

@@ -2,16 +2,14 @@ mod edges;
 
 use wire::{EDGE_ATTRIBUTES, NODE_ATTRIBUTES};
 
-use super::{Graph, leaky};
+use super::graph::{Graph, leaky};
 use crate::buffer::Buffer;
 use crate::kernels::{dispatch, exp_in_place};
 use crate::linear::{Activation, Linear};
 use crate::weights::{Weights, WeightsError};
 use crate::{Attention, ModelConfig};
-use edges::{Gather, Score, Sum, SumWithEdges};
+use edges::{Gather, Score, Sum, SumWithEdges, UPDATE_HIDDEN};
 
-/// Hidden units of the edge update.
-const UPDATE_HIDDEN: usize = 128;
 /// Edges that are processed together.
 const BLOCK: usize = 48;
 

@@ -6,7 +6,7 @@ pub(super) const SHIFT: f32 = 12_582_912.0;
 /// The operations of one instruction set on vectors of `LEN` floats. The type is a token: code that holds one
 /// may use the set.
 ///
-/// All methods are `#[inline(always)]`; see [`super::Kernel`].
+/// All methods are `#[inline(always)]`; see [`Kernel`].
 pub trait Lanes: Copy {
     /// A vector.
     type V: Copy;
@@ -65,4 +65,13 @@ pub trait Lanes: Copy {
         // SAFETY: the slice is long enough.
         unsafe { self.store_to(to.as_mut_ptr(), v) }
     }
+}
+
+/// A computation that is compiled once per instruction set. `run` must be `#[inline(always)]`, so that its
+/// body is compiled in a function with the set's target features.
+pub trait Kernel {
+    /// The result.
+    type Output;
+    /// Runs the computation on `lanes`.
+    fn run<L: Lanes>(self, lanes: L) -> Self::Output;
 }

@@ -1,6 +1,6 @@
 #![expect(unsafe_code, reason = "the trait's loads and stores take pointers")]
 
-use super::{Kernel, Lanes};
+use super::lanes::{Kernel, Lanes};
 
 /// Plain Rust on four floats, which compilers translate to the target's base instruction set.
 #[derive(Clone, Copy)]

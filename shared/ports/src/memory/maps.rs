@@ -1,8 +1,8 @@
 //! The mappings of a process, as /proc/self/maps and smaps list them.
 
+use std::fs::File;
+use std::io::Read as _;
 use std::ops::Range;
-
-use super::text_of;
 
 /// What a mapping is for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -103,6 +103,14 @@ pub(super) fn within(
         }
     }
     (locked, left)
+}
+
+/// The whole content of a file of /proc; empty if it can't be read.
+pub(super) fn text_of(path: &str) -> String {
+    let mut text = String::new();
+    // A text with an odd path is discarded as a whole: then nothing is populated.
+    let _ = File::open(path).and_then(|mut file| file.read_to_string(&mut text));
+    text
 }
 
 #[cfg(test)]

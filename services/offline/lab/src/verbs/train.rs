@@ -5,8 +5,9 @@ use run::Exit;
 use trainer::TrainOptions;
 
 use super::card;
-use launch::arguments::{canonical, check_place};
+use launch::arguments::canonical;
 use launch::failure::Failure;
+use launch::files::check_place;
 use launch::say;
 
 /// Arguments of `stgdat train`.

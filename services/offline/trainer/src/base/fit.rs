@@ -10,10 +10,10 @@ use rand::{Rng, RngExt};
 use rand_distr::{Distribution, StandardNormal};
 use scene::AgentType;
 
+use super::tables::{Bins, Features, TypeBase, describe};
 use super::targets::{self, Controls, Driver};
-use super::{Bins, Features, TypeBase, describe};
 use crate::TrainError;
-use crate::batch::{AgentView, start};
+use crate::agent_view::{AgentView, start};
 use crate::samples::Agent;
 use crate::view;
 

@@ -4,12 +4,28 @@ use std::collections::HashMap;
 use std::ops::Range;
 
 use nn::ModelConfig;
-use scene::{EdgeRule, PatchOptions, State, Vertex, relation_features, state_features};
+use scene::{EdgeRule, FeatureScales, PatchOptions, State, Vertex, relation_features, state_features};
 
-use super::{AgentView, BatchOptions, SceneView, scales};
 use crate::TrainError;
+use crate::agent_view::{AgentView, SceneView};
+use crate::base::BaseControl;
 use crate::net::matrix::Matrix;
 use crate::net::topological::Edges;
+
+/// The inputs of [`Batch::new`] besides the scenes.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct BatchOptions<'a> {
+    pub(crate) config: &'a ModelConfig,
+    pub(crate) base: &'a BaseControl,
+    /// Maximum number of an agent's neighbours, itself included.
+    pub(crate) neighbours_max: usize,
+    /// Whether the batch includes the graph of the forecast steps.
+    pub(crate) with_future: bool,
+}
+
+pub(crate) fn scales(config: &ModelConfig) -> FeatureScales {
+    FeatureScales { position: config.position_scale, velocity: config.velocity_scale }
+}
 
 /// The graph of a batch as the network reads it.
 #[derive(Debug)]

@@ -1,18 +1,19 @@
 //! Tests that no input of the network depends on later frames.
 
 use std::path::Path;
-use std::sync::LazyLock;
+use std::sync::{Arc, LazyLock};
 
 use data::sets::Part;
 use data::{Format, Recording};
+use nn::ModelConfig;
 use proptest::prelude::*;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
 use super::*;
-use crate::base::Augmentation;
+use crate::base::{Augmentation, BaseControl};
 use crate::options::onboard_config;
-use crate::samples::{Ground, MapKind, Scene, Selection, cut};
+use crate::samples::{Agent, Ground, MapKind, Scene, Selection, cut};
 use crate::spool::{Spool, Spooling};
 use crate::tests::recordings::{Scenery, frame_rate, written};
 use crate::view;

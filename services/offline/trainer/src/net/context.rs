@@ -29,6 +29,7 @@ use super::tensors::{Gradients, Tensors};
 use block::{Block, BlockTrace};
 use convolution::{Convolution, Geometry};
 use map::{Map, average, average_backward, max_pool, max_pool_backward};
+pub(crate) use norm::Normalisation;
 use norm::{BackwardPass, Norm, NormTrace, Pass, Then};
 use stem::Stem;
 
@@ -36,15 +37,6 @@ const STAGES: usize = 4;
 /// Blocks of a stage.
 const BLOCKS: usize = 2;
 const FC_BIAS: &str = "fe.context.fc.bias";
-
-/// The source of the batch norms' mean and variance.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Normalisation {
-    /// From the batch; the running values are updated.
-    Batch,
-    /// From the running values, as the onboard network does.
-    Running,
-}
 
 /// Embeddings of patches.
 pub(crate) struct Embedded {

@@ -12,127 +12,21 @@
 //! kept. Blocks of edges that fit the cache go through the whole layer, and the backward pass computes their
 //! messages again.
 
-use nn::{Attention, ModelConfig};
-
 use super::matrix::{Into, Matrix, View, ViewMut, by_input, by_matrix, forward};
 use super::tensors::{Gradients, Tensors};
 use messages::{Messages, MessagesBackward};
 use scores::Coefficients;
+use shape::EDGE;
+pub(crate) use shape::{AttentionShape, Edges};
+pub(super) use shape::{BLOCK, Block, NODE};
 use update::Update;
 
 pub(super) mod messages;
 pub(super) mod scores;
+mod shape;
 #[cfg(test)]
 mod tests;
 mod update;
-
-/// Node attributes.
-pub(super) const NODE: usize = 64;
-/// Edge attributes.
-const EDGE: usize = 16;
-/// Edges of a block.
-pub(super) const BLOCK: usize = 256;
-
-/// The edges of a graph.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct Edges {
-    /// Receiving row per edge, ascending.
-    pub(crate) receiver: Vec<u32>,
-    /// Sending row per edge.
-    pub(crate) sender: Vec<u32>,
-    /// First edge of every row, and the number of edges.
-    pub(crate) first: Vec<u32>,
-}
-
-impl Edges {
-    pub(crate) fn len(&self) -> usize {
-        self.receiver.len()
-    }
-
-    /// Receiving and sending row of each edge.
-    #[inline(always)]
-    fn ends(&self) -> impl Iterator<Item = (usize, usize)> {
-        ends(&self.receiver, &self.sender)
-    }
-
-    pub(super) fn blocks(&self) -> impl Iterator<Item = Block<'_>> {
-        let ends = self.receiver.chunks(BLOCK).zip(self.sender.chunks(BLOCK));
-        ends.enumerate().map(|(number, (receiver, sender))| Block { start: number * BLOCK, receiver, sender })
-    }
-}
-
-#[inline(always)]
-fn ends(receiver: &[u32], sender: &[u32]) -> impl Iterator<Item = (usize, usize)> {
-    receiver.iter().zip(sender).map(|(receiver, sender)| (*receiver as usize, *sender as usize))
-}
-
-/// Consecutive edges.
-#[derive(Clone, Copy)]
-pub(super) struct Block<'a> {
-    start: usize,
-    receiver: &'a [u32],
-    sender: &'a [u32],
-}
-
-impl Block<'_> {
-    const fn len(&self) -> usize {
-        self.receiver.len()
-    }
-
-    /// Receiving and sending row of each edge.
-    #[inline(always)]
-    fn ends(&self) -> impl Iterator<Item = (usize, usize)> {
-        ends(self.receiver, self.sender)
-    }
-
-    /// The block's rows of a matrix with one row per edge.
-    pub(super) fn of<'m>(&self, matrix: &'m Matrix) -> &'m [f32] {
-        &matrix.values[self.start * matrix.cols..][..self.len() * matrix.cols]
-    }
-
-    fn of_mut<'m>(&self, matrix: &'m mut Matrix) -> &'m mut [f32] {
-        &mut matrix.values[self.start * matrix.cols..][..self.len() * matrix.cols]
-    }
-
-    fn view<'m>(&self, matrix: &'m Matrix) -> View<'m> {
-        View::new(self.of(matrix), self.len(), matrix.cols)
-    }
-
-    fn view_mut<'m>(&self, matrix: &'m mut Matrix) -> ViewMut<'m> {
-        let cols = matrix.cols;
-        ViewMut::new(self.of_mut(matrix), self.len(), cols)
-    }
-}
-
-/// The part of the model's configuration that the layer uses.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct AttentionShape {
-    pub(crate) attention: Attention,
-    /// Number of heads; divides 64.
-    pub(crate) heads: usize,
-    pub(crate) leaky_slope: f32,
-    /// Whether messages include U e.
-    pub(crate) edge_in_message: bool,
-    /// Whether d and l are divided by their dimensions.
-    pub(crate) distance_scale: bool,
-}
-
-impl AttentionShape {
-    pub(crate) const fn of(config: &ModelConfig) -> Self {
-        Self {
-            attention: config.attention,
-            heads: config.topological_heads,
-            leaky_slope: config.leaky_slope,
-            edge_in_message: config.edge_in_message,
-            distance_scale: config.distance_scale,
-        }
-    }
-
-    fn messages<'a>(self, block: Block<'a>, values: &'a Matrix, alpha: &'a Matrix) -> Messages<'a> {
-        let Self { heads, leaky_slope, .. } = self;
-        Messages { block, heads, leaky_slope, values, alpha: block.of(alpha) }
-    }
-}
 
 /// One round of topological attention.
 #[derive(Debug)]
@@ -161,6 +55,17 @@ struct Trace {
     update: Option<Update>,
 }
 
+/// The messages of a block.
+fn messages<'a>(
+    shape: AttentionShape,
+    block: Block<'a>,
+    values: &'a Matrix,
+    alpha: &'a Matrix,
+) -> Messages<'a> {
+    let AttentionShape { heads, leaky_slope, .. } = shape;
+    Messages { block, heads, leaky_slope, values, alpha: block.of(alpha) }
+}
+
 /// A round on `node` `[rows, 64]` and `edge` `[edges, 16]`. All rounds but the `last` update the edges.
 pub(crate) fn round(
     weights: &Tensors,
@@ -184,7 +89,7 @@ pub(crate) fn round(
     let mut own = vec![0.0; BLOCK * NODE];
     for block in edges.blocks() {
         let own = own_messages(u, block, &edge, &mut own);
-        shape.messages(block, &values, &alpha).sum(own, &mut attended);
+        messages(shape, block, &values, &alpha).sum(own, &mut attended);
     }
     let mut new_edge = None;
     let update = (!last).then(|| Update::new(weights, &name, &attended));
@@ -248,7 +153,7 @@ impl Round {
         let mut own = vec![0.0; BLOCK * NODE];
         for block in edges.blocks() {
             let own = own_messages(u, block, edge, &mut own);
-            back.run(shape.messages(block, values, &self.alpha), (&self.node, d_node), own);
+            back.run(messages(*shape, block, values, &self.alpha), (&self.node, d_node), own);
             if let Some(u) = u {
                 let by_own = View::new(own, block.len(), NODE);
                 by_matrix(by_own, block.view(edge), gradients.matrix_mut(&format!("{name}.u_e.weight")));

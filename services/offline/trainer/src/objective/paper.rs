@@ -4,7 +4,7 @@
 use nn::ModelConfig;
 use rand::Rng;
 
-use super::{LossParts, Objective, add_mean_gradient, normal};
+use super::loss::{LossParts, Objective, add_mean_gradient, normal};
 use crate::batch::Batch;
 use crate::net::context::Normalisation;
 use crate::net::dense::{perceptron, perceptron_backward};

@@ -4,7 +4,7 @@ use nn::ModelConfig;
 use rand::{Rng, RngExt};
 use wire::AgentType;
 
-use super::{LossParts, Objective, add_mean_gradient, normal};
+use super::loss::{LossParts, Objective, add_mean_gradient, normal};
 use crate::net::dense::perceptron_backward;
 use crate::net::gru;
 use crate::net::matrix::Matrix;

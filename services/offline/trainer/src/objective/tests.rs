@@ -5,8 +5,9 @@ use rand_chacha::ChaCha8Rng;
 use scene::{AgentType, State};
 
 use super::*;
+use crate::agent_view::SceneView;
 use crate::base::BaseControl;
-use crate::batch::{BatchOptions, SceneView};
+use crate::batch::BatchOptions;
 use crate::net::layout::{initial, layout};
 use crate::net::tensors::TensorRole;
 use crate::options::onboard_config;

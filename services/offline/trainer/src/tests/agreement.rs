@@ -14,8 +14,9 @@ use rand_chacha::ChaCha8Rng;
 use scene::{EdgeRule, PatchOptions, Vertex, relation_features, state_features};
 use wire::{CONTEXT_EMBEDDING, NODE_ATTRIBUTES, STATE_FEATURES, TEMPORAL};
 
+use crate::agent_view::{AgentView, SceneView};
 use crate::base::BaseControl;
-use crate::batch::{AgentView, Batch, BatchOptions, SceneView, scales};
+use crate::batch::{Batch, BatchOptions, scales};
 use crate::net::context::Normalisation;
 use crate::net::dense::softmax;
 use crate::net::graph::encode;

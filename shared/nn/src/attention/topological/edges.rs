@@ -5,9 +5,11 @@
 
 use wire::{EDGE_ATTRIBUTES, Edge, NODE_ATTRIBUTES};
 
-use super::UPDATE_HIDDEN;
-use crate::attention::{Graph, leaky};
+use crate::attention::graph::{Graph, leaky};
 use crate::kernels::{Kernel, Lanes};
+
+/// Hidden units of the edge update.
+pub(super) const UPDATE_HIDDEN: usize = 128;
 
 /// Number of partial sums of a squared distance.
 const PARTS: usize = 16;

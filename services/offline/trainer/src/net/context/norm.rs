@@ -17,10 +17,18 @@ mod tests;
 use nn::kernels::dispatch;
 use nn::kernels::product::PANEL;
 
-use super::Normalisation;
 use super::map::Map;
 use crate::net::tensors::{Gradients, Tensors};
 use rows::{Line, Panel, Plane, Slopes, Spread, Sums, Total};
+
+/// The source of the batch norms' mean and variance.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Normalisation {
+    /// From the batch; the running values are updated.
+    Batch,
+    /// From the running values, as the onboard network does.
+    Running,
+}
 
 /// PyTorch's addition to the variance.
 const EPSILON: f64 = 1e-5;

@@ -9,12 +9,35 @@
 //! γ* = ψ + h ω* Δt + β*         ω* = v* sin β* / l_r      ψ' = ψ + ω* Δt
 //! ```
 
+use kinematics::{BicycleState, Vehicle};
 use nn::kernels::{Kernel, Lanes, dispatch};
 use nn::{Integrator, ModelConfig};
 
 use super::super::matrix::Matrix;
-use super::Start;
 use super::reals::Reals;
+
+/// State of an agent at the last observed step, at the origin of its frame. Cyclists and pedestrians use only
+/// the velocity.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Start {
+    /// In the agent frame, m/s.
+    pub(crate) velocity_mps: [f32; 2],
+    /// In the agent frame, rad.
+    pub(crate) heading_rad: f32,
+    /// Along the heading, negative in reverse, m/s.
+    pub(crate) speed_mps: f32,
+    pub(crate) slip_rad: f32,
+    /// Distance from the centre to the rear axle, m; positive for vehicles.
+    pub(crate) rear_axle_m: f32,
+}
+
+impl Start {
+    /// The bicycle of a vehicle, and its initial state.
+    pub(crate) fn bicycle(&self, config: &ModelConfig) -> (Vehicle, BicycleState<f32>) {
+        let motion = nn::motion_options(config).vehicle(self.rear_axle_m, config.dt_s as f32);
+        (motion, BicycleState::from([0.0, 0.0, self.heading_rad, self.speed_mps, self.slip_rad]))
+    }
+}
 
 /// Largest number of lanes of an instruction set.
 const LANES_MAX: usize = 16;

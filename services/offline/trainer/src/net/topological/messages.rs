@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use nn::kernels::{Kernel, Lanes, dispatch};
 
-use super::{BLOCK, Block, NODE};
+use super::shape::{BLOCK, Block, NODE};
 use crate::net::matrix::{Into, Matrix, View, forward};
 
 /// The number of heads for which the kernels are specialised.

@@ -4,7 +4,7 @@
 use nn::Attention;
 use nn::kernels::{Kernel, Lanes, dispatch, exp_in_place};
 
-use super::{AttentionShape, EDGE, Edges, NODE};
+use super::shape::{AttentionShape, EDGE, Edges, NODE};
 use crate::net::matrix::{Into, Matrix, by_input, by_matrix, forward};
 use crate::net::tensors::{Gradients, Tensors};
 

@@ -1,3 +1,5 @@
+use nn::Attention;
+
 use super::*;
 use crate::net::tensors::TensorRole;
 use crate::tests::check::{check, values, weighted};

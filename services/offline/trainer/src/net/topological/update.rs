@@ -8,7 +8,7 @@
 
 use nn::kernels::{Kernel, Lanes, dispatch};
 
-use super::{BLOCK, Block, EDGE, Edges, NODE};
+use super::shape::{BLOCK, Block, EDGE, Edges, NODE};
 use crate::net::matrix::{Into, Matrix, View, ViewMut, by_bias, by_input, by_matrix, forward};
 use crate::net::tensors::{Gradients, Tensors};
 

@@ -1,0 +1,23 @@
+use std::path::PathBuf;
+
+/// The options of an evaluation.
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// Folder that contains one folder of recordings per source.
+    pub folder: PathBuf,
+    /// Names of the sources; all sources if empty.
+    pub sources: Vec<String>,
+    /// Weights; `None` uses the embedded weights.
+    pub weights: Option<PathBuf>,
+    /// Precision of the decoder.
+    pub precision: nn::Precision,
+    /// Whether the network reads the online map.
+    pub map: bool,
+    /// Whether the sampler uses evidence from matured forecasts.
+    pub evidence: bool,
+    /// Whether a source begins with a prior from the other sources. If not, it begins without a prior, so its
+    /// evidence is independent of them.
+    pub priors: bool,
+    /// Threads that share the work; results do not depend on their number.
+    pub threads: usize,
+}
