@@ -1,7 +1,7 @@
 //! Common set-up and exit of `stgdat` and `stgdat-lab`.
 
 use std::ffi::OsString;
-use std::io::Write;
+use std::io::{IsTerminal, Write};
 use std::process::ExitCode;
 
 use clap::Args;
@@ -50,13 +50,43 @@ pub fn begin() {
 
 /// Prints the help or the error of the argument parser and ends the process.
 pub fn exit(error: &clap::Error) -> ! {
-    if error.use_stderr() && color::choice().is_on(&std::io::stderr()) {
-        let painted = error.to_string().replacen("error:", "\x1b[1;31merror:\x1b[0m", 1);
-        // A closed pipe is no reason for another exit code.
-        let _ = write!(std::io::stderr(), "{painted}");
-        std::process::exit(error.exit_code());
-    }
-    error.exit()
+    // A closed pipe is no reason for another exit code.
+    let _ = match error.use_stderr() {
+        true => print(&mut std::io::stderr(), &error.to_string()),
+        false => print(&mut std::io::stdout(), &error.to_string()),
+    };
+    std::process::exit(error.exit_code())
+}
+
+fn print(output: &mut (impl Write + IsTerminal), text: &str) -> std::io::Result<()> {
+    let is_painted = color::choice().is_on(output);
+    write!(output, "{}", if is_painted { painted(text) } else { text.to_owned() })
+}
+
+/// The text of the argument parser with its headings and flags in the parser's usual styles. Its own colours
+/// would bring six more crates.
+fn painted(text: &str) -> String {
+    let paint = |line: &str, code: &str, from: usize, len: usize| {
+        let (before, rest) = line.split_at(from);
+        let (word, after) = rest.split_at(len);
+        format!("{before}\x1b[{code}m{word}\x1b[0m{after}")
+    };
+    let line = |line: &str| match line.split_once(':') {
+        Some((word @ "error", _)) => paint(line, "1;31", 0, word.len() + 1),
+        Some((word @ ("Usage" | "Commands" | "Arguments" | "Options"), _)) => {
+            paint(line, "1;4", 0, word.len() + 1)
+        }
+        _ => {
+            let flag = line.trim_start();
+            let len = flag.find("  ").unwrap_or(flag.trim_end().len());
+            if flag.starts_with('-') {
+                paint(line, "1", line.len() - flag.len(), len)
+            } else {
+                line.to_owned()
+            }
+        }
+    };
+    text.split_inclusive('\n').map(line).collect()
 }
 
 /// The flags of [`GlobalArguments`].
@@ -93,6 +123,16 @@ pub fn end(outcome: Result<Exit, Failure>) -> ExitCode {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn headings_and_flags_of_the_help_are_painted() {
+        let text = "error: no\n\nUsage: stgdat [FILE]\n\nOptions:\n  -v, --version  Print it: now\n      --color <WHEN>\n";
+        let expected = "\x1b[1;31merror:\x1b[0m no\n\n\x1b[1;4mUsage:\x1b[0m stgdat [FILE]\n\n\
+                        \x1b[1;4mOptions:\x1b[0m\n  \x1b[1m-v, --version\x1b[0m  Print it: now\n      \
+                        \x1b[1m--color <WHEN>\x1b[0m\n";
+        assert_eq!(painted(text), expected);
+        assert_eq!(painted("A tracker: fast\n"), "A tracker: fast\n");
+    }
 
     #[test]
     fn global_options_may_stand_before_the_verb() {

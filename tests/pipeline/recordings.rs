@@ -25,7 +25,7 @@ fn same_bytes(scratch: &Scratch, recording: &str, arguments: &[&str]) -> Vec<u8>
 }
 
 /// Number of learned forecasts in JSON lines.
-fn learned_len(lines: &[u8]) -> usize {
+fn learned_count(lines: &[u8]) -> usize {
     String::from_utf8_lossy(lines).matches("\"quality\":\"learned\"").count()
 }
 
@@ -35,9 +35,9 @@ fn predict_and_run_write_the_same_bytes() {
     let recording = scratch.recording("scene.csv", 50);
     let trusted = same_bytes(&scratch, &recording, &["--seed", "3", "--ticks", "45"]);
     assert_eq!(trusted.iter().filter(|&&byte| byte == b'\n').count(), 45);
-    assert!(learned_len(&trusted) > 200, "{} learned forecasts", learned_len(&trusted));
+    assert!(learned_count(&trusted) > 200, "{} learned forecasts", learned_count(&trusted));
     let associated = same_bytes(&scratch, &recording, &["--seed", "3", "--ticks", "45", "--associate"]);
-    assert!(learned_len(&associated) > 200);
+    assert!(learned_count(&associated) > 200);
     assert!(trusted != associated, "tracks by position have other ids");
 }
 
@@ -62,7 +62,7 @@ fn neither_workers_nor_instruction_sets_change_a_byte() {
     let scratch = Scratch::new("workers");
     let recording = scratch.recording("scene.csv", 40);
     let default = same_bytes(&scratch, &recording, &[]);
-    assert!(learned_len(&default) > 200, "{} learned forecasts", learned_len(&default));
+    assert!(learned_count(&default) > 200, "{} learned forecasts", learned_count(&default));
     for workers in [1, 2, 4] {
         let settings = ["extractor", "encoder", "decoder"].map(|stage| format!("{stage}.workers={workers}"));
         let arguments: Vec<&str> = settings.iter().flat_map(|setting| ["--set", setting]).collect();
@@ -99,9 +99,9 @@ fn a_frame_rate_is_used_wherever_a_recording_is_opened() {
     let given = same_bytes(&scratch, &recording, &["--fps", "29.97"]);
     assert!(given == same_bytes(&scratch, &recording, &["--set", "source.fps=29.97"]));
     // Every third of 360 frames is 10 Hz. At 23.98 frames a second every second frame is played.
-    let lines_len = |lines: &[u8]| lines.iter().filter(|&&byte| byte == b'\n').count();
-    assert_eq!(lines_len(&given), 120);
-    assert_eq!(lines_len(&same_bytes(&scratch, &recording, &[])), 180);
+    let line_count = |lines: &[u8]| lines.iter().filter(|&&byte| byte == b'\n').count();
+    assert_eq!(line_count(&given), 120);
+    assert_eq!(line_count(&same_bytes(&scratch, &recording, &[])), 180);
     let tracks = scratch.path("tracks.csv");
     for arguments in
         [&["predict", &recording, "--out", &tracks][..], &["track", &recording, "--out", &tracks]]
@@ -138,7 +138,7 @@ fn predict_and_run_agree_on_public_recordings() {
         let scratch = Scratch::new(&format!("public-{i}"));
         let lines = same_bytes(&scratch, &recording.display().to_string(), &["--seed", "3", "--ticks", "80"]);
         assert_eq!(lines.iter().filter(|&&byte| byte == b'\n').count(), 80, "{name}");
-        assert!(learned_len(&lines) > 80, "{name}: {} learned forecasts", learned_len(&lines));
+        assert!(learned_count(&lines) > 80, "{name}: {} learned forecasts", learned_count(&lines));
     }
 }
 

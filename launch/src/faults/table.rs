@@ -109,13 +109,13 @@ impl Plan {
 
     /// Returns the times of all faults.
     fn moments(&self) -> Vec<Moment> {
-        let kinds_len = self.kinds().len();
+        let kind_count = self.kinds().len();
         let place = |place: u64| {
             let random = Random::new(self.seed, place).below(SPACE_RANDOM_TICKS);
             let tick = LEAD_TICKS + place * (SPACE_TICKS + SPACE_RANDOM_TICKS) + random;
-            Moment { tick, kind: place as usize % kinds_len }
+            Moment { tick, kind: place as usize % kind_count }
         };
-        (0..self.turns * kinds_len as u64).map(place).collect()
+        (0..self.turns * kind_count as u64).map(place).collect()
     }
 
     /// The specification of the run.

@@ -17,11 +17,11 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let verb = if arguments.dry_run { "would remove" } else { "removed" };
     for leftover in leftovers {
         let run = leftover.prefix.trim_end_matches('_').to_owned();
-        let (files_len, kib) = (leftover.files_len, leftover.bytes >> 10);
+        let (file_count, kib) = (leftover.file_count, leftover.bytes >> 10);
         if !arguments.dry_run {
             leftover.remove();
         }
-        say!("{verb} {run}: {files_len} files in shared memory, {kib} KiB");
+        say!("{verb} {run}: {file_count} files in shared memory, {kib} KiB");
     }
     Ok(Exit::Done)
 }

@@ -160,7 +160,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     weights.config().write(&run.root).map_err(Failure::data)?;
     info.precision = version::precision(&run);
     info.run_id = Some(format!("{:016x}", run.id));
-    let (title, ticks_limit) = (info.recording.clone().unwrap_or_default(), Some(playback.ticks_len()));
+    let (title, ticks_limit) = (info.recording.clone().unwrap_or_default(), Some(playback.tick_count()));
     drop((playback, weights));
 
     let begun = SystemTime::now();

@@ -72,7 +72,7 @@ fn play(
     let written = |error: std::io::Error| Failure::output(out, error);
     let file = WholeFile::create(out).map_err(written)?;
     let mut writer = TrackWriter::new(file, rows, origin).map_err(written)?;
-    let (mut ticks, mut tracks_len) = (0_u64, 0_u64);
+    let (mut ticks, mut track_count) = (0_u64, 0_u64);
     while let Some(tick) = playback.next_tick() {
         let (header, tracks) = tracking.tick(&tick.header, tick.detections);
         if !is_read(writer.write(&tick.header, tracks)).map_err(written)? {
@@ -80,11 +80,11 @@ fn play(
         }
         report.tick(&header, tracks.len());
         ticks += 1;
-        tracks_len += tracks.len() as u64;
+        track_count += tracks.len() as u64;
     }
     let is_read = is_read(writer.finish().and_then(WholeFile::finish)).map_err(written)?;
     if is_read && !is_standard_output(out) {
-        say!("{ticks} ticks, {tracks_len} tracks: {}", out.display());
+        say!("{ticks} ticks, {track_count} tracks: {}", out.display());
     }
     Ok(is_read)
 }

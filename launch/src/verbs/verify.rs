@@ -17,7 +17,7 @@ pub struct Arguments {
 
 /// Recomputes the golden vectors of folders on this machine and reports mismatches.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
-    let (mut off_len, mut verified_len) = (0, 0);
+    let (mut off_count, mut verified_count) = (0, 0);
     for folder in &arguments.folders {
         let rows = match verifier::verify(folder) {
             // A shell's `golden/*` also matches the README beside the folders.
@@ -27,22 +27,22 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
             }
             rows => rows.map_err(Failure::data)?,
         };
-        verified_len += 1;
+        verified_count += 1;
         say!("{} ({} kernels)", folder.display(), nn::kernels::active().name());
         let width = rows.iter().map(|row| row.name.len()).max().unwrap_or(0).max(30);
         say!("  {:<width$} {:>20} {:>12} {:>10} {:>10}", "vector", "shape", "largest", "error", "tolerance");
         rows.iter().for_each(|row| print(row, width));
         let off = rows.iter().filter(|row| !row.agrees()).count();
         say!("  {} of {} vectors agree\n", rows.len() - off, rows.len());
-        off_len += off;
+        off_count += off;
     }
-    if verified_len == 0 {
+    if verified_count == 0 {
         return Err(Failure::data("none of the folders has golden vectors"));
     }
-    match off_len {
+    match off_count {
         0 => Ok(Exit::Done),
         1 => Err(Failure::Failed("1 vector is off by more than its tolerance".to_owned())),
-        _ => Err(Failure::Failed(format!("{off_len} vectors are off by more than their tolerance"))),
+        _ => Err(Failure::Failed(format!("{off_count} vectors are off by more than their tolerance"))),
     }
 }
 

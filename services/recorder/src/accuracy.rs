@@ -127,7 +127,7 @@ impl Scorer {
 
     /// Number of forecasts that wait for truth.
     #[cfg(test)]
-    fn waiting_len(&self) -> usize {
+    fn waiting_count(&self) -> usize {
         self.waiting.len()
     }
 }

@@ -128,7 +128,7 @@ impl Losses {
         // A frame refused as a whole is also a gap, and must count only once.
         for &stage in order {
             let own = &mut own[stage.place()];
-            own.gap = own.gap.saturating_sub(self.refusals.ticks_len(stage));
+            own.gap = own.gap.saturating_sub(self.refusals.tick_count(stage));
         }
         for (own, restart) in own.iter_mut().zip(self.restart) {
             own.restart = restart;

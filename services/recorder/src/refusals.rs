@@ -51,7 +51,7 @@ impl RefusalCounts {
 
     /// Number of frames that a reader refused before it could read their tick. These ticks are gaps for the
     /// reader.
-    pub fn ticks_len(&self, reader: StageId) -> u64 {
+    pub fn tick_count(&self, reader: StageId) -> u64 {
         let hides_the_tick = |entry: &&Entry| {
             entry.reader == reader.number()
                 && matches!(

@@ -50,7 +50,7 @@ struct StageTracks {
     waiting_end_ns: [u64; LANES],
     /// Changes of the queue's length, by time. Earlier changes may still arrive.
     changes: Vec<(u64, i64)>,
-    queue_len: i64,
+    queued_count: i64,
     /// The newest heartbeat.
     beat: Option<Heartbeat>,
 }
@@ -237,8 +237,8 @@ impl Tracer {
         let excess = known.changes.len().saturating_sub(CHANGES_MAX);
         let due = known.changes.partition_point(|&(at_ns, _)| at_ns <= until_ns).max(excess);
         for (at_ns, change) in known.changes.drain(..due) {
-            known.queue_len += change;
-            self.trace.count(number_of(stage, incarnation) + lane::QUEUE, at_ns, known.queue_len as f64);
+            known.queued_count += change;
+            self.trace.count(number_of(stage, incarnation) + lane::QUEUE, at_ns, known.queued_count as f64);
         }
     }
 

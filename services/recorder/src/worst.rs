@@ -303,7 +303,7 @@ impl Bad {
     fn slow(&self, excesses: &[Excess], usual: &Usual) -> String {
         let Some(first) = excesses.first() else { return "no phase took longer than usual".to_owned() };
         let total_ns: u64 = excesses.iter().map(Excess::ns).sum();
-        let stages_len = StageId::known().filter(|&stage| excesses.iter().any(|e| e.stage == stage)).count();
+        let stage_count = StageId::known().filter(|&stage| excesses.iter().any(|e| e.stage == stage)).count();
         let told = format!("the {} {}", first.stage.name(), first.told());
         // More agents make every stage slower, and so does a busy machine.
         let many = self.agents as f64 > 1.25 * usual.agents && self.agents > 8;
@@ -311,8 +311,8 @@ impl Bad {
             let usual_agents = usual.agents.round() as u64;
             return format!("{told}: {} agents (usually {})", self.agents, usual_agents);
         }
-        if stages_len >= 4 && first.ns() * 2 < total_ns {
-            return format!("{stages_len} stages were slower than usual, most of all {told}");
+        if stage_count >= 4 && first.ns() * 2 < total_ns {
+            return format!("{stage_count} stages were slower than usual, most of all {told}");
         }
         let second = excesses.get(1).filter(|second| second.ns() * 3 >= first.ns());
         match second {

@@ -69,7 +69,7 @@ impl Playback {
             options.ticks_max.map_or(usize::MAX, |most| usize::try_from(most).unwrap_or(usize::MAX)),
         );
         let fullest = |len: fn(&Frame) -> usize| recording.frames.iter().map(len).max().unwrap_or(0);
-        let places_len = fullest(|frame| frame.detections.len()).max(fullest(|frame| frame.truth.len()));
+        let place_count = fullest(|frame| frame.detections.len()).max(fullest(|frame| frame.truth.len()));
         Self {
             recording,
             options,
@@ -79,7 +79,7 @@ impl Playback {
             left_out_len: 0,
             detections: Vec::with_capacity(DETECTIONS_MAX),
             truth: Vec::with_capacity(DETECTIONS_MAX),
-            places: Vec::with_capacity(places_len),
+            places: Vec::with_capacity(place_count),
         }
     }
 
@@ -89,7 +89,7 @@ impl Playback {
     }
 
     /// The number of ticks in the whole playback.
-    pub fn ticks_len(&self) -> u64 {
+    pub fn tick_count(&self) -> u64 {
         self.played.places.len() as u64
     }
 
@@ -139,7 +139,7 @@ impl Playback {
         let first_ns = self.recording.frames[first].stamp_ns;
         let is_before = |&place: &usize| self.recording.frames[place].stamp_ns.abs_diff(first_ns) < due_ns;
         let due_len = self.played.places.partition_point(is_before) as u64;
-        self.seq = self.seq.max(due_len).max(seq).min(self.ticks_len());
+        self.seq = self.seq.max(due_len).max(seq).min(self.tick_count());
     }
 
     /// The header of the frame that links the stages before the first tick.
@@ -293,7 +293,7 @@ mod tests {
         let options = PlaybackOptions { run_id: 9, ticks_max: Some(2), lockstep: true };
         let mut playback =
             Playback::new(recording(400_000_000, &[52_000_000_000, 52_400_000_000, 60_000_000_000]), options);
-        assert_eq!(playback.ticks_len(), 2);
+        assert_eq!(playback.tick_count(), 2);
         assert!(playback.warm_up().has(flags::WARM_UP));
         playback.next_tick();
         let tick = playback.next_tick().unwrap();

@@ -30,15 +30,15 @@ pub(crate) fn thin(recording: &mut Recording, n: u64) -> Played {
     let interval_ns = recording.interval_ns.max(1);
     let places = every_nth(&recording.frames, n, interval_ns);
     let mut counts = Vec::with_capacity(places.len());
-    let (mut merged_len, mut start) = (0, 0);
+    let (mut merged_count, mut start) = (0, 0);
     for &place in &places {
         let (unplayed, rest) = recording.frames.split_at_mut(place);
         if recording.own_stamps
             && let Some(frame) = rest.first_mut()
         {
-            merged_len += merge(&unplayed[start..], frame, interval_ns);
+            merged_count += merge(&unplayed[start..], frame, interval_ns);
         }
-        counts.push([0, merged_len]);
+        counts.push([0, merged_count]);
         start = place + 1;
     }
     count_lost(&recording.frames, &places, &mut counts);
@@ -63,7 +63,7 @@ fn every_nth(frames: &[Frame], n: u64, interval_ns: u64) -> Vec<usize> {
 /// merged detections. `interval_ns` is the interval between the frames.
 pub fn merge(unplayed: &[Frame], into: &mut Frame, interval_ns: u64) -> u32 {
     let part_ns = i64::try_from(interval_ns / 10).unwrap_or(i64::MAX);
-    let mut merged_len = 0;
+    let mut merged_count = 0;
     for frame in unplayed.iter().rev() {
         let mut detections: Vec<Detection> = frame.detections.clone();
         detections.sort_by_key(|detection| std::cmp::Reverse(detection.offset_ns));
@@ -82,17 +82,17 @@ pub fn merge(unplayed: &[Frame], into: &mut Frame, interval_ns: u64) -> u32 {
                 );
                 into.observed_types |= detection.agent_type().map_or(0, AgentType::bit);
                 into.detections.push(Detection { offset_ns: detection.offset_ns + shift_ns, ..detection });
-                merged_len += 1;
+                merged_count += 1;
             }
         }
     }
-    if merged_len > 0 {
+    if merged_count > 0 {
         // The lines no longer match the detections one to one.
         into.lines = Lines::default();
         into.detections.sort_by_key(|detection| (detection.agent_type, detection.id));
         into.truth.sort_by_key(|truth| (truth.agent_type, truth.id));
     }
-    merged_len
+    merged_count
 }
 
 /// Whether `frame` contains the agent of a detection from a frame at `stamp_ns`. Agents match by identity.
@@ -125,7 +125,7 @@ fn count_lost(frames: &[Frame], places: &[usize], counts: &mut [[u32; 2]]) {
         .iter()
         .flat_map(|&place| frames[place].detections.iter().filter(identified).map(|detection| detection.id))
         .collect();
-    let mut lost_len = 0;
+    let mut lost_count = 0;
     for (number, count) in counts.iter_mut().enumerate() {
         let before = number.checked_sub(1).map(|before| places[before]);
         // Frames after the last played one count with it.
@@ -141,9 +141,9 @@ fn count_lost(frames: &[Frame], places: &[usize], counts: &mut [[u32; 2]]) {
                 true => !went_out.contains(&detection.id),
                 false => !near.iter().any(|near| contains(near, frame.stamp_ns, detection)),
             };
-            lost_len += frame.detections.iter().filter(is_lost).count() as u32;
+            lost_count += frame.detections.iter().filter(is_lost).count() as u32;
         }
-        count[0] = lost_len;
+        count[0] = lost_count;
     }
 }
 

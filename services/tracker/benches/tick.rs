@@ -101,7 +101,7 @@ impl Scene {
         let mut tracker = Tracker::new(options);
         let mut out = vec![Track::zeroed(); AGENTS_MAX];
         let mut forecasts = Vec::new();
-        let (mut forecast_header, mut held_len) = (Header::new(1, 0, 0), 0);
+        let (mut forecast_header, mut held_count) = (Header::new(1, 0, 0), 0);
         let mut times = Vec::with_capacity(TICKS);
         for tick in 0..WARM_UP + TICKS {
             let stamp_ns = tick as i64 * TICK_NS;
@@ -114,16 +114,16 @@ impl Scene {
                 times.push(time_s);
             }
             let Ok(tracked) = tracked else { continue };
-            held_len = tracked.held_len;
+            held_count = tracked.held_count;
             forecasts.clear();
             if prior == Prior::Learned {
-                forecasts.extend(out[..tracked.tracks_len].iter().map(forecast));
+                forecasts.extend(out[..tracked.track_count].iter().map(forecast));
             }
             forecast_header = Header { step_ns: STEP_NS, ..header };
             forecast_header.counts.horizon_len = 12;
         }
         times.sort_unstable_by(f64::total_cmp);
-        (times, held_len)
+        (times, held_count)
     }
 }
 
@@ -173,13 +173,13 @@ fn main() -> std::io::Result<()> {
             scene.write(folder)?;
         }
         for prior in [Prior::Kinematic, Prior::Learned] {
-            let (times, held_len) = scene.run(prior);
+            let (times, held_count) = scene.run(prior);
             let ms = |rank: usize| times[rank] * 1e3;
             let (median_ms, p99_ms) = (ms(TICKS / 2), ms(TICKS * 99 / 100));
             let each_us = median_ms * 1e3 / scene.agents_len as f64;
             let (name, detected_len) = (&scene.name, scene.frames[0].len());
             println!(
-                "| {name} | {detected_len} | {held_len} | {prior:?} | {median_ms:.3} | {p99_ms:.3} | {each_us:.2} |"
+                "| {name} | {detected_len} | {held_count} | {prior:?} | {median_ms:.3} | {p99_ms:.3} | {each_us:.2} |"
             );
         }
     }

@@ -24,7 +24,7 @@ const _: () = assert!(SIDE_MAX <= OBSERVATIONS_MAX);
 pub struct Estimates {
     /// In the order of their births.
     all: Vec<Estimate>,
-    started_len: u64,
+    started_count: u64,
     /// Results of the forecasts' trials, by type.
     shown: [Shown; 3],
     placeholders: Placeholders,
@@ -47,14 +47,14 @@ pub struct Scratch {
 impl Scratch {
     /// Scratch memory for this number of estimates.
     #[must_use]
-    pub fn new(estimates_len: usize) -> Self {
+    pub fn new(estimate_count: usize) -> Self {
         Self {
-            pairing: Pairing::with_capacity(estimates_len, DETECTIONS_MAX),
+            pairing: Pairing::with_capacity(estimate_count, DETECTIONS_MAX),
             occlusion: Occlusion::new(),
             possible: Vec::with_capacity(SIDE_MAX),
             controls: Controls::new(),
-            strays: Vec::with_capacity(estimates_len),
-            begun: Vec::with_capacity(estimates_len),
+            strays: Vec::with_capacity(estimate_count),
+            begun: Vec::with_capacity(estimate_count),
         }
     }
 }
@@ -63,7 +63,7 @@ impl Estimates {
     /// No estimates, with room for this number.
     #[must_use]
     pub fn with_capacity(len: usize) -> Self {
-        Self { all: Vec::with_capacity(len), started_len: 0, ..Self::default() }
+        Self { all: Vec::with_capacity(len), started_count: 0, ..Self::default() }
     }
 
     /// All estimates.
@@ -75,14 +75,14 @@ impl Estimates {
     /// Adds the estimate of a track that another tracker has published. Calls must follow the order of
     /// births.
     pub fn add(&mut self, of_track: impl FnOnce(u64) -> Estimate) {
-        self.started_len += 1;
-        self.all.push(of_track(self.started_len));
+        self.started_count += 1;
+        self.all.push(of_track(self.started_count));
     }
 
     /// Copies `source` into the existing memory.
     pub fn copy(&mut self, source: &Self) {
         self.all.clone_from(&source.all);
-        self.started_len = source.started_len;
+        self.started_count = source.started_count;
         self.shown = source.shown;
         self.placeholders = source.placeholders;
     }
@@ -98,7 +98,7 @@ impl Estimates {
         scratch: &mut Scratch,
         options: &TrackerOptions,
     ) -> Tracked {
-        let mut tracked = Tracked { detections_len: scan.detections.len(), ..Tracked::default() };
+        let mut tracked = Tracked { detection_count: scan.detections.len(), ..Tracked::default() };
         self.adopt_forecasts(scan, publications, &mut scratch.controls, options, &mut tracked);
         self.begin_frame(&scan.header, options, &mut tracked);
         if options.trusts(&scan.header, &scan.detections) {
@@ -130,7 +130,7 @@ impl Estimates {
             Ok(Some(forecasts)) => forecasts,
             Ok(None) => return,
             Err(_) => {
-                tracked.refused_len += scan.forecasts.len();
+                tracked.refused_count += scan.forecasts.len();
                 return;
             }
         };
@@ -139,7 +139,7 @@ impl Estimates {
             let Some(publication) = publications.find(estimate.birth()) else { continue };
             let Some(forecast) = forecasts.find(publication.id) else { continue };
             let adopted = estimate.adopt((&forecasts, forecast), controls, input, &self.shown);
-            tracked.refused_len += usize::from(!adopted);
+            tracked.refused_count += usize::from(!adopted);
         }
     }
 
@@ -147,14 +147,14 @@ impl Estimates {
         let now_ns = header.stamp_ns;
         let before = self.all.len();
         self.all.retain(|estimate| estimate.unseen_ns(now_ns) <= options.horizon_ns);
-        tracked.ended_len += before - self.all.len();
+        tracked.ended_count += before - self.all.len();
         self.all.iter_mut().for_each(|estimate| estimate.begin_frame(now_ns));
     }
 
     fn predict(&mut self, header: &Header, options: &TrackerOptions, tracked: &mut Tracked) {
         let input = options.input(header);
         for estimate in &mut self.all {
-            tracked.faults_len += usize::from(estimate.predict(header.stamp_ns, input).is_err());
+            tracked.fault_count += usize::from(estimate.predict(header.stamp_ns, input).is_err());
         }
     }
 
@@ -176,7 +176,7 @@ impl Estimates {
         let found = |d: usize| Found::new(header.stamp_ns, &detections[d], types[d]);
         for (e, estimate) in self.all.iter_mut().enumerate() {
             if pairing.is_resent(e) {
-                tracked.repeated_len += 1;
+                tracked.repeated_count += 1;
                 estimate.hold_turn();
                 continue;
             }
@@ -210,7 +210,7 @@ impl Estimates {
             } else if header.observed_types & estimate.class.current().bit() != 0 {
                 outcome = estimate.miss(possible, input, options);
             }
-            tracked.faults_len += usize::from(outcome.is_err());
+            tracked.fault_count += usize::from(outcome.is_err());
         }
     }
 
@@ -250,11 +250,11 @@ impl Estimates {
         for d in pairing.unpaired() {
             let found = Found::new(header.stamp_ns, &detections[d], types[d]);
             if Estimate::is_too_fast(&found, options) {
-                tracked.misfits_len += 1;
+                tracked.misfit_count += 1;
                 continue;
             }
             if self.placeholders.holds(found.place()) {
-                tracked.placeholders_len += 1;
+                tracked.placeholder_count += 1;
                 continue;
             }
             let last = self.all.last_mut().filter(|last| {
@@ -264,23 +264,23 @@ impl Estimates {
                 let mut seen = [(1.0, observation(found.detection, found.agent_type, input))];
                 let outcome = last.predict(found.own_ns, input);
                 let outcome = outcome.and(last.update(&found, &mut seen, input, options));
-                tracked.faults_len += usize::from(outcome.is_err());
+                tracked.fault_count += usize::from(outcome.is_err());
                 continue;
             }
             if self.all.len() >= options.tracks_max {
-                tracked.overflow_len += 1;
+                tracked.overflow_count += 1;
                 continue;
             }
-            self.started_len += 1;
-            tracked.started_len += 1;
+            self.started_count += 1;
+            tracked.started_count += 1;
             let birth = Birth { stamp_ns: header.stamp_ns, detection: d as u32 };
-            self.all.push(Estimate::new((birth, self.started_len), &found, input, trusted));
+            self.all.push(Estimate::new((birth, self.started_count), &found, input, trusted));
         }
         for estimate in self.all.iter_mut().rev() {
             if estimate.birth().stamp_ns != header.stamp_ns {
                 break;
             }
-            tracked.faults_len += usize::from(estimate.predict_first(input).is_err());
+            tracked.fault_count += usize::from(estimate.predict_first(input).is_err());
         }
     }
 
@@ -299,8 +299,8 @@ impl Estimates {
         let before = self.all.len();
         self.all.iter_mut().for_each(|estimate| estimate.end_frame(&options.speed_limits));
         self.all.retain(|estimate| !estimate.is_over(input, options));
-        tracked.ended_len += before - self.all.len();
-        tracked.held_len = self.all.len();
+        tracked.ended_count += before - self.all.len();
+        tracked.held_count = self.all.len();
     }
 }
 

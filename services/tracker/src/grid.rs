@@ -36,15 +36,19 @@ pub struct Grid {
 impl Grid {
     /// A grid for this number of detections.
     #[must_use]
-    pub fn with_capacity(detections_len: usize) -> Self {
-        let cells_len = (side(detections_len) as usize).pow(2);
-        Self { side: 1, first: Vec::with_capacity(cells_len + 1), spots: Vec::with_capacity(detections_len) }
+    pub fn with_capacity(detection_count: usize) -> Self {
+        let cell_count = (side(detection_count) as usize).pow(2);
+        Self {
+            side: 1,
+            first: Vec::with_capacity(cell_count + 1),
+            spots: Vec::with_capacity(detection_count),
+        }
     }
 
     /// Replaces the detections by the detections of a frame.
     pub fn fill(&mut self, spots: impl DoubleEndedIterator<Item = Spot> + Clone) {
-        let spots_len = spots.clone().count();
-        self.side = side(spots_len);
+        let spot_count = spots.clone().count();
+        self.side = side(spot_count);
         self.first.clear();
         self.first.resize((self.side as usize).pow(2) + 1, 0);
         for spot in spots.clone() {
@@ -61,7 +65,7 @@ impl Grid {
         let unplaced =
             Spot { position_m: [0.0; 2], variance: 0.0, detection: 0, agent_type: AgentType::Vehicle };
         self.spots.clear();
-        self.spots.resize(spots_len, unplaced);
+        self.spots.resize(spot_count, unplaced);
         for spot in spots.rev() {
             let cell = self.cell(spot.position_m.map(line));
             self.first[cell] -= 1;
@@ -100,6 +104,6 @@ fn line(coordinate_m: f64) -> u32 {
     ((coordinate_m + f64::from(POSITION_MAX_M)) / CELL_M) as u32
 }
 
-fn side(spots_len: usize) -> u32 {
-    (CELLS_RATIO * spots_len).isqrt().next_power_of_two() as u32
+fn side(spot_count: usize) -> u32 {
+    (CELLS_RATIO * spot_count).isqrt().next_power_of_two() as u32
 }

@@ -54,24 +54,24 @@ pub struct Pairing {
 impl Pairing {
     /// Scratch memory for this number of estimates and detections.
     #[must_use]
-    pub fn with_capacity(estimates_len: usize, detections_len: usize) -> Self {
+    pub fn with_capacity(estimate_count: usize, detection_count: usize) -> Self {
         Self {
-            unpaired: Vec::with_capacity(detections_len),
-            grid: Grid::with_capacity(detections_len),
-            identities: Vec::with_capacity(estimates_len),
-            ordered: Vec::with_capacity(detections_len),
-            own: Vec::with_capacity(estimates_len),
-            more: Vec::with_capacity(detections_len),
+            unpaired: Vec::with_capacity(detection_count),
+            grid: Grid::with_capacity(detection_count),
+            identities: Vec::with_capacity(estimate_count),
+            ordered: Vec::with_capacity(detection_count),
+            own: Vec::with_capacity(estimate_count),
+            more: Vec::with_capacity(detection_count),
             places: PlaceFilter::default(),
-            resent: Vec::with_capacity(estimates_len),
-            candidates: Vec::with_capacity(8 * estimates_len),
-            possible: Vec::with_capacity(8 * estimates_len),
-            assigner: Assigner::with_capacity(estimates_len, detections_len),
-            associator: Associator::with_capacity(estimates_len, detections_len),
-            paired: Vec::with_capacity(estimates_len),
-            joint: Vec::with_capacity(estimates_len),
-            round: Vec::with_capacity(estimates_len),
-            taken: Vec::with_capacity(detections_len),
+            resent: Vec::with_capacity(estimate_count),
+            candidates: Vec::with_capacity(8 * estimate_count),
+            possible: Vec::with_capacity(8 * estimate_count),
+            assigner: Assigner::with_capacity(estimate_count, detection_count),
+            associator: Associator::with_capacity(estimate_count, detection_count),
+            paired: Vec::with_capacity(estimate_count),
+            joint: Vec::with_capacity(estimate_count),
+            round: Vec::with_capacity(estimate_count),
+            taken: Vec::with_capacity(detection_count),
         }
     }
 
@@ -217,8 +217,8 @@ impl Pairing {
     /// The assignment alone decides which tracks are hit, and which detections update tentative tracks. A
     /// tentative track that clutter started would otherwise follow more clutter. The assignment also updates
     /// a track whose detection is beyond the first gate.
-    fn associate(&mut self, estimates: &[Estimate], detections_len: usize, miss_cost: f64) {
-        self.associator.associate(&mut self.possible, estimates.len(), detections_len, miss_cost);
+    fn associate(&mut self, estimates: &[Estimate], detection_count: usize, miss_cost: f64) {
+        self.associator.associate(&mut self.possible, estimates.len(), detection_count, miss_cost);
         for (e, estimate) in estimates.iter().enumerate() {
             let shares = self.associator.of_track(e);
             let holds = |pair: Share| shares.iter().any(|share| share.detection == pair.detection);
@@ -246,9 +246,9 @@ impl Pairing {
     }
 
     /// Pairs the candidates at the least cost.
-    fn pair(&mut self, gate: f64, detections_len: usize, options: &TrackerOptions) {
+    fn pair(&mut self, gate: f64, detection_count: usize, options: &TrackerOptions) {
         let miss_cost = options.miss_cost + (gate - GATE);
-        self.assigner.solve(&mut self.candidates, detections_len, miss_cost, &mut self.round);
+        self.assigner.solve(&mut self.candidates, detection_count, miss_cost, &mut self.round);
         for (paired, found) in self.paired.iter_mut().zip(&self.round) {
             if let &Some(d) = found {
                 *paired = Some(certain(d));

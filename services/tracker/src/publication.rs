@@ -66,9 +66,9 @@ impl Publication {
         estimate.write(options.step_ns, track);
         let window = &mut track.history[..options.history_len];
         self.history.window(self.held_ns, options.step_ns, options.gap_max_ns, window);
-        let present_len: u32 = window.iter().map(|state| state.present).sum();
+        let present_count: u32 = window.iter().map(|state| state.present).sum();
         let age_ns = self.held_ns.saturating_sub(track.born_ns).unsigned_abs();
-        track.forecastable = u32::from(present_len >= Track::STATES_MIN && age_ns >= options.step_ns);
+        track.forecastable = u32::from(present_count >= Track::STATES_MIN && age_ns >= options.step_ns);
     }
 }
 

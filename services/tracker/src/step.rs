@@ -38,15 +38,15 @@ impl Step for Tracker {
         let answered = tracked.and_then(|tracked| {
             // An out-of-sequence frame gets no answer, because newer tracks have already been published. The
             // next frame's tracks include its effect.
-            if tracked.replayed_len > 0 {
+            if tracked.replayed_count > 0 {
                 out.leave_empty();
                 return Ok(());
             }
-            if tracked.frozen_len > 0 {
-                let (field, frames) = ("detections", tracked.frozen_len);
+            if tracked.frozen_count > 0 {
+                let (field, frames) = ("detections", tracked.frozen_count);
                 out.refuse(DetectionsTopic::NAME, Rejected::Frozen { field, frames });
             }
-            let tracks = &mut tracks[..tracked.tracks_len];
+            let tracks = &mut tracks[..tracked.track_count];
             if !tick.header.has(flags::LOCKSTEP) {
                 feedback::tell(&mut out.header, tracks, prior);
             }

@@ -6,17 +6,17 @@ use crate::tracked::Tracked;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Tally {
     /// Out-of-sequence frames that were processed.
-    pub out_of_sequence_len: u64,
+    pub out_of_sequence_count: u64,
     /// Frames that were refused as too late.
-    pub too_late_len: u64,
+    pub too_late_count: u64,
     /// Frames that were refused because a frame with their stamp was processed before.
-    pub repeated_len: u64,
+    pub repeated_count: u64,
     /// The tracker's part of the counts about the input.
     pub input: InputCounts,
-    /// See [`Tracked::faults_len`](crate::Tracked::faults_len).
-    pub faults_len: u64,
-    /// See [`Tracked::refused_len`](crate::Tracked::refused_len).
-    pub refused_len: u64,
+    /// See [`Tracked::fault_count`](crate::Tracked::fault_count).
+    pub fault_count: u64,
+    /// See [`Tracked::refused_count`](crate::Tracked::refused_count).
+    pub refused_count: u64,
 }
 
 impl Tally {
@@ -24,11 +24,11 @@ impl Tally {
     pub(crate) fn add_input(&mut self, tracked: &Tracked) {
         let InputCounts { detections, repeated, misfits, placeholders, reassigned, .. } = &mut self.input;
         for (sum, len) in [
-            (detections, tracked.detections_len),
-            (repeated, tracked.repeated_len),
-            (misfits, tracked.misfits_len),
-            (placeholders, tracked.placeholders_len),
-            (reassigned, tracked.reassigned_len),
+            (detections, tracked.detection_count),
+            (repeated, tracked.repeated_count),
+            (misfits, tracked.misfit_count),
+            (placeholders, tracked.placeholder_count),
+            (reassigned, tracked.reassigned_count),
         ] {
             *sum = sum.saturating_add(u32::try_from(len).unwrap_or(u32::MAX));
         }
@@ -43,10 +43,16 @@ pub(crate) struct Warned(Tally);
 impl Warned {
     /// Logs each count that has doubled since.
     pub(crate) fn warn(&mut self, now: Tally) {
-        let Tally { out_of_sequence_len, too_late_len, repeated_len, input, faults_len, refused_len } =
-            &mut self.0;
+        let Tally {
+            out_of_sequence_count,
+            too_late_count,
+            repeated_count,
+            input,
+            fault_count,
+            refused_count,
+        } = &mut self.0;
         let InputCounts { repeated, misfits, placeholders, reassigned, .. } = input;
-        for (what, warned_len, now_len) in [
+        for (what, warned_count, now_count) in [
             ("detections repeated: no measurements", repeated, now.input.repeated),
             ("detections where their track can't be: treated as missed", misfits, now.input.misfits),
             (
@@ -56,21 +62,21 @@ impl Warned {
             ),
             ("tracks continued elsewhere, by detections that agree", reassigned, now.input.reassigned),
         ] {
-            if now_len > 0 && now_len / 2 >= *warned_len {
-                tracing::warn!("{now_len} {what} so far");
-                *warned_len = now_len;
+            if now_count > 0 && now_count / 2 >= *warned_count {
+                tracing::warn!("{now_count} {what} so far");
+                *warned_count = now_count;
             }
         }
-        for (what, warned_len, now_len) in [
-            ("out-of-sequence frames processed", out_of_sequence_len, now.out_of_sequence_len),
-            ("frames refused as too late", too_late_len, now.too_late_len),
-            ("frames refused because their stamp was processed before", repeated_len, now.repeated_len),
-            ("predictions or updates failed", faults_len, now.faults_len),
-            ("forecasts refused as a prior", refused_len, now.refused_len),
+        for (what, warned_count, now_count) in [
+            ("out-of-sequence frames processed", out_of_sequence_count, now.out_of_sequence_count),
+            ("frames refused as too late", too_late_count, now.too_late_count),
+            ("frames refused because their stamp was processed before", repeated_count, now.repeated_count),
+            ("predictions or updates failed", fault_count, now.fault_count),
+            ("forecasts refused as a prior", refused_count, now.refused_count),
         ] {
-            if now_len > 0 && now_len >= 2 * *warned_len {
-                tracing::warn!("{now_len} {what} so far");
-                *warned_len = now_len;
+            if now_count > 0 && now_count >= 2 * *warned_count {
+                tracing::warn!("{now_count} {what} so far");
+                *warned_count = now_count;
             }
         }
     }

@@ -129,8 +129,8 @@ impl TrackManagement {
     #[must_use]
     pub fn is_over(&self, unseen_ns: u64, input: &InputModel, options: &TrackerOptions) -> bool {
         let missed = !self.was_hit();
-        let misses_len = u32::from(self.frames) - self.hits.count_ones();
-        (!self.confirmed && misses_len >= MISSES_TO_DELETE)
+        let miss_count = u32::from(self.frames) - self.hits.count_ones();
+        (!self.confirmed && miss_count >= MISSES_TO_DELETE)
             || (missed && unseen_ns.saturating_sub(self.occluded_ns) > input.coast_ns)
             || (missed && self.confirmed && !self.trusted && self.coast_left_ns < 0)
             || unseen_ns > options.horizon_ns

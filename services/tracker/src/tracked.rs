@@ -2,38 +2,38 @@
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Tracked {
     /// Number of tracks written.
-    pub tracks_len: usize,
+    pub track_count: usize,
     /// Number of consecutive frames with these detections, which are ignored because their source is frozen;
     /// 0 if it is not frozen.
-    pub frozen_len: u32,
+    pub frozen_count: u32,
     /// Number of newer frames that were replayed after this out-of-sequence frame; 0 for a frame in sequence.
-    pub replayed_len: usize,
+    pub replayed_count: usize,
     /// Number of tracks that did not fit into the frame: the ones farthest from the ego.
     pub left_out_len: usize,
     /// Number of tracks held, including tentative tracks and tracks that did not fit.
-    pub held_len: usize,
+    pub held_count: usize,
     /// Number of tracks started.
-    pub started_len: usize,
+    pub started_count: usize,
     /// Number of tracks deleted.
-    pub ended_len: usize,
+    pub ended_count: usize,
     /// Number of detections that started no track because
     /// [`TrackerOptions::tracks_max`](crate::TrackerOptions::tracks_max) tracks are held.
-    pub overflow_len: usize,
+    pub overflow_count: usize,
     /// Number of detections ignored because another detection of the frame has the same identity.
-    pub duplicates_len: usize,
+    pub duplicate_count: usize,
     /// Number of detections processed.
-    pub detections_len: usize,
+    pub detection_count: usize,
     /// Number of detections that repeat the last one of a moving track to the bit. They are not measurements.
-    pub repeated_len: usize,
+    pub repeated_count: usize,
     /// Number of detections out of their track's reach. They count as misses.
-    pub misfits_len: usize,
+    pub misfit_count: usize,
     /// Number of detections at a placeholder's position.
-    pub placeholders_len: usize,
+    pub placeholder_count: usize,
     /// Number of tracks whose state was restarted because misfits agreed, or whose identities were exchanged.
-    pub reassigned_len: usize,
+    pub reassigned_count: usize,
     /// Number of failed predictions and updates. Their tracks kept the previous state.
-    pub faults_len: usize,
+    pub fault_count: usize,
     /// Number of forecasts that could not become a prior. Their tracks continued with the previous prior, or
     /// without one.
-    pub refused_len: usize,
+    pub refused_count: usize,
 }

@@ -174,7 +174,7 @@ impl Tracker {
         out: &mut [Track],
     ) -> Result<Tracked, Rejected> {
         assert!(out.len() >= AGENTS_MAX, "room for {AGENTS_MAX} tracks");
-        self.last = Tracked { held_len: self.estimates.all().len(), ..Tracked::default() };
+        self.last = Tracked { held_count: self.estimates.all().len(), ..Tracked::default() };
         self.is_auditable = false;
         if !header.is_tick() {
             return Ok(self.last);
@@ -183,34 +183,34 @@ impl Tracker {
         self.is_auditable = true;
         let position = self.position(header)?;
         let prior = prior.filter(|_| self.options.prior == Prior::Learned);
-        let frozen_len = self.frozen_len(header, detections);
+        let frozen_count = self.frozen_count(header, detections);
         let given_len = detections.len();
         // No type was observed, so no track is missed.
         let unseen = Header { observed_types: 0, ..*header };
-        let (seen, detections) = if frozen_len > 0 {
+        let (seen, detections) = if frozen_count > 0 {
             self.types.clear();
             (&unseen, &[][..])
         } else {
             (header, detections)
         };
         let position = self.replay.insert(position, seen, (detections, &self.types), prior);
-        let mut tracked = Tracked { frozen_len, ..self.process(position) };
-        if frozen_len > 0 {
-            (tracked.detections_len, tracked.repeated_len) = (given_len, given_len);
+        let mut tracked = Tracked { frozen_count, ..self.process(position) };
+        if frozen_count > 0 {
+            (tracked.detection_count, tracked.repeated_count) = (given_len, given_len);
         }
-        if tracked.replayed_len == 0 {
+        if tracked.replayed_count == 0 {
             self.publish(header, out, &mut tracked);
         }
-        self.tally.out_of_sequence_len += u64::from(tracked.replayed_len > 0);
+        self.tally.out_of_sequence_count += u64::from(tracked.replayed_count > 0);
         self.tally.add_input(&tracked);
-        self.tally.faults_len += tracked.faults_len as u64;
-        self.tally.refused_len += tracked.refused_len as u64;
+        self.tally.fault_count += tracked.fault_count as u64;
+        self.tally.refused_count += tracked.refused_count as u64;
         self.last = tracked;
         Ok(tracked)
     }
 
     /// Number of consecutive frames with the same detections; 0 while their source is not frozen.
-    fn frozen_len(&mut self, header: &Header, detections: &[Detection]) -> u32 {
+    fn frozen_count(&mut self, header: &Header, detections: &[Detection]) -> u32 {
         if self.options.frozen_frames == 0 {
             return 0;
         }
@@ -224,8 +224,8 @@ impl Tracker {
     #[must_use]
     pub fn header(&self, detections: &Header) -> Header {
         Header {
-            flags: detections.flags | if self.last.frozen_len > 0 { flags::PREDICTED } else { 0 },
-            observed_types: if self.last.frozen_len > 0 { 0 } else { detections.observed_types },
+            flags: detections.flags | if self.last.frozen_count > 0 { flags::PREDICTED } else { 0 },
+            observed_types: if self.last.frozen_count > 0 { 0 } else { detections.observed_types },
             step_ns: self.options.step_ns,
             left_out_len: self.last.left_out_len as u32,
             input: InputCounts {
@@ -235,7 +235,7 @@ impl Tracker {
                 ..self.tally.input
             },
             counts: Counts {
-                agents_len: self.last.tracks_len as u32,
+                agents_len: self.last.track_count as u32,
                 history_len: self.options.history_len as u32,
                 ..Counts::default()
             },
@@ -281,13 +281,13 @@ impl Tracker {
         let stamp_ns = header.stamp_ns;
         let last_ns = self.replay.scans().last().map_or(stamp_ns, |newest| newest.header.stamp_ns);
         if let Some(before_ns) = self.predecessor_ns.filter(|before_ns| stamp_ns <= *before_ns) {
-            self.tally.too_late_len += 1;
+            self.tally.too_late_count += 1;
             return Err(Rejected::NotNewer { stamp_ns, last_ns: before_ns.max(last_ns) });
         }
         self.replay.position(stamp_ns, self.options.horizon_ns).map_err(|why| {
             match why {
-                Refusal::Repeated => self.tally.repeated_len += 1,
-                Refusal::TooLate => self.tally.too_late_len += 1,
+                Refusal::Repeated => self.tally.repeated_count += 1,
+                Refusal::TooLate => self.tally.too_late_count += 1,
             }
             Rejected::NotNewer { stamp_ns, last_ns }
         })
@@ -307,7 +307,7 @@ impl Tracker {
                 tracked = done;
             }
         }
-        Tracked { replayed_len: newest - position, held_len: estimates.all().len(), ..tracked }
+        Tracked { replayed_count: newest - position, held_count: estimates.all().len(), ..tracked }
     }
 
     fn publish(&mut self, header: &Header, out: &mut [Track], tracked: &mut Tracked) {
@@ -334,8 +334,8 @@ impl Tracker {
         for (track, chosen) in out.iter_mut().zip(&*publishable) {
             publications.at(chosen.publication).write(&estimates.all()[chosen.estimate], options, track);
         }
-        tracked.tracks_len = publishable.len();
-        name_once(&mut out[..tracked.tracks_len], identities);
+        tracked.track_count = publishable.len();
+        name_once(&mut out[..tracked.track_count], identities);
         let oldest_ns = replay.scans().first().map_or(header.stamp_ns, |oldest| oldest.header.stamp_ns);
         publications.prune(header.stamp_ns, oldest_ns);
     }

@@ -141,13 +141,13 @@ mod tests {
 
     /// Trials of an agent that moves along x, one every 0.4 s, and their results. The process model's error
     /// is 1 m, and the forecast's error is this share of it.
-    fn trials(share: f64, trials_len: i64) -> (Trials, Vec<Shown>) {
+    fn trials(share: f64, trial_count: i64) -> (Trials, Vec<Shown>) {
         let (mut trials, mut all) = (Trials::default(), Vec::new());
         let at_m = |stamp_ns: i64| [stamp_ns as f64 * 5e-9, 0.0];
-        for tick in 0..5 * trials_len + 10 {
+        for tick in 0..5 * trial_count + 10 {
             let stamp_ns = tick * TICK_NS;
             all.extend(trials.mature(stamp_ns, at_m(stamp_ns), [5.0, 0.0]));
-            if tick % 5 == 0 && tick < 5 * trials_len {
+            if tick % 5 == 0 && tick < 5 * trial_count {
                 let ahead = |part: i64| {
                     let [x, y] = at_m(stamp_ns + part * PART_NS as i64);
                     Ahead { learned_m: [x, y + share], kinematic_m: [x, y + 1.0] }

@@ -58,7 +58,7 @@ fn assert_steady_steps_allocate_nothing(identities: u32, prior: Prior, associati
     let mut frame = Vec::with_capacity(100);
     let mut made: Vec<Forecast> = Vec::with_capacity(AGENTS_MAX);
     let mut made_ns = 0;
-    let mut late_len = 0;
+    let mut late_count = 0;
     let mut step = |number: u32| {
         // One in ten frames arrives early.
         let k = match number % 10 {
@@ -73,22 +73,22 @@ fn assert_steady_steps_allocate_nothing(identities: u32, prior: Prior, associati
         let header = Header { flags: identities, observed_types, ..Header::new(1, u64::from(k), stamp_ns) };
         let of = forecasts_header(made_ns, made.len());
         let tracked = tracker.step(&header, &frame, Some((&of, &made)), &mut out).expect("a good frame");
-        assert_eq!(tracked.refused_len, 0);
-        if tracked.replayed_len > 0 {
-            late_len += 1;
+        assert_eq!(tracked.refused_count, 0);
+        if tracked.replayed_count > 0 {
+            late_count += 1;
             return;
         }
-        assert!(k < 8 || tracked.tracks_len == 100, "{name}, frame {k}: {tracked:?}");
+        assert!(k < 8 || tracked.track_count == 100, "{name}, frame {k}: {tracked:?}");
         made_ns = stamp_ns;
         made.clear();
-        made.extend(out[..tracked.tracks_len].iter().map(|track| {
+        made.extend(out[..tracked.track_count].iter().map(|track| {
             let steering = if track.agent_type == 0 { Steering::Bicycle } else { Steering::Displacement };
             forecast(track, steering, &[(0.5, [[0.1, 0.0]; HORIZON_LEN]), (0.5, [[0.0; 2]; HORIZON_LEN])])
         }));
     };
     (0..100).for_each(&mut step);
     assert_eq!(allocations(|| (100..1_100).for_each(&mut step)), 0, "{name}, {prior:?}");
-    assert_eq!(late_len, 5 * 110, "{name}, {prior:?}");
+    assert_eq!(late_count, 5 * 110, "{name}, {prior:?}");
     let learned = out.iter().filter(|track| track.prior_age_ns > 0).count();
     assert_eq!(learned > 50, prior == Prior::Learned, "{name}, {prior:?}: {learned} tracks by forecasts");
 }
@@ -104,9 +104,9 @@ fn random_ticks_keep_memory() {
     ] {
         let survived = torture(prior, association, 7, 10_000);
         println!("{prior:?}, {association:?}: {survived:?}");
-        assert!(survived.out_of_sequence_len > 100, "{survived:?}");
-        assert!(survived.published_len > 20_000 && survived.refused.len() >= 3, "{survived:?}");
-        assert_eq!(survived.learned_len > 5_000, prior == Prior::Learned, "{survived:?}");
+        assert!(survived.out_of_sequence_count > 100, "{survived:?}");
+        assert!(survived.published_count > 20_000 && survived.refused.len() >= 3, "{survived:?}");
+        assert_eq!(survived.learned_count > 5_000, prior == Prior::Learned, "{survived:?}");
         // Hypotheses of 20 KiB live as long as their track, so a few hundred exist at once. The hypotheses of
         // all tracks ever would be hundreds of MiB. The last frames use memory as larger ones arrive.
         if let [_, _, early, .., late] = survived.resident_kib[..] {

@@ -32,20 +32,20 @@ fn driving(harness: &Harness) -> (f64, bool) {
 fn tracks_of_a_frozen_source_are_predicted_until_it_goes_on() {
     let mut harness = harness(4);
     let frames: Vec<u32> =
-        (0..7).map(|_| harness.try_step(&frame(19)).expect("a good frame").frozen_len).collect();
+        (0..7).map(|_| harness.try_step(&frame(19)).expect("a good frame").frozen_count).collect();
     assert_eq!(frames, [0, 0, 4, 5, 6, 7, 8], "the fourth with these detections is the first");
     let (x_m, is_predicted) = driving(&harness);
     assert!(is_predicted && harness.tracker.header(&harness.header()).observed_types == 0);
     let stands_m = SPEED_MPS * 0.08 * 19.0;
     assert!(x_m > stands_m + 0.25, "it drives on: {x_m} m, detected at {stands_m} m");
     let tracked = harness.try_step(&frame(27)).expect("a good frame");
-    assert_eq!((tracked.frozen_len, driving(&harness).1), (0, false));
+    assert_eq!((tracked.frozen_count, driving(&harness).1), (0, false));
 }
 
 #[test]
 fn standing_agents_and_trackers_without_the_option_take_every_frame() {
     let mut without = harness(0);
-    assert!((0..7).all(|_| without.try_step(&frame(19)).expect("a good frame").frozen_len == 0));
+    assert!((0..7).all(|_| without.try_step(&frame(19)).expect("a good frame").frozen_count == 0));
     let mut parked = Harness::new(TrackerOptions { frozen_frames: 4, ..TrackerOptions::default() }, 0);
-    assert!((0..20).all(|_| parked.try_step(&frame(0)[1..]).expect("a good frame").frozen_len == 0));
+    assert!((0..20).all(|_| parked.try_step(&frame(0)[1..]).expect("a good frame").frozen_count == 0));
 }

@@ -63,18 +63,18 @@ const MEETINGS: [Meeting; 4] = [
 #[derive(Debug, Default)]
 struct Outcome {
     /// Agents that have another id after the crossing, or more than one id before or after it.
-    switched_len: usize,
+    switched_count: usize,
     /// Crossings after which an agent has the other agent's id.
-    swapped_len: usize,
+    swapped_count: usize,
     /// Frames in which an agent had no track.
-    lost_len: usize,
-    found_len: usize,
+    lost_count: usize,
+    found_count: usize,
     square_m2: f64,
 }
 
 impl Outcome {
     fn rms_m(&self) -> f64 {
-        (self.square_m2 / self.found_len as f64).sqrt()
+        (self.square_m2 / self.found_count as f64).sqrt()
     }
 
     /// Finds an agent's track and counts its error. Returns the track's id.
@@ -82,10 +82,10 @@ impl Outcome {
         let off_m = |track: &Track| (f64::from(track.x_m) - x).hypot(f64::from(track.y_m) - y);
         let near = tracks.iter().map(|track| (off_m(track), track.id)).min_by(|a, b| a.0.total_cmp(&b.0));
         let Some((off_m, id)) = near.filter(|(off_m, _)| *off_m < NEAR_M) else {
-            self.lost_len += 1;
+            self.lost_count += 1;
             return None;
         };
-        self.found_len += 1;
+        self.found_count += 1;
         self.square_m2 += off_m.powi(2);
         Some(id)
     }
@@ -106,8 +106,8 @@ fn frame(meeting: &Meeting, states: &[[f64; 4]; 2], rng: &mut ChaCha8Rng) -> Vec
         if rng.random_bool(0.9) {
             detections.push(detected(meeting.agent_type, id, x + dx, y + dy, course));
         }
-        let clutter_len = CLUTTER * (2.0 * CLUTTER_REACH_M).powi(2);
-        for _ in 0..clutter_len as usize {
+        let clutter_count = CLUTTER * (2.0 * CLUTTER_REACH_M).powi(2);
+        for _ in 0..clutter_count as usize {
             let mut off = || rng.random_range(-CLUTTER_REACH_M..CLUTTER_REACH_M);
             let (x, y) = (x + off(), y + off());
             detections.push(detected(meeting.agent_type, 0, x, y, rng.random_range(-PI..PI)));
@@ -146,8 +146,8 @@ fn meet(meeting: &Meeting, association: Association) -> Outcome {
                 ids.extend(id.filter(|_| !MEETING.contains(&k)));
             }
         }
-        outcome.switched_len += ids.iter().filter(|of| of.len() > 1).count();
-        outcome.swapped_len += usize::from(!ids[0].is_disjoint(&ids[1]));
+        outcome.switched_count += ids.iter().filter(|of| of.len() > 1).count();
+        outcome.swapped_count += usize::from(!ids[0].is_disjoint(&ids[1]));
     }
     outcome
 }
@@ -162,17 +162,17 @@ fn jpda_switches_fewer_ids_than_assignment_in_clutter() {
                 "{}, {name}: of {} agents {} switched, {} pairs swapped; {} of {} states lost, RMS {:.3} m",
                 meeting.name,
                 2 * SEEDS,
-                outcome.switched_len,
-                outcome.swapped_len,
-                outcome.lost_len,
-                outcome.lost_len + outcome.found_len,
+                outcome.switched_count,
+                outcome.swapped_count,
+                outcome.lost_count,
+                outcome.lost_count + outcome.found_count,
                 outcome.rms_m(),
             );
         }
         let name = meeting.name;
-        assert!(joint.switched_len < assigned.switched_len, "{name}: {assigned:?} {joint:?}");
-        assert!(joint.swapped_len <= assigned.swapped_len, "{name}: {assigned:?} {joint:?}");
-        assert!(joint.lost_len * 50 < joint.found_len, "{name}: {assigned:?} {joint:?}");
+        assert!(joint.switched_count < assigned.switched_count, "{name}: {assigned:?} {joint:?}");
+        assert!(joint.swapped_count <= assigned.swapped_count, "{name}: {assigned:?} {joint:?}");
+        assert!(joint.lost_count * 50 < joint.found_count, "{name}: {assigned:?} {joint:?}");
         assert!(joint.rms_m() < assigned.rms_m(), "{name}: {assigned:?} {joint:?}");
     }
 }

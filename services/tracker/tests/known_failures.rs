@@ -17,11 +17,11 @@ const TICK_S: f64 = TICK_NS as f64 / 1e9;
 #[derive(Debug, Default)]
 struct Turns {
     /// Published headings that differ by more than 90° from the previous one.
-    jumps_len: usize,
+    jump_count: usize,
     largest_rad: f64,
     /// Published headings that are more than 90° wrong.
-    wrong_len: usize,
-    published_len: usize,
+    wrong_count: usize,
+    published_count: usize,
 }
 
 fn flipped_headings(speed_mps: f64) -> Turns {
@@ -44,10 +44,10 @@ fn flipped_headings(speed_mps: f64) -> Turns {
                 if let Some(before) = last.insert(track.id, now) {
                     let jump = wrapped(now - before).abs();
                     turns.largest_rad = turns.largest_rad.max(jump);
-                    turns.jumps_len += usize::from(jump > FRAC_PI_2);
+                    turns.jump_count += usize::from(jump > FRAC_PI_2);
                 }
-                turns.wrong_len += usize::from(wrapped(now - course).abs() > FRAC_PI_2);
-                turns.published_len += 1;
+                turns.wrong_count += usize::from(wrapped(now - course).abs() > FRAC_PI_2);
+                turns.published_count += 1;
             }
         }
     }
@@ -59,8 +59,8 @@ fn flipped_detections_never_flip_published_headings() {
     for (pace, speed_mps) in [("driving", 8.0), ("crawling", 2.0), ("at rest", 0.0)] {
         let turns = flipped_headings(speed_mps);
         println!("30 % of headings flipped, {pace}: {turns:?}");
-        assert_eq!(turns.jumps_len, 0, "{pace}: {turns:?}");
-        assert!(turns.wrong_len * 20 < turns.published_len, "{pace}: {turns:?}");
+        assert_eq!(turns.jump_count, 0, "{pace}: {turns:?}");
+        assert!(turns.wrong_count * 20 < turns.published_count, "{pace}: {turns:?}");
     }
 }
 
@@ -98,7 +98,7 @@ const MEETINGS: [Meeting; 4] = [
 /// For 200 crossings: agents that changed their id during 1.6 s without detections, and agents without a
 /// track.
 fn switches(meeting: &Meeting) -> (usize, usize) {
-    let (mut switched_len, mut lost_len) = (0, 0);
+    let (mut switched_count, mut lost_count) = (0, 0);
     for seed in 0..200 {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let mut run = Harness::new(TrackerOptions::default(), 0);
@@ -123,18 +123,18 @@ fn switches(meeting: &Meeting) -> (usize, usize) {
                 ids[track.source_id as usize - 1].insert(track.id);
             }
         }
-        switched_len += ids.iter().filter(|of| of.len() > 1).count();
-        lost_len += ids.iter().filter(|of| of.is_empty()).count();
+        switched_count += ids.iter().filter(|of| of.len() > 1).count();
+        lost_count += ids.iter().filter(|of| of.is_empty()).count();
     }
-    (switched_len, lost_len)
+    (switched_count, lost_count)
 }
 
 #[test]
 fn ids_persist_where_agents_cross_unseen() {
     for meeting in &MEETINGS {
-        let (switched_len, lost_len) = switches(meeting);
-        println!("{}: {switched_len} of 400 switched, {lost_len} without a track", meeting.name);
-        assert!(switched_len <= 24 && lost_len == 0, "{}: {switched_len} {lost_len}", meeting.name);
+        let (switched_count, lost_count) = switches(meeting);
+        println!("{}: {switched_count} of 400 switched, {lost_count} without a track", meeting.name);
+        assert!(switched_count <= 24 && lost_count == 0, "{}: {switched_count} {lost_count}", meeting.name);
     }
 }
 
@@ -146,7 +146,7 @@ struct FalseTracks {
     life_s: f64,
 }
 
-fn false_tracks(agent_type: AgentType, clutter_len: usize) -> FalseTracks {
+fn false_tracks(agent_type: AgentType, clutter_count: usize) -> FalseTracks {
     let mut ids = BTreeSet::new();
     let mut lived_s = 0.0;
     for seed in 0..10 {
@@ -155,7 +155,7 @@ fn false_tracks(agent_type: AgentType, clutter_len: usize) -> FalseTracks {
         for _ in 0..750 {
             let mut place = || rng.random_range(-50.0..50.0);
             let clutter: Vec<Detection> =
-                (0..clutter_len).map(|_| detected_at(agent_type, 0, place(), place())).collect();
+                (0..clutter_count).map(|_| detected_at(agent_type, 0, place(), place())).collect();
             for track in run.step(&clutter) {
                 ids.insert((seed, track.id));
                 lived_s += TICK_S;
@@ -169,7 +169,7 @@ fn false_tracks(agent_type: AgentType, clutter_len: usize) -> FalseTracks {
 /// detections are what [`TrackerOptions::clutter_density`] expects.
 #[test]
 fn clutter_makes_few_and_short_false_tracks() {
-    for (agent_type, clutter_len, per_minute_max) in [
+    for (agent_type, clutter_count, per_minute_max) in [
         (AgentType::Pedestrian, 2, 0.2),
         (AgentType::Pedestrian, 10, 0.5),
         (AgentType::Pedestrian, 50, 12.0),
@@ -177,8 +177,8 @@ fn clutter_makes_few_and_short_false_tracks() {
         (AgentType::Vehicle, 10, 1.0),
         (AgentType::Vehicle, 50, 40.0),
     ] {
-        let found = false_tracks(agent_type, clutter_len);
-        println!("{clutter_len} false {agent_type:?} a frame: {found:?}");
+        let found = false_tracks(agent_type, clutter_count);
+        println!("{clutter_count} false {agent_type:?} a frame: {found:?}");
         assert!(found.per_minute <= per_minute_max && found.life_s < 0.8, "{found:?}");
     }
 }
@@ -187,9 +187,12 @@ fn clutter_makes_few_and_short_false_tracks() {
 #[test]
 fn fewer_than_2_percent_of_a_crowd_switch_ids() {
     for association in [Association::Assignment, Association::Jpda] {
-        let (switched_len, compared_len) = switches_in_a_crowd(association);
-        println!("{association:?}: {switched_len} switches of {compared_len} published states");
-        assert!(switched_len * 50 < compared_len, "{association:?}: {switched_len} of {compared_len}");
+        let (switched_count, compared_count) = switches_in_a_crowd(association);
+        println!("{association:?}: {switched_count} switches of {compared_count} published states");
+        assert!(
+            switched_count * 50 < compared_count,
+            "{association:?}: {switched_count} of {compared_count}"
+        );
     }
 }
 
@@ -203,7 +206,7 @@ fn switches_in_a_crowd(association: Association) -> (usize, usize) {
         })
         .collect();
     let mut id_of = BTreeMap::new();
-    let (mut switched_len, mut compared_len) = (0, 0);
+    let (mut switched_count, mut compared_count) = (0, 0);
     for k in 0..250 {
         let mut detections = Vec::new();
         for (pedestrian, id) in pedestrians.iter_mut().zip(1..) {
@@ -214,12 +217,12 @@ fn switches_in_a_crowd(association: Association) -> (usize, usize) {
             detections.push(detected_at(AgentType::Pedestrian, id, x, y));
         }
         let tracked = run.try_step(&detections).expect("a good frame");
-        assert!(k < 10 || (500..=512).contains(&tracked.held_len), "{k}: {tracked:?}");
+        assert!(k < 10 || (500..=512).contains(&tracked.held_count), "{k}: {tracked:?}");
         for track in run.published().iter().filter(|t| t.status == TrackStatus::Confirmed as u32) {
             let before = id_of.insert(track.source_id, track.id);
-            switched_len += usize::from(before.is_some_and(|before| before != track.id));
-            compared_len += 1;
+            switched_count += usize::from(before.is_some_and(|before| before != track.id));
+            compared_count += 1;
         }
     }
-    (switched_len, compared_len)
+    (switched_count, compared_count)
 }

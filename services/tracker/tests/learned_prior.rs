@@ -253,7 +253,7 @@ fn drive(
         run.prior = at_hand(tick, forecasts_header(run.stamp_ns, made.len()), made);
         let tracked = run.try_step(&[detection]).expect("a good frame");
         if let Some(track) = run.published().first() {
-            show(tick, track, tracked.refused_len);
+            show(tick, track, tracked.refused_count);
         }
         let modes = [(0.4, [[1.0, 0.0]; HORIZON_LEN]), (0.6, [[-3.0, 0.0]; HORIZON_LEN])];
         made = run.published().iter().map(|track| forecast(track, Steering::Bicycle, &modes)).collect();
@@ -264,8 +264,8 @@ fn drive(
 fn tracks_report_the_prior_that_moved_them() {
     let mut reported = Vec::new();
     drive(options(Prior::Learned), 120, |tick, header, made| (tick < 50).then_some((header, made)), {
-        |tick, track, refused_len| {
-            assert_eq!(refused_len, 0);
+        |tick, track, refused_count| {
+            assert_eq!(refused_count, 0);
             let sum: f32 = track.prior_weights.iter().sum();
             assert!((sum - 1.0).abs() < 1e-5, "weights sum to {sum}");
             assert!(track.prior_weights[2..MODES_MAX].iter().all(|&weight| weight == 0.0));
@@ -317,7 +317,7 @@ fn faults() -> Vec<(&'static str, bool, Spoil)> {
 #[test]
 fn an_unusable_forecast_leaves_the_process_model() {
     let alone = |prior: Prior, spoil: Spoil| {
-        let (mut tracks, mut refused_len) = (Vec::new(), 0);
+        let (mut tracks, mut refused_count) = (Vec::new(), 0);
         drive(
             options(prior),
             110,
@@ -327,18 +327,18 @@ fn an_unusable_forecast_leaves_the_process_model() {
             },
             |_, track, refused| {
                 tracks.push(*track);
-                refused_len += refused;
+                refused_count += refused;
             },
         );
-        (tracks, refused_len)
+        (tracks, refused_count)
     };
     let (kinematic, _) = alone(Prior::Kinematic, |_, _| ());
     let (good, _) = alone(Prior::Learned, |_, _| ());
     assert_ne!(good, kinematic);
     for (name, counts, spoil) in faults() {
-        let (tracks, refused_len) = alone(Prior::Learned, spoil);
+        let (tracks, refused_count) = alone(Prior::Learned, spoil);
         assert!(tracks == kinematic, "a forecast {name}");
-        assert_eq!(refused_len > 30, counts, "a forecast {name}: {refused_len} refused");
+        assert_eq!(refused_count > 30, counts, "a forecast {name}: {refused_count} refused");
     }
 }
 

@@ -61,15 +61,15 @@ const VEHICLES: Passing = Passing {
 #[derive(Clone, Copy, Debug, Default)]
 struct Outcome {
     /// Agents with a track before they were hidden, by the track afterwards: the same, another, or none.
-    kept_len: usize,
-    switched_len: usize,
-    lost_len: usize,
-    /// Frames with a hidden agent. `bridged_len` counts those with its track nearby.
-    hidden_len: usize,
-    bridged_len: usize,
+    kept_count: usize,
+    switched_count: usize,
+    lost_count: usize,
+    /// Frames with a hidden agent. `bridged_count` counts those with its track nearby.
+    hidden_count: usize,
+    bridged_count: usize,
     /// False tracks, which were never near anything, and the time for which tracks were published far from
     /// everything.
-    false_len: usize,
+    false_count: usize,
     false_s: f64,
 }
 
@@ -138,8 +138,8 @@ fn pass(passing: &Passing, seed: u64, sees_from: u32, outcome: &mut Outcome) {
         if is_there && !hidden && state[0] < 0.0 {
             before = last;
         }
-        outcome.hidden_len += usize::from(is_there && hidden);
-        outcome.bridged_len += usize::from(is_there && hidden && before.is_some() && last == before);
+        outcome.hidden_count += usize::from(is_there && hidden);
+        outcome.bridged_count += usize::from(is_there && hidden && before.is_some() && last == before);
         for track in tracks {
             let away_m = off_m(track, PARKED_M).min(if is_there { off_m(track, place) } else { f64::MAX });
             let nearest_m = nearest_m.entry(track.id).or_insert(f64::MAX);
@@ -153,12 +153,12 @@ fn pass(passing: &Passing, seed: u64, sees_from: u32, outcome: &mut Outcome) {
             }
         }
     }
-    outcome.false_len += nearest_m.values().filter(|&&nearest_m| nearest_m > FALSE_M).count();
+    outcome.false_count += nearest_m.values().filter(|&&nearest_m| nearest_m > FALSE_M).count();
     match (before, last) {
         (None, _) => {}
-        (Some(_), None) => outcome.lost_len += 1,
-        (Some(before), Some(last)) if before == last => outcome.kept_len += 1,
-        (Some(_), Some(_)) => outcome.switched_len += 1,
+        (Some(_), None) => outcome.lost_count += 1,
+        (Some(before), Some(last)) if before == last => outcome.kept_count += 1,
+        (Some(_), Some(_)) => outcome.switched_count += 1,
     }
 }
 
@@ -176,12 +176,12 @@ fn compare(passing: &Passing) -> [Outcome; 2] {
 fn ids_persist_behind_a_parked_vehicle() {
     for passing in [PEDESTRIANS, VEHICLES] {
         let [unknown, known] = compare(&passing);
-        let switched = |of: &Outcome| of.switched_len + of.lost_len;
-        assert!(2 * known.kept_len > 3 * unknown.kept_len, "{known:?} {unknown:?}");
+        let switched = |of: &Outcome| of.switched_count + of.lost_count;
+        assert!(2 * known.kept_count > 3 * unknown.kept_count, "{known:?} {unknown:?}");
         assert!(3 * switched(&known) < 2 * switched(&unknown), "{known:?} {unknown:?}");
-        assert!(known.bridged_len > unknown.bridged_len, "{known:?} {unknown:?}");
+        assert!(known.bridged_count > unknown.bridged_count, "{known:?} {unknown:?}");
         assert!(
-            known.false_len <= unknown.false_len && known.false_s < unknown.false_s,
+            known.false_count <= unknown.false_count && known.false_s < unknown.false_s,
             "{known:?} {unknown:?}"
         );
     }
@@ -231,16 +231,16 @@ fn looks_back(seed: u64, fov: Option<FieldOfView>) -> Option<bool> {
 fn ids_persist_out_of_the_field_of_view() {
     let [unknown, known] = [None, Some(VIEW)].map(|view| {
         let followed: Vec<bool> = (0..SEEDS).filter_map(|seed| looks_back(seed, view)).collect();
-        let kept_len = followed.iter().filter(|kept| **kept).count();
-        println!("out of view for 1 to 3 s, {view:?}: {kept_len} of {} keep their track", followed.len());
-        kept_len
+        let kept_count = followed.iter().filter(|kept| **kept).count();
+        println!("out of view for 1 to 3 s, {view:?}: {kept_count} of {} keep their track", followed.len());
+        kept_count
     });
     assert!(2 * known > 3 * unknown && known > 100, "{known} with the view known, {unknown} without");
 }
 
 /// Number of false tracks in ten minutes, and their mean duration, with much of the view behind a lorry.
 fn false_tracks(sees_from: u32) -> (usize, f64) {
-    let (mut found_len, mut lived_s) = (0, 0.0);
+    let (mut found_count, mut lived_s) = (0, 0.0);
     for seed in 0..10 {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let mut run = Harness::new(TrackerOptions::default(), sees_from);
@@ -252,10 +252,10 @@ fn false_tracks(sees_from: u32) -> (usize, f64) {
                 *ids.entry(track.id).or_default() += 1;
             }
         }
-        found_len += ids.len();
+        found_count += ids.len();
         lived_s += ids.values().sum::<usize>() as f64 * TICK_S;
     }
-    (found_len, lived_s / found_len as f64)
+    (found_count, lived_s / found_count as f64)
 }
 
 /// Forty false detections per frame, evenly over a hectare. A third of the hectare is behind a long lorry.
@@ -273,8 +273,8 @@ fn false_tracks_do_not_last_behind_a_lorry() {
 fn coasts_s(seen_s: f64, sees_from: u32) -> f64 {
     let mut rng = ChaCha8Rng::seed_from_u64(4);
     let mut run = Harness::new(TrackerOptions::default(), sees_from);
-    let (seen_len, mut coasting_len) = ((seen_s / TICK_S) as i32, 0);
-    for k in -seen_len..80 {
+    let (seen_count, mut coasting_count) = ((seen_s / TICK_S) as i32, 0);
+    for k in -seen_count..80 {
         let lorry = detection(AgentType::Vehicle, PARKED_M, 0.0, &mut rng);
         let lorry = Detection {
             length_m: 12.0,
@@ -288,9 +288,9 @@ fn coasts_s(seen_s: f64, sees_from: u32) -> f64 {
         let coasts = |track: &&Track| {
             track.agent_type == AgentType::Pedestrian as u32 && track.status == TrackStatus::Coasting as u32
         };
-        coasting_len += run.step(&detections).iter().filter(coasts).count();
+        coasting_count += run.step(&detections).iter().filter(coasts).count();
     }
-    coasting_len as f64 * TICK_S
+    coasting_count as f64 * TICK_S
 }
 
 #[test]

@@ -133,7 +133,7 @@ fn deliver(scene: &Scene, order: &[usize], options: TrackerOptions, identities: 
         }
         let tracked = run.try_step(&scene.frames[frame]).expect("a good frame");
         delivered[frame] = true;
-        if tracked.replayed_len > 0 {
+        if tracked.replayed_count > 0 {
             assert_eq!(run.published().len(), 0, "tracks of an out-of-sequence frame");
             continue;
         }
@@ -154,7 +154,7 @@ const IN_ORDER: usize = 20;
 
 #[test]
 fn frames_in_any_order_give_the_same_estimates_to_the_bit() {
-    let (mut compared_len, mut late_len, mut learned_len) = (0, 0, 0);
+    let (mut compared_count, mut late_count, mut learned_count) = (0, 0, 0);
     for seed in 0..60 {
         for (prior, identities) in [
             (Prior::Kinematic, 0),
@@ -171,7 +171,7 @@ fn frames_in_any_order_give_the_same_estimates_to_the_bit() {
             let straight: Vec<usize> = (0..120).collect();
             let straight = deliver(&scene, &straight, options, identities);
             let late = deliver(&scene, &order, options, identities);
-            late_len += late.run.tracker.tally().out_of_sequence_len;
+            late_count += late.run.tracker.tally().out_of_sequence_count;
             let mut ids = [BTreeMap::new(), BTreeMap::new()];
             for frame in late.settled {
                 // Births are the same in any order. Ids are the same only if no birth is out of sequence.
@@ -186,16 +186,16 @@ fn frames_in_any_order_give_the_same_estimates_to_the_bit() {
                     assert!(!learned || a.id == b.id);
                     let b = Track { id: a.id, ..*b };
                     assert_eq!(estimate(a), estimate(&b), "seed {seed}, {prior:?}, frame {frame}");
-                    compared_len += 1;
-                    learned_len += usize::from(a.prior == Quality::Learned as u32);
+                    compared_count += 1;
+                    learned_count += usize::from(a.prior == Quality::Learned as u32);
                 }
             }
         }
     }
     println!(
-        "{compared_len} tracks after {late_len} out-of-sequence frames are the same, {learned_len} by forecasts"
+        "{compared_count} tracks after {late_count} out-of-sequence frames are the same, {learned_count} by forecasts"
     );
-    assert!(compared_len > 20_000 && late_len > 3_000 && learned_len > 5_000);
+    assert!(compared_count > 20_000 && late_count > 3_000 && learned_count > 5_000);
 }
 
 /// Root mean square error of 20 vehicles' positions. One in three frames arrives up to four frames late and
@@ -253,7 +253,7 @@ fn replaying_out_of_sequence_frames_reduces_the_error() {
 /// Published states keep their bits in later histories, and no heading jumps.
 #[test]
 fn out_of_sequence_frames_change_no_published_state() {
-    let (mut compared_len, mut turns_len) = (0, 0);
+    let (mut compared_count, mut turn_count) = (0, 0);
     for seed in 0..20 {
         let scene = Scene::new(seed, 120, 9, true);
         let order = shuffled(120, 0, &mut ChaCha8Rng::seed_from_u64(seed));
@@ -268,20 +268,20 @@ fn out_of_sequence_frames_change_no_published_state() {
                         && let Some(before) = published.insert((track.id, at_ns), *state)
                     {
                         assert_eq!(before, *state, "seed {seed}, track {} at {at_ns} ns", track.id);
-                        compared_len += 1;
+                        compared_count += 1;
                     }
                 }
                 let now = f64::from(track.heading_rad);
                 if let Some(before) = headings.insert(track.id, now) {
                     let turn = wrapped(now - before).abs();
                     assert!(turn <= FRAC_PI_3 + 1e-6, "seed {seed}, frame {frame}: turned by {turn}");
-                    turns_len += usize::from(turn > 0.5);
+                    turn_count += usize::from(turn > 0.5);
                 }
             }
         }
     }
-    println!("{compared_len} states published again, {turns_len} turns by more than 0.5 rad");
-    assert!(compared_len > 10_000 && turns_len > 10, "{compared_len} {turns_len}");
+    println!("{compared_count} states published again, {turn_count} turns by more than 0.5 rad");
+    assert!(compared_count > 10_000 && turn_count > 10, "{compared_count} {turn_count}");
 }
 
 /// The first detections of an agent arrive after others have started its track and it was published.
@@ -339,10 +339,10 @@ fn too_late_and_repeated_frames_are_refused_and_counted() {
         }
         run.stamp_ns = last_ns;
     }
-    let refused_len = 3 * (40 - LAG_MAX as u64 - 1);
+    let refused_count = 3 * (40 - LAG_MAX as u64 - 1);
     let processed =
         Tally { input: InputCounts { detections: 40, ..InputCounts::default() }, ..Tally::default() };
-    let tally = Tally { repeated_len: refused_len, too_late_len: refused_len, ..processed };
+    let tally = Tally { repeated_count: refused_count, too_late_count: refused_count, ..processed };
     assert_eq!((run.tracker.tally(), other.tracker.tally()), (tally, processed));
     // At long intervals few frames are newer, but by a long time.
     run.stamp_ns += 60_000_000_000;
@@ -350,5 +350,5 @@ fn too_late_and_repeated_frames_are_refused_and_counted() {
     run.stamp_ns -= 2 * TICK_NS + 4_800_000_000;
     let refused = run.try_step(&[]);
     assert!(matches!(refused, Err(Rejected::NotNewer { .. })), "{refused:?}");
-    assert_eq!(run.tracker.tally().too_late_len, refused_len + 1);
+    assert_eq!(run.tracker.tally().too_late_count, refused_count + 1);
 }

@@ -80,7 +80,7 @@ fn two_sensors_make_one_track_of_an_agent() {
                 let one = [0, 1, 2].map(|agent| detect(agent, frame, -40_000_000, &mut rng, 0.1));
                 let two = [2, 1, 0].map(|agent| detect(agent, frame, 0, &mut rng, 0.1));
                 let tracked = run.try_step(&[two, one].concat()).expect("a good frame");
-                assert_eq!(tracked.duplicates_len, 0);
+                assert_eq!(tracked.duplicate_count, 0);
                 assert!(
                     run.published().len() <= 3,
                     "seed {seed}: {} tracks at {frame}",
@@ -131,7 +131,7 @@ fn equal_identities_and_own_times_are_duplicates() {
     for frame in 0..5 {
         let mut at = |offset_ms: i64| detect(0, frame, offset_ms * 1_000_000, &mut rng, 0.0);
         let tracked = run.try_step(&[at(0), at(-50), at(-50), at(0)]).expect("a good frame");
-        assert_eq!((tracked.duplicates_len, tracked.tracks_len), (2, 1));
+        assert_eq!((tracked.duplicate_count, tracked.track_count), (2, 1));
     }
     let [position_m, velocity_mps] = errors(run.published(), 4);
     assert!(position_m < 0.02 && velocity_mps < 0.2, "{position_m} m, {velocity_mps} m/s");

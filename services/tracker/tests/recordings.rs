@@ -32,11 +32,11 @@ fn track(recording: &Recording, options: TrackerOptions, mut show: impl FnMut(&F
             ..Header::new(1, seq, frame.stamp_ns)
         };
         let tracked = tracker.step(&header, &frame.detections, None, &mut out).expect("a good frame");
-        assert_eq!(tracked.faults_len, 0);
-        for track in &out[..tracked.tracks_len] {
+        assert_eq!(tracked.fault_count, 0);
+        for track in &out[..tracked.track_count] {
             track.check().expect("a track fit for the wire");
         }
-        show(frame, &out[..tracked.tracks_len]);
+        show(frame, &out[..tracked.track_count]);
     }
 }
 
@@ -62,13 +62,13 @@ impl Rms {
 #[derive(Debug, Default)]
 struct Identities {
     track_of: BTreeMap<u64, u64>,
-    switches_len: usize,
+    switch_count: usize,
 }
 
 impl Identities {
     fn add(&mut self, agent: u64, track: u64) {
         let before = self.track_of.insert(agent, track);
-        self.switches_len += usize::from(before.is_some_and(|before| before != track));
+        self.switch_count += usize::from(before.is_some_and(|before| before != track));
     }
 }
 
@@ -78,11 +78,11 @@ fn assert_follows_identities(path: &str, agent_type: AgentType) {
     let Some(recording) = recording(path) else { return };
     let ahead_ns = 800_000_000;
     let mut positions = BTreeMap::new();
-    let mut seen_len: BTreeMap<u64, usize> = BTreeMap::new();
+    let mut seen_count: BTreeMap<u64, usize> = BTreeMap::new();
     for frame in &recording.frames {
         for d in &frame.detections {
             positions.insert((d.id, frame.stamp_ns), (f64::from(d.x_m), f64::from(d.y_m)));
-            *seen_len.entry(d.id).or_default() += 1;
+            *seen_count.entry(d.id).or_default() += 1;
         }
     }
     let mut published: BTreeSet<u64> = BTreeSet::new();
@@ -110,11 +110,11 @@ fn assert_follows_identities(path: &str, agent_type: AgentType) {
             }
         }
     });
-    let missing = seen_len.iter().filter(|&(id, &len)| len > 1 && !published.contains(id)).count();
+    let missing = seen_count.iter().filter(|&(id, &len)| len > 1 && !published.contains(id)).count();
     println!(
         "{path}: {} agents, {missing} unpublished; position {:.4} m off; 0.8 s on at the filtered velocity {:.4} m, \
          at the recording's {:.4} m",
-        seen_len.len(),
+        seen_count.len(),
         position.value(),
         filtered.value(),
         recorded.value()
@@ -175,15 +175,15 @@ fn filtering_reduces_noise_by_a_quarter() {
     let (raw_m, filtered_m) = (raw.value(), filtered.value());
     println!("{path}: raw {raw_m:.3} m, filtered {filtered_m:.3} m, {identities:?}");
     assert!(raw.len > 5_000 && filtered_m < 0.75 * raw_m);
-    assert!(identities.switches_len * 1_000 < raw.len, "{identities:?}");
+    assert!(identities.switch_count * 1_000 < raw.len, "{identities:?}");
 }
 
 /// How well tracks within 2 m follow the true agents.
 #[derive(Debug, Default)]
 struct Followed {
     truths_len: usize,
-    found_len: usize,
-    tracks_len: usize,
+    found_count: usize,
+    track_count: usize,
     /// Errors of detections and tracks, in frames that detected the agent.
     raw: Rms,
     filtered: Rms,
@@ -194,7 +194,7 @@ struct Followed {
 fn follow(recording: &Recording, types: u32) -> Followed {
     let mut followed = Followed::default();
     track(recording, TrackerOptions::default(), |frame, tracks| {
-        followed.tracks_len += tracks.len();
+        followed.track_count += tracks.len();
         let mut claimed = BTreeSet::new();
         for kept in [true, false] {
             for truth in frame.truth.iter().filter(|t| types & 1 << t.agent_type != 0) {
@@ -211,7 +211,7 @@ fn follow(recording: &Recording, types: u32) -> Followed {
                 let nearest = free.min_by(|a, b| distance(a.x_m, a.y_m).total_cmp(&distance(b.x_m, b.y_m)));
                 let Some(found) = own.or(nearest) else { continue };
                 claimed.insert(found.id);
-                followed.found_len += 1;
+                followed.found_count += 1;
                 followed.identities.add(truth.id, found.id);
                 let detected = frame.detections.iter().map(|d| distance(d.x_m, d.y_m));
                 let nearest = detected.filter(|&d| d < 2.0).min_by(f64::total_cmp);
@@ -225,10 +225,10 @@ fn follow(recording: &Recording, types: u32) -> Followed {
     println!(
         "{}: {} of {} found by {} tracks, {} switches, raw {:.3} m, filtered {:.3} m",
         recording.name,
-        followed.found_len,
+        followed.found_count,
         followed.truths_len,
-        followed.tracks_len,
-        followed.identities.switches_len,
+        followed.track_count,
+        followed.identities.switch_count,
         followed.raw.value(),
         followed.filtered.value()
     );
@@ -239,8 +239,8 @@ fn follow(recording: &Recording, types: u32) -> Followed {
 fn a_detectors_output_is_tracked() {
     let Some(recording) = recording("kitti_tracking/detection/Car/0000.txt") else { return };
     let followed = follow(&recording, AgentType::Vehicle.bit());
-    assert!(followed.found_len * 10 > followed.truths_len * 9);
-    assert!(followed.identities.switches_len * 100 < followed.found_len);
+    assert!(followed.found_count * 10 > followed.truths_len * 9);
+    assert!(followed.identities.switch_count * 100 < followed.found_count);
 }
 
 /// Occlusion, misses, clutter and flipped headings at an intersection with 32 agents.
@@ -251,9 +251,9 @@ fn a_generated_intersection_is_tracked() {
         let scene = GeneratedScene::new(options).expect("good options");
         let recording = scene.recording(750);
         let all = follow(&recording, 0b111);
-        assert!(all.found_len * 100 > all.truths_len * 85);
-        assert!(all.tracks_len * 100 < all.truths_len * 115, "too many false tracks");
-        assert!(all.identities.switches_len * 200 < all.found_len);
+        assert!(all.found_count * 100 > all.truths_len * 85);
+        assert!(all.track_count * 100 < all.truths_len * 115, "too many false tracks");
+        assert!(all.identities.switch_count * 200 < all.found_count);
         // Pedestrians walk within 2 m of each other, so a neighbour's track would count for a hidden
         // pedestrian.
         let vehicles_and_cyclists = follow(&recording, AgentType::Vehicle.bit() | AgentType::Cyclist.bit());

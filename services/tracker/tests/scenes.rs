@@ -139,10 +139,10 @@ fn crowds_are_bounded_and_their_nearest_published() {
             .collect();
         detections.shuffle(&mut rng);
         tracked = run.try_step(&detections).unwrap();
-        assert!(tracked.held_len <= 450);
+        assert!(tracked.held_count <= 450);
     }
-    assert_eq!(tracked.tracks_len, AGENTS_MAX);
-    assert!(tracked.left_out_len > 250 && tracked.overflow_len >= 50, "{tracked:?}");
+    assert_eq!(tracked.track_count, AGENTS_MAX);
+    assert!(tracked.left_out_len > 250 && tracked.overflow_count >= 50, "{tracked:?}");
     let header = run.tracker.header(&run.header());
     assert_eq!(header.left_out_len as usize, tracked.left_out_len);
     assert_eq!(header.step_ns, 400_000_000);
@@ -371,13 +371,13 @@ fn identities_can_be_ignored_and_duplicates_are_counted() {
     for k in 0..3 {
         let detection = detected_at(AgentType::Pedestrian, k, 1.0, 1.0 + 0.01 * k as f64);
         let tracked = run.try_step(&[detection]).unwrap();
-        assert_eq!((tracked.started_len, tracked.tracks_len), (usize::from(k == 0), usize::from(k == 2)));
+        assert_eq!((tracked.started_count, tracked.track_count), (usize::from(k == 0), usize::from(k == 2)));
     }
     let mut run = Harness::new(TrackerOptions::default(), flags::HAS_IDENTITIES);
     let twice =
         [detected_at(AgentType::Pedestrian, 4, 1.0, 1.0), detected_at(AgentType::Pedestrian, 4, 9.0, 1.0)];
     let tracked = run.try_step(&twice).unwrap();
-    assert_eq!((tracked.duplicates_len, tracked.started_len), (1, 1));
+    assert_eq!((tracked.duplicate_count, tracked.started_count), (1, 1));
 }
 
 /// Warm-up frames between the frames of a vehicle's track, compared with the same frames without them.
@@ -390,7 +390,7 @@ fn frames_without_a_tick_change_nothing() {
         let before = interrupted.stamp_ns;
         interrupted.flags = flags::WARM_UP;
         let tracked = interrupted.try_step(&[at(k + 50)]).expect("a frame without a tick");
-        assert_eq!(tracked, Tracked { held_len: usize::from(k > 0), ..Tracked::default() }, "frame {k}");
+        assert_eq!(tracked, Tracked { held_count: usize::from(k > 0), ..Tracked::default() }, "frame {k}");
         assert_eq!(interrupted.published(), []);
         (interrupted.flags, interrupted.stamp_ns) = (0, before);
         assert_eq!(interrupted.step(&[at(k)]), plain.step(&[at(k)]), "frame {k}");

@@ -160,14 +160,14 @@ fn out_of_sequence_frames_pass_on_void_and_forecasts_hold() {
 
         // The second of every two frames comes first. Half of the ticks have no forecasts, so the previous
         // ones hold.
-        let mut learned_len = 0;
+        let mut learned_count = 0;
         for k in (20..frames.len()).map(|k| k ^ 1) {
             let tracks = ends.give(header(order.len() + k, k), &frames[k]);
             assert_eq!(tracks.header().has(flags::VOID), k % 2 == 0, "frame {k}");
-            learned_len += tracks.iter().filter(|track| track.prior == Quality::Learned as u32).count();
+            learned_count += tracks.iter().filter(|track| track.prior == Quality::Learned as u32).count();
             ends.forecast(&tracks);
         }
-        assert!(learned_len >= 4, "{learned_len} of 10 ticks");
+        assert!(learned_count >= 4, "{learned_count} of 10 ticks");
         drop(stop);
         assert!(stage.join().expect("no panic").is_ok());
     });

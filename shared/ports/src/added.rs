@@ -15,7 +15,7 @@ pub(crate) const TOPIC: &str = "added by the pipeline file";
 /// What the pipeline file adds to the shipped stages and topics.
 #[derive(Debug)]
 pub(crate) struct Added {
-    pub stages_len: usize,
+    pub stage_count: usize,
     topics: Vec<TopicRun>,
     /// Names of the topics that the added stages read. A topic that n stages read is in the list n times.
     reads: Vec<String>,
@@ -26,7 +26,7 @@ pub(crate) struct Added {
 impl Added {
     pub fn of(run: &Run) -> Self {
         Self {
-            stages_len: run.added().count(),
+            stage_count: run.added().count(),
             reads: run.added().flat_map(|(_, stage)| stage.reads.clone()).collect(),
             readers: run.topics.iter().map(|topic| run.readers(&topic.name).count()).collect(),
             topics: run.topics.clone(),
@@ -40,7 +40,7 @@ impl Added {
     }
 
     /// How many added stages read a topic.
-    pub fn readers_len(&self, topic: &str) -> usize {
+    pub fn reader_count(&self, topic: &str) -> usize {
         self.reads.iter().filter(|read| *read == topic).count()
     }
 
@@ -50,7 +50,7 @@ impl Added {
         Limits {
             publishers_max: 1,
             subscribers_max: TOOLS_MAX + readers.map_or(0, |(_, len)| *len),
-            nodes_max: NODES_MAX + self.stages_len,
+            nodes_max: NODES_MAX + self.stage_count,
             depth_max: DEPTH_MAX,
         }
     }

@@ -17,7 +17,7 @@ pub(crate) struct Missing {
 struct Last {
     header: Header,
     received_ns: u64,
-    predicted_len: u64,
+    predicted_count: u64,
     look_ns: u64,
 }
 
@@ -25,7 +25,7 @@ impl Missing {
     /// Records a tick that arrived at `received_ns`. In lockstep no tick is missing, however late it is.
     pub fn came(&mut self, header: &Header, received_ns: u64) {
         let can_miss = header.interval_ns > 0 && !header.has(flags::LOCKSTEP);
-        let last = Last { header: *header, received_ns, predicted_len: 0, look_ns: 0 };
+        let last = Last { header: *header, received_ns, predicted_count: 0, look_ns: 0 };
         *self = Self { last: can_miss.then_some(last), is_gone: false };
     }
 
@@ -42,7 +42,7 @@ impl Missing {
     pub fn until_ns(&self) -> Option<u64> {
         let last = self.last?;
         let interval_ns = last.header.interval_ns;
-        let after_ns = last.received_ns + last.predicted_len * interval_ns;
+        let after_ns = last.received_ns + last.predicted_count * interval_ns;
         // If the source is known to be gone, a tick is predicted half an interval after it was due. When the
         // next source sends its first tick, the previous tick has then been answered.
         let due_ns = after_ns + if self.is_gone { interval_ns + interval_ns / 2 } else { 2 * interval_ns };
@@ -59,11 +59,11 @@ impl Missing {
             last.look_ns = now_ns + last.header.interval_ns / 4;
             return None;
         }
-        last.predicted_len += 1;
-        let after_ns = last.predicted_len.saturating_mul(last.header.interval_ns);
+        last.predicted_count += 1;
+        let after_ns = last.predicted_count.saturating_mul(last.header.interval_ns);
         let way = Header::new(last.header.run_id, 0, 0);
         let header = Header {
-            seq: last.header.seq + last.predicted_len,
+            seq: last.header.seq + last.predicted_count,
             stamp_ns: last.header.stamp_ns.saturating_add_unsigned(after_ns),
             flags: last.header.flags | flags::PREDICTED,
             // No type was observed, so no track was missed.

@@ -70,7 +70,7 @@ pub struct Leftover {
     /// The run's prefix.
     pub prefix: String,
     /// Files in shared memory.
-    pub files_len: usize,
+    pub file_count: usize,
     /// Total size of the files.
     pub bytes: u64,
     root: PathBuf,
@@ -265,7 +265,7 @@ fn leftover(prefix: String) -> Option<Leftover> {
         return None;
     }
     let bytes = files.iter().map(|file| allocated(file)).sum();
-    Some(Leftover { files_len: files.len(), bytes, root, _lock: lock, prefix })
+    Some(Leftover { file_count: files.len(), bytes, root, _lock: lock, prefix })
 }
 
 /// Creates the lock of a new run and takes it. A process that looks for leftovers at that moment may hold the

@@ -32,7 +32,7 @@ pub struct Stage {
     heartbeats: Publisher<HeartbeatsTopic>,
     inputs: Vec<Rc<dyn Input>>,
     /// Number of inputs on a tick's path; later stages write the other inputs.
-    on_the_way_len: usize,
+    on_the_way_count: usize,
     /// Whether a frame has been sent, or there is no output.
     passed: bool,
     next_beat_ns: u64,
@@ -97,7 +97,7 @@ impl Stage {
         let declared = Topics { reads, writes, opened: Vec::new(), complete: false };
         let inputs = Vec::new();
         let (seq, frames_len, rejected_len, beat) = (0, 0, 0, 0);
-        let (passed, next_beat_ns, on_the_way_len) = (true, 0, 0);
+        let (passed, next_beat_ns, on_the_way_count) = (true, 0, 0);
         Ok(Self {
             id,
             incarnation,
@@ -105,7 +105,7 @@ impl Stage {
             declared,
             heartbeats,
             inputs,
-            on_the_way_len,
+            on_the_way_count,
             passed,
             next_beat_ns,
             beat,
@@ -141,8 +141,8 @@ impl Stage {
         assert!(reads.contains(&T::NAME), "the {} declares no input \"{}\"", self.id.name(), T::NAME);
         self.declared.opened.push(T::NAME);
         let subscriber = self.node.subscriber::<T>(depth)?;
-        self.inputs.insert(self.on_the_way_len, subscriber.input());
-        self.on_the_way_len += 1;
+        self.inputs.insert(self.on_the_way_count, subscriber.input());
+        self.on_the_way_count += 1;
         Ok(subscriber)
     }
 
@@ -156,8 +156,8 @@ impl Stage {
     /// If the stage has not declared that it reads the topic.
     pub fn subscribe_feedback<T: Topic>(&mut self, depth: usize) -> Result<Subscriber<T>, PortError> {
         let subscriber = self.subscribe_deep(depth)?;
-        self.on_the_way_len -= 1;
-        self.inputs[self.on_the_way_len..].rotate_left(1);
+        self.on_the_way_count -= 1;
+        self.inputs[self.on_the_way_count..].rotate_left(1);
         Ok(subscriber)
     }
 
@@ -228,7 +228,7 @@ impl Stage {
         look()?;
         self.taken_over = newest;
         if let Some(seq) = self.taken_over {
-            self.inputs[..self.on_the_way_len].iter().for_each(|input| input.resume_after(seq));
+            self.inputs[..self.on_the_way_count].iter().for_each(|input| input.resume_after(seq));
         }
         Ok(())
     }
@@ -517,7 +517,7 @@ impl Stage {
             rejected_len: self.rejected_len + inputs().map(|input| input.rejected_len()).sum::<u64>(),
             // A tick that was lost on its path is missing in all inputs.
             dropped_len: counter(
-                inputs().take(self.on_the_way_len).map(|input| input.dropped_len()).max().unwrap_or(0),
+                inputs().take(self.on_the_way_count).map(|input| input.dropped_len()).max().unwrap_or(0),
             ),
             // A step begins with a frame of the first input.
             unanswered_len: counter(inputs().next().map_or(0, |input| input.dropped_len())),

@@ -42,7 +42,7 @@ struct Port<T: Topic> {
     /// The newest incarnation of each stage that has processed a tick, by stage number.
     incarnations: Cell<[u32; STAGES_LEN]>,
     /// Frames of an older incarnation in a row.
-    old_len: Cell<u32>,
+    old_count: Cell<u32>,
     /// In lockstep: the newest tick's header, and the header of a tick that was refused since.
     last: Cell<Option<Header>>,
     lost: Cell<Option<Header>>,
@@ -99,7 +99,7 @@ impl<T: Topic> Subscriber<T> {
         let (seen, rejected_len, dropped_len) = (Cell::new(false), Cell::new(0), Cell::new(0));
         let (refusals, counter) = (Cell::default(), Cell::new(None));
         let incarnations = Cell::new([0; STAGES_LEN]);
-        let (last, lost, old_len) = (Cell::new(None), Cell::new(None), Cell::new(0));
+        let (last, lost, old_count) = (Cell::new(None), Cell::new(None), Cell::new(0));
         Self(Rc::new(Port {
             reader,
             run_id,
@@ -113,7 +113,7 @@ impl<T: Topic> Subscriber<T> {
             counter,
             dropped_len,
             incarnations,
-            old_len,
+            old_count,
             last,
             lost,
             answered: Cell::new(None),
@@ -287,8 +287,8 @@ impl<T: Topic> Port<T> {
             && let Some(&newest) = self.incarnations.get().get(header.sender as usize)
         {
             let found = header.incarnation;
-            self.old_len.set(if found < newest { self.old_len.get() + 1 } else { 0 });
-            if (1..=OLD_MAX).contains(&self.old_len.get()) {
+            self.old_count.set(if found < newest { self.old_count.get() + 1 } else { 0 });
+            if (1..=OLD_MAX).contains(&self.old_count.get()) {
                 return Err(Rejected::OldIncarnation { found, newest });
             }
             if found < newest {
@@ -361,7 +361,7 @@ impl<T: Topic> Port<T> {
             *newest = incarnation;
         }
         self.incarnations.set(incarnations);
-        self.old_len.set(0);
+        self.old_count.set(0);
     }
 
     /// Refuses a repeated tick from a stage that was restarted since. The restarted stage's first input frame

@@ -68,13 +68,13 @@ impl Node {
         if let Some(topic) = self.added.topic(name) {
             return self.with_further(name, self.added.limits(topic));
         }
-        let heartbeats_len = if T::NAME == HeartbeatsTopic::NAME { self.added.stages_len } else { 0 };
+        let heartbeat_count = if T::NAME == HeartbeatsTopic::NAME { self.added.stage_count } else { 0 };
         self.with_further(
             name,
             Limits {
-                publishers_max: T::PUBLISHERS_MAX + heartbeats_len,
-                subscribers_max: T::SUBSCRIBERS_MAX + self.added.readers_len(name),
-                nodes_max: NODES_MAX + self.added.stages_len,
+                publishers_max: T::PUBLISHERS_MAX + heartbeat_count,
+                subscribers_max: T::SUBSCRIBERS_MAX + self.added.reader_count(name),
+                nodes_max: NODES_MAX + self.added.stage_count,
                 depth_max: T::DEPTH_MAX,
             },
         )

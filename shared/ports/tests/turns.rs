@@ -48,29 +48,29 @@ proptest! {
         nearest.sort_by(|a, b| distance_m(a, &ego).total_cmp(&distance_m(b, &ego)));
         let mut waited: Vec<u64> = candidates.iter().map(|candidate| candidate.waiting_ns).collect();
         waited.sort_unstable_by(|a, b| b.cmp(a));
-        for served_len in 0..=candidates.len() {
-            let served = &order[..served_len];
-            let by_rank = (served_len - served_len / 6).saturating_sub(CONFLICTS_MAX).min(NEAREST_LEN);
+        for served_count in 0..=candidates.len() {
+            let served = &order[..served_count];
+            let by_rank = (served_count - served_count / 6).saturating_sub(CONFLICTS_MAX).min(NEAREST_LEN);
             for near in nearest.iter().take(by_rank) {
-                prop_assert!(served.contains(&near.place), "{} of {served_len}", near.place);
+                prop_assert!(served.contains(&near.place), "{} of {served_count}", near.place);
             }
             let mut of_served: Vec<u64> = served.iter().map(|&place| candidates[place].waiting_ns).collect();
             of_served.sort_unstable_by(|a, b| b.cmp(a));
-            for (own, longest) in of_served.iter().zip(&waited).take(served_len / 6) {
+            for (own, longest) in of_served.iter().zip(&waited).take(served_count / 6) {
                 prop_assert_eq!(own, longest);
             }
         }
     }
 
-    /// Agents appear, leave and move at random, and so does the ego. If each tick serves `served_len` agents,
+    /// Agents appear, leave and move at random, and so does the ego. If each tick serves `served_count` agents,
     /// no agent waits longer than the bound.
     #[test]
     fn nobody_starves(
         agents_len in 1..=AGENTS_MAX,
-        served_len in 6..=AGENTS_MAX,
+        served_count in 6..=AGENTS_MAX,
         moves in prop::collection::vec((any::<u64>(), -50.0..50.0_f32, -50.0..50.0_f32), 60),
     ) {
-        let bound = wait_ticks_max(agents_len, served_len).unwrap();
+        let bound = wait_ticks_max(agents_len, served_count).unwrap();
         let mut turns = Turns::default();
         let mut candidates: Vec<Candidate> =
             (0..agents_len).map(|place| Candidate { place, ..Candidate::default() }).collect();
@@ -85,7 +85,7 @@ proptest! {
             // One agent leaves, and another takes its place.
             candidates[random as usize % agents_len].waiting_ns = 0;
             let ego = Ego { position_m: [y, x], velocity_mps: [x * 0.1, 0.0] };
-            for &place in turns.order(&ego, &candidates).iter().take(served_len) {
+            for &place in turns.order(&ego, &candidates).iter().take(served_count) {
                 candidates[place].waiting_ns = 0;
             }
         }

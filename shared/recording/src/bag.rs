@@ -29,7 +29,7 @@ struct Known {
     schemas: BTreeMap<u16, String>,
     /// Topic, schema and encoding.
     channels: BTreeMap<u16, [String; 3]>,
-    messages_len: usize,
+    message_count: usize,
 }
 
 /// Whether the bytes begin as an MCAP file.
@@ -84,8 +84,8 @@ impl Known {
                 self.channels.insert(channel.id, [channel.topic, schema, channel.message_encoding]);
             }
             Record::Message { header, data } => {
-                self.messages_len += 1;
-                let (number, log_ns) = (self.messages_len, header.log_time);
+                self.message_count += 1;
+                let (number, log_ns) = (self.message_count, header.log_time);
                 let Some([topic, schema, encoding]) = self.channels.get(&header.channel_id) else {
                     return Err(format!("message {number}: its channel is missing").into());
                 };

@@ -65,7 +65,7 @@ pub struct Writer<S: Sink = FileSink> {
     /// Records of schemas and of channels, which the summary repeats.
     head: [Vec<u8>; 2],
     channels: Vec<(u16, String)>,
-    schemas_len: u16,
+    schema_count: u16,
     view: Option<Box<dyn View>>,
     /// Number of written leading bytes per element, for topics whose elements are written in part.
     element_bytes: BTreeMap<String, usize>,
@@ -184,7 +184,7 @@ impl<S: Sink> Writer<S> {
             chunk: Chunk::default(),
             head: [schemas, channel_records],
             channels,
-            schemas_len: JSON_SCHEMA + view_channels.len() as u16,
+            schema_count: JSON_SCHEMA + view_channels.len() as u16,
             view,
             element_bytes: about.element_bytes.clone(),
             chunks: Vec::new(),
@@ -434,7 +434,7 @@ impl<S: Sink> Writer<S> {
         let end_ns = self.chunks.iter().map(|chunk| chunk.times_ns[1]).max().unwrap_or(0);
         let counts =
             self.channels.iter().filter_map(|(id, name)| Some((*id, *self.written.by_topic.get(name)?)));
-        let body = Body::default().u64(self.written.messages).u16(self.schemas_len);
+        let body = Body::default().u64(self.written.messages).u16(self.schema_count);
         let body = body.u32(self.channels.len() as u32).u32(0).u32(self.metadata.len() as u32);
         let body = body.u32(self.chunks.len() as u32).u64(begin_ns).u64(end_ns).counts(counts);
         let mut out = Vec::new();

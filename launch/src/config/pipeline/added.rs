@@ -78,9 +78,9 @@ pub(super) fn shipped(name: &str) -> Option<&'static TopicEntry> {
     TABLE.topics.iter().find(|topic| topic.name == name)
 }
 
-/// The number of this table's stage. A stage that is not shipped is the `added_len`th stage that the file
+/// The number of this table's stage. A stage that is not shipped is the `added_count`th stage that the file
 /// adds.
-pub(super) fn stage_id(table: &StageTable, added_len: usize) -> Result<StageId, Mistake> {
+pub(super) fn stage_id(table: &StageTable, added_count: usize) -> Result<StageId, Mistake> {
     let name = table.name.get_ref();
     if let Some(id) = StageId::ALL.into_iter().find(|id| id.name() == name) {
         return Ok(id);
@@ -93,7 +93,7 @@ pub(super) fn stage_id(table: &StageTable, added_len: usize) -> Result<StageId, 
         )));
     }
     plain(&table.name, "stage")?;
-    StageId::added(added_len).ok_or_else(|| {
+    StageId::added(added_count).ok_or_else(|| {
         let message = format!("more than {ADDED_STAGES_MAX} stages are added");
         Mistake::new(table.name.span(), message, "one too many")
     })

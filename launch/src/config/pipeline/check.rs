@@ -25,8 +25,8 @@ pub(super) fn check(file: &File, declared: &[&dyn Declared]) -> Result<Pipeline,
     let tables: Vec<&StageTable> = file.stages.iter().map(Spanned::get_ref).collect();
     let mut stages = Vec::with_capacity(tables.len());
     for table in &tables {
-        let added_len = stages.iter().filter(|stage: &&Stage| stage.id.is_added()).count();
-        stages.push(stage(table, added_len, &topics, declared)?);
+        let added_count = stages.iter().filter(|stage: &&Stage| stage.id.is_added()).count();
+        stages.push(stage(table, added_count, &topics, declared)?);
     }
     unique_names(&tables)?;
     producers(file, &topics)?;
@@ -88,11 +88,11 @@ fn readers(
 
 fn stage(
     table: &StageTable,
-    added_len: usize,
+    added_count: usize,
     topics: &[TopicRun],
     declared: &[&dyn Declared],
 ) -> Result<Stage, Mistake> {
-    let id = added::stage_id(table, added_len)?;
+    let id = added::stage_id(table, added_count)?;
     table.reads.iter().chain(&table.writes).try_for_each(|topic| known(topic, topics, declared))?;
     if let Some(command) = table.command.as_ref().filter(|c| c.get_ref().is_empty()) {
         return Err(Mistake::new(

@@ -93,7 +93,7 @@ fn track(source: &Source, options: &Options, model: &ModelConfig) -> Result<Vec<
             header.counts.agents_len = measured.len() as u32;
             chain.tick(&header, &measured, |_| ());
             let plain_count = plain.step(&header, &measured, None, &mut plain_tracks);
-            let plain_count = plain_count.map_or(0, |tracked| tracked.tracks_len);
+            let plain_count = plain_count.map_or(0, |tracked| tracked.track_count);
             for track in chain.tracks() {
                 let other =
                     plain_tracks[..plain_count].iter().find(|other| other.source_id == track.source_id);

@@ -128,8 +128,8 @@ pub fn shots(
     let recording = playback.recording();
     let past = Past::of_recording(recording);
     let last_ns = recording.frames.last().map_or(0, |frame| frame.stamp_ns);
-    let (interval_ns, ticks_len) = (playback.interval_ns(), playback.ticks_len());
-    let mut search = Search::new(&past, wanted, (last_ns, interval_ns, ticks_len))?;
+    let (interval_ns, tick_count) = (playback.interval_ns(), playback.tick_count());
+    let mut search = Search::new(&past, wanted, (last_ns, interval_ns, tick_count))?;
     let mut chain = Chain::new(run, model)?;
     while let Some(tick) = playback.next_tick() {
         chain.tick(&tick.header, tick.detections, |_| ());
@@ -156,17 +156,17 @@ pub fn published_shots(
     wanted: &Wanted,
     agents: &[u64],
 ) -> Result<Vec<Shot>, Failure> {
-    let (mut past, mut ticks_len, mut span_ns) = (Past::default(), 0, None);
+    let (mut past, mut tick_count, mut span_ns) = (Past::default(), 0, None);
     published.each(origin, |view| {
         let [first_ns, _] = *span_ns.get_or_insert([view.stamp_ns; 2]);
         span_ns = Some([first_ns, view.stamp_ns]);
-        ticks_len += 1;
+        tick_count += 1;
         past.add(&view);
     })?;
     let [first_ns, last_ns] = span_ns.ok_or_else(|| Failure::data(GalleryError::NoAgents))?;
     past.first_ns = first_ns;
-    let interval_ns = last_ns.abs_diff(first_ns) / (ticks_len - 1).max(1);
-    let mut search = Search::new(&past, wanted, (last_ns, interval_ns, ticks_len))?;
+    let interval_ns = last_ns.abs_diff(first_ns) / (tick_count - 1).max(1);
+    let mut search = Search::new(&past, wanted, (last_ns, interval_ns, tick_count))?;
     published.each(origin, |view| {
         search.offer(view.seq, view.stamp_ns, || view);
     })?;
@@ -190,7 +190,7 @@ impl<'a> Search<'a> {
     fn new(
         past: &'a Past,
         wanted: &'a Wanted,
-        (last_ns, interval_ns, ticks_len): (i64, u64, u64),
+        (last_ns, interval_ns, tick_count): (i64, u64, u64),
     ) -> Result<Self, Failure> {
         let last_s = past.time_s(last_ns);
         let half_s = 0.5 * interval_ns as f64 / 1e9;
@@ -203,7 +203,7 @@ impl<'a> Search<'a> {
         if let Some(&time_s) = times_s.iter().find(|time_s| !is_inside(time_s)) {
             return Err(Failure::data(GalleryError::Outside { time_s, last_s }));
         }
-        let (nearest, spacing) = (vec![None; times_s.len()], ticks_len.div_ceil(RANKED_MAX).max(1));
+        let (nearest, spacing) = (vec![None; times_s.len()], tick_count.div_ceil(RANKED_MAX).max(1));
         Ok(Self { past, wanted, times_s, spacing, nearest, ranked: Vec::new() })
     }
 

@@ -135,7 +135,7 @@ pub struct Playback {
 #[pymethods]
 impl Playback {
     fn __len__(&self) -> usize {
-        usize::try_from(self.lock().ticks_len()).unwrap_or(usize::MAX)
+        usize::try_from(self.lock().tick_count()).unwrap_or(usize::MAX)
     }
 
     const fn __iter__(this: PyRef<'_, Self>) -> PyRef<'_, Self> {

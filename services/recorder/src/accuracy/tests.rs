@@ -174,11 +174,11 @@ fn queues_stay_bounded_with_and_without_truth() {
     let mut without_truth = Scorer::default();
     for tick in 0..10_000 {
         without_truth.forecasts(&header(tick, 1), &[forecast(7, tick, 2.0)]);
-        assert!(without_truth.waiting_len() <= bound, "{} ticks wait", without_truth.waiting_len());
+        assert!(without_truth.waiting_count() <= bound, "{} ticks wait", without_truth.waiting_count());
     }
     assert_eq!(without_truth.accuracy(), Accuracy::default());
     let with_truth = play(10_000, |tick| vec![truth(7, tick, 2.0)], |tick| vec![forecast(7, tick, 2.0)]);
-    assert!(with_truth.waiting_len() <= bound, "{} ticks wait", with_truth.waiting_len());
-    assert!(with_truth.spare.len() + with_truth.waiting_len() <= bound);
-    assert!(with_truth.paths.samples_len() <= bound, "{} truths kept", with_truth.paths.samples_len());
+    assert!(with_truth.waiting_count() <= bound, "{} ticks wait", with_truth.waiting_count());
+    assert!(with_truth.spare.len() + with_truth.waiting_count() <= bound);
+    assert!(with_truth.paths.sample_count() <= bound, "{} truths kept", with_truth.paths.sample_count());
 }

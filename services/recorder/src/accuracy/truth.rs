@@ -128,7 +128,7 @@ impl Paths {
     }
 
     #[cfg(test)]
-    pub fn samples_len(&self) -> usize {
+    pub fn sample_count(&self) -> usize {
         self.paths.values().map(|path| path.samples.len()).sum()
     }
 }
@@ -193,7 +193,7 @@ mod tests {
             Err(Rejected::NotNewer { stamp_ns: TICK_NS, last_ns: TICK_NS })
         );
         assert!(paths.add(2 * TICK_NS, &[truth(1, 1.0), truth(2, f32::NAN)]).is_err());
-        assert_eq!((paths.newest_ns(), paths.samples_len()), (Some(TICK_NS), 1));
+        assert_eq!((paths.newest_ns(), paths.sample_count()), (Some(TICK_NS), 1));
     }
 
     #[test]
@@ -202,7 +202,7 @@ mod tests {
         for tick in 0..1_000 {
             paths.add(tick * TICK_NS, &[truth(tick as u64, 0.0)]).unwrap();
             paths.forget_before(tick * TICK_NS);
-            assert!(paths.samples_len() <= 7, "{} samples", paths.samples_len());
+            assert!(paths.sample_count() <= 7, "{} samples", paths.sample_count());
         }
     }
 }

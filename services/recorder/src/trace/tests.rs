@@ -90,7 +90,7 @@ fn frames_that_wait_for_a_busy_stage_are_counted_as_its_queue() {
         header.push_hop(hop(received_ns * MS, finished_ns * MS));
         tracer.tick(&header, &Tick::new(&mut timeline, &header, &[]));
     }
-    assert_eq!(tracer.stages[StageId::Decoder.place()].queue_len, 2, "ticks 1 and 2 wait for tick 0");
+    assert_eq!(tracer.stages[StageId::Decoder.place()].queued_count, 2, "ticks 1 and 2 wait for tick 0");
     assert_eq!(tracer.stages[StageId::Decoder.place()].changes.len(), 2);
     let bytes = tracer.finish();
     assert_eq!(count(&bytes, "waiting"), 2);

@@ -28,7 +28,7 @@ impl Estimates {
     ) {
         let Scan { header, detections, types, .. } = scan;
         let found = |d: usize| Found::new(header.stamp_ns, &detections[d], types[d]);
-        tracked.duplicates_len = scratch.pairing.by_identity(&self.all, detections);
+        tracked.duplicate_count = scratch.pairing.by_identity(&self.all, detections);
         if scratch.pairing.shares_places() {
             self.find_shared_placeholders(detections);
         }
@@ -41,7 +41,7 @@ impl Estimates {
             let (mut hit, mut is_resent) = (None, false);
             if let Some(other) = exchanged.and_then(|stray| scratch.strays.get(stray.exchanged?)) {
                 self.take(e, &found(other.detection), header, options, tracked);
-                tracked.reassigned_len += 1;
+                tracked.reassigned_count += 1;
                 hit = Some(other.detection);
             } else {
                 let own = scratch.pairing.of_identity(e);
@@ -58,7 +58,7 @@ impl Estimates {
             }
             let estimate = &mut self.all[e];
             let input = options.input(header);
-            tracked.faults_len += usize::from(estimate.predict(header.stamp_ns, input).is_err());
+            tracked.fault_count += usize::from(estimate.predict(header.stamp_ns, input).is_err());
             if let Some(detection) = hit.filter(|_| has_births) {
                 let from = Birth { stamp_ns: header.stamp_ns, detection: detection as u32 };
                 publications.transfer(from, estimate.birth());
@@ -66,12 +66,12 @@ impl Estimates {
             if hit.is_none() && is_resent {
                 estimate.hold_turn();
             } else if hit.is_none() && header.observed_types & estimate.class.current().bit() != 0 {
-                tracked.faults_len += usize::from(estimate.miss(&mut [], input, options).is_err());
+                tracked.fault_count += usize::from(estimate.miss(&mut [], input, options).is_err());
             }
         }
         for mut begun in scratch.begun.drain(..) {
-            tracked.started_len += 1;
-            tracked.faults_len += usize::from(begun.predict_first(options.input(header)).is_err());
+            tracked.started_count += 1;
+            tracked.fault_count += usize::from(begun.predict_first(options.input(header)).is_err());
             self.all.push(begun);
         }
     }
@@ -90,7 +90,7 @@ impl Estimates {
         for (e, estimate) in self.all.iter_mut().enumerate() {
             let own = pairing.of_identity(e);
             let to_ns = own.first().map_or(header.stamp_ns, |&d| found(d as usize).own_ns);
-            tracked.faults_len += usize::from(estimate.predict(to_ns, input).is_err());
+            tracked.fault_count += usize::from(estimate.predict(to_ns, input).is_err());
             let [only] = own else { continue };
             let (detection, found) = (*only as usize, found(*only as usize));
             if estimate.judge(&found, input, options) != Verdict::Fits && !estimate.is_resent(&found) {
@@ -122,11 +122,11 @@ impl Estimates {
         tracked: &mut Tracked,
     ) {
         let (input, estimate) = (options.input(header), &mut self.all[e]);
-        tracked.faults_len += usize::from(estimate.predict(found.own_ns, input).is_err());
+        tracked.fault_count += usize::from(estimate.predict(found.own_ns, input).is_err());
         let of_type = &mut self.shown[estimate.class.current().index()];
         estimate.mature(found).for_each(|shown| of_type.add_of_type(&shown));
         let mut seen = [(1.0, observation(found.detection, found.agent_type, input))];
-        tracked.faults_len += usize::from(estimate.update(found, &mut seen, input, options).is_err());
+        tracked.fault_count += usize::from(estimate.update(found, &mut seen, input, options).is_err());
     }
 
     /// Updates an estimate by a detection of its identity, if it is a measurement. `fits` is set if this is
@@ -140,9 +140,9 @@ impl Estimates {
         tracked: &mut Tracked,
     ) -> Taken {
         let (input, estimate) = (options.input(header), &mut self.all[e]);
-        tracked.faults_len += usize::from(estimate.predict(found.own_ns, input).is_err());
+        tracked.fault_count += usize::from(estimate.predict(found.own_ns, input).is_err());
         if estimate.is_resent(found) {
-            tracked.repeated_len += 1;
+            tracked.repeated_count += 1;
             return Taken::Resent;
         }
         let verdict = if fits { Verdict::Fits } else { estimate.judge(found, input, options) };
@@ -151,22 +151,22 @@ impl Estimates {
             self.take(e, found, header, options, tracked);
             return Taken::Measured;
         }
-        let birth = (Birth { stamp_ns: header.stamp_ns, detection: d as u32 }, self.started_len + 1);
+        let birth = (Birth { stamp_ns: header.stamp_ns, detection: d as u32 }, self.started_count + 1);
         if self.has_begun_at_placeholder(e, found, options) {
-            tracked.placeholders_len += 1;
-            self.started_len += 1;
+            tracked.placeholder_count += 1;
+            self.started_count += 1;
             self.all[e].replace();
             begun.push(Estimate::new(birth, found, input, true));
             return Taken::No;
         }
         if is_placeholder || self.has_jumped_to_placeholder(e, found) {
-            tracked.placeholders_len += 1;
+            tracked.placeholder_count += 1;
             return Taken::No;
         }
-        tracked.misfits_len += 1;
+        tracked.misfit_count += 1;
         if let Some(new) = self.all[e].add_misfit(found, birth, input, options) {
-            self.started_len += 1;
-            tracked.reassigned_len += 1;
+            self.started_count += 1;
+            tracked.reassigned_count += 1;
             begun.push(new);
         }
         Taken::No

@@ -54,7 +54,7 @@ impl Harness {
         let tracked = self.tracker.step(&header, detections, prior, &mut self.tracks);
         self.tracker.audit(&header, detections);
         let tracked = tracked?;
-        for track in &self.tracks[..tracked.tracks_len] {
+        for track in &self.tracks[..tracked.track_count] {
             track.check().expect("a track fit for the wire");
         }
         Ok(tracked)

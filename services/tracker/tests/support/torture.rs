@@ -19,12 +19,12 @@ const EXTREME: [f32; 6] = [0.0, 1e-38, 1e-12, 1e-3, 1e3, 1e6];
 /// Results of a tracker under random frames.
 #[derive(Debug, Default)]
 pub struct Survived {
-    pub published_len: usize,
+    pub published_count: usize,
     /// Published tracks with a forecast as the prior.
-    pub learned_len: usize,
-    pub faults_len: usize,
+    pub learned_count: usize,
+    pub fault_count: usize,
     /// Out-of-sequence frames that were processed.
-    pub out_of_sequence_len: u64,
+    pub out_of_sequence_count: u64,
     /// Number of refused frames, by reason.
     pub refused: BTreeMap<String, usize>,
     /// Memory of the process in KiB at each fifth of the frames, if the system reports it.
@@ -32,18 +32,18 @@ pub struct Survived {
 }
 
 /// Steps a tracker through random frames and forecasts. Asserts that every published track is sound.
-pub fn torture(prior: Prior, association: Association, seed: u64, ticks_len: usize) -> Survived {
+pub fn torture(prior: Prior, association: Association, seed: u64, tick_count: usize) -> Survived {
     let mut torture = Torture::new(seed);
     let options = TrackerOptions { prior, association, ..TrackerOptions::default() };
     let mut tracker = Tracker::new(options);
     let mut out = vec![Track::zeroed(); AGENTS_MAX];
-    let mut tracks_len = 0;
+    let mut track_count = 0;
     let mut survived = Survived::default();
-    for tick in 0..ticks_len {
-        if tick % (ticks_len / 5) == 0 {
+    for tick in 0..tick_count {
+        if tick % (tick_count / 5) == 0 {
             survived.resident_kib.extend(resident_kib());
         }
-        let forecast = torture.forecast(&out[..tracks_len]);
+        let forecast = torture.forecast(&out[..track_count]);
         let header = torture.frame();
         let given = Some((&forecast, &torture.forecasts[..]));
         let tracked = match tracker.step(&header, &torture.detections, given, &mut out) {
@@ -55,18 +55,21 @@ pub fn torture(prior: Prior, association: Association, seed: u64, ticks_len: usi
                 continue;
             }
         };
-        assert!(tracked.replayed_len == 0 || tracked.tracks_len == 0, "{prior:?}, tick {tick}: {tracked:?}");
-        tracks_len = tracked.tracks_len;
-        assert!(tracked.held_len <= options.tracks_max, "{prior:?}, tick {tick}: {tracked:?}");
-        for track in &out[..tracks_len] {
+        assert!(
+            tracked.replayed_count == 0 || tracked.track_count == 0,
+            "{prior:?}, tick {tick}: {tracked:?}"
+        );
+        track_count = tracked.track_count;
+        assert!(tracked.held_count <= options.tracks_max, "{prior:?}, tick {tick}: {tracked:?}");
+        for track in &out[..track_count] {
             assert_eq!(track.check(), Ok(()), "{prior:?}, tick {tick}: {track:?}");
             assert_eq!(fault(track), None, "{prior:?}, tick {tick}: {track:?}");
-            survived.learned_len += usize::from(track.prior == Quality::Learned as u32);
+            survived.learned_count += usize::from(track.prior == Quality::Learned as u32);
         }
-        survived.faults_len += tracked.faults_len;
-        survived.published_len += tracks_len;
+        survived.fault_count += tracked.fault_count;
+        survived.published_count += track_count;
     }
-    survived.out_of_sequence_len = tracker.tally().out_of_sequence_len;
+    survived.out_of_sequence_count = tracker.tally().out_of_sequence_count;
     survived
 }
 

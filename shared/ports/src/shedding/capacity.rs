@@ -105,16 +105,16 @@ mod tests {
             left_ns in 30 * MS..60 * MS,
         ) {
             let mut capacity = Capacity::default();
-            let mut served_len = agents_len;
+            let mut served_count = agents_len;
             for _ in 0..200 {
-                capacity.took(anyway_ns + each_ns * served_len as u64, served_len);
-                served_len = capacity.fit(left_ns).min(agents_len);
+                capacity.took(anyway_ns + each_ns * served_count as u64, served_count);
+                served_count = capacity.fit(left_ns).min(agents_len);
             }
-            let took_ns = anyway_ns + each_ns * served_len as u64;
-            let slack_ns = 2 * each_ns + anyway_ns / served_len as u64;
-            prop_assert!(took_ns <= left_ns + slack_ns || served_len == SERVED_MIN);
+            let took_ns = anyway_ns + each_ns * served_count as u64;
+            let slack_ns = 2 * each_ns + anyway_ns / served_count as u64;
+            prop_assert!(took_ns <= left_ns + slack_ns || served_count == SERVED_MIN);
             let one_more_fits = took_ns + slack_ns < left_ns;
-            prop_assert!(served_len == agents_len || !one_more_fits, "{served_len} served in {took_ns} ns");
+            prop_assert!(served_count == agents_len || !one_more_fits, "{served_count} served in {took_ns} ns");
         }
     }
 }

@@ -129,21 +129,21 @@ impl Turns {
 }
 
 /// Maximum number of ticks between two learned forecasts of an agent, if each tick serves the first
-/// `served_len` of at most `agents_len` agents. Returns `None` if there are no agents, or if a tick serves
+/// `served_count` of at most `agents_len` agents. Returns `None` if there are no agents, or if a tick serves
 /// too few agents for a turn by waiting.
 ///
 /// An agent that is served by waiting had waited at least as long as this agent. From then on, it has waited
 /// less. Each other agent therefore precedes this agent at most once. Each tick serves one of them per turn
 /// by waiting.
 #[must_use]
-pub const fn wait_ticks_max(agents_len: usize, served_len: usize) -> Option<usize> {
-    if agents_len == 0 || served_len < WAITING_EVERY && served_len < agents_len {
+pub const fn wait_ticks_max(agents_len: usize, served_count: usize) -> Option<usize> {
+    if agents_len == 0 || served_count < WAITING_EVERY && served_count < agents_len {
         return None;
     }
-    if agents_len <= served_len {
+    if agents_len <= served_count {
         return Some(1);
     }
-    let left = served_len.saturating_sub(CONFLICTS_MAX + NEAREST_LEN);
-    let by_waiting = if left > served_len / WAITING_EVERY { left } else { served_len / WAITING_EVERY };
+    let left = served_count.saturating_sub(CONFLICTS_MAX + NEAREST_LEN);
+    let by_waiting = if left > served_count / WAITING_EVERY { left } else { served_count / WAITING_EVERY };
     Some((agents_len - 1) / by_waiting + 1)
 }
