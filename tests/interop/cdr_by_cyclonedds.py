@@ -94,6 +94,17 @@ def fill(text, made, number):
     return made.of(text)(**{name: fill(of, made, number) for of, name in lines})
 
 
+def blank(text, made, count):
+    """A value of zeros, with this many elements in its own sequence and one in all others."""
+    if text.endswith("]"):
+        element, len = text[:-1].split("[")
+        return [blank(element, made, 1) for _ in range(int(len or count))]
+    if text in PRIMITIVES:
+        return {"string": "", "bool": False}.get(text, 0.0 if text.startswith("float") else 0)
+    lines = [line.split() for line in made.texts[text].splitlines() if line and "=" not in line]
+    return made.of(text)(**{name: blank(of, made, count) for of, name in lines})
+
+
 def main(recording, golden=None):
     counts, wrong, texts = Counter(), [], dict(DETECTED)
     with open(recording, "rb") as file:

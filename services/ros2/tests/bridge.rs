@@ -72,6 +72,14 @@ fn objects_are_moved_by_the_transform_at_their_stamp() {
 }
 
 #[test]
+fn tracked_objects_keep_their_identities() {
+    let Some(found) = tried(&["tracked"]) else { return };
+    // An identity of the input, marked as such: both halves, exclusive or.
+    let expected = ["fc", "fd", "fe"].map(|end| format!("737467646174800100000000000000{end}"));
+    assert_eq!(found["identities"], serde_json::json!(expected));
+}
+
+#[test]
 fn a_killed_bridge_comes_back() {
     let Some(found) = tried(&["killed-bridge"]) else { return };
     for phase in ["before", "after the source was killed", "after the ros2 was killed"] {

@@ -33,6 +33,7 @@ const HEAD: &str = "\
 
 `stgdat` without a verb is `stgdat run`. The verbs of the group Laboratory belong to a second program, `stgdat-lab`.
 `stgdat evaluate` runs `stgdat-lab evaluate` if that program is in the same folder or in PATH.
+`stgdat ros2` runs `stgdat-ros2` in the same way.
 
 Every verb takes `-h` for a summary and `--help` for all of this page about it;
 `stgdat --version` prints the version, the SHA-256 of the embedded weights and the CPU kernels in use.
