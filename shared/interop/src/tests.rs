@@ -173,6 +173,17 @@ fn forecasts_without_their_tracks_and_control_frames_have_no_view() {
 }
 
 #[test]
+fn a_refused_tick_is_not_an_empty_road() {
+    let refused = |flags| {
+        let header = Header { flags, ..Header::new(1, 3, 1_500_000_000) };
+        let tracks = Message::Frame(Frame::of::<TracksTopic>(&header, &[], 7));
+        let forecasts = Message::Frame(Frame::of::<ForecastsTopic>(&header, &[], 7));
+        viewed(&[Target::Autoware], &[tracks, forecasts]).len()
+    };
+    assert_eq!((refused(0), refused(flags::VOID)), (3, 0));
+}
+
+#[test]
 fn a_fixed_map_is_sent_once_as_a_grid() {
     let mut map = MapBuilder::new([-3.0, 4.0], 2, 3).unwrap();
     assert!(map.visit([-0.5, 5.5], [2.0, -1.0]));

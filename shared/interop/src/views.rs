@@ -6,7 +6,7 @@ use std::str::FromStr;
 use recording::{About, Event, Frame, Happened, LogLine, Message, View, ViewChannel};
 use scene::ContextMap;
 use wire::tick_view::TickView;
-use wire::{ForecastsTopic, Header, StageId, Topic as _, Track, TracksTopic, WorldOrigin};
+use wire::{ForecastsTopic, Header, StageId, Topic as _, Track, TracksTopic, WorldOrigin, flags};
 
 use crate::autoware::Tick;
 use crate::cdr::to_bytes;
@@ -150,7 +150,8 @@ impl Views {
     fn tracks(&mut self, frame: &Frame, output: &mut dyn FnMut(u16, &[u8])) {
         // Frames that their readers refuse have no view.
         let Ok(tracks) = frame.elements::<TracksTopic>() else { return };
-        if !frame.header().is_tick() {
+        // A reader would take a refused tick for an empty road.
+        if !frame.header().is_tick() || frame.header().has(flags::VOID) {
             return;
         }
         let none = Header { counts: frame.header().counts, ..Header::default() };
