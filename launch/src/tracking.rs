@@ -6,7 +6,7 @@ use onboard::{Chain, OwnFrame};
 use ports::{Allowance, Second, Tick};
 use run::Run;
 use tracker::{Prior, Tracker};
-use wire::{Detection, Header, Track, TracksTopic};
+use wire::{Detection, Header, Rejected, Track, TracksTopic};
 
 use crate::failure::Failure;
 
@@ -18,6 +18,8 @@ pub enum Tracking {
         tracker: Box<Tracker>,
         /// The tracks of the last tick.
         tracks: Box<OwnFrame<TracksTopic>>,
+        /// Why the tracker has refused the last tick.
+        refusal: Option<Rejected>,
     },
     /// All stages, because their forecasts are the prior.
     InChain(Box<Chain>),
@@ -35,6 +37,7 @@ impl Tracking {
             Prior::Kinematic => Self::Alone {
                 tracker: Box::new(Tracker::new(tracker::settings(run, model)?)),
                 tracks: Box::default(),
+                refusal: None,
             },
             Prior::Learned => Self::InChain(Box::new(Chain::new(run, model)?)),
         })
@@ -43,17 +46,25 @@ impl Tracking {
     /// Returns the header and tracks after a tick. If the tracker refuses the tick, the tracks are empty.
     pub fn tick(&mut self, header: &Header, detections: &[Detection]) -> (Header, &[Track]) {
         match self {
-            Self::Alone { tracker, tracks } => {
+            Self::Alone { tracker, tracks, refusal } => {
                 let allowance = Allowance::All;
                 let tick = Tick { header, input: detections, second: Second::None, allowance };
                 // A refused tick leaves a VOID frame.
-                let _ = tracks.answer(&mut **tracker, &tick, || ());
+                *refusal = tracks.answer(&mut **tracker, &tick, || ()).err();
                 (tracks.header, &tracks.elements)
             }
             Self::InChain(chain) => {
                 let (header, _) = chain.tick(header, detections, |_| ());
                 (header, chain.tracks())
             }
+        }
+    }
+
+    /// Why the tracker has refused the last tick, if it has.
+    pub const fn refusal(&self) -> Option<&Rejected> {
+        match self {
+            Self::Alone { refusal, .. } => refusal.as_ref(),
+            Self::InChain(chain) => chain.refusal(),
         }
     }
 

@@ -34,6 +34,8 @@ alone() { (cd "$dir" && env -i HOME="$dir" PATH="$dir/empty/bin:/usr/bin:/bin" S
     STGDAT_CASES="${STGDAT_CASES:-$dir}" "$@"); }
 
 (cd "$here" && "$dir/tools/bin/mypy" --config-file pyproject.toml)
+install tools "$(ls "$dir"/wheels/*.whl)"
+(cd "$dir" && "$dir/tools/bin/python" -m mypy.stubtest --ignore-disjoint-bases stgdat._stgdat)
 alone python "$here/tests/test_stgdat.py"
 alone python "$here/examples/stream.py" >"$dir/stream.txt"
 printf 'wheel: %s bytes\n' "$(wc -c <"$(ls "$dir"/wheels/*.whl)")"

@@ -20,6 +20,7 @@ pub struct Chain {
     tracker: Tracker,
     rest: TracksToForecasts,
     tracks: OwnFrame<TracksTopic>,
+    refusal: Option<Rejected>,
 }
 
 /// The stages that start at a `tracks` payload: localiser, extractor, encoder, decoder and sampler.
@@ -69,6 +70,7 @@ impl Chain {
             tracker: Tracker::new(tracker::settings(run, model)?),
             rest: TracksToForecasts::new(run, model)?,
             tracks: OwnFrame::default(),
+            refusal: None,
         })
     }
 
@@ -82,12 +84,12 @@ impl Chain {
         detections: &[Detection],
         mut passed: impl FnMut(StageId),
     ) -> (Header, &[Forecast]) {
-        let Self { tracker, rest, tracks } = self;
+        let Self { tracker, rest, tracks, refusal } = self;
         let before = &rest.forecasts;
         let second = if before.is_void() { Second::None } else { before.as_second() };
         let tick = Tick { header, input: detections, second, allowance: Allowance::All };
         // A refused tick leaves a VOID frame.
-        let _ = tracks.answer(tracker, &tick, || passed(StageId::Tracker));
+        *refusal = tracks.answer(tracker, &tick, || passed(StageId::Tracker)).err();
         if tracks.is_void() {
             return (tracks.header, &[]);
         }
@@ -116,6 +118,11 @@ impl Chain {
     /// The sampler's evidence on its experts.
     pub fn evidence(&self) -> Option<&Evidence> {
         self.rest.sampler.evidence()
+    }
+
+    /// Why the tracker has refused the last tick, if it has.
+    pub const fn refusal(&self) -> Option<&Rejected> {
+        self.refusal.as_ref()
     }
 
     /// The tracks of the last tick; empty if it was refused.

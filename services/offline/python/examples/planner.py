@@ -16,4 +16,5 @@ for frame in run.frames("forecasts"):
     paths_m = frame.modes_m[np.arange(len(frame)), likely]
     distances_m = np.linalg.norm(paths_m - frame.header["ego_m"], axis=-1)
     agent, step = np.unravel_index(distances_m.argmin(), distances_m.shape)
-    print(f"tick {frame.seq}: track {frame.ids[agent]} comes within {distances_m[agent, step]:.1f} m in {frame.times_s[step]:.1f} s")
+    nearest_m, after_s = distances_m[agent, step], frame.times_s[step]
+    print(f"tick {frame.seq}: track {frame.ids[agent]} comes within {nearest_m:.1f} m in {after_s:.1f} s")

@@ -41,7 +41,9 @@ mod _stgdat {
 
     #[pymodule_init]
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
-        module.add("__version__", env!("CARGO_PKG_VERSION"))?;
-        Ok(())
+        // For errors that are in no file.
+        let error = module.py().get_type::<InputError>();
+        ["path", "line", "value"].iter().try_for_each(|name| error.setattr(name, module.py().None()))?;
+        module.add("__version__", env!("CARGO_PKG_VERSION"))
     }
 }

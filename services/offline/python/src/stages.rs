@@ -7,9 +7,9 @@ use launch::failure::Failure;
 use launch::tracking::Tracking;
 use onboard::Chain;
 use pyo3::prelude::*;
-use wire::{DetectionsTopic, ForecastsTopic, Header, TracksTopic, WorldOrigin};
+use wire::{Detection, DetectionsTopic, ForecastsTopic, Header, Rejected, TracksTopic, WorldOrigin};
 
-use crate::error;
+use crate::error::{self, InputError};
 use crate::frame::Frame;
 use crate::recording::{Recording, prepare};
 
@@ -62,7 +62,7 @@ impl<S: Send> Shared<S> {
         &self,
         py: Python<'_>,
         detections: &Frame,
-        tick: impl FnOnce(&mut S, &Header, &[wire::Detection]) -> recording::Frame + Send,
+        tick: impl FnOnce(&mut S, &Header, &[Detection]) -> Result<recording::Frame, Rejected> + Send,
     ) -> PyResult<Frame> {
         let elements = detections.frame.elements::<DetectionsTopic>().map_err(|why| error::of(&why))?;
         let mut header = *detections.frame.header();
@@ -73,7 +73,8 @@ impl<S: Send> Shared<S> {
                 header.seq = started.seq;
             }
             started.seq = header.seq + 1;
-            let frame = tick(&mut started.stages, &header, &elements);
+            let frame =
+                tick(&mut started.stages, &header, &elements).map_err(|why| refused(&header, &why))?;
             let own = WorldOrigin::new(started.prepared.run.origin_m).unwrap_or_default();
             Ok(Frame::new(frame, own))
         })
@@ -82,6 +83,11 @@ impl<S: Send> Shared<S> {
     fn lock(&self) -> MutexGuard<'_, Started<S>> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
+}
+
+/// The exception of a tick that the tracker has refused.
+fn refused(header: &Header, why: &Rejected) -> PyErr {
+    InputError::new_err(format!("tick {} at {:.3} s: {why}", header.seq, header.stamp_ns as f64 / 1e9))
 }
 
 fn chain(prepared: &Prepared) -> Result<Chain, Failure> {
@@ -110,7 +116,8 @@ impl Predictor {
     fn step(&self, py: Python<'_>, detections: &Frame) -> PyResult<Frame> {
         self.0.step(py, detections, |chain, header, detections| {
             let (header, forecasts) = chain.tick(header, detections, |_| ());
-            recording::Frame::of::<ForecastsTopic>(&header, forecasts, 0)
+            let frame = recording::Frame::of::<ForecastsTopic>(&header, forecasts, 0);
+            chain.refusal().map_or(Ok(frame), |why| Err(why.clone()))
         })
     }
 
@@ -150,7 +157,8 @@ impl Tracker {
     fn step(&self, py: Python<'_>, detections: &Frame) -> PyResult<Frame> {
         self.0.step(py, detections, |tracking, header, detections| {
             let (header, tracks) = tracking.tick(header, detections);
-            recording::Frame::of::<TracksTopic>(&header, tracks, 0)
+            let frame = recording::Frame::of::<TracksTopic>(&header, tracks, 0);
+            tracking.refusal().map_or(Ok(frame), |why| Err(why.clone()))
         })
     }
 }

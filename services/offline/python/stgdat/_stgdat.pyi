@@ -1,8 +1,28 @@
 """The compiled part. Use the classes of `stgdat` instead."""
 
 import os
-from typing import Any, Dict, Iterator, List, Optional, Tuple, Union
+from typing import Any, Dict, Iterator, List, Optional, Tuple, Union, final
 
+__all__ = [
+    "Block",
+    "Frame",
+    "InputError",
+    "Messages",
+    "Playback",
+    "Predictor",
+    "Record",
+    "Recording",
+    "Tap",
+    "Tracker",
+    "__version__",
+    "constants",
+    "detections",
+    "evaluate",
+    "layout",
+    "living_run",
+    "numbers",
+    "open",
+]
 __version__: str
 
 class InputError(ValueError):
@@ -10,10 +30,12 @@ class InputError(ValueError):
     line: Optional[int]
     value: Optional[str]
 
+@final
 class Block:
     @property
     def __array_interface__(self) -> Dict[str, Any]: ...
 
+@final
 class Frame:
     @property
     def topic(self) -> str: ...
@@ -45,6 +67,7 @@ def layout(record: str, leading_bytes: Optional[int]) -> Dict[str, Any]: ...
 def numbers() -> Dict[str, Dict[int, str]]: ...
 def constants() -> Dict[str, int]: ...
 
+@final
 class Recording:
     @property
     def name(self) -> str: ...
@@ -64,6 +87,7 @@ class Recording:
     def offsets(self) -> Block: ...
     def play(self, ticks: Optional[int]) -> Playback: ...
 
+@final
 class Playback:
     def __len__(self) -> int: ...
     def __iter__(self) -> Iterator[Frame]: ...
@@ -71,6 +95,7 @@ class Playback:
 
 def open(arguments: List[str]) -> Recording: ...
 
+@final
 class Predictor:
     def __new__(cls, arguments: List[str]) -> Predictor: ...
     def begin(self, recording: Optional[Recording]) -> None: ...
@@ -78,11 +103,13 @@ class Predictor:
     def tracks(self) -> Frame: ...
     def save_memory(self) -> None: ...
 
+@final
 class Tracker:
     def __new__(cls, arguments: List[str]) -> Tracker: ...
     def begin(self, recording: Optional[Recording]) -> None: ...
     def step(self, detections: Frame) -> Frame: ...
 
+@final
 class Record:
     def __new__(cls, path: Union[str, os.PathLike[str]]) -> Record: ...
     @property
@@ -92,12 +119,14 @@ class Record:
     def damages(self) -> List[str]: ...
     def messages(self, topics: List[str], events: bool) -> Messages: ...
 
+@final
 class Messages:
     def __iter__(self) -> Iterator[Union[Frame, str]]: ...
     def __next__(self) -> Union[Frame, str]: ...
 
 def living_run(name: Optional[str]) -> Tuple[str, str, str]: ...
 
+@final
 class Tap:
     def __new__(cls, root: str, topics: List[str], events: bool) -> Tap: ...
     def next(self, timeout_s: float) -> Union[Frame, str, int, None]: ...

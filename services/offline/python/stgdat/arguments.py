@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 from typing import Any, List, Mapping, Optional, Tuple, Union
 
+import numpy as np
+
 Path = Union[str, "os.PathLike[str]"]
 Origin = Tuple[float, float]
 
@@ -27,8 +29,8 @@ def _flag(name: str, value: Any) -> Optional[str]:
 
 
 def _text(value: Any) -> str:
-    if isinstance(value, bool):
+    if isinstance(value, (bool, np.bool_)):
         return str(value).lower()
-    if isinstance(value, (tuple, list)):
-        return ",".join(map(repr, value))
+    if isinstance(value, (tuple, list, np.ndarray)):
+        return ",".join(map(_text, value))
     return os.fspath(value) if isinstance(value, os.PathLike) else str(value)

@@ -341,10 +341,12 @@ def detections(
     if ids is not None:
         records["id"] = ids
         records["flags"] |= np.uint32(DetectionFlags.HAS_ID)
-    flagged = [("heading_rad", headings_rad, DetectionFlags.HAS_HEADING), ("speed_mps", speeds_mps, DetectionFlags.HAS_SPEED)]
+    flagged = [("heading_rad", headings_rad, DetectionFlags.HAS_HEADING)]
+    flagged.append(("speed_mps", speeds_mps, DetectionFlags.HAS_SPEED))
     if sizes_m is not None:
         sizes = np.asarray(sizes_m, np.float32).reshape(len(x), 2)
-        flagged += [(name, sizes[:, axis], DetectionFlags.HAS_SIZE) for axis, name in enumerate(["length_m", "width_m"])]
+        flagged.append(("length_m", sizes[:, 0], DetectionFlags.HAS_SIZE))
+        flagged.append(("width_m", sizes[:, 1], DetectionFlags.HAS_SIZE))
     for name, values, flag in flagged:
         if values is not None:
             known = ~np.isnan(np.asarray(values, np.float32))

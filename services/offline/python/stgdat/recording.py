@@ -11,7 +11,7 @@ import numpy as np
 from . import _stgdat, tables
 from .arguments import Origin, Path, written
 from .frames import Array, Detections, array_of, dtype
-from .numbers import AgentType
+from .numbers import AgentType, DetectionFlags
 
 if TYPE_CHECKING:
     import pandas
@@ -98,15 +98,15 @@ class Recording:
     @functools.cached_property
     def agents(self) -> Array:
         """Identities with type, first and last time and number of detections, in the order of their numbers."""
-        ids, first, agent, rows = np.unique(
-            self.detections["id"], return_index=True, return_inverse=True, return_counts=True
-        )
+        known = (self.detections["flags"] & np.uint32(DetectionFlags.HAS_ID)) > 0
+        named, times_ns = self.detections[known], self.times_ns[known]
+        ids, first, agent, rows = np.unique(named["id"], return_index=True, return_inverse=True, return_counts=True)
         agents = np.zeros(len(ids), _AGENT)
-        agents["id"], agents["rows"], agents["agent_type"] = ids, rows, self.types[first]
+        agents["id"], agents["rows"], agents["agent_type"] = ids, rows, named["agent_type"][first]
         agents["first_ns"] = np.iinfo(np.int64).max
         agents["last_ns"] = np.iinfo(np.int64).min
-        np.minimum.at(agents["first_ns"], agent, self.times_ns)
-        np.maximum.at(agents["last_ns"], agent, self.times_ns)
+        np.minimum.at(agents["first_ns"], agent, times_ns)
+        np.maximum.at(agents["last_ns"], agent, times_ns)
         return agents
 
     def ticks(self, count: Optional[int] = None) -> Iterator[Detections]:

@@ -60,8 +60,8 @@ class Predictor:
     def step(self, detections: Detections) -> Forecasts:
         """Takes the detections of the next tick through all stages.
 
-        Raises `InputError` for detections that the tracker refuses. There are no forecasts for a tick that is older
-        than the last one.
+        Raises `InputError` for detections that the tracker refuses, such as those of a stamp that it has seen. A tick
+        that is late, but recent, is taken into account: its forecasts are empty, and the next ones know of it.
         """
         return Forecasts(self._stages.step(detections._frame))
 

@@ -33,7 +33,8 @@ HEAD = "stamp_s,id,type,x_m,y_m,heading_rad,speed_mps\n"
 def rounded(values: npt.NDArray[Any], decimals: int) -> npt.NDArray[Any]:
     """The numbers of forecasts.jsonl: rounded half away from zero."""
     scaled = values.astype(np.float64) * 10.0**decimals
-    nearest: npt.NDArray[Any] = np.trunc(scaled) + np.where(np.abs(scaled - np.trunc(scaled)) >= 0.5, np.sign(scaled), 0)
+    whole = np.trunc(scaled)
+    nearest: npt.NDArray[Any] = whole + np.where(np.abs(scaled - whole) >= 0.5, np.sign(scaled), 0)
     return nearest / 10.0**decimals + 0.0
 
 
@@ -108,8 +109,14 @@ class Forecasts(InFolder):
 
     def test_options_reach_the_stages(self) -> None:
         path = self.write("walk.csv", walk())
-        predictor = stgdat.Predictor(map="none", retrieval=False, associate=True, settings={"tracker.prior": "kinematic"})
+        kinematic = {"tracker.prior": "kinematic"}
+        predictor = stgdat.Predictor(map="none", retrieval=False, associate=True, settings=kinematic)
         options = ["--map", "none", "--no-retrieval", "--associate", "--set", "tracker.prior=kinematic"]
+        settings = {"tracker.fov": (np.float64(90), 80), "sampler.retrieval": np.bool_(False)}
+        self.same(
+            list(stgdat.Predictor(origin=(np.float64(0), 0), settings=settings).run(path, ticks=30)),
+            predicted(str(path), "--ticks", "30", "--set", "tracker.fov=90,80", "--set", "sampler.retrieval=false"),
+        )
         self.same(list(predictor.run(path, ticks=60)), predicted(str(path), "--ticks", "60", *options))
 
     @unittest.skipUnless("STGDAT_CASES" in os.environ, "STGDAT_CASES is not set")
@@ -128,6 +135,15 @@ class Forecasts(InFolder):
         if not compared:
             self.skipTest("no case in STGDAT_CASES")
 
+    @unittest.skipUnless((Path(os.environ.get("STGDAT_CASES", ".")) / "maps/local.osm").exists(), "no case with lanes")
+    def test_lanes_equal_predict(self) -> None:
+        maps = Path(os.environ["STGDAT_CASES"]) / "maps"
+        path, lanes = maps / "1_km_from_the_lane.csv", maps / "local.osm"
+        lines = predicted(str(path), "--ticks", "40", "--lanes", str(lanes))
+        self.same(list(stgdat.Predictor(lanes=lanes).run(path, ticks=40)), lines)
+        with self.assertRaisesRegex(stgdat.InputError, "none.osm"):
+            stgdat.Predictor(lanes=maps / "none.osm")
+
     def test_steps_equal_a_run(self) -> None:
         recording = stgdat.generate(agents=8, ticks=60)
         predictor = stgdat.Predictor()
@@ -138,7 +154,8 @@ class Forecasts(InFolder):
         predictor.reset()
         for tick, line in zip(recording.ticks(), played):
             rows = tick.records
-            known = [(rows["flags"] & flag) > 0 for flag in (stgdat.DetectionFlags.HAS_HEADING, stgdat.DetectionFlags.HAS_SIZE)]
+            flags = stgdat.DetectionFlags.HAS_HEADING, stgdat.DetectionFlags.HAS_SIZE
+            known = [(rows["flags"] & flag) > 0 for flag in flags]
             sizes_m = np.stack([rows["length_m"], rows["width_m"]], 1)
             made = stgdat.detections(
                 tick.stamp_ns,
@@ -228,6 +245,9 @@ class Recordings(InFolder):
         self.assertEqual(agents[3]["agent_type"], stgdat.AgentType.PEDESTRIAN)
         self.assertEqual((agents[3]["first_ns"], agents[3]["last_ns"], agents[3]["rows"]), (0, 7_900_000_000, 80))
         self.assertEqual(recording.doubts, [])
+        rows = "".join(f"{t / 10},,pedestrian,{t / 10},0,,\n" for t in range(9))
+        unnamed = stgdat.open(self.write("unnamed.csv", HEAD + rows))
+        self.assertEqual((unnamed.has_identities, len(unnamed.agents)), (False, 0))
         self.assertFalse(recording.detections.flags.writeable)
 
     def test_bad_input_names_file_line_and_value(self) -> None:
@@ -262,7 +282,13 @@ class Recordings(InFolder):
             stgdat.detections(0, [7], [1.0], [0.0])
         with self.assertRaises(stgdat.InputError):
             stgdat.detections(0, np.zeros(600), np.zeros(600), np.zeros(600))
-        self.assertEqual(len(predictor.step(stgdat.detections(0, [0], [1.0], [0.0]))), 0)
+        tick = stgdat.detections(2_000_000_000, [0], [1.0], [0.0])
+        self.assertEqual(len(predictor.step(tick)), 0)
+        for stages in (predictor, stgdat.Tracker(), stgdat.Tracker(prior="learned")):
+            with self.assertRaisesRegex(stgdat.InputError, "2.000 s") as raised:
+                for _ in range(2):
+                    stages.step(tick)
+            self.assertIsNone(raised.exception.line)
 
     def test_tracker_alone(self) -> None:
         path = self.write("walk.csv", walk())
