@@ -151,6 +151,32 @@ fn the_report_page_has_verdict_scenes_and_worst_ticks() {
     }
 }
 
+#[test]
+fn the_page_of_a_played_recording_has_no_latencies() {
+    let scratch = Scratch::new("played-page");
+    let [page, lines] = ["a.html", "a.jsonl"].map(|name| scratch.path(name));
+    run_well(&["predict", "--ticks", "120", "--out", &lines, "--html", &page]);
+    assert!(scratch.read("a.html").len() < view::PAGE_BYTES);
+    let folder = Path::new(&page).parent().expect("a folder");
+    let files = std::fs::read_dir(folder).expect("the folder exists").flatten();
+    assert!(
+        !files.into_iter().any(|file| file.file_name().to_string_lossy().ends_with(".mcap")),
+        "it is temporary"
+    );
+    let Some(browser) = Browser::open(&scratch, &format!("file://{page}"), 1300, &[]) else { return };
+    let dom = browser.dom();
+    for part in
+        ["tick 60 · 4.8 s · 32 agents", "Accuracy against the truth", "Forecasts by quality and cause"]
+    {
+        assert!(dom.contains(part), "{part}");
+    }
+    let body = &dom[dom.find("<article").expect("a run")..];
+    let (body, _) = body.split_once("<script>").expect("the scripts come last");
+    for part in ["<h2>Worst ticks", "<h2>End to end", "<h2>Stages", "end to end p50"] {
+        assert!(!body.contains(part), "{part}");
+    }
+}
+
 /// The scenes that the page unpacks are the published tracks and forecasts, to the centimetre.
 #[test]
 fn the_report_page_unpacks_the_published_numbers() {

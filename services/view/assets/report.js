@@ -117,11 +117,15 @@ function figuresOf({ report }) {
   const over = (value) => (limit && !report.run.lockstep && value > limit ? "bad" : "");
   const zero = (value) => (value ? "bad" : "good");
   const restarts = report.stages.reduce((sum, stage) => sum + stage.restarts, 0);
-  return `<section class="card">${figures([
+  // Frames of `predict` have no latencies.
+  const times = time.p50 === null ? [] : [
     [shortNumber(time.p50), "end to end p50, ms", over(time.p50)],
     [shortNumber(time.p99), "p99, ms", over(time.p99)],
     [shortNumber(time.max), "max, ms", over(time.max)],
     report.run.lockstep ? [report.late_ticks, `ticks over ${shortNumber(limit)} ms`] : [report.late_ticks, "late ticks", zero(report.late_ticks)],
+  ];
+  return `<section class="card">${figures([
+    ...times,
     [report.drops, "lost frames", zero(report.drops)],
     [restarts, "restarts", zero(restarts)],
     total > 0 && [percent(forecasts.learned / total), "of forecasts learned"],
@@ -131,6 +135,7 @@ function figuresOf({ report }) {
 }
 
 function stageTable({ report }) {
+  if (!report.stages.length) return "";
   const row = (stage) => {
     const over = stage.budget_ms && stage.compute_ms.p99 > stage.budget_ms;
     const share = (value) => Math.min(100 * (value || 0) / (stage.budget_ms || Infinity), 100).toFixed(1);
@@ -178,7 +183,8 @@ function factsOf({ report }) {
 }
 
 function worstOf({ report }, details) {
-  const worst = report.worst_ticks.slice(0, 6);
+  const isKnown = (tick) => tick.end_to_end_ms !== null || tick.ticks_lost > 0;
+  const worst = report.worst_ticks.slice(0, 6).filter(isKnown);
   if (!worst.length) return "";
   const card = (tick) => {
     const has = details && details.worst[tick.tick];
@@ -206,13 +212,17 @@ function timeCharts(column, run, details) {
   const shown = series.stages.filter(([, times]) => times.some((time) => time !== null));
   const bins = series.histogram.map((count, from) => ({ from, to: from + 1, count }));
   const last = series.histogram.findLastIndex((count) => count > 0);
-  column.querySelector("[data-slot=times]").replaceWith(element(`<div class="grid">
+  const fill = (slot, isFilled, html) => {
+    const place = column.querySelector(`[data-slot=${slot}]`);
+    if (isFilled) place.replaceWith(element(html)); else place.remove();
+  };
+  fill("times", last >= 0, `<div class="grid">
     <section class="card"><h2>End to end over time<span class="soft">ms</span></h2><canvas class="chart" data-chart="time"></canvas></section>
-    <section class="card"><h2>Distribution<span class="soft">ticks by end-to-end ms</span></h2><canvas class="chart" data-chart="bins"></canvas></section></div>`));
-  column.querySelector("[data-slot=stages]").replaceWith(element(`<section class="card"><h2>Compute of each stage over time
+    <section class="card"><h2>Distribution<span class="soft">ticks by end-to-end ms</span></h2><canvas class="chart" data-chart="bins"></canvas></section></div>`);
+  fill("stages", shown.length > 0, `<section class="card"><h2>Compute of each stage over time
     <span class="soft">ms, dashed: budget</span></h2><div class="stages">${shown.map(([name, times], place) =>
       `<figure><figcaption><b>${name}</b></figcaption><canvas data-stage="${place}"></canvas></figure>`).join("")}</div>
-    ${series.ticks_per_point > 1 ? `<p class="note">Each point is the slowest of ${series.ticks_per_point} ticks.</p>` : ""}</section>`));
+    ${series.ticks_per_point > 1 ? `<p class="note">Each point is the slowest of ${series.ticks_per_point} ticks.</p>` : ""}</section>`);
   chart(column, "[data-chart=time]", (canvas) => lineChart(canvas, x,
     [{ values: series.end_to_end, color: themed("accent") }], { limit: run.report.run.lockstep ? null : limit, unit: "ms" }));
   chart(column, "[data-chart=bins]", (canvas) =>
