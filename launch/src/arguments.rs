@@ -112,8 +112,8 @@ pub struct SetArguments {
 /// The model and its map.
 #[derive(Clone, Debug, Args)]
 pub struct ModelArguments {
-    /// Weights to use instead of the embedded ones
-    #[arg(long, value_name = "FILE")]
+    /// Weights to use instead of the embedded ones: a file, or the name of shipped weights such as `onboard-free`
+    #[arg(long, value_name = "FILE|NAME")]
     pub weights: Option<PathBuf>,
     /// Context map: `online`, `none` or a file written by `stgdat map`
     #[arg(long, value_name = "MAP")]
@@ -311,7 +311,7 @@ impl ModelArguments {
     /// Opens the weights named on the command line, else the pipeline's weights, else the embedded ones.
     pub fn open_weights(&self, pipeline: Option<&Path>) -> Result<(Option<PathBuf>, Weights), Failure> {
         let Some(path) = self.weights.as_deref().or(pipeline) else { return Ok((None, Weights::onboard())) };
-        let path = canonical(path)?;
+        let path = shipped_weights(path).map_or_else(|| canonical(path), Ok)?;
         let weights = Weights::open(&path).map_err(|error| Failure::weights(&path, error))?;
         Ok((Some(path), weights))
     }
@@ -426,6 +426,18 @@ fn recording_at(path: &Path) -> Result<PathBuf, Failure> {
 /// Absolute path of an existing file.
 pub fn canonical(path: &Path) -> Result<PathBuf, Failure> {
     path.canonicalize().map_err(|error| Failure::file(path, error))
+}
+
+/// Folders of shipped weights, relative to the folder of the program: installed, and in the source tree.
+const SHIPPED: [&str; 2] = ["../share/stgdat/weights", "../../shared/weights"];
+
+/// The file of shipped weights with this name; `None` if it is no name, or there are no such weights.
+fn shipped_weights(name: &Path) -> Option<PathBuf> {
+    let is_name = name.components().count() == 1 && name.extension().is_none() && !name.exists();
+    let program = std::env::current_exe().ok().filter(|_| is_name)?;
+    let file = name.with_extension("safetensors");
+    let places = SHIPPED.iter().map(|folder| Some(program.parent()?.join(folder).join(&file)));
+    places.flatten().find_map(|place| place.canonicalize().ok())
 }
 
 /// Reads a lane map and warns about skipped elements.

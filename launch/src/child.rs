@@ -24,6 +24,7 @@ use rustix::process::{Pid, PidfdFlags, Signal, kill_process, pidfd_open, set_par
 use wire::StageId;
 
 use crate::failure::{Failure, StageDeath};
+use crate::program::this_program;
 use crate::{color, log, scheduling};
 
 /// Number of output lines kept per stage, to be shown if the stage dies.
@@ -98,8 +99,7 @@ impl Child {
                 command
             }
             _ => {
-                let this = std::env::current_exe().map_err(Failure::unavailable)?;
-                let mut command = Command::new(this);
+                let mut command = Command::new(this_program());
                 command.args(["stage", stage.name(), "--run"]).arg(record);
                 command
             }

@@ -12,6 +12,7 @@ use ports::{NodeNumber, NodeProcess};
 
 use crate::child::{die_with_this_process, end_of};
 use crate::failure::Failure;
+use crate::program::this_program;
 
 /// Time limit of a helper. A clean-up takes 30 ms; even on a loaded machine it does not take a hundred times
 /// as long. If a half-made connection blocks a helper, the helper is killed as soon as the connection is old
@@ -131,8 +132,7 @@ impl Cleaner {
     /// Starts a helper if none is running and a clean-up up to number `wanted` is due.
     fn start(&mut self, wanted: u64, now: Duration) -> Result<(), Failure> {
         if self.work.is_none() && self.done < wanted {
-            let this = std::env::current_exe().map_err(Failure::unavailable)?;
-            let mut command = Command::new(this);
+            let mut command = Command::new(this_program());
             command.arg("sweep").arg("--run").arg(&self.record);
             command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::null());
             die_with_this_process(&mut command);

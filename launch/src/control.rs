@@ -10,10 +10,9 @@ use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
 use std::time::Duration;
 
+use ports::is_own_user;
 use recorder::ReplacementOutcome;
 use run::Run;
-use rustix::net::sockopt::socket_peercred;
-use rustix::process::geteuid;
 use serde::{Deserialize, Serialize};
 use wire::StageId;
 
@@ -96,8 +95,7 @@ impl Control {
 
 /// Reads the line of a connection and forwards its request.
 fn attend(connection: UnixStream, requests: &SyncSender<Request>) {
-    let is_ours = socket_peercred(&connection).is_ok_and(|peer| peer.uid == geteuid());
-    if !is_ours || connection.set_read_timeout(Some(LINE_LIMIT)).is_err() {
+    if !is_own_user(&connection) || connection.set_read_timeout(Some(LINE_LIMIT)).is_err() {
         return;
     }
     let mut line = String::new();

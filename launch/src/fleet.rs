@@ -203,7 +203,12 @@ impl Fleet {
                 let is_in_the_way = one_died && status.code() == Some(Exit::Unavailable as i32);
                 let is_by_signal = status.code().is_none();
                 let is_restartable = !self.run.lockstep && (is_linked || is_by_signal || is_in_the_way);
-                events.extend(member.bury(status, is_restartable, now)?);
+                events.extend(member.handle_exit(
+                    status,
+                    is_restartable,
+                    ports::is_full(&self.run.root),
+                    now,
+                )?);
             } else if is_linked && !self.run.lockstep {
                 events.extend(member.examine(now));
             } else if one_died && !self.run.lockstep {

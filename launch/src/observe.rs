@@ -33,7 +33,7 @@ use crate::processes::Usage;
 use files::{MetricsFile, TraceFile};
 pub use mark::mark;
 pub use server::SOCKET;
-use server::{Asked, Question};
+use server::{Asked, Question, SocketFile};
 
 /// Maximum number of waiting questions.
 const QUESTIONS_MAX: usize = 16;
@@ -46,15 +46,33 @@ const EVENTS_MAX: usize = 32;
 #[derive(Clone, Debug, Default, Args)]
 pub struct ObserveArguments {
     /// Serve metrics for Prometheus on this address (http://ADDRESS/metrics), by default on the loopback alone;
-    /// a port alone means the loopback too
-    #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = "127.0.0.1:9464", value_parser = address)]
-    metrics: Option<SocketAddr>,
+    /// a port alone means the loopback too. A path means a Unix socket, which only this user and root can read
+    #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = "127.0.0.1:9464", value_parser = endpoint)]
+    metrics: Option<Endpoint>,
     /// Write the metrics to this file once a second, for the textfile collector of node_exporter
     #[arg(long, value_name = "FILE")]
     metrics_file: Option<PathBuf>,
     /// Write a trace of all stages for Perfetto (ui.perfetto.dev)
     #[arg(long, value_name = "FILE")]
     trace: Option<PathBuf>,
+}
+
+/// Where the metrics are served.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Endpoint {
+    /// Address of a TCP socket.
+    Address(SocketAddr),
+    /// Path of a Unix socket.
+    Path(PathBuf),
+}
+
+/// Parses the place of the metrics: an address, a port, or the path of a Unix socket.
+fn endpoint(text: &str) -> Result<Endpoint, String> {
+    if text.contains('/') {
+        return Ok(Endpoint::Path(text.into()));
+    }
+    let error = |error| format!("{error}, or the path of a Unix socket with a /");
+    address(text).map(Endpoint::Address).map_err(error)
 }
 
 /// Parses an address, or a port of the loopback interface.
@@ -77,6 +95,8 @@ pub struct Observer {
     usage: Usage,
     events: VecDeque<StatusEvent>,
     questions: Receiver<Asked>,
+    /// Removed at the end.
+    _sockets: Vec<SocketFile>,
     metrics_file: Option<MetricsFile>,
     tracer: Option<(Tracer, TraceFile)>,
 }
@@ -94,10 +114,12 @@ impl Observer {
         ticks_limit: Option<u64>,
     ) -> Result<Self, Failure> {
         let (ask, questions) = sync_channel(QUESTIONS_MAX);
-        if let Some(address) = arguments.metrics {
-            server::listen_tcp(address, ask.clone())?;
-        }
-        server::listen_unix(&run.root.join(SOCKET), ask.clone())?;
+        let metrics_socket = match &arguments.metrics {
+            Some(Endpoint::Address(address)) => server::listen_tcp(*address, ask.clone()).map(|()| None)?,
+            Some(Endpoint::Path(path)) => Some(server::listen_unix(path, ask.clone())?),
+            None => None,
+        };
+        let status_socket = server::listen_unix(&run.root.join(SOCKET), ask.clone())?;
         let metrics_file = arguments.metrics_file.as_deref();
         let metrics_file = metrics_file.map(|path| MetricsFile::begin(path, ask)).transpose()?;
         let tracer = arguments.trace.as_deref().map(|path| {
@@ -121,6 +143,7 @@ impl Observer {
             usage: Usage::default(),
             events: VecDeque::with_capacity(EVENTS_MAX),
             questions,
+            _sockets: metrics_socket.into_iter().chain([status_socket]).collect(),
             metrics_file,
             tracer: tracer.transpose()?,
         })

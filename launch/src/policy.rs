@@ -8,11 +8,16 @@
 //!    │ ended: exit 78, policy forbids, or too often
 //!    └──────────────▶ given up, for good
 //! ```
+//!
+//! A stage that ends while there is no room for its files is started again every second. These restarts have no limit.
 
 use std::collections::VecDeque;
 use std::time::Duration;
 
 use crate::config::{Restart, RestartPolicy};
+
+/// Pause before the restart of a stage that ended while there was no room.
+const NO_ROOM_PAUSE: Duration = Duration::from_secs(1);
 
 /// How a process ended, as far as the policy depends on it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -23,6 +28,8 @@ pub enum End {
     Success,
     /// With exit code 78: its configuration can't be used.
     Config,
+    /// With another exit code or by a signal, while there was no room for its files.
+    NoRoom,
     /// With another exit code or by a signal.
     Failure,
 }
@@ -94,6 +101,8 @@ impl Supervision {
             (End::Done, _) => State::Done,
             (End::Config, _) => given_up("its configuration can't be used"),
             (_, Restart::Never) => given_up("its policy is never to restart it"),
+            // Not the stage's fault. It starts once there is room again.
+            (End::NoRoom, _) => State::Waiting { until: now + NO_ROOM_PAUSE },
             (End::Success, Restart::OnFailure) => given_up("it ended by itself, which is no failure"),
             _ if self.restarts.len() >= self.policy.restarts_max as usize => {
                 given_up("it was restarted too often")
@@ -230,6 +239,18 @@ mod tests {
         *state ^= *state >> 7;
         *state ^= *state << 17;
         *state
+    }
+
+    #[test]
+    fn ends_for_lack_of_room_never_count() {
+        let mut stage = supervision(Restart::OnFailure);
+        for second in 1..200 {
+            let now = SECOND * second;
+            assert_eq!(stage.ended(End::NoRoom, now), State::Waiting { until: now + NO_ROOM_PAUSE });
+            stage.restarted(now + NO_ROOM_PAUSE);
+        }
+        assert_eq!(stage.ended(End::Failure, SECOND * 200), State::Waiting { until: SECOND * 200 });
+        assert!(matches!(supervision(Restart::Never).ended(End::NoRoom, SECOND), State::GivenUp { .. }));
     }
 
     #[test]

@@ -2,14 +2,17 @@ use nn::{Precision, Weights};
 use run::Run;
 use wire::StageId;
 
-/// Returns the version of the program, the SHA-256 of the embedded weights and the kernels of this CPU. All
-/// three determine the results.
+/// Returns the version of the program, the SHA-256 of the embedded weights and the kernels of this CPU, which
+/// determine the results. The last line names the licences of the weights' training data.
 pub fn text() -> String {
+    let weights = Weights::onboard();
+    let licences = weights.licences().into_iter().map(|(data, licence)| format!("{data} ({licence})"));
     format!(
-        "stgdat {}\nweights {}\nkernels {}\n",
+        "stgdat {}\nweights {}\nkernels {}\nweights trained on {}\n",
         env!("CARGO_PKG_VERSION"),
-        Weights::onboard().sha256(),
-        nn::kernels::active().name()
+        weights.sha256(),
+        nn::kernels::active().name(),
+        licences.collect::<Vec<_>>().join(", ")
     )
 }
 

@@ -198,9 +198,8 @@ fn the_loops_of_all_stages_allocate_nothing_in_steady_ticks() {
 }
 
 fn run_variant(variant: &str) {
-    let id = u64::from(std::process::id());
-    let space = Space::create(id, 48 << 20).unwrap();
-    let (prefix, root) = (space.prefix().into(), space.root().into());
+    let space = Space::create(None, 48 << 20).unwrap();
+    let (id, prefix, root) = (space.id(), space.prefix().into(), space.root().into());
     let run = Run { id, prefix, root, lockstep: true, stages: options(variant), ..Run::default() };
     nn::Weights::onboard().config().write(&run.root).unwrap();
     std::thread::scope(|scope| {

@@ -27,12 +27,14 @@ from stgdat_wire import TOPICS, Header
 
 
 def run_folder():
-    """The folder of the run in the environment, or else of the newest run on this machine."""
-    roots = [os.environ.get("STGDAT_ROOT"), *sorted(glob.glob("/tmp/stgdat_????????"), key=os.path.getmtime)[::-1]]
-    root = next(filter(None, roots), None)
-    if root is None:
-        raise SystemExit("no run of stgdat is to be found: start one with `stgdat run`")
-    return root
+    """The folder of the run in the environment, or else of this user's newest run on this machine."""
+    if root := os.environ.get("STGDAT_ROOT"):
+        return root
+    # The lock of a run contains the path of its folder.
+    locks = [lock for lock in glob.glob("/dev/shm/stgdat_????????_lock") if os.stat(lock).st_uid == os.geteuid()]
+    if not locks:
+        raise SystemExit("no run of yours is to be found: start one with `stgdat run`")
+    return open(max(locks, key=os.path.getmtime)).read()
 
 
 @functools.cache
@@ -47,7 +49,7 @@ def join(name):
     root = run_folder()
     iox2.set_log_level(iox2.LogLevel.Error)
     config = iox2.config.global_config()
-    config.global_cfg.prefix = iox2.FileName.new(os.environ.get("STGDAT_PREFIX") or os.path.basename(root) + "_")
+    config.global_cfg.prefix = iox2.FileName.new(os.environ.get("STGDAT_PREFIX") or open(os.path.join(root, "prefix")).read())
     config.global_cfg.root_path = iox2.Path.new(root)
     # A node that cleans up after others can hang on half-made resources of a killed node. The launcher cleans up.
     config.global_cfg.node.cleanup_dead_nodes_on_creation = False

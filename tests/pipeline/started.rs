@@ -216,5 +216,5 @@ impl LeftoverWatch {
 
 fn dead_runs() -> Vec<String> {
     let leftovers = ports::leftovers().expect("shared memory can be listed");
-    leftovers.into_iter().map(|leftover| leftover.prefix).collect()
+    leftovers.into_iter().map(|leftover| leftover.name).collect()
 }

@@ -13,6 +13,7 @@ use crate::failure::Failure;
 use crate::faults::effect::Random;
 use crate::faults::spec::{Fault, Resource, Spec, Target, When};
 use crate::pipeline_file;
+use crate::program;
 use crate::stages::declared;
 
 /// An action on a process at a given time.
@@ -191,7 +192,7 @@ pub fn pipeline(spec: &Spec) -> Result<String, Failure> {
 
 /// Returns a command whose first process is the stage and whose later processes end immediately.
 fn crashing(stage: StageId, exit_code: u8) -> Result<Vec<String>, Failure> {
-    let this = std::env::current_exe().map_err(Failure::unavailable)?;
+    let this = program::this_program();
     let words =
         format!("test $STGDAT_INCARNATION = 0 || exit {exit_code}; exec \"$0\" stage {}", stage.name());
     Ok(vec!["sh".to_owned(), "-c".to_owned(), words, this.display().to_string()])
@@ -200,7 +201,7 @@ fn crashing(stage: StageId, exit_code: u8) -> Result<Vec<String>, Failure> {
 /// Returns the built-in stage as a command that kills itself at a point of its first step, in any
 /// incarnation.
 fn dying(stage: StageId, point: Point) -> Result<Vec<String>, Failure> {
-    let this = std::env::current_exe().map_err(Failure::unavailable)?;
+    let this = program::this_program();
     let (stage, point) = (stage.name(), point.name());
     let words = format!(
         "for i in $(seq 0 $STGDAT_INCARNATION); do p=${{p}}{stage}:{point}@0,; done; export {POINTS_VARIABLE}=$p; \

@@ -16,13 +16,14 @@ use crate::child::die_with_this_process;
 use crate::failure::Failure;
 use crate::faults::effect::Random;
 use crate::faults::spec::Resource;
+use crate::program;
 
 /// Time that a process has to end after a request.
 const END_LIMIT: Duration = Duration::from_secs(3);
 
 /// Returns a command that starts this program as another process, which dies with this one.
 pub fn this_program() -> Result<Command, Failure> {
-    let mut command = Command::new(std::env::current_exe().map_err(Failure::unavailable)?);
+    let mut command = Command::new(program::this_program());
     command.stdin(Stdio::null());
     die_with_this_process(&mut command);
     Ok(command)

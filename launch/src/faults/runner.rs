@@ -70,6 +70,12 @@ pub struct Options {
     pub keep: Option<PathBuf>,
 }
 
+/// Creates a folder with a random name for the files of a run. It stays if the run fails.
+pub fn temporary_folder(prefix: &str) -> Result<PathBuf, Failure> {
+    let made = tempfile::Builder::new().prefix(prefix).tempdir();
+    Ok(made.map_err(|error| Failure::file(&std::env::temp_dir(), error))?.keep())
+}
+
 /// Runs a specification to its end.
 pub fn run(spec: &Spec, options: &Options) -> Result<Verdict, Failure> {
     let spec = &seeded(spec, options.seed);
@@ -78,8 +84,8 @@ pub fn run(spec: &Spec, options: &Options) -> Result<Verdict, Failure> {
         Some(keep) => keep.join(&spec.name),
         None => {
             // The name contains the seed, so a repetition that passes does not remove a failed run.
-            let name = format!("stgdat-fault-{}-{}-{}", spec.name, spec.run.seed, std::process::id());
-            std::env::temp_dir().join(name)
+            let name = format!("stgdat-fault-{}-{}-", spec.name, spec.run.seed);
+            temporary_folder(&name)?
         }
     };
     std::fs::create_dir_all(&folder).map_err(|error| Failure::file(&folder, error))?;
@@ -136,7 +142,7 @@ struct Session<'a> {
     /// The run once it is announced, with the follower and injectors.
     run: Option<(Run, Vec<Writer>)>,
     /// Prefix of the run's files, set once its launcher was killed.
-    prefix: Option<String>,
+    name: Option<String>,
     /// Consumers that are repeatedly killed.
     mortals: Vec<Mortal>,
     /// Pending actions at a tick or time.
@@ -181,7 +187,7 @@ impl<'a> Session<'a> {
             sender,
             lines,
             run: None,
-            prefix: None,
+            name: None,
             mortals: Vec::new(),
             due: actions(spec)?,
             stopped: Vec::new(),
@@ -270,7 +276,7 @@ impl<'a> Session<'a> {
         let launcher = self.launcher.pid();
         let descriptors = std::fs::read_dir(format!("/proc/{}/fd", launcher.as_raw_nonzero()));
         let in_folder = std::fs::read_dir(&run.root).map_or(0, |entries| entries.count() as u64);
-        let [files, shared_bytes] = shared(&run.prefix);
+        let [files, shared_bytes] = shared(&name_in(run));
         self.seen.lines.push(Line::Resources {
             tick,
             launcher_bytes: resident_bytes(launcher),
@@ -342,7 +348,7 @@ impl<'a> Session<'a> {
                 let Some(pid) = find(*target) else { return Ok(false) };
                 let stages = self.launcher.stages();
                 if *target == Target::Launcher {
-                    self.prefix = prefix_of(pid);
+                    self.name = name_of(pid);
                 }
                 let _ = kill_process(pid, Signal::KILL);
                 if *target == Target::Launcher {
@@ -403,16 +409,16 @@ impl<'a> Session<'a> {
             self.seen.lines.push(Line::Replaced { stage, exit });
         }
         // A launcher may be killed before its run is announced.
-        if let Some(prefix) = self.prefix.take().or_else(|| run.map(|run| run.prefix)) {
+        if let Some(name) = self.name.take().or_else(|| run.as_ref().map(name_in)) {
             if self.spec.kills_launcher() {
                 // As `stgdat clean` does.
                 for leftover in ports::leftovers().map_err(Failure::unavailable)? {
-                    if leftover.prefix == prefix {
+                    if leftover.name == name {
                         leftover.remove();
                     }
                 }
             }
-            self.seen.leftovers = left(&prefix);
+            self.seen.leftovers = ports::files_left(&name) as u64;
         }
         self.seen.report = Report::read(&self.folder.join("report.json")).ok();
         self.seen.recorded = recorded(&self.folder.join("forecasts.jsonl"));
@@ -439,20 +445,18 @@ fn survivors(stages: &[(Pid, StageId)]) -> u64 {
     }
 }
 
-/// Counts the run's files in shared memory and its folders.
-fn left(prefix: &str) -> u64 {
-    let name = prefix.trim_end_matches('_');
-    let folders = [name.to_owned(), format!(".{name}")];
-    shared(prefix)[0] + folders.iter().filter(|name| Path::new("/tmp").join(name).exists()).count() as u64
+/// The name of a run.
+fn name_in(run: &Run) -> String {
+    run.root.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// Finds the prefix of a launcher's run by the lock that it holds; `None` before the lock exists.
-fn prefix_of(launcher: Pid) -> Option<String> {
+/// Finds the name of a launcher's run by the lock that it holds; `None` before the lock exists.
+fn name_of(launcher: Pid) -> Option<String> {
     let descriptors = std::fs::read_dir(format!("/proc/{}/fd", launcher.as_raw_nonzero())).ok()?;
     let files = descriptors.filter_map(|entry| std::fs::read_link(entry.ok()?.path()).ok());
     let mut locks =
-        files.filter_map(|file| Some(file.file_name()?.to_str()?.strip_suffix("lock")?.to_owned()));
-    locks.find(|prefix| prefix.starts_with("stgdat_"))
+        files.filter_map(|file| Some(file.file_name()?.to_str()?.strip_suffix("_lock")?.to_owned()));
+    locks.find(|name| name.starts_with("stgdat_"))
 }
 
 /// Counts the run's files in shared memory and their bytes.

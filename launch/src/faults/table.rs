@@ -188,8 +188,7 @@ impl Plan {
 /// [`Failure`] if the run can't be started.
 pub fn measure(plan: &Plan) -> Result<Vec<Row>, Failure> {
     let spec = plan.spec()?;
-    let folder = std::env::temp_dir().join(format!("stgdat-fault-{}-{}", spec.name, std::process::id()));
-    std::fs::create_dir_all(&folder).map_err(|error| Failure::file(&folder, error))?;
+    let folder = runner::temporary_folder(&format!("stgdat-fault-{}-", spec.name))?;
     let seen = runner::observe(&spec, &folder)?;
     if seen.exit != 0 {
         let message = format!("a run ended with exit code {}: see {}", seen.exit, folder.display());

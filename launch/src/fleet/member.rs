@@ -49,16 +49,18 @@ impl Member {
     }
 
     /// Records the end of the process.
-    pub(super) fn bury(
+    pub(super) fn handle_exit(
         &mut self,
         status: ExitStatus,
         is_restartable: bool,
+        is_full: bool,
         now: Duration,
     ) -> Result<Option<Event>, Failure> {
         let end = match status.code() {
             Some(0) if self.is_done(status) => End::Done,
             Some(0) => End::Success,
             Some(code) if code == Exit::Config as i32 => End::Config,
+            _ if is_full => End::NoRoom,
             _ => End::Failure,
         };
         if end != End::Done && !is_restartable {
@@ -67,10 +69,13 @@ impl Member {
         let stage = self.stage;
         match self.supervision.ended(end, now) {
             State::Waiting { .. } => {
-                let how = match self.killed_for {
+                let mut how = match self.killed_for {
                     Some(why) => why.to_owned(),
                     None => self.child.death(status).how,
                 };
+                if end == End::NoRoom {
+                    how += ", without room in shared memory or for the run's folder";
+                }
                 Ok(Some(Event::Died { stage, how, next: self.supervision.incarnation() + 1 }))
             }
             // The output depends on this stage, so the run ends.

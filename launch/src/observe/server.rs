@@ -2,11 +2,12 @@
 
 use std::io;
 use std::net::{SocketAddr, TcpListener};
-use std::os::unix::net::UnixListener;
-use std::path::Path;
+use std::os::unix::net::{UnixListener, UnixStream};
+use std::path::{Path, PathBuf};
 use std::sync::mpsc::{SyncSender, sync_channel};
 use std::time::Duration;
 
+use ports::is_own_user;
 use recorder::exposition::CONTENT_TYPE;
 use view::http::{Connection, PLAIN, Request, accept, respond};
 
@@ -32,16 +33,36 @@ pub fn listen_tcp(address: SocketAddr, ask: SyncSender<Asked>) -> Result<(), Fai
         .map_err(failed)
 }
 
-/// Answers on a Unix socket until the process ends.
+/// The file of a Unix socket, removed when it is dropped.
+pub struct SocketFile(PathBuf);
+
+impl Drop for SocketFile {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_file(&self.0);
+    }
+}
+
+/// Answers this user and root on a Unix socket until the process ends.
 ///
 /// # Errors
 /// [`Failure::Unavailable`] if the socket can't be created.
-pub fn listen_unix(path: &Path, ask: SyncSender<Asked>) -> Result<(), Failure> {
+pub fn listen_unix(path: &Path, ask: SyncSender<Asked>) -> Result<SocketFile, Failure> {
     let failed = |error| Failure::unavailable_about(path.display(), error);
+    // A killed run leaves a socket on which nobody listens.
+    if UnixStream::connect(path).is_err_and(|error| error.kind() == io::ErrorKind::ConnectionRefused) {
+        std::fs::remove_file(path).map_err(failed)?;
+    }
     let listener = UnixListener::bind(path).map_err(failed)?;
-    let next = move || listener.accept().map(|(stream, _)| stream);
+    let file = SocketFile(path.to_owned());
+    let next = move || loop {
+        let (stream, _) = listener.accept()?;
+        if is_own_user(&stream) {
+            return Ok(stream);
+        }
+    };
     accept("status", next, move |connection, request| answer(connection, request.as_ref(), &ask))
-        .map_err(failed)
+        .map_err(failed)?;
+    Ok(file)
 }
 
 fn answer(

@@ -17,6 +17,7 @@ use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
 use crate::child::die_with_this_process;
 use crate::failure::Failure;
 use crate::log;
+use crate::program::this_program;
 use crate::tap::server::Told;
 use crate::tap::{RingArguments, ViewArguments};
 
@@ -63,7 +64,7 @@ impl Tap {
     }
 
     fn spawn(&mut self) -> Result<(), Failure> {
-        let mut command = Command::new(std::env::current_exe().map_err(Failure::unavailable)?);
+        let mut command = Command::new(this_program());
         command.arg("tap").arg("--run").arg(&self.record);
         // A separate process group, so Ctrl-C reaches only the launcher, which ends the tap last.
         command.stdin(Stdio::piped()).stdout(Stdio::null()).process_group(0);
@@ -182,7 +183,7 @@ impl Recording {
         ring: &RingArguments,
         view: &ViewArguments,
     ) -> Result<Self, Failure> {
-        let mut command = Command::new(std::env::current_exe().map_err(Failure::unavailable)?);
+        let mut command = Command::new(this_program());
         command.arg("record").arg(file).arg("--run").arg(root).args(["--topics", topics]);
         ring.pass_on(&mut command);
         view.pass_on(&mut command);

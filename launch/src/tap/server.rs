@@ -7,7 +7,7 @@ use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use ports::{Node, Publisher, Stop, TAP, monotonic_ns};
+use ports::{Node, Publisher, Stop, TAP, is_own_user, monotonic_ns};
 use recording::tap::{self, Hub, QUEUE_BYTES, REQUEST_BYTES_MAX, Request, SOCKET, TOOLS_MAX, Want};
 use recording::{Event, Happened, LogLine};
 use run::{Exit, Run};
@@ -228,7 +228,7 @@ impl Server {
 
     fn accept(&mut self, listener: &UnixListener) {
         while let Ok((socket, _)) = listener.accept() {
-            if socket.set_nonblocking(true).is_ok() {
+            if is_own_user(&socket) && socket.set_nonblocking(true).is_ok() {
                 self.pending.push((socket, Vec::new()));
             }
         }

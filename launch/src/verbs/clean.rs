@@ -16,7 +16,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let leftovers = ports::leftovers().map_err(Failure::unavailable)?;
     let verb = if arguments.dry_run { "would remove" } else { "removed" };
     for leftover in leftovers {
-        let run = leftover.prefix.trim_end_matches('_').to_owned();
+        let run = leftover.name.clone();
         let (file_count, kib) = (leftover.file_count, leftover.bytes >> 10);
         if !arguments.dry_run {
             leftover.remove();

@@ -12,9 +12,8 @@ use rustix::thread::{CapabilitySet, capabilities};
 use crate::awake;
 use crate::failure::Failure;
 use crate::prediction::{self, LIMIT_MS, Prediction};
+use crate::verbs::run::SHARED_BYTES;
 
-/// Amount of shared memory below which a run of many agents may not fit.
-const SHARED_BYTES: u64 = 128 << 20;
 /// Number of open files below which the transport may fail.
 const FILES: u64 = 1024;
 
@@ -86,7 +85,7 @@ fn shared_memory() -> Finding {
         Ok(free) => {
             let advice = (free < SHARED_BYTES).then(|| {
                 format!(
-                    "a run may need {} MiB: docker run --shm-size=1g, mount -o remount,size=1G",
+                    "a run needs {} MiB: docker run --shm-size=1g, mount -o remount,size=1G",
                     SHARED_BYTES >> 20
                 )
             });

@@ -42,8 +42,8 @@ use crate::watch::Watch;
 
 /// Time limit for all stages to start and to link to their neighbours.
 const START_LIMIT: Duration = Duration::from_secs(45);
-/// Shared memory that a run may need, bytes.
-const SHARED_BYTES: u64 = 48 << 20;
+/// Shared memory that must be free at the start of a run, bytes.
+pub const SHARED_BYTES: u64 = 48 << 20;
 /// Width of the report if the output is not a terminal.
 const REPORT_WIDTH: usize = 100;
 
@@ -94,6 +94,9 @@ pub struct Arguments {
     /// Show the run in a browser (`stgdat view`): serve the page on this address or port
     #[arg(long, value_name = "ADDRESS", num_args = 0..=1, value_parser = address)]
     view: Option<Option<SocketAddr>>,
+    /// Folder in which the run creates its own folder; by default $RUNTIME_DIRECTORY, $XDG_RUNTIME_DIR or /tmp
+    #[arg(long, value_name = "FOLDER")]
+    runtime_dir: Option<PathBuf>,
     /// Fail, with exit code 65, if the input is doubtful or no agent was forecast
     #[arg(long)]
     strict: bool,
@@ -138,11 +141,10 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let mut info = info(arguments, &options, &source, origin, &playback, weights_path.as_deref(), &weights)?;
     check_map(&mut options)?;
 
-    let run_id = random_id()?;
-    let mut space = Space::create(run_id, SHARED_BYTES)?;
+    let mut space = Space::create(arguments.runtime_dir.as_deref(), SHARED_BYTES)?;
     let report_path = report_path(&mut options, space.root())?;
     let run = Run {
-        id: run_id,
+        id: space.id(),
         prefix: space.prefix().to_owned(),
         root: space.root().to_owned(),
         interval_ns: playback.interval_ns(),
@@ -329,6 +331,8 @@ fn write_record(run: &Run, announce: Option<&Path>) -> Result<PathBuf, Failure> 
     // For programs that the launcher did not start.
     let origin = run.root.join("origin");
     std::fs::write(&origin, run.origin().to_string()).map_err(|error| Failure::file(&origin, error))?;
+    let prefix = run.root.join("prefix");
+    std::fs::write(&prefix, &run.prefix).map_err(|error| Failure::file(&prefix, error))?;
     let record = run.root.join("run");
     run.write(&record).map_err(Failure::config)?;
     if let Some(announce) = announce {
@@ -493,6 +497,7 @@ fn info(
     let mut info = RunInfo {
         weights: Some(weights_path.map_or_else(|| "onboard".into(), |path| path.display().to_string())),
         weights_sha256: Some(weights.sha256().to_owned()),
+        weights_licences: weights.licences(),
         speed: arguments.speed.to_possible_value().map(|speed| speed.get_name().to_owned()),
         ticks_limit: source.ticks,
         ..RunInfo::default()
@@ -540,14 +545,4 @@ fn about(arguments: &Arguments, info: &RunInfo, run: &Run) -> Result<About, Fail
 
 fn record_topics(list: &str) -> Result<String, String> {
     record::topics(list).map(|_| list.to_owned())
-}
-
-/// A random id for the run.
-fn random_id() -> Result<u64, Failure> {
-    let mut bytes = [0; 8];
-    let urandom = Path::new("/dev/urandom");
-    std::fs::File::open(urandom)
-        .and_then(|mut file| std::io::Read::read_exact(&mut file, &mut bytes))
-        .map_err(|error| Failure::file(urandom, error))?;
-    Ok(u64::from_le_bytes(bytes))
 }

@@ -17,6 +17,7 @@ use crate::child::die_with_this_process;
 use crate::failure::Failure;
 use crate::observe::address;
 use crate::options::absolute;
+use crate::program::this_program;
 use crate::top::Client;
 use crate::verbs::lab::replace_by;
 use crate::{log, runs};
@@ -145,7 +146,7 @@ pub struct Page(Child);
 impl Page {
     /// Starts `stgdat view` for a run. It prints the page's URL.
     pub fn start(root: &Path, address: Option<SocketAddr>) -> Result<Self, Failure> {
-        let mut command = Command::new(std::env::current_exe().map_err(Failure::unavailable)?);
+        let mut command = Command::new(this_program());
         command.arg("view").arg("--run").arg(root).stdin(Stdio::null());
         if let Some(address) = address {
             command.arg("--address").arg(address.to_string());

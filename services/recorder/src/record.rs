@@ -98,6 +98,8 @@ struct Sums {
     late_ticks: u64,
     agents_left_out: u64,
     hops_missing: u64,
+    #[serde(default)]
+    files_unwritten: u64,
     input: InputTally,
     agents_max: u64,
     forecasts_by_quality: [u64; Quality::ALL.len()],
@@ -137,6 +139,11 @@ impl Recorder {
             scorer: Scorer::default(),
             resumed: false,
         }
+    }
+
+    /// Counts a file about the run that could not be written.
+    pub const fn count_unwritten(&mut self) {
+        self.sums.files_unwritten += 1;
     }
 
     /// Adds the truth at the frame's stamp. Control frames are ignored.
@@ -294,6 +301,7 @@ impl Recorder {
             refusals: self.sums.losses.refusals(),
             agents_left_out: self.sums.agents_left_out,
             hops_missing: self.sums.hops_missing,
+            files_unwritten: self.sums.files_unwritten,
             input: self.sums.input.report(&self.options.input),
             agents: self.agents(),
             forecasts: self.forecast_counts(),

@@ -112,6 +112,11 @@ impl Report {
                 false => "not trained on this recording".to_owned(),
             });
             fact(text, "weights", &[run.weights.clone(), hash, seen])?;
+            let restricted: Vec<&str> = run.non_commercial_data().collect();
+            if !restricted.is_empty() {
+                let data = format!("trained on data for non-commercial use: {}", restricted.join(", "));
+                fact(text, "licence", &[Some(data)])?;
+            }
         }
         if let Some(precision) = &run.precision {
             fact(text, "precision", &[Some(precision.clone())])?;

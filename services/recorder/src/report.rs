@@ -53,6 +53,9 @@ pub struct Report {
     /// Number of passages of ticks through stages for which their headers had no room.
     #[serde(default)]
     pub hops_missing: u64,
+    /// Number of times that the recorder could not save its state, for instance because the disk was full.
+    #[serde(default)]
+    pub files_unwritten: u64,
     /// The content of the input, and its probable faults.
     #[serde(default)]
     pub input: InputReport,
@@ -139,6 +142,9 @@ pub struct RunInfo {
     pub weights: Option<String>,
     /// SHA-256 of the weights.
     pub weights_sha256: Option<String>,
+    /// The licences of the weights' training data, by data set.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub weights_licences: BTreeMap<String, String>,
     /// Precision of the stages' matrix products, unless all of them use f32.
     pub precision: Option<String>,
     /// Whether the retrieval memory corrects forecasts.
@@ -359,6 +365,15 @@ pub enum ReportError {
         /// The place in the file and the reason.
         source: serde_json::Error,
     },
+}
+
+impl RunInfo {
+    /// The data sets of the weights whose licences forbid commercial use.
+    pub(crate) fn non_commercial_data(&self) -> impl Iterator<Item = &str> {
+        let forbids = |licence: &str| licence.contains("non-commercial") || licence.contains("-NC");
+        let data = self.weights_licences.iter().filter(move |(_, licence)| forbids(licence));
+        data.map(|(name, _)| name.as_str())
+    }
 }
 
 impl Report {

@@ -75,9 +75,7 @@ pub fn run(run: &Run) -> Result<(), StageError> {
             if let Some(writer) = &mut writer {
                 writer.flush().map_err(unwritable)?;
             }
-            recorder.checkpoint().write(&checkpoint).map_err(StageError::data)?;
-            tell_accuracy(run, &recorder)
-                .map_err(|source| StageError::File { path: accuracy_path(run), source })?;
+            save(run, &mut recorder);
         }
         // In lockstep the source waits for this heartbeat before it releases the next tick.
         if frame.header().has(flags::LOCKSTEP) && frame.header().is_tick() {
@@ -86,7 +84,7 @@ pub fn run(run: &Run) -> Result<(), StageError> {
     }
     if stage.stop().requested() {
         // If this process is asked to end, another process may continue.
-        recorder.checkpoint().write(&checkpoint).map_err(StageError::data)?;
+        save(run, &mut recorder);
     }
     if let Some(writer) = writer {
         writer.finish().map_err(unwritable)?;
@@ -101,6 +99,17 @@ fn count(stage: &mut Stage, header: &Header, topic: &'static str, result: Result
         Ok(()) if topic == ForecastsTopic::NAME && header.is_tick() => stage.done(header.seq),
         Ok(()) => {}
         Err(why) => stage.refuse(header, topic, &why),
+    }
+}
+
+/// Saves the recorder's state, and the errors of the forecasts for the launcher. A failure is counted: only a
+/// death of the recorder would lose anything by it.
+fn save(run: &Run, recorder: &mut Recorder) {
+    let saved = recorder.checkpoint().write(&checkpoint_path(run)).map_err(|error| error.to_string());
+    let told = tell_accuracy(run, recorder).map_err(|error| error.to_string());
+    if let Err(error) = saved.and(told) {
+        tracing::warn!("the recorder's state is not saved: {error}");
+        recorder.count_unwritten();
     }
 }
 

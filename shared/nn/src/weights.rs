@@ -10,7 +10,11 @@ use thiserror::Error;
 use crate::halves::from_f16;
 use crate::{ConfigError, ModelConfig};
 
-const ONBOARD: &[u8] = include_bytes!("../../weights/onboard.safetensors");
+const ONBOARD: &[u8] = if cfg!(feature = "free-weights") {
+    include_bytes!("../../weights/onboard-free.safetensors")
+} else {
+    include_bytes!("../../weights/onboard.safetensors")
+};
 /// Bytes that hold the length of a safetensors header.
 const LENGTH_BYTES: usize = 8;
 
@@ -193,6 +197,16 @@ impl Weights {
     /// The model card, if the trainer wrote one: data, split, options and validation figures.
     pub const fn card(&self) -> Option<&serde_json::Value> {
         self.card.as_ref()
+    }
+
+    /// The licences of the data sets that the weights were trained on, by name; empty without a card.
+    #[must_use]
+    pub fn licences(&self) -> BTreeMap<String, String> {
+        let licences = self.card.as_ref().and_then(|card| card.get("licences")).and_then(|l| l.as_object());
+        let text = |(name, licence): (&String, &serde_json::Value)| {
+            (name.clone(), licence.as_str().unwrap_or_default().to_owned())
+        };
+        licences.into_iter().flatten().map(text).collect()
     }
 
     /// Fingerprint of the file, in hexadecimal.

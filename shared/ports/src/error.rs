@@ -25,6 +25,9 @@ pub enum PortError {
         /// The error of the transport or the system.
         source: Source,
     },
+    /// Other users can change the run's shared memory.
+    #[error("shared memory {0}…: other users can change it, or it belongs to another user")]
+    NotPrivate(String),
     /// The transport refuses an operation on a topic.
     #[error("{operation} of topic \"{topic}\": {source:?}")]
     Topic {

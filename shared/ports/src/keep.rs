@@ -9,13 +9,14 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::ffi::OsString;
 use std::fs::DirEntry;
-use std::io;
 use std::os::fd::OwnedFd;
 use std::os::unix::fs::DirEntryExt as _;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use rustix::fs::{FlockOperation, Mode, OFlags, flock, open};
+
+use crate::places::{create_private, is_ours};
 
 /// Interval between scans for new files.
 const LOOK: Duration = Duration::from_secs(1);
@@ -44,14 +45,13 @@ pub(crate) struct Keep {
 }
 
 impl Keep {
-    /// Protects an existing folder, with the second names in `second`. The protection depends on the file
-    /// `sentinel`.
-    pub fn begin(folder: &Path, second: &Path, sentinel: &str) -> io::Result<Self> {
-        std::fs::create_dir(second)?;
+    /// Protects a folder, with the second names in the empty folder `second`. The protection depends on the
+    /// file `sentinel`.
+    pub fn begin(folder: &Path, second: &Path, sentinel: &str) -> Self {
         let locks = [lock(folder), lock(second)];
         let (looked, gone) = (Instant::now(), BTreeSet::new());
         let (folder, second, sentinel) = (folder.to_owned(), second.to_owned(), folder.join(sentinel));
-        Ok(Self { folder, second, sentinel, locks, looked, restoring: None, gone })
+        Self { folder, second, sentinel, locks, looked, restoring: None, gone }
     }
 
     /// Restores removed files, and links new files once a second. Returns the number of restored files at the
@@ -131,6 +131,10 @@ fn restore(second: &Path, folder: &Path) -> usize {
     if !folder.exists() {
         make_like(second, folder);
     }
+    // Another user may have taken the name meanwhile.
+    if !is_ours(folder) {
+        return 0;
+    }
     let restored = list(second).into_iter().map(|(name, entry)| {
         let (source, path) = (second.join(&name), folder.join(&name));
         if entry.is_folder {
@@ -162,7 +166,7 @@ fn list(folder: &Path) -> BTreeMap<OsString, Entry> {
 /// Creates a folder with the permissions of another one. Returns whether the folder exists.
 fn make_like(other: &Path, folder: &Path) -> bool {
     let made = std::fs::metadata(other).and_then(|found| {
-        std::fs::create_dir(folder)?;
+        create_private(folder)?;
         std::fs::set_permissions(folder, found.permissions())
     });
     made.is_ok()
@@ -191,7 +195,8 @@ mod tests {
             std::fs::write(folder.join(file), file).unwrap();
         }
         let socket = UnixListener::bind(folder.join("status")).unwrap();
-        let mut keep = Keep::begin(&folder, &base.join(".run"), "run").unwrap();
+        std::fs::create_dir(base.join(".run")).unwrap();
+        let mut keep = Keep::begin(&folder, &base.join(".run"), "run");
         keep.take_in();
         (base, keep, socket)
     }

@@ -14,7 +14,7 @@ use run::Run;
 use rustix::fs::{FallocateFlags, FlockOperation, Mode, OFlags, fallocate, flock, fstat, open};
 use rustix::mm::{MapFlags, ProtFlags, mmap, munmap};
 
-use crate::space::SHARED_MEMORY;
+use crate::places::SHARED_MEMORY;
 
 /// A file of the run in shared memory, for one process at a time.
 #[derive(Debug)]
@@ -36,7 +36,8 @@ impl KeptMemory {
     /// # Errors
     /// If the file can't be made or mapped, or another process has it open.
     pub fn open(run: &Run, name: &str) -> io::Result<Self> {
-        let path = Path::new(SHARED_MEMORY).join(format!("{}{name}", run.prefix));
+        // The upper half of the run's number is secret: nobody can take the name in advance.
+        let path = Path::new(SHARED_MEMORY).join(format!("{}{:08x}_{name}", run.prefix, run.id >> 32));
         let flags = OFlags::RDWR | OFlags::CREATE | OFlags::CLOEXEC | OFlags::NOFOLLOW;
         let file = open(&path, flags, Mode::RUSR | Mode::WUSR)?;
         flock(&file, FlockOperation::NonBlockingLockExclusive)?;
@@ -107,7 +108,7 @@ mod tests {
 
     #[test]
     fn what_was_written_is_there_for_the_next_and_for_one_at_a_time() {
-        let space = Space::create(u64::from(std::process::id()) ^ 0x5A5A_0000, 0).unwrap();
+        let space = Space::create(None, 0).unwrap();
         let run = Run { prefix: space.prefix().into(), ..Run::default() };
         let mut first = KeptMemory::open(&run, "kept").unwrap();
         assert!(first.bytes().is_empty());

@@ -22,9 +22,8 @@
 //! use wire::{Header, Track, TracksTopic};
 //!
 //! // The launcher makes the run's files; dropping `space` removes them.
-//! let id = u64::from(std::process::id());
-//! let space = Space::create(id, 1 << 20)?;
-//! let run = Run { id, prefix: space.prefix().into(), root: space.root().into(), ..Run::default() };
+//! let space = Space::create(None, 1 << 20)?;
+//! let run = Run { id: space.id(), prefix: space.prefix().into(), root: space.root().into(), ..Run::default() };
 //!
 //! let node = Node::open(&run, "example")?;
 //! let subscriber = node.subscriber::<TracksTopic>(2)?;
@@ -49,6 +48,7 @@ mod color;
 mod drive;
 mod element;
 mod error;
+mod half_made;
 mod keep;
 mod kept;
 mod limits;
@@ -60,11 +60,14 @@ mod names;
 mod node;
 mod nodes;
 mod peers;
+mod places;
 mod points;
+mod private;
 mod program;
 mod publisher;
 mod raw;
 mod relay;
+mod runs;
 pub mod shedding;
 mod space;
 mod stage;
@@ -83,6 +86,7 @@ pub use clock::{clock_offset_ns, monotonic_ns};
 pub use color::{COLOR_VARIABLE, Color, UnknownColor};
 pub use drive::drive;
 pub use error::{Awaiting, PortError, StageError};
+pub use half_made::remove_half_made_connections;
 pub use kept::KeptMemory;
 pub use limits::HEARTBEAT;
 pub use living::choose_run;
@@ -93,6 +97,7 @@ pub use names::TOPICS_VARIABLE;
 pub use node::{HALF_MADE_LIMIT, Node, clean_dead_nodes};
 pub use nodes::{NodeNumber, NodeProcess, NodeWatch};
 pub use peers::{Peers, TAP};
+pub use places::{is_full, is_own_user, shared_memory_free};
 pub use points::{POINTS_VARIABLE, Point};
 pub use program::{
     INCARNATION_VARIABLE, LAUNCHER_VARIABLE, RUN_VARIABLE, die_with_launcher, incarnation, stage_main,
@@ -100,10 +105,8 @@ pub use program::{
 pub use publisher::{Loan, Publisher};
 pub use raw::RawSubscriber;
 pub use relay::{RawFrame, Relay};
-pub use space::{
-    Leftover, LivingRun, Space, SpaceError, leftovers, living_runs, remove_half_made_connections,
-    shared_memory_free,
-};
+pub use runs::{ForeignRun, Leftover, LivingRun, files_left, foreign_runs, leftovers, living_runs};
+pub use space::{Space, SpaceError};
 pub use stage::{Awaited, Passage, Stage};
 pub use standby::{GO, STANDBY_VARIABLE, await_turn};
 pub use step::{Answer, NoTopic, Room, Second, SecondInput, Step, Tick};

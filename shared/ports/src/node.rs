@@ -12,10 +12,11 @@ use run::{Run, SpareRun};
 use wire::StageId;
 
 use crate::added::Added;
+use crate::half_made::{half_made_services, remove_half_made_services};
 use crate::limits::Limits;
 use crate::names::Names;
 use crate::nodes::{self, NodeNumber, NodeProcess, transport_config};
-use crate::space::{half_made_services, remove_half_made_services};
+use crate::private::has_private_segment;
 use crate::{PortError, Stop};
 
 /// Frames that one reader may hold at a time: one for a long time, and two more while it looks for the
@@ -82,13 +83,17 @@ impl Node {
     pub fn open(run: &Run, name: &str) -> Result<Self, PortError> {
         let stop = Stop::on_signals().map_err(PortError::of_node("taking over the signals to end"))?;
         let node_name = NodeName::new(name).map_err(PortError::of_node("name of the node"))?;
-        let config = transport_config(run).map_err(PortError::of_node("paths of the run"))?;
+        let config =
+            transport_config(&run.prefix, &run.root).map_err(PortError::of_node("paths of the run"))?;
         let node = NodeBuilder::new()
             .name(&node_name)
             .config(&config)
             .signal_handling_mode(SignalHandlingMode::Disabled)
             .create::<ipc::Service>()
             .map_err(PortError::of_node("node"))?;
+        if !has_private_segment(&run.prefix) {
+            return Err(PortError::NotPrivate(run.prefix.clone()));
+        }
         let (interval, sender) = (Duration::from_nanos(run.interval_ns), Sender::default());
         let (names, protected) = (Names::default(), run.protected.clone());
         let (run_id, lockstep, spares, readers) =
@@ -250,7 +255,7 @@ pub fn clean_dead_nodes(
     run: &Run,
     mut found: impl FnMut(NodeNumber, &NodeProcess),
 ) -> Result<(u64, u64), PortError> {
-    let config = transport_config(run).map_err(PortError::of_node("paths of the run"))?;
+    let config = transport_config(&run.prefix, &run.root).map_err(PortError::of_node("paths of the run"))?;
     let (mut cleaned, mut failed) = nodes::clean(&config, &mut found);
     // A process that is killed early leaves a half-made service that its node does not list yet, so its
     // clean-up succeeds.

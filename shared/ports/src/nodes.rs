@@ -18,7 +18,7 @@ use iceoryx2::prelude::{
 use run::Run;
 use rustix::process::{Flock, FlockType, fcntl_getlk};
 
-use crate::space::is_older;
+use crate::half_made::is_older;
 
 /// The folder of the nodes in a run's directory.
 const NODES: &str = "nodes";
@@ -57,7 +57,8 @@ impl NodeWatch {
     /// # Errors
     /// [`PortError`](crate::PortError) if the run's paths can't be used.
     pub fn new(run: &Run) -> Result<Self, crate::PortError> {
-        let config = transport_config(run).map_err(crate::PortError::of_node("paths of the run"))?;
+        let config = transport_config(&run.prefix, &run.root)
+            .map_err(crate::PortError::of_node("paths of the run"))?;
         Ok(Self { folder: run.root.join(NODES), prefix: run.prefix.clone(), config })
     }
 
@@ -97,10 +98,10 @@ impl NodeWatch {
 
 /// The transport's settings for a run: the run's own names and directory, and no clean-up by the stages. A
 /// clean-up could block on a file that a killed process left half written.
-pub(crate) fn transport_config(run: &Run) -> Result<Config, SemanticStringError> {
+pub(crate) fn transport_config(prefix: &str, root: &Path) -> Result<Config, SemanticStringError> {
     let mut config = Config::global_config().clone();
-    config.global.prefix = FileName::new(run.prefix.as_bytes())?;
-    config.global.set_root_path(&TransportPath::new(run.root.as_os_str().as_encoded_bytes())?);
+    config.global.prefix = FileName::new(prefix.as_bytes())?;
+    config.global.set_root_path(&TransportPath::new(root.as_os_str().as_encoded_bytes())?);
     config.global.node.cleanup_dead_nodes_on_creation = false;
     config.global.node.cleanup_dead_nodes_on_destruction = false;
     config.global.service.cleanup_dead_nodes_on_open = false;

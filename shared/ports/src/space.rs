@@ -1,34 +1,39 @@
 //! The files of a run: names in shared memory, a directory for sockets and records, and a lock that shows
 //! whether the run is alive.
 //!
-//! Every name in shared memory starts with the run's prefix. The lock is also in shared memory. A process
-//! that sees a run's shared memory can therefore see whether its launcher is alive. A process number does not
-//! show this across containers.
+//! The lock is in shared memory. A process that sees a run's shared memory can therefore see whether its
+//! launcher is alive. A process number does not show this across containers.
+//!
+//! Another user of the machine can list the names, but open none of the files. It may also take names before
+//! this process does:
+//!
+//! 1. A run whose name is taken gets another one.
+//! 2. All names in shared memory that follow from others are random, or are created before anybody can know
+//!    them ([`private`](crate::private)).
 
-use std::fs::{File, Metadata};
-use std::io;
+use std::fs::File;
+use std::io::{self, Write as _};
+use std::os::unix::ffi::OsStrExt as _;
 use std::path::{Path, PathBuf};
-use std::time::Duration;
 
-use rustix::fs::{FlockOperation, Mode, OFlags, StatVfs, flock, fstat, open, statvfs};
+use rustix::fs::{FlockOperation, OFlags};
 use thiserror::Error;
 
 use crate::keep::Keep;
+use crate::places::{
+    SHARED_MEMORY, allocated, create_private, files_of, folders, is_ours, is_private, is_safe, lock_path,
+    name_of, random, seconds_of, shared_memory_free, take_lock,
+};
+use crate::private::create_global_segment;
+use crate::runs::leftovers;
 
-/// The directory that shows POSIX shared memory as files.
-pub(crate) const SHARED_MEMORY: &str = "/dev/shm";
-/// The directory of the runs' directories. Not `TMPDIR`: a socket's path must stay under 108 bytes, and
-/// `stgdat clean` must find the directories of runs that were started with another `TMPDIR`.
-const ROOTS: &str = "/tmp";
-/// Prefix of all names of all runs.
-const FAMILY: &str = "stgdat_";
-/// Digits of a run's name after [`FAMILY`].
-const DIGITS: usize = 8;
-const LOCK_SUFFIX: &str = "lock";
 /// The file in a run's directory that holds the run's record.
 const RECORD: &str = "run";
-/// The folder in a run's directory that holds the descriptions of its services.
-const SERVICES: &str = "services";
+/// Longest path of a run's directory, in bytes. The transport's sockets in it have names of up to 71 bytes,
+/// and the path of a socket has at most 107.
+const ROOT_BYTES_MAX: usize = 36;
+/// Names that a new run tries.
+const TRIES_MAX: usize = 64;
 
 /// Why a run's files can't be created.
 #[derive(Debug, Error)]
@@ -41,6 +46,15 @@ pub enum SpaceError {
         /// The system's error.
         source: io::Error,
     },
+    /// Other users can replace the files of the folder.
+    #[error("{}: other users can replace files in this folder: choose a folder of your own", .0.display())]
+    Unsafe(PathBuf),
+    /// The folder's path is too long for the sockets in it.
+    #[error("{}: the path of a run's folder has at most {ROOT_BYTES_MAX} bytes", .0.display())]
+    TooLong(PathBuf),
+    /// Another program takes every name.
+    #[error("{TRIES_MAX} names for the run were taken: another program takes them, see {SHARED_MEMORY}")]
+    Taken,
     /// Shared memory has too little space.
     #[error(
         "{SHARED_MEMORY} has {free_mib} MiB free, a run needs {needed_mib} MiB: free some (`stgdat clean` removes \
@@ -57,6 +71,7 @@ pub enum SpaceError {
 /// The files of one run; dropping it removes all of them.
 #[derive(Debug)]
 pub struct Space {
+    id: u64,
     prefix: String,
     root: PathBuf,
     keep: Option<Keep>,
@@ -64,53 +79,67 @@ pub struct Space {
     lock: File,
 }
 
-/// Files of a run whose launcher has ended.
-#[derive(Debug)]
-pub struct Leftover {
-    /// The run's prefix.
-    pub prefix: String,
-    /// Files in shared memory.
-    pub file_count: usize,
-    /// Total size of the files.
-    pub bytes: u64,
-    root: PathBuf,
-    /// Held so that no two processes clean up the same run. `None` if the lock's file was missing.
-    _lock: Option<File>,
-}
-
-/// A run whose launcher is alive.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct LivingRun {
-    /// Name of the run and of its directory.
-    pub name: String,
-    /// Directory of the run, which contains the run's record.
-    pub root: PathBuf,
-}
-
 impl Space {
-    /// Creates the files of a run with the number `run_id`.
+    /// Creates the files of a new run in `folder`, by default in the folder that the environment names for
+    /// running programs, or else in `/tmp`. Removes the files of dead runs of a folder that only this user can
+    /// write.
     ///
     /// # Errors
     /// [`SpaceError`] if shared memory has less than `needed_bytes` free, or the files can't be created.
-    pub fn create(run_id: u64, needed_bytes: u64) -> Result<Self, SpaceError> {
-        let free =
-            shared_memory_free().map_err(|source| SpaceError::File { path: SHARED_MEMORY.into(), source })?;
+    pub fn create(folder: Option<&Path>, needed_bytes: u64) -> Result<Self, SpaceError> {
+        let about = |path: &Path| {
+            let path = path.to_owned();
+            move |source| SpaceError::File { path, source }
+        };
+        let free = shared_memory_free().map_err(about(Path::new(SHARED_MEMORY)))?;
         if free < needed_bytes {
             return Err(SpaceError::Full {
                 free_mib: free >> 20,
                 needed_mib: needed_bytes.div_ceil(1 << 20),
             });
         }
-        let prefix = format!("{FAMILY}{:0DIGITS$x}_", run_id as u32);
-        let lock_path = lock_path(&prefix);
-        let lock = make_lock(&lock_path).map_err(|source| SpaceError::File { path: lock_path, source })?;
-        let root = root_of(&prefix);
-        let mut space = Self { prefix, root, keep: None, lock };
-        std::fs::create_dir(&space.root)
-            .map_err(|source| SpaceError::File { path: space.root.clone(), source })?;
-        let second = second_of(&space.prefix);
-        let keep = Keep::begin(&space.root, &second, RECORD);
-        space.keep = Some(keep.map_err(|source| SpaceError::File { path: second, source })?);
+        let folder = folder.map_or_else(|| folders().swap_remove(0), Path::to_path_buf);
+        let folder = std::path::absolute(&folder).map_err(about(&folder))?;
+        if !is_safe(&folder).map_err(about(&folder))? {
+            return Err(SpaceError::Unsafe(folder));
+        }
+        // Only this user creates files in a private folder, so these are of a predecessor that was killed.
+        if is_private(&folder) {
+            for leftover in leftovers().map_err(about(&folder))?.into_iter().filter(|run| run.is_in(&folder))
+            {
+                tracing::info!("removes the files of {}, whose launcher was killed", leftover.name);
+                leftover.remove();
+            }
+        }
+        for _ in 0..TRIES_MAX {
+            let id = random().map_err(about(&folder))?;
+            let root = folder.join(name_of(id));
+            if root.as_os_str().len() > ROOT_BYTES_MAX {
+                return Err(SpaceError::TooLong(root));
+            }
+            match Self::with_id(id, root.clone()) {
+                Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {}
+                made => return made.map_err(about(&root)),
+            }
+        }
+        Err(SpaceError::Taken)
+    }
+
+    /// Creates the files of a run with this number.
+    ///
+    /// # Errors
+    /// [`io::ErrorKind::AlreadyExists`] if one of the names is taken; then nothing is left.
+    fn with_id(id: u64, root: PathBuf) -> io::Result<Self> {
+        let name = name_of(id);
+        create_private(&root)?;
+        let lock = make_lock(&lock_path(&name)).inspect_err(|_| drop(std::fs::remove_dir(&root)))?;
+        let prefix = format!("{name}_{:08x}_", random()? as u32);
+        let mut space = Self { id, prefix, root, keep: None, lock };
+        space.lock.write_all(space.root.as_os_str().as_bytes())?;
+        let second = space.root.with_file_name(format!(".{name}_{:08x}", random()? as u32));
+        create_private(&second)?;
+        space.keep = Some(Keep::begin(&space.root, &second, RECORD));
+        create_global_segment(&space.prefix, &space.root)?;
         Ok(space)
     }
 
@@ -128,7 +157,13 @@ impl Space {
         }
     }
 
-    /// Prefix of the names of the run's shared memory.
+    /// The run's random number.
+    #[must_use]
+    pub const fn id(&self) -> u64 {
+        self.id
+    }
+
+    /// Prefix of the names of the transport's shared memory.
     #[must_use]
     pub fn prefix(&self) -> &str {
         &self.prefix
@@ -143,129 +178,16 @@ impl Space {
     /// Bytes of shared memory that the run uses now.
     #[must_use]
     pub fn shared_bytes(&self) -> u64 {
-        files_of(&self.prefix).iter().map(|file| allocated(file)).sum()
+        files_of(&name_of(self.id)).iter().map(|file| allocated(file)).sum()
     }
 }
 
 impl Drop for Space {
     fn drop(&mut self) {
-        remove(&self.prefix, &self.root);
+        remove(&name_of(self.id), Some(&self.root));
         // The lock is released last, when its file's name has already been removed.
         let _ = &self.lock;
     }
-}
-
-impl Leftover {
-    /// Removes all files of the run.
-    pub fn remove(self) {
-        remove(&self.prefix, &self.root);
-    }
-}
-
-/// Removes the connections of a run that have been empty for longer than `age`; returns their number. A
-/// process that is killed while it creates a connection leaves an empty one, and clean-up would wait forever
-/// for it to be finished.
-#[must_use]
-pub fn remove_half_made_connections(prefix: &str, age: Duration) -> usize {
-    let is_half_made = |file: &&PathBuf| {
-        file.extension().is_some_and(|extension| extension == "connection")
-            && std::fs::metadata(file).is_ok_and(|metadata| metadata.len() == 0 && is_older(&metadata, age))
-    };
-    let files = files_of(prefix);
-    files.iter().filter(is_half_made).filter(|file| std::fs::remove_file(file).is_ok()).count()
-}
-
-/// Removes the services of a run that have been half created for longer than `age`; returns their number. A
-/// process that is killed while it creates a service leaves one. Others wait for it to be finished, and
-/// clean-up refuses it.
-pub(crate) fn remove_half_made_services(root: &Path, age: Duration) -> usize {
-    half_made_services(root, age).iter().filter(|path| std::fs::remove_file(path).is_ok()).count()
-}
-
-/// The services of a run that have been half created for longer than `age`.
-pub(crate) fn half_made_services(root: &Path, age: Duration) -> Vec<PathBuf> {
-    use std::os::unix::fs::PermissionsExt;
-    /// Until a service's description is complete, its owner may write it.
-    const HALF_MADE: u32 = 0o200;
-    let is_half_made = |path: &Path| {
-        let Ok(metadata) = std::fs::metadata(path) else { return false };
-        metadata.is_file() && metadata.permissions().mode() & HALF_MADE != 0 && is_older(&metadata, age)
-    };
-    let Ok(entries) = std::fs::read_dir(root.join(SERVICES)) else { return Vec::new() };
-    entries.filter_map(|entry| Some(entry.ok()?.path())).filter(|path| is_half_made(path)).collect()
-}
-
-/// Whether a file has been unchanged for longer than `age`.
-pub(crate) fn is_older(metadata: &Metadata, age: Duration) -> bool {
-    metadata.modified().is_ok_and(|at| at.elapsed().is_ok_and(|elapsed| elapsed > age))
-}
-
-/// Free bytes in shared memory.
-///
-/// # Errors
-/// If there is no shared memory.
-pub fn shared_memory_free() -> io::Result<u64> {
-    let StatVfs { f_bavail, f_frsize, .. } = statvfs(SHARED_MEMORY)?;
-    Ok(f_bavail * f_frsize)
-}
-
-/// The runs of this user whose launcher has ended and whose files still exist.
-///
-/// # Errors
-/// If the directories can't be read.
-pub fn leftovers() -> io::Result<Vec<Leftover>> {
-    Ok(prefixes()?.into_iter().filter_map(leftover).collect())
-}
-
-/// The live runs of this user.
-///
-/// # Errors
-/// If the directories can't be read.
-pub fn living_runs() -> io::Result<Vec<LivingRun>> {
-    let living = prefixes()?
-        .into_iter()
-        .filter(|prefix| is_locked(prefix))
-        .map(|prefix| LivingRun { root: root_of(&prefix), name: prefix.trim_end_matches('_').to_owned() });
-    Ok(living.filter(|run| is_ours(&run.root)).collect())
-}
-
-/// The prefixes of all runs that have files.
-fn prefixes() -> io::Result<Vec<String>> {
-    let mut prefixes = Vec::new();
-    for directory in [SHARED_MEMORY, ROOTS] {
-        for entry in std::fs::read_dir(directory)? {
-            let name = entry?.file_name();
-            prefixes.extend(name.to_str().and_then(prefix_of));
-        }
-    }
-    prefixes.sort();
-    prefixes.dedup();
-    Ok(prefixes)
-}
-
-/// Whether a run's launcher holds its lock.
-fn is_locked(prefix: &str) -> bool {
-    let path = lock_path(prefix);
-    // Shared: two processes that check at once do not take each other for a launcher.
-    let taken = take_lock(&path, OFlags::empty(), FlockOperation::NonBlockingLockShared);
-    is_ours(&path) && taken.is_err_and(|error| error.kind() == io::ErrorKind::WouldBlock)
-}
-
-/// The leftover of a run, if the run is dead and belongs to this user.
-fn leftover(prefix: String) -> Option<Leftover> {
-    let lock = match take_lock(&lock_path(&prefix), OFlags::empty(), FlockOperation::NonBlockingLockExclusive)
-    {
-        Ok(lock) => Some(lock),
-        Err(error) if error.kind() == io::ErrorKind::NotFound => None,
-        // Locked: the run is alive. Not permitted: another user's run.
-        Err(_) => return None,
-    };
-    let (files, root) = (files_of(&prefix), root_of(&prefix));
-    if files.is_empty() && !is_ours(&root) && !is_ours(&second_of(&prefix)) {
-        return None;
-    }
-    let bytes = files.iter().map(|file| allocated(file)).sum();
-    Some(Leftover { file_count: files.len(), bytes, root, _lock: lock, prefix })
 }
 
 /// Creates the lock of a new run and takes it. A process that looks for leftovers at that moment may hold the
@@ -278,93 +200,83 @@ fn make_lock(path: &Path) -> io::Result<File> {
     }
 }
 
-fn take_lock(path: &Path, how: OFlags, lock: FlockOperation) -> io::Result<File> {
-    let descriptor =
-        open(path, OFlags::RDWR | OFlags::CLOEXEC | OFlags::NOFOLLOW | how, Mode::RUSR | Mode::WUSR)?;
-    flock(&descriptor, lock)?;
-    if fstat(&descriptor)?.st_nlink == 0 {
-        // The file was removed between opening and locking.
-        return Err(io::ErrorKind::NotFound.into());
-    }
-    Ok(descriptor.into())
-}
-
-fn lock_path(prefix: &str) -> PathBuf {
-    Path::new(SHARED_MEMORY).join(format!("{prefix}{LOCK_SUFFIX}"))
-}
-
-fn root_of(prefix: &str) -> PathBuf {
-    Path::new(ROOTS).join(prefix.trim_end_matches('_'))
-}
-
-/// The hidden directory with the second names of the files in a run's directory.
-fn second_of(prefix: &str) -> PathBuf {
-    Path::new(ROOTS).join(format!(".{}", prefix.trim_end_matches('_')))
-}
-
-/// The prefix of the run that a file or directory belongs to, by its name.
-fn prefix_of(name: &str) -> Option<String> {
-    let digits = name.strip_prefix('.').unwrap_or(name).strip_prefix(FAMILY)?.get(..DIGITS)?;
-    digits.bytes().all(|b| b.is_ascii_hexdigit()).then(|| format!("{FAMILY}{digits}_"))
-}
-
-fn files_of(prefix: &str) -> Vec<PathBuf> {
-    let Ok(entries) = std::fs::read_dir(SHARED_MEMORY) else { return Vec::new() };
-    let ours = entries
-        .filter_map(Result::ok)
-        .filter(|e| e.file_name().to_str().is_some_and(|n| n.starts_with(prefix)));
-    let mut files: Vec<PathBuf> = ours.map(|entry| entry.path()).filter(|path| is_ours(path)).collect();
-    files.sort();
-    files
-}
-
-fn is_ours(path: &Path) -> bool {
-    use std::os::unix::fs::MetadataExt;
-    std::fs::symlink_metadata(path).is_ok_and(|m| m.uid() == rustix::process::geteuid().as_raw())
-}
-
-fn allocated(path: &Path) -> u64 {
-    use std::os::unix::fs::MetadataExt;
-    std::fs::symlink_metadata(path).map_or(0, |m| m.blocks() * 512)
-}
-
 /// Removes a run's files, the lock last: while the lock is held, no other process takes the files for
 /// leftovers.
-fn remove(prefix: &str, root: &Path) {
-    let lock = lock_path(prefix);
-    for file in files_of(prefix).into_iter().filter(|file| *file != lock) {
+pub(crate) fn remove(name: &str, root: Option<&Path>) {
+    let lock = lock_path(name);
+    for file in files_of(name).into_iter().filter(|file| *file != lock) {
         let _ = std::fs::remove_file(file);
     }
-    for directory in [root, &second_of(prefix)] {
-        if is_ours(directory) {
-            let _ = std::fs::remove_dir_all(directory);
-        }
+    for root in root.iter().filter(|root| is_ours(root)) {
+        let _ = std::fs::remove_dir_all(root);
     }
-    let _ = std::fs::remove_file(lock);
+    for second in root.map(seconds_of).unwrap_or_default() {
+        let _ = std::fs::remove_dir_all(second);
+    }
+    if is_ours(&lock) {
+        let _ = std::fs::remove_file(lock);
+    }
 }
 
 #[cfg(test)]
 mod tests {
-    use std::fs::Permissions;
-    use std::os::unix::fs::PermissionsExt as _;
+    use std::os::unix::fs::{MetadataExt as _, PermissionsExt as _};
 
     use super::*;
 
+    fn mode(path: &Path) -> u32 {
+        std::fs::symlink_metadata(path).unwrap().mode() & 0o777
+    }
+
     #[test]
-    fn half_made_services_alone_are_removed_once_they_are_old() {
-        let root = std::env::temp_dir().join(format!("stgdat_half_made_{}", std::process::id()));
-        let services = root.join(SERVICES);
-        std::fs::create_dir_all(&services).unwrap();
-        for (name, mode) in [("whole.service", 0o400), ("half.service", 0o600)] {
-            std::fs::write(services.join(name), "x").unwrap();
-            std::fs::set_permissions(services.join(name), Permissions::from_mode(mode)).unwrap();
+    fn a_taken_name_is_never_used() {
+        let folder = tempfile::tempdir().unwrap();
+        let id = random().unwrap();
+        let root = folder.path().join(name_of(id));
+        std::fs::create_dir(&root).unwrap();
+        assert_eq!(Space::with_id(id, root.clone()).unwrap_err().kind(), io::ErrorKind::AlreadyExists);
+        std::fs::remove_dir(&root).unwrap();
+        std::os::unix::fs::symlink("/nowhere", &root).unwrap();
+        assert_eq!(Space::with_id(id, root.clone()).unwrap_err().kind(), io::ErrorKind::AlreadyExists);
+        std::fs::remove_file(&root).unwrap();
+        let lock = lock_path(&name_of(id));
+        std::fs::write(&lock, "").unwrap();
+        assert_eq!(Space::with_id(id, root.clone()).unwrap_err().kind(), io::ErrorKind::AlreadyExists);
+        assert!(!root.exists(), "nothing is left of a failed try");
+        std::fs::remove_file(&lock).unwrap();
+        let space = Space::with_id(id, root.clone()).unwrap();
+        assert_eq!(mode(&root), 0o700);
+        assert!(files_of(&name_of(id)).iter().all(|file| mode(file) == 0o600));
+        drop(space);
+        assert!(!root.exists() && files_of(&name_of(id)).is_empty() && seconds_of(&root).is_empty());
+    }
+
+    #[test]
+    fn a_killed_predecessor_is_cleaned_up_in_a_private_folder() {
+        let folder = tempfile::tempdir().unwrap();
+        let alive = Space::create(Some(folder.path()), 0).unwrap();
+        let mut dead = Space::create(Some(folder.path()), 0).unwrap();
+        let (name, root) = (name_of(dead.id), dead.root.clone());
+        // As if the launcher was killed: the lock is free, and all files remain.
+        dead.lock = File::open("/dev/null").unwrap();
+        std::mem::forget(dead);
+        let next = Space::create(Some(folder.path()), 0).unwrap();
+        assert!(!root.exists() && files_of(&name).is_empty() && seconds_of(&root).is_empty());
+        assert!(alive.root.exists() && next.root.exists());
+    }
+
+    #[test]
+    fn a_folder_that_others_write_is_refused_unless_it_is_sticky() {
+        let folder = tempfile::tempdir().unwrap();
+        for (mode, is_used) in [(0o700, true), (0o755, true), (0o777, false), (0o770, false), (0o1777, true)]
+        {
+            std::fs::set_permissions(folder.path(), std::fs::Permissions::from_mode(mode)).unwrap();
+            let made = Space::create(Some(folder.path()), 0);
+            assert_eq!(made.is_ok(), is_used, "{mode:o}: {made:?}");
         }
-        let young = remove_half_made_services(&root, Duration::from_secs(3_600));
-        std::thread::sleep(Duration::from_millis(2));
-        let old = remove_half_made_services(&root, Duration::ZERO);
-        let is_left = ["whole.service", "half.service"].map(|name| services.join(name).exists());
-        std::fs::remove_dir_all(&root).unwrap();
-        assert_eq!((young, old, is_left), (0, 1, [true, false]));
-        assert_eq!(remove_half_made_services(&root, Duration::ZERO), 0, "a run that is gone has none");
+        let deep = folder.path().join("a-folder-whose-name-is-quite-long");
+        std::fs::create_dir(&deep).unwrap();
+        let error = Space::create(Some(&deep), 0).unwrap_err();
+        assert!(matches!(error, SpaceError::TooLong(_)), "{error}");
     }
 }

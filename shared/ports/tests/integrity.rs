@@ -16,11 +16,8 @@ const FLIPS: u64 = 10_000;
 
 /// A separate run for each test, so that tests can run in parallel.
 fn run(lockstep: bool, protected: &[&str]) -> (Space, Run) {
-    static COUNT: std::sync::atomic::AtomicU32 = std::sync::atomic::AtomicU32::new(0);
-    let count = COUNT.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
-    let id = 1 << 41 | u64::from(std::process::id()) << 8 | u64::from(count | 0x40);
-    let space = Space::create(id, 1 << 20).expect("shared memory has room");
-    let (prefix, root) = (space.prefix().into(), space.root().into());
+    let space = Space::create(None, 1 << 20).expect("shared memory has room");
+    let (id, prefix, root) = (space.id(), space.prefix().into(), space.root().into());
     let protected = protected.iter().map(|&name| name.to_owned()).collect();
     (space, Run { id, prefix, root, lockstep, protected, interval_ns: 80_000_000, ..Run::default() })
 }

@@ -9,11 +9,9 @@ const READER: Declaration<NoOptions> = Declaration::new(StageId::Localiser, &[Tr
 
 /// A separate run for each test, so that tests can run in parallel.
 fn run() -> (Space, Run) {
-    static COUNT: std::sync::atomic::AtomicU32 = std::sync::atomic::AtomicU32::new(0);
-    let count = COUNT.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
-    let id = 1 << 40 | u64::from(std::process::id()) << 8 | u64::from(count | 0x80);
-    let space = Space::create(id, 1 << 20).expect("shared memory has room");
-    let run = Run { id, prefix: space.prefix().into(), root: space.root().into(), ..Run::default() };
+    let space = Space::create(None, 1 << 20).expect("shared memory has room");
+    let run =
+        Run { id: space.id(), prefix: space.prefix().into(), root: space.root().into(), ..Run::default() };
     (space, run)
 }
 

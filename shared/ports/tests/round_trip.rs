@@ -26,11 +26,9 @@ const CALLER: Declaration<NoOptions> =
 
 /// A separate run for each test, so that tests can run in parallel.
 fn run() -> (Space, Run) {
-    static COUNT: std::sync::atomic::AtomicU32 = std::sync::atomic::AtomicU32::new(0);
-    let count = COUNT.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
-    let id = u64::from(std::process::id()) << 8 | u64::from(count);
-    let space = Space::create(id, 1 << 20).expect("shared memory has room");
-    let run = Run { id, prefix: space.prefix().into(), root: space.root().into(), ..Run::default() };
+    let space = Space::create(None, 1 << 20).expect("shared memory has room");
+    let run =
+        Run { id: space.id(), prefix: space.prefix().into(), root: space.root().into(), ..Run::default() };
     (space, run)
 }
 
@@ -397,8 +395,8 @@ fn a_dropped_space_leaves_nothing_and_a_live_one_is_kept() {
     let (space, run) = run();
     let stage = Stage::open(&run, &READER).unwrap();
     assert!(space.shared_bytes() > 0);
-    assert!(leftovers().unwrap().iter().all(|leftover| leftover.prefix != run.prefix));
-    let (prefix, root) = (run.prefix.clone(), run.root.clone());
+    assert!(leftovers().unwrap().iter().all(|leftover| !run.root.ends_with(&leftover.name)));
+    let (prefix, root) = (format!("stgdat_{:08x}", space.id() as u32), run.root.clone());
     drop(stage);
     drop(space);
     assert!(!root.exists());
@@ -412,8 +410,7 @@ fn a_dropped_space_leaves_nothing_and_a_live_one_is_kept() {
 
 #[test]
 fn too_little_shared_memory_is_an_error_before_any_file() {
-    let error = Space::create(u64::from(std::process::id()) << 8 | 0xff, u64::MAX)
-        .expect_err("no machine has that much");
+    let error = Space::create(None, u64::MAX).expect_err("no machine has that much");
     assert!(error.to_string().contains("MiB free"), "{error}");
 }
 

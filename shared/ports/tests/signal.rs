@@ -10,9 +10,9 @@ use rustix::process::getpid;
 use wire::TracksTopic;
 
 fn main() {
-    let id = u64::from(std::process::id());
-    let space = Space::create(id, 1 << 20).unwrap();
-    let run = Run { id, prefix: space.prefix().into(), root: space.root().into(), ..Run::default() };
+    let space = Space::create(None, 1 << 20).unwrap();
+    let run =
+        Run { id: space.id(), prefix: space.prefix().into(), root: space.root().into(), ..Run::default() };
     let node = Node::open(&run, "waiting").unwrap();
     let subscriber = node.subscriber::<TracksTopic>(2).unwrap();
     // Opening a topic is also an event.

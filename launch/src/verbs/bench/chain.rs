@@ -11,6 +11,7 @@ use super::pipe;
 use crate::arguments::{ModelArguments, SetArguments};
 use crate::failure::Failure;
 use crate::options::Setting;
+use crate::program::this_program;
 use crate::tables;
 
 /// Number of ticks in two seconds.
@@ -38,8 +39,9 @@ pub(super) fn table(
     seconds: u64,
 ) -> Result<(String, Report), Failure> {
     let unavailable = |error: std::io::Error| Failure::unavailable(error);
-    let report = std::env::temp_dir().join(format!("stgdat_bench_{}.json", std::process::id()));
-    let mut command = Command::new(std::env::current_exe().map_err(unavailable)?);
+    let folder = tempfile::tempdir().map_err(unavailable)?;
+    let report = folder.path().join("report.json");
+    let mut command = Command::new(this_program());
     let ticks = (seconds * RATE).div_ceil(2).to_string();
     command
         .args(["run", "--quiet", "--agents", &AGENTS.to_string(), "--ticks", &ticks, "--report"])
@@ -54,9 +56,7 @@ pub(super) fn table(
     if !status.success() {
         return Err(Failure::Failed(format!("stgdat run: {status}")));
     }
-    let result = Report::read(&report).map_err(Failure::data);
-    std::fs::remove_file(&report).map_err(unavailable)?;
-    let result = result?;
+    let result = Report::read(&report).map_err(Failure::data)?;
     let mut hops_ms = pipe::hops_ms(100)?;
     let hops = [percentile(&mut hops_ms, 0.5), percentile(&mut hops_ms, 0.99)];
     Ok((text(&result, &memory, hops), result))

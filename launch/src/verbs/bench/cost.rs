@@ -1,7 +1,5 @@
 //! `--cost`: the compute cost of agents and modes.
 
-use std::path::PathBuf;
-
 use super::arguments::Arguments;
 use super::percentile::percentile;
 use super::{modes, stages};
@@ -13,29 +11,19 @@ const AGENTS: [usize; 5] = [1, 8, 32, 64, 128];
 /// Measured numbers of modes, up to the number in the weights.
 const MODES: [usize; 3] = [1, 6, 20];
 
-/// A file of this process only, removed at the end.
-struct Temporary(PathBuf);
-
-impl Drop for Temporary {
-    fn drop(&mut self) {
-        // The file may not exist.
-        let _ = std::fs::remove_file(&self.0);
-    }
-}
-
 /// Measures the compute of a whole tick by agents and modes, and the cost of each further agent.
 pub(super) fn table(arguments: &Arguments) -> Result<String, Failure> {
     let (_, weights) = arguments.model.open_weights(None)?;
     let modes_of = MODES.into_iter().filter(|&modes| modes <= weights.config().modes);
     let modes_of: Vec<usize> = modes_of.collect();
-    let name = format!("stgdat_cost_{}.safetensors", std::process::id());
-    let file = Temporary(std::env::temp_dir().join(name));
+    let folder = tempfile::tempdir().map_err(Failure::unavailable)?;
+    let file = folder.path().join("first.safetensors");
     let mut columns: Vec<Vec<(f64, f64)>> = vec![Vec::new(); modes_of.len()];
     for agents in AGENTS {
         // The modes alternate, so other load on the machine affects all columns.
         for (column, &modes) in columns.iter_mut().zip(&modes_of) {
-            modes::write_first(&weights, modes, &file.0)?;
-            let measured = stages::measure(arguments, agents, Some(&file.0))?;
+            modes::write_first(&weights, modes, &file)?;
+            let measured = stages::measure(arguments, agents, Some(&file))?;
             column.push((measured.agents, percentile(&mut measured.ticks_ms(), 0.5)));
         }
     }

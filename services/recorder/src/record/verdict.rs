@@ -35,6 +35,10 @@ pub(super) fn verdict(report: &Report) -> Verdict {
     if report.forecasts.silent > 0 {
         reasons.push(format!("nothing said by policy: {} forecasts", report.forecasts.silent));
     }
+    if report.files_unwritten > 0 {
+        let times = report.files_unwritten;
+        reasons.push(format!("the recorder could not save its state {times} times: is the disk full?"));
+    }
     if report.hops_missing > 0 {
         let most = wire::HOPS_MAX;
         reasons
