@@ -43,6 +43,7 @@ mod report_differences;
 pub mod runs;
 mod scheduling;
 mod screen;
+mod service;
 pub mod stages;
 pub mod tables;
 mod tap;

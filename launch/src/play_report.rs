@@ -127,12 +127,7 @@ impl PlayReport {
 
     /// Returns the warnings that were not known before the first tick; empty if all went well.
     fn lines(&self) -> Vec<String> {
-        let status = match self.verdict.status {
-            Status::Ok => "OK",
-            Status::Doubtful => "DOUBTFUL",
-            Status::Degraded => "DEGRADED",
-            Status::Empty => "EMPTY",
-        };
+        let status = self.verdict.status.name();
         let warned: Vec<String> = self.input.reasons().filter(|reason| reason.ends_with(')')).collect();
         let new = self.verdict.reasons.iter().filter(|reason| !warned.contains(reason));
         let mut lines: Vec<String> = new.map(|reason| format!("  {reason}")).collect();

@@ -9,6 +9,7 @@ pub mod doctor;
 pub mod export;
 pub mod fault;
 pub mod graph;
+pub mod health;
 pub mod inspect;
 pub mod lab;
 pub mod mark;
@@ -73,6 +74,8 @@ pub enum Verb {
     Export(export::Arguments),
     /// Show a run that goes on: latency, losses, quality and processes, stage by stage
     Top(top::Arguments),
+    /// Check that a running pipeline is healthy: the exit code is 0 if forecasts arrive and every stage is alive
+    Health(health::Arguments),
     /// Write the report of a run, or of two side by side, as one HTML page
     Report(report::Arguments),
     /// Show a run that goes on in a browser: the moving scene, stages, qualities
@@ -146,6 +149,7 @@ impl Verb {
             Self::Diff(arguments) => diff::execute(&arguments),
             Self::Export(arguments) => export::execute(&arguments),
             Self::Top(arguments) => top::execute(&arguments),
+            Self::Health(arguments) => health::execute(&arguments),
             Self::Report(arguments) => report::execute(&arguments),
             Self::View(arguments) => view::execute(&arguments),
             Self::Ros2(arguments) => ros2::execute(arguments),

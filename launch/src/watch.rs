@@ -2,6 +2,7 @@ use std::sync::mpsc::Receiver;
 use std::time::{Duration, Instant};
 
 use ports::{Beside, Node, Peers, Subscriber};
+use recorder::status::RunStatus;
 use run::Run;
 use wire::{ForecastsTopic, Header, Heartbeat, HeartbeatsTopic, StageId, Topic};
 
@@ -150,6 +151,11 @@ impl Watch {
         self.observer.report(text);
     }
 
+    /// Returns the run's status.
+    pub fn status(&mut self, fleet: &Fleet) -> RunStatus {
+        self.observer.status(fleet, &self.outages, self.peers.unlinked().is_empty())
+    }
+
     fn show(&mut self, fleet: &Fleet) {
         let every = match self.display {
             Display::Table(..) => UPDATE,
@@ -161,7 +167,7 @@ impl Watch {
         }
         self.shown = Instant::now();
         self.printed_ticks = self.ticks();
-        let status = self.observer.status(fleet, &self.outages, self.peers.unlinked().is_empty());
+        let status = self.status(fleet);
         match &mut self.display {
             Display::Table(table, above) => {
                 above.try_iter().for_each(|line| table.print(&line));

@@ -1,5 +1,6 @@
 //! Ends of a run: all its processes end, and none of its files are left.
 
+use std::os::unix::fs::PermissionsExt as _;
 use std::os::unix::process::ExitStatusExt;
 use std::time::Duration;
 
@@ -7,7 +8,7 @@ use rustix::process::{Pid, Signal};
 use testing::Scratch;
 
 use crate::started::{
-    LeftoverWatch, Started, assert_nothing_left, run_well, shared_files, stderr, stdout, stgdat, wait_for,
+    LeftoverWatch, Started, assert_nothing_left, piped, run_well, shared_files, stderr, stdout, stgdat, wait_for,
 };
 
 /// Whether a process still runs. A zombie does not run: its new parent has not waited for it yet.
@@ -76,6 +77,28 @@ fn a_run_whose_terminal_is_gone_ends_with_its_report() {
     assert_eq!(run.output().status.code(), Some(129));
     let report: serde_json::Value = serde_json::from_slice(&scratch.read("report.json")).expect("JSON");
     assert!(report["ticks"].as_u64() > Some(0), "{report:#}");
+    assert_nothing_left(&root);
+}
+
+#[test]
+fn after_an_upgrade_in_place_restarts_run_the_old_version() {
+    let scratch = Scratch::new("upgrade");
+    let (program, report) = (scratch.path("stgdat"), scratch.path("report.json"));
+    std::fs::copy(env!("CARGO_BIN_EXE_stgdat"), &program).expect("the program can be copied");
+    let mut command = piped(&program);
+    command.args(["run", "--agents", "6", "--ticks", "80", "--report", &report]);
+    let run = Started::spawn(&mut command);
+    let root = run.wait_until_it_runs();
+    // As a package manager does: a new file takes the name of the old one.
+    let new = scratch.file("new", "#!/bin/sh\nexit 78\n");
+    std::fs::set_permissions(&new, std::fs::Permissions::from_mode(0o755)).expect("the file is ours");
+    std::fs::rename(&new, &program).expect("both are in one folder");
+    run.signal_stage("decoder", Signal::KILL);
+    let output = run.output();
+    assert!(output.status.success(), "{}", stderr(&output));
+    let report: serde_json::Value = serde_json::from_slice(&scratch.read("report.json")).expect("JSON");
+    assert_eq!(report["supervision"]["outages"].as_array().map(Vec::len), Some(1), "{report:#}");
+    assert_eq!(report["supervision"]["given_up"], serde_json::json!({}), "{report:#}");
     assert_nothing_left(&root);
 }
 

@@ -119,8 +119,7 @@ fn a_detector_and_a_planner_in_python_join_a_run() {
     let run = Started::run(&["--pipeline", &pipeline, "--origin", "-81000,50194.25"]);
     let root = run.wait_until_it_runs();
     let mut consumer = piped(&python);
-    let prefix = format!("{}_", root.file_name().and_then(|name| name.to_str()).expect("a run has a name"));
-    consumer.arg(program("consumer.py")).env("STGDAT_ROOT", &root).env("STGDAT_PREFIX", prefix);
+    consumer.arg(program("consumer.py")).env("STGDAT_ROOT", &root).env_remove("STGDAT_PREFIX");
     let consumer = Started::spawn(&mut consumer);
     // A detector that pauses for longer than its readers' deadline can continue.
     std::thread::sleep(std::time::Duration::from_secs(1));

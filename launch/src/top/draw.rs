@@ -120,10 +120,9 @@ fn verdict(view: &View, width: usize) -> Vec<Line> {
     let (name, colour) = match status.report.verdict.status {
         _ if view.silent => ("NO ANSWER", Color::Red),
         _ if !status.linked => ("STARTING", Color::Yellow),
-        Status::Ok => ("OK", Color::Green),
-        Status::Doubtful => ("DOUBTFUL", Color::Yellow),
-        Status::Degraded => ("DEGRADED", Color::Yellow),
+        Status::Ok => (Status::Ok.name(), Color::Green),
         Status::Empty => ("NO FORECASTS", Color::Yellow),
+        other => (other.name(), Color::Yellow),
     };
     let paused = if view.paused { "  (paused)" } else { "" };
     let reasons = if view.silent {

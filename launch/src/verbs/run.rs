@@ -33,6 +33,7 @@ use crate::options::{Setting, StageOptions, text};
 use crate::outages::Outages;
 use crate::pipeline_file;
 use crate::play_report::input_of;
+use crate::service::Service;
 use crate::tap::{Recording, RingArguments, Tap, ViewArguments};
 use crate::verbs::record;
 use crate::verbs::report::RunReport;
@@ -366,6 +367,7 @@ fn supervise(
     let mut memory = Memory::default();
     let started = Instant::now();
     let mut linked = false;
+    let mut service = Service::of_environment(run, started);
     let outcome = loop {
         match space.tend() {
             0 => {}
@@ -397,6 +399,10 @@ fn supervise(
             Err(failure) => break Err(failure),
         }
         watch.answer(&fleet, linked);
+        if let Some(service) = &mut service {
+            let has_ticks = linked && watch.ticks() > 0;
+            service.tend(&heartbeats, has_ticks, || watch.status(&fleet).service_line(), Instant::now());
+        }
         if let Err(failure) = replace(&mut watch, &mut tap, &mut fleet, &control, run, linked) {
             break Err(failure);
         }

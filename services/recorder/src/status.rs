@@ -202,6 +202,12 @@ impl RunStatus {
         }
     }
 
+    /// One line for supervisors: the verdict so far, then [`line`](Self::line).
+    #[must_use]
+    pub fn service_line(&self) -> String {
+        format!("{}: {}", self.report.verdict.status.name(), self.line())
+    }
+
     /// One line for outputs other than terminals: ticks, latency of the last ten seconds, late ticks and losses.
     #[must_use]
     pub fn line(&self) -> String {

@@ -101,8 +101,9 @@ pub fn files_left(name: &str) -> usize {
 fn names() -> io::Result<Vec<String>> {
     let mut names = Vec::new();
     for folder in folders().into_iter().chain([SHARED_MEMORY.into()]) {
-        for entry in std::fs::read_dir(folder)? {
-            names.extend(entry?.file_name().to_str().and_then(name_in));
+        let about = |error: io::Error| io::Error::new(error.kind(), format!("{}: {error}", folder.display()));
+        for entry in std::fs::read_dir(&folder).map_err(about)? {
+            names.extend(entry.map_err(about)?.file_name().to_str().and_then(name_in));
         }
     }
     names.sort();

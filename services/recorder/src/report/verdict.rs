@@ -19,6 +19,19 @@ pub enum Status {
     Empty,
 }
 
+impl Status {
+    /// The name that people see.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Ok => "OK",
+            Self::Doubtful => "DOUBTFUL",
+            Self::Degraded => "DEGRADED",
+            Self::Empty => "EMPTY",
+        }
+    }
+}
+
 /// The status of a run, and why it is not `ok`.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Verdict {

@@ -1,0 +1,92 @@
+//! Reports to systemd, if it has started this process as a service of `Type=notify`: ready, status, watchdog.
+
+use std::collections::BTreeMap;
+use std::time::{Duration, Instant};
+
+use run::Run;
+use sd_notify::{NotifyState, notify, watchdog_enabled};
+use wire::{Heartbeat, StageId};
+
+/// Interval between reports of the status.
+const STATUS_INTERVAL: Duration = Duration::from_secs(1);
+
+/// The reports of a run to systemd.
+#[derive(Debug)]
+pub struct Service {
+    /// When each built-in stage was last heard.
+    heard: BTreeMap<StageId, Instant>,
+    /// The service's `WatchdogSec`.
+    watchdog: Option<Duration>,
+    is_ready: bool,
+    reported: Instant,
+}
+
+impl Service {
+    /// Creates the reports if systemd waits for them.
+    pub fn of_environment(run: &Run, now: Instant) -> Option<Self> {
+        std::env::var_os("NOTIFY_SOCKET")?;
+        let built_in = run.stages.iter().filter(|stage| stage.built_in);
+        let stages = built_in.filter_map(|stage| StageId::from_number(stage.stage));
+        let heard = stages.map(|stage| (stage, now)).collect();
+        Some(Self { heard, watchdog: watchdog_enabled(), is_ready: false, reported: now })
+    }
+
+    /// Reports that the run is ready once the first tick has passed all stages. Then reports its status each
+    /// second, and feeds the watchdog while the heartbeats of all stages advance.
+    pub fn tend(
+        &mut self,
+        heartbeats: &[Heartbeat],
+        has_ticks: bool,
+        status: impl FnOnce() -> String,
+        now: Instant,
+    ) {
+        for stage in heartbeats.iter().filter_map(|heartbeat| StageId::from_number(heartbeat.stage)) {
+            self.heard.entry(stage).and_modify(|heard| *heard = now);
+        }
+        let interval = self.watchdog.map_or(STATUS_INTERVAL, |watchdog| STATUS_INTERVAL.min(watchdog / 4));
+        let becomes_ready = has_ticks && !self.is_ready;
+        if !has_ticks || (!becomes_ready && now.duration_since(self.reported) < interval) {
+            return;
+        }
+        (self.is_ready, self.reported) = (true, now);
+        let status = status();
+        let mut states = vec![NotifyState::Status(&status)];
+        states.extend(becomes_ready.then_some(NotifyState::Ready));
+        states.extend(self.is_alive(now).then_some(NotifyState::Watchdog));
+        // systemd may be restarting; the next report follows.
+        let _ = notify(&states);
+    }
+
+    /// Whether every stage was heard within half of the watchdog's time.
+    fn is_alive(&self, now: Instant) -> bool {
+        let Some(watchdog) = self.watchdog else { return false };
+        self.heard.values().all(|&heard| now.duration_since(heard) < watchdog / 2)
+    }
+}
+
+impl Drop for Service {
+    fn drop(&mut self) {
+        let _ = notify(&[NotifyState::Stopping]);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_watchdog_is_fed_while_every_stage_is_heard() {
+        let begun = Instant::now();
+        let at = |ms| begun + Duration::from_millis(ms);
+        let heard = [StageId::Decoder, StageId::Sampler].map(|stage| (stage, begun)).into();
+        let watchdog = Some(Duration::from_secs(2));
+        let mut service = Service { heard, watchdog, is_ready: true, reported: begun };
+        let beat = |stage: StageId| Heartbeat { stage: stage.number(), ..bytemuck::Zeroable::zeroed() };
+        service.tend(&[beat(StageId::Decoder)], true, String::new, at(900));
+        assert!(service.is_alive(at(999)) && !service.is_alive(at(1_000)), "the sampler is silent");
+        service.tend(&[beat(StageId::Sampler), beat(StageId::Source)], true, String::new, at(1_500));
+        assert!(service.is_alive(at(1_800)) && !service.is_alive(at(1_900)), "the decoder is silent");
+        service.watchdog = None;
+        assert!(!service.is_alive(at(1_500)), "nobody waits for it");
+    }
+}
