@@ -8,7 +8,8 @@ use rustix::process::{Pid, Signal};
 use testing::Scratch;
 
 use crate::started::{
-    LeftoverWatch, Started, assert_nothing_left, piped, run_well, shared_files, stderr, stdout, stgdat, wait_for,
+    LeftoverWatch, Started, assert_nothing_left, piped, run_well, shared_files, stderr, stdout, stgdat,
+    wait_for,
 };
 
 /// Whether a process still runs. A zombie does not run: its new parent has not waited for it yet.

@@ -68,19 +68,19 @@ pub fn attack() {
         None if what == "race" => race(),
         None => intrude(),
     };
-    println!("{RESULT}{}", serde_json::to_string(&seen).unwrap());
+    println!("{RESULT}{}", serde_json::to_string(&seen).expect("names are text"));
 }
 
 fn begin() {
     println!("{READY}");
-    std::io::stdout().flush().unwrap();
+    std::io::stdout().flush().expect("the test reads it");
 }
 
 /// Watches the folders, and takes every name that follows from a new one.
 fn race() -> Seen {
-    let watch = inotify::init(CreateFlags::CLOEXEC | CreateFlags::NONBLOCK).unwrap();
+    let watch = inotify::init(CreateFlags::CLOEXEC | CreateFlags::NONBLOCK).expect("Linux has inotify");
     for folder in FOLDERS {
-        inotify::add_watch(&watch, folder, WatchFlags::CREATE).unwrap();
+        inotify::add_watch(&watch, folder, WatchFlags::CREATE).expect("everybody may list it");
     }
     begin();
     let (mut seen, mut opened) = (Seen::default(), Vec::new());
@@ -96,7 +96,7 @@ fn race() -> Seen {
     }
     // A file that the run has replaced is of no use.
     for (path, file) in opened {
-        let found = file.metadata().unwrap();
+        let found = file.metadata().expect("it is open");
         let is_in_use = std::fs::symlink_metadata(&path).is_ok_and(|now| now.ino() == found.ino());
         if is_in_use && found.nlink() > 0 {
             seen.opened.push(path);
@@ -116,7 +116,7 @@ fn take_names(run: &str, name: &str, seen: &mut Seen) {
     }
     for path in [format!("/tmp/{run}"), format!("/tmp/.{run}")] {
         seen.tried += 1;
-        let is_taken = if seen.tried % 2 == 0 {
+        let is_taken = if seen.tried.is_multiple_of(2) {
             std::fs::create_dir(&path).is_ok()
         } else {
             symlink("/etc", &path).is_ok()
@@ -146,8 +146,11 @@ fn intrude() -> Seen {
     let mut seen = Seen::default();
     while !IS_OVER.load(Relaxed) {
         for folder in FOLDERS {
-            for path in std::fs::read_dir(folder).unwrap().filter_map(|entry| Some(entry.ok()?.path())) {
-                let name = path.file_name().unwrap().to_string_lossy().into_owned();
+            for path in std::fs::read_dir(folder)
+                .expect("everybody may list it")
+                .filter_map(|entry| Some(entry.ok()?.path()))
+            {
+                let name = path.file_name().expect("it is in a folder").to_string_lossy().into_owned();
                 if name.trim_start_matches('.').starts_with("stgdat_") {
                     intrude_file(&path, &mut seen);
                 }
@@ -179,7 +182,7 @@ fn intrude_file(path: &Path, seen: &mut Seen) {
 }
 
 fn intrude_processes(seen: &mut Seen) {
-    for entry in std::fs::read_dir("/proc").unwrap().filter_map(Result::ok) {
+    for entry in std::fs::read_dir("/proc").expect("Linux has it").filter_map(Result::ok) {
         let Some(pid) = entry.file_name().to_str().and_then(|name| name.parse().ok()) else { continue };
         let line = std::fs::read_to_string(entry.path().join("cmdline")).unwrap_or_default();
         let is_stage = line.starts_with("/tmp/stgdat\0") || line.starts_with("/proc/self/exe\0");
@@ -200,7 +203,7 @@ fn intrude_processes(seen: &mut Seen) {
 /// Fills a folder with files of `size` bytes, and holds it full.
 fn fill(folder: &Path, size: usize) -> Seen {
     let mine = folder.join("mine");
-    std::fs::create_dir(&mine).unwrap();
+    std::fs::create_dir(&mine).expect("the folder is for everybody");
     let (block, mut seen, mut has_begun) = (vec![1; size], Seen::default(), false);
     while !IS_OVER.load(Relaxed) {
         seen.tried += 1;
@@ -219,6 +222,6 @@ fn fill(folder: &Path, size: usize) -> Seen {
             std::thread::sleep(Duration::from_millis(5));
         }
     }
-    std::fs::remove_dir_all(mine).unwrap();
+    std::fs::remove_dir_all(mine).expect("it is ours");
     seen
 }

@@ -35,7 +35,7 @@ fn is_inside(name: &str) -> bool {
         command.args(["-m", "--propagation", "private", "sh", "-c", words]);
         command
     };
-    let this = std::env::current_exe().unwrap();
+    let this = std::env::current_exe().expect("/proc is there");
     let is_hidden = this.starts_with("/tmp") || program().starts_with("/tmp");
     if is_hidden || !unshared(mounts).output().is_ok_and(|output| output.status.success()) {
         println!("{name}: skipped, it needs root, mount namespaces and programs outside of /tmp");
@@ -46,7 +46,7 @@ fn is_inside(name: &str) -> bool {
     for variable in ["XDG_RUNTIME_DIR", "RUNTIME_DIRECTORY", "TMPDIR"] {
         command.env_remove(variable);
     }
-    let status = command.arg(this).env("STGDAT_SECURITY", name).status().unwrap();
+    let status = command.arg(this).env("STGDAT_SECURITY", name).status().expect("it starts");
     assert!(status.success(), "{name}: {status}");
     false
 }
@@ -58,10 +58,10 @@ fn program() -> PathBuf {
 
 /// Copies a program to a place where every user can start it.
 fn public(program: &Path) -> PathBuf {
-    let copy = Path::new("/tmp").join(program.file_name().unwrap());
+    let copy = Path::new("/tmp").join(program.file_name().expect("a program is a file"));
     if !copy.exists() {
-        std::fs::copy(program, &copy).unwrap();
-        std::fs::set_permissions(&copy, PermissionsExt::from_mode(0o755)).unwrap();
+        std::fs::copy(program, &copy).expect("there is room");
+        std::fs::set_permissions(&copy, PermissionsExt::from_mode(0o755)).expect("the copy is ours");
     }
     copy
 }
@@ -80,17 +80,17 @@ struct Attack(Child);
 
 impl Attack {
     fn start(what: &str) -> Self {
-        let this = public(&std::env::current_exe().unwrap());
+        let this = public(&std::env::current_exe().expect("/proc is there"));
         let mut command = Command::new(this);
         command.args(["--exact", "attacker_process", "--nocapture"]).env(attacker::VARIABLE, what);
         command.uid(ATTACKER).gid(ATTACKER).current_dir("/").stdin(Stdio::piped()).stdout(Stdio::piped());
-        let mut process = command.spawn().unwrap();
+        let mut process = command.spawn().expect("it starts");
         // It prints a line when it has begun.
-        let mut lines = BufReader::new(process.stdout.take().unwrap());
+        let mut lines = BufReader::new(process.stdout.take().expect("it is captured"));
         let mut line = String::new();
         while !line.contains(attacker::READY) {
             line.clear();
-            assert!(lines.read_line(&mut line).unwrap() > 0, "the attacker has ended");
+            assert!(lines.read_line(&mut line).expect("it prints text") > 0, "the attacker has ended");
         }
         process.stdout = Some(lines.into_inner());
         Self(process)
@@ -99,10 +99,10 @@ impl Attack {
     /// Ends the attack. Returns what the attacker could do.
     fn end(mut self) -> Seen {
         drop(self.0.stdin.take());
-        let output = self.0.wait_with_output().unwrap();
-        let text = String::from_utf8(output.stdout).unwrap();
+        let output = self.0.wait_with_output().expect("a child can be waited for");
+        let text = String::from_utf8(output.stdout).expect("it prints text");
         let line = text.lines().find_map(|line| line.split_once(attacker::RESULT)).expect(&text);
-        serde_json::from_str(line.1).unwrap()
+        serde_json::from_str(line.1).expect("it prints JSON")
     }
 }
 
@@ -122,7 +122,7 @@ fn assert_well(output: &Output, about: &str) {
 fn stage(name: &str, but: Option<u32>) -> u32 {
     let begun = Instant::now();
     loop {
-        let processes = std::fs::read_dir("/proc").unwrap().filter_map(Result::ok);
+        let processes = std::fs::read_dir("/proc").expect("Linux has it").filter_map(Result::ok);
         let pids = processes.filter_map(|entry| entry.file_name().to_str()?.parse::<u32>().ok());
         let is_it = |pid: &u32| {
             let line = std::fs::read(format!("/proc/{pid}/cmdline")).unwrap_or_default();
@@ -138,8 +138,8 @@ fn stage(name: &str, but: Option<u32>) -> u32 {
 }
 
 fn kill(pid: u32) {
-    let pid = rustix::process::Pid::from_raw(pid.cast_signed()).unwrap();
-    rustix::process::kill_process(pid, rustix::process::Signal::KILL).unwrap();
+    let pid = rustix::process::Pid::from_raw(pid.cast_signed()).expect("it is not 0");
+    rustix::process::kill_process(pid, rustix::process::Signal::KILL).expect("the process runs");
 }
 
 #[test]
