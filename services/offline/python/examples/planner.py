@@ -1,13 +1,15 @@
-"""A planner's view of a live run: `stgdat run` in one terminal, `python planner.py` in another.
+"""A planner's view of a live run: `stgdat run` in one terminal, `python planner.py [RUN]` in another.
 
 Prints the smallest distance of any likely path to the ego vehicle's place, tick by tick.
 """
+
+import sys
 
 import numpy as np
 
 import stgdat
 
-run = stgdat.Run.attach()
+run = stgdat.Run.attach(sys.argv[1] if len(sys.argv) > 1 else None)
 for frame in run.frames("forecasts"):
     assert isinstance(frame, stgdat.Forecasts)
     if len(frame) == 0:

@@ -27,6 +27,7 @@ import stgdat
 from stgdat import _stgdat
 
 PROGRAM = os.environ.get("STGDAT_PROGRAM", "stgdat")
+EXAMPLES = Path(__file__).parent.with_name("examples")
 HEAD = "stamp_s,id,type,x_m,y_m,heading_rad,speed_mps\n"
 
 
@@ -313,6 +314,9 @@ class Recordings(InFolder):
         done = subprocess.run([lab, "evaluate", path, "--json", out], check=True, capture_output=True, text=True)
         self.assertEqual(json.loads(out.read_text())["figures"], evaluation.figures)
         self.assertTrue(done.stdout.startswith(evaluation.table))
+        example = [sys.executable, str(EXAMPLES / "figures.py"), str(path)]
+        printed = subprocess.run(example, check=True, capture_output=True, text=True).stdout
+        self.assertEqual(printed, evaluation.table + "\n")
 
 
 class Runs(InFolder):
@@ -327,10 +331,15 @@ class Runs(InFolder):
         )
         try:
             attached = self.attach(run)
+            example = [sys.executable, str(EXAMPLES / "planner.py"), attached.root]
+            planner = subprocess.Popen(example, stdout=subprocess.PIPE, text=True)
             frames = list(attached.frames("tracks", "forecasts"))
         finally:
             output, _ = run.communicate(timeout=120)
         self.assertEqual(run.returncode, 0, output)
+        printed, _ = planner.communicate(timeout=60)
+        self.assertEqual(planner.returncode, 0)
+        self.assertRegex(printed, r"tick \d+: track \d+ comes within \d")
         live = {of.seq: of for of in frames if isinstance(of, stgdat.Forecasts)}
         self.assertGreater(len(live), 20)
         record = stgdat.read_record(path)
