@@ -2,8 +2,8 @@
 //! `evaluate` and `record`, behind a few classes. The Python files beside this crate give it types,
 //! documentation and numpy arrays.
 //!
-//! A [`frame`] holds header and elements of one topic, whatever made it: a recording, the stages in this
-//! process, a file of a run, or a live run. Its memory is a [`block`], which numpy reads in place.
+//! A frame holds header and elements of one topic, whatever made it: a recording, the stages in this
+//! process, a file of a run, or a live run. Its memory is a block, which numpy reads in place.
 //! Computations release Python's global lock.
 
 mod block;
