@@ -14,7 +14,7 @@ use recording::{ABOUT, About, Event, Happened, Message, View, ViewChannel};
 use scene::ContextMap;
 use wire::{ForecastsTopic, Topic as _, TracksTopic};
 
-use crate::Arguments;
+use crate::arguments::Arguments;
 
 /// The address if none is named; any free port if this one is taken. Foxglove offers this port by default.
 const ADDRESS: ([u8; 4], u16) = ([127, 0, 0, 1], 8765);

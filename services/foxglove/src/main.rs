@@ -8,35 +8,18 @@
 //! the oldest. Frames that this program itself did not receive from the tap are counted and reported to the
 //! clients.
 
+mod arguments;
 mod live;
 
-use std::net::SocketAddr;
-use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::Parser;
 use run::Exit;
 
+use arguments::Arguments;
+
 /// Events that are logged by default: also that a client is too slow.
 const LOG: &str = "warn,foxglove::websocket::connected_client::send_lossy=info";
-
-/// Serves a run on Foxglove's websocket until the run ends. `stgdat view --foxglove` starts this program.
-#[derive(Debug, Parser)]
-#[command(name = "stgdat-foxglove", version)]
-struct Arguments {
-    /// Folder of the run
-    #[arg(long, value_name = "DIR")]
-    run: PathBuf,
-    /// Serve on this address; by default on port 8765 of the loopback interface, or on a free port
-    #[arg(long, value_name = "ADDRESS")]
-    address: Option<SocketAddr>,
-    /// Paths of each agent, the most probable first
-    #[arg(long, value_name = "N", default_value_t = 3)]
-    paths: u16,
-    /// The fixed context map of the run
-    #[arg(long, value_name = "FILE")]
-    map: Option<PathBuf>,
-}
 
 fn main() -> ExitCode {
     let arguments = Arguments::parse();

@@ -19,7 +19,7 @@ use scene::State;
 use source::{Playback, PlaybackOptions};
 use wire::{AgentType, Forecast, HORIZON_MAX, MODES_MAX, Track};
 
-pub use report::{AgainstReport, AgainstRow};
+pub use report::{AgainstReport, AgainstRow, Counts};
 use report::{Cell, Cells};
 
 use crate::sample::GAP_NS;
@@ -27,49 +27,7 @@ use crate::{DrivingError, Errors, Options, model_of, play};
 
 /// Largest distance between an object of the bag and our forecast of it.
 const RADIUS_M: f32 = 2.0;
-/// Levels of the regions whose coverage is reported.
-pub(crate) const LEVELS: [f64; 2] = [0.5, 0.9];
 const SEED: u64 = 1;
-
-/// What is compared.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Method {
-    /// Our single best forecast.
-    Ours,
-    /// The other system's path of the highest confidence.
-    Theirs,
-    /// Constant velocity of our track.
-    Steady,
-    /// The best of as many of our most probable modes as the other system has paths.
-    OursOfAsMany,
-    /// The best of the other system's paths.
-    TheirsOfPaths,
-    /// The best of all our modes.
-    OursOfAll,
-}
-
-pub(crate) const METHODS: usize = 6;
-
-/// What was compared and what was not.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
-pub struct Counts {
-    /// Messages that were compared.
-    pub messages: u64,
-    /// Messages without a tick of ours at most one interval before.
-    pub messages_outside: u64,
-    /// Forecasts that were compared.
-    pub forecasts: u64,
-    /// Our forecasts without an object of the bag.
-    pub only_ours: u64,
-    /// Objects of the bag without a forecast of ours.
-    pub only_theirs: u64,
-    /// Objects of the bag whose paths are all shorter than the horizon.
-    pub short: u64,
-    /// Forecasts whose agent was not seen over the whole horizon.
-    pub without_truth: u64,
-    /// Objects of other classes.
-    pub other: u64,
-}
 
 /// A forecast of both systems.
 struct Pair {
