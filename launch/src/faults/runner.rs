@@ -10,7 +10,7 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::time::{Duration, Instant};
 
 use crate::checker::Line;
-use ports::POINTS_VARIABLE;
+use ports::{POINTS_VARIABLE, TemporaryFolder};
 use recorder::Report;
 use run::Run;
 use rustix::process::{Pid, Signal, kill_process};
@@ -72,8 +72,7 @@ pub struct Options {
 
 /// Creates a folder with a random name for the files of a run. It stays if the run fails.
 pub fn temporary_folder(prefix: &str) -> Result<PathBuf, Failure> {
-    let made = tempfile::Builder::new().prefix(prefix).tempdir();
-    Ok(made.map_err(|error| Failure::file(&std::env::temp_dir(), error))?.keep())
+    Ok(TemporaryFolder::create(prefix).map_err(Failure::unavailable)?.keep())
 }
 
 /// Runs a specification to its end.

@@ -4,6 +4,7 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
+use ports::TemporaryFolder;
 use recorder::Report;
 
 use super::percentile::percentile;
@@ -39,7 +40,7 @@ pub(super) fn table(
     seconds: u64,
 ) -> Result<(String, Report), Failure> {
     let unavailable = |error: std::io::Error| Failure::unavailable(error);
-    let folder = tempfile::tempdir().map_err(unavailable)?;
+    let folder = TemporaryFolder::create("stgdat-bench-").map_err(unavailable)?;
     let report = folder.path().join("report.json");
     let mut command = Command::new(this_program());
     let ticks = (seconds * RATE).div_ceil(2).to_string();

@@ -1,5 +1,7 @@
 //! `--cost`: the compute cost of agents and modes.
 
+use ports::TemporaryFolder;
+
 use super::arguments::Arguments;
 use super::percentile::percentile;
 use super::{modes, stages};
@@ -16,7 +18,7 @@ pub(super) fn table(arguments: &Arguments) -> Result<String, Failure> {
     let (_, weights) = arguments.model.open_weights(None)?;
     let modes_of = MODES.into_iter().filter(|&modes| modes <= weights.config().modes);
     let modes_of: Vec<usize> = modes_of.collect();
-    let folder = tempfile::tempdir().map_err(Failure::unavailable)?;
+    let folder = TemporaryFolder::create("stgdat-bench-").map_err(Failure::unavailable)?;
     let file = folder.path().join("first.safetensors");
     let mut columns: Vec<Vec<(f64, f64)>> = vec![Vec::new(); modes_of.len()];
     for agents in AGENTS {
