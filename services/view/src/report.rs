@@ -19,7 +19,7 @@ use wire::tick_view::TickView;
 use wire::{ForecastsTopic, HeartbeatsTopic, Topic as _, TruthTopic};
 
 use self::errors::{ErrorRow, HorizonErrors};
-use self::scrub::Scrub;
+use self::scrub::{Scrub, deflate};
 use self::series::Series;
 use crate::{CHARTS, MODES_DRAWN, Pairing, SCENE, Scene, page};
 
@@ -228,10 +228,6 @@ pub fn html(runs: &[RunPage]) -> String {
     let data = format!("const RUNS = [{}];\n", data.join(",\n").replace('<', "\\u003c"));
     let scripts = [data.as_str(), SCENE, CHARTS, include_str!("../assets/report.js")];
     page(include_str!("../assets/report.html"), &scripts)
-}
-
-fn deflate(bytes: &[u8]) -> Vec<u8> {
-    miniz_oxide::deflate::compress_to_vec(bytes, 9)
 }
 
 fn base64(bytes: &[u8]) -> String {

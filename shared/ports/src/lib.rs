@@ -67,6 +67,7 @@ mod program;
 mod publisher;
 mod raw;
 mod relay;
+mod removal;
 mod runs;
 pub mod shedding;
 mod space;

@@ -13,7 +13,7 @@ use crate::places::{
     SHARED_MEMORY, allocated, files_of, folders, is_ours, lock_path, name_in, owner, root_of, seconds_of,
     take_lock,
 };
-use crate::space::remove;
+use crate::removal::remove;
 
 /// A run takes less time from its folder to its lock.
 const YOUNG: Duration = Duration::from_secs(2);

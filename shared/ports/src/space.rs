@@ -21,10 +21,11 @@ use thiserror::Error;
 
 use crate::keep::Keep;
 use crate::places::{
-    SHARED_MEMORY, allocated, create_private, files_of, folders, is_ours, is_private, is_safe, lock_path,
-    name_of, random, seconds_of, shared_memory_free, take_lock,
+    SHARED_MEMORY, allocated, create_private, files_of, folders, is_private, is_safe, lock_path, name_of,
+    random, shared_memory_free, take_lock,
 };
 use crate::private::create_global_segment;
+use crate::removal::remove;
 use crate::runs::leftovers;
 
 /// The file in a run's directory that holds the run's record.
@@ -200,29 +201,12 @@ fn make_lock(path: &Path) -> io::Result<File> {
     }
 }
 
-/// Removes a run's files, the lock last: while the lock is held, no other process takes the files for
-/// leftovers.
-pub(crate) fn remove(name: &str, root: Option<&Path>) {
-    let lock = lock_path(name);
-    for file in files_of(name).into_iter().filter(|file| *file != lock) {
-        let _ = std::fs::remove_file(file);
-    }
-    for root in root.iter().filter(|root| is_ours(root)) {
-        let _ = std::fs::remove_dir_all(root);
-    }
-    for second in root.map(seconds_of).unwrap_or_default() {
-        let _ = std::fs::remove_dir_all(second);
-    }
-    if is_ours(&lock) {
-        let _ = std::fs::remove_file(lock);
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use std::os::unix::fs::{MetadataExt as _, PermissionsExt as _};
 
     use super::*;
+    use crate::places::seconds_of;
 
     fn mode(path: &Path) -> u32 {
         std::fs::symlink_metadata(path).unwrap().mode() & 0o777

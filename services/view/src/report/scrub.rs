@@ -112,7 +112,7 @@ impl Scrub {
     fn fitting(&self, limit: usize) -> (Vec<u8>, usize) {
         let mut stride = 1;
         loop {
-            let packed = super::deflate(&self.encoded(stride));
+            let packed = deflate(&self.encoded(stride));
             if packed.len() <= limit || stride > self.ticks.len() {
                 return (packed, self.every.max(1) * stride);
             }
@@ -184,6 +184,11 @@ fn put(bytes: &mut Vec<u8>, value: i64) {
         rest >>= 7;
     }
     bytes.push(rest as u8);
+}
+
+/// Compresses as zlib without a header.
+pub(super) fn deflate(bytes: &[u8]) -> Vec<u8> {
+    miniz_oxide::deflate::compress_to_vec(bytes, 9)
 }
 
 #[cfg(test)]

@@ -3,7 +3,8 @@
 use std::arch::x86_64::*;
 use std::mem::transmute;
 
-use super::{IN_MAX, PANEL, PairProduct};
+use super::pairs::{IN_MAX, PairProduct};
+use crate::kernels::product::PANEL;
 
 /// Rows that are rounded together: they stay in the first-level cache while all panels are processed.
 const ROWS: usize = 48;

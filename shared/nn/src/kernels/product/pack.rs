@@ -1,6 +1,6 @@
 //! Packs whole matrices.
 
-use super::{PANEL, Panels};
+use super::shape::{PANEL, Panels};
 use crate::buffer::Buffer;
 
 /// Consecutive columns of a row-major matrix.

@@ -18,7 +18,7 @@
 
 #![expect(unsafe_code, reason = "the register tile reads through pointers")]
 
-use super::{DEAD, Gather, PANEL, Panels, Product, TAPS_MAX};
+use super::shape::{DEAD, Gather, PANEL, Panels, Product, TAPS_MAX};
 use crate::kernels::{Kernel, Lanes};
 
 /// A product whose slice lengths match.
