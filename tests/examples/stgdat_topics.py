@@ -31,7 +31,7 @@ def run_folder():
     if root := os.environ.get("STGDAT_ROOT"):
         return root
     # The lock of a run contains the path of its folder.
-    locks = [lock for lock in glob.glob("/dev/shm/stgdat_????????_lock") if os.stat(lock).st_uid == os.geteuid()]
+    locks = [lock for lock in glob.glob("/dev/shm/stgdat_????????_????????_lock") if os.stat(lock).st_uid == os.geteuid()]
     if not locks:
         raise SystemExit("no run of yours is to be found: start one with `stgdat run`")
     return open(max(locks, key=os.path.getmtime)).read()

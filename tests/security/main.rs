@@ -1,8 +1,8 @@
 //! Attempts of a second user on the machine to read, change, replace or end a run. None succeeds.
 //!
-//! The tests need root: they run the pipeline as one user and the attacker as another one, in a mount namespace
-//! with its own `/dev/shm` and `/tmp`. Without root, or without the right to create namespaces, they print that
-//! they are skipped.
+//! The tests need root: they run the pipeline as one user and the attacker as another one, in a namespace with
+//! its own processes, `/dev/shm` and `/tmp`. Without root, or without the right to create namespaces, they print
+//! that they are skipped.
 
 mod attacker;
 
@@ -23,7 +23,7 @@ const RACES: usize = 51;
 const UMASKS: [&str; 3] = ["022", "002", "000"];
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// Runs the test `name` in its own mount namespace. Returns whether this process is in the namespace.
+/// Runs the test `name` in its own namespace. Returns whether this process is in the namespace.
 fn is_inside(name: &str) -> bool {
     if std::env::var_os("STGDAT_SECURITY").is_some() {
         return true;
@@ -32,7 +32,7 @@ fn is_inside(name: &str) -> bool {
                   mount -t tmpfs -o size=256m,nr_inodes=4000,mode=1777 none /tmp";
     let unshared = |words: &str| {
         let mut command = Command::new("unshare");
-        command.args(["-m", "--propagation", "private", "sh", "-c", words]);
+        command.args(["-m", "-p", "-f", "--mount-proc", "--propagation", "private", "sh", "-c", words]);
         command
     };
     let this = std::env::current_exe().expect("/proc is there");
@@ -118,17 +118,17 @@ fn assert_well(output: &Output, about: &str) {
     assert!(stdout.contains(" OK"), "{about}:\n{stdout}");
 }
 
-/// Waits for the process of a stage of the owner.
-fn stage(name: &str, but: Option<u32>) -> u32 {
+/// Waits for the process of a stage of a run.
+fn stage(run: &Child, name: &str, but: Option<u32>) -> u32 {
     let begun = Instant::now();
     loop {
-        let processes = std::fs::read_dir("/proc").expect("Linux has it").filter_map(Result::ok);
-        let pids = processes.filter_map(|entry| entry.file_name().to_str()?.parse::<u32>().ok());
+        let children = std::fs::read_to_string(format!("/proc/{0}/task/{0}/children", run.id()));
+        let children = children.expect("the run lasts longer");
         let is_it = |pid: &u32| {
             let line = std::fs::read(format!("/proc/{pid}/cmdline")).unwrap_or_default();
-            let words: Vec<&[u8]> = line.split(|&byte| byte == 0).collect();
-            words.len() > 3 && words[0].starts_with(b"/tmp/") && words[1..3] == [b"stage", name.as_bytes()]
+            line.split(|&byte| byte == 0).any(|word| word == name.as_bytes())
         };
+        let pids = children.split_whitespace().filter_map(|pid| pid.parse().ok());
         if let Some(pid) = pids.filter(|pid| Some(*pid) != but).find(is_it) {
             return pid;
         }
@@ -167,10 +167,10 @@ fn a_running_pipeline_is_closed_and_restarts_its_stages() {
     for umask in UMASKS {
         let attack = Attack::start("intrude");
         let victim = run(umask, &["--ticks", "100", "--agents", "2"]).spawn().unwrap();
-        let before = stage("decoder", None);
+        let before = stage(&victim, "decoder", None);
         std::thread::sleep(Duration::from_secs(3));
         kill(before);
-        stage("decoder", Some(before));
+        stage(&victim, "decoder", Some(before));
         let output = victim.wait_with_output().unwrap();
         let stdout = String::from_utf8_lossy(&output.stdout).into_owned();
         assert!(
@@ -192,7 +192,7 @@ fn a_consumer_learns_that_a_run_belongs_to_another_user() {
         return;
     }
     let victim = run("022", &["--ticks", "60", "--agents", "2"]).spawn().unwrap();
-    stage("sampler", None);
+    stage(&victim, "sampler", None);
     let top = Command::new(public(&program())).args(["top", "--once"]).uid(ATTACKER).gid(ATTACKER).output();
     let top = top.unwrap();
     let stderr = String::from_utf8_lossy(&top.stderr).into_owned();
@@ -207,7 +207,7 @@ fn full_memory_stops_nothing_for_good() {
     }
     for what in ["fill /dev/shm", "inodes /dev/shm", "fill /tmp", "inodes /tmp"] {
         let victim = run("022", &["--ticks", "150", "--agents", "8"]).spawn().unwrap();
-        let before = stage("decoder", None);
+        let before = stage(&victim, "decoder", None);
         std::thread::sleep(Duration::from_secs(3));
         let attack = Attack::start(what);
         // A stage that dies now has no room to start, until the attacker is gone.

@@ -453,8 +453,8 @@ fn name_in(run: &Run) -> String {
 fn name_of(launcher: Pid) -> Option<String> {
     let descriptors = std::fs::read_dir(format!("/proc/{}/fd", launcher.as_raw_nonzero())).ok()?;
     let files = descriptors.filter_map(|entry| std::fs::read_link(entry.ok()?.path()).ok());
-    let mut locks =
-        files.filter_map(|file| Some(file.file_name()?.to_str()?.strip_suffix("_lock")?.to_owned()));
+    let mut locks = files
+        .filter_map(|file| Some(file.file_name()?.to_str()?.strip_suffix("_lock")?.get(..15)?.to_owned()));
     locks.find(|name| name.starts_with("stgdat_"))
 }
 

@@ -4,11 +4,11 @@
 //! |---|---|
 //! | folder of the run | `FOLDER/stgdat_X` |
 //! | second names of its files | `FOLDER/.stgdat_X_S` |
-//! | lock | `/dev/shm/stgdat_X_lock` |
+//! | lock | `/dev/shm/stgdat_X_L_lock` |
 //! | shared memory | `/dev/shm/stgdat_X_R_…` |
 //!
-//! X, S and R are random. Every user of the machine can list these names. R stays unknown until the first file
-//! with that name exists, so nobody can take a name of shared memory in advance.
+//! X, S, L and R are random, and each of them stays unknown until the first file with it exists. So no other user,
+//! who can list all names, can take one of them in advance. A file counts only if this user owns it.
 
 use std::ffi::OsStr;
 use std::fs::{DirBuilder, File};
@@ -33,7 +33,7 @@ const RUNTIME_VARIABLES: [&str; 2] = ["RUNTIME_DIRECTORY", "XDG_RUNTIME_DIR"];
 const FAMILY: &str = "stgdat_";
 /// Digits of a run's name after [`FAMILY`].
 const DIGITS: usize = 8;
-const LOCK_SUFFIX: &str = "lock";
+const LOCK_SUFFIX: &str = "_lock";
 /// Room that the start of a stage may need, in bytes and files.
 const ROOM_BYTES: u64 = 2 << 20;
 const ROOM_FILES: u64 = 64;
@@ -89,8 +89,19 @@ pub(crate) fn is_private(folder: &Path) -> bool {
         .is_ok_and(|found| found.uid() == geteuid().as_raw() && found.mode() & 0o022 == 0)
 }
 
-pub(crate) fn lock_path(name: &str) -> PathBuf {
-    Path::new(SHARED_MEMORY).join(format!("{name}_{LOCK_SUFFIX}"))
+/// A new path for the lock of a run.
+pub(crate) fn new_lock_path(name: &str) -> io::Result<PathBuf> {
+    Ok(Path::new(SHARED_MEMORY).join(format!("{name}_{:08x}{LOCK_SUFFIX}", random()? as u32)))
+}
+
+/// The lock of a run of this user.
+pub(crate) fn lock_path(name: &str) -> Option<PathBuf> {
+    files_of(name).into_iter().find(|path| is_lock(path))
+}
+
+/// Whether a file in shared memory is the lock of a run.
+pub(crate) fn is_lock(path: &Path) -> bool {
+    path.to_str().is_some_and(|path| path.ends_with(LOCK_SUFFIX))
 }
 
 /// Takes the lock of a run.
@@ -107,8 +118,7 @@ pub(crate) fn take_lock(path: &Path, how: OFlags, lock: FlockOperation) -> io::R
 
 /// The folder of a run: named in its lock. Without the lock it is searched in the usual places.
 pub(crate) fn root_of(name: &str) -> Option<PathBuf> {
-    let lock = lock_path(name);
-    if is_ours(&lock)
+    if let Some(lock) = lock_path(name)
         && let Ok(file) = File::open(lock)
     {
         let mut text = String::new();

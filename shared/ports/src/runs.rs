@@ -10,8 +10,8 @@ use rustix::fs::{FlockOperation, OFlags};
 
 use crate::half_made::is_older;
 use crate::places::{
-    SHARED_MEMORY, allocated, files_of, folders, is_ours, lock_path, name_in, owner, root_of, seconds_of,
-    take_lock,
+    SHARED_MEMORY, allocated, files_of, folders, is_lock, is_ours, lock_path, name_in, owner, root_of,
+    seconds_of, take_lock,
 };
 use crate::removal::remove;
 
@@ -85,8 +85,18 @@ pub fn living_runs() -> io::Result<Vec<LivingRun>> {
 /// # Errors
 /// If the directories can't be read.
 pub fn foreign_runs() -> io::Result<Vec<ForeignRun>> {
-    let foreign = names()?.into_iter().filter(|name| !is_ours(&lock_path(name)));
-    Ok(foreign.filter_map(|name| Some(ForeignRun { user: owner(&lock_path(&name))?, name })).collect())
+    let mut runs = Vec::new();
+    for entry in std::fs::read_dir(SHARED_MEMORY)? {
+        let path = entry?.path();
+        let name = path.file_name().and_then(OsStr::to_str).and_then(name_in);
+        if let (Some(name), Some(user)) = (name, owner(&path))
+            && is_lock(&path)
+            && !is_ours(&path)
+        {
+            runs.push(ForeignRun { name, user });
+        }
+    }
+    Ok(runs)
 }
 
 /// The number of files of a run in shared memory, and of its folders in the usual places.
@@ -113,20 +123,22 @@ fn names() -> io::Result<Vec<String>> {
 
 /// Whether a run of this user is alive: its launcher holds its lock.
 fn is_locked(name: &str) -> bool {
-    let path = lock_path(name);
+    let Some(path) = lock_path(name) else { return false };
     // Shared: two processes that check at once do not take each other for a launcher.
     let taken = take_lock(&path, OFlags::empty(), FlockOperation::NonBlockingLockShared);
-    is_ours(&path) && taken.is_err_and(|error| error.kind() == io::ErrorKind::WouldBlock)
+    taken.is_err_and(|error| error.kind() == io::ErrorKind::WouldBlock)
 }
 
 /// The leftover of a run, if the run is dead and belongs to this user.
 fn leftover(name: String) -> Option<Leftover> {
-    let path = lock_path(&name);
-    let lock = match take_lock(&path, OFlags::empty(), FlockOperation::NonBlockingLockExclusive) {
-        Ok(lock) => is_ours(&path).then_some(lock),
-        Err(error) if error.kind() == io::ErrorKind::NotFound => None,
-        // Locked: the run is alive. Not permitted: another user's run.
-        Err(_) => return None,
+    let lock = match lock_path(&name) {
+        Some(path) => match take_lock(&path, OFlags::empty(), FlockOperation::NonBlockingLockExclusive) {
+            Ok(lock) => Some(lock),
+            Err(error) if error.kind() == io::ErrorKind::NotFound => None,
+            // Locked: the run is alive.
+            Err(_) => return None,
+        },
+        None => None,
     };
     let (files, root) = (files_of(&name), root_of(&name).or_else(|| second_root(&name)));
     if files.is_empty() && root.is_none() {

@@ -21,7 +21,7 @@ use thiserror::Error;
 
 use crate::keep::Keep;
 use crate::places::{
-    SHARED_MEMORY, allocated, create_private, files_of, folders, is_private, is_safe, lock_path, name_of,
+    SHARED_MEMORY, allocated, create_private, files_of, folders, is_private, is_safe, name_of, new_lock_path,
     random, shared_memory_free, take_lock,
 };
 use crate::private::create_global_segment;
@@ -133,7 +133,8 @@ impl Space {
     fn with_id(id: u64, root: PathBuf) -> io::Result<Self> {
         let name = name_of(id);
         create_private(&root)?;
-        let lock = make_lock(&lock_path(&name)).inspect_err(|_| drop(std::fs::remove_dir(&root)))?;
+        let lock = new_lock_path(&name).and_then(|path| make_lock(&path));
+        let lock = lock.inspect_err(|_| drop(std::fs::remove_dir(&root)))?;
         let prefix = format!("{name}_{:08x}_", random()? as u32);
         let mut space = Self { id, prefix, root, keep: None, lock };
         space.lock.write_all(space.root.as_os_str().as_bytes())?;
@@ -223,11 +224,6 @@ mod tests {
         std::os::unix::fs::symlink("/nowhere", &root).unwrap();
         assert_eq!(Space::with_id(id, root.clone()).unwrap_err().kind(), io::ErrorKind::AlreadyExists);
         std::fs::remove_file(&root).unwrap();
-        let lock = lock_path(&name_of(id));
-        std::fs::write(&lock, "").unwrap();
-        assert_eq!(Space::with_id(id, root.clone()).unwrap_err().kind(), io::ErrorKind::AlreadyExists);
-        assert!(!root.exists(), "nothing is left of a failed try");
-        std::fs::remove_file(&lock).unwrap();
         let space = Space::with_id(id, root.clone()).unwrap();
         assert_eq!(mode(&root), 0o700);
         assert!(files_of(&name_of(id)).iter().all(|file| mode(file) == 0o600));

@@ -23,7 +23,7 @@ use thiserror::Error;
 
 use super::{Isa, active};
 use crate::Precision;
-pub(crate) use pairs::{DotProducts, IN_MAX, PairPanels, PairProduct};
+pub(crate) use pairs::{DotProducts, PairPanels, PairProduct};
 
 /// Why a precision can't be used.
 #[derive(Clone, Copy, Debug, Error, PartialEq, Eq)]

@@ -20,7 +20,7 @@ mod tests;
 mod tile;
 
 pub use pack::Columns;
-pub(crate) use shape::TAPS_MAX;
+
 pub use shape::{Gather, PANEL, Panels, Product, Taps};
 
 use super::dispatch;

@@ -19,7 +19,7 @@ const WIDTH: usize = 110;
 /// The verbs by purpose. A unit test finds verbs without a group.
 const GROUPS: [(&str, &[&str]); 5] = [
     ("Run", &["run", "predict", "track", "check", "graph", "stage", "wire"]),
-    ("Observe", &["top", "view", "ros2", "report", "trace", "tick"]),
+    ("Observe", &["top", "health", "view", "ros2", "report", "trace", "tick"]),
     ("Record", &["record", "export", "mark", "replay", "diff"]),
     ("Diagnose", &["inspect", "verify", "bench", "fault", "doctor", "clean", "completions"]),
     ("Laboratory", &["train", "evaluate", "card", "plot", "map", "manual"]),

@@ -128,7 +128,7 @@ impl Taps {
     }
 
     /// The input positions of an output position's taps.
-    fn sources(&self, position: usize) -> &[u32] {
+    pub(super) fn sources(&self, position: usize) -> &[u32] {
         &self.sources[position * self.tap_count..][..self.tap_count]
     }
 
