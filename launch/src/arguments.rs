@@ -18,7 +18,7 @@ use toml::Value;
 use wire::{StageId, WorldOrigin};
 
 use crate::failure::Failure;
-use crate::files::{check_place, quoted};
+use crate::files::{check_place, quoted, shipped_weights};
 use crate::options::{Setting, StageOptions, absolute, text};
 use crate::play_report::input_of;
 
@@ -112,7 +112,8 @@ pub struct SetArguments {
 /// The model and its map.
 #[derive(Clone, Debug, Args)]
 pub struct ModelArguments {
-    /// Weights to use instead of the embedded ones: a file, or the name of shipped weights such as `onboard-free`
+    /// Weights to use instead of the embedded ones: a file, or the name of shipped weights such as
+    /// `onboard-free`
     #[arg(long, value_name = "FILE|NAME")]
     pub weights: Option<PathBuf>,
     /// Context map: `online`, `none` or a file written by `stgdat map`
@@ -426,18 +427,6 @@ fn recording_at(path: &Path) -> Result<PathBuf, Failure> {
 /// Absolute path of an existing file.
 pub fn canonical(path: &Path) -> Result<PathBuf, Failure> {
     path.canonicalize().map_err(|error| Failure::file(path, error))
-}
-
-/// Folders of shipped weights, relative to the folder of the program: installed, and in the source tree.
-const SHIPPED: [&str; 2] = ["../share/stgdat/weights", "../../shared/weights"];
-
-/// The file of shipped weights with this name; `None` if it is no name, or there are no such weights.
-fn shipped_weights(name: &Path) -> Option<PathBuf> {
-    let is_name = name.components().count() == 1 && name.extension().is_none() && !name.exists();
-    let program = std::env::current_exe().ok().filter(|_| is_name)?;
-    let file = name.with_extension("safetensors");
-    let places = SHIPPED.iter().map(|folder| Some(program.parent()?.join(folder).join(&file)));
-    places.flatten().find_map(|place| place.canonicalize().ok())
 }
 
 /// Reads a lane map and warns about skipped elements.

@@ -1,11 +1,23 @@
 //! Files and words that a command line names.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use rustix::fs::Access;
 
 use crate::failure::Failure;
 use crate::options::absolute;
+
+/// Folders of shipped weights, relative to the folder of the program: installed, and in the source tree.
+const SHIPPED: [&str; 2] = ["../share/stgdat/weights", "../../shared/weights"];
+
+/// The file of shipped weights with this name; `None` if it is no name, or there are no such weights.
+pub fn shipped_weights(name: &Path) -> Option<PathBuf> {
+    let is_name = name.components().count() == 1 && name.extension().is_none() && !name.exists();
+    let program = std::env::current_exe().ok().filter(|_| is_name)?;
+    let file = name.with_extension("safetensors");
+    let places = SHIPPED.iter().map(|folder| Some(program.parent()?.join(folder).join(&file)));
+    places.flatten().find_map(|place| place.canonicalize().ok())
+}
 
 /// Checks that an output file can be written, before the work that produces it starts.
 ///

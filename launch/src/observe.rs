@@ -46,7 +46,8 @@ const EVENTS_MAX: usize = 32;
 #[derive(Clone, Debug, Default, Args)]
 pub struct ObserveArguments {
     /// Serve metrics for Prometheus on this address (http://ADDRESS/metrics), by default on the loopback alone;
-    /// a port alone means the loopback too. A path means a Unix socket, which only this user and root can read
+    /// a port alone means the loopback too. A path means a Unix socket, which only this user and root can
+    /// read
     #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = "127.0.0.1:9464", value_parser = endpoint)]
     metrics: Option<Endpoint>,
     /// Write the metrics to this file once a second, for the textfile collector of node_exporter
@@ -135,7 +136,7 @@ impl Observer {
         };
         Ok(Self {
             measured: Recorder::new(options),
-            accuracy_path: recorder::stage::accuracy_path(run),
+            accuracy_path: recorder::saved::accuracy_path(run),
             run: name_of(&run.root),
             title,
             ticks_limit,

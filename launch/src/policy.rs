@@ -9,7 +9,8 @@
 //!    └──────────────▶ given up, for good
 //! ```
 //!
-//! A stage that ends while there is no room for its files is started again every second. These restarts have no limit.
+//! A stage that ends while there is no room for its files is started again every second. These restarts have
+//! no limit.
 
 use std::collections::VecDeque;
 use std::time::Duration;

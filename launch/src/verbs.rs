@@ -74,7 +74,8 @@ pub enum Verb {
     Export(export::Arguments),
     /// Show a run that goes on: latency, losses, quality and processes, stage by stage
     Top(top::Arguments),
-    /// Check that a running pipeline is healthy: the exit code is 0 if forecasts arrive and every stage is alive
+    /// Check that a running pipeline is healthy: the exit code is 0 if forecasts arrive and every stage is
+    /// alive
     Health(health::Arguments),
     /// Write the report of a run, or of two side by side, as one HTML page
     Report(report::Arguments),

@@ -236,18 +236,9 @@ def main(programs, scenario, *arguments):
     elif scenario == "round-trip":
         seconds = float(arguments[1]) if len(arguments) > 1 else 6.0
         print(json.dumps(round_trip(programs, types, int(arguments[0]), seconds)))
-    elif scenario == "stopped-reader":
-        print(json.dumps(stopped_reader(programs, types)))
-    elif scenario == "transforms":
-        print(json.dumps(transforms(programs, types)))
-    elif scenario == "tracked":
-        print(json.dumps(tracked(programs, types)))
-    elif scenario == "killed-bridge":
-        print(json.dumps(killed_bridge(programs, types)))
-    elif scenario == "attached":
-        print(json.dumps(attached(programs, types)))
-    elif scenario == "domains":
-        print(json.dumps(domains(programs, types)))
+    elif scenario in (plain := {"stopped-reader": stopped_reader, "transforms": transforms, "tracked": tracked,
+                                "killed-bridge": killed_bridge, "attached": attached, "domains": domains}):
+        print(json.dumps(plain[scenario](programs, types)))
     elif scenario == "table":
         from ros2_table import table
         print(table(programs, types, *arguments))

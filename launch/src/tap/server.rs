@@ -39,8 +39,8 @@ pub enum Told {
 /// The tap of a run.
 struct Server {
     run: Run,
-    /// Four descriptors. Opened for the first tool and kept: stages that come and go would have to notice a node
-    /// that does.
+    /// Four descriptors. Opened for the first tool and kept: stages that come and go would have to notice a
+    /// node that does.
     node: Option<Node>,
     hub: Hub<UnixStream>,
     /// Connections whose request is incomplete.

@@ -19,8 +19,8 @@ pub struct ViewArguments {
     /// Paths of each agent in these messages, the most probable first
     #[arg(long, value_name = "N", requires = "targets", default_value_t = 3, value_parser = clap::value_parser!(u16).range(1..=MODES_MAX as i64))]
     paths: u16,
-    /// Leave out Autoware's predicted objects whose forecast is older than this, in ms: as it is published, held
-    /// forecasts included
+    /// Leave out Autoware's predicted objects whose forecast is older than this, in ms: as it is published,
+    /// held forecasts included
     #[arg(long = "max-age", value_name = "MS", requires = "targets")]
     max_age_ms: Option<u32>,
 }

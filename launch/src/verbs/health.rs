@@ -23,8 +23,8 @@ pub struct Arguments {
     within: u8,
 }
 
-/// Checks that forecasts arrive and that every stage is alive. The exit code is for health checks of containers
-/// and supervisors.
+/// Checks that forecasts arrive and that every stage is alive. The exit code is for health checks of
+/// containers and supervisors.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let run = runs::find(arguments.run.as_deref())?;
     let client = Client::new(&run.root);

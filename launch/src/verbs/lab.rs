@@ -54,8 +54,8 @@ impl Verb {
 }
 
 /// Replaces this process by another program of this project with these arguments. Returns only if it can't:
-/// with the build command, whose options are `options`, if the program is neither in this program's folder nor
-/// in PATH.
+/// with the build command, whose options are `options`, if the program is neither in this program's folder
+/// nor in PATH.
 pub fn replace_by(name: &str, options: &str, arguments: impl Iterator<Item = OsString>) -> Failure {
     let found = std::env::current_exe().ok().and_then(|program| beside(&program, name));
     let program = found.unwrap_or_else(|| name.into());

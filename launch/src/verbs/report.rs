@@ -54,7 +54,8 @@ fn load(path: &Path) -> Result<(RunPage, Vec<ReadError>), Failure> {
     Ok(page_of(name, &recording, report))
 }
 
-/// The report beside a recording. A file that is no report, or the report of another run, is left out with a warning.
+/// The report beside a recording. A file that is no report, or the report of another run, is left out with a
+/// warning.
 fn report_beside(path: &Path, about: &About) -> Option<Report> {
     let report = Report::read(path).map_err(|error| error.to_string());
     let report = report.and_then(|report| match is_of_run(&report, about) {
@@ -64,8 +65,8 @@ fn report_beside(path: &Path, about: &About) -> Option<Report> {
     report.inspect_err(|why| tracing::warn!("{why}: the figures are measured from the recording")).ok()
 }
 
-/// Whether a report is of a recorded run. Reports of earlier versions have no number of the run; their scene and seed
-/// are compared.
+/// Whether a report is of a recorded run. Reports of earlier versions have no number of the run; their scene
+/// and seed are compared.
 fn is_of_run(report: &Report, about: &About) -> bool {
     let info = &report.run;
     match &info.run_id {

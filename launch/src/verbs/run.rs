@@ -95,7 +95,8 @@ pub struct Arguments {
     /// Show the run in a browser (`stgdat view`): serve the page on this address or port
     #[arg(long, value_name = "ADDRESS", num_args = 0..=1, value_parser = address)]
     view: Option<Option<SocketAddr>>,
-    /// Folder in which the run creates its own folder; by default $RUNTIME_DIRECTORY, $XDG_RUNTIME_DIR or /tmp
+    /// Folder in which the run creates its own folder; by default $RUNTIME_DIRECTORY, $XDG_RUNTIME_DIR or
+    /// /tmp
     #[arg(long, value_name = "FOLDER")]
     runtime_dir: Option<PathBuf>,
     /// Fail, with exit code 65, if the input is doubtful or no agent was forecast
@@ -195,8 +196,8 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         Ok(Exit::Done) if ended.outages.given_up().is_empty() => {
             Some(Report::read(&report_path).map_err(Failure::data)?)
         }
-        _ => recorder::stage::kept_report(&run)
-            .or_else(|| ended.linked.then(|| recorder::stage::empty_report(&run))),
+        _ => recorder::saved::kept_report(&run)
+            .or_else(|| ended.linked.then(|| recorder::saved::empty_report(&run))),
     };
     let mut is_refused = false;
     // A run that could not start has only its failure to report.

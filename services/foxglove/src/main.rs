@@ -1,12 +1,13 @@
-//! `stgdat-foxglove` serves a running pipeline on Foxglove's websocket, with the subprotocol `foxglove.sdk.v1`.
+//! `stgdat-foxglove` serves a running pipeline on Foxglove's websocket, with the subprotocol
+//! `foxglove.sdk.v1`.
 //!
 //! `stgdat view --foxglove` finds the run and starts this program. The messages are those of a recording made
 //! with `--for foxglove`: [`interop::views`] builds both. The program reads the run's tap only while a client
 //! subscribes to a channel.
 //!
-//! A client that reads slowly delays nobody. The server keeps [`BACKLOG`] messages for each client and discards
-//! the oldest. Frames that this program itself did not receive from the tap are counted and reported to the
-//! clients.
+//! A client that reads slowly delays nobody. The server keeps [`BACKLOG`] messages for each client and
+//! discards the oldest. Frames that this program itself did not receive from the tap are counted and reported
+//! to the clients.
 
 mod arguments;
 mod live;

@@ -27,6 +27,7 @@ mod record;
 mod refusals;
 mod render;
 pub mod report;
+pub mod saved;
 pub mod stage;
 pub mod status;
 pub mod text;

@@ -5,11 +5,11 @@
 //! * In place of the *source* it reads `DetectedObjects` or `TrackedObjects`. [`ticks`] makes ticks of the
 //!   messages.
 //! * As an *added stage* it publishes `TrackedObjects`, `PredictedObjects`, the ego vehicle's pose and
-//!   diagnostics. [`output`] fills the messages with [`interop::autoware`]. No tick waits for it, and it never
-//!   waits for a reader.
+//!   diagnostics. [`output`] fills the messages with [`interop::autoware`]. No tick waits for it, and it
+//!   never waits for a reader.
 //!
-//! DDS is behind the feature `ros2`: `ros2-client` on `rustdds`. Without the feature the crate has the options
-//! and the conversions.
+//! DDS is behind the feature `ros2`: `ros2-client` on `rustdds`. Without the feature the crate has the
+//! options and the conversions.
 
 pub mod command;
 #[cfg(feature = "ros2")]

@@ -38,8 +38,8 @@ pub struct Options {
     /// DDS domain; that of the variable ROS_DOMAIN_ID if not given, or 0
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(0..=i64::from(DOMAIN_MAX)))]
     pub domain: Option<u16>,
-    /// Addresses of the network interfaces to use: the loopback interface alone if not given. Several are separated
-    /// by commas
+    /// Addresses of the network interfaces to use: the loopback interface alone if not given. Several are
+    /// separated by commas
     #[arg(long, value_name = "ADDRESS", value_delimiter = ',', default_values_t = [LOOPBACK])]
     pub interfaces: Vec<IpAddr>,
     /// Name a topic differently, such as /perception/object_recognition/objects:=/objects
@@ -51,11 +51,12 @@ pub struct Options {
     /// Maximum number of paths of a predicted object, from 1 to 20
     #[arg(long, value_name = "N", default_value_t = PATHS, value_parser = paths)]
     pub paths: usize,
-    /// Leave out objects whose forecast is older than this, in ms: as it is published, held forecasts included
+    /// Leave out objects whose forecast is older than this, in ms: as it is published, held forecasts
+    /// included
     #[arg(long = "max-age", value_name = "MS", value_parser = age)]
     pub max_age_ms: Option<f64>,
-    /// Whether to publish the ego vehicle's pose on /tf; if not given, it is published if the input is a recording or
-    /// a generated scene, because a vehicle publishes its own
+    /// Whether to publish the ego vehicle's pose on /tf; if not given, it is published if the input is a
+    /// recording or a generated scene, because a vehicle publishes its own
     #[arg(long, value_name = "true|false")]
     pub tf: Option<bool>,
     /// Topics with `DetectedObjects`.

@@ -91,8 +91,8 @@ impl Output {
         Some(Outgoing::Tracks(tracked, transforms))
     }
 
-    /// The messages of a tick's forecasts at `now_ns` on `CLOCK_MONOTONIC`; `None` if the frame is not a tick or
-    /// its tracks did not arrive.
+    /// The messages of a tick's forecasts at `now_ns` on `CLOCK_MONOTONIC`; `None` if the frame is not a tick
+    /// or its tracks did not arrive.
     pub fn forecasts(&mut self, header: &Header, forecasts: &[Forecast], now_ns: u64) -> Option<Outgoing> {
         if !has_agents(header) {
             return None;
@@ -139,8 +139,8 @@ impl Output {
     }
 }
 
-/// Whether a frame is a tick that no stage has refused. Without this check a reader would take a refused tick for an
-/// empty road.
+/// Whether a frame is a tick that no stage has refused. Without this check a reader would take a refused tick
+/// for an empty road.
 const fn has_agents(header: &Header) -> bool {
     header.is_tick() && !header.has(flags::VOID)
 }

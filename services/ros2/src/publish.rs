@@ -1,4 +1,5 @@
-//! Publishes the messages of a run: as a stage of pipeline.toml, or as a tool that follows a run through its tap.
+//! Publishes the messages of a run: as a stage of pipeline.toml, or as a tool that follows a run through its
+//! tap.
 
 use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};

@@ -1,15 +1,17 @@
 //! Messages of ROS as ticks of a run.
 //!
-//! Each message is a frame of detections at its own stamp. A tick is the newest frame. Frames that are too near
-//! to the previous tick wait:
+//! Each message is a frame of detections at its own stamp. A tick is the newest frame. Frames that are too
+//! near to the previous tick wait:
 //!
 //! 1. The interval I of the messages is the mean difference of their last stamps, without gaps.
-//! 2. With n = ⌈72 ms / I⌉, a frame is due if its stamp is at least n I − I / 2 after the previous tick's stamp.
-//! 3. When a tick goes out, the detections of other sensors in the waiting frames are merged into it, each with
-//!    its own time. The rules are those of a recording ([`source::merge`]).
+//! 2. With n = ⌈72 ms / I⌉, a frame is due if its stamp is at least n I − I / 2 after the previous tick's
+//!    stamp.
+//! 3. When a tick goes out, the detections of other sensors in the waiting frames are merged into it, each
+//!    with its own time. The rules are those of a recording ([`source::merge`]).
 //! 4. If no frame is due for 80 ms after a frame arrived, the waiting frames go out.
 //!
-//! A frame in another frame of reference waits until the transforms reach its stamp, at most [`TRANSFORM_WAIT_NS`].
+//! A frame in another frame of reference waits until the transforms reach its stamp, at most
+//! [`TRANSFORM_WAIT_NS`].
 
 use std::fmt;
 
@@ -29,8 +31,8 @@ const STAMPS_MIN: usize = 9;
 const STAMPS_MAX: usize = 32;
 /// A difference of this many times the median is a gap, not an interval.
 const GAP: i64 = 4;
-/// The rate of the messages may exceed that of the ticks by one part in this many before messages wait. Stamps of
-/// a live sensor vary, and a rate that is taken for a higher one costs every second message.
+/// The rate of the messages may exceed that of the ticks by one part in this many before messages wait.
+/// Stamps of a live sensor vary, and a rate that is taken for a higher one costs every second message.
 const TOLERANCE: u64 = 10;
 /// Maximum number of messages that wait.
 const WAITING_MAX: usize = 64;

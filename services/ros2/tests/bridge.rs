@@ -1,7 +1,8 @@
-//! Eclipse Cyclone DDS on the other side of the bridge (`tests/interop/ros2_bridge.py`), in a network namespace.
+//! Eclipse Cyclone DDS on the other side of the bridge (`tests/interop/ros2_bridge.py`), in a network
+//! namespace.
 //!
-//! The tests need the program `stgdat` beside `stgdat-ros2`, `unshare` and `ip`, and a Python with PyPI's `cyclonedds` and
-//! `mcap` (STGDAT_PYTHON names another interpreter). They print why they are skipped.
+//! The tests need the program `stgdat` beside `stgdat-ros2`, `unshare` and `ip`, and a Python with PyPI's
+//! `cyclonedds` and `mcap` (STGDAT_PYTHON names another interpreter). They print why they are skipped.
 
 use std::path::Path;
 use std::process::Command;

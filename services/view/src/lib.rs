@@ -1,8 +1,8 @@
 //! The pages that show a run in a browser: the live view, and the report as one file.
 //!
 //! Both pages draw scenes with the same script, from the published tracks and forecasts
-//! ([`wire::tick_view::TickView`]). A page is one file: styles, scripts and data are inside, and it requests nothing
-//! from any other server.
+//! ([`wire::tick_view::TickView`]). A page is one file: styles, scripts and data are inside, and it requests
+//! nothing from any other server.
 
 pub mod http;
 mod live;

@@ -1,8 +1,8 @@
 //! A tick as Autoware's messages.
 //!
 //! Objects are in the frame [`MAP`]. It is the recording's own frame, so the run's origin is added again.
-//! Velocities are along and across the object, as in Autoware. The tracks are flat, so the z of a pose is half the
-//! height of a typical object of the type. Sizes that the detections lack are typical ones too.
+//! Velocities are along and across the object, as in Autoware. The tracks are flat, so the z of a pose is
+//! half the height of a typical object of the type. Sizes that the detections lack are typical ones too.
 
 use std::collections::BTreeMap;
 use std::fmt::Display;
@@ -82,8 +82,8 @@ pub fn size_m(agent: &AgentView) -> [f32; 3] {
     [agent.length_m.unwrap_or(length_m), agent.width_m.unwrap_or(width_m), height_m]
 }
 
-/// Removes forecasts that are older than the limit, and returns their number. The age of a forecast is its age at the
-/// release of the tick and the time `passed_ns` since then.
+/// Removes forecasts that are older than the limit, and returns their number. The age of a forecast is its
+/// age at the release of the tick and the time `passed_ns` since then.
 pub fn leave_out_old(view: &mut TickView, max_age_ns: u64, passed_ns: u64) -> u64 {
     let is_old = |age_ns: u64| age_ns.saturating_add(passed_ns) > max_age_ns;
     let old = |agent: &mut AgentView| agent.forecast.take_if(|forecast| is_old(forecast.age_ns)).is_some();
@@ -289,8 +289,9 @@ pub fn transforms(view: &Tick<'_>) -> Option<TfMessage> {
     Some(TfMessage { transforms: vec![ego] })
 }
 
-/// The values of a tick that have no field in Autoware's messages. Each forecast has its quality, cause, age and
-/// evidence. The tick has the number of forecasts, the doubts about the input, and each stage's time and budget.
+/// The values of a tick that have no field in Autoware's messages. Each forecast has its quality, cause, age
+/// and evidence. The tick has the number of forecasts, the doubts about the input, and each stage's time and
+/// budget.
 #[must_use]
 pub fn diagnostics(view: &Tick<'_>, hops: &[Hop], budgets_ms: &BTreeMap<StageId, f64>) -> DiagnosticArray {
     let mut status = vec![input_status(view)];

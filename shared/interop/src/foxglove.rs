@@ -195,8 +195,8 @@ pub fn frame_transforms(view: &Tick<'_>) -> Option<Vec<u8>> {
     Some(bytes)
 }
 
-/// The fields of a cell of [`grid`], each a `float32`: visits as the network sees them, ln(1 + B / B̄), and the mean
-/// velocity.
+/// The fields of a cell of [`grid`], each a `float32`: visits as the network sees them, ln(1 + B / B̄), and
+/// the mean velocity.
 const CELL_FIELDS: [&str; 3] = ["visits", "vx_mps", "vy_mps"];
 /// `PackedElementField.NumericType` of `float32`.
 const FLOAT32: u64 = 7;

@@ -23,7 +23,8 @@
 //!
 //! // The launcher makes the run's files; dropping `space` removes them.
 //! let space = Space::create(None, 1 << 20)?;
-//! let run = Run { id: space.id(), prefix: space.prefix().into(), root: space.root().into(), ..Run::default() };
+//! let run = Run { id: space.id(), prefix: space.prefix().into(), root: space.root().into(), ..Run::default()
+//! };
 //!
 //! let node = Node::open(&run, "example")?;
 //! let subscriber = node.subscriber::<TracksTopic>(2)?;

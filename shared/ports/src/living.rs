@@ -4,7 +4,8 @@ use std::path::Path;
 
 use crate::LivingRun;
 
-/// Chooses the run with this name or folder; without a name, the only run. `describe` is the text of a run in lists.
+/// Chooses the run with this name or folder; without a name, the only run. `describe` is the text of a run in
+/// lists.
 ///
 /// # Errors
 /// Why no run is chosen, with the list of the runs.

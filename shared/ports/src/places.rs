@@ -7,8 +7,8 @@
 //! | lock | `/dev/shm/stgdat_X_L_lock` |
 //! | shared memory | `/dev/shm/stgdat_X_R_…` |
 //!
-//! X, S, L and R are random, and each of them stays unknown until the first file with it exists. So no other user,
-//! who can list all names, can take one of them in advance. A file counts only if this user owns it.
+//! X, S, L and R are random, and each of them stays unknown until the first file with it exists. So no other
+//! user, who can list all names, can take one of them in advance. A file counts only if this user owns it.
 
 use std::ffi::OsStr;
 use std::fs::{DirBuilder, File};
@@ -170,8 +170,8 @@ pub(crate) fn allocated(path: &Path) -> u64 {
     std::fs::symlink_metadata(path).map_or(0, |found| found.blocks() * 512)
 }
 
-/// Whether a stage of a run has no room to start: few bytes or files are left in shared memory or for the run's
-/// folder.
+/// Whether a stage of a run has no room to start: few bytes or files are left in shared memory or for the
+/// run's folder.
 #[must_use]
 pub fn is_full(root: &Path) -> bool {
     [Path::new(SHARED_MEMORY), root].into_iter().any(|path| {

@@ -82,8 +82,8 @@ pub struct Space {
 
 impl Space {
     /// Creates the files of a new run in `folder`, by default in the folder that the environment names for
-    /// running programs, or else in `/tmp`. Removes the files of dead runs of a folder that only this user can
-    /// write.
+    /// running programs, or else in `/tmp`. Removes the files of dead runs of a folder that only this user
+    /// can write.
     ///
     /// # Errors
     /// [`SpaceError`] if shared memory has less than `needed_bytes` free, or the files can't be created.

@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 
 use crate::places::{create_private, random};
 
-/// A folder with a random name that only this user can open, in the system's folder for temporary files. It is
-/// removed when dropped.
+/// A folder with a random name that only this user can open, in the system's folder for temporary files. It
+/// is removed when dropped.
 #[derive(Debug)]
 pub struct TemporaryFolder(PathBuf);
 

@@ -62,8 +62,8 @@ proptest! {
         }
     }
 
-    /// Agents appear, leave and move at random, and so does the ego. If each tick serves `served_count` agents,
-    /// no agent waits longer than the bound.
+    /// Agents appear, leave and move at random, and so does the ego. If each tick serves `served_count`
+    /// agents, no agent waits longer than the bound.
     #[test]
     fn nobody_starves(
         agents_len in 1..=AGENTS_MAX,

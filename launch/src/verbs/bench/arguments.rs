@@ -21,8 +21,8 @@ pub struct Arguments {
     /// Measure what agents and modes cost instead: 1 to 128 agents by 1, 6 and 20 modes
     #[arg(long, conflicts_with = "agents")]
     pub cost: bool,
-    /// Fail, with exit code 70, where the run of --seconds has such a figure, as `end_to_end_p99 > 75 ms`; may be
-    /// given several times, and a wrong name lists the figures that there are
+    /// Fail, with exit code 70, where the run of --seconds has such a figure, as `end_to_end_p99 > 75 ms`;
+    /// may be given several times, and a wrong name lists the figures that there are
     #[arg(long, value_name = "CONDITION", conflicts_with = "cost")]
     pub fail_if: Vec<Condition>,
     /// Markdown file whose marks `stgdat bench` (`stgdat bench cost`) get the tables, as the

@@ -3,8 +3,8 @@
 //! Both are compared on the same agents, at the same times, over the same horizon and with the same truth:
 //!
 //! 1. A message of the bag is compared with our newest tick at its stamp, as a planner would read both.
-//! 2. An object belongs to the nearest forecast of its type, at most [`RADIUS_M`] away. Each belongs to one at most,
-//!    so no identity of the bag is needed.
+//! 2. An object belongs to the nearest forecast of its type, at most [`RADIUS_M`] away. Each belongs to one
+//!    at most, so no identity of the bag is needed.
 //! 3. The steps are ours, Δt apart from the message's stamp. Paths with other steps are interpolated.
 //! 4. The truth is the recording's own, if it has identities, or else the later positions of our tracks.
 
@@ -296,8 +296,8 @@ fn matches(objects: &[PredictedAgent], forecasts: &[Forecast], age_s: f32) -> Ve
 }
 
 impl Pair {
-    /// The other system's paths at our steps, the most confident one first, with their confidence. Paths that are
-    /// shorter than the horizon are left out.
+    /// The other system's paths at our steps, the most confident one first, with their confidence. Paths that
+    /// are shorter than the horizon are left out.
     fn theirs_at(&self, steps: Steps) -> Vec<(f32, Vec<Point>)> {
         let path = |path: &data::PredictedPath| {
             let points = (0..steps.len).map(|step| path.at(steps.ahead_ns(step)));

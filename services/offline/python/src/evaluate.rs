@@ -12,8 +12,8 @@ use crate::error;
 use crate::recording::prepare;
 
 /// Compares forecasts with the recorded motion, as `stgdat evaluate FILE…` does. `arguments` are the weights
-/// and how the recordings are read. Returns the figures as JSON, the main table and all tables as Markdown, and
-/// the doubts about the recordings.
+/// and how the recordings are read. Returns the figures as JSON, the main table and all tables as Markdown,
+/// and the doubts about the recordings.
 #[pyfunction]
 pub fn evaluate(
     py: Python<'_>,

@@ -217,8 +217,8 @@ impl AgainstRow {
 }
 
 impl AgainstReport {
-    /// The table as Markdown that is also readable in a terminal: every type over the longest horizon, and all agents
-    /// over all horizons.
+    /// The table as Markdown that is also readable in a terminal: every type over the longest horizon, and
+    /// all agents over all horizons.
     #[must_use]
     pub fn markdown(&self) -> String {
         let truth =

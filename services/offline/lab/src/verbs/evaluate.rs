@@ -72,8 +72,8 @@ pub struct Arguments {
     /// other roads
     #[arg(long, value_name = "FILE")]
     prior: Option<PathBuf>,
-    /// Compare the forecasts with the `PredictedObjects` of this bag: same agents, times, horizon and truth. The
-    /// target is one recording, which is played as `predict` plays it; it may be the same bag
+    /// Compare the forecasts with the `PredictedObjects` of this bag: same agents, times, horizon and truth.
+    /// The target is one recording, which is played as `predict` plays it; it may be the same bag
     #[arg(long, value_name = "BAG", conflicts_with_all = ["positions", "all", "validation", "beside"])]
     against_bag: Option<PathBuf>,
     #[command(flatten)]

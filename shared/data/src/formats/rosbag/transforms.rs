@@ -74,8 +74,8 @@ impl Transforms {
         false
     }
 
-    /// Adds a live transform. A moving frame keeps `keep_ns` before its newest transform. If a transform is older than
-    /// that, the clock was set back, and the frame begins again.
+    /// Adds a live transform. A moving frame keeps `keep_ns` before its newest transform. If a transform is
+    /// older than that, the clock was set back, and the frame begins again.
     pub fn add_live(&mut self, found: &TransformStamped, is_static: bool, keep_ns: i64) {
         let from_ns = stamp_ns(found).saturating_sub(keep_ns);
         if let Some(frame) = self.0.get_mut(bare(&found.child_frame_id)) {
