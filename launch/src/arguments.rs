@@ -27,7 +27,7 @@ use crate::play_report::input_of;
 pub enum Speed {
     /// Real time, at the recording's own rate
     Real,
-    /// As fast as possible, in lockstep: each tick waits for the forecasts of the one before
+    /// As fast as possible, in lockstep: each tick waits for the forecasts of the previous one
     Max,
 }
 
@@ -37,7 +37,7 @@ const SEED: u64 = 1;
 /// Source of the detections.
 #[derive(Clone, Debug, Args)]
 pub struct SceneArguments {
-    /// Recording to play, or a folder that holds one
+    /// Recording to play, or a folder that contains one
     #[arg(value_name = "FILE", group = "played")]
     file: Option<PathBuf>,
     /// The same
@@ -46,21 +46,21 @@ pub struct SceneArguments {
     /// Format of the recording; detected if not given
     #[arg(long, requires = "played")]
     format: Option<Format>,
-    /// Frames a second that the recording's frame numbers count, where its files do not tell; as the data set
-    /// was published if not given
+    /// Frame rate of the recording, Hz, if its files contain frame numbers but no times; by default the
+    /// published rate of the data set
     #[arg(long, value_name = "HZ", requires = "played")]
     fps: Option<FrameRate>,
-    /// World frame's origin in the frame of recording, detections and map, in metres, such as 458000,5428000: it is
-    /// subtracted from all positions, and files of forecasts have the recording's own frame again
+    /// Origin of the world frame in the frame of recording, detections and map, in metres, such as
+    /// 458000,5428000. The run subtracts it from all positions; files of forecasts use the recording's frame
     #[arg(long, value_name = "X,Y", allow_hyphen_values = true)]
     pub origin: Option<WorldOrigin>,
-    /// Number of agents of the generated intersection (played without a recording), 32 if not given
+    /// Number of agents in the generated scene, which is played if no recording is given (default 32)
     #[arg(long, value_name = "N", conflicts_with = "played")]
     agents: Option<u32>,
-    /// Seed of the random numbers, 1 if not given
+    /// Seed of the random numbers (default 1)
     #[arg(long)]
     seed: Option<u64>,
-    /// Number of ticks after which to end
+    /// Stop after this many ticks
     #[arg(long, value_name = "N")]
     pub ticks: Option<u32>,
 }
@@ -71,12 +71,12 @@ pub struct ReadArguments {
     /// Format of the recordings; detected for each file if not given
     #[arg(long)]
     pub format: Option<Format>,
-    /// Frames a second that the recordings' frame numbers count, where the files do not tell; as the data set
-    /// was published if not given
+    /// Frame rate of the recordings, Hz, if the files contain frame numbers but no times; by default the
+    /// published rate of the data set
     #[arg(long, value_name = "HZ")]
     pub fps: Option<FrameRate>,
-    /// World frame's origin in the recordings' own frame, in metres, such as 458000,5428000: it is subtracted from all
-    /// positions
+    /// Origin of the world frame in the recordings' frame, in metres, such as 458000,5428000. It is
+    /// subtracted from all positions
     #[arg(long, value_name = "X,Y", allow_hyphen_values = true)]
     pub origin: Option<WorldOrigin>,
 }
@@ -103,8 +103,8 @@ pub struct RetrievalArguments {
 /// Options of the stages.
 #[derive(Clone, Debug, Args)]
 pub struct SetArguments {
-    /// Set an option of a stage, such as tracker.fov=90,80; overrides pipeline.toml and other arguments, and
-    /// of several the last counts. `stgdat stage --help` lists the options
+    /// Set an option of a stage, such as tracker.fov=90,80. It overrides pipeline.toml and other arguments;
+    /// the last one wins. `stgdat stage --help` lists the options
     #[arg(long, value_name = "STAGE.OPTION=VALUE")]
     pub set: Vec<Setting>,
 }
@@ -119,7 +119,7 @@ pub struct ModelArguments {
     /// Context map: `online`, `none` or a file written by `stgdat map`
     #[arg(long, value_name = "MAP")]
     pub map: Option<MapChoice>,
-    /// Lanelet2 map of the site (OSM XML), along whose lanes the forecasts of vehicles go
+    /// Lanelet2 map of the site (OSM XML). Forecasts of vehicles follow its lanes
     #[arg(long, value_name = "FILE")]
     lanes: Option<PathBuf>,
     /// Origin of the world frame in the map of --lanes: latitude and longitude in degrees, or a position in the
@@ -131,14 +131,14 @@ pub struct ModelArguments {
 /// A recording that is played in this process, with its options.
 #[derive(Debug, Args)]
 pub struct PlaybackArguments {
-    /// Recording to play, or a folder that holds one; the generated intersection if not given
+    /// Recording to play, or a folder that contains one; by default the generated scene
     recording: Option<PathBuf>,
     #[command(flatten)]
     read: ReadArguments,
-    /// Seed of the random numbers, 1 if not given
+    /// Seed of the random numbers (default 1)
     #[arg(long)]
     seed: Option<u64>,
-    /// Number of ticks after which to end
+    /// Stop after this many ticks
     #[arg(long, value_name = "N")]
     ticks: Option<u32>,
     #[command(flatten)]

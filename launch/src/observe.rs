@@ -45,12 +45,11 @@ const EVENTS_MAX: usize = 32;
 /// Where a run is told to others.
 #[derive(Clone, Debug, Default, Args)]
 pub struct ObserveArguments {
-    /// Serve metrics for Prometheus on this address (http://ADDRESS/metrics), by default on the loopback alone;
-    /// a port alone means the loopback too. A path means a Unix socket, which only this user and root can
-    /// read
+    /// Serve metrics for Prometheus on this address (http://ADDRESS/metrics). A port alone, or no address,
+    /// means the loopback interface. A path means a Unix socket that only this user and root can read
     #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = "127.0.0.1:9464", value_parser = endpoint)]
     metrics: Option<Endpoint>,
-    /// Write the metrics to this file once a second, for the textfile collector of node_exporter
+    /// Write the metrics to this file every second, for the textfile collector of node_exporter
     #[arg(long, value_name = "FILE")]
     metrics_file: Option<PathBuf>,
     /// Write a trace of all stages for Perfetto (ui.perfetto.dev)

@@ -17,10 +17,10 @@ use crate::files::check_place;
 /// The report on a recording that is played in this process.
 #[derive(Debug, Args)]
 pub struct VerdictArguments {
-    /// Write the report as JSON: ticks, agents, what the input contained, and the verdict
+    /// Write the report as JSON: ticks, agents, findings about the input, and the verdict
     #[arg(long, value_name = "FILE")]
     pub report: Option<PathBuf>,
-    /// Fail, with exit code 65, if the input is doubtful or no agent was tracked
+    /// Exit with 65 if the input is doubtful or no agent was tracked
     #[arg(long)]
     pub strict: bool,
 }

@@ -30,7 +30,7 @@ pub fn this_program() -> PathBuf {
 /// Arguments that every verb takes.
 #[derive(Debug, Args)]
 pub struct GlobalArguments {
-    /// Instruction set of the kernels, which this processor must have; the fastest if not given
+    /// Instruction set of the kernels; by default the fastest that this processor supports
     #[arg(long, value_name = "SET", global = true, env = kernels::VARIABLE, value_parser = instruction_set())]
     kernels: Option<Isa>,
     /// Colours of the output: `auto` means on a terminal, unless the variable NO_COLOR is set

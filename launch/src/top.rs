@@ -14,20 +14,20 @@ pub use draw::text;
 /// Order of the stages.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub enum SortBy {
-    /// As a tick passes them
+    /// In the order in which a tick passes them
     #[default]
     Chain,
-    /// The slowest first, by the 99th percentile of compute
+    /// By the 99th percentile of compute time, slowest first
     P99,
-    /// The nearest to its budget first
+    /// By compute time relative to the budget, largest first
     Budget,
-    /// The one that waits longest first
+    /// By waiting time, longest first
     Waiting,
-    /// The most lost frames first
+    /// By lost frames, most first
     Lost,
-    /// The most CPU first
+    /// By CPU use, most first
     Cpu,
-    /// The most memory first
+    /// By memory, most first
     Memory,
 }
 

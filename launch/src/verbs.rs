@@ -47,7 +47,7 @@ pub enum Verb {
     Predict(predict::Arguments),
     /// Run a recording through the tracker in one process; write tracks as CSV, KITTI or MOT results
     Track(track::Arguments),
-    /// Audit a recording: rates, agents, speeds, and what is probably wrong; draw it
+    /// Audit a recording: rates, agents, speeds and probable errors; draw it
     Inspect(inspect::Arguments),
     /// Run one stage of a run (started by `run`)
     Stage(stage::Arguments),
@@ -55,38 +55,38 @@ pub enum Verb {
     Check(check::Arguments),
     /// Print the graph of stages and topics
     Graph(graph::Arguments),
-    /// Recompute golden vectors on this machine and compare, a row per tensor
+    /// Recompute golden vectors on this machine and compare them, one row per tensor
     Verify(verify::Arguments),
     /// Measure compute per stage and the overhead of the pipeline
     Bench(bench::Arguments),
-    /// Inject faults into runs and check what they promise
+    /// Inject faults into runs and check that the runs keep their guarantees
     #[command(subcommand)]
     Fault(fault::Verb),
-    /// Record a run that goes on: frames, events and log lines in one MCAP file
+    /// Record a running pipeline: frames, events and log lines in one MCAP file
     Record(record::Arguments),
     /// Mark this moment in the recordings of a run
     Mark(mark::Arguments),
-    /// Take a recording of `record` through the stages once more and compare
+    /// Run a recorded run through the stages again, and compare the results
     Replay(replay::Arguments),
-    /// Compare two recordings of `record`: the first number that differs, and how that grows
+    /// Compare two recordings of runs: the first number that differs, and how the difference grows
     Diff(diff::Arguments),
     /// Write the messages of a recorded run for other tools: Foxglove, Autoware
     Export(export::Arguments),
-    /// Show a run that goes on: latency, losses, quality and processes, stage by stage
+    /// Show a running pipeline in the terminal: latency, losses, quality and processes of each stage
     Top(top::Arguments),
     /// Check that a running pipeline is healthy: the exit code is 0 if forecasts arrive and every stage is
     /// alive
     Health(health::Arguments),
-    /// Write the report of a run, or of two side by side, as one HTML page
+    /// Write the report of a run, or of two runs side by side, as one HTML page
     Report(report::Arguments),
-    /// Show a run that goes on in a browser: the moving scene, stages, qualities
+    /// Show a running pipeline in a browser: the moving scene, the stages and the quality of forecasts
     View(view::Arguments),
     /// Publish the tracks and forecasts of a running pipeline in ROS 2 (stgdat-ros2)
     #[command(disable_help_flag = true)]
     Ros2(ros2::Arguments),
     /// Write the trace of a recorded run for Perfetto
     Trace(trace::Arguments),
-    /// Tell one tick of a recorded run: each stage's time in it, and what became of each agent
+    /// Explain one tick of a recorded run: the time of each stage, and the result of each agent
     Tick(tick::Arguments),
     /// Check this machine: shared memory, limits, CPU, leftovers
     Doctor(doctor::Arguments),

@@ -96,7 +96,7 @@ impl Telling {
             writeln!(text, "longest: {}", cause.cause)?;
         }
         let marks =
-            [(flags::PREDICTED, "its tracks are predicted: no detections came"), (flags::VOID, "void")];
+            [(flags::PREDICTED, "its tracks are predicted: no detections arrived"), (flags::VOID, "void")];
         for (_, mark) in marks.iter().filter(|(flag, _)| header.has(*flag)) {
             writeln!(text, "{mark}")?;
         }

@@ -1,5 +1,5 @@
-//! A reader such as a planner: prints the forecasts of a run, tick by tick. Start it beside `stgdat run` as
-//! `consumer --run FOLDER/stgdat_*/run`.
+//! A reader such as a planner: prints the forecasts of a run, tick by tick. Start it while `stgdat run`
+//! is running; if several runs are, `--run NAME` chooses one.
 //!
 //! Positions are in metres. They are printed in the frame of map and detections: the run's origin is added.
 //! The time of step k of a forecast is the frame's stamp + (k + 1) Δt. A planner does the same: it waits,

@@ -96,7 +96,7 @@ fn a_detector_and_a_planner_in_rust_join_a_run() {
         &[&origin[..], &["--ticks", "60", "--pipeline", &pipeline, "--report", &report]].concat(),
     );
     let root = run.wait_until_it_runs();
-    let consumer = Started::spawn(piped(example("consumer")).arg("--run").arg(root.join("run")));
+    let consumer = Started::spawn(piped(example("consumer")).arg("--run").arg(&root));
     let consumed = consumer.output();
     assert!(consumed.status.success(), "{}", stderr(&consumed));
     assert_forecasts_of_both(&stdout(&consumed));

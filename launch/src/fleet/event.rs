@@ -42,7 +42,11 @@ impl fmt::Display for Replaced {
                 )
             }
             ReplacementOutcome::NotUsed => {
-                write!(f, "the {stage} is not replaced by {program}: it {}; the old one went on", self.cause)
+                write!(
+                    f,
+                    "the {stage} is not replaced by {program}: it {}; the old one continues",
+                    self.cause
+                )
             }
             ReplacementOutcome::RolledBack => {
                 let cause = &self.cause;

@@ -18,21 +18,21 @@ const FILES_MAX: u32 = 1_000;
 /// How a flight recorder keeps and writes.
 #[derive(Clone, Debug, Args)]
 pub struct RingArguments {
-    /// Keep so much in memory, as 60s, and write it to FILE-1, FILE-2, … when something happens: a degraded or late
-    /// tick, a stage that dies or gets no CPU, `stgdat mark`, or SIGUSR1 to the recording
+    /// Flight recorder: keep the last TIME, such as 60s, in memory. Write it to FILE-1, FILE-2, … after an
+    /// event: a degraded or late tick, a stage that dies or gets no CPU, `stgdat mark`, or SIGUSR1
     #[arg(long, value_name = "TIME", value_parser = seconds)]
     last: Option<Duration>,
-    /// Time that a file goes on after the event
+    /// Time to record after the event
     #[arg(long, value_name = "TIME", requires = "last", default_value = "5s", value_parser = seconds)]
     after: Duration,
-    /// Files that are written at most
+    /// Maximum number of files
     #[arg(long, value_name = "N", requires = "last", default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..=i64::from(FILES_MAX)))]
     files: u32,
-    /// Memory of what is kept, MiB
+    /// Maximum memory for the last TIME, MiB
     #[arg(long, value_name = "MIB", requires = "last", default_value_t = 512, value_parser = clap::value_parser!(u64).range(1..=MEMORY_MAX))]
     ring_mib: u64,
-    /// Memory of what the stages were given before that, from the run's begin on, MiB: with it a replay of the files
-    /// agrees from their first tick on; 0 keeps none
+    /// Maximum memory for earlier inputs of the stages, since the start of the run, MiB. With them, a replay
+    /// of a file is equal from its first tick on; 0 keeps none
     #[arg(long, value_name = "MIB", requires = "last", default_value_t = 128, value_parser = clap::value_parser!(u64).range(0..=MEMORY_MAX))]
     before_mib: u64,
 }

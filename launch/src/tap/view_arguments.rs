@@ -16,11 +16,11 @@ pub struct ViewArguments {
     /// predicted objects, tf and diagnostics in CDR)
     #[arg(long = "for", value_name = "TOOLS", value_delimiter = ',')]
     targets: Vec<Target>,
-    /// Paths of each agent in these messages, the most probable first
+    /// Number of paths of each agent in these messages, the most probable first
     #[arg(long, value_name = "N", requires = "targets", default_value_t = 3, value_parser = clap::value_parser!(u16).range(1..=MODES_MAX as i64))]
     paths: u16,
-    /// Leave out Autoware's predicted objects whose forecast is older than this, in ms: as it is published,
-    /// held forecasts included
+    /// Leave out Autoware's predicted objects if their forecasts are older than this, ms. Held forecasts
+    /// count too
     #[arg(long = "max-age", value_name = "MS", requires = "targets")]
     max_age_ms: Option<u32>,
 }

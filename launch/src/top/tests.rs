@@ -112,7 +112,7 @@ fn status() -> RunStatus {
                 worst(
                     377,
                     Some(81.4),
-                    "its controls did not come: the decoder was restarted; 32 of 32 forecasts not learned (late)",
+                    "its controls did not arrive: the decoder was restarted; 32 of 32 forecasts not learned (late)",
                 ),
             ],
             ..Report::default()
@@ -177,7 +177,7 @@ fn an_ok_states_the_share_of_constant_velocity() {
     status.report.forecasts.constant_velocity_share = Some(0.83);
     let text = shown(status);
     assert!(!text.contains("no fallback"), "{text}");
-    assert!(text.contains("constant velocity: 83 % of the forecasts, as it proved better"), "{text}");
+    assert!(text.contains("constant velocity: 83 % of the forecasts: its error was lower"), "{text}");
 }
 
 #[test]

@@ -6,7 +6,7 @@ use crate::failure::Failure;
 /// Arguments of `stgdat clean`.
 #[derive(Debug, Args)]
 pub struct Arguments {
-    /// Print what would be removed, and remove nothing
+    /// Print the files, but do not remove them
     #[arg(long)]
     dry_run: bool,
 }

@@ -20,7 +20,7 @@ const FILES: u64 = 1024;
 /// Arguments of `stgdat doctor`.
 #[derive(Debug, Args)]
 pub struct Arguments {
-    /// Number of agents that are to fit this machine, beside those of the default demo
+    /// Also check whether this many agents fit this machine
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=wire::AGENTS_MAX as i64))]
     agents: Option<u32>,
 }

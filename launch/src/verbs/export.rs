@@ -15,7 +15,7 @@ pub struct Arguments {
     /// Recording of a run, as `run --record` and `record` write them
     #[arg(value_name = "RUN")]
     recording: PathBuf,
-    /// File to write; there must be none of that name
+    /// File to write, which must not exist
     #[arg(value_name = "FILE")]
     file: PathBuf,
     #[command(flatten)]

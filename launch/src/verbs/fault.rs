@@ -15,15 +15,15 @@ use crate::tables;
 /// The verbs of `stgdat fault`.
 #[derive(Debug, Subcommand)]
 pub enum Verb {
-    /// Run pipelines with injected faults and check what is expected of them
+    /// Run pipelines with injected faults and check the expectations
     Run(RunArguments),
-    /// List the specifications of a folder, by default those of the scenarios that are built in
+    /// List the specifications of a folder, by default the built-in scenarios
     List(ListArguments),
     /// Check specifications without running them
     Check(CheckArguments),
-    /// Measure what killing and stopping each stage costs, as a table
+    /// Measure the cost of killing and stopping each stage, as a table
     Table(TableArguments),
-    /// Verify what a run promises by a history that `fault run --keep` has written
+    /// Check the guarantees of a run in a history written by `fault run --keep`
     Verify(VerifyArguments),
     /// Write the history of a run (started by `fault run`)
     #[command(hide = true)]
@@ -42,17 +42,17 @@ pub struct RunArguments {
     /// Specifications, folders of them, or names of built-in scenarios
     #[arg(value_name = "SPEC", required = true)]
     specs: Vec<PathBuf>,
-    /// Seed of the scene and of all faults, in place of those of the specification
+    /// Seed of the scene and of all faults, instead of the specification's seeds
     #[arg(long)]
     seed: Option<u64>,
-    /// Times that each specification is run; the seed counts up
+    /// Number of runs of each specification; each run increments the seed
     #[arg(long, value_name = "N", default_value_t = 1)]
     repeat: u64,
-    /// Assert causes and counts, but no numbers of ticks: for busy machines
+    /// Check causes and counts, but not numbers of ticks: for busy machines
     #[arg(long)]
     no_timing: bool,
-    /// Keep log, report, forecasts and history of all runs in this folder; by default those of failed runs are
-    /// kept in the temporary folder
+    /// Keep log, report, forecasts and history of all runs in this folder; by default only failed runs are
+    /// kept, in the temporary folder
     #[arg(long, value_name = "DIR")]
     keep: Option<PathBuf>,
     /// Write the verdicts as JUnit's XML
@@ -82,10 +82,10 @@ pub struct CheckArguments {
 /// Arguments of `stgdat fault table`.
 #[derive(Debug, Args)]
 pub struct TableArguments {
-    /// A stage; all if not given
+    /// Stage to measure; by default all
     #[arg(long = "stage", value_name = "STAGE", value_parser = stage)]
     stages: Vec<StageId>,
-    /// Deaths of each stage at each point of its step, and stops of each duration
+    /// Number of kills of each stage at each point of its step, and of stops of each duration
     #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u64).range(1..=100))]
     turns: u64,
     /// Seed of the scene and of the moments

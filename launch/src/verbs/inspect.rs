@@ -28,13 +28,13 @@ pub struct Arguments {
     read: ReadArguments,
     #[command(flatten)]
     model: ModelArguments,
-    /// Draw the ways of all agents, the sensor and the lanes of --lanes in this SVG file
+    /// Draw the paths of all agents, the sensor and the lanes of --lanes in this SVG file
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
     /// Print the audit as JSON
     #[arg(long)]
     json: bool,
-    /// Fail, with exit code 65, if the input is doubtful
+    /// Exit with 65 if the input is doubtful
     #[arg(long)]
     strict: bool,
 }

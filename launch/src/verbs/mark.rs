@@ -15,10 +15,10 @@ const ANSWER_LIMIT: Duration = Duration::from_secs(10);
 /// Arguments of `stgdat mark`.
 #[derive(Debug, Args)]
 pub struct Arguments {
-    /// Words for this moment
+    /// Text of the mark
     #[arg(value_name = "TEXT")]
     text: String,
-    /// The run, by its name or its folder, if more than one is running
+    /// Name or folder of the run; not needed if only one is running
     #[arg(long, value_name = "NAME")]
     run: Option<PathBuf>,
 }

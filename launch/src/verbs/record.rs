@@ -27,17 +27,17 @@ const NICE: i32 = 10;
 /// Arguments of `stgdat record`.
 #[derive(Debug, Args)]
 pub struct Arguments {
-    /// File to write; there must be none of that name. With --last the files are numbered: drive-1.mcap, …
+    /// File to write, which must not exist. With --last, files are numbered: drive-1.mcap, …
     #[arg(value_name = "FILE")]
     file: PathBuf,
-    /// The run, by its name or its folder, where more than one goes on
+    /// Name or folder of the run; not needed if only one is running
     #[arg(long, value_name = "NAME")]
     run: Option<PathBuf>,
-    /// Topics, separated by commas; `events` are the supervisor's events and the stages' log lines, `forecasts` are
-    /// without their controls, `forecasts-whole` with them, `all` is everything
+    /// Topics to record, separated by commas. `events` are the supervisor's events and the stages' log lines;
+    /// `forecasts` leaves out the controls, `forecasts-whole` includes them; `all` is everything
     #[arg(long, value_name = "LIST", default_value = TOPICS, value_parser = topics)]
     topics: Topics,
-    /// End after so many seconds; with the run if not given
+    /// Stop after this many seconds; by default at the end of the run
     #[arg(long, value_name = "S")]
     seconds: Option<f64>,
     #[command(flatten)]

@@ -28,16 +28,17 @@ pub struct Arguments {
     /// The recording
     #[arg(value_name = "FILE")]
     file: PathBuf,
-    /// Replay one stage alone, with its input from the file; the recording needs the topics around it
+    /// Replay only this stage, with its input from the file. The recording must contain the topics that the
+    /// stage reads and writes
     #[arg(long, value_name = "NAME", value_parser = PossibleValuesParser::new(STAGES.map(|(stage, ..)| stage.name())))]
     stage: Option<String>,
-    /// Speed of the ticks, which the numbers do not depend on
+    /// Speed of the ticks; results do not depend on it
     #[arg(long, value_enum, default_value = "max")]
     speed: Speed,
     /// Weights to use instead of the recorded run's
     #[arg(long, value_name = "FILE")]
     weights: Option<PathBuf>,
-    /// Write what the stages have made as a recording, for `stgdat diff`
+    /// Write the results of the stages as a recording, for `stgdat diff`
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
 }

@@ -16,9 +16,9 @@ use crate::recorded;
 pub struct Arguments {
     /// Report of a run (`run --report`), or recording of a run (`run --record`)
     run: PathBuf,
-    /// Another run, to be shown beside the first
+    /// Another run to compare with the first
     other: Option<PathBuf>,
-    /// The page; by default named after the first file, with the ending html
+    /// HTML file to write; by default the first file's name with the extension html
     #[arg(short, long, value_name = "FILE")]
     out: Option<PathBuf>,
 }

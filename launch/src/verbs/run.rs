@@ -76,14 +76,14 @@ pub struct Arguments {
     /// The pipeline.toml; by default the built-in one
     #[arg(long, value_name = "FILE")]
     pipeline: Option<PathBuf>,
-    /// Fail, with exit code 70, where the report has such a figure, as `end_to_end_p99 > 75 ms`; may be given several
-    /// times, and a wrong name lists the figures that there are
+    /// Exit with 70 if this condition holds for the report, such as `end_to_end_p99 > 75 ms`. May be
+    /// repeated; an unknown name lists all figures
     #[arg(long, value_name = "CONDITION")]
     fail_if: Vec<Condition>,
-    /// Record the run in this MCAP file; there must be none of that name
+    /// Record the run in this MCAP file, which must not exist
     #[arg(long, value_name = "FILE")]
     record: Option<PathBuf>,
-    /// Topics that are recorded, separated by commas, or `all`
+    /// Topics to record, separated by commas, or `all`
     #[arg(long, value_name = "LIST", requires = "record", default_value = record::TOPICS, value_parser = record_topics)]
     record_topics: String,
     #[command(flatten)]
@@ -99,7 +99,7 @@ pub struct Arguments {
     /// /tmp
     #[arg(long, value_name = "FOLDER")]
     runtime_dir: Option<PathBuf>,
-    /// Fail, with exit code 65, if the input is doubtful or no agent was forecast
+    /// Exit with 65 if the input is doubtful or no agent was forecast
     #[arg(long)]
     strict: bool,
     /// Show no progress
@@ -335,7 +335,7 @@ fn write_record(run: &Run, announce: Option<&Path>) -> Result<PathBuf, Failure> 
     std::fs::write(&origin, run.origin().to_string()).map_err(|error| Failure::file(&origin, error))?;
     let prefix = run.root.join("prefix");
     std::fs::write(&prefix, &run.prefix).map_err(|error| Failure::file(&prefix, error))?;
-    let record = run.root.join("run");
+    let record = run.root.join(ports::RECORD);
     run.write(&record).map_err(Failure::config)?;
     if let Some(announce) = announce {
         let part = announce.with_extension("part");

@@ -34,7 +34,7 @@ pub struct Arguments {
 enum Verb {
     /// Write a cargo project of a stage, or of another program that joins runs
     New(new::Arguments),
-    /// Replace a stage of a run while it goes on, between two ticks
+    /// Replace a stage of a running pipeline between two ticks
     Replace(replace::Arguments),
 }
 

@@ -170,7 +170,7 @@ mod tests {
         assert!(damages.is_empty());
         let text = telling.render(100);
         for part in [
-            "its controls did not come: the decoder was restarted; 1 of 1 forecasts not learned (late)",
+            "its controls did not arrive: the decoder was restarted; 1 of 1 forecasts not learned (late)",
             "recorded: 1 detections, 1 forecasts",
             "the decoder was killed by signal 9, and is started again",
             "late",

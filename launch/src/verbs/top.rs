@@ -19,22 +19,22 @@ const LOOK: Duration = Duration::from_millis(100);
 /// Arguments of `stgdat top`.
 #[derive(Debug, Args)]
 pub struct Arguments {
-    /// Name or folder of the run; not needed where only one goes on
+    /// Name or folder of the run; not needed if only one is running
     #[arg(long, value_name = "RUN")]
     run: Option<PathBuf>,
-    /// Show the run once and end
+    /// Print the state once and exit
     #[arg(long)]
     once: bool,
-    /// Print the status as JSON, one line each time
+    /// Print the state as JSON, one line per update
     #[arg(long)]
     json: bool,
-    /// Seconds between two looks at the run
+    /// Time between updates, in seconds
     #[arg(long, value_name = "SECONDS", default_value = "0.5", value_parser = interval)]
     interval: Duration,
     /// Order of the stages
     #[arg(long, value_enum, default_value = "chain")]
     sort: SortBy,
-    /// Show this stage alone
+    /// Show only this stage
     #[arg(long, value_name = "NAME")]
     stage: Option<String>,
 }

@@ -18,7 +18,7 @@ use crate::recorded;
 pub struct Arguments {
     /// Recording of a run, as `run --record` and `record` write them
     file: PathBuf,
-    /// The trace; by default the recording's name with the ending perfetto-trace
+    /// Trace to write; by default the recording's name with the extension perfetto-trace
     #[arg(short, long, value_name = "FILE")]
     out: Option<PathBuf>,
 }

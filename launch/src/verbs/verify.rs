@@ -10,7 +10,7 @@ use crate::failure::Failure;
 #[derive(Debug, Args)]
 pub struct Arguments {
     /// Folders with golden vectors (scene.json, weights.safetensors and tensors.safetensors, or filters,
-    /// assignment, metrics and unit); of several, those without are skipped
+    /// assignment, metrics and unit). If several are given, folders without vectors are skipped
     #[arg(required = true, value_name = "DIR")]
     folders: Vec<PathBuf>,
 }

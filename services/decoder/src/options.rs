@@ -12,11 +12,11 @@ pub const STAGE: Declaration<Options> =
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Options {
-    /// Threads that share the work of a tick, the stage's own included; if not given as many as there are
-    /// processors that the process may use, at most 4. Forecasts do not depend on it.
+    /// Number of threads for the work of a tick; by default one per available processor, at most 4. Forecasts
+    /// do not depend on it.
     #[schemars(range(min = 1, max = WORKERS_MAX))]
     pub workers: Option<usize>,
-    /// Precision of the recurrent layer, nine tenths of the stage's work. `bf16` needs a processor with AVX-512 BF16
-    /// and gives other forecasts, by what docs/real-time.md tells.
+    /// Precision of the recurrent layer, which is nine tenths of the stage's work. `bf16` needs AVX-512 BF16
+    /// and changes the forecasts as docs/real-time.md shows.
     pub precision: Precision,
 }

@@ -12,8 +12,8 @@ pub const STAGE: Declaration<Options> =
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Options {
-    /// Threads that share the work of a tick, the stage's own included; if not given as many as there are
-    /// processors that the process may use, at most 4. Forecasts do not depend on it.
+    /// Number of threads for the work of a tick; by default one per available processor, at most 4. Forecasts
+    /// do not depend on it.
     #[schemars(range(min = 1, max = WORKERS_MAX))]
     pub workers: Option<usize>,
 }

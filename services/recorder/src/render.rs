@@ -1,18 +1,17 @@
 //! The report as text for a terminal.
 
 mod pace;
+mod quality;
+mod timing;
 
 use std::fmt::{self, Write};
 
-use wire::Cause;
-
 use crate::input::DOUBT;
 use crate::report::{
-    Errors, Outage, Percentiles, RefusedFrames, Replacement, ReplacementOutcome, Report, Shed, SpareReport,
-    StageMemory, StageReport, Status, Supervision, WorstTick,
+    Outage, RefusedFrames, Replacement, ReplacementOutcome, Report, SpareReport, StageMemory, Status,
+    Supervision,
 };
-use crate::text::{bar, count, number, percent, subscript};
-use crate::tick::is_fault;
+use crate::text::count;
 
 /// Smallest and largest width of the report's lines.
 const WIDTHS: std::ops::RangeInclusive<usize> = 80..=120;
@@ -21,8 +20,6 @@ const ALL_PHASES_WIDTH: usize = 96;
 const LABEL_WIDTH: usize = 12;
 /// Largest number of rows of refusals. The JSON contains all.
 const ROWS_MAX: usize = 8;
-/// Number of worst ticks listed for a run without late ticks.
-const SLOWEST_LEN: usize = 3;
 
 impl Report {
     /// The report as plain text for lines of `width` characters, limited to 80 to 120.
@@ -145,127 +142,6 @@ impl Report {
         Ok(())
     }
 
-    fn latency(&self, text: &mut String, width: usize) -> fmt::Result {
-        let p999 = self.end_to_end_ms.p999.is_some();
-        let heading = if p999 { "    p99.9" } else { "" };
-        writeln!(text, "\n {:LABEL_WIDTH$}{:>8}{:>9}{heading}{:>9}", "LATENCY ms", "p50", "p99", "max")?;
-        let row = |text: &mut String, name: &str, times: &Percentiles| {
-            write!(text, " {name:LABEL_WIDTH$}{:>8}{:>9}", number(times.p50), number(times.p99))?;
-            if p999 {
-                write!(text, "{:>9}", number(times.p999))?;
-            }
-            write!(text, "{:>9}", number(times.max))
-        };
-        row(text, "end to end", &self.end_to_end_ms)?;
-        if let (Some(p99), Some(limit_ms)) = (self.end_to_end_ms.p99, self.late_limit_ms) {
-            let share = p99 / limit_ms;
-            let cells = (width - 72).min(24);
-            let limit = trimmed(limit_ms);
-            write!(text, "   {} p99 is {} of {limit} ms", bar(share, cells), percent(Some(share)))?;
-        }
-        writeln!(text)?;
-        row(text, "overhead", &self.overhead_ms)?;
-        writeln!(text, "   end to end less compute")?;
-        let note = if self.run.lockstep == Some(true) { " (lockstep: no deadline)" } else { "" };
-        writeln!(
-            text,
-            " {:LABEL_WIDTH$}{:>8} of {}{note}",
-            "late ticks",
-            count(self.late_ticks),
-            count(self.ticks)
-        )
-    }
-
-    fn stages(&self, text: &mut String, width: usize) -> fmt::Result {
-        if self.stages.is_empty() {
-            return Ok(());
-        }
-        let all = width >= ALL_PHASES_WIDTH;
-        let cells = (if all { width - 86 } else { width - 71 }).min(24);
-        let (max, publish) = if all { ("    max", " publish") } else { ("", "") };
-        writeln!(
-            text,
-            "\n {:LABEL_WIDTH$}    p50    p99{max} budget  {:bars$} waiting wake-up{publish}  over  lost",
-            "COMPUTE ms",
-            "p99 of budget",
-            bars = cells + 7,
-        )?;
-        self.stages.iter().try_for_each(|stage| stage_row(text, stage, all, cells))?;
-        let publish = if all { ", publish" } else { "" };
-        writeln!(
-            text,
-            " {:LABEL_WIDTH$}waiting, wake-up{publish}: ms at p99; over: ticks over budget; lost: frames",
-            ""
-        )
-    }
-
-    fn forecasts(&self, text: &mut String, width: usize) -> fmt::Result {
-        let forecasts = &self.forecasts;
-        let total = forecasts.learned + forecasts.held + forecasts.kinematic;
-        if total == 0 {
-            return Ok(());
-        }
-        let cells = (width - 60).min(24);
-        writeln!(text, "\n {:LABEL_WIDTH$}{:>10}", "FORECASTS", count(total))?;
-        let age = forecasts.age_ms_max.map(|age_ms| format!("at most {} ms old", trimmed(age_ms)));
-        let rows = [
-            ("learned", forecasts.learned, None),
-            ("held", forecasts.held, age),
-            ("kinematic", forecasts.kinematic, None),
-        ];
-        for (name, n, note) in rows {
-            let share = n as f64 / total as f64;
-            let (bar, percent) = (bar(share, cells), percent(Some(share)));
-            let note = note.map_or_else(String::new, |note| format!("  {note}"));
-            writeln!(text, " {name:LABEL_WIDTH$}{:>10}{percent:>9}   {bar}{note}", count(n))?;
-        }
-        let priors = &self.priors;
-        let of_priors = [("learned", priors.learned), ("held", priors.held), ("kinematic", priors.kinematic)];
-        let sum: u64 = of_priors.iter().map(|(_, n)| n).sum();
-        let share =
-            |(name, n): (&str, u64)| format!("{name} {}", percent(Some(n as f64 / sum.max(1) as f64)));
-        fact(text, "prior", &of_priors.map(|prior| (prior.1 > 0).then(|| share(prior))))?;
-        let outside = &self.out_of_distribution;
-        if let (Some(speed_mps), Some(most)) = (outside.speed_mps_max, outside.measure_max) {
-            let share = percent(Some(outside.forecasts as f64 / total as f64));
-            let (at_most, most) = (trimmed(speed_mps), trimmed(most));
-            writeln!(
-                text,
-                " {:LABEL_WIDTH$}{:>10}{share:>9}   never trained: speeds to {at_most} m/s, measure to {most}",
-                "outside",
-                count(outside.forecasts)
-            )?;
-        }
-        if forecasts.shed.forecasts > 0 {
-            let Shed { forecasts: shed, ticks, share, agents_max, age_ms_max } = forecasts.shed;
-            let age = age_ms_max.map_or_else(String::new, |ms| format!(", at most {} ms old", trimmed(ms)));
-            writeln!(
-                text,
-                " {:LABEL_WIDTH$}{:>10}{:>9}   no time: in {} ticks, at most {agents_max} agents{age}",
-                "shed",
-                count(shed),
-                percent(share),
-                count(ticks),
-            )?;
-        }
-        if forecasts.silent > 0 {
-            let silent = count(forecasts.silent);
-            writeln!(
-                text,
-                " {:LABEL_WIDTH$}{silent:>10}   not said: no learned forecast for longer than the policy allows",
-                "silent"
-            )?;
-        }
-        let mut causes: Vec<_> = forecasts.causes.iter().filter(|&(_, &n)| n > 0).collect();
-        causes.sort_by_key(|&(_, &n)| std::cmp::Reverse(n));
-        causes.iter().try_for_each(|&(cause, &n)| {
-            // Only faults count as "not learned", here as in the verdict.
-            let is_excused = Cause::ALL.into_iter().any(|known| known.name() == cause && !is_fault(known));
-            let kind = if is_excused { "kinematic" } else { "not learned" };
-            writeln!(text, " {:LABEL_WIDTH$}{:>10}   {kind}: {}", "", count(n), meaning(cause))
-        })
-    }
-
     fn refusals(&self, text: &mut String) -> fmt::Result {
         if !self.refusals.is_empty() {
             writeln!(text, "\n REFUSED")?;
@@ -353,33 +229,6 @@ impl Report {
     }
 
     /// Late and degraded ticks, and ticks without forecasts. If the run had none, the slowest few.
-    fn worst_ticks(&self, text: &mut String, width: usize) -> fmt::Result {
-        let is_lockstep = self.run.lockstep == Some(true);
-        let is_late = |tick: &WorstTick| {
-            !is_lockstep && tick.end_to_end_ms.zip(self.late_limit_ms).is_some_and(|(ms, limit)| ms > limit)
-        };
-        let is_bad = |tick: &&WorstTick| tick.ticks_lost > 0 || tick.not_learned > 0 || is_late(tick);
-        let bad: Vec<&WorstTick> = self.worst_ticks.iter().filter(is_bad).collect();
-        let (name, rows) = match bad.is_empty() {
-            true => ("SLOWEST", self.worst_ticks.iter().take(SLOWEST_LEN).collect()),
-            false => ("WORST TICKS", bad),
-        };
-        if rows.is_empty() {
-            return Ok(());
-        }
-        writeln!(text, "\n {name:LABEL_WIDTH$}{:>9}{:>9}", "tick", "ms")?;
-        for tick in rows {
-            let mut lines = wrapped(&tick.cause, width - LABEL_WIDTH - 22).into_iter();
-            let first = lines.next().unwrap_or_default();
-            let (number_of, time) = (count(tick.tick), number(tick.end_to_end_ms));
-            writeln!(text, " {:LABEL_WIDTH$}{number_of:>9}{time:>9}   {first}", "")?;
-            for line in lines {
-                writeln!(text, " {:LABEL_WIDTH$}{:>9}{:>9}   {line}", "", "", "")?;
-            }
-        }
-        Ok(())
-    }
-
     fn replacements(&self, text: &mut String) -> fmt::Result {
         if !self.supervision.replacements.is_empty() {
             writeln!(text, "\n {:LABEL_WIDTH$}", "REPLACED")?;
@@ -406,7 +255,7 @@ impl Report {
             };
             let came = match outcome {
                 ReplacementOutcome::Replaced => format!("by {program}{warm}{over}; {}", ticks()),
-                ReplacementOutcome::NotUsed => format!("not by {program}: it {cause}; the old one went on"),
+                ReplacementOutcome::NotUsed => format!("not by {program}: it {cause}; the old one continues"),
                 ReplacementOutcome::RolledBack => {
                     format!("rolled back from {program}: it {cause}; {}", ticks())
                 }
@@ -445,89 +294,6 @@ impl Report {
         };
         writeln!(text, "\n {:LABEL_WIDTH$}{dead}", "READERS")
     }
-
-    fn accuracy(&self, text: &mut String, width: usize) -> fmt::Result {
-        let accuracy = &self.accuracy;
-        let (Some(draws), Some(horizon_s)) = (accuracy.draws, accuracy.horizon_s) else {
-            return match self.ticks {
-                0 => Ok(()),
-                _ => writeln!(text, "\n ACCURACY    unknown: no truth covers the horizon of any forecast"),
-            };
-        };
-        let group = if width >= ALL_PHASES_WIDTH { 22 } else { 18 };
-        let modes = format!("K = {draws} modes");
-        writeln!(
-            text,
-            "\n {:LABEL_WIDTH$}{:>10}{modes:>group$}{:>group$}{:>group$}",
-            "ACCURACY m", "forecasts", "single best", "const. velocity"
-        )?;
-        let column = group / 2;
-        let pair = |ade: &str, fde: &str| format!("{ade:>w$}{fde:>column$}", w = group - column);
-        let k = subscript(draws);
-        let best = pair(&format!("minADE{k}"), &format!("minFDE{k}"));
-        let single = pair("ADE", "FDE");
-        writeln!(text, " {:LABEL_WIDTH$}{:>10}{best}{single}{single}", "", "")?;
-        let row = |text: &mut String, name: &str, errors: &Errors| {
-            write!(text, " {name:LABEL_WIDTH$}{:>10}", count(errors.forecasts))?;
-            let pairs = [
-                (errors.ade_m, errors.fde_m),
-                (errors.single_ade_m, errors.single_fde_m),
-                (errors.cv_ade_m, errors.cv_fde_m),
-            ];
-            for (ade_m, fde_m) in pairs {
-                write!(text, "{:>w$}{:>column$}", number(ade_m), number(fde_m), w = group - column)?;
-            }
-            writeln!(text)
-        };
-        row(text, "all", &accuracy.errors)?;
-        accuracy.by_type.iter().try_for_each(|(name, errors)| row(text, name, errors))?;
-        row(text, "learned", &accuracy.learned)?;
-        let misses =
-            [accuracy.errors.miss_rate, accuracy.errors.single_miss_rate, accuracy.errors.cv_miss_rate];
-        write!(text, " {:LABEL_WIDTH$}{:>10}", "miss rate", format!("> {} m", accuracy.miss_radius_m))?;
-        misses.iter().try_for_each(|&share| write!(text, "{:>group$}", percent(share)))?;
-        writeln!(text)?;
-        if let (Some(half), Some(most)) = (accuracy.errors.held_50, accuracy.errors.held_90) {
-            let held = format!(
-                "of the ends, {} lay in the region of 50 % and {} in that of 90 %",
-                percent(Some(half)).trim(),
-                percent(Some(most)).trim()
-            );
-            fact(text, "regions", &[Some(held)])?;
-        }
-        let uncovered = format!("{} without complete truth", count(accuracy.uncovered));
-        let unmatched = format!("{} without a match", count(accuracy.unmatched));
-        fact(text, "horizon", &[Some(format!("{horizon_s:.1} s"))])?;
-        fact(text, "not scored", &[Some(uncovered), Some(unmatched)])
-    }
-}
-
-fn stage_row(text: &mut String, stage: &StageReport, all: bool, cells: usize) -> fmt::Result {
-    let StageReport { compute_ms, waiting_ms, wake_up_ms, publish_ms, .. } = stage;
-    write!(text, " {:LABEL_WIDTH$}{:>7}{:>7}", stage.name, number(compute_ms.p50), number(compute_ms.p99))?;
-    if all {
-        write!(text, "{:>7}", number(compute_ms.max))?;
-    }
-    let budget = stage.budget_ms.map_or_else(|| "–".to_owned(), trimmed);
-    let filled = stage.budget_share_p99.map_or_else(|| " ".repeat(cells), |share| bar(share, cells));
-    write!(text, "{budget:>7}  {filled}{:>7}", percent(stage.budget_share_p99))?;
-    write!(text, "{:>8}{:>8}", number(waiting_ms.p99), number(wake_up_ms.p99))?;
-    if all {
-        write!(text, "{:>8}", number(publish_ms.p99))?;
-    }
-    write!(text, "{:>6}{:>6}", narrow(stage.late_ticks), narrow(stage.drops.total()))?;
-    if stage.restarts > 0 {
-        write!(text, "  restarted {}×", stage.restarts)?;
-    }
-    if stage.replacements > 0 {
-        write!(text, "  replaced {}×", stage.replacements)?;
-    }
-    writeln!(text)
-}
-
-/// A count below a million in at most five characters.
-fn narrow(n: u64) -> String {
-    if n < 10_000 { count(n) } else { format!("{} k", n / 1_000) }
 }
 
 /// `label  part · part`, without the unknown parts.
@@ -563,25 +329,12 @@ fn why(cause: &str) -> &str {
         "schema" => "of another version",
         "foreign run" => "of another run",
         "old incarnation" => "of a process that had been replaced",
-        "size" => "sizes that can't be",
-        "value" => "numbers that can't be",
+        "size" => "impossible sizes",
+        "value" => "impossible numbers",
         "order" => "stamps or elements out of order",
         "check value" => "header or payload changed on the way",
         "unprotected" => "no check value: see `protect` in docs/integrity.md",
-        "repeated" => "came again, or too late",
-        other => other,
-    }
-}
-
-/// A cause in words.
-fn meaning(cause: &str) -> &str {
-    match cause {
-        "late" => "the controls arrived too late",
-        "rejected" => "the controls were refused",
-        "missing" => "there are no controls for the track",
-        "young" => "the track's history is too short",
-        "outdone" => "constant velocity proved better",
-        "shed" => "the tick had no time for all agents",
+        "repeated" => "repeated, or too late",
         other => other,
     }
 }

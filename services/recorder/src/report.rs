@@ -398,7 +398,7 @@ impl Report {
             None => vec![format!("{ok}, no fallback but of young tracks")],
             share => {
                 let share = percent(share);
-                vec![ok, format!("constant velocity: {} of the forecasts, as it proved better", share.trim())]
+                vec![ok, format!("constant velocity: {} of the forecasts: its error was lower", share.trim())]
             }
         }
     }

@@ -249,24 +249,28 @@ impl Bad {
                 None => format!("{ticks}: lost on the way"),
             }
         } else if self.flags & flags::PREDICTED != 0 {
-            format!("no detections came, its tracks are predicted{}", then(&self.slow(&excesses, usual)))
+            format!("no detections arrived, its tracks are predicted{}", then(&self.slow(&excesses, usual)))
         } else if self.flags & flags::VOID != 0 {
-            "a stage refused it or it came late: it was passed on empty".to_owned()
+            "a stage refused the frame or the frame was late: it was passed on empty".to_owned()
         } else if self.lacks_controls() {
             match self.blame {
                 Some(Blame::Restarted(number)) => {
                     blame(&mut stage, &mut phase, number, "restart");
-                    format!("its controls did not come: the {} was restarted", name(number))
+                    format!("its controls did not arrive: the {} was restarted", name(number))
                 }
                 Some(Blame::Behind(number, late_ns)) => {
                     blame(&mut stage, &mut phase, number, "wake-up");
                     let late = number_of_ms(late_ns);
-                    format!("its controls did not come: the {} took its next frame {late} late", name(number))
+                    format!(
+                        "its controls did not arrive: the {} took its next frame {late} late",
+                        name(number)
+                    )
                 }
                 Some(Blame::Nobody) => {
-                    "its controls came too late or were lost; no stage was behind at the next tick".to_owned()
+                    "its controls arrived too late or were lost; no stage was behind at the next tick"
+                        .to_owned()
                 }
-                None => "its controls did not come, and no later tick tells why".to_owned(),
+                None => "its controls did not arrive, and no later tick shows why".to_owned(),
             }
         } else {
             match self.restarted {

@@ -35,28 +35,27 @@ pub mod names {
 #[derive(Clone, Debug, PartialEq, Args, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Options {
-    /// DDS domain; that of the variable ROS_DOMAIN_ID if not given, or 0
+    /// DDS domain; by default the value of ROS_DOMAIN_ID, or 0
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(0..=i64::from(DOMAIN_MAX)))]
     pub domain: Option<u16>,
-    /// Addresses of the network interfaces to use: the loopback interface alone if not given. Several are
-    /// separated by commas
+    /// Addresses of the network interfaces to use, separated by commas; by default only the loopback
+    /// interface
     #[arg(long, value_name = "ADDRESS", value_delimiter = ',', default_values_t = [LOOPBACK])]
     pub interfaces: Vec<IpAddr>,
     /// Name a topic differently, such as /perception/object_recognition/objects:=/objects
     #[arg(long, value_name = "FROM:=TO")]
     pub remap: Vec<Remap>,
-    /// Frame of the world, which has the positions of tracks and forecasts
+    /// World frame of the positions of tracks and forecasts
     #[arg(long, value_name = "FRAME", default_value = interop::autoware::MAP)]
     pub frame: String,
     /// Maximum number of paths of a predicted object, from 1 to 20
     #[arg(long, value_name = "N", default_value_t = PATHS, value_parser = paths)]
     pub paths: usize,
-    /// Leave out objects whose forecast is older than this, in ms: as it is published, held forecasts
-    /// included
+    /// Leave out objects if their forecasts are older than this, ms. Held forecasts count too
     #[arg(long = "max-age", value_name = "MS", value_parser = age)]
     pub max_age_ms: Option<f64>,
-    /// Whether to publish the ego vehicle's pose on /tf; if not given, it is published if the input is a
-    /// recording or a generated scene, because a vehicle publishes its own
+    /// Whether to publish the ego vehicle's pose on /tf. By default it is published only for recordings and
+    /// generated scenes: a vehicle publishes its own pose
     #[arg(long, value_name = "true|false")]
     pub tf: Option<bool>,
     /// Topics with `DetectedObjects`.

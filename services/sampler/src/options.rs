@@ -22,28 +22,28 @@ pub const STAGE: Declaration<Options> =
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Options {
-    /// Time after its release for which a tick waits for its controls, in milliseconds; at most the interval,
-    /// and without limit in lockstep.
+    /// Time that a tick waits for its controls after its release, ms; at most the interval, and unlimited in
+    /// lockstep.
     #[schemars(range(max = TICK_MS), extend("exclusiveMinimum" = 0.0))]
     pub deadline_ms: f64,
-    /// Greatest age at which the last learned forecast of an agent is published again, moved on to now, while
-    /// it has no new one; in seconds. Then it is forecast by zero control.
+    /// Maximum age of a learned forecast that is republished, shifted to the current time, while an agent has
+    /// no new one, in seconds. After that, zero control forecasts the agent.
     #[schemars(range(min = 0, max = 10))]
     pub held_s: f64,
-    /// Time for which an agent is then forecast by zero control, in seconds; after it, nothing is said of it
-    /// until it has a learned forecast again. Without limit where not given.
+    /// Time for which zero control then forecasts the agent, in seconds. After that, the agent has no
+    /// forecast until it has a learned one again. Unlimited if not given.
     #[schemars(range(min = 0, max = 3600))]
     pub kinematic_s: Option<f64>,
-    /// Whether forecasts are corrected by the retrieval memory: by the residuals that agents before had to
-    /// their forecasts.
+    /// Whether the retrieval memory corrects forecasts, by the residuals of earlier agents in similar
+    /// situations.
     pub retrieval: bool,
-    /// Whether the forecasts that have matured decide how network and kinematic experts are blended, and how
-    /// wide regions are; without, the network's are published as they are.
+    /// Whether matured forecasts determine the blend of network and kinematic experts and the size of
+    /// regions. If false, the network's forecasts are published unchanged.
     pub evidence: bool,
-    /// File of the retrieval memory: read at the start, if it exists (warm start), and written at the end.
+    /// File of the retrieval memory: read at the start if it exists (warm start), and written at the end.
     #[schemars(extend("format" = "path"))]
     pub memory: Option<PathBuf>,
-    /// Lanelet2 map of the site (OSM XML), along whose lanes the forecasts of vehicles go.
+    /// Lanelet2 map of the site (OSM XML). Forecasts of vehicles follow its lanes.
     #[schemars(extend("format" = "path"))]
     pub lanes: Option<PathBuf>,
     /// Origin of the world frame in that map: latitude and longitude in degrees, as in `49.01,8.42`, or a
@@ -51,13 +51,13 @@ pub struct Options {
     /// in the map's own frame: the tags `local_x` and `local_y` of its nodes, or latitude and longitude about
     /// 0,0.
     pub lanes_origin: Option<LanesOrigin>,
-    /// How the covariance of the controls becomes that of the positions, where evidence is not in use.
+    /// How the covariance of the controls is propagated to the positions, if evidence is not in use.
     pub propagation: PropagationKind,
     /// Particles per mode of the Monte Carlo propagation.
     #[schemars(range(min = 1, max = PARTICLES_MAX))]
     pub particles: usize,
-    /// Threads that share the work of a tick, the stage's own included; if not given as many as there are
-    /// processors that the process may use, at most 4. Forecasts do not depend on it.
+    /// Number of threads for the work of a tick; by default one per available processor, at most 4. Forecasts
+    /// do not depend on it.
     #[schemars(range(min = 1, max = WORKERS_MAX))]
     pub workers: Option<usize>,
 }

@@ -16,21 +16,22 @@ pub const STAGE: Declaration<Options> =
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Options {
-    /// File or folder of the recording to play; without one an intersection is generated.
+    /// File or folder of the recording to play; by default the generated scene.
     #[schemars(extend("format" = "path"))]
     pub recording: Option<PathBuf>,
-    /// The recording's format; detected where not given.
+    /// Format of the recording; detected if not given.
     #[serde(deserialize_with = "named", serialize_with = "name")]
     #[schemars(with = "Option<String>", extend("expected" = formats()))]
     pub format: Option<Format>,
-    /// Frames a second that the recording's frame numbers count, for formats whose files do not tell; the
-    /// format's usual rate where not given.
+    /// Frame rate of the recording, Hz, if its files contain frame numbers but no times; by default the
+    /// format's usual rate.
     #[schemars(range(min = FrameRate::MIN_HZ, max = FrameRate::MAX_HZ))]
     pub fps: Option<f64>,
-    /// Agents of the generated intersection; fewer where they have no room.
+    /// Number of agents in the generated scene; fewer if there is no room.
     #[schemars(range(min = 1, max = AGENTS_MAX))]
     pub agents: usize,
-    /// Ticks after which the scene ends; the whole recording, or 20 s of a generated scene, where not given.
+    /// Number of ticks after which the scene ends; by default the whole recording, or 20 s of a generated
+    /// scene.
     #[schemars(range(min = 1))]
     pub ticks: Option<u64>,
 }

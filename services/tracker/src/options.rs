@@ -17,28 +17,28 @@ pub const STAGE: Declaration<Options> =
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Options {
-    /// Whether to associate detections by position even where they carry identities.
+    /// Whether to associate detections by position even if they carry identities.
     pub associate: bool,
-    /// What predicts tracks between two detections: `learned`, earlier forecasts beside the process model;
-    /// `kinematic`, the process model alone.
+    /// Prediction of tracks between detections. `learned`: earlier forecasts and the process model;
+    /// `kinematic`: the process model alone.
     pub prior: Prior,
-    /// How detections correct tracks: `assignment`, each track by one detection; `jpda`, by all within its
-    /// gate, weighted.
+    /// How detections correct tracks. `assignment`: one detection corrects each track; `jpda`: all detections
+    /// within its gate do, weighted.
     pub association: Association,
-    /// Field of view of the sensor, a sector about the ego's heading, for frames that are detected from the
-    /// ego. Tracks outside pay little for a miss. Without limits where not given.
+    /// Field of view of the sensor, a sector about the ego's heading, for detections from the ego. Tracks
+    /// outside lose little if they are missed. Unlimited if not given.
     pub fov: Option<FieldOfView>,
-    /// Frames in a row with the same detections, bit by bit, from which on the source counts as frozen, where
-    /// something moves in them: tracks are then predicted. 0 for never.
+    /// Number of consecutive frames with bit-identical moving detections after which the source counts as
+    /// frozen. Tracks are then predicted without them. 0 turns this off.
     #[schemars(range(max = 1000))]
     pub frozen_frames: u32,
-    /// Highest speed of a vehicle in m/s: nothing faster is measured, tracked or forecast.
+    /// Maximum speed of a vehicle, m/s. No measurement, track or forecast is faster.
     #[schemars(range(max = SPEED_MAX_MPS), extend("exclusiveMinimum" = 0.0))]
     pub vehicle_speed_max_mps: f64,
-    /// Highest speed of a cyclist in m/s.
+    /// Maximum speed of a cyclist, m/s.
     #[schemars(range(max = SPEED_MAX_MPS), extend("exclusiveMinimum" = 0.0))]
     pub cyclist_speed_max_mps: f64,
-    /// Highest speed of a pedestrian in m/s.
+    /// Maximum speed of a pedestrian, m/s.
     #[schemars(range(max = SPEED_MAX_MPS), extend("exclusiveMinimum" = 0.0))]
     pub pedestrian_speed_max_mps: f64,
 }

@@ -5,10 +5,13 @@ use std::process::ExitCode;
 use run::{Exit, Run};
 use rustix::process::{Pid, Signal, getppid, set_parent_process_death_signal};
 
-use crate::{LogFormat, StageError, begin_logging};
+use crate::{LogFormat, StageError, begin_logging, choose_run, living_runs};
 
-/// The environment variable that names the run's record, for stages that get no `--run`.
+/// The environment variable that names the run's record, for programs without `--run`.
 pub const RUN_VARIABLE: &str = "STGDAT_RUN";
+
+/// Name of the record in a run's folder.
+pub const RECORD: &str = "run";
 
 /// The environment variable that holds the launcher's process number.
 pub const LAUNCHER_VARIABLE: &str = "STGDAT_LAUNCHER";
@@ -22,20 +25,20 @@ pub fn incarnation() -> u32 {
     std::env::var(INCARNATION_VARIABLE).ok().and_then(|number| number.parse().ok()).unwrap_or(0)
 }
 
-/// The main function of a stage's own program: `program [--run FILE]`.
+/// The main function of a program that joins a run: `program [--run RUN]`. `RUN` is the name or folder of a run,
+/// or its record. By default it is the value of [`RUN_VARIABLE`], which the launcher sets for stages, or else the
+/// only running pipeline of this user.
 pub fn stage_main(stage: fn(&Run) -> Result<(), StageError>) -> ExitCode {
     begin_logging(LogFormat::of_environment());
     let mut arguments = std::env::args_os().skip(1);
-    let path = match (arguments.next(), arguments.next(), arguments.next()) {
+    let named = match (arguments.next(), arguments.next(), arguments.next()) {
         (None, ..) => std::env::var_os(RUN_VARIABLE).map(PathBuf::from),
-        (Some(flag), Some(path), None) if flag == "--run" => Some(path.into()),
-        _ => None,
+        (Some(flag), Some(run), None) if flag == "--run" => Some(run.into()),
+        _ => return refuse("usage: [--run RUN], the name, folder or record of a run"),
     };
-    let Some(path) = path else {
-        let usage = "`stgdat run` starts the stages and writes the file";
-        // Standard error may have no reader.
-        let _ = writeln!(std::io::stderr(), "usage: --run FILE, or {RUN_VARIABLE}=FILE; {usage}");
-        return Exit::Usage.into();
+    let path = match record_of(named) {
+        Ok(path) => path,
+        Err(text) => return refuse(&text),
     };
     let run = || Run::read(&path).map_err(StageError::config);
     let outcome = die_with_launcher().and_then(|()| stage(&run()?));
@@ -46,6 +49,24 @@ pub fn stage_main(stage: fn(&Run) -> Result<(), StageError>) -> ExitCode {
             error.exit().into()
         }
     }
+}
+
+/// The record of the named run; without a name, of the only running pipeline.
+fn record_of(named: Option<PathBuf>) -> Result<PathBuf, String> {
+    match named {
+        Some(path) if path.is_file() => Ok(path),
+        named => {
+            let runs = living_runs().map_err(|error| error.to_string())?;
+            Ok(choose_run(runs, named.as_deref(), |run| run.name.clone())?.root.join(RECORD))
+        }
+    }
+}
+
+/// Prints why the program can't start.
+fn refuse(text: &str) -> ExitCode {
+    // Standard error may have no reader.
+    let _ = writeln!(std::io::stderr(), "{text}");
+    Exit::Usage.into()
 }
 
 /// Asks the kernel to kill this process when its launcher dies, so that no stage outlives it.

@@ -93,3 +93,23 @@ impl About {
         ]
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The `about` of the first recordings, without any field that was added later.
+    const FIRST: &str = r#"{"schema": 2, "program": "stgdat 0.1.0", "pipeline": "", "weights_sha256": "ae48",
+        "kernels": "AVX-512", "scene": "generated intersection, 32 agents, seed 1",
+        "run": {"id": 7, "prefix": "stgdat_7_", "root": "/tmp/stgdat_7", "interval_ns": 80000000, "lockstep": false,
+            "seed": 1, "protected": ["detections"], "shed": true, "weights": null,
+            "stages": [{"stage": 7, "budget_ms": 8.0, "built_in": true, "options": "deadline_ms = 72\n"}],
+            "spares": []}}"#;
+
+    #[test]
+    fn recordings_of_earlier_versions_lack_only_fields_that_have_defaults() {
+        let about: About = serde_json::from_str(FIRST).unwrap();
+        assert_eq!((about.run.id, about.run.stages[0].stage), (7, 7));
+        assert!(about.run.stages[0].places.is_empty() && about.run.topics.is_empty() && !about.before);
+    }
+}

@@ -40,6 +40,7 @@ pub struct StageRun {
     #[serde(default)]
     pub name: String,
     /// Where each option is set, for errors: file and line, or the argument.
+    #[serde(default)]
     pub places: BTreeMap<String, String>,
     /// Topics that it reads, by their names in shared memory.
     #[serde(default)]

@@ -25,14 +25,14 @@ const PINNED: [&str; 2] = ["Cargo.lock", "rust-toolchain.toml"];
 pub struct Arguments {
     /// Name of the project, and of its folder
     name: String,
-    /// What it begins as
+    /// Template of the project
     #[arg(long, value_enum, default_value = "localiser")]
     of: Template,
-    /// Folder in which the project's own folder is made
+    /// Folder in which to create the project's folder
     #[arg(long, value_name = "DIR", default_value = ".")]
     dir: PathBuf,
-    /// The repository of stgdat, a folder or the address of a git repository; by default the one that this program was
-    /// built from
+    /// Repository of stgdat: a folder, or the URL of a git repository; by default the folder from which this
+    /// program was built
     #[arg(long, value_name = "PATH|URL")]
     repository: Option<String>,
 }
@@ -44,11 +44,11 @@ enum Template {
     Localiser,
     /// A source: a detector's detections out
     Source,
-    /// A stage beside the way: forecasts in, a topic of its own out
+    /// An additional stage: forecasts in, a new topic out
     Monitor,
-    /// A stage in the way: tracks in, tracks out, which the localiser reads
+    /// An inserted stage: tracks in, tracks out; the localiser reads its output
     Filter,
-    /// No stage: a planner, which reads forecasts beside a run
+    /// A consumer, such as a planner, that reads the forecasts of a run
     Consumer,
 }
 
@@ -211,10 +211,10 @@ fn next_steps(of: Template, name: &str, folder: &Path) -> String {
     let run = match of.stage() {
         Some(stage) => format!(
             "  stgdat run --pipeline pipeline.toml\n\
-             or, while a run goes on:\n  stgdat stage replace {stage} --exec target/release/{name}\n"
+             or, while a run is running:\n  stgdat stage replace {stage} --exec target/release/{name}\n"
         ),
         None if of.is_added() => "  stgdat run --pipeline pipeline.toml\n".to_owned(),
-        None => format!("  target/release/{name} --run /tmp/stgdat_*/run    # while a run goes on\n"),
+        None => format!("  target/release/{name}    # while `stgdat run` is running\n"),
     };
     format!("{folder} is written. Next:\n  cd {folder}\n  cargo build --release\n{run}")
 }

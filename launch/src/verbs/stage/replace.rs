@@ -17,13 +17,13 @@ pub struct Arguments {
     /// The stage
     #[arg(value_parser = stages::names())]
     name: String,
-    /// The run's folder or record; by default the only one of this user
+    /// Folder or record of the run; not needed if this user has only one
     #[arg(long, value_name = "PATH")]
     run: Option<PathBuf>,
     /// Set an option of the new process
     #[arg(long, value_name = "OPTION=VALUE")]
     set: Vec<String>,
-    /// The new program with its arguments, to the end of the line; the built-in one if not given
+    /// Program and arguments of the new stage, up to the end of the line; by default the built-in stage
     #[arg(long, value_name = "PROGRAM", num_args = 1.., allow_hyphen_values = true)]
     exec: Vec<String>,
 }
@@ -31,7 +31,7 @@ pub struct Arguments {
 /// Asks the launcher of a run to replace a stage, and prints the outcome.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let living = runs::find(arguments.run.as_deref())?;
-    let run = Run::read(&living.root.join("run")).map_err(Failure::config)?;
+    let run = Run::read(&living.root.join(ports::RECORD)).map_err(Failure::config)?;
     let order =
         Order { stage: arguments.name.clone(), command: command(&arguments.exec)?, options: set(arguments)? };
     let Answer { outcome, text } = control::order(&control::path(&run), &order)?;

@@ -181,7 +181,7 @@ fn constant_velocity_that_proved_better_is_no_fault() {
     let counts = &report.forecasts;
     assert_eq!((report.verdict.status, counts.not_learned, counts.degraded_ticks), (Status::Ok, 0, 0));
     assert_eq!(counts.constant_velocity_share, Some(0.6667));
-    assert_eq!(report.ok_lines()[1], "constant velocity: 67 % of the forecasts, as it proved better");
+    assert_eq!(report.ok_lines()[1], "constant velocity: 67 % of the forecasts: its error was lower");
 
     let late = forecast(Quality::Held, Cause::Late);
     recorder.forecasts(&header(100, 3, &whole_chain(2)), &[outdone, late, late]).unwrap();

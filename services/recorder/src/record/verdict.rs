@@ -33,7 +33,7 @@ pub(super) fn verdict(report: &Report) -> Verdict {
         reasons.push(format!("detections missing: tracks predicted in {ticks} of {all} ticks"));
     }
     if report.forecasts.silent > 0 {
-        reasons.push(format!("nothing said by policy: {} forecasts", report.forecasts.silent));
+        reasons.push(format!("omitted by policy: {} forecasts", report.forecasts.silent));
     }
     if report.files_unwritten > 0 {
         let times = report.files_unwritten;

@@ -74,7 +74,7 @@ impl Report {
             ],
             None => [
                 format!("slow at times when something else ran: {took}"),
-                "stgdat doctor tells what fits; docs/real-time.md frees processors".to_owned(),
+                "stgdat doctor shows what fits; docs/real-time.md shows how to free processors".to_owned(),
             ],
         }
     }

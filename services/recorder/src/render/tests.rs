@@ -98,7 +98,7 @@ fn replacements_are_listed_and_are_no_restarts() {
     let ticks = "ticks: 0 lost, 0 not learned, learned again after 1";
     let lines = [
         format!("by the built-in one, warm after 310 ms, handed over in 9 ms; {ticks}"),
-        "not by ./mine: it ended with exit code 3; the old one went on".to_owned(),
+        "not by ./mine: it ended with exit code 3; the old one continues".to_owned(),
         format!("rolled back from ./mine: it was killed by signal 9; {ticks}"),
     ];
     let expected = lines.map(|line| format!(" encoder     tick 54: {line}"));
@@ -116,11 +116,11 @@ fn the_verdict_states_the_share_of_constant_velocity() {
     let verdict: Vec<&str> = text.lines().skip(1).take(2).map(str::trim_start).collect();
     let expected = [
         "OK          every tick in time, nothing lost",
-        "constant velocity: 80 % of the forecasts, as it proved better",
+        "constant velocity: 80 % of the forecasts: its error was lower",
     ];
     assert_eq!(verdict, expected, "{text}");
     assert!(
-        !text.contains("not learned: ") && text.contains("kinematic: constant velocity proved better"),
+        !text.contains("not learned: ") && text.contains("kinematic: constant velocity had the lower error"),
         "{text}"
     );
 }

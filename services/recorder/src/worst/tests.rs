@@ -98,9 +98,9 @@ fn the_next_whole_tick_tells_why_controls_did_not_come() {
     assert_eq!(
         causes,
         [
-            format!("its controls did not come: the decoder was restarted{tail}"),
-            format!("its controls did not come: the extractor took its next frame 30.0 ms late{tail}"),
-            format!("its controls came too late or were lost; no stage was behind at the next tick{tail}"),
+            format!("its controls did not arrive: the decoder was restarted{tail}"),
+            format!("its controls did not arrive: the extractor took its next frame 30.0 ms late{tail}"),
+            format!("its controls arrived too late or were lost; no stage was behind at the next tick{tail}"),
         ]
     );
 }

@@ -15,9 +15,9 @@ use launch::tables;
 /// Arguments of `stgdat card`.
 #[derive(Debug, Args)]
 pub struct Arguments {
-    /// Weights, a row each if several; by default the embedded ones
+    /// Weights files, one row each; by default the embedded weights
     weights: Vec<PathBuf>,
-    /// Print the whole card as JSON; of several an object by file
+    /// Print the whole card as JSON; for several files, an object by file name
     #[arg(long)]
     json: bool,
     /// Markdown file whose marks `stgdat card` (of several weights `stgdat cards`) get the table

@@ -32,7 +32,7 @@ pub struct Arguments {
     /// Folder with the data sets in their published layout
     #[arg(long, value_name = "DIR", env = "STGDAT_DATA", default_value = "data")]
     data: PathBuf,
-    /// Evaluate the validation part, by which options are chosen, instead of the test part
+    /// Evaluate the validation part, which is for choosing options, instead of the test part
     #[arg(long)]
     validation: bool,
     /// Weights for all recipes
@@ -41,8 +41,8 @@ pub struct Arguments {
     /// Folder with the weights of each recipe; recordings use the embedded weights
     #[arg(long, value_name = "DIR", default_value = "shared/weights", conflicts_with = "weights")]
     weights_dir: PathBuf,
-    /// Folders with other trainings of the same recipes, such as other seeds, whose errors are reported
-    /// beside
+    /// Folders with other trainings of the same recipes, such as other seeds. Their errors are reported
+    /// beside the first
     #[arg(long, value_name = "DIR,…", value_delimiter = ',', conflicts_with = "weights")]
     beside: Vec<PathBuf>,
     /// Map for models that read one; `site` means `none` at held-out sites, the map of their lanes with
@@ -58,17 +58,17 @@ pub struct Arguments {
     /// `driving`: sources [default: all]
     #[arg(long, value_name = "PART,…", value_delimiter = ',')]
     parts: Vec<String>,
-    /// Standard deviations of the measured positions in `tracking`, m; by default those of the protocol
+    /// Standard deviations of the measured positions in `tracking`, m; by default the protocol's values
     #[arg(long, value_name = "M,…", value_delimiter = ',', allow_negative_numbers = true)]
     sigmas: Vec<f64>,
-    /// Evaluate the learned prior of `tracking` with Monte Carlo propagation too, which takes several times
+    /// Also evaluate the learned prior of `tracking` with Monte Carlo propagation, which takes several times
     /// as long
     #[arg(long)]
     particles: bool,
-    /// Publish the network's forecasts in `driving` as they are, whatever earlier ones were worth
+    /// Evaluate the network's forecasts in `driving` without evidence from earlier forecasts
     #[arg(long)]
     without_evidence: bool,
-    /// Write what `driving` shows the experts to be worth on each source, begun without any prior, as priors for
+    /// Write the evidence of `driving` about the experts on each source, without a prior, as a prior for
     /// other roads
     #[arg(long, value_name = "FILE")]
     prior: Option<PathBuf>,
@@ -84,16 +84,16 @@ pub struct Arguments {
     /// Number of threads; figures do not depend on it
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..))]
     threads: Option<u8>,
-    /// Compute the decoder in another precision: decoder.precision=bf16; no other option can be set here
+    /// Set the precision of the decoder: decoder.precision=bf16. No other option can be set here
     #[arg(long, value_name = "STAGE.OPTION=VALUE")]
     set: Vec<Setting>,
-    /// Print all tables of recordings, not only what a run would publish
+    /// Print all tables of recordings, not only the published forecasts
     #[arg(long)]
     all: bool,
-    /// Write every figure as CSV, one per line
+    /// Write all figures as CSV, one per line
     #[arg(long, value_name = "FILE")]
     csv: Option<PathBuf>,
-    /// Write every figure as JSON
+    /// Write all figures as JSON
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
     /// Markdown file whose marks `stgdat evaluate SET` get the main tables

@@ -14,10 +14,10 @@ use launch::say;
 /// Arguments of `stgdat map`.
 #[derive(Debug, Args)]
 pub struct Arguments {
-    /// Recordings of one site in one world frame, without those to be forecast
+    /// Recordings of one site in one world frame, without the recordings to be forecast
     #[arg(required_unless_present = "lanelet2", value_name = "RECORDING")]
     recordings: Vec<PathBuf>,
-    /// Lanelet2 map of the site (OSM XML) in place of recordings
+    /// Lanelet2 map of the site (OSM XML), instead of recordings
     #[arg(long, value_name = "FILE", conflicts_with_all = ["recordings", "format", "fps"])]
     lanelet2: Option<PathBuf>,
     /// World frame's origin in the own frame of recordings or map, in metres, such as 458000,5428000m; in a map also
@@ -27,8 +27,8 @@ pub struct Arguments {
     /// Format of the recordings; detected for each file if not given
     #[arg(long)]
     format: Option<Format>,
-    /// Frames a second that the recordings' frame numbers count, if the files do not contain the rate; as the data set
-    /// was published if not given
+    /// Frame rate of the recordings, Hz, if the files contain frame numbers but no times; by default the
+    /// published rate of the data set
     #[arg(long, value_name = "HZ")]
     fps: Option<FrameRate>,
     /// Map to write, for `--map FILE`

@@ -13,8 +13,8 @@ use launch::say;
 /// Arguments of `stgdat train`.
 #[derive(Debug, Args)]
 pub struct Arguments {
-    /// Recordings of your own, or folders of them: training begins with the embedded weights, resumes by itself, and
-    /// the last fifth (of one recording the last fifth of its time) validates
+    /// Your recordings, or folders with recordings. Training starts from the embedded weights and resumes by
+    /// itself. The last fifth validates: of the files, or of the time if there is one file
     #[arg(value_name = "FILE", conflicts_with_all = ["recipe", "options", "data"])]
     files: Vec<PathBuf>,
     /// Recipe of shipped weights: eth, hotel, univ, zara1, zara2, sdd, interaction, interaction-without-FT,
@@ -29,16 +29,17 @@ pub struct Arguments {
     /// several are applied in order
     #[arg(long, value_name = "OPTION=VALUE")]
     set: Vec<String>,
-    /// Folder with the data sets in their published layout; `data` if neither this nor the options tell
+    /// Folder with the data sets in their published layout; by default the folder in the options, or `data`
     #[arg(long, value_name = "DIR", env = "STGDAT_DATA")]
     data: Option<PathBuf>,
-    /// Options as JSON, such as those of a model card; missing ones take their defaults
+    /// Options as JSON, such as the options of a model card; missing ones have their defaults
     #[arg(long, value_name = "FILE")]
     options: Option<PathBuf>,
-    /// Weights file, written whenever validation improves; RECIPE.safetensors, or weights.safetensors without one
+    /// Weights file, written when validation improves; by default RECIPE.safetensors, or weights.safetensors
+    /// without a recipe
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
-    /// Folder for checkpoints; checkpoints/RECIPE, or checkpoints without one
+    /// Folder for checkpoints; by default checkpoints/RECIPE, or checkpoints without a recipe
     #[arg(long, value_name = "DIR")]
     checkpoints: Option<PathBuf>,
     /// Resume from the newest checkpoint, if there is one
@@ -50,7 +51,7 @@ pub struct Arguments {
     /// Number of updates
     #[arg(long, value_name = "N")]
     steps: Option<u64>,
-    /// Threads that share every batch; figures depend on their number in the last digits
+    /// Number of threads for each batch; the last digits of the figures depend on it
     #[arg(long, value_name = "N")]
     workers: Option<usize>,
     /// Print the options and exit

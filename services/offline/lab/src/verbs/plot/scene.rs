@@ -19,16 +19,17 @@ use crate::published::Published;
 pub struct Arguments {
     #[command(flatten)]
     playback: PlaybackArguments,
-    /// Times to show, in seconds from the first tick, a panel each: the nearest tick. By default the middle
+    /// Times to show, in seconds from the first tick, one panel each with the nearest tick; by default the
+    /// middle
     #[arg(long, value_name = "SECONDS", value_delimiter = ',', conflicts_with = "best_worst")]
     at: Vec<f64>,
-    /// Show the N agents with the smallest and the N with the largest errors, a panel each
+    /// Show the N agents with the smallest and the N agents with the largest errors, one panel each
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=16))]
     best_worst: Option<u16>,
-    /// Agents whose forecasts are shown, by their identities in the recording; by default all
+    /// Show only the forecasts of these agents, by their identities in the recording
     #[arg(long, value_name = "IDS", value_delimiter = ',', conflicts_with = "best_worst")]
     agents: Vec<u64>,
-    /// Output file, .svg or .png; by default named after the recording, .png
+    /// Output file, .svg or .png; by default the recording's name with the extension png
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
     /// Meaning of the mask of the forecast distribution
@@ -43,13 +44,13 @@ pub struct Arguments {
     /// Panels side by side
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=16))]
     columns: Option<u16>,
-    /// Width of the picture in points; a column of a paper has about 252, a page 516
+    /// Width of the picture in points: a paper's column has about 252, a page 516
     #[arg(long, value_name = "PT", default_value_t = SceneOptions::default().width)]
     width: f64,
     /// Height of a panel relative to its width
     #[arg(long, value_name = "RATIO", default_value_t = SceneOptions::default().height_per_width)]
     ratio: f64,
-    /// Least extent of a panel in metres; by default that of the agents' types
+    /// Minimum extent of a panel in metres; by default it depends on the agents' types
     #[arg(long, value_name = "METRES")]
     extent: Option<f64>,
 }
@@ -60,7 +61,7 @@ enum MaskChoice {
     /// The union of every moment's regions
     #[default]
     Moments,
-    /// Where the agent spends a share of the horizon
+    /// The region in which the agent spends a share of the horizon
     Pooled,
     /// The end of the horizon
     End,
