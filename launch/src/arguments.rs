@@ -353,6 +353,7 @@ impl PlaybackArguments {
         let options = self.options()?;
         let sampler = options.read(&sampler::STAGE)?;
         check_memory(&sampler, &weights)?;
+        check_prior(&sampler)?;
         let origin = self.read.origin.unwrap_or_default();
         check_lanes(&sampler, origin)?;
         if self.seed.is_some() && self.recording.is_some() {
@@ -454,6 +455,15 @@ pub fn check_lanes(options: &sampler::Options, origin: WorldOrigin) -> Result<()
     let Some(path) = &options.lanes else { return Ok(()) };
     let coordinates = LanesOrigin::coordinates(options.lanes_origin, origin);
     open_lanes(&absolute(path)?, coordinates).map(|_| ())
+}
+
+/// Checks before a run that the priors of its experts can be read.
+///
+/// # Errors
+/// [`Failure::Data`] names the file.
+pub fn check_prior(options: &sampler::Options) -> Result<(), Failure> {
+    let Some(path) = &options.prior else { return Ok(()) };
+    evidence::Priors::open(&absolute(path)?).map(|_| ()).map_err(Failure::data)
 }
 
 /// The file of the fixed context map that the run's own localiser uses, if any.

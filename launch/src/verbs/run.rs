@@ -18,7 +18,7 @@ use wire::{StageId, WorldOrigin};
 
 use crate::arguments::{
     ModelArguments, RetrievalArguments, SceneArguments, SetArguments, Speed, TrackerArguments, canonical,
-    check_lanes, check_memory, warn_of_doubts,
+    check_lanes, check_memory, check_prior, warn_of_doubts,
 };
 use crate::awake::Awake;
 use crate::child::Line;
@@ -513,6 +513,7 @@ fn info(
         let sampler = options.read(&sampler::STAGE)?;
         info.retrieval = Some(sampler.retrieval);
         info.memory_entries = check_memory(&sampler, weights)?;
+        check_prior(&sampler)?;
         check_lanes(&sampler, origin)?;
         arguments.scene.note_unused_seed(source, &sampler, weights.config());
     }

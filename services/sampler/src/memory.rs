@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use evidence::Evidence;
+use evidence::{Evidence, Priors};
 use lanes::LaneMap;
 use model::ModelConfig;
 use nn::Weights;
@@ -16,7 +16,7 @@ use crate::settings::settings;
 use crate::{LanesOrigin, Options, STAGE, Sampler};
 
 /// A sampler with the options of the run's record: warm-started from the memory file that they name, if it
-/// exists, and with the lanes of their map.
+/// exists, with their priors, and with the lanes of their map.
 ///
 /// # Errors
 /// [`StageError`] if the run's options or one of the files can't be used.
@@ -25,6 +25,9 @@ pub fn open(run: &Run, model: &ModelConfig) -> Result<Sampler, StageError> {
     let workers = options.workers.unwrap_or_else(nn::default_workers);
     let mut sampler =
         Sampler::with_workers(settings(&options, model, run), workers).map_err(StageError::data)?;
+    if let Some(path) = &options.prior {
+        sampler.expect(Priors::open(path).map_err(StageError::data)?.all());
+    }
     if let Some(path) = &options.lanes {
         let map = LaneMap::open(path, LanesOrigin::coordinates(options.lanes_origin, run.origin()));
         sampler.guide_along(&Arc::new(map.map_err(StageError::data)?));

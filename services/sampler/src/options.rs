@@ -43,6 +43,10 @@ pub struct Options {
     /// File of the retrieval memory: read at the start if it exists (warm start), and written at the end.
     #[schemars(extend("format" = "path"))]
     pub memory: Option<PathBuf>,
+    /// File of priors of the experts, which replaces the shipped priors: what earlier recordings of these roads
+    /// show. `stgdat evaluate driving --prior` and `python -m stgdat.fleet priors` write it.
+    #[schemars(extend("format" = "path"))]
+    pub prior: Option<PathBuf>,
     /// Lanelet2 map of the site (OSM XML). Forecasts of vehicles follow its lanes.
     #[schemars(extend("format" = "path"))]
     pub lanes: Option<PathBuf>,
@@ -121,6 +125,7 @@ impl Default for Options {
             retrieval: true,
             evidence: true,
             memory: None,
+            prior: None,
             lanes: None,
             lanes_origin: None,
             propagation,
@@ -142,6 +147,13 @@ impl Options {
                 key: "lanes_origin",
                 reason: "an origin without a map",
                 because: "`lanes` is not set",
+            });
+        }
+        if self.prior.is_some() && !self.evidence {
+            return Err(Conflict {
+                key: "prior",
+                reason: "a prior of experts that are not in use",
+                because: "`evidence` is false",
             });
         }
         match &self.memory {

@@ -1,5 +1,6 @@
 use std::collections::BTreeMap;
-use std::fmt;
+use std::path::{Path, PathBuf};
+use std::{fmt, io};
 
 use crate::{BANDS, KNOTS, Pattern, Statistics, fill_unknown};
 
@@ -52,17 +53,41 @@ pub struct Priors {
 
 /// Priors that can't be read.
 #[derive(Debug)]
-pub struct PriorError(serde_json::Error);
+pub enum PriorError {
+    /// The file can't be read.
+    File {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: io::Error,
+    },
+    /// The text is not one of priors.
+    Text {
+        /// The file; `None` for the shipped priors.
+        path: Option<PathBuf>,
+        /// Line, column and what is wrong there.
+        source: serde_json::Error,
+    },
+}
 
 impl fmt::Display for PriorError {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(formatter, "the priors of the experts can't be read")
+        match self {
+            Self::File { path, source } => write!(formatter, "{}: {source}", path.display()),
+            Self::Text { path, source } => {
+                let path = path.as_deref().unwrap_or(Path::new("priors"));
+                write!(formatter, "{}: no priors of the experts: {source}", path.display())
+            }
+        }
     }
 }
 
 impl std::error::Error for PriorError {
     fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
-        Some(&self.0)
+        match self {
+            Self::File { source, .. } => Some(source),
+            Self::Text { source, .. } => Some(source),
+        }
     }
 }
 
@@ -162,6 +187,24 @@ impl Priors {
         Self::mean(others, self.pattern_without.get(source).unwrap_or(&self.pattern))
     }
 
+    /// The mean of a source's recordings, each with equal weight: what one source of a file of priors holds.
+    /// A context that no recording has evidence for stays empty.
+    #[must_use]
+    pub fn source(recordings: &[Prior]) -> Prior {
+        let mut mean = Prior::default();
+        for (of_type, contexts) in mean.0.iter_mut().enumerate() {
+            for (band, context) in contexts.iter_mut().enumerate() {
+                let of_recordings = recordings.iter().map(|prior| &prior.0[of_type][band]);
+                let known: Vec<&ContextPrior> = of_recordings.filter(|of| of.is_known()).collect();
+                *context = match &known[..] {
+                    [] => ContextPrior { blend: Default::default(), ..ContextPrior::default() },
+                    known => ContextPrior::mean(known),
+                };
+            }
+        }
+        mean
+    }
+
     fn mean<'a>(sources: impl Iterator<Item = &'a Prior>, pattern: &Patterns) -> Prior {
         let sources: Vec<&Prior> = sources.collect();
         let mut mean = Prior::default();
@@ -191,7 +234,18 @@ impl Priors {
     /// # Errors
     /// [`PriorError`] if the text is not valid.
     pub fn from_json(text: &str) -> Result<Self, PriorError> {
-        serde_json::from_str(text).map_err(PriorError)
+        serde_json::from_str(text).map_err(|source| PriorError::Text { path: None, source })
+    }
+
+    /// Reads a file with the text of [`Priors::to_json`].
+    ///
+    /// # Errors
+    /// [`PriorError`] names the file.
+    pub fn open(path: &Path) -> Result<Self, PriorError> {
+        let named = |source| PriorError::File { path: path.to_owned(), source };
+        let text = std::fs::read_to_string(path).map_err(named)?;
+        let wrong = |source| PriorError::Text { path: Some(path.to_owned()), source };
+        serde_json::from_str(&text).map_err(wrong)
     }
 
     /// The priors as text with few digits.
@@ -283,6 +337,32 @@ mod tests {
         priors.pattern_without.insert("b".to_owned(), patterns);
         assert_eq!(priors.without("b").0[0][2].pattern, patterns[0][2]);
         assert_eq!(priors.without("a").0[0][2].pattern, Pattern::default());
+    }
+
+    #[test]
+    fn a_source_is_the_mean_of_its_recordings() {
+        let recording = |width: f32, len: f64| {
+            let blend = [Statistics { len, ..Statistics::default() }; KNOTS];
+            let mut prior = Prior::default();
+            prior.0[0][2] = ContextPrior { blend, log_width: [width; KNOTS], ..ContextPrior::default() };
+            prior
+        };
+        // The last one has no evidence.
+        let source = Priors::source(&[recording(1.0, 1.0), recording(3.0, 1.0), recording(9.0, 0.0)]);
+        assert_eq!(source.0[0][2].log_width, [2.0; KNOTS]);
+        assert!(source.0[0][2].is_known() && !source.0[0][1].is_known() && !source.0[1][2].is_known());
+    }
+
+    #[test]
+    fn a_file_that_holds_no_priors_is_named_with_the_place_in_it() {
+        let path = std::env::temp_dir().join(format!("stgdat_prior_{}.json", std::process::id()));
+        assert!(Priors::open(&path).is_err_and(|why| why.to_string().contains("stgdat_prior_")));
+        std::fs::write(&path, "{\"sources\": {},\n \"pattern\": 7}").unwrap();
+        let why = Priors::open(&path).unwrap_err().to_string();
+        assert!(why.contains("stgdat_prior_") && why.contains("line 2"), "{why}");
+        std::fs::write(&path, Priors::shipped().to_json()).unwrap();
+        assert!(Priors::open(&path).is_ok_and(|priors| priors == Priors::shipped()));
+        std::fs::remove_file(path).unwrap();
     }
 
     #[test]
