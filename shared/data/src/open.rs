@@ -59,6 +59,22 @@ pub fn open_with(path: &Path, options: OpenOptions) -> Result<Recording, ReadErr
     Ok(Recording { name: name(&path.to_string_lossy()), ..recording })
 }
 
+/// The name of a recording in a single file of another reader, and the SHA-256 of the file, as
+/// [`Recording::name`] and [`Recording::sha256`].
+///
+/// # Errors
+/// [`ReadError`] if the file can't be read.
+pub fn identity(path: &Path) -> Result<(String, String), ReadError> {
+    let input = read(path, Role::Rows)?;
+    Ok((name(&path.to_string_lossy()), sha256([&input])))
+}
+
+fn sha256<'a>(inputs: impl IntoIterator<Item = &'a Input>) -> String {
+    let mut hasher = Sha256::new();
+    inputs.into_iter().for_each(|input| hasher.update(&input.bytes));
+    hasher.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
 /// Reads a recording from the content of its files.
 ///
 /// [`Recording::sha256`] is the hash of the files' contents one after the other, in the given order.
@@ -102,14 +118,9 @@ pub fn parse_at(format: Format, inputs: &[Input], fps: Option<FrameRate>) -> Res
         Format::Rosbag => rosbag::parse(inputs),
         Format::Csv => csv::parse(inputs),
     }?;
-    let mut hasher = Sha256::new();
-    for input in inputs {
-        hasher.update(&input.bytes);
-    }
-    let sha256 = hasher.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
     Ok(Recording {
         name: inputs.first().map_or_else(String::new, |input| name(&input.path)),
-        sha256,
+        sha256: sha256(inputs),
         ..recording
     })
 }

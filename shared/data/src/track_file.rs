@@ -222,7 +222,7 @@ fn write_kitti(
 }
 
 /// Nanoseconds, written as seconds with all digits.
-struct Seconds(i64);
+pub(crate) struct Seconds(pub(crate) i64);
 
 impl fmt::Display for Seconds {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
