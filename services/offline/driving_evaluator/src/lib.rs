@@ -16,29 +16,42 @@
 //!
 //! [`against_bag`] compares the forecasts with the ones of another system.
 //!
+//! [`outcomes`] compares every forecast of one recording with the motion, for jobs over many recordings:
+//! [`worst`] ranks its ticks, [`differences`] compares two builds, and [`learn`] and [`priors`] make a prior.
+//!
 //! [`through_gaps`] evaluates how much forecasts help the tracker on the same sources. It returns a
 //! [`GapReport`].
 
 mod against;
 mod cell;
+mod differences;
 mod error;
+mod footprint;
 mod gaps;
 mod gaussian;
+mod learned;
 mod options;
+mod outcomes;
 mod patterns;
 mod play;
 mod region_of_steady;
 mod report;
 mod sample;
 mod source;
+mod worst;
 
 pub use against::{AgainstReport, AgainstRow, against_bag};
+pub use differences::{Difference, DifferenceCounts, count_differences, differences};
 pub use error::DrivingError;
+pub use footprint::Contact;
 pub use gaps::{GapReport, through_gaps};
+pub use learned::{Learned, learn, priors};
 pub use options::Options;
+pub use outcomes::{Outcome, OutcomeErrors, Outcomes, outcomes};
 pub use report::Report;
 pub use sample::{Errors, METHODS, Method, Sample};
 pub use source::{Source, sources};
+pub use worst::{Criterion, WorstTick, worst};
 
 use evaluator::threads;
 use nn::Weights;

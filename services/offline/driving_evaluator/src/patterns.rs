@@ -26,6 +26,15 @@ const STEPS: usize = 30;
 /// Random starts of the descent; the best result counts.
 const STARTS: u64 = 8;
 
+/// What the truth was beside the middle of a forecast's fan.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Residual {
+    pub(crate) agent_type: AgentType,
+    pub(crate) speed_mps: f32,
+    /// Along and across the course, m.
+    pub(crate) residuals_m: Knots,
+}
+
 /// The residuals of one source in units of their deviations, by type.
 pub(crate) struct Residuals([Units; AGENT_TYPES.len()]);
 
@@ -68,17 +77,29 @@ pub(crate) fn patterns(sources: &[&Residuals]) -> Patterns {
 
 impl Residuals {
     /// The residuals of a source's forecasts.
-    pub(crate) fn of(samples: &[Sample]) -> Self {
-        Self(AGENT_TYPES.map(|agent_type| Units::of(samples, agent_type)))
+    pub(crate) fn of(residuals: &[Residual]) -> Self {
+        Self(AGENT_TYPES.map(|agent_type| Units::of(residuals, agent_type)))
+    }
+
+    /// The residuals of a source's samples.
+    pub(crate) fn of_samples(samples: &[Sample]) -> Self {
+        Self::of(&samples.iter().map(Residual::of).collect::<Vec<_>>())
+    }
+}
+
+impl Residual {
+    const fn of(sample: &Sample) -> Self {
+        let Sample { agent_type, speed_mps, residuals_m, .. } = *sample;
+        Self { agent_type, speed_mps, residuals_m }
     }
 }
 
 impl Units {
-    fn of(samples: &[Sample], agent_type: AgentType) -> Self {
+    fn of(residuals: &[Residual], agent_type: AgentType) -> Self {
         let mut metres: [Vec<(Context, Knots)>; BANDS] = Default::default();
-        for sample in samples.iter().filter(|sample| sample.agent_type == agent_type) {
-            let context = Context::new(agent_type, sample.speed_mps);
-            metres[context.nearest()].push((context, sample.residuals_m));
+        for residual in residuals.iter().filter(|residual| residual.agent_type == agent_type) {
+            let context = Context::new(agent_type, residual.speed_mps);
+            metres[context.nearest()].push((context, residual.residuals_m));
         }
         let deviations_m =
             metres.each_ref().map(|of_band| (of_band.len() >= RESIDUALS_MIN).then(|| deviations_m(of_band)));
@@ -234,6 +255,10 @@ fn knots(of: impl Fn(usize, usize) -> f32) -> Knots {
 mod tests {
     use super::*;
 
+    fn residuals(samples: &[Sample]) -> Vec<Residual> {
+        samples.iter().map(Residual::of).collect()
+    }
+
     /// Vehicles at 6 m/s with each of these residuals equally often, `scale` times as large.
     fn source(residuals_m: &[[f32; 2]], scale: f32) -> Vec<Sample> {
         let of = |residual_m: [f32; 2], number: usize| {
@@ -251,7 +276,7 @@ mod tests {
     fn a_pattern_has_what_agents_do_in_units_of_how_far_they_deviate() {
         let sources =
             [1.0, 3.0, 5.0, 0.5, 2.0].map(|scale| source(&[[0.0, 0.0], [4.0, 0.0], [-8.0, 2.0]], scale));
-        let sources = sources.map(|samples| Residuals::of(&samples));
+        let sources = sources.map(|samples| Residuals::of_samples(&samples));
         let patterns = patterns(&sources.each_ref());
         let Pattern { points, probability } = patterns[AgentType::Vehicle.index()][2];
         // Root mean squares at the end for scale 1: 5.3 m along and 1.2 m across.
@@ -272,12 +297,12 @@ mod tests {
     fn a_jump_does_not_make_all_else_small_and_few_residuals_make_no_pattern() {
         let mut samples = source(&[[2.0, 0.0], [-2.0, 0.0]], 1.0);
         samples[0].residuals_m = [[1e4, 1e4]; KNOTS];
-        let Units { deviations_m, residuals } = Units::of(&samples, AgentType::Vehicle);
+        let Units { deviations_m, residuals: units } = Units::of(&residuals(&samples), AgentType::Vehicle);
         let along_m = deviations_m[2].expect("enough")[3][0];
         assert!((1.9..3.0).contains(&along_m), "{along_m}");
-        assert!(residuals[2].as_flattened().as_flattened().iter().all(|unit| unit.abs() <= OUTLIER));
-        assert!(deviations_m[1].is_none() && residuals[1].is_empty());
+        assert!(units[2].as_flattened().as_flattened().iter().all(|unit| unit.abs() <= OUTLIER));
+        assert!(deviations_m[1].is_none() && units[1].is_empty());
         samples.truncate(RESIDUALS_MIN - 1);
-        assert!(Units::of(&samples, AgentType::Vehicle).deviations_m[2].is_none());
+        assert!(Units::of(&residuals(&samples), AgentType::Vehicle).deviations_m[2].is_none());
     }
 }

@@ -25,7 +25,7 @@ const EVERY_NS: i64 = 400_000_000;
 /// Time over which the kinematic baselines measure turn rate and acceleration.
 const RATES_NS: i64 = 800_000_000;
 /// Minimum number of forecasts that a context needs to enter a prior.
-const LEARNED_MIN: f64 = 30.0;
+pub(crate) const LEARNED_MIN: f64 = 30.0;
 
 /// A source's matured forecasts, and the sampler's evidence after it.
 pub(crate) struct Played {

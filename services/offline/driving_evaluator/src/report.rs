@@ -322,8 +322,9 @@ impl Report {
             .filter_map(|(source, played)| Some((source.name.clone(), played.learned.clone()?)));
         let folders: BTreeSet<String> = self.sources.iter().map(|(source, _)| source.folder_name()).collect();
         let left_out: Vec<Option<String>> = folders.into_iter().map(Some).chain([None]).collect();
-        let residuals =
-            threads::each(&self.sources, threads, |(_, played), _: &mut ()| Residuals::of(&played.samples));
+        let residuals = threads::each(&self.sources, threads, |(_, played), _: &mut ()| {
+            Residuals::of_samples(&played.samples)
+        });
         let patterns = threads::each(&left_out, threads, |left_out, _: &mut ()| {
             let all = self.sources.iter().zip(&residuals);
             let others = all.filter(|((source, _), _)| Some(source.folder_name()) != *left_out);

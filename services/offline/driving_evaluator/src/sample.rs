@@ -235,7 +235,7 @@ fn at_step(forecast: &Forecast, step: usize) -> ([[f32; 2]; MODES_MAX], [[f32; 3
 }
 
 /// Negative log density of a mixture. The variance of each mode is at least (1 cm)².
-fn nll(means: &[[f32; 2]], covariances: &[[f32; 3]], probability: &[f32], truth: [f32; 2]) -> f64 {
+pub(crate) fn nll(means: &[[f32; 2]], covariances: &[[f32; 3]], probability: &[f32], truth: [f32; 2]) -> f64 {
     let parts = means.iter().zip(covariances).zip(probability).map(|((mean, covariance), p)| {
         let gaussian = Gaussian::new(mean.map(f64::from), covariance.map(f64::from));
         let spread = 0.5 * gaussian.determinant().ln() + std::f64::consts::TAU.ln();

@@ -1,7 +1,7 @@
 use std::fmt::Write as _;
 use std::path::Path;
 
-use driving_evaluator::{DrivingError, Options, evaluate, sources};
+use driving_evaluator::{DrivingError, Learned, Options, evaluate, learn, outcomes, priors, sources};
 use evidence::Prior;
 use scene::AgentType;
 
@@ -98,4 +98,49 @@ fn fast_sources_are_also_shown_at_twice_their_scale() {
     let names: Vec<(String, f32)> =
         sources(folder.path(), &[]).unwrap().into_iter().map(|source| (source.name, source.scale)).collect();
     assert_eq!(names, [("mona".to_owned(), 1.0), ("mona ×2".to_owned(), 2.0)]);
+}
+
+/// The run of a recording with default options.
+fn run() -> run::Run {
+    run::Run { lockstep: true, ..run::Run::default() }
+}
+
+#[test]
+fn outcomes_have_a_row_per_agent_and_tick_with_the_errors_that_the_recording_shows() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.csv");
+    steady(&path, 4);
+    let weights = nn::Weights::onboard();
+    let play = || outcomes(data::open(&path, None).unwrap(), &run(), weights.config(), None).unwrap().0.rows;
+    let rows = play();
+    assert!((1_100..=1_200).contains(&rows.len()), "{} rows of 4 agents in 300 ticks", rows.len());
+    assert!(rows == play(), "the same bytes twice");
+    let horizon_ns = (weights.config().horizon_len as u64 * weights.config().step_ns()).cast_signed();
+    let end_ns = 29_900_000_000;
+    for row in &rows {
+        assert_eq!(row.errors.is_some(), row.stamp_ns + horizon_ns <= end_ns, "{row:?}");
+        assert!(row.contact.is_none(), "each vehicle has its own lane: {row:?}");
+    }
+    let matured: Vec<_> = rows.iter().filter_map(|row| row.errors).collect();
+    let mean_m = matured.iter().map(|errors| errors.steady.ade_m).sum::<f64>() / matured.len() as f64;
+    assert!(mean_m < 0.1, "{mean_m}");
+}
+
+#[test]
+fn learned_evidence_merges_to_priors_that_a_sampler_takes() {
+    let folder = tempfile::tempdir().unwrap();
+    let weights = nn::Weights::onboard();
+    let learned = |agents: u64| {
+        let path = folder.path().join(format!("{agents}.csv"));
+        steady(&path, agents);
+        learn(data::open(&path, None).unwrap(), &run(), weights.config()).unwrap()
+    };
+    let recordings = [learned(5), learned(6)];
+    let texts = recordings.each_ref().map(|of| serde_json::to_string(of).unwrap());
+    let again: Vec<Learned> = texts.iter().map(|text| serde_json::from_str(text).unwrap()).collect();
+    let merged = priors(&[("road".to_owned(), recordings.to_vec())].into());
+    assert_eq!(priors(&[("road".to_owned(), again)].into()).to_json(), merged.to_json());
+    assert!(merged.sources.keys().eq(["road"]));
+    assert!(merged.all() != Prior::default(), "vehicles at 9 to 14 m/s were seen");
+    assert!(evidence::Priors::from_json(&merged.to_json()).is_ok());
 }
