@@ -25,6 +25,7 @@ rm -rf "$dir/wheels" "$dir/empty"
 (cd "$root" && cargo build --quiet --release --locked --package stgdat --package stgdat-lab)
 install empty "$(ls "$dir"/wheels/*.whl)"
 extra=yes
+install empty fsspec pyarrow || printf 'skipped: fsspec or pyarrow is not available\n'
 install empty pandas pyarrow matplotlib nbconvert ipykernel || extra=no
 
 program=$(cd "$root" && cargo metadata --format-version 1 --no-deps | "$python" -c \
@@ -37,6 +38,7 @@ alone() { (cd "$dir" && env -i HOME="$dir" PATH="$dir/empty/bin:/usr/bin:/bin" S
 install tools "$(ls "$dir"/wheels/*.whl)"
 (cd "$dir" && "$dir/tools/bin/python" -m mypy.stubtest --ignore-disjoint-bases stgdat._stgdat)
 alone python "$here/tests/test_stgdat.py"
+alone python "$here/tests/test_fleet.py"
 alone python "$here/examples/stream.py" >"$dir/stream.txt"
 printf 'wheel: %s bytes\n' "$(wc -c <"$(ls "$dir"/wheels/*.whl)")"
 if [ "$extra" = no ]; then skip 'the notebook needs matplotlib, nbconvert and ipykernel'; fi

@@ -9,6 +9,7 @@
 mod block;
 mod error;
 mod evaluate;
+mod fleet;
 mod frame;
 mod layout;
 mod live;
@@ -26,6 +27,8 @@ mod _stgdat {
     use crate::error::InputError;
     #[pymodule_export]
     use crate::evaluate::evaluate;
+    #[pymodule_export]
+    use crate::fleet::{cut, differences, inspect, is_record, learn, outcomes, priors, worst};
     #[pymodule_export]
     use crate::frame::{Frame, detections};
     #[pymodule_export]

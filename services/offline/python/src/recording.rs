@@ -1,13 +1,15 @@
 //! Recordings.
 
+use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use clap::Parser;
 use launch::arguments::{PlaybackArguments, Prepared};
 use launch::failure::Failure;
 use pyo3::prelude::*;
+use recording::{Message, ReadError};
 use source::PlaybackOptions;
-use wire::{Detection, DetectionsTopic, WorldOrigin};
+use wire::{Detection, DetectionsTopic, Topic as _, WorldOrigin, flags};
 
 use crate::block::{Block, Owner};
 use crate::error;
@@ -31,6 +33,63 @@ pub fn prepare(arguments: Vec<String>) -> PyResult<Prepared> {
     line.playback.prepare().map_err(|failure| error::of_failure(&failure))
 }
 
+/// The record of a run that the arguments name; `None` for any other recording.
+pub fn record_of(prepared: &Prepared) -> PyResult<Option<recording::Recording>> {
+    let Some(path) = &prepared.source.recording else { return Ok(None) };
+    match recording::Recording::open(path) {
+        Ok(record) => Ok(Some(record)),
+        Err(ReadError::Foreign { .. } | ReadError::NotOurs { .. }) => Ok(None),
+        Err(why) => Err(error::of(&why)),
+    }
+}
+
+/// Reads the recording that the arguments name, or the detections of a record.
+pub fn load(prepared: &Prepared) -> PyResult<data::Recording> {
+    if let Some(record) = record_of(prepared)? {
+        return detections_of(&record);
+    }
+    let Prepared { source, run, .. } = prepared;
+    source::recording(source, run.origin(), run.seed).map_err(|why| error::of_failure(&Failure::from(why)))
+}
+
+/// The detections of a record, as the sensor sent them.
+fn detections_of(record: &recording::Recording) -> PyResult<data::Recording> {
+    let (name, sha256) = data::identity(record.path()).map_err(|why| error::of(&why))?;
+    let mut frames: BTreeMap<i64, data::Frame> = BTreeMap::new();
+    let mut has_identities = true;
+    for message in record.messages() {
+        let Ok(Message::Frame(frame)) = message else { continue };
+        let header = frame.header();
+        if frame.topic().name != DetectionsTopic::NAME || !header.is_tick() {
+            continue;
+        }
+        has_identities &= header.has(flags::HAS_IDENTITIES);
+        let ego = data::Ego {
+            position_m: header.ego_m,
+            heading_rad: header.ego_heading_rad,
+            is_sensor: header.has(flags::SEEN_FROM_EGO),
+        };
+        let detections = frame.elements::<DetectionsTopic>().map_err(|why| error::of(&why))?;
+        let observed_types = header.observed_types;
+        let sweep =
+            data::Frame { stamp_ns: header.stamp_ns, observed_types, ego, detections, ..Default::default() };
+        frames.insert(header.stamp_ns, sweep);
+    }
+    if frames.is_empty() {
+        let path = record.path().display();
+        return Err(error::InputError::new_err(format!("{path}: no detections were recorded")));
+    }
+    Ok(data::Recording {
+        name,
+        sha256,
+        interval_ns: record.about().run.interval_ns,
+        has_identities,
+        frames: frames.into_values().collect(),
+        own_stamps: true,
+        ..data::Recording::default()
+    })
+}
+
 /// A recording: frames of detections in time order.
 #[pyclass(frozen, module = "stgdat._stgdat")]
 pub struct Recording {
@@ -46,9 +105,9 @@ pub struct Recording {
 #[pyfunction]
 pub fn open(py: Python<'_>, arguments: Vec<String>) -> PyResult<Recording> {
     py.detach(|| {
-        let Prepared { source, run, .. } = prepare(arguments)?;
-        let recording = source::recording(&source, run.origin(), run.seed)
-            .map_err(|why| error::of_failure(&Failure::from(why)))?;
+        let prepared = prepare(arguments)?;
+        let recording = load(&prepared)?;
+        let Prepared { source, run, .. } = prepared;
         let frames = || recording.frames.iter();
         let mut end = 0;
         let ends = frames().map(|frame| {

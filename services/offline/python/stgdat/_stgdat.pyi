@@ -16,12 +16,20 @@ __all__ = [
     "Tracker",
     "__version__",
     "constants",
+    "cut",
     "detections",
+    "differences",
     "evaluate",
+    "inspect",
+    "is_record",
     "layout",
+    "learn",
     "living_run",
     "numbers",
     "open",
+    "outcomes",
+    "priors",
+    "worst",
 ]
 __version__: str
 
@@ -137,3 +145,11 @@ def evaluate(
     positions: bool,
     threads: Optional[int],
 ) -> Tuple[str, str, str, List[str]]: ...
+def inspect(arguments: List[str]) -> str: ...
+def outcomes(arguments: List[str]) -> Dict[str, List[Any]]: ...
+def differences(before: List[str], after: List[str]) -> Tuple[str, Dict[str, List[Any]]]: ...
+def learn(arguments: List[str]) -> str: ...
+def priors(learned: List[Tuple[str, str]]) -> str: ...
+def worst(arguments: List[str], count: int, apart_s: float) -> str: ...
+def cut(arguments: List[str], from_ns: int, to_ns: int, file: str) -> int: ...
+def is_record(arguments: List[str]) -> bool: ...

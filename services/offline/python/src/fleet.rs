@@ -1,0 +1,214 @@
+//! What jobs over many recordings compute of one: `stgdat.fleet` distributes the calls and merges the results.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::BufWriter;
+use std::path::PathBuf;
+
+use driving_evaluator::{Learned, Outcome, OutcomeErrors, Outcomes, count_differences, differences as pairs};
+use launch::arguments::Prepared;
+use launch::failure::Failure;
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use recording::Message;
+use serde_json::json;
+use wire::{Cause, ForecastsTopic, Quality, Topic};
+
+use crate::error;
+use crate::recording::{load, prepare, record_of};
+
+/// Columns of a table, by name.
+type Columns<'py> = PyResult<Bound<'py, PyDict>>;
+
+/// The recording of these arguments, and the run that plays it.
+fn prepared(arguments: Vec<String>) -> PyResult<(Prepared, data::Recording)> {
+    let prepared = prepare(arguments)?;
+    let recording = load(&prepared)?;
+    Ok((prepared, recording))
+}
+
+fn failed(why: driving_evaluator::DrivingError) -> PyErr {
+    error::of_failure(&Failure::data(why))
+}
+
+/// The outcomes of a recording with these arguments.
+fn played(arguments: Vec<String>) -> PyResult<Outcomes> {
+    let (Prepared { run, model, .. }, recording) = prepared(arguments)?;
+    driving_evaluator::outcomes(recording, &run, &model, None).map(|(outcomes, _)| outcomes).map_err(failed)
+}
+
+/// Examines a recording, as `stgdat inspect --json` does. Returns JSON.
+#[pyfunction]
+pub fn inspect(py: Python<'_>, arguments: Vec<String>) -> PyResult<String> {
+    py.detach(|| {
+        let (_, recording) = prepared(arguments)?;
+        serde_json::to_string(&data::inspect(&recording)).map_err(|why| error::of(&why))
+    })
+}
+
+/// Every forecast of a recording beside what its agent then did: columns with a row for each agent and tick.
+#[pyfunction]
+pub fn outcomes(py: Python<'_>, arguments: Vec<String>) -> Columns<'_> {
+    let rows = py.detach(|| played(arguments))?.rows;
+    let columns = PyDict::new(py);
+    let set = |name: &str, of: &dyn Fn(&Outcome) -> Option<f64>| {
+        columns.set_item(name, rows.iter().map(of).collect::<Vec<Option<f64>>>())
+    };
+    let error = |of: &Outcome, value: fn(&OutcomeErrors) -> f64| of.errors.as_ref().map(value);
+    set("x_m", &|of| Some(f64::from(of.position_m[0])))?;
+    set("y_m", &|of| Some(f64::from(of.position_m[1])))?;
+    set("speed_mps", &|of| Some(f64::from(of.speed_mps)))?;
+    set("ade_m", &|of| error(of, |errors| errors.best.ade_m))?;
+    set("fde_m", &|of| error(of, |errors| errors.best.fde_m))?;
+    set("min_ade_m", &|of| error(of, |errors| errors.best_of.ade_m))?;
+    set("min_fde_m", &|of| error(of, |errors| errors.best_of.fde_m))?;
+    set("constant_velocity_ade_m", &|of| error(of, |errors| errors.steady.ade_m))?;
+    set("constant_velocity_fde_m", &|of| error(of, |errors| errors.steady.fde_m))?;
+    set("nll", &|of| error(of, |errors| errors.nll))?;
+    set("contact_s", &|of| of.contact.map(|contact| f64::from(contact.after_s)))?;
+    set("contact_mps2", &|of| of.contact.map(|contact| f64::from(contact.deceleration_mps2)))?;
+    let name = |known: Option<&'static str>| known.unwrap_or("unknown");
+    columns.set_item("seq", rows.iter().map(|of| of.seq).collect::<Vec<_>>())?;
+    columns.set_item("stamp_ns", rows.iter().map(|of| of.stamp_ns).collect::<Vec<_>>())?;
+    columns.set_item("track", rows.iter().map(|of| of.track).collect::<Vec<_>>())?;
+    columns.set_item("agent", rows.iter().map(|of| of.agent).collect::<Vec<_>>())?;
+    columns.set_item("type", rows.iter().map(|of| of.agent_type.name()).collect::<Vec<_>>())?;
+    let quality = |of: &Outcome| name(Quality::ALL.get(of.quality as usize).map(|of| of.name()));
+    let cause = |of: &Outcome| {
+        name(Cause::ALL.iter().find(|cause| **cause as u32 == of.cause).map(|cause| cause.name()))
+    };
+    columns.set_item("quality", rows.iter().map(quality).collect::<Vec<_>>())?;
+    columns.set_item("cause", rows.iter().map(cause).collect::<Vec<_>>())?;
+    let with = rows.iter().map(|of| of.contact.map(|contact| contact.with));
+    columns.set_item("contact_with", with.collect::<Vec<_>>())?;
+    Ok(columns)
+}
+
+/// The forecasts of a recording by `before` and `after`, which are arguments of `stgdat predict`: counts by type of
+/// agent as JSON, and columns with a row for each agent and tick that both have. For a record of a run, the recorded
+/// forecasts stand for `before`.
+#[pyfunction]
+pub fn differences(
+    py: Python<'_>,
+    before: Vec<String>,
+    after: Vec<String>,
+) -> PyResult<(String, Bound<'_, PyDict>)> {
+    let (found, [only_before, only_after]) = py.detach(|| {
+        let prepared = prepare(before.clone())?;
+        let before = match record_of(&prepared)? {
+            None => played(before)?,
+            Some(record) => recorded(&record, &load(&prepared)?)?,
+        };
+        Ok::<_, PyErr>(pairs(&before.rows, &played(after)?.rows))
+    })?;
+    let counts = json!({
+        "types": count_differences(&found),
+        "only_before": only_before,
+        "only_after": only_after,
+    });
+    let columns = PyDict::new(py);
+    columns.set_item("stamp_ns", found.iter().map(|of| of.stamp_ns).collect::<Vec<_>>())?;
+    columns.set_item("agent", found.iter().map(|of| of.agent).collect::<Vec<_>>())?;
+    columns.set_item("type", found.iter().map(|of| of.agent_type.name()).collect::<Vec<_>>())?;
+    columns.set_item("apart_m", found.iter().map(|of| of.apart_m).collect::<Vec<_>>())?;
+    for (side, name) in ["before", "after"].into_iter().enumerate() {
+        let ade_m: Vec<_> = found.iter().map(|of| of.errors.map(|errors| errors[side].ade_m)).collect();
+        let fde_m: Vec<_> = found.iter().map(|of| of.errors.map(|errors| errors[side].fde_m)).collect();
+        columns.set_item(format!("{name}_ade_m"), ade_m)?;
+        columns.set_item(format!("{name}_fde_m"), fde_m)?;
+    }
+    Ok((counts.to_string(), columns))
+}
+
+/// The forecasts of a record beside its detections.
+fn recorded(record: &recording::Recording, detections: &data::Recording) -> PyResult<Outcomes> {
+    let mut outcomes = Outcomes::of(detections);
+    if !record.has_topic(ForecastsTopic::NAME) {
+        let path = record.path().display();
+        return Err(error::InputError::new_err(format!("{path}: the forecasts were not recorded")));
+    }
+    for message in record.messages() {
+        let Ok(Message::Frame(frame)) = message else { continue };
+        if frame.topic().name == ForecastsTopic::NAME && frame.header().is_tick() {
+            let forecasts = frame.elements::<ForecastsTopic>().map_err(|why| error::of(&why))?;
+            outcomes.add(frame.header(), &forecasts);
+        }
+    }
+    Ok(outcomes)
+}
+
+/// What a recording shows the experts to be worth. Returns JSON, which [`priors`] merges.
+#[pyfunction]
+pub fn learn(py: Python<'_>, arguments: Vec<String>) -> PyResult<String> {
+    py.detach(|| {
+        let (Prepared { run, model, .. }, recording) = prepared(arguments)?;
+        let learned = driving_evaluator::learn(recording, &run, &model).map_err(failed)?;
+        serde_json::to_string(&learned).map_err(|why| error::of(&why))
+    })
+}
+
+/// The file for `--set sampler.prior=FILE`, from the results of [`learn`] with the names of their sources.
+#[pyfunction]
+pub fn priors(py: Python<'_>, learned: Vec<(String, String)>) -> PyResult<String> {
+    py.detach(|| {
+        let mut sources: BTreeMap<String, Vec<Learned>> = BTreeMap::new();
+        for (source, text) in learned {
+            let of_recording = serde_json::from_str(&text).map_err(|why| error::of(&why))?;
+            sources.entry(source).or_default().push(of_recording);
+        }
+        Ok(driving_evaluator::priors(&sources).to_json())
+    })
+}
+
+/// The `count` worst ticks of a recording by each criterion, at least `apart_s` apart. Returns JSON.
+#[pyfunction]
+pub fn worst(py: Python<'_>, arguments: Vec<String>, count: usize, apart_s: f64) -> PyResult<String> {
+    py.detach(|| {
+        let outcomes = played(arguments)?;
+        let apart_ns = (apart_s * 1e9) as u64;
+        let ticks = driving_evaluator::worst(&outcomes.rows, count, apart_ns).into_iter().map(|tick| {
+            json!({
+                "criterion": tick.criterion.name(),
+                "value": tick.value,
+                "seq": tick.seq,
+                "stamp_ns": tick.stamp_ns,
+                "agent": tick.agent,
+                "other": tick.other,
+                "position_m": tick.position_m,
+            })
+        });
+        Ok(json!(ticks.collect::<Vec<_>>()).to_string())
+    })
+}
+
+/// Writes the frames of a recording from `from_ns` up to `to_ns` as CSV, and returns their number.
+#[pyfunction]
+pub fn cut(
+    py: Python<'_>,
+    arguments: Vec<String>,
+    from_ns: i64,
+    to_ns: i64,
+    file: PathBuf,
+) -> PyResult<usize> {
+    py.detach(|| {
+        let (_, recording) = prepared(arguments)?;
+        let inside = |frame: &&data::Frame| (from_ns..=to_ns).contains(&frame.stamp_ns);
+        let frames: Vec<data::Frame> = recording.frames.iter().filter(inside).cloned().collect();
+        if frames.is_empty() {
+            return Err(PyValueError::new_err(format!(
+                "{}: no frame from {from_ns} to {to_ns} ns",
+                recording.name
+            )));
+        }
+        let mut output = BufWriter::new(File::create(file)?);
+        data::write_frames(&mut output, &frames)?;
+        Ok(frames.len())
+    })
+}
+
+/// Whether the recording of these arguments is a record of a run.
+#[pyfunction]
+pub fn is_record(py: Python<'_>, arguments: Vec<String>) -> PyResult<bool> {
+    py.detach(|| Ok(record_of(&prepare(arguments)?)?.is_some()))
+}

@@ -1,0 +1,132 @@
+"""Another build or other weights over the same recordings: where forecasts differ, and which got better."""
+
+from __future__ import annotations
+
+import json
+from typing import Any, Dict, Iterator, List, Optional, Tuple
+
+from ... import _stgdat
+from .. import inputs
+from ..inputs import Input
+from ..store import Result, Store
+from . import Job, Options, Report, failures, table, write_rows
+
+_COUNTS = ("forecasts", "different", "matured", "better", "worse")
+_SUMS = ("before_m", "after_m")
+_LISTED = 10
+
+
+class Replay(Job):
+    """Compares forecasts of the options with those that a record holds.
+
+    A record of a run holds the forecasts of the build that made it. For any other recording this build forecasts
+    twice: with the weights `before` and default settings, and with the options.
+    """
+
+    name = "replay"
+    columns = {
+        "forecasts": "int64",
+        "different": "int64",
+        "farthest_m": "float64",
+        "matured": "int64",
+        "better": "int64",
+        "worse": "int64",
+        "before_ade_m": "float64",
+        "after_ade_m": "float64",
+        "before_fde_m": "float64",
+        "after_fde_m": "float64",
+        "only_before": "int64",
+        "only_after": "int64",
+    }
+
+    def __init__(self, options: Options, before: Optional[str] = None) -> None:
+        super().__init__(options)
+        self.before = before
+
+    def identity(self) -> Dict[str, Any]:
+        before = None if self.before is None else inputs.digest(self.before)
+        return {**super().identity(), "before": before}
+
+    def work(self, recording: Input, path: str, key: str, store: Store) -> Result:
+        of = self.options
+        earlier = Options(self.before, format=of.format, fps=of.fps, origin=of.origin)
+        text, columns = _stgdat.differences(earlier.arguments(path), of.arguments(path))
+        if of.rows:
+            write_rows(recording, columns, key, store)
+        state = json.loads(text)
+        return {"row": _row(state), "state": state}
+
+    def merge(self, results: Iterator[Result]) -> Report:
+        types: Dict[str, Dict[str, Any]] = {}
+        failed: List[Tuple[str, str]] = []
+        rows: List[Tuple[str, Dict[str, Any]]] = []
+        count = only_before = only_after = 0
+        for result in results:
+            if result["error"] is not None:
+                failed.append((result["name"], result["error"]))
+                continue
+            count += 1
+            state = result["state"]
+            only_before += state["only_before"]
+            only_after += state["only_after"]
+            for name, counts in state["types"].items():
+                types[name] = counts if name not in types else _sum(types[name], counts)
+            rows.append((result["name"], result["row"]))
+            # The recordings that changed most are enough.
+            rows.sort(key=lambda item: (-item[1]["farthest_m"], item[0]))
+            del rows[_LISTED:]
+        text = f"# Forecasts of {count} recordings, before and after\n\n"
+        if only_before or only_after:
+            text += f"{only_before} forecasts exist only before, and {only_after} only after.\n\n"
+        head = ["agents", "forecasts", "different", "farthest, m", "matured", "better", "worse", "ADE / FDE before, m"]
+        body = [_line(name, counts) for name, counts in types.items() if counts["forecasts"]]
+        text += table("By type", head + ["after, m"], body) + "\n"
+        listed = [
+            [name, str(row["different"]), f"{row['farthest_m']:.2f}", str(row["better"]), str(row["worse"])]
+            for name, row in rows
+            if row["different"]
+        ]
+        if listed:
+            text += table(
+                "Recordings that changed most", ["recording", "different", "farthest, m", "better", "worse"], listed
+            )
+        figures = {"recordings": count, "types": types, "only_before": only_before, "only_after": only_after}
+        return Report(text + failures(failed), figures)
+
+
+def _sum(a: Dict[str, Any], b: Dict[str, Any]) -> Dict[str, Any]:
+    counts = {name: a[name] + b[name] for name in _COUNTS}
+    sums = {name: [x + y for x, y in zip(a[name], b[name])] for name in _SUMS}
+    return {**counts, **sums, "farthest_m": max(a["farthest_m"], b["farthest_m"])}
+
+
+def _row(state: Dict[str, Any]) -> Dict[str, Any]:
+    all_types = list(state["types"].values())
+    total = all_types[0]
+    for counts in all_types[1:]:
+        total = _sum(total, counts)
+    row = {name: total[name] for name in (*_COUNTS, "farthest_m")}
+    for side in ("before", "after"):
+        for place, error in enumerate(("ade", "fde")):
+            matured = total["matured"]
+            row[f"{side}_{error}_m"] = total[f"{side}_m"][place] / matured if matured else None
+    return {**row, "only_before": state["only_before"], "only_after": state["only_after"]}
+
+
+def _line(name: str, counts: Dict[str, Any]) -> List[str]:
+    matured = counts["matured"]
+
+    def errors(side: str) -> str:
+        return " / ".join(f"{total / matured:.3f}" for total in counts[side]) if matured else "-"
+
+    return [
+        name,
+        str(counts["forecasts"]),
+        str(counts["different"]),
+        f"{counts['farthest_m']:.2f}",
+        str(matured),
+        str(counts["better"]),
+        str(counts["worse"]),
+        errors("before_m"),
+        errors("after_m"),
+    ]
