@@ -25,7 +25,7 @@
 //! unknown; no measure counts such a step. A trajectory may be longer than the truth, because payloads
 //! have room for the longest horizon; it is never shorter. All sums are f64 and follow the order of the
 //! calls, so a repeated evaluation agrees to the bit. Accumulators ([`Mean`], [`Share`],
-//! [`DisplacementMean`]) of several parts can be merged.
+//! [`DisplacementMean`]) of several parts can be merged. An [`ExactSum`] is the same in every order.
 //!
 //! ```
 //! use metrics::{DisplacementMean, min_displacement};
@@ -51,6 +51,7 @@ mod limits;
 mod mean;
 mod region;
 mod steering;
+mod sum;
 pub mod tracking;
 
 pub use anchors::{
@@ -72,6 +73,7 @@ pub use limits::{Limits, PointLimits};
 pub use mean::{Mean, Share};
 pub use region::{HighestDensity, highest_density_level};
 pub use steering::BicycleLimits;
+pub use sum::{ExactMean, ExactSum};
 
 /// A position (x, y) in metres.
 pub type Point = [f32; 2];

@@ -1,6 +1,7 @@
 //! Agents whose errors are reported together: a fold, a site, a file.
 
-use metrics::{Interval, PairedErrors, paired_bootstrap, paired_bootstrap_ratio};
+use metrics::{ExactSum, Interval, PairedErrors, paired_bootstrap, paired_bootstrap_ratio};
+use serde::{Deserialize, Serialize};
 
 use crate::judge::Block;
 use crate::{Crowding, Measure, Method, Subset, Tally};
@@ -11,6 +12,16 @@ pub const RESAMPLES: usize = 1000;
 /// Seed of the resamples.
 const SEED: u64 = 1;
 
+/// The baselines that our forecasts are compared with, and the measures.
+pub(crate) const COMPARED: [(Measure, Method); 6] = [
+    (Measure::BestOf, Method::Base),
+    (Measure::BestOf, Method::Anchors),
+    (Measure::Joint, Method::Base),
+    (Measure::Joint, Method::Anchors),
+    (Measure::Single, Method::Base),
+    (Measure::Single, Method::ConstantVelocity),
+];
+
 /// Our errors compared with the errors of another method on the same agents, with 95 % intervals.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Contrast {
@@ -18,6 +29,50 @@ pub struct Contrast {
     pub difference: Interval,
     /// Our error divided by the other error.
     pub ratio: Interval,
+}
+
+/// Errors of two methods on the same agents, up to the longest horizon.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+struct Paired {
+    /// Sums of our (ADE, FDE).
+    ours: [ExactSum; 2],
+    /// Sums of the other method's.
+    theirs: [ExactSum; 2],
+    /// Number of agents; 0 if the other method has no forecast for some of them.
+    len: u64,
+}
+
+/// What intervals need of a block: its errors in each comparison of [`COMPARED`].
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub(crate) struct BlockErrors([Paired; COMPARED.len()]);
+
+impl BlockErrors {
+    fn of(block: &Tally) -> Self {
+        let last = block.horizon_count().saturating_sub(1);
+        Self(COMPARED.map(|(measure, theirs)| {
+            let len = block.len(theirs, measure);
+            if len == 0 || len != block.len(Method::Network, measure) {
+                return Paired::default();
+            }
+            let [ours, theirs] = [Method::Network, theirs].map(|method| block.sum(method, measure, last));
+            Paired { ours, theirs, len }
+        }))
+    }
+
+    /// Adds the errors of `other`.
+    pub(crate) fn merge(&mut self, other: &Self) {
+        for (own, more) in self.0.iter_mut().zip(&other.0) {
+            own.ours.iter_mut().zip(&more.ours).for_each(|(sum, more)| sum.merge(more));
+            own.theirs.iter_mut().zip(&more.theirs).for_each(|(sum, more)| sum.merge(more));
+            own.len += more.len;
+        }
+    }
+
+    /// The same errors in another unit of length.
+    pub(crate) fn scaled(&self, per_m: f64) -> Self {
+        let scaled = |sums: [ExactSum; 2]| sums.map(|sum| sum.scaled(per_m));
+        Self(self.0.map(|of| Paired { ours: scaled(of.ours), theirs: scaled(of.theirs), len: of.len }))
+    }
 }
 
 /// A set of agents with their errors.
@@ -32,7 +87,7 @@ pub struct Group {
     /// All agents together.
     pub total: Tally,
     /// By block; intervals resample blocks.
-    blocks: Vec<Tally>,
+    pub(crate) blocks: Vec<BlockErrors>,
 }
 
 impl Group {
@@ -40,59 +95,46 @@ impl Group {
     #[must_use]
     pub fn new(part: &str, subset: Subset, place: usize, blocks: &[Block]) -> Self {
         let tallies = || blocks.iter().map(|block| &block.tallies[place]);
-        let counted = tallies().filter(|tally| !tally.is_empty()).cloned().collect();
-        Self::of_tallies(part, subset, "m", horizon_count(tallies()), counted)
+        let total = sum(tallies());
+        let blocks = tallies().filter(|tally| !tally.is_empty()).map(BlockErrors::of).collect();
+        Self { part: part.to_owned(), subset, unit: "m", total, blocks }
     }
 
     /// All agents of several groups.
     #[must_use]
     pub fn pooled(part: &str, groups: &[&Self]) -> Self {
         let (subset, unit) = groups.first().map_or((Subset::All, "m"), |group| (group.subset, group.unit));
-        let blocks = groups.iter().flat_map(|group| group.blocks.iter().cloned()).collect();
-        let horizon_count = horizon_count(groups.iter().map(|group| &group.total));
-        let mut pooled = Self::of_tallies(part, subset, unit, horizon_count, blocks);
+        let mut total = sum(groups.iter().map(|group| &group.total));
         // Each part reports its own crowding.
-        pooled.total.crowding = Crowding::default();
-        pooled
+        total.crowding = Crowding::default();
+        let blocks = groups.iter().flat_map(|group| group.blocks.iter().copied()).collect();
+        Self { part: part.to_owned(), subset, unit, total, blocks }
     }
 
     /// The same errors in another unit, with `per_m` units per metre.
     #[must_use]
     pub fn scaled(&self, unit: &'static str, per_m: f64) -> Self {
-        let blocks = self.blocks.iter().map(|tally| tally.clone().scaled(per_m)).collect();
-        Self::of_tallies(&self.part, self.subset, unit, self.total.horizon_count(), blocks)
+        Self {
+            unit,
+            total: self.total.clone().scaled(per_m),
+            blocks: self.blocks.iter().map(|block| block.scaled(per_m)).collect(),
+            ..self.clone()
+        }
     }
 
-    /// Sums `blocks`. The total has `horizon_count` horizons even without blocks.
-    fn of_tallies(
-        part: &str,
-        subset: Subset,
-        unit: &'static str,
-        horizon_count: usize,
-        blocks: Vec<Tally>,
-    ) -> Self {
-        let mut total = Tally::new(horizon_count);
-        blocks.iter().for_each(|block| total.merge(block));
-        Self { part: part.to_owned(), subset, unit, total, blocks }
-    }
-
-    /// Compares our ADE and FDE with the errors of `theirs` on the same agents. `None` if `theirs` has none,
-    /// or if a single block gives no interval.
+    /// Our ADE and FDE in the comparison with this place in [`COMPARED`], at the longest horizon. `None` if
+    /// the other method has no errors, or if a single block gives no interval.
     #[must_use]
-    pub fn compare(&self, theirs: Method, measure: Measure, horizon: usize) -> Option<[Contrast; 2]> {
+    pub(crate) fn compare(&self, place: usize) -> Option<[Contrast; 2]> {
         if self.blocks.len() < 2 {
             return None;
         }
         let contrast = |of: usize| {
-            let blocks = self.blocks.iter();
-            let pairs: Vec<PairedErrors> = blocks
-                .filter(|block| block.len(theirs, measure) == block.len(Method::Network, measure))
-                .map(|block| PairedErrors {
-                    ours: block.sum(Method::Network, measure, horizon)[of],
-                    theirs: block.sum(theirs, measure, horizon)[of],
-                    len: block.len(theirs, measure),
-                })
-                .collect();
+            let pair = |block: &BlockErrors| {
+                let Paired { ours, theirs, len } = block.0[place];
+                PairedErrors { ours: ours[of].value(), theirs: theirs[of].value(), len }
+            };
+            let pairs: Vec<PairedErrors> = self.blocks.iter().map(pair).collect();
             Some(Contrast {
                 difference: paired_bootstrap(&pairs, RESAMPLES, SEED)?,
                 ratio: paired_bootstrap_ratio(&pairs, RESAMPLES, SEED)?,
@@ -102,7 +144,9 @@ impl Group {
     }
 }
 
-/// The number of horizons, which all these tallies share.
-fn horizon_count<'a>(mut tallies: impl Iterator<Item = &'a Tally>) -> usize {
-    tallies.next().map_or(0, Tally::horizon_count)
+/// The sum of tallies, which share the number of horizons.
+pub(crate) fn sum<'a>(mut tallies: impl Iterator<Item = &'a Tally>) -> Tally {
+    let Some(mut total) = tallies.next().cloned() else { return Tally::new(0) };
+    tallies.for_each(|tally| total.merge(tally));
+    total
 }

@@ -5,7 +5,7 @@ mod files;
 mod interaction;
 mod sdd;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use std::sync::Arc;
 
@@ -15,7 +15,8 @@ use lanes::{Coordinates, LaneMap};
 use scene::ContextMap;
 
 pub use eth_ucy::eth_ucy;
-pub use files::files;
+pub use files::Evaluation;
+pub(crate) use files::SUBSETS;
 pub use interaction::{InteractionPart, interaction};
 pub use sdd::sdd;
 
@@ -100,6 +101,15 @@ pub fn map_of(training: &[Footage], site: &str) -> Option<ContextMap> {
     site_map(of_site.flat_map(|footage| &footage.scenes))
 }
 
+impl Cut {
+    /// Reads a recording and cuts it into scenes.
+    fn read(&self, path: &Path, open: OpenOptions) -> Result<Footage, EvaluateError> {
+        let recording = data::open_with(path, open)?;
+        let scenes = self.scenes(&recording);
+        Ok(Footage { recording, scenes })
+    }
+}
+
 impl Options {
     /// The lanes of a site of INTERACTION; `None` if the options do not use lanes.
     fn lanes_of(&self, site: &str) -> Result<Option<Arc<LaneMap>>, EvaluateError> {
@@ -112,11 +122,7 @@ impl Options {
 
     /// Reads recordings and cuts them into scenes.
     fn read(&self, paths: &[PathBuf], open: OpenOptions, cut: &Cut) -> Result<Vec<Footage>, EvaluateError> {
-        let read = |path: &PathBuf, (): &mut ()| {
-            let recording = data::open_with(path, open)?;
-            let scenes = cut.scenes(&recording);
-            Ok(Footage { recording, scenes })
-        };
+        let read = |path: &PathBuf, (): &mut ()| cut.read(path, open);
         threads::each(paths, self.threads, read).into_iter().collect()
     }
 
@@ -183,22 +189,18 @@ fn need_agents(blocks: &[Block], name: &str, cut: &Cut) -> Result<(), EvaluateEr
     if blocks.iter().any(|block| block.tallies.iter().any(|tally| !tally.is_empty())) {
         return Ok(());
     }
-    Err(no_agents(name, cut))
-}
-
-fn no_agents(name: &str, cut: &Cut) -> EvaluateError {
     let steps = cut.history_len + cut.horizon_len;
-    EvaluateError::NoWindows { name: name.to_owned(), steps, dt_s: cut.dt_s }
+    Err(EvaluateError::NoWindows { name: name.to_owned(), steps, dt_s: cut.dt_s })
 }
 
 /// Caption of the tables of calibration and plausibility.
-const RATES: &str = "KDE-NLL: negative log density of the truth under a kernel density of the 20 modes, weighted by their probabilities. Coverage: \
+pub(crate) const RATES: &str = "KDE-NLL: negative log density of the truth under a kernel density of the 20 modes, weighted by their probabilities. Coverage: \
                      share of truths inside the highest-density region of the mixture of Gaussians, over agents and steps. Collision: the \
                      discs of two agents meet, 0.9 m around vehicles, 0.3 m around cyclists, 0.2 m around pedestrians. Limits are those of \
                      `metrics::Limits`, checked on all modes and K = 1.";
 
 /// The rows of the tables of errors by horizon.
-const GROWTH: [(crate::Measure, crate::Method); 5] = [
+pub(crate) const GROWTH: [(crate::Measure, crate::Method); 5] = [
     (crate::Measure::BestOf, crate::Method::Network),
     (crate::Measure::BestOf, crate::Method::Base),
     (crate::Measure::BestOf, crate::Method::Anchors),

@@ -2,7 +2,7 @@
 
 mod table;
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 use metrics::Interval;
 use serde::Serialize;
@@ -10,7 +10,8 @@ use serde::Serialize;
 pub(crate) use table::Column;
 pub use table::{Table, digits, percent};
 
-use crate::group::Group;
+use crate::group::{COMPARED, Group};
+use crate::state::DoubtCount;
 use crate::weights::Provenance;
 use crate::{Crowding, Measure, Method};
 
@@ -48,6 +49,10 @@ pub struct Report {
     pub warnings: Vec<String>,
     /// What the tables leave out and why, one line each.
     pub left_out: Vec<String>,
+    /// Recordings that could not be evaluated, one line each.
+    pub failed: Vec<String>,
+    /// How often the audit of the input doubts recordings, by the kind of doubt.
+    pub doubts: BTreeMap<String, DoubtCount>,
     /// The published forecasts and constant velocity. Only the protocol for recordings has this table.
     published: Option<Table>,
     /// Tables for people.
@@ -110,8 +115,8 @@ impl Report {
             if horizon + 1 < horizons_s.len() {
                 continue;
             }
-            for (measure, method) in table::COMPARED {
-                let Some(pair) = group.compare(method, measure, horizon) else { continue };
+            for (place, (measure, method)) in COMPARED.into_iter().enumerate() {
+                let Some(pair) = group.compare(place) else { continue };
                 for (name, contrast) in ["ADE", "FDE"].iter().zip(pair) {
                     let Interval { low, mean, high } = contrast.difference;
                     let quantity = format!("ours less theirs, {name}, {}", group.unit);
@@ -156,12 +161,24 @@ impl Report {
         self.published = Some(table);
     }
 
-    /// The published forecasts compared with constant velocity, and what is left out. `None` for data sets.
+    /// The published forecasts compared with constant velocity, what is left out or failed, and doubts. `None`
+    /// for data sets.
     pub fn brief(&self) -> Option<String> {
         let table = self.published.as_ref()?;
         let mut text = format!("#{}", table.markdown(""));
-        self.left_out.iter().for_each(|line| text += &format!("\nLeft out: {line}\n"));
+        for (what, lines) in self.lists() {
+            lines.iter().for_each(|line| text += &format!("\n{what}: {line}\n"));
+        }
         Some(text)
+    }
+
+    /// What `evaluate` prints: the main table of recordings, all tables of data sets.
+    pub fn text(&self) -> String {
+        let brief = self.brief();
+        brief.map_or_else(
+            || self.markdown(),
+            |brief| format!("{brief}\n`--all` prints all methods, horizons and intervals.\n"),
+        )
     }
 
     /// The report as Markdown that is also readable in a terminal.
@@ -182,11 +199,9 @@ impl Report {
             text += &format!("{heading}{}", table.markdown(&made));
             text += "\n";
         }
-        if !self.left_out.is_empty() {
-            text += "Left out:\n\n";
-            for line in &self.left_out {
-                text += &format!("* {line}\n");
-            }
+        for (what, lines) in self.lists().into_iter().filter(|(_, lines)| !lines.is_empty()) {
+            text += &format!("{what}:\n\n");
+            lines.iter().for_each(|line| text += &format!("* {line}\n"));
             text += "\n";
         }
         text += "Weights and maps of the tables above:\n\n";
@@ -194,6 +209,14 @@ impl Report {
             text += &format!("* {}\n", provenance.line());
         }
         text
+    }
+
+    /// What the tables do not contain, and what is doubtful about them.
+    fn lists(&self) -> [(&'static str, Vec<String>); 3] {
+        let doubts = self.doubts.iter().map(|(kind, DoubtCount { recordings, rows, of })| {
+            format!("{}: {recordings} recordings, {rows} of {of} rows", kind.replace('_', " "))
+        });
+        [("Left out", self.left_out.clone()), ("Failed", self.failed.clone()), ("Doubt", doubts.collect())]
     }
 
     /// How the 20 forecasts of each agent were made; a line for every table.
@@ -229,8 +252,15 @@ impl Report {
 
     /// The whole report as JSON.
     pub fn json(&self) -> serde_json::Value {
-        let Self { title, provenance, left_out, figures, .. } = self;
-        serde_json::json!({ "title": title, "provenance": provenance, "left_out": left_out, "figures": figures })
+        let Self { title, provenance, left_out, failed, doubts, figures, .. } = self;
+        serde_json::json!({
+            "title": title,
+            "provenance": provenance,
+            "left_out": left_out,
+            "failed": failed,
+            "doubts": doubts,
+            "figures": figures,
+        })
     }
 
     /// The provenance of a part: the one with the longest name that the part's name begins with.

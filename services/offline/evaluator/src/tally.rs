@@ -1,6 +1,8 @@
-//! Sums of errors over agents. Every table is made from them.
+//! Sums of errors over agents. Every table is made from them. They are exact, so that they do not depend on
+//! the order in which agents and recordings are added.
 
-use metrics::{Displacement, Mean, Share, displacement, joint_min_displacement};
+use metrics::{Displacement, ExactMean, ExactSum, Mean, Share, displacement, joint_min_displacement};
+use serde::{Deserialize, Serialize};
 
 use crate::baselines::Candidate;
 use crate::{Agent, Method};
@@ -61,10 +63,10 @@ pub struct Errors {
 }
 
 /// Calibration of a method's probabilities and covariances, over the steps since the previous horizon.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Calibration {
     /// Negative log density of the truth under the kernel density of the modes, over agents and steps.
-    pub kde_nll: Mean,
+    pub kde_nll: ExactMean,
     /// Truths inside the 50 % highest-density region of the mixture, over agents and steps.
     pub covered_50: Share,
     /// Truths inside the 90 % region.
@@ -85,7 +87,7 @@ impl Calibration {
 }
 
 /// Windows that do not fit a payload, and what the stages did not see of them.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Crowding {
     /// Number of windows.
     pub window_count: u64,
@@ -105,7 +107,7 @@ impl Crowding {
 }
 
 /// Errors of all methods on a set of agents.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Tally {
     /// Scenes with a counted agent.
     pub scene_count: u64,
@@ -114,7 +116,7 @@ pub struct Tally {
     /// Agents with a forecast, by method and measure.
     counts: [[u64; MEASURES]; METHODS],
     /// Sums of (ADE, FDE), by horizon, method and measure.
-    sums: Vec<[[[f64; 2]; MEASURES]; METHODS]>,
+    sums: Vec<[[[ExactSum; 2]; MEASURES]; METHODS]>,
     /// By horizon and index in [`Method::OURS`].
     calibration: Vec<[Calibration; OURS]>,
     /// Share of single forecasts that collide with another one in the same scene.
@@ -136,7 +138,7 @@ impl Tally {
             scene_count: 0,
             agents_len: 0,
             counts: [[0; MEASURES]; METHODS],
-            sums: vec![[[[0.0; 2]; MEASURES]; METHODS]; horizon_count],
+            sums: vec![[[[ExactSum::default(); 2]; MEASURES]; METHODS]; horizon_count],
             calibration: vec![[Calibration::default(); OURS]; horizon_count],
             collided: Share::default(),
             truly_collided: Share::default(),
@@ -149,10 +151,11 @@ impl Tally {
     pub fn merge(&mut self, other: &Self) {
         self.scene_count += other.scene_count;
         self.agents_len += other.agents_len;
-        add_all(self.counts.as_flattened_mut(), other.counts.as_flattened());
+        let counts = self.counts.as_flattened_mut().iter_mut();
+        counts.zip(other.counts.as_flattened()).for_each(|(count, more)| *count += more);
         for (sums, more) in self.sums.iter_mut().zip(&other.sums) {
-            let sums = sums.as_flattened_mut().as_flattened_mut();
-            add_all(sums, more.as_flattened().as_flattened());
+            let sums = sums.as_flattened_mut().as_flattened_mut().iter_mut();
+            sums.zip(more.as_flattened().as_flattened()).for_each(|(sum, more)| sum.merge(more));
         }
         let (calibration, more) = (self.calibration.as_flattened_mut(), other.calibration.as_flattened());
         for (calibration, more) in calibration.iter_mut().zip(more) {
@@ -171,21 +174,21 @@ impl Tally {
     #[must_use]
     pub fn scaled(mut self, per_m: f64) -> Self {
         let sums = self.sums.iter_mut().flat_map(|sums| sums.as_flattened_mut().as_flattened_mut());
-        sums.for_each(|sum| *sum *= per_m);
+        sums.for_each(|sum| *sum = sum.scaled(per_m));
         self
     }
 
     /// Mean errors up to a horizon; `None` if the method has no such forecast.
     #[must_use]
     pub fn errors(&self, method: Method, measure: Measure, horizon: usize) -> Option<Errors> {
-        let [ade_m, fde_m] = self.sum(method, measure, horizon);
+        let [ade_m, fde_m] = self.sum(method, measure, horizon).map(|sum| sum.value());
         let len = self.len(method, measure);
         (len > 0).then(|| Errors { ade_m: ade_m / len as f64, fde_m: fde_m / len as f64 })
     }
 
     /// Sums of (ADE, FDE) up to a horizon.
     #[must_use]
-    pub fn sum(&self, method: Method, measure: Measure, horizon: usize) -> [f64; 2] {
+    pub fn sum(&self, method: Method, measure: Measure, horizon: usize) -> [ExactSum; 2] {
         self.sums[horizon][method.index()][measure.index()]
     }
 
@@ -203,6 +206,11 @@ impl Tally {
     /// Number of horizons.
     pub fn horizon_count(&self) -> usize {
         self.sums.len()
+    }
+
+    /// Whether the sums have this number of horizons.
+    pub(crate) const fn has_horizons(&self, horizon_count: usize) -> bool {
+        self.sums.len() == horizon_count && self.calibration.len() == horizon_count
     }
 
     /// The calibration of `Method::OURS[ours]`, over all steps up to a horizon.
@@ -228,8 +236,9 @@ impl Tally {
                 let truth = &agent.future[..steps];
                 let mut add = |measure: Measure, errors: Displacement| {
                     let (Some(ade_m), Some(fde_m)) = (errors.ade_m, errors.fde_m) else { return };
-                    let sum = &mut self.sums[horizon][method][measure.index()];
-                    *sum = [sum[0] + ade_m, sum[1] + fde_m];
+                    let [ade, fde] = &mut self.sums[horizon][method][measure.index()];
+                    ade.add(ade_m);
+                    fde.add(fde_m);
                     self.counts[method][measure.index()] += u64::from(horizon == 0);
                 };
                 if !modes.is_empty() {
@@ -289,8 +298,9 @@ impl Tally {
         errors: metrics::DisplacementMean,
     ) {
         let total = |mean: &Mean| mean.value().unwrap_or_default() * mean.len() as f64;
-        let sum = &mut self.sums[horizon][method][measure.index()];
-        *sum = [sum[0] + total(&errors.ade_m), sum[1] + total(&errors.fde_m)];
+        let [ade, fde] = &mut self.sums[horizon][method][measure.index()];
+        ade.add(total(&errors.ade_m));
+        fde.add(total(&errors.fde_m));
         self.counts[method][measure.index()] += if horizon == 0 { errors.ade_m.len() } else { 0 };
     }
 }
@@ -310,10 +320,6 @@ fn narrowed(candidate: &Candidate, present: usize) -> Option<Vec<Vec<metrics::Po
     let future =
         |(k, mode): (usize, &Vec<_>)| metrics::interpolated(single, mode, if k % 2 == 0 { 1.0 } else { own });
     Some(candidate.modes.iter().enumerate().map(future).collect())
-}
-
-fn add_all<T: Copy + std::ops::AddAssign>(sums: &mut [T], more: &[T]) {
-    sums.iter_mut().zip(more).for_each(|(sum, more)| *sum += *more);
 }
 
 #[cfg(test)]
@@ -397,6 +403,6 @@ mod tests {
         assert_eq!(merged, whole);
         let metres = whole.sum(Method::Network, Measure::BestOf, 0);
         let pixels = whole.scaled(20.0).sum(Method::Network, Measure::BestOf, 0);
-        assert_eq!(pixels, metres.map(|sum| 20.0 * sum));
+        assert_eq!(pixels, metres.map(|sum| sum.scaled(20.0)));
     }
 }

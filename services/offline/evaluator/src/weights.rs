@@ -102,10 +102,15 @@ impl WeightsChoice {
 }
 
 impl Model {
+    /// Whether the card lists the recording as training data.
+    pub(crate) fn has_seen(&self, recording: &Recording) -> bool {
+        self.trained_on.contains(&recording.sha256)
+    }
+
     /// The provenance of these weights for a part of a report.
     #[must_use]
     pub fn provenance(&self, part: &str, map: &str, recordings: &[&Recording]) -> Provenance {
-        let seen = recordings.iter().filter(|recording| self.trained_on.contains(&recording.sha256));
+        let seen = recordings.iter().filter(|recording| self.has_seen(recording));
         Provenance {
             part: part.to_owned(),
             weights: self.path.clone(),

@@ -7,4 +7,5 @@ mod support {
 mod forecaster;
 mod report;
 mod shipped;
+mod states;
 mod windows;

@@ -7,9 +7,9 @@ use std::path::{Path, PathBuf};
 
 use data::sets::Part;
 use data::{GeneratedScene, OpenOptions, SceneOptions};
-use evaluator::{Cut, EvaluateError, Figure, MapChoice, Options, Report, WeightsChoice};
+use evaluator::{Cut, EvaluateError, Evaluation, Figure, MapChoice, Options, Report, WeightsChoice};
 
-fn options(folder: &Path, weights: Option<PathBuf>, threads: usize) -> Options {
+pub fn options(folder: &Path, weights: Option<PathBuf>, threads: usize) -> Options {
     Options {
         data: folder.to_owned(),
         part: Part::Test,
@@ -21,7 +21,7 @@ fn options(folder: &Path, weights: Option<PathBuf>, threads: usize) -> Options {
 }
 
 /// Vehicles that drive straight at a constant speed, each on its own line, for `steps` tenths of a second.
-fn straight(folder: &Path, steps: usize) -> PathBuf {
+pub fn straight(folder: &Path, steps: usize) -> PathBuf {
     let mut text = "stamp_s,id,type,x_m,y_m,heading_rad,speed_mps,length_m,width_m\n".to_owned();
     for step in 0..steps {
         for (id, speed) in [(1, 5.0), (2, 8.0)] {
@@ -51,7 +51,7 @@ fn straight_at(folder: &Path, hertz: f64, has_motion: bool) -> PathBuf {
 }
 
 /// A vehicle that stands for `steps` tenths of a second.
-fn parked(folder: &Path, steps: usize) -> PathBuf {
+pub fn parked(folder: &Path, steps: usize) -> PathBuf {
     let row = |step: usize| format!("{:.1},1,vehicle,3,4,0,0,4.5,1.8\n", step as f64 * 0.1);
     let head = "stamp_s,id,type,x_m,y_m,heading_rad,speed_mps,length_m,width_m\n";
     let path = folder.join(format!("parked_{steps}.csv"));
@@ -60,7 +60,7 @@ fn parked(folder: &Path, steps: usize) -> PathBuf {
 }
 
 /// Generated traffic with all agent types.
-fn traffic(folder: &Path) -> PathBuf {
+pub fn traffic(folder: &Path) -> PathBuf {
     let options = SceneOptions { agents: 10, identities: true, clutter_mean: 0.0, ..SceneOptions::default() };
     let scene = GeneratedScene::new(options);
     let mut text = "stamp_s,id,type,x_m,y_m\n".to_owned();
@@ -77,7 +77,12 @@ fn traffic(folder: &Path) -> PathBuf {
 }
 
 fn evaluate(options: &Options, path: &Path) -> Result<Report, EvaluateError> {
-    evaluator::files(options, &[path.to_owned()], OpenOptions::default(), false, |_| ())
+    evaluate_all(options, &[path.to_owned()])
+}
+
+fn evaluate_all(options: &Options, paths: &[PathBuf]) -> Result<Report, EvaluateError> {
+    let evaluation = Evaluation::new(options, false)?;
+    Ok(evaluation.recordings(paths, OpenOptions::default(), |_| ())?.report())
 }
 
 /// A figure of all agents at the whole horizon.
@@ -225,7 +230,7 @@ fn recordings_without_a_complete_agent_are_left_out() {
     let folder = tempfile::tempdir().unwrap();
     let options = options(folder.path(), None, 2);
     let [whole, short] = [straight(folder.path(), 120), parked(folder.path(), 40)];
-    let of = |paths: &[PathBuf]| evaluator::files(&options, paths, OpenOptions::default(), false, |_| ());
+    let of = |paths: &[PathBuf]| evaluate_all(&options, paths);
     let alone = evaluate(&options, &whole).unwrap();
     for paths in [[whole.clone(), short.clone()], [short.clone(), whole]] {
         let report = of(&paths).unwrap();
@@ -260,7 +265,7 @@ fn a_recording_without_moving_agents_has_no_table_of_them() {
     assert_eq!(figure(&report, "ours", "K = 1", "FDE, m").agents, 11);
     // Together with a recording that has moving agents, its column of moving agents is empty.
     let moves = straight(folder.path(), 120);
-    let report = evaluator::files(&options, &[stands, moves], OpenOptions::default(), false, |_| ()).unwrap();
+    let report = evaluate_all(&options, &[stands, moves]).unwrap();
     assert!(report.left_out.is_empty());
     let markdown = report.markdown();
     let table = markdown.split("Errors: moving agents").nth(1).unwrap();

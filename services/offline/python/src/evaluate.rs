@@ -1,49 +1,125 @@
 //! Figures of recordings.
 
+use std::borrow::Cow;
 use std::path::PathBuf;
+use std::sync::Arc;
 
+use data::OpenOptions;
 use data::sets::Part;
-use data::{FrameRate, OpenOptions};
-use evaluator::{MapChoice, Options, WeightsChoice};
+use evaluator::{Evaluation, MapChoice, Options, State, StateError, WeightsChoice};
 use nn::Precision;
 use pyo3::prelude::*;
+use pyo3::pybacked::PyBackedBytes;
 
 use crate::error;
-use crate::recording::prepare;
+use crate::recording::parse;
 
-/// Compares forecasts with the recorded motion, as `stgdat evaluate FILE…` does. `arguments` are the weights
-/// and how the recordings are read. Returns the figures as JSON, the main table and all tables as Markdown,
-/// and the doubts about the recordings.
+/// States that are merged while the global lock is released.
+const TOGETHER: usize = 256;
+
+/// An evaluation of recordings, as `stgdat evaluate FILE…` does it, with loaded weights.
+#[pyclass(frozen, module = "stgdat._stgdat")]
+pub struct Evaluator {
+    evaluation: Evaluation,
+    open: OpenOptions,
+}
+
+#[pymethods]
+impl Evaluator {
+    /// `arguments` are the weights, the lanes and how recordings are read. `has_map` states whether the
+    /// network reads the online map.
+    #[new]
+    fn new(
+        py: Python<'_>,
+        arguments: Vec<String>,
+        has_map: bool,
+        positions: bool,
+        threads: Option<usize>,
+    ) -> PyResult<Self> {
+        py.detach(|| {
+            let arguments = parse(arguments)?;
+            let open = arguments.read().options();
+            let run = arguments.prepare().map_err(|why| error::of_failure(&why))?.run;
+            let cores = std::thread::available_parallelism().map_or(1, usize::from);
+            let weights =
+                WeightsChoice { file: run.weights, folder: PathBuf::new(), precision: Precision::default() };
+            let options = Options {
+                data: PathBuf::new(),
+                part: Part::Test,
+                weights,
+                map: if has_map { MapChoice::Online } else { MapChoice::None },
+                lanes: false,
+                threads: threads.unwrap_or(cores).max(1),
+            };
+            let mut evaluation = Evaluation::new(&options, positions).map_err(|why| error::of(&why))?;
+            let lanes = arguments.model().open_lanes(open.origin).map_err(|why| error::of_failure(&why))?;
+            if let Some(lanes) = lanes {
+                evaluation = evaluation.along(Arc::new(lanes));
+            }
+            Ok(Self { evaluation, open })
+        })
+    }
+
+    /// The state of one recording.
+    fn state(&self, py: Python<'_>, path: PathBuf) -> PyResult<Cow<'static, [u8]>> {
+        py.detach(move || {
+            let state = self.evaluation.recording(&path, self.open).map_err(|why| error::of(&why))?;
+            Ok(state.to_bytes().into())
+        })
+    }
+
+    /// The state of recordings, of which some may fail.
+    fn states(&self, py: Python<'_>, paths: Vec<PathBuf>) -> PyResult<Cow<'static, [u8]>> {
+        py.detach(move || {
+            let state = self.evaluation.recordings(&paths, self.open, |_| ());
+            Ok(state.map_err(|why| error::of(&why))?.to_bytes().into())
+        })
+    }
+}
+
+/// Merges states, and adds recordings that failed with their reasons.
 #[pyfunction]
-pub fn evaluate(
+pub fn combine(
     py: Python<'_>,
-    paths: Vec<PathBuf>,
-    arguments: Vec<String>,
-    positions: bool,
-    threads: Option<usize>,
-) -> PyResult<(String, String, String, Vec<String>)> {
-    py.detach(move || {
-        let prepared = prepare(arguments)?;
-        let (source, run) = (prepared.source, prepared.run);
-        let fps = source.fps.map(FrameRate::new).transpose().map_err(|why| error::of(&why))?;
-        let open = OpenOptions { format: source.format, fps, origin: run.origin() };
-        let cores = std::thread::available_parallelism().map_or(1, usize::from);
-        let options = Options {
-            data: PathBuf::new(),
-            part: Part::Test,
-            weights: WeightsChoice {
-                file: run.weights,
-                folder: PathBuf::new(),
-                precision: Precision::default(),
-            },
-            map: MapChoice::Site,
-            lanes: false,
-            threads: threads.unwrap_or(cores).max(1),
+    states: &Bound<'_, PyAny>,
+    failures: Vec<(String, String)>,
+) -> PyResult<Cow<'static, [u8]>> {
+    let (mut states, mut whole, mut number) = (states.try_iter()?, None, 0);
+    loop {
+        let taken = states.by_ref().take(TOGETHER).map(|state| Ok(state?.extract::<PyBackedBytes>()?));
+        let taken: Vec<PyBackedBytes> = taken.collect::<PyResult<_>>()?;
+        let is_last = taken.len() < TOGETHER;
+        let read = |(place, bytes): (usize, &PyBackedBytes)| {
+            let name = format!("states[{}]", number + place);
+            Ok((name.clone(), State::from_bytes(&name, bytes)?))
         };
-        let report =
-            evaluator::files(&options, &paths, open, positions, |_| ()).map_err(|why| error::of(&why))?;
+        if !taken.is_empty() || whole.is_none() {
+            let merge = || {
+                let before = whole.take().map(|state| Ok(("states[0]".to_owned(), state)));
+                State::merged(before.into_iter().chain(taken.iter().enumerate().map(read)))
+            };
+            whole = Some(py.detach(merge).map_err(|why: StateError| error::of(&why))?);
+        }
+        number += taken.len();
+        if is_last {
+            break;
+        }
+    }
+    let Some(mut whole) = whole else { return Err(error::of(&StateError::None)) };
+    failures.into_iter().for_each(|(name, reason)| whole.add_failure(&name, &reason));
+    Ok(whole.to_bytes().into())
+}
+
+/// The figures of a state as JSON; what `stgdat evaluate` prints, its main table, all tables; and the doubts.
+#[pyfunction]
+pub fn report(
+    py: Python<'_>,
+    state: PyBackedBytes,
+) -> PyResult<(String, String, String, String, Vec<String>)> {
+    py.detach(move || {
+        let report = State::from_bytes("state", &state).map_err(|why| error::of(&why))?.report();
         let tables = report.markdown();
         let brief = report.brief().unwrap_or_else(|| tables.clone());
-        Ok((report.json().to_string(), brief, tables, report.warnings))
+        Ok((report.json().to_string(), report.text(), brief, tables, report.warnings))
     })
 }

@@ -26,7 +26,7 @@ mod _stgdat {
     #[pymodule_export]
     use crate::error::InputError;
     #[pymodule_export]
-    use crate::evaluate::evaluate;
+    use crate::evaluate::{Evaluator, combine, report};
     #[pymodule_export]
     use crate::fleet::{cut, differences, inspect, is_record, learn, outcomes, priors, worst};
     #[pymodule_export]

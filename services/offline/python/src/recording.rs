@@ -23,14 +23,19 @@ struct Line {
     playback: PlaybackArguments,
 }
 
-/// Reads the arguments of `stgdat predict` and checks them.
-pub fn prepare(arguments: Vec<String>) -> PyResult<Prepared> {
+/// Reads the arguments of `stgdat predict`.
+pub fn parse(arguments: Vec<String>) -> PyResult<PlaybackArguments> {
     let line = Line::try_parse_from(arguments).map_err(|wrong| {
         let text = wrong.to_string();
         let first = text.lines().next().unwrap_or_default();
         error::InputError::new_err(first.strip_prefix("error: ").unwrap_or(first).to_owned())
     })?;
-    line.playback.prepare().map_err(|failure| error::of_failure(&failure))
+    Ok(line.playback)
+}
+
+/// Reads the arguments of `stgdat predict` and checks them.
+pub fn prepare(arguments: Vec<String>) -> PyResult<Prepared> {
+    parse(arguments)?.prepare().map_err(|failure| error::of_failure(&failure))
 }
 
 /// The record of a run that the arguments name; `None` for any other recording.

@@ -10,7 +10,8 @@
 
 * `open` reads a recording; `generate` makes one.
 * `Predictor` and `Tracker` run the stages in this process.
-* `evaluate` compares forecasts with the recorded motion.
+* `evaluate` compares forecasts with the recorded motion. `Evaluator.state` makes a state of each recording, and
+  `merge_states` the same figures from states.
 * `Run.attach` reads the topics of a live run, `read_record` those of a recorded one.
 
 Arrays are read-only views of memory that Rust owns. Positions are in metres in the world frame, and headings in
@@ -18,7 +19,7 @@ radians counter-clockwise from +x. If a recording has an origin, add `origin_m` 
 """
 
 from ._stgdat import InputError, __version__
-from .evaluation import Evaluation, evaluate
+from .evaluation import Evaluation, Evaluator, combine_states, evaluate, evaluate_state, merge_states
 from .frames import Detections, Forecasts, Frame, Tracks, detections, dtype
 from .numbers import AgentType, Cause, DetectionFlags, Expert, Quality, TrackStatus
 from .recording import Recording, generate, open
@@ -31,6 +32,7 @@ __all__ = [
     "DetectionFlags",
     "Detections",
     "Evaluation",
+    "Evaluator",
     "Expert",
     "Forecasts",
     "Frame",
@@ -44,10 +46,13 @@ __all__ = [
     "Tracker",
     "Tracks",
     "__version__",
+    "combine_states",
     "detections",
     "dtype",
     "evaluate",
+    "evaluate_state",
     "generate",
+    "merge_states",
     "open",
     "read_record",
 ]

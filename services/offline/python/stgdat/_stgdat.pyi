@@ -1,10 +1,11 @@
 """The compiled part. Use the classes of `stgdat` instead."""
 
 import os
-from typing import Any, Dict, Iterator, List, Optional, Tuple, Union, final
+from typing import Any, Dict, Iterable, Iterator, List, Optional, Tuple, Union, final
 
 __all__ = [
     "Block",
+    "Evaluator",
     "Frame",
     "InputError",
     "Messages",
@@ -15,11 +16,11 @@ __all__ = [
     "Tap",
     "Tracker",
     "__version__",
+    "combine",
     "constants",
     "cut",
     "detections",
     "differences",
-    "evaluate",
     "inspect",
     "is_record",
     "layout",
@@ -29,6 +30,7 @@ __all__ = [
     "open",
     "outcomes",
     "priors",
+    "report",
     "worst",
 ]
 __version__: str
@@ -139,12 +141,20 @@ class Tap:
     def __new__(cls, root: str, topics: List[str], events: bool) -> Tap: ...
     def next(self, timeout_s: float) -> Union[Frame, str, int, None]: ...
 
-def evaluate(
-    paths: List[str],
-    arguments: List[str],
-    positions: bool,
-    threads: Optional[int],
-) -> Tuple[str, str, str, List[str]]: ...
+@final
+class Evaluator:
+    def __new__(
+        cls,
+        arguments: List[str],
+        has_map: bool,
+        positions: bool,
+        threads: Optional[int],
+    ) -> Evaluator: ...
+    def state(self, path: Union[str, os.PathLike[str]]) -> bytes: ...
+    def states(self, paths: List[str]) -> bytes: ...
+
+def combine(states: Iterable[bytes], failures: List[Tuple[str, str]]) -> bytes: ...
+def report(state: bytes) -> Tuple[str, str, str, str, List[str]]: ...
 def inspect(arguments: List[str]) -> str: ...
 def outcomes(arguments: List[str]) -> Dict[str, List[Any]]: ...
 def differences(before: List[str], after: List[str]) -> Tuple[str, Dict[str, List[Any]]]: ...

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Dict, Iterable, List, Optional, Union
+from typing import TYPE_CHECKING, Any, Dict, Iterable, List, Optional, Tuple, Union
 
 from . import _stgdat
 from .arguments import Origin, Path, written
@@ -24,9 +24,15 @@ class Evaluation:
     provenance: List[Dict[str, Any]]
     """The weights behind the figures of each recording."""
     left_out: List[str]
-    """What was not evaluated, with the reason."""
+    """What was not evaluated because no agent is there long enough, one line each."""
+    failed: List[str]
+    """Recordings that could not be evaluated, with the reason."""
     doubts: List[str]
-    """Probable defects of the recordings."""
+    """Probable defects of the recordings; empty if there are too many recordings to keep each."""
+    doubt_counts: Dict[str, Dict[str, int]]
+    """Recordings, rows and examined rows by the kind of doubt."""
+    text: str
+    """What `stgdat evaluate` prints: the main table, and what is not in it."""
     table: str
     """The main table, in Markdown."""
     tables: str
@@ -37,6 +43,47 @@ class Evaluation:
         import pandas
 
         return pandas.json_normalize(self.figures)
+
+
+class Evaluator:
+    """Evaluates one recording after the other with the same weights, which it loads once.
+
+    `map` is `"online"` or `"none"`. `lanes` is the Lanelet2 map of the recordings' site, along whose lanes vehicles are
+    forecast. `positions` derives velocities and headings from the positions alone. States do not depend on `threads`.
+    """
+
+    def __init__(
+        self,
+        weights: Optional[Path] = None,
+        *,
+        lanes: Optional[Path] = None,
+        lanes_origin: Optional[str] = None,
+        map: Optional[str] = None,
+        format: Optional[str] = None,
+        fps: Optional[float] = None,
+        origin: Optional[Origin] = None,
+        positions: bool = False,
+        threads: Optional[int] = None,
+    ) -> None:
+        if map not in (None, "online", "none"):
+            raise _stgdat.InputError(f"map = {map!r}: expected 'online' or 'none'")
+        arguments = written(
+            weights=weights, lanes=lanes, lanes_origin=lanes_origin, format=format, fps=fps, origin=origin
+        )
+        self._inner = _stgdat.Evaluator(arguments, map != "none", positions, threads)
+
+    def state(self, path: Union[Path, Recording]) -> bytes:
+        """The sums behind the tables of one recording. `merge_states` makes tables from such states.
+
+        Raises `InputError` for a recording that cannot be read.
+        """
+        return self._inner.state(_path(path))
+
+    def evaluate(self, recordings: Union[Path, Recording, Iterable[Union[Path, Recording]]]) -> Evaluation:
+        """The figures of recordings. See `stgdat.evaluate`."""
+        if isinstance(recordings, (str, os.PathLike, Recording)):
+            recordings = [recordings]
+        return _evaluation(self._inner.states([_path(recording) for recording in recordings]))
 
 
 def evaluate(
@@ -53,15 +100,52 @@ def evaluate(
 
     `positions` derives velocities and headings from the positions alone. Figures do not depend on `threads`.
 
-    Raises `InputError` for a recording that cannot be read or has no agent to evaluate.
+    A recording that cannot be read is a line of `failed`. Raises `InputError` if no recording can be evaluated.
     """
-    if isinstance(recordings, (str, os.PathLike, Recording)):
-        recordings = [recordings]
-    paths = [_path(recording) for recording in recordings]
-    arguments = written(weights=weights, format=format, fps=fps, origin=origin)
-    text, table, tables, doubts = _stgdat.evaluate(paths, arguments, positions, threads)
+    evaluator = Evaluator(weights, format=format, fps=fps, origin=origin, positions=positions, threads=threads)
+    return evaluator.evaluate(recordings)
+
+
+def evaluate_state(
+    path: Union[Path, Recording],
+    weights: Optional[Path] = None,
+    *,
+    lanes: Optional[Path] = None,
+    map: Optional[str] = None,
+    threads: Optional[int] = None,
+) -> bytes:
+    """The state of one recording. Use an `Evaluator` for several, or for further options."""
+    return Evaluator(weights, lanes=lanes, map=map, threads=threads).state(path)
+
+
+def combine_states(states: Iterable[bytes], failures: Iterable[Tuple[str, str]] = ()) -> bytes:
+    """Merges states into one. Every split and every order gives the same bytes.
+
+    `failures` are recordings without a state, with the reason. Raises `InputError` if there is no state, or if states
+    have different weights, options or versions.
+    """
+    return _stgdat.combine(states, list(failures))
+
+
+def merge_states(states: Iterable[bytes], failures: Iterable[Tuple[str, str]] = ()) -> Evaluation:
+    """The figures of the recordings behind states: the same as `evaluate` of all recordings at once."""
+    return _evaluation(combine_states(states, failures))
+
+
+def _evaluation(state: bytes) -> Evaluation:
+    text, printed, table, tables, doubts = _stgdat.report(state)
     report = json.loads(text)
-    return Evaluation(report["figures"], report["provenance"], report["left_out"], doubts, table, tables)
+    return Evaluation(
+        figures=report["figures"],
+        provenance=report["provenance"],
+        left_out=report["left_out"],
+        failed=report["failed"],
+        doubts=doubts,
+        doubt_counts=report["doubts"],
+        text=printed,
+        table=table,
+        tables=tables,
+    )
 
 
 def _path(recording: Union[Path, Recording]) -> str:

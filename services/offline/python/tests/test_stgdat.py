@@ -314,9 +314,42 @@ class Recordings(InFolder):
         done = subprocess.run([lab, "evaluate", path, "--json", out], check=True, capture_output=True, text=True)
         self.assertEqual(json.loads(out.read_text())["figures"], evaluation.figures)
         self.assertTrue(done.stdout.startswith(evaluation.table))
+        state = self.folder / "walk.state"
+        subprocess.run([lab, "evaluate", path, "--state", state], check=True, capture_output=True)
+        self.assertEqual(state.read_bytes(), stgdat.evaluate_state(path))
+        merge = [lab, "evaluate", "--merge", state]
+        printed = subprocess.run(merge, check=True, capture_output=True, text=True).stdout
+        self.assertEqual(printed, evaluation.text)
+        self.assertEqual(printed, done.stdout)
         example = [sys.executable, str(EXAMPLES / "figures.py"), str(path)]
         printed = subprocess.run(example, check=True, capture_output=True, text=True).stdout
         self.assertEqual(printed, evaluation.table + "\n")
+
+    def test_states_merge_to_the_figures_of_all_recordings(self) -> None:
+        paths = [self.write(f"walk{number}.csv", walk(number)) for number in range(3)]
+        broken = self.write("broken.csv", "stamp_s,type,x_m,y_m\n0,car,1,2\n")
+        evaluator = stgdat.Evaluator(threads=1)
+        states = [evaluator.state(path) for path in paths]
+        with self.assertRaisesRegex(stgdat.InputError, "broken.csv:2") as raised:
+            evaluator.state(broken)
+        failures = [(str(broken), str(raised.exception))]
+        whole = stgdat.evaluate([*paths, broken])
+        self.assertEqual(stgdat.merge_states(iter(states), failures), whole)
+        self.assertEqual(len(whole.failed), 1)
+        self.assertIn("Failed: ", whole.text)
+        part = stgdat.combine_states([states[2], states[0]], failures)
+        self.assertEqual(stgdat.merge_states([part, states[1]]), whole)
+        self.assertEqual(stgdat.combine_states([states[1], part]), stgdat.combine_states(states, failures))
+        many = stgdat.merge_states(states[number % 3] for number in range(600))
+        self.assertEqual({figure["part"] for figure in many.figures}, {"all"})
+        with self.assertRaisesRegex(stgdat.InputError, r"states\[1\]: map none, but states\[0\] has online"):
+            stgdat.merge_states([states[0], stgdat.evaluate_state(paths[0], map="none")])
+        with self.assertRaisesRegex(stgdat.InputError, r"states\[2\]: the state is damaged"):
+            stgdat.merge_states([*states[:2], states[2][:-1]])
+        with self.assertRaisesRegex(stgdat.InputError, "no state"):
+            stgdat.merge_states([])
+        with self.assertRaisesRegex(stgdat.InputError, "map = 'site'"):
+            stgdat.Evaluator(map="site")
 
 
 class Runs(InFolder):

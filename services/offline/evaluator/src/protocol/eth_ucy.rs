@@ -89,7 +89,7 @@ fn tables(report: &mut Report, groups: &[Group], rules: &Rules<'_>, horizons_s: 
     errors
         .add_paper(&paper, columns.len(), |paper, method, column| of_paper(paper, method, &columns[column]));
     report.add_table(if groups[0].subset == Subset::Company { errors.main() } else { errors });
-    report.add_table(Table::comparisons(&title("Comparison with baselines"), &each, last));
+    report.add_table(Table::comparisons(&title("Comparison with baselines"), &each));
     let pooled_too = [&columns[..], &[of_group(&pooled)]].concat();
     report.add_table(Table::rates(&title("Calibration and plausibility"), RATES, &pooled_too, last));
     report.add_table(Table::horizons(

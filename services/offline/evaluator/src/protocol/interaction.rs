@@ -254,7 +254,7 @@ fn tables(
     }
     report.add_table(errors);
     let single: Vec<Column<'_>> = columns.iter().filter(|column| column.groups.len() == 1).cloned().collect();
-    report.add_table(Table::comparisons(&title("Comparison with baselines"), &single, last));
+    report.add_table(Table::comparisons(&title("Comparison with baselines"), &single));
     let by_site: Vec<Column<'_>> =
         sites.iter().map(|judged| Column::of(&judged.part, &judged.groups[place])).collect();
     if !by_site.is_empty() {

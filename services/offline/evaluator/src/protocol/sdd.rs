@@ -62,7 +62,7 @@ pub fn sdd(options: &Options, mut progress: impl FnMut(&str)) -> Result<Report, 
         row.map(|row| row.errors)
     });
     report.add_table(errors.main());
-    report.add_table(Table::comparisons("Comparison with baselines", &columns, last));
+    report.add_table(Table::comparisons("Comparison with baselines", &columns));
     report.add_table(Table::rates("Calibration and plausibility", RATES, &columns[1..], last));
     report.add_table(Table::horizons("Errors by horizon, px", "", &columns[..1], &horizons_s, &GROWTH));
     [&pixels, &metres].into_iter().for_each(|group| report.add_figures(group, &horizons_s));

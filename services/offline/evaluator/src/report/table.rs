@@ -2,19 +2,9 @@
 
 use metrics::Interval;
 
-use crate::group::{Group, RESAMPLES};
+use crate::group::{COMPARED, Group, RESAMPLES};
 use crate::reference::PaperRow;
 use crate::{Calibration, Errors, Measure, Method, Tally};
-
-/// The baselines that our forecasts are compared with, and the measures.
-pub(crate) const COMPARED: [(Measure, Method); 6] = [
-    (Measure::BestOf, Method::Base),
-    (Measure::BestOf, Method::Anchors),
-    (Measure::Joint, Method::Base),
-    (Measure::Joint, Method::Anchors),
-    (Measure::Single, Method::Base),
-    (Measure::Single, Method::ConstantVelocity),
-];
 
 /// The methods in a summary.
 const SUMMARISED: [&str; 9] = [
@@ -218,18 +208,18 @@ impl Table {
         table
     }
 
-    /// Our errors compared with the errors of baselines, with 95 % intervals.
-    pub(crate) fn comparisons(title: &str, columns: &[Column<'_>], horizon: usize) -> Self {
+    /// Our errors at the longest horizon compared with the errors of baselines, with 95 % intervals.
+    pub(crate) fn comparisons(title: &str, columns: &[Column<'_>]) -> Self {
         let note = format!(
             "Difference of the errors (ADE / FDE) on the same agents, ours minus the baseline's, in % of the baseline's. Negative: \
              ours is better; significant where the whole 95 % interval is below 0. Paired bootstrap, {RESAMPLES} resamples \
              of blocks as long as one window."
         );
         let mut table = Self::new(title, &note, &["measure", "against"], names(columns));
-        for (measure, method) in COMPARED {
+        for (place, (measure, method)) in COMPARED.into_iter().enumerate() {
             let cell = |column: &Column<'_>| {
                 let [group] = column.groups[..] else { return None };
-                let pair = group.compare(method, measure, horizon)?;
+                let pair = group.compare(place)?;
                 Some(pair.map(|contrast| percent(&contrast.ratio)).join(" / "))
             };
             let cells: Vec<Option<String>> = columns.iter().map(cell).collect();

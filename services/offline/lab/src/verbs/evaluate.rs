@@ -3,7 +3,7 @@ use std::path::{Path, PathBuf};
 use clap::{Args, ValueEnum};
 use data::sets::Part;
 use driving_evaluator::GapReport;
-use evaluator::{InteractionPart, MapChoice, Options, Report, WeightsChoice};
+use evaluator::{Evaluation, InteractionPart, MapChoice, Options, Report, State, StateError, WeightsChoice};
 use nn::{Precision, Weights};
 use run::Exit;
 use tracking_evaluator::{KittiReport, TrackingReport};
@@ -23,10 +23,25 @@ const INTERACTION_PARTS: [&str; 3] = ["seen", "FT", "EP1"];
 /// All parts of `tracking`, which run by default.
 const TRACKING_PARTS: [&str; 3] = ["interaction", "kitti", "driving"];
 
+/// Options that states already have.
+const MERGED_BEFORE: [&str; 11] = [
+    "validation",
+    "weights",
+    "beside",
+    "map",
+    "against_bag",
+    "format",
+    "fps",
+    "origin",
+    "positions",
+    "threads",
+    "set",
+];
+
 /// Arguments of `stgdat evaluate`.
 #[derive(Debug, Args)]
 pub struct Arguments {
-    /// Data set `eth-ucy`, `sdd`, `interaction`, `driving` or `tracking`, or recordings
+    /// Data set `eth-ucy`, `sdd`, `interaction`, `driving` or `tracking`, or recordings, or states to merge
     #[arg(required = true, value_name = "SET|FILE")]
     targets: Vec<PathBuf>,
     /// Folder with the data sets in their published layout
@@ -90,6 +105,13 @@ pub struct Arguments {
     /// Print all tables of recordings, not only the published forecasts
     #[arg(long)]
     all: bool,
+    /// Write the sums behind the tables of recordings, which merge with those of other recordings
+    #[arg(long, value_name = "FILE", conflicts_with = "against_bag")]
+    state: Option<PathBuf>,
+    /// Merge states that --state wrote, and print their tables: any split and order of the recordings gives
+    /// the same figures
+    #[arg(long, conflicts_with_all = MERGED_BEFORE)]
+    merge: bool,
     /// Write all figures as CSV, one per line
     #[arg(long, value_name = "FILE")]
     csv: Option<PathBuf>,
@@ -121,14 +143,13 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         _ if arguments.against_bag.is_some() => vec![against(arguments)?],
         "tracking" => track(arguments)?,
         "driving" => vec![drive(arguments)?],
-        _ => {
+        "eth-ucy" | "sdd" | "interaction" => {
             let mut report = evaluate(name, arguments, &arguments.weights_dir)?;
             let beside = arguments.beside.iter().map(|folder| evaluate(name, arguments, folder));
             report.add_beside(&beside.collect::<Result<Vec<_>, _>>()?);
-            report.warnings.iter().for_each(|line| tracing::warn!("{line}"));
-            report.left_out.iter().for_each(|line| tracing::warn!("left out: {line}"));
             vec![Written::of_forecasts(&report, name, arguments.lanes)]
         }
+        _ => vec![Written::of_forecasts(&recordings(arguments)?.report(), name, false)],
     };
     if let Some(path) = &arguments.csv {
         write(path, &written.iter().map(|part| part.csv.as_str()).collect::<String>())?;
@@ -136,11 +157,9 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     if let Some(path) = &arguments.json {
         write(path, &(serde_json::to_string_pretty(&json(&written)).map_err(Failure::data)? + "\n"))?;
     }
-    let shown = |part: &'_ Written| match &part.brief {
-        Some(brief) if !arguments.all => {
-            format!("{brief}\n`--all` prints all methods, horizons and intervals.\n")
-        }
-        _ => part.markdown.clone(),
+    let shown = |part: &Written| {
+        let text = part.text.as_ref().filter(|_| !arguments.all);
+        text.unwrap_or(&part.markdown).clone()
     };
     let markdown: Vec<String> = written.iter().map(shown).collect();
     let exit = show(&markdown.join("\n"))?;
@@ -181,6 +200,8 @@ fn refuse_unused(name: &str, arguments: &Arguments) -> Result<(), Failure> {
         ("--all", arguments.all, !is_set, "recordings"),
         ("--origin", arguments.read.origin.is_some(), !is_set, "recordings"),
         ("--positions", arguments.positions, !is_set, "recordings"),
+        ("--state", arguments.state.is_some(), !is_set, "recordings"),
+        ("--merge", arguments.merge, !is_set, "states of recordings"),
         ("--set", !arguments.set.is_empty(), !is_tracking, "forecasts, not `tracking`"),
     ];
     match options.into_iter().find(|(_, is_given, is_used, _)| *is_given && !is_used) {
@@ -205,8 +226,8 @@ struct Written {
     name: &'static str,
     /// Its mark in a Markdown file.
     mark: String,
-    /// The tables that are printed by default, if the targets are recordings.
-    brief: Option<String>,
+    /// The text that is printed without `--all`, if it is not the Markdown.
+    text: Option<String>,
     markdown: String,
     summary: String,
     csv: String,
@@ -220,13 +241,16 @@ impl Written {
         [markdown, summary, csv]: [String; 3],
         json: serde_json::Value,
     ) -> Self {
-        Self { name, mark: mark.into(), brief: None, markdown, summary, csv, json }
+        Self { name, mark: mark.into(), text: None, markdown, summary, csv, json }
     }
 
     fn of_forecasts(report: &Report, set: &str, lanes: bool) -> Self {
+        report.warnings.iter().for_each(|line| tracing::warn!("{line}"));
+        report.left_out.iter().for_each(|line| tracing::warn!("left out: {line}"));
+        report.failed.iter().for_each(|line| tracing::warn!("failed: {line}"));
         let mark = format!("evaluate {set}{}", if lanes { " --lanes" } else { "" });
         let texts = [report.markdown(), report.summary(), report.csv()];
-        Self { brief: report.brief(), ..Self::new("forecasts", mark, texts, report.json()) }
+        Self { text: Some(report.text()), ..Self::new("forecasts", mark, texts, report.json()) }
     }
 
     fn of_motion(report: &TrackingReport) -> Self {
@@ -376,17 +400,36 @@ fn evaluate(name: &str, arguments: &Arguments, weights_dir: &Path) -> Result<Rep
     let report = match name {
         "eth-ucy" => evaluator::eth_ucy(&options, progress),
         "sdd" => evaluator::sdd(&options, progress),
-        "interaction" => {
+        _ => {
             let parts = parts(arguments, &INTERACTION_PARTS).map(|part| interaction_part(part, arguments));
             let parts: Vec<_> = parts.collect::<Result<_, _>>()?;
             evaluator::interaction(&options, &parts, progress)
         }
-        _ => {
-            let (targets, read) = (&arguments.targets, arguments.read.options());
-            evaluator::files(&options, targets, read, arguments.positions, progress)
-        }
     };
     report.map_err(Failure::data)
+}
+
+/// The state of recordings, or of the states that hold them.
+fn recordings(arguments: &Arguments) -> Result<State, Failure> {
+    let state = if arguments.merge {
+        State::merged(arguments.targets.iter().map(|path| state(path))).map_err(Failure::data)?
+    } else {
+        let options = options(arguments, &arguments.weights_dir)?;
+        let evaluation = Evaluation::new(&options, arguments.positions).map_err(Failure::data)?;
+        let state = evaluation.recordings(&arguments.targets, arguments.read.options(), progress);
+        state.map_err(Failure::data)?
+    };
+    if let Some(path) = &arguments.state {
+        std::fs::write(path, state.to_bytes()).map_err(|error| Failure::file(path, error))?;
+    }
+    Ok(state)
+}
+
+/// Reads a state, with its path as its name.
+fn state(path: &Path) -> Result<(String, State), StateError> {
+    let name = path.display().to_string();
+    let bytes = std::fs::read(path).map_err(|source| StateError::File { name: name.clone(), source })?;
+    Ok((name.clone(), State::from_bytes(&name, &bytes)?))
 }
 
 /// The parts that the arguments name, or all of them.
