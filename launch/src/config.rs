@@ -11,4 +11,4 @@ mod scheduling;
 pub use mistake::{Mistake, SourceError};
 pub use pipeline::{BUDGET_MAX_MS, Pipeline, Stage};
 pub use restart::{Restart, RestartPolicy};
-pub use scheduling::Scheduling;
+pub use scheduling::{Realtime, Scheduling};

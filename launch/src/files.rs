@@ -1,5 +1,6 @@
 //! Files and words that a command line names.
 
+use std::os::unix::fs::MetadataExt as _;
 use std::path::{Path, PathBuf};
 
 use rustix::fs::Access;
@@ -40,11 +41,39 @@ pub fn check_place(path: &Path) -> Result<(), Failure> {
     access.map_err(|error| Failure::file(written, std::io::Error::from(error)))
 }
 
+/// A mark of a file's content that differs after each replacement or write; `None` if there is no such file.
+/// Marks are not ordered in time, so a step of the clock does no harm.
+pub fn version(path: &Path) -> Option<(u64, i64, i64)> {
+    let file = std::fs::metadata(path).ok()?;
+    Some((file.ino(), file.mtime(), file.mtime_nsec()))
+}
+
 /// Quotes a word of a command line if a shell needs it.
 pub fn quoted(word: &str) -> String {
     let is_plain = |c: char| c.is_ascii_alphanumeric() || "/._-+=:,@%".contains(c);
     match word.chars().all(is_plain) && !word.is_empty() {
         true => word.to_owned(),
         false => format!("'{}'", word.replace('\'', r"'\''")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::{Duration, SystemTime};
+
+    use super::*;
+
+    #[test]
+    fn a_file_written_after_the_clock_went_back_is_another_version() {
+        let path = std::env::temp_dir().join(format!("stgdat-version-{}", std::process::id()));
+        assert_eq!(version(&path), None);
+        std::fs::write(&path, "old").unwrap();
+        let old = version(&path);
+        assert!(old.is_some() && version(&path) == old);
+        std::fs::write(&path, "new").unwrap();
+        let an_hour_ago = SystemTime::now() - Duration::from_secs(3600);
+        std::fs::File::options().write(true).open(&path).unwrap().set_modified(an_hour_ago).unwrap();
+        assert!(version(&path).is_some() && version(&path) != old);
+        std::fs::remove_file(&path).unwrap();
     }
 }

@@ -109,8 +109,7 @@ impl Fleet {
 
     /// Returns the settings of pipeline.toml that the running processes could not get.
     pub fn notes(&self) -> Vec<String> {
-        let of = |m: &Member| scheduling::refused(m.stage, m.child.pid(), &m.program.scheduling);
-        self.members.iter().flat_map(of).collect()
+        scheduling::refused(self.members.iter().map(|m| (m.stage, m.child.pid(), &m.program.scheduling)))
     }
 
     /// Returns descriptors that become readable when a supervised process ends.

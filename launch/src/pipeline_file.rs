@@ -15,7 +15,10 @@ pub fn load(path: Option<&Path>) -> Result<Pipeline, Failure> {
     let text = text(path)?;
     let Some(path) = path else { return Ok(Pipeline::parse("pipeline.toml", &text, &declared)?) };
     let name = path.display().to_string();
-    let pipeline = Pipeline::parse(&name, &text, &declared)?;
+    let mut pipeline = Pipeline::parse(&name, &text, &declared)?;
+    if !pipeline.realtime.auto_cpu.is_empty() {
+        pipeline.choose_cpus(&scheduling::reserved_cpus());
+    }
     pipeline.name_stages();
     for warning in &pipeline.warnings {
         tracing::warn!("{name}: {warning}");

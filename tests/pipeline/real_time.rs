@@ -50,3 +50,25 @@ fn a_run_tells_its_memory_and_which_processors_it_could_not_have() {
     }
     assert!(stdout(&output).contains(" MEMORY      page faults in the last "), "{}", stdout(&output));
 }
+
+#[test]
+fn a_limit_that_the_kernel_refuses_is_reported_once_and_the_run_continues() {
+    let scratch = Scratch::new("refused");
+    let pipeline = scratch.pipeline("p.toml", "name = \"source\"", "name = \"source\"");
+    let shipped = std::fs::read_to_string(&pipeline).unwrap();
+    let keys = "[realtime]\nprofile = \"vehicle\"\nawake = false\ncpu = [1023]";
+    std::fs::write(&pipeline, format!("{keys}\n{shipped}")).unwrap();
+    let report = scratch.path("report.json");
+    let scene = ["run", "--quiet", "--agents", "3", "--ticks", "30", "--speed", "max"];
+    let output = run_well(&[&scene[..], &["--pipeline", &pipeline, "--report", &report]].concat());
+    let chain = "the source, tracker, localiser, extractor, encoder, decoder and sampler can't have";
+    let of_cpus = format!("{chain} processor 1023: they run on any");
+    let notes = Report::read(report.as_ref()).unwrap().supervision.notes;
+    assert_eq!(notes.iter().filter(|note| **note == of_cpus).count(), 1, "{notes:?}");
+    assert_eq!(stderr(&output).matches(&of_cpus).count(), 1, "{}", stderr(&output));
+    // These depend on the user's permissions.
+    for start in [format!("{chain} priorities 30 to 36"), "memory is locked up to".to_owned()] {
+        assert!(notes.iter().filter(|note| note.starts_with(&start)).count() <= 1, "{notes:?}");
+    }
+    assert!(notes.len() <= 3, "{notes:?}");
+}

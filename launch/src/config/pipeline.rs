@@ -5,6 +5,7 @@ mod check;
 mod file;
 mod options;
 mod parse;
+mod realtime;
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -13,7 +14,7 @@ pub use check::BUDGET_MAX_MS;
 use run::TopicRun;
 use wire::{StageId, WorldOrigin};
 
-use crate::config::{RestartPolicy, Scheduling};
+use crate::config::{Realtime, RestartPolicy, Scheduling};
 
 /// A process of the pipeline.
 #[derive(Clone, Debug, PartialEq)]
@@ -55,8 +56,8 @@ pub struct Pipeline {
     pub protected: Vec<String>,
     /// Whether a tick that is short of time leaves out some agents to serve the others.
     pub shed: bool,
-    /// Whether processors are kept from sleeping between ticks.
-    pub awake: bool,
+    /// The real-time settings of the run as a whole.
+    pub realtime: Realtime,
     /// Number of additional reader places of topics, by topic.
     pub readers: BTreeMap<String, u32>,
     /// The stages.
@@ -93,6 +94,14 @@ impl Pipeline {
         let mut writes =
             self.stages.iter().flat_map(|stage| stage.writes.iter().map(move |own| (stage, own.as_str())));
         writes.find(|(stage, own)| self.name_of(stage, own) == topic)
+    }
+
+    /// Gives `cpus` to the stages whose processors the file leaves to the machine.
+    pub fn choose_cpus(&mut self, cpus: &[u32]) {
+        let left_open = &self.realtime.auto_cpu;
+        for stage in self.stages.iter_mut().filter(|stage| left_open.contains(&stage.id)) {
+            stage.scheduling.cpus = cpus.to_vec();
+        }
     }
 
     /// Registers the names of the added stages in this process.

@@ -59,11 +59,17 @@ fn dot(pipeline: &Pipeline) -> String {
     text + "}\n"
 }
 
-/// Name, budget and, if external, program of a stage.
+/// Name, budget, real-time settings and, if external, program of a stage.
 fn label(stage: &Stage, line_break: &str) -> String {
     let mut label = stage.id.name().to_owned();
     if let Some(budget_ms) = stage.budget_ms {
         label += &format!("{line_break}{budget_ms} ms");
+    }
+    if let Some(priority) = stage.scheduling.priority {
+        label += &format!("{line_break}priority {priority}");
+    }
+    if let Some(cpus) = stage.scheduling.cpu_list() {
+        label += &format!("{line_break}cpu {cpus}");
     }
     if let Some(program) = stage.command.as_ref().and_then(|command| command.first()) {
         label += &format!("{line_break}{}", program.replace(['"', '\\'], "'"));
@@ -84,5 +90,9 @@ mod tests {
         }
         assert!(mermaid(&pipeline).contains("sampler -->|forecasts| tracker\n"));
         assert!(dot(&pipeline).contains("sampler -> tracker [label = \"forecasts\"];\n"));
+        let text = format!("[realtime]\npriority = 9\ncpu = [1]\n{}", pipeline_file::SHIPPED);
+        let pipeline = Pipeline::parse("p.toml", &text, &crate::stages::declared()).unwrap();
+        assert!(mermaid(&pipeline).contains("tracker<br/>6 ms<br/>priority 10<br/>cpu 1\"]"));
+        assert!(mermaid(&pipeline).contains("recorder[\"recorder\"]"), "not on a tick's way");
     }
 }

@@ -1,7 +1,7 @@
 use std::collections::BTreeMap;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant, SystemTime};
+use std::time::{Duration, Instant};
 
 use crate::config::Pipeline;
 use clap::{Args, ValueEnum};
@@ -25,7 +25,7 @@ use crate::child::Line;
 use crate::control::{Control, Request};
 use crate::fail_if::{self, Condition};
 use crate::failure::{Failure, StageDeath};
-use crate::files::check_place;
+use crate::files::{check_place, version};
 use crate::fleet::Fleet;
 use crate::memory::Memory;
 use crate::observe::{ObserveArguments, Observer, address};
@@ -33,6 +33,7 @@ use crate::options::{Setting, StageOptions, text};
 use crate::outages::Outages;
 use crate::pipeline_file;
 use crate::play_report::input_of;
+use crate::scheduling;
 use crate::service::Service;
 use crate::tap::{Recording, RingArguments, Tap, ViewArguments};
 use crate::verbs::record;
@@ -167,7 +168,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let (title, ticks_limit) = (info.recording.clone().unwrap_or_default(), Some(playback.tick_count()));
     drop((playback, weights));
 
-    let begun = SystemTime::now();
+    let report_before = version(&report_path);
     let keeps_memory = options.get(StageId::Sampler, "memory").is_some();
     let record_file = write_record(&run, arguments.announce.as_deref())?;
     about(arguments, &info, &run)?.write(&run.root).map_err(|error| Failure::file(&run.root, error))?;
@@ -189,8 +190,8 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     drop(page);
     // The report covers the run up to its end, however it ended. After a signal or failure a report exists if
     // the recorder had begun. If the recorder died too, its last saved state is used.
-    let modified = std::fs::metadata(&report_path).and_then(|file| file.modified());
-    let is_written = modified.is_ok_and(|written| written >= begun);
+    let report_after = version(&report_path);
+    let is_written = report_after.is_some() && report_after != report_before;
     let measured = match &ended.outcome {
         _ if is_written => Some(Report::read(&report_path).map_err(Failure::data)?),
         Ok(Exit::Done) if ended.outages.given_up().is_empty() => {
@@ -362,9 +363,11 @@ fn supervise(
     // others.
     let has_places = !run.spares.is_empty() || !run.readers.is_empty();
     let _topics = has_places.then(|| Topics::make(run)).transpose()?;
+    let limits = scheduling::raise_limits(pipeline.realtime.lock);
     let mut fleet = Fleet::start(pipeline, run, record, keeps_memory)?;
-    fleet.notes().into_iter().for_each(|note| watch.note(note));
-    let _awake = pipeline.awake.then(Awake::hold).and_then(|held| held.map_err(|note| watch.note(note)).ok());
+    fleet.notes().into_iter().chain(limits).for_each(|note| watch.note(note));
+    let _awake =
+        pipeline.realtime.awake.then(Awake::hold).and_then(|held| held.map_err(|note| watch.note(note)).ok());
     let mut memory = Memory::default();
     let started = Instant::now();
     let mut linked = false;

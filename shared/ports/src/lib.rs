@@ -103,7 +103,8 @@ pub use peers::{Peers, TAP};
 pub use places::{is_full, is_own_user, shared_memory_free};
 pub use points::{POINTS_VARIABLE, Point};
 pub use program::{
-    INCARNATION_VARIABLE, LAUNCHER_VARIABLE, RECORD, RUN_VARIABLE, die_with_launcher, incarnation, stage_main,
+    INCARNATION_VARIABLE, LAUNCHER_VARIABLE, RECORD, RUN_VARIABLE, UNLOCKED_VARIABLE, die_with_launcher,
+    incarnation, stage_main,
 };
 pub use publisher::{Loan, Publisher};
 pub use raw::RawSubscriber;

@@ -22,7 +22,7 @@ use rustix::mm::{Advice, MlockAllFlags, MlockFlags, madvise, mlock_with, mlockal
 use rustix::process::{Resource, getrlimit};
 use rustix::thread::{CapabilitySet, capabilities};
 
-use crate::LAUNCHER_VARIABLE;
+use crate::{LAUNCHER_VARIABLE, UNLOCKED_VARIABLE};
 use maps::{Kind, Mapping};
 
 /// Maximum number of heartbeats between two checks of the faults. It is reached if populating does not help.
@@ -62,6 +62,7 @@ impl ResidentMemory {
         let stat = std::env::var_os(LAUNCHER_VARIABLE).and_then(|_| File::open("/proc/self/stat").ok());
         let all = MlockAllFlags::CURRENT | MlockAllFlags::FUTURE | MlockAllFlags::ONFAULT;
         let locked = match &stat {
+            _ if std::env::var_os(UNLOCKED_VARIABLE).is_some() => Locked::Done,
             // Within a limit, later allocations would be refused once the limit is reached.
             Some(_) if !is_unlimited() || mlockall(all).is_err() => Locked::From(SETTLED),
             _ => Locked::Done,

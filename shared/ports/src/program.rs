@@ -15,6 +15,8 @@ pub const RECORD: &str = "run";
 
 /// The environment variable that holds the launcher's process number.
 pub const LAUNCHER_VARIABLE: &str = "STGDAT_LAUNCHER";
+/// Environment variable that keeps a stage from locking its memory.
+pub const UNLOCKED_VARIABLE: &str = "STGDAT_UNLOCKED";
 
 /// The environment variable with the stage's number of earlier starts; 0 if it is not set.
 pub const INCARNATION_VARIABLE: &str = "STGDAT_INCARNATION";

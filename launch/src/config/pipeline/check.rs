@@ -8,9 +8,10 @@ use wire::{ForecastsTopic, HOPS_MAX, StageId, TICK_MS, Topic, UnknownWorldOrigin
 use super::added::{self, name_of};
 use super::file::{File, StageTable};
 use super::options::options;
+use super::realtime;
 use super::{Pipeline, Stage};
 use crate::config::Mistake;
-use crate::config::{Restart, RestartPolicy, Scheduling};
+use crate::config::{Restart, RestartPolicy};
 
 /// Largest sum of all budgets: one tick.
 pub const BUDGET_MAX_MS: f64 = TICK_MS;
@@ -63,9 +64,10 @@ pub(super) fn check(file: &File, declared: &[&dyn Declared]) -> Result<Pipeline,
         origin.get_ref().parse().map_err(refused)
     };
     let origin = file.origin.as_ref().map(parse).transpose()?;
-    let (weights, awake) = (file.weights.clone(), file.awake.unwrap_or(false));
+    let weights = file.weights.clone();
+    let realtime = realtime::apply(file, &ranks(&tables, &way, &topics), &mut stages)?;
     let readers = readers(file, &topics, declared)?;
-    Ok(Pipeline { weights, origin, protected, shed, awake, readers, stages, topics, budget_ms, warnings })
+    Ok(Pipeline { weights, origin, protected, shed, realtime, readers, stages, topics, budget_ms, warnings })
 }
 
 /// The reader places that the file adds.
@@ -126,7 +128,7 @@ fn stage(
         places: BTreeMap::new(),
         topics: renamed(table, topics, declared)?,
         restart: restart(table)?,
-        scheduling: scheduling(table)?,
+        scheduling: realtime::of_stage(table)?,
         spare: spare(table)?,
     })
 }
@@ -238,36 +240,6 @@ fn spare(table: &StageTable) -> Result<bool, Mistake> {
     }
 }
 
-/// The stage's processors and its priority.
-fn scheduling(table: &StageTable) -> Result<Scheduling, Mistake> {
-    let mut cpus = Vec::new();
-    if let Some(list) = &table.cpu {
-        if list.get_ref().is_empty() {
-            let advice = "expected numbers of processors such as [0, 1]";
-            return Err(Mistake::new(list.span(), "`cpu` is empty", advice));
-        }
-        for cpu in list.get_ref() {
-            let number = u32::try_from(*cpu.get_ref()).ok().filter(|&cpu| cpu <= Scheduling::CPU_MAX);
-            let Some(number) = number else {
-                let advice = format!("expected 0 to {}", Scheduling::CPU_MAX);
-                return Err(Mistake::new(cpu.span(), "no processor has such a number", advice));
-            };
-            if cpus.contains(&number) {
-                return Err(Mistake::new(cpu.span(), format!("processor {number} is listed twice"), "again"));
-            }
-            cpus.push(number);
-        }
-    }
-    cpus.sort_unstable();
-    let [least, most] = Scheduling::PRIORITIES;
-    let priority = table.priority.as_ref().map(|priority| {
-        let number = u8::try_from(*priority.get_ref()).ok().filter(|number| (least..=most).contains(number));
-        let message = "a real-time priority is out of range";
-        number.ok_or_else(|| Mistake::new(priority.span(), message, format!("expected {least} to {most}")))
-    });
-    Ok(Scheduling { cpus, priority: priority.transpose()? })
-}
-
 /// Refuses programs and processors that this machine does not have.
 pub(super) fn check_here(
     file: &File,
@@ -283,14 +255,13 @@ pub(super) fn check_here(
             let message = format!("the {name} can't be started: {program}: {why}");
             return Err(Mistake::new(command.span(), message, "expected a program of this machine"));
         }
-        for cpu in table.cpu.iter().flat_map(Spanned::get_ref) {
-            if !u32::try_from(*cpu.get_ref()).is_ok_and(has_cpu) {
-                let message = format!("the {name} can't have processor {}", cpu.get_ref());
-                return Err(Mistake::new(cpu.span(), message, "not one of this machine's, or not allowed"));
-            }
+        let missing = |cpu: &&Spanned<u64>| !u32::try_from(*cpu.get_ref()).is_ok_and(has_cpu);
+        if let Some(cpu) = table.cpu.iter().flat_map(Spanned::get_ref).find(missing) {
+            let message = format!("the {name} can't have processor {}", cpu.get_ref());
+            return Err(Mistake::new(cpu.span(), message, realtime::MISSING));
         }
     }
-    Ok(())
+    realtime::check_here(file, has_cpu)
 }
 
 fn names(topics: &[Spanned<String>]) -> Vec<String> {
@@ -399,13 +370,38 @@ fn way<'a>(tables: &[&'a StageTable], topics: &[TopicRun]) -> Vec<&'a str> {
             continue;
         }
         way.push(table.name.get_ref().as_str());
-        for read in &table.reads {
-            let name = name_of(table, read.get_ref(), topics);
-            let is_back = table.name.get_ref() == StageId::Tracker.name() && name == ForecastsTopic::NAME;
-            open.extend(tables.iter().copied().filter(|other| !is_back && writes(other, name, topics)));
-        }
+        open.extend(producers_of(table, tables, topics));
     }
     way
+}
+
+/// The stages that write an input of a stage. The forecasts that go back to the tracker do not count.
+fn producers_of<'a>(
+    table: &StageTable,
+    tables: &[&'a StageTable],
+    topics: &[TopicRun],
+) -> Vec<&'a StageTable> {
+    let is_tracker = table.name.get_ref() == StageId::Tracker.name();
+    let names = table.reads.iter().map(|read| name_of(table, read.get_ref(), topics));
+    let names: Vec<&str> = names.filter(|&name| !is_tracker || name != ForecastsTopic::NAME).collect();
+    let is_producer = |other: &&StageTable| names.iter().any(|name| writes(other, name, topics));
+    tables.iter().copied().filter(is_producer).collect()
+}
+
+/// For each stage on a tick's way, the largest number of stages before it; `None` for the others.
+fn ranks(tables: &[&StageTable], way: &[&str], topics: &[TopicRun]) -> Vec<Option<u8>> {
+    let place = |of: &StageTable| tables.iter().position(|table| table.name.get_ref() == of.name.get_ref());
+    let mut ranks = vec![0_u8; tables.len()];
+    // The graph has no cycle, so every stage has its rank after as many rounds as there are stages.
+    for _ in tables {
+        for (i, table) in tables.iter().enumerate() {
+            let before =
+                producers_of(table, tables, topics).into_iter().filter_map(place).map(|j| ranks[j]).max();
+            ranks[i] = before.map_or(0, |rank| rank.saturating_add(1));
+        }
+    }
+    let is_on_way = |table: &StageTable| way.contains(&table.name.get_ref().as_str());
+    tables.iter().zip(ranks).map(|(table, rank)| is_on_way(table).then_some(rank)).collect()
 }
 
 /// Warnings that a stage reads a topic that no stage of the file writes under this name. Its writer may be a

@@ -15,13 +15,32 @@ pub(super) struct File {
     pub origin: Option<Spanned<String>>,
     pub protect: Option<Vec<Spanned<String>>>,
     pub shed: Option<bool>,
-    pub awake: Option<bool>,
+    pub awake: Option<Spanned<bool>>,
+    pub realtime: Option<RealtimeTable>,
     #[serde(default)]
     pub readers: BTreeMap<Spanned<String>, Spanned<u64>>,
     #[serde(rename = "stage", default)]
     pub stages: Vec<Spanned<StageTable>>,
     #[serde(rename = "topic", default)]
     pub topics: Vec<Spanned<TopicTable>>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct RealtimeTable {
+    pub profile: Option<Spanned<Profile>>,
+    pub priority: Option<Spanned<u64>>,
+    pub cpu: Option<Spanned<toml::Value>>,
+    pub awake: Option<Spanned<bool>>,
+    pub lock: Option<bool>,
+}
+
+/// A set of real-time settings under one name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub(super) enum Profile {
+    /// A machine that serves the vehicle alone.
+    Vehicle,
 }
 
 #[derive(Debug, Deserialize)]

@@ -107,8 +107,8 @@ fn the_shipped_file_is_accepted() {
 
 #[test]
 fn processors_may_sleep_unless_the_file_has_them_awake() {
-    assert!(!parsed(FULL).awake);
-    assert!(parsed(&format!("awake = true\n{FULL}")).awake);
+    assert!(!parsed(FULL).realtime.awake);
+    assert!(parsed(&format!("awake = true\n{FULL}")).realtime.awake);
 }
 
 #[test]
@@ -269,13 +269,13 @@ fn the_options_of_a_command_are_not_checked() {
 fn processors_and_priority_of_a_stage() {
     let of = |keys: &str| with("name = \"encoder\"", &format!("name = \"encoder\"\n{keys}"));
     let set = parsed(&of("cpu = [3, 1]\npriority = 50"));
-    let expected = Scheduling { cpus: vec![1, 3], priority: Some(50) };
+    let expected = Scheduling { cpus: vec![1, 3], priority: Some(50), unlocked: false };
     assert_eq!(stage(&set, StageId::Encoder).scheduling, expected);
     assert!(stage(&set, StageId::Decoder).scheduling.is_default());
     insta::assert_snapshot!(error(&of("cpu = []")));
     insta::assert_snapshot!(error(&of("cpu = [0, 1024]")));
     insta::assert_snapshot!(error(&of("cpu = [1, 1]")));
-    insta::assert_snapshot!(error(&of("priority = 0")));
+    assert!(stage(&parsed(&of("priority = 0")), StageId::Encoder).scheduling.is_default());
     insta::assert_snapshot!(error(&of("priority = 100")));
 }
 
