@@ -1,3 +1,6 @@
+mod files;
+mod realtime;
+
 use std::fmt::Display;
 use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
@@ -23,6 +26,9 @@ pub struct Arguments {
     /// Also check whether this many agents fit this machine
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=wire::AGENTS_MAX as i64))]
     agents: Option<u32>,
+    /// Check the settings of the kernel that delay a tick instead, and print the command of each change
+    #[arg(long, conflicts_with = "agents")]
+    realtime: bool,
 }
 
 /// One check of the machine.
@@ -37,6 +43,9 @@ struct Finding {
 
 /// Checks this machine's support for a run, and advises if something is missing.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
+    if arguments.realtime {
+        return realtime::execute();
+    }
     let findings = [
         shared_memory(),
         rights(),
