@@ -2,6 +2,7 @@ mod arguments;
 mod chain;
 mod cost;
 mod handover;
+mod jitter;
 mod modes;
 mod percentile;
 mod pipe;
@@ -30,12 +31,16 @@ const PEAK_TIME: Duration = Duration::from_millis(400);
 /// Measures compute per stage, the overhead of the pipeline and this machine's peaks in one run, or only the
 /// requested part.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
-    if !arguments.fail_if.is_empty() && arguments.seconds == 0 {
-        return Err(Failure::Usage("--fail-if is about the run of --seconds, which is 0".to_owned()));
+    if (arguments.jitter || !arguments.fail_if.is_empty()) && arguments.seconds == 0 {
+        return Err(Failure::Usage(
+            "--fail-if and --jitter are about the run of --seconds, which is 0".to_owned(),
+        ));
     }
     let mut report = None;
     let (mark, text) = if arguments.cost {
         ("bench cost", cost::table(arguments)?)
+    } else if arguments.jitter {
+        ("bench jitter", jitter::table(arguments)?)
     } else {
         let mut text = speed(arguments)?;
         if arguments.seconds > 0 {

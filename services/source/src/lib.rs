@@ -14,6 +14,7 @@ mod thinning;
 
 pub use options::{Options, STAGE};
 pub use outputs::Outputs;
+pub use plan::start_ns;
 pub use playback::{Playback, PlaybackOptions, Tick};
 pub use scene::recording;
 pub use thinning::merge;

@@ -13,6 +13,13 @@ const NAME: &str = "source-start";
 #[derive(Debug)]
 pub(crate) struct Plan(PathBuf);
 
+/// The time of a run's first tick on `CLOCK_MONOTONIC`, shifted by later stalls; `None` if no tick was
+/// released.
+#[must_use]
+pub fn start_ns(run: &Run) -> Option<u64> {
+    Plan::of(run).start_ns()
+}
+
 impl Plan {
     pub fn of(run: &Run) -> Self {
         Self(run.root.join(NAME))

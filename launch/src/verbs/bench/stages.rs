@@ -18,6 +18,8 @@ use crate::options::{Setting, StageOptions};
 use crate::prediction::SHARED;
 use crate::tables;
 
+/// Numbers of agents if none are given.
+const AGENTS: [u16; 4] = [1, 16, 64, 128];
 /// Ticks before the measurement. They exceed the history, so caches are as in a steady run.
 const WARM_UP: u64 = 60;
 /// The compute stages.
@@ -52,7 +54,7 @@ impl Measured {
 pub(super) fn table(arguments: &Arguments, peak_gflops: f64) -> Result<String, Failure> {
     let columns = ["agents:", "stage", "compute p50 ms:", "p99 ms:", "GFLOP/s:", "of the matrix product:"];
     let mut text = tables::head(&columns);
-    for &agents in &arguments.agents {
+    for &agents in arguments.agents.as_deref().unwrap_or(&AGENTS) {
         let mut measured = measure(arguments, usize::from(agents), None)?;
         let mut total_ms = 0.0;
         for (stage, id) in STAGES.iter().enumerate() {
