@@ -23,6 +23,7 @@ mod recorded;
 mod recordings;
 mod replacements;
 mod shedding;
+mod soak;
 mod spares;
 mod started;
 mod torn;

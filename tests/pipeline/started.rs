@@ -132,6 +132,16 @@ impl Started {
         String::from_utf8_lossy(&line).into_owned()
     }
 
+    /// Whether the process has not ended yet.
+    pub fn is_running(&mut self) -> bool {
+        self.0.try_wait().expect("a child can be waited for").is_none()
+    }
+
+    /// The process number.
+    pub fn pid(&self) -> Pid {
+        Pid::from_child(&self.0)
+    }
+
     /// Sends the process a signal.
     pub fn signal(&self, signal: Signal) {
         kill_process(Pid::from_child(&self.0), signal).expect("the process runs");

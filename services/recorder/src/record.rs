@@ -100,6 +100,8 @@ struct Sums {
     hops_missing: u64,
     #[serde(default)]
     files_unwritten: u64,
+    #[serde(default)]
+    unpublished_ticks: u64,
     input: InputTally,
     agents_max: u64,
     forecasts_by_quality: [u64; Quality::ALL.len()],
@@ -160,7 +162,7 @@ impl Recorder {
     /// Lost ticks are gaps in the sequence. After a warm-up frame the sequence starts at tick 0. Otherwise it
     /// starts at the first tick received, because the recorder may start during a run. The END frame of a
     /// recording reveals ticks lost before it. A VOID tick that is not newer than the last arrived late at
-    /// the tracker. It is not lost, and is not counted in any other way.
+    /// the tracker. It is not lost, but unpublished.
     ///
     /// Returns the figures of the tick; `None` if the frame is not a newer tick.
     ///
@@ -185,7 +187,11 @@ impl Recorder {
             self.sums.losses.forecast_gap(restarted, gap);
         }
         self.sums.next_seq = Some(header.seq.saturating_add(1));
-        if !header.is_tick() || self.newer_ns(header).is_some() {
+        if !header.is_tick() {
+            return Ok(None);
+        }
+        if self.newer_ns(header).is_some() {
+            self.sums.unpublished_ticks += 1;
             return Ok(None);
         }
         let tick = Tick::new(&mut self.timeline, header, forecasts);
@@ -302,6 +308,7 @@ impl Recorder {
             agents_left_out: self.sums.agents_left_out,
             hops_missing: self.sums.hops_missing,
             files_unwritten: self.sums.files_unwritten,
+            unpublished_ticks: self.sums.unpublished_ticks,
             input: self.sums.input.report(&self.options.input),
             agents: self.agents(),
             forecasts: self.forecast_counts(),

@@ -56,6 +56,10 @@ pub struct Report {
     /// Number of times that the recorder could not save its state, for instance because the disk was full.
     #[serde(default)]
     pub files_unwritten: u64,
+    /// Number of ticks whose stamp was not newer than the stamp of the tick before. Their detections were
+    /// refused, or processed as out-of-sequence measurements, and newer forecasts had been published already.
+    #[serde(default)]
+    pub unpublished_ticks: u64,
     /// The content of the input, and its probable faults.
     #[serde(default)]
     pub input: InputReport,

@@ -206,6 +206,7 @@ fn a_late_void_tick_is_not_lost() {
     }
     let report = recorder.report();
     assert_eq!((report.ticks, report.drops, report.run.played_s), (99, 1, Some(7.92)));
+    assert_eq!(report.unpublished_ticks, 1, "the refused frame has no place, the VOID tick has one");
 }
 
 #[test]
