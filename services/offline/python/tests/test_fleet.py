@@ -307,6 +307,30 @@ class Recordings(InFolder):
         self.assertEqual([of["name"] for of in figures["set_aside"]], ["drives/a/cut.csv", "drives/a/empty.csv"])
         self.assertNotIn(str(self.folder), finished.report.text)
 
+    def test_evaluate_gives_the_figures_of_a_single_evaluation(self) -> None:
+        root = self.write({"a.csv": drive(12.0), "b.csv": drive(12.0, 11.0), "empty.csv": "", "short.csv": drive(2.0)})
+        options = Options(rows=True)
+        finished = stgdat.fleet.evaluate(root, self.folder / "out", options, place=QUIET)
+        self.assertEqual([done.error is None for done in finished.done], [True, True, False, True])
+        whole = stgdat.evaluate([root / name for name in ("a.csv", "b.csv", "short.csv")])
+        figures = finished.report.figures
+        self.assertEqual(figures["figures"], whole.figures)
+        self.assertEqual(figures["left_out"], whole.left_out)
+        self.assertEqual(figures["failed"], ["drives/empty.csv: InputError: drives/empty.csv: no rows"])
+        self.assertTrue(finished.report.text.startswith(whole.table[: whole.table.index("Left out")]))
+        rows = pyarrow.parquet.read_table(self.folder / "out" / "recordings.parquet").to_pylist()
+        of_a = [of for of in whole.figures if of["part"] == "drives/a" and of["subset"] == "all"]
+        steady = [of for of in of_a if (of["method"], of["measure"]) == ("constant velocity", "K = 1")]
+        last = max(of["horizon_s"] for of in steady)
+        (ade_m,) = [of["value"] for of in steady if of["horizon_s"] == last and of["quantity"] == "ADE, m"]
+        self.assertEqual(rows[0]["constant_velocity_ade_m"], ade_m)
+        self.assertGreater(rows[0]["best_ade_m"], 0.0)
+        self.assertEqual([row["agents"] for row in rows[2:]], [None, 0])
+        table = pyarrow.parquet.read_table(self.folder / "out" / "rows").to_pylist()
+        self.assertGreater(sum(row["recording"] == "drives/a.csv" and row["ade_m"] is not None for row in table), 100)
+        with self.assertRaisesRegex(stgdat.InputError, "sampler.evidence"):
+            stgdat.fleet.evaluate(root, self.folder / "out", Options(settings={"sampler.evidence": "false"}))
+
     def test_replay_shows_what_other_settings_change(self) -> None:
         self.write({"a.csv": drive(12.0), "b.csv": drive(12.0, 11.0)})
         root = self.folder / "drives"
@@ -341,6 +365,9 @@ class Recordings(InFolder):
         vehicles = finished.report.figures["types"]["vehicle"]
         self.assertGreater(vehicles["matured"], 100)
         self.assertEqual(vehicles["different"], 0)
+        of_record = stgdat.fleet.evaluate(record, self.folder / "record", place=QUIET).report.figures
+        of_file = stgdat.fleet.evaluate(root / "a.csv", self.folder / "file", place=QUIET).report.figures
+        self.assertEqual(of_record["figures"], of_file["figures"])
         # The detections of the record are the recording.
         self.assertEqual(stgdat.open(record).agents["id"].tolist(), [1, 2, 3, 99])
 

@@ -317,8 +317,8 @@ class Recordings(InFolder):
         state = self.folder / "walk.state"
         subprocess.run([lab, "evaluate", path, "--state", state], check=True, capture_output=True)
         self.assertEqual(state.read_bytes(), stgdat.evaluate_state(path))
-        merge = [lab, "evaluate", "--merge", state]
-        printed = subprocess.run(merge, check=True, capture_output=True, text=True).stdout
+        merged = subprocess.run([lab, "evaluate", "--merge", state], check=True, capture_output=True, text=True)
+        printed = merged.stdout
         self.assertEqual(printed, evaluation.text)
         self.assertEqual(printed, done.stdout)
         example = [sys.executable, str(EXAMPLES / "figures.py"), str(path)]

@@ -1,6 +1,6 @@
 """Jobs over many recordings: on the cores of one machine, or on a cluster of Ray.
 
-    python -m stgdat.fleet audit s3://bucket/drives --output results --address ray://head:10001
+    python -m stgdat.fleet evaluate s3://bucket/drives --output results --address ray://head:10001
 
 Each recording is computed alone, by the same Rust crates as the program. This package finds recordings, distributes
 them, stores the result of each, and merges the results. It needs `pip install 'stgdat[fleet]'`.
@@ -18,11 +18,23 @@ from .driver import Finished, Place, run
 from .inputs import Path
 from .jobs import Job, Options, Report
 from .jobs.audit import Audit
+from .jobs.evaluate import Evaluate
 from .jobs.mine import Mine
 from .jobs.priors import Priors
 from .jobs.replay import Replay
 
 Paths = Union[Path, Iterable[Path]]
+
+
+def evaluate(
+    paths: Paths,
+    output: Path,
+    options: Options = Options(),
+    positions: bool = False,
+    place: Place = Place(),
+) -> Finished:
+    """Compares forecasts with the observed motion: the tables of `stgdat evaluate` over all recordings."""
+    return run(Evaluate(options, positions), paths, output, place)
 
 
 def replay(
@@ -59,4 +71,4 @@ def mine(
     return run(Mine(options, count, before_s, after_s), paths, output, place)
 
 
-__all__ = ["Finished", "Job", "Options", "Place", "Report", "audit", "mine", "priors", "replay", "run"]
+__all__ = ["Finished", "Job", "Options", "Place", "Report", "audit", "evaluate", "mine", "priors", "replay", "run"]

@@ -11,11 +11,13 @@ from . import Options, Place, run
 from .inputs import PATTERNS
 from .jobs import Job
 from .jobs.audit import Audit
+from .jobs.evaluate import Evaluate
 from .jobs.mine import Mine
 from .jobs.priors import Priors
 from .jobs.replay import Replay
 
 _JOBS = {
+    "evaluate": "Compare forecasts with the observed motion",
     "replay": "Compare this build, or other weights, with the forecasts in records",
     "audit": "Collect the doubts of the input audit",
     "priors": "Learn evidence priors of your roads for `--set sampler.prior=FILE`",
@@ -29,6 +31,8 @@ def _parser() -> argparse.ArgumentParser:
     for name, about in _JOBS.items():
         job = jobs.add_parser(name, help=about, description=about)
         _common(job)
+        if name == "evaluate":
+            job.add_argument("--positions", action="store_true", help="derive velocities and headings from positions")
         if name == "replay":
             job.add_argument("--before", metavar="FILE", help="weights to compare with, for files that are no records")
         if name == "mine":
@@ -110,6 +114,8 @@ def _job(arguments: argparse.Namespace) -> Job:
     settings: Dict[str, object] = dict(arguments.set)
     of = arguments
     options = Options(of.weights, of.lanes, of.lanes_origin, of.map, settings, of.format, of.fps, of.origin, of.rows)
+    if of.job == "evaluate":
+        return Evaluate(options, of.positions)
     if of.job == "replay":
         return Replay(options, of.before)
     if of.job == "mine":

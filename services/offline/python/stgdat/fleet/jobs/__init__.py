@@ -14,6 +14,13 @@ from .. import inputs
 from ..inputs import Input
 from ..store import Result, Store
 
+#: Types of the columns of rows in Arrow, where they are not numbers with a fraction. A column without a value has its
+#: type too, so that the files of all recordings are one table.
+_TYPES = {
+    **dict.fromkeys(("recording", "type", "quality", "cause"), "string"),
+    **dict.fromkeys(("seq", "track", "agent", "contact_with"), "uint64"),
+    "stamp_ns": "int64",
+}
 #: A worker has one core, so each stage has one thread.
 _WORKERS = {f"{stage}.workers": 1 for stage in ("encoder", "decoder", "extractor", "sampler")}
 
@@ -101,7 +108,9 @@ def write_rows(recording: Input, columns: Mapping[str, List[Any]], key: str, sto
     import pyarrow.parquet
 
     count = len(next(iter(columns.values()), []))
-    table = pyarrow.table({"recording": [recording.name] * count, **columns})
+    named = {"recording": [recording.name] * count, **columns}
+    types = [(name, pyarrow.type_for_alias(_TYPES.get(name, "float64"))) for name in named]
+    table = pyarrow.table(named, pyarrow.schema(types))
     sink = pyarrow.BufferOutputStream()
     pyarrow.parquet.write_table(table, sink, compression="zstd")
     store.write(f"rows/{key[:2]}/{key}.parquet", sink.getvalue().to_pybytes())
