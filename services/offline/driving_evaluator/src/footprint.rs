@@ -2,6 +2,9 @@
 
 use scene::AgentType;
 
+/// No agent brakes harder: tyres have no more grip. A contact that needs more, and did not happen, is an error of
+/// the recording's positions or sizes.
+const BRAKING_MAX_MPS2: f32 = 9.8;
 /// Distances and speeds below this count as zero.
 const TINY: f32 = 1e-6;
 
@@ -79,13 +82,14 @@ impl Footprint {
         self.overlap_s(other).is_some_and(|[enters_s, _]| enters_s <= 0.0)
     }
 
-    /// The contact with another agent within `within_s`. `None`, too, if they overlap already, which is an error
-    /// of the recording's positions or sizes.
+    /// The contact with another agent within `within_s` that braking can avoid. `None`, too, if they overlap
+    /// already, which is an error of the recording's positions or sizes.
     pub(crate) fn contact(&self, other: &Self, within_s: f32) -> Option<Contact> {
         let [after_s, _] = self.overlap_s(other)?;
         let [vx, vy] = between(self.velocity_mps, other.velocity_mps);
         let deceleration_mps2 = vx.hypot(vy) / (2.0 * after_s);
-        (after_s > 0.0 && after_s <= within_s).then_some(Contact {
+        let is_avoidable = after_s > 0.0 && deceleration_mps2 <= BRAKING_MAX_MPS2;
+        (is_avoidable && after_s <= within_s).then_some(Contact {
             with: other.agent,
             after_s,
             deceleration_mps2,
@@ -172,6 +176,18 @@ mod tests {
     fn cars_in_the_next_lane_and_overlapping_boxes_are_no_near_collision() {
         assert_eq!(car([0.0, 0.0], 10.0, 0.0).contact(&car([24.0, 2.5], 0.0, 0.0), 3.0), None);
         assert_eq!(car([0.0, 0.0], 10.0, 0.0).contact(&car([3.0, 0.5], 0.0, 0.0), 3.0), None);
+    }
+
+    #[test]
+    fn a_contact_that_no_brake_avoids_is_an_error_of_the_boxes() {
+        // 5 m between the bumpers need 10 m/s², 6 m need 8.3 m/s².
+        let behind = |gap_m: f32| car([0.0, 0.0], 10.0, 0.0).contact(&car([4.0 + gap_m, 0.0], 0.0, 0.0), 3.0);
+        assert_eq!(behind(5.0), None);
+        assert!(
+            behind(6.0).is_some_and(|of| (of.deceleration_mps2 - 8.333).abs() < 1e-2),
+            "{:?}",
+            behind(6.0)
+        );
     }
 
     #[test]
