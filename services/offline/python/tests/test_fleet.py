@@ -34,6 +34,9 @@ from stgdat.fleet.jobs.priors import FILE, Priors
 from stgdat.fleet.progress import Progress
 from stgdat.fleet.store import Result, Store
 
+if importlib.util.find_spec("ray") is None:
+    print("skipped: tests on a cluster need ray")
+
 HEAD = "stamp_s,id,type,x_m,y_m,heading_rad,speed_mps\n"
 QUIET = Place(processes=0, progress=None)
 

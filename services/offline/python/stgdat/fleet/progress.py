@@ -11,7 +11,7 @@ _EVERY_S = (0.5, 15.0)
 
 
 class Progress:
-    """Counts recordings and bytes. The time left follows the bytes, because recordings differ in size."""
+    """Counts recordings and bytes. The time left follows both, because neither alone shows the work that is left."""
 
     def __init__(
         self,
@@ -55,7 +55,8 @@ class Progress:
         if new:
             parts.append(f"{new / passed_s:.3g}/s")
         if self._new_bytes and self.done < self.recordings:
-            left_s = passed_s * (self.size - self._bytes) / self._new_bytes
+            of_bytes = (self.size - self._bytes) / self._new_bytes
+            left_s = passed_s * (of_bytes + (self.recordings - self.done) / new) / 2
             parts.append(f"{_time(left_s)} left")
         for count, what in [(self.found, "done before"), (self.failed, "set aside"), (self.lost, "tasks repeated")]:
             if count:
