@@ -12,7 +12,7 @@ use pyo3::prelude::*;
 use pyo3::pybacked::PyBackedBytes;
 
 use crate::error;
-use crate::recording::parse;
+use crate::recording::{detections_of, parse, record_at};
 
 /// States that are merged while the global lock is released.
 const TOGETHER: usize = 256;
@@ -60,11 +60,15 @@ impl Evaluator {
         })
     }
 
-    /// The state of one recording.
-    fn state(&self, py: Python<'_>, path: PathBuf) -> PyResult<Cow<'static, [u8]>> {
+    /// The state of one recording, or of the detections of a record. `name` is its name in tables.
+    fn state(&self, py: Python<'_>, path: PathBuf, name: Option<String>) -> PyResult<Cow<'static, [u8]>> {
         py.detach(move || {
-            let state = self.evaluation.recording(&path, self.open).map_err(|why| error::of(&why))?;
-            Ok(state.to_bytes().into())
+            let mut recording = match record_at(&path)? {
+                Some(record) => detections_of(&record)?,
+                None => data::open_with(&path, self.open).map_err(|why| error::of(&why))?,
+            };
+            recording.name = name.unwrap_or(recording.name);
+            Ok(self.evaluation.opened(recording).to_bytes().into())
         })
     }
 

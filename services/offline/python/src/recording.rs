@@ -1,6 +1,7 @@
 //! Recordings.
 
 use std::collections::BTreeMap;
+use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use clap::Parser;
@@ -40,7 +41,11 @@ pub fn prepare(arguments: Vec<String>) -> PyResult<Prepared> {
 
 /// The record of a run that the arguments name; `None` for any other recording.
 pub fn record_of(prepared: &Prepared) -> PyResult<Option<recording::Recording>> {
-    let Some(path) = &prepared.source.recording else { return Ok(None) };
+    prepared.source.recording.as_deref().map_or(Ok(None), record_at)
+}
+
+/// The record of a run at a path; `None` for any other recording.
+pub fn record_at(path: &Path) -> PyResult<Option<recording::Recording>> {
     match recording::Recording::open(path) {
         Ok(record) => Ok(Some(record)),
         Err(ReadError::Foreign { .. } | ReadError::NotOurs { .. }) => Ok(None),
@@ -58,7 +63,7 @@ pub fn load(prepared: &Prepared) -> PyResult<data::Recording> {
 }
 
 /// The detections of a record, as the sensor sent them.
-fn detections_of(record: &recording::Recording) -> PyResult<data::Recording> {
+pub fn detections_of(record: &recording::Recording) -> PyResult<data::Recording> {
     let (name, sha256) = data::identity(record.path()).map_err(|why| error::of(&why))?;
     let mut frames: BTreeMap<i64, data::Frame> = BTreeMap::new();
     let mut has_identities = true;

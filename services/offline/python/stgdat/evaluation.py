@@ -72,12 +72,13 @@ class Evaluator:
         )
         self._inner = _stgdat.Evaluator(arguments, map != "none", positions, threads)
 
-    def state(self, path: Union[Path, Recording]) -> bytes:
+    def state(self, path: Union[Path, Recording], name: Optional[str] = None) -> bytes:
         """The sums behind the tables of one recording. `merge_states` makes tables from such states.
 
-        Raises `InputError` for a recording that cannot be read.
+        `path` may be the record of a run, whose detections are evaluated. `name` replaces the name of the recording in
+        tables: for a file that was copied to a temporary place. Raises `InputError` for a recording that cannot be read.
         """
-        return self._inner.state(_path(path))
+        return self._inner.state(_path(path), name)
 
     def evaluate(self, recordings: Union[Path, Recording, Iterable[Union[Path, Recording]]]) -> Evaluation:
         """The figures of recordings. See `stgdat.evaluate`."""

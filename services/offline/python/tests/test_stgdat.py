@@ -337,6 +337,8 @@ class Recordings(InFolder):
         self.assertEqual(stgdat.merge_states(iter(states), failures), whole)
         self.assertEqual(len(whole.failed), 1)
         self.assertIn("Failed: ", whole.text)
+        named = stgdat.merge_states([evaluator.state(paths[0], name="day/walk")])
+        self.assertEqual({figure["part"] for figure in named.figures}, {"day/walk"})
         part = stgdat.combine_states([states[2], states[0]], failures)
         self.assertEqual(stgdat.merge_states([part, states[1]]), whole)
         self.assertEqual(stgdat.combine_states([states[1], part]), stgdat.combine_states(states, failures))

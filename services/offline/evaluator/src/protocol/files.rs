@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use data::OpenOptions;
+use data::{OpenOptions, Recording};
 use lanes::LaneMap;
 
 use super::{Footage, MapChoice, Options, Rules, SEED};
@@ -75,17 +75,19 @@ impl Evaluation {
         self
     }
 
-    /// How scenes are cut from a recording.
-    pub const fn cut(&self) -> &Cut {
-        &self.cut
-    }
-
     /// Evaluates one recording. A recording without an agent over a whole window is listed as left out.
     ///
     /// # Errors
     /// If the recording can't be read.
     pub fn recording(&self, path: &Path, open: OpenOptions) -> Result<State, EvaluateError> {
         Ok(self.judged(&self.cut.read(path, open)?))
+    }
+
+    /// As [`Evaluation::recording`], of a recording that is already read.
+    #[must_use]
+    pub fn opened(&self, recording: Recording) -> State {
+        let scenes = self.cut.scenes(&recording);
+        self.judged(&Footage { recording, scenes })
     }
 
     /// Evaluates recordings. A recording that can't be read is one line in the state.
@@ -123,7 +125,7 @@ impl Evaluation {
         }
     }
 
-    pub(crate) fn judged(&self, footage: &Footage) -> State {
+    fn judged(&self, footage: &Footage) -> State {
         let Footage { recording, scenes } = footage;
         let rules =
             Rules { horizons: &self.horizons, subsets: &SUBSETS, of_type: None, threads: self.threads };

@@ -4,7 +4,7 @@ use data::{GeneratedScene, SceneOptions};
 use proptest::prelude::*;
 
 use super::*;
-use crate::{Evaluation, Footage, MapChoice, Options, WeightsChoice};
+use crate::{Evaluation, MapChoice, Options, WeightsChoice};
 
 /// The state of a generated recording of all types.
 static ONE: LazyLock<State> = LazyLock::new(|| {
@@ -18,9 +18,7 @@ static ONE: LazyLock<State> = LazyLock::new(|| {
     };
     let scene = SceneOptions { agents: 10, identities: true, ..SceneOptions::default() };
     let recording = GeneratedScene::new(scene).unwrap().recording(300);
-    let evaluation = Evaluation::new(&options, false).unwrap();
-    let scenes = evaluation.cut().scenes(&recording);
-    evaluation.judged(&Footage { recording, scenes })
+    Evaluation::new(&options, false).unwrap().opened(recording)
 });
 
 /// The same state as if of another recording, with other errors.
