@@ -13,8 +13,6 @@
 
 pub mod command;
 #[cfg(feature = "ros2")]
-mod inbox;
-#[cfg(feature = "ros2")]
 pub mod node;
 pub mod options;
 pub mod output;

@@ -3,7 +3,7 @@ use std::f64::consts::FRAC_PI_2;
 use interop::messages::{
     DetectedObject, ObjectClassification, Quaternion, Time, TrackedObject, TransformStamped, Uuid, label,
 };
-use wire::AgentType;
+use wire::{AgentType, DETECTIONS_MAX};
 
 use super::*;
 

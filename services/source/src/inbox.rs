@@ -1,4 +1,4 @@
-//! Messages on their way from the threads of DDS to the stage.
+//! Messages on their way from a network's threads to the stage.
 
 use std::collections::VecDeque;
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
@@ -44,7 +44,7 @@ impl<T> Inbox<T> {
         }
         state.messages.push_back(message);
         drop(state);
-        self.arrived.notify_one();
+        self.arrived.notify_all();
         true
     }
 
@@ -58,6 +58,17 @@ impl<T> Inbox<T> {
     /// Number of messages that were dropped.
     pub fn dropped(&self) -> u64 {
         self.state().dropped
+    }
+
+    /// Whether further messages are refused.
+    pub fn is_closed(&self) -> bool {
+        self.state().is_closed
+    }
+
+    /// Waits until the queue is closed, at most `timeout`.
+    pub fn wait_closed(&self, timeout: Duration) {
+        let is_open = |state: &mut State<T>| !state.is_closed;
+        drop(self.arrived.wait_timeout_while(self.state(), timeout, is_open));
     }
 
     /// Refuses further messages.
