@@ -15,7 +15,7 @@ pub mod forecasts;
 
 use bytemuck::{Pod, Zeroable, bytes_of, bytes_of_mut, pod_read_unaligned};
 use thiserror::Error;
-use wire::Rejected;
+use wire::{HORIZON_MAX, Header, Rejected, WorldOrigin};
 
 use crate::auth::{CODE_BYTES, NONCE_BYTES, Session, is_equal};
 
@@ -142,6 +142,28 @@ pub struct TickHead {
     pub stamp_source: u8,
     /// Zero.
     pub reserved: u8,
+}
+
+impl TickHead {
+    /// The head of a run's tick. Before the tracker a tick has no Δt, and its interval is that of the source.
+    #[must_use]
+    pub fn of(header: &Header, origin: WorldOrigin) -> Self {
+        Self {
+            run_id: header.run_id,
+            seq: header.seq,
+            stamp_ns: header.stamp_ns,
+            interval_ns: if header.step_ns > 0 { header.step_ns } else { header.interval_ns },
+            origin_m: origin.position_m(),
+            ego_m: header.ego_m,
+            ego_heading_rad: header.ego_heading_rad,
+            flags: header.flags & FLAGS,
+            left_out_len: u16::try_from(header.left_out_len).unwrap_or(u16::MAX),
+            horizon_len: header.counts.horizon_len.min(HORIZON_MAX as u32) as u8,
+            observed_types: header.observed_types as u8,
+            stamp_source: header.stamp_source as u8,
+            ..Self::default()
+        }
+    }
 }
 
 const _: () = assert!(size_of::<SenderHello>() == 24 && size_of::<ReceiverHello>() == 32);

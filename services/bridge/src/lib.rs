@@ -9,4 +9,16 @@
 //! A pre-shared key authenticates both ends and every frame ([`auth`]).
 
 pub mod auth;
+pub mod command;
+pub mod counts;
 pub mod frame;
+mod greeting;
+pub mod lines;
+pub mod options;
+pub mod play;
+pub mod publish;
+pub mod receiver;
+mod report;
+pub mod sender;
+pub mod socket;
+pub mod source;

@@ -6,9 +6,9 @@
 //! which 65535 stands for 1, and a path. Sums of steps are exact, so rounding errors do not add up.
 
 use bytemuck::{Pod, Zeroable, bytes_of};
-use wire::{AGENTS_MAX, AgentType, Forecast, HORIZON_MAX, Header, MODES_MAX, Quality, Rejected, WorldOrigin};
+use wire::{AGENTS_MAX, AgentType, Forecast, HORIZON_MAX, MODES_MAX, Quality, Rejected};
 
-use super::{Bytes, FLAGS, Refused, TickHead, at_most};
+use super::{Bytes, Refused, TickHead, at_most};
 
 /// Most modes of an agent.
 pub const MODES_SENT_MAX: usize = 5;
@@ -82,26 +82,6 @@ pub struct Forecasts {
     pub head: TickHead,
     /// The agents.
     pub agents: Vec<Agent>,
-}
-
-/// The head of a tick of a run with this origin.
-#[must_use]
-pub fn head(header: &Header, origin: WorldOrigin) -> TickHead {
-    TickHead {
-        run_id: header.run_id,
-        seq: header.seq,
-        stamp_ns: header.stamp_ns,
-        interval_ns: header.step_ns,
-        origin_m: origin.position_m(),
-        ego_m: header.ego_m,
-        ego_heading_rad: header.ego_heading_rad,
-        flags: header.flags & FLAGS,
-        left_out_len: u16::try_from(header.left_out_len).unwrap_or(u16::MAX),
-        horizon_len: header.counts.horizon_len.min(HORIZON_MAX as u32) as u8,
-        observed_types: header.observed_types as u8,
-        stamp_source: header.stamp_source as u8,
-        ..TickHead::default()
-    }
 }
 
 /// Writes a body with at most `modes_max` modes of each agent. A forecast with a step of more than 327 m, or

@@ -46,7 +46,7 @@ fn forecast(id: u64) -> Forecast {
 fn body(forecasts: &[Forecast], modes_max: usize) -> Vec<u8> {
     let mut body = Vec::new();
     let origin = WorldOrigin::new([458_000.0, 5_428_000.5]).unwrap();
-    forecasts::write(&mut body, &forecasts::head(&header(), origin), forecasts, modes_max);
+    forecasts::write(&mut body, &TickHead::of(&header(), origin), forecasts, modes_max);
     body
 }
 

@@ -1,0 +1,132 @@
+//! The bridge at both ends of a pipeline: detections in over one link, forecasts out over another, on loopback.
+//!
+//! The test needs the program `stgdat` beside `stgdat-bridge`, and prints why it is skipped.
+#![expect(clippy::unwrap_used, reason = "a test ends at what it can't do")]
+
+use std::io::{BufRead as _, BufReader, Write as _};
+use std::net::TcpListener;
+use std::os::unix::fs::OpenOptionsExt as _;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+
+use serde_json::Value;
+
+const PIPELINE: &str = include_str!("../../../launch/pipeline.toml");
+const READER: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/examples/bridge_reader.py");
+
+/// A process that is killed at the end of the test.
+struct Running(Child);
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+fn start(program: &Path, arguments: &[&str]) -> Running {
+    let child = Command::new(program).args(arguments).stdout(Stdio::piped()).spawn();
+    Running(child.unwrap_or_else(|error| panic!("{}: {error}", program.display())))
+}
+
+fn free_port() -> u16 {
+    TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
+}
+
+struct Scene {
+    folder: tempfile::TempDir,
+    bridge: PathBuf,
+    key: String,
+    detections: String,
+    forecasts: String,
+}
+
+impl Scene {
+    fn new() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let key = folder.path().join("key");
+        let mut file =
+            std::fs::OpenOptions::new().write(true).create_new(true).mode(0o600).open(&key).unwrap();
+        file.write_all(b"0123456789abcdef0123456789abcdef\n").unwrap();
+        Self {
+            bridge: env!("CARGO_BIN_EXE_stgdat-bridge").into(),
+            key: key.to_str().unwrap().to_owned(),
+            detections: folder.path().join("detections").to_str().unwrap().to_owned(),
+            forecasts: format!("127.0.0.1:{}", free_port()),
+            folder,
+        }
+    }
+
+    fn pipeline(&self) -> String {
+        let Self { key, detections, forecasts, .. } = self;
+        let bridge = self.bridge.display();
+        let source = format!(
+            "name = \"source\"\ncommand = [\"{bridge}\"]\n\
+             options = {{ connect = \"{detections}\", key = \"{key}\", max_age_ms = 60000, timeout_ms = 5000 }}\n"
+        );
+        let output = format!(
+            "\n[[stage]]\nname = \"to-planner\"\ncommand = [\"{bridge}\"]\nreads = [\"forecasts\"]\n\
+             options = {{ listen = \"{forecasts}\", key = \"{key}\", modes = 5, timeout_ms = 5000 }}\n"
+        );
+        let path = self.folder.path().join("pipeline.toml");
+        std::fs::write(&path, PIPELINE.replace("name = \"source\"\n", &source) + &output).unwrap();
+        path.to_str().unwrap().to_owned()
+    }
+
+    /// A detector on another box.
+    fn detector(&self) -> Running {
+        let arguments = ["play", &self.detections, "--agents", "8", "--ticks", "5000", "--key", &self.key];
+        start(&self.bridge, &arguments)
+    }
+}
+
+/// The next line with an agent that `is_expected`.
+fn awaited(lines: &mut impl Iterator<Item = String>, is_expected: impl Fn(&Value) -> bool) -> Value {
+    for line in lines {
+        let frame: Value = serde_json::from_str(&line).unwrap();
+        if frame["agents"].as_array().is_some_and(|agents| agents.iter().any(&is_expected)) {
+            return frame;
+        }
+    }
+    panic!("the receiver has ended");
+}
+
+#[test]
+fn detections_come_in_and_forecasts_go_out_and_a_lost_link_comes_back() {
+    let scene = Scene::new();
+    let stgdat = scene.bridge.with_file_name("stgdat");
+    if !stgdat.is_file() {
+        println!("skipped: no {}: build it with the same profile", stgdat.display());
+        return;
+    }
+    let detector = scene.detector();
+    let run = start(&stgdat, &["run", "--pipeline", &scene.pipeline()]);
+    let arguments =
+        ["receive", &scene.forecasts, "--key", &scene.key, "--max-age", "60000", "--timeout", "5000"];
+    let mut receiver = start(&scene.bridge, &arguments);
+    let mut lines = BufReader::new(receiver.0.stdout.take().unwrap()).lines().map_while(Result::ok);
+
+    let is_learned = |agent: &Value| agent["quality"] == "learned";
+    let frame = awaited(&mut lines, is_learned);
+    let agent = frame["agents"].as_array().unwrap().iter().find(|agent| is_learned(agent)).unwrap();
+    assert_eq!(agent["best_m"].as_array().map(Vec::len), Some(12), "{agent}");
+    assert!(agent["modes"].as_array().is_some_and(|modes| (1..=5).contains(&modes.len())), "{agent}");
+
+    // Another reader, in another language.
+    let (host, port) = scene.forecasts.split_once(':').unwrap();
+    match Command::new("python3").args([READER, host, port, &scene.key, "3"]).output() {
+        Ok(read) => {
+            let text = String::from_utf8_lossy(&read.stdout);
+            assert!(read.status.success(), "{text}{}", String::from_utf8_lossy(&read.stderr));
+            assert!(text.contains("agent ") && text.contains("modes"), "{text}");
+        }
+        Err(error) => println!("skipped: python3: {error}"),
+    }
+
+    // The other box dies, and the road does not look empty: forecasts continue from predictions.
+    drop(detector);
+    awaited(&mut lines, |agent| !is_learned(agent));
+    let detector = scene.detector();
+    awaited(&mut lines, is_learned);
+    drop((receiver, detector, run));
+}
