@@ -1,6 +1,7 @@
 //! The verbs of `stgdat`, one module each.
 
 pub mod bench;
+pub mod bridge;
 pub mod check;
 pub mod clean;
 pub mod completions;
@@ -84,6 +85,9 @@ pub enum Verb {
     /// Publish the tracks and forecasts of a running pipeline in ROS 2 (stgdat-ros2)
     #[command(disable_help_flag = true)]
     Ros2(ros2::Arguments),
+    /// Connect two boxes: send forecasts, receive forecasts or detections (stgdat-bridge)
+    #[command(disable_help_flag = true)]
+    Bridge(bridge::Arguments),
     /// Write the trace of a recorded run for Perfetto
     Trace(trace::Arguments),
     /// Explain one tick of a recorded run: the time of each stage, and the result of each agent
@@ -154,6 +158,7 @@ impl Verb {
             Self::Report(arguments) => report::execute(&arguments),
             Self::View(arguments) => view::execute(&arguments),
             Self::Ros2(arguments) => ros2::execute(arguments),
+            Self::Bridge(arguments) => bridge::execute(arguments),
             Self::Trace(arguments) => trace::execute(&arguments),
             Self::Tick(arguments) => tick::execute(&arguments),
             Self::Doctor(arguments) => doctor::execute(&arguments),

@@ -19,7 +19,7 @@ const WIDTH: usize = 110;
 /// The verbs by purpose. A unit test finds verbs without a group.
 const GROUPS: [(&str, &[&str]); 5] = [
     ("Run", &["run", "predict", "track", "check", "graph", "stage", "wire"]),
-    ("Observe", &["top", "health", "view", "ros2", "report", "trace", "tick"]),
+    ("Observe", &["top", "health", "view", "ros2", "bridge", "report", "trace", "tick"]),
     ("Record", &["record", "export", "mark", "replay", "diff"]),
     ("Diagnose", &["inspect", "verify", "bench", "fault", "doctor", "clean", "completions"]),
     ("Laboratory", &["train", "evaluate", "card", "plot", "map", "manual"]),
@@ -33,7 +33,7 @@ const HEAD: &str = "\
 
 `stgdat` without a verb is `stgdat run`. The verbs of the group Laboratory belong to a second program, `stgdat-lab`.
 `stgdat evaluate` runs `stgdat-lab evaluate` if that program is in the same folder or in PATH.
-`stgdat ros2` runs `stgdat-ros2` in the same way.
+`stgdat ros2` and `stgdat bridge` run `stgdat-ros2` and `stgdat-bridge` in the same way.
 
 Every verb takes `-h` for a summary and `--help` for all of this page about it;
 `stgdat --version` prints the version, the SHA-256 of the embedded weights and the CPU kernels in use.
@@ -63,8 +63,11 @@ pub fn execute(_: &Arguments) -> Result<Exit, Failure> {
 pub fn command() -> Command {
     let with_verb =
         |program: Command, verb: &Command| program.mut_subcommand(verb.get_name(), |_| verb.clone());
-    let bridge = ros2::command::Arguments::command().name("ros2");
-    crate::Cli::command().get_subcommands().chain([&bridge]).fold(launch::command(), with_verb)
+    let programs = [
+        ros2::command::Arguments::command().name("ros2"),
+        bridge::command::Arguments::command().name("bridge"),
+    ];
+    crate::Cli::command().get_subcommands().chain(&programs).fold(launch::command(), with_verb)
 }
 
 /// The whole page.
