@@ -16,7 +16,15 @@ HEAD = """# Two boxes
 Latency of [the bridge](../bridge.md) between two network namespaces of one machine. Each case sends forecasts at 12.5 Hz
 for {seconds} s over a link of 200 Mbit/s with this delay and loss in each direction. All agents have 3 modes: a frame has
 {small:.1f} kB with 32 agents, {large:.1f} kB with 128. The latency counts from before the frame is written until it is read
-completely, checked by one clock. A frame is *delivered* unless a newer one has replaced it before it was sent.
+completely, by one clock. A frame is *delivered* unless a newer one has replaced it before it was sent. Loss costs TCP a
+round trip or a retransmission timeout (200 ms at least), and makes it send fewer packets at once.
+
+```console
+$ cargo build --release --package stgdat-bridge --example two_boxes
+$ sudo chrt -f 20 python3 tests/interop/bridge_table.py target/release/examples/two_boxes LINK {seconds}
+```
+
+The script describes LINK. Other programs kept the machine busy, so all programs of the measurement had real-time priority.
 
 | agents | delay, ms | loss, % | delivered, % | p50, ms | p99, ms | over 80 ms, % | oldest, ms |
 |---:|---:|---:|---:|---:|---:|---:|---:|"""
