@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-use ports::{Stop, monotonic_ns};
+use ports::{Stop, clock_offset_ns, monotonic_ns};
 use source::{Playback, PlaybackOptions, Tick};
 use wire::WorldOrigin;
 
@@ -29,7 +29,7 @@ pub struct Scene {
     pub origin: WorldOrigin,
 }
 
-/// Plays a scene once, from the moment when a receiver is there.
+/// Plays a scene once, from the moment when a receiver is there. The stamps are Unix times.
 ///
 /// # Errors
 /// [`SendError`] if the scene or the address can't be used.
@@ -52,6 +52,8 @@ pub fn play(scene: &Scene, address: &Address, protection: &Protection, stop: &St
         std::thread::sleep(WAIT);
     }
     let begun = Instant::now();
+    // A sensor's clock does not begin again when its program does: stamps that go back would be refused.
+    let begun_ns = clock_offset_ns().saturating_add_unsigned(monotonic_ns());
     while let Some(Tick { header, detections, due_ns, .. }) = playback.next_tick() {
         let due = Duration::from_nanos(due_ns);
         while begun.elapsed() < due && !stop.requested() {
@@ -60,7 +62,8 @@ pub fn play(scene: &Scene, address: &Address, protection: &Protection, stop: &St
         if stop.requested() {
             break;
         }
-        let head = TickHead::of(&header, scene.origin);
+        let stamp_ns = begun_ns.saturating_add_unsigned(due_ns);
+        let head = TickHead { stamp_ns, ..TickHead::of(&header, scene.origin) };
         sender.send(monotonic_ns(), |body| detections::write(body, &head, detections));
     }
     // The last frame is on its way.
