@@ -11,6 +11,7 @@
 //! [`Link::clock_offset_ns`] makes the second part exact.
 
 use std::io::ErrorKind;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
@@ -79,12 +80,16 @@ pub struct Receiver {
 
 /// The current connection, so that another thread can end it.
 #[derive(Debug, Default)]
-struct Current(Mutex<Option<Socket>>);
+struct Current {
+    socket: Mutex<Option<Socket>>,
+    is_lost: AtomicBool,
+}
 
 impl Current {
     fn replace(&self, socket: Option<Socket>) {
         // The only change is an assignment, so a panic leaves the value whole.
-        let before = std::mem::replace(&mut *self.0.lock().unwrap_or_else(PoisonError::into_inner), socket);
+        let before =
+            std::mem::replace(&mut *self.socket.lock().unwrap_or_else(PoisonError::into_inner), socket);
         if let Some(before) = before {
             before.abort();
         }
@@ -109,6 +114,12 @@ impl Receiver {
     /// Takes all frames that wait. Waits at most `timeout` for the first.
     pub fn take(&self, timeout: Duration) -> impl Iterator<Item = Received> {
         self.inbox.take(timeout).into_iter()
+    }
+
+    /// Whether there was a connection, and it is lost.
+    #[must_use]
+    pub fn is_lost(&self) -> bool {
+        self.current.is_lost.load(Ordering::Relaxed)
     }
 
     /// What became of the connections and frames so far.
@@ -149,6 +160,9 @@ fn receive(link: &Link, counts: &Counts, inbox: &Inbox<Received>, current: &Curr
         }
         counts.end(&error);
         let is_new = counts.connected.get() > frames;
+        if is_new {
+            current.is_lost.store(true, Ordering::Relaxed);
+        }
         let problem = problem(&error);
         if is_new || problem != logged {
             tracing::warn!("{}: the link is lost: {problem}", link.address);
@@ -190,6 +204,7 @@ fn connected(
         let (envelope, arrived_ns, body) = next(&mut socket, &session, counter, &mut bytes, link)?;
         if counter == 1 {
             counts.connected.add(1);
+            current.is_lost.store(false, Ordering::Relaxed);
             tracing::info!("{}: connected", link.address);
         }
         let age_ns = age_ns(&envelope, arrived_ns, link.clock_offset_ns);

@@ -1,7 +1,7 @@
 //! The source of a run whose detections come from another box.
 //!
-//! While the link is lost, no tick is released. The run degrades as with any source that is silent: tracks are
-//! predicted, and forecasts continue from them. When the link is back, the next frame is the next tick.
+//! While the link is lost, the run degrades as if the source had died: the tracker predicts ticks, and forecasts
+//! continue from them. When the link is back, the next frame is the next tick.
 
 use std::time::{Duration, Instant};
 
@@ -46,6 +46,9 @@ pub fn run(run: &Run) -> Result<(), StageError> {
     let mut refused = 0;
     while !source.is_over() {
         source.tend()?;
+        if receiver.is_lost() {
+            source.miss()?;
+        }
         for received in receiver.take(WAIT) {
             let Body::Detections(detections) = received.body else { continue };
             source.set_identities(detections.head.flags & flags::HAS_IDENTITIES != 0);

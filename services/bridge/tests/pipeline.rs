@@ -123,9 +123,12 @@ fn detections_come_in_and_forecasts_go_out_and_a_lost_link_comes_back() {
         Err(error) => println!("skipped: python3: {error}"),
     }
 
-    // The other box dies, and the road does not look empty: forecasts continue from predictions.
+    // The other box dies, and the road does not look empty: forecasts continue from predicted ticks.
     drop(detector);
-    awaited(&mut lines, |agent| !is_learned(agent));
+    let last = |frame: Value| frame["seq"].as_u64().unwrap();
+    let seq = last(awaited(&mut lines, |_| true));
+    let predicted = last(lines.by_ref().map(|line| serde_json::from_str(&line).unwrap()).nth(12).unwrap());
+    assert!(predicted >= seq + 12, "{predicted} after {seq}");
     let detector = scene.detector();
     awaited(&mut lines, is_learned);
     drop((receiver, detector, run));

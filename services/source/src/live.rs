@@ -177,6 +177,8 @@ pub struct LiveSource {
     interval_ns: u64,
     ticks_max: Option<u64>,
     is_lockstep: bool,
+    /// Whether the tracker has been asked to predict ticks since the last one.
+    is_missing: bool,
 }
 
 impl LiveSource {
@@ -195,7 +197,17 @@ impl LiveSource {
         let stamp_source = StampSource::SensorClock as u32;
         let base = Header { flags: lockstep, stamp_source, ..Header::new(run.id, 0, 0) };
         let (interval_ns, is_lockstep) = (run.interval_ns, run.lockstep);
-        Ok(Self { stage, outputs, base, seq: 0, stamp_ns: 0, interval_ns, ticks_max, is_lockstep })
+        Ok(Self {
+            stage,
+            outputs,
+            base,
+            seq: 0,
+            stamp_ns: 0,
+            interval_ns,
+            ticks_max,
+            is_lockstep,
+            is_missing: false,
+        })
     }
 
     /// States whether the detections have identities that the tracker may trust.
@@ -232,11 +244,31 @@ impl LiveSource {
         Ok(self.outputs.tend(&mut self.stage)?)
     }
 
+    /// States that no tick arrives for now. Until the next one, the tracker predicts ticks, as if this process
+    /// had died. In lockstep no tick is missing, however late it is.
+    ///
+    /// # Errors
+    /// [`StageError`] if the transport fails.
+    pub fn miss(&mut self) -> Result<(), StageError> {
+        if self.is_missing || self.is_lockstep || self.seq == 0 {
+            return Ok(());
+        }
+        self.is_missing = true;
+        let header = self.empty(flags::WARM_UP);
+        Ok(self.outputs.send_empty(&mut self.stage, header)?)
+    }
+
     /// Releases a tick.
     ///
     /// # Errors
     /// [`StageError`] if the transport fails; in lockstep, if the stages do not answer.
     pub fn send(&mut self, tick: &LiveTick) -> Result<(), StageError> {
+        if std::mem::take(&mut self.is_missing) {
+            // After the predicted ticks.
+            let warm_up = self.empty(flags::WARM_UP);
+            let answered = self.outputs.take_over(&mut self.stage, warm_up)?;
+            self.seq = self.seq.max(answered.map_or(0, |seq| seq + 1));
+        }
         let frame = &tick.frame;
         let from_ego = if frame.ego.is_sensor { flags::SEEN_FROM_EGO } else { 0 };
         let header = Header {

@@ -59,6 +59,16 @@ impl Outputs {
         stage.finish(passage, &self.detections, Ok(loan))
     }
 
+    /// Sends a frame without elements, which is not a tick.
+    ///
+    /// # Errors
+    /// [`PortError`] if the transport fails.
+    pub fn send_empty(&self, stage: &mut Stage, header: Header) -> Result<(), PortError> {
+        self.truth.send_copy(&[], header)?;
+        let passage = stage.release(header);
+        stage.pass_empty(passage, &self.detections)
+    }
+
     /// Sends an empty frame repeatedly until the peers have answered it.
     ///
     /// # Errors
@@ -73,9 +83,7 @@ impl Outputs {
     ) -> Result<(), StageError> {
         let end_ns = monotonic_ns() + limit_ns;
         while monotonic_ns() < end_ns && !stage.stop().requested() {
-            self.truth.send_copy(&[], header)?;
-            let passage = stage.release(header);
-            stage.pass_empty(passage, &self.detections)?;
+            self.send_empty(stage, header)?;
             if self.wait_until(stage, monotonic_ns() + REPEAT_NS, &answered)? {
                 return Ok(());
             }
@@ -90,9 +98,7 @@ impl Outputs {
     /// [`PortError`] if the transport fails.
     pub fn take_over(&mut self, stage: &mut Stage, header: Header) -> Result<Option<u64>, PortError> {
         for _ in 0..TAKE_OVER_LEN {
-            self.truth.send_copy(&[], header)?;
-            let passage = stage.release(header);
-            stage.pass_empty(passage, &self.detections)?;
+            self.send_empty(stage, header)?;
             // After a live replacement, the newest tick is known without waiting for heartbeats.
             if let Some(seq) = stage.taken_over() {
                 return Ok(Some(seq));
