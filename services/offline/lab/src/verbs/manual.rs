@@ -3,7 +3,10 @@
 //! The page comes from the definitions in clap and the schemas of the stages' options. Lines are wrapped
 //! here, so the terminal's width and the environment do not change the page.
 
+mod files;
+
 use std::collections::BTreeMap;
+use std::path::PathBuf;
 
 use clap::{Arg, Args, Command, CommandFactory as _};
 use run::Exit;
@@ -52,22 +55,34 @@ Every verb takes `-h` for a summary and `--help` for all of this page about it;
 
 /// Arguments of `stgdat manual`.
 #[derive(Debug, Args)]
-pub struct Arguments {}
+pub struct Arguments {
+    /// Write man pages and completions for shells into this folder instead
+    #[arg(long, value_name = "DIR")]
+    package: Option<PathBuf>,
+}
 
-/// Prints the page.
-pub fn execute(_: &Arguments) -> Result<Exit, Failure> {
-    show(&page())
+/// Prints the page, or writes the files of the packages.
+pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
+    match &arguments.package {
+        Some(folder) => files::write(folder).map(|()| Exit::Done),
+        None => show(&page()),
+    }
 }
 
 /// The command line of `stgdat`, in which the verbs of its other programs have those programs' definitions.
 pub fn command() -> Command {
     let with_verb =
         |program: Command, verb: &Command| program.mut_subcommand(verb.get_name(), |_| verb.clone());
+    verbs_of_others().iter().fold(launch::command(), with_verb)
+}
+
+/// The verbs that other programs than `stgdat` execute.
+fn verbs_of_others() -> Vec<Command> {
     let programs = [
         ros2::command::Arguments::command().name("ros2"),
         bridge::command::Arguments::command().name("bridge"),
     ];
-    crate::Cli::command().get_subcommands().chain(&programs).fold(launch::command(), with_verb)
+    crate::Cli::command().get_subcommands().cloned().chain(programs).collect()
 }
 
 /// The whole page.
