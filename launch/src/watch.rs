@@ -98,6 +98,7 @@ impl Watch {
                 self.outages.tick(frame.header(), &tick);
             }
             self.newest = Some(*frame.header());
+            ports::log_tick(frame.header().seq);
         }
         self.beside.take()?.iter().for_each(|header| self.observer.beside(header));
         Ok(())

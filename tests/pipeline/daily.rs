@@ -133,10 +133,13 @@ fn the_log_of_a_run_is_json_if_asked_for() {
     let find = |target: &str| lines.iter().find(|line| line["target"] == target).expect(target);
     let of_stage = find("tracker::tally");
     assert_eq!((&of_stage["stage"], &of_stage["level"]), (&"tracker".into(), &"WARN".into()), "{of_stage:?}");
+    assert!(of_stage["run"].as_str().unwrap().starts_with("stgdat_"), "{of_stage:?}");
+    assert!(of_stage["tick"].as_u64().unwrap() < 40, "{of_stage:?}");
     let of_launcher = find("launch::arguments");
     assert!(of_launcher["message"].as_str().unwrap().contains("repeated"), "{of_launcher:?}");
     let foreign = find("output");
     assert_eq!((&foreign["stage"], &foreign["message"]), (&"localiser".into(), &"the map is old".into()));
+    assert_eq!(foreign["run"], of_stage["run"]);
     // The last line of a command that fails, and no line that the variable excludes.
     let mut failing = stgdat();
     failing.args(["run", "missing.csv"]).env("RUST_LOG", "error").env("STGDAT_LOG", "json");

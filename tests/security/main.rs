@@ -201,6 +201,32 @@ fn a_consumer_learns_that_a_run_belongs_to_another_user() {
 }
 
 #[test]
+fn a_tool_in_another_pid_namespace_sees_the_run() {
+    if !is_inside("a_tool_in_another_pid_namespace_sees_the_run") {
+        return;
+    }
+    let owned = run("022", &["--ticks", "150", "--agents", "2"]).spawn().unwrap();
+    stage(&owned, "sampler", None);
+    // As from another container of the same user.
+    let user = OWNER.to_string();
+    let mut health = Command::new("unshare");
+    health
+        .args(["--pid", "--fork", "--setgid", &user, "--setuid", &user])
+        .arg(public(&program()))
+        .arg("health");
+    let begun = Instant::now();
+    let seen = loop {
+        let output = health.current_dir("/").output().unwrap();
+        let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
+        if output.status.success() || begun.elapsed() > PATIENCE || !stderr.contains("starting") {
+            break (output.status.code(), stderr);
+        }
+    };
+    assert_eq!(seen, (Some(0), String::new()));
+    assert!(owned.wait_with_output().unwrap().status.success());
+}
+
+#[test]
 fn full_memory_stops_nothing_for_good() {
     if !is_inside("full_memory_stops_nothing_for_good") {
         return;

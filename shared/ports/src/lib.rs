@@ -60,6 +60,7 @@ mod missing;
 mod names;
 mod node;
 mod nodes;
+mod peer;
 mod peers;
 mod places;
 mod points;
@@ -94,13 +95,15 @@ pub use kept::KeptMemory;
 pub use limits::HEARTBEAT;
 pub use living::choose_run;
 pub use log::{
-    LOG_VARIABLE, LogFormat, OUTPUT_TARGET, UnknownLogFormat, begin_command_logging, begin_logging,
+    LOG_VARIABLE, LogFormat, OUTPUT_TARGET, UnknownLogFormat, begin_command_logging, begin_logging, log_run,
+    log_tick,
 };
 pub use names::TOPICS_VARIABLE;
 pub use node::{HALF_MADE_LIMIT, Node, clean_dead_nodes};
 pub use nodes::{NodeNumber, NodeProcess, NodeWatch};
+pub use peer::is_own_user;
 pub use peers::{Peers, TAP};
-pub use places::{is_full, is_own_user, shared_memory_free};
+pub use places::{is_full, shared_memory_free};
 pub use points::{POINTS_VARIABLE, Point};
 pub use program::{
     INCARNATION_VARIABLE, LAUNCHER_VARIABLE, RECORD, RUN_VARIABLE, UNLOCKED_VARIABLE, die_with_launcher,

@@ -1,10 +1,14 @@
 //! The log of a process: events of `tracing` as lines of text or as JSON.
 //!
 //! `RUST_LOG` selects the events, `--log` or [`LOG_VARIABLE`] the format. A line of JSON is one object with
-//! `timestamp`, `level`, `target`, `message` and the other fields of the event.
+//! `timestamp`, `level`, `target`, `message` and the other fields of the event. In a process of a run, the
+//! object also has `run` and `tick`.
 
 use std::fmt;
+use std::path::Path;
 use std::str::FromStr;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Mutex, PoisonError};
 
 use thiserror::Error;
 use tracing::{Event, Level, Subscriber};
@@ -18,6 +22,26 @@ pub const LOG_VARIABLE: &str = "STGDAT_LOG";
 
 /// Target of the lines of other programs that a command logs, whatever `RUST_LOG` selects.
 pub const OUTPUT_TARGET: &str = "output";
+
+/// Name of the run that this process belongs to; empty before it has joined one.
+static RUN: Mutex<String> = Mutex::new(String::new());
+
+/// The newest tick of this process.
+static TICK: AtomicU64 = AtomicU64::new(NO_TICK);
+
+/// The value of [`TICK`] before the first tick.
+const NO_TICK: u64 = u64::MAX;
+
+/// Gives further lines of JSON the name of the run with this folder.
+pub fn log_run(root: &Path) {
+    let name = root.file_name().unwrap_or_default().to_string_lossy();
+    RUN.lock().unwrap_or_else(PoisonError::into_inner).clone_from(&name.into_owned());
+}
+
+/// Gives further lines of JSON the number of this tick.
+pub fn log_tick(seq: u64) {
+    TICK.store(seq, Ordering::Relaxed);
+}
 
 /// Format of the log.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -73,7 +97,9 @@ pub fn begin_logging(format: LogFormat) {
     // Starting fails if a test or an embedding program has already installed a log, which is then used.
     let _ = match format {
         LogFormat::Text => builder.with_target(false).try_init(),
-        LogFormat::Json => builder.json().flatten_event(true).with_span_list(false).try_init(),
+        LogFormat::Json => {
+            builder.json().flatten_event(true).with_span_list(false).map_event_format(OfRun).try_init()
+        }
     };
 }
 
@@ -93,7 +119,9 @@ pub fn begin_command_logging(
     // As above.
     let _ = match format {
         LogFormat::Text => builder.event_format(Message).try_init(),
-        LogFormat::Json => builder.json().flatten_event(true).with_span_list(false).try_init(),
+        LogFormat::Json => {
+            builder.json().flatten_event(true).with_span_list(false).map_event_format(OfRun).try_init()
+        }
     };
 }
 
@@ -125,6 +153,36 @@ where
         })?;
         context.format_fields(writer.by_ref(), event)?;
         writeln!(writer)
+    }
+}
+
+/// Lines of JSON with `run` and `tick`.
+struct OfRun<F>(F);
+
+impl<S, N, F> FormatEvent<S, N> for OfRun<F>
+where
+    S: Subscriber + for<'a> LookupSpan<'a>,
+    N: for<'a> FormatFields<'a> + 'static,
+    F: FormatEvent<S, N>,
+{
+    fn format_event(
+        &self,
+        context: &FmtContext<'_, S, N>,
+        mut writer: Writer<'_>,
+        event: &Event<'_>,
+    ) -> fmt::Result {
+        let mut line = String::new();
+        self.0.format_event(context, Writer::new(&mut line), event)?;
+        let object = line.trim_end();
+        writer.write_str(object.strip_suffix('}').unwrap_or(object))?;
+        let run = RUN.lock().unwrap_or_else(PoisonError::into_inner);
+        if !run.is_empty() {
+            write!(writer, ",\"run\":{run:?}")?;
+        }
+        match TICK.load(Ordering::Relaxed) {
+            NO_TICK => writeln!(writer, "}}"),
+            tick => writeln!(writer, ",\"tick\":{tick}}}"),
+        }
     }
 }
 

@@ -14,11 +14,9 @@ use std::ffi::OsStr;
 use std::fs::{DirBuilder, File};
 use std::io::{self, Read as _};
 use std::os::unix::fs::{DirBuilderExt as _, MetadataExt as _};
-use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
 
 use rustix::fs::{FlockOperation, Mode, OFlags, StatVfs, flock, fstat, open, statvfs};
-use rustix::net::sockopt::socket_peercred;
 use rustix::process::geteuid;
 use rustix::rand::{GetRandomFlags, getrandom};
 
@@ -153,12 +151,6 @@ fn entries(folder: &Path, prefix: &str) -> Vec<PathBuf> {
 /// Whether this user owns a file. A link counts by its own owner.
 pub(crate) fn is_ours(path: &Path) -> bool {
     owner(path) == Some(geteuid().as_raw())
-}
-
-/// Whether the process at the other end of a Unix socket belongs to this user or to root.
-#[must_use]
-pub fn is_own_user(socket: &UnixStream) -> bool {
-    socket_peercred(socket).is_ok_and(|peer| peer.uid == geteuid() || peer.uid.is_root())
 }
 
 /// The user who owns a file.

@@ -8,6 +8,7 @@ use wire::{
 
 use crate::error::log_refused;
 use crate::limits::HEARTBEAT;
+use crate::log::{log_run, log_tick};
 use crate::memory::ResidentMemory;
 use crate::points::{self, Point};
 use crate::subscriber::Input;
@@ -91,6 +92,7 @@ impl Stage {
     pub fn open<O>(run: &Run, declaration: &Declaration<O>) -> Result<Self, PortError> {
         let (id, incarnation) = (declaration.id(), crate::incarnation());
         points::arm(id, incarnation);
+        log_run(&run.root);
         let node = Node::open(run, id.name())?.of_stage(id, incarnation);
         let heartbeats = node.publisher()?;
         let (reads, writes) = (declaration.reads(), declaration.writes());
@@ -391,6 +393,7 @@ impl Stage {
     }
 
     fn start(&self, header: Header, received_ns: u64, input: &'static str) -> Passage {
+        log_tick(header.seq);
         let hop = Hop {
             stage: self.id.number(),
             incarnation: self.incarnation,
