@@ -4,11 +4,37 @@ use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
 use run::Run;
+use rustix::process::{Resource, getrlimit};
 use sd_notify::{NotifyState, notify, watchdog_enabled};
 use wire::{Heartbeat, StageId};
 
 /// Interval between reports of the status.
 const STATUS_INTERVAL: Duration = Duration::from_secs(1);
+
+/// The environment variable in which the unit repeats its limits, such as `LimitRTPRIO=50 LimitMEMLOCK=infinity`.
+const LIMITS_VARIABLE: &str = "STGDAT_LIMITS";
+
+/// The limits of the unit that systemd could not apply, which it does not report.
+pub fn missed_limits() -> Vec<String> {
+    let asked = std::env::var(LIMITS_VARIABLE).unwrap_or_default();
+    asked
+        .split_whitespace()
+        .filter_map(|setting| missed(setting, |resource| getrlimit(resource).current))
+        .collect()
+}
+
+/// A message about a limit, if it is less than the setting. `None` as a limit is infinity.
+fn missed(setting: &str, limit: impl Fn(Resource) -> Option<u64>) -> Option<String> {
+    let (name, asked) = setting.split_once('=')?;
+    let found = limit(match name {
+        "LimitRTPRIO" => Resource::Rtprio,
+        "LimitMEMLOCK" => Resource::Memlock,
+        "LimitNOFILE" => Resource::Nofile,
+        _ => return None,
+    })?;
+    let is_met = asked.parse().is_ok_and(|asked: u64| found >= asked);
+    (!is_met).then(|| format!("systemd could not apply {setting}: the limit is {found}"))
+}
 
 /// The reports of a run to systemd.
 #[derive(Debug)]
@@ -88,5 +114,20 @@ mod tests {
         assert!(service.is_alive(at(1_800)) && !service.is_alive(at(1_900)), "the decoder is silent");
         service.watchdog = None;
         assert!(!service.is_alive(at(1_500)), "nobody waits for it");
+    }
+
+    #[test]
+    fn limits_that_are_lower_than_the_units_are_named() {
+        let missed = |setting, limit| super::missed(setting, |_| limit);
+        assert_eq!(
+            missed("LimitMEMLOCK=infinity", Some(8_388_608)).as_deref(),
+            Some("systemd could not apply LimitMEMLOCK=infinity: the limit is 8388608")
+        );
+        assert!(missed("LimitRTPRIO=50", Some(0)).is_some_and(|text| text.ends_with("the limit is 0")));
+        for (setting, limit) in
+            [("LimitRTPRIO=50", Some(50)), ("LimitRTPRIO=50", None), ("LimitMEMLOCK=infinity", None)]
+        {
+            assert_eq!(missed(setting, limit), None, "{setting} {limit:?}");
+        }
     }
 }

@@ -34,7 +34,7 @@ use crate::outages::Outages;
 use crate::pipeline_file;
 use crate::play_report::input_of;
 use crate::scheduling;
-use crate::service::Service;
+use crate::service::{self, Service};
 use crate::tap::{Recording, RingArguments, Tap, ViewArguments};
 use crate::verbs::record;
 use crate::verbs::report::RunReport;
@@ -359,13 +359,14 @@ fn supervise(
 ) -> Result<Ended, Failure> {
     let Following { mut tap, recording, mut watch } = following;
     let control = Control::open(run)?;
+    ports::log_run(&run.root);
     // The first process that opens a topic creates it. An external program would not reserve places for
     // others.
     let has_places = !run.spares.is_empty() || !run.readers.is_empty();
     let _topics = has_places.then(|| Topics::make(run)).transpose()?;
     let limits = scheduling::raise_limits(pipeline.realtime.lock);
     let mut fleet = Fleet::start(pipeline, run, record, keeps_memory)?;
-    fleet.notes().into_iter().chain(limits).for_each(|note| watch.note(note));
+    fleet.notes().into_iter().chain(limits).chain(service::missed_limits()).for_each(|note| watch.note(note));
     let _awake =
         pipeline.realtime.awake.then(Awake::hold).and_then(|held| held.map_err(|note| watch.note(note)).ok());
     let mut memory = Memory::default();

@@ -8,8 +8,12 @@ use crate::options::absolute;
 use crate::pipeline_file;
 use crate::show::show;
 
-/// The repository from which this program was built, if it still exists.
-const BUILT_FROM: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/..");
+/// The repository from which this program was built, if it still exists. A package names no folder of the machine
+/// that built it.
+const BUILT_FROM: &str = match option_env!("STGDAT_REPOSITORY") {
+    Some(folder) => folder,
+    None => concat!(env!("CARGO_MANIFEST_DIR"), "/.."),
+};
 /// Dependencies of each stage project: the repository's crates, and crates whose types they expose.
 const DEPENDENCIES: &str = "\
 bytemuck = { version = \"1.24\", features = [\"derive\", \"min_const_generics\"] }
