@@ -63,7 +63,7 @@ impl Report {
             let silent = count(forecasts.silent);
             writeln!(
                 text,
-                " {:LABEL_WIDTH$}{silent:>10}   not said: no learned forecast for longer than the policy allows",
+                " {:LABEL_WIDTH$}{silent:>10}   omitted: no learned forecast for longer than the policy allows",
                 "silent"
             )?;
         }
@@ -120,7 +120,7 @@ impl Report {
         writeln!(text)?;
         if let (Some(half), Some(most)) = (accuracy.errors.held_50, accuracy.errors.held_90) {
             let held = format!(
-                "of the ends, {} lay in the region of 50 % and {} in that of 90 %",
+                "the 50 % region held {} of the ends, the 90 % region {}",
                 percent(Some(half)).trim(),
                 percent(Some(most)).trim()
             );
@@ -140,7 +140,7 @@ fn meaning(cause: &str) -> &str {
         "rejected" => "the controls were refused",
         "missing" => "there are no controls for the track",
         "young" => "the track's history is too short",
-        "outdone" => "constant velocity proved better",
+        "outdone" => "constant velocity had the lower error",
         "shed" => "the tick had no time for all agents",
         other => other,
     }
