@@ -7,7 +7,7 @@
 //! | sender | frames: [`Envelope`], body, code | 48 + body + 16 |
 //! | receiver | for each frame: [`Ack`], code | 16 + 16 |
 //!
-//! The body of a frame is a [`TickHead`] with [forecasts](forecasts) or [detections](detections). A frame of
+//! The body of a frame is a [`TickHead`] with [`forecasts`] or [`detections`]. A frame of
 //! [`Kind::Alive`] has no body.
 
 pub mod detections;
