@@ -18,14 +18,15 @@ fn lives(pid: Pid) -> bool {
     state.is_ok_and(|state| state.rsplit(") ").next().is_some_and(|rest| !rest.starts_with('Z')))
 }
 
-/// Whether this process ignores SIGHUP, as under `nohup`. Programs that it starts then ignore it too.
-fn ignores_hangups() -> bool {
+/// Whether this process ignores a signal, such as SIGHUP under `nohup`, or SIGINT in the background of a script.
+/// Programs that it starts then ignore the signal too.
+fn ignores(signal: Signal) -> bool {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let ignored = status.lines().find_map(|line| line.strip_prefix("SigIgn:")).map(str::trim);
-    let is_ignored =
-        ignored.and_then(|mask| u64::from_str_radix(mask, 16).ok()).is_some_and(|mask| mask & 1 == 1);
+    let mask = ignored.and_then(|mask| u64::from_str_radix(mask, 16).ok()).unwrap_or(0);
+    let is_ignored = mask >> (signal.as_raw() - 1) & 1 == 1;
     if is_ignored {
-        eprintln!("SIGHUP is skipped: this process ignores it");
+        eprintln!("{signal:?} is skipped: this process ignores it");
     }
     is_ignored
 }
@@ -33,7 +34,7 @@ fn ignores_hangups() -> bool {
 #[test]
 fn a_signal_ends_all_stages_after_the_report() {
     for (signal, code) in [(Signal::TERM, 143), (Signal::INT, 130), (Signal::HUP, 129), (Signal::QUIT, 131)] {
-        if signal == Signal::HUP && ignores_hangups() {
+        if ignores(signal) {
             continue;
         }
         let scratch = Scratch::new(&format!("signal-{code}"));
@@ -61,7 +62,7 @@ fn a_signal_ends_all_stages_after_the_report() {
 
 #[test]
 fn a_run_whose_terminal_is_gone_ends_with_its_report() {
-    if ignores_hangups() {
+    if ignores(Signal::HUP) {
         return;
     }
     let scratch = Scratch::new("no-terminal");

@@ -93,7 +93,7 @@ fn help_lists_the_options_of_the_stages() {
         for texts in [
             "tracker.fov (text): WIDTH,RANGE, up to 360 degrees and 1000 m",
             "sampler.deadline_ms (number): more than 0 and at most 80 [default: 72.0]",
-            "Threads that share the work of a tick",
+            "Number of threads for the work of a tick",
         ] {
             assert!(help.contains(texts), "{help}");
         }
