@@ -173,8 +173,8 @@ pub struct Prepared {
     pub model: ModelConfig,
 }
 
-/// The stages that run in this process.
-const IN_PROCESS: [StageId; 7] = [
+/// The stages on a tick's way, which also run in one process.
+pub(crate) const IN_PROCESS: [StageId; 7] = [
     StageId::Source,
     StageId::Tracker,
     StageId::Localiser,

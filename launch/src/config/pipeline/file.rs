@@ -25,7 +25,7 @@ pub(super) struct File {
     pub topics: Vec<Spanned<TopicTable>>,
 }
 
-#[derive(Debug, Deserialize)]
+#[derive(Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct RealtimeTable {
     pub profile: Option<Spanned<Profile>>,

@@ -39,28 +39,18 @@ pub(super) fn of_stage(table: &StageTable) -> Result<Scheduling, Mistake> {
 
 /// Applies `[realtime]` to stages without own keys. A stage has a rank if it is on a tick's way.
 pub(super) fn apply(file: &File, ranks: &[Option<u8>], stages: &mut [Stage]) -> Result<Realtime, Mistake> {
-    let none = RealtimeTable { profile: None, priority: None, cpu: None, awake: None, lock: None };
+    let none = RealtimeTable::default();
     let table = file.realtime.as_ref().unwrap_or(&none);
     let is_vehicle = table.profile.as_ref().is_some_and(|profile| *profile.get_ref() == Profile::Vehicle);
     let first = match &table.priority {
         Some(set) => chain_priority(set, ranks)?,
-        None => {
-            if is_vehicle {
-                VEHICLE_PRIORITY
-            } else {
-                0
-            }
-        }
+        None if is_vehicle => VEHICLE_PRIORITY,
+        None => 0,
     };
     let cpus = match &table.cpu {
         Some(set) => cpus(set)?,
-        None => {
-            if is_vehicle {
-                Cpus::Auto
-            } else {
-                Cpus::All
-            }
-        }
+        None if is_vehicle => Cpus::Auto,
+        None => Cpus::All,
     };
     if let (Some(above), Some(inside)) = (&file.awake, &table.awake)
         && above.get_ref() != inside.get_ref()
@@ -165,6 +155,7 @@ mod tests {
     use wire::StageId;
 
     use super::*;
+    use crate::arguments::IN_PROCESS;
     use crate::config::Pipeline;
     use crate::pipeline_file::SHIPPED;
     use crate::stages::declared;
@@ -184,26 +175,16 @@ mod tests {
     }
 
     const VEHICLE: &str = "[realtime]\nprofile = \"vehicle\"";
-    const CHAIN: [StageId; 7] = [
-        StageId::Source,
-        StageId::Tracker,
-        StageId::Localiser,
-        StageId::Extractor,
-        StageId::Encoder,
-        StageId::Decoder,
-        StageId::Sampler,
-    ];
-
     #[test]
     fn one_word_sets_the_chain_and_leaves_the_recorder() {
         let none = parse(SHIPPED).unwrap();
         assert_eq!(none.realtime, Realtime::default());
         assert!(none.stages.iter().all(|stage| stage.scheduling.is_default()));
         let mut vehicle = with(VEHICLE, "").unwrap();
-        let expected = Realtime { awake: true, lock: true, auto_cpu: CHAIN.to_vec() };
+        let expected = Realtime { awake: true, lock: true, auto_cpu: IN_PROCESS.to_vec() };
         assert_eq!(vehicle.realtime, expected);
         vehicle.choose_cpus(&[2, 3]);
-        for (id, priority) in CHAIN.into_iter().zip(30..) {
+        for (id, priority) in IN_PROCESS.into_iter().zip(30..) {
             let expected = Scheduling { cpus: vec![2, 3], priority: Some(priority), unlocked: false };
             assert_eq!(*scheduling(&vehicle, id), expected, "{id:?}");
         }

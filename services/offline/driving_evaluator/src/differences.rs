@@ -101,27 +101,10 @@ pub fn differences(before: &[Outcome], after: &[Outcome]) -> (Vec<Difference>, [
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::OutcomeErrors;
 
     fn outcome(agent: u64, stamp_ns: i64, x_m: f32, ade_m: Option<f64>) -> Outcome {
-        let errors = |ade_m: f64| {
-            let best = Errors { ade_m, fde_m: 2.0 * ade_m };
-            OutcomeErrors { best, best_of: best, steady: best, nll: 0.0, residuals_m: Default::default() }
-        };
-        Outcome {
-            seq: 0,
-            stamp_ns,
-            track: 90 + agent,
-            agent,
-            agent_type: AgentType::Vehicle,
-            position_m: [0.0; 2],
-            speed_mps: 1.0,
-            quality: 0,
-            cause: 0,
-            errors: ade_m.map(errors),
-            contact: None,
-            best_m: vec![[x_m, 0.0]; 3],
-        }
+        let errors = ade_m.map(|ade_m| [ade_m, 2.0 * ade_m]);
+        Outcome { best_m: vec![[x_m, 0.0]; 3], ..Outcome::example(agent, stamp_ns, errors) }
     }
 
     #[test]

@@ -200,3 +200,28 @@ pub fn outcomes(
     let learned = chain.evidence().map(|evidence| evidence.as_prior(LEARNED_MIN));
     Ok((outcomes, learned))
 }
+
+#[cfg(test)]
+impl Outcome {
+    /// A vehicle's forecast for tests: its errors are `errors` at the mean and at the end, m.
+    pub(crate) fn example(agent: u64, stamp_ns: i64, errors: Option<[f64; 2]>) -> Self {
+        let errors = errors.map(|[ade_m, fde_m]| {
+            let best = Errors { ade_m, fde_m };
+            OutcomeErrors { best, best_of: best, steady: best, nll: 0.0, residuals_m: Default::default() }
+        });
+        Self {
+            seq: 0,
+            stamp_ns,
+            track: 90 + agent,
+            agent,
+            agent_type: AgentType::Vehicle,
+            position_m: [0.0; 2],
+            speed_mps: 1.0,
+            quality: 0,
+            cause: 0,
+            errors,
+            contact: None,
+            best_m: Vec::new(),
+        }
+    }
+}

@@ -96,32 +96,19 @@ pub fn worst(outcomes: &[Outcome], count: usize, apart_ns: u64) -> Vec<WorstTick
 
 #[cfg(test)]
 mod tests {
-    use scene::AgentType;
-
     use super::*;
-    use crate::{Contact, Errors, OutcomeErrors};
+    use crate::{Contact, OutcomeErrors};
 
     fn outcome(agent: u64, stamp_s: i64, fde_m: f64, deceleration_mps2: Option<f32>) -> Outcome {
-        let best = Errors { ade_m: 0.5 * fde_m, fde_m };
-        let errors =
-            OutcomeErrors { best, best_of: best, steady: best, nll: -fde_m, residuals_m: Default::default() };
+        let example = Outcome::example(agent, stamp_s * 1_000_000_000, Some([0.5 * fde_m, fde_m]));
+        let errors = example.errors.map(|errors| OutcomeErrors { nll: -fde_m, ..errors });
+        let contact = |deceleration_mps2| Contact { with: 7, after_s: 1.0, deceleration_mps2 };
         Outcome {
             seq: stamp_s as u64,
-            stamp_ns: stamp_s * 1_000_000_000,
             track: agent,
-            agent,
-            agent_type: AgentType::Vehicle,
-            position_m: [0.0; 2],
-            speed_mps: 1.0,
-            quality: 0,
-            cause: 0,
-            errors: Some(errors),
-            contact: deceleration_mps2.map(|deceleration_mps2| Contact {
-                with: 7,
-                after_s: 1.0,
-                deceleration_mps2,
-            }),
-            best_m: Vec::new(),
+            errors,
+            contact: deceleration_mps2.map(contact),
+            ..example
         }
     }
 

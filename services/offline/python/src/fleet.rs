@@ -206,9 +206,3 @@ pub fn cut(
         Ok(frames.len())
     })
 }
-
-/// Whether the recording of these arguments is a record of a run.
-#[pyfunction]
-pub fn is_record(py: Python<'_>, arguments: Vec<String>) -> PyResult<bool> {
-    py.detach(|| Ok(record_of(&prepare(arguments)?)?.is_some()))
-}

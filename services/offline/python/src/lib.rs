@@ -28,7 +28,7 @@ mod _stgdat {
     #[pymodule_export]
     use crate::evaluate::{Evaluator, combine, report};
     #[pymodule_export]
-    use crate::fleet::{cut, differences, inspect, is_record, learn, outcomes, priors, worst};
+    use crate::fleet::{cut, differences, inspect, learn, outcomes, priors, worst};
     #[pymodule_export]
     use crate::frame::{Frame, detections};
     #[pymodule_export]

@@ -3,11 +3,7 @@
 from __future__ import annotations
 
 import base64
-import contextlib
 import functools
-import os
-import tempfile
-from pathlib import PurePosixPath
 from typing import Any, Dict, Iterator, List, Optional, Tuple
 
 from ... import _stgdat
@@ -25,7 +21,6 @@ _FIGURES = {
     ("constant velocity", "K = 1"): "constant_velocity_",
 }
 _QUANTITIES = {"ADE, m": "ade_m", "FDE, m": "fde_m"}
-_ALWAYS_NS = (-(1 << 63), (1 << 63) - 1)
 
 
 class Evaluate(Job):
@@ -51,8 +46,7 @@ class Evaluate(Job):
     def work(self, recording: Input, path: str, key: str, store: Store) -> Result:
         if self.options.rows:
             write_rows(recording, _stgdat.outcomes(self.options.arguments(path)), key, store)
-        with _readable(self.options, recording, path) as file:
-            state = _evaluator(self.options, self.positions).state(file)
+        state = _evaluator(self.options, self.positions).state(path)
         return {"row": _row(merge_states([state])), "state": base64.b64encode(state).decode()}
 
     def merge(self, results: Iterator[Result]) -> Report:
@@ -83,21 +77,6 @@ def _evaluator(of: Options, positions: bool) -> Evaluator:
     """The evaluator of this worker, which loads the weights once."""
     names = ("weights", "lanes", "lanes_origin", "map", "format", "fps", "origin")
     return _loaded(tuple((name, getattr(of, name)) for name in names), positions)
-
-
-@contextlib.contextmanager
-def _readable(of: Options, recording: Input, path: str) -> Iterator[str]:
-    """The file, or the detections of a record as a recording with the same name."""
-    arguments = of.reading() + ["--", path]
-    if not _stgdat.is_record(arguments):
-        yield path
-        return
-    with tempfile.TemporaryDirectory(prefix="stgdat_fleet_") as folder:
-        name = PurePosixPath(recording.name)
-        copy = os.path.join(folder, name.parent.name, name.stem + ".csv")
-        os.makedirs(os.path.dirname(copy), exist_ok=True)
-        _stgdat.cut(arguments, *_ALWAYS_NS, copy)
-        yield copy
 
 
 def _row(evaluation: Evaluation) -> Dict[str, Any]:
