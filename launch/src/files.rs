@@ -11,7 +11,7 @@ use crate::options::absolute;
 /// Folders of shipped weights, relative to the folder of the program: installed, and in the source tree.
 const SHIPPED: [&str; 2] = ["../share/stgdat/weights", "../../shared/weights"];
 
-/// The file of shipped weights with this name; `None` if it is no name, or there are no such weights.
+/// The file of shipped weights with this name; `None` if the text is a path, or no shipped weights have this name.
 pub fn shipped_weights(name: &Path) -> Option<PathBuf> {
     let is_name = name.components().count() == 1 && name.extension().is_none() && !name.exists();
     let program = std::env::current_exe().ok().filter(|_| is_name)?;

@@ -42,7 +42,7 @@ const ANSWERS_MAX: usize = 4;
 /// Number of events kept for the status.
 const EVENTS_MAX: usize = 32;
 
-/// Where a run is told to others.
+/// Outputs about a run: metrics and traces.
 #[derive(Clone, Debug, Default, Args)]
 pub struct ObserveArguments {
     /// Serve metrics for Prometheus on this address (http://ADDRESS/metrics). A port alone, or no address,

@@ -1,40 +1,33 @@
-use std::collections::BTreeMap;
+mod supervise;
+
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
 
 use crate::config::Pipeline;
 use clap::{Args, ValueEnum};
 use localiser::MapChoice;
 use nn::Weights;
-use ports::{Space, Stop, Topics, clock_offset_ns};
-use recorder::{InputReport, Report, RunInfo, SpareReport, Supervision};
-use recording::{About, Happened};
+use ports::{Space, Stop, clock_offset_ns};
+use recorder::{InputReport, Report, RunInfo, Supervision};
+use recording::About;
 use run::{Exit, Run, SpareRun, StageRun};
 use scene::ContextMap;
 use source::{Playback, PlaybackOptions};
 use toml::Value;
 use wire::{StageId, WorldOrigin};
 
+use self::supervise::{Following, supervise};
 use crate::arguments::{
     ModelArguments, RetrievalArguments, SceneArguments, SetArguments, Speed, TrackerArguments, canonical,
     check_lanes, check_memory, check_prior, warn_of_doubts,
 };
-use crate::awake::Awake;
-use crate::child::Line;
-use crate::control::{Control, Request};
 use crate::fail_if::{self, Condition};
-use crate::failure::{Failure, StageDeath};
+use crate::failure::Failure;
 use crate::files::{check_place, version};
-use crate::fleet::Fleet;
-use crate::memory::Memory;
 use crate::observe::{ObserveArguments, Observer, address};
 use crate::options::{Setting, StageOptions, text};
-use crate::outages::Outages;
 use crate::pipeline_file;
 use crate::play_report::input_of;
-use crate::scheduling;
-use crate::service::{self, Service};
 use crate::tap::{Recording, RingArguments, Tap, ViewArguments};
 use crate::verbs::record;
 use crate::verbs::report::RunReport;
@@ -42,8 +35,6 @@ use crate::verbs::view::Page;
 use crate::version;
 use crate::watch::Watch;
 
-/// Time limit for all stages to start and to link to their neighbours.
-const START_LIMIT: Duration = Duration::from_secs(45);
 /// Shared memory that must be free at the start of a run, bytes.
 pub const SHARED_BYTES: u64 = 48 << 20;
 /// Width of the report if the output is not a terminal.
@@ -230,33 +221,6 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     ended.unkept.map_or(Ok(exit), |death| Err(death.into()))
 }
 
-/// How a run ended.
-struct Ended {
-    /// The exit code, or the failure that ended the run early.
-    outcome: Result<Exit, Failure>,
-    /// The failure of a sampler that could not write its retrieval memory.
-    unkept: Option<StageDeath>,
-    /// Whether the pipeline was linked, which means that the run had begun.
-    linked: bool,
-    outages: Outages,
-    memory: Memory,
-    /// The outcome of each spare.
-    spares: BTreeMap<String, SpareReport>,
-    /// Number of dead processes that read topics and were not stages.
-    dead_readers: u64,
-    /// The recording's final lines about its file.
-    recorded: Vec<String>,
-    /// Files about the run that could not be written.
-    unwritten: Vec<Failure>,
-}
-
-/// The observers of a run besides its stages.
-struct Following {
-    tap: Tap,
-    recording: Option<Recording>,
-    watch: Watch,
-}
-
 impl Arguments {
     /// Returns the settings of the command line.
     fn settings(&self) -> Result<Vec<Setting>, Failure> {
@@ -345,128 +309,6 @@ fn write_record(run: &Run, announce: Option<&Path>) -> Result<PathBuf, Failure> 
             .map_err(|error| Failure::file(announce, error))?;
     }
     Ok(record)
-}
-
-/// Starts the stages, follows them to the end of the scene, and ends them.
-fn supervise(
-    pipeline: &Pipeline,
-    run: &Run,
-    space: &mut Space,
-    record: &Path,
-    stop: &Stop,
-    following: Following,
-    keeps_memory: bool,
-) -> Result<Ended, Failure> {
-    let Following { mut tap, recording, mut watch } = following;
-    let control = Control::open(run)?;
-    ports::log_run(&run.root);
-    // The first process that opens a topic creates it. An external program would not reserve places for
-    // others.
-    let has_places = !run.spares.is_empty() || !run.readers.is_empty();
-    let _topics = has_places.then(|| Topics::make(run)).transpose()?;
-    let limits = scheduling::raise_limits(pipeline.realtime.lock);
-    let mut fleet = Fleet::start(pipeline, run, record, keeps_memory)?;
-    fleet.notes().into_iter().chain(limits).chain(service::missed_limits()).for_each(|note| watch.note(note));
-    let _awake =
-        pipeline.realtime.awake.then(Awake::hold).and_then(|held| held.map_err(|note| watch.note(note)).ok());
-    let mut memory = Memory::default();
-    let started = Instant::now();
-    let mut linked = false;
-    let mut service = Service::of_environment(run, started);
-    let outcome = loop {
-        match space.tend() {
-            0 => {}
-            files => watch.restored(files),
-        }
-        let lines: Vec<Line> = fleet.lines().collect();
-        lines.iter().for_each(|(stage, line)| tap.line(stage.name(), line));
-        if tap.tend() {
-            fleet.clean_up();
-        }
-        fleet.note_process(tap.pid());
-        let heartbeats = match watch.follow(lines.into_iter(), &fleet) {
-            Ok(heartbeats) => heartbeats,
-            Err(failure) => break Err(failure),
-        };
-        heartbeats.iter().for_each(|heartbeat| memory.heartbeat(heartbeat));
-        if let Some(exit) = stop.exit() {
-            break Ok(exit);
-        }
-        if !linked && watch.unlinked().is_empty() {
-            linked = true;
-            tap.event(Happened::Linked);
-        }
-        match fleet.tend(&heartbeats, linked) {
-            Ok(events) => events.iter().for_each(|event| {
-                watch.say(event);
-                event.happened().into_iter().for_each(|what| tap.event(what));
-            }),
-            Err(failure) => break Err(failure),
-        }
-        watch.answer(&fleet, linked);
-        if let Some(service) = &mut service {
-            let has_ticks = linked && watch.ticks() > 0;
-            service.tend(&heartbeats, has_ticks, || watch.status(&fleet).service_line(), Instant::now());
-        }
-        if let Err(failure) = replace(&mut watch, &mut tap, &mut fleet, &control, run, linked) {
-            break Err(failure);
-        }
-        if fleet.done(StageId::Recorder) || fleet.is_over() {
-            break Ok(Exit::Done);
-        }
-        if !linked && started.elapsed() > START_LIMIT {
-            let names: Vec<&str> = watch.unlinked().into_iter().map(StageId::name).collect();
-            let seconds = START_LIMIT.as_secs();
-            break Err(Failure::Failed(format!("not linked after {seconds} s: {}", names.join(", "))));
-        }
-    };
-    let (spares, dead_readers) = (fleet.spare_reports(), fleet.dead_readers());
-    fleet.end();
-    let lines: Vec<Line> = fleet.lines().collect();
-    lines.iter().for_each(|(stage, line)| tap.line(stage.name(), line));
-    let how = outcome.as_ref().map_or_else(ToString::to_string, |exit| format!("{exit:?}").to_lowercase());
-    tap.event(Happened::Ended { how });
-    tap.end();
-    let mut recorded = Vec::new();
-    if let Some(recording) = recording {
-        let (said, is_whole) = recording.end();
-        recorded = said;
-        if !is_whole {
-            recorded
-                .push("the recording is incomplete: it is readable up to its last whole chunk".to_owned());
-        }
-    }
-    let unkept = keeps_memory.then(|| fleet.failure(StageId::Sampler)).flatten();
-    let (outages, unwritten) = watch.close(lines.into_iter(), &fleet);
-    Ok(Ended { outcome, unkept, linked, outages, memory, spares, dead_readers, recorded, unwritten })
-}
-
-/// Accepts orders to replace stages. Lets a warm process take over between two ticks.
-fn replace(
-    watch: &mut Watch,
-    tap: &mut Tap,
-    fleet: &mut Fleet,
-    control: &Control,
-    run: &Run,
-    linked: bool,
-) -> Result<(), Failure> {
-    for request in control.requests() {
-        match request {
-            Request::Replace(order, client) => fleet.replace(&order, client, linked),
-            Request::Ready(stage, incarnation, client) => {
-                fleet.ready(stage, incarnation, client, watch.ticks());
-            }
-        }
-    }
-    if fleet.is_warm(watch.ticks()) {
-        watch.await_tick(Duration::from_nanos(2 * run.interval_ns))?;
-        if let Some(event) = fleet.hand_over()? {
-            watch.say(&event);
-            event.happened().into_iter().for_each(|what| tap.event(what));
-        }
-    }
-    fleet.passed(|stage| watch.passed(stage));
-    Ok(())
 }
 
 /// Completes the recorder's report, prints it, and writes it to the file of `--report`.

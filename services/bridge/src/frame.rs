@@ -145,7 +145,8 @@ pub struct TickHead {
 }
 
 impl TickHead {
-    /// The head of a run's tick. Before the tracker a tick has no Δt, and its interval is that of the source.
+    /// The head of a run's tick. A tick has no Δt before the tracker. Its interval is the interval of the
+    /// source.
     #[must_use]
     pub fn of(header: &Header, origin: WorldOrigin) -> Self {
         Self {
@@ -174,7 +175,7 @@ const _: () = assert!(detections::BODY_BYTES_MAX + size_of::<Envelope>() + CODE_
 /// Why bytes are refused.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum Refused {
-    /// The bytes do not begin as those of this protocol.
+    /// The bytes do not begin with the mark of this protocol.
     #[error("this is not a bridge of stgdat")]
     Magic,
     /// The other end has another version.
@@ -265,7 +266,7 @@ impl Envelope {
         Self { magic: MAGIC, version: VERSION, kind: kind as u16, counter, ..Zeroable::zeroed() }
     }
 
-    /// Reads an envelope, and refuses a length for which there is no memory.
+    /// Reads an envelope. Refuses a length beyond the limit.
     ///
     /// # Errors
     /// [`Refused`] names the field.

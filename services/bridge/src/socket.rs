@@ -159,7 +159,7 @@ impl Socket {
         Ok(())
     }
 
-    /// Ends the connection, and discards what has not been sent yet.
+    /// Ends the connection and discards unsent bytes.
     pub fn abort(&self) {
         if let Self::Tcp(socket) = self {
             let _ = set_socket_linger(socket, Some(Duration::ZERO));

@@ -39,7 +39,7 @@ pub fn run(run: &Run) -> Result<(), StageError> {
     let receiver = Receiver::start(link.map_err(StageError::config)?, INBOX_MAX).map_err(StageError::data)?;
     let mut source = LiveSource::open(run, &STAGE, options.ticks)?;
     source.link()?;
-    // Frames that arrived before are no longer new.
+    // Earlier frames are stale.
     drop(receiver.take(Duration::ZERO));
     let mut ticks = LiveTicks::default();
     let mut report = Report::new(Instant::now());

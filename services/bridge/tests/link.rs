@@ -112,7 +112,7 @@ fn another_key_is_refused_and_counted_at_both_ends() {
     assert_eq!(right.counts().garbage.get(), 0);
 }
 
-/// A sender that does not know the key, but sends what a receiver expects.
+/// A sender without the key that follows the protocol otherwise.
 #[test]
 fn a_sender_without_the_key_is_refused_and_counted() {
     let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();

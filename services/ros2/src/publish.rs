@@ -164,7 +164,7 @@ impl Bridge {
         }
     }
 
-    /// Ends the thread. DDS gets the time to tell the readers.
+    /// Ends the thread. DDS gets time to inform the readers.
     fn close(mut self) {
         self.shared.close();
         if self.thread.take().is_some_and(|thread| thread.join().is_err()) {

@@ -50,7 +50,7 @@ pub fn run(run: &Run) -> Result<(), StageError> {
     let world = World { frame: options.frame.clone(), origin: run.origin(), pose: options.pose };
     let mut ticks = Ticks::new(world);
     source.link()?;
-    // Objects that arrived before are no longer new.
+    // Earlier objects are stale.
     for arrival in inbox.take(Duration::ZERO) {
         if let Arrival::Transforms(message, is_static) = arrival {
             ticks.transform(&message, is_static);

@@ -104,7 +104,7 @@ impl JsonSchema for LanesOrigin {
     }
 }
 
-/// How the covariance of the controls becomes that of the positions, by name.
+/// How the covariance of the controls is propagated to the positions, by name.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum PropagationKind {
@@ -167,7 +167,7 @@ impl Options {
     }
 }
 
-/// How the covariance of the controls becomes that of the positions.
+/// How the covariance of the controls is propagated to the positions.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Propagation {
     /// One Gaussian per mode, through the derivatives of the motion model.
@@ -189,13 +189,13 @@ pub struct SamplerOptions {
     pub horizon_len: usize,
     /// Modes of the model, K.
     pub modes_len: usize,
-    /// What the controls of vehicles are; those of all others are displacements.
+    /// Meaning of the controls of vehicles. The controls of all others are displacements.
     pub vehicle_motion: MotionKind,
     /// The constants of motion.
     pub motion: MotionOptions,
     /// Whether a forecast's covariance begins at the track's own; 0 otherwise.
     pub initial_covariance: bool,
-    /// How the covariance of the controls becomes that of the positions.
+    /// How the covariance of the controls is propagated to the positions.
     pub propagation: Propagation,
     /// Seed of the particles' random numbers.
     pub seed: u64,

@@ -6,7 +6,7 @@
 //! 2. With n = ⌈72 ms / I⌉, a frame is due if its stamp is at least n I − I / 2 after the previous tick's
 //!    stamp.
 //! 3. When a tick goes out, the detections of other sensors in the waiting frames are merged into it, each
-//!    with its own time. The rules are those of a recording ([`merge`]).
+//!    with its own time, by the rules for recordings ([`merge`]).
 //! 4. If no frame is due for 80 ms after a frame arrived, the waiting frames go out.
 
 use data::Frame;
@@ -23,7 +23,7 @@ const STAMPS_MIN: usize = 9;
 const STAMPS_MAX: usize = 32;
 /// A difference of this many times the median is a gap, not an interval.
 const GAP: i64 = 4;
-/// The rate of the frames may exceed that of the ticks by one part in this many before frames wait. Stamps of
+/// Frames wait if they are faster than the ticks by more than 1 / `TOLERANCE`. Stamps of
 /// a live sensor vary, and a rate that is taken for a higher one costs every second frame.
 const TOLERANCE: u64 = 10;
 /// Maximum number of frames that wait.
@@ -111,7 +111,7 @@ impl LiveTicks {
         (now_ns.saturating_sub(oldest_ns) >= TICK_NS).then(|| self.tick())?
     }
 
-    /// The mean interval of the frames; that of the ticks while few are known.
+    /// The mean interval of the frames. While few frames are known, it is the interval of the ticks.
     fn interval_ns(&self) -> u64 {
         if self.stamps.len() < STAMPS_MIN {
             return TICK_NS;
@@ -236,7 +236,7 @@ impl LiveSource {
         self.stage.stop().requested() || self.ticks_max.is_some_and(|ticks| self.seq >= ticks)
     }
 
-    /// Does what is due between two ticks, without a wait.
+    /// Does the work between two ticks that is due. It does not wait.
     ///
     /// # Errors
     /// [`StageError`] if the transport fails.
@@ -244,8 +244,8 @@ impl LiveSource {
         Ok(self.outputs.tend(&mut self.stage)?)
     }
 
-    /// States that no tick arrives for now. Until the next one, the tracker predicts ticks, as if this process
-    /// had died. In lockstep no tick is missing, however late it is.
+    /// States that no tick arrives for now. Until the next one, the tracker predicts ticks, as if this
+    /// process had died. A late tick is never missing in lockstep.
     ///
     /// # Errors
     /// [`StageError`] if the transport fails.

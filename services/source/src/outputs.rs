@@ -28,7 +28,7 @@ impl Outputs {
         Ok(Self { detections: stage.publish()?, truth: stage.publish()?, peers: stage.peers(run)? })
     }
 
-    /// Does what is due between two ticks, without a wait.
+    /// Does the work between two ticks that is due. It does not wait.
     ///
     /// # Errors
     /// [`PortError`] if the transport fails.

@@ -78,7 +78,7 @@ impl Options {
 pub enum Prior {
     /// Its type's process model alone.
     Kinematic,
-    /// The newest forecast of the track, where there is one, beside the process model.
+    /// The newest forecast of the track, if it has one, and the process model.
     #[default]
     Learned,
 }

@@ -65,7 +65,7 @@ pub enum PriorError {
     Text {
         /// The file; `None` for the shipped priors.
         path: Option<PathBuf>,
-        /// Line, column and what is wrong there.
+        /// Line and column, and the cause.
         source: serde_json::Error,
     },
 }

@@ -28,8 +28,8 @@ pub fn incarnation() -> u32 {
 }
 
 /// The main function of a program that joins a run: `program [--run RUN]`. `RUN` is the name or folder of a run,
-/// or its record. By default it is the value of [`RUN_VARIABLE`], which the launcher sets for stages, or else the
-/// only running pipeline of this user.
+/// or its record. Without it, [`RUN_VARIABLE`] names the run: the launcher sets it for stages. If the variable is
+/// not set either, the program joins the only running pipeline of this user.
 pub fn stage_main(stage: fn(&Run) -> Result<(), StageError>) -> ExitCode {
     begin_logging(LogFormat::of_environment());
     let mut arguments = std::env::args_os().skip(1);

@@ -204,7 +204,7 @@ fn control(run: &Run, ticks: u64) -> Vec<f64> {
     late_ns
 }
 
-/// The cells of a row: times of the chain divided by those of the control process.
+/// The cells of a row: times of the chain divided by times of the control process.
 fn ratios(Times { mut wake_ups, mut end_to_ends, mut controls }: Times) -> [String; 5] {
     let of = |values: &mut [f64]| [0.5, 0.99, 1.0].map(|share| percentile(values, share));
     let [wake_up, end_to_end, control] = [of(&mut wake_ups), of(&mut end_to_ends), of(&mut controls)];

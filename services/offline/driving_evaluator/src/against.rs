@@ -164,7 +164,7 @@ impl Truth {
     }
 }
 
-/// A comparison that is going on.
+/// A running comparison.
 struct Comparison {
     truth: Truth,
     steps: Steps,

@@ -22,7 +22,7 @@ const CONTACT_S: f32 = 3.0;
 /// Time between two looks at whether a pair really touches.
 const LOOK_NS: i64 = 200_000_000;
 
-/// The forecast of an agent at a tick, and what is known of it.
+/// The forecast of an agent at a tick, with its errors and contacts.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Outcome {
     /// Number of the tick.
@@ -174,8 +174,8 @@ impl Outcomes {
     }
 }
 
-/// Plays a recording through the stages of a run with this model. With a prior, the sampler starts from it
-/// instead of its own. Returns the outcomes, and the sampler's evidence as a prior for others.
+/// Plays a recording through the stages of a run with this model. If a prior is given, the sampler starts
+/// from it. Returns the outcomes, and the sampler's evidence as a prior for others.
 ///
 /// # Errors
 /// [`DrivingError`] if the stages can't be set up.

@@ -211,7 +211,7 @@ impl Report {
         text
     }
 
-    /// What the tables do not contain, and what is doubtful about them.
+    /// Recordings that the tables leave out, and doubts about the others.
     fn lists(&self) -> [(&'static str, Vec<String>); 3] {
         let doubts = self.doubts.iter().map(|(kind, DoubtCount { recordings, rows, of })| {
             format!("{}: {recordings} recordings, {rows} of {of} rows", kind.replace('_', " "))

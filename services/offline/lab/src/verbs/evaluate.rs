@@ -105,7 +105,7 @@ pub struct Arguments {
     /// Print all tables of recordings, not only the published forecasts
     #[arg(long)]
     all: bool,
-    /// Write the sums behind the tables of recordings, which merge with those of other recordings
+    /// Write the sums behind the tables of recordings. `--merge` combines such files
     #[arg(long, value_name = "FILE", conflicts_with = "against_bag")]
     state: Option<PathBuf>,
     /// Merge states that --state wrote, and print their tables: any split and order of the recordings gives
