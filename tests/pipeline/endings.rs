@@ -72,9 +72,7 @@ fn a_run_whose_terminal_is_gone_ends_with_its_report() {
     let mut command = stgdat();
     command.args(["run", "--agents", "6", "--report", &report]).stdout(refuses()).stderr(refuses());
     let run = Started::spawn(&mut command);
-    let root = run.wait_until_it_runs();
-    let kept = root.join("recorder-checkpoint.json");
-    wait_for("no forecasts come", || kept.exists().then_some(()));
+    let root = run.wait_until_it_forecasts();
     run.signal(Signal::HUP);
     assert_eq!(run.output().status.code(), Some(129));
     let report: serde_json::Value = serde_json::from_slice(&scratch.read("report.json")).expect("JSON");

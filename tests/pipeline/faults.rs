@@ -4,7 +4,7 @@ use rustix::process::Signal;
 use serde_json::Value;
 use testing::Scratch;
 
-use crate::started::{Started, assert_nothing_left, stderr, stdout, wait_for};
+use crate::started::{Started, assert_nothing_left, stderr, stdout};
 
 const STAGES: [&str; 8] =
     ["source", "tracker", "localiser", "extractor", "encoder", "decoder", "sampler", "recorder"];
@@ -15,10 +15,7 @@ fn disturbed(name: &str, arguments: &[&str], disturb: impl FnOnce(&Started)) -> 
     let (report, forecasts) = (scratch.path("report.json"), scratch.path("forecasts.jsonl"));
     let files = ["--report", &report, "--forecasts", &forecasts, "--agents", "6"];
     let run = Started::run(&[&files[..], arguments].concat());
-    let root = run.wait_until_it_runs();
-    // The recorder has saved its first second.
-    let kept = root.join("recorder-checkpoint.json");
-    wait_for("no forecasts come", || kept.exists().then_some(()));
+    let root = run.wait_until_it_forecasts();
     disturb(&run);
     let output = run.output();
     assert!(stdout(&output).contains("LATENCY"), "a report is printed: {}", stderr(&output));

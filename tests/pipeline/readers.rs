@@ -56,18 +56,12 @@ fn dead_readers(root: &Path) -> u64 {
     status["report"]["supervision"]["dead_readers"].as_u64().expect("a number")
 }
 
-fn wait_for_forecasts(root: &Path) {
-    let kept = root.join("recorder-checkpoint.json");
-    wait_for("no forecasts come", || kept.exists().then_some(()));
-}
-
 #[test]
 fn readers_that_die_give_their_places_back_and_are_counted() {
     let scratch = Scratch::new("dead-readers");
     let report = scratch.path("report.json");
     let run = Started::run(&["--agents", "4", "--ticks", "2000", "--quiet", "--report", &report]);
-    let root = run.wait_until_it_runs();
-    wait_for_forecasts(&root);
+    let root = run.wait_until_it_forecasts();
     let mut deaths = 0;
     let mut kill = |command: &mut Command| {
         let mut consumer = Consumer::start(command);
@@ -100,8 +94,7 @@ fn a_reader_without_a_place_names_the_limit_and_the_key_that_raises_it() {
         scratch.pipeline("more.toml", "[[stage]]\nname", "readers = { forecasts = 2 }\n\n[[stage]]\nname");
     for (arguments, places, most) in [(&[][..], 3, 6), (&["--pipeline", &more][..], 5, 8)] {
         let run = Started::run(&[&["--agents", "4", "--quiet"][..], arguments].concat());
-        let root = run.wait_until_it_runs();
-        wait_for_forecasts(&root);
+        let root = run.wait_until_it_forecasts();
         let start = |_| {
             let mut consumer = Consumer::start(&mut in_rust(&root));
             consumer.first_line().map(|_| consumer)

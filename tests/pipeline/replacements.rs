@@ -4,7 +4,7 @@ use serde_json::Value;
 use testing::Scratch;
 
 use crate::programs::example;
-use crate::started::{Started, assert_nothing_left, run, stderr, stdout, wait_for};
+use crate::started::{Started, assert_nothing_left, run, stderr, stdout};
 
 /// Replaces a stage of the run in this folder. Returns the verb's exit code and its output.
 fn replace(root: &std::path::Path, stage: &str, arguments: &[&str]) -> (Option<i32>, String) {
@@ -18,10 +18,7 @@ fn a_stage_is_replaced_by_another_program_and_back() {
     let scratch = Scratch::new("replace");
     let report = scratch.path("report.json");
     let run = Started::run(&["--ticks", "170", "--agents", "6", "--report", &report]);
-    let root = run.wait_until_it_runs();
-    // The recorder has saved its first second, so the run is under way.
-    let kept = root.join("recorder-checkpoint.json");
-    wait_for("no forecasts come", || kept.exists().then_some(()));
+    let root = run.wait_until_it_forecasts();
 
     let area = example("area_localiser");
     let (code, told) = replace(&root, "localiser", &["--set", "radius_m=40", "--exec", &area]);

@@ -55,9 +55,7 @@ fn a_spare_takes_the_place_of_a_dead_tracker_with_its_tracks_and_of_a_sampler() 
     let root = run.wait_until_it_runs();
     let first = spare(&run, "tracker", None);
     spare(&run, "sampler", None);
-    // The recorder has saved its first second.
-    let kept = root.join("recorder-checkpoint.json");
-    wait_for("no forecasts come", || kept.exists().then_some(()));
+    run.wait_until_it_forecasts();
     for stage in ["tracker", "sampler"] {
         run.signal_stage(stage, Signal::KILL);
     }

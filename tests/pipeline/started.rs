@@ -120,6 +120,14 @@ impl Started {
         })
     }
 
+    /// Waits until the recorder has saved its first second, so that forecasts come. Returns the run's directory.
+    pub fn wait_until_it_forecasts(&self) -> PathBuf {
+        let root = self.wait_until_it_runs();
+        let saved = root.join("recorder-checkpoint.json");
+        wait_for("no forecasts come", || saved.exists().then_some(()));
+        root
+    }
+
     /// The next line of the process's output.
     pub fn line(&mut self) -> String {
         use std::io::Read as _;
