@@ -1,7 +1,9 @@
 //! The second user: what it tries, and what it could do.
 
+use std::collections::BTreeSet;
 use std::fs::{File, OpenOptions};
 use std::io::{Read as _, Write as _};
+use std::os::unix::ffi::OsStrExt as _;
 use std::os::unix::fs::{MetadataExt as _, symlink};
 use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
@@ -26,6 +28,9 @@ const FOLLOWING: [&str; 4] = [
     "lock",
     "00000000_sampler_kept",
 ];
+/// Length of the names' part that all files of a run in shared memory have: `stgdat_`, eight digits, `_`, eight
+/// digits, `_`.
+const PREFIX_LEN: usize = 25;
 const SOCKETS: [&str; 3] = ["status", "tap", "control"];
 
 /// Set once the parent has closed standard input.
@@ -76,6 +81,34 @@ fn begin() {
     std::io::stdout().flush().expect("the test reads it");
 }
 
+/// The files that the transport creates for everybody. A run replaces its own before it has data. A file that was
+/// opened before is of no use.
+#[derive(Default)]
+struct ForEverybody {
+    opened: BTreeSet<(PathBuf, u64)>,
+}
+
+impl ForEverybody {
+    /// Tries to open a file. Returns the files that were opened and are in use.
+    fn try_open(&mut self, path: &Path) -> Vec<PathBuf> {
+        let name = path.file_name().expect("it is in a folder").to_string_lossy();
+        let found = open(path).and_then(|file| file.metadata().ok());
+        if name.ends_with(".global_mgmt") {
+            self.opened.extend(found.map(|found| (path.to_owned(), found.ino())));
+            return Vec::new();
+        }
+        let mut in_use: Vec<PathBuf> = found.map(|_| path.to_owned()).into_iter().collect();
+        if let Some(run) = name.get(..PREFIX_LEN).filter(|_| name.ends_with(".data")) {
+            let run = path.with_file_name(run).into_os_string();
+            let is_of_run = |path: &Path| path.as_os_str().as_bytes().starts_with(run.as_bytes());
+            let is_there = |path, ino| std::fs::symlink_metadata(path).is_ok_and(|now| now.ino() == ino);
+            let of_run = self.opened.iter().filter(|(path, ino)| is_of_run(path) && is_there(path, *ino));
+            in_use.extend(of_run.map(|(path, _)| path.clone()));
+        }
+        in_use
+    }
+}
+
 /// Watches the folders, and takes every name that follows from a new one.
 fn race() -> Seen {
     let watch = inotify::init(CreateFlags::CLOEXEC | CreateFlags::NONBLOCK).expect("Linux has inotify");
@@ -83,23 +116,15 @@ fn race() -> Seen {
         inotify::add_watch(&watch, folder, WatchFlags::CREATE).expect("everybody may list it");
     }
     begin();
-    let (mut seen, mut opened) = (Seen::default(), Vec::new());
+    let (mut seen, mut opened) = (Seen::default(), ForEverybody::default());
     let mut buffer = [std::mem::MaybeUninit::uninit(); 4_096];
     let mut reader = inotify::Reader::new(&watch, &mut buffer);
     while !IS_OVER.load(Relaxed) {
         let Ok(event) = reader.next() else { continue };
         let Some(name) = event.file_name().and_then(|name| name.to_str().ok()) else { continue };
         if let Some(run) = name.trim_start_matches('.').get(..15).filter(|name| name.starts_with("stgdat_")) {
-            opened.extend(open(&Path::new("/dev/shm").join(name)));
+            seen.opened.extend(opened.try_open(&Path::new("/dev/shm").join(name)));
             take_names(run, name, &mut seen);
-        }
-    }
-    // A file that the run has replaced is of no use.
-    for (path, file) in opened {
-        let found = file.metadata().expect("it is open");
-        let is_in_use = std::fs::symlink_metadata(&path).is_ok_and(|now| now.ino() == found.ino());
-        if is_in_use && found.nlink() > 0 {
-            seen.opened.push(path);
         }
     }
     seen
@@ -107,7 +132,7 @@ fn race() -> Seen {
 
 /// Takes the names that follow from the name of a run and of one of its files.
 fn take_names(run: &str, name: &str, seen: &mut Seen) {
-    let prefix = name.get(..25).filter(|prefix| prefix.ends_with('_')).unwrap_or("stgdat_");
+    let prefix = name.get(..PREFIX_LEN).filter(|prefix| prefix.ends_with('_')).unwrap_or("stgdat_");
     let shared = [format!("{run}_"), prefix.to_owned()];
     let shared = shared.iter().flat_map(|prefix| FOLLOWING.map(|rest| format!("/dev/shm/{prefix}{rest}")));
     for path in shared {
@@ -126,14 +151,14 @@ fn take_names(run: &str, name: &str, seen: &mut Seen) {
 }
 
 /// Opens a file of another user for reading or writing.
-fn open(path: &Path) -> Option<(PathBuf, File)> {
+fn open(path: &Path) -> Option<File> {
     let is_foreign = std::fs::symlink_metadata(path).is_ok_and(|found| found.uid() != uid());
     let mut file = is_foreign.then(|| OpenOptions::new().read(true).write(true).open(path).ok()).flatten();
     if let Some(file) = &mut file {
         let _ = file.write_all(&[0xAA; 16]);
     }
     let file = file.or_else(|| is_foreign.then(|| File::open(path).ok()).flatten());
-    file.filter(|file| file.metadata().is_ok_and(|found| found.is_file())).map(|file| (path.into(), file))
+    file.filter(|file| file.metadata().is_ok_and(|found| found.is_file()))
 }
 
 fn uid() -> u32 {
@@ -143,7 +168,7 @@ fn uid() -> u32 {
 /// Tries every file, socket and process of the run again and again.
 fn intrude() -> Seen {
     begin();
-    let mut seen = Seen::default();
+    let (mut seen, mut opened) = (Seen::default(), ForEverybody::default());
     while !IS_OVER.load(Relaxed) {
         for folder in FOLDERS {
             for path in std::fs::read_dir(folder)
@@ -152,7 +177,7 @@ fn intrude() -> Seen {
             {
                 let name = path.file_name().expect("it is in a folder").to_string_lossy().into_owned();
                 if name.trim_start_matches('.').starts_with("stgdat_") {
-                    intrude_file(&path, &mut seen);
+                    intrude_file(&path, &mut opened, &mut seen);
                 }
             }
         }
@@ -162,11 +187,9 @@ fn intrude() -> Seen {
     seen
 }
 
-fn intrude_file(path: &Path, seen: &mut Seen) {
+fn intrude_file(path: &Path, opened: &mut ForEverybody, seen: &mut Seen) {
     seen.tried += 4;
-    if let Some((path, _)) = open(path) {
-        seen.opened.push(path);
-    }
+    seen.opened.extend(opened.try_open(path));
     if std::fs::read_dir(path).is_ok() || File::create_new(path.join("x")).is_ok() {
         seen.opened.push(path.to_owned());
     }

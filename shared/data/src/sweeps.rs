@@ -26,6 +26,9 @@ use crate::row::Row;
 use crate::rows::{self, ALL_TYPES, Rows};
 use crate::{Ego, Frame, FrameRate, Input, ReadError, Recording};
 
+/// Fewest frames with a type that show the type's own rate.
+const RATE_FRAMES_MIN: usize = 8;
+
 /// Frames from rows with their own stamps.
 #[derive(Debug)]
 pub(crate) struct Sweeps {
@@ -191,16 +194,21 @@ fn usual_gap_ns(instants: &[Instant], interval_ns: i64) -> i64 {
 /// Marks the frames that did not observe a type whose detections have a lower rate than the frames. A frame
 /// observes a type if it has a detection of the type. It also does if about the type's own interval has
 /// passed since the last frame that observed the type.
+///
+/// The type's own interval is the tenth of the gaps between its frames from below. A sensor of this rate has
+/// hardly any shorter gap, but an agent that is often missed has many. Longer gaps are pauses.
 fn observe(frames: &mut [Frame], interval_ns: u64) {
     for agent_type in AGENT_TYPES {
         let has = |frame: &Frame| frame.detections.iter().any(|d| d.agent_type == agent_type as u32);
         let stamps_ns: Vec<i64> =
             frames.iter().filter(|frame| has(frame)).map(|frame| frame.stamp_ns).collect();
-        let Some(own_ns) = interval::usual_ns(&stamps_ns) else { continue };
+        let mut gaps_ns: Vec<i64> = stamps_ns.windows(2).map(|pair| pair[1] - pair[0]).collect();
+        gaps_ns.sort_unstable();
+        let own_ns = gaps_ns.get(gaps_ns.len() / 10).copied().filter(|_| stamps_ns.len() >= RATE_FRAMES_MIN);
         let interval_ns = interval_ns as i64;
-        if own_ns < interval_ns + interval_ns * 3 / 4 {
+        let Some(own_ns) = own_ns.filter(|own_ns| *own_ns >= interval_ns + interval_ns * 3 / 4) else {
             continue;
-        }
+        };
         let mut due_ns = i64::MIN;
         for frame in frames.iter_mut() {
             if frame.stamp_ns >= due_ns || has(frame) {

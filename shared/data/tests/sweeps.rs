@@ -165,6 +165,21 @@ fn a_type_at_a_lower_rate_is_not_observed_between() {
     }
 }
 
+/// A pedestrian who is often missed, two who are seen for a moment, and one who comes back are no slower sensor.
+#[test]
+fn a_type_with_gaps_is_observed_all_the_time() {
+    let fast = (0..60).flat_map(|sweep| (0..3).map(move |id| agent(id, sweep * 100 * MS)));
+    let often_missed: &[i64] = &[0, 3, 5, 7, 10, 11, 12, 13, 14, 18, 21, 22];
+    for sweeps in [often_missed, &[20, 22], &[20, 22, 50, 52], &[1, 2, 3, 4, 5, 41, 42, 43, 44]] {
+        let slow = sweeps.iter().map(|sweep| agent(3, sweep * 100 * MS));
+        let rows: Vec<Row> = fast.clone().chain(slow).collect();
+        for rows in [rows.clone(), without_ids(rows)] {
+            let recording = read(&rows);
+            assert!(recording.frames.iter().all(|frame| frame.observed_types == 7), "{sweeps:?}");
+        }
+    }
+}
+
 /// The rows of a file with poses, of a car that drives at 5 m/s along x and turns over ±π.
 fn with_poses(rows: &[Row], poses_ns: impl Iterator<Item = i64>) -> String {
     let mut text = text(rows).replace("y_m\n", "y_m,heading_rad\n");
