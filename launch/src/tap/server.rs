@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 use wire::{Header, Heartbeat, HeartbeatsTopic, REFUSALS_MAX, RefusalCause, Refusals, StageId, TABLE, Topic};
 
 use crate::failure::Failure;
-use crate::tap::topic::{self, Input, Taken};
+use crate::tap::topic::{Input, Taken};
 
 /// Longest sleep between checks that the run still exists.
 const SLEEP: Duration = Duration::from_millis(500);
@@ -45,7 +45,7 @@ struct Server {
     hub: Hub<UnixStream>,
     /// Connections whose request is incomplete.
     pending: Vec<(UnixStream, Vec<u8>)>,
-    inputs: Vec<Box<dyn Input>>,
+    inputs: Vec<Input>,
     refusals: Watched,
     /// Heartbeats of the tap. In lockstep the source waits for them, so the tap loses no frames.
     beats: Option<Publisher<HeartbeatsTopic>>,
@@ -146,7 +146,7 @@ impl Server {
     fn pump(&mut self) -> Result<(), Failure> {
         let Self { hub, inputs, refusals, newest, .. } = self;
         for input in inputs {
-            input.take(&mut |frame: &Taken<'_>| {
+            input.take(|frame: &Taken<'_>| {
                 let is_heartbeat = is_heartbeats(frame.topic);
                 if !is_heartbeat && frame.header.is_tick() {
                     *newest = frame.header.seq.max(*newest);
@@ -176,7 +176,7 @@ impl Server {
 
     /// Sends the tap's progress to the source if the run is in lockstep and the tap reads ticks.
     fn beat(&mut self) -> Result<(), Failure> {
-        let reads_ticks = self.inputs.iter().any(|input| !is_heartbeats(input.number()));
+        let reads_ticks = self.inputs.iter().any(|input| !is_heartbeats(input.number));
         if !self.run.lockstep || !reads_ticks && self.beats.is_none() {
             return Ok(());
         }
@@ -262,7 +262,7 @@ impl Server {
             return refuse(&socket, &error.to_string());
         }
         let attached = if request.mark.is_some() {
-            let reads_ticks = self.inputs.iter().any(|input| !is_heartbeats(input.number()));
+            let reads_ticks = self.inputs.iter().any(|input| !is_heartbeats(input.number));
             let tick = reads_ticks.then_some(self.newest);
             self.hub.mark(request, socket, monotonic_ns(), tick)
         } else {
@@ -281,14 +281,14 @@ impl Server {
         for (number, entry) in TABLE.topics.iter().enumerate() {
             let number = number as u8;
             let is_wanted = want.has(number) || want.events && entry.name == HeartbeatsTopic::NAME;
-            if !is_wanted || self.inputs.iter().any(|input| input.number() == number) {
+            if !is_wanted || self.inputs.iter().any(|input| input.number == number) {
                 continue;
             }
             if self.node.is_none() {
                 self.node = Some(Node::open(&self.run, "tap")?);
             }
             if let Some(node) = &self.node {
-                self.inputs.extend(topic::open(node, entry.name)?);
+                self.inputs.push(Input::open(node, number)?);
             }
         }
         Ok(())
@@ -310,7 +310,7 @@ impl Server {
         }
         let hub = &self.hub;
         self.inputs.retain(|input| {
-            let number = input.number();
+            let number = input.number;
             hub.wants(number) || is_heartbeats(number) && hub.wants_events()
         });
     }

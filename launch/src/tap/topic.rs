@@ -3,11 +3,7 @@
 use std::os::fd::{AsFd, BorrowedFd};
 
 use ports::{Node, PortError, RawSubscriber, monotonic_ns};
-use recording::topic_number;
-use wire::{
-    ContextTopic, ControlsTopic, DetectionsTopic, EncodingsTopic, FeaturesTopic, ForecastsTopic, Header,
-    HeartbeatsTopic, Topic, TracksTopic, TruthTopic,
-};
+use wire::{Header, TABLE};
 
 /// A frame taken from its queue.
 pub struct Taken<'a> {
@@ -24,60 +20,36 @@ pub struct Taken<'a> {
 }
 
 /// An open topic.
-pub trait Input {
+pub struct Input {
     /// The topic's number.
-    fn number(&self) -> u8;
-    /// Passes the pending frames to `each`.
-    fn take(&mut self, each: &mut dyn FnMut(&Taken<'_>)) -> Result<(), PortError>;
-    /// Readable when a frame has arrived.
-    fn descriptor(&self) -> BorrowedFd<'_>;
-}
-
-/// Opens a topic by name.
-pub fn open(node: &Node, name: &str) -> Result<Option<Box<dyn Input>>, PortError> {
-    Ok(Some(match name {
-        DetectionsTopic::NAME => input::<DetectionsTopic>(node)?,
-        TracksTopic::NAME => input::<TracksTopic>(node)?,
-        ContextTopic::NAME => input::<ContextTopic>(node)?,
-        FeaturesTopic::NAME => input::<FeaturesTopic>(node)?,
-        EncodingsTopic::NAME => input::<EncodingsTopic>(node)?,
-        ControlsTopic::NAME => input::<ControlsTopic>(node)?,
-        ForecastsTopic::NAME => input::<ForecastsTopic>(node)?,
-        TruthTopic::NAME => input::<TruthTopic>(node)?,
-        HeartbeatsTopic::NAME => input::<HeartbeatsTopic>(node)?,
-        _ => return Ok(None),
-    }))
-}
-
-fn input<T: Topic>(node: &Node) -> Result<Box<dyn Input>, PortError> {
-    let number = topic_number(T::NAME).expect("every topic is in the table");
-    Ok(Box::new(Reading::<T> { number, subscriber: node.raw_subscriber(T::DEPTH_MAX)?, newest: None }))
-}
-
-struct Reading<T: Topic> {
-    number: u8,
-    subscriber: RawSubscriber<T>,
+    pub number: u8,
+    subscriber: RawSubscriber,
     newest: Option<Place>,
 }
 
-impl<T: Topic> Input for Reading<T> {
-    fn number(&self) -> u8 {
-        self.number
+impl Input {
+    /// Opens a topic by number.
+    pub fn open(node: &Node, number: u8) -> Result<Self, PortError> {
+        let subscriber = node.raw_subscriber(&(&TABLE.topics[usize::from(number)]).into())?;
+        Ok(Self { number, subscriber, newest: None })
     }
 
-    fn take(&mut self, each: &mut dyn FnMut(&Taken<'_>)) -> Result<(), PortError> {
+    /// Passes the pending frames to `each`.
+    pub fn take(&mut self, mut each: impl FnMut(&Taken<'_>)) -> Result<(), PortError> {
+        let has_one_writer = TABLE.topics[usize::from(self.number)].publishers_max == 1;
         self.subscriber.drain()?;
         while let Some(frame) = self.subscriber.receive()? {
-            let (header, payload) = (frame.header(), bytemuck::cast_slice(frame.elements()));
+            let (header, payload) = (frame.header(), frame.payload());
             let place = Place::of(header);
-            let lost = if T::PUBLISHERS_MAX == 1 { place.lost_since(self.newest.as_ref()) } else { 0 };
+            let lost = if has_one_writer { place.lost_since(self.newest.as_ref()) } else { 0 };
             self.newest = Some(place);
             each(&Taken { topic: self.number, received_ns: monotonic_ns(), header, payload, lost });
         }
         Ok(())
     }
 
-    fn descriptor(&self) -> BorrowedFd<'_> {
+    /// Readable when a frame has arrived.
+    pub fn descriptor(&self) -> BorrowedFd<'_> {
         self.subscriber.as_fd()
     }
 }

@@ -4,11 +4,10 @@ use run::{Run, TopicRun, injected_topic};
 
 use crate::limits::{Limits, NODES_MAX};
 
-/// Deepest queue of a topic that the pipeline file declares.
-pub(crate) const DEPTH_MAX: usize = 8;
-/// Readers of a declared topic besides the stages: the recorder, the launcher, the tap, an injector and two
-/// more.
-const TOOLS_MAX: usize = 6;
+/// Limits of a declared topic without the stages that read it. Six other processes may read it: the recorder,
+/// the launcher, the tap, an injector and two more.
+pub(crate) const LIMITS: Limits =
+    Limits { publishers_max: 1, subscribers_max: 6, nodes_max: NODES_MAX, depth_max: 8 };
 /// The topic name in errors about declared topics: errors hold names that live as long as the program.
 pub(crate) const TOPIC: &str = "added by the pipeline file";
 
@@ -48,10 +47,9 @@ impl Added {
     pub fn limits(&self, topic: &TopicRun) -> Limits {
         let readers = self.topics.iter().zip(&self.readers).find(|(other, _)| other.name == topic.name);
         Limits {
-            publishers_max: 1,
-            subscribers_max: TOOLS_MAX + readers.map_or(0, |(_, len)| *len),
-            nodes_max: NODES_MAX + self.stage_count,
-            depth_max: DEPTH_MAX,
+            subscribers_max: LIMITS.subscribers_max + readers.map_or(0, |(_, len)| *len),
+            nodes_max: LIMITS.nodes_max + self.stage_count,
+            ..LIMITS
         }
     }
 }

@@ -42,8 +42,7 @@
 //! ```
 
 mod added;
-mod added_relay;
-mod added_subscriber;
+mod beside;
 mod clock;
 mod color;
 mod drive;
@@ -68,7 +67,6 @@ mod private;
 mod program;
 mod publisher;
 mod raw;
-mod relay;
 mod removal;
 mod runs;
 pub mod shedding;
@@ -84,8 +82,7 @@ mod transport;
 mod wait;
 
 pub use crate::shedding::Allowance;
-pub use added_relay::AddedRelay;
-pub use added_subscriber::{AddedFrame, AddedSubscriber, Beside};
+pub use beside::Beside;
 pub use clock::{clock_offset_ns, monotonic_ns};
 pub use color::{COLOR_VARIABLE, Color, UnknownColor};
 pub use drive::drive;
@@ -110,8 +107,7 @@ pub use program::{
     incarnation, stage_main,
 };
 pub use publisher::{Loan, Publisher};
-pub use raw::RawSubscriber;
-pub use relay::{RawFrame, Relay};
+pub use raw::{RawFrame, RawSubscriber, RawTopic, Relay};
 pub use runs::{ForeignRun, Leftover, LivingRun, files_left, foreign_runs, leftovers, living_runs};
 pub use space::{Space, SpaceError};
 pub use stage::{Awaited, Passage, Stage};

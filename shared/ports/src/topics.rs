@@ -1,15 +1,10 @@
 //! Opens the topics of a node.
 
-use std::fmt::Debug;
-
 use iceoryx2::service::static_config::message_type_details::{TypeDetail, TypeVariant};
 use run::Run;
-use wire::{
-    ContextTopic, ControlsTopic, DetectionsTopic, EncodingsTopic, FeaturesTopic, ForecastsTopic,
-    HeartbeatsTopic, Topic, TracksTopic, TruthTopic,
-};
+use wire::{HeartbeatsTopic, TABLE, Topic};
 
-use crate::element::Element;
+use crate::element::{Element, Head};
 use crate::limits::{HEARTBEAT, Limits, NODES_MAX};
 use crate::transport::{Reader, Services, Shape, Writer};
 use crate::{Node, PortError, Publisher, Subscriber};
@@ -53,29 +48,43 @@ impl Node {
 
     /// The settings of a topic, by its name in shared memory. They are the same in all processes.
     fn shape<T: Topic>(&self, name: &str) -> Shape {
-        Shape {
-            topic: T::NAME,
-            element: TypeDetail::new::<Element<T>>(TypeVariant::Dynamic),
-            limits: self.limits::<T>(name),
-            interval: if T::NAME == HeartbeatsTopic::NAME { HEARTBEAT } else { self.interval },
-        }
+        let limits = Limits {
+            publishers_max: T::PUBLISHERS_MAX,
+            subscribers_max: T::SUBSCRIBERS_MAX,
+            nodes_max: NODES_MAX,
+            depth_max: T::DEPTH_MAX,
+        };
+        self.shape_of(T::NAME, TypeDetail::new::<Element<T>>(TypeVariant::Dynamic), name, limits)
+    }
+
+    /// The settings of a topic with these limits in the shipped pipeline.
+    pub(crate) fn shape_of(
+        &self,
+        topic: &'static str,
+        element: TypeDetail,
+        name: &str,
+        limits: Limits,
+    ) -> Shape {
+        let is_heartbeats = topic == HeartbeatsTopic::NAME;
+        let interval = if is_heartbeats { HEARTBEAT } else { self.interval };
+        Shape { topic, element, limits: self.limits(name, limits, is_heartbeats), interval }
     }
 
     /// Limits of a topic, by its name in shared memory. They count the ports of the shipped pipeline, of the
     /// stages that the pipeline file adds, and of spares. All processes of the run find the same limits in
     /// its record.
-    fn limits<T: Topic>(&self, name: &str) -> Limits {
+    fn limits(&self, name: &str, shipped: Limits, is_heartbeats: bool) -> Limits {
         if let Some(topic) = self.added.topic(name) {
             return self.with_further(name, self.added.limits(topic));
         }
-        let heartbeat_count = if T::NAME == HeartbeatsTopic::NAME { self.added.stage_count } else { 0 };
+        let heartbeat_count = if is_heartbeats { self.added.stage_count } else { 0 };
         self.with_further(
             name,
             Limits {
-                publishers_max: T::PUBLISHERS_MAX + heartbeat_count,
-                subscribers_max: T::SUBSCRIBERS_MAX + self.added.reader_count(name),
-                nodes_max: NODES_MAX + self.added.stage_count,
-                depth_max: T::DEPTH_MAX,
+                publishers_max: shipped.publishers_max + heartbeat_count,
+                subscribers_max: shipped.subscribers_max + self.added.reader_count(name),
+                nodes_max: shipped.nodes_max + self.added.stage_count,
+                ..shipped
             },
         )
     }
@@ -85,7 +94,7 @@ impl Node {
 /// as long as a process has them open.
 #[derive(Debug)]
 pub struct Topics {
-    _services: Vec<Box<dyn Debug>>,
+    _services: Vec<Services<Head>>,
     _node: Node,
 }
 
@@ -96,19 +105,10 @@ impl Topics {
     /// [`PortError`] if a topic can't be created.
     pub fn make(run: &Run) -> Result<Self, PortError> {
         let node = Node::open(run, "topics")?;
-        fn of<T: Topic>(node: &Node) -> Result<Box<dyn Debug>, PortError> {
-            Ok(Box::new(Services::open(node, T::NAME, &node.shape::<T>(T::NAME))?))
-        }
-        let services = vec![
-            of::<DetectionsTopic>(&node)?,
-            of::<TracksTopic>(&node)?,
-            of::<ContextTopic>(&node)?,
-            of::<FeaturesTopic>(&node)?,
-            of::<EncodingsTopic>(&node)?,
-            of::<ControlsTopic>(&node)?,
-            of::<ForecastsTopic>(&node)?,
-            of::<TruthTopic>(&node)?,
-        ];
+        let topics = TABLE.topics.iter().filter(|entry| entry.name != HeartbeatsTopic::NAME);
+        let services = topics
+            .map(|entry| Services::open(&node, entry.name, &node.raw_shape(&entry.into(), entry.name)?));
+        let services = services.collect::<Result<_, _>>()?;
         Ok(Self { _services: services, _node: node })
     }
 }

@@ -1,6 +1,7 @@
 //! Tests the frames that a reader refuses, their causes, and the ticks that are declared lost.
 
-use ports::{Awaited, Node, Relay, Space, Stage, Subscriber, monotonic_ns};
+use bytemuck::{bytes_of, cast_slice};
+use ports::{Awaited, Node, RawTopic, Relay, Space, Stage, Subscriber, monotonic_ns};
 use run::{Declaration, NoOptions, Run};
 use wire::{
     Detection, DetectionsTopic, Forecast, ForecastsTopic, Header, Hop, Primitive, Protection, RefusalCause,
@@ -20,6 +21,10 @@ fn run(lockstep: bool, protected: &[&str]) -> (Space, Run) {
     let (id, prefix, root) = (space.id(), space.prefix().into(), space.root().into());
     let protected = protected.iter().map(|&name| name.to_owned()).collect();
     (space, Run { id, prefix, root, lockstep, protected, interval_ns: 80_000_000, ..Run::default() })
+}
+
+fn topic<T: Topic>(run: &Run) -> RawTopic {
+    RawTopic::of(run, T::NAME).expect("the table has the topic")
 }
 
 /// The header of a tick as the sampler sends it.
@@ -50,7 +55,7 @@ fn a_flipped_bit_is_a_wrong_check_value_wherever_it_lies() {
     let (_space, run) = run(false, &[ForecastsTopic::NAME]);
     let mut stage = Stage::open(&run, &READER).unwrap();
     let reader = stage.subscribe_feedback::<ForecastsTopic>(2).unwrap();
-    let relay = Relay::<ForecastsTopic>::open(&run, "raw").unwrap();
+    let relay = Relay::open(&run, topic::<ForecastsTopic>(&run), "raw").unwrap();
     relay.send(&protected::<ForecastsTopic>(header(&run, 0, 0), &[], 0), &[]).unwrap();
     assert!(reader.receive().unwrap().is_some());
     let good = protected::<ForecastsTopic>(header(&run, 1, 0), &[], 1);
@@ -76,7 +81,7 @@ fn a_lie_with_its_check_value_is_refused_for_what_it_says() {
     let (_space, run) = run(false, &[ForecastsTopic::NAME]);
     let mut stage = Stage::open(&run, &READER).unwrap();
     let reader = stage.subscribe_feedback::<ForecastsTopic>(2).unwrap();
-    let relay = Relay::<ForecastsTopic>::open(&run, "raw").unwrap();
+    let relay = Relay::open(&run, topic::<ForecastsTopic>(&run), "raw").unwrap();
     let foreign = Header { run_id: run.id ^ 1, ..header(&run, 0, 0) };
     relay.send(&protected::<ForecastsTopic>(foreign, &[], 0), &[]).unwrap();
     assert_eq!(cause_of(&stage, &reader), [(StageId::Sampler, RefusalCause::ForeignRun, 1)]);
@@ -92,12 +97,12 @@ fn in_lockstep_a_refused_tick_goes_on_as_void_and_comes_once() {
     let input = stage.subscribe::<DetectionsTopic>().unwrap();
     let forecasts = stage.subscribe_feedback::<ForecastsTopic>(2).unwrap();
     let output = stage.publish::<TracksTopic>().unwrap();
-    let relay = Relay::<DetectionsTopic>::open(&run, "raw").unwrap();
+    let relay = Relay::open(&run, topic::<DetectionsTopic>(&run), "raw").unwrap();
     let answers = Node::open(&run, "answers").unwrap().subscriber::<TracksTopic>(8).unwrap();
     let soon = || Some(monotonic_ns() + 1_000_000);
     let tick = |seq| Header { flags: flags::LOCKSTEP, ..header(&run, seq, 0) };
     // The header states another length.
-    let refused = |seq| relay.send(&tick(seq), &[Detection::default()]).unwrap();
+    let refused = |seq| relay.send(&tick(seq), bytes_of(&Detection::default())).unwrap();
 
     relay.send(&tick(0), &[]).unwrap();
     assert!(matches!(stage.next_until(&input, &output, soon()).unwrap(), Awaited::Frame(_)));
@@ -117,10 +122,10 @@ fn in_lockstep_a_refused_tick_goes_on_as_void_and_comes_once() {
     assert!(matches!(stage.next_until(&input, &output, soon()).unwrap(), Awaited::Frame(_)));
     assert_eq!(stage.heartbeat().dropped_len, 0);
 
-    let back = Relay::<ForecastsTopic>::open(&run, "back").unwrap();
+    let back = Relay::open(&run, topic::<ForecastsTopic>(&run), "back").unwrap();
     back.send(&tick(0), &[]).unwrap();
     assert!(matches!(stage.wait_for(&forecasts, 0, soon()).unwrap(), Awaited::Frame(_)));
-    back.send(&tick(1), &[Forecast::default()]).unwrap();
+    back.send(&tick(1), bytes_of(&Forecast::default())).unwrap();
     assert!(matches!(stage.wait_for(&forecasts, 1, soon()).unwrap(), Awaited::Lost));
 }
 
@@ -129,7 +134,7 @@ fn a_flipped_incarnation_makes_no_reader_deaf() {
     let (_space, run) = run(false, &[]);
     let mut stage = Stage::open(&run, &RECORDER).unwrap();
     let input = stage.subscribe::<ForecastsTopic>().unwrap();
-    let relay = Relay::<ForecastsTopic>::open(&run, "raw").unwrap();
+    let relay = Relay::open(&run, topic::<ForecastsTopic>(&run), "raw").unwrap();
     relay.send(&Header { incarnation: 1 << 20, ..header(&run, 0, 0) }, &[]).unwrap();
     assert!(input.receive().unwrap().is_some(), "it can't be told from a restarted sender");
     let taken = (1..40).filter(|&seq| {
@@ -144,9 +149,9 @@ fn in_real_time_a_refused_tick_is_merely_missing() {
     let (_space, run) = run(false, &[]);
     let mut stage = Stage::open(&run, &RECORDER).unwrap();
     let input = stage.subscribe_deep::<ForecastsTopic>(8).unwrap();
-    let relay = Relay::<ForecastsTopic>::open(&run, "raw").unwrap();
+    let relay = Relay::open(&run, topic::<ForecastsTopic>(&run), "raw").unwrap();
     for (seq, len) in [(0, 0), (1, 1), (2, 0)] {
-        relay.send(&header(&run, seq, 0), &vec![Forecast::default(); len]).unwrap();
+        relay.send(&header(&run, seq, 0), cast_slice(&vec![Forecast::default(); len])).unwrap();
     }
     assert!(matches!(stage.wait_for(&input, 0, Some(0)).unwrap(), Awaited::Frame(_)));
     assert!(matches!(stage.wait_for(&input, 1, Some(0)).unwrap(), Awaited::Late));
@@ -172,7 +177,7 @@ impl Topic for RawTracks {
 fn a_relay_shows_its_readers_the_end_of_the_writer() {
     let (_space, run) = run(false, &[]);
     let reader = Node::open(&run, "reader").unwrap().subscriber::<TracksTopic>(2).unwrap();
-    let relay = Relay::<TracksTopic>::open(&run, "raw").unwrap();
+    let relay = Relay::open(&run, topic::<TracksTopic>(&run), "raw").unwrap();
     let tool = Node::open(&run, "tool").unwrap();
     relay.follow_writer().unwrap();
     assert!(!reader.has_no_publisher(), "open until the first writer has come");
@@ -181,7 +186,7 @@ fn a_relay_shows_its_readers_the_end_of_the_writer() {
         relay.follow_writer().unwrap();
         writer.send_copy(&[], header(&run, seq, 0)).unwrap();
         let frame = relay.receive().unwrap().expect("the frame is in the queue");
-        relay.send(frame.header(), frame.elements()).unwrap();
+        relay.send(frame.header(), frame.payload()).unwrap();
         assert_eq!(reader.receive().unwrap().expect("it is passed on").header().seq, seq);
         drop((frame, writer));
         relay.follow_writer().unwrap();
@@ -203,7 +208,7 @@ fn taken<T: Topic>(
         .expect("the test makes a run")
         .subscriber::<T>(2)
         .expect("the test makes a run");
-    let relay = Relay::<T>::open(&run, "raw").expect("the test makes a run");
+    let relay = Relay::open(&run, topic::<T>(&run), "raw").expect("the test makes a run");
     let record =
         TABLE.topics.iter().find(|topic| topic.name == T::NAME).expect("the test makes a run").element;
     let reals: Vec<usize> = record
@@ -233,7 +238,7 @@ fn taken<T: Topic>(
             (bytemuck::cast_slice_mut(&mut elements), bit - head)
         };
         bytes[bit / 8] ^= 1 << (bit % 8);
-        relay.send(&sent, &elements).expect("a good frame");
+        relay.send(&sent, cast_slice(&elements)).expect("a good frame");
         if let Some(frame) = reader.receive().expect("a good frame")
             && frame.iter().all(|element| check(element).is_ok())
         {

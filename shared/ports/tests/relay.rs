@@ -1,6 +1,7 @@
 //! Late, repeated and unexpected frames, which a relay between writer and readers sends unchanged.
 
-use ports::{Awaited, Relay, Space, Stage, monotonic_ns};
+use bytemuck::cast_slice;
+use ports::{Awaited, RawTopic, Relay, Space, Stage, monotonic_ns};
 use run::{Declaration, NoOptions, Run};
 use wire::{Header, Hop, StageId, Topic, Track, TracksTopic};
 
@@ -15,6 +16,10 @@ fn run() -> (Space, Run) {
     (space, run)
 }
 
+fn topic<T: Topic>(run: &Run) -> RawTopic {
+    RawTopic::of(run, T::NAME).expect("the table has the topic")
+}
+
 /// The header of a tick that a tracker of this incarnation has sent.
 fn header(run: &Run, seq: u64, incarnation: u32) -> Header {
     let mut header = Header::new(run.id, seq, seq as i64 * 80_000_000);
@@ -27,14 +32,17 @@ fn header(run: &Run, seq: u64, incarnation: u32) -> Header {
 #[test]
 fn a_relay_takes_and_sends_any_frame() {
     let (_space, run) = run();
-    let back = Relay::<TracksTopic>::open(&run, "tracks-again").unwrap();
-    let reader = Relay::<TracksTopic>::consumer(&run, 2).unwrap();
+    let back = Relay::open(&run, topic::<TracksTopic>(&run), "tracks-again").unwrap();
+    let reader = Relay::consumer(&run, topic::<TracksTopic>(&run)).unwrap();
     let track = Track { id: 4, x_m: f32::NAN, ..bytemuck::Zeroable::zeroed() };
     let impossible = Header { schema: 99, run_id: 3, ..header(&run, 0, 7) };
-    back.send(&impossible, &[track, track]).unwrap();
+    back.send(&impossible, cast_slice(&[track, track])).unwrap();
     let frame = reader.receive().unwrap().expect("the frame is in the queue");
     assert_eq!(frame.header(), &impossible);
-    assert_eq!(frame.elements().iter().map(|track| track.id).collect::<Vec<_>>(), [4, 4]);
+    assert_eq!(
+        cast_slice::<u8, Track>(frame.payload()).iter().map(|track| track.id).collect::<Vec<_>>(),
+        [4, 4]
+    );
     assert!(back.receive().unwrap().is_none(), "what it reads has another name");
 }
 
@@ -43,7 +51,7 @@ fn a_tick_that_others_have_overtaken_is_no_gap() {
     let (_space, run) = run();
     let mut stage = Stage::open(&run, &READER).unwrap();
     let tracks = stage.subscribe::<TracksTopic>().unwrap();
-    let relay = Relay::<TracksTopic>::open(&run, "raw").unwrap();
+    let relay = Relay::open(&run, topic::<TracksTopic>(&run), "raw").unwrap();
     for (seq, dropped_len) in [(0, 0), (2, 1), (1, 0), (3, 0), (5, 1)] {
         relay.send(&header(&run, seq, 0), &[]).unwrap();
         assert_eq!(tracks.receive().unwrap().expect("it is taken").header().seq, seq);
@@ -56,7 +64,7 @@ fn a_restarted_stage_does_not_pass_on_a_tick_again() {
     let (_space, run) = run();
     let mut stage = Stage::open(&run, &READER).unwrap();
     let tracks = stage.subscribe::<TracksTopic>().unwrap();
-    let relay = Relay::<TracksTopic>::open(&run, "raw").unwrap();
+    let relay = Relay::open(&run, topic::<TracksTopic>(&run), "raw").unwrap();
     for (seq, incarnation, is_taken) in [(5, 0, true), (5, 1, false), (6, 1, true), (7, 1, true)] {
         relay.send(&header(&run, seq, incarnation), &[]).unwrap();
         let taken = tracks.receive().unwrap();
@@ -71,7 +79,7 @@ fn a_tick_from_nowhere_is_not_waited_for() {
     let (_space, run) = run();
     let mut stage = Stage::open(&run, &READER).unwrap();
     let tracks = stage.subscribe::<TracksTopic>().unwrap();
-    let relay = Relay::<TracksTopic>::open(&run, "raw").unwrap();
+    let relay = Relay::open(&run, topic::<TracksTopic>(&run), "raw").unwrap();
     for (sent, awaited) in [(0, Some(0)), (1 << 40, None), (2, Some(2)), (3, Some(3))] {
         relay.send(&header(&run, sent, 0), &[]).unwrap();
         let got = stage.wait_for(&tracks, awaited.unwrap_or(1), Some(monotonic_ns() + 1_000_000)).unwrap();

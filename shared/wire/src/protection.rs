@@ -25,9 +25,15 @@ impl Protection {
     /// The protection of a frame: it covers `payload`, and `header` except for its own check value.
     #[must_use]
     pub fn of<T: Topic>(header: &Header, payload: &[T::Element], counter: u32) -> Self {
-        let length = length::<T>(payload);
-        let unchecked = Self { crc: 0, length, counter, data_id: data_id(T::NAME), reserved: [0; 4] };
-        Self { crc: crc::<T>(&Header { protection: unchecked, ..*header }, payload), ..unchecked }
+        Self::of_bytes(T::NAME, header, cast_slice(payload), counter)
+    }
+
+    /// The protection of a frame of a named topic whose elements are bytes.
+    #[must_use]
+    pub fn of_bytes(topic: &str, header: &Header, payload: &[u8], counter: u32) -> Self {
+        let unchecked =
+            Self { crc: 0, length: length(payload), counter, data_id: data_id(topic), reserved: [0; 4] };
+        Self { crc: crc(&Header { protection: unchecked, ..*header }, payload), ..unchecked }
     }
 
     /// Whether the frame has no protection.
@@ -45,8 +51,9 @@ impl Protection {
         if protection.is_absent() {
             return Err(Rejected::Unprotected);
         }
-        let expected = crc::<T>(header, payload);
-        if protection.crc != expected || protection.length != length::<T>(payload) {
+        let payload = cast_slice(payload);
+        let expected = crc(header, payload);
+        if protection.crc != expected || protection.length != length(payload) {
             return Err(Rejected::CheckValue { found: protection.crc, expected });
         }
         let expected = data_id(T::NAME);
@@ -68,12 +75,12 @@ impl Protection {
     }
 }
 
-fn length<T: Topic>(payload: &[T::Element]) -> u32 {
-    (size_of::<Header>() + size_of_val(payload)) as u32
+fn length(payload: &[u8]) -> u32 {
+    (size_of::<Header>() + payload.len()) as u32
 }
 
-fn crc<T: Topic>(header: &Header, payload: &[T::Element]) -> u64 {
-    crc64(&[&bytes_of(header)[size_of::<u64>()..], cast_slice(payload)])
+fn crc(header: &Header, payload: &[u8]) -> u64 {
+    crc64(&[&bytes_of(header)[size_of::<u64>()..], payload])
 }
 
 /// CRC-64/XZ of the parts, as if they were one.

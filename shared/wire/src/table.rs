@@ -137,6 +137,8 @@ pub struct TopicEntry {
     pub element: &'static Record,
     /// Maximum number of elements in a frame.
     pub elements_max: usize,
+    /// Number of elements that a writer's first memory has room for.
+    pub elements_start: usize,
     /// Maximum number of processes that publish at a time.
     pub publishers_max: usize,
     /// Maximum number of processes that subscribe at a time.

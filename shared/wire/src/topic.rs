@@ -119,6 +119,7 @@ const fn entry<T: Topic<Element: Layout>>() -> TopicEntry {
         type_name: T::TYPE_NAME,
         element: element_record(&T::Element::TYPE),
         elements_max: T::ELEMENTS_MAX,
+        elements_start: T::ELEMENTS_START,
         publishers_max: T::PUBLISHERS_MAX,
         subscribers_max: T::SUBSCRIBERS_MAX,
         depth_max: T::DEPTH_MAX,
