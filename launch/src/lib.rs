@@ -23,8 +23,6 @@ pub mod failure;
 mod faults;
 pub mod files;
 mod fleet;
-#[cfg(test)]
-mod fuzz;
 mod health;
 mod log;
 mod memory;
@@ -48,6 +46,8 @@ pub mod stages;
 pub mod tables;
 mod tap;
 mod terminal;
+#[cfg(test)]
+mod tests;
 mod top;
 pub mod tracking;
 mod verbs;
