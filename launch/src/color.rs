@@ -14,7 +14,8 @@ static CHOICE: OnceLock<Color> = OnceLock::new();
 
 /// The choices as the values of an argument.
 pub fn choices() -> impl TypedValueParser<Value = Color> {
-    PossibleValuesParser::new(Color::ALL.map(Color::name)).try_map(|name| name.parse::<Color>())
+    PossibleValuesParser::new(Color::ALL.map(Color::name))
+        .map(|name| Color::from_name(&name).unwrap_or_default())
 }
 
 /// The choice of this process.
@@ -32,7 +33,7 @@ fn of_arguments(arguments: impl Iterator<Item = OsString>) -> Option<Color> {
     let words: Vec<String> = arguments.map(|word| word.to_string_lossy().into_owned()).collect();
     let named = words.iter().zip(words.iter().skip(1)).filter(|(flag, _)| *flag == "--color");
     let joined = words.iter().filter_map(|word| word.strip_prefix("--color="));
-    named.map(|(_, value)| value.as_str()).chain(joined).filter_map(|value| value.parse().ok()).next_back()
+    named.map(|(_, value)| value.as_str()).chain(joined).filter_map(Color::from_name).next_back()
 }
 
 /// Formats a mistake in a file for standard error.

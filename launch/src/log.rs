@@ -28,7 +28,8 @@ static ABOVE_TABLE: Mutex<Option<Sender<String>>> = Mutex::new(None);
 
 /// The formats as the values of an argument.
 pub fn formats() -> impl TypedValueParser<Value = LogFormat> {
-    PossibleValuesParser::new(LogFormat::ALL.map(LogFormat::name)).try_map(|name| name.parse::<LogFormat>())
+    PossibleValuesParser::new(LogFormat::ALL.map(LogFormat::name))
+        .map(|name| LogFormat::from_name(&name).unwrap_or_default())
 }
 
 /// The format of this process.

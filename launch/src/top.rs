@@ -11,41 +11,31 @@ use recorder::status::{RunStatus, StageStatus};
 pub use client::Client;
 pub use draw::text;
 
-/// Order of the stages.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
-pub enum SortBy {
-    /// In the order in which a tick passes them
-    #[default]
-    Chain,
-    /// By the 99th percentile of compute time, slowest first
-    P99,
-    /// By compute time relative to the budget, largest first
-    Budget,
-    /// By waiting time, longest first
-    Waiting,
-    /// By lost frames, most first
-    Lost,
-    /// By CPU use, most first
-    Cpu,
-    /// By memory, most first
-    Memory,
+wire::named! {
+    /// Order of the stages.
+    #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+    pub enum SortBy {
+        /// In the order in which a tick passes them
+        #[default]
+        Chain => "chain",
+        /// By the 99th percentile of compute time, slowest first
+        P99 => "p99",
+        /// By compute time relative to the budget, largest first
+        Budget => "budget",
+        /// By waiting time, longest first
+        Waiting => "waiting",
+        /// By lost frames, most first
+        Lost => "lost",
+        /// By CPU use, most first
+        Cpu => "cpu",
+        /// By memory, most first
+        Memory => "memory",
+    }
 }
 
 impl SortBy {
-    const fn name(self) -> &'static str {
-        match self {
-            Self::Chain => "chain",
-            Self::P99 => "p99",
-            Self::Budget => "budget",
-            Self::Waiting => "waiting",
-            Self::Lost => "lost",
-            Self::Cpu => "cpu",
-            Self::Memory => "memory",
-        }
-    }
-
     fn next(self) -> Self {
-        let all = Self::value_variants();
+        let all = Self::ALL;
         let place = all.iter().position(|&by| by == self).unwrap_or(0);
         all[(place + 1) % all.len()]
     }

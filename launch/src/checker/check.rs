@@ -9,68 +9,34 @@ use crate::checker::{ForecastSeen, Line, Outage, Output, Told};
 /// Movement of an agent after which the same controls cannot be a new forecast.
 const MOVED_MIN_M: f32 = 0.05;
 
-/// A promise that a run must keep.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Promise {
-    /// No tick arrives twice or after a later one.
-    TicksInOrder,
-    /// Each stamp is later than the previous one.
-    StampsInOrder,
-    /// A missing tick is within an outage, was hit by a fault, or was counted by a stage.
-    MissingTicksExplained,
-    /// A forecast that is not learned names its cause.
-    CausesSaid,
-    /// The run has counted every cause that forecasts name.
-    CausesCounted,
-    /// A learned forecast has age 0. A held one has the age of the learned forecast that it repeats.
-    AgesRight,
-    /// A learned forecast belongs to its own tick.
-    LearnedAreOfTheirTick,
-    /// No output is older on arrival than the policy allows, unless it is counted as late.
-    NothingStale,
-    /// No number is impossible.
-    NumbersPossible,
-    /// A stage is restarted only if the run reports a death.
-    RestartsTold,
-    /// Stages that are not the target of a fault are not restarted.
-    OthersUntouched,
-    /// No file and no process is left.
-    NothingLeft,
-}
-
-impl Promise {
-    /// All promises.
-    pub const ALL: [Self; 12] = [
-        Self::TicksInOrder,
-        Self::StampsInOrder,
-        Self::MissingTicksExplained,
-        Self::CausesSaid,
-        Self::CausesCounted,
-        Self::AgesRight,
-        Self::LearnedAreOfTheirTick,
-        Self::NothingStale,
-        Self::NumbersPossible,
-        Self::RestartsTold,
-        Self::OthersUntouched,
-        Self::NothingLeft,
-    ];
-
-    /// Name of the count of its violations.
-    pub const fn broken_by(self) -> &'static str {
-        match self {
-            Self::TicksInOrder => "ticks that came twice or back in order",
-            Self::StampsInOrder => "stamps that are not after the one before",
-            Self::MissingTicksExplained => "missing ticks that nobody explains",
-            Self::CausesSaid => "forecasts not learned and without a cause",
-            Self::CausesCounted => "causes that nobody counted",
-            Self::AgesRight => "forecasts with a wrong age",
-            Self::LearnedAreOfTheirTick => "forecasts of another tick called learned",
-            Self::NothingStale => "stale forecasts published as fresh",
-            Self::NumbersPossible => "impossible numbers",
-            Self::RestartsTold => "restarts that nobody reports",
-            Self::OthersUntouched => "restarts of others",
-            Self::NothingLeft => "files or stages left",
-        }
+wire::named! {
+    /// A promise that a run must keep.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+    pub enum Promise {
+        /// No tick arrives twice or after a later one.
+        TicksInOrder => "ticks that came twice or back in order",
+        /// Each stamp is later than the previous one.
+        StampsInOrder => "stamps that are not after the one before",
+        /// A missing tick is within an outage, was hit by a fault, or was counted by a stage.
+        MissingTicksExplained => "missing ticks that nobody explains",
+        /// A forecast that is not learned names its cause.
+        CausesSaid => "forecasts not learned and without a cause",
+        /// The run has counted every cause that forecasts name.
+        CausesCounted => "causes that nobody counted",
+        /// A learned forecast has age 0. A held one has the age of the learned forecast that it repeats.
+        AgesRight => "forecasts with a wrong age",
+        /// A learned forecast belongs to its own tick.
+        LearnedAreOfTheirTick => "forecasts of another tick called learned",
+        /// No output is older on arrival than the policy allows, unless it is counted as late.
+        NothingStale => "stale forecasts published as fresh",
+        /// No number is impossible.
+        NumbersPossible => "impossible numbers",
+        /// A stage is restarted only if the run reports a death.
+        RestartsTold => "restarts that nobody reports",
+        /// Stages that are not the target of a fault are not restarted.
+        OthersUntouched => "restarts of others",
+        /// No file and no process is left.
+        NothingLeft => "files or stages left",
     }
 }
 

@@ -53,10 +53,10 @@ fn promises(seen: &Observation, expect: &Expect) -> Vec<Check> {
     }
     let findings = seen.findings().into_iter().filter(|found| !elsewhere.contains(&found.promise));
     let told = |found: Finding| match found.count {
-        0 => equal(found.promise.broken_by(), &0, &0),
+        0 => equal(found.promise.name(), &0, &0),
         count => {
             let found_text = format!("{count}, first {}", found.first);
-            check(found.promise.broken_by(), &0, &found_text, false)
+            check(found.promise.name(), &0, &found_text, false)
         }
     };
     findings.map(told).collect()

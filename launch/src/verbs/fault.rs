@@ -222,7 +222,7 @@ fn verify(path: &Path) -> Result<Exit, Failure> {
     for crate::checker::Finding { promise, count, first } in findings {
         is_kept &= count == 0;
         let first = if count == 0 { String::new() } else { format!(", first {first}") };
-        show(&format!("{count:6}  {}{first}\n", promise.broken_by()))?;
+        show(&format!("{count:6}  {}{first}\n", promise.name()))?;
     }
     Ok(if is_kept { Exit::Done } else { Exit::Failed })
 }

@@ -1,70 +1,50 @@
 use wire::doubts;
 
-/// A kind of input fault. The number is its bit in [`InputCounts::doubts`](wire::InputCounts::doubts).
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-#[repr(u32)]
-pub enum Doubt {
-    /// Headings are in degrees.
-    HeadingsInDegrees = doubts::HEADINGS_IN_DEGREES,
-    /// Headings are clockwise from north, or x and y are swapped.
-    HeadingsFromNorth = doubts::HEADINGS_FROM_NORTH,
-    /// Headings mirror the motion: clockwise from +x, or y is flipped.
-    HeadingsMirrored = doubts::HEADINGS_MIRRORED,
-    /// Headings differ from the motion by a quarter or half turn.
-    HeadingsTurned = doubts::HEADINGS_TURNED,
-    /// Headings and motion do not agree.
-    HeadingsUnrelated = doubts::HEADINGS_UNRELATED,
-    /// Speeds are in km/h.
-    SpeedsInKmh = doubts::SPEEDS_IN_KMH,
-    /// Speeds are in mph.
-    SpeedsInMph = doubts::SPEEDS_IN_MPH,
-    /// The speed of the positions differs from the reported speed.
-    SpeedsDiffer = doubts::SPEEDS_DIFFER,
-    /// Agents of a type move at unusual speeds.
-    SpeedsUnusual = doubts::SPEEDS_UNUSUAL,
-    /// Lengths or positions are in feet.
-    Feet = doubts::FEET,
-    /// Positions are in pixels.
-    Pixels = doubts::PIXELS,
-    /// Stamps are in a unit other than seconds.
-    StampsInOtherUnit = doubts::STAMPS_IN_OTHER_UNIT,
-    /// Stamps are frame numbers.
-    StampsAreFrames = doubts::STAMPS_ARE_FRAMES,
-    /// Stamps go back in time.
-    StampsGoBack = doubts::STAMPS_GO_BACK,
-    /// Detections repeat the previous one of a moving agent.
-    Repeated = doubts::REPEATED,
-    /// Positions are out of their agent's reach.
-    Outliers = doubts::OUTLIERS,
-    /// Positions stand for missing ones.
-    Placeholders = doubts::PLACEHOLDERS,
-    /// Identities jump from one agent to another.
-    IdentitiesJump = doubts::IDENTITIES_JUMP,
+wire::named! {
+    /// A kind of input fault. The number is its bit in [`InputCounts::doubts`](wire::InputCounts::doubts).
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+    #[repr(u32)]
+    pub enum Doubt {
+        /// Headings are in degrees.
+        HeadingsInDegrees = doubts::HEADINGS_IN_DEGREES => "headings_in_degrees",
+        /// Headings are clockwise from north, or x and y are swapped.
+        HeadingsFromNorth = doubts::HEADINGS_FROM_NORTH => "headings_from_north",
+        /// Headings mirror the motion: clockwise from +x, or y is flipped.
+        HeadingsMirrored = doubts::HEADINGS_MIRRORED => "headings_mirrored",
+        /// Headings differ from the motion by a quarter or half turn.
+        HeadingsTurned = doubts::HEADINGS_TURNED => "headings_turned",
+        /// Headings and motion do not agree.
+        HeadingsUnrelated = doubts::HEADINGS_UNRELATED => "headings_unrelated",
+        /// Speeds are in km/h.
+        SpeedsInKmh = doubts::SPEEDS_IN_KMH => "speeds_in_kmh",
+        /// Speeds are in mph.
+        SpeedsInMph = doubts::SPEEDS_IN_MPH => "speeds_in_mph",
+        /// The speed of the positions differs from the reported speed.
+        SpeedsDiffer = doubts::SPEEDS_DIFFER => "speeds_differ",
+        /// Agents of a type move at unusual speeds.
+        SpeedsUnusual = doubts::SPEEDS_UNUSUAL => "speeds_unusual",
+        /// Lengths or positions are in feet.
+        Feet = doubts::FEET => "feet",
+        /// Positions are in pixels.
+        Pixels = doubts::PIXELS => "pixels",
+        /// Stamps are in a unit other than seconds.
+        StampsInOtherUnit = doubts::STAMPS_IN_OTHER_UNIT => "stamps_in_other_unit",
+        /// Stamps are frame numbers.
+        StampsAreFrames = doubts::STAMPS_ARE_FRAMES => "stamps_are_frames",
+        /// Stamps go back in time.
+        StampsGoBack = doubts::STAMPS_GO_BACK => "stamps_go_back",
+        /// Detections repeat the previous one of a moving agent.
+        Repeated = doubts::REPEATED => "repeated",
+        /// Positions are out of their agent's reach.
+        Outliers = doubts::OUTLIERS => "outliers",
+        /// Positions stand for missing ones.
+        Placeholders = doubts::PLACEHOLDERS => "placeholders",
+        /// Identities jump from one agent to another.
+        IdentitiesJump = doubts::IDENTITIES_JUMP => "identities_jump",
+    }
 }
 
 impl Doubt {
-    /// All kinds, in the order of their bits.
-    pub const ALL: [Self; 18] = [
-        Self::HeadingsInDegrees,
-        Self::HeadingsFromNorth,
-        Self::HeadingsMirrored,
-        Self::HeadingsTurned,
-        Self::HeadingsUnrelated,
-        Self::SpeedsInKmh,
-        Self::SpeedsInMph,
-        Self::SpeedsDiffer,
-        Self::SpeedsUnusual,
-        Self::Feet,
-        Self::Pixels,
-        Self::StampsInOtherUnit,
-        Self::StampsAreFrames,
-        Self::StampsGoBack,
-        Self::Repeated,
-        Self::Outliers,
-        Self::Placeholders,
-        Self::IdentitiesJump,
-    ];
-
     /// The bit in [`InputCounts::doubts`](wire::InputCounts::doubts).
     pub const fn bit(self) -> u32 {
         self as u32
@@ -73,30 +53,6 @@ impl Doubt {
     /// The kinds of these bits. Bits of newer versions are ignored.
     pub fn of_bits(bits: u32) -> impl Iterator<Item = Self> {
         Self::ALL.into_iter().filter(move |doubt| bits & doubt.bit() != 0)
-    }
-
-    /// The name in JSON and metrics.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::HeadingsInDegrees => "headings_in_degrees",
-            Self::HeadingsFromNorth => "headings_from_north",
-            Self::HeadingsMirrored => "headings_mirrored",
-            Self::HeadingsTurned => "headings_turned",
-            Self::HeadingsUnrelated => "headings_unrelated",
-            Self::SpeedsInKmh => "speeds_in_kmh",
-            Self::SpeedsInMph => "speeds_in_mph",
-            Self::SpeedsDiffer => "speeds_differ",
-            Self::SpeedsUnusual => "speeds_unusual",
-            Self::Feet => "feet",
-            Self::Pixels => "pixels",
-            Self::StampsInOtherUnit => "stamps_in_other_unit",
-            Self::StampsAreFrames => "stamps_are_frames",
-            Self::StampsGoBack => "stamps_go_back",
-            Self::Repeated => "repeated",
-            Self::Outliers => "outliers",
-            Self::Placeholders => "placeholders",
-            Self::IdentitiesJump => "identities_jump",
-        }
     }
 
     /// The observation, without figures.

@@ -7,35 +7,37 @@ use crate::formats::{commonroad, csv, highd, interaction, levelx, obsmat, positi
 use crate::text::{self, Line, Separator};
 use crate::{FrameRate, Input, ReadError};
 
-/// The file format of a recording.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Format {
-    /// [`crate::formats::positions`], ETH/UCY.
-    EthUcy,
-    /// [`crate::formats::obsmat`].
-    Obsmat,
-    /// [`crate::formats::positions`], Stanford Drone.
-    SddTrajnet,
-    /// [`crate::formats::sdd_raw`].
-    SddRaw,
-    /// [`crate::formats::interaction`].
-    Interaction,
-    /// [`crate::formats::vci_dut`].
-    VciDut,
-    /// [`crate::formats::kitti`], a detector's output.
-    KittiDetections,
-    /// [`crate::formats::kitti`], true tracks.
-    KittiLabels,
-    /// [`crate::formats::levelx`]: inD, rounD, exiD, uniD.
-    LevelX,
-    /// [`crate::formats::highd`].
-    HighD,
-    /// [`crate::formats::commonroad`].
-    CommonRoad,
-    /// [`crate::formats::rosbag`], rosbag2 as MCAP.
-    Rosbag,
-    /// [`crate::formats::csv`], the project's own.
-    Csv,
+wire::named! {
+    /// The file format of a recording.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+    pub enum Format {
+        /// [`crate::formats::positions`], ETH/UCY.
+        EthUcy => "eth-ucy",
+        /// [`crate::formats::obsmat`].
+        Obsmat => "obsmat",
+        /// [`crate::formats::positions`], Stanford Drone.
+        SddTrajnet => "sdd-trajnet",
+        /// [`crate::formats::sdd_raw`].
+        SddRaw => "sdd-raw",
+        /// [`crate::formats::interaction`].
+        Interaction => "interaction",
+        /// [`crate::formats::vci_dut`].
+        VciDut => "vci-dut",
+        /// [`crate::formats::kitti`], a detector's output.
+        KittiDetections => "kitti-detections",
+        /// [`crate::formats::kitti`], true tracks.
+        KittiLabels => "kitti-labels",
+        /// [`crate::formats::levelx`]: inD, rounD, exiD, uniD.
+        LevelX => "levelx",
+        /// [`crate::formats::highd`].
+        HighD => "highd",
+        /// [`crate::formats::commonroad`].
+        CommonRoad => "commonroad",
+        /// [`crate::formats::rosbag`], rosbag2 as MCAP.
+        Rosbag => "rosbag",
+        /// [`crate::formats::csv`], the project's own.
+        Csv => "csv",
+    }
 }
 
 /// A name that is not a format's.
@@ -47,42 +49,6 @@ pub struct UnknownFormat(pub String);
 const LINES_MAX: usize = 2_000;
 
 impl Format {
-    /// All formats.
-    pub const ALL: [Self; 13] = [
-        Self::EthUcy,
-        Self::Obsmat,
-        Self::SddTrajnet,
-        Self::SddRaw,
-        Self::Interaction,
-        Self::VciDut,
-        Self::KittiDetections,
-        Self::KittiLabels,
-        Self::LevelX,
-        Self::HighD,
-        Self::CommonRoad,
-        Self::Rosbag,
-        Self::Csv,
-    ];
-
-    /// The name used on the command line.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::EthUcy => "eth-ucy",
-            Self::Obsmat => "obsmat",
-            Self::SddTrajnet => "sdd-trajnet",
-            Self::SddRaw => "sdd-raw",
-            Self::Interaction => "interaction",
-            Self::VciDut => "vci-dut",
-            Self::KittiDetections => "kitti-detections",
-            Self::KittiLabels => "kitti-labels",
-            Self::LevelX => "levelx",
-            Self::HighD => "highd",
-            Self::CommonRoad => "commonroad",
-            Self::Rosbag => "rosbag",
-            Self::Csv => "csv",
-        }
-    }
-
     /// The default rate of frame numbers; `None` if the files contain their times or the rate is fixed.
     pub const fn frame_rate(self) -> Option<FrameRate> {
         match self {

@@ -5,46 +5,30 @@ use crate::ReadError;
 /// Size of the largest file that is read.
 pub(crate) const FILE_BYTES_MAX: u64 = 1 << 30;
 
-/// The content of a file of a recording.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Role {
-    /// The rows of a format that has one file.
-    Rows,
-    /// The vehicles of a pair of files.
-    Vehicles,
-    /// The pedestrians (and cyclists) of a pair of files.
-    Pedestrians,
-    /// The output of the detector for cyclists.
-    Cyclists,
-    /// True positions in addition to a detector's output.
-    Labels,
-    /// Position and attitude of the ego vehicle.
-    EgoMotion,
-    /// Mounting poses of the sensors on the ego vehicle.
-    Calibration,
-    /// Metres per pixel.
-    Scales,
-    /// Classes and other attributes of the tracks.
-    TracksMeta,
-    /// Frame rate and other attributes of the recording.
-    RecordingMeta,
-}
-
-impl Role {
-    /// The role in words.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Rows => "rows",
-            Self::Vehicles => "vehicles",
-            Self::Pedestrians => "pedestrians",
-            Self::Cyclists => "cyclists",
-            Self::Labels => "labels",
-            Self::EgoMotion => "ego motion",
-            Self::Calibration => "calibration",
-            Self::Scales => "scales",
-            Self::TracksMeta => "attributes of the tracks",
-            Self::RecordingMeta => "attributes of the recording",
-        }
+wire::named! {
+    /// The content of a file of a recording.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+    pub enum Role {
+        /// The rows of a format that has one file.
+        Rows => "rows",
+        /// The vehicles of a pair of files.
+        Vehicles => "vehicles",
+        /// The pedestrians (and cyclists) of a pair of files.
+        Pedestrians => "pedestrians",
+        /// The output of the detector for cyclists.
+        Cyclists => "cyclists",
+        /// True positions in addition to a detector's output.
+        Labels => "labels",
+        /// Position and attitude of the ego vehicle.
+        EgoMotion => "ego motion",
+        /// Mounting poses of the sensors on the ego vehicle.
+        Calibration => "calibration",
+        /// Metres per pixel.
+        Scales => "scales",
+        /// Classes and other attributes of the tracks.
+        TracksMeta => "attributes of the tracks",
+        /// Frame rate and other attributes of the recording.
+        RecordingMeta => "attributes of the recording",
     }
 }
 

@@ -49,56 +49,33 @@ pub enum DataSet {
     Own,
 }
 
-/// The scene that a fold of ETH/UCY leaves out of training.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Fold {
-    /// BIWI ETH.
-    Eth,
-    /// BIWI HOTEL.
-    Hotel,
-    /// UCY students.
-    Univ,
-    /// UCY zara 1.
-    Zara1,
-    /// UCY zara 2.
-    Zara2,
-}
-
-/// A part of a data set.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Part {
-    /// For training.
-    Train,
-    /// For the choice of weights and parameters.
-    Validation,
-    /// For reported figures.
-    Test,
-}
-
-impl Fold {
-    /// All folds, in the order of the literature's tables.
-    pub const ALL: [Self; 5] = [Self::Eth, Self::Hotel, Self::Univ, Self::Zara1, Self::Zara2];
-
-    /// The fold's folder.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Eth => "eth",
-            Self::Hotel => "hotel",
-            Self::Univ => "univ",
-            Self::Zara1 => "zara1",
-            Self::Zara2 => "zara2",
-        }
+wire::named! {
+    /// The scene that a fold of ETH/UCY leaves out of training.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+    pub enum Fold {
+        /// BIWI ETH.
+        Eth => "eth",
+        /// BIWI HOTEL.
+        Hotel => "hotel",
+        /// UCY students.
+        Univ => "univ",
+        /// UCY zara 1.
+        Zara1 => "zara1",
+        /// UCY zara 2.
+        Zara2 => "zara2",
     }
 }
 
-impl Part {
-    /// The part's name in reports.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Train => "train",
-            Self::Validation => "validation",
-            Self::Test => "test",
-        }
+wire::named! {
+    /// A part of a data set.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+    pub enum Part {
+        /// For training.
+        Train => "train",
+        /// For the choice of weights and parameters.
+        Validation => "validation",
+        /// For reported figures.
+        Test => "test",
     }
 }
 

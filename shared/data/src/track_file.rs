@@ -25,36 +25,24 @@ use crate::formats::csv;
 use crate::formats::kitti::{self, WorldFromCamera};
 use crate::text;
 
-/// A file format for tracks.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum TrackFormat {
-    /// The project's own format.
-    #[default]
-    Csv,
-    /// KITTI's format for results of tracking.
-    Kitti,
-    /// The format of the MOT challenges, with positions in the world frame.
-    Mot,
+wire::named! {
+    /// A file format for tracks.
+    #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+    pub enum TrackFormat {
+        /// The project's own format.
+        #[default]
+        Csv => "csv",
+        /// KITTI's format for results of tracking.
+        Kitti => "kitti",
+        /// The format of the MOT challenges, with positions in the world frame.
+        Mot => "mot",
+    }
 }
 
 /// A name that is not a track format's.
 #[derive(Debug, Error, PartialEq, Eq)]
 #[error("unknown format \"{0}\" of tracks: expected csv, kitti or mot")]
 pub struct UnknownTrackFormat(String);
-
-impl TrackFormat {
-    /// All formats.
-    pub const ALL: [Self; 3] = [Self::Csv, Self::Kitti, Self::Mot];
-
-    /// The name used on the command line.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Csv => "csv",
-            Self::Kitti => "kitti",
-            Self::Mot => "mot",
-        }
-    }
-}
 
 impl fmt::Display for TrackFormat {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {

@@ -21,23 +21,14 @@ pub const GRID_TOPIC: &str = "/stgdat/map";
 /// Infinite duration of a QoS.
 const INFINITE: &str = "{sec: 9223372036, nsec: 854775807}";
 
-/// A tool that reads a recording.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Target {
-    /// Foxglove: scene, transforms and log in protobuf.
-    Foxglove,
-    /// Autoware and other ROS 2 tools: objects, transforms and diagnostics in CDR.
-    Autoware,
-}
-
-impl Target {
-    /// Its name on the command line.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Foxglove => "foxglove",
-            Self::Autoware => "autoware",
-        }
+wire::named! {
+    /// A tool that reads a recording.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+    pub enum Target {
+        /// Foxglove: scene, transforms and log in protobuf.
+        Foxglove => "foxglove",
+        /// Autoware and other ROS 2 tools: objects, transforms and diagnostics in CDR.
+        Autoware => "autoware",
     }
 }
 

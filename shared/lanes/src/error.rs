@@ -65,27 +65,16 @@ pub enum LaneMapError {
     },
 }
 
-/// The kind of an element of OSM XML.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Kind {
-    /// A point.
-    Node,
-    /// A line of nodes.
-    Way,
-    /// A set of elements, such as a lanelet.
-    Relation,
-}
-
-impl Kind {
-    pub(crate) const ALL: [Self; 3] = [Self::Node, Self::Way, Self::Relation];
-
-    /// The name of the XML element.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Node => "node",
-            Self::Way => "way",
-            Self::Relation => "relation",
-        }
+wire::named! {
+    /// The kind of an element of OSM XML.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+    pub enum Kind {
+        /// A point.
+        Node => "node",
+        /// A line of nodes.
+        Way => "way",
+        /// A set of elements, such as a lanelet.
+        Relation => "relation",
     }
 }
 

@@ -13,33 +13,22 @@ pub struct Skipped {
     faults: BTreeMap<SkippedKind, (usize, String)>,
 }
 
-/// A kind of skipped fault.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum SkippedKind {
-    /// A lanelet that cannot be used.
-    Lanelet,
-    /// An area that cannot be used.
-    Area,
-    /// A speed limit that is not a speed. The usual limit of the kind of road applies.
-    Limit,
-    /// A reference to a regulatory element that is not in the map.
-    Rule,
-    /// Another tag with an unusual value. The usual value applies.
-    Tag,
-    /// An element without a number.
-    Element,
-}
-
-impl SkippedKind {
-    const fn name(self) -> &'static str {
-        match self {
-            Self::Lanelet => "lanelets",
-            Self::Area => "areas",
-            Self::Limit => "speed limits",
-            Self::Rule => "references to regulatory elements",
-            Self::Tag => "tags",
-            Self::Element => "elements without a number",
-        }
+wire::named! {
+    /// A kind of skipped fault.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+    pub enum SkippedKind {
+        /// A lanelet that cannot be used.
+        Lanelet => "lanelets",
+        /// An area that cannot be used.
+        Area => "areas",
+        /// A speed limit that is not a speed. The usual limit of the kind of road applies.
+        Limit => "speed limits",
+        /// A reference to a regulatory element that is not in the map.
+        Rule => "references to regulatory elements",
+        /// Another tag with an unusual value. The usual value applies.
+        Tag => "tags",
+        /// An element without a number.
+        Element => "elements without a number",
     }
 }
 

@@ -32,18 +32,20 @@ pub mod product;
 pub use lanes::{Kernel, Lanes};
 pub use math::{exp, exp_in_place, sigmoid, sin_cos, tanh};
 
-/// An instruction set that the kernels are compiled for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[repr(u8)]
-pub enum Isa {
-    /// 16 lanes, fused multiply-add.
-    Avx512 = 1,
-    /// 8 lanes, fused multiply-add.
-    Avx2 = 2,
-    /// 4 lanes, fused multiply-add.
-    Neon = 3,
-    /// Plain Rust, on any processor.
-    Portable = 4,
+wire::named! {
+    /// An instruction set that the kernels are compiled for.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+    #[repr(u8)]
+    pub enum Isa {
+        /// 16 lanes, fused multiply-add.
+        Avx512 = 1 => "AVX-512",
+        /// 8 lanes, fused multiply-add.
+        Avx2 = 2 => "AVX2",
+        /// 4 lanes, fused multiply-add.
+        Neon = 3 => "NEON",
+        /// Plain Rust, on any processor.
+        Portable = 4 => "portable",
+    }
 }
 
 /// The environment variable that names the instruction set to use.
@@ -64,19 +66,6 @@ pub enum IsaError {
 }
 
 impl Isa {
-    /// All instruction sets, fastest first.
-    pub const ALL: [Self; 4] = [Self::Avx512, Self::Avx2, Self::Neon, Self::Portable];
-
-    /// The name used in reports.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Avx512 => "AVX-512",
-            Self::Avx2 => "AVX2",
-            Self::Neon => "NEON",
-            Self::Portable => "portable",
-        }
-    }
-
     /// The name that options and [`VARIABLE`] take.
     pub const fn key(self) -> &'static str {
         match self {

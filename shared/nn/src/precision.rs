@@ -3,25 +3,17 @@ use std::fmt;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// The number format of the layers' factors; sums are always f32.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "lowercase")]
-pub enum Precision {
-    /// Single precision: the same bits on AVX2, AVX-512 and NEON.
-    #[default]
-    F32,
-    /// The upper half of f32, with 8 significant bits, if the processor has dot products for it (AVX-512
-    /// BF16).
-    Bf16,
-}
-
-impl Precision {
-    /// The name that options take.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::F32 => "f32",
-            Self::Bf16 => "bf16",
-        }
+wire::named! {
+    /// The number format of the layers' factors; sums are always f32.
+    #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+    #[serde(rename_all = "lowercase")]
+    pub enum Precision {
+        /// Single precision: the same bits on AVX2, AVX-512 and NEON.
+        #[default]
+        F32 => "f32",
+        /// The upper half of f32, with 8 significant bits, if the processor has dot products for it (AVX-512
+        /// BF16).
+        Bf16 => "bf16",
     }
 }
 

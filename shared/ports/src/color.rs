@@ -1,46 +1,33 @@
 use std::io::IsTerminal;
-use std::str::FromStr;
-
-use thiserror::Error;
 
 /// The environment variable that holds a [`Color`], for programs that get no `--color`.
 pub const COLOR_VARIABLE: &str = "STGDAT_COLOR";
 
-/// When a program colours its output.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Color {
-    /// On a terminal, unless `NO_COLOR` is set.
-    #[default]
-    Auto,
-    /// Always.
-    Always,
-    /// Never.
-    Never,
+wire::named! {
+    /// When a program colours its output.
+    #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+    pub enum Color {
+        /// On a terminal, unless `NO_COLOR` is set.
+        #[default]
+        Auto => "auto",
+        /// Always.
+        Always => "always",
+        /// Never.
+        Never => "never",
+    }
 }
 
-/// The text does not name a [`Color`].
-#[derive(Debug, Error, PartialEq, Eq)]
-#[error("expected auto, always or never")]
-pub struct UnknownColor;
-
 impl Color {
-    /// All choices.
-    pub const ALL: [Self; 3] = [Self::Auto, Self::Always, Self::Never];
-
-    /// The name on the command line.
+    /// The choice of this name.
     #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Auto => "auto",
-            Self::Always => "always",
-            Self::Never => "never",
-        }
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|color| color.name() == name)
     }
 
     /// The choice in [`COLOR_VARIABLE`]; `Auto` if there is none.
     #[must_use]
     pub fn of_environment() -> Self {
-        std::env::var(COLOR_VARIABLE).ok().and_then(|name| name.parse().ok()).unwrap_or_default()
+        std::env::var(COLOR_VARIABLE).ok().and_then(|name| Self::from_name(&name)).unwrap_or_default()
     }
 
     /// Whether an output gets colours.
@@ -52,13 +39,5 @@ impl Color {
             Self::Never => false,
             Self::Auto => output.is_terminal() && !is_set("NO_COLOR"),
         }
-    }
-}
-
-impl FromStr for Color {
-    type Err = UnknownColor;
-
-    fn from_str(name: &str) -> Result<Self, UnknownColor> {
-        Self::ALL.into_iter().find(|color| color.name() == name).ok_or(UnknownColor)
     }
 }

@@ -84,7 +84,7 @@ mod wait;
 pub use crate::shedding::Allowance;
 pub use beside::Beside;
 pub use clock::{clock_offset_ns, monotonic_ns};
-pub use color::{COLOR_VARIABLE, Color, UnknownColor};
+pub use color::{COLOR_VARIABLE, Color};
 pub use drive::drive;
 pub use error::{Awaiting, PortError, StageError};
 pub use half_made::remove_half_made_connections;
@@ -92,8 +92,7 @@ pub use kept::KeptMemory;
 pub use limits::HEARTBEAT;
 pub use living::choose_run;
 pub use log::{
-    LOG_VARIABLE, LogFormat, OUTPUT_TARGET, UnknownLogFormat, begin_command_logging, begin_logging, log_run,
-    log_tick,
+    LOG_VARIABLE, LogFormat, OUTPUT_TARGET, begin_command_logging, begin_logging, log_run, log_tick,
 };
 pub use names::TOPICS_VARIABLE;
 pub use node::{HALF_MADE_LIMIT, Node, clean_dead_nodes};

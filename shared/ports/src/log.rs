@@ -6,11 +6,9 @@
 
 use std::fmt;
 use std::path::Path;
-use std::str::FromStr;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
 
-use thiserror::Error;
 use tracing::{Event, Level, Subscriber};
 use tracing_subscriber::EnvFilter;
 use tracing_subscriber::fmt::format::Writer;
@@ -43,46 +41,29 @@ pub fn log_tick(seq: u64) {
     TICK.store(seq, Ordering::Relaxed);
 }
 
-/// Format of the log.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum LogFormat {
-    /// Lines for people.
-    #[default]
-    Text,
-    /// A JSON object per line.
-    Json,
+wire::named! {
+    /// Format of the log.
+    #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+    pub enum LogFormat {
+        /// Lines for people.
+        #[default]
+        Text => "text",
+        /// A JSON object per line.
+        Json => "json",
+    }
 }
 
-/// The text does not name a [`LogFormat`].
-#[derive(Debug, Error, PartialEq, Eq)]
-#[error("expected text or json")]
-pub struct UnknownLogFormat;
-
 impl LogFormat {
-    /// All formats.
-    pub const ALL: [Self; 2] = [Self::Text, Self::Json];
-
-    /// The name on the command line.
+    /// The format of this name.
     #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Text => "text",
-            Self::Json => "json",
-        }
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|format| format.name() == name)
     }
 
     /// The format in [`LOG_VARIABLE`]; `Text` if there is none.
     #[must_use]
     pub fn of_environment() -> Self {
-        std::env::var(LOG_VARIABLE).ok().and_then(|name| name.parse().ok()).unwrap_or_default()
-    }
-}
-
-impl FromStr for LogFormat {
-    type Err = UnknownLogFormat;
-
-    fn from_str(name: &str) -> Result<Self, UnknownLogFormat> {
-        Self::ALL.into_iter().find(|format| format.name() == name).ok_or(UnknownLogFormat)
+        std::env::var(LOG_VARIABLE).ok().and_then(|name| Self::from_name(&name)).unwrap_or_default()
     }
 }
 
@@ -229,8 +210,8 @@ mod tests {
 
     #[test]
     fn formats_are_read_by_name() {
-        assert_eq!("json".parse(), Ok(LogFormat::Json));
-        assert_eq!("text".parse(), Ok(LogFormat::Text));
-        assert_eq!("xml".parse::<LogFormat>(), Err(UnknownLogFormat));
+        assert_eq!(LogFormat::from_name("json"), Some(LogFormat::Json));
+        assert_eq!(LogFormat::from_name("text"), Some(LogFormat::Text));
+        assert_eq!(LogFormat::from_name("xml"), None);
     }
 }

@@ -12,20 +12,22 @@ use wire::{Header, StageId};
 /// The environment variable that arms points in the stages' steps.
 pub const POINTS_VARIABLE: &str = "STGDAT_FAULT_POINTS";
 
-/// A point in a stage's step.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[repr(u8)]
-pub enum Point {
-    /// The tick's output has no memory yet.
-    BeforeLoan = 1,
-    /// The payload is written into the loan, the header is not.
-    MidWrite = 2,
-    /// The frame is sent, its readers are not woken.
-    BeforeNotify = 3,
-    /// The frame is sent, its readers are woken.
-    AfterSend = 4,
-    /// The stage sleeps until the next tick.
-    Idle = 5,
+wire::named! {
+    /// A point in a stage's step.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+    #[repr(u8)]
+    pub enum Point {
+        /// The tick's output has no memory yet.
+        BeforeLoan = 1 => "before-loan",
+        /// The payload is written into the loan, the header is not.
+        MidWrite = 2 => "mid-write",
+        /// The frame is sent, its readers are not woken.
+        BeforeNotify = 3 => "before-notify",
+        /// The frame is sent, its readers are woken.
+        AfterSend = 4 => "after-send",
+        /// The stage sleeps until the next tick.
+        Idle = 5 => "idle",
+    }
 }
 
 /// The armed point as a number; 0 if none is armed.
@@ -36,22 +38,6 @@ static TICK: AtomicU64 = AtomicU64::new(0);
 static NEXT: AtomicU64 = AtomicU64::new(0);
 
 impl Point {
-    /// All points, in the order in which a step passes them.
-    pub const ALL: [Self; 5] =
-        [Self::BeforeLoan, Self::MidWrite, Self::BeforeNotify, Self::AfterSend, Self::Idle];
-
-    /// The name.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::BeforeLoan => "before-loan",
-            Self::MidWrite => "mid-write",
-            Self::BeforeNotify => "before-notify",
-            Self::AfterSend => "after-send",
-            Self::Idle => "idle",
-        }
-    }
-
     /// The point of that name.
     #[must_use]
     pub fn from_name(name: &str) -> Option<Self> {

@@ -105,17 +105,16 @@ macro_rules! numbers {
             $($(#[doc = $variant_doc:literal])+ $variant:ident = $number:literal => $text:literal,)+
         }
     ) => {
-        $(#[doc = $doc])+
-        #[derive(Clone, Copy, Debug, PartialEq, Eq $($(, $derive)+)?)]
-        #[repr(u32)]
-        pub enum $name {
-            $($(#[doc = $variant_doc])+ $variant = $number,)+
+        $crate::named! {
+            $(#[doc = $doc])+
+            #[derive(Clone, Copy, Debug, PartialEq, Eq $($(, $derive)+)?)]
+            #[repr(u32)]
+            pub enum $name {
+                $($(#[doc = $variant_doc])+ $variant = $number => $text,)+
+            }
         }
 
         impl $name {
-            /// All variants, in the order of their numbers.
-            pub const ALL: [Self; [$($number),+].len()] = [$(Self::$variant),+];
-
             /// Their entry in the table.
             pub const NUMBERS: $crate::table::Numbers = $crate::table::Numbers {
                 name: stringify!($name),
@@ -126,13 +125,6 @@ macro_rules! numbers {
                     number: $number,
                 }),+],
             };
-
-            /// The name used on the command line, in files and in reports.
-            pub const fn name(self) -> &'static str {
-                match self {
-                    $(Self::$variant => $text,)+
-                }
-            }
 
             /// The variant with this number; `None` if this version has none.
             #[must_use]

@@ -83,6 +83,7 @@ mod declare;
 mod header;
 mod layout;
 mod limits;
+mod named;
 mod origin;
 mod protection;
 mod records;

@@ -4,32 +4,21 @@ use wire::Cause;
 
 use crate::Outcome;
 
-/// What makes a tick a bad one. A larger value is worse.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Criterion {
-    /// Final error of the single best forecast, m. Forecasts of young tracks are left out here and for the
-    /// surprise: they announce that they know nothing.
-    Error,
-    /// Negative logarithm of the forecast's density at the agent's place at the end of the horizon.
-    Surprise,
-    /// Deceleration that avoids a contact with another agent, m/s².
-    NearCollision,
+wire::named! {
+    /// What makes a tick a bad one. A larger value is worse.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+    pub enum Criterion {
+        /// Final error of the single best forecast, m. Forecasts of young tracks are left out here and for the
+        /// surprise: they announce that they know nothing.
+        Error => "error",
+        /// Negative logarithm of the forecast's density at the agent's place at the end of the horizon.
+        Surprise => "surprise",
+        /// Deceleration that avoids a contact with another agent, m/s².
+        NearCollision => "near-collision",
+    }
 }
 
 impl Criterion {
-    /// All criteria.
-    pub const ALL: [Self; 3] = [Self::Error, Self::Surprise, Self::NearCollision];
-
-    /// Name in files.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Error => "error",
-            Self::Surprise => "surprise",
-            Self::NearCollision => "near-collision",
-        }
-    }
-
     fn value(self, of: &Outcome) -> Option<f64> {
         let errors = of.errors.filter(|_| of.cause != Cause::Young as u32);
         let value = match self {

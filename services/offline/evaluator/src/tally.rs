@@ -7,42 +7,28 @@ use serde::{Deserialize, Serialize};
 use crate::baselines::Candidate;
 use crate::{Agent, Method};
 
-/// How the forecasts of a method are compared with the truth.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Measure {
-    /// minADE₂₀ and minFDE₂₀: minima over the modes of each agent, separately for ADE and FDE.
-    BestOf,
-    /// The single best forecast, K = 1.
-    Single,
-    /// The most probable mode.
-    Top1,
-    /// The best of 20 futures of the scene: mode k of every agent together.
-    Joint,
-    /// The best of 20 futures of the scene: the k-th most probable mode of every agent together.
-    JointRanked,
-    /// The best of 20 futures of the scene: mode k of every agent together. In every second future, modes
-    /// move towards the single forecasts as in [`metrics::joint_spread`]. Unmoved futures suit deviations
-    /// that all agents share, and moved ones suit deviations of each agent alone.
-    JointNarrowed,
+wire::named! {
+    /// How the forecasts of a method are compared with the truth.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+    pub enum Measure {
+        /// minADE₂₀ and minFDE₂₀: minima over the modes of each agent, separately for ADE and FDE.
+        BestOf => "minADE₂₀ / minFDE₂₀",
+        /// The single best forecast, K = 1.
+        Single => "K = 1",
+        /// The most probable mode.
+        Top1 => "top-1",
+        /// The best of 20 futures of the scene: mode k of every agent together.
+        Joint => "joint minADE₂₀ / minFDE₂₀",
+        /// The best of 20 futures of the scene: the k-th most probable mode of every agent together.
+        JointRanked => "joint, by rank",
+        /// The best of 20 futures of the scene: mode k of every agent together. In every second future, modes
+        /// move towards the single forecasts as in [`metrics::joint_spread`]. Unmoved futures suit deviations
+        /// that all agents share, and moved ones suit deviations of each agent alone.
+        JointNarrowed => "joint, narrowed",
+    }
 }
 
 impl Measure {
-    /// All measures, in the order of the reports.
-    pub const ALL: [Self; 6] =
-        [Self::BestOf, Self::Single, Self::Top1, Self::Joint, Self::JointRanked, Self::JointNarrowed];
-
-    /// The name in reports.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::BestOf => "minADE₂₀ / minFDE₂₀",
-            Self::Single => "K = 1",
-            Self::Top1 => "top-1",
-            Self::Joint => "joint minADE₂₀ / minFDE₂₀",
-            Self::JointRanked => "joint, by rank",
-            Self::JointNarrowed => "joint, narrowed",
-        }
-    }
-
     /// Place in [`Measure::ALL`].
     pub const fn index(self) -> usize {
         self as usize

@@ -13,29 +13,31 @@ pub(crate) const UNKNOWN: Unknown = Unknown { speed_mps: 10.0, slip_rad: 0.05 };
 pub(crate) const ACCELERATION_MPS2: f64 = 2.0;
 pub(crate) const TURN_RATE_RADPS: f64 = 0.3;
 
-/// A method that estimates motion.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub(crate) enum TrackingMethod {
-    /// Constant velocity, Kalman filter.
-    ConstantVelocity,
-    /// Constant acceleration, Kalman filter.
-    ConstantAcceleration,
-    /// Constant turn rate and velocity, extended Kalman filter.
-    ConstantTurnRate,
-    /// Kinematic bicycle, extended Kalman filter.
-    Bicycle,
-    /// Bicycle whose acceleration and slip rate decay (Singer), extended Kalman filter.
-    SingerBicycle,
-    /// The same, but acceleration and slip rate decay towards the controls of the model's forecasts: a
-    /// mixture of extended Kalman filters.
-    Learned,
-    /// The same, and the forecasts use a retrieval memory that begins with earlier recordings.
-    WarmStarted,
-    /// The processes of [`TrackingMethod::Learned`] by Monte Carlo: particles with the mixture's settings.
-    LearnedParticles,
-    /// Constant acceleration that also uses later measurements: not a filter, but a bound for filters
-    /// (oracle).
-    Smoother,
+wire::named! {
+    /// A method that estimates motion.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+    pub(crate) enum TrackingMethod {
+        /// Constant velocity, Kalman filter.
+        ConstantVelocity => "constant velocity",
+        /// Constant acceleration, Kalman filter.
+        ConstantAcceleration => "constant acceleration",
+        /// Constant turn rate and velocity, extended Kalman filter.
+        ConstantTurnRate => "constant turn rate",
+        /// Kinematic bicycle, extended Kalman filter.
+        Bicycle => "bicycle",
+        /// Bicycle whose acceleration and slip rate decay (Singer), extended Kalman filter.
+        SingerBicycle => "Singer bicycle",
+        /// The same, but acceleration and slip rate decay towards the controls of the model's forecasts: a
+        /// mixture of extended Kalman filters.
+        Learned => "learned, linearised",
+        /// The same, and the forecasts use a retrieval memory that begins with earlier recordings.
+        WarmStarted => "learned, warm-started retrieval",
+        /// The processes of [`TrackingMethod::Learned`] by Monte Carlo: particles with the mixture's settings.
+        LearnedParticles => "learned, Monte Carlo",
+        /// Constant acceleration that also uses later measurements: not a filter, but a bound for filters
+        /// (oracle).
+        Smoother => "smoother bound (oracle)",
+    }
 }
 
 /// The state of a method's filter.
@@ -65,38 +67,9 @@ const FADE_IN_S: f64 = 1.0;
 const FLOOR: [f64; 5] = [1e-6, 1e-6, 1e-6, 0.0, 0.0];
 
 impl TrackingMethod {
-    /// All methods, in the order of the tables.
-    pub(crate) const ALL: [Self; 9] = [
-        Self::ConstantVelocity,
-        Self::ConstantAcceleration,
-        Self::ConstantTurnRate,
-        Self::Bicycle,
-        Self::SingerBicycle,
-        Self::Learned,
-        Self::WarmStarted,
-        Self::LearnedParticles,
-        Self::Smoother,
-    ];
-
     /// The methods to evaluate. Particles take several times as long as all other methods together.
     pub(crate) fn evaluated(particles: bool) -> Vec<Self> {
         Self::ALL.into_iter().filter(|&method| particles || method != Self::LearnedParticles).collect()
-    }
-
-    /// The name in tables.
-    #[must_use]
-    pub(crate) const fn name(self) -> &'static str {
-        match self {
-            Self::ConstantVelocity => "constant velocity",
-            Self::ConstantAcceleration => "constant acceleration",
-            Self::ConstantTurnRate => "constant turn rate",
-            Self::Bicycle => "bicycle",
-            Self::SingerBicycle => "Singer bicycle",
-            Self::Learned => "learned, linearised",
-            Self::WarmStarted => "learned, warm-started retrieval",
-            Self::LearnedParticles => "learned, Monte Carlo",
-            Self::Smoother => "smoother bound (oracle)",
-        }
     }
 
     /// Whether the method uses forecasts of the model.

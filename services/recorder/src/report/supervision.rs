@@ -85,30 +85,22 @@ pub struct Replacement {
     pub outage: Outage,
 }
 
-/// The outcome of a replacement.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum ReplacementOutcome {
-    /// The new process is linked and stays.
-    Replaced,
-    /// The new process failed before its turn. The old process continued unchanged.
-    #[default]
-    NotUsed,
-    /// The new process failed after its turn. The old program was started again.
-    RolledBack,
+wire::named! {
+    /// The outcome of a replacement.
+    #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+    #[serde(rename_all = "snake_case")]
+    pub enum ReplacementOutcome {
+        /// The new process is linked and stays.
+        Replaced => "replaced",
+        /// The new process failed before its turn. The old process continued unchanged.
+        #[default]
+        NotUsed => "not used",
+        /// The new process failed after its turn. The old program was started again.
+        RolledBack => "rolled back",
+    }
 }
 
 impl ReplacementOutcome {
-    /// The outcome in words.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Replaced => "replaced",
-            Self::NotUsed => "not used",
-            Self::RolledBack => "rolled back",
-        }
-    }
-
     /// Number of the stage's incarnations that were not restarts: the new process, and the old program after
     /// it.
     #[must_use]

@@ -2,33 +2,22 @@ use serde::{Deserialize, Serialize};
 
 use crate::input::DOUBT;
 
-/// Status of a run.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Status {
-    /// Every tick was in time, nothing was lost, and every forecast was learned once its agent was old
-    /// enough.
-    Ok,
-    /// Like `ok`, but the input is doubtful: a finding of the audit concerns more than [`audit::DOUBT_SHARE`]
-    /// of its rows.
-    Doubtful,
-    /// Forecasts were received, but some were late, lost or not learned.
-    Degraded,
-    /// No agent was forecast in any tick.
-    #[default]
-    Empty,
-}
-
-impl Status {
-    /// The name that people see.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Ok => "OK",
-            Self::Doubtful => "DOUBTFUL",
-            Self::Degraded => "DEGRADED",
-            Self::Empty => "EMPTY",
-        }
+wire::named! {
+    /// Status of a run.
+    #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+    #[serde(rename_all = "snake_case")]
+    pub enum Status {
+        /// Every tick was in time, nothing was lost, and every forecast was learned once its agent was old
+        /// enough.
+        Ok => "OK",
+        /// Like `ok`, but the input is doubtful: a finding of the audit concerns more than [`audit::DOUBT_SHARE`]
+        /// of its rows.
+        Doubtful => "DOUBTFUL",
+        /// Forecasts were received, but some were late, lost or not learned.
+        Degraded => "DEGRADED",
+        /// No agent was forecast in any tick.
+        #[default]
+        Empty => "EMPTY",
     }
 }
 

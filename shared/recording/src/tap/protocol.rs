@@ -91,23 +91,15 @@ pub struct Lost {
     pub frames: u64,
 }
 
-/// Places where frames are lost.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum LostAt {
-    /// The tap was late at the topic.
-    Tap,
-    /// The tool was late at the tap.
-    Queue,
-}
-
-impl LostAt {
-    /// The name.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Tap => "tap",
-            Self::Queue => "queue",
-        }
+wire::named! {
+    /// Places where frames are lost.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+    #[serde(rename_all = "snake_case")]
+    pub enum LostAt {
+        /// The tap was late at the topic.
+        Tap => "tap",
+        /// The tool was late at the tap.
+        Queue => "queue",
     }
 }
 

@@ -20,17 +20,19 @@ pub(crate) struct Counts {
     ospa_m: Mean,
 }
 
-/// A figure computed from [`Counts`].
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum KittiMeasure {
-    Mota,
-    Idf1,
-    Hota,
-    Gospa,
-    Ospa,
-    Missed,
-    False,
-    Switches,
+wire::named! {
+    /// A figure computed from [`Counts`].
+    #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+    pub(crate) enum KittiMeasure {
+        Mota => "MOTA",
+        Idf1 => "IDF1",
+        Hota => "HOTA",
+        Gospa => "GOSPA, m",
+        Ospa => "OSPA, m",
+        Missed => "misses",
+        False => "false",
+        Switches => "switches",
+    }
 }
 
 impl Counts {
@@ -91,33 +93,8 @@ impl Counts {
 }
 
 impl KittiMeasure {
-    /// All measures, in the order of the columns.
-    pub(crate) const ALL: [Self; 8] = [
-        Self::Mota,
-        Self::Idf1,
-        Self::Hota,
-        Self::Gospa,
-        Self::Ospa,
-        Self::Missed,
-        Self::False,
-        Self::Switches,
-    ];
     /// The measures in the comparison of trackers.
     pub(crate) const COMPARED: [Self; 5] = [Self::Mota, Self::Idf1, Self::Hota, Self::Gospa, Self::Ospa];
-
-    /// The name in tables.
-    pub(crate) const fn name(self) -> &'static str {
-        match self {
-            Self::Mota => "MOTA",
-            Self::Idf1 => "IDF1",
-            Self::Hota => "HOTA",
-            Self::Gospa => "GOSPA, m",
-            Self::Ospa => "OSPA, m",
-            Self::Missed => "misses",
-            Self::False => "false",
-            Self::Switches => "switches",
-        }
-    }
 
     /// Formats a figure.
     pub(crate) fn text(self, figure: f64) -> String {
