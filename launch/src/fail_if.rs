@@ -7,7 +7,6 @@ use std::fmt;
 use std::str::FromStr;
 
 use recorder::Report;
-use recorder::report::Percentiles;
 use thiserror::Error;
 use wire::StageId;
 
@@ -46,70 +45,14 @@ pub enum ConditionError {
 }
 
 /// A condition under which a run has failed.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug)]
 pub struct Condition {
-    figure: Figure,
-    comparison: Comparison,
+    figure: String,
+    comparison: fn(&f64, &f64) -> bool,
     /// In the figure's first unit.
     bound: f64,
     /// The condition as written.
     text: String,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Comparison {
-    Above,
-    AtLeast,
-    Below,
-    AtMost,
-}
-
-/// A figure of a report.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Figure {
-    Time(Time, Quantile),
-    Plain(&'static Plain),
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Time {
-    EndToEnd,
-    Overhead,
-    Compute(StageId),
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Quantile {
-    P50,
-    P99,
-    P999,
-    Max,
-}
-
-const QUANTILES: [(&str, Quantile); 4] =
-    [("p50", Quantile::P50), ("p99", Quantile::P99), ("p999", Quantile::P999), ("max", Quantile::Max)];
-
-/// A figure that is not a time.
-#[derive(Debug)]
-struct Plain {
-    name: &'static str,
-    kind: Kind,
-    value: fn(&Report) -> Option<f64>,
-}
-
-impl PartialEq for Plain {
-    fn eq(&self, other: &Self) -> bool {
-        self.name == other.name
-    }
-}
-
-impl Eq for Plain {}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Kind {
-    Count,
-    Share,
-    Length,
 }
 
 /// Units with their size relative to the first one. The report states the figure in the first unit.
@@ -120,23 +63,23 @@ const SHARES: Units = &[("%", 0.01)];
 const LENGTHS: Units = &[("m", 1.0), ("cm", 0.01)];
 const COUNTS: Units = &[("", 1.0)];
 
-static PLAIN: [Plain; 12] = [
-    Plain { name: "late_ticks", kind: Kind::Count, value: |r| Some(r.late_ticks as f64) },
-    Plain { name: "late_share", kind: Kind::Share, value: |r| share(r.late_ticks, r.ticks) },
-    Plain { name: "degraded_ticks", kind: Kind::Count, value: |r| Some(r.forecasts.degraded_ticks as f64) },
-    Plain { name: "held_share", kind: Kind::Share, value: |r| share(r.forecasts.held, forecasts(r)) },
-    Plain {
-        name: "kinematic_share",
-        kind: Kind::Share,
-        value: |r| share(r.forecasts.kinematic, forecasts(r)),
-    },
-    Plain { name: "lost_frames", kind: Kind::Count, value: |r| Some(r.drops as f64) },
-    Plain { name: "restarts", kind: Kind::Count, value: restarts },
-    Plain { name: "page_faults", kind: Kind::Count, value: page_faults },
-    Plain { name: "min_ade", kind: Kind::Length, value: |r| r.accuracy.errors.ade_m },
-    Plain { name: "min_fde", kind: Kind::Length, value: |r| r.accuracy.errors.fde_m },
-    Plain { name: "ade", kind: Kind::Length, value: |r| r.accuracy.errors.single_ade_m },
-    Plain { name: "fde", kind: Kind::Length, value: |r| r.accuracy.errors.single_fde_m },
+/// A figure's value in a report; `None` if the run was too short to measure it.
+type Value = fn(&Report) -> Option<f64>;
+
+/// The figures that are not times.
+const PLAIN: [(&str, Units, Value); 12] = [
+    ("late_ticks", COUNTS, |r| Some(r.late_ticks as f64)),
+    ("late_share", SHARES, |r| share(r.late_ticks, r.ticks)),
+    ("degraded_ticks", COUNTS, |r| Some(r.forecasts.degraded_ticks as f64)),
+    ("held_share", SHARES, |r| share(r.forecasts.held, forecasts(r))),
+    ("kinematic_share", SHARES, |r| share(r.forecasts.kinematic, forecasts(r))),
+    ("lost_frames", COUNTS, |r| Some(r.drops as f64)),
+    ("restarts", COUNTS, |r| Some(r.stages.iter().map(|stage| f64::from(stage.restarts)).sum())),
+    ("page_faults", COUNTS, page_faults),
+    ("min_ade", LENGTHS, |r| r.accuracy.errors.ade_m),
+    ("min_fde", LENGTHS, |r| r.accuracy.errors.fde_m),
+    ("ade", LENGTHS, |r| r.accuracy.errors.single_ade_m),
+    ("fde", LENGTHS, |r| r.accuracy.errors.single_fde_m),
 ];
 
 fn share(part: u64, whole: u64) -> Option<f64> {
@@ -146,10 +89,6 @@ fn share(part: u64, whole: u64) -> Option<f64> {
 fn forecasts(report: &Report) -> u64 {
     let counts = &report.forecasts;
     counts.learned + counts.held + counts.kinematic
-}
-
-fn restarts(report: &Report) -> Option<f64> {
-    Some(report.stages.iter().map(|stage| f64::from(stage.restarts)).sum())
 }
 
 /// Page faults of the stages on a tick's way to its forecast, without their first ticks.
@@ -163,55 +102,39 @@ fn page_faults(report: &Report) -> Option<f64> {
 /// Lists the names of all figures, as part of a sentence.
 fn known() -> String {
     let stages = StageId::ALL.map(StageId::name).join(", ");
-    let plain = PLAIN.iter().map(|plain| plain.name).collect::<Vec<_>>().join(", ");
+    let plain = PLAIN.map(|(name, ..)| name).join(", ");
     format!(
         "end_to_end_Q, overhead_Q, STAGE_Q (compute) with Q = p50, p99, p999 or max and STAGE = {stages}; {plain}"
     )
 }
 
-impl Figure {
-    fn of_name(name: &str) -> Option<Self> {
-        if let Some(plain) = PLAIN.iter().find(|plain| plain.name == name) {
-            return Some(Self::Plain(plain));
-        }
-        let (of, quantile) = name.rsplit_once('_')?;
-        let (_, quantile) = QUANTILES.into_iter().find(|(name, _)| *name == quantile)?;
-        let time = match of {
-            "end_to_end" => Time::EndToEnd,
-            "overhead" => Time::Overhead,
-            stage => Time::Compute(StageId::from_name(stage)?),
-        };
-        Some(Self::Time(time, quantile))
+/// The units of the figure with this name, and its value in a report; `None` if there is no such figure.
+fn figure(name: &str, report: &Report) -> Option<(Units, Option<f64>)> {
+    if let Some((_, units, value)) = PLAIN.iter().find(|(plain, ..)| *plain == name) {
+        return Some((units, value(report)));
     }
-
-    const fn units(self) -> Units {
-        match self {
-            Self::Time(..) => TIMES,
-            Self::Plain(plain) => match plain.kind {
-                Kind::Count => COUNTS,
-                Kind::Share => SHARES,
-                Kind::Length => LENGTHS,
-            },
+    let (of, quantile) = name.rsplit_once('_')?;
+    let times_ms = match of {
+        "end_to_end" => report.end_to_end_ms,
+        "overhead" => report.overhead_ms,
+        stage => {
+            let name = StageId::from_name(stage)?.name();
+            report
+                .stages
+                .iter()
+                .find(|stage| stage.name == name)
+                .map(|stage| stage.compute_ms)
+                .unwrap_or_default()
         }
-    }
-
-    fn value(self, report: &Report) -> Option<f64> {
-        let (time, quantile) = match self {
-            Self::Plain(plain) => return (plain.value)(report),
-            Self::Time(time, quantile) => (time, quantile),
-        };
-        let Percentiles { p50, p99, p999, max } = match time {
-            Time::EndToEnd => report.end_to_end_ms,
-            Time::Overhead => report.overhead_ms,
-            Time::Compute(stage) => report.stages.iter().find(|s| s.name == stage.name())?.compute_ms,
-        };
-        match quantile {
-            Quantile::P50 => p50,
-            Quantile::P99 => p99,
-            Quantile::P999 => p999,
-            Quantile::Max => max,
-        }
-    }
+    };
+    let value = match quantile {
+        "p50" => times_ms.p50,
+        "p99" => times_ms.p99,
+        "p999" => times_ms.p999,
+        "max" => times_ms.max,
+        _ => return None,
+    };
+    Some((TIMES, value))
 }
 
 impl FromStr for Condition {
@@ -221,30 +144,26 @@ impl FromStr for Condition {
         let at = text.find(['>', '<']).ok_or(ConditionError::NoComparison)?;
         let (name, rest) = (text[..at].trim(), &text[at + 1..]);
         let (rest, or_equal) = rest.strip_prefix('=').map_or((rest, false), |rest| (rest, true));
-        let comparison = match (text.as_bytes()[at], or_equal) {
-            (b'>', false) => Comparison::Above,
-            (b'>', true) => Comparison::AtLeast,
-            (_, false) => Comparison::Below,
-            (_, true) => Comparison::AtMost,
+        let comparison: fn(&f64, &f64) -> bool = match (text.as_bytes()[at], or_equal) {
+            (b'>', false) => f64::gt,
+            (b'>', true) => f64::ge,
+            (_, false) => f64::lt,
+            (_, true) => f64::le,
         };
-        let figure =
-            Figure::of_name(name).ok_or_else(|| ConditionError::UnknownFigure { name: name.to_owned() })?;
+        let (units, _) = figure(name, &Report::default())
+            .ok_or_else(|| ConditionError::UnknownFigure { name: name.to_owned() })?;
         let rest = rest.trim();
         let number_len =
             rest.find(|c: char| !(c.is_ascii_digit() || ".-+".contains(c))).unwrap_or(rest.len());
         let (number, unit) = (&rest[..number_len], rest[number_len..].trim());
         let number: f64 = number.parse().map_err(|_| ConditionError::NotANumber { text: rest.to_owned() })?;
-        let size = figure.units().iter().find(|(name, _)| *name == unit).map(|(_, size)| *size);
+        let size = units.iter().find(|(name, _)| *name == unit).map(|(_, size)| *size);
         let size = size.ok_or_else(|| ConditionError::Unit {
             figure: name.to_owned(),
             unit: unit.to_owned(),
-            expected: figure
-                .units()
-                .iter()
-                .map(|&(name, _)| if name.is_empty() { "no unit" } else { name })
-                .collect(),
+            expected: units.iter().map(|&(name, _)| if name.is_empty() { "no unit" } else { name }).collect(),
         })?;
-        Ok(Self { figure, comparison, bound: number * size, text: text.trim().to_owned() })
+        Ok(Self { figure: name.to_owned(), comparison, bound: number * size, text: text.trim().to_owned() })
     }
 }
 
@@ -257,20 +176,15 @@ impl fmt::Display for Condition {
 impl Condition {
     /// Describes why the report fails the check: the condition holds, or it can't be evaluated.
     fn verdict(&self, report: &Report) -> Option<String> {
-        let Some(value) = self.figure.value(report) else {
+        let (units, value) = figure(&self.figure, report)?;
+        let Some(value) = value else {
             return Some(format!("--fail-if '{self}': the run was too short to measure it"));
         };
-        let holds = match self.comparison {
-            Comparison::Above => value > self.bound,
-            Comparison::AtLeast => value >= self.bound,
-            Comparison::Below => value < self.bound,
-            Comparison::AtMost => value <= self.bound,
-        };
-        let (unit, size) = self.figure.units()[0];
+        let (unit, size) = units[0];
         let shown = format!("{:.3}", value / size);
         let shown = shown.trim_end_matches('0').trim_end_matches('.');
         let unit = if unit.is_empty() { String::new() } else { format!(" {unit}") };
-        holds.then(|| format!("--fail-if '{self}': it is {shown}{unit}"))
+        (self.comparison)(&value, &self.bound).then(|| format!("--fail-if '{self}': it is {shown}{unit}"))
     }
 }
 
@@ -286,7 +200,7 @@ pub fn check(conditions: &[Condition], report: &Report) -> Result<(), Failure> {
 #[cfg(test)]
 mod tests {
     use recorder::StageMemory;
-    use recorder::report::StageReport;
+    use recorder::report::{Percentiles, StageReport};
 
     use super::*;
 
