@@ -1,84 +1,64 @@
 //! The files of the kernel that `stgdat doctor --realtime` reads.
 
-use std::collections::BTreeMap;
-use std::io::ErrorKind;
+use std::io::{Error, ErrorKind};
 use std::path::{Path, PathBuf};
 
-/// Files with settings of the kernel and of this process. A `*` stands for any part of a name.
-const PATTERNS: [&str; 25] = [
-    "/proc/version",
-    "/proc/cmdline",
-    "/proc/swaps",
-    "/proc/self/cgroup",
-    "/proc/self/limits",
-    "/proc/self/status",
-    "/proc/irq/*/smp_affinity",
-    "/proc/pressure/cpu",
-    "/proc/pressure/io",
-    "/proc/pressure/memory",
-    "/proc/sys/kernel/sched_rt_runtime_us",
-    "/proc/sys/kernel/sched_rt_period_us",
-    "/proc/sys/vm/swappiness",
-    "/sys/devices/system/clocksource/clocksource0/available_clocksource",
-    "/sys/devices/system/clocksource/clocksource0/current_clocksource",
-    "/sys/devices/system/cpu/cpu*/cpufreq/scaling_governor",
-    "/sys/devices/system/cpu/cpu0/cpuidle/state*/disable",
-    "/sys/devices/system/cpu/cpu0/cpuidle/state*/latency",
-    "/sys/devices/system/cpu/cpuidle/current_driver",
-    "/sys/devices/system/cpu/isolated",
-    "/sys/devices/system/cpu/nohz_full",
-    "/sys/devices/system/cpu/online",
-    "/sys/devices/system/cpu/smt/active",
-    "/sys/kernel/mm/transparent_hugepage/enabled",
-    "/sys/kernel/realtime",
-];
+/// The files of a machine, below the root of its file system.
+#[derive(Debug)]
+pub struct Files(pub PathBuf);
 
-/// Why a file has no content.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Unread {
+/// A file that has no content: its path, and why.
+#[derive(Debug)]
+pub struct Unread(pub String, pub Error);
+
+impl Unread {
     /// The kernel has no such file.
-    Missing,
-    /// It exists, but can't be read.
-    Refused(String),
-}
-
-/// The contents of files by their paths.
-#[derive(Clone, Debug, Default)]
-pub struct Files(pub BTreeMap<String, Result<String, Unread>>);
-
-impl Files {
-    /// Reads the files of this machine.
-    pub fn of_this_machine() -> Self {
-        let mut files = Self(PATTERNS.iter().flat_map(|pattern| expand(pattern)).map(read).collect());
-        // The group of this process may have its own limit.
-        let group = files.get("/proc/self/cgroup").ok().and_then(cpu_group);
-        files.0.extend(group.map(read));
-        files
+    pub fn missing(path: &str) -> Self {
+        Self(path.to_owned(), ErrorKind::NotFound.into())
     }
 
+    /// Whether the kernel has no such file.
+    pub fn is_missing(&self) -> bool {
+        self.1.kind() == ErrorKind::NotFound
+    }
+}
+
+impl Files {
     /// The content of a file without the final line break.
-    ///
-    /// # Errors
-    /// The reason, with the path.
-    pub fn get<'a>(&'a self, path: &'a str) -> Result<&'a str, (Unread, &'a str)> {
-        match self.0.get(path) {
-            Some(Ok(text)) => Ok(text.trim_end()),
-            Some(Err(why)) => Err((why.clone(), path)),
-            None => Err((Unread::Missing, path)),
+    pub fn get(&self, path: &str) -> Result<String, Unread> {
+        match std::fs::read_to_string(self.path(path)) {
+            Ok(text) => Ok(text.trim_end().to_owned()),
+            Err(error) => Err(Unread(path.to_owned(), error)),
         }
     }
 
-    /// The files whose path begins and ends with these texts.
-    pub fn matching<'a>(
-        &'a self,
-        start: &'a str,
-        end: &'a str,
-    ) -> impl Iterator<Item = (&'a str, Result<&'a str, &'a Unread>)> {
-        let is_it = move |path: &&String| path.starts_with(start) && path.ends_with(end);
-        let content = |(path, text): (&'a String, &'a Result<String, Unread>)| {
-            (path.as_str(), text.as_ref().map(|text| text.trim_end()))
-        };
-        self.0.iter().filter(move |(path, _)| is_it(path)).map(content)
+    /// The paths that match a pattern and whose folder exists, in order. A `*` stands for any part of a name;
+    /// each name has at most one.
+    pub fn matching(&self, pattern: &str) -> Vec<String> {
+        let mut paths = vec![String::new()];
+        for part in pattern.split('/').skip(1) {
+            paths = match part.split_once('*') {
+                None => paths.into_iter().map(|path| format!("{path}/{part}")).collect(),
+                Some((start, end)) => paths.iter().flat_map(|path| self.entries(path, start, end)).collect(),
+            };
+        }
+        paths.retain(|path| self.path(path).parent().is_some_and(Path::is_dir));
+        paths
+    }
+
+    fn path(&self, path: &str) -> PathBuf {
+        self.0.join(path.trim_start_matches('/'))
+    }
+
+    fn entries(&self, folder: &str, start: &str, end: &str) -> Vec<String> {
+        let names = std::fs::read_dir(self.path(folder)).into_iter().flatten().filter_map(|entry| {
+            let name = entry.ok()?.file_name().into_string().ok()?;
+            (name.len() >= start.len() + end.len() && name.starts_with(start) && name.ends_with(end))
+                .then_some(name)
+        });
+        let mut paths: Vec<String> = names.map(|name| format!("{folder}/{name}")).collect();
+        paths.sort();
+        paths
     }
 }
 
@@ -93,59 +73,29 @@ pub fn cpu_group(cgroup: &str) -> Option<String> {
     })
 }
 
-fn read(path: impl AsRef<Path>) -> (String, Result<String, Unread>) {
-    let path = path.as_ref();
-    let text = std::fs::read_to_string(path).map_err(|error| match error.kind() {
-        ErrorKind::NotFound => Unread::Missing,
-        _ => Unread::Refused(error.to_string()),
-    });
-    (path.display().to_string(), text)
-}
-
-/// The paths of a pattern in which each part of the path has at most one `*`. Without a `*` that is the path,
-/// whether or not it exists.
-fn expand(pattern: &str) -> Vec<PathBuf> {
-    let mut paths = vec![PathBuf::from("/")];
-    for part in pattern.split('/').filter(|part| !part.is_empty()) {
-        paths = match part.split_once('*') {
-            None => paths.into_iter().map(|path| path.join(part)).collect(),
-            Some((start, end)) => paths.iter().flat_map(|path| entries(path, start, end)).collect(),
-        };
-    }
-    paths
-}
-
-fn entries(folder: &Path, start: &str, end: &str) -> Vec<PathBuf> {
-    let names = std::fs::read_dir(folder).into_iter().flatten().filter_map(|entry| {
-        let name = entry.ok()?.file_name().into_string().ok()?;
-        (name.len() >= start.len() + end.len() && name.starts_with(start) && name.ends_with(end))
-            .then_some(name)
-    });
-    let mut paths: Vec<PathBuf> = names.map(|name| folder.join(name)).collect();
-    paths.sort();
-    paths
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
     fn a_pattern_finds_what_exists_and_a_missing_file_is_not_readable() {
-        let folder = std::env::temp_dir().join(format!("stgdat-doctor-{}", std::process::id()));
-        for name in ["cpu0", "cpu1", "cpufreq"] {
-            std::fs::create_dir_all(folder.join(name)).unwrap();
+        let folder = tempfile::tempdir().unwrap();
+        for name in ["cpu0/cpufreq", "cpu1/cpufreq", "cpufreq"] {
+            std::fs::create_dir_all(folder.path().join("sys").join(name)).unwrap();
         }
-        std::fs::write(folder.join("cpu0/governor"), "powersave\n").unwrap();
-        let pattern = folder.join("cpu*/governor").display().to_string();
-        let files = Files(expand(&pattern).into_iter().map(read).collect());
-        let path = folder.join("cpu0/governor").display().to_string();
-        assert_eq!(files.get(&path), Ok("powersave"));
-        let missing = folder.join("cpu1/governor").display().to_string();
-        assert_eq!(files.get(&missing), Err((Unread::Missing, missing.as_str())));
-        let (_, unread) = read(&folder);
-        assert!(matches!(unread, Err(Unread::Refused(_))), "a folder is no text");
-        std::fs::remove_dir_all(&folder).unwrap();
+        std::fs::write(folder.path().join("sys/cpu0/cpufreq/governor"), "powersave\n").unwrap();
+        std::fs::write(folder.path().join("sys/cpu_default"), "").unwrap();
+        let files = Files(folder.path().to_owned());
+        let [cpu0, cpu1] = ["/sys/cpu0/cpufreq/governor", "/sys/cpu1/cpufreq/governor"];
+        assert_eq!(
+            files.matching("/sys/cpu*/cpufreq/governor"),
+            [cpu0, cpu1],
+            "other names are no processors"
+        );
+        assert_eq!(files.get(cpu0).unwrap(), "powersave");
+        let missing = files.get(cpu1).unwrap_err();
+        assert!(missing.is_missing() && missing.0 == cpu1, "{missing:?}");
+        assert!(!files.get("/sys/cpu0").unwrap_err().is_missing(), "a folder is no text");
     }
 
     #[test]

@@ -2,6 +2,8 @@
 //!
 //! Each check is a function of the contents of files. A file that can't be read is never good.
 
+use std::io::Error;
+
 use run::Exit;
 
 use super::files::{Files, Unread, cpu_group};
@@ -41,14 +43,12 @@ struct Check {
     state: State,
 }
 
-/// Why a check has no result: a file can't be read.
-type Missing<'a> = (Unread, &'a str);
 type Found = (String, State);
 
 /// Checks this machine and prints one line for each check.
 pub fn execute() -> Result<Exit, Failure> {
     let may_hold = rustix::fs::access(awake::LATENCY, rustix::fs::Access::WRITE_OK).is_ok();
-    let checks = checks(&Files::of_this_machine(), may_hold);
+    let checks = checks(&Files("/".into()), may_hold);
     checks.iter().for_each(|check| say!("{}", line(check)));
     let count = |is_it: fn(&State) -> bool| checks.iter().filter(|check| is_it(&check.state)).count();
     let changes = count(|state| matches!(state, State::Change(_)));
@@ -70,14 +70,12 @@ fn line(Check { what, found, state }: &Check) -> String {
 
 /// All checks. `may_hold` is whether `awake` can keep the processors awake.
 fn checks(files: &Files, may_hold: bool) -> Vec<Check> {
-    let check = |what, found: Result<Found, Missing<'_>>| match found {
+    let check = |what, found: Result<Found, Unread>| match found {
         Ok((found, state)) => Check { what, found, state },
-        Err((why, path)) => {
-            let why = match why {
-                Unread::Missing => "there is no such file".to_owned(),
-                Unread::Refused(why) => why,
-            };
-            Check { what, found: format!("{path} is not readable: {why}"), state: State::Unread }
+        Err(unread) => {
+            let why = if unread.is_missing() { "there is no such file".into() } else { unread.1.to_string() };
+            let found = format!("{} is not readable: {why}", unread.0);
+            Check { what, found, state: State::Unread }
         }
     };
     vec![
@@ -110,11 +108,13 @@ fn change(found: impl Into<String>, command: impl Into<String>) -> Found {
     (found.into(), State::Change(command.into()))
 }
 
-fn kernel(files: &Files) -> Result<Found, Missing<'_>> {
+fn is_one(files: &Files, path: &str) -> bool {
+    files.get(path).is_ok_and(|text| text == "1")
+}
+
+fn kernel(files: &Files) -> Result<Found, Unread> {
     let version = files.get("/proc/version");
-    if files.get("/sys/kernel/realtime") == Ok("1")
-        || version.as_ref().is_ok_and(|v| v.contains("PREEMPT_RT"))
-    {
+    if is_one(files, "/sys/kernel/realtime") || version.as_ref().is_ok_and(|v| v.contains("PREEMPT_RT")) {
         return Ok(good("PREEMPT_RT"));
     }
     let found = if version?.contains("PREEMPT") { "PREEMPT, not PREEMPT_RT" } else { "no preemption" };
@@ -122,10 +122,10 @@ fn kernel(files: &Files) -> Result<Found, Missing<'_>> {
     Ok(change(found, format!("apt install linux-image-rt-{machine}")))
 }
 
-fn clock_source(files: &Files) -> Result<Found, Missing<'_>> {
+fn clock_source(files: &Files) -> Result<Found, Unread> {
     const FAST: [&str; 4] = ["tsc", "arch_sys_counter", "kvm-clock", "hyperv_clocksource_tsc_page"];
     let current = files.get("/sys/devices/system/clocksource/clocksource0/current_clocksource")?;
-    if FAST.contains(&current) {
+    if FAST.contains(&current.as_str()) {
         return Ok(good(current));
     }
     let available = files.get("/sys/devices/system/clocksource/clocksource0/available_clocksource")?;
@@ -140,33 +140,31 @@ fn boot(parameters: &str) -> String {
     format!("add {parameters} to GRUB_CMDLINE_LINUX in /etc/default/grub, update-grub, reboot")
 }
 
-fn governor(files: &Files) -> Result<Found, Missing<'_>> {
-    let mut others = Vec::new();
-    let mut count = 0;
-    for (path, text) in files.matching("/sys/devices/system/cpu/cpu", "/cpufreq/scaling_governor") {
-        count += 1;
-        let governor = text.map_err(|why| (why.clone(), path))?;
+fn governor(files: &Files) -> Result<Found, Unread> {
+    let cpus = files.matching("/sys/devices/system/cpu/cpu*/cpufreq/scaling_governor");
+    let mut others: Vec<String> = Vec::new();
+    for path in &cpus {
+        let governor = files.get(path)?;
         if governor != "performance" && !others.contains(&governor) {
             others.push(governor);
         }
     }
     match others[..] {
-        _ if count == 0 => Err((Unread::Missing, "/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor")),
+        _ if cpus.is_empty() => Err(Unread::missing(&format!("{CPU}/cpu0/cpufreq/scaling_governor"))),
         [] => Ok(good("performance")),
-        _ => Ok(change(
-            others.join(", "),
-            format!("echo performance | tee {CPU}/cpu*/cpufreq/scaling_governor"),
-        )),
+        _ => {
+            let command = format!("echo performance | tee {CPU}/cpu*/cpufreq/scaling_governor");
+            Ok(change(others.join(", "), command))
+        }
     }
 }
 
-fn idle_states(files: &Files, may_hold: bool) -> Result<Found, Missing<'_>> {
+fn idle_states(files: &Files, may_hold: bool) -> Result<Found, Unread> {
     let driver = files.get("/sys/devices/system/cpu/cpuidle/current_driver")?;
     let mut latency_us = 0;
-    for (path, text) in files.matching("/sys/devices/system/cpu/cpu0/cpuidle/state", "/latency") {
-        let text = text.map_err(|why| (why.clone(), path))?;
-        let disable = path.replace("/latency", "/disable");
-        let is_disabled = files.get(&disable) == Ok("1");
+    for path in files.matching("/sys/devices/system/cpu/cpu0/cpuidle/state*/latency") {
+        let text = files.get(&path)?;
+        let is_disabled = is_one(files, &path.replace("/latency", "/disable"));
         let state_us = if is_disabled { 0 } else { text.parse().unwrap_or(u64::MAX) };
         latency_us = latency_us.max(state_us);
     }
@@ -179,12 +177,12 @@ fn idle_states(files: &Files, may_hold: bool) -> Result<Found, Missing<'_>> {
 }
 
 /// The isolated processors.
-fn isolated_cpus(files: &Files) -> Result<Vec<u32>, Missing<'_>> {
-    files.get("/sys/devices/system/cpu/isolated").map(cpu_list)
+fn isolated_cpus(files: &Files) -> Result<Vec<u32>, Unread> {
+    Ok(cpu_list(&files.get("/sys/devices/system/cpu/isolated")?))
 }
 
-fn isolated(files: &Files) -> Result<Found, Missing<'_>> {
-    let online = cpu_list(files.get("/sys/devices/system/cpu/online")?);
+fn isolated(files: &Files) -> Result<Found, Unread> {
+    let online = cpu_list(&files.get("/sys/devices/system/cpu/online")?);
     let isolated = isolated_cpus(files)?;
     Ok(match isolated.len() {
         0 if online.len() < ISOLATE_MIN => good(format!("none; {} processors are too few", online.len())),
@@ -202,12 +200,12 @@ fn text(cpus: &[u32]) -> String {
     cpus.iter().map(u32::to_string).collect::<Vec<_>>().join(",")
 }
 
-fn nohz_full(files: &Files) -> Result<Found, Missing<'_>> {
+fn nohz_full(files: &Files) -> Result<Found, Unread> {
     let isolated = isolated_cpus(files)?;
     if isolated.is_empty() {
         return Ok(good("none are isolated"));
     }
-    let without = cpu_list(files.get("/sys/devices/system/cpu/nohz_full")?);
+    let without = cpu_list(&files.get("/sys/devices/system/cpu/nohz_full")?);
     let ticking: Vec<u32> = isolated.iter().copied().filter(|cpu| !without.contains(cpu)).collect();
     Ok(match ticking[..] {
         [] => good("off"),
@@ -218,7 +216,7 @@ fn nohz_full(files: &Files) -> Result<Found, Missing<'_>> {
     })
 }
 
-fn rcu(files: &Files) -> Result<Found, Missing<'_>> {
+fn rcu(files: &Files) -> Result<Found, Unread> {
     let isolated = isolated_cpus(files)?;
     if isolated.is_empty() {
         return Ok(good("none are isolated"));
@@ -239,23 +237,22 @@ fn rcu(files: &Files) -> Result<Found, Missing<'_>> {
     })
 }
 
-fn interrupts(files: &Files) -> Result<Found, Missing<'_>> {
+fn interrupts(files: &Files) -> Result<Found, Unread> {
     let isolated = isolated_cpus(files)?;
     if isolated.is_empty() {
         return Ok(good("no processors are isolated"));
     }
-    let (mut count, mut there) = (0, Vec::new());
-    for (path, text) in files.matching("/proc/irq/", "/smp_affinity") {
-        count += 1;
-        let mask = mask_cpus(text.map_err(|why| (why.clone(), path))?);
-        if mask.iter().any(|cpu| isolated.contains(cpu)) {
+    let irqs = files.matching("/proc/irq/*/smp_affinity");
+    let (count, mut there) = (irqs.len(), Vec::new());
+    for path in &irqs {
+        if mask_cpus(&files.get(path)?).iter().any(|cpu| isolated.contains(cpu)) {
             there.push(path.trim_start_matches("/proc/irq/").trim_end_matches("/smp_affinity"));
         }
     }
-    let online = cpu_list(files.get("/sys/devices/system/cpu/online")?);
+    let online = cpu_list(&files.get("/sys/devices/system/cpu/online")?);
     let others: Vec<u32> = online.into_iter().filter(|cpu| !isolated.contains(cpu)).collect();
     Ok(match there[..] {
-        _ if count == 0 => return Err((Unread::Missing, "/proc/irq/*/smp_affinity")),
+        _ if count == 0 => return Err(Unread::missing("/proc/irq/*/smp_affinity")),
         [] => good(format!("none of {count} on isolated processors")),
         _ => {
             let irqs = there.join(" ");
@@ -277,14 +274,14 @@ fn mask_cpus(mask: &str) -> Vec<u32> {
         .collect()
 }
 
-fn smt(files: &Files) -> Result<Found, Missing<'_>> {
-    Ok(match files.get("/sys/devices/system/cpu/smt/active")? {
+fn smt(files: &Files) -> Result<Found, Unread> {
+    Ok(match files.get("/sys/devices/system/cpu/smt/active")?.as_str() {
         "0" => good("off"),
         _ => change("two processors share a core", format!("echo off > {CPU}/smt/control")),
     })
 }
 
-fn throttling(files: &Files) -> Result<Found, Missing<'_>> {
+fn throttling(files: &Files) -> Result<Found, Unread> {
     let period: i64 = files.get("/proc/sys/kernel/sched_rt_period_us")?.parse().unwrap_or(1_000_000);
     let runtime: i64 = files.get("/proc/sys/kernel/sched_rt_runtime_us")?.parse().unwrap_or(0);
     let command = format!("sysctl -w kernel.sched_rt_runtime_us={}", period / 100 * 95);
@@ -296,24 +293,25 @@ fn throttling(files: &Files) -> Result<Found, Missing<'_>> {
     })
 }
 
-fn group(files: &Files) -> Result<Found, Missing<'_>> {
-    let cgroup = files.get("/proc/self/cgroup")?;
-    let Some(path) = cpu_group(cgroup) else { return Ok(good("cgroup v2 has no limit")) };
-    match files.0.get(&path) {
-        Some(Ok(text)) if text.trim() == "0" => {
+fn group(files: &Files) -> Result<Found, Unread> {
+    let Some(path) = cpu_group(&files.get("/proc/self/cgroup")?) else {
+        return Ok(good("cgroup v2 has no limit"));
+    };
+    match files.get(&path) {
+        Ok(text) if text == "0" => {
             Ok(change("SCHED_FIFO is refused in this group", format!("echo 950000 > {path}")))
         }
-        Some(Ok(text)) => Ok(good(format!("{} \u{b5}s", text.trim()))),
-        Some(Err(Unread::Refused(why))) => Err((Unread::Refused(why.clone()), "cpu.rt_runtime_us")),
-        Some(Err(Unread::Missing)) | None => Ok(good("this kernel has no limit")),
+        Ok(text) => Ok(good(format!("{text} \u{b5}s"))),
+        Err(unread) if unread.is_missing() => Ok(good("this kernel has no limit")),
+        Err(Unread(_, why)) => Err(Unread("cpu.rt_runtime_us".to_owned(), why)),
     }
 }
 
-fn huge_pages(files: &Files) -> Result<Found, Missing<'_>> {
+fn huge_pages(files: &Files) -> Result<Found, Unread> {
     let path = "/sys/kernel/mm/transparent_hugepage/enabled";
-    let setting = files.get("/sys/kernel/mm/transparent_hugepage/enabled")?;
-    let active =
-        setting.split_once('[').and_then(|(_, rest)| rest.split_once(']')).map_or(setting, |(a, _)| a);
+    let setting = files.get(path)?;
+    let active = setting.split_once('[').and_then(|(_, rest)| rest.split_once(']'));
+    let active = active.map_or(setting.as_str(), |(active, _)| active);
     Ok(match active {
         "always" => {
             change("always, the kernel may stop a stage to make them", format!("echo madvise > {path}"))
@@ -322,7 +320,7 @@ fn huge_pages(files: &Files) -> Result<Found, Missing<'_>> {
     })
 }
 
-fn swap(files: &Files) -> Result<Found, Missing<'_>> {
+fn swap(files: &Files) -> Result<Found, Unread> {
     let has_swap = files.get("/proc/swaps")?.lines().count() > 1;
     let swappiness: u64 = files.get("/proc/sys/vm/swappiness")?.parse().unwrap_or(u64::MAX);
     Ok(match has_swap {
@@ -333,21 +331,15 @@ fn swap(files: &Files) -> Result<Found, Missing<'_>> {
 }
 
 /// The share of the last minute in which a program waited for a resource.
-fn pressure<'a>(files: &'a Files, path: &'static str) -> Result<Found, Missing<'a>> {
+fn pressure(files: &Files, path: &str) -> Result<Found, Unread> {
     let text = files.get(path)?;
     let some = text.lines().find(|line| line.starts_with("some "));
     let average = some.and_then(|line| line.split_whitespace().find_map(|word| word.strip_prefix("avg60=")));
     let Some(percent) = average.and_then(|number| number.parse::<f64>().ok()) else {
-        return Err((Unread::Refused("it has no avg60".to_owned()), path));
+        return Err(Unread(path.to_owned(), Error::other("it has no avg60")));
     };
     let found = format!("programs waited {percent:.0} % of the last minute");
-    let order = if path.ends_with("memory") {
-        "memory"
-    } else if path.ends_with("io") {
-        "io"
-    } else {
-        "cpu"
-    };
+    let order = path.trim_start_matches("/proc/pressure/");
     Ok(if percent > PRESSURE_MAX {
         change(found, format!("systemd-cgtop --order={order}"))
     } else {
@@ -356,14 +348,15 @@ fn pressure<'a>(files: &'a Files, path: &'static str) -> Result<Found, Missing<'
 }
 
 /// The soft limit of a resource in /proc/self/limits; without a limit the largest number.
-fn soft_limit<'a>(files: &'a Files, name: &str) -> Result<u64, Missing<'a>> {
+fn soft_limit(files: &Files, name: &str) -> Result<u64, Unread> {
     let path = "/proc/self/limits";
-    let line = files.get(path)?.lines().find_map(|line| line.strip_prefix(name));
+    let text = files.get(path)?;
+    let line = text.lines().find_map(|line| line.strip_prefix(name));
     match line.and_then(|line| line.split_whitespace().next()) {
         Some("unlimited") => Ok(u64::MAX),
         limit => limit
             .and_then(|limit| limit.parse().ok())
-            .ok_or_else(|| (Unread::Refused(format!("it has no {name}")), path)),
+            .ok_or_else(|| Unread(path.to_owned(), Error::other(format!("it has no {name}")))),
     }
 }
 
@@ -374,8 +367,8 @@ fn has_capability(status: &str, number: u32) -> bool {
     mask.is_some_and(|mask| mask >> number & 1 == 1)
 }
 
-fn priority(files: &Files) -> Result<Found, Missing<'_>> {
-    if has_capability(files.get("/proc/self/status")?, SYS_NICE) {
+fn priority(files: &Files) -> Result<Found, Unread> {
+    if has_capability(&files.get("/proc/self/status")?, SYS_NICE) {
         return Ok(good("any"));
     }
     Ok(match soft_limit(files, "Max realtime priority")? {
@@ -386,8 +379,8 @@ fn priority(files: &Files) -> Result<Found, Missing<'_>> {
     })
 }
 
-fn locked_memory(files: &Files) -> Result<Found, Missing<'_>> {
-    if has_capability(files.get("/proc/self/status")?, IPC_LOCK) {
+fn locked_memory(files: &Files) -> Result<Found, Unread> {
+    if has_capability(&files.get("/proc/self/status")?, IPC_LOCK) {
         return Ok(good("no limit"));
     }
     Ok(match soft_limit(files, "Max locked memory")? {

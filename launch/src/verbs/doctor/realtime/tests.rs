@@ -37,19 +37,42 @@ const GOOD: [(&str, &str); 29] = [
     ("/sys/kernel/realtime", "1\n"),
 ];
 
-fn good_machine() -> Files {
-    Files(GOOD.iter().map(|(path, text)| ((*path).to_owned(), Ok((*text).to_owned()))).collect())
+/// A folder with the files of a machine.
+struct Machine(tempfile::TempDir, Files);
+
+impl Machine {
+    fn new(files: &[(&str, &str)]) -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let root = folder.path().to_owned();
+        let machine = Self(folder, Files(root));
+        files.iter().for_each(|(path, text)| machine.write(path, text));
+        machine
+    }
+
+    fn path(&self, path: &str) -> std::path::PathBuf {
+        self.0.path().join(path.trim_start_matches('/'))
+    }
+
+    fn write(&self, path: &str, text: &str) {
+        let path = self.path(path);
+        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+        std::fs::write(path, text).unwrap();
+    }
+}
+
+fn good_machine() -> Machine {
+    Machine::new(&GOOD)
 }
 
 /// The good machine with other files.
-fn machine(changed: &[(&str, &str)]) -> Files {
-    let mut files = good_machine();
-    files.0.extend(changed.iter().map(|(path, text)| ((*path).to_owned(), Ok((*text).to_owned()))));
-    files
+fn machine(changed: &[(&str, &str)]) -> Machine {
+    let machine = good_machine();
+    changed.iter().for_each(|(path, text)| machine.write(path, text));
+    machine
 }
 
 /// The lines of all checks that are not good.
-fn bad(files: &Files) -> Vec<String> {
+fn bad(Machine(_, files): &Machine) -> Vec<String> {
     checks(files, false).iter().filter(|check| check.state != State::Good).map(line).collect()
 }
 
@@ -207,10 +230,13 @@ fn a_file_that_cannot_be_read_is_not_good() {
     // The kernel is known from its version, and `disable` may be missing in old kernels.
     let spare = ["/sys/kernel/realtime", "/disable"];
     for (path, _) in GOOD.iter().filter(|(path, _)| !spare.iter().any(|name| path.ends_with(name))) {
-        for why in [Unread::Missing, Unread::Refused("Permission denied (os error 13)".to_owned())] {
-            let mut files = good_machine();
-            files.0.insert((*path).to_owned(), Err(why.clone()));
-            let (before, lines) = (bad(&good_machine()), bad(&files));
+        for is_folder in [false, true] {
+            let machine = good_machine();
+            std::fs::remove_file(machine.path(path)).unwrap();
+            if is_folder {
+                std::fs::create_dir(machine.path(path)).unwrap();
+            }
+            let (before, lines) = (bad(&good_machine()), bad(&machine));
             let is_needed = !matches!(
                 *path,
                 "/proc/version" | "/sys/devices/system/clocksource/clocksource0/available_clocksource"
@@ -222,7 +248,7 @@ fn a_file_that_cannot_be_read_is_not_good() {
             }
         }
     }
-    let nothing = checks(&Files::default(), true);
+    let nothing = checks(&Machine::new(&[]).1, true);
     assert!(nothing.iter().all(|check| check.state == State::Unread), "{nothing:?}");
 }
 
