@@ -1,71 +1,11 @@
 //! The table as a header for C11 and C++17.
 
-use std::fmt::Write as _;
-
 use ::wire::{Header, Primitive, Record, Table, Type, Value, data_id};
 
-use super::text::{capitals, plain, snake, summary, wrapped};
+use super::text::{capitals, line, plain, snake, summary, wrapped};
 
-const OPENING: &str = r#"#ifndef STGDAT_WIRE_H
-#define STGDAT_WIRE_H
-
-#include <stddef.h>
-#include <stdint.h>
-
-#ifdef __cplusplus
-#define STGDAT_ASSERT(what, why) static_assert(what, why)
-#else
-#include <stdalign.h>
-#define STGDAT_ASSERT(what, why) _Static_assert(what, why)
-#endif
-
-STGDAT_ASSERT(sizeof(float) == 4, "float has single precision");
-
-"#;
-
-const PROTECTION: &str = r#"
-/* CRC-64/XZ of `length` bytes after `before`, the value of the bytes before them (0 at first). 16 entries of a table
-   take half a byte each: 1 MB in about 3 ms; for more, any library's CRC-64/XZ does. */
-static inline uint64_t stgdat_crc64(uint64_t before, const void *data, size_t length) {
-    uint64_t table[16], crc = ~before;
-    const unsigned char *bytes = (const unsigned char *)data;
-    for (unsigned i = 0; i < 16; i++) {
-        table[i] = i;
-        for (int bit = 0; bit < 4; bit++) {
-            table[i] = table[i] >> 1 ^ (table[i] & 1 ? UINT64_C(0xC96C5795D7870F42) : 0);
-        }
-    }
-    for (size_t i = 0; i < length; i++) {
-        crc ^= bytes[i];
-        crc = crc >> 4 ^ table[crc & 15];
-        crc = crc >> 4 ^ table[crc & 15];
-    }
-    return ~crc;
-}
-
-static inline uint64_t stgdat_frame_crc(const stgdat_header *header, const void *payload, size_t length) {
-    const size_t own = sizeof header->protection.crc;
-    uint64_t crc = stgdat_crc64(0, (const unsigned char *)header + own, sizeof *header - own);
-    return stgdat_crc64(crc, payload, length);
-}
-
-/* Protects a frame: the last thing before it is sent. `length` is the payload's in bytes, `data_id` one of
-   STGDAT_…_DATA_ID, and `counter` counts the sender's frames. */
-static inline void stgdat_protect(
-    stgdat_header *header, const void *payload, size_t length, uint32_t data_id, uint32_t counter) {
-    const stgdat_protection protection = {0, (uint32_t)(sizeof *header + length), counter, data_id, {0}};
-    header->protection = protection;
-    header->protection.crc = stgdat_frame_crc(header, payload, length);
-}
-
-/* Whether a frame is what its sender protected: 1 or 0. */
-static inline int stgdat_is_intact(
-    const stgdat_header *header, const void *payload, size_t length, uint32_t data_id) {
-    return header->protection.length == sizeof *header + length && header->protection.data_id == data_id
-        && header->protection.crc == stgdat_frame_crc(header, payload, length);
-}
-
-"#;
+const OPENING: &str = include_str!("opening.h.in");
+const PROTECTION: &str = include_str!("protection.h.in");
 
 /// The header file.
 pub fn header(table: &Table) -> String {
@@ -191,8 +131,4 @@ fn literal(value: Value) -> String {
 
 fn comment(text: &mut String, indent: &str, what: &str) {
     line(text, &format!("{indent}/* {} */", wrapped(what).join(&format!("\n{indent}   "))));
-}
-
-fn line(text: &mut String, line: &str) {
-    writeln!(text, "{line}").expect("a string takes all");
 }

@@ -2,72 +2,15 @@
 //! dtypes.
 
 use std::collections::BTreeMap;
-use std::fmt::Write as _;
 
 use ::wire::{Header, Primitive, Record, Table, Type, Value, data_id};
 
-use super::text::{camel, capitals, plain, summary, wrapped};
+use super::text::{camel, capitals, line, plain, summary, wrapped};
 
-const OPENING: &str = r#"
-Nothing but Python is needed to import it. `TOPICS` has the elements of each topic's payload slices, with the type names
-by which iceoryx2 connects; `DTYPES` the same layouts for numpy, empty where it is not installed:
-
-    numpy.frombuffer(buffer, DTYPES[Forecast], count)
-"""
-
-import ctypes as c
-import enum
-
-try:
-    import numpy
-except ModuleNotFoundError:
-    numpy = None
-
-"#;
-
-const CHECK: &str = r#"
-
-def _check(record, size, offsets):
-    """Refuses a machine on which a record does not lie as it does in stgdat."""
-    found = {name: getattr(record, name).offset for name in offsets}
-    if c.sizeof(record) != size or found != offsets:
-        raise ImportError(f"{record.__name__} has {c.sizeof(record)} bytes, {found}, not {size}, {offsets}")
-"#;
-
-const DTYPES: &str = r#"
-DTYPES = {} if numpy is None else {record: numpy.dtype(record) for record in RECORDS}
-for _record, _dtype in DTYPES.items():
-    if _dtype.itemsize != c.sizeof(_record) or any(
-            _dtype.fields[name][1] != getattr(_record, name).offset for name in _dtype.names):
-        raise ImportError(f"numpy lays {_record.__name__} out otherwise")
-"#;
-
-const PROTECTION: &str = r#"
-
-def _crc64(data):
-    """CRC-64/XZ of some bytes: the check value that the format .xz keeps of what it holds."""
-    import lzma  # Some builds of Python lack it.
-
-    fastest = {"id": lzma.FILTER_LZMA2, "preset": 0, "mf": lzma.MF_HC3, "nice_len": 3, "depth": 1}
-    packed = lzma.compress(data, lzma.FORMAT_XZ, lzma.CHECK_CRC64, filters=[fastest])
-    # Before the last 12 bytes lies the index, whose length they tell; before it the check value.
-    index = 4 * (int.from_bytes(packed[-8:-4], "little") + 1)
-    return int.from_bytes(packed[-20 - index:-12 - index], "little")
-
-
-def protect(header, payload, topic, counter):
-    """Protects a frame: the last thing before it is sent. `counter` counts the sender's frames."""
-    payload = bytes(payload)
-    header.protection = Protection(length=c.sizeof(header) + len(payload), counter=counter, data_id=DATA_IDS[topic])
-    header.protection.crc = _crc64(bytes(header)[8:] + payload)
-
-
-def is_intact(header, payload, topic):
-    """Whether a frame is what its sender protected."""
-    payload, protection = bytes(payload), header.protection
-    sizes = c.sizeof(header) + len(payload), DATA_IDS[topic]
-    return (protection.length, protection.data_id) == sizes and protection.crc == _crc64(bytes(header)[8:] + payload)
-"#;
+const OPENING: &str = include_str!("opening.py.in");
+const CHECK: &str = include_str!("check.py.in");
+const DTYPES: &str = include_str!("dtypes.py.in");
+const PROTECTION: &str = include_str!("protection.py.in");
 
 /// The module.
 pub fn module(table: &Table) -> String {
@@ -196,8 +139,4 @@ fn literal(value: Value) -> String {
         Value::Integer(value) => value.to_string(),
         Value::Real(value) => format!("{value:?}"),
     }
-}
-
-fn line(text: &mut String, line: &str) {
-    writeln!(text, "{line}").expect("a string takes all");
 }

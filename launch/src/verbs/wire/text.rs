@@ -3,6 +3,12 @@
 /// Maximum line length of a comment, in characters.
 const LINE_MAX: usize = 110;
 
+/// Appends a line.
+pub fn line(text: &mut String, line: &str) {
+    text.push_str(line);
+    text.push('\n');
+}
+
 /// Returns a doc comment as one line of plain text, without links and escapes, and with dots in paths.
 pub fn plain(doc: &str) -> String {
     let mut text = doc.lines().map(str::trim).filter(|line| !line.is_empty()).collect::<Vec<_>>().join(" ");
