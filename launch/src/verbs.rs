@@ -1,7 +1,6 @@
 //! The verbs of `stgdat`, one module each.
 
 pub mod bench;
-pub mod bridge;
 pub mod check;
 pub mod clean;
 pub mod completions;
@@ -18,7 +17,6 @@ pub mod predict;
 pub mod record;
 pub mod replay;
 pub mod report;
-pub mod ros2;
 pub mod run;
 pub mod stage;
 pub mod sweep;
@@ -84,10 +82,10 @@ pub enum Verb {
     View(view::Arguments),
     /// Publish the tracks and forecasts of a running pipeline in ROS 2 (stgdat-ros2)
     #[command(disable_help_flag = true)]
-    Ros2(ros2::Arguments),
+    Ros2(lab::Arguments),
     /// Connect two boxes: send forecasts, receive forecasts or detections (stgdat-bridge)
     #[command(disable_help_flag = true)]
-    Bridge(bridge::Arguments),
+    Bridge(lab::Arguments),
     /// Write the trace of a recorded run for Perfetto
     Trace(trace::Arguments),
     /// Explain one tick of a recorded run: the time of each stage, and the result of each agent
@@ -157,8 +155,8 @@ impl Verb {
             Self::Health(arguments) => health::execute(&arguments),
             Self::Report(arguments) => report::execute(&arguments),
             Self::View(arguments) => view::execute(&arguments),
-            Self::Ros2(arguments) => ros2::execute(arguments),
-            Self::Bridge(arguments) => bridge::execute(arguments),
+            Self::Ros2(arguments) => arguments.execute("stgdat-ros2", " --features ros2"),
+            Self::Bridge(arguments) => arguments.execute("stgdat-bridge", ""),
             Self::Trace(arguments) => trace::execute(&arguments),
             Self::Tick(arguments) => tick::execute(&arguments),
             Self::Doctor(arguments) => doctor::execute(&arguments),

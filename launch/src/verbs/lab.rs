@@ -35,11 +35,21 @@ pub enum Verb {
     Manual(Arguments),
 }
 
-/// Arguments that `stgdat-lab` reads.
+/// Arguments that another program reads.
 #[derive(Debug, Args)]
 pub struct Arguments {
     #[arg(trailing_var_arg = true, allow_hyphen_values = true, hide = true)]
     arguments: Vec<OsString>,
+}
+
+impl Arguments {
+    /// Replaces this process by a program that links more, or that another box needs without the rest.
+    ///
+    /// # Errors
+    /// As [`replace_by`].
+    pub fn execute(self, name: &str, options: &str) -> Result<Exit, Failure> {
+        Err(replace_by(name, options, self.arguments.into_iter()))
+    }
 }
 
 impl Verb {
