@@ -12,6 +12,7 @@ use std::process::{Child as Process, Command, ExitStatus, Stdio};
 use std::sync::mpsc::Sender;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
 
 use crate::config::Scheduling;
 use nn::kernels;
@@ -31,6 +32,9 @@ use crate::{color, log, scheduling};
 const LAST_LINES_MAX: usize = 12;
 /// Maximum length of a line in bytes; longer lines are split.
 const LINE_BYTES_MAX: u64 = 4096;
+
+/// Interval between checks of an ending process.
+const LOOK: Duration = Duration::from_millis(5);
 
 /// The environment variable of glibc's settings.
 const ALLOCATOR_VARIABLE: &str = "GLIBC_TUNABLES";
@@ -184,9 +188,9 @@ impl Child {
     /// Describes the unrequested end of a child.
     pub fn death(&mut self, status: ExitStatus) -> StageDeath {
         // The pipes close with the process, so its output is soon complete. A grandchild may hold them open.
-        let until = std::time::Instant::now() + std::time::Duration::from_millis(200);
-        while !self.readers.iter().all(JoinHandle::is_finished) && std::time::Instant::now() < until {
-            std::thread::sleep(std::time::Duration::from_millis(1));
+        let until = Instant::now() + Duration::from_millis(200);
+        while !self.readers.iter().all(JoinHandle::is_finished) && Instant::now() < until {
+            std::thread::sleep(Duration::from_millis(1));
         }
         let how = match (status.code(), status.signal()) {
             (Some(code), _) => format!("ended with exit code {code}"),
@@ -207,6 +211,23 @@ impl Child {
 /// Returns a descriptor that is readable once a child has ended; `None` if the kernel has no pidfds.
 pub fn end_of(process: &Process) -> Option<OwnedFd> {
     pidfd_open(Pid::from_child(process), PidfdFlags::empty()).ok()
+}
+
+/// Gives a process the time `limit` to end by itself, then kills it. Returns its exit status; `None` if it was
+/// killed.
+pub fn end_within(process: &mut Process, limit: Duration) -> Option<ExitStatus> {
+    let begun = Instant::now();
+    loop {
+        match process.try_wait() {
+            Ok(Some(status)) => return Some(status),
+            Ok(None) if begun.elapsed() < limit => std::thread::sleep(LOOK),
+            Ok(None) | Err(_) => {
+                let _ = process.kill();
+                let _ = process.wait();
+                return None;
+            }
+        }
+    }
 }
 
 /// Makes the kernel kill the program when the thread that starts it (the launcher's main thread) ends.

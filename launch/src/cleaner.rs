@@ -10,7 +10,7 @@ use std::time::Duration;
 
 use ports::{NodeNumber, NodeProcess};
 
-use crate::child::{die_with_this_process, end_of};
+use crate::child::{die_with_this_process, end_of, end_within};
 use crate::failure::Failure;
 use crate::program::this_program;
 
@@ -116,8 +116,7 @@ impl Cleaner {
             }
             let removed = ports::remove_half_made_connections(&self.prefix, ports::HALF_MADE_LIMIT);
             if removed > 0 || after > LIMIT {
-                let _ = work.process.kill();
-                let _ = work.process.wait();
+                end_within(&mut work.process, Duration::ZERO);
                 self.met.extend(lines_of(&mut work.process));
                 (self.work, self.tries) = (None, self.tries + 1);
                 self.hung.push(Hung { after, removed });
@@ -171,8 +170,7 @@ fn read_line(line: &str) -> Option<(NodeNumber, NodeProcess)> {
 impl Drop for Cleaner {
     fn drop(&mut self) {
         if let Some(work) = &mut self.work {
-            let _ = work.process.kill();
-            let _ = work.process.wait();
+            end_within(&mut work.process, Duration::ZERO);
         }
     }
 }

@@ -12,10 +12,12 @@ use run::STAGE_VARIABLE;
 use rustix::process::{Pid, Resource as Limited, Rlimit, Signal, kill_process, prlimit};
 use wire::StageId;
 
-use crate::child::die_with_this_process;
+use crate::child::{die_with_this_process, end_within};
 use crate::failure::Failure;
 use crate::faults::effect::Random;
 use crate::faults::spec::Resource;
+use crate::health::look;
+use crate::processes::memory;
 use crate::program;
 
 /// Time that a process has to end after a request.
@@ -61,12 +63,7 @@ impl Drop for Writer {
     fn drop(&mut self) {
         // Fails only if the process has already ended.
         let _ = kill_process(Pid::from_child(&self.child), Signal::TERM);
-        let begun = Instant::now();
-        while begun.elapsed() < END_LIMIT && matches!(self.child.try_wait(), Ok(None)) {
-            std::thread::sleep(Duration::from_millis(5));
-        }
-        let _ = self.child.kill();
-        let _ = self.child.wait();
+        end_within(&mut self.child, END_LIMIT);
         if let Some(reader) = self.reader.take() {
             let _ = reader.join();
         }
@@ -108,8 +105,7 @@ impl Mortal {
             return Ok(());
         }
         self.failures += u64::from(has_ended);
-        let _ = self.writer.child.kill();
-        let _ = self.writer.child.wait();
+        end_within(&mut self.writer.child, Duration::ZERO);
         let Self { arguments, record, within_ms, random, lines, .. } = self;
         (self.writer, self.until) = begin(arguments, record, *within_ms, random, lines)?;
         Ok(())
@@ -167,8 +163,7 @@ impl Launcher {
 
 impl Drop for Launcher {
     fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
+        end_within(&mut self.0, Duration::ZERO);
     }
 }
 
@@ -183,15 +178,12 @@ fn stage_of(pid: Pid) -> Option<StageId> {
 
 /// Resident memory of a process; 0 if it is gone.
 pub fn resident_bytes(pid: Pid) -> u64 {
-    let statm = std::fs::read_to_string(format!("/proc/{}/statm", pid.as_raw_nonzero())).unwrap_or_default();
-    let pages = statm.split_whitespace().nth(1).and_then(|pages| pages.parse::<u64>().ok());
-    pages.unwrap_or(0) * rustix::param::page_size() as u64
+    memory(pid).map_or(0, |[own, shared]| own + shared)
 }
 
 /// Whether a process exists and is not a zombie.
 pub fn is_alive(pid: Pid) -> bool {
-    let stat = std::fs::read_to_string(format!("/proc/{}/stat", pid.as_raw_nonzero())).unwrap_or_default();
-    stat.rsplit_once(") ").is_some_and(|(_, rest)| !rest.starts_with(['Z', 'X']))
+    look(pid).is_some_and(|look| !matches!(look.state, b'Z' | b'X'))
 }
 
 /// Limits a resource of a process.

@@ -14,7 +14,7 @@ use recording::tap::SOCKET;
 use recording::{Event, Happened, LogLine};
 use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
 
-use crate::child::die_with_this_process;
+use crate::child::{die_with_this_process, end_within};
 use crate::failure::Failure;
 use crate::log;
 use crate::program::this_program;
@@ -147,15 +147,8 @@ impl Tap {
         self.send();
         // Closes the tap's standard input.
         self.input = None;
-        let begun = Instant::now();
-        while !self.has_ended() {
-            if begun.elapsed() > END_LIMIT
-                && let Some(process) = &mut self.process
-            {
-                let _ = process.kill();
-                let _ = process.wait();
-            }
-            std::thread::sleep(LOOK);
+        if let Some(process) = &mut self.process {
+            end_within(process, END_LIMIT);
         }
     }
 }
@@ -200,8 +193,7 @@ impl Recording {
                 Ok(Self { process, lines })
             }
             Err(_) => {
-                let _ = process.kill();
-                let _ = process.wait();
+                end_within(&mut process, Duration::ZERO);
                 Err(Failure::file(file, std::io::Error::other("the recording could not be begun")))
             }
         }
@@ -210,18 +202,8 @@ impl Recording {
     /// Waits until the file is finished after the tap has closed. Returns the recording's last lines and
     /// whether the file is complete.
     pub fn end(mut self) -> (Vec<String>, bool) {
-        let begun = Instant::now();
-        let whole = loop {
-            match self.process.try_wait() {
-                Ok(Some(status)) => break status.success(),
-                Ok(None) if begun.elapsed() < RECORDING_LIMIT => std::thread::sleep(LOOK),
-                Ok(None) | Err(_) => {
-                    let _ = self.process.kill();
-                    let _ = self.process.wait();
-                    break false;
-                }
-            }
-        };
+        let status = end_within(&mut self.process, RECORDING_LIMIT);
+        let whole = status.is_some_and(|status| status.success());
         (self.lines.iter().collect(), whole)
     }
 }

@@ -9,11 +9,12 @@ use ports::{LivingRun, Stop};
 use recording::About;
 use recording::tap::{Client as TapClient, Item, Request};
 use run::Exit;
+use rustix::process::{Pid, Signal, kill_process};
 use view::{Live, MODES_DRAWN, Pairing, Scene};
 use wire::{ForecastsTopic, MODES_MAX, Topic as _, TracksTopic};
 
 use crate::arguments::{lanes_of, map_path};
-use crate::child::die_with_this_process;
+use crate::child::{die_with_this_process, end_within};
 use crate::failure::Failure;
 use crate::observe::address;
 use crate::options::absolute;
@@ -158,14 +159,8 @@ impl Page {
 
 impl Drop for Page {
     fn drop(&mut self) {
-        let pid = i32::try_from(self.0.id()).ok().and_then(rustix::process::Pid::from_raw);
-        let _ = pid.map(|pid| rustix::process::kill_process(pid, rustix::process::Signal::TERM));
+        let _ = kill_process(Pid::from_child(&self.0), Signal::TERM);
         // It first tells its browsers that the run has ended.
-        let begun = Instant::now();
-        while begun.elapsed() < END_LIMIT + WAIT && matches!(self.0.try_wait(), Ok(None)) {
-            std::thread::sleep(WAIT / 8);
-        }
-        let _ = self.0.kill();
-        let _ = self.0.wait();
+        end_within(&mut self.0, END_LIMIT + WAIT);
     }
 }
