@@ -197,7 +197,7 @@ impl Observation {
         let mut told = Told {
             ticks: (expect.exit_code == 0).then_some(spec.run.ticks),
             held_max_ns: spec.held_max_ns(),
-            targets: spec.targets().into_iter().map(|stage| stage.name().to_owned()).collect(),
+            targets: spec.faults.targets.iter().map(|stage| stage.name().to_owned()).collect(),
             restarts_of_others: expect.restarts_of_others,
             leftovers: expect.leftovers,
             reported: self.report.is_some(),

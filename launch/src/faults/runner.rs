@@ -18,13 +18,12 @@ use serde::Serialize;
 use wire::StageId;
 
 use crate::failure::Failure;
-use crate::faults::effect::Random;
 use crate::faults::effect::TopicFault;
-use crate::faults::plan::{Action, Due, What, actions, arguments, pipeline, points};
+use crate::faults::plan::{arguments, pipeline, points};
 use crate::faults::processes::{
     Launcher, Mortal, Writer, is_alive, limit, resident_bytes, this_program, use_cpu,
 };
-use crate::faults::spec::{Fault, Spec, Target};
+use crate::faults::spec::{Action, Consumer, Due, Spec, Target, What};
 use crate::faults::verdict::{Check, Cost, Observation, Outcome, judge};
 
 /// Ticks at the end of a run in which consumers are neither killed nor started again.
@@ -77,7 +76,8 @@ pub fn temporary_folder(prefix: &str) -> Result<PathBuf, Failure> {
 
 /// Runs a specification to its end.
 pub fn run(spec: &Spec, options: &Options) -> Result<Verdict, Failure> {
-    let spec = &seeded(spec, options.seed);
+    let seeded = options.seed.map(|seed| spec.seeded(seed)).transpose()?;
+    let spec = seeded.as_ref().unwrap_or(spec);
     let folder = match &options.keep {
         Some(keep) if options.seed.is_some() => keep.join(format!("{}-{}", spec.name, spec.run.seed)),
         Some(keep) => keep.join(&spec.name),
@@ -112,20 +112,6 @@ pub fn run(spec: &Spec, options: &Options) -> Result<Verdict, Failure> {
 /// Runs a specification to its end, with its files in `folder`, and returns the observation.
 pub fn observe(spec: &Spec, folder: &Path) -> Result<Observation, Failure> {
     Session::start(spec, folder)?.follow()
-}
-
-/// Returns the specification with another seed for the scene and all faults.
-fn seeded(spec: &Spec, seed: Option<u64>) -> Spec {
-    let mut spec = spec.clone();
-    if let Some(seed) = seed {
-        spec.run.seed = seed;
-        for fault in &mut spec.faults {
-            if let Fault::Topic(fault) = fault {
-                fault.seed = seed;
-            }
-        }
-    }
-    spec
 }
 
 /// A run with its faults.
@@ -188,7 +174,7 @@ impl<'a> Session<'a> {
             run: None,
             name: None,
             mortals: Vec::new(),
-            due: actions(spec)?,
+            due: spec.faults.actions.clone(),
             stopped: Vec::new(),
             replacing: Vec::new(),
             over_at: None,
@@ -240,25 +226,22 @@ impl<'a> Session<'a> {
                 self.seen.beside.push(topic.to_owned());
             }
             let faults: Vec<&TopicFault> =
-                self.spec.topic_faults().filter(|fault| fault.topic == topic).collect();
+                self.spec.faults.topics.iter().filter(|fault| fault.topic == topic).collect();
             let plan = self.folder.join(format!("inject-{topic}.json"));
             let text = serde_json::to_vec_pretty(&faults).map_err(Failure::data)?;
             std::fs::write(&plan, text).map_err(|error| Failure::file(&plan, error))?;
             let plan = plan.display().to_string();
             writers.push(Writer::start(&["inject", "--plan", &plan], record, &self.sender)?);
         }
-        for (place, fault) in (0..).zip(&self.spec.faults) {
-            if let Fault::Consumer { topic, hold_ms, within_ms } = fault {
-                let hold = hold_ms.map(|ms| ms.to_string());
-                let mut arguments = vec!["consume", topic];
-                arguments.extend(hold.iter().flat_map(|ms| ["--hold-ms", ms.as_str()]));
-                if let Some(within_ms) = within_ms {
-                    let random = Random::new(self.spec.run.seed, place);
-                    let arguments = arguments.into_iter().map(str::to_owned).collect();
-                    self.mortals.push(Mortal::start(arguments, record, *within_ms, random, &self.sender)?);
-                } else {
-                    writers.push(Writer::start(&arguments, record, &self.sender)?);
-                }
+        for Consumer { topic, hold_ms, within_ms, random } in &self.spec.faults.consumers {
+            let hold = hold_ms.map(|ms| ms.to_string());
+            let mut arguments = vec!["consume", topic];
+            arguments.extend(hold.iter().flat_map(|ms| ["--hold-ms", ms.as_str()]));
+            if let Some(within_ms) = within_ms {
+                let arguments = arguments.into_iter().map(str::to_owned).collect();
+                self.mortals.push(Mortal::start(arguments, record, *within_ms, *random, &self.sender)?);
+            } else {
+                writers.push(Writer::start(&arguments, record, &self.sender)?);
             }
         }
         self.run = Some((run, writers));

@@ -5,12 +5,13 @@ mod table;
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
+use std::time::Duration;
 
 use ports::Point;
 use run::TopicRun;
 use wire::StageId;
 
-use crate::faults::effect::TopicFault;
+use crate::faults::effect::{Random, TopicFault};
 pub use table::{Counted, Expect, Resource};
 
 /// The run, its faults and the expectation.
@@ -20,12 +21,13 @@ pub struct Spec {
     pub name: String,
     /// The file.
     pub path: PathBuf,
+    text: String,
     /// The property that it demonstrates, in one sentence.
     pub shows: String,
     /// The run.
     pub run: RunSpec,
     /// The faults.
-    pub faults: Vec<Fault>,
+    pub faults: Faults,
     /// What is expected.
     pub expect: Expect,
 }
@@ -71,103 +73,71 @@ impl RunSpec {
     }
 }
 
-/// One fault.
+/// What the faults do.
+#[derive(Clone, Debug, Default)]
+pub struct Faults {
+    /// Number of faults.
+    pub count: usize,
+    /// The actions during the run.
+    pub actions: Vec<Action>,
+    /// The points at which stages kill themselves. The n-th tick is the first one of the n-th process.
+    pub points: Vec<(StageId, Point, Vec<u64>)>,
+    /// The programs that stages have instead of their own.
+    pub commands: Vec<(StageId, Vec<String>)>,
+    /// Frames that are changed between the writer and the readers of a topic.
+    pub topics: Vec<TopicFault>,
+    /// Additional consumers.
+    pub consumers: Vec<Consumer>,
+    /// The stages that faults target. Their restarts are expected.
+    pub targets: Vec<StageId>,
+    /// The stages that are killed or stopped at given times.
+    signalled: Vec<StageId>,
+}
+
+/// An action at a given time.
 #[derive(Clone, Debug)]
-pub enum Fault {
-    /// A process is sent SIGKILL.
-    Kill {
-        /// The process.
-        target: Target,
-        /// The times.
-        when: When,
-    },
-    /// Stages are killed, or stopped for a time, at random ticks.
-    Random {
-        /// The candidate stages.
-        stages: Vec<StageId>,
-        /// The range of ticks, inclusive.
-        ticks: [u64; 2],
-        /// Number of faults.
-        count: u64,
-        /// The time between SIGSTOP and SIGCONT; `None` for SIGKILL.
-        stop_ms: Option<u64>,
-    },
-    /// A stage kills itself at a point of its step.
-    KillAt {
-        /// The stage.
-        stage: StageId,
-        /// The point.
-        point: Point,
-        /// First ticks: the n-th entry applies to the n-th process.
-        ticks: Vec<u64>,
-    },
-    /// A process is sent SIGSTOP, and SIGCONT after a time.
-    Stop {
-        /// The process.
-        target: Target,
-        /// The ticks.
-        ticks: Vec<u64>,
-        /// The time between the two.
-        for_ms: u64,
-    },
-    /// A resource of a stage's process is limited.
-    Limit {
-        /// The stage.
-        stage: StageId,
-        /// The tick.
-        tick: u64,
-        /// The resource.
-        resource: Resource,
-        /// The limit.
-        value: u64,
-    },
-    /// A stage is killed, and each later process of it ends immediately.
-    CrashLoop {
-        /// The stage.
-        stage: StageId,
-        /// The tick at which it is killed.
-        tick: u64,
-        /// The exit code of its later processes.
-        exit_code: u8,
-    },
-    /// Another program replaces a stage's program.
-    Command {
-        /// The stage.
-        stage: StageId,
-        /// The program with its arguments.
-        command: Vec<String>,
-    },
-    /// A stage is replaced during the run.
-    Replace {
-        /// The stage.
-        stage: StageId,
-        /// The ticks.
-        ticks: Vec<u64>,
-        /// The new program with its arguments; `None` for the built-in one.
-        command: Option<Vec<String>>,
-        /// The point of its first step at which the new process kills itself.
-        point: Option<Point>,
-    },
-    /// Frames of a topic are changed between its writer and its readers.
-    Topic(TopicFault),
-    /// Threads that only use the CPU.
-    Cpu {
-        /// The tick.
-        tick: u64,
-        /// The duration.
-        for_ms: u64,
-        /// The number of threads.
-        threads: usize,
-    },
-    /// An additional consumer that returns its frames late or never.
-    Consumer {
-        /// The topic.
-        topic: String,
-        /// Time for which each frame is held; `None` for forever.
-        hold_ms: Option<u64>,
-        /// Shortest and longest time until it is killed and restarted; `None` if it is not killed.
-        within_ms: Option<[u64; 2]>,
-    },
+pub struct Action {
+    /// The time.
+    pub at: Due,
+    /// The action.
+    pub what: What,
+}
+
+/// The time of an action.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Due {
+    /// A tick.
+    Tick(u64),
+    /// A time after the start of a process.
+    AfterStart(Target, Duration),
+}
+
+/// What is done to a process.
+#[derive(Clone, Debug)]
+pub enum What {
+    /// SIGKILL.
+    Kill(Target),
+    /// SIGSTOP, and SIGCONT after a time.
+    Stop(Target, Duration),
+    /// A limit of a resource.
+    Limit(StageId, Resource, u64),
+    /// Threads that only use the CPU, for a time.
+    Cpu(usize, Duration),
+    /// A replacement by this program; empty for the built-in one.
+    Replace(StageId, Vec<String>),
+}
+
+/// A consumer that returns its frames late or never.
+#[derive(Clone, Debug)]
+pub struct Consumer {
+    /// The topic.
+    pub topic: String,
+    /// Time for which each frame is held; `None` for forever.
+    pub hold_ms: Option<u64>,
+    /// Shortest and longest time until it is killed and restarted; `None` if it is not killed.
+    pub within_ms: Option<[u64; 2]>,
+    /// The source of these times.
+    pub random: Random,
 }
 
 /// The target process of a signal.
@@ -182,63 +152,25 @@ pub enum Target {
 impl Target {
     /// Its name.
     pub fn name(self) -> &'static str {
+        self.stage().map_or("launcher", StageId::name)
+    }
+
+    /// The stage, if it is one.
+    pub const fn stage(self) -> Option<StageId> {
         match self {
-            Self::Stage(stage) => stage.name(),
-            Self::Launcher => "launcher",
+            Self::Stage(stage) => Some(stage),
+            Self::Launcher => None,
         }
     }
 }
 
-/// When a process is killed.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum When {
-    /// At these ticks.
-    Ticks(Vec<u64>),
-    /// Once, this long after the first process was started.
-    AfterStart {
-        /// Milliseconds.
-        ms: u64,
-    },
-    /// The same, after a random time drawn from the run's seed.
-    Within {
-        /// The shortest and longest time in milliseconds.
-        ms: [u64; 2],
-    },
-}
-
 impl Spec {
-    /// Returns the faults that act on topics.
-    pub fn topic_faults(&self) -> impl Iterator<Item = &TopicFault> {
-        self.faults
-            .iter()
-            .filter_map(|fault| if let Fault::Topic(fault) = fault { Some(fault) } else { None })
-    }
-
     /// Returns the topics with an injector, without duplicates.
     pub fn injected_topics(&self) -> Vec<&str> {
-        let mut topics: Vec<&str> = self.topic_faults().map(|fault| fault.topic.as_str()).collect();
+        let mut topics: Vec<&str> = self.faults.topics.iter().map(|fault| fault.topic.as_str()).collect();
         topics.sort_unstable();
         topics.dedup();
         topics
-    }
-
-    /// Returns the stages that faults target; their restarts are expected.
-    pub fn targets(&self) -> Vec<StageId> {
-        let random = self
-            .faults
-            .iter()
-            .filter_map(|fault| if let Fault::Random { stages, .. } = fault { Some(stages) } else { None });
-        let of = |fault: &Fault| match fault {
-            Fault::Kill { target: Target::Stage(stage), .. }
-            | Fault::Stop { target: Target::Stage(stage), .. } => Some(*stage),
-            Fault::KillAt { stage, .. }
-            | Fault::Limit { stage, .. }
-            | Fault::CrashLoop { stage, .. }
-            | Fault::Replace { stage, .. }
-            | Fault::Command { stage, .. } => Some(*stage),
-            _ => None,
-        };
-        random.flatten().copied().chain(self.faults.iter().filter_map(of)).collect()
     }
 
     /// Maximum age of a held forecast under the sampler's policy; `None` if the pipeline is not the built-in
@@ -257,6 +189,6 @@ impl Spec {
 
     /// Whether the launcher itself is killed.
     pub fn kills_launcher(&self) -> bool {
-        self.faults.iter().any(|fault| matches!(fault, Fault::Kill { target: Target::Launcher, .. }))
+        self.faults.actions.iter().any(|action| matches!(action.what, What::Kill(Target::Launcher)))
     }
 }

@@ -232,7 +232,7 @@ mod tests {
 
     #[test]
     fn each_stage_is_killed_at_each_of_its_points_and_stopped_for_each_time() {
-        let kinds = |stage, series| plan(stage, series).spec().unwrap().faults.len();
+        let kinds = |stage, series| plan(stage, series).spec().unwrap().faults.count;
         assert_eq!(kinds(StageId::Encoder, Series::Kills), 5);
         assert_eq!(kinds(StageId::Recorder, Series::Kills), 1);
         assert_eq!(kinds(StageId::Recorder, Series::Stops), 3);

@@ -5,11 +5,10 @@ use std::fmt::Display;
 use crate::checker::{Finding, Line, Promise};
 use recorder::ReplacementOutcome;
 use serde::Serialize;
-use wire::StageId;
 
 use crate::faults::observation::EXPLANATIONS;
 pub use crate::faults::observation::{Cost, Observation, Resources, longest_run};
-use crate::faults::spec::{Counted, Expect, Fault, Spec};
+use crate::faults::spec::{Counted, Expect, Spec};
 
 /// The outcome of one expectation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -99,7 +98,7 @@ pub fn judge(spec: &Spec, seen: &Observation, timing: bool) -> Vec<Check> {
         let found = outputs.0.values().filter(|output| output.predicted).count() as u64;
         checks.push(check("ticks predicted", &format!("≥ {least}"), &found, found >= least));
     }
-    for kind in spec.topic_faults().map(|fault| fault.effect.name()) {
+    for kind in spec.faults.topics.iter().map(|fault| fault.effect.name()) {
         let found = seen.injected(Some(kind), None).len();
         checks.push(check(&format!("frames with \"{kind}\""), &"≥ 1", &found, found > 0));
     }
@@ -141,15 +140,13 @@ fn supervised(spec: &Spec, seen: &Observation) -> Vec<Check> {
         return checks;
     };
     let supervision = &report.supervision;
-    let targets: Vec<&str> = spec.targets().into_iter().map(StageId::name).collect();
+    let targets: Vec<&str> = spec.faults.targets.iter().map(|stage| stage.name()).collect();
     let others = report.stages.iter().filter(|stage| !targets.contains(&stage.name.as_str()));
     let restarts: u64 = others.map(|stage| u64::from(stage.restarts)).sum();
     checks.push(equal("restarts of others", &expect.restarts_of_others, &restarts));
     // An external program may lack the fault points of the built-in stages.
-    for fault in &spec.faults {
-        if let Fault::KillAt { stage, point, .. } = fault
-            && !supervision.outages.iter().any(|outage| outage.stage == stage.name())
-        {
+    for (stage, point, _) in &spec.faults.points {
+        if !supervision.outages.iter().any(|outage| outage.stage == stage.name()) {
             let what = format!("the {} has the point {}", stage.name(), point.name());
             checks.push(check(&what, &"yes", &"no, it never died there", false));
         }

@@ -6,7 +6,7 @@
 
 use std::path::Path;
 
-use crate::faults::spec::{Fault, Spec, When};
+use crate::faults::spec::{Action, Due, Spec};
 use crate::pipeline_file::SHIPPED;
 use crate::stages::declared;
 
@@ -142,14 +142,16 @@ fn fault_specification() {
     fuzz(SPEC, |text| match Spec::parse(Path::new("a.toml"), text) {
         Ok(spec) => {
             assert!(spec.run.ticks > 0);
-            assert!(spec.topic_faults().all(|fault| fault.ticks[0] <= fault.ticks[1]));
-            assert!(spec.topic_faults().all(|fault| fault.probability > 0.0 && fault.probability <= 1.0));
-            let is_in_order = |fault: &Fault| match fault {
-                Fault::Kill { when: When::Within { ms: [shortest, longest] }, .. } => shortest < longest,
-                Fault::Random { stages, ticks, .. } => !stages.is_empty() && ticks[0] <= ticks[1],
-                _ => true,
+            let faults = &spec.faults;
+            assert!(faults.topics.iter().all(|fault| fault.ticks[0] <= fault.ticks[1]));
+            assert!(faults.topics.iter().all(|fault| fault.probability > 0.0 && fault.probability <= 1.0));
+            let is_in_run = |action: &Action| match action.at {
+                Due::Tick(tick) => tick < spec.run.ticks,
+                Due::AfterStart(..) => true,
             };
-            assert!(spec.faults.iter().all(is_in_order));
+            assert!(faults.actions.iter().all(is_in_run));
+            let in_order = |within: &[u64; 2]| within[0] < within[1];
+            assert!(faults.consumers.iter().all(|consumer| consumer.within_ms.iter().all(in_order)));
         }
         Err(error) => assert!(!error.to_string().is_empty()),
     });

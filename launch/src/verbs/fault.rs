@@ -243,7 +243,7 @@ fn list(arguments: &ListArguments) -> Result<Exit, Failure> {
 
 fn check(arguments: &CheckArguments) -> Result<Exit, Failure> {
     for spec in scenarios::find_all(&arguments.specs)? {
-        let (path, faults, ticks) = (spec.path.display(), spec.faults.len(), spec.run.ticks);
+        let (path, faults, ticks) = (spec.path.display(), spec.faults.count, spec.run.ticks);
         show(&format!("{path}: ok, {faults} faults in {ticks} ticks\n"))?;
     }
     Ok(Exit::Done)

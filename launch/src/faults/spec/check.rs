@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use crate::config::{Mistake, Pipeline, SourceError};
 use ports::Point;
@@ -12,10 +13,11 @@ use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 use wire::{RefusalCause, StageId, TABLE};
 
-use super::table::{At, Expect, FaultTable, File, Process, TopicTable};
-use super::{Fault, RunSpec, Spec, Target, When};
+use super::table::{At, Expect, FaultTable, File, Kill, Process, TopicTable};
+use super::{Action, Consumer, Due, Faults, RunSpec, Spec, Target, What};
 use crate::failure::Failure;
-use crate::faults::effect::{Effect, TopicFault};
+use crate::faults::effect::{Effect, Random, TopicFault};
+use crate::faults::plan::{crashing, dying};
 use crate::stages::declared;
 
 /// Causes for which a stage counts lost frames.
@@ -36,15 +38,22 @@ impl Spec {
 
     /// Checks the text of a specification.
     pub fn parse(path: &Path, text: &str) -> Result<Self, SourceError> {
-        read(path, text).map_err(|mistake| mistake.at(&path.display().to_string(), text))
+        read(path, text, None).map_err(|mistake| mistake.at(&path.display().to_string(), text))
+    }
+
+    /// Returns the specification with another seed for the scene and all faults.
+    pub fn seeded(&self, seed: u64) -> Result<Self, SourceError> {
+        let Self { path, text, .. } = self;
+        read(path, text, Some(seed)).map_err(|mistake| mistake.at(&path.display().to_string(), text))
     }
 }
 
-fn read(path: &Path, text: &str) -> Result<Spec, Mistake> {
+fn read(path: &Path, text: &str, seed: Option<u64>) -> Result<Spec, Mistake> {
     let syntax = |error| Mistake::syntax(text, &error);
     let mut table = DeTable::parse(text).map_err(syntax)?;
     let faults = table.get_mut().remove("fault");
-    let file = File::deserialize(toml::Deserializer::from(table)).map_err(syntax)?;
+    let mut file = File::deserialize(toml::Deserializer::from(table)).map_err(syntax)?;
+    file.run.seed = seed.unwrap_or(file.run.seed);
     let faults = match faults.map(|faults| (faults.span(), faults.into_inner())) {
         None => Vec::new(),
         Some((_, DeValue::Array(faults))) => {
@@ -52,7 +61,12 @@ fn read(path: &Path, text: &str) -> Result<Spec, Mistake> {
         }
         Some((span, _)) => return Err(Mistake::new(span, "`fault` is not a list", "expected [[fault]]")),
     };
-    check(path, file, &faults)
+    let mut spec = check(path, file, &faults)?;
+    spec.text = text.to_owned();
+    if let Some(seed) = seed {
+        spec.faults.topics.iter_mut().for_each(|fault| fault.seed = seed);
+    }
+    Ok(spec)
 }
 
 fn check(path: &Path, file: File, tables: &[Spanned<FaultTable>]) -> Result<Spec, Mistake> {
@@ -89,13 +103,15 @@ fn check(path: &Path, file: File, tables: &[Spanned<FaultTable>]) -> Result<Spec
         known_stage(name.get_ref(), name.span(), &run)?;
         run.stages.insert(name.into_inner(), keys);
     }
-    let faults = tables.iter().map(|table| fault(table, &run)).collect::<Result<Vec<_>, _>>()?;
-    for (i, table) in tables.iter().enumerate() {
-        not_mixed(table, &faults[i], &faults[..i])?;
+    let mut faults = Faults::default();
+    for table in tables {
+        faults.add(table, &run)?;
+        faults.not_mixed(table.span())?;
     }
     expectations(&file.expect, &run)?;
     let name = path.file_stem().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
-    Ok(Spec { name, path: path.to_owned(), shows: file.shows, run, faults, expect: file.expect })
+    let (path, text) = (path.to_owned(), String::new());
+    Ok(Spec { name, path, text, shows: file.shows, run, faults, expect: file.expect })
 }
 
 /// Returns the stages that a pipeline.toml adds and the topics that it declares. This process knows the names
@@ -113,94 +129,147 @@ fn added_to_pipeline(path: &Path, span: &Range<usize>) -> Result<(Vec<String>, V
     Ok((added, pipeline.topics))
 }
 
-/// Each entry of a stage's points applies to one process in turn. A kill by signal in between would consume
-/// an entry.
-fn not_mixed(table: &Spanned<FaultTable>, fault: &Fault, earlier: &[Fault]) -> Result<(), Mistake> {
-    let of = |fault: &Fault| match fault {
-        Fault::KillAt { stage, .. } => Some((*stage, true)),
-        Fault::Kill { target: Target::Stage(stage), .. }
-        | Fault::Stop { target: Target::Stage(stage), .. } => Some((*stage, false)),
-        _ => None,
-    };
-    let Some((stage, at_point)) = of(fault) else { return Ok(()) };
-    if earlier.iter().filter_map(of).any(|(other, point)| other == stage && point != at_point) {
-        let message = format!("the {} is killed at a point and by signals in one run", stage.name());
-        return Err(Mistake::new(table.span(), message, "make it a specification of its own"));
+impl Faults {
+    fn act(&mut self, at: impl IntoIterator<Item = Due>, what: &What) {
+        self.targets.extend(match *what {
+            What::Kill(target) | What::Stop(target, _) => target.stage(),
+            What::Limit(stage, ..) | What::Replace(stage, _) => Some(stage),
+            What::Cpu(..) => None,
+        });
+        self.actions.extend(at.into_iter().map(|at| Action { at, what: what.clone() }));
     }
-    Ok(())
-}
 
-fn fault(table: &Spanned<FaultTable>, run: &RunSpec) -> Result<Fault, Mistake> {
-    let process = match table.get_ref() {
-        FaultTable::Topic(of, effect) => return of_topic(of, *effect, run).map(Fault::Topic),
-        FaultTable::Process(process) => process,
-    };
-    Ok(match process {
-        Process::Kill { stage, at, after_start_ms, within_ms, point } => {
-            let target = target(stage, run)?;
-            let when = match (within_ms, at, after_start_ms, point) {
-                (Some(ms), None, None, None) => When::Within { ms: within(ms)? },
-                (None, None, Some(ms), None) => When::AfterStart { ms: *ms },
-                (None, Some(at), None, None) => When::Ticks(ticks(at, run)?),
-                (None, Some(at), None, Some(point)) => {
-                    let stage = self::stage(stage, run)?;
-                    let (point, ticks) = (known_point(stage, point)?, ticks(at, run)?);
-                    return Ok(Fault::KillAt { stage, point, ticks });
-                }
-                _ => {
-                    let label = "needs `at`, alone or with a `point`, `after_start_ms` or `within_ms`";
-                    return Err(Mistake::new(table.span(), "when does it kill?", label));
-                }
-            };
-            Fault::Kill { target, when }
-        }
-        Process::Random { ticks, count, stages, for_ms } => Fault::Random {
-            stages: random(stages.as_ref(), run)?,
-            ticks: range(ticks, run)?,
-            count: *count,
-            stop_ms: *for_ms,
-        },
-        Process::Stop { stage, at, for_ms } => {
-            Fault::Stop { target: target(stage, run)?, ticks: ticks(at, run)?, for_ms: *for_ms }
-        }
-        Process::Limit { stage, at, resource, value } => Fault::Limit {
-            stage: self::stage(stage, run)?,
-            tick: tick(at, run)?,
-            resource: *resource,
-            value: *value,
-        },
-        Process::CrashLoop { stage, at, exit_code } => Fault::CrashLoop {
-            stage: self::stage(stage, run)?,
-            tick: tick(at, run)?,
-            exit_code: exit_code.unwrap_or(3),
-        },
-        Process::Command { stage, command } => {
-            Fault::Command { stage: self::stage(stage, run)?, command: self::command(command)? }
-        }
-        Process::Replace { stage, at, command, point } => {
-            let stage = self::stage(stage, run)?;
-            if let (Some(command), Some(_)) = (command, point) {
-                let label = "without it the new process is the built-in one, which has points";
-                return Err(Mistake::new(command.span(), "`command` and `point` exclude each other", label));
+    /// Adds a fault.
+    fn add(&mut self, table: &Spanned<FaultTable>, run: &RunSpec) -> Result<(), Mistake> {
+        let at = |at| Ok::<_, Mistake>(ticks(at, run)?.into_iter().map(Due::Tick));
+        let time = |ms: &u64| Duration::from_millis(*ms);
+        let place = self.count as u64;
+        self.count += 1;
+        let process = match table.get_ref() {
+            FaultTable::Topic(of, effect) => {
+                self.topics.push(of_topic(of, *effect, run)?);
+                return Ok(());
             }
-            Fault::Replace {
-                stage,
-                ticks: ticks(at, run)?,
-                command: command.as_ref().map(self::command).transpose()?,
-                point: point.as_ref().map(|point| known_point(stage, point)).transpose()?,
+            FaultTable::Process(process) => process,
+        };
+        match process {
+            Process::Kill(kill) => self.kill(table.span(), kill, run)?,
+            Process::Random { ticks, count, stages, for_ms } => {
+                self.random(stages.as_ref(), range(ticks, run)?, count, for_ms.as_ref().map(time), run)?;
+            }
+            Process::Stop { stage, at: ticks, for_ms } => {
+                let target = target(stage, run)?;
+                self.act(at(ticks)?, &What::Stop(target, time(for_ms)));
+                self.signalled.extend(target.stage());
+            }
+            Process::Limit { stage, at, resource, value } => {
+                let what = What::Limit(self::stage(stage, run)?, *resource, *value);
+                self.act([Due::Tick(tick(at, run)?)], &what);
+            }
+            Process::CrashLoop { stage, at, exit_code } => {
+                let stage = self::stage(stage, run)?;
+                self.act([Due::Tick(tick(at, run)?)], &What::Kill(Target::Stage(stage)));
+                self.commands.push((stage, crashing(stage, exit_code.unwrap_or(3))));
+            }
+            Process::Command { stage, command } => {
+                let stage = self::stage(stage, run)?;
+                self.commands.push((stage, self::command(command)?));
+                self.targets.push(stage);
+            }
+            Process::Replace { stage, at: ticks, command, point } => {
+                let stage = self::stage(stage, run)?;
+                let command = match (command, point) {
+                    (Some(command), Some(_)) => {
+                        let label = "without it the new process is the built-in one, which has points";
+                        let message = "`command` and `point` exclude each other";
+                        return Err(Mistake::new(command.span(), message, label));
+                    }
+                    (Some(command), None) => self::command(command)?,
+                    (None, Some(point)) => dying(stage, known_point(stage, point)?),
+                    (None, None) => Vec::new(),
+                };
+                self.act(at(ticks)?, &What::Replace(stage, command));
+            }
+            Process::Cpu { at, for_ms, threads } => {
+                let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
+                let threads = threads.unwrap_or(HOGS_PER_CORE * cores);
+                self.act([Due::Tick(tick(at, run)?)], &What::Cpu(threads, time(for_ms)));
+            }
+            Process::Consumer { topic, hold_ms, within_ms } => self.consumers.push(Consumer {
+                topic: self::topic(topic, run)?,
+                hold_ms: *hold_ms,
+                within_ms: within_ms.as_ref().map(within).transpose()?,
+                random: Random::new(run.seed, place),
+            }),
+        }
+        Ok(())
+    }
+
+    /// Each entry of a stage's points applies to one process in turn. A kill by signal in between would consume
+    /// an entry.
+    fn not_mixed(&self, newest: Range<usize>) -> Result<(), Mistake> {
+        match self.points.iter().find(|(stage, ..)| self.signalled.contains(stage)) {
+            None => Ok(()),
+            Some((stage, ..)) => {
+                let message = format!("the {} is killed at a point and by signals in one run", stage.name());
+                Err(Mistake::new(newest, message, "make it a specification of its own"))
             }
         }
-        Process::Cpu { at, for_ms, threads } => {
-            let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
-            let threads = threads.unwrap_or(HOGS_PER_CORE * cores);
-            Fault::Cpu { tick: tick(at, run)?, for_ms: *for_ms, threads }
+    }
+
+    fn kill(&mut self, span: Range<usize>, kill: &Kill, run: &RunSpec) -> Result<(), Mistake> {
+        let Kill { stage, at, after_start_ms, within_ms, point } = kill;
+        let target = target(stage, run)?;
+        let after = |ms| Due::AfterStart(target, Duration::from_millis(ms));
+        match (within_ms, at, after_start_ms, point) {
+            (Some(ms), None, None, None) => {
+                let [shortest, longest] = within(ms)?;
+                let ms = shortest + Random::new(run.seed, 0).below(longest - shortest + 1);
+                self.act([after(ms)], &What::Kill(target));
+            }
+            (None, None, Some(ms), None) => self.act([after(*ms)], &What::Kill(target)),
+            (None, Some(at), None, None) => {
+                self.act(ticks(at, run)?.into_iter().map(Due::Tick), &What::Kill(target));
+            }
+            (None, Some(at), None, Some(point)) => {
+                let stage = self::stage(stage, run)?;
+                self.points.push((stage, known_point(stage, point)?, ticks(at, run)?));
+                self.targets.push(stage);
+                return Ok(());
+            }
+            _ => {
+                let label = "needs `at`, alone or with a `point`, `after_start_ms` or `within_ms`";
+                return Err(Mistake::new(span, "when does it kill?", label));
+            }
         }
-        Process::Consumer { topic, hold_ms, within_ms } => Fault::Consumer {
-            topic: self::topic(topic, run)?,
-            hold_ms: *hold_ms,
-            within_ms: within_ms.as_ref().map(within).transpose()?,
-        },
-    })
+        self.signalled.extend(target.stage());
+        Ok(())
+    }
+
+    /// Kills some of the stages at random ticks, or stops them for a time.
+    fn random(
+        &mut self,
+        stages: Option<&Spanned<Vec<String>>>,
+        [first, last]: [u64; 2],
+        count: &Spanned<u64>,
+        stop: Option<Duration>,
+        run: &RunSpec,
+    ) -> Result<(), Mistake> {
+        let stages = random(stages, run)?;
+        let faults = *count.get_ref();
+        if faults > run.ticks {
+            let message = format!("`count` = {faults} in a run of {} ticks", run.ticks);
+            return Err(Mistake::new(count.span(), message, format!("expected at most {}", run.ticks)));
+        }
+        for place in 0..faults {
+            let mut random = Random::new(run.seed, place);
+            let target = Target::Stage(stages[random.below(stages.len() as u64) as usize]);
+            let what = stop.map_or(What::Kill(target), |time| What::Stop(target, time));
+            self.act([Due::Tick(first + random.below(last - first + 1))], &what);
+        }
+        self.targets.extend(stages);
+        Ok(())
+    }
 }
 
 /// The shortest and the longest time until a death.

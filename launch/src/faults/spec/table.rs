@@ -61,16 +61,10 @@ const fn one() -> u64 {
 #[derive(Debug, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub(super) enum Process {
-    Kill {
-        stage: Spanned<String>,
-        at: Option<Spanned<At>>,
-        after_start_ms: Option<u64>,
-        within_ms: Option<Spanned<[u64; 2]>>,
-        point: Option<Spanned<String>>,
-    },
+    Kill(Kill),
     Random {
         ticks: Spanned<[u64; 2]>,
-        count: u64,
+        count: Spanned<u64>,
         stages: Option<Spanned<Vec<String>>>,
         for_ms: Option<u64>,
     },
@@ -110,6 +104,17 @@ pub(super) enum Process {
         hold_ms: Option<u64>,
         within_ms: Option<Spanned<[u64; 2]>>,
     },
+}
+
+/// A SIGKILL as written.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Kill {
+    pub stage: Spanned<String>,
+    pub at: Option<Spanned<At>>,
+    pub after_start_ms: Option<u64>,
+    pub within_ms: Option<Spanned<[u64; 2]>>,
+    pub point: Option<Spanned<String>>,
 }
 
 /// The keys that every fault of a topic has in addition to those of its [`Effect`].

@@ -18,7 +18,7 @@ fn a_specification_is_read() {
          [expect]\nhole_max = 3\ncounted = [{ stage = \"localiser\", cause = \"gap\", as_injected = \"drop\" }]",
     )
     .unwrap();
-    assert_eq!((read.name.as_str(), read.run.recording), ("07-test", Some("folder/a.csv".into())));
+    assert_eq!((read.name.as_str(), &read.run.recording), ("07-test", &Some("folder/a.csv".into())));
     let topic = TopicFault {
         topic: "tracks".into(),
         effect: Effect::Drop {},
@@ -26,11 +26,10 @@ fn a_specification_is_read() {
         probability: 0.5,
         seed: 4,
     };
-    assert!(matches!(&read.faults[0], Fault::Topic(fault) if *fault == topic), "{:?}", read.faults);
-    let Fault::KillAt { stage: StageId::Decoder, point: Point::MidWrite, ticks } = &read.faults[1] else {
-        panic!("{:?}", read.faults)
-    };
-    assert_eq!((ticks, read.expect.hole_max), (&vec![30, 60], Some(3)));
+    assert_eq!((&read.faults.topics[..], read.faults.count), (&[topic.clone()][..], 2));
+    assert_eq!(read.seeded(9).unwrap().faults.topics, [TopicFault { seed: 9, ..topic }]);
+    assert_eq!(read.faults.points, [(StageId::Decoder, Point::MidWrite, vec![30, 60])]);
+    assert_eq!((&read.faults.targets[..], read.expect.hole_max), (&[StageId::Decoder][..], Some(3)));
 }
 
 #[test]
@@ -54,7 +53,7 @@ fn stages_that_the_pipeline_adds_are_known() {
         "[[fault]]\nkind = \"stop\"\nstage = \"monitor\"\nat = 9\nfor_ms = 5\n[expect]\n\
          outages = [{ stage = \"monitor\", count = 1 }]",
     );
-    assert_eq!(spec.unwrap().targets(), [StageId::added(0).unwrap()]);
+    assert_eq!(spec.unwrap().faults.targets, [StageId::added(0).unwrap()]);
     let kill = "[[fault]]\nkind = \"kill\"\nat = 9\nstage = ";
     let error = read("p.toml", &format!("{kill}\"monitors\"")).unwrap_err();
     assert!(error.contains("a.toml:8: unknown stage \"monitors\""), "{error}");
@@ -112,6 +111,10 @@ fn mistakes_name_the_line_the_value_and_what_is_expected() {
         "[[fault]]\nkind = \"kill\"\nstage = \"recorder\"\npoint = \"mid-write\"\nat = 9",
         ":7: the recorder has no point \"mid-write\"",
     );
+    refused(
+        "[[fault]]\nkind = \"random\"\nticks = [1, 9]\ncount = 101",
+        ":7: `count` = 101 in a run of 100 ticks",
+    );
     refused("[[fault]]\nkind = \"drop\"\ntopic = \"trucks\"\nticks = [1, 2]", ":6: unknown topic \"trucks\"");
     refused("[[fault]]\nkind = \"drop\"\ntopic = \"tracks\"\nticks = [3, 2]", ":7: `ticks` = [3, 2]");
     refused(
@@ -134,4 +137,23 @@ fn mistakes_name_the_line_the_value_and_what_is_expected() {
          point = \"idle\"\nat = 20",
         ":8: the decoder is killed at a point and by signals",
     );
+}
+
+#[test]
+fn random_faults_follow_from_the_seed() {
+    let body = "[[fault]]\nkind = \"random\"\nticks = [20, 40]\ncount = 9\nstages = [\"decoder\", \"encoder\"]\n\
+                [[fault]]\nkind = \"kill\"\nstage = \"launcher\"\nwithin_ms = [100, 900]";
+    let times = |spec: &Spec| spec.faults.actions.iter().map(|action| action.at).collect::<Vec<_>>();
+    let one = spec(body).unwrap();
+    assert_eq!(times(&one), times(&spec(body).unwrap()));
+    assert_ne!(times(&one), times(&one.seeded(2).unwrap()));
+    assert_eq!(times(&one), times(&one.seeded(1).unwrap()));
+    let (random, launcher) = one.faults.actions.split_at(9);
+    assert!(random.iter().all(|action| matches!(action.at, Due::Tick(20..=40))));
+    assert!(
+        matches!(&launcher[0].at, Due::AfterStart(Target::Launcher, after) if (100..=900).contains(&after.as_millis()))
+    );
+    assert!(one.kills_launcher());
+    let Faults { count: 2, targets, .. } = one.faults else { panic!("two faults") };
+    assert!(targets.iter().all(|stage| matches!(*stage, StageId::Decoder | StageId::Encoder)));
 }
