@@ -116,7 +116,7 @@ impl Fleet {
     pub fn descriptors(&self) -> Vec<BorrowedFd<'_>> {
         let runs = |member: &&Member| matches!(member.supervision.state(), State::Running { .. });
         let members = self.members.iter().filter(runs).map(|member| &member.child);
-        let spares = self.members.iter().filter_map(|member| member.spare.as_ref()?.child());
+        let spares = self.members.iter().filter_map(|member| member.spare.as_ref()?.child.as_ref());
         let of_children = members.chain(spares).filter_map(Child::descriptor);
         of_children.chain(self.cleaner.descriptor()).collect()
     }
@@ -224,8 +224,8 @@ impl Fleet {
     /// Registers the launcher's own processes, so that their deaths do not count as deaths of readers.
     fn note_own(&mut self) {
         let members = self.members.iter().map(|member| &member.child);
-        let spares = self.members.iter().filter_map(|member| member.spare.as_ref()?.child());
-        let trial = self.trial.iter().filter_map(Trial::child);
+        let spares = self.members.iter().filter_map(|member| member.spare.as_ref()?.child.as_ref());
+        let trial = self.trial.iter().filter_map(|trial| trial.child.as_ref());
         let children = members.chain(spares).chain(trial).map(|child| child.pid().as_raw_nonzero().get());
         self.readers.own(children.map(i32::unsigned_abs).chain(self.cleaner.pid()));
     }
@@ -246,7 +246,7 @@ impl Fleet {
         let waiting =
             |m: &&Member| matches!(m.supervision.state(), State::Waiting { .. } | State::GivenUp { .. });
         let wanted = self.members.iter().filter(waiting).map(|m| m.ticket).max().unwrap_or(0);
-        let spares = self.members.iter().filter_map(|m| Some(m.spare.as_ref()?.ticket()));
+        let spares = self.members.iter().filter_map(|m| Some(m.spare.as_ref()?.ticket));
         let wanted = wanted.max(spares.max().unwrap_or(0));
         let others = self.other_ticket.max(self.swept).max(self.readers.wanted());
         self.cleaner.tend(wanted.max(others), now)?;

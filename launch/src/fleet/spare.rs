@@ -65,16 +65,6 @@ impl Spare {
         }
     }
 
-    /// Returns the number of the clean-up after the spare's last death.
-    pub const fn ticket(&self) -> u64 {
-        self.ticket
-    }
-
-    /// Returns the spare's process, if it has one.
-    pub const fn child(&self) -> Option<&Child> {
-        self.child.as_ref()
-    }
-
     /// Whether the spare is warming up. It then takes over sooner than a restarted process could.
     pub const fn is_starting(&self) -> bool {
         self.child.is_some() && self.turn.is_none()

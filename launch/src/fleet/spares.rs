@@ -57,7 +57,7 @@ impl Fleet {
         }
         let socket = control::path(&self.run);
         for member in &mut self.members {
-            let is_tried = self.trial.as_ref().is_some_and(|trial| trial.stage() == member.stage);
+            let is_tried = self.trial.as_ref().is_some_and(|trial| trial.stage == member.stage);
             let state = member.supervision.state();
             let Some(spare) = &mut member.spare else { continue };
             let has_stage = matches!(state, State::Running { .. } | State::Waiting { .. });

@@ -38,16 +38,6 @@ pub struct Trial {
 }
 
 impl Trial {
-    /// The stage.
-    pub const fn stage(&self) -> StageId {
-        self.stage
-    }
-
-    /// The new process until it becomes the stage's process.
-    pub const fn child(&self) -> Option<&Child> {
-        self.child.as_ref()
-    }
-
     /// Whether the new process has taken over as this stage.
     pub fn has_turn(&self, stage: StageId) -> bool {
         self.stage == stage && self.child.is_none()

@@ -9,6 +9,8 @@ mod pipe;
 mod stages;
 mod work;
 
+use std::path::Path;
+use std::process::{Command, Stdio};
 use std::time::Duration;
 
 use nn::kernels;
@@ -18,6 +20,7 @@ use wire::StageId;
 use crate::fail_if;
 use crate::failure::Failure;
 use crate::options::{Setting, StageOptions};
+use crate::program::this_program;
 use crate::show::show;
 use crate::tables;
 use crate::version;
@@ -44,7 +47,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     } else {
         let mut text = speed(arguments)?;
         if arguments.seconds > 0 {
-            let (run, measured) = chain::table(&arguments.model, &arguments.set, arguments.seconds)?;
+            let (run, measured) = chain::table(arguments)?;
             text += &run;
             report = Some(measured);
         }
@@ -57,6 +60,19 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     }
     report.map_or(Ok(()), |report| fail_if::check(&arguments.fail_if, &report))?;
     Ok(Exit::Done)
+}
+
+/// Returns a command that runs the pipeline and writes its report.
+fn pipeline_run(arguments: &Arguments, agents: u16, ticks: u64, report: &Path) -> Command {
+    let mut command = Command::new(this_program());
+    command.args(["run", "--quiet", "--agents", &agents.to_string(), "--ticks", &ticks.to_string()]);
+    command.arg("--report").arg(report);
+    if let Some(weights) = &arguments.model.weights {
+        command.arg("--weights").arg(weights);
+    }
+    command.args(arguments.set.set.iter().flat_map(Setting::arguments));
+    command.stdin(Stdio::null()).stdout(Stdio::null());
+    command
 }
 
 /// Measures peaks, compute per stage and the hand-over to workers.

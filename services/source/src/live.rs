@@ -16,6 +16,7 @@ use wire::{
     Counts, DETECTIONS_MAX, Detection, Header, InputCounts, OFFSET_MAX_NS, StampSource, TICK_NS, flags,
 };
 
+use crate::stage::{ANSWER_LIMIT_NS, END_LIMIT_NS};
 use crate::{Outputs, Tick, merge};
 
 /// Numbers of stamps from which the interval of the frames is estimated.
@@ -28,10 +29,6 @@ const GAP: i64 = 4;
 const TOLERANCE: u64 = 10;
 /// Maximum number of frames that wait.
 const WAITING_MAX: usize = 64;
-/// Longest wait for the stages to link, and for the forecasts of a tick in lockstep.
-const ANSWER_LIMIT_NS: u64 = 60_000_000_000;
-/// Longest wait for the last tick to pass, and then for the end frame to reach the stages.
-const END_LIMIT_NS: u64 = 2_000_000_000;
 
 /// A tick for the pipeline.
 #[derive(Clone, Debug, PartialEq)]

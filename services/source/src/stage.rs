@@ -9,9 +9,9 @@ use crate::plan::Plan;
 use crate::{Playback, PlaybackOptions, STAGE, recording};
 
 /// Longest wait for the stages to link and, in lockstep, for the forecasts of a tick.
-const ANSWER_LIMIT_NS: u64 = 60_000_000_000;
+pub(crate) const ANSWER_LIMIT_NS: u64 = 60_000_000_000;
 /// Longest wait for the last tick to pass, and then for the end frame to reach the stages.
-const END_LIMIT_NS: u64 = 2_000_000_000;
+pub(crate) const END_LIMIT_NS: u64 = 2_000_000_000;
 
 /// Runs the stage until the scene has ended or the process is asked to end.
 ///

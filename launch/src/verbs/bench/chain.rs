@@ -1,24 +1,21 @@
 //! The whole pipeline as separate processes at 12.5 Hz: latency, overhead and memory.
 
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
+use std::process::Child;
 use std::time::Duration;
 
 use ports::TemporaryFolder;
 use recorder::Report;
 
 use super::percentile::percentile;
-use super::pipe;
-use crate::arguments::{ModelArguments, SetArguments};
+use super::{Arguments, pipe, pipeline_run};
 use crate::failure::Failure;
-use crate::options::Setting;
-use crate::program::this_program;
 use crate::tables;
 
 /// Number of ticks in two seconds.
 const RATE: u64 = 25;
 /// Agents of the scene.
-const AGENTS: u64 = 32;
+const AGENTS: u16 = 32;
 /// Interval between samples of the memory of the processes.
 const SAMPLE_INTERVAL: Duration = Duration::from_millis(500);
 
@@ -34,24 +31,12 @@ struct Memory {
 
 /// Measures latency, overhead and memory in a real-time run of `seconds`, and a pipe's latency in the same
 /// run. Also returns the run's report.
-pub(super) fn table(
-    model: &ModelArguments,
-    set: &SetArguments,
-    seconds: u64,
-) -> Result<(String, Report), Failure> {
+pub(super) fn table(arguments: &Arguments) -> Result<(String, Report), Failure> {
     let unavailable = |error: std::io::Error| Failure::unavailable(error);
     let folder = TemporaryFolder::create("stgdat-bench-").map_err(unavailable)?;
     let report = folder.path().join("report.json");
-    let mut command = Command::new(this_program());
-    let ticks = (seconds * RATE).div_ceil(2).to_string();
-    command
-        .args(["run", "--quiet", "--agents", &AGENTS.to_string(), "--ticks", &ticks, "--report"])
-        .arg(&report);
-    if let Some(weights) = &model.weights {
-        command.arg("--weights").arg(weights);
-    }
-    command.args(set.set.iter().flat_map(Setting::arguments));
-    let mut launcher = command.stdin(Stdio::null()).stdout(Stdio::null()).spawn().map_err(unavailable)?;
+    let ticks = (arguments.seconds * RATE).div_ceil(2);
+    let mut launcher = pipeline_run(arguments, AGENTS, ticks, &report).spawn().map_err(unavailable)?;
     let memory = watch(&mut launcher).map_err(unavailable)?;
     let status = launcher.wait().map_err(unavailable)?;
     if !status.success() {

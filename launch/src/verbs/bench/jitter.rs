@@ -4,7 +4,6 @@
 //! until the same moments as the source of the run, in the normal class, and measures by how much it wakes up
 //! late. The table has ratios to its times.
 
-use std::process::{Command, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 use std::thread::JoinHandle;
@@ -15,12 +14,10 @@ use recorder::Report;
 use run::Run;
 use wire::{ForecastsTopic, Header, StageId, Topic};
 
-use super::arguments::Arguments;
 use super::percentile::percentile;
+use super::{Arguments, pipeline_run};
 use crate::failure::Failure;
-use crate::options::Setting;
 use crate::pipeline_file::SHIPPED;
-use crate::program::this_program;
 use crate::tables;
 
 /// Ticks in two seconds.
@@ -116,16 +113,10 @@ fn measure(
     let profile = if is_vehicle { "[realtime]\nprofile = \"vehicle\"\n" } else { "" };
     std::fs::write(path("pipeline.toml"), format!("{profile}{SHIPPED}")).map_err(unavailable)?;
     let ticks = (arguments.seconds * RATE).div_ceil(2 * ROUNDS) + WARM_UP;
-    let mut command = Command::new(this_program());
-    command.args(["run", "--quiet", "--agents", &agents.to_string(), "--ticks", &ticks.to_string()]);
-    command.arg("--pipeline").arg(path("pipeline.toml")).arg("--report").arg(path("report"));
-    command.arg("--announce").arg(path("run"));
-    if let Some(weights) = &arguments.model.weights {
-        command.arg("--weights").arg(weights);
-    }
-    command.args(arguments.set.set.iter().flat_map(Setting::arguments));
+    let mut command = pipeline_run(arguments, agents, ticks, &path("report"));
+    command.arg("--pipeline").arg(path("pipeline.toml")).arg("--announce").arg(path("run"));
     let hogs = has_hogs.then(Hogs::start);
-    let mut launcher = command.stdin(Stdio::null()).stdout(Stdio::null()).spawn().map_err(unavailable)?;
+    let mut launcher = command.spawn().map_err(unavailable)?;
     let times = loop {
         if let Ok(record) = std::fs::read_to_string(path("run")) {
             break follow(&Run::read(record.as_ref()).map_err(Failure::config)?, ticks);
