@@ -25,7 +25,8 @@ pub(crate) trait Wakes {
 /// queues.
 pub(crate) fn wait<const N: usize>(topics: [&dyn Wakes; N], timeout: Duration) -> Result<(), PortError> {
     let mut ready = topics.map(|topic| PollFd::from_borrowed_fd(descriptor(topic), PollFlags::IN));
-    if poll_for(&mut ready, timeout)? { take(topics, &ready) } else { Ok(()) }
+    let is_ready = poll_for(&mut ready, timeout)?;
+    take(topics, &ready, is_ready)
 }
 
 /// The same for one topic and further descriptors, which are not read. Allocates.
@@ -37,7 +38,8 @@ pub(crate) fn wait_also(
     let all = [descriptor(topic)].into_iter().chain(others.iter().copied());
     let mut ready: Vec<PollFd<'_>> =
         all.map(|descriptor| PollFd::from_borrowed_fd(descriptor, PollFlags::IN)).collect();
-    if poll_for(&mut ready, timeout)? { take([topic], &ready) } else { Ok(()) }
+    let is_ready = poll_for(&mut ready, timeout)?;
+    take([topic], &ready, is_ready)
 }
 
 /// Whether a descriptor is ready; `false` after a signal or the timeout.
@@ -53,10 +55,18 @@ fn poll_for(ready: &mut [PollFd<'_>], timeout: Duration) -> Result<bool, PortErr
 }
 
 /// Drains the events of topics. The topics' descriptors are the first ones of `ready`.
-fn take<const N: usize>(topics: [&dyn Wakes; N], ready: &[PollFd<'_>]) -> Result<(), PortError> {
+///
+/// A listener is also drained if no descriptor is ready. With several senders, the transport (0.10) can take the
+/// event of one sender while another marks the listener as notified. No sender writes to its socket from then on,
+/// until the listener is drained.
+fn take<const N: usize>(
+    topics: [&dyn Wakes; N],
+    ready: &[PollFd<'_>],
+    is_ready: bool,
+) -> Result<(), PortError> {
     for (topic, ready) in topics.into_iter().zip(ready) {
         let events = ready.revents();
-        if events.contains(PollFlags::IN) {
+        if !is_ready || events.contains(PollFlags::IN) {
             // A pending event would end every later wait at once.
             drain(topic.listener())?;
         } else if !events.is_empty() {
@@ -77,5 +87,55 @@ pub(crate) fn drain(listener: &Listener<ipc::Service>) -> Result<(), PortError> 
     match listener.try_wait(|_| ()) {
         Ok(_) | Err(ListenerWaitError::InterruptSignal) => Ok(()),
         Err(error) => Err(PortError::Wait(io::Error::other(error))),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::os::unix::net::UnixDatagram;
+
+    use iceoryx2::prelude::{NodeBuilder, SignalHandlingMode};
+
+    use super::*;
+    use crate::nodes::transport_config;
+
+    struct Topic(Listener<ipc::Service>);
+
+    impl Wakes for Topic {
+        fn listener(&self) -> &Listener<ipc::Service> {
+            &self.0
+        }
+    }
+
+    #[test]
+    fn a_wait_that_missed_an_event_does_not_miss_the_next_one() {
+        let folder = tempfile::tempdir().unwrap();
+        let config = transport_config(&format!("stgdat_{:08x}_", std::process::id()), folder.path()).unwrap();
+        let builder = NodeBuilder::new().config(&config).signal_handling_mode(SignalHandlingMode::Disabled);
+        let node = builder.create::<ipc::Service>().unwrap();
+        let events = node.service_builder(&"events".try_into().unwrap()).event().create().unwrap();
+        let topic = Topic(events.listener_builder().create().unwrap());
+        let notifier = events.notifier_builder().create().unwrap();
+        let socket = UnixDatagram::from(descriptor(&topic).try_clone_to_owned().unwrap());
+        let mut byte = [0];
+
+        // As if the listener had taken the event of another sender.
+        notifier.notify().unwrap();
+        socket.recv(&mut byte).unwrap();
+        notifier.notify().unwrap();
+        socket.set_nonblocking(true).unwrap();
+        assert!(socket.recv(&mut byte).is_err(), "the transport writes every event to the socket");
+        for with_others in [false, true] {
+            let waited = if with_others {
+                wait_also(&topic, &[], Duration::ZERO)
+            } else {
+                wait([&topic], Duration::ZERO)
+            };
+            waited.unwrap();
+            notifier.notify().unwrap();
+            assert_eq!(socket.recv(&mut byte).unwrap(), 1);
+            notifier.notify().unwrap();
+            assert!(socket.recv(&mut byte).is_err());
+        }
     }
 }
