@@ -214,6 +214,21 @@ class RefusalCause(enum.IntEnum):
     FROZEN = 10  # Content that does not change while its stamps advance.
 
 
+class LinkCount(enum.IntEnum):
+    """What a stage counts about its link to other boxes: a `Refusals.cause` beyond those of `RefusalCause`."""
+
+    CONNECTIONS = 64  # Connections that were authenticated.
+    FRAMES = 65  # Frames that were sent, or received and delivered.
+    SKIPPED = 66  # Frames that a newer one has replaced before they were sent or read.
+    TOO_OLD = 67  # Received frames that were too old to be delivered.
+    LOST = 68  # Connections that were lost, and attempts that failed.
+    TOO_SLOW = 69  # Connections without a confirmation in time.
+    ANOTHER_KEY = 70  # Connections with another key.
+    GARBAGE = 71  # Connections that sent something else, another version or damaged frames.
+    NO_ROOM = 72  # Connections that found no room.
+    OUTSIDE = 73  # Detections outside of the world.
+
+
 def _check(record, size, offsets):
     """Refuses a machine on which a record does not lie as it does in stgdat."""
     found = {name: getattr(record, name).offset for name in offsets}
@@ -784,12 +799,12 @@ _check(Forecast, 10304, {
 
 
 class Refusals(c.Structure):
-    """Frames of one sender that one reader has refused for one cause."""
+    """Frames of one sender that one reader has refused for one cause, or a count of the reader's link."""
 
     _fields_ = [
         ("sender", c.c_uint16),  # The `StageId` of the frames' sender as a number; 0 if the sender is not a stage.
-        ("cause", c.c_uint16),  # The `RefusalCause` as a number; 0 if the entry is free.
-        ("frames_len", c.c_uint32),  # Number of frames.
+        ("cause", c.c_uint16),  # The `RefusalCause` or `LinkCount` as a number; 0 if the entry is free.
+        ("frames_len", c.c_uint32),  # Number of frames, or the count of the link.
     ]
 
 
@@ -815,7 +830,7 @@ class Heartbeat(c.Structure):
         ("dropped_len", c.c_uint32),  # Number of ticks with a frame that never arrived, by gaps in `seq`.
         ("unanswered_len", c.c_uint32),  # The subset of these ticks whose missing frame starts a step: the stage has sent nothing for them.
         ("sent_ns", c.c_uint64),  # Time of sending, on `CLOCK_MONOTONIC`.
-        ("refusals", Refusals * 8),  # Number of refused frames by sender and cause.
+        ("refusals", Refusals * 8),  # Number of refused frames by sender and cause, and the counts of the stage's link to other boxes.
     ]
 
     @staticmethod

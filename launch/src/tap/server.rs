@@ -352,7 +352,7 @@ impl Watched {
         let name = |number: u32| {
             StageId::from_number(number).map_or_else(|| format!("stage {number}"), |s| s.name().to_owned())
         };
-        let newer = heartbeat.refusals.iter().filter(|refused| refused.cause != 0);
+        let newer = heartbeat.refusals.iter().filter(|entry| entry.cause != 0 && entry.link().is_none());
         let events = newer.filter_map(|refused| {
             let same = before.iter().find(|old| (old.sender, old.cause) == (refused.sender, refused.cause));
             let frames = refused.frames_len.saturating_sub(same.map_or(0, |old| old.frames_len));

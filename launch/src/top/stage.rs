@@ -126,6 +126,9 @@ fn losses(view: &View, stage: &StageStatus, width: usize) -> Vec<Line> {
         let text = format!("  {} ticks behind the newest forecasts", count(behind));
         lines.push(Line::styled(text, Color::Red.on_default().bold()));
     }
+    if let Some(counts) = view.status.report.link_line(&stage.name) {
+        lines.push(Line::raw(cut(&format!("  link: {counts}"), width)));
+    }
     for refused in &view.status.report.refusals {
         if refused.reader == stage.name || refused.sender == stage.name {
             let text = format!(

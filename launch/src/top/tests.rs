@@ -105,6 +105,8 @@ fn status() -> RunStatus {
                 cause: "check value".to_owned(),
                 frames: 2,
             }],
+            links: [("decoder".to_owned(), [("lost".to_owned(), 7), ("frames".to_owned(), 1_250)].into())]
+                .into(),
             end_to_end_ms: times(11.1),
             stages: reports,
             worst_ticks: vec![
@@ -200,6 +202,7 @@ fn one_stage_is_shown_alone() {
     assert_eq!(words(&text, &["compute", "8 ms"])[..4], ["compute", "5.30", "10.6", "15.9"]);
     assert_eq!(words(&text, &["pid"])[..2], ["decoder", "running,"]);
     assert!(text.contains("2 frames of the decoder refused by the sampler: check value"));
+    assert!(text.contains("link: frames 1,250, lost 7"), "{text}");
     assert!(!text.contains("localiser"));
 }
 

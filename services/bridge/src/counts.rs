@@ -5,6 +5,7 @@ use std::io;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use thiserror::Error;
+use wire::LinkCount;
 
 use crate::frame::Refused;
 
@@ -75,6 +76,24 @@ impl Counts {
             LinkError::Refused(_) => &self.garbage,
         };
         count.add(1);
+    }
+
+    /// The counts for the heartbeats of a stage. `dropped` frames were received, and a newer one has replaced
+    /// them before they were read.
+    #[must_use]
+    pub fn list(&self, dropped: u64) -> [(LinkCount, u64); 9] {
+        let Self { connected, frames, skipped, old, slow, lost, wrong_key, garbage, full } = self;
+        [
+            (LinkCount::Connections, connected.get()),
+            (LinkCount::Frames, frames.get()),
+            (LinkCount::Skipped, skipped.get() + dropped),
+            (LinkCount::Old, old.get()),
+            (LinkCount::Lost, lost.get()),
+            (LinkCount::Slow, slow.get()),
+            (LinkCount::WrongKey, wrong_key.get()),
+            (LinkCount::Garbage, garbage.get()),
+            (LinkCount::Full, full.get()),
+        ]
     }
 
     /// The number of connections that were refused or dropped.

@@ -63,7 +63,9 @@ pub fn run(run: &Run) -> Result<(), StageError> {
         let header = *frame.header();
         publisher.send(&header, &frame);
         drop(frame);
+        stage.set_link(publisher.sender.counts().list(0));
         if header.has(flags::END) {
+            stage.beat()?;
             break;
         }
         if header.is_tick() {

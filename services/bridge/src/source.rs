@@ -9,7 +9,7 @@ use data::{Ego, Frame};
 use ports::{StageError, monotonic_ns};
 use run::{Declaration, Run};
 use source::{LiveSource, LiveTicks};
-use wire::{Detection, DetectionsTopic, StageId, Topic as _, TruthTopic, WorldOrigin, flags};
+use wire::{Detection, DetectionsTopic, LinkCount, StageId, Topic as _, TruthTopic, WorldOrigin, flags};
 
 use crate::frame::Kind;
 use crate::frame::detections::Detections;
@@ -65,6 +65,8 @@ pub fn run(run: &Run) -> Result<(), StageError> {
         {
             source.send(&tick)?;
         }
+        let counts = receiver.counts().list(receiver.dropped() + ticks.dropped());
+        source.set_link(counts.into_iter().chain([(LinkCount::Outside, refused)]));
         report.log(receiver.counts(), || {
             format!("; {refused} detections outside of the world; {} frames dropped", receiver.dropped())
         });

@@ -25,12 +25,21 @@ impl Drop for Running {
 }
 
 fn start(program: &Path, arguments: &[&str]) -> Running {
-    let child = Command::new(program).args(arguments).stdout(Stdio::piped()).spawn();
-    Running(child.unwrap_or_else(|error| panic!("{}: {error}", program.display())))
+    spawn(Command::new(program).args(arguments))
+}
+
+fn spawn(command: &mut Command) -> Running {
+    let child = command.stdout(Stdio::piped()).spawn();
+    Running(child.unwrap_or_else(|error| panic!("{command:?}: {error}")))
 }
 
 fn free_port() -> u16 {
     TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
+}
+
+fn write_key(path: &Path, key: &[u8]) {
+    let mut file = std::fs::OpenOptions::new().write(true).create_new(true).mode(0o600).open(path).unwrap();
+    file.write_all(key).unwrap();
 }
 
 struct Scene {
@@ -45,9 +54,7 @@ impl Scene {
     fn new() -> Self {
         let folder = tempfile::tempdir().unwrap();
         let key = folder.path().join("key");
-        let mut file =
-            std::fs::OpenOptions::new().write(true).create_new(true).mode(0o600).open(&key).unwrap();
-        file.write_all(b"0123456789abcdef0123456789abcdef\n").unwrap();
+        write_key(&key, b"0123456789abcdef0123456789abcdef\n");
         Self {
             bridge: env!("CARGO_BIN_EXE_stgdat-bridge").into(),
             key: key.to_str().unwrap().to_owned(),
@@ -71,6 +78,27 @@ impl Scene {
         let path = self.folder.path().join("pipeline.toml");
         std::fs::write(&path, PIPELINE.replace("name = \"source\"\n", &source) + &output).unwrap();
         path.to_str().unwrap().to_owned()
+    }
+
+    /// The folder of the run, whose parent is the scene's.
+    fn run(&self) -> PathBuf {
+        let entries = std::fs::read_dir(self.folder.path()).unwrap();
+        let mut paths = entries.map(|entry| entry.unwrap().path());
+        paths.find(|path| path.join("run").is_file()).unwrap()
+    }
+
+    /// The counts of the links, as soon as all of `expected` (stage, kind) are there.
+    fn links(&self, program: &Path, expected: &[(&str, &str)]) -> Value {
+        loop {
+            let mut command = Command::new(program);
+            let output = command.args(["top", "--once", "--json", "--run"]).arg(self.run()).output().unwrap();
+            assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+            let status: Value = serde_json::from_slice(&output.stdout).unwrap();
+            let links = &status["report"]["links"];
+            if expected.iter().all(|(stage, kind)| links[stage][kind].as_u64() > Some(0)) {
+                return links.clone();
+            }
+        }
     }
 
     /// A detector on another box.
@@ -100,7 +128,9 @@ fn detections_come_in_and_forecasts_go_out_and_a_lost_link_comes_back() {
         return;
     }
     let detector = scene.detector();
-    let run = start(&stgdat, &["run", "--pipeline", &scene.pipeline()]);
+    let folder = scene.folder.path();
+    let mut command = Command::new(&stgdat);
+    let run = spawn(command.args(["run", "--pipeline", &scene.pipeline(), "--runtime-dir"]).arg(folder));
     let arguments =
         ["receive", &scene.forecasts, "--key", &scene.key, "--max-age", "60000", "--timeout", "5000"];
     let mut receiver = start(&scene.bridge, &arguments);
@@ -131,5 +161,21 @@ fn detections_come_in_and_forecasts_go_out_and_a_lost_link_comes_back() {
     assert!(predicted >= seq + 12, "{predicted} after {seq}");
     let detector = scene.detector();
     awaited(&mut lines, is_learned);
-    drop((receiver, detector, run));
+
+    // The counts of both links reach the user, those of a stranger included.
+    let stranger = scene.folder.path().join("stranger");
+    write_key(&stranger, b"fedcba9876543210fedcba9876543210\n");
+    let stranger = start(&scene.bridge, &["receive", &scene.forecasts, "--key", stranger.to_str().unwrap()]);
+    let expected = [
+        ("source", "connections"),
+        ("source", "frames"),
+        ("source", "lost"),
+        ("to-planner", "connections"),
+        ("to-planner", "frames"),
+        ("to-planner", "another key"),
+    ];
+    let links = scene.links(&stgdat, &expected);
+    assert!(links["source"]["connections"].as_u64() >= Some(2), "{links}");
+    assert_eq!(links["source"]["another key"], Value::Null, "{links}");
+    drop((stranger, receiver, detector, run));
 }

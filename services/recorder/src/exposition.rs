@@ -280,6 +280,13 @@ fn losses(text: &mut Text, status: &RunStatus) {
         ];
         text.sample(name, &labels, refused.frames);
     }
+    let name = "stgdat_link_total";
+    text.metric(Kind::Counter, name, "Counts of links to other boxes, by stage and kind.");
+    for (stage, counts) in &report.links {
+        for (kind, count) in counts {
+            text.sample(name, &[("stage", stage), ("kind", kind)], count);
+        }
+    }
     let help = "Processes beside the stages that read topics and have died.";
     let dead = report.supervision.dead_readers;
     text.single(Kind::Counter, "stgdat_dead_readers_total", help, dead);

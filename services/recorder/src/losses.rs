@@ -1,5 +1,7 @@
 //! Frames lost, by stage and cause, from heartbeats and from gaps in the forecasts.
 
+use std::collections::BTreeMap;
+
 use serde::{Deserialize, Serialize};
 use wire::{Header, Heartbeat, StageId};
 
@@ -63,6 +65,11 @@ impl Losses {
     /// Refused frames by reader, sender and cause.
     pub fn refusals(&self) -> Vec<RefusedFrames> {
         self.refusals.list()
+    }
+
+    /// Counts of links to other boxes, by stage and kind.
+    pub fn links(&self) -> BTreeMap<String, BTreeMap<String, u64>> {
+        self.refusals.links()
     }
 
     /// The first stage on a tick's path that was restarted since the previous tick.

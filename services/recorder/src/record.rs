@@ -305,6 +305,7 @@ impl Recorder {
             late_limit_ms: (self.sums.ticks > 0).then(|| ms(limit_ns(self.sums.interval_ns))),
             drops: stages.iter().map(|stage| stage.drops.total()).sum(),
             refusals: self.sums.losses.refusals(),
+            links: self.sums.losses.links(),
             agents_left_out: self.sums.agents_left_out,
             hops_missing: self.sums.hops_missing,
             files_unwritten: self.sums.files_unwritten,

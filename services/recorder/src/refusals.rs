@@ -1,14 +1,16 @@
-//! Frames refused, by reader, sender and cause, from heartbeats.
+//! Frames refused, by reader, sender and cause, and the counts of links, from heartbeats.
+
+use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
-use wire::{Heartbeat, RefusalCause, StageId};
+use wire::{Heartbeat, LinkCount, RefusalCause, StageId};
 
 use crate::report::RefusedFrames;
 
 /// Largest number of triples of reader, sender and cause. Senders may write any number.
 const ENTRIES_MAX: usize = 256;
 
-/// The refusals of one reader, for one sender and one cause.
+/// The refusals of one reader, for one sender and one cause; or one count of its link.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 struct Entry {
     reader: u32,
@@ -64,22 +66,34 @@ impl RefusalCounts {
 
     /// The counts, largest first.
     pub fn list(&self) -> Vec<RefusedFrames> {
-        let name = |stage| {
-            StageId::from_number(stage)
-                .filter(|stage| StageId::known().any(|known| known == *stage))
-                .map_or("unknown", StageId::name)
-                .to_owned()
-        };
         let told = |entry: &Entry| RefusedFrames {
             reader: name(entry.reader),
             sender: name(entry.sender),
             cause: RefusalCause::from_number(entry.cause).map_or("unknown", RefusalCause::name).to_owned(),
             frames: entry.before + entry.newest,
         };
-        let mut list: Vec<RefusedFrames> = self.0.iter().map(told).collect();
+        let is_refusal = |entry: &&Entry| LinkCount::from_number(entry.cause).is_none();
+        let mut list: Vec<RefusedFrames> = self.0.iter().filter(is_refusal).map(told).collect();
         list.sort_by_key(|refused| std::cmp::Reverse(refused.frames));
         list
     }
+
+    /// The counts of links to other boxes, by stage and kind.
+    pub fn links(&self) -> BTreeMap<String, BTreeMap<String, u64>> {
+        let mut links = BTreeMap::<_, BTreeMap<_, _>>::new();
+        for entry in &self.0 {
+            if let Some(kind) = LinkCount::from_number(entry.cause) {
+                let counts = links.entry(name(entry.reader)).or_default();
+                counts.insert(kind.name().to_owned(), entry.before + entry.newest);
+            }
+        }
+        links
+    }
+}
+
+fn name(stage: u32) -> String {
+    let stage = StageId::from_number(stage).filter(|stage| StageId::known().any(|known| known == *stage));
+    stage.map_or("unknown", StageId::name).to_owned()
 }
 
 #[cfg(test)]
@@ -107,6 +121,19 @@ mod tests {
             frames: 6,
         };
         assert_eq!(counts.list(), [expected]);
+    }
+
+    #[test]
+    fn counts_of_a_link_add_up_over_restarts_and_are_no_refusals() {
+        let mut counts = RefusalCounts::default();
+        for (incarnation, lost) in [(0, 2), (0, 5), (1, 1)] {
+            let mut beat = beat(incarnation, 1);
+            Refusals::put_link(&mut beat.refusals, [(LinkCount::Lost, lost), (LinkCount::Frames, 10)]);
+            counts.heartbeat(&beat);
+        }
+        let expected = [("lost", 6), ("frames", 20)].map(|(kind, count)| (kind.to_owned(), count));
+        assert_eq!(counts.links(), [("sampler".to_owned(), expected.into())].into());
+        assert_eq!(counts.list().len(), 1);
     }
 
     #[test]

@@ -37,6 +37,7 @@ impl Report {
             self.stages(text, width)?;
             self.forecasts(text, width)?;
             self.refusals(text)?;
+            self.links(text, width)?;
             self.supervision(text)?;
             self.replacements(text)?;
             self.spares(text)?;
@@ -151,6 +152,19 @@ impl Report {
             let frames = if refused.frames == 1 { "1 frame".to_owned() } else { format!("{frames} frames") };
             writeln!(text, " {sender:LABEL_WIDTH$}{frames} refused by the {reader}: {}", why(cause))
         })
+    }
+
+    /// The counts of links to other boxes.
+    fn links(&self, text: &mut String, width: usize) -> fmt::Result {
+        if !self.links.is_empty() {
+            writeln!(text, "\n LINKS")?;
+        }
+        for (stage, line) in self.links.keys().filter_map(|stage| Some((stage, self.link_line(stage)?))) {
+            for (row, line) in wrapped(&line, width - LABEL_WIDTH - 2).into_iter().enumerate() {
+                fact(text, if row == 0 { stage } else { "" }, &[Some(line)])?;
+            }
+        }
+        Ok(())
     }
 
     fn supervision(&self, text: &mut String) -> fmt::Result {

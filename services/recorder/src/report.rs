@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::input::{DOUBT, InputReport};
 use crate::lanes::LaneCounts;
-use crate::text::percent;
+use crate::text::{count, percent};
 pub use accuracy::{Accuracy, AgentErrors, Errors, WorstForecast};
 pub use supervision::{
     Outage, Replacement, ReplacementOutcome, SpareReport, StageMemory, Supervision, program_name,
@@ -48,6 +48,9 @@ pub struct Report {
     /// Refused frames by reader, sender and cause.
     #[serde(default)]
     pub refusals: Vec<RefusedFrames>,
+    /// Counts of links to other boxes, by stage and kind.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub links: BTreeMap<String, BTreeMap<String, u64>>,
     /// Number of agents left out of full frames, summed over ticks.
     pub agents_left_out: u64,
     /// Number of passages of ticks through stages for which their headers had no room.
@@ -391,6 +394,13 @@ impl Report {
             serde_json::to_string_pretty(self).expect("names are strings, numbers are finite or null");
         json.push('\n');
         json
+    }
+
+    /// The counts of a stage's link to other boxes, if it has one.
+    #[must_use]
+    pub fn link_line(&self, stage: &str) -> Option<String> {
+        let counts = self.links.get(stage)?.iter();
+        Some(counts.map(|(kind, value)| format!("{kind} {}", count(*value))).collect::<Vec<_>>().join(", "))
     }
 
     /// The meaning of an OK, in lines.

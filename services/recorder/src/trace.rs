@@ -145,8 +145,9 @@ impl Tracer {
         let missing_before = before.map_or(0, |before| before.dropped_len);
         let missing = u64::from(heartbeat.dropped_len.saturating_sub(missing_before));
         let old = before.map_or([Refusals::default(); REFUSALS_MAX], |before| before.refusals);
-        for (refused, old) in heartbeat.refusals.iter().zip(old) {
-            let frames = refused.frames_len.saturating_sub(old.frames_len);
+        for refused in heartbeat.refusals.iter().filter(|entry| entry.link().is_none()) {
+            let same = old.iter().find(|old| (old.sender, old.cause) == (refused.sender, refused.cause));
+            let frames = refused.frames_len.saturating_sub(same.map_or(0, |same| same.frames_len));
             if frames > 0 {
                 let sender = StageId::from_number(refused.sender.into()).map_or("unknown", StageId::name);
                 let cause = RefusalCause::from_number(refused.cause.into());

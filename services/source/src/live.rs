@@ -13,7 +13,8 @@ use data::Frame;
 use ports::{Stage, StageError};
 use run::{Declaration, Run};
 use wire::{
-    Counts, DETECTIONS_MAX, Detection, Header, InputCounts, OFFSET_MAX_NS, StampSource, TICK_NS, flags,
+    Counts, DETECTIONS_MAX, Detection, Header, InputCounts, LinkCount, OFFSET_MAX_NS, StampSource, TICK_NS,
+    flags,
 };
 
 use crate::stage::{ANSWER_LIMIT_NS, END_LIMIT_NS};
@@ -211,6 +212,11 @@ impl LiveSource {
     pub const fn set_identities(&mut self, has_identities: bool) {
         let others = self.base.flags & !flags::HAS_IDENTITIES;
         self.base.flags = others | if has_identities { flags::HAS_IDENTITIES } else { 0 };
+    }
+
+    /// As [`Stage::set_link`].
+    pub fn set_link(&mut self, counts: impl IntoIterator<Item = (LinkCount, u64)>) {
+        self.stage.set_link(counts);
     }
 
     /// Links the stages before the first tick, or takes over from a source that died or was replaced.

@@ -3,7 +3,8 @@ use std::time::Duration;
 
 use run::{Declaration, Run};
 use wire::{
-    Counts, Header, Heartbeat, HeartbeatsTopic, Hop, REFUSALS_MAX, Refusals, Rejected, StageId, Topic, flags,
+    Counts, Header, Heartbeat, HeartbeatsTopic, Hop, LinkCount, REFUSALS_MAX, Refusals, Rejected, StageId,
+    Topic, flags,
 };
 
 use crate::error::log_refused;
@@ -42,6 +43,7 @@ pub struct Stage {
     frames_len: u64,
     rejected_len: u64,
     refusals: [Refusals; REFUSALS_MAX],
+    link: [Refusals; REFUSALS_MAX],
     memory: ResidentMemory,
     /// Number of the newest tick of the process that this one has replaced.
     taken_over: Option<u64>,
@@ -115,6 +117,7 @@ impl Stage {
             frames_len,
             rejected_len,
             refusals: [Refusals::default(); REFUSALS_MAX],
+            link: [Refusals::default(); REFUSALS_MAX],
             memory: ResidentMemory::of_stage(),
             taken_over: None,
         })
@@ -443,6 +446,13 @@ impl Stage {
         log_refused(topic, header.seq, why);
     }
 
+    /// States the counts of a link to other boxes so far, which the next heartbeats contain. There is room for
+    /// eight kinds, less the refused frames.
+    pub fn set_link(&mut self, counts: impl IntoIterator<Item = (LinkCount, u64)>) {
+        self.link = Default::default();
+        Refusals::put_link(&mut self.link, counts);
+    }
+
     /// Counts a tick as finished.
     pub fn done(&mut self, seq: u64) {
         points::finished(seq);
@@ -509,6 +519,8 @@ impl Stage {
         let linked = self.passed && inputs().all(|input| input.linked());
         let mut refusals = self.refusals;
         inputs().for_each(|input| Refusals::add(&mut refusals, &input.refusals()));
+        let link = self.link.iter().filter_map(|entry| Some((entry.link()?, entry.frames_len.into())));
+        Refusals::put_link(&mut refusals, link);
         Heartbeat {
             stage: self.id.number(),
             incarnation: self.incarnation,

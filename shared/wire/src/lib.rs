@@ -113,7 +113,7 @@ pub use origin::{UnknownWorldOrigin, WorldOrigin};
 pub use protection::{crc64, data_id};
 pub use records::{
     AgentControls, AgentEncoding, AgentFeatures, Cause, ControlGaussian, Detection, Expert, Forecast,
-    Heartbeat, HistoryState, Quality, RefusalCause, Refusals, Steering, Track, TrackStatus, Truth,
+    Heartbeat, HistoryState, LinkCount, Quality, RefusalCause, Refusals, Steering, Track, TrackStatus, Truth,
     detection_flags,
 };
 pub use stage::StageId;

@@ -12,5 +12,5 @@ pub use agent::{AgentControls, AgentEncoding, AgentFeatures, ControlGaussian};
 pub use detection::{Detection, Truth, detection_flags};
 pub use forecast::{Cause, Expert, Forecast, Quality, Steering};
 pub use heartbeat::Heartbeat;
-pub use refusals::{RefusalCause, Refusals};
+pub use refusals::{LinkCount, RefusalCause, Refusals};
 pub use track::{HistoryState, Track, TrackStatus};

@@ -1,5 +1,5 @@
 use bytemuck::Zeroable;
-use wire::{Cause, Forecast, Header, Heartbeat, Hop, Quality, RefusalCause, Refusals};
+use wire::{Cause, Forecast, Header, Heartbeat, Hop, LinkCount, Quality, RefusalCause, Refusals};
 
 use super::*;
 use crate::record::RecorderOptions;
@@ -47,6 +47,7 @@ fn run_so_far() -> (RunStatus, Recorder) {
     };
     heartbeat.rejected_len = 3;
     Refusals::count(&mut heartbeat.refusals, StageId::Decoder.number(), RefusalCause::CheckValue, 3);
+    Refusals::put_link(&mut heartbeat.refusals, [(LinkCount::WrongKey, 4)]);
     measured.heartbeat(&heartbeat);
     let process = ProcessStatus {
         state: "running".to_owned(),
@@ -88,6 +89,7 @@ fn samples_have_the_values_of_the_run() {
         ("stgdat_fallbacks_total{cause=\"late\"}", 20.0),
         ("stgdat_agents", 2.0),
         ("stgdat_refused_frames_total{reader=\"sampler\",sender=\"decoder\",cause=\"check value\"}", 3.0),
+        ("stgdat_link_total{stage=\"sampler\",kind=\"another key\"}", 4.0),
         ("stgdat_dropped_frames_total{stage=\"sampler\",cause=\"refused\"}", 3.0),
         ("stgdat_restarts_total{stage=\"tracker\"}", 2.0),
         ("stgdat_stage_cpu_seconds_total{stage=\"tracker\"}", 1.25),

@@ -45,6 +45,17 @@ fn page_faults_and_refused_settings_fit_80_columns() {
 }
 
 #[test]
+fn links_are_listed_by_stage() {
+    let mut report = Report { stages: Vec::new(), ..eventful() };
+    assert!(!report.render(80).contains("LINKS"));
+    let counts = wire::LinkCount::ALL.map(|kind| (kind.name().to_owned(), 12_345));
+    report.links = [("to-planner".to_owned(), counts.into())].into();
+    let text = report.render(80);
+    assert!(widest(&text) <= 80, "{text}");
+    assert!(text.contains(" LINKS\n to-planner  another key 12,345, connections 12,345, "), "{text}");
+}
+
+#[test]
 fn any_width_can_be_rendered() {
     let mut report: Report = eventful();
     report.end_to_end_ms.p999 = Some(20.0);

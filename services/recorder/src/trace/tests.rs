@@ -102,10 +102,12 @@ fn refusals_and_gaps_are_told_once() {
     let mut heartbeat =
         Heartbeat { stage: StageId::Sampler.number(), dropped_len: 2, sent_ns: 9, ..Heartbeat::zeroed() };
     Refusals::count(&mut heartbeat.refusals, StageId::Decoder.number(), RefusalCause::CheckValue, 3);
+    Refusals::put_link(&mut heartbeat.refusals, [(wire::LinkCount::Frames, 5)]);
     tracer.heartbeat(&heartbeat);
     tracer.heartbeat(&heartbeat);
     let bytes = tracer.finish();
     assert_eq!((count(&bytes, "refused"), count(&bytes, "frames missing")), (1, 1));
+    assert_eq!(count(&bytes, "unknown"), 0, "counts of a link are no refusals");
     assert_eq!(count(&bytes, "check value"), 1);
 }
 

@@ -27,8 +27,8 @@ record! {
         52 => unanswered_len: u32,
         /// Time of sending, on `CLOCK_MONOTONIC`.
         56 => sent_ns: u64,
-        /// Number of refused frames by sender and cause. Frames without an entry only count in
-        /// `rejected_len`.
+        /// Number of refused frames by sender and cause, and the counts of the stage's link to other boxes.
+        /// Frames without an entry only count in `rejected_len`.
         64 => refusals: [Refusals; REFUSALS_MAX],
     }
 }

@@ -1,4 +1,4 @@
-//! Counts of refused frames.
+//! Counts of refused frames, and of links to other boxes.
 
 use crate::declare::{numbers, record};
 
@@ -28,15 +28,42 @@ numbers! {
     }
 }
 
+numbers! {
+    /// What a stage counts about its link to other boxes: a [`Refusals::cause`] beyond those of
+    /// [`RefusalCause`].
+    pub enum LinkCount {
+        /// Connections that were authenticated.
+        Connections = 64 => "connections",
+        /// Frames that were sent, or received and delivered.
+        Frames = 65 => "frames",
+        /// Frames that a newer one has replaced before they were sent or read.
+        Skipped = 66 => "skipped",
+        /// Received frames that were too old to be delivered.
+        Old = 67 => "too old",
+        /// Connections that were lost, and attempts that failed.
+        Lost = 68 => "lost",
+        /// Connections without a confirmation in time.
+        Slow = 69 => "too slow",
+        /// Connections with another key.
+        WrongKey = 70 => "another key",
+        /// Connections that sent something else, another version or damaged frames.
+        Garbage = 71 => "garbage",
+        /// Connections that found no room.
+        Full = 72 => "no room",
+        /// Detections outside of the world.
+        Outside = 73 => "outside",
+    }
+}
+
 record! {
-    /// Frames of one sender that one reader has refused for one cause.
+    /// Frames of one sender that one reader has refused for one cause, or a count of the reader's link.
     #[derive(Eq)]
     pub struct Refusals: 8 bytes {
         /// The [`StageId`](crate::StageId) of the frames' sender as a number; 0 if the sender is not a stage.
         0 => sender: u16,
-        /// The [`RefusalCause`] as a number; 0 if the entry is free.
+        /// The [`RefusalCause`] or [`LinkCount`] as a number; 0 if the entry is free.
         2 => cause: u16,
-        /// Number of frames.
+        /// Number of frames, or the count of the link.
         4 => frames_len: u32,
     }
 }
@@ -50,6 +77,22 @@ impl Refusals {
         if let Some(entry) = entries.iter_mut().find(of_both) {
             let frames_len = entry.frames_len.saturating_add(frames_len);
             *entry = Self { sender, cause, frames_len };
+        }
+    }
+
+    /// The count of a link; `None` if the entry counts refused frames.
+    #[must_use]
+    pub fn link(&self) -> Option<LinkCount> {
+        LinkCount::from_number(u32::from(self.cause))
+    }
+
+    /// Puts the counts of a link into free entries. Those that find no entry are left out.
+    pub fn put_link(entries: &mut [Self], counts: impl IntoIterator<Item = (LinkCount, u64)>) {
+        let free = entries.iter_mut().filter(|entry| entry.cause == 0);
+        let counts = counts.into_iter().filter(|(_, count)| *count > 0);
+        for (entry, (kind, count)) in free.zip(counts) {
+            let frames_len = u32::try_from(count).unwrap_or(u32::MAX);
+            *entry = Self { sender: 0, cause: kind as u16, frames_len };
         }
     }
 
@@ -80,5 +123,19 @@ mod tests {
         Refusals::add(&mut sum, &entries);
         Refusals::add(&mut sum, &entries);
         assert_eq!(sum[..3], [of(3, 6), of(4, 2), Refusals::default()]);
+    }
+
+    #[test]
+    fn counts_of_a_link_take_free_entries_and_are_no_refusals() {
+        let mut entries = [Refusals::default(); 3];
+        Refusals::count(&mut entries, 3, RefusalCause::Value, 1);
+        let counts = [(LinkCount::Frames, 0), (LinkCount::Lost, 1 << 40), (LinkCount::Garbage, 2)];
+        Refusals::put_link(&mut entries, counts.into_iter().chain([(LinkCount::Full, 1)]));
+        assert_eq!(
+            entries.map(|entry| entry.link()),
+            [None, Some(LinkCount::Lost), Some(LinkCount::Garbage)]
+        );
+        assert_eq!(entries.map(|entry| entry.frames_len), [1, u32::MAX, 2]);
+        assert!(LinkCount::ALL.iter().all(|kind| RefusalCause::from_number(*kind as u32).is_none()));
     }
 }
