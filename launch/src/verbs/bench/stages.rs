@@ -98,15 +98,7 @@ pub(super) fn measure(
     agents: usize,
     file: Option<&Path>,
 ) -> Result<Measured, Failure> {
-    let options = SceneOptions {
-        agents,
-        identities: true,
-        miss_probability: 0.0,
-        clutter_mean: 0.0,
-        ..Default::default()
-    };
-    let options = SceneOptions { occlusion: false, ..options };
-    let scene = GeneratedScene::new(options).map_err(Failure::data)?;
+    let scene = GeneratedScene::new(SceneOptions::complete(agents)).map_err(Failure::data)?;
     let ticks = WARM_UP + arguments.ticks;
     let recording = scene.recording(usize::try_from(ticks).map_err(Failure::data)?);
     let mut playback = Playback::new(recording, PlaybackOptions { lockstep: true, ..Default::default() });

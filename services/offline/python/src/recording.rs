@@ -5,6 +5,7 @@ use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use clap::Parser;
+use data::{GeneratedScene, SceneOptions};
 use launch::arguments::{PlaybackArguments, Prepared};
 use launch::failure::Failure;
 use pyo3::prelude::*;
@@ -62,6 +63,13 @@ pub fn load(prepared: &Prepared) -> PyResult<data::Recording> {
     source::recording(source, run.origin(), run.seed).map_err(|why| error::of_failure(&Failure::from(why)))
 }
 
+/// Generates a complete scene, of the length that the arguments give.
+fn complete(Prepared { source, run, .. }: &Prepared) -> PyResult<data::Recording> {
+    let options = SceneOptions { seed: run.seed, ..SceneOptions::complete(source.agents) };
+    let scene = GeneratedScene::new(options).map_err(|why| error::of(&why))?;
+    Ok(scene.recording(source.ticks.unwrap_or_default() as usize))
+}
+
 /// The detections of a record, as the sensor sent them.
 pub fn detections_of(record: &recording::Recording) -> PyResult<data::Recording> {
     let (name, sha256) = data::identity(record.path()).map_err(|why| error::of(&why))?;
@@ -111,12 +119,13 @@ pub struct Recording {
     offsets: Arc<[i64]>,
 }
 
-/// Opens the recording of these arguments of `stgdat predict`; a generated scene if they name none.
+/// Opens the recording of these arguments of `stgdat predict`; a generated scene if they name none. The agents
+/// of a complete scene are all detected, with their identities.
 #[pyfunction]
-pub fn open(py: Python<'_>, arguments: Vec<String>) -> PyResult<Recording> {
+pub fn open(py: Python<'_>, arguments: Vec<String>, is_complete: bool) -> PyResult<Recording> {
     py.detach(|| {
         let prepared = prepare(arguments)?;
-        let recording = load(&prepared)?;
+        let recording = if is_complete { complete(&prepared)? } else { load(&prepared)? };
         let Prepared { source, run, .. } = prepared;
         let frames = || recording.frames.iter();
         let mut end = 0;

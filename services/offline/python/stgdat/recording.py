@@ -141,9 +141,13 @@ def open(
 
     Raises `InputError` with file, line and value.
     """
-    return Recording(_stgdat.open(written(format=format, fps=fps, origin=origin) + ["--", os.fspath(path)]))
+    return Recording(_stgdat.open(written(format=format, fps=fps, origin=origin) + ["--", os.fspath(path)], False))
 
 
-def generate(*, agents: int = 32, ticks: int = 250, seed: int = 1) -> Recording:
-    """Generates an intersection, as `stgdat predict` does without a recording."""
-    return Recording(_stgdat.open(written({"source.agents": agents}, ticks=ticks, seed=seed)))
+def generate(*, agents: int = 32, ticks: int = 250, seed: int = 1, complete: bool = False) -> Recording:
+    """Generates an intersection, as `stgdat predict` does without a recording.
+
+    With `complete`, all agents are detected in every frame, with their identities, and nothing else is detected. This
+    is the scene of `stgdat bench`.
+    """
+    return Recording(_stgdat.open(written({"source.agents": agents}, ticks=ticks, seed=seed), complete))

@@ -172,6 +172,18 @@ class Forecasts(InFolder):
             self.assertEqual(rows["flags"].tolist(), made.records["flags"].tolist())
             self.assertEqual(predictor.step(made).to_json(), line)
 
+    def test_agents_of_a_complete_scene_have_no_gap(self) -> None:
+        for agents in (3, 40):
+            recording = stgdat.generate(agents=agents, ticks=50, seed=2, complete=True)
+            self.assertTrue(recording.has_identities)
+            self.assertTrue((recording.detections["flags"] & stgdat.DetectionFlags.HAS_ID).all())
+            known = recording.agents
+            frames = (known["last_ns"] - known["first_ns"]) // recording.interval_ns + 1
+            self.assertEqual(known["rows"].tolist(), frames.tolist())
+            self.assertGreaterEqual(np.diff(recording.offsets).min(), agents - 2)
+        with self.assertRaisesRegex(stgdat.InputError, "agents"):
+            stgdat.generate(agents=129, complete=True)
+
     def test_arrays_are_views_of_the_frame(self) -> None:
         *_, last = stgdat.Predictor().run(stgdat.generate(agents=8, ticks=50))
         start = last._frame.elements().__array_interface__["data"][0]
@@ -324,6 +336,15 @@ class Recordings(InFolder):
         example = [sys.executable, str(EXAMPLES / "figures.py"), str(path)]
         printed = subprocess.run(example, check=True, capture_output=True, text=True).stdout
         self.assertEqual(printed, evaluation.table + "\n")
+
+    def test_overhead_writes_its_table_between_the_marks(self) -> None:
+        page = self.write("page.md", "a\n<!-- begin overhead.py -->\nold\n<!-- end overhead.py -->\nb\n")
+        options = ["--agents", "1,8", "--rounds", "1", "--ticks", "10", "--kernels", "", "--table", str(page)]
+        done = subprocess.run([sys.executable, str(EXAMPLES / "overhead.py"), *options], check=True, capture_output=True)
+        head, *rows = done.stdout.decode().splitlines()
+        self.assertEqual([row.split("|")[1:3] for row in rows[1:]], [[" fastest ", " 1 "], [" fastest ", " 8 "]])
+        lines = ["a", "<!-- begin overhead.py -->", head, *rows, "<!-- end overhead.py -->", "b"]
+        self.assertEqual(page.read_text().splitlines(), lines)
 
     def test_states_merge_to_the_figures_of_all_recordings(self) -> None:
         paths = [self.write(f"walk{number}.csv", walk(number)) for number in range(3)]

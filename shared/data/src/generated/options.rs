@@ -82,6 +82,19 @@ pub struct OptionError {
 }
 
 impl SceneOptions {
+    /// A scene whose agents are all detected in every frame, with their identities. Nothing else is detected.
+    #[must_use]
+    pub fn complete(agents: usize) -> Self {
+        Self {
+            agents,
+            identities: true,
+            miss_probability: 0.0,
+            clutter_mean: 0.0,
+            occlusion: false,
+            ..Self::default()
+        }
+    }
+
     /// Refuses options out of their ranges, NaN included.
     pub(super) fn check(&self) -> Result<(), OptionError> {
         let [vehicle_m, cyclist_m, pedestrian_m] = self.position_sigma_m;

@@ -1,4 +1,6 @@
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
+
+use wire::detection_flags;
 
 use super::path::Point;
 use super::*;
@@ -186,6 +188,20 @@ fn the_number_of_agents_is_as_asked_for() {
             assert_eq!(frame.stamp_ns, i as i64 * FRAME_INTERVAL_NS as i64);
             assert!((agents.saturating_sub(2)..=agents).contains(&frame.truth.len()), "{agents}");
             assert!(frame.detections.iter().all(|d| d.check().is_ok()));
+        }
+    }
+}
+
+#[test]
+fn all_agents_of_a_complete_scene_are_detected() {
+    for agents in [1, 30, 128] {
+        let scene = GeneratedScene::new(SceneOptions::complete(agents)).expect("valid options");
+        for frame in scene.recording(50).frames {
+            assert!(frame.detections.iter().all(|d| d.has(detection_flags::HAS_ID)));
+            let detected: BTreeSet<u64> = frame.detections.iter().map(|d| d.id).collect();
+            let present: BTreeSet<u64> = frame.truth.iter().map(|t| t.id).collect();
+            assert_eq!(frame.detections.len(), frame.truth.len());
+            assert_eq!(detected, present);
         }
     }
 }
