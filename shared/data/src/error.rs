@@ -13,35 +13,23 @@ pub enum ReadError {
         /// The error of the operating system.
         source: std::io::Error,
     },
-    /// The file is larger than any recording.
-    #[error("{path}: {bytes} bytes, at most {most} are read")]
-    TooLarge {
+    /// The file as a whole can't be used: its size, its kind, its content, or files that belong to it.
+    #[error("{path}: {problem}")]
+    File {
         /// The file.
         path: String,
-        /// Size.
-        bytes: u64,
-        /// The limit.
-        most: u64,
+        /// What is wrong.
+        problem: String,
     },
-    /// The file has more rows than are kept.
-    #[error("{path}:{line}: more than {most} rows")]
-    TooManyRows {
-        /// The file.
-        path: String,
-        /// The first line beyond the limit, from 1.
-        line: usize,
-        /// The limit.
-        most: usize,
-    },
-    /// The file is binary.
-    #[error("{path}:{line}: not text: byte {byte} of the line is not UTF-8")]
-    NotText {
+    /// A line can't be used: it is not text, or beyond the limit.
+    #[error("{path}:{line}: {problem}")]
+    Line {
         /// The file.
         path: String,
         /// The line, from 1.
         line: usize,
-        /// The offending byte's place in its line, from 1.
-        byte: usize,
+        /// What is wrong.
+        problem: String,
     },
     /// A row has too few or too many columns.
     #[error("{path}:{line}:1: {found} columns, expected {expected}: \"{text}\"")]
@@ -85,14 +73,6 @@ pub enum ReadError {
         /// The value, shortened.
         value: String,
         /// What is wrong with it.
-        problem: String,
-    },
-    /// A bag can't be read, or has no objects.
-    #[error("{path}: {problem}")]
-    Bag {
-        /// The file.
-        path: String,
-        /// What is wrong.
         problem: String,
     },
     /// The file violates the rules of its notation.
@@ -148,47 +128,6 @@ pub enum ReadError {
         /// The file.
         path: String,
     },
-    /// A file that belongs to the recording is missing.
-    #[error("{path}: needs {role}, and there is none{searched}")]
-    Missing {
-        /// The file that was opened.
-        path: String,
-        /// The missing content.
-        role: &'static str,
-        /// The searched place as ` at PATH`, or empty.
-        searched: String,
-    },
-    /// A frame rate was given for a format whose files contain their times, or whose rate is fixed.
-    #[error(
-        "{path}: {format} has a time for every frame, and takes no frame rate: that is for {}",
-        names.join(", ")
-    )]
-    FrameRate {
-        /// The file.
-        path: String,
-        /// Format.
-        format: &'static str,
-        /// The formats that accept a frame rate.
-        names: Vec<&'static str>,
-    },
-    /// An origin was given for a format whose positions are not in their own world frame.
-    #[error("{path}: {format} has its origin at the scene, and takes no --origin")]
-    Origin {
-        /// The file.
-        path: String,
-        /// Format.
-        format: &'static str,
-    },
-    /// The content fits no format, or more than one.
-    #[error("{path}: {problem}; name the format (one of {known})")]
-    UnknownFormat {
-        /// The file.
-        path: String,
-        /// What the content has instead of a known format.
-        problem: String,
-        /// The names of all formats.
-        known: String,
-    },
 }
 
 /// The place of an error in a file.
@@ -203,6 +142,22 @@ pub struct ErrorPlace {
 }
 
 impl ReadError {
+    /// The error of a file that can't be used as a whole.
+    pub(crate) fn file(path: impl Into<String>, problem: impl Into<String>) -> Self {
+        Self::File { path: path.into(), problem: problem.into() }
+    }
+
+    /// The error of a file that is larger than is read.
+    pub(crate) fn too_large(path: impl Into<String>, bytes: usize, most: u64) -> Self {
+        Self::file(path, format!("{bytes} bytes, at most {most} are read"))
+    }
+
+    /// The error of a file at `path` without content that belongs to it. `searched` is the place as
+    /// ` at PATH`, or empty.
+    pub(crate) fn missing(path: impl Into<String>, role: &str, searched: &str) -> Self {
+        Self::file(path, format!("needs {role}, and there is none{searched}"))
+    }
+
     /// The place of the error, for programs that show it.
     #[must_use]
     pub fn place(&self) -> ErrorPlace {
@@ -210,16 +165,8 @@ impl ReadError {
             Self::Io { path, .. } => {
                 return ErrorPlace { path: path.display().to_string(), line: None, value: None };
             }
-            Self::TooLarge { path, .. }
-            | Self::Bag { path, .. }
-            | Self::Empty { path }
-            | Self::Missing { path, .. }
-            | Self::FrameRate { path, .. }
-            | Self::Origin { path, .. }
-            | Self::UnknownFormat { path, .. } => (path, None, None),
-            Self::TooManyRows { path, line, .. }
-            | Self::NotText { path, line, .. }
-            | Self::Syntax { path, line, .. } => (path, Some(*line), None),
+            Self::File { path, .. } | Self::Empty { path } => (path, None, None),
+            Self::Line { path, line, .. } | Self::Syntax { path, line, .. } => (path, Some(*line), None),
             Self::Columns { path, line, text, .. } => (path, Some(*line), Some(text.clone())),
             Self::Value { path, line, value, .. } | Self::Message { path, message: line, value, .. } => {
                 (path, Some(*line), Some(value.clone()))

@@ -95,7 +95,7 @@ impl Format {
     /// The format of a file, detected from its content alone; the file's name has no influence.
     ///
     /// # Errors
-    /// [`ReadError::UnknownFormat`] if the content fits none, [`ReadError::NotText`],
+    /// [`ReadError::File`] if the content fits none, [`ReadError::Line`] if it is not text,
     /// [`ReadError::Empty`].
     pub fn detect(input: &Input) -> Result<Self, ReadError> {
         if recording::is_bag(&input.bytes) {
@@ -125,7 +125,7 @@ impl Format {
         if first.text.trim_start().starts_with('<') {
             return match commonroad::is_root_among(std::iter::once(Ok(first)).chain(lines)) {
                 true => Ok(Self::CommonRoad),
-                false => Err(unknown(&first, "XML without an element commonRoad".to_owned())),
+                false => Err(unknown(&first, "XML without an element commonRoad")),
             };
         }
         let commas = first.pieces(Separator::Comma).count();
@@ -136,7 +136,7 @@ impl Format {
             (1, 10) => Ok(Self::SddRaw),
             (1, 8) => Ok(Self::Obsmat),
             (1, 4) => by_frames(&first, lines),
-            _ => Err(unknown(&first, no_header(commas.max(spaces)))),
+            _ => Err(unknown(&first, &no_header(commas.max(spaces)))),
         }
     }
 }
@@ -171,13 +171,13 @@ fn by_frames<'a>(
         (true, true) if all_zero => {
             Ok(if first.text.contains('\t') { Format::EthUcy } else { Format::SddTrajnet })
         }
-        (true, true) => Err(unknown(first, "all frames are multiples of 60".to_owned())),
-        (false, false) => Err(unknown(first, "frames are neither tens nor dozens".to_owned())),
+        (true, true) => Err(unknown(first, "all frames are multiples of 60")),
+        (false, false) => Err(unknown(first, "frames are neither tens nor dozens")),
     }
 }
 
-fn unknown(line: &Line<'_>, problem: String) -> ReadError {
-    ReadError::UnknownFormat { path: line.path.to_owned(), problem, known: Format::names() }
+fn unknown(line: &Line<'_>, problem: &str) -> ReadError {
+    ReadError::file(line.path, format!("{problem}; name the format (one of {})", Format::names()))
 }
 
 impl fmt::Display for Format {

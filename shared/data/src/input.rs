@@ -65,10 +65,9 @@ pub(crate) fn need(inputs: &[Input], role: Role) -> Result<&Input, ReadError> {
 /// The first file with one of these roles; an error if all are missing.
 pub(crate) fn need_any<'a>(inputs: &'a [Input], roles: &[Role]) -> Result<&'a Input, ReadError> {
     let found = inputs.iter().find(|input| roles.contains(&input.role));
-    found.ok_or_else(|| ReadError::Missing {
-        path: inputs.first().map_or_else(|| "recording".to_owned(), |input| input.path.clone()),
-        role: roles.first().map_or("rows", |role| role.name()),
-        searched: String::new(),
+    found.ok_or_else(|| {
+        let path = inputs.first().map_or("recording", |input| &input.path);
+        ReadError::missing(path, roles.first().map_or("rows", |role| role.name()), "")
     })
 }
 

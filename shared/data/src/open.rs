@@ -45,8 +45,8 @@ pub fn open(path: &Path, format: Option<Format>) -> Result<Recording, ReadError>
 /// As [`open`], with all options.
 ///
 /// # Errors
-/// [`ReadError`] with file, line, column and value; [`ReadError::FrameRate`] if a frame rate is given and the
-/// files contain their times; [`ReadError::Origin`] if an origin is given for a format without a world frame.
+/// [`ReadError`] with file, line, column and value; [`ReadError::File`] if a frame rate is given and the
+/// files contain their times, or an origin for a format without a world frame.
 pub fn open_with(path: &Path, options: OpenOptions) -> Result<Recording, ReadError> {
     let opened = read(path, Role::Rows)?;
     let format = match options.format {
@@ -88,19 +88,21 @@ pub fn parse(format: Format, inputs: &[Input]) -> Result<Recording, ReadError> {
 /// As [`parse`], with a rate of the frame numbers in frames per second.
 ///
 /// # Errors
-/// [`ReadError`] with file, line, column and value; [`ReadError::FrameRate`] if a frame rate is given and the
+/// [`ReadError`] with file, line, column and value; [`ReadError::File`] if a frame rate is given and the
 /// files contain their times.
 pub fn parse_at(format: Format, inputs: &[Input], fps: Option<FrameRate>) -> Result<Recording, ReadError> {
     if fps.is_some() && format.frame_rate().is_none() {
         let names = Format::ALL.into_iter().filter(|format| format.frame_rate().is_some());
-        return Err(ReadError::FrameRate {
-            path: inputs.first().map_or_else(String::new, |input| input.path.clone()),
-            format: format.name(),
-            names: names.map(Format::name).collect(),
-        });
+        let names: Vec<_> = names.map(Format::name).collect();
+        let path = inputs.first().map_or("", |input| &input.path);
+        let names = names.join(", ");
+        let problem =
+            format!("{format} has a time for every frame, and takes no frame rate: that is for {names}");
+        return Err(ReadError::file(path, problem));
     }
     if let Some(input) = inputs.iter().find(|input| !input.origin.is_zero() && !format.has_world_frame()) {
-        return Err(ReadError::Origin { path: input.path.clone(), format: format.name() });
+        let problem = format!("{format} has its origin at the scene, and takes no --origin");
+        return Err(ReadError::file(&input.path, problem));
     }
     let at = |usual: FrameRate| fps.unwrap_or(usual);
     let recording = match format {
@@ -144,7 +146,7 @@ pub(crate) fn read(path: &Path, role: Role) -> Result<Input, ReadError> {
     file.take(FILE_BYTES_MAX + 1).read_to_end(&mut bytes).map_err(failed)?;
     let path = path.to_string_lossy().into_owned();
     if bytes.len() as u64 > FILE_BYTES_MAX {
-        return Err(ReadError::TooLarge { path, bytes: bytes.len() as u64, most: FILE_BYTES_MAX });
+        return Err(ReadError::too_large(path, bytes.len(), FILE_BYTES_MAX));
     }
     Ok(Input::new(role, path, bytes))
 }
@@ -156,11 +158,8 @@ pub(crate) fn read_if_there(path: &Path, role: Role) -> Result<Option<Input>, Re
 
 /// The file at `path`; an error about the file at `opened` if it is missing.
 pub(crate) fn read_needed(path: &Path, role: Role, opened: &str) -> Result<Input, ReadError> {
-    read_if_there(path, role)?.ok_or_else(|| ReadError::Missing {
-        path: opened.to_owned(),
-        role: role.name(),
-        searched: format!(" at {}", path.display()),
-    })
+    read_if_there(path, role)?
+        .ok_or_else(|| ReadError::missing(opened, role.name(), &format!(" at {}", path.display())))
 }
 
 /// The opened file with its role, and the files that belong to it.
@@ -208,11 +207,8 @@ fn with_companions(path: &Path, mut opened: Input, format: Format) -> Result<Vec
 fn levelx_files(path: &Path, opened: Input) -> Result<Vec<Input>, ReadError> {
     let name =
         path.file_name().and_then(|name| name.to_str()).and_then(|name| name.strip_suffix("_tracks.csv"));
-    let name = name.ok_or_else(|| ReadError::Missing {
-        path: opened.path.clone(),
-        role: Role::TracksMeta.name(),
-        searched: ": the file's name does not end in _tracks.csv".to_owned(),
-    })?;
+    let searched = ": the file's name does not end in _tracks.csv";
+    let name = name.ok_or_else(|| ReadError::missing(&opened.path, Role::TracksMeta.name(), searched))?;
     let beside = |what: &str, role| {
         read_needed(&path.with_file_name(format!("{name}_{what}.csv")), role, &opened.path)
     };

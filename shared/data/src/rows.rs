@@ -4,7 +4,7 @@ use wire::{AgentType, Detection, Truth, detection_flags};
 
 use crate::lines::{Lines, RowLine};
 use crate::row::Row;
-use crate::text::{Field, Line};
+use crate::text::{Field, Line, Separator};
 use crate::{Input, ReadError, order};
 
 /// Maximum number of rows of a recording.
@@ -25,6 +25,22 @@ pub(crate) struct Rows<'a> {
 }
 
 impl<'a> Rows<'a> {
+    /// Adds the rows of lines with these columns. `row` makes the stamp and the content from the values.
+    pub fn read<const N: usize>(
+        &mut self,
+        lines: impl Iterator<Item = Result<Line<'a>, ReadError>>,
+        separator: Separator,
+        names: &[&'static str; N],
+        row: impl Fn([Field<'a>; N]) -> Result<(i64, Detection), ReadError>,
+    ) -> Result<(), ReadError> {
+        for line in lines {
+            let line = line?;
+            let (stamp_ns, detection) = row(line.split(separator, names)?)?;
+            self.push(&line, stamp_ns, detection)?;
+        }
+        Ok(())
+    }
+
     /// Adds a row.
     pub fn push(&mut self, line: &Line<'a>, stamp_ns: i64, detection: Detection) -> Result<(), ReadError> {
         self.push_written(line, stamp_ns, detection, detection.heading_rad)
@@ -38,13 +54,7 @@ impl<'a> Rows<'a> {
         detection: Detection,
         heading_written: f32,
     ) -> Result<(), ReadError> {
-        if self.rows.len() == ROWS_MAX {
-            return Err(ReadError::TooManyRows {
-                path: line.path.to_owned(),
-                line: line.number,
-                most: ROWS_MAX,
-            });
-        }
+        limit(self.rows.len() + 1, line)?;
         let (path, line) = (line.path, line.number);
         self.rows.push(Row { stamp_ns, detection, heading_written, path, line });
         Ok(())
@@ -95,6 +105,15 @@ impl<'a> Rows<'a> {
             }),
         }
     }
+}
+
+/// Refuses the line of a row beyond the limit.
+pub(crate) fn limit(row_count: usize, line: &Line<'_>) -> Result<(), ReadError> {
+    if row_count <= ROWS_MAX {
+        return Ok(());
+    }
+    let problem = format!("more than {ROWS_MAX} rows");
+    Err(ReadError::Line { path: line.path.to_owned(), line: line.number, problem })
 }
 
 /// A detection at a position, with no other attribute.

@@ -74,30 +74,27 @@ pub(crate) fn lines(input: &Input) -> impl Iterator<Item = Result<Line<'_>, Read
                 Some(Ok(Line { path: &input.path, number, text, origin: input.origin }))
             }
             Err(error) => {
-                let path = input.path.clone();
-                Some(Err(ReadError::NotText { path, line: number, byte: error.valid_up_to() + 1 }))
+                let byte = error.valid_up_to() + 1;
+                let problem = format!("not text: byte {byte} of the line is not UTF-8");
+                Some(Err(ReadError::Line { path: input.path.clone(), line: number, problem }))
             }
         }
     })
 }
 
-/// The lines below the first, which must be exactly `header`.
+/// The lines below the first, which must name exactly these columns.
 pub(crate) fn lines_below<'a>(
     input: &'a Input,
-    header: &'static str,
+    names: &[&str],
 ) -> impl Iterator<Item = Result<Line<'a>, ReadError>> {
     lines(input).enumerate().filter_map(move |(index, line)| match line {
-        Ok(line) if index == 0 => expect_header(&line, header).err().map(Err),
+        Ok(line) if index == 0 && line.is_header_of(names) => None,
+        Ok(line) if index == 0 => {
+            let expected = format!("expected \"{}\"", names.join(","));
+            Some(Err(line.field("header", 1, line.text).error(expected)))
+        }
         line => Some(line),
     })
-}
-
-fn expect_header(line: &Line<'_>, header: &'static str) -> Result<(), ReadError> {
-    if line.text.trim() == header {
-        return Ok(());
-    }
-    let field = Field { line: *line, name: "header", column: 1, text: line.text };
-    Err(field.error(format!("expected \"{header}\"")))
 }
 
 /// The indices of some columns in a file whose header contains them among others.
@@ -135,6 +132,11 @@ impl<const N: usize> Columns<N> {
 }
 
 impl<'a> Line<'a> {
+    /// Whether the line names exactly these columns, with commas between them.
+    pub fn is_header_of(&self, names: &[&str]) -> bool {
+        self.text.trim() == names.join(",")
+    }
+
     /// The values of a row with the given columns.
     pub fn split<const N: usize>(
         &self,

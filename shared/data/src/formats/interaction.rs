@@ -30,13 +30,6 @@ use crate::rows::{self, PEDESTRIAN_IDS, Rows};
 use crate::text::{self, Field, Line, Separator};
 use crate::{Frame, Input, ReadError, Recording, Role, sweeps};
 
-/// First line of a vehicle file.
-pub(crate) const VEHICLE_HEADER: &str =
-    "track_id,frame_id,timestamp_ms,agent_type,x,y,vx,vy,psi_rad,length,width";
-/// First line of a published file of pedestrians and cyclists.
-pub(crate) const PEDESTRIAN_HEADER: &str = "track_id,frame_id,timestamp_ms,agent_type,x,y,vx,vy";
-/// First line of a file of pedestrians and cyclists without velocities.
-pub(crate) const PEDESTRIAN_POSITIONS_HEADER: &str = "track_id,frame_id,timestamp_ms,agent_type,x,y";
 const VEHICLE_NAMES: [&str; 11] = [
     "track_id",
     "frame_id",
@@ -50,8 +43,10 @@ const VEHICLE_NAMES: [&str; 11] = [
     "length",
     "width",
 ];
+/// Columns of pedestrians and cyclists, as published.
 const PEDESTRIAN_NAMES: [&str; 8] =
     ["track_id", "frame_id", "timestamp_ms", "agent_type", "x", "y", "vx", "vy"];
+/// The same without velocities.
 const PEDESTRIAN_POSITIONS_NAMES: [&str; 6] =
     ["track_id", "frame_id", "timestamp_ms", "agent_type", "x", "y"];
 /// Interval between frames, as published.
@@ -77,7 +72,7 @@ pub(crate) fn parse(inputs: &[Input]) -> Result<Recording, ReadError> {
     let vehicles = find(inputs, Role::Vehicles);
     let pedestrians = find(inputs, Role::Pedestrians);
     if let Some(input) = vehicles {
-        read(input, VEHICLE_HEADER, &VEHICLE_NAMES, vehicle, &mut rows)?;
+        read(input, &VEHICLE_NAMES, vehicle, &mut rows)?;
     }
     if let Some(input) = pedestrians {
         read_pedestrians(input, &mut rows)?;
@@ -98,42 +93,28 @@ pub(crate) fn parse(inputs: &[Input]) -> Result<Recording, ReadError> {
 
 /// The role of a file, by its first line.
 pub(crate) fn role_of(first: &Line<'_>) -> Option<Role> {
-    match first.text.trim() {
-        VEHICLE_HEADER => Some(Role::Vehicles),
-        PEDESTRIAN_HEADER | PEDESTRIAN_POSITIONS_HEADER => Some(Role::Pedestrians),
-        _ => None,
-    }
+    let is = |names: &[&str]| first.is_header_of(names);
+    let pedestrians =
+        || (is(&PEDESTRIAN_NAMES) || is(&PEDESTRIAN_POSITIONS_NAMES)).then_some(Role::Pedestrians);
+    is(&VEHICLE_NAMES).then_some(Role::Vehicles).or_else(pedestrians)
 }
 
 /// Reads both layouts. If the first line is of neither, the error shows the published one.
 fn read_pedestrians<'a>(input: &'a Input, rows: &mut Rows<'a>) -> Result<(), ReadError> {
     let first = text::lines(input).next().transpose()?;
-    let only_positions = first.is_some_and(|line| line.text.trim() == PEDESTRIAN_POSITIONS_HEADER);
-    match only_positions {
-        true => read(
-            input,
-            PEDESTRIAN_POSITIONS_HEADER,
-            &PEDESTRIAN_POSITIONS_NAMES,
-            pedestrian_at_position,
-            rows,
-        ),
-        false => read(input, PEDESTRIAN_HEADER, &PEDESTRIAN_NAMES, pedestrian, rows),
+    match first.is_some_and(|line| line.is_header_of(&PEDESTRIAN_POSITIONS_NAMES)) {
+        true => read(input, &PEDESTRIAN_POSITIONS_NAMES, pedestrian_at_position, rows),
+        false => read(input, &PEDESTRIAN_NAMES, pedestrian, rows),
     }
 }
 
 fn read<'a, const N: usize>(
     input: &'a Input,
-    header: &'static str,
     names: &[&'static str; N],
     row: fn([Field<'a>; N]) -> ReadRow,
     rows: &mut Rows<'a>,
 ) -> Result<(), ReadError> {
-    for line in text::lines_below(input, header) {
-        let line = line?;
-        let (stamp_ns, detection) = row(line.split(Separator::Comma, names)?)?;
-        rows.push(&line, stamp_ns, detection)?;
-    }
-    Ok(())
+    rows.read(text::lines_below(input, names), Separator::Comma, names, row)
 }
 
 fn vehicle(fields: [Field<'_>; 11]) -> ReadRow {

@@ -93,7 +93,7 @@ pub(crate) fn parse_detections(inputs: &[Input]) -> Result<Recording, ReadError>
             let (frame, detection) =
                 detection(line.split(Separator::Comma, &DETECTION_NAMES)?, agent_type, &poses)?;
             row_count += 1;
-            limit(row_count, &line)?;
+            crate::rows::limit(row_count, &line)?;
             let (path, heading_written) = (paths.path(line.path), detection.heading_rad);
             frames[frame].detections.push(detection);
             frames[frame].lines.push(RowLine { path, line: line.number, heading_written });
@@ -142,13 +142,6 @@ fn empty_frames(poses: &WorldFromCamera, observed_types: u32) -> Vec<Frame> {
         ..Frame::default()
     };
     poses.egos().enumerate().map(frame).collect()
-}
-
-fn limit(row_count: usize, line: &Line<'_>) -> Result<(), ReadError> {
-    if row_count <= crate::rows::ROWS_MAX {
-        return Ok(());
-    }
-    Err(ReadError::TooManyRows { path: line.path.to_owned(), line: line.number, most: crate::rows::ROWS_MAX })
 }
 
 fn frame_index(field: Field<'_>, poses: &WorldFromCamera) -> Result<usize, ReadError> {

@@ -19,15 +19,13 @@ const NAMES: [&str; 8] = ["frame", "id", "x", "z", "y", "vx", "vz", "vy"];
 pub(crate) fn parse(inputs: &[Input], rate: FrameRate) -> Result<Recording, ReadError> {
     let input = need(inputs, Role::Rows)?;
     let mut rows = Rows::default();
-    for line in text::lines(input) {
-        let line = line?;
-        let [frame, id, x, z, y, vx, vz, vy] = line.split(Separator::Space, &NAMES)?;
+    rows.read(text::lines(input), Separator::Space, &NAMES, |[frame, id, x, z, y, vx, vz, vy]| {
         for unused in [z, vx, vz, vy] {
             unused.number()?;
         }
         let detection =
             rows::identified(AgentType::Pedestrian, text::position_m([x, y])?, id.id_below(u64::MAX)?);
-        rows.push(&line, frame.stamp_ns(rate)?, detection)?;
-    }
+        Ok((frame.stamp_ns(rate)?, detection))
+    })?;
     sweeps::identified(rows, input, AgentType::Pedestrian.bit(), rate, STEP)
 }

@@ -42,12 +42,10 @@ pub(crate) fn parse_trajnet(inputs: &[Input], rate: FrameRate) -> Result<Recordi
 
 fn parse(input: &Input, rate: FrameRate, frames_per_step: u32) -> Result<Recording, ReadError> {
     let mut rows = Rows::default();
-    for line in text::lines(input) {
-        let line = line?;
-        let [frame, id, x, y] = line.split(Separator::Space, &NAMES)?;
+    rows.read(text::lines(input), Separator::Space, &NAMES, |[frame, id, x, y]| {
         let detection =
             rows::identified(AgentType::Pedestrian, text::position_m([x, y])?, id.id_below(u64::MAX)?);
-        rows.push(&line, frame.stamp_ns(rate)?, detection)?;
-    }
+        Ok((frame.stamp_ns(rate)?, detection))
+    })?;
     sweeps::identified(rows, input, AgentType::Pedestrian.bit(), rate, frames_per_step)
 }

@@ -64,7 +64,7 @@ impl Problem {
     fn of(self, path: &str) -> ReadError {
         let Self(message, problem) = self;
         let problem = message.map_or(problem.clone(), |number| format!("message {number}: {problem}"));
-        ReadError::Bag { path: path.to_owned(), problem }
+        ReadError::file(path, problem)
     }
 }
 
@@ -271,7 +271,7 @@ fn in_message(error: ReadError, numbers: &[usize]) -> ReadError {
             ReadError::Message { path, message, field: "header.stamp", value, problem }
         }
         ReadError::Empty { path } => {
-            ReadError::Bag { path, problem: "its messages have no vehicle, cyclist or pedestrian".to_owned() }
+            ReadError::file(path, "its messages have no vehicle, cyclist or pedestrian")
         }
         other => other,
     }

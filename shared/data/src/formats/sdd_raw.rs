@@ -118,11 +118,9 @@ fn video_pixel_m(scales: &Input, path: &str) -> Result<f64, ReadError> {
             pixel_m = Some(value);
         }
     }
-    pixel_m.ok_or_else(|| ReadError::Missing {
-        path: path.to_owned(),
-        role: "the scale of its scene and video",
-        searched: format!(" in {}", scales.path),
-    })
+    let missing =
+        || ReadError::missing(path, "the scale of its scene and video", &format!(" in {}", scales.path));
+    pixel_m.ok_or_else(missing)
 }
 
 /// The value of `scale: NUMBER` or `certainty: NUMBER`.

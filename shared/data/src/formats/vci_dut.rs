@@ -13,10 +13,6 @@ use crate::rows::{self, PEDESTRIAN_IDS, Rows};
 use crate::text::{self, Field, Line, Separator};
 use crate::{FrameRate, Input, ReadError, Recording, Role, sweeps};
 
-/// First line of a vehicle file.
-pub(crate) const VEHICLE_HEADER: &str = "id,frame,label,x_est,y_est,psi_est,vel_est";
-/// First line of a pedestrian file.
-pub(crate) const PEDESTRIAN_HEADER: &str = "id,frame,label,x_est,y_est,vx_est,vy_est";
 const VEHICLE_NAMES: [&str; 7] = ["id", "frame", "label", "x_est", "y_est", "psi_est", "vel_est"];
 const PEDESTRIAN_NAMES: [&str; 7] = ["id", "frame", "label", "x_est", "y_est", "vx_est", "vy_est"];
 /// The frame rate of DUT.
@@ -27,34 +23,18 @@ pub(crate) fn parse(inputs: &[Input], rate: FrameRate) -> Result<Recording, Read
     let first = need_any(inputs, &[Role::Vehicles, Role::Pedestrians])?;
     let mut rows = Rows::default();
     let mut observed_types = 0;
-    let kinds = [(Role::Vehicles, AgentType::Vehicle), (Role::Pedestrians, AgentType::Pedestrian)];
-    for (role, agent_type) in kinds {
-        if let Some(input) = find(inputs, role) {
+    let kinds = [
+        (Role::Vehicles, AgentType::Vehicle, VEHICLE_NAMES),
+        (Role::Pedestrians, AgentType::Pedestrian, PEDESTRIAN_NAMES),
+    ];
+    for (role, agent_type, names) in &kinds {
+        if let Some(input) = find(inputs, *role) {
             observed_types |= agent_type.bit();
-            read(input, agent_type, rate, &mut rows)?;
+            let lines = text::lines_below(input, names);
+            rows.read(lines, Separator::Comma, names, |fields| row(fields, *agent_type, rate))?;
         }
     }
     sweeps::identified(rows, first, observed_types, rate, 1)
-}
-
-fn read<'a>(
-    input: &'a Input,
-    agent_type: AgentType,
-    rate: FrameRate,
-    rows: &mut Rows<'a>,
-) -> Result<(), ReadError> {
-    let vehicle = agent_type == AgentType::Vehicle;
-    let (header, names) = match vehicle {
-        true => (VEHICLE_HEADER, &VEHICLE_NAMES),
-        false => (PEDESTRIAN_HEADER, &PEDESTRIAN_NAMES),
-    };
-    for line in text::lines_below(input, header) {
-        let line = line?;
-        let fields = line.split(Separator::Comma, names)?;
-        let (stamp_ns, detection) = row(fields, agent_type, rate)?;
-        rows.push(&line, stamp_ns, detection)?;
-    }
-    Ok(())
 }
 
 fn row(
@@ -81,9 +61,7 @@ fn row(
 
 /// The role of a file, by its first line.
 pub(crate) fn role_of(first: &Line<'_>) -> Option<Role> {
-    match first.text.trim() {
-        VEHICLE_HEADER => Some(Role::Vehicles),
-        PEDESTRIAN_HEADER => Some(Role::Pedestrians),
-        _ => None,
-    }
+    let is = |names: &[&str]| first.is_header_of(names);
+    let pedestrians = || is(&PEDESTRIAN_NAMES).then_some(Role::Pedestrians);
+    is(&VEHICLE_NAMES).then_some(Role::Vehicles).or_else(pedestrians)
 }

@@ -154,7 +154,7 @@ impl Camera {
                 return Ok(Self { projection: Matrix3x4::from_row_slice(&numbers::<12>(&line)?) });
             }
         }
-        Err(ReadError::Missing { path: calibration.path.clone(), role: "P2", searched: String::new() })
+        Err(ReadError::missing(&calibration.path, "P2", ""))
     }
 
     /// Image coordinates of a point, px from the upper left corner, and the scale there, px/m; `None` if the
@@ -182,7 +182,7 @@ fn camera_and_imu(input: &Input) -> Result<(Matrix4<f64>, Matrix4<f64>), ReadErr
             _ => return Err(line.field("key", column, key).error("not a key of a KITTI calibration")),
         }
     }
-    let missing = |role| ReadError::Missing { path: input.path.clone(), role, searched: String::new() };
+    let missing = |role| ReadError::missing(&input.path, role, "");
     let rectified = rectified.ok_or_else(|| missing("R_rect"))?;
     let camera_from_velodyne = camera_from_velodyne.ok_or_else(|| missing("Tr_velo_cam"))?;
     let velodyne_from_imu = velodyne_from_imu.ok_or_else(|| missing("Tr_imu_velo"))?;
@@ -244,10 +244,7 @@ fn world_from_imu(input: &Input) -> Result<Vec<Isometry3<f64>>, ReadError> {
         }
         let attitude = Rotation3::from_euler_angles(f64::from(roll), f64::from(pitch), f64::from(yaw));
         poses.push(Isometry3::from_parts(Translation3::from(position), attitude.into()));
-        if poses.len() > crate::rows::ROWS_MAX {
-            let path = input.path.clone();
-            return Err(ReadError::TooManyRows { path, line: line.number, most: crate::rows::ROWS_MAX });
-        }
+        crate::rows::limit(poses.len(), &line)?;
     }
     if poses.is_empty() { Err(ReadError::Empty { path: input.path.clone() }) } else { Ok(poses) }
 }

@@ -53,7 +53,7 @@ pub struct PredictedPath {
 /// Reads the `PredictedObjects` of a bag, in the root of its frames less `origin`.
 ///
 /// # Errors
-/// [`ReadError::Bag`] with the message's number if the bag has none, or a value can't be used.
+/// [`ReadError::File`] with the message's number if the bag has none, or a value can't be used.
 pub fn predicted_objects(path: &Path, origin: WorldOrigin) -> Result<Vec<PredictedFrame>, ReadError> {
     let input = read(path, Role::Rows)?;
     let failed = |problem: Problem| problem.of(&input.path);
