@@ -39,7 +39,8 @@ pub(crate) fn tune(
             let outcomes = threads::each(courses, threads, follow);
             Outcome::nll(&outcomes)
         };
-        let (setting, figure) = search(method.first_setting(), method.setting_names().len(), nll);
+        let (names, first) = method.tuned();
+        let (setting, figure) = search(first, names.len(), nll);
         settings = settings.with(method, setting);
         figures.push((method, figure));
     }
