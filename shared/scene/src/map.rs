@@ -11,7 +11,7 @@ mod file;
 mod online;
 mod patch;
 
-pub use build::{CELLS_MAX, MapBuilder};
+pub use build::{CELLS_MAX, MapBuilder, extent};
 pub use online::{ONLINE_SIDE, OnlineMap};
 pub use patch::PatchOptions;
 

@@ -1,7 +1,7 @@
 //! Context maps for the model: which map a recording's forecasts use, and how a site's recordings make one.
 
 use localiser::MapSource;
-use scene::{ContextMap, MapBuilder, State};
+use scene::{ContextMap, State};
 
 use crate::Scene;
 
@@ -32,20 +32,7 @@ impl MapInput<'_> {
 #[must_use]
 pub fn site_map<'a>(scenes: impl IntoIterator<Item = &'a Scene>) -> Option<ContextMap> {
     let states: Vec<State> = scenes.into_iter().flat_map(newest).map(|(_, state)| state).collect();
-    let first = states.first()?.position_m;
-    let (low, high) = states.iter().fold((first, first), |(low, high), state| {
-        let extreme = |of: [f32; 2], pick: fn(f32, f32) -> f32| {
-            [0, 1].map(|axis| pick(of[axis], state.position_m[axis]))
-        };
-        (extreme(low, f32::min), extreme(high, f32::max))
-    });
-    let origin_m = low.map(f32::floor);
-    let [cols, rows] = [0, 1].map(|axis| (high[axis] - origin_m[axis]) as usize + 1);
-    let mut builder = MapBuilder::new(origin_m, rows, cols)?;
-    for state in states {
-        builder.visit(state.position_m, state.velocity_mps);
-    }
-    Some(builder.build())
+    ContextMap::of_visits(&states)
 }
 
 /// Identity and newest state of every agent.

@@ -11,7 +11,7 @@ use metrics::{Displacement, Point};
 use nn::ModelConfig;
 use onboard::Chain;
 use run::Run;
-use scene::{ContextMap, MapBuilder, State};
+use scene::{ContextMap, State};
 use source::Playback;
 use thiserror::Error;
 use wire::tick_view::{AgentView, ForecastView, TickView};
@@ -368,20 +368,7 @@ impl Past {
             .flat_map(|track| track.states.iter().take_while(|(seen_ns, _)| *seen_ns <= stamp_ns))
             .map(|(_, state)| *state)
             .collect();
-        let first = states.first()?.position_m;
-        let extreme = |pick: fn(f32, f32) -> f32| {
-            states
-                .iter()
-                .fold(first, |so_far, state| [0, 1].map(|axis| pick(so_far[axis], state.position_m[axis])))
-        };
-        let origin_m = extreme(f32::min).map(f32::floor);
-        let high_m = extreme(f32::max);
-        let [cols, rows] = [0, 1].map(|axis| (high_m[axis] - origin_m[axis]) as usize + 1);
-        let mut builder = MapBuilder::new(origin_m, rows, cols)?;
-        for state in states {
-            builder.visit(state.position_m, state.velocity_mps);
-        }
-        Some(builder.build())
+        ContextMap::of_visits(&states)
     }
 }
 

@@ -3,7 +3,7 @@
 use lanes::{Lane, LaneMap};
 use scene::{AgentType, ContextMap, MapBuilder};
 
-use crate::{MapError, Visit, extent};
+use crate::{MapError, Visit};
 
 /// Distance between visits across a lane.
 const ACROSS_M: f32 = 0.5;
@@ -36,7 +36,8 @@ pub fn of_lanes(map: &LaneMap) -> Result<ContextMap, MapError> {
     }
     let islands: Vec<_> = map.areas().iter().filter(|area| area.is_keepout).collect();
     visits.retain(|visit| !islands.iter().any(|island| island.contains(visit.position_m)));
-    let (origin_m, [cols, rows]) = extent(&visits).ok_or(MapError::NoRoads)?;
+    let (origin_m, [cols, rows]) =
+        scene::extent(visits.iter().map(|visit| visit.position_m)).ok_or(MapError::NoRoads)?;
     let mut builder = MapBuilder::new(origin_m, rows, cols).ok_or(MapError::TooLarge { rows, cols })?;
     for visit in visits {
         builder.visit(visit.position_m, visit.velocity_mps);

@@ -74,7 +74,8 @@ pub fn build(recordings: &[Recording]) -> Result<SiteMap, MapError> {
         }
         left_out_len += visit_loose_detections(recording, &mut visits);
     }
-    let (origin_m, [cols, rows]) = extent(&visits).ok_or(MapError::NoVisits)?;
+    let (origin_m, [cols, rows]) =
+        scene::extent(visits.iter().map(|visit| visit.position_m)).ok_or(MapError::NoVisits)?;
     let mut builder = MapBuilder::new(origin_m, rows, cols).ok_or(MapError::TooLarge { rows, cols })?;
     let visit_count =
         visits.iter().filter(|visit| builder.visit(visit.position_m, visit.velocity_mps)).count();
@@ -118,17 +119,4 @@ fn visit_loose_detections(recording: &Recording, visits: &mut Vec<Visit>) -> usi
         });
     }
     left_out_len
-}
-
-/// Lower left corner in whole metres, and numbers of cells along x and y.
-fn extent(visits: &[Visit]) -> Option<([f32; 2], [usize; 2])> {
-    let first = visits.first()?.position_m;
-    let (low, high) = visits.iter().fold((first, first), |(low, high), visit| {
-        let extreme = |of: [f32; 2], pick: fn(f32, f32) -> f32| {
-            [0, 1].map(|axis| pick(of[axis], visit.position_m[axis]))
-        };
-        (extreme(low, f32::min), extreme(high, f32::max))
-    });
-    let origin_m = low.map(f32::floor);
-    Some((origin_m, [0, 1].map(|axis| (high[axis] - origin_m[axis]) as usize + 1)))
 }

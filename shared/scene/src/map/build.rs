@@ -1,4 +1,5 @@
 use super::ContextMap;
+use crate::State;
 
 /// Largest number of cells in a map: a square of 2 km.
 pub const CELLS_MAX: usize = 1 << 22;
@@ -7,6 +8,20 @@ pub const CELLS_MAX: usize = 1 << 22;
 struct Sums {
     visits: u64,
     velocity_mps: [f64; 2],
+}
+
+/// The ground that positions cover: its lower left corner in whole metres, and its numbers of cells along x
+/// and y. `None` if there are no positions.
+pub fn extent(positions_m: impl IntoIterator<Item = [f32; 2]>) -> Option<([f32; 2], [usize; 2])> {
+    let mut positions_m = positions_m.into_iter();
+    let first = positions_m.next()?;
+    let (low, high) = positions_m.fold((first, first), |(low, high), position| {
+        let extreme =
+            |of: [f32; 2], pick: fn(f32, f32) -> f32| [0, 1].map(|axis| pick(of[axis], position[axis]));
+        (extreme(low, f32::min), extreme(high, f32::max))
+    });
+    let origin_m = low.map(f32::floor);
+    Some((origin_m, [0, 1].map(|axis| (high[axis] - origin_m[axis]) as usize + 1)))
 }
 
 /// Adds up the visits of a map.
@@ -48,5 +63,18 @@ impl MapBuilder {
         let velocity =
             self.sums.iter().map(|cell| cell.velocity_mps.map(|v| (v / cell.visits.max(1) as f64) as f32));
         ContextMap::new(self.origin_m, self.cols, density, velocity)
+    }
+}
+
+impl ContextMap {
+    /// The map of one visit per state. `None` if there are no states or they span more than a map holds.
+    #[must_use]
+    pub fn of_visits(states: &[State]) -> Option<Self> {
+        let (origin_m, [cols, rows]) = extent(states.iter().map(|state| state.position_m))?;
+        let mut builder = MapBuilder::new(origin_m, rows, cols)?;
+        for state in states {
+            builder.visit(state.position_m, state.velocity_mps);
+        }
+        Some(builder.build())
     }
 }

@@ -1,7 +1,7 @@
 //! The map patches of agents, one per agent and frame. \[model §2\]
 
 use half::f16;
-use scene::{ContextMap, MapBuilder, PatchOptions, State};
+use scene::{ContextMap, PatchOptions, State};
 
 use super::agents::{StoredState, restored, stored};
 use crate::TrainError;
@@ -15,8 +15,6 @@ pub(crate) struct Ground {
     /// The state of each patch's agent.
     states: u64,
     patch_count: usize,
-    /// Bounding box of all agents: lower left and upper right.
-    corners_m: [[f32; 2]; 2],
     /// The map of the site's other training recordings.
     site: Option<ContextMap>,
 }
@@ -44,18 +42,7 @@ impl<'a> GroundSpooling<'a> {
 
     pub(super) fn finish(self) -> Result<Ground, TrainError> {
         let Self { spooling, online, states } = self;
-        let corner = |pick: fn(f32, f32) -> f32, from: f32| {
-            let positions = states.iter().map(|&[x, y, ..]| [x, y]);
-            positions
-                .fold([from; 2], |corner, position| [0, 1].map(|axis| pick(corner[axis], position[axis])))
-        };
-        Ok(Ground {
-            online,
-            states: spooling.append(&states)?,
-            patch_count: states.len(),
-            corners_m: [corner(f32::min, f32::INFINITY), corner(f32::max, f32::NEG_INFINITY)],
-            site: None,
-        })
+        Ok(Ground { online, states: spooling.append(&states)?, patch_count: states.len(), site: None })
     }
 }
 
@@ -95,22 +82,12 @@ impl Ground {
 /// The map of all positions of agents; `None` if there are none, or if they span more ground than a map can
 /// hold.
 pub(super) fn site_map(spool: &Spool, grounds: &[&Ground]) -> Result<Option<ContextMap>, TrainError> {
-    let corner = |number: usize, pick: fn(f32, f32) -> f32, from: f32| {
-        let corners = grounds.iter().map(|ground| ground.corners_m[number]);
-        corners.fold([from; 2], |corner, other| [0, 1].map(|axis| pick(corner[axis], other[axis])))
-    };
-    let (low, high) = (corner(0, f32::min, f32::INFINITY), corner(1, f32::max, f32::NEG_INFINITY));
-    let origin_m = low.map(f32::floor);
-    let [cols, rows] = [0, 1].map(|axis| (high[axis] - origin_m[axis]) as usize + 1);
-    let Some(mut builder) = MapBuilder::new(origin_m, rows, cols) else { return Ok(None) };
-    let mut is_visited = false;
+    let mut states = Vec::new();
     for ground in grounds {
-        for state in spool.read::<StoredState>(ground.states, ground.patch_count)? {
-            let state = restored(state);
-            is_visited |= builder.visit(state.position_m, state.velocity_mps);
-        }
+        let stored = spool.read::<StoredState>(ground.states, ground.patch_count)?;
+        states.extend(stored.into_iter().map(restored));
     }
-    Ok(is_visited.then(|| builder.build()))
+    Ok(ContextMap::of_visits(&states))
 }
 
 impl MapView<'_> {
