@@ -40,4 +40,4 @@ pub use error::PictureError;
 pub use mask::Mask;
 pub use overview::{Overview, overview};
 pub use scene::{AgentDrawing, SceneDrawing, SceneOptions, scenes};
-pub use training_log::{Displacement, LogError, Progress, SetErrors, TrainingLog, Validation};
+pub use training_log::{LogError, Progress, SetErrors, TrainingLog, Validation};

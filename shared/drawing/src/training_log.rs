@@ -4,6 +4,7 @@ use std::fs::File;
 use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 
+use metrics::Errors;
 use serde::Deserialize;
 use thiserror::Error;
 
@@ -49,18 +50,9 @@ pub struct SetErrors {
     /// Name of the set.
     pub set: String,
     /// Error of the best mode.
-    pub best_of_modes: Displacement,
+    pub best_of_modes: Errors,
     /// Error of the single best forecast.
-    pub single: Displacement,
-}
-
-/// Mean distances between forecasts and truth.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
-pub struct Displacement {
-    /// Mean over the forecast.
-    pub ade_m: f64,
-    /// Distance at the end of the forecast.
-    pub fde_m: f64,
+    pub single: Errors,
 }
 
 /// The entries of a log in order of steps, without entries of abandoned branches of the training.

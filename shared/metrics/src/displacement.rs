@@ -12,6 +12,23 @@ pub struct Displacement {
     pub fde_m: Option<f64>,
 }
 
+/// Mean ADE and FDE of forecasts, m.
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Errors {
+    /// Mean distance over the steps.
+    pub ade_m: f64,
+    /// Distance at the last step.
+    pub fde_m: f64,
+}
+
+impl Errors {
+    /// The errors of one forecast; NaN if they are unknown.
+    #[must_use]
+    pub fn of(displacement: Displacement) -> Self {
+        Self { ade_m: displacement.ade_m.unwrap_or(f64::NAN), fde_m: displacement.fde_m.unwrap_or(f64::NAN) }
+    }
+}
+
 impl Displacement {
     /// Whether the FDE is above [`MISS_RADIUS_M`]; `None` if the FDE is unknown.
     pub fn is_miss(&self) -> Option<bool> {

@@ -65,8 +65,8 @@ pub use bootstrap::{Interval, PairedErrors, cluster_bootstrap, paired_bootstrap,
 pub use collision::{Disc, collisions};
 pub use density::{LOG_DENSITY_MIN, kde_log_density};
 pub use displacement::{
-    Displacement, DisplacementMean, MISS_RADIUS_M, displacement, interpolated, joint_min_displacement,
-    joint_spread, min_displacement, most_likely,
+    Displacement, DisplacementMean, Errors, MISS_RADIUS_M, displacement, interpolated,
+    joint_min_displacement, joint_spread, min_displacement, most_likely,
 };
 pub use kmeans::{Clusters, kmeans};
 pub use limits::{Limits, PointLimits};

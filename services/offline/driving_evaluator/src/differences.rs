@@ -2,11 +2,11 @@
 
 use std::collections::BTreeMap;
 
+use metrics::Errors;
 use scene::AgentType;
 use wire::AGENT_TYPES;
 
 use crate::Outcome;
-use crate::sample::Errors;
 
 /// Forecasts that are at most this far apart are the same: 0.1 mm.
 const SAME_M: f64 = 1e-4;

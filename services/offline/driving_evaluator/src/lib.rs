@@ -46,10 +46,11 @@ pub use error::DrivingError;
 pub use footprint::Contact;
 pub use gaps::{GapReport, through_gaps};
 pub use learned::{Learned, learn, priors};
+pub use metrics::Errors;
 pub use options::Options;
 pub use outcomes::{Outcome, OutcomeErrors, Outcomes, outcomes};
 pub use report::Report;
-pub use sample::{Errors, METHODS, Method, Sample};
+pub use sample::{METHODS, Method, Sample};
 pub use source::{Source, sources};
 pub use worst::{Criterion, WorstTick, worst};
 

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use data::{RecordedTrack, Recording};
 use evidence::{KNOTS, MotionNow, Prior};
-use metrics::{displacement, min_displacement};
+use metrics::{Errors, displacement, min_displacement};
 use nn::ModelConfig;
 use onboard::Chain;
 use run::Run;
@@ -15,7 +15,7 @@ use wire::{Forecast, Header, MODES_MAX};
 use crate::DrivingError;
 use crate::footprint::{Contact, Footprint, contacts, usual_size_m};
 use crate::play::LEARNED_MIN;
-use crate::sample::{Errors, GAP_NS, nll};
+use crate::sample::{GAP_NS, nll};
 
 /// Contacts after more than this time are left out.
 const CONTACT_S: f32 = 3.0;

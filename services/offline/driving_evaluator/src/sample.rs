@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use data::RecordedTrack;
 use evidence::{KNOTS, MotionNow};
-use metrics::{Anchors, Displacement, HighestDensity, displacement, min_displacement};
+use metrics::{Anchors, Errors, HighestDensity, displacement, min_displacement};
 use scene::{AgentType, State};
 use wire::{Expert, Forecast, MODES_MAX, Quality};
 
@@ -46,15 +46,6 @@ pub const METHODS: [Method; 6] = [
     Method::DecayingAcceleration,
     Method::Anchors,
 ];
-
-/// Mean and final error of a forecast, m.
-#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
-pub struct Errors {
-    /// Over all steps.
-    pub ade_m: f64,
-    /// At the last step.
-    pub fde_m: f64,
-}
 
 /// A matured forecast.
 #[derive(Clone, Debug, PartialEq)]
@@ -131,12 +122,6 @@ impl Sample {
     }
 }
 
-impl Errors {
-    pub(crate) fn of(displacement: Displacement) -> Self {
-        Self { ade_m: displacement.ade_m.unwrap_or(f64::NAN), fde_m: displacement.fde_m.unwrap_or(f64::NAN) }
-    }
-}
-
 impl Judge<'_> {
     /// The sample of a forecast; `None` if the recording does not have the agent for the whole horizon.
     pub(crate) fn judge(
@@ -177,9 +162,8 @@ impl Judge<'_> {
             Method::DecayingTurn => path(&|path| now.turning(self.dt_s, path)),
             Method::DecayingAcceleration => path(&|path| now.accelerating(self.dt_s, path)),
             Method::Anchors => {
-                anchors.as_ref().map_or(Errors { ade_m: f64::NAN, fde_m: f64::NAN }, |anchors| {
-                    Errors::of(min_displacement(anchors, &truth))
-                })
+                let nearest = anchors.as_ref().map(|anchors| min_displacement(anchors, &truth));
+                Errors::of(nearest.unwrap_or_default())
             }
         });
         let mut steady = vec![[0.0; 2]; len];

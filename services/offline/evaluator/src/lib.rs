@@ -38,12 +38,13 @@ pub use group::{Contrast, Group, RESAMPLES};
 pub use judge::{Block, Judge, MOVING_MPS, Subset};
 pub use maps::{MapInput, site_map};
 pub use method::Method;
+pub use metrics::Errors;
 pub use protocol::{
     Evaluation, Footage, InteractionPart, MapChoice, Options, SEED, eth_ucy, interaction, map_of, sdd,
 };
 pub use report::{Figure, Report, Table, digits, percent};
 pub use scenes::{Agent, Cut, Scene};
 pub use state::{BLOCKS_MAX, DoubtCount, RECORDINGS_MAX, State, StateError};
-pub use tally::{Calibration, Crowding, Errors, Measure, Tally};
+pub use tally::{Calibration, Crowding, Measure, Tally};
 pub use tracks::TracksPayload;
 pub use weights::{EMBEDDED, Model, Provenance, WeightsChoice};

@@ -1,7 +1,7 @@
 //! Sums of errors over agents. Every table is made from them. They are exact, so that they do not depend on
 //! the order in which agents and recordings are added.
 
-use metrics::{Displacement, ExactMean, ExactSum, Mean, Share, displacement, joint_min_displacement};
+use metrics::{Displacement, Errors, ExactMean, ExactSum, Mean, Share, displacement, joint_min_displacement};
 use serde::{Deserialize, Serialize};
 
 use crate::baselines::Candidate;
@@ -38,15 +38,6 @@ impl Measure {
 const METHODS: usize = Method::ALL.len();
 const OURS: usize = Method::OURS.len();
 const MEASURES: usize = Measure::ALL.len();
-
-/// Mean ADE and FDE.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Errors {
-    /// Mean distance over the steps.
-    pub ade_m: f64,
-    /// Distance at the last step.
-    pub fde_m: f64,
-}
 
 /// Calibration of a method's probabilities and covariances, over the steps since the previous horizon.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]

@@ -201,7 +201,7 @@ impl ModelCard {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::score::Errors;
+    use metrics::Errors;
 
     #[test]
     fn even_motion_gives_no_boundless_gain() {

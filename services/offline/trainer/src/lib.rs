@@ -56,5 +56,5 @@ pub use own::{begin_with_onboard, own};
 pub use presets::PRESETS;
 pub use recipes::{RECIPES, recipe};
 pub use samples::Source;
-pub use score::{Errors, SetScore};
+pub use score::SetScore;
 pub use train::{Summary, train};

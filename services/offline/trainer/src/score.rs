@@ -1,17 +1,10 @@
 //! The figures of a validation.
 
+use metrics::Errors;
+
 /// Minimum error of a baseline in a comparison, m. Smaller errors occur only in synthetic data, such as
 /// uniform motion.
 pub(crate) const BASELINE_MIN_M: f64 = 0.01;
-
-/// Mean errors, m.
-#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
-pub struct Errors {
-    /// Mean distance over the forecast (ADE).
-    pub ade_m: f64,
-    /// Distance at its end (FDE).
-    pub fde_m: f64,
-}
 
 /// Validation figures of one data set.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]

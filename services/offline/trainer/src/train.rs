@@ -492,7 +492,7 @@ fn weighted(weights: &[f64], random: &mut impl Rng) -> usize {
 /// The figures of a validation, one line per set.
 fn table(scores: &[SetScore]) -> String {
     let line = |score: &SetScore| {
-        let cell = |errors: crate::score::Errors| format!("{:.3}/{:.3}", errors.ade_m, errors.fde_m);
+        let cell = |errors: metrics::Errors| format!("{:.3}/{:.3}", errors.ade_m, errors.fde_m);
         format!(
             "  {:<14} {:>6} agents  best of modes {} (base {}, anchors {})  single {} (base {}, CV {})",
             score.set,

@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use data::sets::DataSet;
-use metrics::{Anchors, DisplacementMean, Point, constant_velocity, displacement, min_displacement};
+use metrics::{Anchors, DisplacementMean, Errors, Point, constant_velocity, displacement, min_displacement};
 use nn::{Latents, ModelConfig};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -26,7 +26,7 @@ use crate::net::matrix::Matrix;
 use crate::net::tensors::Tensors;
 use crate::rollout::TypeForecast;
 use crate::samples::{Agent, MapKind, Samples, SetSamples, Window};
-use crate::score::{Errors, SetScore, rounded};
+use crate::score::{SetScore, rounded};
 use crate::view;
 
 /// Maximum number of agents shown from a crowd.

@@ -3,9 +3,10 @@ mod table;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
+use metrics::Errors;
 use nn::Weights;
 use run::Exit;
-use trainer::{Errors, ModelCard};
+use trainer::ModelCard;
 use wire::AgentType;
 
 use launch::failure::Failure;

@@ -1,5 +1,6 @@
 use launch::tables;
-use trainer::{Errors, ModelCard, SetScore};
+use metrics::Errors;
+use trainer::{ModelCard, SetScore};
 
 /// The columns of the table.
 const COLUMNS: [&str; 11] = [
