@@ -27,6 +27,7 @@ mod calibration;
 mod card;
 mod checkpoint;
 mod error;
+mod kernel;
 mod log;
 mod machine;
 mod net;

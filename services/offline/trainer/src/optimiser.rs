@@ -4,8 +4,8 @@
 use std::collections::BTreeMap;
 
 use nn::ModelConfig;
-use nn::kernels::{Kernel, Lanes, dispatch};
 
+use crate::kernel::kernel;
 use crate::net::layout::units;
 use crate::net::tensors::{Gradients, TensorRole, Tensors};
 
@@ -101,19 +101,11 @@ impl Adam {
         let scale = if norm > self.options.clip_norm { self.options.clip_norm / norm } else { 1.0 };
         for ((name, (_, gradient)), moments) in gradients.0.iter().zip(self.moments.values_mut()) {
             let Some(tensor) = weights.0.get_mut(name) else { continue };
-            dispatch(Move {
-                gradient,
-                moments,
-                keep: if tensor.shape.len() > 1 {
-                    (1.0 - rate * self.options.weight_decay) as f32
-                } else {
-                    1.0
-                },
-                values: &mut tensor.values,
-                scale: scale as f32,
-                rate: (rate / (1.0 - BETA_1.powi(exponent))) as f32,
-                second_bias: (1.0 / (1.0 - BETA_2.powi(exponent))) as f32,
-            });
+            let decays = tensor.shape.len() > 1;
+            let keep = if decays { (1.0 - rate * self.options.weight_decay) as f32 } else { 1.0 };
+            let rate = (rate / (1.0 - BETA_1.powi(exponent))) as f32;
+            let second_bias = (1.0 / (1.0 - BETA_2.powi(exponent))) as f32;
+            update(gradient, moments, &mut tensor.values, keep, scale as f32, rate, second_bias);
         }
         self.update_average(weights);
         norm
@@ -124,7 +116,7 @@ impl Adam {
         let decay = self.options.average_decay.min((1.0 + steps) / (10.0 + steps)) as f32;
         for (average, tensor) in self.average.0.values_mut().zip(weights.0.values()) {
             if tensor.role != TensorRole::Fixed {
-                dispatch(Mix { average: &mut average.values, new: &tensor.values, decay });
+                mix(&mut average.values, &tensor.values, decay);
             }
         }
     }
@@ -136,23 +128,17 @@ fn in_units(values: &mut [f32], units: &[f32]) {
     values.iter_mut().zip(units).for_each(|(value, unit)| *value *= unit);
 }
 
-/// One tensor's update.
-struct Move<'a> {
-    gradient: &'a [f32],
-    moments: &'a mut Moments,
-    values: &'a mut [f32],
-    keep: f32,
-    scale: f32,
-    rate: f32,
-    second_bias: f32,
-}
-
-impl Kernel for Move<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run<L: Lanes>(self, _: L) {
-        let Self { gradient, moments, values, keep, scale, rate, second_bias } = self;
+kernel! {
+    /// One tensor's update.
+    fn update<'a>(
+        gradient: &'a [f32],
+        moments: &'a mut Moments,
+        values: &'a mut [f32],
+        keep: f32,
+        scale: f32,
+        rate: f32,
+        second_bias: f32,
+    ) {
         let (beta_1, beta_2) = (BETA_1 as f32, BETA_2 as f32);
         let Moments { first, second, units } = moments;
         let len = values.len();
@@ -167,23 +153,10 @@ impl Kernel for Move<'_> {
     }
 }
 
-/// One tensor's running average.
-struct Mix<'a> {
-    average: &'a mut [f32],
-    new: &'a [f32],
-    decay: f32,
-}
-
-impl Kernel for Mix<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run<L: Lanes>(self, _: L) {
-        let decay = self.decay;
-        self.average
-            .iter_mut()
-            .zip(self.new)
-            .for_each(|(old, new)| *old = *old * decay + new * (1.0 - decay));
+kernel! {
+    /// One tensor's running average.
+    fn mix<'a>(average: &'a mut [f32], new: &'a [f32], decay: f32) {
+        average.iter_mut().zip(new).for_each(|(old, new)| *old = *old * decay + new * (1.0 - decay));
     }
 }
 

@@ -133,7 +133,7 @@ impl Round {
         by_matrix(by_values.view(), node.view(), gradients.matrix_mut(&matrix));
         let mut by_node = Matrix::zeros(node.rows, NODE);
         by_input(by_values.view(), weights.matrix(&matrix), by_node.view_mut(), Into::Replace);
-        scores::squares_backward((node, edge), edges, &by_squares, (&mut by_node, &mut by_edge));
+        scores::squares_backward(node, edge, edges, &by_squares, &mut by_node, &mut by_edge);
         (by_node, by_edge)
     }
 

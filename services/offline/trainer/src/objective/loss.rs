@@ -99,32 +99,26 @@ impl LossParts {
     /// Exponential moving average: these parts moved by `share` towards `new`.
     #[must_use]
     pub(crate) fn mixed(self, new: Self, share: f32) -> Self {
-        let mix = |old: f32, new: f32| old + (new - old) * share;
-        Self {
-            trajectory: mix(self.trajectory, new.trajectory),
-            single: mix(self.single, new.single),
-            probability: mix(self.probability, new.probability),
-            spread: mix(self.spread, new.spread),
-        }
+        self.zipped(new, |old, new| old + (new - old) * share)
     }
 
     /// The sum with the losses of another part of the same batch.
     pub(crate) fn plus(self, other: Self) -> Self {
-        Self {
-            trajectory: self.trajectory + other.trajectory,
-            single: self.single + other.single,
-            probability: self.probability + other.probability,
-            spread: self.spread + other.spread,
-        }
+        self.zipped(other, |own, other| own + other)
     }
 
     /// All parts times a factor.
     pub(crate) fn times(self, factor: f32) -> Self {
+        self.zipped(self, |part, _| part * factor)
+    }
+
+    /// Combines each part with the same part of another loss.
+    fn zipped(self, other: Self, combine: impl Fn(f32, f32) -> f32) -> Self {
         Self {
-            trajectory: self.trajectory * factor,
-            single: self.single * factor,
-            probability: self.probability * factor,
-            spread: self.spread * factor,
+            trajectory: combine(self.trajectory, other.trajectory),
+            single: combine(self.single, other.single),
+            probability: combine(self.probability, other.probability),
+            spread: combine(self.spread, other.spread),
         }
     }
 

@@ -1,8 +1,7 @@
 //! Distances between trajectories.
 
-use nn::kernels::{Kernel, Lanes, dispatch};
-
 use super::super::matrix::Matrix;
+use crate::kernel::kernel;
 
 /// Keeps the square root differentiable at distance zero.
 const ROOT_EPSILON_M2: f32 = 1e-6;
@@ -12,7 +11,7 @@ const ROOT_EPSILON_M2: f32 = 1e-6;
 pub(super) fn distances(a: &Matrix, b: &Matrix, draw_count: usize) -> Matrix {
     assert_shapes(a, b, draw_count);
     let mut distances = Matrix::zeros(a.rows, a.cols / 2);
-    dispatch(Distances { a, b, draw_count, distances: &mut distances });
+    measure(a, b, draw_count, &mut distances);
     distances
 }
 
@@ -22,7 +21,7 @@ pub(super) fn distances_backward(a: &Matrix, b: &Matrix, draw_count: usize, slop
     assert_shapes(a, b, draw_count);
     assert_eq!((a.rows, a.cols), (slopes.rows, slopes.cols * 2), "a slope for every position");
     let mut gradient = Matrix::zeros(a.rows, a.cols);
-    dispatch(DistancesBackward { a, b, draw_count, slopes, gradient: &mut gradient });
+    differentiate(a, b, draw_count, slopes, &mut gradient);
     gradient
 }
 
@@ -30,44 +29,29 @@ fn assert_shapes(a: &Matrix, b: &Matrix, draw_count: usize) {
     assert_eq!((a.rows, a.cols), (b.rows * draw_count, b.cols), "shapes of trajectories");
 }
 
-struct Distances<'a> {
-    a: &'a Matrix,
-    b: &'a Matrix,
-    draw_count: usize,
-    distances: &'a mut Matrix,
-}
-
-impl Kernel for Distances<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run<L: Lanes>(self, _: L) {
-        for row in 0..self.a.rows {
-            let (a, b) = (self.a.row(row).as_chunks().0, self.b.row(row / self.draw_count).as_chunks().0);
-            for ((distance, a), b) in self.distances.row_mut(row).iter_mut().zip(a).zip(b) {
+kernel! {
+    fn measure<'a>(a: &'a Matrix, b: &'a Matrix, draw_count: usize, distances: &'a mut Matrix) {
+        for row in 0..a.rows {
+            let (a, b) = (a.row(row).as_chunks().0, b.row(row / draw_count).as_chunks().0);
+            for ((distance, a), b) in distances.row_mut(row).iter_mut().zip(a).zip(b) {
                 *distance = between(*a, *b).1;
             }
         }
     }
 }
 
-struct DistancesBackward<'a> {
-    a: &'a Matrix,
-    b: &'a Matrix,
-    draw_count: usize,
-    slopes: &'a Matrix,
-    gradient: &'a mut Matrix,
-}
-
-impl Kernel for DistancesBackward<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run<L: Lanes>(self, _: L) {
-        for row in 0..self.a.rows {
-            let (a, b) = (self.a.row(row).as_chunks().0, self.b.row(row / self.draw_count).as_chunks().0);
-            let gradient = self.gradient.row_mut(row).as_chunks_mut().0.iter_mut();
-            for (((gradient, a), b), slope) in gradient.zip(a).zip(b).zip(self.slopes.row(row)) {
+kernel! {
+    fn differentiate<'a>(
+        a: &'a Matrix,
+        b: &'a Matrix,
+        draw_count: usize,
+        slopes: &'a Matrix,
+        gradient: &'a mut Matrix,
+    ) {
+        for row in 0..a.rows {
+            let (a, b) = (a.row(row).as_chunks().0, b.row(row / draw_count).as_chunks().0);
+            let gradient = gradient.row_mut(row).as_chunks_mut().0.iter_mut();
+            for (((gradient, a), b), slope) in gradient.zip(a).zip(b).zip(slopes.row(row)) {
                 let (difference, distance) = between(*a, *b);
                 let factor = slope / distance;
                 *gradient = [difference[0] * factor, difference[1] * factor];

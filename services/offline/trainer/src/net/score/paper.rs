@@ -1,9 +1,8 @@
 //! The terms of the loss of preset `paper`. \[paper, Eq. loss\] \[model §5\]
 
-use nn::kernels::{Kernel, Lanes, dispatch};
-
 use super::super::matrix::{Into, Matrix, by_input, forward};
 use super::Truth;
+use crate::kernel::kernel;
 
 /// Scales s of the inverse multiquadric kernels C/(C + ‖·‖²), C = 2 · 32 · s for latents of 32 components.
 const KERNEL_SCALES: [f32; 7] = [0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0];
@@ -69,12 +68,7 @@ impl<'a> Pairs<'a> {
         };
         let (mut values, mut slopes) = (Matrix::zeros(a.rows, b.rows), Matrix::zeros(a.rows, b.rows));
         forward(a.view(), b.view(), values.view_mut(), Into::Replace);
-        dispatch(Kernels {
-            values: &mut values,
-            slopes: &mut slopes,
-            norms: [&norms(a), &norms(b)],
-            latent_len: a.cols,
-        });
+        kernels(&mut values, &mut slopes, [&norms(a), &norms(b)], a.cols);
         Self { a, b, values, slopes }
     }
 
@@ -103,21 +97,16 @@ impl<'a> Pairs<'a> {
     }
 }
 
-/// Replaces products a·b by the sum of the kernels of ‖a − b‖², and sets the slopes by ‖a − b‖².
-struct Kernels<'a> {
-    values: &'a mut Matrix,
-    slopes: &'a mut Matrix,
-    /// Squared norms of the rows of a and of b.
-    norms: [&'a [f32]; 2],
-    latent_len: usize,
-}
-
-impl Kernel for Kernels<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run<L: Lanes>(self, _: L) {
-        let Self { values, slopes, norms: [a_norms, b_norms], latent_len } = self;
+kernel! {
+    /// Replaces products a·b by the sum of the kernels of ‖a − b‖², and sets the slopes by ‖a − b‖². `norms`
+    /// are the squared norms of the rows of a and of b.
+    fn kernels<'a>(
+        values: &'a mut Matrix,
+        slopes: &'a mut Matrix,
+        norms: [&'a [f32]; 2],
+        latent_len: usize,
+    ) {
+        let [a_norms, b_norms] = norms;
         let constants = KERNEL_SCALES.map(|scale| 2.0 * latent_len as f32 * scale);
         for (row, a_norm) in a_norms.iter().enumerate() {
             let columns = values.row_mut(row).iter_mut().zip(slopes.row_mut(row)).zip(b_norms);

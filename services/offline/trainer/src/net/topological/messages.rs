@@ -2,9 +2,8 @@
 
 use std::ops::Range;
 
-use nn::kernels::{Kernel, Lanes, dispatch};
-
 use super::shape::{BLOCK, Block, NODE};
+use crate::kernel::kernel;
 use crate::net::matrix::{Into, Matrix, View, forward};
 
 /// The number of heads for which the kernels are specialised.
@@ -27,7 +26,7 @@ pub(in crate::net) struct Messages<'a> {
 impl Messages<'_> {
     /// Adds the weighted messages to `attended` `[rows, 64]`. `own` is U e of the block.
     pub(in crate::net) fn sum(self, own: &[f32], attended: &mut Matrix) {
-        dispatch(Sum { messages: self, own: own.as_chunks().0, attended: attended.values.as_chunks_mut().0 });
+        add_messages(self, own.as_chunks().0, attended.values.as_chunks_mut().0);
     }
 }
 
@@ -70,14 +69,14 @@ impl MessagesBackward {
     ) {
         let Messages { block, alpha, .. } = messages;
         let terms = &mut self.terms[..block.len() * NODE];
-        dispatch(Backward {
+        let by_values = self.by_values.values.as_chunks_mut().0;
+        messages_backward(
             messages,
-            attended: attended.values.as_chunks().0,
-            d_attended: d_attended.values.as_chunks().0,
-            own: own.as_chunks_mut().0,
-            terms: terms.as_chunks_mut().0,
-            by_values: self.by_values.values.as_chunks_mut().0,
-        });
+            [attended, d_attended].map(|attended| attended.values.as_chunks().0),
+            own.as_chunks_mut().0,
+            terms.as_chunks_mut().0,
+            by_values,
+        );
         let terms = View::new(terms, block.len(), NODE);
         forward(terms, self.head_sums.view(), block.view_mut(&mut self.by_scores), Into::Replace);
         let by_scores = block.of_mut(&mut self.by_scores).iter_mut();
@@ -98,33 +97,22 @@ fn sections(heads: usize) -> impl Iterator<Item = Range<usize>> {
     (0..heads).map(move |head| head * len..(head + 1) * len)
 }
 
-struct Sum<'a> {
-    messages: Messages<'a>,
-    own: &'a [Attributes],
-    attended: &'a mut [Attributes],
-}
-
-impl Kernel for Sum<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run<L: Lanes>(self, _: L) {
-        match self.messages.heads {
-            USUAL_HEADS => self.run_with(USUAL_HEADS),
-            heads => self.run_with(heads),
+kernel! {
+    fn add_messages<'a>(messages: Messages<'a>, own: &'a [Attributes], attended: &'a mut [Attributes]) {
+        match messages.heads {
+            USUAL_HEADS => add_with(USUAL_HEADS, messages, own, attended),
+            heads => add_with(heads, messages, own, attended),
         }
     }
 }
 
-impl Sum<'_> {
-    #[inline(always)]
-    fn run_with(self, heads: usize) {
-        let Messages { block, leaky_slope, values, alpha, .. } = self.messages;
-        let values = values.values.as_chunks().0;
-        let edges = self.own.iter().zip(alpha.chunks_exact(heads));
-        for ((receiver, sender), (own, alpha)) in block.ends().zip(edges) {
-            add_message(leaky_slope, alpha, &values[sender], own, &mut self.attended[receiver]);
-        }
+#[inline(always)]
+fn add_with(heads: usize, messages: Messages<'_>, own: &[Attributes], attended: &mut [Attributes]) {
+    let Messages { block, leaky_slope, values, alpha, .. } = messages;
+    let values = values.values.as_chunks().0;
+    let edges = own.iter().zip(alpha.chunks_exact(heads));
+    for ((receiver, sender), (own, alpha)) in block.ends().zip(edges) {
+        add_message(leaky_slope, alpha, &values[sender], own, &mut attended[receiver]);
     }
 }
 
@@ -141,38 +129,37 @@ fn add_message(slope: f32, alpha: &[f32], value: &Attributes, own: &Attributes, 
     }
 }
 
-struct Backward<'a> {
-    messages: Messages<'a>,
-    attended: &'a [Attributes],
-    d_attended: &'a [Attributes],
-    own: &'a mut [Attributes],
-    terms: &'a mut [Attributes],
-    by_values: &'a mut [Attributes],
-}
-
-impl Kernel for Backward<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run<L: Lanes>(self, _: L) {
-        match self.messages.heads {
-            USUAL_HEADS => self.run_with(USUAL_HEADS),
-            heads => self.run_with(heads),
+kernel! {
+    fn messages_backward<'a>(
+        messages: Messages<'a>,
+        attended: [&'a [Attributes]; 2],
+        own: &'a mut [Attributes],
+        terms: &'a mut [Attributes],
+        by_values: &'a mut [Attributes],
+    ) {
+        match messages.heads {
+            USUAL_HEADS => backward_with(USUAL_HEADS, messages, attended, own, terms, by_values),
+            heads => backward_with(heads, messages, attended, own, terms, by_values),
         }
     }
 }
 
-impl Backward<'_> {
-    #[inline(always)]
-    fn run_with(self, heads: usize) {
-        let Messages { block, leaky_slope, values, alpha, .. } = self.messages;
-        let values = values.values.as_chunks().0;
-        let edges = self.own.iter_mut().zip(self.terms).zip(alpha.chunks_exact(heads));
-        for ((receiver, sender), ((own, terms), alpha)) in block.ends().zip(edges) {
-            let received = (&self.attended[receiver], &self.d_attended[receiver]);
-            let (value, by_value) = (&values[sender], &mut self.by_values[sender]);
-            message_backward(leaky_slope, alpha, value, received, own, terms, by_value);
-        }
+#[inline(always)]
+fn backward_with(
+    heads: usize,
+    messages: Messages<'_>,
+    [attended, d_attended]: [&[Attributes]; 2],
+    own: &mut [Attributes],
+    terms: &mut [Attributes],
+    by_values: &mut [Attributes],
+) {
+    let Messages { block, leaky_slope, values, alpha, .. } = messages;
+    let values = values.values.as_chunks().0;
+    let edges = own.iter_mut().zip(terms).zip(alpha.chunks_exact(heads));
+    for ((receiver, sender), ((own, terms), alpha)) in block.ends().zip(edges) {
+        let received = (&attended[receiver], &d_attended[receiver]);
+        let (value, by_value) = (&values[sender], &mut by_values[sender]);
+        message_backward(leaky_slope, alpha, value, received, own, terms, by_value);
     }
 }
 

@@ -2,9 +2,10 @@
 //! lengths.
 
 use nn::Attention;
-use nn::kernels::{Kernel, Lanes, dispatch, exp_in_place};
+use nn::kernels::exp_in_place;
 
 use super::shape::{AttentionShape, EDGE, Edges, NODE};
+use crate::kernel::kernel;
 use crate::net::matrix::{Into, Matrix, by_input, by_matrix, forward};
 use crate::net::tensors::{Gradients, Tensors};
 
@@ -105,36 +106,16 @@ pub(in crate::net) fn softmax(scores: &mut Matrix, first: &[u32]) {
 /// d_ij and l_ij of all edges, `[edges, 2]`.
 pub(super) fn squares(node: &Matrix, edge: &Matrix, edges: &Edges) -> Matrix {
     let mut squares = Matrix::zeros(edges.len(), 2);
-    dispatch(Squares { node, edge, edges, squares: &mut squares });
+    square(node, edge, edges, &mut squares);
     squares
 }
 
-/// Adds to the gradients by `node` and `edge`, given the gradient by the squares.
-pub(super) fn squares_backward(
-    (node, edge): (&Matrix, &Matrix),
-    edges: &Edges,
-    by_squares: &Matrix,
-    (by_node, by_edge): (&mut Matrix, &mut Matrix),
-) {
-    dispatch(SquaresBackward { node, edge, edges, by_squares, by_node, by_edge });
-}
-
-struct Squares<'a> {
-    node: &'a Matrix,
-    edge: &'a Matrix,
-    edges: &'a Edges,
-    squares: &'a mut Matrix,
-}
-
-impl Kernel for Squares<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run<L: Lanes>(self, _: L) {
-        let node = self.node.values.as_chunks::<NODE>().0;
-        let edge = self.edge.values.as_chunks::<EDGE>().0;
-        let squares = self.squares.values.as_chunks_mut().0;
-        for ((receiver, sender), (edge, squares)) in self.edges.ends().zip(edge.iter().zip(squares)) {
+kernel! {
+    fn square<'a>(node: &'a Matrix, edge: &'a Matrix, edges: &'a Edges, squares: &'a mut Matrix) {
+        let node = node.values.as_chunks::<NODE>().0;
+        let edge = edge.values.as_chunks::<EDGE>().0;
+        let squares = squares.values.as_chunks_mut().0;
+        for ((receiver, sender), (edge, squares)) in edges.ends().zip(edge.iter().zip(squares)) {
             let mut length = [0.0; EDGE];
             for i in 0..EDGE {
                 length[i] = edge[i] * edge[i];
@@ -169,27 +150,21 @@ fn sum(values: &[f32; 16]) -> f32 {
     sums[0]
 }
 
-struct SquaresBackward<'a> {
-    node: &'a Matrix,
-    edge: &'a Matrix,
-    edges: &'a Edges,
-    by_squares: &'a Matrix,
-    by_node: &'a mut Matrix,
-    by_edge: &'a mut Matrix,
-}
-
-impl Kernel for SquaresBackward<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run<L: Lanes>(self, _: L) {
-        let (node, edge) = (self.node.values.as_chunks().0, self.edge.values.as_chunks::<EDGE>().0);
-        let by_node = self.by_node.values.as_chunks_mut().0;
-        let by_edge = self.by_edge.values.as_chunks_mut().0;
-        let by_edges = self.by_squares.values.as_chunks().0.iter().zip(edge.iter().zip(by_edge));
-        for ((receiver, sender), ([by_distance, by_length], (edge, by_edge))) in
-            self.edges.ends().zip(by_edges)
-        {
+kernel! {
+    /// Adds to the gradients by `node` and `edge`, given the gradient by the squares.
+    pub(super) fn squares_backward<'a>(
+        node: &'a Matrix,
+        edge: &'a Matrix,
+        edges: &'a Edges,
+        by_squares: &'a Matrix,
+        by_node: &'a mut Matrix,
+        by_edge: &'a mut Matrix,
+    ) {
+        let (node, edge) = (node.values.as_chunks().0, edge.values.as_chunks::<EDGE>().0);
+        let by_node = by_node.values.as_chunks_mut().0;
+        let by_edge = by_edge.values.as_chunks_mut().0;
+        let by_edges = by_squares.values.as_chunks().0.iter().zip(edge.iter().zip(by_edge));
+        for ((receiver, sender), ([by_distance, by_length], (edge, by_edge))) in edges.ends().zip(by_edges) {
             let pull = scaled_difference(2.0 * by_distance, &node[receiver], &node[sender]);
             add_scaled(&mut by_node[receiver], 1.0, &pull);
             add_scaled(&mut by_node[sender], -1.0, &pull);

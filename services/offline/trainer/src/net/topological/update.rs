@@ -6,9 +6,8 @@
 //!
 //! The columns of W₀ that multiply a node's attributes are applied once per node.
 
-use nn::kernels::{Kernel, Lanes, dispatch};
-
 use super::shape::{BLOCK, Block, EDGE, Edges, NODE};
+use crate::kernel::kernel;
 use crate::net::matrix::{Into, Matrix, View, ViewMut, by_bias, by_input, by_matrix, forward};
 use crate::net::tensors::{Gradients, Tensors};
 
@@ -66,7 +65,7 @@ impl Update {
         let matrix = weights.matrix(&format!("{name}.edge.0.weight")).columns(OWN, EDGE);
         forward(block.view(edge), matrix, ViewMut::new(hidden, block.len(), HIDDEN), Into::Replace);
         let (receivers, senders) = (self.receivers.values.as_chunks().0, self.senders.values.as_chunks().0);
-        dispatch(Hidden { block, receivers, senders, hidden: hidden.as_chunks_mut().0 });
+        rectify(block, receivers, senders, hidden.as_chunks_mut().0);
         hidden
     }
 
@@ -92,13 +91,8 @@ impl Update {
             let d_hidden = &mut d_memory[..block.len() * HIDDEN];
             let view = ViewMut::new(d_hidden, block.len(), HIDDEN);
             by_input(block.view(d_edge), weights.matrix(&out), view, Into::Replace);
-            dispatch(HiddenBackward {
-                block,
-                hidden: hidden.as_chunks().0,
-                d_hidden: d_hidden.as_chunks_mut().0,
-                by_receivers: by_receivers.values.as_chunks_mut().0,
-                by_senders: by_senders.values.as_chunks_mut().0,
-            });
+            let by_ends = [&mut by_receivers, &mut by_senders].map(|by_end| by_end.values.as_chunks_mut().0);
+            rectify_backward(block, hidden.as_chunks().0, d_hidden.as_chunks_mut().0, by_ends);
             let [hidden, d_hidden] = [hidden, d_hidden].map(|values| View::new(values, block.len(), HIDDEN));
             by_matrix(block.view(d_edge), hidden, gradients.matrix_mut(&out));
             by_matrix(d_hidden, block.view(edge), gradients.matrix_mut(&first).columns(OWN, EDGE));
@@ -119,21 +113,11 @@ impl Update {
     }
 }
 
-/// Adds the parts of receiver and sender to the edges' own part, and rectifies the sum.
-struct Hidden<'a> {
-    block: Block<'a>,
-    receivers: &'a [Units],
-    senders: &'a [Units],
-    hidden: &'a mut [Units],
-}
-
-impl Kernel for Hidden<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run<L: Lanes>(self, _: L) {
-        for ((receiver, sender), hidden) in self.block.ends().zip(self.hidden) {
-            add_rectified(hidden, &self.receivers[receiver], &self.senders[sender]);
+kernel! {
+    /// Adds the parts of receiver and sender to the edges' own part, and rectifies the sum.
+    fn rectify<'a>(block: Block<'a>, receivers: &'a [Units], senders: &'a [Units], hidden: &'a mut [Units]) {
+        for ((receiver, sender), hidden) in block.ends().zip(hidden) {
+            add_rectified(hidden, &receivers[receiver], &senders[sender]);
         }
     }
 }
@@ -146,28 +130,18 @@ fn add_rectified(hidden: &mut Units, receiver: &Units, sender: &Units) {
     }
 }
 
-/// Stops the gradient if a hidden unit is 0, and adds it to the gradients of receiver and sender.
-struct HiddenBackward<'a> {
-    block: Block<'a>,
-    hidden: &'a [Units],
-    d_hidden: &'a mut [Units],
-    by_receivers: &'a mut [Units],
-    by_senders: &'a mut [Units],
-}
-
-impl Kernel for HiddenBackward<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run<L: Lanes>(self, _: L) {
-        let edges = self.hidden.iter().zip(self.d_hidden);
-        for ((receiver, sender), (hidden, d_hidden)) in self.block.ends().zip(edges) {
-            rectified_backward(
-                hidden,
-                d_hidden,
-                &mut self.by_receivers[receiver],
-                &mut self.by_senders[sender],
-            );
+kernel! {
+    /// Stops the gradient if a hidden unit is 0, and adds it to the gradients of receiver and sender.
+    fn rectify_backward<'a>(
+        block: Block<'a>,
+        hidden: &'a [Units],
+        d_hidden: &'a mut [Units],
+        by_ends: [&'a mut [Units]; 2],
+    ) {
+        let [by_receivers, by_senders] = by_ends;
+        let edges = hidden.iter().zip(d_hidden);
+        for ((receiver, sender), (hidden, d_hidden)) in block.ends().zip(edges) {
+            rectified_backward(hidden, d_hidden, &mut by_receivers[receiver], &mut by_senders[sender]);
         }
     }
 }
