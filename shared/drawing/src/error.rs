@@ -18,37 +18,14 @@ pub enum PictureError {
         /// The largest valid value.
         most: f64,
     },
-    /// A number of an agent is not finite.
-    #[error("agent {agent}: its {what} is not finite")]
-    NotFinite {
+    /// An agent can't be drawn: a number is not finite, the parts of its forecast differ in length, or a
+    /// covariance is not positive semi-definite.
+    #[error("agent {agent}: {problem}")]
+    Agent {
         /// The agent.
         agent: u64,
-        /// The name of the number.
-        what: &'static str,
-    },
-    /// The parts of a forecast differ in length.
-    #[error("agent {agent}: {what} has length {len}, expected {expected}")]
-    Length {
-        /// The agent.
-        agent: u64,
-        /// The name of the part.
-        what: &'static str,
-        /// Length.
-        len: usize,
-        /// The expected length.
-        expected: usize,
-    },
-    /// A covariance is not positive semi-definite.
-    #[error("agent {agent}: mode {mode}, step {step}: covariance {covariance:?} is not positive")]
-    Covariance {
-        /// The agent.
-        agent: u64,
-        /// The mode.
-        mode: usize,
-        /// The step.
-        step: usize,
-        /// The covariance (xx, xy, yy), m².
-        covariance: [f32; 3],
+        /// What is wrong.
+        problem: String,
     },
 }
 

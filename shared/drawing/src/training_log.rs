@@ -75,12 +75,6 @@ pub enum LogError {
         /// The cause.
         source: std::io::Error,
     },
-    /// The file is too long.
-    #[error("{path}: longer than {BYTES_MAX} bytes", path = path.display())]
-    TooLong {
-        /// The file.
-        path: PathBuf,
-    },
     /// A line is not a valid log line.
     #[error("{path}, line {line}: {reason}", path = path.display())]
     Line {
@@ -91,11 +85,13 @@ pub enum LogError {
         /// The reason.
         reason: String,
     },
-    /// There are no lines.
-    #[error("{path}: no line of training or validation", path = path.display())]
-    Empty {
+    /// The file is too long, or has no lines.
+    #[error("{path}: {reason}", path = path.display())]
+    File {
         /// The file.
         path: PathBuf,
+        /// The reason.
+        reason: String,
     },
 }
 
@@ -118,6 +114,7 @@ impl TrainingLog {
     /// [`LogError`] if the file cannot be read, is too long, has no lines or has an invalid line.
     pub fn read(path: &Path) -> Result<Self, LogError> {
         let unreadable = |source| LogError::Unreadable { path: path.to_owned(), source };
+        let unusable = |reason| LogError::File { path: path.to_owned(), reason };
         let mut lines = BufReader::new(File::open(path).map_err(unreadable)?.take(BYTES_MAX + 1));
         let (mut log, mut bytes, mut number) = (Self::default(), 0, 0);
         let mut line = String::new();
@@ -125,7 +122,7 @@ impl TrainingLog {
             number += 1;
             bytes += line.len() as u64;
             if bytes > BYTES_MAX {
-                return Err(LogError::TooLong { path: path.to_owned() });
+                return Err(unusable(format!("longer than {BYTES_MAX} bytes")));
             }
             let is_whole = line.ends_with('\n');
             match serde_json::from_str(&line) {
@@ -139,7 +136,7 @@ impl TrainingLog {
             line.clear();
         }
         if log.progress.is_empty() && log.validations.is_empty() {
-            return Err(LogError::Empty { path: path.to_owned() });
+            return Err(unusable("no line of training or validation".to_owned()));
         }
         Ok(log)
     }

@@ -13,15 +13,14 @@ pub enum LaneMapError {
         /// The error of the operating system.
         source: std::io::Error,
     },
-    /// The file is larger than the largest accepted map.
-    #[error("{path}: {bytes} bytes, at most {most} are read")]
-    TooLarge {
+    /// The file as a whole can't be used: it is too large, has too many items of one kind, or has no lanelet
+    /// that any agent uses.
+    #[error("{path}: {problem}")]
+    File {
         /// The file.
         path: String,
-        /// Size.
-        bytes: u64,
-        /// The limit.
-        most: u64,
+        /// What is wrong.
+        problem: String,
     },
     /// The file is not valid OSM XML.
     #[error("{path}:{line}:{column}: {problem}")]
@@ -46,22 +45,6 @@ pub enum LaneMapError {
         element: Element,
         /// The reason, with the value.
         problem: String,
-    },
-    /// The map has too many items of one kind.
-    #[error("{path}: more than {most} {what}")]
-    TooMany {
-        /// The file.
-        path: String,
-        /// The kind of the items.
-        what: &'static str,
-        /// The limit.
-        most: usize,
-    },
-    /// The map has no lanelet that any agent uses.
-    #[error("{path}: no lanelet")]
-    NoLanelets {
-        /// The file.
-        path: String,
     },
 }
 

@@ -56,8 +56,8 @@ impl LaneMap {
     /// Like [`LaneMap::open`].
     pub fn parse(path: &str, bytes: &[u8], coordinates: Coordinates) -> Result<Self, LaneMapError> {
         if bytes.len() as u64 > XML_BYTES_MAX {
-            let (bytes, most) = (bytes.len() as u64, XML_BYTES_MAX);
-            return Err(LaneMapError::TooLarge { path: path.to_owned(), bytes, most });
+            let problem = format!("{} bytes, at most {XML_BYTES_MAX} are read", bytes.len());
+            return Err(LaneMapError::File { path: path.to_owned(), problem });
         }
         let text = str::from_utf8(bytes).map_err(|error| {
             let before = &bytes[..error.valid_up_to()];
@@ -137,6 +137,8 @@ struct Reading<'a, 'e> {
 impl<'a> Reading<'a, '_> {
     fn map(mut self) -> Result<LaneMap, LaneMapError> {
         let elements = self.elements;
+        let unusable =
+            |problem: String| LaneMapError::File { path: elements.source.path.to_owned(), problem };
         let (mut areas, mut first_error) = (Vec::new(), None);
         for (&id, relation) in &elements.relations {
             let failed = |why: String| elements.error(id, why);
@@ -153,18 +155,15 @@ impl<'a> Reading<'a, '_> {
                 },
                 _ => (),
             }
-            let too_many =
-                |what, most| Err(LaneMapError::TooMany { path: elements.source.path.to_owned(), what, most });
             if self.begun.len() > LANES_MAX {
-                return too_many("lanes", LANES_MAX);
+                return Err(unusable(format!("more than {LANES_MAX} lanes")));
             }
             if self.point_count > POINTS_MAX {
-                return too_many("metres of lanes", POINTS_MAX);
+                return Err(unusable(format!("more than {POINTS_MAX} metres of lanes")));
             }
         }
         if self.begun.is_empty() {
-            let path = elements.source.path.to_owned();
-            return Err(first_error.unwrap_or(LaneMapError::NoLanelets { path }));
+            return Err(first_error.unwrap_or_else(|| unusable("no lanelet".to_owned())));
         }
         let all = [elements.nodes.len(), elements.ways.len(), elements.relations.len()];
         self.skipped.unneeded = Kind::ALL

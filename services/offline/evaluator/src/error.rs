@@ -1,7 +1,5 @@
 use data::ReadError;
 use lanes::LaneMapError;
-use nn::WeightsError;
-use onboard::ChainError;
 use thiserror::Error;
 
 /// Why an evaluation fails.
@@ -13,13 +11,13 @@ pub enum EvaluateError {
     /// A map of lanes can't be read.
     #[error(transparent)]
     Lanes(#[from] LaneMapError),
-    /// No context map can be made from a map of lanes.
-    #[error("{site}: {source}")]
-    Map {
-        /// The site.
-        site: String,
-        /// Why.
-        source: mapper::MapError,
+    /// A weights file can't be used or run, or no context map can be made from the lanes of a site.
+    #[error("{of}: {source}")]
+    Unusable {
+        /// The file or the site.
+        of: String,
+        /// What is wrong with it.
+        source: Box<dyn std::error::Error + Send + Sync>,
     },
     /// The weights that a table needs do not exist.
     #[error("{path}: no such weights; `stgdat train --recipe {recipe}` makes them, --weights names others")]
@@ -28,22 +26,6 @@ pub enum EvaluateError {
         path: String,
         /// The recipe that writes it.
         recipe: String,
-    },
-    /// Weights can't be used.
-    #[error("{path}: {source}")]
-    Weights {
-        /// The file.
-        path: String,
-        /// What is wrong with it.
-        source: WeightsError,
-    },
-    /// The onboard stages can't run the weights.
-    #[error("{path}: {source}")]
-    Stages {
-        /// The file.
-        path: String,
-        /// What is wrong.
-        source: ChainError,
     },
     /// The model's steps differ from the steps of the data set.
     #[error("{path}: the model has {own}, {set} has {wanted}")]
@@ -83,4 +65,13 @@ pub enum EvaluateError {
         /// What is wrong.
         source: Box<dyn std::error::Error + Send + Sync>,
     },
+}
+
+impl EvaluateError {
+    pub(crate) fn unusable(
+        of: impl Into<String>,
+        source: impl std::error::Error + Send + Sync + 'static,
+    ) -> Self {
+        Self::Unusable { of: of.into(), source: Box::new(source) }
+    }
 }

@@ -69,16 +69,16 @@ impl WeightsChoice {
     pub fn open(&self, recipe: &str, seed: u64) -> Result<Model, EvaluateError> {
         let path = self.file.clone().unwrap_or_else(|| self.folder.join(format!("{recipe}.safetensors")));
         let mut shown = path.display().to_string();
-        let failed = |source| EvaluateError::Weights { path: path.display().to_string(), source };
         let weights = if self.file.is_none() && recipe == EMBEDDED {
             "embedded".clone_into(&mut shown);
             Weights::onboard()
         } else if path.exists() {
-            Weights::open(&path).map_err(failed)?
+            Weights::open(&path)
+                .map_err(|error| EvaluateError::unusable(path.display().to_string(), error))?
         } else {
             return Err(EvaluateError::NoWeights { path: shown, recipe: recipe.to_owned() });
         };
-        let failed = |source| EvaluateError::Stages { path: path.display().to_string(), source };
+        let failed = |source| EvaluateError::unusable(path.display().to_string(), source);
         let mut forecaster = Forecaster::new(weights, seed).map_err(failed)?;
         if self.precision != Precision::F32 {
             forecaster.decode_in(self.precision).map_err(failed)?;

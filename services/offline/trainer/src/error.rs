@@ -9,20 +9,12 @@ pub enum TrainError {
     /// A recording could not be read.
     #[error(transparent)]
     Data(#[from] ReadError),
-    /// The options contradict one another.
+    /// The options contradict one another, or name an unknown data set.
     #[error("{0}")]
-    Options(&'static str),
+    Options(String),
     /// The model's configuration is invalid.
     #[error("model.{0}")]
     Model(#[source] ConfigError),
-    /// A data set has an unknown name.
-    #[error("unknown data set \"{name}\": expected one of {known}")]
-    UnknownDataSet {
-        /// The name.
-        name: String,
-        /// All names, with commas between them.
-        known: String,
-    },
     /// The weights to begin with can't be used.
     #[error("begin_with {}: {source}", path.display())]
     BeginWith {
@@ -31,17 +23,13 @@ pub enum TrainError {
         /// Why not.
         source: WeightsError,
     },
-    /// The weights to begin with belong to another model.
-    #[error("begin_with {}: its model is another one than the options ask for", path.display())]
-    OtherModel {
+    /// The weights to begin with do not fit.
+    #[error("begin_with {}: {problem}", path.display())]
+    Unsuitable {
         /// The weights file.
         path: PathBuf,
-    },
-    /// The weights to begin with have no card.
-    #[error("begin_with {}: the weights have no card", path.display())]
-    NoCard {
-        /// The weights file.
-        path: PathBuf,
+        /// What is wrong with it.
+        problem: &'static str,
     },
     /// The data contain no agent with a known future.
     #[error("no {part} window has an agent with a known future below {}", root.display())]
@@ -137,5 +125,15 @@ impl TensorError {
     /// Adds the file to the error.
     pub(crate) fn of(self, path: &Path) -> TrainError {
         TrainError::Tensors { path: path.to_owned(), source: self }
+    }
+}
+
+impl TrainError {
+    /// The error of weights to begin with that belong to another model.
+    pub(crate) fn other_model(path: &Path) -> Self {
+        Self::Unsuitable {
+            path: path.to_owned(),
+            problem: "its model is another one than the options ask for",
+        }
     }
 }

@@ -171,7 +171,7 @@ impl TrainOptions {
     /// [`TrainError::Model`] or [`TrainError::Options`] with the options at fault.
     pub fn check(&self) -> Result<(), TrainError> {
         self.model.check().map_err(TrainError::Model)?;
-        let refuse = |reason| Err(TrainError::Options(reason));
+        let refuse = |reason: &str| Err(TrainError::Options(reason.to_owned()));
         let points = self.model.latents == Latents::Points;
         match self.objective {
             Objective::Plus { .. } if !(points && self.model.best_latent && self.model.mode_head) => refuse(
@@ -317,6 +317,6 @@ pub(crate) fn set_named(name: &str) -> Result<DataSet, TrainError> {
     let known = || sets.into_iter().chain(folds);
     known().find(|set| set.name() == name).ok_or_else(|| {
         let names: Vec<&str> = known().map(DataSet::name).collect();
-        TrainError::UnknownDataSet { name: name.to_owned(), known: names.join(", ") }
+        TrainError::Options(format!("unknown data set \"{name}\": expected one of {}", names.join(", ")))
     })
 }

@@ -125,7 +125,7 @@ impl<'a> Run<'a> {
                 |source: &Source| training.sources.iter().any(|other| other.sha256 == source.sha256);
             if options.files.len() > 1 && validation.sources.iter().any(is_shared) {
                 return Err(TrainError::Options(
-                    "the same recording is among those for training and for validation",
+                    "the same recording is among those for training and for validation".to_owned(),
                 ));
             }
         }
@@ -142,7 +142,8 @@ impl<'a> Run<'a> {
         {
             if !options.files.is_empty() && state.progress.recordings != self.recordings() {
                 return Err(TrainError::Options(
-                    "the checkpoints are of a training on other recordings: name another --out, or --checkpoints",
+                    "the checkpoints are of a training on other recordings: name another --out, or --checkpoints"
+                        .to_owned(),
                 ));
             }
             progress.note(&format!("resumed at update {}", state.progress.step));
@@ -425,7 +426,9 @@ fn open(path: &Path) -> Result<nn::Weights, TrainError> {
 
 fn read_card(path: &Path) -> Result<ModelCard, TrainError> {
     let weights = open(path)?;
-    let card = weights.card().cloned().ok_or_else(|| TrainError::NoCard { path: path.to_owned() })?;
+    let problem = "the weights have no card";
+    let card =
+        weights.card().cloned().ok_or_else(|| TrainError::Unsuitable { path: path.to_owned(), problem })?;
     let fault = |source| TrainError::Metadata { path: path.to_owned(), key: "card", source };
     serde_json::from_value(card).map_err(fault)
 }
@@ -436,7 +439,7 @@ fn mean_of_files(paths: &[PathBuf], model: &ModelConfig) -> Result<Tensors, Trai
     for (before, path) in paths.iter().enumerate() {
         let weights = read_weights(path, model)?;
         if before > 0 && !weights.0.keys().eq(mean.0.keys()) {
-            return Err(TrainError::OtherModel { path: path.clone() });
+            return Err(TrainError::other_model(path));
         }
         mean = if before == 0 { weights } else { mean.moved(&weights, 1.0 / (before + 1) as f32) };
     }
@@ -450,7 +453,7 @@ fn read_weights(path: &Path, model: &ModelConfig) -> Result<Tensors, TrainError>
     let bytes = std::fs::read(path).map_err(|source| TrainError::Io { path: path.to_owned(), source })?;
     let without = ModelConfig { base_support: false, ..model.clone() };
     let model = [model, &without].into_iter().find(|model| weights.config() == *model);
-    let model = model.ok_or_else(|| TrainError::OtherModel { path: path.to_owned() })?;
+    let model = model.ok_or_else(|| TrainError::other_model(path))?;
     Tensors::from_safetensors(&bytes, &layout(model)).map_err(|error| error.of(path))
 }
 

@@ -47,8 +47,10 @@ fn agent(AgentDrawing { agent, truth }: &AgentDrawing) -> Result<(), PictureErro
 fn of_forecast(agent: u64, forecast: &ForecastView) -> Result<(), PictureError> {
     let modes_len = forecast.modes.len();
     let step_count = forecast.modes.first().map_or(0, Vec::len);
-    let same = |what, len, expected| {
-        if len == expected { Ok(()) } else { Err(PictureError::Length { agent, what, len, expected }) }
+    let wrong = |problem: String| Err(PictureError::Agent { agent, problem });
+    let same = |what: &str, len: usize, expected: usize| match len == expected {
+        true => Ok(()),
+        false => wrong(format!("{what} has length {len}, expected {expected}")),
     };
     within("the number of modes", modes_len as f64, 1.0, MODES_MAX as f64)?;
     within("the number of steps", step_count as f64, 1.0, STEPS_MAX as f64)?;
@@ -69,16 +71,16 @@ fn of_forecast(agent: u64, forecast: &ForecastView) -> Result<(), PictureError> 
             // Rounding may leave a thin Gaussian with a determinant just below 0.
             let is_positive = xx >= 0.0 && yy >= 0.0 && xy * xy <= xx * yy * 1.001 + 1e-12;
             if !is_positive || !(xx + yy).is_finite() {
-                return Err(PictureError::Covariance { agent, mode, step, covariance });
+                return wrong(format!("mode {mode}, step {step}: covariance {covariance:?} is not positive"));
             }
         }
     }
     Ok(())
 }
 
-fn finite(agent: u64, what: &'static str, values: &[f32]) -> Result<(), PictureError> {
+fn finite(agent: u64, what: &str, values: &[f32]) -> Result<(), PictureError> {
     if values.iter().all(|value| value.is_finite()) {
         return Ok(());
     }
-    Err(PictureError::NotFinite { agent, what })
+    Err(PictureError::Agent { agent, problem: format!("its {what} is not finite") })
 }

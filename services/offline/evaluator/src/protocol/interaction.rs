@@ -152,7 +152,7 @@ impl Protocol<'_> {
                     name = footage.site();
                     judge.lanes = options.lanes_of(&name)?;
                     let of_lanes = judge.lanes.as_deref().map(mapper::of_lanes).transpose();
-                    drawn = of_lanes.map_err(|source| EvaluateError::Map { site: name.clone(), source })?;
+                    drawn = of_lanes.map_err(|source| EvaluateError::unusable(&name, source))?;
                 }
                 // Training used no recording of this site, so the only possible site map is the map of its
                 // lanes.
