@@ -153,11 +153,19 @@ impl Fleet {
 
     /// Reaps, restarts and watches the stages. `is_linked` is true once the run has begun. Before that, a
     /// stage that ends by itself can't be started, so the run ends. In lockstep every death ends the run.
+    /// `is_restoring` is true while removed files of the run are restored. A stage that could not read them then
+    /// is started again.
     ///
     /// # Errors
     /// [`Failure::Death`] if a stage has ended that the output depends on.
-    pub fn tend(&mut self, heartbeats: &[Heartbeat], is_linked: bool) -> Result<Vec<Event>, Failure> {
+    pub fn tend(
+        &mut self,
+        heartbeats: &[Heartbeat],
+        is_linked: bool,
+        is_restoring: bool,
+    ) -> Result<Vec<Event>, Failure> {
         let now = self.begun.elapsed();
+        let has_files = !is_restoring && self.record.exists();
         let stopped = now.saturating_sub(self.tended);
         self.tended = now;
         self.note_own();
@@ -206,6 +214,7 @@ impl Fleet {
                     status,
                     is_restartable,
                     ports::is_full(&self.run.root),
+                    has_files,
                     now,
                 )?);
             } else if is_linked && !self.run.lockstep {
@@ -215,7 +224,7 @@ impl Fleet {
             }
         }
         events.extend(self.tend_trial(stopped, now));
-        events.extend(self.tend_spares(is_linked, stopped, now)?);
+        events.extend(self.tend_spares(is_linked, has_files, stopped, now)?);
         events.extend(self.restart(now)?);
         self.note_own();
         Ok(events)

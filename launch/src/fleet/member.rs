@@ -48,18 +48,20 @@ impl Member {
         }
     }
 
-    /// Records the end of the process.
+    /// Records the end of the process. `has_files` is false if files of the run were removed and may have been
+    /// missing when the process read them.
     pub(super) fn handle_exit(
         &mut self,
         status: ExitStatus,
         is_restartable: bool,
         is_full: bool,
+        has_files: bool,
         now: Duration,
     ) -> Result<Option<Event>, Failure> {
         let end = match status.code() {
             Some(0) if self.is_done(status) => End::Done,
             Some(0) => End::Success,
-            Some(code) if code == Exit::Config as i32 => End::Config,
+            Some(code) if code == Exit::Config as i32 && has_files => End::Config,
             _ if is_full => End::NoRoom,
             _ => End::Failure,
         };

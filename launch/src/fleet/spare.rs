@@ -104,7 +104,12 @@ impl Spare {
 
     /// Checks the spare's process. Returns whether it has ended and, if the spare is given up now, the
     /// reason.
-    pub(super) fn tend(&mut self, stopped: Duration, now: Duration) -> (bool, Option<String>) {
+    pub(super) fn tend(
+        &mut self,
+        has_files: bool,
+        stopped: Duration,
+        now: Duration,
+    ) -> (bool, Option<String>) {
         self.started += stopped;
         let Some(child) = &mut self.child else { return (false, None) };
         let Some(status) = child.ended() else {
@@ -120,7 +125,8 @@ impl Spare {
             return (false, None);
         };
         self.report.deaths += 1;
-        let end = if status.code() == Some(Exit::Config as i32) { End::Config } else { End::Failure };
+        let is_config = has_files && status.code() == Some(Exit::Config as i32);
+        let end = if is_config { End::Config } else { End::Failure };
         let how = match self.supervision.ended(end, now) {
             State::GivenUp { why } => {
                 Some(format!("its spare {} and is given up: {why}", child.death(status).how))

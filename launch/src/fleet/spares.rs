@@ -48,6 +48,7 @@ impl Fleet {
     pub(super) fn tend_spares(
         &mut self,
         is_linked: bool,
+        has_files: bool,
         stopped: Duration,
         now: Duration,
     ) -> Result<Vec<Event>, Failure> {
@@ -68,7 +69,7 @@ impl Fleet {
                 continue;
             }
             let stopped = if stopped > STOPPED { stopped } else { Duration::ZERO };
-            let (has_ended, given_up) = spare.tend(stopped, now);
+            let (has_ended, given_up) = spare.tend(has_files, stopped, now);
             if has_ended {
                 spare.ticket = self.cleaner.ticket();
             }

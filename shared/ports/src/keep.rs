@@ -79,6 +79,11 @@ impl Keep {
         0
     }
 
+    /// Whether files were removed a moment ago and are being restored.
+    pub const fn is_restoring(&self) -> bool {
+        self.restoring.is_some()
+    }
+
     /// Links all current files.
     pub fn take_in(&mut self) {
         let mut gone = BTreeSet::new();

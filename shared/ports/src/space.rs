@@ -152,6 +152,12 @@ impl Space {
         self.keep.as_mut().map_or(0, Keep::tend)
     }
 
+    /// Whether removed files are being restored: a process that starts now may miss some.
+    #[must_use]
+    pub fn is_restoring(&self) -> bool {
+        self.keep.as_ref().is_some_and(Keep::is_restoring)
+    }
+
     /// Protects the current files of the run's directory.
     pub fn keep(&mut self) {
         if let Some(keep) = &mut self.keep {

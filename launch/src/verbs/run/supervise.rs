@@ -101,7 +101,7 @@ pub(super) fn supervise(
             linked = true;
             tap.event(Happened::Linked);
         }
-        match fleet.tend(&heartbeats, linked) {
+        match fleet.tend(&heartbeats, linked, space.is_restoring()) {
             Ok(events) => events.iter().for_each(|event| {
                 watch.say(event);
                 event.happened().into_iter().for_each(|what| tap.event(what));
