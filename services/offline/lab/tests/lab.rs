@@ -48,6 +48,7 @@ fn options_that_a_target_does_not_use_are_refused() {
     for (target, option) in [
         ("eth-ucy", ["--parts", "seen"].as_slice()),
         ("interaction", &["--sigmas", "0.1"]),
+        ("sdd", &["--particles"]),
         ("tracking", &["--positions"]),
         ("interaction", &["--format", "csv"]),
         ("sdd", &["--fps", "25"]),

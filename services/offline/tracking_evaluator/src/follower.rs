@@ -2,7 +2,9 @@
 
 use std::collections::BTreeMap;
 
-use filters::{ConstantAcceleration, Filter, Forecast, Gaussian, Kind, Mixture, Observation, Unknown};
+use filters::{
+    ConstantAcceleration, Filter, Forecast, Gaussian, Kind, Mixture, Observation, Particles, Unknown,
+};
 use metrics::tracking::{PlanarState, normalised_square};
 use nalgebra::{Matrix2, Vector4};
 use scene::State;
@@ -22,6 +24,8 @@ use evaluator::Forecaster;
 const COURSE_KNOWN_RAD: f64 = 0.3;
 /// Minimum speed of a known course.
 const COURSE_KNOWN_MPS: f64 = 0.5;
+/// Particles per vehicle.
+const PARTICLES: usize = 200;
 /// Runs a method over courses.
 pub(crate) struct Follower<'a> {
     pub(crate) method: TrackingMethod,
@@ -37,6 +41,7 @@ enum Estimator {
     TurnRate(Box<Gaussian<5>>),
     /// A mixture with one component if there is no forecast.
     Mixture(Box<Mixture<SingerBicycle, 7>>),
+    Particles(Box<Particles<SingerBicycle, 7>>),
 }
 
 struct Track {
@@ -138,7 +143,8 @@ impl Follower<'_> {
                 length_m: track.length_m,
                 state: track.state(),
                 is_measured: instant.measures(id),
-                wanted: track.is_fresh && matches!(track.estimator, Estimator::Mixture(_)),
+                wanted: track.is_fresh
+                    && matches!(track.estimator, Estimator::Mixture(_) | Estimator::Particles(_)),
             })
             .collect();
         let step_ns = self.forecaster.config().step_ns();
@@ -147,13 +153,20 @@ impl Follower<'_> {
             let Hypotheses { heading_rad, probability, controls } = hypotheses;
             let forecast =
                 Forecast { age_ns: 0, step_ns, heading_rad, probability: &probability, controls: &controls };
-            track.is_fresh = false;
-            if let Estimator::Mixture(mixture) = &mut track.estimator {
-                let gains = control_gains(&mixture.moments());
-                mixture.priors = self.settings.priors(self.method, track.length_m, gains);
-                // If a forecast can't be used, the previous one remains.
-                track.is_fresh = mixture.adopt(&forecast).is_err();
-            }
+            let priors = |state| self.settings.priors(self.method, track.length_m, control_gains(state));
+            let adopted = match &mut track.estimator {
+                Estimator::Filter(_) | Estimator::Acceleration(_) | Estimator::TurnRate(_) => Ok(()),
+                Estimator::Mixture(mixture) => {
+                    mixture.priors = priors(&mixture.moments());
+                    mixture.adopt(&forecast)
+                }
+                Estimator::Particles(particles) => {
+                    particles.priors = priors(&particles.moments());
+                    particles.adopt(&forecast)
+                }
+            };
+            // If a forecast can't be used, the previous one remains.
+            track.is_fresh = adopted.is_err();
         }
     }
 }
@@ -177,6 +190,7 @@ impl Track {
             Estimator::Acceleration(state) => state.predict(elapsed_ns, &settings.acceleration()).ok(),
             Estimator::TurnRate(state) => state.predict(elapsed_ns, &settings.turn_rate()).ok(),
             Estimator::Mixture(mixture) => mixture.predict(elapsed_ns).ok(),
+            Estimator::Particles(particles) => particles.predict(elapsed_ns).ok(),
         }
     }
 
@@ -189,6 +203,10 @@ impl Track {
             Estimator::Mixture(mixture) => {
                 let nis = innovation_squared(&mixture.moments(), seen)?;
                 return Some((nis, mixture.update(seen).ok()?));
+            }
+            Estimator::Particles(particles) => {
+                let nis = innovation_squared(&particles.moments(), seen)?;
+                return Some((nis, particles.update(seen).ok()?));
             }
         };
         evidence.ok().map(|evidence| (evidence.nis, evidence.log_likelihood))
@@ -223,6 +241,10 @@ impl Track {
             (_, TrackingMethod::Bicycle) => {
                 Estimator::Filter(Box::new(Filter::Bicycle(polar(UNKNOWN.slip_rad))))
             }
+            (_, TrackingMethod::LearnedParticles) => {
+                let start = priors.kinematic.of(&polar(UNKNOWN.slip_rad));
+                Estimator::Particles(Box::new(Particles::new(&start, priors, PARTICLES, id)))
+            }
             _ => {
                 let start = priors.kinematic.of(&polar(UNKNOWN.slip_rad));
                 Estimator::Mixture(Box::new(Mixture::new(start, priors, id)))
@@ -245,6 +267,9 @@ impl Track {
                 Filter::Bicycle(state)
             }
             Estimator::Mixture(mixture) => Filter::Bicycle(SingerBicycle::bicycle_of(&mixture.moments())),
+            Estimator::Particles(particles) => {
+                Filter::Bicycle(SingerBicycle::bicycle_of(&particles.moments()))
+            }
         }
     }
 

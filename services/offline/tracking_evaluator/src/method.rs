@@ -32,6 +32,8 @@ wire::named! {
         Learned => "learned, linearised",
         /// The same, and the forecasts use a retrieval memory that begins with earlier recordings.
         WarmStarted => "learned, warm-started retrieval",
+        /// The processes of [`TrackingMethod::Learned`] by Monte Carlo: particles with the mixture's settings.
+        LearnedParticles => "learned, Monte Carlo",
         /// Constant acceleration that also uses later measurements: not a filter, but a bound for filters
         /// (oracle).
         Smoother => "smoother bound (oracle)",
@@ -65,9 +67,14 @@ const FADE_IN_S: f64 = 1.0;
 const FLOOR: [f64; 5] = [1e-6, 1e-6, 1e-6, 0.0, 0.0];
 
 impl TrackingMethod {
+    /// The methods to evaluate. Particles take several times as long as all other methods together.
+    pub(crate) fn evaluated(particles: bool) -> Vec<Self> {
+        Self::ALL.into_iter().filter(|&method| particles || method != Self::LearnedParticles).collect()
+    }
+
     /// Whether the method uses forecasts of the model.
     pub(crate) const fn is_learned(self) -> bool {
-        matches!(self, Self::Learned | Self::WarmStarted)
+        matches!(self, Self::Learned | Self::WarmStarted | Self::LearnedParticles)
     }
 
     /// Whether the method uses neither forecasts nor later measurements.
@@ -78,6 +85,7 @@ impl TrackingMethod {
     /// The method with the same settings as this one.
     pub(crate) const fn tuned_as(self) -> Self {
         match self {
+            Self::LearnedParticles => Self::Learned,
             Self::Smoother => Self::ConstantAcceleration,
             own => own,
         }
@@ -88,27 +96,32 @@ impl TrackingMethod {
         matches!(self, Self::WarmStarted)
     }
 
-    /// The names of the tuned numbers, and the setting with which tuning begins.
-    pub(crate) const fn tuned(self) -> (&'static [&'static str], Setting) {
+    /// The names of the tuned numbers.
+    pub(crate) const fn setting_names(self) -> &'static [&'static str] {
         match self {
-            Self::ConstantVelocity => (&["acceleration density, m²/s³"], [1.0; 3]),
-            Self::ConstantAcceleration => (&["jerk density, m²/s⁵"], [1.0; 3]),
+            Self::ConstantVelocity => &["acceleration density, m²/s³"],
+            Self::ConstantAcceleration => &["jerk density, m²/s⁵"],
             Self::ConstantTurnRate => {
-                (&["root of the acceleration density", "of the yaw acceleration density"], [2.0, 0.5, 1.0])
+                &["root of the acceleration density", "of the yaw acceleration density"]
             }
-            Self::Bicycle => (&["acceleration, m/s²", "slip rate, rad/s"], [2.0, 0.2, 1.0]),
-            Self::SingerBicycle => {
-                (&["acceleration, m/s²", "slip rate, rad/s", "decay, s"], [1.0, 0.05, 2.0])
+            Self::Bicycle => &["acceleration, m/s²", "slip rate, rad/s"],
+            Self::SingerBicycle => &["acceleration, m/s²", "slip rate, rad/s", "decay, s"],
+            Self::Learned | Self::WarmStarted => {
+                &["share of the Singer bicycle's driving noise", "decay at first, s", "decay once steered, s"]
             }
-            Self::Learned | Self::WarmStarted => (
-                &[
-                    "share of the Singer bicycle's driving noise",
-                    "decay at first, s",
-                    "decay once steered, s",
-                ],
-                [1.0, 1.5, 0.8],
-            ),
-            Self::Smoother => (&[], [1.0; 3]),
+            Self::LearnedParticles | Self::Smoother => &[],
+        }
+    }
+
+    /// The setting with which tuning begins.
+    pub(crate) const fn first_setting(self) -> Setting {
+        match self {
+            Self::ConstantVelocity | Self::ConstantAcceleration => [1.0; 3],
+            Self::ConstantTurnRate => [2.0, 0.5, 1.0],
+            Self::Bicycle => [2.0, 0.2, 1.0],
+            Self::SingerBicycle => [1.0, 0.05, 2.0],
+            Self::Learned | Self::WarmStarted => [1.0, 1.5, 0.8],
+            Self::LearnedParticles | Self::Smoother => [1.0; 3],
         }
     }
 
@@ -118,7 +131,11 @@ impl TrackingMethod {
             Self::ConstantVelocity => StateKind::ConstantVelocity,
             Self::ConstantAcceleration | Self::Smoother => StateKind::ConstantAcceleration,
             Self::ConstantTurnRate => StateKind::ConstantTurnRate,
-            Self::Bicycle | Self::SingerBicycle | Self::Learned | Self::WarmStarted => StateKind::Bicycle,
+            Self::Bicycle
+            | Self::SingerBicycle
+            | Self::Learned
+            | Self::WarmStarted
+            | Self::LearnedParticles => StateKind::Bicycle,
         }
     }
 }
@@ -130,7 +147,7 @@ pub(crate) struct Settings([Setting; TrackingMethod::ALL.len()]);
 impl Settings {
     /// The settings with which tuning begins.
     pub(crate) fn first() -> Self {
-        Self(TrackingMethod::ALL.map(|method| method.tuned().1))
+        Self(TrackingMethod::ALL.map(TrackingMethod::first_setting))
     }
 
     pub(crate) fn of(&self, method: TrackingMethod) -> Setting {

@@ -292,7 +292,7 @@ impl TrackingReport {
         let mut table = Table::new("Settings", &note, &["deviation", "method"], columns);
         for (sigma_m, trials) in &self.trials {
             for &(method, figure) in &trials.figures {
-                let numbers = method.tuned().0.iter().zip(trials.settings.of(method));
+                let numbers = method.setting_names().iter().zip(trials.settings.of(method));
                 let setting: Vec<String> =
                     numbers.map(|(what, value)| format!("{what} {value:.3}")).collect();
                 let setting = match &setting[..] {

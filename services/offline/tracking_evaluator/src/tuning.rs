@@ -39,8 +39,7 @@ pub(crate) fn tune(
             let outcomes = threads::each(courses, threads, follow);
             Outcome::nll(&outcomes)
         };
-        let (names, first) = method.tuned();
-        let (setting, figure) = search(first, names.len(), nll);
+        let (setting, figure) = search(method.first_setting(), method.setting_names().len(), nll);
         settings = settings.with(method, setting);
         figures.push((method, figure));
     }

@@ -76,6 +76,10 @@ pub struct Arguments {
     /// Standard deviations of the measured positions in `tracking`, m; by default the protocol's values
     #[arg(long, value_name = "M,…", value_delimiter = ',', allow_negative_numbers = true)]
     sigmas: Vec<f64>,
+    /// Also evaluate the learned prior of `tracking` with Monte Carlo propagation, which takes several times
+    /// as long
+    #[arg(long)]
+    particles: bool,
     /// Evaluate the network's forecasts in `driving` without evidence from earlier forecasts
     #[arg(long)]
     without_evidence: bool,
@@ -184,6 +188,7 @@ fn refuse_unused(name: &str, arguments: &Arguments) -> Result<(), Failure> {
         ("--without-evidence", arguments.without_evidence, is_driving, "`driving`"),
         ("--prior", arguments.prior.is_some(), is_driving, "`driving`"),
         ("--sigmas", !arguments.sigmas.is_empty(), is_tracking, "`tracking`"),
+        ("--particles", arguments.particles, is_tracking, "`tracking`"),
         (
             "--against-bag",
             arguments.against_bag.is_some(),
@@ -359,7 +364,12 @@ fn track(arguments: &Arguments) -> Result<Vec<Written>, Failure> {
                 Written::of_gaps(&report.map_err(Failure::data)?)
             }
             _ => {
-                let report = tracking_evaluator::interaction(&options, &arguments.sigmas, progress);
+                let report = tracking_evaluator::interaction(
+                    &options,
+                    &arguments.sigmas,
+                    arguments.particles,
+                    progress,
+                );
                 Written::of_motion(&report.map_err(Failure::data)?)
             }
         });

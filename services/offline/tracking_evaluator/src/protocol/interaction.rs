@@ -31,12 +31,14 @@ type Places<'a> = BTreeMap<String, Place<'a>>;
 /// includes gaps of each length. Map and retrieval memory of a site come from the training part.
 ///
 /// `sigmas_m` are standard deviations of the measured positions, m; if empty, the protocol's values are used.
+/// With `particles` the learned prior also runs by Monte Carlo.
 ///
 /// # Errors
 /// If weights or recordings are missing or of another kind.
 pub fn interaction(
     options: &Options,
     sigmas_m: &[f64],
+    particles: bool,
     mut progress: impl FnMut(&str),
 ) -> Result<TrackingReport, EvaluateError> {
     let model = options.weights.open(RECIPE, SEED)?;
@@ -51,12 +53,13 @@ pub fn interaction(
     let places = places(options, &model, &training, &maps);
     let recordings: Vec<_> = evaluated.iter().map(|footage| &footage.recording).collect();
     let provenance = model.provenance("tracking", options.map.label(), &recordings);
+    let methods = TrackingMethod::evaluated(particles);
     let mut report = TrackingReport::new(provenance, EVALUATED_S, TUNED_S);
     let sigmas_m = if sigmas_m.is_empty() { &SIGMAS_M } else { sigmas_m };
     for &sigma_m in sigmas_m {
         progress(&format!("measured within {sigma_m} m: tuning"));
-        let courses = courses(&validation, &places, sigma_m);
-        let trials = tune(&courses, &model.forecaster, &TrackingMethod::ALL, options.threads);
+        let trials =
+            tune(&courses(&validation, &places, sigma_m), &model.forecaster, &methods, options.threads);
         for &gap_s in &GAPS_S {
             progress(&format!("measured within {sigma_m} m, gaps of {gap_s} s"));
             let sensor = Sensor { sigma_m, gap_s, seed: SEED };
