@@ -256,7 +256,7 @@ impl Stage {
     /// The headers of added stages whose output no forecast waits for; they do not count as an input.
     ///
     /// # Errors
-    /// As [`Node::added_subscriber`].
+    /// As [`Node::raw_subscriber`].
     pub fn beside(&self, run: &Run) -> Result<Beside, PortError> {
         Beside::open(&self.node, run)
     }
