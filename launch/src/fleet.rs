@@ -165,7 +165,6 @@ impl Fleet {
         is_restoring: bool,
     ) -> Result<Vec<Event>, Failure> {
         let now = self.begun.elapsed();
-        let has_files = !is_restoring && self.record.exists();
         let stopped = now.saturating_sub(self.tended);
         self.tended = now;
         self.note_own();
@@ -214,7 +213,7 @@ impl Fleet {
                     status,
                     is_restartable,
                     ports::is_full(&self.run.root),
-                    has_files,
+                    !is_restoring && self.record.exists(),
                     now,
                 )?);
             } else if is_linked && !self.run.lockstep {
@@ -224,7 +223,7 @@ impl Fleet {
             }
         }
         events.extend(self.tend_trial(stopped, now));
-        events.extend(self.tend_spares(is_linked, has_files, stopped, now)?);
+        events.extend(self.tend_spares(is_linked, is_restoring, stopped, now)?);
         events.extend(self.restart(now)?);
         self.note_own();
         Ok(events)

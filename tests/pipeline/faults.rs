@@ -114,6 +114,23 @@ fn the_restart_limit_and_exit_code_78_give_a_stage_up() {
     }
 }
 
+/// The stage can't know that another program has removed the record that it lacks.
+#[test]
+fn a_stage_that_lacks_removed_files_is_started_again() {
+    let scratch = Scratch::new("lacks");
+    let stgdat = env!("CARGO_BIN_EXE_stgdat");
+    let words = format!(
+        "test $STGDAT_INCARNATION != 1 || {{ rm $STGDAT_RUN; exit 78; }}; exec {stgdat} stage encoder"
+    );
+    let line = format!("name = \"encoder\"\ncommand = [\"sh\", \"-c\", {words:?}]\n");
+    let pipeline = scratch.pipeline("lacks.toml", "name = \"encoder\"\n", &line);
+    let (exit, report) = disturbed("lacks-run", &["--ticks", "80", "--pipeline", &pipeline], |run| {
+        run.signal_stage("encoder", Signal::KILL);
+    });
+    assert_eq!(exit, Some(0), "{:#}", report["supervision"]);
+    assert_eq!(restarts(&report), [("encoder".to_owned(), 2)], "{:#}", report["supervision"]);
+}
+
 /// Removes the regular files in a folder and its subfolders, like programs that remove old files.
 fn remove_files(folder: &std::path::Path) {
     for entry in std::fs::read_dir(folder).expect("the run's folder").filter_map(Result::ok) {

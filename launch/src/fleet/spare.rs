@@ -106,7 +106,7 @@ impl Spare {
     /// reason.
     pub(super) fn tend(
         &mut self,
-        has_files: bool,
+        has_files: impl FnOnce() -> bool,
         stopped: Duration,
         now: Duration,
     ) -> (bool, Option<String>) {
@@ -125,7 +125,7 @@ impl Spare {
             return (false, None);
         };
         self.report.deaths += 1;
-        let is_config = has_files && status.code() == Some(Exit::Config as i32);
+        let is_config = status.code() == Some(Exit::Config as i32) && has_files();
         let end = if is_config { End::Config } else { End::Failure };
         let how = match self.supervision.ended(end, now) {
             State::GivenUp { why } => {

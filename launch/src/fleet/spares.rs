@@ -48,7 +48,7 @@ impl Fleet {
     pub(super) fn tend_spares(
         &mut self,
         is_linked: bool,
-        has_files: bool,
+        is_restoring: bool,
         stopped: Duration,
         now: Duration,
     ) -> Result<Vec<Event>, Failure> {
@@ -69,7 +69,7 @@ impl Fleet {
                 continue;
             }
             let stopped = if stopped > STOPPED { stopped } else { Duration::ZERO };
-            let (has_ended, given_up) = spare.tend(has_files, stopped, now);
+            let (has_ended, given_up) = spare.tend(|| !is_restoring && self.record.exists(), stopped, now);
             if has_ended {
                 spare.ticket = self.cleaner.ticket();
             }

@@ -162,7 +162,7 @@ fn detections_come_in_and_forecasts_go_out_and_a_lost_link_comes_back() {
     let detector = scene.detector();
     awaited(&mut lines, is_learned);
 
-    // The counts of both links reach the user, those of a stranger included.
+    // The counts of both links reach the user. They include the connection with another key.
     let stranger = scene.folder.path().join("stranger");
     write_key(&stranger, b"fedcba9876543210fedcba9876543210\n");
     let stranger = start(&scene.bridge, &["receive", &scene.forecasts, "--key", stranger.to_str().unwrap()]);
