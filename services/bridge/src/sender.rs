@@ -172,11 +172,19 @@ impl Drop for Place<'_> {
 /// Accepts connections until the sender is dropped.
 fn accept(shared: &Arc<Shared>) {
     while !shared.newest().is_closed {
-        let Ok(socket) = shared.listener.accept() else {
-            if !shared.newest().is_closed {
-                thread::sleep(PAUSE);
+        let socket = match shared.listener.accept() {
+            Ok(socket) => socket,
+            // Another user must not delay the receivers of this one.
+            Err(error) if error.kind() == io::ErrorKind::PermissionDenied => {
+                shared.counts.end(&error.into());
+                continue;
             }
-            continue;
+            Err(_) => {
+                if !shared.newest().is_closed {
+                    thread::sleep(PAUSE);
+                }
+                continue;
+            }
         };
         if shared.greetings.load(Ordering::Relaxed) >= GREETINGS_MAX {
             shared.counts.end(&LinkError::Full);
