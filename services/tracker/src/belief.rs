@@ -335,11 +335,13 @@ mod tests {
             let models = input.models(agent_type, 0.0);
             let mut belief = Belief::new(filter);
             for kinematic_weight in [0.25, 0.75, 0.5] {
-                let trust = ForecastTrust { kinematic_weight, ..input.trust };
+                let trust = ForecastTrust { kinematic_weight, ..input.trust[agent_type.index()] };
                 belief.adopt(&forecast, (&models, &trust), 1).expect("possible numbers");
                 let found = belief.weights()[MODES_MAX];
                 assert!((f64::from(found) - kinematic_weight).abs() < 1e-6, "{agent_type:?}: {found}");
-                belief.predict(80_000_000, &models, &input.trust).expect("a finite state");
+                belief
+                    .predict(80_000_000, &models, &input.trust[agent_type.index()])
+                    .expect("a finite state");
             }
         }
     }
@@ -352,7 +354,7 @@ mod tests {
         let decay_per_s = models.bicycle.slip_decay_per_s;
         assert!(decay_per_s > 0.0);
         for (gain, left) in [(0.0, 1.0), (0.25, 0.75), (1.0, 0.0)] {
-            let priors = input.trust.bicycle(&models, [1.0, gain]);
+            let priors = input.trust[0].bicycle(&models, [1.0, gain]);
             assert_eq!(priors.kinematic.slip_decay_per_s, decay_per_s);
             assert_eq!(priors.learned.slip_decay_per_s, left * decay_per_s, "a gain of {gain}");
         }

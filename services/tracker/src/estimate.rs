@@ -24,8 +24,10 @@ use crate::estimate::held::Held;
 use crate::estimate::reports::Reports;
 use crate::forecasts::{Controls, Forecasts};
 use crate::front::{Front, folded, rate_limited_rad};
-use crate::observation::{Found, observation, source_id};
+use crate::noise::{Measurements, Noise};
+use crate::observation::{Found, nominal_sigma_m, observation, source_id};
 use crate::options::{ForecastTrust, InputModel, TrackerOptions};
+use crate::steady::Steady;
 use crate::track_management::TrackManagement;
 use crate::trials::{PART_NS, Shown, Trials};
 
@@ -40,6 +42,8 @@ const COURSE_SIGMA_MAX_RAD: f64 = 0.3;
 const COURSE_SPEED_MIN_MPS: f64 = 0.5;
 /// Below this speed a course is meaningless and the last heading is held.
 const COURSE_MIN_MPS: f64 = 0.1;
+/// Age from which a track without a trusted identity shows the noise of its detections.
+const TEACHES_FROM_NS: i64 = 1_000_000_000;
 /// Weight of a new detection's size.
 const SIZE_WEIGHT: f32 = 0.2;
 
@@ -61,8 +65,14 @@ pub struct Birth {
 pub struct Estimate {
     /// The type.
     pub class: Class,
-    /// The motion at `stamp_ns`.
+    /// The free motion at `stamp_ns`.
     pub belief: Belief,
+    /// The steady motion at `stamp_ns`.
+    steady: Steady,
+    /// The newest measurements, from which the noise is learned.
+    measurements: Measurements,
+    /// Deviation of the newest measurement's position for which the noise is learned as a factor.
+    nominal_m: f64,
     birth: Birth,
     /// The newest detection's own identity; 0 if it has none.
     source_id: u64,
@@ -86,8 +96,11 @@ pub struct Estimate {
     dt_ns: u64,
     /// Share of the agent that is visible in the current frame; 1 if occlusion is not computed.
     visibility: f64,
-    /// The motion to publish at the end of the frame.
+    /// The state to publish at the end of the frame, and its motion.
+    published: Filter,
     motion: Motion,
+    /// Whether the agent probably stands, so that its course is meaningless.
+    is_standing: bool,
     held: Held,
     /// Heading. It is held if the filter has none.
     heading_rad: f64,
@@ -129,6 +142,8 @@ impl Estimate {
             was_ready: false,
             dt_ns: 0,
             visibility: 1.0,
+            published: *belief.filter(),
+            is_standing: false,
             motion: belief.motion(),
             held: Held::new(belief.motion(), own_ns),
             heading_rad: seen.heading_rad.map_or(0.0, |(heading, _)| heading),
@@ -139,6 +154,9 @@ impl Estimate {
             reports: Reports::new(found),
             gate: Gate::new(own_ns),
             is_replaced: false,
+            steady: Steady::new(belief.filter()),
+            measurements: Measurements::default(),
+            nominal_m: 0.0,
             belief,
         }
     }
@@ -176,6 +194,8 @@ impl Estimate {
             was_ready: true,
             dt_ns: 0,
             visibility: 1.0,
+            published: *belief.filter(),
+            is_standing: false,
             motion: belief.motion(),
             held: Held::new(belief.motion(), stamp_ns),
             heading_rad,
@@ -186,6 +206,9 @@ impl Estimate {
             reports: Reports::new(&last),
             gate: Gate::new(seen_ns),
             is_replaced: false,
+            steady: Steady::new(belief.filter()),
+            measurements: Measurements::default(),
+            nominal_m: 0.0,
             belief,
         }
     }
@@ -218,9 +241,9 @@ impl Estimate {
         if !(is_due && is_newer && fits) {
             return true;
         }
-        let least = input.trust.kinematic_weight;
+        let least = input.trust[agent_type.index()].kinematic_weight;
         let kinematic_weight = self.trials.kinematic_weight(&shown[agent_type.index()], agent_type, least);
-        let trust = &ForecastTrust { kinematic_weight, ..input.trust };
+        let trust = &ForecastTrust { kinematic_weight, ..input.trust[agent_type.index()] };
         let fade_in_s = match steering {
             Steering::Bicycle => trust.control_fade_in_s,
             Steering::None | Steering::Displacement => trust.displacement_fade_in_s,
@@ -265,7 +288,9 @@ impl Estimate {
         let dt_ns = to_ns.abs_diff(self.stamp_ns);
         self.stamp_ns = to_ns;
         let models = self.models(input);
-        self.belief.predict(dt_ns, &models, &input.trust)
+        // A failure leaves the steady motion unchanged, and its likelihood then shows that it is wrong.
+        let _ = self.steady.predict(self.belief.filter(), dt_ns, &models.steady());
+        self.belief.predict(dt_ns, &models, &input.trust[self.class.current().index()])
     }
 
     /// Predicts the motion of a new estimate to the stamp of its frame. The stamp may be before the
@@ -276,7 +301,9 @@ impl Estimate {
     pub fn predict_first(&mut self, input: &InputModel) -> Result<(), FilterFault> {
         if self.stamp_ns > self.frame_ns {
             let models = self.models(input);
-            self.belief.shift(self.lag_s(self.frame_ns), &models);
+            let lag_s = self.lag_s(self.frame_ns);
+            self.belief.shift(lag_s, &models);
+            self.steady.shift(lag_s, &models);
             self.stamp_ns = self.frame_ns;
         }
         self.predict(self.frame_ns, input)
@@ -298,7 +325,8 @@ impl Estimate {
         let &Found { detection, agent_type, own_ns } = found;
         let seen = observation(detection, agent_type, input);
         if !self.is_hit() {
-            let log_density = self.fit(found, seen.position_variance, input).log_density();
+            let variance = nominal_sigma_m(detection, agent_type, options).powi(2);
+            let log_density = self.fit(found, variance, input).log_density();
             self.management.hit(log_density, self.dt_ns, input, options);
         }
         self.settle_gate(found, &seen, input);
@@ -310,6 +338,8 @@ impl Estimate {
         }
         self.source_id = source_id(detection);
         self.reports.add(found);
+        self.nominal_m = nominal_sigma_m(detection, agent_type, options);
+        self.measurements.add(found, self.nominal_m);
         self.smooth_size(detection);
         self.seen_ns = self.frame_ns;
         self.held.end();
@@ -349,13 +379,31 @@ impl Estimate {
                 *heading = folded(*heading, self.heading_rad);
             }
         }
-        self.belief.update_at(lag_s, possible, &self.models(input))
+        let models = self.models(input);
+        self.steady.follow_kind(self.belief.filter());
+        // A failure leaves the steady motion unchanged.
+        let _ = self.steady.update_at(lag_s, self.belief.filter(), possible, &models);
+        self.belief.update_at(lag_s, possible, &models)
+    }
+
+    /// Passes what the newest measurement shows of the noise to the noise of the type. Tracks that clutter
+    /// started would show noise; few of them become old.
+    pub fn teach(&mut self, noise: &mut Noise) {
+        let age_ns = self.stamp_ns.saturating_sub(self.birth.stamp_ns);
+        if self.is_ready() && (self.management.is_trusted() || age_ns >= TEACHES_FROM_NS) {
+            noise.learn(self.class.current().index(), &mut self.measurements, self.nominal_m);
+        }
     }
 
     /// Ends a frame. Computes the motion and heading to publish, within the limits of the type.
-    pub fn end_frame(&mut self, limits: &SpeedLimits) {
-        self.belief.limit_speed(limits.of(self.class.current()));
-        self.motion = self.held.motion(self.belief.motion(), self.stamp_ns);
+    pub fn end_frame(&mut self, input: &InputModel, limits: &SpeedLimits) {
+        let limit_mps = limits.of(self.class.current());
+        self.belief.limit_speed(limit_mps);
+        self.steady.follow_kind(self.belief.filter());
+        let share = input.steadiness[self.class.current().index()];
+        self.is_standing = share > 0.0 && self.steady.stands();
+        self.published = limited(self.steady.published(self.belief.filter(), share), limit_mps);
+        self.motion = self.held.motion(self.published.motion(), self.stamp_ns);
         self.heading_rad = self.heading(&self.motion);
         let last_rad = self.published_heading_rad;
         let limited_rad = if self.was_ready { rate_limited_rad(last_rad, self.heading_rad) } else { None };
@@ -444,6 +492,7 @@ impl Estimate {
             self.front.observe_motion(state.mean[3], sigma_mps, self.was_ready);
             if self.front.take_flip(self.was_ready) {
                 self.belief.reverse();
+                self.steady = Steady::new(self.belief.filter());
                 self.front_ns = self.stamp_ns;
             }
         }
@@ -457,7 +506,7 @@ impl Estimate {
         let [vx, vy] = motion.velocity_mps;
         match motion.heading_rad {
             Some(heading) => heading,
-            None if motion.speed_mps >= COURSE_MIN_MPS => vy.atan2(vx),
+            None if motion.speed_mps >= COURSE_MIN_MPS && !self.is_standing => vy.atan2(vx),
             None => self.heading_rad,
         }
     }
@@ -487,6 +536,12 @@ impl Clone for Estimate {
         belief.clone_from(&source.belief);
         *self = Self { belief, ..*source };
     }
+}
+
+/// The state with at most this speed, a little below it so that coarser numbers in a payload do not exceed it.
+fn limited(state: Filter, most_mps: f64) -> Filter {
+    let speed_mps = state.motion().speed_mps.abs();
+    if speed_mps > most_mps { state.slowed(most_mps / speed_mps * (1.0 - 1e-6)) } else { state }
 }
 
 /// The filter of a type.

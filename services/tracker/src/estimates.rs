@@ -6,9 +6,10 @@ use wire::{DETECTIONS_MAX, Header, flags};
 
 use crate::estimate::{Birth, Estimate};
 use crate::forecasts::{Controls, Forecasts};
+use crate::noise::Noise;
 use crate::observation::{Found, observation};
 use crate::occlusion::Occlusion;
-use crate::options::{Prior, TrackerOptions};
+use crate::options::{InputModel, Prior, TrackerOptions};
 use crate::pairing::Pairing;
 use crate::placeholders::Placeholders;
 use crate::publication::Publications;
@@ -20,7 +21,7 @@ use crate::trials::Shown;
 const _: () = assert!(SIDE_MAX <= OBSERVATIONS_MAX);
 
 /// The estimates of all agents at the stamp of a frame.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub struct Estimates {
     /// In the order of their births.
     all: Vec<Estimate>,
@@ -28,6 +29,9 @@ pub struct Estimates {
     /// Results of the forecasts' trials, by type.
     shown: [Shown; 3],
     placeholders: Placeholders,
+    noise: Noise,
+    /// What the noise shows of the current frame.
+    input: InputModel,
 }
 
 /// Reusable memory.
@@ -62,8 +66,15 @@ impl Scratch {
 impl Estimates {
     /// No estimates, with room for this number.
     #[must_use]
-    pub fn with_capacity(len: usize) -> Self {
-        Self { all: Vec::with_capacity(len), started_count: 0, ..Self::default() }
+    pub fn new(options: &TrackerOptions, capacity: usize) -> Self {
+        Self {
+            all: Vec::with_capacity(capacity),
+            started_count: 0,
+            shown: [Shown::default(); 3],
+            placeholders: Placeholders::default(),
+            noise: Noise::new(options),
+            input: options.detector,
+        }
     }
 
     /// All estimates.
@@ -85,6 +96,8 @@ impl Estimates {
         self.started_count = source.started_count;
         self.shown = source.shown;
         self.placeholders = source.placeholders;
+        self.noise = source.noise;
+        self.input = source.input;
     }
 
     /// Processes a scan that is newer than the estimates. Returns its effects.
@@ -99,19 +112,20 @@ impl Estimates {
         options: &TrackerOptions,
     ) -> Tracked {
         let mut tracked = Tracked { detection_count: scan.detections.len(), ..Tracked::default() };
+        self.input = self.noise.input_model(&scan.header, options);
         self.adopt_forecasts(scan, publications, &mut scratch.controls, options, &mut tracked);
         self.begin_frame(&scan.header, options, &mut tracked);
         if options.trusts(&scan.header, &scan.detections) {
             self.follow_identities(scan, publications, scratch, options, &mut tracked);
         } else {
-            self.predict(&scan.header, options, &mut tracked);
+            self.predict(&scan.header, &mut tracked);
             self.update(scan, publications, scratch, options, &mut tracked);
         }
         self.start(scan, &scratch.pairing, options, &mut tracked);
         if scan.has_own_times() {
             self.end_twins();
         }
-        self.end(&scan.header, options, &mut tracked);
+        self.end(options, &mut tracked);
         tracked
     }
 
@@ -134,7 +148,7 @@ impl Estimates {
                 return;
             }
         };
-        let input = options.input(&scan.header);
+        let input = &self.input;
         for estimate in &mut self.all {
             let Some(publication) = publications.find(estimate.birth()) else { continue };
             let Some(forecast) = forecasts.find(publication.id) else { continue };
@@ -151,8 +165,8 @@ impl Estimates {
         self.all.iter_mut().for_each(|estimate| estimate.begin_frame(now_ns));
     }
 
-    fn predict(&mut self, header: &Header, options: &TrackerOptions, tracked: &mut Tracked) {
-        let input = options.input(header);
+    fn predict(&mut self, header: &Header, tracked: &mut Tracked) {
+        let input = &self.input;
         for estimate in &mut self.all {
             tracked.fault_count += usize::from(estimate.predict(header.stamp_ns, input).is_err());
         }
@@ -167,12 +181,12 @@ impl Estimates {
         options: &TrackerOptions,
         tracked: &mut Tracked,
     ) {
-        let input = options.input(header);
         let has_births = publications.has_births_at(header.stamp_ns);
         self.update_visibility(header, options, occlusion, |_, estimate| estimate.is_coasting());
-        pairing.by_position(&self.all, detections, types, input, options);
+        pairing.by_position(&self.all, detections, types, &self.input, options);
         let missed = |e: usize, estimate: &Estimate| !estimate.is_coasting() && pairing.paired(e).is_none();
         self.update_visibility(header, options, occlusion, missed);
+        let input = &self.input;
         let found = |d: usize| Found::new(header.stamp_ns, &detections[d], types[d]);
         for (e, estimate) in self.all.iter_mut().enumerate() {
             if pairing.is_resent(e) {
@@ -245,7 +259,7 @@ impl Estimates {
         options: &TrackerOptions,
         tracked: &mut Tracked,
     ) {
-        let input = options.input(header);
+        let input = &self.input;
         let trusted = options.trusts(header, detections);
         for d in pairing.unpaired() {
             let found = Found::new(header.stamp_ns, &detections[d], types[d]);
@@ -294,10 +308,13 @@ impl Estimates {
         }
     }
 
-    fn end(&mut self, header: &Header, options: &TrackerOptions, tracked: &mut Tracked) {
-        let input = options.input(header);
+    fn end(&mut self, options: &TrackerOptions, tracked: &mut Tracked) {
+        let input = &self.input;
         let before = self.all.len();
-        self.all.iter_mut().for_each(|estimate| estimate.end_frame(&options.speed_limits));
+        for estimate in &mut self.all {
+            estimate.end_frame(input, &options.speed_limits);
+            estimate.teach(&mut self.noise);
+        }
         self.all.retain(|estimate| !estimate.is_over(input, options));
         tracked.ended_count += before - self.all.len();
         tracked.held_count = self.all.len();

@@ -9,7 +9,8 @@
 //!    ([`Prior::Learned`]).
 //! 2. **Associate.** Gating is followed by optimal assignment or joint probabilistic data association
 //!    ([`association`]). If the detections have trusted identities, the identities replace the association.
-//! 3. **Update.** A track with a detection is updated. A track without a detection counts a miss. A detection
+//! 3. **Update.** A track with a detection is updated, with the noise that earlier detections of its type have
+//!    shown. A track without a detection counts a miss. A detection
 //!    without a track starts one.
 //! 4. **Manage.** A new track is *tentative* and unpublished. It is confirmed when three of the last five
 //!    frames that observed its type have detected it and its existence is nearly certain, or immediately if
@@ -39,6 +40,7 @@
 //! predecessor           the tracks of a previous process
 //! publication           ids and histories as published      pairing   gating and association
 //! estimate              one agent: belief, type, front, visibility, track management
+//! steady                steady motion and standing     noise     the noise of the detections
 //! belief  forecasts     motion and its prior           trials    trials of forecasts
 //! class  front  grid  history  observation  occlusion  placeholders  scan  tally  track_management
 //! tracked
@@ -56,6 +58,7 @@ mod front;
 mod frozen;
 mod grid;
 mod history;
+mod noise;
 mod observation;
 mod occlusion;
 mod options;
@@ -66,6 +69,7 @@ mod publication;
 mod replay;
 mod scan;
 mod settings;
+mod steady;
 mod step;
 mod tally;
 mod track_management;

@@ -1,7 +1,7 @@
 use filters::Observation;
 use wire::{AgentType, Detection, detection_flags};
 
-use crate::options::InputModel;
+use crate::options::{InputModel, TrackerOptions};
 
 /// Bounds of a detection's own noise. Beyond them, variances overflow or vanish in a published covariance.
 const SIGMA_RANGE_M: (f64, f64) = (1e-6, 1e3);
@@ -61,8 +61,22 @@ pub fn observation(detection: &Detection, agent_type: AgentType, input: &InputMo
 #[must_use]
 pub fn position_sigma_m(detection: &Detection, agent_type: AgentType, input: &InputModel) -> f64 {
     match detection.sigma_m {
-        sigma_m if sigma_m > 0.0 => f64::from(sigma_m).clamp(SIGMA_RANGE_M.0, SIGMA_RANGE_M.1),
+        sigma_m if sigma_m > 0.0 => {
+            let factor = input.reported_factor[agent_type.index()];
+            (factor * f64::from(sigma_m)).clamp(SIGMA_RANGE_M.0, SIGMA_RANGE_M.1)
+        }
         _ => input.sensor[agent_type.index()].position_m,
+    }
+}
+
+/// Standard deviation of a detection's position before anything is learned: the reported one, or else the prior
+/// of its type. The tracker learns a factor on it. Association by position uses it as it is: a gate that grows
+/// with the learned noise lets in clutter, which increases the learned noise.
+#[must_use]
+pub fn nominal_sigma_m(detection: &Detection, agent_type: AgentType, options: &TrackerOptions) -> f64 {
+    match detection.sigma_m {
+        sigma_m if sigma_m > 0.0 => f64::from(sigma_m).clamp(SIGMA_RANGE_M.0, SIGMA_RANGE_M.1),
+        _ => options.detector.sensor[agent_type.index()].position_m,
     }
 }
 

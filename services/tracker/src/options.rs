@@ -119,6 +119,27 @@ pub struct MotionNoise {
     pub slip_decay_per_s: f64,
 }
 
+impl MotionNoise {
+    /// The constants at this share of the way from one input to another.
+    fn between(from: &Self, to: &Self, share: f64) -> Self {
+        Self {
+            density: mix_log(from.density, to.density, share),
+            acceleration_mps2: mix_log(from.acceleration_mps2, to.acceleration_mps2, share),
+            slip_rate_radps: mix_log(from.slip_rate_radps, to.slip_rate_radps, share),
+            slip_decay_per_s: mix(from.slip_decay_per_s, to.slip_decay_per_s, share),
+        }
+    }
+}
+
+fn mix(from: f64, to: f64, share: f64) -> f64 {
+    if share == 0.0 { from } else { from + share * (to - from) }
+}
+
+/// Like [`mix`], on a logarithmic scale.
+fn mix_log(from: f64, to: f64, share: f64) -> f64 {
+    if share == 0.0 { from } else { from * (to / from).powf(share) }
+}
+
 /// How far forecasts are trusted as a prior.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ForecastTrust {
@@ -141,15 +162,35 @@ pub struct ForecastTrust {
     pub displacement_fade_in_s: f64,
 }
 
+impl ForecastTrust {
+    /// The constants at this share of the way from one input to another.
+    fn between(from: &Self, to: &Self, share: f64) -> Self {
+        let of = |constant: fn(&Self) -> f64| mix(constant(from), constant(to), share);
+        Self {
+            kinematic_weight: of(|trust| trust.kinematic_weight),
+            covariance_scale: of(|trust| trust.covariance_scale),
+            noise_share: of(|trust| trust.noise_share),
+            half_gain_speed_mps: of(|trust| trust.half_gain_speed_mps),
+            half_gain_heading_rad: of(|trust| trust.half_gain_heading_rad),
+            control_fade_in_s: of(|trust| trust.control_fade_in_s),
+            displacement_fade_in_s: of(|trust| trust.displacement_fade_in_s),
+        }
+    }
+}
+
 /// What the tracker assumes of one kind of input, by agent type.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct InputModel {
     /// Measurement noise.
     pub sensor: [SensorNoise; 3],
+    /// Factor on the deviations of positions that detections report themselves.
+    pub reported_factor: [f64; 3],
     /// Process noise.
     pub motion: [MotionNoise; 3],
     /// How far forecasts are trusted when they are the prior.
-    pub trust: ForecastTrust,
+    pub trust: [ForecastTrust; 3],
+    /// Weight of the steady motion if it predicts as well as the free one does, within \[0, 1\].
+    pub steadiness: [f64; 3],
     /// Coast time. A track ends after this time without a detection, in frames that observed its type.
     pub coast_ns: u64,
 }
@@ -176,11 +217,10 @@ pub struct TrackerOptions {
     pub frozen_frames: u32,
     /// Highest speed of each type.
     pub speed_limits: SpeedLimits,
-    /// Model of inputs from a detector, which must be associated.
+    /// Model of noisy inputs, and the prior of the noise.
     pub detector: InputModel,
-    /// Model of inputs that carry identities: annotated or smoothed recordings, whose positions are nearly
-    /// free of noise.
-    pub recorded: InputModel,
+    /// Model of annotated or smoothed recordings, whose positions are nearly free of noise.
+    pub smooth: InputModel,
     /// Probability that an agent in view is detected.
     pub detection_probability: f64,
     /// False detections per m² and frame.
@@ -222,14 +262,16 @@ const DETECTOR: InputModel = InputModel {
         MotionNoise { density: 2.0, acceleration_mps2: 2.0, slip_rate_radps: 0.5, slip_decay_per_s: 0.0 },
         MotionNoise { density: 0.5, acceleration_mps2: 1.0, slip_rate_radps: 0.5, slip_decay_per_s: 0.0 },
     ],
-    trust: ForecastTrust { noise_share: 0.3, ..TRUST },
+    reported_factor: [1.0; 3],
+    trust: [ForecastTrust { noise_share: 0.3, ..TRUST }; 3],
+    steadiness: [1.0; 3],
     coast_ns: 2_000_000_000,
 };
 
 /// Chosen so that the filtered state, extrapolated for 0.8 s at its velocity, comes nearest to the agent's
 /// true position. It comes nearer than with the recording's velocity or with the backward difference of
 /// positions.
-const RECORDED: InputModel = InputModel {
+const SMOOTH: InputModel = InputModel {
     sensor: [
         SensorNoise { position_m: 0.03, heading_rad: 0.05, speed_mps: 0.1 },
         SensorNoise { position_m: 0.03, heading_rad: 0.05, speed_mps: 0.1 },
@@ -242,7 +284,9 @@ const RECORDED: InputModel = InputModel {
     ],
     // Chosen by the errors of tracks across gaps, on driving recordings from other sources, under noise of
     // 0.1 m.
-    trust: ForecastTrust { control_fade_in_s: 0.2, ..TRUST },
+    reported_factor: [1.0; 3],
+    trust: [ForecastTrust { control_fade_in_s: 0.2, ..TRUST }; 3],
+    steadiness: [0.0; 3],
     coast_ns: 1_000_000_000,
 };
 
@@ -259,7 +303,7 @@ impl Default for TrackerOptions {
             frozen_frames: 0,
             speed_limits: SpeedLimits::default(),
             detector: DETECTOR,
-            recorded: RECORDED,
+            smooth: SMOOTH,
             detection_probability: 0.9,
             clutter_density: 1e-3,
             miss_cost: 14.5,
@@ -270,18 +314,25 @@ impl Default for TrackerOptions {
 }
 
 impl TrackerOptions {
-    /// The model of the frame's kind of input.
-    pub(crate) fn input(&self, header: &Header) -> &InputModel {
-        if header.has(flags::HAS_IDENTITIES) { &self.recorded } else { &self.detector }
+    /// Coast time of tracks in this frame. An upstream tracker that sends identities has its own.
+    pub(crate) fn coast_ns(&self, header: &Header) -> u64 {
+        if self.has_own_identities(header) { self.smooth.coast_ns } else { self.detector.coast_ns }
+    }
+
+    /// Whether the frame's detections come with identities that replace association.
+    pub(crate) fn has_own_identities(&self, header: &Header) -> bool {
+        header.has(flags::HAS_IDENTITIES) && !self.associate
     }
 
     /// Whether the identities of the detections replace association.
     pub(crate) fn trusts(&self, header: &Header, detections: &[Detection]) -> bool {
-        header.has(flags::HAS_IDENTITIES)
-            && !self.associate
-            && detections.iter().all(|d| d.has(detection_flags::HAS_ID))
+        self.has_own_identities(header) && detections.iter().all(|d| d.has(detection_flags::HAS_ID))
     }
 }
+
+/// The noise of positions from which an input counts as noisy. In between, the constants are interpolated on
+/// a logarithmic scale.
+const NOISY_M: f64 = 0.1;
 
 /// Distance from reference point to rear axle, as a share of the length.
 const REAR_AXLE_RATIO: f64 = 0.26;
@@ -289,6 +340,17 @@ const REAR_AXLE_RATIO: f64 = 0.26;
 const LENGTH_M: [f64; 3] = [4.5, 1.8, 1.8];
 
 impl InputModel {
+    /// Sets the motion and the trust of a type for positions with this noise: the constants of `smooth` inputs
+    /// up to their noise, and the constants of `noisy` inputs from [`NOISY_M`] on.
+    pub(crate) fn set_motion(&mut self, agent_type: AgentType, noise_m: f64, smooth: &Self, noisy: &Self) {
+        let i = agent_type.index();
+        let least_m = smooth.sensor[i].position_m;
+        let share = ((noise_m / least_m).ln() / (NOISY_M / least_m).ln()).clamp(0.0, 1.0);
+        self.motion[i] = MotionNoise::between(&smooth.motion[i], &noisy.motion[i], share);
+        self.trust[i] = ForecastTrust::between(&smooth.trust[i], &noisy.trust[i], share);
+        self.steadiness[i] = mix(smooth.steadiness[i], noisy.steadiness[i], share);
+    }
+
     /// The process models of an agent of this type and length. A length of 0 means unknown.
     #[must_use]
     pub fn models(&self, agent_type: AgentType, length_m: f64) -> Models {

@@ -15,6 +15,7 @@
 use wire::{AgentType, Detection, Forecast, Header};
 
 use crate::estimates::Estimates;
+use crate::options::TrackerOptions;
 use crate::scan::Scan;
 
 /// Largest number of frames that may be newer than an out-of-sequence frame.
@@ -47,9 +48,10 @@ pub struct ReplayBuffer {
 impl ReplayBuffer {
     /// A buffer without scans, whose first checkpoint has no estimates.
     #[must_use]
-    pub fn new() -> Self {
+    pub fn new(options: &TrackerOptions) -> Self {
         let scans = (0..SCANS_MAX).map(|_| Scan::new()).collect();
-        Self { scans, len: 0, first: Estimates::default(), second: Estimates::default() }
+        let [first, second] = [(); 2].map(|()| Estimates::new(options, 0));
+        Self { scans, len: 0, first, second }
     }
 
     /// Begins with these estimates instead of none, before any scan.

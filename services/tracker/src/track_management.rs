@@ -142,6 +142,12 @@ impl TrackManagement {
         self.confirmed
     }
 
+    /// Whether the detections' identities can be trusted.
+    #[must_use]
+    pub const fn is_trusted(&self) -> bool {
+        self.trusted
+    }
+
     /// Whether the newest frame that observed the type was a hit.
     #[must_use]
     pub const fn was_hit(&self) -> bool {

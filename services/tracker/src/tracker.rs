@@ -8,7 +8,7 @@ use wire::{
 use crate::estimate::{Birth, Estimate};
 use crate::estimates::{Estimates, Scratch};
 use crate::frozen::{Repetition, is_moving};
-use crate::options::{Prior, TrackerOptions};
+use crate::options::{InputModel, Prior, TrackerOptions};
 use crate::predecessor::Predecessor;
 use crate::publication::Publications;
 use crate::replay::{Refusal, ReplayBuffer};
@@ -65,14 +65,14 @@ impl Tracker {
     pub fn new(options: TrackerOptions) -> Self {
         assert!((1..=HISTORY_MAX).contains(&options.history_len), "history_len within 1..={HISTORY_MAX}");
         assert!(options.step_ns > 0, "step_ns above 0");
-        for trust in [options.detector.trust, options.recorded.trust] {
+        for trust in options.detector.trust.iter().chain(&options.smooth.trust) {
             let half_gain = [trust.half_gain_speed_mps, trust.half_gain_heading_rad];
             assert!(half_gain.iter().all(|&sigma| sigma > 0.0), "half-gain deviations above 0");
         }
         Self {
             options,
-            estimates: Estimates::with_capacity(options.tracks_max),
-            replay: ReplayBuffer::new(),
+            estimates: Estimates::new(&options, options.tracks_max),
+            replay: ReplayBuffer::new(&options),
             repetition: Repetition::new(),
             publications: Publications::with_capacity(options.tracks_max),
             last: Tracked::default(),
@@ -119,7 +119,7 @@ impl Tracker {
             return;
         }
         let header = *predecessor.header();
-        let input = *self.options.input(&header);
+        let input = InputModel { coast_ns: self.options.coast_ns(&header), ..self.options.detector };
         let trusts = header.has(flags::HAS_IDENTITIES) && !self.options.associate;
         let known = predecessor.tracks().filter_map(|(track, history)| {
             let agent_type = track.agent_type().ok()?;

@@ -67,7 +67,8 @@ fn tracks_keep_ids_histories_and_motion() {
             assert!(tracks.len() >= 8, "frame {frame}: {} tracks", tracks.len());
             for (track, expected) in tracks.iter().zip(expected) {
                 let apart_m = (track.x_m - expected.x_m).hypot(track.y_m - expected.y_m);
-                assert!(apart_m < 0.05, "frame {frame}: track {} is {apart_m} m off", track.id);
+                // The successor learns the noise again.
+                assert!(apart_m < 0.15, "frame {frame}: track {} is {apart_m} m off", track.id);
                 let of =
                     |track: &Track| (track.agent_type, track.born_ns, track.source_id, track.forecastable);
                 assert_eq!(of(track), of(expected), "frame {frame}");

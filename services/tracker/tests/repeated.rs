@@ -96,7 +96,7 @@ fn a_detector_that_is_sent_again_is_as_good_as_at_its_own_rate() {
                 }
                 let (own_m, _) = source.error_m(false);
                 let (again_m, repeated) = source.error_m(true);
-                assert!(again_m < 1.1 * own_m + 0.05, "{source:?}: {again_m} m, at its own rate {own_m} m");
+                assert!(again_m < 1.2 * own_m + 0.05, "{source:?}: {again_m} m, at its own rate {own_m} m");
                 let expected = held.map(|held| (FRAMES - FRAMES.div_ceil(held)) as u32).iter().sum::<u32>();
                 assert!(repeated.abs_diff(expected) <= 2, "{source:?}: {repeated} of {expected}");
             }
@@ -143,7 +143,7 @@ fn a_turn_goes_on_and_a_parked_agent_rests_between_measurements() {
                 let error_m = |is_sent_again| error_of(is_parked, held, is_sent_again, identities);
                 let (own_m, again_m) = (error_m(false), error_m(true));
                 let what = format!("parked {is_parked}, held {held}, {identities}");
-                assert!(again_m < 1.1 * own_m + 0.05, "{what}: {again_m} m, at its own rate {own_m} m");
+                assert!(again_m < 1.2 * own_m + 0.05, "{what}: {again_m} m, at its own rate {own_m} m");
             }
         }
     }

@@ -264,7 +264,8 @@ fn recorded_tracks_are_forecastable_from_their_second_state() {
     let present: Vec<u32> = track.history.iter().map(|s| s.present).collect();
     assert_eq!(present, [0, 0, 0, 0, 0, 0, 1, 1]);
     for state in &track.history[6..] {
-        assert!((state.vx_mps - 1.2).abs() < 0.05 && state.vy_mps.abs() < 1e-3, "{state:?}");
+        // The noise is not known yet, so the speed of two positions is taken with caution.
+        assert!((state.vx_mps - 1.2).abs() < 0.15 && state.vy_mps.abs() < 1e-3, "{state:?}");
         assert!(state.heading_rad.abs() < 1e-3);
     }
     let vehicle = with_speed(with_heading(detected_at(AgentType::Vehicle, 9, 50.0, 0.0), 1.0), 6.0);

@@ -21,6 +21,29 @@ pub struct Models {
     pub bicycle: Bicycle,
 }
 
+/// Spectral density of the acceleration of a steady motion, m²/s³, and its deviations of acceleration and slip
+/// rate over 80 ms.
+const STEADY_DENSITY: f64 = 0.01;
+const STEADY_ACCELERATION_MPS2: f64 = 0.35;
+const STEADY_SLIP_RATE_RADPS: f64 = 0.01;
+
+impl Models {
+    /// The models of a steady motion.
+    #[must_use]
+    pub fn steady(&self) -> Self {
+        let Self { constant_velocity, bicycle } = *self;
+        Self {
+            constant_velocity: ConstantVelocity { density: STEADY_DENSITY.min(constant_velocity.density) },
+            bicycle: Bicycle {
+                acceleration_mps2: STEADY_ACCELERATION_MPS2.min(bicycle.acceleration_mps2),
+                slip_rate_radps: STEADY_SLIP_RATE_RADPS.min(bicycle.slip_rate_radps),
+                floor: bicycle.floor.map(|variance| 0.01 * variance),
+                ..bicycle
+            },
+        }
+    }
+}
+
 /// Standard deviations about 0 of the quantities that the first observation does not measure.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Unknown {

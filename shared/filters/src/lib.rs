@@ -108,6 +108,7 @@ mod gaussian;
 mod innovation;
 pub mod mixture;
 mod moments;
+pub mod noise;
 mod observation;
 pub mod particles;
 mod plan;

@@ -21,7 +21,7 @@ impl Estimate {
         track.width_m = self.width_m;
         track.existence = self.management.existence_probability() as f32;
         track.type_probability = self.class.probability().map(|p| p as f32);
-        track.state_len = match self.belief.filter() {
+        track.state_len = match &self.published {
             Filter::Bicycle(state) => write_covariance(state, &mut track.covariance),
             other => write_covariance(&other.cartesian(), &mut track.covariance),
         };

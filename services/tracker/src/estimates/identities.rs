@@ -40,7 +40,7 @@ impl Estimates {
             let exchanged = stray.filter(|stray| stray.exchanged.is_some());
             let (mut hit, mut is_resent) = (None, false);
             if let Some(other) = exchanged.and_then(|stray| scratch.strays.get(stray.exchanged?)) {
-                self.take(e, &found(other.detection), header, options, tracked);
+                self.take(e, &found(other.detection), options, tracked);
                 tracked.reassigned_count += 1;
                 hit = Some(other.detection);
             } else {
@@ -57,7 +57,7 @@ impl Estimates {
                 }
             }
             let estimate = &mut self.all[e];
-            let input = options.input(header);
+            let input = &self.input;
             tracked.fault_count += usize::from(estimate.predict(header.stamp_ns, input).is_err());
             if let Some(detection) = hit.filter(|_| has_births) {
                 let from = Birth { stamp_ns: header.stamp_ns, detection: detection as u32 };
@@ -71,7 +71,7 @@ impl Estimates {
         }
         for mut begun in scratch.begun.drain(..) {
             tracked.started_count += 1;
-            tracked.fault_count += usize::from(begun.predict_first(options.input(header)).is_err());
+            tracked.fault_count += usize::from(begun.predict_first(&self.input).is_err());
             self.all.push(begun);
         }
     }
@@ -84,7 +84,7 @@ impl Estimates {
         options: &TrackerOptions,
         tracked: &mut Tracked,
     ) {
-        let input = options.input(header);
+        let input = &self.input;
         let found = |d: usize| Found::new(header.stamp_ns, &detections[d], types[d]);
         strays.clear();
         for (e, estimate) in self.all.iter_mut().enumerate() {
@@ -113,15 +113,8 @@ impl Estimates {
     }
 
     /// Updates an estimate by a detection.
-    fn take(
-        &mut self,
-        e: usize,
-        found: &Found<'_>,
-        header: &Header,
-        options: &TrackerOptions,
-        tracked: &mut Tracked,
-    ) {
-        let (input, estimate) = (options.input(header), &mut self.all[e]);
+    fn take(&mut self, e: usize, found: &Found<'_>, options: &TrackerOptions, tracked: &mut Tracked) {
+        let (input, estimate) = (&self.input, &mut self.all[e]);
         tracked.fault_count += usize::from(estimate.predict(found.own_ns, input).is_err());
         let of_type = &mut self.shown[estimate.class.current().index()];
         estimate.mature(found).for_each(|shown| of_type.add_of_type(&shown));
@@ -139,7 +132,7 @@ impl Estimates {
         options: &TrackerOptions,
         tracked: &mut Tracked,
     ) -> Taken {
-        let (input, estimate) = (options.input(header), &mut self.all[e]);
+        let (input, estimate) = (&self.input, &mut self.all[e]);
         tracked.fault_count += usize::from(estimate.predict(found.own_ns, input).is_err());
         if estimate.is_resent(found) {
             tracked.repeated_count += 1;
@@ -148,7 +141,7 @@ impl Estimates {
         let verdict = if fits { Verdict::Fits } else { estimate.judge(found, input, options) };
         let is_placeholder = verdict != Verdict::Fits && self.placeholders.holds(found.place());
         if verdict == Verdict::Fits || (verdict == Verdict::Strange && !is_placeholder) {
-            self.take(e, found, header, options, tracked);
+            self.take(e, found, options, tracked);
             return Taken::Measured;
         }
         let birth = (Birth { stamp_ns: header.stamp_ns, detection: d as u32 }, self.started_count + 1);
@@ -156,7 +149,7 @@ impl Estimates {
             tracked.placeholder_count += 1;
             self.started_count += 1;
             self.all[e].replace();
-            begun.push(Estimate::new(birth, found, input, true));
+            begun.push(Estimate::new(birth, found, &self.input, true));
             return Taken::No;
         }
         if is_placeholder || self.has_jumped_to_placeholder(e, found) {
@@ -164,7 +157,7 @@ impl Estimates {
             return Taken::No;
         }
         tracked.misfit_count += 1;
-        if let Some(new) = self.all[e].add_misfit(found, birth, input, options) {
+        if let Some(new) = self.all[e].add_misfit(found, birth, &self.input, options) {
             self.started_count += 1;
             tracked.reassigned_count += 1;
             begun.push(new);

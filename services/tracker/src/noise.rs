@@ -1,0 +1,244 @@
+//! The noise of the detections, learned by type.
+//!
+//! Every agent keeps its newest measurements. Each new one gives *contrasts* ([`filters::noise`]): what a
+//! smooth motion does not explain. [`Noise`] fits their variances over all agents of a type, apart for
+//! detections that report their own deviation and for detections that do not. From these variances follows
+//! the [`InputModel`] of the next frame.
+//!
+//! **Correlated noise.** The error of an upstream tracker changes slowly. Contrasts of consecutive
+//! measurements then miss most of it. Further contrasts are taken of measurements [`APART_NS`] apart. If
+//! their variance l² exceeds the variance s² of the consecutive ones, the excess is correlated noise. A filter
+//! that takes its measurements as independent weighs them rightly with the variance
+//!
+//! ```text
+//! r² = s² + κ N max(0, l² − q s² − m²)
+//! ```
+//!
+//! N is the number of measurements in that time. m allows for changes of the acceleration, q for the
+//! deviation of an estimate, and κ is the value for which r² / N is the variance of a mean over several
+//! seconds of noise with a correlation time of 0.3 s.
+
+use filters::noise::{Measured, Scale, Window};
+use filters::wrapped;
+use wire::{AGENT_TYPES, Detection, Header, detection_flags};
+
+use crate::observation::Found;
+use crate::options::{Association, InputModel, SensorNoise, TrackerOptions};
+
+/// Time between the measurements of the contrasts that show correlated noise.
+const APART_NS: u64 = 400_000_000;
+/// Longest time between two measurements of one contrast.
+const GAP_MAX_NS: u64 = 1_100_000_000;
+/// Number of contrasts as which the prior counts, and the largest number that counts.
+const PRIOR_COUNT: f64 = 0.1;
+/// A reported deviation is a better prior.
+const REPORTED_COUNT: f64 = 2.0;
+const COUNT_MAX: f64 = 400.0;
+/// Number of contrasts from which correlated noise is estimated.
+const APART_MIN_COUNT: f64 = 12.0;
+/// κ, q and m of the module's equation.
+const CORRELATED: f64 = 4.2;
+const EXCESS_RATIO: f64 = 1.5;
+const CHANGE_M: f64 = 0.05;
+/// Largest factor on a nominal deviation while detections are associated by position. Clutter that tracks follow
+/// looks like noise.
+const ASSOCIATED_MAX: f64 = 1.5;
+/// Largest deviations that are assumed.
+const LARGEST: SensorNoise = SensorNoise { position_m: 3.0, heading_rad: 1.5, speed_mps: 10.0 };
+
+/// The newest measurements of an agent, and the contrasts of the newest one.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Measurements {
+    positions: Window<2, 4>,
+    apart: Window<2, 4>,
+    headings: Window<1, 3>,
+    speeds: Window<1, 3>,
+    fresh: Contrasts,
+}
+
+/// The contrasts of one measurement.
+#[derive(Clone, Copy, Debug, Default)]
+struct Contrasts {
+    is_reported: bool,
+    position: Option<[f64; 2]>,
+    /// Those of measurements [`APART_NS`] apart, and the number of measurements in this time.
+    apart: Option<([f64; 2], f64)>,
+    heading_rad: Option<f64>,
+    speed_mps: Option<f64>,
+}
+
+impl Measurements {
+    /// Adds a measurement. `nominal_m` is the deviation of its position for which the variance is learned as
+    /// a factor.
+    pub fn add(&mut self, found: &Found<'_>, nominal_m: f64) {
+        let Found { detection, own_ns, .. } = *found;
+        let is_reported = is_reported(detection);
+        if self.fresh.is_reported != is_reported {
+            *self = Self::default();
+        }
+        let interval_ns = self.positions.newest_ns().map(|last_ns| own_ns.saturating_sub(last_ns).max(0));
+        let position = Measured { time_ns: own_ns, value: found.position_m(), sigma: nominal_m };
+        let is_apart = self
+            .apart
+            .newest_ns()
+            .is_none_or(|last_ns| own_ns.saturating_sub(last_ns) >= APART_NS.cast_signed());
+        let apart_ns = self.apart.newest_ns().map(|last_ns| own_ns.saturating_sub(last_ns).max(0));
+        let apart = if is_apart { self.apart.add(position, GAP_MAX_NS) } else { None };
+        let measured_count = apart_ns.zip(interval_ns).map_or(1.0, |(apart_ns, interval_ns)| {
+            (apart_ns as f64 / interval_ns.max(1) as f64).clamp(1.0, 20.0)
+        });
+        let value = |flag, value: f32| detection.has(flag).then(|| f64::from(value));
+        let heading_rad = value(detection_flags::HAS_HEADING, detection.heading_rad);
+        let speed_mps = value(detection_flags::HAS_SPEED, detection.speed_mps);
+        self.fresh = Contrasts {
+            is_reported,
+            position: self.positions.add(position, GAP_MAX_NS),
+            apart: apart.map(|contrast| (contrast, measured_count)),
+            heading_rad: heading_rad.and_then(|heading| self.add_heading(own_ns, heading)),
+            speed_mps: speed_mps
+                .and_then(|speed| self.speeds.add(single(own_ns, speed), GAP_MAX_NS))
+                .map(|[contrast]| contrast),
+        };
+    }
+
+    /// Adds a heading modulo π, next to the last one. So a detector that confuses front and rear has no noise
+    /// for that.
+    fn add_heading(&mut self, own_ns: i64, heading_rad: f64) -> Option<f64> {
+        let next_to = |last: f64| last + 0.5 * wrapped(2.0 * (heading_rad - last));
+        let unwrapped = self.headings.newest().map_or(heading_rad, |[last]| next_to(last));
+        self.headings.add(single(own_ns, unwrapped), GAP_MAX_NS).map(|[contrast]| contrast)
+    }
+
+    /// Takes the contrasts of the newest measurement.
+    fn take(&mut self) -> Contrasts {
+        let is_reported = self.fresh.is_reported;
+        std::mem::replace(&mut self.fresh, Contrasts { is_reported, ..Contrasts::default() })
+    }
+}
+
+const fn single(time_ns: i64, value: f64) -> Measured<1> {
+    Measured { time_ns, value: [value], sigma: 1.0 }
+}
+
+/// Whether a detection reports the deviation of its position.
+fn is_reported(detection: &Detection) -> bool {
+    detection.sigma_m > 0.0
+}
+
+/// The learned noise of all types.
+#[derive(Clone, Copy, Debug)]
+pub struct Noise {
+    of_type: [TypeNoise; 3],
+}
+
+/// The learned noise of the detections of one type.
+#[derive(Clone, Copy, Debug)]
+struct TypeNoise {
+    /// Of the positions: without and with a reported deviation.
+    positions: [PositionNoise; 2],
+    heading_rad: Scale,
+    speed_mps: Scale,
+}
+
+/// Noise of positions, relative to their nominal deviation.
+#[derive(Clone, Copy, Debug)]
+struct PositionNoise {
+    /// Of consecutive measurements, and of measurements [`APART_NS`] apart.
+    next: Scale,
+    apart: Scale,
+    /// Mean number of measurements in [`APART_NS`], and mean nominal deviation.
+    measured_count: f64,
+    nominal_m: f64,
+}
+
+impl PositionNoise {
+    const fn new(prior_count: f64, nominal_m: f64) -> Self {
+        Self {
+            next: Scale::new(1.0, prior_count, COUNT_MAX),
+            apart: Scale::new(1.0, 0.0, COUNT_MAX),
+            measured_count: 1.0,
+            nominal_m,
+        }
+    }
+
+    fn add(&mut self, contrasts: &Contrasts) {
+        if let Some(next) = contrasts.position {
+            next.into_iter().for_each(|contrast| self.next.add(contrast));
+        }
+        if let Some((apart, measured_count)) = contrasts.apart {
+            apart.into_iter().for_each(|contrast| self.apart.add(contrast));
+            self.measured_count += (measured_count - self.measured_count) / self.apart.count().max(1.0);
+        }
+    }
+
+    /// The factor of the module's equation on the variance of the nominal deviation.
+    fn factor(&self) -> f64 {
+        let next = self.next.variance();
+        if self.apart.count() < APART_MIN_COUNT {
+            return next;
+        }
+        let change = (CHANGE_M / self.nominal_m).powi(2);
+        let excess = (self.apart.variance() - EXCESS_RATIO * next - change).max(0.0);
+        next + CORRELATED * self.measured_count * excess
+    }
+}
+
+impl Noise {
+    /// The noise of a detector as prior.
+    #[must_use]
+    pub fn new(options: &TrackerOptions) -> Self {
+        let of_type = options.detector.sensor.map(|prior| TypeNoise {
+            positions: [PRIOR_COUNT, REPORTED_COUNT].map(|count| PositionNoise::new(count, prior.position_m)),
+            heading_rad: Scale::new(prior.heading_rad, PRIOR_COUNT, COUNT_MAX),
+            speed_mps: Scale::new(prior.speed_mps, PRIOR_COUNT, COUNT_MAX),
+        });
+        Self { of_type }
+    }
+
+    /// Learns from the newest measurement of an agent of this type.
+    pub fn learn(&mut self, of_type: usize, measurements: &mut Measurements, nominal_m: f64) {
+        let contrasts = measurements.take();
+        let TypeNoise { positions, heading_rad, speed_mps } = &mut self.of_type[of_type];
+        let positions = &mut positions[usize::from(contrasts.is_reported)];
+        positions.add(&contrasts);
+        if contrasts.position.is_some() {
+            positions.nominal_m += 0.05 * (nominal_m - positions.nominal_m);
+        }
+        contrasts.heading_rad.into_iter().for_each(|contrast| heading_rad.add(contrast));
+        contrasts.speed_mps.into_iter().for_each(|contrast| speed_mps.add(contrast));
+    }
+
+    /// What the tracker assumes of the next frame.
+    #[must_use]
+    pub fn input_model(&self, header: &Header, options: &TrackerOptions) -> InputModel {
+        let mut model = InputModel { coast_ns: options.coast_ns(header), ..options.detector };
+        let factor_max = match options.association {
+            _ if options.has_own_identities(header) => f64::INFINITY,
+            Association::Assignment => ASSOCIATED_MAX,
+            // Its tracks take a part of all clutter in their gates, so contrasts and likelihoods show little.
+            Association::Jpda => return InputModel { steadiness: [0.0; 3], ..model },
+        };
+        for agent_type in AGENT_TYPES {
+            let i = agent_type.index();
+            let (of_type, smooth) = (&self.of_type[i], &options.smooth.sensor[i]);
+            let sigma = |scale: &Scale, least: f64, most: f64| scale.variance().sqrt().clamp(least, most);
+            let [unreported, reported] = &of_type.positions;
+            let unreported_m =
+                unreported.factor().sqrt().min(factor_max) * options.detector.sensor[i].position_m;
+            model.sensor[i] = SensorNoise {
+                position_m: unreported_m.clamp(smooth.position_m, LARGEST.position_m),
+                heading_rad: sigma(&of_type.heading_rad, smooth.heading_rad, LARGEST.heading_rad),
+                speed_mps: sigma(&of_type.speed_mps, smooth.speed_mps, LARGEST.speed_mps),
+            };
+            model.reported_factor[i] = reported.factor().sqrt().min(factor_max);
+            // The kind of position that was seen more often decides on the motion.
+            let used = if reported.next.count() > unreported.next.count() + REPORTED_COUNT {
+                model.reported_factor[i] * reported.nominal_m
+            } else {
+                unreported_m
+            };
+            model.set_motion(agent_type, used, &options.smooth, &options.detector);
+        }
+        model
+    }
+}
