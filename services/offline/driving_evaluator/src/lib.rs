@@ -21,6 +21,8 @@
 //!
 //! [`through_gaps`] evaluates how much forecasts help the tracker on the same sources. It returns a
 //! [`GapReport`].
+//!
+//! [`synthetic`] evaluates forecasts and tracks of generated agents under noise.
 
 mod against;
 mod cell;
@@ -30,6 +32,8 @@ mod footprint;
 mod gaps;
 mod gaussian;
 mod learned;
+mod matching;
+mod noise;
 mod options;
 mod outcomes;
 mod patterns;
@@ -47,6 +51,7 @@ pub use footprint::Contact;
 pub use gaps::{GapReport, through_gaps};
 pub use learned::{Learned, learn, priors};
 pub use metrics::Errors;
+pub use noise::{SyntheticReport, synthetic};
 pub use options::Options;
 pub use outcomes::{Outcome, OutcomeErrors, Outcomes, outcomes};
 pub use report::Report;

@@ -20,6 +20,7 @@ mod group;
 mod judge;
 mod maps;
 mod method;
+mod noise;
 mod protocol;
 mod reference;
 mod report;
@@ -39,6 +40,7 @@ pub use judge::{Block, Judge, MOVING_MPS, Subset};
 pub use maps::{MapInput, site_map};
 pub use method::Method;
 pub use metrics::Errors;
+pub use noise::Noise;
 pub use protocol::{
     Evaluation, Footage, InteractionPart, MapChoice, Options, SEED, eth_ucy, interaction, map_of, sdd,
 };
