@@ -22,7 +22,8 @@
 //! [`through_gaps`] evaluates how much forecasts help the tracker on the same sources. It returns a
 //! [`GapReport`].
 //!
-//! [`synthetic`] evaluates forecasts and tracks of generated agents under noise.
+//! [`synthetic`] evaluates forecasts and tracks of generated agents under noise, [`under_noise`] forecasts of
+//! recorded vehicles.
 
 mod against;
 mod cell;
@@ -51,7 +52,7 @@ pub use footprint::Contact;
 pub use gaps::{GapReport, through_gaps};
 pub use learned::{Learned, learn, priors};
 pub use metrics::Errors;
-pub use noise::{SyntheticReport, synthetic};
+pub use noise::{NoiseReport, SyntheticReport, synthetic, under_noise};
 pub use options::Options;
 pub use outcomes::{Outcome, OutcomeErrors, Outcomes, outcomes};
 pub use report::Report;

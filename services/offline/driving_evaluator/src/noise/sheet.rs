@@ -3,6 +3,9 @@
 use evaluator::{Table, digits};
 use serde_json::json;
 
+/// The column of whole numbers.
+pub(crate) const COUNTS: &str = "forecasts";
+
 /// A table whose cells are numbers.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Sheet {
@@ -28,8 +31,13 @@ impl Sheet {
         let mut table =
             Table::new("", "", &self.names, self.columns.iter().map(|column| (*column).to_owned()));
         for row in &self.rows {
-            let shown = |value: &Option<f64>| value.map_or_else(|| "-".to_owned(), digits);
-            table.push_row(row.names.iter().cloned().chain(row.values.iter().map(shown)).collect());
+            let shown = |(column, value): (&&str, &Option<f64>)| match value {
+                Some(count) if *column == COUNTS => format!("{count:.0}"),
+                Some(value) => digits(*value),
+                None => "-".to_owned(),
+            };
+            let values = self.columns.iter().zip(&row.values).map(shown);
+            table.push_row(row.names.iter().cloned().chain(values).collect());
         }
         format!("## {}\n\n{}\n\n{}", self.title, self.note, table.grid())
     }
@@ -68,16 +76,17 @@ mod tests {
             title: "Errors",
             note: "In m.".to_owned(),
             names: vec!["type", "noise"],
-            columns: vec!["a", "b"],
+            columns: vec!["a", "b", COUNTS],
             rows: vec![Row {
                 names: vec!["vehicle".to_owned(), "0.1".to_owned()],
-                values: vec![Some(0.25), None],
+                values: vec![Some(0.25), None, Some(12.0)],
             }],
         };
         let markdown = sheet.markdown();
         assert!(markdown.starts_with("## Errors\n\nIn m.\n\n| type "), "{markdown}");
-        assert!(markdown.contains("| vehicle | 0.1   | 0.250 | - |"), "{markdown}");
-        assert_eq!(sheet.csv(), "\"Errors\",\"vehicle, 0.1\",\"a\",0.250000\n");
+        assert!(markdown.contains("| vehicle | 0.1   | 0.250 | - |        12 |"), "{markdown}");
+        let lines = "\"Errors\",\"vehicle, 0.1\",\"a\",0.250000\n\"Errors\",\"vehicle, 0.1\",\"forecasts\",12.000000\n";
+        assert_eq!(sheet.csv(), lines);
         assert_eq!(sheet.json()["rows"][0]["a"], 0.25);
         assert!(sheet.json()["rows"][0]["b"].is_null());
     }

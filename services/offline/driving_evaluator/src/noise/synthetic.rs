@@ -33,9 +33,9 @@ const PARKED_MPS: f32 = 0.3;
 const STAYS_S: f64 = 0.5;
 /// The delay of a manoeuvre that is not published.
 const DELAY_MAX_S: f64 = 4.0;
-/// Types and their speeds, m/s.
-const STRAIGHT: [(AgentType, f64); 3] =
-    [(AgentType::Vehicle, 9.0), (AgentType::Cyclist, 4.5), (AgentType::Pedestrian, 1.3)];
+/// Types and their speeds, m/s, and the number of [`SENSORS`] that see them.
+const STRAIGHT: [(AgentType, f64, usize); 3] =
+    [(AgentType::Vehicle, 9.0, 9), (AgentType::Cyclist, 4.5, 5), (AgentType::Pedestrian, 1.3, 5)];
 /// Rate of the measurements, noise and its time constant.
 const SENSORS: [(u32, f64, f64); 9] = [
     (10, 0.0, 0.0),
@@ -85,8 +85,8 @@ pub fn synthetic(options: &Options) -> Result<SyntheticReport, DrivingError> {
     let weights = model_of(options)?;
     let model = weights.config();
     let horizon_s = model.horizon_len as f64 * model.dt_s;
-    let straight = STRAIGHT.into_iter().flat_map(|(agent_type, speed_mps)| {
-        SENSORS.into_iter().map(move |(rate_hz, sigma_m, lag_s)| {
+    let straight = STRAIGHT.into_iter().flat_map(|(agent_type, speed_mps, sensors)| {
+        SENSORS[..sensors].iter().map(move |&(rate_hz, sigma_m, lag_s)| {
             let scene = Scene { agent_type, motion: Motion::Straight, speed_mps, rate_hz };
             (scene, sigma_m, lag_s)
         })
@@ -134,7 +134,7 @@ fn straight_sheet(horizon_s: f64) -> Sheet {
     Sheet {
         title: "Generated agents, straight on",
         note: format!(
-            "FDE in m after {horizon_s} s of the published single best forecast. {AGENTS} agents per row drive straight on \
+            "FDE in m after {horizon_s:.1} s of the published single best forecast. {AGENTS} agents per row drive straight on \
              for {PLAYED_S} s (vehicles 9 m/s, cyclists 4.5 m/s, pedestrians 1.3 m/s). Forecasts count from {FROM_S} s on. \
              Detections contain positions and sizes. *Line* is a least-squares line through the last {LINE_S} s of the \
              noisy positions. At 20 Hz a frame of 10 Hz contains two measurements of each agent."
