@@ -66,12 +66,14 @@ impl Chain {
     /// # Errors
     /// [`ChainError`] if weights, options, map or retrieval memory can't be used.
     pub fn new(run: &Run, model: &ModelConfig) -> Result<Self, ChainError> {
-        Ok(Self {
-            tracker: Tracker::new(tracker::settings(run, model)?),
-            rest: TracksToForecasts::new(run, model)?,
-            tracks: OwnFrame::default(),
-            refusal: None,
-        })
+        let tracker = Tracker::new(tracker::settings(run, model)?);
+        Ok(Self::of_stages(tracker, TracksToForecasts::new(run, model)?))
+    }
+
+    /// Joins a tracker and later stages of the same model.
+    #[must_use]
+    pub fn of_stages(tracker: Tracker, rest: TracksToForecasts) -> Self {
+        Self { tracker, rest, tracks: OwnFrame::default(), refusal: None }
     }
 
     /// Takes a tick through all stages; `passed` is called after each stage that answers it.

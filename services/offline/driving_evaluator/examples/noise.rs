@@ -20,6 +20,7 @@ fn main() -> Result<(), DrivingError> {
         map: true,
         evidence: true,
         priors: true,
+        noise: evaluator::Noise::default(),
         threads: std::thread::available_parallelism().map_or(1, usize::from),
     };
     let table = if arguments.is_empty() {

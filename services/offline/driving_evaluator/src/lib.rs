@@ -52,7 +52,7 @@ pub use footprint::Contact;
 pub use gaps::{GapReport, through_gaps};
 pub use learned::{Learned, learn, priors};
 pub use metrics::Errors;
-pub use noise::{NoiseReport, SyntheticReport, synthetic, under_noise};
+pub use noise::{COLUMNS as NOISE_COLUMNS, NoiseReport, SyntheticReport, synthetic, under_noise};
 pub use options::Options;
 pub use outcomes::{Outcome, OutcomeErrors, Outcomes, outcomes};
 pub use report::Report;

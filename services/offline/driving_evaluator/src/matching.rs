@@ -1,19 +1,16 @@
 //! Which agent of a recording a track follows.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 
 use data::RecordedTrack;
+use evaluator::{Placed, nearest};
 use wire::Forecast;
 
 use crate::sample::GAP_NS;
 
-/// Maximum distance between a track and its agent.
-const NEAR_M: f32 = 2.0;
-
 /// The agent of each forecast, by its identity in the recording. `None` if no agent is near the track.
 ///
-/// Tracks of detections with identities name their agent. Other tracks follow the nearest agent of their type:
-/// the pairs within 2 m are taken by distance, the nearest pair first, and no agent twice.
+/// Tracks of detections with identities name their agent. Other tracks follow the [`nearest`] agent.
 pub(crate) fn agents(
     forecasts: &[Forecast],
     truth: &BTreeMap<u64, RecordedTrack>,
@@ -24,29 +21,16 @@ pub(crate) fn agents(
         let named = |forecast: &Forecast| Some(forecast.source_id).filter(|id| truth.contains_key(id));
         return forecasts.iter().map(named).collect();
     }
-    let here = truth.values().filter_map(|track| {
-        let state = track.state_at(stamp_ns, i64::MAX, GAP_NS)?;
-        Some((track.id, track.reported_at(stamp_ns).agent_type as u32, state.position_m))
-    });
-    let here: Vec<(u64, u32, [f32; 2])> = here.collect();
-    let mut pairs: Vec<(f32, usize, u64)> = Vec::new();
-    for (place, forecast) in forecasts.iter().enumerate() {
-        for &(id, agent_type, [x, y]) in &here {
-            let apart_m = (forecast.x_m - x).hypot(forecast.y_m - y);
-            if agent_type == forecast.agent_type && apart_m <= NEAR_M {
-                pairs.push((apart_m, place, id));
-            }
-        }
+    let (mut ids, mut here) = (Vec::new(), Vec::new());
+    for track in truth.values() {
+        let Some(state) = track.state_at(stamp_ns, i64::MAX, GAP_NS) else { continue };
+        ids.push(track.id);
+        let agent_type = track.reported_at(stamp_ns).agent_type as u32;
+        here.push(Placed { agent_type, position_m: state.position_m });
     }
-    pairs.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)).then(a.2.cmp(&b.2)));
-    let mut found = vec![None; forecasts.len()];
-    let mut taken = BTreeSet::new();
-    for (_, place, id) in pairs {
-        if found[place].is_none() && taken.insert(id) {
-            found[place] = Some(id);
-        }
-    }
-    found
+    let placed = |of: &Forecast| Placed { agent_type: of.agent_type, position_m: [of.x_m, of.y_m] };
+    let placed: Vec<Placed> = forecasts.iter().map(placed).collect();
+    nearest(&placed, &here).into_iter().map(|place| Some(ids[place?])).collect()
 }
 
 #[cfg(test)]

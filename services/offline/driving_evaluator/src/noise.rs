@@ -9,4 +9,5 @@ mod sheet;
 mod synthetic;
 
 pub use real::{NoiseReport, under_noise};
+pub use sheet::COLUMNS;
 pub use synthetic::{SyntheticReport, synthetic};

@@ -18,6 +18,8 @@ pub struct Options {
     /// Whether a source begins with a prior from the other sources. If not, it begins without a prior, so its
     /// evidence is independent of them.
     pub priors: bool,
+    /// The sensor that sees the recordings. Errors are relative to the recordings as they are.
+    pub noise: evaluator::Noise,
     /// Threads that share the work; results do not depend on their number.
     pub threads: usize,
 }

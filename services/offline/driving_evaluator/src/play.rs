@@ -13,6 +13,7 @@ use source::{Playback, PlaybackOptions};
 use wire::{Forecast, MODES_MAX};
 
 use crate::error::DrivingError;
+use crate::matching::agents;
 use crate::options::Options;
 use crate::sample::{Judge, Sample};
 use crate::source::Source;
@@ -53,8 +54,9 @@ pub(crate) fn play(
         let recording = source.open(path)?;
         let tracks: BTreeMap<u64, RecordedTrack> =
             data::tracks(&recording).into_iter().map(|track| (track.id, track)).collect();
-        let playback =
-            Playback::new(recording, PlaybackOptions { lockstep: true, ..PlaybackOptions::default() });
+        let noisy = options.noise.applied_to(&recording);
+        let has_identities = noisy.has_identities;
+        let playback = Playback::new(noisy, PlaybackOptions { lockstep: true, ..PlaybackOptions::default() });
         let mut chain = Chain::new(&run(&playback, options)?, model)?;
         match before.take() {
             Some(before) => chain.continue_from(before),
@@ -62,7 +64,7 @@ pub(crate) fn play(
             None => chain.expect(Prior::default()),
         }
         let agents = (number as u64) << 32;
-        let session = Session { agents, before_s: played_s, tracks: &tracks };
+        let session = Session { agents, before_s: played_s, tracks: &tracks, has_identities };
         played_s += session.play(playback, &mut chain, &mut judge, &mut samples);
         before = Some(chain);
     }
@@ -95,6 +97,7 @@ struct Session<'a> {
     /// Time that earlier recordings of the source took.
     before_s: f64,
     tracks: &'a BTreeMap<u64, RecordedTrack>,
+    has_identities: bool,
 }
 
 /// The recent motion of an agent.
@@ -120,8 +123,9 @@ impl Session<'_> {
             let since_ns = stamp_ns - *first_ns.get_or_insert(stamp_ns);
             seconds = since_ns as f64 * 1e-9;
             let (_, forecasts) = chain.tick(&tick.header, tick.detections, |_| ());
-            for forecast in forecasts {
-                let Some(track) = self.tracks.get(&forecast.source_id) else { continue };
+            let agents = agents(forecasts, self.tracks, stamp_ns, self.has_identities);
+            for (forecast, agent) in forecasts.iter().zip(agents) {
+                let Some(track) = agent.and_then(|agent| self.tracks.get(&agent)) else { continue };
                 let recent = recent.entry(forecast.id).or_default();
                 let before = recent.add(stamp_ns, forecast);
                 if forecast.modes_len < 2 || !recent.counts(stamp_ns) {

@@ -57,9 +57,13 @@ impl Report {
             Precision::F32 => String::new(),
             other => format!(", decoder in {other}"),
         };
+        let noise = match options.noise.is_none() {
+            true => String::new(),
+            false => format!(", detections with{}", options.noise.arguments()),
+        };
         let horizon_s = model.horizon_len as f64 * model.dt_s;
         let made = format!(
-            "Played through the online pipeline: {weights}, {map}, {evidence}{precision}; horizon {horizon_s:.1} s, a forecast of each agent \
+            "Played through the online pipeline: {weights}, {map}, {evidence}{precision}{noise}; horizon {horizon_s:.1} s, a forecast of each agent \
              every 0.4 s."
         );
         Self { sources: sources.into_iter().zip(played).collect(), made }

@@ -29,6 +29,7 @@ fn options(folder: &Path, evidence: bool) -> Options {
         map: false,
         evidence,
         priors: true,
+        noise: evaluator::Noise::default(),
         threads: 2,
     }
 }

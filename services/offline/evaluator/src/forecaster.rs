@@ -11,10 +11,11 @@ use decoder::{BaseDecoder, DecoderOptions};
 use encoder::EncoderOptions;
 use lanes::LaneMap;
 use nn::{ModelConfig, Precision, Weights};
-use onboard::{ChainError, FeaturesToControls, OwnFrame, TracksToFeatures, TracksToForecasts};
+use onboard::{Chain, ChainError, FeaturesToControls, OwnFrame, TracksToFeatures, TracksToForecasts};
 use retrieval::RetrievalMemory;
 use run::{Run, StageRun};
 use sampler::Sampler;
+use tracker::Tracker;
 use wire::{AgentControls, FeaturesTopic, Forecast as Payload, Header, Track};
 
 use crate::forecast::{Forecast, Variants};
@@ -175,6 +176,18 @@ impl Forecaster {
             Ok(TracksToForecasts::of_stages(features, self.features_to_controls()?, sampler))
         });
         stages.expect("stages that started before start again")
+    }
+
+    /// All stages with the default options of a run, for detections that are `interval_ns` apart.
+    ///
+    /// # Errors
+    /// [`ChainError`] if the tracker can't be set up.
+    pub fn chain(&self, map: MapInput<'_>, interval_ns: u64) -> Result<Chain, ChainError> {
+        let run = Run { interval_ns, ..self.run.clone() };
+        let tracker = Tracker::new(tracker::settings(&run, self.config())?);
+        let (features, controls) = (self.tracks_to_features(map, 1)?, self.features_to_controls()?);
+        let sampler = self.sampler(Correction::RetrievalAndEvidence);
+        Ok(Chain::of_stages(tracker, TracksToForecasts::of_stages(features, controls, sampler)))
     }
 
     /// A sampler as in a run, with this correction.

@@ -66,6 +66,33 @@ impl Noise {
         *self == Self { seed: self.seed, lag_s: self.lag_s, ..Self::default() }
     }
 
+    /// The options of the command line that choose this sensor, each after a space.
+    #[must_use]
+    pub fn arguments(&self) -> String {
+        let numbers = [
+            ("--noise", self.sigma_m),
+            ("--lag", self.lag_s),
+            ("--noise-heading", self.heading_rad.to_degrees()),
+            ("--drop", self.drop_share),
+        ];
+        let flags = [
+            ("--no-ids", self.without_ids),
+            ("--sigma", self.reports_sigma),
+            ("--positions", self.positions_only),
+        ];
+        let numbers = numbers.iter().filter(|(_, value)| *value > 0.0);
+        let numbers = numbers.map(|(name, value)| {
+            format!(" {name} {:.6}", value).trim_end_matches('0').trim_end_matches('.').to_owned()
+        });
+        let flags = flags.iter().filter(|(_, is_set)| *is_set).map(|(name, _)| format!(" {name}"));
+        numbers.chain(flags).collect()
+    }
+
+    /// The options that choose this sensor, for a title; empty if the sensor changes nothing.
+    pub(crate) fn label(&self) -> String {
+        if self.is_none() { String::new() } else { format!(", detections with{}", self.arguments()) }
+    }
+
     /// The recording as the sensor reports it.
     ///
     /// Name, fingerprint, frames and true positions remain. A detection keeps its time, type, size and score.

@@ -23,7 +23,7 @@ pub use sdd::sdd;
 use crate::judge::Block;
 use crate::maps::{MapInput, site_map};
 use crate::weights::{Model, WeightsChoice};
-use crate::{Baselines, Cut, EvaluateError, Judge, Scene, Subset, threads};
+use crate::{Baselines, Cut, EvaluateError, Judge, Noise, Scene, Subset, threads};
 
 /// Seed of latent variables, drawn directions and anchors.
 pub const SEED: u64 = 1;
@@ -53,6 +53,8 @@ pub struct Options {
     pub map: MapChoice,
     /// Whether forecasts follow the lanes of each site's Lanelet2 map. INTERACTION has these maps in `maps`.
     pub lanes: bool,
+    /// The sensor that sees the evaluated part of ETH/UCY and INTERACTION. Training parts are seen without noise.
+    pub noise: Noise,
     /// Threads that share the work; results do not depend on their number.
     pub threads: usize,
 }

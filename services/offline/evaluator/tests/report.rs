@@ -16,6 +16,7 @@ pub fn options(folder: &Path, weights: Option<PathBuf>, threads: usize) -> Optio
         weights: WeightsChoice { file: weights, folder: folder.to_owned(), precision: nn::Precision::F32 },
         map: MapChoice::Online,
         lanes: false,
+        noise: evaluator::Noise::default(),
         threads,
     }
 }

@@ -49,6 +49,7 @@ impl Evaluator {
                 weights,
                 map: if has_map { MapChoice::Online } else { MapChoice::None },
                 lanes: false,
+                noise: evaluator::Noise::default(),
                 threads: threads.unwrap_or(cores).max(1),
             };
             let mut evaluation = Evaluation::new(&options, positions).map_err(|why| error::of(&why))?;

@@ -34,6 +34,7 @@ fn options() -> Options {
         map: true,
         evidence: true,
         priors: true,
+        noise: evaluator::Noise::default(),
         threads: 1,
     }
 }

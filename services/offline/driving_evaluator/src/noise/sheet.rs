@@ -6,6 +6,9 @@ use serde_json::json;
 /// The column of whole numbers.
 pub(crate) const COUNTS: &str = "forecasts";
 
+/// The first line of the tables of noise as CSV.
+pub const COLUMNS: &str = "table,row,column,value\n";
+
 /// A table whose cells are numbers.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Sheet {
@@ -42,7 +45,7 @@ impl Sheet {
         format!("## {}\n\n{}\n\n{}", self.title, self.note, table.grid())
     }
 
-    /// One line per number: table, names, column, number.
+    /// One line per number.
     pub(crate) fn csv(&self) -> String {
         let mut text = String::new();
         for row in &self.rows {

@@ -77,7 +77,7 @@ struct Played {
     velocities_mps: BTreeMap<u64, Vec<(f64, [f32; 2])>>,
 }
 
-/// Plays all generated scenes. Takes seconds.
+/// Plays all generated scenes. Takes about 80 s of computing.
 ///
 /// # Errors
 /// [`DrivingError`] if the weights can't be used.

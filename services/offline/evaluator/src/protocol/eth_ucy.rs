@@ -6,6 +6,7 @@ use data::{Format, OpenOptions};
 use super::{GROWTH, MapChoice, Options, RATES, Rules, SEED, fit, need_agents};
 use crate::group::Group;
 use crate::maps::MapInput;
+use crate::observed::Sensor;
 use crate::reference::{self, PaperRow};
 use crate::report::{Column, Report, Table};
 use crate::{Cut, Errors, EvaluateError, Subset};
@@ -29,7 +30,11 @@ pub fn eth_ucy(options: &Options, mut progress: impl FnMut(&str)) -> Result<Repo
     let rules =
         Rules { horizons: &[3, 6, 9, 12], subsets: &subsets, of_type: None, threads: options.threads };
     let cut = Cut { history_len, horizon_len, dt_s, from_positions: false };
-    let mut report = Report::new(&format!("ETH/UCY, leave one out, {} part", options.part.name()));
+    let mut report = Report::new(&format!(
+        "ETH/UCY, leave one out, {} part{}",
+        options.part.name(),
+        options.noise.label()
+    ));
     let mut groups: [Vec<Group>; 2] = [Vec::new(), Vec::new()];
     let (map, map_label) = match options.map {
         MapChoice::None => (MapInput::None, "none"),
@@ -52,6 +57,8 @@ pub fn eth_ucy(options: &Options, mut progress: impl FnMut(&str)) -> Result<Repo
             tests.push(("eth, true time".to_owned(), footage));
         }
         for (name, footage) in tests {
+            let sensor = Sensor { noise: options.noise, forecaster: &model.forecaster, map };
+            let footage = sensor.observe_all(footage, options.threads, &name, &mut report)?;
             let blocks: Vec<_> =
                 footage.iter().flat_map(|footage| rules.judge(&model, &baselines, footage, map)).collect();
             need_agents(&blocks, &name, &cut)?;

@@ -10,10 +10,12 @@ use scene::AgentType;
 use super::{Footage, GROWTH, MapChoice, Options, RATES, Rules, SEED, fit, map_of, need_agents};
 use crate::group::Group;
 use crate::judge::Block;
+use crate::maps::MapInput;
+use crate::observed::Sensor;
 use crate::reference::{self, PaperRow};
 use crate::report::{Column, Report, Table};
 use crate::weights::Model;
-use crate::{Baselines, Cut, Errors, EvaluateError, Judge, MOVING_MPS, Subset};
+use crate::{Baselines, Cut, Errors, EvaluateError, Judge, MOVING_MPS, Noise, Subset};
 
 /// Steps of the protocol: 2 Hz.
 const STEPS: (usize, usize, f64) = (4, 10, 0.5);
@@ -61,7 +63,9 @@ pub fn interaction(
         model.check_steps("INTERACTION", history_len, horizon_len, dt_s)?;
         models.push((part, model));
     }
-    let mut report = Report::new(&format!("INTERACTION, split by recording, {} part", options.part.name()));
+    let part = options.part.name();
+    let noise = options.noise.label();
+    let mut report = Report::new(&format!("INTERACTION, split by recording, {part} part{noise}"));
     for (motion, from_positions) in [("recorded speed", false), ("positions only", true)] {
         let cut = Cut { history_len, horizon_len, dt_s, from_positions };
         progress(&format!("{motion}: training part"));
@@ -104,7 +108,8 @@ impl Protocol<'_> {
         let mut sites: Vec<(String, Vec<Block>)> = Vec::new();
         // Recordings are sorted by site.
         let mut visited: Option<(String, RetrievalMemory)> = None;
-        for footage in &footage {
+        let mut seen = Vec::new();
+        for footage in footage {
             let site = footage.site();
             let map = (options.map == MapChoice::Site).then(|| map_of(training, &site)).flatten();
             let map = options.map.input(map.as_ref());
@@ -117,6 +122,7 @@ impl Protocol<'_> {
                 }
                 visited = Some((site.clone(), memory));
             }
+            let footage = self.observe(model, map, footage, &format!("seen {}", short(&site)), report)?;
             // Other recordings of the evaluated part must not enter the memory.
             let mut memory = visited.as_ref().map(|(_, memory)| memory.clone());
             let blocks = judge.revisit(&footage.recording, &footage.scenes, map, memory.as_mut());
@@ -124,14 +130,32 @@ impl Protocol<'_> {
                 Some((_, all)) => all.extend(blocks),
                 None => sites.push((site, blocks)),
             }
+            seen.push(footage.recording);
         }
-        let recordings: Vec<_> = footage.iter().map(|footage| &footage.recording).collect();
+        let recordings: Vec<_> = seen.iter().collect();
         add_provenance(report, model.provenance("seen", options.map.label(), &recordings));
         let judge = |(site, blocks): (String, Vec<Block>)| {
             need_agents(&blocks, &site, cut)?;
             Ok(Judged::new(format!("seen {}", short(&site)), site, &blocks))
         };
         sites.into_iter().map(judge).collect()
+    }
+
+    /// A recording as the sensor sees it, from positions alone if the motion of this table comes from them.
+    fn observe(
+        &self,
+        model: &Model,
+        map: MapInput<'_>,
+        footage: Footage,
+        part: &str,
+        report: &mut Report,
+    ) -> Result<Footage, EvaluateError> {
+        let noise = self.options.noise;
+        let positions_only = noise.positions_only || (self.cut.from_positions && !noise.is_none());
+        let noise = Noise { positions_only, ..noise };
+        let sensor = Sensor { noise, forecaster: &model.forecaster, map };
+        let seen = sensor.observe_all(vec![footage], 1, part, report)?;
+        Ok(seen.into_iter().next().expect("one recording stays one"))
     }
 
     /// All recordings of a site together, and the recordings of the evaluated part separately.
@@ -156,8 +180,9 @@ impl Protocol<'_> {
                 }
                 // Training used no recording of this site, so the only possible site map is the map of its
                 // lanes.
-                let Footage { recording, scenes } = &footage;
                 let map = options.map.input(drawn.as_ref());
+                let footage = self.observe(model, map, footage, &format!("held-out {site}"), report)?;
+                let Footage { recording, scenes } = &footage;
                 let blocks = judge.revisit(recording, scenes, map, Some(&mut memory));
                 memory.end_session();
                 if part == options.part {

@@ -14,6 +14,7 @@ static ONE: LazyLock<State> = LazyLock::new(|| {
         weights: WeightsChoice { file: None, folder: "none".into(), precision: Precision::F32 },
         map: MapChoice::Online,
         lanes: false,
+        noise: crate::Noise::default(),
         threads: 2,
     };
     let scene = SceneOptions { agents: 10, identities: true, ..SceneOptions::default() };

@@ -1,14 +1,17 @@
+mod noise;
+
 use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
 use data::sets::Part;
-use driving_evaluator::GapReport;
+use driving_evaluator::{GapReport, NoiseReport, SyntheticReport};
 use evaluator::{Evaluation, InteractionPart, MapChoice, Options, Report, State, StateError, WeightsChoice};
 use nn::{Precision, Weights};
 use run::Exit;
 use tracking_evaluator::{KittiReport, TrackingReport};
 use wire::StageId;
 
+use self::noise::NoiseArguments;
 use crate::contenders::contenders;
 use launch::arguments::ReadArguments;
 use launch::failure::Failure;
@@ -22,6 +25,12 @@ const SIGMAS_M: std::ops::RangeInclusive<f64> = 0.001..=10.0;
 const INTERACTION_PARTS: [&str; 3] = ["seen", "FT", "EP1"];
 /// All parts of `tracking`, which run by default.
 const TRACKING_PARTS: [&str; 3] = ["interaction", "kitti", "driving"];
+/// Parts of `noise` that run by default: generated agents, and sources of `driving`.
+const NOISE_PARTS: [&str; 4] = [SYNTHETIC, "womd", "av2_sensor", "nuscenes_mini"];
+/// The part of `noise` with generated agents.
+const SYNTHETIC: &str = "synthetic";
+/// Recordings of each source that `noise` plays by default.
+const NOISE_SCENES: u16 = 8;
 
 /// Options that states already have.
 const MERGED_BEFORE: [&str; 11] = [
@@ -41,7 +50,8 @@ const MERGED_BEFORE: [&str; 11] = [
 /// Arguments of `stgdat evaluate`.
 #[derive(Debug, Args)]
 pub struct Arguments {
-    /// Data set `eth-ucy`, `sdd`, `interaction`, `driving` or `tracking`, or recordings, or states to merge
+    /// Data set `eth-ucy`, `sdd`, `interaction`, `driving` or `tracking`, or `noise`, or recordings, or states
+    /// to merge
     #[arg(required = true, value_name = "SET|FILE")]
     targets: Vec<PathBuf>,
     /// Folder with the data sets in their published layout
@@ -70,7 +80,8 @@ pub struct Arguments {
     /// Parts of `interaction`: `seen` or a held-out site [default: seen,FT,EP1]; of `tracking`: `interaction`
     /// (filters on noisy positions), `kitti` (trackers on a detector's output) and `driving` (gaps on many
     /// roads) [default: all]; of
-    /// `driving`: sources [default: all]
+    /// `driving`: sources [default: all]; of `noise`: `synthetic` (generated agents) and sources of `driving`
+    /// [default: synthetic,womd,av2_sensor,nuscenes_mini]
     #[arg(long, value_name = "PART,…", value_delimiter = ',')]
     parts: Vec<String>,
     /// Standard deviations of the measured positions in `tracking`, m; by default the protocol's values
@@ -80,6 +91,11 @@ pub struct Arguments {
     /// as long
     #[arg(long)]
     particles: bool,
+    #[command(flatten)]
+    noise: NoiseArguments,
+    /// Maximum number of recordings of each source in `noise`, spread evenly [default: 8]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+    scenes: Option<u16>,
     /// Evaluate the network's forecasts in `driving` without evidence from earlier forecasts
     #[arg(long)]
     without_evidence: bool,
@@ -93,7 +109,8 @@ pub struct Arguments {
     against_bag: Option<PathBuf>,
     #[command(flatten)]
     read: ReadArguments,
-    /// Derive velocities and headings of the recordings from their positions
+    /// Derive velocities and headings of the recordings from their positions. In `driving`, `interaction` and
+    /// `eth-ucy`: detections have neither headings nor speeds
     #[arg(long)]
     positions: bool,
     /// Number of threads; figures do not depend on it
@@ -143,13 +160,16 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         _ if arguments.against_bag.is_some() => vec![against(arguments)?],
         "tracking" => track(arguments)?,
         "driving" => vec![drive(arguments)?],
+        "noise" => under_noise(arguments)?,
         "eth-ucy" | "sdd" | "interaction" => {
             let mut report = evaluate(name, arguments, &arguments.weights_dir)?;
             let beside = arguments.beside.iter().map(|folder| evaluate(name, arguments, folder));
             report.add_beside(&beside.collect::<Result<Vec<_>, _>>()?);
-            vec![Written::of_forecasts(&report, name, arguments.lanes)]
+            let lanes = if arguments.lanes { " --lanes" } else { "" };
+            let mark = format!("{name}{lanes}{}", sensor(arguments)?.arguments());
+            vec![Written::of_forecasts(&report, &mark)]
         }
-        _ => vec![Written::of_forecasts(&recordings(arguments)?.report(), name, false)],
+        _ => vec![Written::of_forecasts(&recordings(arguments)?.report(), name)],
     };
     if let Some(path) = &arguments.csv {
         write(path, &written.iter().map(|part| part.csv.as_str()).collect::<String>())?;
@@ -173,19 +193,29 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
 
 /// Refuses options that have no effect.
 fn refuse_unused(name: &str, arguments: &Arguments) -> Result<(), Failure> {
-    let (is_tracking, is_driving) = (name == "tracking", name == "driving");
-    let has_parts = is_tracking || is_driving || name == "interaction";
+    let (is_tracking, is_driving, is_noise) = (name == "tracking", name == "driving", name == "noise");
+    let has_parts = is_tracking || is_driving || is_noise || name == "interaction";
+    let has_sensor = noise::SETS.contains(&name);
+    if let Some(option) = arguments.noise.given().next().filter(|_| !has_sensor) {
+        return Err(unused(option, "`driving`, `interaction` and `eth-ucy`"));
+    }
     let is_set = has_parts || ["eth-ucy", "sdd"].contains(&name);
     let options = [
         (
             "--beside",
             !arguments.beside.is_empty(),
-            is_set && !is_tracking && !is_driving,
+            is_set && !is_tracking && !is_driving && !is_noise,
             "`eth-ucy`, `sdd` and `interaction`",
         ),
-        ("--parts", !arguments.parts.is_empty(), has_parts, "`interaction`, `driving` and `tracking`"),
+        (
+            "--parts",
+            !arguments.parts.is_empty(),
+            has_parts,
+            "`interaction`, `driving`, `tracking` and `noise`",
+        ),
+        ("--scenes", arguments.scenes.is_some(), is_noise, "`noise`"),
         ("--lanes", arguments.lanes, name == "interaction", "`interaction`"),
-        ("--without-evidence", arguments.without_evidence, is_driving, "`driving`"),
+        ("--without-evidence", arguments.without_evidence, is_driving || is_noise, "`driving` and `noise`"),
         ("--prior", arguments.prior.is_some(), is_driving, "`driving`"),
         ("--sigmas", !arguments.sigmas.is_empty(), is_tracking, "`tracking`"),
         ("--particles", arguments.particles, is_tracking, "`tracking`"),
@@ -199,17 +229,30 @@ fn refuse_unused(name: &str, arguments: &Arguments) -> Result<(), Failure> {
         ("--fps", arguments.read.fps.is_some(), !is_set, "recordings"),
         ("--all", arguments.all, !is_set, "recordings"),
         ("--origin", arguments.read.origin.is_some(), !is_set, "recordings"),
-        ("--positions", arguments.positions, !is_set, "recordings"),
+        (
+            "--positions",
+            arguments.positions,
+            !is_set || has_sensor,
+            "recordings, `driving`, `interaction` and `eth-ucy`",
+        ),
         ("--state", arguments.state.is_some(), !is_set, "recordings"),
         ("--merge", arguments.merge, !is_set, "states of recordings"),
         ("--set", !arguments.set.is_empty(), !is_tracking, "forecasts, not `tracking`"),
     ];
     match options.into_iter().find(|(_, is_given, is_used, _)| *is_given && !is_used) {
-        Some((option, _, _, users)) => {
-            Err(Failure::Usage(format!("{option} is for {users}, and would change nothing here")))
-        }
+        Some((option, _, _, users)) => Err(unused(option, users)),
         None => Ok(()),
     }
+}
+
+fn unused(option: &str, users: &str) -> Failure {
+    Failure::Usage(format!("{option} is for {users}, and would change nothing here"))
+}
+
+/// The sensor that the options choose.
+fn sensor(arguments: &Arguments) -> Result<evaluator::Noise, Failure> {
+    let name = arguments.targets.first().and_then(|target| target.to_str()).unwrap_or_default();
+    arguments.noise.sensor(arguments.positions && noise::SETS.contains(&name))
 }
 
 /// A single report unchanged, several reports by name.
@@ -244,11 +287,11 @@ impl Written {
         Self { name, mark: mark.into(), text: None, markdown, summary, csv, json }
     }
 
-    fn of_forecasts(report: &Report, set: &str, lanes: bool) -> Self {
+    fn of_forecasts(report: &Report, set: &str) -> Self {
         report.warnings.iter().for_each(|line| tracing::warn!("{line}"));
         report.left_out.iter().for_each(|line| tracing::warn!("left out: {line}"));
         report.failed.iter().for_each(|line| tracing::warn!("failed: {line}"));
-        let mark = format!("evaluate {set}{}", if lanes { " --lanes" } else { "" });
+        let mark = format!("evaluate {set}");
         let texts = [report.markdown(), report.summary(), report.csv()];
         Self { text: Some(report.text()), ..Self::new("forecasts", mark, texts, report.json()) }
     }
@@ -256,6 +299,16 @@ impl Written {
     fn of_motion(report: &TrackingReport) -> Self {
         let texts = [report.markdown(), report.summary(), report.csv()];
         Self::new("interaction", "evaluate tracking --parts interaction", texts, report.json())
+    }
+
+    fn of_noise(report: &NoiseReport) -> Self {
+        let texts = [report.markdown(), report.markdown(), report.csv()];
+        Self::new("recorded", "evaluate noise", texts, report.json())
+    }
+
+    fn of_synthetic(report: &SyntheticReport) -> Self {
+        let texts = [report.markdown(), report.markdown(), report.csv()];
+        Self::new(SYNTHETIC, "evaluate noise --parts synthetic", texts, report.json())
     }
 
     fn of_gaps(report: &GapReport) -> Self {
@@ -296,13 +349,14 @@ fn options(arguments: &Arguments, weights_dir: &Path) -> Result<Options, Failure
             Map::Site => MapChoice::Site,
         },
         lanes: arguments.lanes,
+        noise: sensor(arguments)?,
         threads: arguments.threads.map_or(threads, usize::from),
     })
 }
 
 /// The options for driving recordings; all sources if none are named.
 fn driving(arguments: &Arguments, sources: &[String]) -> Result<driving_evaluator::Options, Failure> {
-    let Options { data, threads, weights, .. } = options(arguments, &arguments.weights_dir)?;
+    let Options { data, threads, weights, noise, .. } = options(arguments, &arguments.weights_dir)?;
     Ok(driving_evaluator::Options {
         folder: data.join("driving"),
         sources: sources.to_vec(),
@@ -311,6 +365,7 @@ fn driving(arguments: &Arguments, sources: &[String]) -> Result<driving_evaluato
         map: !matches!(arguments.map, Map::None),
         evidence: !arguments.without_evidence,
         priors: arguments.prior.is_none(),
+        noise,
         threads,
     })
 }
@@ -323,7 +378,31 @@ fn drive(arguments: &Arguments) -> Result<Written, Failure> {
         write(path, &(report.priors(options.threads).to_json() + "\n"))?;
     }
     let texts = [report.markdown(), report.summary(), report.csv()];
-    Ok(Written::new("driving", "evaluate driving", texts, report.json()))
+    let mark = format!("evaluate driving{}", options.noise.arguments());
+    Ok(Written::new("driving", mark, texts, report.json()))
+}
+
+/// Forecasts under many kinds of noise, of generated agents and of recorded vehicles.
+fn under_noise(arguments: &Arguments) -> Result<Vec<Written>, Failure> {
+    let (generated, sources): (Vec<&str>, Vec<&str>) =
+        parts(arguments, &NOISE_PARTS).partition(|part| *part == SYNTHETIC);
+    let sources: Vec<String> = sources.into_iter().map(str::to_owned).collect();
+    let options = driving(arguments, &sources)?;
+    let mut written = Vec::new();
+    if !generated.is_empty() {
+        progress("generated agents");
+        let report = driving_evaluator::synthetic(&options).map_err(Failure::data)?;
+        written.push(Written::of_synthetic(&report));
+    }
+    if !sources.is_empty() {
+        let scenes = usize::from(arguments.scenes.unwrap_or(NOISE_SCENES));
+        let report = driving_evaluator::under_noise(&options, scenes, progress).map_err(Failure::data)?;
+        written.push(Written::of_noise(&report));
+    }
+    if let Some(first) = written.first_mut() {
+        first.csv.insert_str(0, driving_evaluator::NOISE_COLUMNS);
+    }
+    Ok(written)
 }
 
 /// Our forecasts of a recording beside the forecasts of a bag.
