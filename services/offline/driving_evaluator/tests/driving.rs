@@ -1,7 +1,10 @@
 use std::fmt::Write as _;
 use std::path::Path;
 
-use driving_evaluator::{DrivingError, Learned, Options, evaluate, learn, outcomes, priors, sources};
+use driving_evaluator::{
+    DrivingError, Learned, Options, evaluate, learn, outcomes, priors, sources, under_noise,
+};
+use evaluator::Noise;
 use evidence::Prior;
 use scene::AgentType;
 
@@ -29,7 +32,7 @@ fn options(folder: &Path, evidence: bool) -> Options {
         map: false,
         evidence,
         priors: true,
-        noise: evaluator::Noise::default(),
+        noise: Noise::default(),
         threads: 2,
     }
 }
@@ -79,6 +82,57 @@ fn any_number_of_threads_makes_the_same_report() {
     }
     let csv = |threads| evaluate(&Options { threads, ..options(folder.path(), true) }, |_| ()).unwrap().csv();
     assert_eq!(csv(1), csv(2));
+}
+
+#[test]
+fn a_sensor_without_errors_changes_no_figure_and_one_with_errors_does() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::create_dir(folder.path().join("one")).unwrap();
+    steady(&folder.path().join("one/0.csv"), 6);
+    let report = |noise: Noise| evaluate(&Options { noise, ..options(folder.path(), true) }, |_| ()).unwrap();
+    let clean = report(Noise::default());
+    let other_seed = report(Noise { seed: 9, lag_s: 0.3, ..Noise::default() });
+    assert_eq!((clean.csv(), clean.markdown()), (other_seed.csv(), other_seed.markdown()));
+    let noisy = Noise { sigma_m: 0.3, positions_only: true, ..Noise::default() };
+    let forecasts = |report: &driving_evaluator::Report| {
+        let cell = &report.json()["cells"][0];
+        (cell["forecasts"].as_u64().unwrap(), cell["errors"]["ConstantVelocity"]["fde_m"].as_f64().unwrap())
+    };
+    let (count, clean_m) = forecasts(&clean);
+    for without_ids in [false, true] {
+        let report = report(Noise { without_ids, ..noisy });
+        let (noisy_count, noisy_m) = forecasts(&report);
+        assert!(noisy_count.abs_diff(count) * 20 < count, "{noisy_count} forecasts, {count} without noise");
+        assert!(noisy_m > clean_m + 1.0, "{noisy_m} m, {clean_m} m without noise");
+        let expected =
+            if without_ids { "--noise 0.3 --no-ids --positions" } else { "--noise 0.3 --positions" };
+        assert!(report.markdown().contains(expected));
+    }
+}
+
+#[test]
+fn the_truth_has_no_noise() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::create_dir(folder.path().join("one")).unwrap();
+    steady(&folder.path().join("one/0.csv"), 3);
+    let options = Options { evidence: false, ..options(folder.path(), true) };
+    let report = under_noise(&options, 1, |_| ()).unwrap();
+    let rows = report.json();
+    let rows = rows["rows"].as_array().unwrap();
+    let number = |row: &serde_json::Value, column: &str| row[column].as_f64().unwrap();
+    assert!((number(&rows[0], "FDE / clean") - 1.0).abs() < 1e-9);
+    for row in rows {
+        // Constant velocity from the true state is exact, except that the recording rounds to 1 mm.
+        let steady_m = number(row, "FDE") / number(row, "FDE / true CV");
+        assert!(steady_m < 0.05, "{steady_m} m: {row}");
+    }
+    let of = |noise: &str| {
+        let is_row = |row: &&serde_json::Value| {
+            row["noise"] == noise && row["fields"] == "positions" && row["detections"] == "ids"
+        };
+        number(rows.iter().find(is_row).unwrap(), "FDE")
+    };
+    assert!(of("0.3 m") > 2.0 * of("0.05 m"), "{} m, {} m", of("0.3 m"), of("0.05 m"));
 }
 
 #[test]
