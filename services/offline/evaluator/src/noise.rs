@@ -82,7 +82,7 @@ impl Noise {
         ];
         let numbers = numbers.iter().filter(|(_, value)| *value > 0.0);
         let numbers = numbers.map(|(name, value)| {
-            format!(" {name} {:.6}", value).trim_end_matches('0').trim_end_matches('.').to_owned()
+            format!(" {name} {value:.6}").trim_end_matches('0').trim_end_matches('.').to_owned()
         });
         let flags = flags.iter().filter(|(_, is_set)| *is_set).map(|(name, _)| format!(" {name}"));
         numbers.chain(flags).collect()
