@@ -9,6 +9,7 @@ use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
 
+use serde_json::{Map, Value};
 use tracing::{Event, Level, Subscriber};
 use tracing_subscriber::EnvFilter;
 use tracing_subscriber::fmt::format::Writer;
@@ -154,16 +155,19 @@ where
     ) -> fmt::Result {
         let mut line = String::new();
         self.0.format_event(context, Writer::new(&mut line), event)?;
-        let object = line.trim_end();
-        writer.write_str(object.strip_suffix('}').unwrap_or(object))?;
-        let run = RUN.lock().unwrap_or_else(PoisonError::into_inner);
+        let Ok(mut object) = serde_json::from_str::<Map<String, Value>>(&line) else {
+            return writer.write_str(&line);
+        };
+        let run = RUN.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        // An event's own field of this name stays.
         if !run.is_empty() {
-            write!(writer, ",\"run\":{run:?}")?;
+            object.entry("run").or_insert(run.into());
         }
-        match TICK.load(Ordering::Relaxed) {
-            NO_TICK => writeln!(writer, "}}"),
-            tick => writeln!(writer, ",\"tick\":{tick}}}"),
+        let tick = TICK.load(Ordering::Relaxed);
+        if tick != NO_TICK {
+            object.entry("tick").or_insert(tick.into());
         }
+        writeln!(writer, "{}", Value::Object(object))
     }
 }
 
@@ -206,6 +210,27 @@ mod tests {
             "lanes 3\nwarning: a.csv: 3 rows skipped\nerror: no space\n\
              launcher: the decoder gets no CPU stage=\"decoder\"\n"
         );
+    }
+
+    #[test]
+    fn a_line_is_json_whatever_the_run_is_named() {
+        let kept = Kept::default();
+        let writer = kept.clone();
+        let builder = tracing_subscriber::fmt().json().flatten_event(true).map_event_format(OfRun);
+        let subscriber = builder.with_writer(move || writer.clone()).finish();
+        let name = "a \"run\" \u{7f}\u{301}";
+        log_run(&Path::new("/tmp").join(name));
+        log_tick(7);
+        tracing::subscriber::with_default(subscriber, || {
+            tracing::warn!("late");
+            tracing::warn!(tick = 3, "an older tick");
+        });
+        let text = String::from_utf8(kept.0.lock().unwrap().clone()).unwrap();
+        let lines: Vec<Value> = text.lines().map(|line| serde_json::from_str(line).expect(line)).collect();
+        assert_eq!((&lines[0]["run"], &lines[0]["tick"]), (&name.into(), &7.into()));
+        assert_eq!((&lines[0]["message"], &lines[0]["level"]), (&"late".into(), &"WARN".into()));
+        assert_eq!(lines[1]["tick"], 3);
+        assert_eq!(text.matches("\"tick\"").count(), 2, "{text}");
     }
 
     #[test]
