@@ -1,8 +1,8 @@
-#![expect(unsafe_code, reason = "the mask of signals, which neither rustix nor signal-hook knows")]
+#![expect(unsafe_code, reason = "the mask of signals, which neither rustix nor signal-hook knows; a handler")]
 
 use std::mem::MaybeUninit;
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::sync::{Arc, OnceLock};
+use std::sync::atomic::{AtomicBool, AtomicI32, AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::Duration;
 
 use iceoryx2::prelude::*;
@@ -16,31 +16,32 @@ const UNLESS_IGNORED: [i32; 2] = [SIGHUP, SIGQUIT];
 
 /// Whether SIGTERM, SIGINT, SIGHUP or SIGQUIT has asked the process to end.
 ///
-/// The flag stays set: a signal between two checks, or before another signal, is not lost.
+/// The flag stays set: a signal between two checks, or before another signal, is not lost. Signals from
+/// before [`Stop::on_signals`] do not count.
 #[derive(Clone, Debug)]
-pub struct Stop(Arc<AtomicUsize>);
+pub struct Stop {
+    /// [`SIGNALS`] when this value was made.
+    before: usize,
+}
+
+/// Number of signals so far that ask the process to end.
+static SIGNALS: AtomicUsize = AtomicUsize::new(0);
+/// The newest of these signals.
+static NEWEST: AtomicI32 = AtomicI32::new(0);
 
 impl Stop {
-    /// Installs the signal handlers.
+    /// Installs the signal handlers. The first call in a process does; later calls use them too.
     ///
     /// # Errors
     /// If the system refuses the handlers.
     pub fn on_signals() -> std::io::Result<Self> {
-        static IGNORED: OnceLock<Vec<i32>> = OnceLock::new();
-        let _held_back = HeldBack::begin();
-        // Read before the transport sets its own handlers.
-        let ignored =
-            IGNORED.get_or_init(|| UNLESS_IGNORED.into_iter().filter(|number| is_ignored(*number)).collect());
-        take_transport_handlers();
-        let signal = Arc::new(AtomicUsize::new(0));
-        for number in ALWAYS.into_iter().chain(UNLESS_IGNORED) {
-            if ignored.contains(&number) {
-                ignore(number);
-            } else {
-                signal_hook::flag::register_usize(number, signal.clone(), number as usize)?;
-            }
+        static IS_INSTALLED: Mutex<bool> = Mutex::new(false);
+        let mut is_installed = IS_INSTALLED.lock().unwrap_or_else(PoisonError::into_inner);
+        if !*is_installed {
+            install()?;
+            *is_installed = true;
         }
-        Ok(Self(signal))
+        Ok(Self { before: SIGNALS.load(Ordering::Acquire) })
     }
 
     /// Whether the process has been asked to end.
@@ -52,7 +53,10 @@ impl Stop {
     /// The exit code of a process that was asked to end.
     #[must_use]
     pub fn exit(&self) -> Option<Exit> {
-        match self.0.load(Ordering::Relaxed) as i32 {
+        if SIGNALS.load(Ordering::Acquire) == self.before {
+            return None;
+        }
+        match NEWEST.load(Ordering::Relaxed) {
             SIGHUP => Some(Exit::HungUp),
             SIGINT => Some(Exit::Interrupted),
             SIGQUIT => Some(Exit::Quit),
@@ -60,6 +64,29 @@ impl Stop {
             _ => None,
         }
     }
+}
+
+/// Installs the handlers of the signals that ask the process to end.
+fn install() -> std::io::Result<()> {
+    static IGNORED: OnceLock<Vec<i32>> = OnceLock::new();
+    let _held_back = HeldBack::begin();
+    // Read before the transport sets its own handlers.
+    let ignored =
+        IGNORED.get_or_init(|| UNLESS_IGNORED.into_iter().filter(|number| is_ignored(*number)).collect());
+    take_transport_handlers();
+    for number in ALWAYS.into_iter().chain(UNLESS_IGNORED) {
+        if ignored.contains(&number) {
+            ignore(number);
+            continue;
+        }
+        let arrived = move || {
+            NEWEST.store(number, Ordering::Relaxed);
+            SIGNALS.fetch_add(1, Ordering::Release);
+        };
+        // SAFETY: the handler only accesses atomics, which a signal handler may do.
+        unsafe { signal_hook::low_level::register(number, arrived)? };
+    }
+    Ok(())
 }
 
 /// Whether SIGUSR1 has arrived.
@@ -156,6 +183,24 @@ mod tests {
         assert!(!stop.requested() && is_ignored(SIGHUP));
         signal_hook::low_level::raise(SIGQUIT).unwrap();
         assert_eq!(stop.exit(), Some(Exit::Quit));
+        assert!(!Stop::on_signals().unwrap().requested(), "a later one begins without it");
+        assert_eq!(stop.clone().exit(), Some(Exit::Quit));
+    }
+
+    #[test]
+    fn the_handlers_are_registered_once() {
+        // The identifiers of actions count all registrations of the process.
+        let registrations = || {
+            let added = signal_hook::flag::register(SIGUSR1, Arc::new(AtomicBool::new(false))).unwrap();
+            let text = format!("{added:?}");
+            let digits = |text: &str| text.trim_end_matches(|c: char| !c.is_ascii_digit()).to_owned();
+            let text = digits(&text);
+            text.rsplit(|c: char| !c.is_ascii_digit()).next().unwrap().parse::<u64>().unwrap()
+        };
+        let before = registrations();
+        (0..100).for_each(|_| drop(Stop::on_signals().unwrap()));
+        let after = registrations();
+        assert!(after - before < 50, "{before} to {after}");
     }
 
     #[test]
