@@ -223,6 +223,7 @@ fn runs(a: &Report, b: &Report) -> Vec<(&'static str, String, String)> {
         let text = |value: &Option<String>| value.clone().unwrap_or_else(|| "unknown".to_owned());
         let seed = run.seed.map_or_else(|| "unknown".to_owned(), |seed| seed.to_string());
         let agents = run.scene_agents.map_or_else(|| "recorded".to_owned(), |agents| agents.to_string());
+        let noise = run.scene_noise.map_or_else(|| "unknown".to_owned(), |noise| noise.line());
         let switch = |value: Option<bool>| {
             value.map_or("unknown", |value| if value { "yes" } else { "no" }).to_owned()
         };
@@ -230,6 +231,7 @@ fn runs(a: &Report, b: &Report) -> Vec<(&'static str, String, String)> {
             ("recording", text(&run.recording)),
             ("the recording's SHA-256", text(&run.recording_sha256)),
             ("agents of the scene", agents),
+            ("detector noise", noise),
             ("seed", seed),
             ("weights", text(&run.weights_sha256)),
             ("retrieval", switch(run.retrieval)),

@@ -8,7 +8,7 @@ use clap::{Args, ValueEnum};
 use localiser::MapChoice;
 use nn::Weights;
 use ports::{Space, Stop, clock_offset_ns};
-use recorder::{InputReport, Report, RunInfo, Supervision};
+use recorder::{InputReport, Report, RunInfo, SceneNoise, Supervision};
 use recording::About;
 use run::{Exit, Run, SpareRun, StageRun};
 use scene::ContextMap;
@@ -371,11 +371,23 @@ fn info(
         info.seen_in_training = recorded.then(|| seen_in_training(weights, &recording.sha256)).flatten();
         info.seed = Some(arguments.scene.seed());
         info.scene_agents = (!recorded).then_some(source.agents as u64);
+        info.scene_noise = (!recorded).then(|| scene_noise(source, arguments.scene.seed()));
         info.recorded_frames = recorded.then_some(recording.frames.len() as u64);
         info.thinned_by = u32::try_from(playback.thinning()).ok();
         info.interval_ms = Some(playback.interval_ns() as f64 / 1e6);
     }
     Ok(info)
+}
+
+/// The noise of the generated scene's detections.
+fn scene_noise(source: &source::Options, seed: u64) -> SceneNoise {
+    let scene = source::generated_scene(source, seed);
+    // From the decimal digits: 0.1 as f32 is another number as f64.
+    let exactly = |sigma: f32| sigma.to_string().parse().unwrap_or_else(|_| f64::from(sigma));
+    SceneNoise {
+        position_m: scene.position_sigma_m.map(exactly),
+        heading_deg: exactly(scene.heading_sigma_rad.to_degrees()),
+    }
 }
 
 /// Whether the model card lists the recording's SHA-256 among the training data; `None` without a card.

@@ -43,7 +43,7 @@ pub use options::{Options, STAGE};
 pub use record::{Checkpoint, Recorder, RecorderOptions};
 pub use report::{
     Errors, Outage, REPORT_VERSION, RefusedFrames, Replacement, ReplacementOutcome, Report, ReportError,
-    RunInfo, SpareReport, StageMemory, Status, Supervision, Verdict, WorstTick, program_name,
+    RunInfo, SceneNoise, SpareReport, StageMemory, Status, Supervision, Verdict, WorstTick, program_name,
 };
 pub use tick::Tick;
 pub use whole_file::{WholeFile, is_standard_output};

@@ -8,8 +8,8 @@ use std::fmt::{self, Write};
 
 use crate::input::DOUBT;
 use crate::report::{
-    Outage, RefusedFrames, Replacement, ReplacementOutcome, Report, SpareReport, StageMemory, Status,
-    Supervision,
+    Outage, RefusedFrames, Replacement, ReplacementOutcome, Report, SceneNoise, SpareReport, StageMemory,
+    Status, Supervision,
 };
 use crate::text::count;
 
@@ -102,6 +102,9 @@ impl Report {
             // The name of a generated scene contains its agents and seed.
             let seed = run.seed.filter(|_| run.scene_agents.is_none()).map(|seed| format!("seed {seed}"));
             fact(text, "recording", &[Some(recording.clone()), seed])?;
+        }
+        if let Some(noise) = run.scene_noise {
+            fact(text, "scene", &[Some(noise.line())])?;
         }
         if run.weights.is_some() || run.weights_sha256.is_some() {
             let hash = run.weights_sha256.as_ref().map(|hash| hash.chars().take(12).collect());
@@ -307,6 +310,25 @@ impl Report {
             dead => format!("{} readers of topics have died: their places were given back", count(dead)),
         };
         writeln!(text, "\n {:LABEL_WIDTH$}{dead}", "READERS")
+    }
+}
+
+impl SceneNoise {
+    /// The noise in words.
+    pub fn line(&self) -> String {
+        let [least_m, most_m] =
+            [(f64::INFINITY, f64::min as fn(f64, f64) -> f64), (0.0, f64::max as fn(f64, f64) -> f64)]
+                .map(|(first, of)| self.position_m.into_iter().fold(first, of));
+        let heading = trimmed(self.heading_deg);
+        match (trimmed(least_m), trimmed(most_m)) {
+            _ if most_m == 0.0 => "generated, without detector noise".to_owned(),
+            (least, most) if least == most => {
+                format!("generated, detector noise {most} m, headings {heading}°")
+            }
+            (least, most) => {
+                format!("generated, detector noise {least} to {most} m by type, headings {heading}°")
+            }
+        }
     }
 }
 

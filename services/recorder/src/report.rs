@@ -167,6 +167,9 @@ pub struct RunInfo {
     pub ticks_limit: Option<u64>,
     /// Number of agents asked for in the generated scene.
     pub scene_agents: Option<u64>,
+    /// Noise of the detections of the generated scene.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub scene_noise: Option<SceneNoise>,
     /// Frames in the recording.
     pub recorded_frames: Option<u64>,
     /// One frame in this many was played. It is more than 1 if the recording is faster than 12.5 Hz.
@@ -179,6 +182,15 @@ pub struct RunInfo {
     pub elapsed_s: Option<f64>,
     /// Whether the source waited for the forecasts of each tick before it released the next.
     pub lockstep: Option<bool>,
+}
+
+/// Noise of the detections of a generated scene: standard deviations.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct SceneNoise {
+    /// Positions on each axis, by type: vehicles, cyclists, pedestrians.
+    pub position_m: [f64; 3],
+    /// Headings.
+    pub heading_deg: f64,
 }
 
 /// Number of agents forecast per tick.

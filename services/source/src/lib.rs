@@ -20,5 +20,5 @@ pub use options::{Options, STAGE};
 pub use outputs::Outputs;
 pub use plan::start_ns;
 pub use playback::{Playback, PlaybackOptions, Tick};
-pub use scene::recording;
+pub use scene::{generated_scene, recording};
 pub use thinning::merge;

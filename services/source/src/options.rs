@@ -1,7 +1,7 @@
 use std::path::PathBuf;
 use std::str::FromStr;
 
-use data::{Format, FrameRate};
+use data::{Format, FrameRate, SceneOptions};
 use run::Declaration;
 use schemars::JsonSchema;
 use serde::de::Error as _;
@@ -30,6 +30,11 @@ pub struct Options {
     /// Number of agents in the generated scene; fewer if there is no room.
     #[schemars(range(min = 1, max = AGENTS_MAX))]
     pub agents: usize,
+    /// Noise of the positions that the generated scene's detector measures, m on each axis. Headings and sizes
+    /// have noise in proportion: 2° and 3 % at 0.1 m. With 0 they are exact. By default 0.15 for vehicles, 0.12
+    /// for cyclists, 0.08 for pedestrians, and 2.3° for headings.
+    #[schemars(range(min = 0.0, max = SceneOptions::NOISE_MAX_M))]
+    pub noise_m: Option<f32>,
     /// Number of ticks after which the scene ends; by default the whole recording, or 20 s of a generated
     /// scene.
     #[schemars(range(min = 1))]
@@ -38,7 +43,7 @@ pub struct Options {
 
 impl Default for Options {
     fn default() -> Self {
-        Self { recording: None, format: None, fps: None, agents: 32, ticks: None }
+        Self { recording: None, format: None, fps: None, agents: 32, noise_m: None, ticks: None }
     }
 }
 

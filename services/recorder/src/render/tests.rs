@@ -1,8 +1,8 @@
 use crate::record::tests::eventful;
 use crate::report::StageReport;
 use crate::{
-    Outage, Recorder, RecorderOptions, Replacement, ReplacementOutcome, Report, StageMemory, Status,
-    Supervision, Verdict,
+    Outage, Recorder, RecorderOptions, Replacement, ReplacementOutcome, Report, SceneNoise, StageMemory,
+    Status, Supervision, Verdict,
 };
 
 fn widest(text: &str) -> usize {
@@ -19,6 +19,19 @@ fn an_eventful_run_fits_80_columns() {
 #[test]
 fn a_wide_terminal_shows_every_phase() {
     insta::assert_snapshot!(eventful().render(120));
+}
+
+#[test]
+fn the_noise_of_a_generated_scene_is_one_line() {
+    let line = |position_m, heading_deg| SceneNoise { position_m, heading_deg }.line();
+    assert_eq!(line([0.1; 3], 2.0), "generated, detector noise 0.1 m, headings 2°");
+    let by_type = "generated, detector noise 0.08 to 0.15 m by type, headings 2.29°";
+    assert_eq!(line([0.15, 0.12, 0.08], 2.292), by_type);
+    assert_eq!(line([0.0; 3], 0.0), "generated, without detector noise");
+    let mut report = eventful();
+    assert!(!report.render(80).contains(" scene "));
+    report.run.scene_noise = Some(SceneNoise { position_m: [0.1; 3], heading_deg: 2.0 });
+    assert!(report.render(80).contains(" scene       generated, detector noise 0.1 m, headings 2°\n"));
 }
 
 #[test]
