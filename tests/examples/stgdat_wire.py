@@ -26,6 +26,12 @@ SHED_WORDS = 4
 DETECTIONS_MAX = 512
 # Maximum time between a measurement and its frame's stamp, in either direction.
 OFFSET_MAX_NS = 1000000000
+# Largest number of a tick.
+SEQ_MAX = 4611686018427387904
+# Shortest interval between the frames of ticks.
+INTERVAL_MIN_NS = 1000000
+# Longest interval between the frames of ticks.
+INTERVAL_MAX_NS = 3600000000000
 # Maximum number of stages on a tick's path.
 HOPS_MAX = 12
 # Maximum number of stages that a pipeline file can add to stgdat's own.

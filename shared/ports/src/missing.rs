@@ -109,6 +109,14 @@ mod tests {
     }
 
     #[test]
+    fn at_an_unknown_interval_nothing_is_missing() {
+        let mut missing = Missing::default();
+        missing.came(&Header { interval_ns: 0, ..header(7, 0) }, 1_000);
+        assert_eq!(missing.until_ns(), None);
+        assert!(missing.predict(true, 9_000).is_none());
+    }
+
+    #[test]
     fn in_lockstep_nothing_is_missing() {
         let mut missing = Missing::default();
         missing.came(&header(7, flags::LOCKSTEP), 1_000);

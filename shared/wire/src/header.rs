@@ -1,8 +1,8 @@
 use crate::declare::{constants, numbers, record};
 use crate::limits::schema;
 use crate::{
-    AGENT_TYPES, AGENTS_MAX, HISTORY_MAX, HOPS_MAX, HORIZON_MAX, MODES_MAX, Rejected, SCHEMA, SHED_WORDS,
-    StageId,
+    AGENT_TYPES, AGENTS_MAX, HISTORY_MAX, HOPS_MAX, HORIZON_MAX, INTERVAL_MAX_NS, INTERVAL_MIN_NS, MODES_MAX,
+    Rejected, SCHEMA, SEQ_MAX, SHED_WORDS, StageId,
 };
 
 /// Bits of [`Header::flags`].
@@ -190,7 +190,8 @@ record! {
         48 => stamp_ns: i64,
         /// When the source released the tick, on `CLOCK_MONOTONIC`; only for latency and age.
         56 => released_ns: u64,
-        /// The interval between frames as planned by the source.
+        /// The interval between frames as planned by the source. It is `INTERVAL_MIN_NS` to `INTERVAL_MAX_NS`,
+        /// or 0 if it is unknown: then no tick is predicted when the source is gone.
         64 => interval_ns: u64,
         /// Spacing of history and forecast steps, Δt; 0 before the tracker.
         72 => step_ns: u64,
@@ -336,7 +337,20 @@ impl Header {
         for (field, found, most) in limits {
             crate::at_most(field, found as usize, most as usize)?;
         }
+        if self.seq > SEQ_MAX {
+            return Err(Rejected::Impossible { field: "seq", value: self.seq as f64 });
+        }
+        self.check_interval()?;
         crate::finite("ego", &[self.ego_m[0], self.ego_m[1], self.ego_heading_rad])
+    }
+
+    /// Refuses an interval in another unit, such as 80 for milliseconds: once the source is gone, the tracker
+    /// would predict a tick every 80 ns.
+    const fn check_interval(&self) -> Result<(), Rejected> {
+        match self.interval_ns {
+            0 | INTERVAL_MIN_NS..=INTERVAL_MAX_NS => Ok(()),
+            other => Err(Rejected::Impossible { field: "interval_ns", value: other as f64 }),
+        }
     }
 
     /// Refuses an impossible header, or more agents than a frame can hold.
@@ -362,6 +376,28 @@ mod tests {
         assert!((0..AGENTS_MAX).all(|place| header.is_shed(place) == (place % 3 == 0)));
         assert!(!header.is_shed(AGENTS_MAX), "there is no such place");
         assert_eq!(header.shed.iter().map(|bits| bits.count_ones()).sum::<u32>(), 43);
+    }
+
+    #[test]
+    fn an_interval_in_another_unit_is_refused() {
+        let of = |interval_ns: u64| Header { interval_ns, ..Header::new(1, 2, 3) }.check();
+        for interval_ns in [0, INTERVAL_MIN_NS, crate::TICK_NS, INTERVAL_MAX_NS] {
+            assert_eq!(of(interval_ns), Ok(()));
+        }
+        // Milliseconds, microseconds, and a damaged number.
+        for interval_ns in [80, 80_000, INTERVAL_MAX_NS + 1, u64::MAX] {
+            let why = Rejected::Impossible { field: "interval_ns", value: interval_ns as f64 };
+            assert_eq!(of(interval_ns), Err(why));
+        }
+    }
+
+    #[test]
+    fn a_number_near_the_overflow_is_refused() {
+        let of = |seq| Header { interval_ns: crate::TICK_NS, ..Header::new(1, seq, 3) }.check();
+        assert_eq!(of(SEQ_MAX), Ok(()));
+        for seq in [SEQ_MAX + 1, u64::MAX] {
+            assert_eq!(of(seq), Err(Rejected::Impossible { field: "seq", value: seq as f64 }));
+        }
     }
 
     #[test]

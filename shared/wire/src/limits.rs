@@ -21,6 +21,12 @@ constants! {
     pub const DETECTIONS_MAX: usize = 512;
     /// Maximum time between a measurement and its frame's stamp, in either direction.
     pub const OFFSET_MAX_NS: u64 = 1_000_000_000;
+    /// Largest number of a tick. A sum of it and a few ticks does not overflow.
+    pub const SEQ_MAX: u64 = 1 << 62;
+    /// Shortest interval between the frames of ticks. A shorter one is a time in another unit.
+    pub const INTERVAL_MIN_NS: u64 = 1_000_000;
+    /// Longest interval between the frames of ticks.
+    pub const INTERVAL_MAX_NS: u64 = 3_600_000_000_000;
     /// Maximum number of stages on a tick's path.
     pub const HOPS_MAX: usize = 12;
     /// Maximum number of stages that a pipeline file can add to stgdat's own.
