@@ -214,8 +214,10 @@ fn causes(forecast: &Forecast) -> String {
     let first = Cause::from_number(forecast.cause);
     let others =
         Cause::ALL.into_iter().filter(|&cause| Some(cause) != first && forecast.causes & cause.bit() != 0);
-    let names: Vec<&str> = first.into_iter().chain(others).map(Cause::name).collect();
-    if names.is_empty() { format!("cause {}", forecast.cause) } else { names.join(", ") }
+    let names: Vec<_> = std::iter::once(Cause::name_of(forecast.cause))
+        .chain(others.map(|cause| cause.name().into()))
+        .collect();
+    names.join(", ")
 }
 
 #[cfg(test)]

@@ -277,14 +277,13 @@ impl Output {
 
 impl ForecastSeen {
     fn of(forecast: &Forecast) -> Self {
-        let unknown = |number: u32| format!("number {number}");
         let quality = Quality::from_number(forecast.quality);
-        let cause = Cause::from_number(forecast.cause);
         let has_controls = forecast.steering != Steering::None as u32;
         Self {
             id: forecast.id,
-            quality: quality.map_or_else(|| unknown(forecast.quality), |quality| quality.name().to_owned()),
-            cause: cause.map_or_else(|| unknown(forecast.cause), |cause| cause.name().to_owned()),
+            quality: quality
+                .map_or_else(|| format!("number {}", forecast.quality), |quality| quality.name().to_owned()),
+            cause: Cause::name_of(forecast.cause).into_owned(),
             age_ns: forecast.age_ns,
             at_m: [forecast.x_m, forecast.y_m],
             print: if has_controls { print(forecast) } else { 0 },

@@ -54,7 +54,7 @@ fn agent(head: &TickHead, agent: &Agent) -> Value {
         "source_id": of.source_id,
         "type": name(of.agent_type.into()),
         "quality": Quality::try_from(u32::from(of.quality)).map_or("unknown", Quality::name),
-        "cause": Cause::from_number(of.cause.into()).map_or("unknown", Cause::name),
+        "cause": Cause::name_of(of.cause.into()),
         "age_ms": of.age_us / 1_000,
         "position_m": position([of.x_cm, of.y_cm]),
         "velocity_mps": velocity_mps,

@@ -17,7 +17,7 @@
 //! | `source_id` | the agent's identity in the recording; 0 if it has none (64 bits) |
 //! | `type` | `vehicle`, `cyclist`, `pedestrian` |
 //! | `quality` | `learned`, `held` (from an earlier tick), `kinematic` (constant control) |
-//! | `cause` | why the forecast is held or kinematic: `late`, `rejected`, `missing`, `young`, `outdone`, `shed`; otherwise `none` |
+//! | `cause` | why the forecast is held or kinematic: `late`, `rejected`, `missing`, `young`, `outdone`, `shed`, or `number 17` of a newer version; otherwise `none` |
 //! | `experts` | weights of the experts that have any, by name; empty without a blend |
 //! | `out_of_distribution` | how far the agent moves from what the network was trained on; from 0.25 on the network adds less than half |
 //! | `age_s` | age of a held forecast; otherwise 0 |
@@ -39,6 +39,7 @@
 //! Numbers are rounded to four decimals (0.1 mm, well below the resolution of f32 at the edge of the world
 //! frame). Probabilities and covariances are rounded to six decimals.
 
+use std::borrow::Cow;
 use std::io::{self, Write};
 use std::path::Path;
 
@@ -144,7 +145,7 @@ struct Agent<'a> {
     source_id: u64,
     r#type: &'static str,
     quality: &'static str,
-    cause: &'static str,
+    cause: Cow<'static, str>,
     experts: Experts<'a>,
     out_of_distribution: Rounded<4>,
     age_s: f64,
@@ -174,7 +175,7 @@ impl<'a> Agent<'a> {
             source_id: forecast.source_id,
             r#type: AgentType::try_from(forecast.agent_type).map_or("unknown", AgentType::name),
             quality: quality_name(forecast.quality),
-            cause: Cause::ALL.get(forecast.cause as usize).map_or("unknown", |cause| cause.name()),
+            cause: Cause::name_of(forecast.cause),
             experts: Experts(&forecast.expert_weights),
             out_of_distribution: Rounded(forecast.out_of_distribution),
             age_s: forecast.age_ns as f64 / 1e9,
@@ -319,6 +320,12 @@ mod tests {
     #[test]
     fn a_line_has_the_documented_fields() {
         insta::assert_snapshot!(line(&header(1), &[forecast()]));
+    }
+
+    #[test]
+    fn the_cause_of_a_newer_version_is_a_number() {
+        let line = line(&header(1), &[Forecast { cause: 17, ..forecast() }]);
+        assert!(line.contains("\"quality\":\"held\",\"cause\":\"number 17\""), "{line}");
     }
 
     #[test]

@@ -48,7 +48,7 @@ function showDetails() {
 function remember(tick) {
   const counts = CAUSES.map(() => 0);
   for (const agent of tick.agents) {
-    if (agent.f) counts[agent.f.c]++;
+    if (agent.f) counts[agent.f.c] = (counts[agent.f.c] || 0) + 1;
     let kept = live.agents.get(agent.i);
     if (!kept) live.agents.set(agent.i, kept = []);
     const error = errorOf(kept, tick, agent);
@@ -105,7 +105,7 @@ function showQuality() {
   }));
   stackedChart($("quality-chart"), x, layers);
   const newest = live.history[live.history.length - 1];
-  const texts = newest ? newest.counts.map((count, cause) => count ? `${count} ${CAUSE_WORDS[CAUSES[cause]]}` : "") : [];
+  const texts = newest ? newest.counts.map((count, cause) => count ? `${count} ${causeWords(cause)}` : "") : [];
   $("qualities").textContent = texts.filter(Boolean).join(" · ");
 }
 
@@ -118,7 +118,7 @@ function showAgent() {
   const last = kept[kept.length - 1];
   const speed = Math.hypot(...last.v) / 100;
   $("agent-name").textContent = newest ? `${TYPES[newest.t]} ${newest.n}` : `track ${id}, gone`;
-  const cause = last.f ? CAUSE_WORDS[CAUSES[last.f.c]] : "no forecast";
+  const cause = last.f ? causeWords(last.f.c) : "no forecast";
   const quality = last.f ? QUALITIES[last.f.q] : "";
   const age = last.f && last.f.a ? `, ${last.f.a} ms old` : "";
   $("agent-facts").textContent = `${speed.toFixed(1)} m/s · ${quality}${quality === cause ? "" : " (" + cause + ")"}${age}`;

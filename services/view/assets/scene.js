@@ -629,9 +629,15 @@ class SceneCanvas {
   }
 }
 
+// A cause in words. A newer version's cause is a number.
+function causeWords(cause) {
+  return CAUSE_WORDS[CAUSES[cause]] || `cause ${cause}`;
+}
+
 // The legend: what colours and outlines mean, for the causes that occur.
 function legendOf(causes, extra = "") {
-  const items = causes.map((cause) => `<span class="key"><i style="background:var(--cause-${CAUSES[cause]})"></i>` +
-    `${CAUSE_WORDS[CAUSES[cause]]}</span>`);
+  const color = (cause) => CAUSES[cause] ? "cause-" + CAUSES[cause] : "unknown";
+  const items = causes.map((cause) => `<span class="key"><i style="background:var(--${color(cause)})"></i>` +
+    `${causeWords(cause)}</span>`);
   return items.join("") + extra;
 }

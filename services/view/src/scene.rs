@@ -148,7 +148,7 @@ impl Forecast {
         let mixture = if modes == 0 { Vec::new() } else { order.iter().filter_map(end).collect() };
         Self {
             q: forecast.quality as u32,
-            c: forecast.cause as u32,
+            c: forecast.cause,
             a: forecast.age_ns / 1_000_000,
             b: relative(&forecast.best, origin),
             m: drawn.collect(),

@@ -19,7 +19,7 @@ fn turning_vehicle() -> AgentDrawing {
         (1..=step_count).map(|step| [0.02, 0.005, 0.03].map(|value| value * (step * step) as f32));
     let forecast = ForecastView {
         quality: Quality::Learned,
-        cause: Cause::None,
+        cause: Cause::None as u32,
         age_ns: 0,
         experts: [0.0; wire::EXPERTS_MAX],
         out_of_distribution: 0.0,

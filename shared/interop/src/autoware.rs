@@ -355,16 +355,15 @@ fn agent_status(agent: &AgentView) -> DiagnosticStatus {
     let mut values = vec![value("track", &agent.id), value("unseen_ms", &ms(agent.unseen_ns))];
     let (mut level, mut message) = (WARN, "no forecast".to_owned());
     if let Some(forecast) = &agent.forecast {
-        (level, message) = match (forecast.quality, forecast.cause) {
-            (Quality::Learned, _) => (OK, forecast.quality.name().to_owned()),
+        let (quality, cause) = (forecast.quality.name(), Cause::name_of(forecast.cause));
+        (level, message) = match (forecast.quality, Cause::from_number(forecast.cause)) {
+            (Quality::Learned, _) => (OK, quality.to_owned()),
             // Not faults: as in the verdict of a report.
-            (quality, cause @ (Cause::Young | Cause::Outdone)) => {
-                (OK, format!("{}: {}", quality.name(), cause.name()))
-            }
-            (quality, cause) => (WARN, format!("{}: {}", quality.name(), cause.name())),
+            (_, Some(Cause::Young | Cause::Outdone)) => (OK, format!("{quality}: {cause}")),
+            _ => (WARN, format!("{quality}: {cause}")),
         };
-        values.push(value("quality", &forecast.quality.name()));
-        values.push(value("cause", &forecast.cause.name()));
+        values.push(value("quality", &quality));
+        values.push(value("cause", &cause));
         values.push(value("age_ms", &ms(forecast.age_ns)));
         values.push(value("out_of_distribution", &forecast.out_of_distribution));
         for (number, weight) in (0..).zip(forecast.experts).filter(|(_, weight)| *weight > 0.0) {

@@ -5,7 +5,7 @@
 use perfetto::Message;
 use scene::ContextMap;
 use wire::tick_view::{AgentView, Point};
-use wire::{AgentType, Quality, WorldOrigin};
+use wire::{AgentType, Cause, Quality, WorldOrigin};
 
 use crate::autoware::{EGO, MAP, Tick, probable_paths, size_m};
 
@@ -111,7 +111,7 @@ fn metadata(agent: &AgentView) -> Vec<(&'static str, String)> {
     ];
     if let Some(forecast) = &agent.forecast {
         pairs.push(("quality", forecast.quality.name().to_owned()));
-        pairs.push(("cause", forecast.cause.name().to_owned()));
+        pairs.push(("cause", Cause::name_of(forecast.cause).into_owned()));
         pairs.push(("age_ms", (forecast.age_ns / 1_000_000).to_string()));
     }
     pairs
@@ -167,7 +167,7 @@ fn lines(entity: &mut Message<'_>, view: &Tick<'_>, agent: &AgentView, paths_max
 fn label(entity: &mut Message<'_>, view: &Tick<'_>, agent: &AgentView) {
     let mut text = format!("{} {}", agent.agent_type.name(), agent.known_as());
     if let Some(forecast) = agent.forecast.as_ref().filter(|forecast| forecast.quality != Quality::Learned) {
-        text += &format!("\n{}: {}", forecast.quality.name(), forecast.cause.name());
+        text += &format!("\n{}: {}", forecast.quality.name(), Cause::name_of(forecast.cause));
     }
     entity.message(13, |label| {
         pose(label, 1, view.origin.own_m(agent.position_m), f64::from(size_m(agent)[2]) + 0.5, 0.0);

@@ -4,8 +4,8 @@
 //! published.
 
 use crate::{
-    AgentType, Cause, EXPERTS_MAX, Forecast, HISTORY_MAX, HORIZON_MAX, Header, HistoryState, MODES_MAX,
-    Quality, Track, flags,
+    AgentType, EXPERTS_MAX, Forecast, HISTORY_MAX, HORIZON_MAX, Header, HistoryState, MODES_MAX, Quality,
+    Track, flags,
 };
 
 /// A position in the world frame, m.
@@ -60,8 +60,8 @@ pub struct AgentView {
 pub struct ForecastView {
     /// How the forecast was made.
     pub quality: Quality,
-    /// Why the quality is not `learned`.
-    pub cause: Cause,
+    /// [`Cause`](crate::Cause) as a number: why the quality is not `learned`. It may be a newer version's.
+    pub cause: u32,
     /// Age of the controls.
     pub age_ns: u64,
     /// Weight of each expert by its number; zeros if they are not reported.
@@ -137,7 +137,7 @@ impl ForecastView {
             forecast.mode_covariance[..modes_len].iter().map(|mode| mode[..horizon_len].to_vec());
         Some(Self {
             quality: *Quality::ALL.get(forecast.quality as usize)?,
-            cause: *Cause::ALL.get(forecast.cause as usize)?,
+            cause: forecast.cause,
             age_ns: forecast.age_ns,
             experts: forecast.expert_weights,
             out_of_distribution: forecast.out_of_distribution,
@@ -168,7 +168,7 @@ mod tests {
         track.history[1] = HistoryState { x_m: 2.0, present: 1, ..HistoryState::default() };
         track.history[2] = HistoryState { x_m: 3.0, present: 1, ..HistoryState::default() };
         let mut forecast =
-            Forecast { id: 5, modes_len: 2, quality: Quality::Held as u32, ..Forecast::zeroed() };
+            Forecast { id: 5, modes_len: 2, quality: Quality::Held as u32, cause: 17, ..Forecast::zeroed() };
         forecast.best[1] = [9.0, 0.0];
         forecast.modes[1][0] = [4.0, 1.0];
         forecast.probability[..2].copy_from_slice(&[0.25, 0.75]);
@@ -184,6 +184,7 @@ mod tests {
             (forecast.quality, forecast.best.as_slice()),
             (Quality::Held, &[[0.0; 2], [9.0, 0.0]][..])
         );
+        assert_eq!(forecast.cause, 17, "the cause of a newer version");
         assert_eq!((forecast.modes[1][0], forecast.probability[1]), ([4.0, 1.0], 0.75));
         assert_eq!((view.agents[1].known_as(), &view.agents[1].forecast), (8, &None));
     }

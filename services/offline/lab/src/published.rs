@@ -137,13 +137,12 @@ impl Agent {
             |own_m: &[[f64; 2]]| own_m.iter().map(|own_m| world(*own_m)).collect::<Result<Vec<_>, _>>();
         let named = |what: &str, name: &str| format!("agent {}: unknown {what} \"{name}\"", self.id);
         let quality = Quality::ALL.into_iter().find(|quality| quality.name() == self.quality);
-        let cause = Cause::ALL.into_iter().find(|cause| cause.name() == self.cause);
         let agent_type: AgentType = self.r#type.parse().map_err(|_| named("type", &self.r#type))?;
         let modes = self.modes_m.iter().map(|mode| path(mode)).collect::<Result<Vec<_>, _>>()?;
         let best = path(&self.best_m)?;
         let forecast = ForecastView {
             quality: quality.ok_or_else(|| named("quality", &self.quality))?,
-            cause: cause.ok_or_else(|| named("cause", &self.cause))?,
+            cause: Cause::number_of(&self.cause).ok_or_else(|| named("cause", &self.cause))?,
             age_ns: (self.age_s * 1e9).round() as u64,
             experts: [0.0; EXPERTS_MAX],
             out_of_distribution: self.out_of_distribution,

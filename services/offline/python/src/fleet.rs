@@ -75,9 +75,7 @@ pub fn outcomes(py: Python<'_>, arguments: Vec<String>) -> Columns<'_> {
     columns.set_item("agent", rows.iter().map(|of| of.agent).collect::<Vec<_>>())?;
     columns.set_item("type", rows.iter().map(|of| of.agent_type.name()).collect::<Vec<_>>())?;
     let quality = |of: &Outcome| name(Quality::ALL.get(of.quality as usize).map(|of| of.name()));
-    let cause = |of: &Outcome| {
-        name(Cause::ALL.iter().find(|cause| **cause as u32 == of.cause).map(|cause| cause.name()))
-    };
+    let cause = |of: &Outcome| Cause::name_of(of.cause).into_owned();
     columns.set_item("quality", rows.iter().map(quality).collect::<Vec<_>>())?;
     columns.set_item("cause", rows.iter().map(cause).collect::<Vec<_>>())?;
     let with = rows.iter().map(|of| of.contact.map(|contact| contact.with));

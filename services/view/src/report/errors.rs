@@ -153,7 +153,7 @@ mod tests {
         let best: Vec<[f32; 2]> = (1..=4).map(|step| [x_m + 0.4 * step as f32, 0.25]).collect();
         let forecast = ForecastView {
             quality: Quality::Learned,
-            cause: Cause::None,
+            cause: Cause::None as u32,
             age_ns: 0,
             experts: [0.0; wire::EXPERTS_MAX],
             out_of_distribution: 0.0,

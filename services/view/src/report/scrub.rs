@@ -94,7 +94,7 @@ impl Scrub {
         KeptAgent {
             track,
             pose: [x, y, (f64::from(agent.heading_rad) * 1e3).round() as i64],
-            kind: forecast.map(|forecast| [forecast.quality as i64, forecast.cause as i64]),
+            kind: forecast.map(|forecast| [forecast.quality as i64, i64::from(forecast.cause)]),
             best: forecast.map(|forecast| forecast.best.iter().map(step).collect()).unwrap_or_default(),
         }
     }
@@ -216,7 +216,7 @@ mod tests {
                 history: Vec::new(),
                 forecast: Some(ForecastView {
                     quality: Quality::Held,
-                    cause: Cause::Late,
+                    cause: Cause::Late as u32,
                     age_ns: 0,
                     experts: [0.0; wire::EXPERTS_MAX],
                     out_of_distribution: 0.0,

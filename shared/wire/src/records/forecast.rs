@@ -1,3 +1,5 @@
+use std::borrow::Cow;
+
 use super::ControlGaussian;
 use crate::declare::{numbers, record};
 use crate::{EXPERTS_MAX, HORIZON_MAX, MODES_MAX, Rejected};
@@ -13,6 +15,9 @@ numbers! {
         Kinematic = 2 => "kinematic",
     }
 }
+
+/// What the name of a number that this version does not know begins with.
+const UNKNOWN: &str = "number ";
 
 numbers! {
     /// Why a forecast is not [`Quality::Learned`].
@@ -186,5 +191,21 @@ impl Cause {
     /// The cause's bit in [`Forecast::causes`]; [`Cause::None`] has no bit.
     pub const fn bit(self) -> u32 {
         1 << self as u32 & !1
+    }
+
+    /// The name of the cause with this number; `number 17` if this version does not know it.
+    #[must_use]
+    pub fn name_of(number: u32) -> Cow<'static, str> {
+        Self::from_number(number)
+            .map_or_else(|| format!("{UNKNOWN}{number}").into(), |cause| cause.name().into())
+    }
+
+    /// The number of the cause with this name, as [`Self::name_of`] returns it; `None` for any other name.
+    #[must_use]
+    pub fn number_of(name: &str) -> Option<u32> {
+        match Self::ALL.into_iter().find(|cause| cause.name() == name) {
+            Some(cause) => Some(cause as u32),
+            None => name.strip_prefix(UNKNOWN)?.parse().ok(),
+        }
     }
 }
