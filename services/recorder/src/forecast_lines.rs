@@ -68,7 +68,7 @@ impl ForecastWriter {
     /// # Errors
     /// The error of the file system.
     pub fn create(path: &Path, origin: WorldOrigin) -> io::Result<Self> {
-        Ok(Self { file: WholeFile::create(path)?, origin })
+        Ok(Self { file: WholeFile::create_resumable(path)?, origin })
     }
 
     /// Continues the file of a recorder that was killed.

@@ -28,7 +28,7 @@ pub(crate) fn save(run: &Run, recorder: &mut Recorder) {
 /// Writes the forecasts' errors so far, for the launcher.
 fn tell_accuracy(run: &Run, recorder: &Recorder) -> io::Result<()> {
     let json = serde_json::to_vec(&recorder.accuracy().errors)?;
-    crate::whole_file::write(&accuracy_path(run), &json)
+    crate::whole_file::write_state(&accuracy_path(run), &json)
 }
 
 /// Path of the file with the forecasts' errors so far, as JSON of [`crate::Errors`].

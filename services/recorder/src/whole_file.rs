@@ -1,27 +1,44 @@
 //! Files that are written atomically.
 
+use std::collections::hash_map::RandomState;
 use std::fs::{self, File};
+use std::hash::{BuildHasher as _, Hasher as _};
 use std::io::{self, BufWriter, Read, Seek, SeekFrom, Write};
 use std::os::fd::AsFd;
 use std::path::{Path, PathBuf};
 
 /// A file that gets its name when it is finished.
 ///
-/// Until then its content is stored beside the target as `NAME.partial`. An interrupted run leaves the
-/// partial file, and never a short file under the real name. [Standard output](is_standard_output), pipes and
-/// devices are written directly. A link is kept, and its target is replaced.
+/// Until then its content is stored beside the target in a new file, `NAME.RANDOM.partial`, or `NAME.partial`
+/// if another process may resume it. A process that is killed leaves the partial file, and never a short file
+/// under the real name. [Standard output](is_standard_output), pipes and devices are written directly. A link
+/// is kept, and its target is replaced.
 #[derive(Debug)]
 pub struct WholeFile {
     output: BufWriter<File>,
     rename: Option<(PathBuf, PathBuf)>,
+    /// Whether the partial file is removed if it is dropped unfinished.
+    is_removed: bool,
 }
 
 impl WholeFile {
-    /// Starts the file.
+    /// Starts the file. If it is dropped unfinished, nothing of it is left.
     ///
     /// # Errors
     /// The error of the file system.
     pub fn create(path: &Path) -> io::Result<Self> {
+        Self::begin(path, &format!(".{:016x}.partial", RandomState::new().build_hasher().finish()))
+    }
+
+    /// Starts a file that [`WholeFile::resume`] continues if this process is killed.
+    ///
+    /// # Errors
+    /// The error of the file system.
+    pub fn create_resumable(path: &Path) -> io::Result<Self> {
+        Self::begin(path, RESUMABLE)
+    }
+
+    fn begin(path: &Path, suffix: &str) -> io::Result<Self> {
         if is_standard_output(path) {
             return Ok(Self::direct(io::stdout().as_fd().try_clone_to_owned()?.into()));
         }
@@ -33,10 +50,18 @@ impl WholeFile {
             _ => fs::canonicalize(path).unwrap_or_else(|_| path.to_owned()),
         };
         let mut partial_name = path.file_name().ok_or(io::ErrorKind::IsADirectory)?.to_owned();
-        partial_name.push(".partial");
+        partial_name.push(suffix);
         let partial = path.with_file_name(partial_name);
-        let output = BufWriter::with_capacity(1 << 18, File::create(&partial)?);
-        Ok(Self { output, rename: Some((partial, path)) })
+        let is_removed = suffix != RESUMABLE;
+        if !is_removed {
+            // Of an earlier run, or a link to another file.
+            match fs::remove_file(&partial) {
+                Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
+                _ => {}
+            }
+        }
+        let output = BufWriter::with_capacity(1 << 18, File::create_new(&partial)?);
+        Ok(Self { output, rename: Some((partial, path)), is_removed })
     }
 
     /// Continues the content of a process of this run that was killed or replaced, from its last whole line.
@@ -46,39 +71,63 @@ impl WholeFile {
     /// The error of the file system.
     pub fn resume(path: &Path) -> io::Result<Self> {
         let mut name = path.file_name().ok_or(io::ErrorKind::IsADirectory)?.to_owned();
-        name.push(".partial");
+        name.push(RESUMABLE);
         let resolved = fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
         let partial = resolved.with_file_name(name);
         if is_standard_output(path) {
-            return Self::create(path);
+            return Self::create_resumable(path);
         }
-        if !partial.is_file() && resolved.is_file() {
+        // A link is not followed.
+        let is_file = fs::symlink_metadata(&partial).is_ok_and(|found| found.is_file());
+        if !is_file && resolved.is_file() {
             // A process that was asked to end has finished its file.
             fs::rename(&resolved, &partial)?;
-        } else if !partial.is_file() {
-            return Self::create(path);
+        } else if !is_file {
+            return Self::create_resumable(path);
         }
         let mut output = File::options().read(true).write(true).open(&partial)?;
         let whole_len = whole_lines_len(&mut output)?;
         output.set_len(whole_len)?;
         output.seek(SeekFrom::Start(whole_len))?;
         let output = BufWriter::with_capacity(1 << 18, output);
-        Ok(Self { output, rename: Some((partial, resolved)) })
+        Ok(Self { output, rename: Some((partial, resolved)), is_removed: false })
     }
 
     fn direct(output: File) -> Self {
-        Self { output: BufWriter::new(output), rename: None }
+        Self { output: BufWriter::new(output), rename: None, is_removed: false }
     }
 
-    /// Writes the buffered data and gives the file its name.
+    /// Writes the data to the disk and gives the file its name. The file is whole after a power failure too.
     ///
     /// # Errors
     /// The error of the file system, such as a full disk.
     pub fn finish(mut self) -> io::Result<()> {
         self.output.flush()?;
-        match &self.rename {
-            Some((partial, path)) => fs::rename(partial, path),
-            None => Ok(()),
+        if self.rename.is_some() {
+            self.output.get_ref().sync_all()?;
+        }
+        self.name()
+    }
+
+    /// Gives the file its name without waiting for the disk. The file is whole after the death of a process,
+    /// but perhaps not after a power failure.
+    fn finish_unsynced(mut self) -> io::Result<()> {
+        self.output.flush()?;
+        self.name()
+    }
+
+    fn name(mut self) -> io::Result<()> {
+        let Some((partial, path)) = &self.rename else { return Ok(()) };
+        fs::rename(partial, path)?;
+        self.rename = None;
+        Ok(())
+    }
+}
+
+impl Drop for WholeFile {
+    fn drop(&mut self) {
+        if let Some((partial, _)) = self.rename.as_ref().filter(|_| self.is_removed) {
+            let _ = fs::remove_file(partial);
         }
     }
 }
@@ -92,6 +141,9 @@ impl Write for WholeFile {
         self.output.flush()
     }
 }
+
+/// Ending of the name of a partial file that another process may resume.
+const RESUMABLE: &str = ".partial";
 
 /// Number of bytes up to the last line feed, which is searched from the end.
 fn whole_lines_len(file: &mut File) -> io::Result<u64> {
@@ -124,6 +176,14 @@ pub(crate) fn write(path: &Path, content: &[u8]) -> io::Result<()> {
     file.finish()
 }
 
+/// Writes all of a small file that is of no use after a power failure. It does not wait for the disk, so it
+/// may be called between ticks.
+pub(crate) fn write_state(path: &Path, content: &[u8]) -> io::Result<()> {
+    let mut file = WholeFile::create(path)?;
+    file.write_all(content)?;
+    file.finish_unsynced()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -141,10 +201,45 @@ mod tests {
     }
 
     #[test]
+    fn a_link_in_the_place_of_the_partial_file_is_not_followed() {
+        let folder = tempfile::tempdir().unwrap();
+        let [path, other, partial] = ["a", "other", "a.partial"].map(|name| folder.path().join(name));
+        let link = || std::os::unix::fs::symlink(&other, &partial).unwrap();
+        fs::write(&other, b"of another user").unwrap();
+        link();
+        write(&path, b"one").unwrap();
+        let mut file = WholeFile::create_resumable(&path).unwrap();
+        file.write_all(b"two").unwrap();
+        file.finish().unwrap();
+        link();
+        fs::remove_file(&path).unwrap();
+        let mut file = WholeFile::resume(&path).unwrap();
+        file.write_all(b"three").unwrap();
+        file.finish().unwrap();
+        assert_eq!(fs::read(&path).unwrap(), b"three");
+        assert_eq!(fs::read(&other).unwrap(), b"of another user");
+    }
+
+    #[test]
+    fn two_writers_of_a_file_do_not_mix_and_a_dropped_one_leaves_nothing() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.json");
+        let [mut first, mut second] = [(); 2].map(|()| WholeFile::create(&path).unwrap());
+        first.write_all(b"first").unwrap();
+        second.write_all(b"2nd").unwrap();
+        drop(WholeFile::create(&path).unwrap());
+        second.finish().unwrap();
+        assert_eq!(fs::read(&path).unwrap(), b"2nd");
+        first.finish().unwrap();
+        assert_eq!(fs::read(&path).unwrap(), b"first");
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+    }
+
+    #[test]
     fn a_killed_writer_is_followed_from_its_last_whole_line() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.jsonl");
-        let mut killed = WholeFile::create(&path).unwrap();
+        let mut killed = WholeFile::create_resumable(&path).unwrap();
         killed.write_all(b"one\ntwo\nthr").unwrap();
         killed.flush().unwrap();
         drop(killed);

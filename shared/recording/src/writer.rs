@@ -388,7 +388,8 @@ impl<S: Sink> Writer<S> {
         let start = offset + block.len() as u64;
         let summary = self.summary(start);
         block.extend(summary);
-        self.append(&block)
+        self.append(&block)?;
+        self.sink.sync()
     }
 
     /// Index, footer and magic bytes of a summary that starts at `start`.

@@ -26,7 +26,7 @@ impl Checkpoint {
     pub fn write(&self, path: &Path) -> Result<(), ReportError> {
         let file = |source| ReportError::File { path: path.display().to_string(), source };
         let json = serde_json::to_vec(self).map_err(|error| file(error.into()))?;
-        crate::whole_file::write(path, &json).map_err(file)
+        crate::whole_file::write_state(path, &json).map_err(file)
     }
 
     /// Reads the result of [`Checkpoint::write`].

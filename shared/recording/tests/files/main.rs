@@ -4,10 +4,12 @@ mod rewritten;
 mod support;
 mod torn;
 
+use std::cell::Cell;
 use std::collections::BTreeMap;
 use std::fs;
 use std::io::{self, ErrorKind};
 use std::path::Path;
+use std::rc::Rc;
 
 use proptest::prelude::*;
 use recording::{About, Comparison, Ending, Frame, Message, ReadError, Recording, Sink, Writer};
@@ -133,6 +135,8 @@ fn a_damaged_chunk_is_named_and_the_next_ones_are_read() {
 struct Disk {
     block_count: usize,
     bytes: u64,
+    /// Number of blocks when the writer last waited for the disk.
+    synced: Rc<Cell<usize>>,
 }
 
 impl Sink for Disk {
@@ -144,6 +148,22 @@ impl Sink for Disk {
         self.bytes += block.len() as u64;
         Ok(())
     }
+
+    fn sync(&mut self) -> io::Result<()> {
+        self.synced.set(self.block_count);
+        Ok(())
+    }
+}
+
+#[test]
+fn the_end_of_a_file_waits_for_the_disk() {
+    let disk = Disk { block_count: 9, ..Disk::default() };
+    let synced = disk.synced.clone();
+    let mut writer = Writer::over(disk, &about(), "{}", None).unwrap();
+    messages(4).iter().for_each(|message| writer.add(message));
+    assert_eq!(synced.get(), 0, "no message waits for it");
+    writer.finish("over").unwrap();
+    assert!(synced.get() > 10, "after the last block");
 }
 
 #[test]
