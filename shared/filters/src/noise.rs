@@ -209,7 +209,7 @@ mod tests {
         // Deterministic normal quantiles of σ = 0.12 in a mixed order, with one outlier of 3 m in fifty.
         for i in 0..2000_u32 {
             let share = f64::from(i * 617 % 2000 + 1) / 2001.0;
-            let quantile = statrs_like_quantile(share);
+            let quantile = near_normal_quantile(share);
             scale.add(0.12 * quantile);
             if i % 50 == 0 {
                 scale.add(3.0);
@@ -221,8 +221,8 @@ mod tests {
         assert!(scale.variance().is_finite());
     }
 
-    /// Normal quantile by bisection of the logistic approximation's exact counterpart.
-    fn statrs_like_quantile(share: f64) -> f64 {
+    /// A quantile of nearly the standard normal distribution.
+    fn near_normal_quantile(share: f64) -> f64 {
         // Φ(x) ≈ 1 / (1 + exp(−1.702 x)) has an error below 0.01, which is enough here.
         (share / (1.0 - share)).ln() / 1.702
     }

@@ -11,4 +11,5 @@ mod crossing;
 mod joint_update;
 mod kalman;
 mod mixture;
+mod noise;
 mod particles;

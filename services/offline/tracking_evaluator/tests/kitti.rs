@@ -42,6 +42,7 @@ fn options(root: &Path) -> Options {
         weights: WeightsChoice { file: None, folder: root.to_owned(), precision: nn::Precision::F32 },
         map: MapChoice::Online,
         lanes: false,
+        noise: evaluator::Noise::default(),
         threads: 2,
     }
 }
