@@ -15,7 +15,7 @@ use run::Exit;
 #[derive(Debug, Subcommand)]
 pub enum Verb {
     /// Evaluate forecasts and baselines on test data
-    Evaluate(evaluate::Arguments),
+    Evaluate(Box<evaluate::Arguments>),
     /// Train weights on recordings
     Train(train::Arguments),
     /// Print the model card of weights
