@@ -75,7 +75,7 @@ fn assert_draws(svg: &str, paths: &[Vec<Point>]) {
     // Of all ways in which a line can be the first path, one puts all others in their place.
     let maps = lines.iter().filter_map(|line| map_of(line, &paths[0]));
     let missing = |map: (f64, f64, f64)| {
-        let is_drawn = |path: &&Vec<Point>| !lines.iter().any(|line| apart(line, path, map) < 0.03);
+        let is_drawn = |path: &&Vec<Point>| !lines.iter().any(|line| apart(line, path, map) < 0.06);
         paths.iter().filter(is_drawn).count()
     };
     let least = maps.map(missing).min();
