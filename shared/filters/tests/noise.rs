@@ -1,4 +1,4 @@
-//! The noise of measurements against an independent implementation in float64, `golden/noise.py`.
+//! The noise of measurements against an independent implementation in float64, `reference/noise.py`.
 
 use filters::noise::{Measured, Scale, Window};
 
@@ -9,7 +9,7 @@ fn contrasts_and_scale_equal_the_reference() {
     let mut window = Window::<2, 4>::new();
     let mut scale = Scale::new(1.0, 0.1, 25.0);
     let mut compared = 0;
-    for line in include_str!("golden/noise.csv").lines().skip(1) {
+    for line in include_str!("reference/noise.csv").lines().skip(1) {
         let cells: Vec<&str> = line.split(',').collect();
         let number = |column: usize| cells[column].parse::<f64>().expect("a number");
         let time_ns = cells[0].parse().expect("a time");
