@@ -35,7 +35,7 @@ const AGENTS: u64 = 24;
 /// The test's own index among the counted threads.
 const HERE: usize = 7;
 /// Ticks until all caches are filled.
-const WARM_UP: u64 = 300;
+const WARM_UP: u64 = 150;
 const TICKS: u64 = 400;
 /// Names the variant that this process runs. The first process starts one process per variant.
 const VARIABLE: &str = "STGDAT_ALLOCATION_VARIANT";
