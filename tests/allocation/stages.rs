@@ -34,8 +34,9 @@ const LIMIT: Duration = Duration::from_secs(60);
 const AGENTS: u64 = 24;
 /// The test's own index among the counted threads.
 const HERE: usize = 7;
-/// Ticks until all caches are filled.
-const WARM_UP: u64 = 150;
+/// Ticks until all caches are filled. The agents need 315 ticks for a circle, and the history has 35 more. Only
+/// then has every stage seen the frame with the most edges.
+const WARM_UP: u64 = 360;
 const TICKS: u64 = 400;
 /// Names the variant that this process runs. The first process starts one process per variant.
 const VARIABLE: &str = "STGDAT_ALLOCATION_VARIANT";

@@ -29,6 +29,8 @@ use crate::options::{Association, InputModel, SensorNoise, TrackerOptions};
 const APART_NS: u64 = 400_000_000;
 /// Longest time between two measurements of one contrast.
 const GAP_MAX_NS: u64 = 1_100_000_000;
+/// Time within which three positions give a contrast. An acceleration of 3 m/s² adds 0.03 m to it.
+const SHORT_NS: u64 = 300_000_000;
 /// Number of contrasts as which the prior counts, and the largest number that counts.
 const PRIOR_COUNT: f64 = 0.1;
 /// A reported deviation is a better prior.
@@ -83,7 +85,7 @@ impl Measurements {
             .newest_ns()
             .is_none_or(|last_ns| own_ns.saturating_sub(last_ns) >= APART_NS.cast_signed());
         let apart_ns = self.apart.newest_ns().map(|last_ns| own_ns.saturating_sub(last_ns).max(0));
-        let apart = if is_apart { self.apart.add(position, GAP_MAX_NS) } else { None };
+        let apart = if is_apart { self.apart.add(position, GAP_MAX_NS, 0) } else { None };
         let measured_count = apart_ns.zip(interval_ns).map_or(1.0, |(apart_ns, interval_ns)| {
             (apart_ns as f64 / interval_ns.max(1) as f64).clamp(1.0, 20.0)
         });
@@ -92,11 +94,11 @@ impl Measurements {
         let speed_mps = value(detection_flags::HAS_SPEED, detection.speed_mps);
         self.fresh = Contrasts {
             is_reported,
-            position: self.positions.add(position, GAP_MAX_NS),
+            position: self.positions.add(position, GAP_MAX_NS, SHORT_NS),
             apart: apart.map(|contrast| (contrast, measured_count)),
             heading_rad: heading_rad.and_then(|heading| self.add_heading(own_ns, heading)),
             speed_mps: speed_mps
-                .and_then(|speed| self.speeds.add(single(own_ns, speed), GAP_MAX_NS))
+                .and_then(|speed| self.speeds.add(single(own_ns, speed), GAP_MAX_NS, 0))
                 .map(|[contrast]| contrast),
         };
     }
@@ -106,7 +108,7 @@ impl Measurements {
     fn add_heading(&mut self, own_ns: i64, heading_rad: f64) -> Option<f64> {
         let next_to = |last: f64| last + 0.5 * wrapped(2.0 * (heading_rad - last));
         let unwrapped = self.headings.newest().map_or(heading_rad, |[last]| next_to(last));
-        self.headings.add(single(own_ns, unwrapped), GAP_MAX_NS).map(|[contrast]| contrast)
+        self.headings.add(single(own_ns, unwrapped), GAP_MAX_NS, 0).map(|[contrast]| contrast)
     }
 
     /// Takes the contrasts of the newest measurement.

@@ -12,6 +12,7 @@ mod impossible;
 mod jpda;
 mod known_failures;
 mod learned_prior;
+mod noise;
 mod occlusion;
 mod out_of_sequence;
 mod own_time;

@@ -107,9 +107,10 @@ impl<const D: usize, const M: usize> Window<D, M> {
         self.len.checked_sub(1).map(|last| self.measured[last].value)
     }
 
-    /// Adds a measurement. Returns its contrasts from the third measurement on. A measurement that is not
+    /// Adds a measurement. Returns its contrasts if the window is full, or if three measurements lie within
+    /// `short_ns`: over a longer time, three do not tell an acceleration from noise. A measurement that is not
     /// newer than the last one is ignored. After a gap of more than `gap_max_ns` the window starts again.
-    pub fn add(&mut self, newest: Measured<D>, gap_max_ns: u64) -> Option<[f64; D]> {
+    pub fn add(&mut self, newest: Measured<D>, gap_max_ns: u64, short_ns: u64) -> Option<[f64; D]> {
         if let Some(last_ns) = self.newest_ns() {
             if newest.time_ns <= last_ns {
                 return None;
@@ -124,15 +125,13 @@ impl<const D: usize, const M: usize> Window<D, M> {
         }
         self.measured[self.len] = newest;
         self.len += 1;
-        self.contrast()
+        let is_short = self.len >= 3 && newest.time_ns.abs_diff(self.measured[0].time_ns) <= short_ns;
+        if self.len == M || is_short { self.contrast() } else { None }
     }
 
     fn contrast(&self) -> Option<[f64; D]> {
         let all = &self.measured[..self.len];
         let [.., newest] = all else { return None };
-        if all.len() < 3 {
-            return None;
-        }
         let time_s = |of: &Measured<D>| of.time_ns.saturating_sub(newest.time_ns) as f64 / 1e9;
         let (mut sum, mut square) = ([0.0; D], 0.0);
         for (i, one) in all.iter().enumerate() {
@@ -172,9 +171,9 @@ mod tests {
         };
         let contrasts: Vec<_> = [0, 100, 230, 300, 410, 1300]
             .iter()
-            .map(|&ms| window.add(at(ms, place(ms)), 1_000_000_000))
+            .map(|&ms| window.add(at(ms, place(ms)), 1_000_000_000, 0))
             .collect();
-        assert!(contrasts[..2].iter().all(Option::is_none));
+        assert!(contrasts[..3].iter().all(Option::is_none));
         for contrast in &contrasts[3..] {
             assert!(contrast.expect("four measurements").iter().all(|c| c.abs() < 1e-6), "{contrasts:?}");
         }
@@ -186,7 +185,7 @@ mod tests {
         for (ms, expected) in
             [(0, false), (100, false), (200, true), (200, false), (2000, false), (2100, false)]
         {
-            assert_eq!(window.add(at(ms, [0.0]), 1_000_000_000).is_some(), expected, "{ms} ms");
+            assert_eq!(window.add(at(ms, [0.0]), 1_000_000_000, 0).is_some(), expected, "{ms} ms");
         }
     }
 
@@ -195,7 +194,7 @@ mod tests {
     fn contrasts_have_the_variance_of_the_noise() {
         let mut window = Window::<1, 4>::new();
         let all: Vec<_> =
-            (0..4).map(|i| window.add(at(100 * i, [if i == 3 { 1.0 } else { 0.0 }]), u64::MAX)).collect();
+            (0..4).map(|i| window.add(at(100 * i, [if i == 3 { 1.0 } else { 0.0 }]), u64::MAX, 0)).collect();
         let found = all[3].expect("four measurements")[0];
         assert!((found.abs() - 1.0 / 20.0_f64.sqrt()).abs() < 1e-9, "{found}");
     }

@@ -14,7 +14,7 @@ fn contrasts_and_scale_equal_the_reference() {
         let number = |column: usize| cells[column].parse::<f64>().expect("a number");
         let time_ns = cells[0].parse().expect("a time");
         let measured = Measured { time_ns, value: [number(1), number(2)], sigma: number(3) };
-        let found = window.add(measured, GAP_MAX_NS);
+        let found = window.add(measured, GAP_MAX_NS, u64::MAX);
         assert_eq!(found.is_some(), !cells[4].is_empty(), "{line}");
         for (contrast, column) in found.into_iter().flatten().zip([4, 5]) {
             let expected = number(column);
