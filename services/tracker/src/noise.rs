@@ -29,8 +29,9 @@ use crate::options::{Association, InputModel, SensorNoise, TrackerOptions};
 const APART_NS: u64 = 400_000_000;
 /// Longest time between two measurements of one contrast.
 const GAP_MAX_NS: u64 = 1_100_000_000;
-/// Time within which three positions give a contrast. An acceleration of 3 m/s² adds 0.03 m to it.
-const SHORT_NS: u64 = 300_000_000;
+/// Time within which three positions give a contrast, by type. An acceleration of 3 m/s² adds 0.03 m to a
+/// vehicle's, and one of 0.2 m/s² adds 0.03 m to a pedestrian's.
+const SHORT_NS: [u64; 3] = [300_000_000, 300_000_000, 1_200_000_000];
 /// Number of contrasts as which the prior counts, and the largest number that counts.
 const PRIOR_COUNT: f64 = 0.1;
 /// A reported deviation is a better prior.
@@ -44,7 +45,7 @@ const EXCESS_RATIO: f64 = 1.5;
 const CHANGE_M: f64 = 0.05;
 /// Largest factor on a nominal deviation while detections are associated by position. Clutter that tracks follow
 /// looks like noise.
-const ASSOCIATED_MAX: f64 = 1.5;
+const ASSOCIATED_MAX: f64 = 3.0;
 /// Largest deviations that are assumed.
 const LARGEST: SensorNoise = SensorNoise { position_m: 3.0, heading_rad: 1.5, speed_mps: 10.0 };
 
@@ -73,7 +74,7 @@ impl Measurements {
     /// Adds a measurement. `nominal_m` is the deviation of its position for which the variance is learned as
     /// a factor.
     pub fn add(&mut self, found: &Found<'_>, nominal_m: f64) {
-        let Found { detection, own_ns, .. } = *found;
+        let Found { detection, agent_type, own_ns } = *found;
         let is_reported = is_reported(detection);
         if self.fresh.is_reported != is_reported {
             *self = Self::default();
@@ -94,7 +95,7 @@ impl Measurements {
         let speed_mps = value(detection_flags::HAS_SPEED, detection.speed_mps);
         self.fresh = Contrasts {
             is_reported,
-            position: self.positions.add(position, GAP_MAX_NS, SHORT_NS),
+            position: self.positions.add(position, GAP_MAX_NS, SHORT_NS[agent_type.index()]),
             apart: apart.map(|contrast| (contrast, measured_count)),
             heading_rad: heading_rad.and_then(|heading| self.add_heading(own_ns, heading)),
             speed_mps: speed_mps

@@ -284,3 +284,6 @@ fn log_density_of_heading(filter: &Filter, observation: &Observation) -> f64 {
 fn normal(residual: f64, variance: f64) -> f64 {
     -0.5 * (residual * residual / variance + variance.ln())
 }
+
+#[cfg(test)]
+mod tests;
