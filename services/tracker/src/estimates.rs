@@ -77,6 +77,12 @@ impl Estimates {
         }
     }
 
+    /// What tracks of each type publish of the noise: [`Noise::published`].
+    #[must_use]
+    pub fn published_noise(&self, header: &Header, options: &TrackerOptions) -> [[f32; 3]; 3] {
+        self.noise.published(header, options)
+    }
+
     /// All estimates.
     #[must_use]
     pub fn all(&self) -> &[Estimate] {

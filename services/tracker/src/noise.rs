@@ -39,6 +39,10 @@ const REPORTED_COUNT: f64 = 2.0;
 const COUNT_MAX: f64 = 400.0;
 /// Number of contrasts from which correlated noise is estimated.
 const APART_MIN_COUNT: f64 = 12.0;
+/// Number of contrasts from which an estimate is published.
+const PUBLISHED_MIN_COUNT: f64 = 40.0;
+/// Smallest deviation that is published, because 0 means unknown.
+const PUBLISHED_LEAST: f64 = 1e-4;
 /// κ, q and m of the module's equation.
 const CORRELATED: f64 = 4.2;
 const EXCESS_RATIO: f64 = 1.5;
@@ -174,15 +178,41 @@ impl PositionNoise {
         }
     }
 
-    /// The factor of the module's equation on the variance of the nominal deviation.
-    fn factor(&self) -> f64 {
-        let next = self.next.variance();
+    /// The excess of the module's equation, max(0, l² − q s² − m²).
+    fn excess(&self) -> f64 {
         if self.apart.count() < APART_MIN_COUNT {
-            return next;
+            return 0.0;
         }
         let change = (CHANGE_M / self.nominal_m).powi(2);
-        let excess = (self.apart.variance() - EXCESS_RATIO * next - change).max(0.0);
-        next + CORRELATED * self.measured_count * excess
+        (self.apart.variance() - EXCESS_RATIO * self.next.variance() - change).max(0.0)
+    }
+
+    /// The factor of the module's equation on the variance of the nominal deviation.
+    fn factor(&self) -> f64 {
+        self.next.variance() + CORRELATED * self.measured_count * self.excess()
+    }
+
+    /// The standard deviation of the positions themselves.
+    fn deviation_m(&self, factor_max: f64) -> f64 {
+        self.nominal_m * (self.next.variance() + self.excess()).sqrt().min(factor_max)
+    }
+}
+
+impl TypeNoise {
+    /// Whether positions with a reported deviation were seen more often.
+    fn is_reported(&self) -> bool {
+        let [unreported, reported] = &self.positions;
+        reported.next.count() > unreported.next.count() + REPORTED_COUNT
+    }
+}
+
+/// Largest factor on a nominal deviation; `None` if the prior alone is used.
+fn factor_max(header: &Header, options: &TrackerOptions) -> Option<f64> {
+    match options.association {
+        _ if options.has_own_identities(header) => Some(f64::INFINITY),
+        Association::Assignment => Some(ASSOCIATED_MAX),
+        // Its tracks take a part of all clutter in their gates, so contrasts and likelihoods show little.
+        Association::Jpda => None,
     }
 }
 
@@ -215,11 +245,8 @@ impl Noise {
     #[must_use]
     pub fn input_model(&self, header: &Header, options: &TrackerOptions) -> InputModel {
         let mut model = InputModel { coast_ns: options.coast_ns(header), ..options.detector };
-        let factor_max = match options.association {
-            _ if options.has_own_identities(header) => f64::INFINITY,
-            Association::Assignment => ASSOCIATED_MAX,
-            // Its tracks take a part of all clutter in their gates, so contrasts and likelihoods show little.
-            Association::Jpda => return InputModel { steadiness: [0.0; 3], ..model },
+        let Some(factor_max) = factor_max(header, options) else {
+            return InputModel { steadiness: [0.0; 3], ..model };
         };
         for agent_type in AGENT_TYPES {
             let i = agent_type.index();
@@ -234,14 +261,32 @@ impl Noise {
                 speed_mps: sigma(&of_type.speed_mps, smooth.speed_mps, LARGEST.speed_mps),
             };
             model.reported_factor[i] = reported.factor().sqrt().min(factor_max);
-            // The kind of position that was seen more often decides on the motion.
-            let used = if reported.next.count() > unreported.next.count() + REPORTED_COUNT {
+            let used_m = if of_type.is_reported() {
                 model.reported_factor[i] * reported.nominal_m
             } else {
                 unreported_m
             };
-            model.set_motion(agent_type, used, &options.smooth, &options.detector);
+            model.set_motion(agent_type, used_m, &options.smooth, &options.detector);
         }
         model
+    }
+
+    /// What tracks of each type publish: the learned deviations of position, heading and speed, in m, rad and
+    /// m/s. 0 without enough evidence.
+    #[must_use]
+    pub fn published(&self, header: &Header, options: &TrackerOptions) -> [[f32; 3]; 3] {
+        let Some(factor_max) = factor_max(header, options) else { return [[0.0; 3]; 3] };
+        self.of_type.each_ref().map(|of_type| {
+            let used = &of_type.positions[usize::from(of_type.is_reported())];
+            let known = |scale: &Scale, deviation: f64| {
+                if scale.count() < PUBLISHED_MIN_COUNT { 0.0 } else { deviation.max(PUBLISHED_LEAST) as f32 }
+            };
+            let own = |scale: &Scale| known(scale, scale.variance().sqrt());
+            [
+                known(&used.next, used.deviation_m(factor_max)),
+                own(&of_type.heading_rad),
+                own(&of_type.speed_mps),
+            ]
+        })
     }
 }

@@ -67,6 +67,7 @@ impl Step for Tracker {
             let found = finding.found(|place| format!("tick {}", place.line));
             tracing::warn!("input: {found}");
         }
+        self.new_noise_changes().for_each(|change| tracing::warn!("input: {change}"));
     }
 
     fn follow(&mut self, header: &Header, sent: &[Track]) {

@@ -1,4 +1,4 @@
-use audit::{Finding, LiveAudit};
+use audit::{Finding, Found, LiveAudit, Noise};
 use bytemuck::Zeroable;
 use wire::{
     AGENTS_MAX, AgentType, Counts, DETECTIONS_MAX, Detection, Forecast, HISTORY_MAX, Header, InputCounts,
@@ -46,6 +46,8 @@ pub struct Tracker {
     /// The previous tracker processed frames up to this stamp.
     predecessor_ns: Option<i64>,
     audit: LiveAudit,
+    /// The published noise.
+    noise: Noise,
     /// Whether the frame of the last step can be audited.
     is_auditable: bool,
     /// The tracks of the process before, while this one waits for its turn.
@@ -83,6 +85,7 @@ impl Tracker {
             identities: Vec::with_capacity(AGENTS_MAX),
             predecessor_ns: None,
             audit: LiveAudit::default(),
+            noise: Noise::default(),
             is_auditable: false,
             predecessor: Predecessor::default(),
             tracks: vec![Track::zeroed(); AGENTS_MAX],
@@ -231,7 +234,7 @@ impl Tracker {
             input: InputCounts {
                 unplayed: detections.input.unplayed,
                 merged: detections.input.merged,
-                doubts: detections.input.doubts | self.audit.doubts(),
+                doubts: detections.input.doubts | self.audit.doubts() | self.noise.doubts(),
                 ..self.tally.input
             },
             counts: Counts {
@@ -254,6 +257,17 @@ impl Tracker {
     /// Doubts about the input that were found since the last call. Allocates only if there are any.
     pub fn new_doubts(&mut self) -> Vec<Finding> {
         self.audit.take_new()
+    }
+
+    /// The detector's noise, as published so far.
+    #[must_use]
+    pub const fn noise(&self) -> &Noise {
+        &self.noise
+    }
+
+    /// Changes of the detector's noise since the last call.
+    pub fn new_noise_changes(&mut self) -> impl Iterator<Item = Found> {
+        self.noise.take_new()
     }
 
     /// Counts of faults so far.
@@ -331,11 +345,17 @@ impl Tracker {
             publishable.truncate(AGENTS_MAX);
         }
         publishable.sort_unstable_by_key(|publishable| publishable.id);
+        let noise = estimates.published_noise(header, options);
         for (track, chosen) in out.iter_mut().zip(&*publishable) {
-            publications.at(chosen.publication).write(&estimates.all()[chosen.estimate], options, track);
+            let estimate = &estimates.all()[chosen.estimate];
+            publications.at(chosen.publication).write(estimate, options, track);
+            [track.noise_m, track.noise_heading_rad, track.noise_speed_mps] =
+                noise[estimate.class.current().index()];
         }
         tracked.track_count = publishable.len();
-        name_once(&mut out[..tracked.track_count], identities);
+        let tracks = &mut out[..tracked.track_count];
+        name_once(tracks, identities);
+        self.noise.tick(header.stamp_ns, tracks.iter().map(|track| (track.agent_type, track.noise())));
         let oldest_ns = replay.scans().first().map_or(header.stamp_ns, |oldest| oldest.header.stamp_ns);
         publications.prune(header.stamp_ns, oldest_ns);
     }

@@ -1,11 +1,12 @@
 //! Noise of the detections, learned from the detections alone, and the motion that is published under it.
 
+use audit::Doubt;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
-use tracker::TrackerOptions;
+use tracker::{Association, TrackerOptions};
 use wire::{AgentType, Detection, Track, flags};
 
-use crate::support::harness::{Harness, detected_at, noise};
+use crate::support::harness::{Harness, detected_at, noise, with_heading};
 
 const FRAMES: usize = 120;
 const AGENTS: u64 = 6;
@@ -91,5 +92,62 @@ fn associated_detections_are_tracked_as_those_without_identities() {
         let [associated, without] =
             [associated, without].map(|tracks| bytemuck::cast_slice::<Track, u8>(tracks));
         assert!(associated == without, "frame {frame}");
+    }
+}
+
+/// The tracks of the last frame, and the doubts, after 60 s of vehicles whose noise is `sigma_m` of the time.
+fn published(options: TrackerOptions, flags: u32, sigma_m: impl Fn(f64) -> f64) -> (Vec<Track>, u32) {
+    let mut run = Harness::new(options, flags);
+    let mut rng = ChaCha8Rng::seed_from_u64(9);
+    let mut tracks = Vec::new();
+    for frame in 0..750 {
+        let time_s = f64::from(frame) * TICK_S;
+        let mut off = |scale: f64| noise(&mut rng, scale * sigma_m(time_s));
+        let detections: Vec<Detection> = (1..=AGENTS)
+            .map(|id| {
+                detected_at(AgentType::Vehicle, id, 9.0 * time_s + off(1.0), 30.0 * id as f64 + off(1.0))
+            })
+            .collect();
+        let detections: Vec<Detection> =
+            detections.into_iter().map(|detection| with_heading(detection, off(0.3))).collect();
+        tracks = run.step(&detections).to_vec();
+        if frame == 1 {
+            assert!(tracks.iter().all(|track| track.noise() == [0.0; 3]), "there is no evidence yet");
+        }
+    }
+    (tracks, run.tracker.header(&run.header()).input.doubts)
+}
+
+#[test]
+fn the_learned_noise_is_published() {
+    for flags in [flags::HAS_IDENTITIES, 0] {
+        let (tracks, doubts) = published(TrackerOptions::default(), flags, |_| 0.12);
+        assert_eq!((tracks.len(), doubts), (AGENTS as usize, 0));
+        let [position_m, heading_rad, speed_mps] = tracks[0].noise();
+        assert!((0.1..0.145).contains(&position_m), "{position_m} m");
+        assert!((0.03..0.043).contains(&heading_rad), "{heading_rad} rad");
+        assert_eq!(speed_mps, 0.0, "no speeds are reported");
+    }
+    let jpda = TrackerOptions { association: Association::Jpda, ..TrackerOptions::default() };
+    let (tracks, _) = published(jpda, 0, |_| 0.12);
+    assert!(
+        !tracks.is_empty() && tracks.iter().all(|track| track.noise() == [0.0; 3]),
+        "jpda learns nothing"
+    );
+}
+
+#[test]
+fn noise_that_triples_is_a_doubt() {
+    for flags in [flags::HAS_IDENTITIES, 0] {
+        let doubts = |from_m: f64, to_m: f64| {
+            let sigma_m = |time_s| if time_s < 41.0 { from_m } else { to_m };
+            published(TrackerOptions::default(), flags, sigma_m).1
+        };
+        assert_eq!(doubts(0.1, 0.3), Doubt::NoiseChanged.bit(), "worse");
+        assert_eq!(doubts(0.3, 0.1), Doubt::NoiseChanged.bit(), "better");
+        assert_eq!(doubts(0.1, 0.15), 0, "about the same");
+        assert_eq!(doubts(0.002, 0.02), 0, "exact");
+        let exact_m = published(TrackerOptions::default(), flags, |_| 0.0).0[0].noise_m;
+        assert!(exact_m > 0.0 && exact_m < 0.01, "{exact_m} m");
     }
 }

@@ -41,6 +41,8 @@ wire::named! {
         Placeholders = doubts::PLACEHOLDERS => "placeholders",
         /// Identities jump from one agent to another.
         IdentitiesJump = doubts::IDENTITIES_JUMP => "identities_jump",
+        /// The noise of the positions has changed by a factor of three.
+        NoiseChanged = doubts::NOISE_CHANGED => "noise_changed",
     }
 }
 
@@ -76,6 +78,7 @@ impl Doubt {
             Self::Outliers => "positions are out of their agent's reach",
             Self::Placeholders => "positions look like placeholders for missing ones",
             Self::IdentitiesJump => "identities jump: they are swapped or reused",
+            Self::NoiseChanged => "the noise of the positions has changed by a factor of three",
         }
     }
 
@@ -99,6 +102,7 @@ impl Doubt {
             Self::Outliers => "leave wrong positions out; they count as missed detections",
             Self::Placeholders => "leave these rows out; they count as missed detections",
             Self::IdentitiesJump => "check the identities, or let the tracker associate (--associate)",
+            Self::NoiseChanged => "check the detector",
         }
     }
 }

@@ -113,7 +113,7 @@ impl fmt::Display for Found {
 }
 
 /// The agents of a type, in words.
-const fn plural(agent_type: AgentType) -> &'static str {
+pub(crate) const fn plural(agent_type: AgentType) -> &'static str {
     match agent_type {
         AgentType::Vehicle => "vehicles",
         AgentType::Cyclist => "cyclists",

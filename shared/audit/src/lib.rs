@@ -20,6 +20,8 @@
 //!
 //! A [`Finding`] is a fault with the number of its rows and the place of the first row. It is a doubt if it
 //! concerns more than [`DOUBT_SHARE`] of the rows. [`LiveAudit`] keeps the doubts of a run as bits.
+//!
+//! [`Noise`] watches the detector's noise that the tracker learns. A change by a factor of three is a doubt.
 
 mod agent;
 mod agents;
@@ -28,6 +30,7 @@ mod finding;
 mod headings;
 mod histogram;
 mod live;
+mod noise;
 mod speeds;
 mod stamps;
 mod tally;
@@ -41,6 +44,7 @@ use finding::Detail;
 pub use finding::{DOUBT_SHARE, Finding, Found};
 use headings::{Convention, Headings};
 pub use live::LiveAudit;
+pub use noise::{Noise, TypeNoise, noise_words};
 use speeds::{Speeds, Unit};
 use stamps::Stamps;
 pub use tally::Place;

@@ -71,6 +71,8 @@ pub mod doubts {
         pub const PLACEHOLDERS: u32 = 1 << 16;
         /// Identities jump from one agent to another.
         pub const IDENTITIES_JUMP: u32 = 1 << 17;
+        /// The noise of the positions has changed by a factor of three.
+        pub const NOISE_CHANGED: u32 = 1 << 18;
     }
 }
 

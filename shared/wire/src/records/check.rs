@@ -22,6 +22,14 @@ fn speed(field: &'static str, value: f32) -> Result<(), Rejected> {
     Ok(())
 }
 
+fn noise(values: [f32; 3]) -> Result<(), Rejected> {
+    finite("detector noise", &values)?;
+    match values.into_iter().find(|value| *value < 0.0) {
+        Some(value) => Err(Rejected::Impossible { field: "detector noise", value: f64::from(value) }),
+        None => Ok(()),
+    }
+}
+
 fn agent_type(number: u32) -> Result<AgentType, Rejected> {
     AgentType::try_from(number)
         .map_err(|UnknownAgentType(_)| Rejected::Impossible { field: "agent_type", value: f64::from(number) })
@@ -75,12 +83,19 @@ impl Track {
         agent_type(self.agent_type)
     }
 
+    /// The learned noise of position, heading and speed, in m, rad and m/s; 0 if it is unknown.
+    #[must_use]
+    pub const fn noise(&self) -> [f32; 3] {
+        [self.noise_m, self.noise_heading_rad, self.noise_speed_mps]
+    }
+
     /// Refuses numbers that are not finite or impossible.
     ///
     /// # Errors
     /// [`Rejected`] names the field.
     pub fn check(&self) -> Result<(), Rejected> {
         agent_type(self.agent_type)?;
+        noise(self.noise())?;
         position("track position", &[self.x_m, self.y_m])?;
         speed("track speed", self.speed_mps)?;
         finite(
@@ -189,7 +204,13 @@ impl AgentControls {
 }
 
 impl Forecast {
-    /// Zeroes this forecast, then copies a track's identity, state, size and prior.
+    /// The learned noise of position, heading and speed, in m, rad and m/s; 0 if it is unknown.
+    #[must_use]
+    pub const fn noise(&self) -> [f32; 3] {
+        [self.noise_m, self.noise_heading_rad, self.noise_speed_mps]
+    }
+
+    /// Zeroes this forecast, then copies a track's identity, state, size, prior and noise.
     pub fn begin(&mut self, track: &Track) {
         // Zeroed in place, because a value would be written twice.
         bytemuck::write_zeroes(self);
@@ -198,6 +219,7 @@ impl Forecast {
         (self.vx_mps, self.vy_mps) = (track.vx_mps, track.vy_mps);
         (self.length_m, self.width_m) = (track.length_m, track.width_m);
         (self.prior, self.prior_age_ns) = (track.prior, track.prior_age_ns);
+        [self.noise_m, self.noise_heading_rad, self.noise_speed_mps] = track.noise();
     }
 
     /// Refuses numbers that are not finite or impossible.
@@ -206,6 +228,7 @@ impl Forecast {
     /// [`Rejected`] names the field.
     pub fn check(&self) -> Result<(), Rejected> {
         agent_type(self.agent_type)?;
+        noise(self.noise())?;
         position("forecast position", &[self.x_m, self.y_m])?;
         finite(
             "forecast",

@@ -135,8 +135,14 @@ record! {
         /// 1 if the forecast follows lanes of the map, 2 if a moving vehicle is not on a lane; 0 without a
         /// map, for all other agents, and if it is not reported.
         228 => lanes: u32,
+        /// As in [`crate::Track::noise_m`].
+        232 => noise_m: f32,
+        /// As in [`crate::Track::noise_heading_rad`].
+        236 => noise_heading_rad: f32,
+        /// As in [`crate::Track::noise_speed_mps`].
+        240 => noise_speed_mps: f32,
         /// Zero.
-        232 => reserved: [u8; 72],
+        244 => reserved: [u8; 60],
         /// Covariance of the mixture of all modes as (xx, xy, yy), m².
         304 => covariance: [[f32; 3]; HORIZON_MAX],
         /// The single best forecast (K = 1).

@@ -78,18 +78,21 @@ record! {
         /// [`crate::Quality`] of the prediction to this stamp, as a number: a forecast, one that is older
         /// than Δt, or the process model alone.
         392 => prior: u32,
-        /// Zero.
-        396 => reserved: [u8; 4],
+        /// Standard deviation per axis of the positions that the detector reports for the track's type, as the
+        /// tracker has learned it; 0 without enough evidence, and if it is not reported.
+        396 => noise_m: f32,
         /// Time since the stamp of that forecast's controls; 0 if there is none.
         400 => prior_age_ns: u64,
         /// Weight of each of its modes, and last the weight of the process model; they sum to 1.
         408 => prior_weights: [f32; MODES_MAX + 1],
-        /// Zero.
-        492 => reserved_middle: [u8; 4],
+        /// The same of the headings, modulo a half turn.
+        492 => noise_heading_rad: f32,
         /// Time between the stamp of the controls of the track's newest learned forecast that the tracker has
         /// received and this frame's; 0 if there is none, or it is not reported.
         496 => learned_age_ns: u64,
+        /// The same of the speeds.
+        504 => noise_speed_mps: f32,
         /// Zero.
-        504 => reserved_end: [u8; 8],
+        508 => reserved: [u8; 4],
     }
 }
