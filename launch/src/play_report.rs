@@ -79,14 +79,20 @@ impl PlayReport {
         }
     }
 
-    /// Counts the agents of a tick.
-    pub fn tick(&mut self, header: &Header, agents_len: usize) {
+    /// Adds the agents of a tick: their types and their published noise.
+    pub fn tick(&mut self, header: &Header, agents: impl ExactSizeIterator<Item = (u32, [f32; 3])>) {
+        let agents_len = agents.len() as u64;
         self.ticks += 1;
-        self.agents += agents_len as u64;
-        self.agents_max = self.agents_max.max(agents_len as u64);
+        self.agents += agents_len;
+        self.agents_max = self.agents_max.max(agents_len);
         self.agents_left_out += u64::from(header.left_out_len);
         self.ticks_refused += u64::from(header.has(wire::flags::VOID));
-        self.tally.tick(header);
+        self.tally.tick(header, agents);
+    }
+
+    /// The noise of the detections so far; `None` if it is unknown.
+    pub fn noise_line(&self) -> Option<String> {
+        Some(format!("noise: {}", audit::noise_words(&self.tally.noise())?))
     }
 
     /// Completes the report, prints it on standard error and writes it to the file, if given. Returns the
@@ -137,6 +143,7 @@ impl PlayReport {
         lines.extend(counts.into_iter().chain(thinned).chain(notes).map(|line| format!("  {line}")));
         if self.verdict.status != Status::Ok || !lines.is_empty() {
             lines.insert(0, format!("{status}: {} ticks, at most {} agents", self.ticks, self.agents_max));
+            lines.extend(self.input.noise_line().map(|noise| format!("  noise: {noise}")));
         }
         lines
     }

@@ -1,12 +1,14 @@
 //! Computes tracks from detections in this process. The tracker runs alone or in the chain whose forecasts
 //! are its prior.
 
+use data::{Inspection, Recording};
 use model::ModelConfig;
 use onboard::{Chain, OwnFrame};
 use ports::{Allowance, Second, Tick};
 use run::Run;
-use tracker::{Prior, Tracker};
-use wire::{Detection, Header, Rejected, Track, TracksTopic};
+use source::{Playback, PlaybackOptions};
+use tracker::{Prior, Tracker, TrackerOptions};
+use wire::{AGENTS_MAX, Detection, Header, Rejected, Track, TracksTopic};
 
 use crate::failure::Failure;
 
@@ -75,4 +77,18 @@ impl Tracking {
             Self::InChain(chain) => Ok(chain.keep_memory(run)?),
         }
     }
+}
+
+/// Completes the inspection of a recording with the noise of its detections and with its changes, as the
+/// tracker of a run without forecasts learns it.
+pub fn add_noise(inspection: &mut Inspection, recording: Recording) {
+    let mut playback = Playback::new(recording, PlaybackOptions { lockstep: true, ..Default::default() });
+    let mut tracker = Tracker::new(TrackerOptions { prior: Prior::Kinematic, ..TrackerOptions::default() });
+    let mut tracks = vec![Track::default(); AGENTS_MAX];
+    while let Some(tick) = playback.next_tick() {
+        // A refused tick changes nothing.
+        let _ = tracker.step(&tick.header, tick.detections, None, &mut tracks);
+    }
+    inspection.noise = tracker.noise().types().collect();
+    inspection.findings.extend(tracker.noise().changes());
 }

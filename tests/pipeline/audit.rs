@@ -82,3 +82,78 @@ fn stamps_in_milliseconds_are_never_ok() {
     assert!(["empty", "doubtful", "degraded"].contains(&status.as_str().expect("a word")), "{status}");
     assert_eq!(run(&["inspect", &milliseconds, "--strict"]).status.code(), Some(65));
 }
+
+/// Four cars for 60 s. From 41 s on, the noise of their positions is `factor` times 0.1 m.
+fn noisy_cars(scratch: &Scratch, name: &str, factor: f64) -> String {
+    // Sums of twelve numbers that are uniform within 0 and 1 have the variance 1.
+    let mut state = 1_u64;
+    let mut uniform = || {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (state >> 11) as f64 / (1_u64 << 53) as f64
+    };
+    let mut normal = || (0..12).map(|_| uniform()).sum::<f64>() - 6.0;
+    let mut text = "stamp_s,id,type,x_m,y_m\n".to_owned();
+    for (step, car) in (0..600).flat_map(|step| (1..=4).map(move |car| (step, car))) {
+        let sigma_m = if step < 410 { 0.1 } else { 0.1 * factor };
+        let [x_m, y_m] = [0.8 * f64::from(step), 20.0 * f64::from(car)].map(|at_m| at_m + sigma_m * normal());
+        writeln!(text, "{:.1},{car},vehicle,{x_m:.3},{y_m:.3}", f64::from(step) / 10.0)
+            .expect("writing to a string does not fail");
+    }
+    scratch.file(name, text)
+}
+
+/// The time at which the noise rose, by the only doubt in a report, and the reported noise of the vehicles.
+fn noise(report: &serde_json::Value) -> (Option<f64>, f64) {
+    let rose_s = match &report["findings"].as_array().expect("findings")[..] {
+        [] => None,
+        [found] => {
+            assert_eq!((&found["kind"], &found["doubtful"]), (&"noise_changed".into(), &true.into()));
+            let sentence = found["sentence"].as_str().expect("a sentence");
+            let rest = sentence.strip_prefix("the position noise of vehicles rose from 0.").expect(sentence);
+            let at = rest.split(" m at ").nth(1).and_then(|rest| rest.split(' ').next()).expect(sentence);
+            Some(at.parse().expect(sentence))
+        }
+        more => panic!("{more:?}"),
+    };
+    let [vehicles] = &report["noise"].as_array().expect("noise")[..] else { panic!("{report}") };
+    assert_eq!(vehicles["type"], "vehicle");
+    (rose_s, vehicles["position_m"].as_f64().expect("a number"))
+}
+
+#[test]
+fn noise_that_triples_is_doubted_by_inspect_predict_and_run() {
+    let scratch = Scratch::new("audit-noise");
+    for (factor, name) in [(1.0, "same"), (3.0, "worse")] {
+        let cars = noisy_cars(&scratch, &format!("{name}.csv"), factor);
+        let inspected = run_well(&["inspect", &cars, "--json"]);
+        let inspected = serde_json::from_str(&stdout(&inspected)).expect("JSON");
+        let shown = stdout(&run_well(&["inspect", &cars]));
+        assert!(shown.contains(&format!("noise        vehicles 0.{}", factor as u32)), "{shown}");
+
+        let (out, file, recorded) =
+            (scratch.path("out"), scratch.path("report.json"), scratch.path(&format!("{name}.mcap")));
+        let predicted = run_well(&["predict", &cars, "--out", &out, "--report", &file]);
+        assert!(stdout(&predicted).contains("noise: vehicles 0."), "{}", stdout(&predicted));
+        let predicted = report(&scratch, "report.json");
+        let run = ["run", "--recording", &cars, "--speed", "max", "--quiet", "--record", &recorded];
+        run_well(&[&run[..], &["--report", &file]].concat());
+        let played = report(&scratch, "report.json");
+
+        for report in [&inspected, &predicted["input"], &played["input"]] {
+            let (rose_s, position_m) = noise(report);
+            assert!((position_m / (0.1 * factor) - 1.0).abs() < 0.15, "{position_m} m");
+            assert_eq!(rose_s.is_some(), factor > 1.0);
+            assert!(rose_s.is_none_or(|at_s| (39.0..45.0).contains(&at_s)), "{rose_s:?}");
+        }
+        assert_eq!(noise(&predicted["input"]), noise(&played["input"]));
+
+        let replayed = stdout(&run_well(&["replay", &recorded]));
+        assert!(replayed.contains("equal to the byte"), "{replayed}");
+        assert!(replayed.contains("\nnoise: vehicles 0."), "{replayed}");
+        assert_eq!(
+            replayed.contains("\ndoubt: the position noise of vehicles rose"),
+            factor > 1.0,
+            "{replayed}"
+        );
+    }
+}

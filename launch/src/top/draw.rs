@@ -63,6 +63,7 @@ pub fn lines(view: &View, width: usize) -> Vec<Line> {
     lines.push(latency(view, width));
     lines.extend(latency_curve(view, width));
     lines.extend(quality(view));
+    lines.extend(noise(view, width));
     lines.push(Line::default());
     if let Some(name) = &view.stage {
         lines.extend(super::stage::lines(view, name, width));
@@ -188,6 +189,12 @@ fn latency_curve(view: &View, width: usize) -> Option<Line> {
         Span::colored(curve(&newest_us, height_us, cells, 1).concat(), color),
         Span::styled(format!("  of {} ms", number(Some(height_us as f64 / 1e3))), DIM),
     ]))
+}
+
+/// The noise of the detections, as the tracker has learned it.
+fn noise(view: &View, width: usize) -> Option<Line> {
+    let words = cut(&view.status.report.input.noise_line()?, width.saturating_sub(13));
+    Some(Line(vec![Span::styled(" noise       ", BOLD), Span::raw(words)]))
 }
 
 /// Shares of forecast qualities with causes, and the coverage.

@@ -171,6 +171,17 @@ fn what_is_shed_stands_with_its_share() {
 }
 
 #[test]
+fn the_learned_noise_of_the_detections_is_shown() {
+    let mut status = status();
+    assert!(!text(&View::new(status.clone(), SortBy::Chain, None), 80).contains("noise"));
+    let vehicles =
+        audit::TypeNoise { agent_type: "vehicle".to_owned(), position_m: 0.112, ..Default::default() };
+    status.report.input.noise = vec![vehicles];
+    let text = text(&View::new(status, SortBy::Chain, None), 80);
+    assert!(text.contains(" noise       vehicles 0.11 m\n"), "{text}");
+}
+
+#[test]
 fn an_ok_states_the_share_of_constant_velocity() {
     let mut status = status();
     status.report.verdict = Verdict { status: Status::Ok, reasons: Vec::new() };

@@ -13,6 +13,7 @@ use crate::arguments::{ModelArguments, ReadArguments};
 use crate::failure::Failure;
 use crate::files::quoted;
 use crate::show::show;
+use crate::tracking::add_noise;
 
 /// Width of the picture, pt.
 const WIDTH: f64 = 516.0;
@@ -42,7 +43,7 @@ pub struct Arguments {
 /// Prints a recording's contents and its probable defects.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let recording = data::open_with(&arguments.recording, arguments.read.options()).map_err(Failure::data)?;
-    let inspection = data::inspect(&recording);
+    let mut inspection = data::inspect(&recording);
     let lanes = arguments.model.open_lanes(arguments.read.options().origin)?;
     if let Some(out) = &arguments.out {
         if !out.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("svg")) {
@@ -52,6 +53,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         let picture = overview(&drawing, WIDTH).map_err(Failure::data)?;
         std::fs::write(out, picture).map_err(|error| Failure::output(out, error))?;
     }
+    add_noise(&mut inspection, recording);
     if arguments.json {
         say!("{}", serde_json::to_string_pretty(&inspection).map_err(Failure::data)?);
     } else {
@@ -86,6 +88,9 @@ fn text(inspection: &Inspection, out: Option<&Path>) -> String {
     inspection.types.iter().for_each(|of_type| line(&of_type.agent_type, type_words(of_type)));
     if let Some(share) = inspection.agreeing_headings {
         line("headings", format!("{:.1} % agree with the motion", share * 100.0));
+    }
+    if let Some(words) = audit::noise_words(&inspection.noise) {
+        line("noise", words);
     }
     let Inspection { frames_with_ego, poses_missing, .. } = inspection;
     if frames_with_ego + poses_missing > 0 {

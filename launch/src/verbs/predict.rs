@@ -68,7 +68,7 @@ fn play(
         if !is_read(writer.write(&header, forecasts)).map_err(written)? {
             return Ok(false);
         }
-        report.tick(&header, forecasts.len());
+        report.tick(&header, forecasts.iter().map(|of| (of.agent_type, of.noise())));
         report.lanes.add(forecasts);
         ticks += 1;
         forecasts_len += forecasts.len() as u64;
@@ -79,7 +79,7 @@ fn play(
     let is_read = is_read(writer.finish()).map_err(written)?;
     if is_read && !is_standard_output(out) {
         say!("{ticks} ticks, {forecasts_len} forecasts: {}", out.display());
-        if let Some(line) = report.lanes.line() {
+        for line in report.lanes.line().into_iter().chain(report.noise_line()) {
             say!("{line}");
         }
     }

@@ -1,12 +1,13 @@
 use std::path::PathBuf;
 
+use audit::{Noise, TypeNoise, noise_words};
 use clap::Args;
 use clap::builder::PossibleValuesParser;
 use nn::Weights;
 use onboard::{Replay, Replayed, STAGES};
 use recording::{About, Comparison, Frame, Recording, Writer};
 use run::Exit;
-use wire::{ForecastsTopic, StageId, Topic as _};
+use wire::{ForecastsTopic, StageId, Topic as _, TracksTopic};
 
 use crate::arguments::{Speed, canonical};
 use crate::differences::{table, title};
@@ -56,8 +57,13 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let mut writer = writer(arguments, &recording, &weights)?;
     let replay = Replay::new(&recording, weights, stage).map_err(Failure::data)?;
     let replay = if arguments.speed == Speed::Real { replay.in_own_time() } else { replay };
+    let mut noise = Noise::default();
     let replayed = replay
         .run(|frame: &Frame| {
+            if let Ok(tracks) = frame.elements::<TracksTopic>() {
+                let agents = tracks.iter().map(|track| (track.agent_type, track.noise()));
+                noise.tick(frame.header().stamp_ns, agents);
+            }
             if let Some(writer) = &mut writer {
                 writer.frame(frame);
             }
@@ -69,7 +75,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         }
         writer.finish("the replay has ended").map_err(Failure::data)?;
     }
-    show(&told(&replayed))?;
+    show(&(told(&replayed) + &noise_lines(&noise)))?;
     recorded::told(damages)?;
     let is_equal = replayed.comparison.is_equal() && replayed.comparison.ticks() > 0;
     Ok(if is_equal { Exit::Done } else { Exit::Different })
@@ -153,6 +159,13 @@ fn near(comparison: &Comparison, newest: Option<u64>) -> String {
         Some((tick, _)) if Some(*tick) == newest => format!("; the forecasts stay more than {NEAR} apart"),
         Some((tick, _)) => format!("; from tick {} on no forecast is more than {NEAR} apart", tick + 1),
     }
+}
+
+/// Describes the noise of the detections, as the replayed tracker has learned it.
+fn noise_lines(noise: &Noise) -> String {
+    let types: Vec<TypeNoise> = noise.types().collect();
+    let words = noise_words(&types).map(|words| format!("noise: {words}\n"));
+    words.into_iter().chain(noise.changes().map(|change| format!("doubt: {change}\n"))).collect()
 }
 
 /// Describes the result of the replay.

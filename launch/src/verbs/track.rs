@@ -78,7 +78,7 @@ fn play(
         if !is_read(writer.write(&tick.header, tracks)).map_err(written)? {
             return Ok(false);
         }
-        report.tick(&header, tracks.len());
+        report.tick(&header, tracks.iter().map(|track| (track.agent_type, track.noise())));
         ticks += 1;
         track_count += tracks.len() as u64;
     }

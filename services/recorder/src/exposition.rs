@@ -5,6 +5,7 @@
 
 use std::fmt::{Display, Write};
 
+use audit::TypeNoise;
 use wire::StageId;
 
 use crate::distribution::Distribution;
@@ -256,6 +257,25 @@ fn input(text: &mut Text, status: &RunStatus) {
     text.metric(Kind::Gauge, name, "1 for each doubt about the input.");
     for found in input.doubts() {
         text.sample(name, &[("kind", &found.kind)], 1);
+    }
+    type Deviation = fn(&TypeNoise) -> Option<f64>;
+    for (name, help, deviation) in [
+        (
+            "stgdat_detector_noise_meters",
+            "Noise of the detections' positions, per axis.",
+            (|noise| Some(noise.position_m)) as Deviation,
+        ),
+        ("stgdat_detector_noise_heading_degrees", "Noise of the detections' headings.", |noise| {
+            noise.heading_deg
+        }),
+        ("stgdat_detector_noise_speed_meters_per_second", "Noise of the detections' speeds.", |noise| {
+            noise.speed_mps
+        }),
+    ] {
+        text.metric(Kind::Gauge, name, help);
+        for (of_type, value) in input.noise.iter().filter_map(|noise| Some((noise, deviation(noise)?))) {
+            text.sample(name, &[("type", &of_type.agent_type)], value);
+        }
     }
 }
 

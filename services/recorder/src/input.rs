@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use audit::{Doubt, Found};
+use audit::{Doubt, Found, Noise, TypeNoise, noise_words};
 use serde::{Deserialize, Serialize};
 use wire::{Header, InputCounts};
 
@@ -32,6 +32,8 @@ pub struct InputReport {
     /// Number of frames of the recording without a pose of its moving sensor nearby. These frames are not
     /// seen from the sensor.
     pub poses_missing: u64,
+    /// The noise of the detections, as the tracker has learned it.
+    pub noise: Vec<TypeNoise>,
     /// The findings about the input, whether they are doubts or not.
     pub findings: Vec<Found>,
     /// Whether the recording was audited before it was played.
@@ -81,10 +83,11 @@ impl InputReport {
     }
 
     /// Adds the information about the recording. Its audit replaces the tracker's audit, which saw fewer rows
-    /// and headings that the reader had wrapped.
+    /// and headings that the reader had wrapped. Only the tracker knows the noise.
     pub(crate) fn add(&mut self, recording: &Self) {
         if recording.is_audited {
-            self.findings.clone_from(&recording.findings);
+            self.findings.retain(|found| found.kind == Doubt::NoiseChanged.name());
+            self.findings.splice(..0, recording.findings.iter().cloned());
         }
         self.rows_left_out.clone_from(&recording.rows_left_out);
         self.poses_missing = recording.poses_missing;
@@ -96,6 +99,12 @@ impl InputReport {
         let [_, others @ ..] = self.counts();
         let is_whole = self.rows_left_out.is_empty() && self.poses_missing == 0;
         is_whole && others.iter().all(|(_, count)| *count == 0)
+    }
+
+    /// The noise of the detections as one line; `None` if it is unknown.
+    #[must_use]
+    pub fn noise_line(&self) -> Option<String> {
+        noise_words(&self.noise)
     }
 
     /// One line of text; `None` if there is nothing to report.
@@ -134,11 +143,14 @@ pub struct InputTally {
     /// Doubts of earlier incarnations.
     #[serde(default)]
     doubts_before: u32,
+    #[serde(default)]
+    noise: Noise,
 }
 
 impl InputTally {
-    /// Adds the header of a tick.
-    pub fn tick(&mut self, header: &Header) {
+    /// Adds the header of a tick, and the type and published noise of its agents.
+    pub fn tick(&mut self, header: &Header, agents: impl Iterator<Item = (u32, [f32; 3])>) {
+        self.noise.tick(header.stamp_ns, agents);
         let InputCounts { detections, repeated, misfits, placeholders, reassigned, unplayed, merged, doubts } =
             header.input;
         let counts = [detections, repeated, misfits, placeholders, reassigned, unplayed, merged];
@@ -155,6 +167,12 @@ impl InputTally {
         self.doubts = doubts;
     }
 
+    /// The newest noise of each type.
+    #[must_use]
+    pub fn noise(&self) -> Vec<TypeNoise> {
+        self.noise.types().collect()
+    }
+
     /// The counts so far. Doubts have no figures, unless the recording was audited.
     #[must_use]
     pub fn report(&self, recording: &InputReport) -> InputReport {
@@ -164,6 +182,12 @@ impl InputTally {
                 place += 1;
                 u64::from(newest) + self.before[place - 1]
             });
+        // A change that began before this reader has no figures.
+        let changes: Vec<Found> = self.noise.changes().collect();
+        let mut doubts = self.doubts | self.doubts_before;
+        if !changes.is_empty() {
+            doubts &= !Doubt::NoiseChanged.bit();
+        }
         let mut report = InputReport {
             detections,
             repeated,
@@ -172,7 +196,8 @@ impl InputTally {
             reassigned,
             unplayed,
             merged,
-            findings: Doubt::of_bits(self.doubts | self.doubts_before).map(Found::of_kind).collect(),
+            noise: self.noise(),
+            findings: Doubt::of_bits(doubts).map(Found::of_kind).chain(changes).collect(),
             ..InputReport::default()
         };
         report.add(recording);
@@ -193,7 +218,7 @@ mod tests {
     fn counts_add_up_over_restarts_of_the_tracker() {
         let mut tally = InputTally::default();
         for (detections, repeated) in [(10, 0), (20, 4), (5, 1)] {
-            tally.tick(&header(detections, repeated, 0));
+            tally.tick(&header(detections, repeated, 0), std::iter::empty());
         }
         let report = tally.report(&InputReport::default());
         assert_eq!((report.detections, report.repeated, report.is_doubtful()), (25, 5, false));
@@ -207,19 +232,22 @@ mod tests {
             let findings = tally.report(&InputReport::default()).findings;
             findings.into_iter().map(|found| found.kind).collect::<Vec<_>>()
         };
-        tally.tick(&header(10, 0, Doubt::Outliers.bit()));
+        tally.tick(&header(10, 0, Doubt::Outliers.bit()), std::iter::empty());
         assert_eq!(kinds(&tally), ["outliers"]);
-        tally.tick(&header(20, 0, 0));
+        tally.tick(&header(20, 0, 0), std::iter::empty());
         assert!(kinds(&tally).is_empty());
-        tally.tick(&header(30, 0, Doubt::Repeated.bit()));
-        tally.tick(&header(1, 0, 0));
+        tally.tick(&header(30, 0, Doubt::Repeated.bit()), std::iter::empty());
+        tally.tick(&header(1, 0, 0), std::iter::empty());
         assert_eq!(kinds(&tally), ["repeated"]);
     }
 
     #[test]
     fn the_audit_of_a_recording_replaces_that_of_the_tracker() {
         let mut tally = InputTally::default();
-        tally.tick(&header(1, 0, Doubt::HeadingsUnrelated.bit() | Doubt::SpeedsInKmh.bit()));
+        tally.tick(
+            &header(1, 0, Doubt::HeadingsUnrelated.bit() | Doubt::SpeedsInKmh.bit()),
+            std::iter::empty(),
+        );
         let live = tally.report(&InputReport::default());
         let kinds: Vec<&str> = live.findings.iter().map(|found| found.kind.as_str()).collect();
         assert_eq!(kinds, ["headings_unrelated", "speeds_in_kmh"]);

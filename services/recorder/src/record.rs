@@ -195,7 +195,7 @@ impl Recorder {
             return Ok(None);
         }
         let tick = Tick::new(&mut self.timeline, header, forecasts);
-        self.header(header);
+        self.header(header, forecasts);
         self.times(&tick);
         self.qualities(&tick);
         self.sums.lanes.add(forecasts);
@@ -250,7 +250,7 @@ impl Recorder {
         (header.is_tick() && header.stamp_ns <= last_ns).then_some(last_ns)
     }
 
-    fn header(&mut self, header: &Header) {
+    fn header(&mut self, header: &Header, forecasts: &[Forecast]) {
         let sums = &mut self.sums;
         sums.ticks += 1;
         sums.interval_ns = header.interval_ns;
@@ -263,7 +263,7 @@ impl Recorder {
         sums.hops_missing += u64::from(header.hops_missing_len);
         sums.predicted_ticks += u64::from(header.has(flags::PREDICTED));
         sums.silent += u64::from(header.silent_len);
-        sums.input.tick(header);
+        sums.input.tick(header, forecasts.iter().map(|forecast| (forecast.agent_type, forecast.noise())));
     }
 
     fn times(&mut self, tick: &Tick) {

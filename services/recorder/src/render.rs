@@ -93,7 +93,7 @@ impl Report {
                 fact(text, if place + row == 0 { "input" } else { "" }, &[Some(line)])?;
             }
         }
-        Ok(())
+        self.input.noise_line().map_or(Ok(()), |noise| fact(text, "noise", &[Some(noise)]))
     }
 
     fn facts(&self, text: &mut String) -> fmt::Result {

@@ -1,7 +1,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use audit::{Audit, Found, Place, TypeFigures};
+use audit::{Audit, Found, Place, TypeFigures, TypeNoise};
 use serde::Serialize;
 
 use crate::{LeftOut, Recording};
@@ -42,6 +42,8 @@ pub struct Inspection {
     pub types: Vec<TypeInspection>,
     /// Share of the headings that agree with the motion; `None` without headings of moving agents.
     pub agreeing_headings: Option<f64>,
+    /// Noise of the detections. Only a tracker learns it, so [`inspect`] leaves it empty.
+    pub noise: Vec<TypeNoise>,
     /// Rows that the format leaves out, by reason.
     pub left_out: BTreeMap<String, usize>,
     /// All findings, whether they are doubts or not.
@@ -110,6 +112,7 @@ pub fn inspect(recording: &Recording) -> Inspection {
         frames_with_ego: recording.frames.iter().filter(|frame| frame.ego.is_sensor).count(),
         types: audit.types().map(TypeInspection::from).collect(),
         agreeing_headings: audit.agreeing_headings().map(rounded),
+        noise: Vec::new(),
         left_out: recording
             .left_out
             .iter()

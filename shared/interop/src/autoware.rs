@@ -290,8 +290,8 @@ pub fn transforms(view: &Tick<'_>) -> Option<TfMessage> {
 }
 
 /// The values of a tick that have no field in Autoware's messages. Each forecast has its quality, cause, age
-/// and evidence. The tick has the number of forecasts, the doubts about the input, and each stage's time and
-/// budget.
+/// and evidence. The tick has the number of forecasts, the doubts about the input, the learned noise of the
+/// detections, and each stage's time and budget.
 #[must_use]
 pub fn diagnostics(view: &Tick<'_>, hops: &[Hop], budgets_ms: &BTreeMap<StageId, f64>) -> DiagnosticArray {
     let mut status = vec![input_status(view)];
@@ -321,6 +321,14 @@ fn input_status(view: &Tick<'_>) -> DiagnosticStatus {
     let without = view.agents.iter().filter(|agent| agent.forecast.is_none()).count();
     values.push(value("without forecast", &without));
     values.push(value("doubts", &format!("{:#x}", view.doubts)));
+    for agent_type in AGENT_TYPES {
+        let track = view.tracks.iter().find(|track| track.agent_type == agent_type as u32);
+        let noise =
+            ["position_m", "heading_rad", "speed_mps"].into_iter().zip(track.map_or([0.0; 3], Track::noise));
+        for (of, deviation) in noise.filter(|(_, deviation)| *deviation > 0.0) {
+            values.push(value(&format!("noise: {} {of}", agent_type.name()), &deviation));
+        }
+    }
     let (level, message) = match (view.doubts, without) {
         (0, 0) => (OK, "every track has a forecast"),
         (0, _) => (WARN, "tracks without a forecast are not among the predicted objects"),

@@ -57,6 +57,8 @@ fn track() -> Track {
         type_probability: [0.25, 0.75, 0.0],
         agent_type: 1,
         state_len: 4,
+        noise_m: 0.25,
+        noise_heading_rad: 0.5,
         ..Track::zeroed()
     };
     // Variances of x, y, vx and vy.
@@ -123,6 +125,10 @@ fn objects_hold_the_published_numbers_in_the_recordings_own_frame() {
     let diagnostics: DiagnosticArray = from_bytes(&found[3].1).unwrap();
     let agent = diagnostics.status.iter().find(|status| status.name == "stgdat: agent 41").unwrap();
     assert_eq!((agent.level.0, agent.message.as_str()), (1, "held: none"));
+    let tick = diagnostics.status.iter().find(|status| status.name == "stgdat: tick").unwrap();
+    let noise = tick.values.iter().filter(|value| value.key.starts_with("noise"));
+    let noise: Vec<_> = noise.map(|value| (value.key.as_str(), value.value.as_str())).collect();
+    assert_eq!(noise, [("noise: cyclist position_m", "0.25"), ("noise: cyclist heading_rad", "0.5")]);
 }
 
 #[test]

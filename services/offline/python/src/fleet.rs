@@ -43,7 +43,9 @@ fn played(arguments: Vec<String>) -> PyResult<Outcomes> {
 pub fn inspect(py: Python<'_>, arguments: Vec<String>) -> PyResult<String> {
     py.detach(|| {
         let (_, recording) = prepared(arguments)?;
-        serde_json::to_string(&data::inspect(&recording)).map_err(|why| error::of(&why))
+        let mut inspection = data::inspect(&recording);
+        launch::tracking::add_noise(&mut inspection, recording);
+        serde_json::to_string(&inspection).map_err(|why| error::of(&why))
     })
 }
 

@@ -17,6 +17,8 @@ fn run_so_far() -> (RunStatus, Recorder) {
         quality: Quality::Held as u32,
         cause: Cause::Late as u32,
         age_ns: 80 * MS,
+        noise_m: 0.11,
+        noise_heading_rad: 0.5_f32.to_radians(),
         ..Forecast::zeroed()
     };
     for seq in 0..20 {
@@ -100,6 +102,8 @@ fn samples_have_the_values_of_the_run() {
         ("stgdat_end_to_end_seconds_bucket{le=\"0.01\"}", 20.0),
         ("stgdat_stage_seconds_count{stage=\"tracker\",phase=\"compute\"}", 20.0),
         ("stgdat_stage_budget_seconds{stage=\"tracker\"}", 0.005),
+        ("stgdat_detector_noise_meters{type=\"vehicle\"}", 0.11),
+        ("stgdat_detector_noise_heading_degrees{type=\"vehicle\"}", 0.5),
     ];
     for (sample, expected) in expected {
         assert_eq!(value(&text, sample), Some(expected), "{sample}");

@@ -294,6 +294,29 @@ fn doubts_about_the_input_make_a_run_doubtful() {
 }
 
 #[test]
+fn the_noise_is_reported_and_its_change_is_a_doubt_with_figures() {
+    let mut recorder = recorder();
+    for seq in 0..800 {
+        let doubts = if seq > 550 { Doubt::NoiseChanged.bit() } else { 0 };
+        let input = InputCounts { doubts, ..InputCounts::default() };
+        let noise_m = if seq < 500 { 0.1 } else { 0.35 };
+        let forecast = Forecast { noise_m, noise_heading_rad: 0.05, ..learned() };
+        recorder.forecasts(&Header { input, ..header(seq, 1, &whole_chain(2)) }, &[forecast]).unwrap();
+    }
+    let mut report = recorder.report();
+    // The audit of the recording knows nothing of the noise.
+    report.audited(&InputReport::of_recording(Vec::new(), BTreeMap::new(), 0));
+    let figures = "the position noise of vehicles rose from 0.10 m to 0.35 m at 40 s: check the detector";
+    assert_eq!(report.verdict.reasons, [format!("input: {figures}")]);
+    assert_eq!(report.input.noise_line().unwrap(), "vehicles 0.35 m, headings 2.9°");
+    assert!(report.render(80).contains(" noise       vehicles 0.35 m, headings 2.9°"));
+    // A recorder that starts after the change knows the kind alone.
+    let report = with_doubts(Doubt::NoiseChanged.bit()).report();
+    assert!(report.verdict.reasons[0].contains("has changed by a factor of three"), "{:?}", report.verdict);
+    assert!(report.input.noise.is_empty());
+}
+
+#[test]
 fn the_audit_of_the_recording_completes_the_verdict() {
     let mut report = with_doubts(Doubt::Repeated.bit()).report();
     let known = Found { rows: Some(3), of: Some(9), share: Some(0.3333), ..Found::of_kind(Doubt::Repeated) };

@@ -57,8 +57,10 @@ class Audit(Job):
         text += table("Kinds", head, body)
         for kind, of in ranked:
             worst = sorted(of, key=lambda item: (-(item[1]["share"] or 0.0), item[0]))[:_LISTED]
-            lines = [f"* {name}: {doubt['sentence']} (first: {doubt['first']})\n" for name, doubt in worst]
-            text += f"\n## {kind}\n\n" + "".join(lines)
+            text += f"\n## {kind}\n\n"
+            for name, doubt in worst:
+                first = f" (first: {doubt['first']})" if doubt["first"] else ""
+                text += f"* {name}: {doubt['sentence']}{first}\n"
         figures = {
             "recordings": count,
             "doubtful": doubtful,
