@@ -306,10 +306,10 @@ fn the_noise_is_reported_and_its_change_is_a_doubt_with_figures() {
     let mut report = recorder.report();
     // The audit of the recording knows nothing of the noise.
     report.audited(&InputReport::of_recording(Vec::new(), BTreeMap::new(), 0));
-    let figures = "the position noise of vehicles rose from 0.10 m to 0.35 m at 40 s: check the detector";
+    let figures = "the position noise of pedestrians rose from 0.10 m to 0.35 m at 40 s: check the detector";
     assert_eq!(report.verdict.reasons, [format!("input: {figures}")]);
-    assert_eq!(report.input.noise_line().unwrap(), "vehicles 0.35 m, headings 2.9°");
-    assert!(report.render(80).contains(" noise       vehicles 0.35 m, headings 2.9°"));
+    assert_eq!(report.input.noise_line().unwrap(), "pedestrians 0.35 m, headings 2.9°");
+    assert!(report.render(80).contains(" noise       pedestrians 0.35 m, headings 2.9°"));
     // A recorder that starts after the change knows the kind alone.
     let report = with_doubts(Doubt::NoiseChanged.bit()).report();
     assert!(report.verdict.reasons[0].contains("has changed by a factor of three"), "{:?}", report.verdict);
