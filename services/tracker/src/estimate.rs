@@ -43,7 +43,7 @@ const COURSE_SPEED_MIN_MPS: f64 = 0.5;
 /// Below this speed a course is meaningless and the last heading is held.
 const COURSE_MIN_MPS: f64 = 0.1;
 /// Age from which a track without a trusted identity shows the noise of its detections.
-const TEACHES_FROM_NS: i64 = 1_000_000_000;
+const TEACHES_FROM_NS: i64 = 2_000_000_000;
 /// Weight of a new detection's size.
 const SIZE_WEIGHT: f32 = 0.2;
 
@@ -388,10 +388,12 @@ impl Estimate {
 
     /// Passes what the newest measurement shows of the noise to the noise of the type. Tracks that clutter
     /// started would show noise; few of them become old.
-    pub fn teach(&mut self, noise: &mut Noise) {
+    pub fn teach(&mut self, noise: &mut Noise, input: &InputModel) {
         let age_ns = self.stamp_ns.saturating_sub(self.birth.stamp_ns);
         if self.is_ready() && (self.management.is_trusted() || age_ns >= TEACHES_FROM_NS) {
-            noise.learn(self.class.current().index(), &mut self.measurements, self.nominal_m);
+            let distance_m = input.by_distance.distance_m(self.motion.position_m);
+            let of_type = self.class.current().index();
+            noise.learn(of_type, &mut self.measurements, self.nominal_m, distance_m);
         }
     }
 

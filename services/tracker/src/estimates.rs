@@ -319,7 +319,7 @@ impl Estimates {
         let before = self.all.len();
         for estimate in &mut self.all {
             estimate.end_frame(input, &options.speed_limits);
-            estimate.teach(&mut self.noise);
+            estimate.teach(&mut self.noise, input);
         }
         self.all.retain(|estimate| !estimate.is_over(input, options));
         tracked.ended_count += before - self.all.len();

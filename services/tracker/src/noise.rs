@@ -18,12 +18,16 @@
 //! deviation of an estimate, and κ is the value for which r² / N is the variance of a mean over several
 //! seconds of noise with a correlation time of 0.3 s.
 
+mod distance;
+
+use distance::ByDistance;
+pub use distance::DistanceFactors;
 use filters::noise::{Measured, Scale, Window};
 use filters::wrapped;
 use wire::{AGENT_TYPES, Detection, Header, detection_flags};
 
 use crate::observation::Found;
-use crate::options::{Association, InputModel, SensorNoise, TrackerOptions};
+use crate::options::{Association, InputModel, NOISY_M, SensorNoise, TrackerOptions};
 
 /// Time between the measurements of the contrasts that show correlated noise.
 const APART_NS: u64 = 400_000_000;
@@ -43,6 +47,8 @@ const APART_MIN_COUNT: f64 = 12.0;
 const PUBLISHED_MIN_COUNT: f64 = 40.0;
 /// Smallest deviation that is published, because 0 means unknown.
 const PUBLISHED_LEAST: f64 = 1e-4;
+/// Number of contrasts from which the noise is also learned by distance.
+const BY_DISTANCE_MIN_COUNT: f64 = 40.0;
 /// κ, q and m of the module's equation.
 const CORRELATED: f64 = 4.2;
 const EXCESS_RATIO: f64 = 1.5;
@@ -143,6 +149,7 @@ pub struct Noise {
 struct TypeNoise {
     /// Of the positions: without and with a reported deviation.
     positions: [PositionNoise; 2],
+    by_distance: ByDistance,
     heading_rad: Scale,
     speed_mps: Scale,
 }
@@ -222,20 +229,31 @@ impl Noise {
     pub fn new(options: &TrackerOptions) -> Self {
         let of_type = options.detector.sensor.map(|prior| TypeNoise {
             positions: [PRIOR_COUNT, REPORTED_COUNT].map(|count| PositionNoise::new(count, prior.position_m)),
+            by_distance: ByDistance::new(),
             heading_rad: Scale::new(prior.heading_rad, PRIOR_COUNT, COUNT_MAX),
             speed_mps: Scale::new(prior.speed_mps, PRIOR_COUNT, COUNT_MAX),
         });
         Self { of_type }
     }
 
-    /// Learns from the newest measurement of an agent of this type.
-    pub fn learn(&mut self, of_type: usize, measurements: &mut Measurements, nominal_m: f64) {
+    /// Learns from the newest measurement of an agent of this type, which is this far from the sensor.
+    pub fn learn(
+        &mut self,
+        of_type: usize,
+        measurements: &mut Measurements,
+        nominal_m: f64,
+        distance_m: Option<f64>,
+    ) {
         let contrasts = measurements.take();
-        let TypeNoise { positions, heading_rad, speed_mps } = &mut self.of_type[of_type];
+        let TypeNoise { positions, by_distance, heading_rad, speed_mps } = &mut self.of_type[of_type];
         let positions = &mut positions[usize::from(contrasts.is_reported)];
         positions.add(&contrasts);
-        if contrasts.position.is_some() {
+        if let Some(position) = contrasts.position {
             positions.nominal_m += 0.05 * (nominal_m - positions.nominal_m);
+            if let Some(distance_m) = distance_m.filter(|_| positions.next.count() > BY_DISTANCE_MIN_COUNT) {
+                let deviation = positions.next.variance().sqrt();
+                position.iter().for_each(|contrast| by_distance.add(distance_m, contrast / deviation));
+            }
         }
         contrasts.heading_rad.into_iter().for_each(|contrast| heading_rad.add(contrast));
         contrasts.speed_mps.into_iter().for_each(|contrast| speed_mps.add(contrast));
@@ -248,6 +266,8 @@ impl Noise {
         let Some(factor_max) = factor_max(header, options) else {
             return InputModel { steadiness: [0.0; 3], ..model };
         };
+        model.by_distance =
+            DistanceFactors::new(header, self.of_type.each_ref().map(|noise| &noise.by_distance));
         for agent_type in AGENT_TYPES {
             let i = agent_type.index();
             let (of_type, smooth) = (&self.of_type[i], &options.smooth.sensor[i]);
@@ -266,7 +286,9 @@ impl Noise {
             } else {
                 unreported_m
             };
-            model.set_motion(agent_type, used_m, &options.smooth, &options.detector);
+            // Without identities, the constants of a detector associate best, also if its positions are exact.
+            let noise_m = if options.has_own_identities(header) { used_m } else { used_m.max(NOISY_M) };
+            model.set_motion(agent_type, noise_m, &options.smooth, &options.detector);
         }
         model
     }

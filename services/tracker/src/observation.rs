@@ -1,7 +1,7 @@
 use filters::Observation;
 use wire::{AgentType, Detection, detection_flags};
 
-use crate::options::{InputModel, TrackerOptions};
+use crate::options::{InputModel, SMOOTH_M, TrackerOptions};
 
 /// Bounds of a detection's own noise. Beyond them, variances overflow or vanish in a published covariance.
 const SIGMA_RANGE_M: (f64, f64) = (1e-6, 1e3);
@@ -60,12 +60,13 @@ pub fn observation(detection: &Detection, agent_type: AgentType, input: &InputMo
 /// Standard deviation of a detection's position per axis.
 #[must_use]
 pub fn position_sigma_m(detection: &Detection, agent_type: AgentType, input: &InputModel) -> f64 {
+    let by_distance = input.by_distance.factor(agent_type, [detection.x_m, detection.y_m].map(f64::from));
     match detection.sigma_m {
         sigma_m if sigma_m > 0.0 => {
-            let factor = input.reported_factor[agent_type.index()];
+            let factor = by_distance * input.reported_factor[agent_type.index()];
             (factor * f64::from(sigma_m)).clamp(SIGMA_RANGE_M.0, SIGMA_RANGE_M.1)
         }
-        _ => input.sensor[agent_type.index()].position_m,
+        _ => (by_distance * input.sensor[agent_type.index()].position_m).max(SMOOTH_M),
     }
 }
 

@@ -8,6 +8,7 @@ use wire::{
 };
 
 use crate::FieldOfView;
+use crate::noise::DistanceFactors;
 
 /// The tracker.
 pub const STAGE: Declaration<Options> =
@@ -185,6 +186,8 @@ pub struct InputModel {
     pub sensor: [SensorNoise; 3],
     /// Factor on the deviations of positions that detections report themselves.
     pub reported_factor: [f64; 3],
+    /// Factors on the deviations of positions by distance from the sensor.
+    pub by_distance: DistanceFactors,
     /// Process noise.
     pub motion: [MotionNoise; 3],
     /// How far forecasts are trusted when they are the prior.
@@ -263,19 +266,24 @@ const DETECTOR: InputModel = InputModel {
         MotionNoise { density: 0.5, acceleration_mps2: 1.0, slip_rate_radps: 0.5, slip_decay_per_s: 0.0 },
     ],
     reported_factor: [1.0; 3],
+    by_distance: DistanceFactors::NONE,
     trust: [ForecastTrust { noise_share: 0.3, ..TRUST }; 3],
     steadiness: [1.0; 3],
     coast_ns: 2_000_000_000,
 };
+
+/// Standard deviation of the positions of smooth recordings, and the least that is assumed of positions without
+/// a reported deviation.
+pub const SMOOTH_M: f64 = 0.03;
 
 /// Chosen so that the filtered state, extrapolated for 0.8 s at its velocity, comes nearest to the agent's
 /// true position. It comes nearer than with the recording's velocity or with the backward difference of
 /// positions.
 const SMOOTH: InputModel = InputModel {
     sensor: [
-        SensorNoise { position_m: 0.03, heading_rad: 0.05, speed_mps: 0.1 },
-        SensorNoise { position_m: 0.03, heading_rad: 0.05, speed_mps: 0.1 },
-        SensorNoise { position_m: 0.03, heading_rad: 0.1, speed_mps: 0.1 },
+        SensorNoise { position_m: SMOOTH_M, heading_rad: 0.05, speed_mps: 0.1 },
+        SensorNoise { position_m: SMOOTH_M, heading_rad: 0.05, speed_mps: 0.1 },
+        SensorNoise { position_m: SMOOTH_M, heading_rad: 0.1, speed_mps: 0.1 },
     ],
     motion: [
         MotionNoise { density: 4.0, acceleration_mps2: 6.0, slip_rate_radps: 0.5, slip_decay_per_s: 0.0 },
@@ -285,6 +293,7 @@ const SMOOTH: InputModel = InputModel {
     // Chosen by the errors of tracks across gaps, on driving recordings from other sources, under noise of
     // 0.1 m.
     reported_factor: [1.0; 3],
+    by_distance: DistanceFactors::NONE,
     trust: [ForecastTrust { control_fade_in_s: 0.2, ..TRUST }; 3],
     steadiness: [0.0; 3],
     coast_ns: 1_000_000_000,
@@ -332,7 +341,7 @@ impl TrackerOptions {
 
 /// The noise of positions from which an input counts as noisy. In between, the constants are interpolated on
 /// a logarithmic scale.
-const NOISY_M: f64 = 0.1;
+pub const NOISY_M: f64 = 0.1;
 
 /// Distance from reference point to rear axle, as a share of the length.
 const REAR_AXLE_RATIO: f64 = 0.26;

@@ -75,10 +75,11 @@ fn exact_positions_are_found_exact_within_a_second() {
     let [along_m, true_mps]: [fn(f64) -> f64; 2] =
         [|time_s| 5.0 * time_s + 1.5 * time_s * time_s, |time_s| 5.0 + 3.0 * time_s];
     for flags in [flags::HAS_IDENTITIES, 0] {
-        let from = if flags == 0 { 26 } else { 13 };
+        // Association by position keeps the process noise of a detector.
+        let (from, most_mps) = if flags == 0 { (26, 0.5) } else { (13, 0.3) };
         let frames = play((TrackerOptions::default(), flags), 0.0, along_m);
         let off_mps = error_mps(&frames, from, true_mps);
-        assert!(off_mps < 0.3, "{off_mps} m/s while the vehicle accelerates");
+        assert!(off_mps < most_mps, "{off_mps} m/s while the vehicle accelerates");
     }
 }
 
@@ -152,4 +153,43 @@ fn noise_that_triples_is_a_doubt() {
         let exact_m = published(TrackerOptions::default(), flags, |_| 0.0).0[0].noise_m;
         assert!(exact_m > 0.0 && exact_m < 0.01, "{exact_m} m");
     }
+}
+
+/// Root mean square error of the published velocities of three vehicles near the sensor and of three far away,
+/// whose positions are ten times less exact.
+fn near_and_far_mps(flags: u32) -> [f64; 2] {
+    let mut run = Harness::new(TrackerOptions::default(), flags);
+    let mut rng = ChaCha8Rng::seed_from_u64(3);
+    let (mut sums, mut count) = ([0.0; 2], 0);
+    for frame in 0..150 {
+        let detections: Vec<Detection> = (1..=AGENTS)
+            .map(|id| {
+                let (y_m, sigma_m) =
+                    if id <= 3 { (5.0 * id as f64, 0.04) } else { (60.0 + 5.0 * id as f64, 0.4) };
+                let [dx, dy] = [(); 2].map(|()| noise(&mut rng, sigma_m));
+                detected_at(AgentType::Vehicle, id, 2.0 * f64::from(frame) * TICK_S - 6.0 + dx, y_m + dy)
+            })
+            .collect();
+        let tracks = run.step(&detections);
+        if frame >= 60 {
+            assert_eq!(tracks.len(), AGENTS as usize, "frame {frame}");
+            for track in tracks {
+                sums[usize::from(track.y_m > 40.0)] +=
+                    (f64::from(track.vx_mps) - 2.0).powi(2) + f64::from(track.vy_mps).powi(2);
+            }
+            count += 3;
+        }
+    }
+    sums.map(|sum| (sum / f64::from(count)).sqrt())
+}
+
+#[test]
+fn noise_that_grows_with_the_distance_is_learned_by_distance() {
+    let [everywhere, by_distance] =
+        [flags::HAS_IDENTITIES, flags::HAS_IDENTITIES | flags::SEEN_FROM_EGO].map(near_and_far_mps);
+    println!("near and far: {everywhere:.3?} m/s for one noise, {by_distance:.3?} m/s by distance");
+    assert!(
+        by_distance[0] < 0.1 && by_distance[1] < 0.6 * everywhere[1],
+        "{everywhere:?} and {by_distance:?} m/s"
+    );
 }
