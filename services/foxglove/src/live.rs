@@ -1,6 +1,6 @@
 use std::io::{Error, Result, Write as _};
 use std::net::SocketAddr;
-use std::sync::mpsc::channel;
+use std::sync::mpsc::sync_channel;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -160,7 +160,7 @@ impl Live {
     fn end(self) {
         // The last messages are on their way.
         std::thread::sleep(WAIT);
-        let (done, is_done) = channel();
+        let (done, is_done) = sync_channel(1);
         let server = self.server;
         std::thread::spawn(move || {
             server.stop().wait_blocking();

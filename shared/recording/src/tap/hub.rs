@@ -98,8 +98,14 @@ impl<C: Write> Hub<C> {
     /// Reports to the tools the frames that the tap itself has lost.
     pub fn lost(&mut self, topic: u8, frames: u64) {
         let packet = protocol::lost(&Lost { at: LostAt::Tap, topic, frames });
+        let limit = self.queue_bytes;
         for tool in self.tools.iter_mut().filter(|tool| tool.want.has(topic)) {
-            tool.enqueue(packet.clone());
+            if tool.queued_bytes + packet.len() <= limit {
+                tool.enqueue(packet.clone());
+            } else {
+                // Reported with the losses of the queue, once it has room.
+                tool.untold[usize::from(topic)] += frames;
+            }
         }
     }
 
