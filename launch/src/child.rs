@@ -3,15 +3,11 @@
     reason = "a call between fork and exec: whatever the program is, it dies with the launcher"
 )]
 
-use std::collections::VecDeque;
-use std::io::{BufRead, BufReader, Read};
+use std::io::ErrorKind;
 use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
 use std::os::unix::process::{CommandExt, ExitStatusExt};
 use std::path::{Path, PathBuf};
 use std::process::{Child as Process, Command, ExitStatus, Stdio};
-use std::sync::mpsc::Sender;
-use std::sync::{Arc, Mutex, PoisonError};
-use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use crate::config::Scheduling;
@@ -26,15 +22,17 @@ use wire::StageId;
 
 use crate::failure::{Failure, StageDeath};
 use crate::program::this_program;
-use crate::{color, log, scheduling};
-
-/// Number of output lines kept per stage, to be shown if the stage dies.
-const LAST_LINES_MAX: usize = 12;
-/// Maximum length of a line in bytes; longer lines are split.
-const LINE_BYTES_MAX: u64 = 4096;
+use crate::spawn::spawn;
+use crate::stage_output::{Output, StageOutput};
+use crate::{log, scheduling};
 
 /// Interval between checks of an ending process.
 const LOOK: Duration = Duration::from_millis(5);
+/// Time that a killed process has to end. Most need a few milliseconds. A process in a system call that does not
+/// end (state D) can't be killed, and the launcher does not wait for it.
+pub const KILL_LIMIT: Duration = Duration::from_secs(1);
+/// Time to wait for the last lines of a dead process, if another process holds its pipes open.
+const LAST_LINES_LIMIT: Duration = Duration::from_millis(100);
 
 /// The environment variable of glibc's settings.
 const ALLOCATOR_VARIABLE: &str = "GLIBC_TUNABLES";
@@ -45,9 +43,6 @@ const ALLOCATOR: &str =
 
 /// The signal raised when shared memory has no page left.
 const BUS_ERROR: i32 = Signal::BUS.as_raw();
-
-/// A line of a stage's output.
-pub type Line = (StageId, String);
 
 /// The program to start as a stage.
 #[derive(Clone, Debug)]
@@ -79,22 +74,42 @@ pub struct Child {
     /// Readable once the process has ended; `None` if the kernel is too old.
     descriptor: Option<OwnedFd>,
     ended: Option<ExitStatus>,
-    last_lines: Arc<Mutex<VecDeque<String>>>,
-    readers: Vec<JoinHandle<()>>,
+    output: Output,
+    /// When it was first killed.
+    killed: Option<Instant>,
+    is_reported: bool,
+}
+
+/// Why a stage's process is not started.
+#[derive(Debug)]
+pub enum StartError {
+    /// The start did not end in time: a file system does not answer.
+    Hung(String),
+    /// The program can't be started.
+    Failed(Failure),
+}
+
+impl From<StartError> for Failure {
+    fn from(error: StartError) -> Self {
+        match error {
+            StartError::Hung(text) => Self::unavailable(text),
+            StartError::Failed(failure) => failure,
+        }
+    }
 }
 
 impl Child {
-    /// Starts a stage, by its own command or by this program, and sends its output through `lines`. If
-    /// `standby` holds the launcher's socket, the process will replace one that is still running.
+    /// Starts a stage, by its own command or by this program, and sends its output to `output`. If `standby` holds
+    /// the launcher's socket, the process will replace one that is still running.
     pub fn start(
         stage: StageId,
         own: &Program,
         incarnation: u32,
         run: &Run,
         record: &Path,
-        lines: &Sender<Line>,
+        output: &StageOutput,
         standby: Option<&Path>,
-    ) -> Result<Self, Failure> {
+    ) -> Result<Self, StartError> {
         let record = own.record.as_deref().unwrap_or(record);
         let mut command = match own.command.as_deref() {
             Some([program, arguments @ ..]) => {
@@ -137,25 +152,25 @@ impl Child {
         }
         die_with_this_process(&mut command);
         scheduling::set_at_start(&mut command, &own.scheduling);
-        let mut process = command.spawn().map_err(|error| {
+        let mut process = spawn(command).map_err(|error| {
             let program = own.command.as_deref().and_then(<[String]>::first).map_or("stgdat", String::as_str);
-            Failure::config_about(format!("the {} can't be started: {program}", stage.name()), error)
+            if error.kind() == ErrorKind::TimedOut {
+                return StartError::Hung(format!("{program}: {error}"));
+            }
+            let about = format!("the {} can't be started: {program}", stage.name());
+            StartError::Failed(Failure::config_about(about, error))
         })?;
-        let last_lines = Arc::new(Mutex::new(VecDeque::new()));
-        let outputs: [Option<Box<dyn Read + Send>>; 2] = [
-            process.stdout.take().map(|pipe| Box::new(pipe) as _),
-            process.stderr.take().map(|pipe| Box::new(pipe) as _),
-        ];
-        let readers = outputs
-            .into_iter()
-            .flatten()
-            .map(|output| {
-                let (kept, lines) = (last_lines.clone(), lines.clone());
-                std::thread::spawn(move || read_lines(output, stage, &kept, &lines))
-            })
-            .collect();
+        let pipes = [process.stdout.take().map(OwnedFd::from), process.stderr.take().map(OwnedFd::from)];
         let descriptor = end_of(&process);
-        Ok(Self { stage, process, descriptor, ended: None, last_lines, readers })
+        match output.add(stage, pipes.into_iter().flatten()) {
+            Ok(output) => {
+                Ok(Self { stage, process, descriptor, ended: None, output, killed: None, is_reported: false })
+            }
+            Err(error) => {
+                end_within(&mut process, Duration::ZERO);
+                Err(StartError::Failed(Failure::unavailable(error)))
+            }
+        }
     }
 
     /// Readable once the process has ended; `None` if its end is already known.
@@ -180,31 +195,40 @@ impl Child {
     /// Sends a signal unless the process has ended.
     pub fn signal(&mut self, signal: Signal) {
         if self.ended().is_none() {
+            if signal == Signal::KILL {
+                self.killed.get_or_insert_with(Instant::now);
+            }
             // The process may end at this moment. Its process id stays reserved until it is reaped.
             let _ = kill_process(Pid::from_child(&self.process), signal);
         }
     }
 
-    /// Describes the unrequested end of a child.
-    pub fn death(&mut self, status: ExitStatus) -> StageDeath {
-        // The pipes close with the process, so its output is soon complete. A grandchild may hold them open.
-        let until = Instant::now() + Duration::from_millis(200);
-        while !self.readers.iter().all(JoinHandle::is_finished) && Instant::now() < until {
-            std::thread::sleep(Duration::from_millis(1));
-        }
-        let how = match (status.code(), status.signal()) {
-            (Some(code), _) => format!("ended with exit code {code}"),
-            (None, Some(BUS_ERROR)) => format!("was killed by signal {BUS_ERROR}: shared memory may be full"),
-            (None, Some(signal)) => format!("was killed by signal {signal}"),
-            (None, None) => status.to_string(),
-        };
-        let kept = self.last_lines.lock().unwrap_or_else(PoisonError::into_inner);
+    /// Whether the process was killed but does not end. Returns true once.
+    pub fn cannot_die(&mut self) -> bool {
+        let is_overdue = self.killed.is_some_and(|killed| killed.elapsed() > KILL_LIMIT);
+        let is_new = is_overdue && !self.is_reported && self.ended().is_none();
+        self.is_reported |= is_new;
+        is_new
+    }
+
+    /// Describes the unrequested end of a child, with its last lines. Waits for these for at most 0.1 s.
+    pub fn death(&self, status: ExitStatus) -> StageDeath {
         StageDeath {
             stage: self.stage,
-            how,
+            how: how_of(status),
             exit: status.code().and_then(Exit::from_code),
-            last_lines: kept.iter().cloned().collect(),
+            last_lines: self.output.last_lines(LAST_LINES_LIMIT),
         }
+    }
+}
+
+/// Describes the end of a process, phrased to follow its name.
+pub fn how_of(status: ExitStatus) -> String {
+    match (status.code(), status.signal()) {
+        (Some(code), _) => format!("ended with exit code {code}"),
+        (None, Some(BUS_ERROR)) => format!("was killed by signal {BUS_ERROR}: shared memory may be full"),
+        (None, Some(signal)) => format!("was killed by signal {signal}"),
+        (None, None) => status.to_string(),
     }
 }
 
@@ -214,46 +238,27 @@ pub fn end_of(process: &Process) -> Option<OwnedFd> {
 }
 
 /// Gives a process the time `limit` to end by itself, then kills it. Returns its exit status; `None` if it was
-/// killed.
+/// killed. A process that can't be killed is left behind.
 pub fn end_within(process: &mut Process, limit: Duration) -> Option<ExitStatus> {
-    let begun = Instant::now();
+    let (begun, mut killed) = (Instant::now(), None::<Instant>);
     loop {
-        match process.try_wait() {
-            Ok(Some(status)) => return Some(status),
-            Ok(None) if begun.elapsed() < limit => std::thread::sleep(LOOK),
-            Ok(None) | Err(_) => {
+        match (process.try_wait(), killed) {
+            (Ok(Some(status)), None) => return Some(status),
+            (Ok(Some(_)), Some(_)) | (Err(_), _) => return None,
+            (Ok(None), Some(at)) if at.elapsed() > KILL_LIMIT => return None,
+            (Ok(None), None) if begun.elapsed() >= limit => {
                 let _ = process.kill();
-                let _ = process.wait();
-                return None;
+                killed = Some(Instant::now());
             }
+            (Ok(None), _) => std::thread::sleep(LOOK),
         }
     }
 }
 
-/// Makes the kernel kill the program when the thread that starts it (the launcher's main thread) ends.
+/// Makes the kernel kill the program when the thread that starts it (see [`crate::spawn`]) ends.
 pub fn die_with_this_process(command: &mut Command) {
     // SAFETY: between fork and exec the closure makes one system call and touches no memory of this process.
     unsafe {
         command.pre_exec(|| Ok(set_parent_process_death_signal(Some(Signal::KILL))?));
-    }
-}
-
-fn read_lines(output: impl Read, stage: StageId, kept: &Mutex<VecDeque<String>>, lines: &Sender<Line>) {
-    let mut output = BufReader::new(output);
-    let mut bytes = Vec::new();
-    loop {
-        bytes.clear();
-        match (&mut output).take(LINE_BYTES_MAX).read_until(b'\n', &mut bytes) {
-            Ok(0) | Err(_) => return,
-            Ok(_) => {}
-        }
-        let line = color::plain(String::from_utf8_lossy(&bytes).trim_end()).into_owned();
-        let mut kept = kept.lock().unwrap_or_else(PoisonError::into_inner);
-        if kept.len() == LAST_LINES_MAX {
-            kept.pop_front();
-        }
-        kept.push_back(log::message(&line));
-        // The receiver is gone once the run has ended.
-        let _ = lines.send((stage, line));
     }
 }

@@ -2,7 +2,7 @@
 //! must not.
 
 use std::fmt;
-use std::io::Read as _;
+use std::io::{ErrorKind, Read as _};
 use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
 use std::path::PathBuf;
 use std::process::{Child as Process, Command, Stdio};
@@ -10,9 +10,12 @@ use std::time::Duration;
 
 use ports::{NodeNumber, NodeProcess};
 
-use crate::child::{die_with_this_process, end_of, end_within};
+use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
+
+use crate::child::{die_with_this_process, end_of};
 use crate::failure::Failure;
 use crate::program::this_program;
+use crate::spawn::spawn;
 
 /// Time limit of a helper. A clean-up takes 30 ms; even on a loaded machine it does not take a hundred times
 /// as long. If a half-made connection blocks a helper, the helper is killed as soon as the connection is old
@@ -22,12 +25,17 @@ const LIMIT: Duration = Duration::from_secs(2);
 /// the previous one.
 const TRIES_MAX: u32 = 3;
 
+/// Most killed helpers that may still run. No helper is started while there are so many.
+const KILLED_MAX: usize = 8;
+
 /// The clean-up of a run.
 #[derive(Debug)]
 pub struct Cleaner {
     record: PathBuf,
     prefix: String,
     work: Option<Work>,
+    /// Killed helpers that have not ended yet.
+    killed: Vec<Process>,
     tries: u32,
     /// Helpers that were killed since the last call of `hung`.
     hung: Vec<Hung>,
@@ -66,8 +74,9 @@ struct Work {
 
 impl Cleaner {
     /// Creates the cleaner of the run with this record and prefix.
-    pub const fn new(record: PathBuf, prefix: String) -> Self {
-        Self { record, prefix, work: None, tries: 0, hung: Vec::new(), met: Vec::new(), done: 0 }
+    pub fn new(record: PathBuf, prefix: String) -> Self {
+        let (killed, hung, met) = (Vec::new(), Vec::new(), Vec::new());
+        Self { record, prefix, work: None, killed, tries: 0, hung, met, done: 0 }
     }
 
     /// Returns the number of the clean-up that covers a death at this moment. A clean-up that is already
@@ -103,6 +112,7 @@ impl Cleaner {
 
     /// Checks on the helper, and starts one if a clean-up up to number `wanted` is due.
     pub fn tend(&mut self, wanted: u64, now: Duration) -> Result<(), Failure> {
+        self.killed.retain_mut(|process| matches!(process.try_wait(), Ok(None)));
         if let Some(work) = &mut self.work {
             // Fails only for processes that are not children.
             if work.process.try_wait().unwrap_or(None).is_some() {
@@ -115,10 +125,13 @@ impl Cleaner {
                 return Ok(());
             }
             let removed = ports::remove_half_made_connections(&self.prefix, ports::HALF_MADE_LIMIT);
-            if removed > 0 || after > LIMIT {
-                end_within(&mut work.process, Duration::ZERO);
+            if (removed > 0 || after > LIMIT)
+                && let Some(mut work) = self.work.take()
+            {
+                let _ = work.process.kill();
                 self.met.extend(lines_of(&mut work.process));
-                (self.work, self.tries) = (None, self.tries + 1);
+                self.killed.push(work.process);
+                self.tries += 1;
                 self.hung.push(Hung { after, removed });
                 if self.tries == TRIES_MAX {
                     (self.tries, self.done) = (0, self.done + 1);
@@ -130,12 +143,21 @@ impl Cleaner {
 
     /// Starts a helper if none is running and a clean-up up to number `wanted` is due.
     fn start(&mut self, wanted: u64, now: Duration) -> Result<(), Failure> {
-        if self.work.is_none() && self.done < wanted {
+        if self.work.is_none() && self.done < wanted && self.killed.len() < KILLED_MAX {
             let mut command = Command::new(this_program());
             command.arg("sweep").arg("--run").arg(&self.record);
             command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::null());
             die_with_this_process(&mut command);
-            let process = command.spawn().map_err(Failure::unavailable)?;
+            let process = match spawn(command) {
+                // The next look tries again.
+                Err(error) if error.kind() == ErrorKind::TimedOut => return Ok(()),
+                started => started.map_err(Failure::unavailable)?,
+            };
+            if let Some(output) = &process.stdout {
+                // A helper that can't be killed must not block the launcher.
+                let flags = fcntl_getfl(output).map_err(Failure::unavailable)?;
+                fcntl_setfl(output, flags | OFlags::NONBLOCK).map_err(Failure::unavailable)?;
+            }
             let descriptor = end_of(&process);
             self.work = Some(Work { process, descriptor, since: now });
         }
@@ -170,7 +192,7 @@ fn read_line(line: &str) -> Option<(NodeNumber, NodeProcess)> {
 impl Drop for Cleaner {
     fn drop(&mut self) {
         if let Some(work) = &mut self.work {
-            end_within(&mut work.process, Duration::ZERO);
+            let _ = work.process.kill();
         }
     }
 }

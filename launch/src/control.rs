@@ -8,7 +8,7 @@ use std::os::unix::fs::PermissionsExt;
 use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use ports::is_own_user;
 use recorder::ReplacementOutcome;
@@ -23,8 +23,8 @@ const NAME: &str = "control";
 /// Maximum number of waiting requests; further ones are answered with "busy".
 const WAITING_MAX: usize = 8;
 /// Longest line, in bytes: a command with its arguments.
-const LINE_BYTES_MAX: u64 = 1 << 16;
-/// Time limit for a process to write its line. Other requests wait meanwhile.
+const LINE_BYTES_MAX: usize = 1 << 16;
+/// Time limit for a process to write its line. Other requests wait for this thread meanwhile.
 const LINE_LIMIT: Duration = Duration::from_millis(500);
 
 /// An order to replace a stage by another program during the run.
@@ -95,15 +95,15 @@ impl Control {
 
 /// Reads the line of a connection and forwards its request.
 fn attend(connection: UnixStream, requests: &SyncSender<Request>) {
-    if !is_own_user(&connection) || connection.set_read_timeout(Some(LINE_LIMIT)).is_err() {
+    if !is_own_user(&connection) {
         return;
     }
-    let mut line = String::new();
-    let read = BufReader::new((&connection).take(LINE_BYTES_MAX)).read_line(&mut line);
+    let Ok(line) = line_of(&connection) else { return };
+    // A client that does not read must not block the launcher. An answer fits into an empty socket.
+    if connection.set_nonblocking(true).is_err() {
+        return;
+    }
     let mut client = Client(connection);
-    if read.is_err() {
-        return;
-    }
     let request = match parse(&line) {
         Some(Line::Replace(order)) => Request::Replace(order, client),
         Some(Line::Ready(stage, incarnation)) => Request::Ready(stage, incarnation, client),
@@ -116,6 +116,22 @@ fn attend(connection: UnixStream, requests: &SyncSender<Request>) {
     {
         client.refuse("the launcher is busy");
     }
+}
+
+/// Reads a line within [`LINE_LIMIT`].
+fn line_of(mut connection: &UnixStream) -> std::io::Result<String> {
+    let (begun, mut line, mut block) = (Instant::now(), Vec::new(), [0; 4096]);
+    while !line.contains(&b'\n') && line.len() < LINE_BYTES_MAX {
+        let left = LINE_LIMIT.saturating_sub(begun.elapsed()).max(Duration::from_millis(1));
+        connection.set_read_timeout(Some(left))?;
+        match connection.read(&mut block)? {
+            0 => break,
+            _ if begun.elapsed() > LINE_LIMIT => return Err(std::io::ErrorKind::TimedOut.into()),
+            len => line.extend_from_slice(&block[..len]),
+        }
+    }
+    let line = line.split(|&byte| byte == b'\n').next().unwrap_or_default();
+    Ok(String::from_utf8_lossy(line).into_owned())
 }
 
 /// The result of reading a line.
@@ -167,7 +183,7 @@ pub fn order(socket: &Path, order: &Order) -> Result<Answer, Failure> {
     let about = |error: std::io::Error| Failure::unavailable_about(socket.display(), error);
     let mut connection = UnixStream::connect(socket).map_err(about)?;
     let text = serde_json::to_string(order).map_err(Failure::data)?;
-    if text.len() as u64 + 16 > LINE_BYTES_MAX {
+    if text.len() + 16 > LINE_BYTES_MAX {
         return Err(Failure::Usage(format!("the command has more than {LINE_BYTES_MAX} bytes")));
     }
     writeln!(connection, "replace {text}").map_err(about)?;

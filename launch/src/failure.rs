@@ -2,7 +2,6 @@
 
 use std::error::Error;
 use std::fmt::Display;
-use std::io::Write as _;
 use std::path::Path;
 
 use crate::config::SourceError;
@@ -161,7 +160,7 @@ impl Failure {
     /// Prints the failure on standard error, whatever `RUST_LOG` selects.
     pub fn print(&self) {
         match log::format() {
-            LogFormat::Text => drop(writeln!(std::io::stderr().lock(), "{}", self.message())),
+            LogFormat::Text => log::write(None, &format!("{}\n", self.message())),
             LogFormat::Json => tracing::error!("{}", self.message()),
         }
     }

@@ -2,6 +2,8 @@
 
 use std::os::unix::fs::MetadataExt as _;
 use std::path::{Path, PathBuf};
+use std::sync::mpsc::sync_channel;
+use std::time::Duration;
 
 use rustix::fs::Access;
 
@@ -18,6 +20,23 @@ pub fn shipped_weights(name: &Path) -> Option<PathBuf> {
     let file = name.with_extension("safetensors");
     let places = SHIPPED.iter().map(|folder| Some(program.parent()?.join(folder).join(&file)));
     places.flatten().find_map(|place| place.canonicalize().ok())
+}
+
+/// Time for a disk to take a file at the end of a run.
+const WRITE_LIMIT: Duration = Duration::from_secs(10);
+
+/// Writes a file in a thread of its own, because a disk may not answer.
+///
+/// # Errors
+/// The error of `write`, or [`Failure::Data`] after ten seconds.
+pub fn within(
+    path: &Path,
+    write: impl FnOnce() -> Result<(), Failure> + Send + 'static,
+) -> Result<(), Failure> {
+    let (done, is_done) = sync_channel(1);
+    std::thread::spawn(move || done.send(write()));
+    let slow = |_| Err(Failure::file(path, std::io::Error::from(std::io::ErrorKind::TimedOut)));
+    is_done.recv_timeout(WRITE_LIMIT).unwrap_or_else(slow)
 }
 
 /// Checks that an output file can be written, before the work that produces it starts.

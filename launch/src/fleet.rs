@@ -5,23 +5,24 @@ mod spare;
 mod spares;
 mod trial;
 
+use std::collections::BTreeMap;
 use std::os::fd::BorrowedFd;
 use std::path::{Path, PathBuf};
-use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::{Duration, Instant};
 
 use run::{Exit, Run};
 use rustix::process::{Pid, Signal};
 use wire::{Heartbeat, StageId};
 
-use crate::child::{Child, Line, Program};
+use crate::child::{Child, KILL_LIMIT, Program, StartError};
 use crate::cleaner::Cleaner;
 use crate::config::Pipeline;
 use crate::failure::{Failure, StageDeath};
 use crate::health::Health;
-use crate::policy::{State, Supervision};
+use crate::policy::{End, State, Supervision};
 use crate::readers::Readers;
 use crate::scheduling;
+use crate::stage_output::{Sink, StageOutput};
 pub use event::{Event, Replaced};
 use member::{Member, STOPPED};
 use spare::Spare;
@@ -33,6 +34,8 @@ const END_LIMIT: Duration = Duration::from_secs(3);
 const MEMORY_LIMIT: Duration = Duration::from_secs(20);
 /// Interval between checks of ending processes.
 const LOOK: Duration = Duration::from_millis(5);
+/// Time for the last output of the stages to be read.
+const OUTPUT_LIMIT: Duration = Duration::from_millis(100);
 
 /// The processes of a run; dropping it ends them all.
 #[derive(Debug)]
@@ -41,11 +44,13 @@ pub struct Fleet {
     record: PathBuf,
     members: Vec<Member>,
     cleaner: Cleaner,
-    sender: Sender<Line>,
-    lines: Receiver<Line>,
+    output: StageOutput,
+    /// Killed processes that no stage needs and that have not ended yet.
+    dying: Vec<Child>,
     begun: Instant,
     tended: Duration,
     end_limit: Duration,
+    has_ended: bool,
     /// Number of the clean-up after the last death of a process that is not a stage.
     other_ticket: u64,
     /// The stage that is being replaced.
@@ -69,20 +74,27 @@ pub struct Process {
 }
 
 impl Fleet {
-    /// Starts all stages of a pipeline. With `keeps_memory` the stages get more time to end.
-    pub fn start(pipeline: &Pipeline, run: &Run, record: &Path, keeps_memory: bool) -> Result<Self, Failure> {
-        let (sender, lines) = channel();
+    /// Starts all stages of a pipeline. With `keeps_memory` the stages get more time to end. `sink` receives the
+    /// lines of the stages.
+    pub fn start(
+        pipeline: &Pipeline,
+        run: &Run,
+        record: &Path,
+        keeps_memory: bool,
+        sink: Sink,
+    ) -> Result<Self, Failure> {
         let end_limit = if keeps_memory { MEMORY_LIMIT } else { END_LIMIT };
         let mut fleet = Self {
             run: run.clone(),
             record: record.to_owned(),
             members: Vec::new(),
             cleaner: Cleaner::new(record.to_owned(), run.prefix.clone()),
-            sender,
-            lines,
+            output: StageOutput::open(sink).map_err(Failure::unavailable)?,
+            dying: Vec::new(),
             begun: Instant::now(),
             tended: Duration::ZERO,
             end_limit,
+            has_ended: false,
             other_ticket: 0,
             trial: None,
             swept: 0,
@@ -90,7 +102,7 @@ impl Fleet {
         };
         for stage in &pipeline.stages {
             let program = Program::of(stage);
-            let child = Child::start(stage.id, &program, 0, run, record, &fleet.sender, None)?;
+            let child = Child::start(stage.id, &program, 0, run, record, &fleet.output, None)?;
             let now = fleet.begun.elapsed();
             let (supervision, health) = (Supervision::new(stage.restart, now), Health::new(now));
             fleet.members.push(Member {
@@ -121,9 +133,9 @@ impl Fleet {
         of_children.chain(self.cleaner.descriptor()).collect()
     }
 
-    /// Returns the lines that the stages wrote since the last call.
-    pub fn lines(&self) -> impl Iterator<Item = Line> {
-        self.lines.try_iter()
+    /// Returns the numbers of lines that the stages printed too fast, by stage.
+    pub fn lost_lines(&self) -> BTreeMap<StageId, u64> {
+        self.output.lost()
     }
 
     /// The processes of all stages.
@@ -223,10 +235,26 @@ impl Fleet {
             }
         }
         events.extend(self.tend_trial(stopped, now));
+        events.extend(self.tend_dying());
         events.extend(self.tend_spares(is_linked, is_restoring, stopped, now)?);
         events.extend(self.restart(now)?);
         self.note_own();
         Ok(events)
+    }
+
+    /// Reaps the processes that no stage needs. Reports each process that can't be killed.
+    fn tend_dying(&mut self) -> Vec<Event> {
+        let before = self.dying.len();
+        self.dying.retain_mut(|child| child.ended().is_none());
+        if self.dying.len() < before {
+            // They held places on the topics that they read.
+            self.swept = self.cleaner.ticket();
+        }
+        let members = self.members.iter_mut().map(|member| &mut member.child);
+        let undead = members.chain(&mut self.dying).filter_map(|child| {
+            child.cannot_die().then(|| Event::CannotDie { stage: child.stage, pid: child.pid() })
+        });
+        undead.collect()
     }
 
     /// Registers the launcher's own processes, so that their deaths do not count as deaths of readers.
@@ -234,13 +262,18 @@ impl Fleet {
         let members = self.members.iter().map(|member| &member.child);
         let spares = self.members.iter().filter_map(|member| member.spare.as_ref()?.child.as_ref());
         let trial = self.trial.iter().filter_map(|trial| trial.child.as_ref());
-        let children = members.chain(spares).chain(trial).map(|child| child.pid().as_raw_nonzero().get());
-        self.readers.own(children.map(i32::unsigned_abs).chain(self.cleaner.pid()));
+        let children = members
+            .chain(spares)
+            .chain(trial)
+            .chain(&self.dying)
+            .map(|child| child.pid().as_raw_nonzero().get());
+        let now = self.begun.elapsed();
+        self.readers.own(children.map(i32::unsigned_abs).chain(self.cleaner.pid()), now);
     }
 
     /// Registers another process that the launcher has started.
     pub fn note_process(&mut self, pid: Option<u32>) {
-        self.readers.own(pid);
+        self.readers.own(pid, self.begun.elapsed());
     }
 
     /// Counts the dead processes that read topics and were not stages.
@@ -273,12 +306,21 @@ impl Fleet {
                 let incarnation = member.supervision.incarnation() + 1;
                 let program = &member.program;
                 let (run, record) = (&self.run, &self.record);
-                member.child =
-                    Child::start(member.stage, program, incarnation, run, record, &self.sender, None)?;
-                member.supervision.restarted(now);
-                member.health = Health::new(now);
-                member.killed_for = None;
-                member.has_started();
+                match Child::start(member.stage, program, incarnation, run, record, &self.output, None) {
+                    Ok(child) => {
+                        member.child = child;
+                        member.supervision.restarted(now);
+                        member.health = Health::new(now);
+                        member.killed_for = None;
+                        member.has_started();
+                    }
+                    // As if it had ended at once.
+                    Err(StartError::Hung(how)) => {
+                        member.supervision.restarted(now);
+                        events.extend(member.handle_end(End::Failure, how, None, now)?);
+                    }
+                    Err(StartError::Failed(failure)) => return Err(failure),
+                }
             }
         }
         Ok(events)
@@ -289,27 +331,32 @@ impl Fleet {
         self.other_ticket = self.cleaner.ticket();
     }
 
-    /// Asks all stages to end, waits, and kills those that miss the limit.
-    pub fn end(&mut self) {
-        self.trial = None;
-        let now = self.begun.elapsed();
-        self.members.iter_mut().filter_map(|member| member.spare.as_mut()).for_each(|spare| {
-            spare.dismiss(now);
-        });
+    /// Asks all stages to end, waits, and kills those that miss the limit. Returns the processes that can't be
+    /// killed. They end with the system call that they are in, and no process waits for them.
+    pub fn end(&mut self) -> Vec<(StageId, Pid)> {
+        self.has_ended = true;
+        self.dying.extend(self.trial.take().and_then(|mut trial| trial.child.take()));
+        self.dying.extend(self.members.iter_mut().filter_map(|member| member.spare.as_mut()?.child.take()));
+        self.dying.iter_mut().for_each(|child| child.signal(Signal::KILL));
         for child in self.members.iter_mut().map(|member| &mut member.child) {
             child.signal(Signal::TERM);
             // A stopped process receives the request only when it continues.
             child.signal(Signal::CONT);
         }
         let start = Instant::now();
-        while self.members.iter_mut().any(|member| member.child.ended().is_none()) {
+        let is_alive = |child: &mut Child| child.ended().is_none();
+        while start.elapsed() < self.end_limit + KILL_LIMIT
+            && (self.members.iter_mut().any(|member| is_alive(&mut member.child))
+                || self.dying.iter_mut().any(is_alive))
+        {
             if start.elapsed() > self.end_limit {
-                for member in &mut self.members {
-                    member.child.signal(Signal::KILL);
-                }
+                self.members.iter_mut().for_each(|member| member.child.signal(Signal::KILL));
             }
             std::thread::sleep(LOOK);
         }
+        self.output.finish(OUTPUT_LIMIT);
+        let children = self.members.iter_mut().map(|member| &mut member.child).chain(&mut self.dying);
+        children.filter_map(|child| child.ended().is_none().then(|| (child.stage, child.pid()))).collect()
     }
 
     /// Describes the end of a stage that failed after a request to end.
@@ -322,6 +369,8 @@ impl Fleet {
 
 impl Drop for Fleet {
     fn drop(&mut self) {
-        self.end();
+        if !self.has_ended {
+            self.end();
+        }
     }
 }

@@ -2,12 +2,14 @@
 //!
 //! Every line goes through `tracing`, except the failure with which a command ends (`Failure::print`). A line
 //! of a stage was formatted by its own process and is relayed. While the table of a run is drawn, lines are
-//! printed above the table. Otherwise, they go to standard error.
+//! printed above the table. Otherwise, they go to standard error. In the launcher neither waits for the reader of
+//! the log: `streams` and `outlet`.
 
+use std::collections::BTreeMap;
 use std::io::Write;
 use std::process::Command;
-use std::sync::mpsc::{Receiver, Sender, channel};
-use std::sync::{Mutex, OnceLock, PoisonError};
+use std::sync::OnceLock;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use ports::{LAUNCHER_VARIABLE, LOG_VARIABLE, LogFormat, OUTPUT_TARGET};
@@ -15,6 +17,8 @@ use serde_json::{Map, Value};
 use wire::StageId;
 
 use crate::color;
+use crate::outlet::{BYTES_MAX, Origin, Queue};
+use crate::streams::{self, Stream};
 
 /// The events of the log unless `RUST_LOG` selects others: reports of the programs, and warnings of all other
 /// crates.
@@ -23,8 +27,11 @@ const EVENTS: &str = "warn,launch=info,stgdat_lab=info,trainer=info";
 /// The format of this process.
 static FORMAT: OnceLock<LogFormat> = OnceLock::new();
 
-/// Receives the lines while a table is drawn.
-static ABOVE_TABLE: Mutex<Option<Sender<String>>> = Mutex::new(None);
+/// Whether a table is drawn.
+static HAS_TABLE: AtomicBool = AtomicBool::new(false);
+
+/// Holds the lines until they are printed above the table.
+static ABOVE_TABLE: Queue = Queue::new(BYTES_MAX);
 
 /// The formats as the values of an argument.
 pub fn formats() -> impl TypedValueParser<Value = LogFormat> {
@@ -52,16 +59,21 @@ pub fn pass_on(command: &mut Command) -> &mut Command {
     command.env(LOG_VARIABLE, format().name())
 }
 
-/// Sends all further lines to the receiver.
-pub fn above_table() -> Receiver<String> {
-    let (sender, lines) = channel();
-    *ABOVE_TABLE.lock().unwrap_or_else(PoisonError::into_inner) = Some(sender);
-    lines
+/// Sends all further lines to [`lines_above`], or to standard error again.
+pub fn above_table(has_table: bool) {
+    HAS_TABLE.store(has_table, Ordering::Release);
 }
 
-/// Sends all further lines to standard error again.
-pub fn to_standard_error() {
-    *ABOVE_TABLE.lock().unwrap_or_else(PoisonError::into_inner) = None;
+/// Hands the lines above the table to `print`. They wait if it returns false.
+pub fn lines_above(print: impl FnOnce(&str) -> bool) {
+    ABOVE_TABLE.offer(|lines| print(String::from_utf8_lossy(lines).trim_end_matches('\n')));
+}
+
+/// Returns the numbers of lines that were discarded, because their reader is too slow or gone.
+pub fn lost() -> BTreeMap<Origin, u64> {
+    let mut lost = ABOVE_TABLE.lost();
+    streams::lost().into_iter().for_each(|(origin, lines)| *lost.entry(origin).or_default() += lines);
+    lost
 }
 
 /// Writes a line of a stage's output: as text with the stage's name before it, as JSON with the field
@@ -70,7 +82,7 @@ pub fn relay(stage: StageId, line: &str) {
     let line = match format() {
         LogFormat::Text => {
             let line = format!("{}: {line}", stage.name());
-            match color::choice().is_on(&std::io::stderr()) && !is_above_table() {
+            match color::choice().is_on(&std::io::stderr()) && !HAS_TABLE.load(Ordering::Acquire) {
                 true => color::with_level(&line).into_owned(),
                 false => line,
             }
@@ -80,7 +92,7 @@ pub fn relay(stage: StageId, line: &str) {
             None => return tracing::info!(target: OUTPUT_TARGET, stage = stage.name(), "{line}"),
         },
     };
-    write(&format!("{line}\n"));
+    write(Some(stage), &format!("{line}\n"));
 }
 
 /// The message of a stage's line.
@@ -102,19 +114,12 @@ fn with_stage(stage: StageId, line: &str) -> Option<Value> {
     Some(object.into())
 }
 
-fn is_above_table() -> bool {
-    ABOVE_TABLE.lock().unwrap_or_else(PoisonError::into_inner).is_some()
-}
-
-/// Writes whole lines. They are dropped if nobody can read them.
-fn write(text: &str) {
-    match &*ABOVE_TABLE.lock().unwrap_or_else(PoisonError::into_inner) {
-        Some(sender) => text.lines().for_each(|line| {
-            let _ = sender.send(line.to_owned());
-        }),
-        None => {
-            let _ = std::io::stderr().lock().write_all(text.as_bytes());
-        }
+/// Writes whole lines.
+pub fn write(origin: Origin, text: &str) {
+    if HAS_TABLE.load(Ordering::Acquire) {
+        ABOVE_TABLE.push(origin, text.into());
+    } else {
+        streams::write(Stream::Error, origin, text);
     }
 }
 
@@ -123,7 +128,7 @@ struct Output;
 
 impl Write for Output {
     fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
-        write(&String::from_utf8_lossy(bytes));
+        write(None, &String::from_utf8_lossy(bytes));
         Ok(bytes.len())
     }
 

@@ -276,7 +276,7 @@ impl Observer {
             let status = self.status(fleet, outages, true);
             metrics(&status, &self.measured)
         });
-        let of_metrics = metrics_file.zip(last).and_then(|(file, last)| file.finish(&last).err());
+        let of_metrics = metrics_file.zip(last).and_then(|(file, last)| file.finish(last).err());
         let of_trace = self.tracer.and_then(|(tracer, mut file)| {
             file.write(tracer.finish());
             file.finish().err()

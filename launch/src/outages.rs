@@ -4,9 +4,11 @@
 use std::collections::BTreeMap;
 
 use recorder::{Outage, Replacement, ReplacementOutcome, Supervision, Tick};
+use rustix::process::Pid;
 use wire::{Header, StageId, flags};
 
 use crate::fleet::Replaced;
+use crate::outlet::Origin;
 
 /// Maximum number of listed outages; further ones are only counted.
 const LISTED_MAX: usize = 2048;
@@ -125,6 +127,19 @@ impl Outages {
     /// Records that a stage got no CPU time.
     pub fn starved(&mut self, stage: StageId) {
         *self.record.starved.entry(stage.name().to_owned()).or_default() += 1;
+    }
+
+    /// Records the numbers of discarded lines so far. Returns the origins whose first lines were discarded.
+    pub fn lost_lines(&mut self, lost: BTreeMap<Origin, u64>) -> Vec<Origin> {
+        let name = |origin: Origin| origin.map_or("launcher", StageId::name).to_owned();
+        let mut is_new = |(origin, lines)| self.record.lost_lines.insert(name(origin), lines).is_none();
+        lost.into_iter().filter(|&entry| is_new(entry)).map(|(origin, _)| origin).collect()
+    }
+
+    /// Records a process that could not be killed.
+    pub fn not_ended(&mut self, stage: StageId, pid: Pid) {
+        let pid = pid.as_raw_nonzero().get().unsigned_abs();
+        self.record.not_ended.insert(stage.name().to_owned(), pid);
     }
 
     /// Records a setting of pipeline.toml that the system refused.

@@ -60,6 +60,15 @@ impl Usage {
     }
 }
 
+/// Returns the children of all threads of a process.
+pub fn children(pid: Pid) -> Vec<Pid> {
+    let threads = std::fs::read_dir(format!("/proc/{}/task", pid.as_raw_nonzero()));
+    let threads = threads.into_iter().flatten().filter_map(Result::ok);
+    let lists = threads.filter_map(|thread| std::fs::read_to_string(thread.path().join("children")).ok());
+    let pids = lists.collect::<String>();
+    pids.split_whitespace().filter_map(|pid| Pid::from_raw(pid.parse().ok()?)).collect()
+}
+
 /// Returns a process's private and shared memory in RAM, in bytes.
 pub fn memory(pid: Pid) -> Option<[u64; 2]> {
     let pages = std::fs::read_to_string(format!("/proc/{}/statm", pid.as_raw_nonzero())).ok()?;

@@ -11,7 +11,7 @@ use nn::kernels::{self, Isa};
 use run::Exit;
 
 use crate::failure::Failure;
-use crate::{color, log};
+use crate::{color, log, streams};
 
 /// This program in the kernel's view: the file that runs, even after an upgrade has replaced it.
 const RUNNING: &str = "/proc/self/exe";
@@ -127,12 +127,12 @@ pub(crate) fn verb_first(mut arguments: Vec<OsString>, is_verb: fn(&str) -> bool
 /// Prints the failure of a verb, if any, and returns the exit code.
 #[must_use]
 pub fn end(outcome: Result<Exit, Failure>) -> ExitCode {
-    outcome
-        .unwrap_or_else(|failure| {
-            failure.print();
-            failure.exit()
-        })
-        .into()
+    let exit = outcome.unwrap_or_else(|failure| {
+        failure.print();
+        failure.exit()
+    });
+    streams::finish();
+    exit.into()
 }
 
 #[cfg(test)]

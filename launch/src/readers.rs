@@ -5,7 +5,7 @@
 //! node. The clean-up helper may find a dead node first, so it reports each node before it removes the files.
 //! Each death is therefore counted exactly once.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::time::Duration;
 
 use ports::{NodeNumber, NodeProcess, NodeWatch};
@@ -22,6 +22,8 @@ const TRIES_MAX: u32 = 8;
 const PAUSE: Duration = Duration::from_millis(500);
 /// Time for which a node is remembered after its files are gone. A killed helper may leave some files behind.
 const KEPT: Duration = Duration::from_secs(10);
+/// Time for which a process of the launcher is remembered after its end.
+const OWN_KEPT: Duration = Duration::from_secs(60);
 /// Deaths that are logged one by one.
 const LOGGED_MAX: u64 = 10;
 /// Of further deaths, one in this many is logged.
@@ -34,8 +36,9 @@ pub struct Readers {
     looked: Duration,
     /// Dead nodes whose files are still there, or were a short time ago.
     dead: BTreeMap<NodeNumber, CleanUp>,
-    /// Processes that the launcher has started; their deaths do not count as deaths of readers.
-    own: BTreeSet<u32>,
+    /// Processes that the launcher has started, and when each was last seen. Their deaths do not count as deaths of
+    /// readers.
+    own: BTreeMap<u32, Duration>,
     deaths: u64,
 }
 
@@ -75,13 +78,13 @@ impl std::fmt::Display for DeadReader {
 impl Readers {
     /// Creates the readers of a run.
     pub fn new(run: &Run) -> Result<Self, Failure> {
-        let (dead, own) = (BTreeMap::new(), BTreeSet::new());
+        let (dead, own) = (BTreeMap::new(), BTreeMap::new());
         Ok(Self { watch: NodeWatch::new(run)?, looked: Duration::ZERO, dead, own, deaths: 0 })
     }
 
-    /// Registers processes that the launcher has started.
-    pub fn own(&mut self, pids: impl IntoIterator<Item = u32>) {
-        self.own.extend(pids);
+    /// Registers processes that the launcher has started and not replaced.
+    pub fn own(&mut self, pids: impl IntoIterator<Item = u32>, now: Duration) {
+        self.own.extend(pids.into_iter().map(|pid| (pid, now)));
     }
 
     /// Returns the number of dead readers.
@@ -109,6 +112,7 @@ impl Readers {
                 dead.iter().copied().filter(|number| !self.dead.contains_key(number)).collect();
             self.request_clean_ups(&dead, cleaner, now);
             self.dead.retain(|_, clean_up| now.saturating_sub(clean_up.seen) < KEPT);
+            self.own.retain(|_, seen| now.saturating_sub(*seen) < OWN_KEPT);
             if !new.is_empty() {
                 processes.extend(self.watch.processes(&new));
             }
@@ -133,7 +137,7 @@ impl Readers {
     /// Counts a dead node, unless it was counted before or belongs to the launcher.
     fn count(&mut self, number: NodeNumber, process: &NodeProcess) -> Option<DeadReader> {
         let clean_up = self.dead.get_mut(&number)?;
-        if std::mem::replace(&mut clean_up.is_counted, true) || self.own.contains(&process.pid) {
+        if std::mem::replace(&mut clean_up.is_counted, true) || self.own.contains_key(&process.pid) {
             return None;
         }
         self.deaths += 1;

@@ -1,6 +1,7 @@
 //! Reports to systemd, if it has started this process as a service of `Type=notify`: ready, status, watchdog.
 
 use std::collections::BTreeMap;
+use std::io;
 use std::time::{Duration, Instant};
 
 use run::Run;
@@ -8,6 +9,13 @@ use rustix::process::{Resource, getrlimit};
 use sd_notify::{NotifyState, notify, watchdog_enabled};
 use wire::{Heartbeat, StageId};
 
+use crate::failure::Failure;
+use crate::outlet::Outlet;
+
+/// Most bytes of reports that wait for systemd.
+const WAITING_MAX: usize = 4096;
+/// Time for systemd to take the last report.
+const END_LIMIT: Duration = Duration::from_millis(200);
 /// Interval between reports of the status.
 const STATUS_INTERVAL: Duration = Duration::from_secs(1);
 
@@ -45,16 +53,38 @@ pub struct Service {
     watchdog: Option<Duration>,
     is_ready: bool,
     reported: Instant,
+    reports: Outlet,
+}
+
+/// Sends each piece as one report. It waits while systemd does not read.
+struct Systemd;
+
+impl io::Write for Systemd {
+    fn write(&mut self, report: &[u8]) -> io::Result<usize> {
+        // systemd may be restarting; the next report follows.
+        let _ = notify(&[NotifyState::Custom(&String::from_utf8_lossy(report))]);
+        Ok(report.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
 }
 
 impl Service {
     /// Creates the reports if systemd waits for them.
-    pub fn of_environment(run: &Run, now: Instant) -> Option<Self> {
-        std::env::var_os("NOTIFY_SOCKET")?;
+    ///
+    /// # Errors
+    /// [`Failure::Unavailable`] if their thread can't be started.
+    pub fn of_environment(run: &Run, now: Instant) -> Result<Option<Self>, Failure> {
+        if std::env::var_os("NOTIFY_SOCKET").is_none() {
+            return Ok(None);
+        }
+        let reports = Outlet::open("systemd", WAITING_MAX, Systemd).map_err(Failure::unavailable)?;
         let built_in = run.stages.iter().filter(|stage| stage.built_in);
         let stages = built_in.filter_map(|stage| StageId::from_number(stage.stage));
         let heard = stages.map(|stage| (stage, now)).collect();
-        Some(Self { heard, watchdog: watchdog_enabled(), is_ready: false, reported: now })
+        Ok(Some(Self { heard, watchdog: watchdog_enabled(), is_ready: false, reported: now, reports }))
     }
 
     /// Reports that the run is ready once the first tick has passed all stages. Then reports its status each
@@ -75,12 +105,14 @@ impl Service {
             return;
         }
         (self.is_ready, self.reported) = (true, now);
-        let status = status();
-        let mut states = vec![NotifyState::Status(&status)];
-        states.extend(becomes_ready.then_some(NotifyState::Ready));
-        states.extend(self.is_alive(now).then_some(NotifyState::Watchdog));
-        // systemd may be restarting; the next report follows.
-        let _ = notify(&states);
+        let mut report = format!("STATUS={}", status());
+        if becomes_ready {
+            report += "\nREADY=1";
+        }
+        if self.is_alive(now) {
+            report += "\nWATCHDOG=1";
+        }
+        self.reports.push(None, report.into());
     }
 
     /// Whether every stage was heard within half of the watchdog's time.
@@ -92,7 +124,8 @@ impl Service {
 
 impl Drop for Service {
     fn drop(&mut self) {
-        let _ = notify(&[NotifyState::Stopping]);
+        self.reports.push(None, b"STOPPING=1".to_vec());
+        self.reports.flush(END_LIMIT);
     }
 }
 
@@ -106,7 +139,8 @@ mod tests {
         let at = |ms| begun + Duration::from_millis(ms);
         let heard = [StageId::Decoder, StageId::Sampler].map(|stage| (stage, begun)).into();
         let watchdog = Some(Duration::from_secs(2));
-        let mut service = Service { heard, watchdog, is_ready: true, reported: begun };
+        let reports = Outlet::open("test", WAITING_MAX, io::sink()).unwrap();
+        let mut service = Service { heard, watchdog, is_ready: true, reported: begun, reports };
         let beat = |stage: StageId| Heartbeat { stage: stage.number(), ..bytemuck::Zeroable::zeroed() };
         service.tend(&[beat(StageId::Decoder)], true, String::new, at(900));
         assert!(service.is_alive(at(999)) && !service.is_alive(at(1_000)), "the sampler is silent");

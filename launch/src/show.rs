@@ -8,6 +8,7 @@ use std::path::Path;
 use run::Exit;
 
 use crate::failure::Failure;
+use crate::streams::{self, Stream};
 
 /// Prints a line on standard output. The line is dropped if nobody can read it.
 #[macro_export]
@@ -34,7 +35,6 @@ pub fn is_read(written: std::io::Result<()>) -> std::io::Result<bool> {
 
 /// As [`say!`].
 pub fn say(line: Arguments<'_>) {
-    let mut output = std::io::stdout().lock();
     // The verb's work is done, even if nobody reads the output.
-    let _ = writeln!(output, "{line}").and_then(|()| output.flush());
+    let _ = streams::write(Stream::Output, None, &format!("{line}\n"));
 }

@@ -1,7 +1,7 @@
 //! A terminal: a table below the printed lines, or a whole screen with keys.
 
 use std::fs::File;
-use std::io::{self, IsTerminal, Read, Write, stdout};
+use std::io::{self, IsTerminal, Read, stdout};
 use std::time::Duration;
 
 use crate::screen::Line;
@@ -10,6 +10,7 @@ use rustix::io::Errno;
 use rustix::termios::{OptionalActions, Termios, tcgetattr, tcgetwinsize, tcsetattr};
 
 use crate::color;
+use crate::streams::{self, Stream};
 
 /// Size that is assumed if the terminal does not report one.
 const SIZE: [usize; 2] = [80, 24];
@@ -33,11 +34,9 @@ pub fn size() -> [usize; 2] {
     size.map_or(SIZE, |size| [size.ws_col.into(), size.ws_row.into()])
 }
 
-/// Writes to standard output. Errors are ignored: the terminal may be closed, and no caller depends on the
-/// output.
-fn write(text: &str) {
-    let mut output = stdout().lock();
-    let _ = output.write_all(text.as_bytes()).and_then(|()| output.flush());
+/// Writes to standard output. Returns false if the text is discarded: the terminal may be closed or stopped.
+fn write(text: &str) -> bool {
+    streams::write(Stream::Output, None, text)
 }
 
 /// A table at the bottom of the terminal, below the lines that were printed.
@@ -54,23 +53,24 @@ impl Table {
         (stdout().is_terminal() && !is_dumb).then(Self::default)
     }
 
-    /// Replaces the lines of the table.
+    /// Replaces the lines of the table, unless the terminal is stopped.
     pub fn draw(&mut self, lines: &[Line]) {
         let ([width, height], is_styled) = (size(), color::choice().is_on(&stdout()));
         let lines = lines.iter().take(height.saturating_sub(1));
-        let lines = lines.map(|line| line.paint(width, is_styled)).collect();
-        let before = std::mem::replace(&mut self.shown, lines).len();
-        write(&repaint(before, None, &self.shown));
+        let lines: Vec<String> = lines.map(|line| line.paint(width, is_styled)).collect();
+        if write(&repaint(self.shown.len(), None, &lines)) {
+            self.shown = lines;
+        }
     }
 
-    /// Prints a line above the table.
-    pub fn print(&self, line: &str) {
-        write(&repaint(self.shown.len(), Some(line), &self.shown));
+    /// Prints lines above the table. Returns false if the terminal is stopped.
+    pub fn print(&self, lines: &str) -> bool {
+        write(&repaint(self.shown.len(), Some(lines), &self.shown))
     }
 
     /// Removes the table.
     pub fn close(&self) {
-        write(&(repaint(self.shown.len(), None, &[]) + SHOW_CURSOR));
+        let _ = write(&(repaint(self.shown.len(), None, &[]) + SHOW_CURSOR));
     }
 }
 

@@ -1,12 +1,11 @@
-use std::sync::mpsc::Receiver;
 use std::time::{Duration, Instant};
 
 use ports::{Beside, Node, Peers, Subscriber};
 use recorder::status::RunStatus;
 use run::Run;
+use rustix::process::Pid;
 use wire::{ForecastsTopic, Header, Heartbeat, HeartbeatsTopic, StageId, Topic};
 
-use crate::child::Line;
 use crate::failure::Failure;
 use crate::fleet::{Event, Fleet};
 use crate::log;
@@ -41,8 +40,8 @@ pub struct Watch {
 /// How the progress is shown.
 #[derive(Debug)]
 enum Display {
-    /// A table at the bottom of the terminal, and the lines of the log that go above it.
-    Table(Table, Receiver<String>),
+    /// A table at the bottom of the terminal. The lines of the log go above it.
+    Table(Table),
     /// A line per second in the log.
     Lines,
     /// No display.
@@ -73,18 +72,27 @@ impl Watch {
 
     /// Sleeps until a heartbeat, the end of a process, or half an update interval. Then shows the received
     /// data.
-    pub fn follow(
-        &mut self,
-        lines: impl Iterator<Item = Line>,
-        fleet: &Fleet,
-    ) -> Result<Vec<Heartbeat>, Failure> {
+    pub fn follow(&mut self, fleet: &Fleet) -> Result<Vec<Heartbeat>, Failure> {
         self.peers.heartbeats().sleep_or(&fleet.descriptors(), SLEEP)?;
         let heartbeats = self.peers.listen()?;
         heartbeats.iter().for_each(|heartbeat| self.observer.heartbeat(heartbeat));
         self.take_forecasts()?;
-        lines.for_each(|(stage, line)| log::relay(stage, &line));
+        self.count_lost_lines(fleet);
         self.show(fleet);
         Ok(heartbeats)
+    }
+
+    /// Counts the discarded lines of the log. The first loss of each origin is an event.
+    fn count_lost_lines(&mut self, fleet: &Fleet) {
+        let mut lost = log::lost();
+        for (stage, lines) in fleet.lost_lines() {
+            *lost.entry(Some(stage)).or_default() += lines;
+        }
+        for origin in self.outages.lost_lines(lost) {
+            let whose = origin.map_or("launcher", StageId::name);
+            self.observer
+                .report(format!("lines of the {whose} are missing in the log: too many, or nobody reads"));
+        }
     }
 
     /// Answers questions of tools about the run.
@@ -136,7 +144,10 @@ impl Watch {
             Event::Tried(replaced) => self.outages.tried(replaced),
             Event::Promoted { stage } => self.outages.promoted(*stage),
             Event::Starved { stage } => self.outages.starved(*stage),
-            Event::CleanUpHung(_) | Event::ReaderDied(_) | Event::SpareGivenUp { .. } => {}
+            Event::CannotDie { .. }
+            | Event::CleanUpHung(_)
+            | Event::ReaderDied(_)
+            | Event::SpareGivenUp { .. } => {}
         }
     }
 
@@ -159,7 +170,7 @@ impl Watch {
 
     fn show(&mut self, fleet: &Fleet) {
         let every = match self.display {
-            Display::Table(..) => UPDATE,
+            Display::Table(_) => UPDATE,
             Display::Lines if self.ticks() > self.printed_ticks => LINE,
             Display::Lines | Display::Quiet => return,
         };
@@ -170,8 +181,8 @@ impl Watch {
         self.printed_ticks = self.ticks();
         let status = self.status(fleet);
         match &mut self.display {
-            Display::Table(table, above) => {
-                above.try_iter().for_each(|line| table.print(&line));
+            Display::Table(table) => {
+                log::lines_above(|lines| table.print(lines));
                 let [width, height] = terminal::size();
                 let view = View::new(status, SortBy::Chain, None);
                 table.draw(&view.table(width, ROWS.min(height.saturating_sub(1))));
@@ -180,14 +191,18 @@ impl Watch {
         }
     }
 
-    /// Shows the last lines, clears the table and restores the cursor. Returns the costs of outages, and
-    /// failures of files about the run.
-    pub fn close(self, lines: impl Iterator<Item = Line>, fleet: &Fleet) -> (Outages, Vec<Failure>) {
+    /// Shows the last lines, clears the table and restores the cursor. `undead` are the processes that did not end.
+    /// Returns the costs of outages, and failures of files about the run.
+    pub fn close(mut self, undead: &[(StageId, Pid)], fleet: &Fleet) -> (Outages, Vec<Failure>) {
+        for &(stage, pid) in undead {
+            self.say(&Event::CannotDie { stage, pid });
+            self.outages.not_ended(stage, pid);
+        }
+        self.count_lost_lines(fleet);
         let unwritten = self.observer.close(fleet, &self.outages);
-        lines.for_each(|(stage, line)| log::relay(stage, &line));
-        log::to_standard_error();
-        if let Display::Table(table, above) = &self.display {
-            above.try_iter().for_each(|line| table.print(&line));
+        log::above_table(false);
+        if let Display::Table(table) = &self.display {
+            log::lines_above(|lines| table.print(lines));
             table.close();
         }
         (self.outages, unwritten)
@@ -196,6 +211,8 @@ impl Watch {
 
 impl Display {
     fn for_output() -> Self {
-        Table::on_output().map_or(Self::Lines, |table| Self::Table(table, log::above_table()))
+        let table = Table::on_output();
+        log::above_table(table.is_some());
+        table.map_or(Self::Lines, Self::Table)
     }
 }

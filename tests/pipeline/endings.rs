@@ -20,7 +20,7 @@ fn lives(pid: Pid) -> bool {
 
 /// Whether this process ignores a signal, such as SIGHUP under `nohup`, or SIGINT in the background of a script.
 /// Programs that it starts then ignore the signal too.
-fn ignores(signal: Signal) -> bool {
+pub fn ignores(signal: Signal) -> bool {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let ignored = status.lines().find_map(|line| line.strip_prefix("SigIgn:")).map(str::trim);
     let mask = ignored.and_then(|mask| u64::from_str_radix(mask, 16).ok()).unwrap_or(0);

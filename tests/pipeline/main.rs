@@ -26,6 +26,7 @@ mod shedding;
 mod soak;
 mod spares;
 mod started;
+mod stuck;
 mod torn;
 mod tracks;
 mod wire_layout;

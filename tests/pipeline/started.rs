@@ -74,8 +74,10 @@ impl Started {
 
     /// The child processes, with their command lines.
     fn children(&self) -> Vec<(Pid, Vec<String>)> {
-        let children = format!("/proc/{0}/task/{0}/children", self.0.id());
-        let Ok(children) = std::fs::read_to_string(children) else { return Vec::new() };
+        // Each thread of the launcher has its own children.
+        let threads = std::fs::read_dir(format!("/proc/{}/task", self.0.id())).into_iter().flatten();
+        let lists = threads.filter_map(|of| std::fs::read_to_string(of.ok()?.path().join("children")).ok());
+        let children: String = lists.collect();
         let pids = children.split_whitespace().filter_map(|pid| pid.parse().ok());
         pids.filter_map(|pid: i32| {
             let line = std::fs::read_to_string(format!("/proc/{pid}/cmdline")).ok()?;

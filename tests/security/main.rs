@@ -122,8 +122,10 @@ fn assert_well(output: &Output, about: &str) {
 fn stage(run: &Child, name: &str, but: Option<u32>) -> u32 {
     let begun = Instant::now();
     loop {
-        let children = std::fs::read_to_string(format!("/proc/{0}/task/{0}/children", run.id()));
-        let children = children.expect("the run lasts longer");
+        // Each thread of the launcher has its own children.
+        let threads = std::fs::read_dir(format!("/proc/{}/task", run.id())).expect("the run lasts longer");
+        let lists = threads.filter_map(|of| std::fs::read_to_string(of.ok()?.path().join("children")).ok());
+        let children: String = lists.collect();
         let is_it = |pid: &u32| {
             let line = std::fs::read(format!("/proc/{pid}/cmdline")).unwrap_or_default();
             line.split(|&byte| byte == 0).any(|word| word == name.as_bytes())

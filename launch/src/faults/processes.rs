@@ -3,7 +3,7 @@
 use std::io::{BufRead as _, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
-use std::sync::mpsc::Sender;
+use std::sync::mpsc::SyncSender;
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
@@ -17,11 +17,13 @@ use crate::failure::Failure;
 use crate::faults::effect::Random;
 use crate::faults::spec::Resource;
 use crate::health::look;
-use crate::processes::memory;
+use crate::processes::{children, memory};
 use crate::program;
 
 /// Time that a process has to end after a request.
 const END_LIMIT: Duration = Duration::from_secs(3);
+/// Interval between checks for the end of an output.
+const LOOK: Duration = Duration::from_millis(1);
 
 /// Returns a command that starts this program as another process, which dies with this one.
 pub fn this_program() -> Result<Command, Failure> {
@@ -40,7 +42,7 @@ pub struct Writer {
 
 impl Writer {
     /// Starts `stgdat fault …` and forwards its lines.
-    pub fn start(arguments: &[&str], record: &Path, lines: &Sender<Line>) -> Result<Self, Failure> {
+    pub fn start(arguments: &[&str], record: &Path, lines: &SyncSender<Line>) -> Result<Self, Failure> {
         let mut command = this_program()?;
         command.arg("fault").args(arguments).arg("--run").arg(record);
         let mut child = command.stdout(Stdio::piped()).spawn().map_err(Failure::unavailable)?;
@@ -48,9 +50,11 @@ impl Writer {
         let reader = output.map(|output| {
             std::thread::spawn(move || {
                 for text in BufReader::new(output).lines().map_while(Result::ok) {
-                    // Lines that are not history are ignored. The receiver lives as long as this thread.
-                    if let Ok(line) = serde_json::from_str(&text) {
-                        let _ = lines.send(line);
+                    // Lines that are not history are ignored. The process waits while the receiver is busy.
+                    if let Ok(line) = serde_json::from_str(&text)
+                        && lines.send(line).is_err()
+                    {
+                        return;
                     }
                 }
             })
@@ -64,8 +68,10 @@ impl Drop for Writer {
         // Fails only if the process has already ended.
         let _ = kill_process(Pid::from_child(&self.child), Signal::TERM);
         end_within(&mut self.child, END_LIMIT);
-        if let Some(reader) = self.reader.take() {
-            let _ = reader.join();
+        // Another process may hold the pipe open.
+        let (begun, reader) = (Instant::now(), self.reader.take());
+        while reader.as_ref().is_some_and(|reader| !reader.is_finished()) && begun.elapsed() < END_LIMIT {
+            std::thread::sleep(LOOK);
         }
     }
 }
@@ -77,7 +83,7 @@ pub struct Mortal {
     record: PathBuf,
     within_ms: [u64; 2],
     random: Random,
-    lines: Sender<Line>,
+    lines: SyncSender<Line>,
     writer: Writer,
     until: Instant,
     /// Number of times that it ended by itself, which happens if it can't read its topic.
@@ -91,7 +97,7 @@ impl Mortal {
         record: &Path,
         within_ms: [u64; 2],
         mut random: Random,
-        lines: &Sender<Line>,
+        lines: &SyncSender<Line>,
     ) -> Result<Self, Failure> {
         let (writer, until) = begin(&arguments, record, within_ms, &mut random, lines)?;
         let (record, lines) = (record.to_owned(), lines.clone());
@@ -118,7 +124,7 @@ fn begin(
     record: &Path,
     [shortest, longest]: [u64; 2],
     random: &mut Random,
-    lines: &Sender<Line>,
+    lines: &SyncSender<Line>,
 ) -> Result<(Writer, Instant), Failure> {
     let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
     let until = Instant::now() + Duration::from_millis(shortest + random.below(longest - shortest + 1));
@@ -147,12 +153,7 @@ impl Launcher {
 
     /// The processes of its stages.
     pub fn stages(&self) -> Vec<(Pid, StageId)> {
-        let pid = self.pid().as_raw_nonzero();
-        let Ok(children) = std::fs::read_to_string(format!("/proc/{pid}/task/{pid}/children")) else {
-            return Vec::new();
-        };
-        let pids = children.split_whitespace().filter_map(|pid| Pid::from_raw(pid.parse().ok()?));
-        pids.filter_map(|pid| Some((pid, stage_of(pid)?))).collect()
+        children(self.pid()).into_iter().filter_map(|pid| Some((pid, stage_of(pid)?))).collect()
     }
 
     /// The process of a stage.

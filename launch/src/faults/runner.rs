@@ -6,7 +6,7 @@ use std::io::{BufRead as _, BufReader, Write as _};
 use std::os::unix::process::ExitStatusExt as _;
 use std::path::{Path, PathBuf};
 use std::process::{Child, ExitStatus, Stdio};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::time::{Duration, Instant};
 
 use crate::checker::Line;
@@ -17,6 +17,7 @@ use rustix::process::{Pid, Signal, kill_process};
 use serde::Serialize;
 use wire::StageId;
 
+use crate::child::end_within;
 use crate::failure::Failure;
 use crate::faults::effect::TopicFault;
 use crate::faults::plan::{arguments, pipeline, points};
@@ -30,6 +31,13 @@ use crate::faults::verdict::{Check, Cost, Observation, Outcome, judge};
 const LAST_TICKS: u64 = 25;
 /// Interval between checks of the run.
 const LOOK: Duration = Duration::from_millis(2);
+/// Most lines of the history that wait for the runner. Their writers wait then.
+const WAITING_MAX: usize = 1 << 14;
+/// Most lines of a history: the ticks of a day with two lines of each stage. Further lines are not kept, so the
+/// run fails.
+const HISTORY_MAX: usize = 16 << 20;
+/// Time for a killed launcher, and for a command that waits for the launcher, to end.
+const KILL_LIMIT: Duration = Duration::from_secs(10);
 /// Time without a sign of life, in addition to injected pauses, after which the run is killed.
 const SILENCE_LIMIT: Duration = Duration::from_secs(120);
 /// Interval between measurements of the run's resources.
@@ -122,7 +130,7 @@ struct Session<'a> {
     begun: Instant,
     /// When the first process of each stage was seen.
     started: BTreeMap<StageId, Instant>,
-    sender: Sender<Line>,
+    sender: SyncSender<Line>,
     lines: Receiver<Line>,
     /// The run once it is announced, with the follower and injectors.
     run: Option<(Run, Vec<Writer>)>,
@@ -162,7 +170,7 @@ impl<'a> Session<'a> {
             .stderr(log.try_clone().map_err(|error| Failure::file(folder, error))?)
             .stdout(log);
         let launcher = Launcher::new(command.spawn().map_err(Failure::unavailable)?);
-        let (sender, lines) = channel();
+        let (sender, lines) = sync_channel(WAITING_MAX);
         Ok(Self {
             spec,
             folder,
@@ -205,6 +213,9 @@ impl<'a> Session<'a> {
             self.look();
             if sign.elapsed() > SILENCE_LIMIT {
                 let _ = kill_process(self.launcher.pid(), Signal::KILL);
+            }
+            if sign.elapsed() > SILENCE_LIMIT + KILL_LIMIT {
+                return Err(Failure::Failed("the launcher is silent and can't be killed".to_owned()));
             }
         };
         self.gather(status)
@@ -276,7 +287,9 @@ impl<'a> Session<'a> {
             _ => None,
         };
         self.tick = self.tick.max(tick);
-        self.seen.lines.push(line);
+        if self.seen.lines.len() < HISTORY_MAX {
+            self.seen.lines.push(line);
+        }
     }
 
     /// Executes the due actions.
@@ -378,7 +391,13 @@ impl<'a> Session<'a> {
         self.seen.exit = status.code().unwrap_or_else(|| -status.signal().unwrap_or(0));
         self.seen.failed_consumers = self.mortals.drain(..).map(|mortal| mortal.failures).sum();
         let run = self.run.take().map(|(run, writers)| {
-            drop(writers);
+            // Their last lines need room.
+            let ending = std::thread::spawn(move || drop(writers));
+            while !ending.is_finished() {
+                if let Ok(line) = self.lines.recv_timeout(LOOK) {
+                    self.take(line);
+                }
+            }
             run
         });
         while let Ok(line) = self.lines.try_recv() {
@@ -386,8 +405,9 @@ impl<'a> Session<'a> {
         }
         for (stage, mut verb) in self.replacing.drain(..) {
             // The command ends with the launcher at the latest.
-            let status = verb.wait().map_err(Failure::unavailable)?;
-            let (stage, exit) = (stage.name().to_owned(), status.code().unwrap_or(-1));
+            let status = end_within(&mut verb, KILL_LIMIT);
+            let exit = status.and_then(|status| status.code()).unwrap_or(-1);
+            let stage = stage.name().to_owned();
             self.seen.lines.push(Line::Replaced { stage, exit });
         }
         // A launcher may be killed before its run is announced.

@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use recorder::{ReplacementOutcome, program_name};
 use recording::Happened;
+use rustix::process::Pid;
 use wire::StageId;
 
 use crate::cleaner::Hung;
@@ -94,6 +95,13 @@ pub enum Event {
         /// The stage.
         stage: StageId,
     },
+    /// A killed process does not end, because it is in a system call that does not end.
+    CannotDie {
+        /// The stage.
+        stage: StageId,
+        /// The process.
+        pid: Pid,
+    },
     /// A clean-up after dead processes timed out and will be retried.
     CleanUpHung(Hung),
     /// A process that read topics and is not a stage has died.
@@ -112,6 +120,10 @@ impl fmt::Display for Event {
         match self {
             Self::HandedOver(replaced) | Self::Tried(replaced) => write!(f, "{replaced}"),
             Self::Promoted { stage } => write!(f, "the spare of the {} takes its place", stage.name()),
+            Self::CannotDie { stage, pid } => {
+                let (stage, pid) = (stage.name(), pid.as_raw_nonzero());
+                write!(f, "the {stage} (process {pid}) was killed but does not end: the kernel holds it")
+            }
             Self::CleanUpHung(hung) => write!(f, "{hung}"),
             Self::ReaderDied(reader) => write!(f, "{reader}"),
             Self::SpareGivenUp { stage, how } => write!(f, "the {}: {how}", stage.name()),
@@ -145,6 +157,7 @@ impl Event {
             Self::Starved { stage } => Happened::Starved { stage: name(stage) },
             Self::HandedOver(_)
             | Self::Promoted { .. }
+            | Self::CannotDie { .. }
             | Self::CleanUpHung(_)
             | Self::ReaderDied(_)
             | Self::SpareGivenUp { .. } => return None,

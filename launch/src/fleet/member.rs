@@ -9,7 +9,7 @@ use wire::StageId;
 
 use super::event::Event;
 use super::spare::Spare;
-use crate::child::{Child, Program};
+use crate::child::{Child, Program, how_of};
 use crate::config::Restart;
 use crate::failure::{Failure, StageDeath};
 use crate::health::{Finding, Health, look};
@@ -68,13 +68,21 @@ impl Member {
         if end != End::Done && !is_restartable {
             return Err(self.child.death(status).into());
         }
+        self.handle_end(end, how_of(status), Some(status), now)
+    }
+
+    /// Records the end of the process, or a start that failed and has no `status`.
+    pub(super) fn handle_end(
+        &mut self,
+        end: End,
+        how: String,
+        status: Option<ExitStatus>,
+        now: Duration,
+    ) -> Result<Option<Event>, Failure> {
         let stage = self.stage;
         match self.supervision.ended(end, now) {
             State::Waiting { .. } => {
-                let mut how = match self.killed_for {
-                    Some(why) => why.to_owned(),
-                    None => self.child.death(status).how,
-                };
+                let mut how = self.killed_for.map_or(how, str::to_owned);
                 if end == End::NoRoom {
                     how += ", without room in shared memory or for the run's folder";
                 }
@@ -84,14 +92,12 @@ impl Member {
             State::GivenUp { why }
                 if matches!(stage, StageId::Source | StageId::Tracker | StageId::Sampler) =>
             {
-                let mut death = self.child.death(status);
+                let no_process = StageDeath { stage, how, exit: None, last_lines: Vec::new() };
+                let mut death = status.map_or(no_process, |status| self.child.death(status));
                 death.how += &format!(" and is given up: {why}");
                 Err(death.into())
             }
-            State::GivenUp { why } => {
-                let StageDeath { how, .. } = self.child.death(status);
-                Ok(Some(Event::GivenUp { stage, how, why }))
-            }
+            State::GivenUp { why } => Ok(Some(Event::GivenUp { stage, how, why })),
             State::Running { .. } | State::Done => Ok(None),
         }
     }

@@ -27,6 +27,9 @@ const END_LIMIT: Duration = Duration::from_millis(80);
 const READY_TICKS: u64 = 2;
 /// Maximum time between the two if no ticks arrive.
 const READY_LIMIT: Duration = Duration::from_millis(400);
+/// Maximum time for the hand-over, in which no other stage is supervised: the old process is asked to end, killed
+/// and cleaned up.
+const HAND_OVER_LIMIT: Duration = Duration::from_millis(500);
 /// Interval between checks of an ending process.
 const LOOK: Duration = Duration::from_millis(1);
 
@@ -84,8 +87,8 @@ impl Fleet {
         let program = self.program(member, order, incarnation).map_err(failed)?;
         let socket = control::path(&self.run);
         let (run, record) = (&self.run, &self.record);
-        let child = Child::start(stage, &program, incarnation, run, record, &self.sender, Some(&socket))
-            .map_err(failed)?;
+        let child = Child::start(stage, &program, incarnation, run, record, &self.output, Some(&socket))
+            .map_err(|error| failed(error.into()))?;
         Ok((stage, program, child, incarnation, member.supervision.policy().start_limit))
     }
 
@@ -162,19 +165,23 @@ impl Fleet {
             if let Some(status) = member.child.ended() {
                 break status;
             }
+            if begun.elapsed() > HAND_OVER_LIMIT {
+                return Ok(self.reject("was not used: the old one does not end".to_owned()));
+            }
             if begun.elapsed() > END_LIMIT {
                 member.child.signal(Signal::KILL);
             }
             std::thread::sleep(LOOK);
         };
         // A process that ends by itself releases its places on the topics. After any other end a clean-up is
-        // needed.
+        // needed. If it takes too long, the new process waits for its places.
         if !status.success() {
             let ticket = self.cleaner.ticket();
-            while !self.cleaner.is_done(ticket) {
+            while !self.cleaner.is_done(ticket) && begun.elapsed() < HAND_OVER_LIMIT {
                 self.cleaner.tend(ticket, self.begun.elapsed())?;
                 std::thread::sleep(LOOK);
             }
+            self.swept = ticket;
         }
         let Some(child) = trial.child.take() else { return Ok(None) };
         // If the new process is gone, its end is handled like any other.
@@ -237,10 +244,19 @@ impl Fleet {
                 None => return None,
             },
         };
-        let trial = self.trial.take()?;
+        self.reject(cause)
+    }
+
+    /// Ends a replacement whose new process is not used.
+    fn reject(&mut self, cause: String) -> Option<Event> {
+        let mut trial = self.trial.take()?;
+        let member = self.members.iter().find(|member| member.stage == trial.stage)?;
         let incarnation = member.supervision.incarnation();
-        // The new process held places on the topics that it reads.
-        self.swept = self.cleaner.ticket();
+        if let Some(mut child) = trial.child.take() {
+            child.signal(Signal::KILL);
+            // It holds places on the topics that it reads until it is dead and cleaned up.
+            self.dying.push(child);
+        }
         Some(trial.conclude(ReplacementOutcome::NotUsed, incarnation, cause))
     }
 }

@@ -12,15 +12,13 @@ use recorder::SpareReport;
 use run::Exit;
 use rustix::process::Signal;
 
-use crate::child::Child;
+use crate::child::{Child, how_of};
 use crate::control::Client;
 use crate::policy::{End, State, Supervision};
 use crate::processes::memory;
 
 /// Interval between checks of a spare's memory.
 const LOOK: Duration = Duration::from_secs(1);
-/// Interval between checks of a killed process.
-const PAUSE: Duration = Duration::from_millis(1);
 
 /// The spare of a stage.
 #[derive(Debug)]
@@ -81,16 +79,13 @@ impl Spare {
         Some(child)
     }
 
-    /// Ends the spare's process. Returns whether there was one.
-    pub fn dismiss(&mut self, now: Duration) -> bool {
+    /// Kills the spare's process, if there is one, and returns it.
+    pub fn dismiss(&mut self, now: Duration) -> Option<Child> {
         self.turn = None;
-        let Some(mut child) = self.child.take() else { return false };
+        let mut child = self.child.take()?;
         child.signal(Signal::KILL);
-        while child.ended().is_none() {
-            std::thread::sleep(PAUSE);
-        }
         self.supervision.rolled_back(now);
-        true
+        Some(child)
     }
 
     /// Handles the report of a warm process, if it comes from this spare.
@@ -128,9 +123,7 @@ impl Spare {
         let is_config = status.code() == Some(Exit::Config as i32) && has_files();
         let end = if is_config { End::Config } else { End::Failure };
         let how = match self.supervision.ended(end, now) {
-            State::GivenUp { why } => {
-                Some(format!("its spare {} and is given up: {why}", child.death(status).how))
-            }
+            State::GivenUp { why } => Some(format!("its spare {} and is given up: {why}", how_of(status))),
             _ => None,
         };
         (self.child, self.turn) = (None, None);

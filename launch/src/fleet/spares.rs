@@ -2,7 +2,6 @@
 
 use std::collections::BTreeMap;
 use std::path::Path;
-use std::sync::mpsc::Sender;
 use std::time::Duration;
 
 use recorder::SpareReport;
@@ -13,10 +12,11 @@ use super::Fleet;
 use super::event::Event;
 use super::member::{Member, STOPPED};
 use super::spare::Spare;
-use crate::child::{Child, Line};
+use crate::child::{Child, StartError};
 use crate::control::{self, Client};
 use crate::failure::Failure;
-use crate::policy::State;
+use crate::policy::{End, State};
+use crate::stage_output::StageOutput;
 
 /// Time from the start of a stage's process to the start of its spare: five ticks. The two processes then do
 /// not compete for processors while the stage catches up.
@@ -63,9 +63,7 @@ impl Fleet {
             let Some(spare) = &mut member.spare else { continue };
             let has_stage = matches!(state, State::Running { .. } | State::Waiting { .. });
             if is_tried || !has_stage {
-                if spare.dismiss(now) {
-                    spare.ticket = self.cleaner.ticket();
-                }
+                self.dying.extend(spare.dismiss(now));
                 continue;
             }
             let stopped = if stopped > STOPPED { stopped } else { Duration::ZERO };
@@ -77,8 +75,10 @@ impl Fleet {
             let is_settled = matches!(state, State::Running { since, linked: true }
                 if now.saturating_sub(since) > SETTLED);
             let is_due = spare.child.is_none() && spare.supervision.is_due(now);
-            if is_settled && is_due && self.cleaner.is_done(spare.ticket) {
-                member.start_spare(&self.run, &self.record, &self.sender, &socket, now)?;
+            // A dismissed spare holds its places until it is dead and cleaned up.
+            let is_clean = self.dying.is_empty() && self.cleaner.is_done(spare.ticket.max(self.swept));
+            if is_settled && is_due && is_clean {
+                member.start_spare(&self.run, &self.record, &self.output, &socket, now)?;
             }
         }
         Ok(events)
@@ -90,12 +90,25 @@ impl Member {
         &mut self,
         run: &Run,
         record: &Path,
-        lines: &Sender<Line>,
+        output: &StageOutput,
         socket: &Path,
         now: Duration,
     ) -> Result<(), Failure> {
         let incarnation = self.supervision.incarnation() + 1;
-        let child = Child::start(self.stage, &self.program, incarnation, run, record, lines, Some(socket))?;
+        let started = Child::start(self.stage, &self.program, incarnation, run, record, output, Some(socket));
+        let child = match started {
+            Ok(child) => child,
+            Err(StartError::Failed(failure)) => return Err(failure),
+            Err(StartError::Hung(_)) => {
+                // As if it had ended at once.
+                if let Some(spare) = &mut self.spare {
+                    spare.report.deaths += 1;
+                    spare.supervision.restarted(now);
+                    spare.supervision.ended(End::Failure, now);
+                }
+                return Ok(());
+            }
+        };
         if let Some(spare) = &mut self.spare {
             spare.supervision.restarted(now);
             (spare.child, spare.incarnation, spare.started) = (Some(child), incarnation, now);

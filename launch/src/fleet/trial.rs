@@ -4,16 +4,12 @@ use std::process::ExitStatus;
 use std::time::Duration;
 
 use recorder::ReplacementOutcome;
-use rustix::process::Signal;
 use wire::StageId;
 
 use super::event::{Event, Replaced};
 use super::member::Member;
-use crate::child::{Child, Program};
+use crate::child::{Child, Program, how_of};
 use crate::control::Client;
-
-/// Interval between checks of an ending process.
-const LOOK: Duration = Duration::from_millis(1);
 
 /// A replacement in progress.
 #[derive(Debug)]
@@ -66,22 +62,11 @@ impl Trial {
     pub fn roll_back(mut self, member: &mut Member, status: ExitStatus, now: Duration) -> Event {
         let cause = match member.killed_for {
             Some(why) => why.to_owned(),
-            None => member.child.death(status).how,
+            None => how_of(status),
         };
         member.program = self.before.take().unwrap_or_else(|| member.program.clone());
         member.supervision.rolled_back(now);
         let next = member.supervision.incarnation() + 1;
         self.conclude(ReplacementOutcome::RolledBack, next, cause)
-    }
-}
-
-impl Drop for Trial {
-    fn drop(&mut self) {
-        if let Some(child) = &mut self.child {
-            child.signal(Signal::KILL);
-            while child.ended().is_none() {
-                std::thread::sleep(LOOK);
-            }
-        }
     }
 }

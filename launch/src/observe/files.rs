@@ -1,31 +1,33 @@
 //! Files written during a run by separate threads, so a slow disk does not delay supervision.
 
 use std::fs::File;
-use std::io::Write;
+use std::io::{self, ErrorKind, Write};
 use std::path::{Path, PathBuf};
-use std::sync::mpsc::{RecvTimeoutError, Sender, SyncSender, TrySendError, channel, sync_channel};
-use std::thread::JoinHandle;
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::time::Duration;
 
 use recorder::WholeFile;
 
 use super::server::{Asked, Question, ask_launcher};
 use crate::failure::Failure;
+use crate::outlet::Outlet;
 
 /// Interval between updates of the metrics file.
 const METRICS_INTERVAL: Duration = Duration::from_secs(1);
 /// Bytes of a trace written at a time.
 const BLOCK_BYTES: usize = 64 << 10;
-/// Trace blocks that may wait for the disk; further blocks are lost.
-const BLOCKS_MAX: usize = 64;
+/// Bytes of a trace that may wait for the disk; further blocks are lost.
+const WAITING_MAX: usize = 64 * BLOCK_BYTES;
+/// Time for a disk to take the last data of a file.
+const END_LIMIT: Duration = Duration::from_secs(2);
 
 /// The metrics file, whose content is always complete.
 #[derive(Debug)]
 pub struct MetricsFile {
     path: PathBuf,
-    /// Dropped to end the thread.
-    end: Sender<()>,
-    thread: JoinHandle<()>,
+    /// Takes the last content, which ends the thread.
+    last: SyncSender<String>,
+    written: Receiver<Result<(), Failure>>,
 }
 
 impl MetricsFile {
@@ -35,11 +37,17 @@ impl MetricsFile {
     /// [`Failure::Data`] if it can't be written.
     pub fn begin(path: &Path, ask: SyncSender<Asked>) -> Result<Self, Failure> {
         write_whole(path, "")?;
-        let (end, ended) = channel();
+        let (last, last_content) = sync_channel::<String>(1);
+        let (is_written, written) = sync_channel(1);
         let own = path.to_owned();
         let follow = move || {
             let mut is_told = false;
-            while ended.recv_timeout(METRICS_INTERVAL) == Err(RecvTimeoutError::Timeout) {
+            loop {
+                match last_content.recv_timeout(METRICS_INTERVAL) {
+                    Err(RecvTimeoutError::Timeout) => {}
+                    Err(RecvTimeoutError::Disconnected) => return,
+                    Ok(text) => return drop(is_written.send(write_whole(&own, &text))),
+                }
                 let Some(text) = ask_launcher(Question::Metrics, &ask) else { continue };
                 // The run does not depend on this file, and the disk may have space again later.
                 if let Err(failure) = write_whole(&own, &text)
@@ -50,18 +58,18 @@ impl MetricsFile {
             }
         };
         let thread = std::thread::Builder::new().name("metrics file".to_owned()).spawn(follow);
-        let thread = thread.map_err(Failure::unavailable)?;
-        Ok(Self { path: path.to_owned(), end, thread })
+        thread.map_err(Failure::unavailable)?;
+        Ok(Self { path: path.to_owned(), last, written })
     }
 
     /// Writes the last content.
     ///
     /// # Errors
     /// [`Failure::Data`] if it can't be written.
-    pub fn finish(self, text: &str) -> Result<(), Failure> {
-        drop(self.end);
-        let _ = self.thread.join();
-        write_whole(&self.path, text)
+    pub fn finish(self, text: String) -> Result<(), Failure> {
+        let _ = self.last.try_send(text);
+        let slow = |_| Err(Failure::file(&self.path, io::Error::from(ErrorKind::TimedOut)));
+        self.written.recv_timeout(END_LIMIT).unwrap_or_else(slow)
     }
 }
 
@@ -79,9 +87,26 @@ fn write_whole(path: &Path, text: &str) -> Result<(), Failure> {
 pub struct TraceFile {
     path: PathBuf,
     block: Vec<u8>,
-    blocks: SyncSender<Vec<u8>>,
+    blocks: Outlet,
     lost_bytes: u64,
-    thread: JoinHandle<std::io::Result<()>>,
+}
+
+/// A file that takes nothing after its first error, so that it has no gap.
+struct UntilError(Option<File>);
+
+impl Write for UntilError {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let written =
+            self.0.as_mut().map_or_else(|| Err(ErrorKind::BrokenPipe.into()), |file| file.write(bytes));
+        if written.as_ref().is_err_and(|error| error.kind() != ErrorKind::Interrupted) {
+            self.0 = None;
+        }
+        written
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
 }
 
 impl TraceFile {
@@ -90,15 +115,10 @@ impl TraceFile {
     /// # Errors
     /// [`Failure::Data`] if it can't be created.
     pub fn begin(path: &Path) -> Result<Self, Failure> {
-        let mut file = File::create(path).map_err(|error| Failure::file(path, error))?;
-        let (blocks, received) = sync_channel::<Vec<u8>>(BLOCKS_MAX);
-        let follow = move || {
-            // After an error the channel is closed and the remaining blocks are lost.
-            received.into_iter().try_for_each(|block| file.write_all(&block))
-        };
-        let thread = std::thread::Builder::new().name("trace file".to_owned()).spawn(follow);
-        let thread = thread.map_err(Failure::unavailable)?;
-        Ok(Self { path: path.to_owned(), block: Vec::new(), blocks, lost_bytes: 0, thread })
+        let file = File::create(path).map_err(|error| Failure::file(path, error))?;
+        let blocks =
+            Outlet::open("trace file", WAITING_MAX, UntilError(Some(file))).map_err(Failure::unavailable)?;
+        Ok(Self { path: path.to_owned(), block: Vec::new(), blocks, lost_bytes: 0 })
     }
 
     /// Appends whole packets.
@@ -115,9 +135,9 @@ impl TraceFile {
 
     fn send(&mut self) {
         let block = std::mem::take(&mut self.block);
-        if let Err(TrySendError::Full(lost) | TrySendError::Disconnected(lost)) = self.blocks.try_send(block)
-        {
-            self.lost_bytes += lost.len() as u64;
+        let len = block.len() as u64;
+        if !self.blocks.push(None, block) {
+            self.lost_bytes += len;
         }
     }
 
@@ -126,12 +146,8 @@ impl TraceFile {
     /// # Errors
     /// [`Failure::Data`] if the file could not be written, or the disk was slower than the trace.
     pub fn finish(mut self) -> Result<(), Failure> {
-        let rest = std::mem::take(&mut self.block);
-        // The run is over, so waiting is fine.
-        let _ = self.blocks.send(rest);
-        drop(self.blocks);
-        let written = self.thread.join().unwrap_or_else(|_| Err(std::io::ErrorKind::Other.into()));
-        written.map_err(|error| Failure::file(&self.path, error))?;
+        self.send();
+        self.blocks.finish(END_LIMIT).map_err(|error| Failure::file(&self.path, error))?;
         match self.lost_bytes {
             0 => Ok(()),
             lost => {
@@ -178,7 +194,7 @@ mod tests {
         let path = folder.join("a.prom");
         let (ask, _questions) = sync_channel(1);
         let file = MetricsFile::begin(&path, ask.clone()).unwrap();
-        file.finish("stgdat_linked 1\n").unwrap();
+        file.finish("stgdat_linked 1\n".to_owned()).unwrap();
         assert_eq!(std::fs::read_to_string(&path).unwrap(), "stgdat_linked 1\n");
         assert!(MetricsFile::begin(&folder.join("no/such.prom"), ask).is_err());
         std::fs::remove_dir_all(folder).unwrap();

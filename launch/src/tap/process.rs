@@ -1,23 +1,25 @@
 //! The launcher's side of the tap. Manages the tap's process and the recording that `stgdat run --record`
 //! starts.
 
-use std::io::{BufRead as _, BufReader, ErrorKind, Write as _};
-use std::os::fd::AsFd;
+use std::io::{BufRead as _, BufReader};
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
-use std::process::{Child as Process, ChildStdin, ChildStdout, Command, Stdio};
-use std::sync::mpsc::{Receiver, channel};
+use std::process::{Child as Process, ChildStdout, Command, Stdio};
+use std::sync::mpsc::{Receiver, sync_channel};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use ports::monotonic_ns;
 use recording::tap::SOCKET;
 use recording::{Event, Happened, LogLine};
-use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
+use wire::StageId;
 
-use crate::child::{die_with_this_process, end_within};
+use crate::child::{KILL_LIMIT, die_with_this_process, end_within};
 use crate::failure::Failure;
 use crate::log;
+use crate::outlet::{Origin, Outlet};
 use crate::program::this_program;
+use crate::spawn::spawn;
 use crate::tap::server::Told;
 use crate::tap::{RingArguments, ViewArguments};
 
@@ -29,9 +31,11 @@ const START_LIMIT: Duration = Duration::from_secs(10);
 const END_LIMIT: Duration = Duration::from_secs(7);
 /// Time limit for a recording to write its last data to a slow disk.
 const RECORDING_LIMIT: Duration = Duration::from_secs(20);
-/// Maximum number of unsent bytes for a tap that does not read, in addition to the pipe's buffer. Further
-/// lines are dropped.
-const UNSENT_MAX: usize = 1 << 18;
+/// Most unsent bytes of each stage for a tap that does not read, in addition to the pipe's buffer. Further lines
+/// are dropped.
+const UNSENT_MAX: usize = 1 << 16;
+/// Maximum number of lines that a recording has printed and the launcher has not shown.
+const LINES_MAX: usize = 64;
 /// Interval between checks of a process.
 const LOOK: Duration = Duration::from_millis(5);
 
@@ -41,17 +45,44 @@ pub struct Tap {
     record: PathBuf,
     socket: PathBuf,
     process: Option<Process>,
-    input: Option<ChildStdin>,
-    unsent: Vec<u8>,
+    messages: TapMessages,
     died: Option<Instant>,
+}
+
+/// The way of messages to the tap's process. A tap that does not read delays nobody.
+#[derive(Clone, Debug, Default)]
+pub struct TapMessages(Arc<Mutex<Option<Outlet>>>);
+
+impl TapMessages {
+    /// Forwards an output line of a stage.
+    pub fn line(&self, stage: StageId, line: &str) {
+        let line = LogLine { at_ns: monotonic_ns(), stage: stage.name().to_owned(), line: line.to_owned() };
+        self.send(Some(stage), &Told::Line(line));
+    }
+
+    fn send(&self, origin: Origin, told: &Told) {
+        let outlet = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        if let (Some(outlet), Ok(mut line)) = (&*outlet, serde_json::to_vec(told)) {
+            line.push(b'\n');
+            outlet.push(origin, line);
+        }
+    }
+
+    /// Sends further messages to this process. The previous one gets what waits for it, and then the end.
+    fn send_to(&self, next: Option<Outlet>) {
+        let mut outlet = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(before) = std::mem::replace(&mut *outlet, next) {
+            before.close();
+        }
+    }
 }
 
 impl Tap {
     /// Starts the tap of a run, and waits until tools can attach.
     pub fn start(record: &Path) -> Result<Self, Failure> {
         let socket = record.with_file_name(SOCKET);
-        let (process, input, unsent, died) = (None, None, Vec::new(), None);
-        let mut tap = Self { record: record.to_owned(), socket, process, input, unsent, died };
+        let messages = TapMessages::default();
+        let mut tap = Self { record: record.to_owned(), socket, process: None, messages, died: None };
         tap.spawn()?;
         let begun = Instant::now();
         while !tap.socket.exists() {
@@ -69,16 +100,16 @@ impl Tap {
         // A separate process group, so Ctrl-C reaches only the launcher, which ends the tap last.
         command.stdin(Stdio::piped()).stdout(Stdio::null()).process_group(0);
         die_with_this_process(log::pass_on(&mut command));
-        let mut process = command.spawn().map_err(Failure::unavailable)?;
-        if let Some(input) = process.stdin.take() {
-            // A stopped tap must not block the launcher.
-            let flags = fcntl_getfl(input.as_fd()).map_err(Failure::unavailable)?;
-            fcntl_setfl(input.as_fd(), flags | OFlags::NONBLOCK).map_err(Failure::unavailable)?;
-            self.input = Some(input);
-        }
-        self.unsent.clear();
+        let mut process = spawn(command).map_err(Failure::unavailable)?;
+        let input = process.stdin.take().map(|input| Outlet::open("tap", UNSENT_MAX, input));
+        self.messages.send_to(input.transpose().map_err(Failure::unavailable)?);
         (self.process, self.died) = (Some(process), None);
         Ok(())
+    }
+
+    /// Returns the way of messages from other threads.
+    pub fn messages(&self) -> TapMessages {
+        self.messages.clone()
     }
 
     fn has_ended(&mut self) -> bool {
@@ -101,52 +132,21 @@ impl Tap {
         }
         let has_died = self.has_ended();
         if has_died {
-            (self.process, self.input, self.died) = (None, None, Some(Instant::now()));
+            self.messages.send_to(None);
+            (self.process, self.died) = (None, Some(Instant::now()));
         }
         has_died
     }
 
     /// Reports an event to the tools.
-    pub fn event(&mut self, what: Happened) {
-        self.tell(&Told::Event(Event { at_ns: monotonic_ns(), what }));
-    }
-
-    /// Forwards an output line of a stage.
-    pub fn line(&mut self, stage: &str, line: &str) {
-        let (at_ns, stage, line) = (monotonic_ns(), stage.to_owned(), line.to_owned());
-        self.tell(&Told::Line(LogLine { at_ns, stage, line }));
-    }
-
-    fn tell(&mut self, told: &Told) {
-        if let Ok(mut line) = serde_json::to_vec(told)
-            && self.unsent.len() + line.len() < UNSENT_MAX
-        {
-            line.push(b'\n');
-            self.unsent.extend(line);
-        }
-        self.send();
-    }
-
-    /// Writes as much as the pipe accepts.
-    fn send(&mut self) {
-        let Some(input) = &mut self.input else { return self.unsent.clear() };
-        while !self.unsent.is_empty() {
-            match input.write(&self.unsent) {
-                Ok(0) => return,
-                Ok(len) => drop(self.unsent.drain(..len)),
-                Err(error) if error.kind() == ErrorKind::Interrupted => {}
-                // A full pipe is retried later. A closed pipe means a dead process, which the next check
-                // finds.
-                Err(_) => return,
-            }
-        }
+    pub fn event(&self, what: Happened) {
+        self.messages.send(None, &Told::Event(Event { at_ns: monotonic_ns(), what }));
     }
 
     /// Lets the tap send its last data to the tools, and ends the process.
     pub fn end(&mut self) {
-        self.send();
-        // Closes the tap's standard input.
-        self.input = None;
+        // Closes the tap's standard input after the last message.
+        self.messages.send_to(None);
         if let Some(process) = &mut self.process {
             end_within(process, END_LIMIT);
         }
@@ -181,8 +181,9 @@ impl Recording {
         ring.pass_on(&mut command);
         view.pass_on(&mut command);
         command.stdin(Stdio::null()).stdout(Stdio::piped()).process_group(0);
-        let mut process = log::pass_on(&mut command).spawn().map_err(Failure::unavailable)?;
-        let lines = process.stdout.take().map(read).unwrap_or_else(|| channel().1);
+        log::pass_on(&mut command);
+        let mut process = spawn(command).map_err(Failure::unavailable)?;
+        let lines = process.stdout.take().map(read).unwrap_or_else(|| sync_channel(0).1);
         // The first line reports that the recording is attached. Without a first line, standard error has the
         // reason.
         match lines.recv_timeout(START_LIMIT) {
@@ -204,18 +205,18 @@ impl Recording {
     pub fn end(mut self) -> (Vec<String>, bool) {
         let status = end_within(&mut self.process, RECORDING_LIMIT);
         let whole = status.is_some_and(|status| status.success());
-        (self.lines.iter().collect(), whole)
+        // Another process may hold the pipe open.
+        (std::iter::from_fn(|| self.lines.recv_timeout(KILL_LIMIT).ok()).collect(), whole)
     }
 }
 
 /// Reads the lines of a process in the background, so its pipe never fills.
 fn read(output: ChildStdout) -> Receiver<String> {
-    let (sender, lines) = channel();
+    let (sender, lines) = sync_channel(LINES_MAX);
     std::thread::spawn(move || {
         for line in BufReader::new(output).lines().map_while(Result::ok) {
-            if sender.send(line).is_err() {
-                return;
-            }
+            // Further lines have no room.
+            let _ = sender.try_send(line);
         }
     });
     lines

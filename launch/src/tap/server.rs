@@ -8,7 +8,7 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use ports::{Node, Publisher, Stop, TAP, is_own_user, monotonic_ns};
-use recording::tap::{self, Hub, QUEUE_BYTES, REQUEST_BYTES_MAX, Request, SOCKET, TOOLS_MAX, Want};
+use recording::tap::{self, Hub, QUEUE_BYTES, REQUEST_BYTES_MAX, Request, SOCKET, TOOLS_MAX, Tool, Want};
 use recording::{Event, Happened, LogLine};
 use run::{Exit, Run};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
@@ -17,12 +17,19 @@ use serde::{Deserialize, Serialize};
 use wire::{Header, Heartbeat, HeartbeatsTopic, REFUSALS_MAX, RefusalCause, Refusals, StageId, TABLE, Topic};
 
 use crate::failure::Failure;
+use crate::streams;
 use crate::tap::topic::{Input, Taken};
 
 /// Longest sleep between checks that the run still exists.
 const SLEEP: Duration = Duration::from_millis(500);
-/// Time for the tools to read their pending data when the run ends.
-const END_LIMIT: Duration = Duration::from_secs(5);
+/// Time for the recordings to read their pending data when the run ends.
+const RECORDING_LIMIT: Duration = Duration::from_secs(5);
+/// The same time limit for other tools.
+const END_LIMIT: Duration = Duration::from_millis(500);
+/// Maximum number of connections whose request is incomplete. The oldest makes room.
+const PENDING_MAX: usize = 16;
+/// Longest message of the launcher.
+const TOLD_MAX: usize = 1 << 20;
 /// Number of bytes read at a time from the launcher's messages.
 const BLOCK: usize = 1 << 14;
 
@@ -70,6 +77,8 @@ fn listen(path: &Path) -> std::io::Result<UnixListener> {
 
 /// Serves the tools of a run until the launcher closes standard input or the run's folder is gone.
 pub fn serve(record: &Path) -> Result<Exit, Failure> {
+    // The tap shares the launcher's standard error, which may be stuck.
+    streams::never_wait().map_err(Failure::unavailable)?;
     let run = Run::read(record).map_err(Failure::config)?;
     let stop = Stop::on_signals().map_err(Failure::unavailable)?;
     let path = run.root.join(SOCKET);
@@ -223,12 +232,18 @@ impl Server {
                 Err(error) => tracing::warn!("from the launcher: {error}"),
             }
         }
+        if self.told.len() > TOLD_MAX {
+            self.told.clear();
+        }
         true
     }
 
     fn accept(&mut self, listener: &UnixListener) {
         while let Ok((socket, _)) = listener.accept() {
             if is_own_user(&socket) && socket.set_nonblocking(true).is_ok() {
+                if self.pending.len() == PENDING_MAX {
+                    self.pending.remove(0);
+                }
                 self.pending.push((socket, Vec::new()));
             }
         }
@@ -318,9 +333,13 @@ impl Server {
     /// Forwards the last frames and waits until the tools have read them.
     fn end(mut self) -> Result<Exit, Failure> {
         self.pump()?;
-        let until = Instant::now() + END_LIMIT;
+        let begun = Instant::now();
         self.flush();
-        while self.hub.tools().iter().any(|tool| tool.is_waiting()) && Instant::now() < until {
+        let is_awaited = |tool: &Tool<UnixStream>| {
+            let limit = if tool.recording.is_some() { RECORDING_LIMIT } else { END_LIMIT };
+            tool.is_waiting() && begun.elapsed() < limit
+        };
+        while self.hub.tools().iter().any(is_awaited) {
             std::thread::sleep(Duration::from_millis(2));
             self.flush();
         }

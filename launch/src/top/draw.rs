@@ -164,6 +164,10 @@ fn latency(view: &View, width: usize) -> Line {
     if dead > 0 {
         spans.push(Span::raw(format!("   dead readers {}", count(dead))));
     }
+    let lines: u64 = status.report.supervision.lost_lines.values().sum();
+    if lines > 0 {
+        spans.push(Span::colored(format!("   lines lost {}", count(lines)), Color::Yellow));
+    }
     if width >= 100 {
         let Percentiles { p50, p99, max, .. } = status.report.end_to_end_ms;
         let whole = format!("   whole run {} / {} / {}", number(p50), number(p99), number(max));

@@ -16,7 +16,7 @@ pub fn lines(view: &View, name: &str, width: usize) -> Vec<Line> {
     let Some(stage) = view.status.stages.iter().find(|stage| stage.name == name) else {
         return vec![Line::colored(format!("  there is no stage {name} any more"), Color::Red)];
     };
-    let mut lines = process(stage, width);
+    let mut lines = process(view, stage, width);
     lines.push(Line::default());
     lines.extend(phases(view, stage, width));
     lines.push(Line::default());
@@ -34,7 +34,7 @@ pub fn lines(view: &View, name: &str, width: usize) -> Vec<Line> {
 }
 
 /// The state and resources of the process, wrapped to `width`.
-fn process(stage: &StageStatus, width: usize) -> Vec<Line> {
+fn process(view: &View, stage: &StageStatus, width: usize) -> Vec<Line> {
     let process = &stage.process;
     let told = |name: &str, value: Option<String>| {
         vec![Span::styled(format!("   {name} "), DIM), Span::raw(value.unwrap_or_else(|| "–".to_owned()))]
@@ -53,6 +53,9 @@ fn process(stage: &StageStatus, width: usize) -> Vec<Line> {
     ];
     if let Some(spare) = &process.spare {
         items.push(told("spare", Some(format!("{spare}, promoted {}×", process.promotions))));
+    }
+    if let Some(&lost) = view.status.report.supervision.lost_lines.get(&stage.name) {
+        items.push(told("lines lost", Some(count(lost))));
     }
     let mut lines = vec![Line(vec![
         Span::styled(format!("  {}  ", stage.name), BOLD),

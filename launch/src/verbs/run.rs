@@ -8,7 +8,7 @@ use clap::{Args, ValueEnum};
 use localiser::MapChoice;
 use nn::Weights;
 use ports::{Space, Stop, clock_offset_ns};
-use recorder::{InputReport, Report, RunInfo, SceneNoise, Supervision};
+use recorder::{InputReport, Report, RunInfo, SceneNoise, Supervision, is_standard_output};
 use recording::About;
 use run::{Exit, Run, SpareRun, StageRun};
 use scene::ContextMap;
@@ -23,7 +23,7 @@ use crate::arguments::{
 };
 use crate::fail_if::{self, Condition};
 use crate::failure::Failure;
-use crate::files::{check_place, version};
+use crate::files::{check_place, version, within};
 use crate::observe::{ObserveArguments, Observer, address};
 use crate::options::{Setting, StageOptions, text};
 use crate::pipeline_file;
@@ -32,8 +32,8 @@ use crate::tap::{Recording, RingArguments, Tap, ViewArguments};
 use crate::verbs::record;
 use crate::verbs::report::RunReport;
 use crate::verbs::view::Page;
-use crate::version;
 use crate::watch::Watch;
+use crate::{streams, version};
 
 /// Shared memory that must be free at the start of a run, bytes.
 pub const SHARED_BYTES: u64 = 48 << 20;
@@ -104,6 +104,8 @@ pub struct Arguments {
 
 /// Runs a pipeline to the end of its scene and reports.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
+    // Nothing that this process prints may delay the restart of a stage.
+    streams::never_wait().map_err(Failure::unavailable)?;
     let stop = Stop::on_signals().map_err(Failure::unavailable)?;
     if arguments.ring.limits().is_some() && arguments.record.is_none() {
         return Err(Failure::Usage("--last: --record FILE names the files that it is written to".to_owned()));
@@ -332,7 +334,11 @@ fn report(
     say!("{}", report.render(width).trim_end_matches('\n'));
     report.lanes.doubt().iter().for_each(|doubt| tracing::warn!("{doubt}"));
     if let Some(path) = &arguments.report {
-        report.write(path).map_err(Failure::data)?;
+        if is_standard_output(path) {
+            streams::finish();
+        }
+        let (file, whole) = (path.clone(), report.clone());
+        within(path, move || whole.write(&file).map_err(Failure::data))?;
     }
     Ok(report)
 }

@@ -310,6 +310,11 @@ fn losses(text: &mut Text, status: &RunStatus) {
     let help = "Processes beside the stages that read topics and have died.";
     let dead = report.supervision.dead_readers;
     text.single(Kind::Counter, "stgdat_dead_readers_total", help, dead);
+    let name = "stgdat_lost_lines_total";
+    text.metric(Kind::Counter, name, "Lines that are missing in the log, by stage and for the launcher.");
+    for (origin, lines) in &report.supervision.lost_lines {
+        text.sample(name, &[("stage", origin)], lines);
+    }
 }
 
 fn stage_times(text: &mut Text, status: &RunStatus, measured: &Recorder) {

@@ -42,6 +42,7 @@ impl Report {
             self.replacements(text)?;
             self.spares(text)?;
             self.readers(text)?;
+            self.losses_of_the_launcher(text)?;
             self.memory(text, width)?;
             self.worst_ticks(text, width)?;
             self.accuracy(text, width)
@@ -310,6 +311,27 @@ impl Report {
             dead => format!("{} readers of topics have died: their places were given back", count(dead)),
         };
         writeln!(text, "\n {:LABEL_WIDTH$}{dead}", "READERS")
+    }
+
+    /// The lines that are missing in the log, and the processes that were left behind.
+    fn losses_of_the_launcher(&self, text: &mut String) -> fmt::Result {
+        let Supervision { lost_lines, not_ended, .. } = &self.supervision;
+        if !lost_lines.is_empty() {
+            let lines: Vec<String> =
+                lost_lines.iter().map(|(origin, lines)| format!("{origin} {}", count(*lines))).collect();
+            writeln!(text, "\n {:LABEL_WIDTH$}missing lines: {}", "LOG", lines.join(", "))?;
+        }
+        if !not_ended.is_empty() {
+            let all: Vec<String> =
+                not_ended.iter().map(|(stage, pid)| format!("{stage} (process {pid})")).collect();
+            writeln!(
+                text,
+                "\n {:LABEL_WIDTH$}left behind, could not be killed: {}",
+                "PROCESSES",
+                all.join(", ")
+            )?;
+        }
+        Ok(())
     }
 }
 

@@ -6,10 +6,12 @@ use std::time::Duration;
 
 use ports::TemporaryFolder;
 use recorder::Report;
+use rustix::process::Pid;
 
 use super::percentile::percentile;
 use super::{Arguments, pipe, pipeline_run};
 use crate::failure::Failure;
+use crate::processes::children;
 use crate::tables;
 
 /// Number of ticks in two seconds.
@@ -79,7 +81,7 @@ fn watch(launcher: &mut Child) -> std::io::Result<Memory> {
     let mut most = Memory::default();
     while launcher.try_wait()?.is_none() {
         std::thread::sleep(SAMPLE_INTERVAL);
-        let now = sample(launcher.id());
+        let now = sample(Pid::from_child(launcher));
         most.processes = most.processes.max(now.processes);
         most.resident_kib = most.resident_kib.max(now.resident_kib);
         most.proportional_kib = most.proportional_kib.max(now.proportional_kib);
@@ -90,12 +92,11 @@ fn watch(launcher: &mut Child) -> std::io::Result<Memory> {
 
 /// Returns the current memory of a launcher's stages, and the shared memory that they map. Ended processes
 /// count as 0.
-fn sample(launcher: u32) -> Memory {
+fn sample(launcher: Pid) -> Memory {
     let mut memory = Memory::default();
     let mut files = std::collections::BTreeMap::new();
-    let path = format!("/proc/{launcher}/task/{launcher}/children");
-    for pid in std::fs::read_to_string(path).unwrap_or_default().split_whitespace() {
-        let process = Path::new("/proc").join(pid);
+    for pid in children(launcher) {
+        let process = Path::new("/proc").join(pid.as_raw_nonzero().to_string());
         let rollup = std::fs::read_to_string(process.join("smaps_rollup")).unwrap_or_default();
         let kib = |key: &str| {
             let line = rollup.lines().find_map(|line| line.strip_prefix(key));

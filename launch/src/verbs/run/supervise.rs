@@ -11,11 +11,11 @@ use run::{Exit, Run};
 use wire::StageId;
 
 use crate::awake::Awake;
-use crate::child::Line;
 use crate::config::Pipeline;
 use crate::control::{Control, Request};
 use crate::failure::{Failure, StageDeath};
 use crate::fleet::Fleet;
+use crate::log;
 use crate::memory::Memory;
 use crate::outages::Outages;
 use crate::scheduling;
@@ -70,26 +70,29 @@ pub(super) fn supervise(
     let has_places = !run.spares.is_empty() || !run.readers.is_empty();
     let _topics = has_places.then(|| Topics::make(run)).transpose()?;
     let limits = scheduling::raise_limits(pipeline.realtime.lock);
-    let mut fleet = Fleet::start(pipeline, run, record, keeps_memory)?;
+    let messages = tap.messages();
+    let sink = move |stage: StageId, line: &str| {
+        log::relay(stage, line);
+        messages.line(stage, line);
+    };
+    let mut fleet = Fleet::start(pipeline, run, record, keeps_memory, Box::new(sink))?;
     fleet.notes().into_iter().chain(limits).chain(service::missed_limits()).for_each(|note| watch.note(note));
     let _awake =
         pipeline.realtime.awake.then(Awake::hold).and_then(|held| held.map_err(|note| watch.note(note)).ok());
     let mut memory = Memory::default();
     let started = Instant::now();
     let mut linked = false;
-    let mut service = Service::of_environment(run, started);
+    let mut service = Service::of_environment(run, started)?;
     let outcome = loop {
         match space.tend() {
             0 => {}
             files => watch.restored(files),
         }
-        let lines: Vec<Line> = fleet.lines().collect();
-        lines.iter().for_each(|(stage, line)| tap.line(stage.name(), line));
         if tap.tend() {
             fleet.clean_up();
         }
         fleet.note_process(tap.pid());
-        let heartbeats = match watch.follow(lines.into_iter(), &fleet) {
+        let heartbeats = match watch.follow(&fleet) {
             Ok(heartbeats) => heartbeats,
             Err(failure) => break Err(failure),
         };
@@ -126,9 +129,7 @@ pub(super) fn supervise(
         }
     };
     let (spares, dead_readers) = (fleet.spare_reports(), fleet.dead_readers());
-    fleet.end();
-    let lines: Vec<Line> = fleet.lines().collect();
-    lines.iter().for_each(|(stage, line)| tap.line(stage.name(), line));
+    let undead = fleet.end();
     let how = outcome.as_ref().map_or_else(ToString::to_string, |exit| format!("{exit:?}").to_lowercase());
     tap.event(Happened::Ended { how });
     tap.end();
@@ -142,7 +143,7 @@ pub(super) fn supervise(
         }
     }
     let unkept = keeps_memory.then(|| fleet.failure(StageId::Sampler)).flatten();
-    let (outages, unwritten) = watch.close(lines.into_iter(), &fleet);
+    let (outages, unwritten) = watch.close(&undead, &fleet);
     Ok(Ended { outcome, unkept, linked, outages, memory, spares, dead_readers, recorded, unwritten })
 }
 

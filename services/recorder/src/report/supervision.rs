@@ -31,6 +31,11 @@ pub struct Supervision {
     /// Number of processes other than stages that read topics and have died. Their places on the topics were
     /// released.
     pub dead_readers: u64,
+    /// Numbers of lines that are missing in the log, by stage and for `launcher`. A stage printed too many, or
+    /// nobody read the log.
+    pub lost_lines: BTreeMap<String, u64>,
+    /// Processes that were left behind at the end because they could not be killed, by stage.
+    pub not_ended: BTreeMap<String, u32>,
 }
 
 /// The spare of a stage: a process that waits to take the stage's place.
