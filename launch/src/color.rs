@@ -42,24 +42,6 @@ pub fn report(error: &SourceError) -> String {
     error.report(output.is_terminal(), choice().is_on(&output))
 }
 
-/// Returns the line without its colour escape sequences.
-pub fn plain(line: &str) -> Cow<'_, str> {
-    let Some((begin, mut rest)) = line.split_once('\x1b') else { return line.into() };
-    let mut text = begin.to_owned();
-    loop {
-        // A control sequence ends with its first byte from @ to ~; other sequences have one more character.
-        let end = match rest.strip_prefix('[') {
-            Some(sequence) => sequence.find(|c| matches!(c, '@'..='~')).map_or(rest.len(), |at| at + 2),
-            None => rest.chars().next().map_or(0, char::len_utf8),
-        };
-        let Some((piece, next)) = rest[end..].split_once('\x1b') else {
-            return (text + &rest[end..]).into();
-        };
-        text += piece;
-        rest = next;
-    }
-}
-
 /// Returns a line of a stage's log with its level in colour.
 pub fn with_level(line: &str) -> Cow<'_, str> {
     let paint = |word: &str, code: u8| line.replacen(word, &format!("\x1b[{code}m{word}\x1b[0m"), 1).into();
@@ -82,16 +64,6 @@ mod tests {
         assert_eq!(of(&["stgdat", "--color=always", "run"]), Some(Color::Always));
         assert_eq!(of(&["stgdat", "--color", "blue"]), None);
         assert_eq!(of(&["stgdat", "run", "--color"]), None);
-    }
-
-    #[test]
-    fn plain_lines_have_no_escape_sequences() {
-        let colored = "\x1b[2m2026-11-27T00:00:00Z\x1b[0m \x1b[38;5;3m WARN\x1b[0m late\x1b[K";
-        assert_eq!(plain(colored), "2026-11-27T00:00:00Z  WARN late");
-        for (line, expected) in [("ü", "ü"), ("\x1b", ""), ("a\x1b[", "a"), ("a\x1bMb", "ab"), ("\x1bü", "")]
-        {
-            assert_eq!(plain(line), expected, "{line:?}");
-        }
     }
 
     #[test]

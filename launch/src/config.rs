@@ -5,10 +5,9 @@
 
 mod mistake;
 mod pipeline;
-mod restart;
 mod scheduling;
 
 pub use mistake::{Mistake, SourceError};
 pub use pipeline::{BUDGET_MAX_MS, Pipeline, Stage};
-pub use restart::{Restart, RestartPolicy};
-pub use scheduling::{Realtime, Scheduling};
+pub use scheduling::Realtime;
+pub use supervisor::{Restart, RestartPolicy, Scheduling};

@@ -10,13 +10,11 @@ use onboard::ChainError;
 use ports::{LogFormat, PortError, SpaceError, StageError};
 use recorder::is_standard_output;
 use run::{Exit, OptionError};
+pub use supervisor::StageDeath;
+use supervisor::{Cause, cause_about};
 use thiserror::Error;
-use wire::StageId;
 
 use crate::{color, log};
-
-/// The underlying error, from any crate.
-type Cause = Box<dyn Error + Send + Sync>;
 
 /// Why a verb failed, which determines its exit code.
 #[derive(Debug, Error)]
@@ -56,42 +54,6 @@ pub enum Failure {
     Failed(String),
 }
 
-/// An error with its subject, such as the path of a file.
-#[derive(Debug, Error)]
-#[error("{about}: {source}")]
-struct About {
-    about: String,
-    source: Cause,
-}
-
-impl About {
-    fn cause(about: impl Display, source: impl Into<Cause>) -> Cause {
-        Self { about: about.to_string(), source: source.into() }.into()
-    }
-}
-
-/// A stage that ended before the run did.
-#[derive(Debug, Error)]
-#[error("the {} {how}", stage.name())]
-pub struct StageDeath {
-    /// The stage.
-    pub stage: StageId,
-    /// How the stage ended, phrased to follow its name.
-    pub how: String,
-    /// Exit code, if [`Exit`] has it.
-    pub exit: Option<Exit>,
-    /// The last lines of the stage's output.
-    pub last_lines: Vec<String>,
-}
-
-impl StageDeath {
-    /// Describes how the stage ended, with the last line of its output.
-    pub fn how_and_why(&self) -> String {
-        let last = self.last_lines.last().map(|line| line.trim_start_matches("error: "));
-        last.map_or_else(|| self.how.clone(), |why| format!("{}: {why}", self.how))
-    }
-}
-
 impl Failure {
     /// A file can't be used.
     pub fn data(error: impl Into<Cause>) -> Self {
@@ -105,7 +67,7 @@ impl Failure {
 
     /// Data can't be used; `about` names the subject of the error.
     pub fn data_about(about: impl Display, error: impl Into<Cause>) -> Self {
-        Self::Data(About::cause(about, error))
+        Self::Data(cause_about(about, error))
     }
 
     /// The file of `--out` can't be written.
@@ -128,7 +90,7 @@ impl Failure {
 
     /// The configuration can't be used; `about` names the subject of the error.
     pub fn config_about(about: impl Display, error: impl Into<Cause>) -> Self {
-        Self::Config(About::cause(about, error))
+        Self::Config(cause_about(about, error))
     }
 
     /// A resource of the system is missing.
@@ -138,7 +100,7 @@ impl Failure {
 
     /// A system resource is missing; `about` names the subject of the error.
     pub fn unavailable_about(about: impl Display, error: impl Into<Cause>) -> Self {
-        Self::Unavailable(About::cause(about, error))
+        Self::Unavailable(cause_about(about, error))
     }
 
     /// Returns the exit code of this failure.
@@ -190,6 +152,21 @@ impl Failure {
     }
 }
 
+impl From<supervisor::Error> for Failure {
+    fn from(error: supervisor::Error) -> Self {
+        use supervisor::Error;
+        match error {
+            Error::Usage(text) => Self::Usage(text),
+            Error::Data(cause) => Self::Data(cause),
+            Error::Option(error) => Self::Option(error),
+            Error::Config(cause) => Self::Config(cause),
+            Error::Port(error) => Self::Port(error),
+            Error::Unavailable(cause) => Self::Unavailable(cause),
+            Error::Death(death) => Self::Death(death),
+        }
+    }
+}
+
 impl From<ChainError> for Failure {
     fn from(error: ChainError) -> Self {
         match error {
@@ -205,6 +182,7 @@ impl From<ChainError> for Failure {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use wire::StageId;
 
     #[derive(Debug, Error)]
     #[error("the checksum is wrong")]

@@ -13,12 +13,12 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use ports::{LAUNCHER_VARIABLE, LOG_VARIABLE, LogFormat, OUTPUT_TARGET};
-use serde_json::{Map, Value};
+use serde_json::Value;
 use wire::StageId;
 
 use crate::color;
-use crate::outlet::{BYTES_MAX, Origin, Queue};
 use crate::streams::{self, Stream};
+use supervisor::{Origin, QUEUE_BYTES_MAX, Queue, parse};
 
 /// The events of the log unless `RUST_LOG` selects others: reports of the programs, and warnings of all other
 /// crates.
@@ -31,7 +31,7 @@ static FORMAT: OnceLock<LogFormat> = OnceLock::new();
 static HAS_TABLE: AtomicBool = AtomicBool::new(false);
 
 /// Holds the lines until they are printed above the table.
-static ABOVE_TABLE: Queue = Queue::new(BYTES_MAX);
+static ABOVE_TABLE: Queue = Queue::new(QUEUE_BYTES_MAX);
 
 /// The formats as the values of an argument.
 pub fn formats() -> impl TypedValueParser<Value = LogFormat> {
@@ -54,9 +54,15 @@ pub fn begin(format: Option<LogFormat>) {
     }
 }
 
+/// The environment variable that gives the format to a process that this one starts.
+pub fn variable() -> (&'static str, &'static str) {
+    (LOG_VARIABLE, format().name())
+}
+
 /// Gives the format to a process that this one starts.
 pub fn pass_on(command: &mut Command) -> &mut Command {
-    command.env(LOG_VARIABLE, format().name())
+    let (name, value) = variable();
+    command.env(name, value)
 }
 
 /// Sends all further lines to [`lines_above`], or to standard error again.
@@ -93,17 +99,6 @@ pub fn relay(stage: StageId, line: &str) {
         },
     };
     write(Some(stage), &format!("{line}\n"));
-}
-
-/// The message of a stage's line.
-pub fn message(line: &str) -> String {
-    let parsed = parse(line);
-    let message = parsed.as_ref().and_then(|line| line.get("message")?.as_str());
-    message.unwrap_or(line).to_owned()
-}
-
-fn parse(line: &str) -> Option<Map<String, Value>> {
-    serde_json::from_str(line).ok()
 }
 
 /// The object of a stage's line with the stage's name; `None` if the stage did not write the line with
@@ -147,14 +142,12 @@ mod tests {
         let relayed = with_stage(StageId::Decoder, line).expect("an object");
         assert_eq!(relayed["stage"], "decoder");
         assert_eq!((&relayed["message"], &relayed["level"]), (&"late".into(), &"WARN".into()));
-        assert_eq!(message(line), "late");
     }
 
     #[test]
-    fn a_line_without_an_object_is_the_message() {
+    fn a_line_without_an_object_is_none() {
         for line in ["panicked at 'x'", "{broken", "[1, 2]", ""] {
             assert_eq!(with_stage(StageId::Tracker, line), None);
-            assert_eq!(message(line), line);
         }
     }
 }

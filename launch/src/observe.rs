@@ -27,13 +27,13 @@ use rustix::time::{ClockId, clock_gettime};
 use wire::{Forecast, Header, Heartbeat, StageId};
 
 use crate::failure::Failure;
-use crate::fleet::{Event, Fleet};
 use crate::outages::Outages;
-use crate::processes::Usage;
 use files::{MetricsFile, TraceFile};
 pub use mark::mark;
 pub use server::SOCKET;
 use server::{Asked, Question, SocketFile};
+use supervisor::Usage;
+use supervisor::{Event, Fleet};
 
 /// Maximum number of waiting questions.
 const QUESTIONS_MAX: usize = 16;

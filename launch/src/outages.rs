@@ -7,8 +7,8 @@ use recorder::{Outage, Replacement, ReplacementOutcome, Supervision, Tick};
 use rustix::process::Pid;
 use wire::{Header, StageId, flags};
 
-use crate::fleet::Replaced;
-use crate::outlet::Origin;
+use supervisor::Origin;
+use supervisor::Replaced;
 
 /// Maximum number of listed outages; further ones are only counted.
 const LISTED_MAX: usize = 2048;

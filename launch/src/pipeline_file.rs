@@ -3,8 +3,8 @@ use std::path::Path;
 use crate::config::Pipeline;
 
 use crate::failure::Failure;
-use crate::scheduling;
 use crate::stages;
+use supervisor::scheduling;
 
 /// The default pipeline.toml.
 pub const SHIPPED: &str = include_str!("../pipeline.toml");

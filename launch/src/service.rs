@@ -10,7 +10,7 @@ use sd_notify::{NotifyState, notify, watchdog_enabled};
 use wire::{Heartbeat, StageId};
 
 use crate::failure::Failure;
-use crate::outlet::Outlet;
+use supervisor::Outlet;
 
 /// Most bytes of reports that wait for systemd.
 const WAITING_MAX: usize = 4096;

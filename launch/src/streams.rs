@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 
 use rustix::fs::fstat;
 
-use crate::outlet::{BYTES_MAX, Origin, Outlet};
+use supervisor::{Origin, Outlet, QUEUE_BYTES_MAX};
 
 /// Time for the reader of the output to take the last lines, at the end of the process.
 const END_LIMIT: Duration = Duration::from_secs(1);
@@ -35,8 +35,9 @@ static OUTLETS: OnceLock<[Outlet; 2]> = OnceLock::new();
 pub fn never_wait() -> io::Result<()> {
     let (output, error) = (io::stdout(), io::stderr());
     // The copies are written without the locks of `std`, so a write that waits does not hold them.
-    let open =
-        |name, file: BorrowedFd<'_>| Outlet::open(name, BYTES_MAX, File::from(file.try_clone_to_owned()?));
+    let open = |name, file: BorrowedFd<'_>| {
+        Outlet::open(name, QUEUE_BYTES_MAX, File::from(file.try_clone_to_owned()?))
+    };
     let first = open("output", output.as_fd())?;
     // Lines for one terminal stay in order.
     let second =

@@ -7,12 +7,12 @@ use rustix::process::Pid;
 use wire::{ForecastsTopic, Header, Heartbeat, HeartbeatsTopic, StageId, Topic};
 
 use crate::failure::Failure;
-use crate::fleet::{Event, Fleet};
 use crate::log;
 use crate::observe::Observer;
 use crate::outages::Outages;
 use crate::terminal::{self, Table};
 use crate::top::{SortBy, View};
+use supervisor::{Event, Fleet};
 
 /// Longest sleep.
 const SLEEP: Duration = Duration::from_millis(50);

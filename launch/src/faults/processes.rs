@@ -12,13 +12,13 @@ use run::STAGE_VARIABLE;
 use rustix::process::{Pid, Resource as Limited, Rlimit, Signal, kill_process, prlimit};
 use wire::StageId;
 
-use crate::child::{die_with_this_process, end_within};
 use crate::failure::Failure;
 use crate::faults::effect::Random;
 use crate::faults::spec::Resource;
-use crate::health::look;
-use crate::processes::{children, memory};
 use crate::program;
+use supervisor::look;
+use supervisor::{children, memory};
+use supervisor::{die_with_this_process, end_within};
 
 /// Time that a process has to end after a request.
 const END_LIMIT: Duration = Duration::from_secs(3);

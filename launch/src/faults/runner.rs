@@ -17,7 +17,6 @@ use rustix::process::{Pid, Signal, kill_process};
 use serde::Serialize;
 use wire::StageId;
 
-use crate::child::end_within;
 use crate::failure::Failure;
 use crate::faults::effect::TopicFault;
 use crate::faults::plan::{arguments, pipeline, points};
@@ -26,6 +25,7 @@ use crate::faults::processes::{
 };
 use crate::faults::spec::{Action, Consumer, Due, Spec, Target, What};
 use crate::faults::verdict::{Check, Cost, Observation, Outcome, judge};
+use supervisor::end_within;
 
 /// Ticks at the end of a run in which consumers are neither killed nor started again.
 const LAST_TICKS: u64 = 25;

@@ -10,7 +10,7 @@ use recorder::WholeFile;
 
 use super::server::{Asked, Question, ask_launcher};
 use crate::failure::Failure;
-use crate::outlet::Outlet;
+use supervisor::Outlet;
 
 /// Interval between updates of the metrics file.
 const METRICS_INTERVAL: Duration = Duration::from_secs(1);

@@ -14,14 +14,14 @@ use recording::tap::SOCKET;
 use recording::{Event, Happened, LogLine};
 use wire::StageId;
 
-use crate::child::{KILL_LIMIT, die_with_this_process, end_within};
 use crate::failure::Failure;
 use crate::log;
-use crate::outlet::{Origin, Outlet};
 use crate::program::this_program;
-use crate::spawn::spawn;
 use crate::tap::server::Told;
 use crate::tap::{RingArguments, ViewArguments};
+use supervisor::spawn;
+use supervisor::{KILL_LIMIT, die_with_this_process, end_within};
+use supervisor::{Origin, Outlet};
 
 /// Pause before a dead tap is restarted.
 const PAUSE: Duration = Duration::from_secs(1);

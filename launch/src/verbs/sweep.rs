@@ -2,8 +2,8 @@ use std::path::PathBuf;
 
 use clap::Args;
 use run::{Exit, Run};
+use supervisor::helper_line;
 
-use crate::cleaner;
 use crate::failure::Failure;
 
 /// Arguments of `stgdat sweep`.
@@ -18,6 +18,6 @@ pub struct Arguments {
 /// launcher starts this verb, with a time limit.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let run = Run::read(&arguments.run).map_err(Failure::config)?;
-    ports::clean_dead_nodes(&run, |number, process| say!("{}", cleaner::line(number, process)))?;
+    ports::clean_dead_nodes(&run, |number, process| say!("{}", helper_line(number, process)))?;
     Ok(Exit::Done)
 }

@@ -14,7 +14,6 @@ use view::{Live, MODES_DRAWN, Pairing, Scene};
 use wire::{ForecastsTopic, MODES_MAX, Topic as _, TracksTopic};
 
 use crate::arguments::{lanes_of, map_path};
-use crate::child::{die_with_this_process, end_within};
 use crate::failure::Failure;
 use crate::observe::address;
 use crate::options::absolute;
@@ -22,6 +21,7 @@ use crate::program::this_program;
 use crate::top::Client;
 use crate::verbs::lab::replace_by;
 use crate::{log, runs};
+use supervisor::{die_with_this_process, end_within};
 
 /// The address if none is named; any free port if this one is taken.
 const ADDRESS: ([u8; 4], u16) = ([127, 0, 0, 1], 9465);

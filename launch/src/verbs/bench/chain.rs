@@ -11,8 +11,8 @@ use rustix::process::Pid;
 use super::percentile::percentile;
 use super::{Arguments, pipe, pipeline_run};
 use crate::failure::Failure;
-use crate::processes::children;
 use crate::tables;
+use supervisor::children;
 
 /// Number of ticks in two seconds.
 const RATE: u64 = 25;

@@ -9,7 +9,7 @@ use run::Exit;
 use super::files::{Files, Unread, cpu_group};
 use crate::awake;
 use crate::failure::Failure;
-use crate::scheduling::cpu_list;
+use supervisor::scheduling::cpu_list;
 
 /// The highest priority of `profile = "vehicle"`.
 const PRIORITY: u64 = 36;

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
+use nn::kernels;
 use ports::{Space, Stop, Topics};
 use recorder::SpareReport;
 use recording::Happened;
@@ -11,17 +12,17 @@ use run::{Exit, Run};
 use wire::StageId;
 
 use crate::awake::Awake;
-use crate::config::Pipeline;
-use crate::control::{Control, Request};
+use crate::config::{Pipeline, Stage};
 use crate::failure::{Failure, StageDeath};
-use crate::fleet::Fleet;
-use crate::log;
 use crate::memory::Memory;
 use crate::outages::Outages;
-use crate::scheduling;
 use crate::service::{self, Service};
 use crate::tap::{Recording, Tap};
 use crate::watch::Watch;
+use crate::{log, stages};
+use supervisor::control::{Control, Request};
+use supervisor::scheduling;
+use supervisor::{Fleet, Program, Settings, StageSettings};
 
 /// Time limit for all stages to start and to link to their neighbours.
 const START_LIMIT: Duration = Duration::from_secs(45);
@@ -75,7 +76,8 @@ pub(super) fn supervise(
         log::relay(stage, line);
         messages.line(stage, line);
     };
-    let mut fleet = Fleet::start(pipeline, run, record, keeps_memory, Box::new(sink))?;
+    let settings = settings(pipeline, run, record, keeps_memory);
+    let mut fleet = Fleet::start(settings, Box::new(sink))?;
     fleet.notes().into_iter().chain(limits).chain(service::missed_limits()).for_each(|note| watch.note(note));
     let _awake =
         pipeline.realtime.awake.then(Awake::hold).and_then(|held| held.map_err(|note| watch.note(note)).ok());
@@ -109,7 +111,7 @@ pub(super) fn supervise(
                 watch.say(event);
                 event.happened().into_iter().for_each(|what| tap.event(what));
             }),
-            Err(failure) => break Err(failure),
+            Err(failure) => break Err(failure.into()),
         }
         watch.answer(&fleet, linked);
         if let Some(service) = &mut service {
@@ -145,6 +147,26 @@ pub(super) fn supervise(
     let unkept = keeps_memory.then(|| fleet.failure(StageId::Sampler)).flatten();
     let (outages, unwritten) = watch.close(&undead, &fleet);
     Ok(Ended { outcome, unkept, linked, outages, memory, spares, dead_readers, recorded, unwritten })
+}
+
+/// The rules for the processes of a run.
+fn settings(pipeline: &Pipeline, run: &Run, record: &Path, keeps_memory: bool) -> Settings {
+    let stage = |stage: &Stage| {
+        let topics = stage.topics.iter().map(|(topic, name)| format!("{topic}={name}")).collect();
+        let (command, scheduling) = (stage.command.clone(), stage.scheduling.clone());
+        let program = Program { command, topics, scheduling, record: None };
+        StageSettings { stage: stage.id, program, restart: stage.restart, has_spare: stage.spare }
+    };
+    let isa = kernels::forced().map(|isa| (kernels::VARIABLE, isa.key()));
+    let variables = isa.into_iter().chain([log::variable()]);
+    Settings {
+        stages: pipeline.stages.iter().map(stage).collect(),
+        run: run.clone(),
+        record: record.to_owned(),
+        keeps_memory,
+        environment: variables.map(|(name, value)| (name.to_owned(), value.to_owned())).collect(),
+        check: |stage, options| stages::built_in(stage).map_or(Ok(()), |stage| stage.declared.check(options)),
+    }
 }
 
 /// Accepts orders to replace stages. Lets a warm process take over between two ticks.

@@ -4,12 +4,12 @@ use clap::Args;
 use recorder::ReplacementOutcome;
 use run::{Exit, Run};
 
-use crate::control::{self, Answer, Order};
 use crate::failure::Failure;
 use crate::options;
 use crate::runs;
 use crate::show::show;
 use crate::stages;
+use supervisor::control::{self, Answer, Order};
 
 /// Arguments of `stgdat stage replace`.
 #[derive(Debug, Args)]

@@ -16,7 +16,7 @@ use run::Run;
 use serde::{Deserialize, Serialize};
 use wire::StageId;
 
-use crate::failure::Failure;
+use crate::error::Error;
 
 /// Name of the socket in the run's folder.
 const NAME: &str = "control";
@@ -73,9 +73,9 @@ pub fn path(run: &Run) -> PathBuf {
 
 impl Control {
     /// Opens the socket. A thread listens on it until this process ends.
-    pub fn open(run: &Run) -> Result<Self, Failure> {
+    pub fn open(run: &Run) -> Result<Self, Error> {
         let path = path(run);
-        let about = |error: std::io::Error| Failure::unavailable_about(path.display(), error);
+        let about = |error: std::io::Error| Error::unavailable_about(path.display(), error);
         let listener = UnixListener::bind(&path).map_err(about)?;
         std::fs::set_permissions(&path, PermissionsExt::from_mode(0o600)).map_err(about)?;
         let (sender, requests) = sync_channel(WAITING_MAX);
@@ -178,21 +178,21 @@ impl Client {
 /// Sends an order to the launcher of a run and waits for the answer.
 ///
 /// # Errors
-/// [`Failure::Unavailable`] if the run has no socket or ends before it answers.
-pub fn order(socket: &Path, order: &Order) -> Result<Answer, Failure> {
-    let about = |error: std::io::Error| Failure::unavailable_about(socket.display(), error);
+/// [`Error::Unavailable`] if the run has no socket or ends before it answers.
+pub fn order(socket: &Path, order: &Order) -> Result<Answer, Error> {
+    let about = |error: std::io::Error| Error::unavailable_about(socket.display(), error);
     let mut connection = UnixStream::connect(socket).map_err(about)?;
-    let text = serde_json::to_string(order).map_err(Failure::data)?;
+    let text = serde_json::to_string(order).map_err(Error::data)?;
     if text.len() + 16 > LINE_BYTES_MAX {
-        return Err(Failure::Usage(format!("the command has more than {LINE_BYTES_MAX} bytes")));
+        return Err(Error::Usage(format!("the command has more than {LINE_BYTES_MAX} bytes")));
     }
     writeln!(connection, "replace {text}").map_err(about)?;
     let mut answer = String::new();
     BufReader::new(connection).read_line(&mut answer).map_err(about)?;
     if answer.is_empty() {
-        return Err(Failure::unavailable("the run ended before the stage was replaced"));
+        return Err(Error::unavailable("the run ended before the stage was replaced"));
     }
-    serde_json::from_str(&answer).map_err(Failure::data)
+    serde_json::from_str(&answer).map_err(Error::data)
 }
 
 #[cfg(test)]

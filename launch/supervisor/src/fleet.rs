@@ -7,20 +7,20 @@ mod trial;
 
 use std::collections::BTreeMap;
 use std::os::fd::BorrowedFd;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-use run::{Exit, Run};
+use run::{Exit, OptionError, Run};
 use rustix::process::{Pid, Signal};
 use wire::{Heartbeat, StageId};
 
-use crate::child::{Child, KILL_LIMIT, Program, StartError};
+use crate::child::{Child, KILL_LIMIT, Program, StartError, Surroundings};
 use crate::cleaner::Cleaner;
-use crate::config::Pipeline;
-use crate::failure::{Failure, StageDeath};
+use crate::error::{Error, StageDeath};
 use crate::health::Health;
 use crate::policy::{End, State, Supervision};
 use crate::readers::Readers;
+use crate::restart::RestartPolicy;
 use crate::scheduling;
 use crate::stage_output::{Sink, StageOutput};
 pub use event::{Event, Replaced};
@@ -40,11 +40,10 @@ const OUTPUT_LIMIT: Duration = Duration::from_millis(100);
 /// The processes of a run; dropping it ends them all.
 #[derive(Debug)]
 pub struct Fleet {
-    run: Run,
-    record: PathBuf,
+    surroundings: Surroundings,
+    check: CheckOptions,
     members: Vec<Member>,
     cleaner: Cleaner,
-    output: StageOutput,
     /// Killed processes that no stage needs and that have not ended yet.
     dying: Vec<Child>,
     begun: Instant,
@@ -58,6 +57,39 @@ pub struct Fleet {
     /// Number of the clean-up after a rejected replacement process.
     swept: u64,
     readers: Readers,
+}
+
+/// The rules for one stage.
+#[derive(Clone, Debug)]
+pub struct StageSettings {
+    /// The stage.
+    pub stage: StageId,
+    /// Its program.
+    pub program: Program,
+    /// When it is started again.
+    pub restart: RestartPolicy,
+    /// Whether a second process waits to take over.
+    pub has_spare: bool,
+}
+
+/// Checks the options of a built-in stage. Other stages check their own.
+pub type CheckOptions = fn(StageId, &toml::Table) -> Result<(), OptionError>;
+
+/// The rules for a run.
+#[derive(Clone, Debug)]
+pub struct Settings {
+    /// The stages, in the order in which they are started.
+    pub stages: Vec<StageSettings>,
+    /// The run.
+    pub run: Run,
+    /// The file of its record.
+    pub record: PathBuf,
+    /// Whether the retrieval memory is written at the end, so the stages get more time.
+    pub keeps_memory: bool,
+    /// Environment variables of all stages.
+    pub environment: Vec<(String, String)>,
+    /// Checks the options of orders.
+    pub check: CheckOptions,
 }
 
 /// A stage's process as the supervisor sees it.
@@ -74,22 +106,21 @@ pub struct Process {
 }
 
 impl Fleet {
-    /// Starts all stages of a pipeline. With `keeps_memory` the stages get more time to end. `sink` receives the
-    /// lines of the stages.
-    pub fn start(
-        pipeline: &Pipeline,
-        run: &Run,
-        record: &Path,
-        keeps_memory: bool,
-        sink: Sink,
-    ) -> Result<Self, Failure> {
+    /// Starts all stages. `sink` receives their lines.
+    ///
+    /// # Errors
+    /// [`Error`] if a program can't be started.
+    pub fn start(settings: Settings, sink: Sink) -> Result<Self, Error> {
+        let Settings { stages, run, record, keeps_memory, environment, check } = settings;
         let end_limit = if keeps_memory { MEMORY_LIMIT } else { END_LIMIT };
+        let cleaner = Cleaner::new(record.clone(), run.prefix.clone());
+        let readers = Readers::new(&run)?;
+        let output = StageOutput::open(sink).map_err(Error::unavailable)?;
         let mut fleet = Self {
-            run: run.clone(),
-            record: record.to_owned(),
+            surroundings: Surroundings { run, record, output, environment },
+            check,
             members: Vec::new(),
-            cleaner: Cleaner::new(record.to_owned(), run.prefix.clone()),
-            output: StageOutput::open(sink).map_err(Failure::unavailable)?,
+            cleaner,
             dying: Vec::new(),
             begun: Instant::now(),
             tended: Duration::ZERO,
@@ -98,22 +129,21 @@ impl Fleet {
             other_ticket: 0,
             trial: None,
             swept: 0,
-            readers: Readers::new(run)?,
+            readers,
         };
-        for stage in &pipeline.stages {
-            let program = Program::of(stage);
-            let child = Child::start(stage.id, &program, 0, run, record, &fleet.output, None)?;
+        for StageSettings { stage, program, restart, has_spare } in stages {
+            let child = Child::start(stage, &program, 0, &fleet.surroundings, None)?;
             let now = fleet.begun.elapsed();
-            let (supervision, health) = (Supervision::new(stage.restart, now), Health::new(now));
+            let (supervision, health) = (Supervision::new(restart, now), Health::new(now));
             fleet.members.push(Member {
-                stage: stage.id,
+                stage,
                 program,
                 child,
                 supervision,
                 health,
                 ticket: 0,
                 killed_for: None,
-                spare: stage.spare.then(|| Spare::new(stage.restart, now)),
+                spare: has_spare.then(|| Spare::new(restart, now)),
             });
         }
         Ok(fleet)
@@ -135,7 +165,7 @@ impl Fleet {
 
     /// Returns the numbers of lines that the stages printed too fast, by stage.
     pub fn lost_lines(&self) -> BTreeMap<StageId, u64> {
-        self.output.lost()
+        self.surroundings.output.lost()
     }
 
     /// The processes of all stages.
@@ -169,13 +199,13 @@ impl Fleet {
     /// is started again.
     ///
     /// # Errors
-    /// [`Failure::Death`] if a stage has ended that the output depends on.
+    /// [`Error::Death`] if a stage has ended that the output depends on.
     pub fn tend(
         &mut self,
         heartbeats: &[Heartbeat],
         is_linked: bool,
         is_restoring: bool,
-    ) -> Result<Vec<Event>, Failure> {
+    ) -> Result<Vec<Event>, Error> {
         let now = self.begun.elapsed();
         let stopped = now.saturating_sub(self.tended);
         self.tended = now;
@@ -212,7 +242,7 @@ impl Fleet {
                     continue;
                 }
                 member.ticket = self.cleaner.ticket();
-                if !self.run.lockstep {
+                if !self.surroundings.run.lockstep {
                     // Start the clean-up immediately; the last output is read meanwhile.
                     self.cleaner.tend(member.ticket, now)?;
                 }
@@ -220,17 +250,18 @@ impl Fleet {
                 // itself during its start can't, unless the half-made files of a killed process blocked it.
                 let is_in_the_way = one_died && status.code() == Some(Exit::Unavailable as i32);
                 let is_by_signal = status.code().is_none();
-                let is_restartable = !self.run.lockstep && (is_linked || is_by_signal || is_in_the_way);
+                let is_restartable =
+                    !self.surroundings.run.lockstep && (is_linked || is_by_signal || is_in_the_way);
                 events.extend(member.handle_exit(
                     status,
                     is_restartable,
-                    ports::is_full(&self.run.root),
-                    !is_restoring && self.record.exists(),
+                    ports::is_full(&self.surroundings.run.root),
+                    !is_restoring && self.surroundings.record.exists(),
                     now,
                 )?);
-            } else if is_linked && !self.run.lockstep {
+            } else if is_linked && !self.surroundings.run.lockstep {
                 events.extend(member.examine(now));
-            } else if one_died && !self.run.lockstep {
+            } else if one_died && !self.surroundings.run.lockstep {
                 member.free(now);
             }
         }
@@ -282,7 +313,7 @@ impl Fleet {
     }
 
     /// Restarts the stages whose pause is over and whose dead predecessor is cleaned up.
-    fn restart(&mut self, now: Duration) -> Result<Vec<Event>, Failure> {
+    fn restart(&mut self, now: Duration) -> Result<Vec<Event>, Error> {
         let mut events = Vec::new();
         let waiting =
             |m: &&Member| matches!(m.supervision.state(), State::Waiting { .. } | State::GivenUp { .. });
@@ -305,8 +336,7 @@ impl Fleet {
                 }
                 let incarnation = member.supervision.incarnation() + 1;
                 let program = &member.program;
-                let (run, record) = (&self.run, &self.record);
-                match Child::start(member.stage, program, incarnation, run, record, &self.output, None) {
+                match Child::start(member.stage, program, incarnation, &self.surroundings, None) {
                     Ok(child) => {
                         member.child = child;
                         member.supervision.restarted(now);
@@ -354,7 +384,7 @@ impl Fleet {
             }
             std::thread::sleep(LOOK);
         }
-        self.output.finish(OUTPUT_LIMIT);
+        self.surroundings.output.finish(OUTPUT_LIMIT);
         let children = self.members.iter_mut().map(|member| &mut member.child).chain(&mut self.dying);
         children.filter_map(|child| child.ended().is_none().then(|| (child.stage, child.pid()))).collect()
     }

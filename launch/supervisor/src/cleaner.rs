@@ -13,7 +13,7 @@ use ports::{NodeNumber, NodeProcess};
 use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
 
 use crate::child::{die_with_this_process, end_of};
-use crate::failure::Failure;
+use crate::error::Error;
 use crate::program::this_program;
 use crate::spawn::spawn;
 
@@ -111,7 +111,7 @@ impl Cleaner {
     }
 
     /// Checks on the helper, and starts one if a clean-up up to number `wanted` is due.
-    pub fn tend(&mut self, wanted: u64, now: Duration) -> Result<(), Failure> {
+    pub fn tend(&mut self, wanted: u64, now: Duration) -> Result<(), Error> {
         self.killed.retain_mut(|process| matches!(process.try_wait(), Ok(None)));
         if let Some(work) = &mut self.work {
             // Fails only for processes that are not children.
@@ -142,7 +142,7 @@ impl Cleaner {
     }
 
     /// Starts a helper if none is running and a clean-up up to number `wanted` is due.
-    fn start(&mut self, wanted: u64, now: Duration) -> Result<(), Failure> {
+    fn start(&mut self, wanted: u64, now: Duration) -> Result<(), Error> {
         if self.work.is_none() && self.done < wanted && self.killed.len() < KILLED_MAX {
             let mut command = Command::new(this_program());
             command.arg("sweep").arg("--run").arg(&self.record);
@@ -151,12 +151,12 @@ impl Cleaner {
             let process = match spawn(command) {
                 // The next look tries again.
                 Err(error) if error.kind() == ErrorKind::TimedOut => return Ok(()),
-                started => started.map_err(Failure::unavailable)?,
+                started => started.map_err(Error::unavailable)?,
             };
             if let Some(output) = &process.stdout {
                 // A helper that can't be killed must not block the launcher.
-                let flags = fcntl_getfl(output).map_err(Failure::unavailable)?;
-                fcntl_setfl(output, flags | OFlags::NONBLOCK).map_err(Failure::unavailable)?;
+                let flags = fcntl_getfl(output).map_err(Error::unavailable)?;
+                fcntl_setfl(output, flags | OFlags::NONBLOCK).map_err(Error::unavailable)?;
             }
             let descriptor = end_of(&process);
             self.work = Some(Work { process, descriptor, since: now });

@@ -7,7 +7,7 @@
 
 use std::time::Duration;
 
-use crate::config::RestartPolicy;
+use crate::restart::RestartPolicy;
 use recorder::SpareReport;
 use run::Exit;
 use rustix::process::Signal;

@@ -5,18 +5,16 @@ use std::path::Path;
 use std::time::Duration;
 
 use recorder::SpareReport;
-use run::Run;
 use wire::StageId;
 
 use super::Fleet;
 use super::event::Event;
 use super::member::{Member, STOPPED};
 use super::spare::Spare;
-use crate::child::{Child, StartError};
+use crate::child::{Child, StartError, Surroundings};
 use crate::control::{self, Client};
-use crate::failure::Failure;
+use crate::error::Error;
 use crate::policy::{End, State};
-use crate::stage_output::StageOutput;
 
 /// Time from the start of a stage's process to the start of its spare: five ticks. The two processes then do
 /// not compete for processors while the stage catches up.
@@ -51,12 +49,12 @@ impl Fleet {
         is_restoring: bool,
         stopped: Duration,
         now: Duration,
-    ) -> Result<Vec<Event>, Failure> {
+    ) -> Result<Vec<Event>, Error> {
         let mut events = Vec::new();
-        if self.run.lockstep || !is_linked {
+        if self.surroundings.run.lockstep || !is_linked {
             return Ok(events);
         }
-        let socket = control::path(&self.run);
+        let socket = control::path(&self.surroundings.run);
         for member in &mut self.members {
             let is_tried = self.trial.as_ref().is_some_and(|trial| trial.stage == member.stage);
             let state = member.supervision.state();
@@ -67,7 +65,8 @@ impl Fleet {
                 continue;
             }
             let stopped = if stopped > STOPPED { stopped } else { Duration::ZERO };
-            let (has_ended, given_up) = spare.tend(|| !is_restoring && self.record.exists(), stopped, now);
+            let (has_ended, given_up) =
+                spare.tend(|| !is_restoring && self.surroundings.record.exists(), stopped, now);
             if has_ended {
                 spare.ticket = self.cleaner.ticket();
             }
@@ -78,7 +77,7 @@ impl Fleet {
             // A dismissed spare holds its places until it is dead and cleaned up.
             let is_clean = self.dying.is_empty() && self.cleaner.is_done(spare.ticket.max(self.swept));
             if is_settled && is_due && is_clean {
-                member.start_spare(&self.run, &self.record, &self.output, &socket, now)?;
+                member.start_spare(&self.surroundings, &socket, now)?;
             }
         }
         Ok(events)
@@ -88,14 +87,12 @@ impl Fleet {
 impl Member {
     fn start_spare(
         &mut self,
-        run: &Run,
-        record: &Path,
-        output: &StageOutput,
+        surroundings: &Surroundings,
         socket: &Path,
         now: Duration,
-    ) -> Result<(), Failure> {
+    ) -> Result<(), Error> {
         let incarnation = self.supervision.incarnation() + 1;
-        let started = Child::start(self.stage, &self.program, incarnation, run, record, output, Some(socket));
+        let started = Child::start(self.stage, &self.program, incarnation, surroundings, Some(socket));
         let child = match started {
             Ok(child) => child,
             Err(StartError::Failed(failure)) => return Err(failure),

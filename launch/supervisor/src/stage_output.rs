@@ -18,7 +18,7 @@ use rustix::event::{PollFd, PollFlags, poll};
 use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
 use wire::StageId;
 
-use crate::{color, log};
+use crate::text::{message, plain};
 
 /// Number of lines kept per process, to be shown if the process dies.
 const LAST_LINES_MAX: usize = 12;
@@ -142,7 +142,7 @@ impl Output {
     /// process may hold the pipes open.
     pub fn last_lines(&self, limit: Duration) -> Vec<String> {
         wait_for(limit, || self.tail.open.load(Ordering::Acquire) == 0);
-        locked(&self.tail.lines).iter().map(|line| log::message(&text_of(line))).collect()
+        locked(&self.tail.lines).iter().map(|line| message(&text_of(line))).collect()
     }
 }
 
@@ -166,7 +166,7 @@ fn wait_for(limit: Duration, is_met: impl Fn() -> bool) {
 }
 
 fn text_of(line: &[u8]) -> String {
-    color::plain(String::from_utf8_lossy(line).trim_end()).into_owned()
+    plain(String::from_utf8_lossy(line).trim_end()).into_owned()
 }
 
 impl Shared {

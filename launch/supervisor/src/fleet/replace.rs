@@ -15,9 +15,8 @@ use super::member::{Member, STOPPED};
 use super::trial::Trial;
 use crate::child::{Child, Program};
 use crate::control::{self, Client, Order};
-use crate::failure::Failure;
+use crate::error::Error;
 use crate::policy::State;
-use crate::stages;
 
 /// Time that the old process has to end, equal to the duration of the clean-up after a kill. Most processes
 /// need less than 10 ms.
@@ -69,7 +68,7 @@ impl Fleet {
             .ok_or_else(|| format!("there is no stage \"{}\"", order.stage))?;
         let member = self.members.iter().find(|member| member.stage == stage);
         let member = member.ok_or_else(|| format!("the pipeline has no stage \"{}\"", order.stage))?;
-        if self.run.lockstep {
+        if self.surroundings.run.lockstep {
             return Err("a run in lockstep waits for every stage: replace them in real time".to_owned());
         }
         if !is_linked {
@@ -83,11 +82,10 @@ impl Fleet {
         }
         let incarnation = member.supervision.incarnation() + 1;
         // The stage's spare has the same incarnation and the old program. `tend_spares` ends it.
-        let failed = |failure: Failure| failure.to_string();
+        let failed = |failure: Error| failure.to_string();
         let program = self.program(member, order, incarnation).map_err(failed)?;
-        let socket = control::path(&self.run);
-        let (run, record) = (&self.run, &self.record);
-        let child = Child::start(stage, &program, incarnation, run, record, &self.output, Some(&socket))
+        let socket = control::path(&self.surroundings.run);
+        let child = Child::start(stage, &program, incarnation, &self.surroundings, Some(&socket))
             .map_err(|error| failed(error.into()))?;
         Ok((stage, program, child, incarnation, member.supervision.policy().start_limit))
     }
@@ -95,23 +93,23 @@ impl Fleet {
     /// Returns the program of an order. If both programs are built in, or neither is, the previous options
     /// are kept and the order's options are added. If the result differs from the run's options, the program
     /// gets a separate record.
-    fn program(&self, member: &Member, order: &Order, incarnation: u32) -> Result<Program, Failure> {
+    fn program(&self, member: &Member, order: &Order, incarnation: u32) -> Result<Program, Error> {
         let command = (!order.command.is_empty()).then(|| order.command.clone());
         let built_in = command.is_none();
         let (topics, scheduling) = (member.program.topics.clone(), member.program.scheduling.clone());
-        let before = member.program.record.as_deref().unwrap_or(&self.record);
-        let mut run = Run::read(before).map_err(Failure::config)?;
+        let before = member.program.record.as_deref().unwrap_or(&self.surroundings.record);
+        let mut run = Run::read(before).map_err(Error::config)?;
         let number = member.stage.number();
         let Some(own) = run.stages.iter_mut().find(|of| of.stage == number) else {
             return Ok(Program { command, topics, scheduling, record: None });
         };
         let mut options = toml::Table::new();
         if own.built_in == built_in {
-            options = own.options.parse().map_err(Failure::config)?;
+            options = own.options.parse().map_err(Error::config)?;
         }
         options.extend(order.options.clone());
-        if let Some(stage) = stages::built_in(member.stage).filter(|_| built_in) {
-            stage.declared.check(&options)?;
+        if built_in {
+            (self.check)(member.stage, &options)?;
         }
         let text = options.to_string();
         if own.built_in == built_in && own.options == text {
@@ -120,8 +118,8 @@ impl Fleet {
         let set = order.options.keys().map(|key| (key.clone(), format!("--set {key}")));
         own.places.extend(set);
         (own.built_in, own.options) = (built_in, text);
-        let record = self.run.root.join(format!("run-{}-{incarnation}", member.stage.name()));
-        run.write(&record).map_err(Failure::config)?;
+        let record = self.surroundings.run.root.join(format!("run-{}-{incarnation}", member.stage.name()));
+        run.write(&record).map_err(Error::config)?;
         Ok(Program { command, topics, scheduling, record: Some(record) })
     }
 
@@ -152,8 +150,8 @@ impl Fleet {
     /// Ends the old process of the replaced stage and lets the new one take over.
     ///
     /// # Errors
-    /// [`Failure::Unavailable`] if the clean-up after a killed process can't be started.
-    pub fn hand_over(&mut self) -> Result<Option<Event>, Failure> {
+    /// [`Error::Unavailable`] if the clean-up after a killed process can't be started.
+    pub fn hand_over(&mut self) -> Result<Option<Event>, Error> {
         let Some(trial) = &mut self.trial else { return Ok(None) };
         let Some(member) = self.members.iter_mut().find(|member| member.stage == trial.stage) else {
             return Ok(None);

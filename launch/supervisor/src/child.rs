@@ -10,8 +10,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child as Process, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
-use crate::config::Scheduling;
-use nn::kernels;
+use crate::scheduling::Scheduling;
 use ports::{
     COLOR_VARIABLE, Color, INCARNATION_VARIABLE, LAUNCHER_VARIABLE, RUN_VARIABLE, STANDBY_VARIABLE,
     TOPICS_VARIABLE,
@@ -20,11 +19,11 @@ use run::{Exit, Run, STAGE_VARIABLE};
 use rustix::process::{Pid, PidfdFlags, Signal, kill_process, pidfd_open, set_parent_process_death_signal};
 use wire::StageId;
 
-use crate::failure::{Failure, StageDeath};
+use crate::error::{Error, StageDeath};
 use crate::program::this_program;
+use crate::scheduling;
 use crate::spawn::spawn;
 use crate::stage_output::{Output, StageOutput};
-use crate::{log, scheduling};
 
 /// Interval between checks of an ending process.
 const LOOK: Duration = Duration::from_millis(5);
@@ -57,12 +56,17 @@ pub struct Program {
     pub record: Option<PathBuf>,
 }
 
-impl Program {
-    /// Returns the program of a pipeline's stage.
-    pub fn of(stage: &crate::config::Stage) -> Self {
-        let topics = stage.topics.iter().map(|(topic, name)| format!("{topic}={name}")).collect();
-        Self { command: stage.command.clone(), topics, scheduling: stage.scheduling.clone(), record: None }
-    }
+/// What all processes of a run share.
+#[derive(Debug)]
+pub struct Surroundings {
+    /// The run.
+    pub run: Run,
+    /// The file of its record.
+    pub record: PathBuf,
+    /// The reader of the output.
+    pub output: StageOutput,
+    /// Further environment variables.
+    pub environment: Vec<(String, String)>,
 }
 
 /// A stage's process.
@@ -86,10 +90,10 @@ pub enum StartError {
     /// The start did not end in time: a file system does not answer.
     Hung(String),
     /// The program can't be started.
-    Failed(Failure),
+    Failed(Error),
 }
 
-impl From<StartError> for Failure {
+impl From<StartError> for Error {
     fn from(error: StartError) -> Self {
         match error {
             StartError::Hung(text) => Self::unavailable(text),
@@ -99,17 +103,16 @@ impl From<StartError> for Failure {
 }
 
 impl Child {
-    /// Starts a stage, by its own command or by this program, and sends its output to `output`. If `standby` holds
+    /// Starts a stage, by its own command or by this program, and lets its output be read. If `standby` holds
     /// the launcher's socket, the process will replace one that is still running.
     pub fn start(
         stage: StageId,
         own: &Program,
         incarnation: u32,
-        run: &Run,
-        record: &Path,
-        output: &StageOutput,
+        surroundings: &Surroundings,
         standby: Option<&Path>,
     ) -> Result<Self, StartError> {
+        let Surroundings { run, record, output, environment } = surroundings;
         let record = own.record.as_deref().unwrap_or(record);
         let mut command = match own.command.as_deref() {
             Some([program, arguments @ ..]) => {
@@ -140,13 +143,12 @@ impl Child {
             .env("STGDAT_ORIGIN", run.origin().to_string())
             .env_remove(STANDBY_VARIABLE)
             .envs(standby.map(|socket| (STANDBY_VARIABLE, socket)))
-            .envs(kernels::forced().map(|isa| (kernels::VARIABLE, isa.key())))
+            .envs(environment.iter().map(|(name, value)| (name, value)))
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
             // A separate process group, so Ctrl-C reaches only the launcher, which ends the stages in order.
             .process_group(0);
-        log::pass_on(&mut command);
         if std::env::var_os(ALLOCATOR_VARIABLE).is_none() {
             command.env(ALLOCATOR_VARIABLE, ALLOCATOR);
         }
@@ -158,7 +160,7 @@ impl Child {
                 return StartError::Hung(format!("{program}: {error}"));
             }
             let about = format!("the {} can't be started: {program}", stage.name());
-            StartError::Failed(Failure::config_about(about, error))
+            StartError::Failed(Error::config_about(about, error))
         })?;
         let pipes = [process.stdout.take().map(OwnedFd::from), process.stderr.take().map(OwnedFd::from)];
         let descriptor = end_of(&process);
@@ -168,7 +170,7 @@ impl Child {
             }
             Err(error) => {
                 end_within(&mut process, Duration::ZERO);
-                Err(StartError::Failed(Failure::unavailable(error)))
+                Err(StartError::Failed(Error::unavailable(error)))
             }
         }
     }

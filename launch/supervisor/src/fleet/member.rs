@@ -10,10 +10,10 @@ use wire::StageId;
 use super::event::Event;
 use super::spare::Spare;
 use crate::child::{Child, Program, how_of};
-use crate::config::Restart;
-use crate::failure::{Failure, StageDeath};
+use crate::error::{Error, StageDeath};
 use crate::health::{Finding, Health, look};
 use crate::policy::{End, State, Supervision};
+use crate::restart::Restart;
 
 /// The launcher checks at least every 50 ms. After ten times that long without a check, the launcher itself
 /// was stopped or starved, and it does not know what happened in between.
@@ -57,7 +57,7 @@ impl Member {
         is_full: bool,
         has_files: bool,
         now: Duration,
-    ) -> Result<Option<Event>, Failure> {
+    ) -> Result<Option<Event>, Error> {
         let end = match status.code() {
             Some(0) if self.is_done(status) => End::Done,
             Some(0) => End::Success,
@@ -78,7 +78,7 @@ impl Member {
         how: String,
         status: Option<ExitStatus>,
         now: Duration,
-    ) -> Result<Option<Event>, Failure> {
+    ) -> Result<Option<Event>, Error> {
         let stage = self.stage;
         match self.supervision.ended(end, now) {
             State::Waiting { .. } => {

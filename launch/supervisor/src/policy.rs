@@ -15,7 +15,7 @@
 use std::collections::VecDeque;
 use std::time::Duration;
 
-use crate::config::{Restart, RestartPolicy};
+use crate::restart::{Restart, RestartPolicy};
 
 /// Pause before the restart of a stage that ended while there was no room.
 const NO_ROOM_PAUSE: Duration = Duration::from_secs(1);

@@ -12,7 +12,7 @@ use ports::{NodeNumber, NodeProcess, NodeWatch};
 use run::Run;
 
 use crate::cleaner::Cleaner;
-use crate::failure::Failure;
+use crate::error::Error;
 
 /// Interval between checks. With the clean-up, a dead reader's places are free within a second.
 const LOOK: Duration = Duration::from_millis(200);
@@ -77,7 +77,7 @@ impl std::fmt::Display for DeadReader {
 
 impl Readers {
     /// Creates the readers of a run.
-    pub fn new(run: &Run) -> Result<Self, Failure> {
+    pub fn new(run: &Run) -> Result<Self, Error> {
         let (dead, own) = (BTreeMap::new(), BTreeMap::new());
         Ok(Self { watch: NodeWatch::new(run)?, looked: Duration::ZERO, dead, own, deaths: 0 })
     }
