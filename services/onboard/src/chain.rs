@@ -10,7 +10,7 @@ use sampler::Sampler;
 use tracker::Tracker;
 use wire::{
     ContextTopic, ControlsTopic, Detection, EncodingsTopic, FeatureShape, Features, FeaturesTopic, Forecast,
-    ForecastsTopic, Header, Rejected, StageId, Topic, Track, TracksTopic,
+    ForecastsTopic, Header, Rejected, StageId, Topic, Track, TracksTopic, flags,
 };
 
 use crate::{ChainError, Load, OwnFrame};
@@ -20,6 +20,8 @@ pub struct Chain {
     tracker: Tracker,
     rest: TracksToForecasts,
     tracks: OwnFrame<TracksTopic>,
+    /// The newest forecasts that the tracker has received.
+    prior: OwnFrame<ForecastsTopic>,
     refusal: Option<Rejected>,
 }
 
@@ -73,7 +75,7 @@ impl Chain {
     /// Joins a tracker and later stages of the same model.
     #[must_use]
     pub fn of_stages(tracker: Tracker, rest: TracksToForecasts) -> Self {
-        Self { tracker, rest, tracks: OwnFrame::default(), refusal: None }
+        Self { tracker, rest, tracks: OwnFrame::default(), prior: OwnFrame::default(), refusal: None }
     }
 
     /// Takes a tick through all stages; `passed` is called after each stage that answers it.
@@ -86,13 +88,17 @@ impl Chain {
         detections: &[Detection],
         mut passed: impl FnMut(StageId),
     ) -> (Header, &[Forecast]) {
-        let Self { tracker, rest, tracks, refusal } = self;
-        let before = &rest.forecasts;
-        let second = if before.is_void() { Second::None } else { before.as_second() };
+        let Self { tracker, rest, tracks, prior, refusal } = self;
+        // After a VOID frame the tracker keeps the older forecasts.
+        if !header.has(flags::VOID) && !rest.forecasts.is_void() {
+            std::mem::swap(prior, &mut rest.forecasts);
+        }
+        let second = if prior.is_void() { Second::None } else { prior.as_second() };
         let tick = Tick { header, input: detections, second, allowance: Allowance::All };
         // A refused tick leaves a VOID frame.
         *refusal = tracks.answer(tracker, &tick, || passed(StageId::Tracker)).err();
         if tracks.is_void() {
+            rest.forecasts.make_void(tracks.header);
             return (tracks.header, &[]);
         }
         let _ = rest.answer(tracks.parts(), passed);
@@ -132,7 +138,7 @@ impl Chain {
         &self.tracks.elements
     }
 
-    /// Tracks and forecasts of the last tick. The forecasts are those of an earlier tick if the tracks are VOID.
+    /// Tracks and forecasts of the last tick.
     pub const fn frames(&self) -> (&OwnFrame<TracksTopic>, &OwnFrame<ForecastsTopic>) {
         (&self.tracks, &self.rest.forecasts)
     }

@@ -34,7 +34,7 @@ impl<T: Topic> OwnFrame<T> {
         if self.is_void() { Second::Refused } else { Second::Frame(&self.header, &self.elements) }
     }
 
-    fn make_void(&mut self, header: Header) {
+    pub(crate) fn make_void(&mut self, header: Header) {
         self.header = Header { flags: header.flags | flags::VOID, counts: Counts::default(), ..header };
         self.elements.clear();
     }
