@@ -5,7 +5,7 @@ use schemars::JsonSchema;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
-use wire::StageId;
+use wire::{ForecastsTopic, StageId, Topic};
 
 use crate::options::OptionsSchema;
 use crate::{Run, StageRun};
@@ -149,6 +149,13 @@ impl OptionError {
             Self::Unwritable { .. } => "paths must be UTF-8".to_owned(),
         }
     }
+}
+
+/// Whether a stage reads the frames of earlier ticks from a topic, which a later stage writes. This is the only
+/// loop of the pipeline's graph: a forecast is the tracker's prior in later ticks.
+#[must_use]
+pub fn is_feedback(stage: StageId, topic: &str) -> bool {
+    stage == StageId::Tracker && topic == ForecastsTopic::NAME
 }
 
 /// The environment variable that holds the name of a process's stage. The names of added stages are known

@@ -45,7 +45,9 @@ pub mod options;
 mod record;
 mod speed_limits;
 
-pub use declaration::{Conflict, Declaration, Declared, NoOptions, OptionError, STAGE_VARIABLE, own_stage};
+pub use declaration::{
+    Conflict, Declaration, Declared, NoOptions, OptionError, STAGE_VARIABLE, is_feedback, own_stage,
+};
 pub use exit::Exit;
 pub use record::{PROTECTED, RecordError, Run, SpareRun, StageRun, TopicRun, injected_name, injected_topic};
 pub use speed_limits::SpeedLimits;

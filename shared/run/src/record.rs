@@ -13,6 +13,8 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 use wire::{ForecastsTopic, HeartbeatsTopic, StageId, TICK_NS, Topic, WorldOrigin, crc64};
 
+use crate::is_feedback;
+
 /// First bytes of a record's file.
 const MAGIC: &str = "stgdat-run ";
 /// Version of the record. It increases with every change of [`Run`].
@@ -276,10 +278,10 @@ impl Run {
     /// Whether the forecasts of a tick wait for this topic, by its name in shared memory.
     #[must_use]
     pub fn is_on_way(&self, topic: &str) -> bool {
-        let is_back = |stage: StageId| stage == StageId::Tracker && topic == ForecastsTopic::NAME;
         let way = self.before(StageId::Sampler);
         let mut readers = self.readers(topic).filter_map(|stage| StageId::from_number(stage.stage));
-        topic == ForecastsTopic::NAME || readers.any(|stage| way.contains(&stage) && !is_back(stage))
+        topic == ForecastsTopic::NAME
+            || readers.any(|stage| way.contains(&stage) && !is_feedback(stage, topic))
     }
 
     /// Stages that read a topic, by its name in shared memory.
@@ -293,8 +295,7 @@ impl Run {
         ids.zip(&self.stages).filter_map(|(id, stage)| Some((id.filter(|id| id.is_added())?, stage)))
     }
 
-    /// The stages whose output reaches `stage` within a tick, including `stage`. The forecasts that go back
-    /// to the tracker belong to earlier ticks.
+    /// The stages whose output reaches `stage` within a tick, including `stage`.
     #[must_use]
     pub fn before(&self, stage: StageId) -> Vec<StageId> {
         let (mut found, mut open) = (Vec::new(), vec![stage]);
@@ -304,8 +305,7 @@ impl Run {
             }
             found.push(stage);
             let Some(own) = self.stage(stage) else { continue };
-            let is_back = |topic: &str| stage == StageId::Tracker && topic == ForecastsTopic::NAME;
-            for topic in own.reads.iter().filter(|topic| !is_back(topic)) {
+            for topic in own.reads.iter().filter(|topic| !is_feedback(stage, topic)) {
                 let writers = self.stages.iter().filter(|other| other.writes.contains(topic));
                 open.extend(writers.filter_map(|writer| StageId::from_number(writer.stage)));
             }
