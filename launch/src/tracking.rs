@@ -3,29 +3,16 @@
 
 use data::{Inspection, Recording};
 use model::ModelConfig;
-use onboard::{Chain, OwnFrame};
-use ports::{Allowance, Second, Tick};
+use onboard::Chain;
 use run::Run;
 use source::{Playback, PlaybackOptions};
 use tracker::{Prior, Tracker, TrackerOptions};
-use wire::{AGENTS_MAX, Detection, Header, Rejected, Track, TracksTopic};
+use wire::{AGENTS_MAX, Detection, Header, Rejected, Track};
 
 use crate::failure::Failure;
 
 /// The stages needed to compute tracks, with the same steps and settings as in a run.
-pub enum Tracking {
-    /// The tracker alone; without forecasts as prior, other stages do not affect the tracks.
-    Alone {
-        /// The tracker.
-        tracker: Box<Tracker>,
-        /// The tracks of the last tick.
-        tracks: Box<OwnFrame<TracksTopic>>,
-        /// Why the tracker has refused the last tick.
-        refusal: Option<Rejected>,
-    },
-    /// All stages, because their forecasts are the prior.
-    InChain(Box<Chain>),
-}
+pub struct Tracking(Chain);
 
 impl Tracking {
     /// Creates the stages that the prior of a run with this model needs.
@@ -35,47 +22,32 @@ impl Tracking {
             let why = "forecasts take no part in tracks with the kinematic prior";
             return Err(Failure::Usage(format!("--memory changes nothing here: {why}")));
         }
-        Ok(match prior {
-            Prior::Kinematic => Self::Alone {
-                tracker: Box::new(Tracker::new(tracker::settings(run, model)?)),
-                tracks: Box::default(),
-                refusal: None,
-            },
-            Prior::Learned => Self::InChain(Box::new(Chain::new(run, model)?)),
-        })
+        Ok(Self(match prior {
+            // Without forecasts as prior, other stages do not affect the tracks.
+            Prior::Kinematic => {
+                let tracker = Tracker::new(tracker::settings(run, model)?);
+                Chain::of(vec![onboard::node(&tracker::STAGE, tracker)])
+            }
+            Prior::Learned => Chain::new(run, model)?,
+        }))
     }
 
     /// Returns the header and tracks after a tick. If the tracker refuses the tick, the tracks are empty.
     pub fn tick(&mut self, header: &Header, detections: &[Detection]) -> (Header, &[Track]) {
-        match self {
-            Self::Alone { tracker, tracks, refusal } => {
-                let allowance = Allowance::All;
-                let tick = Tick { header, input: detections, second: Second::None, allowance };
-                // A refused tick leaves a VOID frame.
-                *refusal = tracks.answer(&mut **tracker, &tick, || ()).err();
-                (tracks.header, &tracks.elements)
-            }
-            Self::InChain(chain) => {
-                let (header, _) = chain.tick(header, detections, |_| ());
-                (header, chain.tracks())
-            }
-        }
+        self.0.tick(header, detections, |_| ());
+        let (tracks, _) = self.0.frames();
+        (tracks.header, &tracks.elements)
     }
 
     /// Why the tracker has refused the last tick, if it has.
-    pub const fn refusal(&self) -> Option<&Rejected> {
-        match self {
-            Self::Alone { refusal, .. } => refusal.as_ref(),
-            Self::InChain(chain) => chain.refusal(),
-        }
+    pub fn refusal(&self) -> Option<&Rejected> {
+        self.0.refusal()
     }
 
-    /// Writes the retrieval memory if the run's record names a file. Has no effect without forecasts.
-    pub fn keep_memory(&self, run: &Run) -> Result<(), Failure> {
-        match self {
-            Self::Alone { .. } => Ok(()),
-            Self::InChain(chain) => Ok(chain.keep_memory(run)?),
-        }
+    /// Ends the stages: writes the retrieval memory if the run's record names a file and forecasts are the
+    /// prior.
+    pub fn end(&mut self, run: &Run) -> Result<(), Failure> {
+        Ok(self.0.end(run)?)
     }
 }
 

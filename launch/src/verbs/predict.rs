@@ -41,7 +41,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let mut page = arguments.html.as_deref().map(|path| PlayedPage::new(path, &name, &run)).transpose()?;
     let out = (&*arguments.out, run.origin());
     let played = play(out, &mut playback, &mut chain, &mut report, page.as_mut());
-    let kept = chain.keep_memory(&run);
+    let kept = chain.end(&run);
     let is_whole = played?;
     kept?;
     page.map_or(Ok(()), PlayedPage::write)?;

@@ -31,7 +31,7 @@ pub struct Arguments {
     file: PathBuf,
     /// Replay only this stage, with its input from the file. The recording must contain the topics that the
     /// stage reads and writes
-    #[arg(long, value_name = "NAME", value_parser = PossibleValuesParser::new(STAGES.map(|(stage, ..)| stage.name())))]
+    #[arg(long, value_name = "NAME", value_parser = PossibleValuesParser::new(STAGES.map(|stage| stage.id().name())))]
     stage: Option<String>,
     /// Speed of the ticks; results do not depend on it
     #[arg(long, value_enum, default_value = "max")]
@@ -138,7 +138,7 @@ fn writer(
     weights: &Weights,
 ) -> Result<Option<Writer>, Failure> {
     let Some(path) = &arguments.out else { return Ok(None) };
-    let topics = STAGES.map(|(_, _, writes)| writes.to_owned()).to_vec();
+    let topics = STAGES.iter().flat_map(|stage| stage.writes()).map(|&topic| topic.to_owned()).collect();
     let about = About {
         topics,
         weights_sha256: weights.sha256().to_owned(),

@@ -50,7 +50,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let mut tracking = Tracking::new(&run, &model)?;
     let mut report = PlayReport::new(&playback, input);
     let played = play(&arguments.out, rows, run.origin(), &mut playback, &mut tracking, &mut report);
-    let kept = tracking.keep_memory(&run);
+    let kept = tracking.end(&run);
     let is_whole = played?;
     kept?;
     // A verdict needs the whole recording.

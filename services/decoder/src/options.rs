@@ -2,11 +2,12 @@ use nn::{Precision, WORKERS_MAX};
 use run::Declaration;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use wire::{ControlsTopic, EncodingsTopic, StageId, Topic};
+use wire::StageId;
+
+use crate::Decoder;
 
 /// The decoder.
-pub const STAGE: Declaration<Options> =
-    Declaration::new(StageId::Decoder, &[EncodingsTopic::NAME], &[ControlsTopic::NAME]);
+pub const STAGE: Declaration<Options> = ports::declare::<Decoder, _>(StageId::Decoder);
 
 /// What may be set of the decoder.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]

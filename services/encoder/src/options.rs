@@ -2,11 +2,12 @@ use nn::WORKERS_MAX;
 use run::Declaration;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use wire::{EncodingsTopic, FeaturesTopic, StageId, Topic};
+use wire::StageId;
+
+use crate::Encoder;
 
 /// The encoder.
-pub const STAGE: Declaration<Options> =
-    Declaration::new(StageId::Encoder, &[FeaturesTopic::NAME], &[EncodingsTopic::NAME]);
+pub const STAGE: Declaration<Options> = ports::declare::<Encoder, _>(StageId::Encoder);
 
 /// What may be set of the encoder.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]

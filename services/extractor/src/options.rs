@@ -2,11 +2,12 @@ use nn::WORKERS_MAX;
 use run::Declaration;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use wire::{ContextTopic, FeaturesTopic, StageId, Topic};
+use wire::StageId;
+
+use crate::Extractor;
 
 /// The extractor.
-pub const STAGE: Declaration<Options> =
-    Declaration::new(StageId::Extractor, &[ContextTopic::NAME], &[FeaturesTopic::NAME]);
+pub const STAGE: Declaration<Options> = ports::declare::<Extractor, _>(StageId::Extractor);
 
 /// What may be set of the extractor.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]

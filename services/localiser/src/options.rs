@@ -7,11 +7,12 @@ use run::Declaration;
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Serialize, Serializer};
 use thiserror::Error;
-use wire::{ContextTopic, StageId, Topic, TracksTopic};
+use wire::StageId;
+
+use crate::Localiser;
 
 /// The localiser.
-pub const STAGE: Declaration<Options> =
-    Declaration::new(StageId::Localiser, &[TracksTopic::NAME], &[ContextTopic::NAME]);
+pub const STAGE: Declaration<Options> = ports::declare::<Localiser, _>(StageId::Localiser);
 
 /// What may be set of the localiser.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]

@@ -1,6 +1,7 @@
-use bytemuck::Zeroable;
-use ports::{Answer, Room, Second, Step, Tick};
-use wire::{Counts, Header, Rejected, Topic, flags};
+use std::sync::Arc;
+
+use ports::Readable;
+use wire::{Header, Topic, flags};
 
 /// A frame in owned memory.
 #[derive(Clone, Debug)]
@@ -28,60 +29,60 @@ impl<T: Topic> OwnFrame<T> {
     pub fn parts(&self) -> (&Header, &[T::Element]) {
         (&self.header, &self.elements)
     }
+}
 
-    /// The frame as the second input of a tick.
-    pub fn as_second(&self) -> Second<'_, T> {
-        if self.is_void() { Second::Refused } else { Second::Frame(&self.header, &self.elements) }
+impl<T: Topic> Readable<T> for OwnFrame<T> {
+    fn header(&self) -> &Header {
+        &self.header
     }
 
-    pub(crate) fn make_void(&mut self, header: Header) {
-        self.header = Header { flags: header.flags | flags::VOID, counts: Counts::default(), ..header };
-        self.elements.clear();
-    }
-
-    /// Lets a step answer a tick, as the step's process does. `passed` is called when the answer is complete,
-    /// before the work for which no later stage waits. It is not called if the input is VOID.
-    ///
-    /// # Errors
-    /// [`Rejected`] if the step refuses the tick. The frame is then VOID. It is also VOID if the input is
-    /// VOID, or if the step leaves the tick without an answer.
-    pub fn answer<S: Step<Output = T>>(
-        &mut self,
-        step: &mut S,
-        tick: &Tick<'_, S::Input, S::Second>,
-        passed: impl FnOnce(),
-    ) -> Result<(), Rejected> {
-        if tick.header.has(flags::VOID) {
-            self.make_void(*tick.header);
-            return Ok(());
-        }
-        let mut memory = Memory::<T> { elements: std::mem::take(&mut self.elements), count: 0 };
-        let mut out = Answer::new(*tick.header, &mut memory);
-        let result = step.answer(tick, &mut out);
-        let (header, is_empty) = (out.header, out.is_empty());
-        self.elements = memory.elements;
-        self.elements.truncate(memory.count);
-        if is_empty || result.is_err() {
-            self.make_void(header);
-        } else {
-            self.header = header;
-        }
-        passed();
-        step.after(tick);
-        result
+    fn elements(&self) -> &[T::Element] {
+        &self.elements
     }
 }
 
-/// The memory of a frame. It grows to the size of the largest frame.
-struct Memory<T: Topic> {
-    elements: Vec<T::Element>,
-    count: usize,
+/// The newest frame of a topic, and frames whose memory can be used again.
+pub(crate) struct Slot<T: Topic> {
+    frame: Arc<OwnFrame<T>>,
+    /// Whether the frame belongs to the tick.
+    is_present: bool,
+    pool: Vec<Arc<OwnFrame<T>>>,
 }
 
-impl<T: Topic> Room<T> for Memory<T> {
-    fn elements(&mut self, count: usize) -> Result<&mut [T::Element], Rejected> {
-        self.count = count;
-        self.elements.resize(count, T::Element::zeroed());
-        Ok(&mut self.elements)
+impl<T: Topic> Default for Slot<T> {
+    fn default() -> Self {
+        Self { frame: Arc::default(), is_present: false, pool: Vec::new() }
+    }
+}
+
+impl<T: Topic> Slot<T> {
+    pub fn frame(&self) -> &OwnFrame<T> {
+        &self.frame
+    }
+
+    /// The frame, if it belongs to the tick.
+    pub fn present(&self) -> Option<&Arc<OwnFrame<T>>> {
+        self.is_present.then_some(&self.frame)
+    }
+
+    /// Lets `write` fill a frame that nobody reads, and makes it the newest.
+    pub fn write(&mut self, write: impl FnOnce(&mut OwnFrame<T>)) {
+        let mut pool = self.pool.iter_mut();
+        let free = pool.position(|frame| Arc::get_mut(frame).is_some());
+        let mut frame = free.map_or_else(Arc::default, |free| self.pool.swap_remove(free));
+        if let Some(frame) = Arc::get_mut(&mut frame) {
+            write(frame);
+        }
+        self.pool.push(std::mem::replace(&mut self.frame, frame));
+        self.is_present = true;
+    }
+
+    pub fn put(&mut self, frame: Arc<OwnFrame<T>>) {
+        self.frame = frame;
+        self.is_present = true;
+    }
+
+    pub const fn clear(&mut self) {
+        self.is_present = false;
     }
 }

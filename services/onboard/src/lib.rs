@@ -4,29 +4,25 @@
 //! The input consists of wire payloads (detections or tracks, tick by tick). The output consists of tracks,
 //! controls and forecasts.
 //!
-//! ```text
-//! detections ─ tracker ─┬─ localiser ─ extractor ─┬─ encoder ─ decoder ─┬─ sampler ─ forecasts
-//!                       └─ TracksToFeatures ──────┴─ FeaturesToControls ┘
-//!              Chain    └─ TracksToForecasts ──────────────────────────────────────┘
-//! ```
+//! * [`Graph`] joins stages by the topics of their declarations. A tick of it takes frames from input to output.
+//! * [`Chain`] is the graph of all compute stages: `stgdat predict`, `track` and `bench` run it.
+//! * [`Replay`] takes a recording through the same graph.
 //!
-//! * [`Chain`] is the whole pipeline: `stgdat predict`, `track` and `bench` run it.
-//! * [`TracksToForecasts`] is the part of the pipeline that starts at a `tracks` payload.
-//! * [`TracksToFeatures`] and [`FeaturesToControls`] are the parts of [`TracksToForecasts`] before the
-//!   sampler. The first depends on earlier ticks. The second depends only on its tick, so that evaluations
-//!   can spread ticks over threads.
-//! * [`Stages`] holds the same stages one by one. [`Replay`] takes a recording through them.
+//! Evaluations join some of the stages. Localiser and extractor depend on earlier ticks. Encoder and decoder
+//! depend only on their tick, so evaluations spread ticks over threads.
 
 mod chain;
 mod error;
 mod frame;
+mod graph;
 mod load;
 mod replay;
 mod stages;
 
-pub use chain::{Chain, FeaturesToControls, TracksToFeatures, TracksToForecasts};
+pub use chain::{Chain, STAGES, open_all};
 pub use error::ChainError;
 pub use frame::OwnFrame;
+pub use graph::{Graph, Node, node};
 pub use load::Load;
-pub use replay::{OwnTime, Replay, ReplayError, Replayed, STAGES};
+pub use replay::{OwnTime, Replay, ReplayError, Replayed};
 pub use stages::Stages;

@@ -12,18 +12,20 @@ mod pace;
 mod tick;
 
 use std::collections::{BTreeMap, VecDeque};
+use std::sync::Arc;
 use std::time::Instant;
 
 use nn::Weights;
 use recording::{Comparison, Frame, FrameError, Message, Recording};
+use run::is_feedback;
 use thiserror::Error;
 use wire::{
-    ContextTopic, ControlsTopic, DetectionsTopic, EncodingsTopic, FeaturesTopic, ForecastsTopic, Header,
-    HeartbeatsTopic, StageId, Topic, TracksTopic, flags,
+    ControlsTopic, DetectionsTopic, ForecastsTopic, Header, HeartbeatsTopic, StageId, Topic, TracksTopic,
+    flags,
 };
 
 use crate::replay::{pace::Pace, tick::Tick};
-use crate::{ChainError, OwnFrame, Stages};
+use crate::{ChainError, OwnFrame, STAGES, Stages};
 
 pub use self::pace::OwnTime;
 
@@ -32,16 +34,6 @@ pub use self::pace::OwnTime;
 const LATER: usize = 24;
 /// Number of recent forecasts kept as candidates for the tracker's prior.
 const PRIORS_MAX: usize = 24;
-
-/// The stages that are replayed, with the topics of their inputs and of their output.
-pub const STAGES: [(StageId, &[&str], &str); 6] = [
-    (StageId::Tracker, &[DetectionsTopic::NAME, TracksTopic::NAME, ForecastsTopic::NAME], TracksTopic::NAME),
-    (StageId::Localiser, &[TracksTopic::NAME], ContextTopic::NAME),
-    (StageId::Extractor, &[ContextTopic::NAME], FeaturesTopic::NAME),
-    (StageId::Encoder, &[FeaturesTopic::NAME], EncodingsTopic::NAME),
-    (StageId::Decoder, &[EncodingsTopic::NAME], ControlsTopic::NAME),
-    (StageId::Sampler, &[TracksTopic::NAME, ControlsTopic::NAME, ForecastsTopic::NAME], ForecastsTopic::NAME),
-];
 
 /// Why a recording can't be replayed.
 #[derive(Debug, Error)]
@@ -107,8 +99,7 @@ pub struct Replay<'a> {
     alone: Option<StageId>,
     incarnations: BTreeMap<StageId, u32>,
     /// The newest forecasts that are not VOID, each with the time at which it was sent.
-    forecasts: VecDeque<(u64, OwnFrame<ForecastsTopic>)>,
-    prior: Option<OwnFrame<ForecastsTopic>>,
+    forecasts: VecDeque<(u64, Arc<OwnFrame<ForecastsTopic>>)>,
     /// `None` if the ticks are replayed without pauses.
     pace: Option<Pace>,
     found: Replayed,
@@ -124,14 +115,24 @@ impl<'a> Replay<'a> {
         weights: Weights,
         alone: Option<StageId>,
     ) -> Result<Self, ReplayError> {
+        let stages = Stages::new(&recording.about().run, weights)?;
+        Self::over(recording, stages, alone)
+    }
+
+    /// As [`Replay::new`], with these stages.
+    ///
+    /// # Errors
+    /// [`ReplayError`] if the recording lacks a topic.
+    pub fn over(
+        recording: &'a Recording,
+        stages: Stages,
+        alone: Option<StageId>,
+    ) -> Result<Self, ReplayError> {
         let path = recording.path().display().to_string();
-        let wanted: Vec<&'static str> = match alone {
+        let declared = STAGES.iter().find(|stage| alone == Some(stage.id()));
+        let wanted: Vec<&'static str> = match declared {
             None => vec![DetectionsTopic::NAME],
-            Some(stage) => {
-                let row = STAGES.iter().find(|(of, ..)| *of == stage);
-                row.map(|(_, reads, writes)| reads.iter().copied().chain([*writes]).collect())
-                    .unwrap_or_default()
-            }
+            Some(stage) => [stage.reads(), stage.writes()].concat(),
         };
         // The tracker reuses the controls of its forecasts.
         let needs_whole = |topic: &str| alone == Some(StageId::Tracker) && topic == ForecastsTopic::NAME;
@@ -143,14 +144,12 @@ impl<'a> Replay<'a> {
             let wanted = alone.map_or_else(|| "a replay".to_owned(), |stage| format!("the {}", stage.name()));
             return Err(ReplayError::Missing { path, topic, wanted, advice: "all" });
         }
-        let stages = Stages::new(&recording.about().run, weights)?;
         Ok(Self {
             recording,
             stages,
             alone,
             incarnations: BTreeMap::new(),
             forecasts: VecDeque::new(),
-            prior: None,
             pace: None,
             found: Replayed::default(),
         })
@@ -172,7 +171,7 @@ impl<'a> Replay<'a> {
         // The ticks in the order in which the tracker answered them.
         let mut order: VecDeque<u64> = VecDeque::new();
         // A replay of one stage needs only the topics around it.
-        let inputs = STAGES.iter().flat_map(|(_, reads, _)| reads.iter().copied());
+        let inputs = STAGES.iter().flat_map(|stage| stage.reads().iter().copied());
         let leads =
             [TracksTopic::NAME].into_iter().chain(inputs).find(|topic| self.recording.has_topic(topic));
         for message in self.recording.messages() {
@@ -230,123 +229,130 @@ impl<'a> Replay<'a> {
         }
         self.found.newest = Some(seq);
         *if tick.is_before() { &mut self.found.ticks_before } else { &mut self.found.ticks } += 1;
-        let impossible = &mut self.found.impossible;
-        let recorded_tracks = tick.own::<TracksTopic>(impossible);
-        let recorded_controls = tick.own::<ControlsTopic>(impossible);
-        let recorded_forecasts = tick.own::<ForecastsTopic>(impossible);
-        let does = |stage| self.alone.is_none_or(|alone| alone == stage);
-        let [tracks_here, samples_here] = [StageId::Tracker, StageId::Sampler].map(does);
-        // A replay of one stage reads its input from the file.
-        let mut tracks = recorded_tracks.clone();
         let begins_late = self.alone.is_none() && self.found.missing_before.is_some();
         self.found.tracks_are_recorded = begins_late && self.recording.has_topic(TracksTopic::NAME);
-        if tracks_here && !self.found.tracks_are_recorded {
-            tracks = self.track(seq, tick, recorded_tracks.as_ref())?;
-            self.compare(tick, tracks.as_ref(), each);
+        let stages = self.stages.graph.stages();
+        let is_replayed = |stage: StageId| match self.alone {
+            Some(alone) => stage == alone,
+            None => stage != StageId::Tracker || !self.found.tracks_are_recorded,
+        };
+        let replayed: Vec<_> = stages.into_iter().filter(|(stage, ..)| is_replayed(*stage)).collect();
+        // Frames that no stage of the replay makes come from the file.
+        let read =
+            replayed.iter().flat_map(|(stage, reads, _)| reads.iter().map(move |topic| (*stage, *topic)));
+        for topic in read.filter(|(stage, topic)| !is_feedback(*stage, topic)).map(|(_, topic)| topic) {
+            if replayed.iter().all(|(_, _, writes)| *writes != topic)
+                && let Err(error) = self.stages.graph.put_recorded(topic, tick.frame(topic))
+            {
+                self.found.impossible.get_or_insert(error);
+            }
         }
-        let controls = match (self.alone, &tracks) {
-            (Some(alone), _) => {
-                self.one(alone, tick, each)?;
-                recorded_controls
+        let impossible = &mut self.found.impossible;
+        let (tracks, forecasts) =
+            (tick.sound::<TracksTopic>(impossible), tick.sound::<ForecastsTopic>(impossible));
+        tick.sound::<ControlsTopic>(impossible);
+        for (stage, _, writes) in replayed {
+            let is_answered = match stage {
+                StageId::Tracker => self.begin_tracker(seq, tick, tracks)?,
+                StageId::Sampler => self.begin_sampler(seq, forecasts)?,
+                // Alone, the stage needs its input from the file.
+                _ if self.alone.is_none() && !self.stages.graph.has_input(stage) => false,
+                _ => self.has_passed(stage, tick, writes)?,
+            };
+            if is_answered {
+                self.stages.graph.answer(stage, tick.allowance(stage));
+            } else {
+                self.stages.graph.clear(writes);
             }
-            (None, Some(tracks)) => self.network(tick, tracks, each)?,
-            (None, None) => None,
-        };
-        let sampled = match (&tracks, &recorded_forecasts) {
-            // The run's sampler did not answer this tick.
-            (_, None) if self.recording.has_topic(ForecastsTopic::NAME) => None,
-            (Some(tracks), recorded) if samples_here => {
-                // A frame that is passed on as VOID leaves no trace in the sampler, and does not show the
-                // sampler's initial state.
-                if let Some(recorded) = recorded.as_ref().filter(|f| !f.header.has(flags::VOID)) {
-                    self.renew_sampler(seq, &recorded.header)?;
-                }
-                // The hops show whether the controls had arrived.
-                let came = recorded.as_ref().is_none_or(|f| f.header.hop(StageId::Decoder).is_some());
-                Some(self.stages.sample(tracks, controls.as_ref().filter(|_| came)))
+            if is_answered || matches!(stage, StageId::Tracker | StageId::Sampler) {
+                self.compare(tick, writes, each);
             }
-            _ => None,
-        };
-        if samples_here {
-            self.compare(tick, sampled.as_ref(), each);
         }
-        let sent_ns = recorded_forecasts.as_ref().and_then(|f| Some(f.header.hop(StageId::Sampler)?.sent_ns));
-        // The tracker reports the cost of the forecasts from the run's own hops.
-        let with_hops = |mut frame: OwnFrame<ForecastsTopic>| {
-            if let Some(recorded) = &recorded_forecasts {
-                frame.header = frame.header.with_hops_of(&recorded.header);
+        self.keep_forecasts(tick, forecasts);
+        Ok(())
+    }
+
+    /// Keeps the forecasts of a tick as a prior of later ticks.
+    fn keep_forecasts(&mut self, tick: &Tick, recorded: Option<&Header>) {
+        let sent_ns = recorded.and_then(|header| Some(header.hop(StageId::Sampler)?.sent_ns));
+        let made =
+            if self.does(StageId::Sampler) { self.stages.graph.shared::<ForecastsTopic>() } else { None };
+        let forecasts = made.map(|made| match recorded {
+            // The tracker reports the cost of the forecasts from the run's own hops.
+            Some(recorded) => {
+                let header = made.header.with_hops_of(recorded);
+                Arc::new(OwnFrame { header, elements: made.elements.clone() })
             }
-            frame
-        };
-        let forecasts = sampled.map(with_hops).or_else(|| recorded_forecasts.clone());
-        if let Some(forecasts) = forecasts.filter(|f| !f.header.has(flags::VOID)) {
+            None => made,
+        });
+        let forecasts = forecasts.or_else(|| tick.own(&mut self.found.impossible).map(Arc::new));
+        if let Some(forecasts) = forecasts.filter(|forecasts| !forecasts.is_void()) {
             self.forecasts.push_back((sent_ns.unwrap_or(0), forecasts));
             if self.forecasts.len() > PRIORS_MAX {
                 self.forecasts.pop_front();
             }
         }
-        Ok(())
     }
 
-    /// The tracker's answer; `None` if the run's tracker had not answered the tick.
-    fn track(
+    fn does(&self, stage: StageId) -> bool {
+        self.alone.is_none_or(|alone| alone == stage)
+    }
+
+    /// Puts the frames of a tick before the tracker. Returns `false` if the run's tracker has not answered the
+    /// tick.
+    fn begin_tracker(
         &mut self,
         seq: u64,
         tick: &Tick,
-        recorded: Option<&OwnFrame<TracksTopic>>,
-    ) -> Result<Option<OwnFrame<TracksTopic>>, ReplayError> {
+        recorded: Option<&Header>,
+    ) -> Result<bool, ReplayError> {
         if recorded.is_none() && self.recording.has_topic(TracksTopic::NAME) {
-            return Ok(None);
+            return Ok(false);
         }
         if let Some(incarnation) = tick.incarnation(StageId::Tracker, TracksTopic::NAME) {
             self.renew(StageId::Tracker, incarnation)?;
         }
-        let (header, detections) = match tick.own::<DetectionsTopic>(&mut self.found.impossible) {
-            Some(detections) if !recorded.is_some_and(|tracks| tracks.header.has(flags::PREDICTED)) => {
-                (detections.header, detections.elements)
+        let is_predicted = recorded.is_some_and(|tracks| tracks.has(flags::PREDICTED));
+        if let Some(tracks) =
+            recorded.filter(|_| is_predicted || !self.stages.graph.has_input(StageId::Tracker))
+        {
+            // The tick was predicted, or its detections are missing in the file.
+            if !is_predicted {
+                self.found.without_detections.push(seq);
             }
-            _ => match recorded {
-                // The tick was predicted, or its detections are missing in the file.
-                Some(tracks) => {
-                    if !tracks.header.has(flags::PREDICTED) {
-                        self.found.without_detections.push(seq);
-                    }
-                    (predicted(&tracks.header), Vec::new())
-                }
-                None => return Ok(None),
-            },
-        };
-        // An earlier stage refused the tick.
-        if header.has(flags::VOID) {
-            return Ok(None);
+            self.stages.graph.put::<DetectionsTopic>(&predicted(tracks), &[]);
         }
-        self.choose_prior(seq, &header, recorded.map(|tracks| &tracks.header));
-        Ok(Some(self.stages.track(&header, &detections, self.prior.as_ref())))
+        let Some(detections) = self.stages.graph.shared::<DetectionsTopic>() else { return Ok(false) };
+        match self.prior(seq, &detections.header, recorded) {
+            Some(prior) => self.stages.graph.put_shared(prior),
+            None => self.stages.graph.clear(ForecastsTopic::NAME),
+        }
+        Ok(true)
     }
 
-    /// Chooses the forecasts that were available to the tracker. In lockstep they belong to the previous
-    /// tick. Otherwise the recorded age identifies them. Without a recorded age, the newest forecasts sent
-    /// before the tracker started are chosen.
-    fn choose_prior(&mut self, seq: u64, header: &Header, tracks: Option<&Header>) {
+    /// Chooses the forecasts that were available to the tracker; `None` if it kept the ones that it had. In
+    /// lockstep they belong to the previous tick. Otherwise the recorded age identifies them. Without a recorded
+    /// age, the newest forecasts sent before the tracker started are chosen.
+    fn prior(
+        &mut self,
+        seq: u64,
+        header: &Header,
+        tracks: Option<&Header>,
+    ) -> Option<Arc<OwnFrame<ForecastsTopic>>> {
+        let mut forecasts = self.forecasts.iter().rev();
         if header.has(flags::LOCKSTEP) {
-            let before = self.forecasts.iter().find(|(_, forecasts)| forecasts.header.seq + 1 == seq);
-            if let Some((_, forecasts)) = before {
-                self.prior = Some(forecasts.clone());
-            }
-            return;
+            return forecasts
+                .find(|(_, forecasts)| forecasts.header.seq + 1 == seq)
+                .map(|(_, found)| found.clone());
         }
         // The tracker has reported their age.
         if let Some(tracks) = tracks.filter(|tracks| tracks.feedback_age_ns > 0) {
             let stamp_ns = tracks.stamp_ns.saturating_sub_unsigned(tracks.feedback_age_ns);
-            let told = self.forecasts.iter().rfind(|(_, forecasts)| forecasts.header.stamp_ns == stamp_ns);
-            if let Some((_, forecasts)) = told {
-                self.prior = Some(forecasts.clone());
-            }
-            return;
+            let told = forecasts.find(|(_, forecasts)| forecasts.header.stamp_ns == stamp_ns);
+            return told.map(|(_, found)| found.clone());
         }
         let Some(hop) = tracks.and_then(|tracks| tracks.hop(StageId::Tracker)) else {
-            self.prior = self.forecasts.back().map(|(_, forecasts)| forecasts.clone());
-            return;
+            return forecasts.next().map(|(_, newest)| newest.clone());
         };
         /// Forecasts sent this close to the tracker's check may or may not have been available.
         const CLOSE_NS: u64 = 1_000_000;
@@ -354,68 +360,27 @@ impl<'a> Replay<'a> {
             self.found.close_priors.push(seq);
         }
         let sent_before = self.forecasts.iter().filter(|(sent_ns, _)| *sent_ns < hop.started_ns);
-        if let Some((_, forecasts)) = sent_before.max_by_key(|(sent_ns, _)| *sent_ns) {
-            self.prior = Some(forecasts.clone());
-        }
+        sent_before.max_by_key(|(sent_ns, _)| *sent_ns).map(|(_, found)| found.clone())
     }
 
-    /// Runs localiser to decoder, as far as the run's stages had the tick. Returns the controls if the tick
-    /// came that far.
-    fn network(
-        &mut self,
-        tick: &Tick,
-        tracks: &OwnFrame<TracksTopic>,
-        each: &mut impl FnMut(&Frame),
-    ) -> Result<Option<OwnFrame<ControlsTopic>>, ReplayError> {
-        if !self.has_passed(StageId::Localiser, tick, ContextTopic::NAME)? {
-            return Ok(None);
+    /// Puts the frames of a tick before the sampler. Returns `false` if the run's sampler has not answered the
+    /// tick.
+    fn begin_sampler(&mut self, seq: u64, recorded: Option<&Header>) -> Result<bool, ReplayError> {
+        if !self.stages.graph.has_input(StageId::Sampler)
+            || (recorded.is_none() && self.recording.has_topic(ForecastsTopic::NAME))
+        {
+            return Ok(false);
         }
-        let context = self.stages.locate(tracks);
-        self.compare(tick, Some(&context), each);
-        if !self.has_passed(StageId::Extractor, tick, FeaturesTopic::NAME)? {
-            return Ok(None);
+        // A frame that is passed on as VOID leaves no trace in the sampler, and does not show the sampler's
+        // initial state.
+        if let Some(recorded) = recorded.filter(|recorded| !recorded.has(flags::VOID)) {
+            self.renew_sampler(seq, recorded)?;
         }
-        let features = self.stages.extract(&context, tick.extracted());
-        self.compare(tick, Some(&features), each);
-        if !self.has_passed(StageId::Encoder, tick, EncodingsTopic::NAME)? {
-            return Ok(None);
+        // The hops show whether the controls had arrived.
+        if recorded.is_some_and(|recorded| recorded.hop(StageId::Decoder).is_none()) {
+            self.stages.graph.clear(ControlsTopic::NAME);
         }
-        let encodings = self.stages.encode(&features, tick.encoded());
-        self.compare(tick, Some(&encodings), each);
-        if !self.has_passed(StageId::Decoder, tick, ControlsTopic::NAME)? {
-            return Ok(None);
-        }
-        let controls = self.stages.decode(&encodings, tick.decoded());
-        self.compare(tick, Some(&controls), each);
-        Ok(Some(controls))
-    }
-
-    /// Replays a single stage of the network with its input from the file.
-    fn one(&mut self, stage: StageId, tick: &Tick, each: &mut impl FnMut(&Frame)) -> Result<(), ReplayError> {
-        let Some((_, _, writes)) = STAGES.iter().find(|(of, ..)| *of == stage) else { return Ok(()) };
-        if matches!(stage, StageId::Tracker | StageId::Sampler) || !self.has_passed(stage, tick, writes)? {
-            return Ok(());
-        }
-        let impossible = &mut self.found.impossible;
-        match stage {
-            StageId::Localiser => {
-                let made = tick.own(impossible).map(|input| self.stages.locate(&input));
-                self.compare(tick, made.as_ref(), each);
-            }
-            StageId::Extractor => {
-                let made = tick.own(impossible).map(|input| self.stages.extract(&input, tick.extracted()));
-                self.compare(tick, made.as_ref(), each);
-            }
-            StageId::Encoder => {
-                let made = tick.own(impossible).map(|input| self.stages.encode(&input, tick.encoded()));
-                self.compare(tick, made.as_ref(), each);
-            }
-            _ => {
-                let made = tick.own(impossible).map(|input| self.stages.decode(&input, tick.decoded()));
-                self.compare(tick, made.as_ref(), each);
-            }
-        }
-        Ok(())
+        Ok(true)
     }
 
     /// Whether a stage of the run had the tick. Its output or the hops of the forecasts show it. Without
@@ -453,27 +418,24 @@ impl<'a> Replay<'a> {
     }
 
     /// Compares a replayed frame with the recorded frame, if its topic was recorded.
-    fn compare<T: Topic>(&mut self, tick: &Tick, made: Option<&OwnFrame<T>>, each: &mut impl FnMut(&Frame)) {
-        let recorded = tick.frame(T::NAME);
-        match (recorded, made) {
-            (Some(recorded), Some(made)) => {
-                let made = Frame::of::<T>(&made.header, &made.elements, recorded.received_ns());
-                if tick.is_recorded(T::NAME) {
-                    self.found.comparison.pair(recorded, &made);
-                    each(&made);
-                } else {
-                    self.found.before.pair(recorded, &made);
-                }
+    fn compare(&mut self, tick: &Tick, topic: &'static str, each: &mut impl FnMut(&Frame)) {
+        let recorded = tick.frame(topic);
+        let received_ns = recorded.map_or_else(|| tick.received_ns(), Frame::received_ns);
+        match (recorded, self.stages.graph.recorded(topic, received_ns)) {
+            (Some(recorded), Some(made)) if tick.is_recorded(topic) => {
+                self.found.comparison.pair(recorded, &made);
+                each(&made);
             }
-            (Some(recorded), None) if !tick.is_recorded(T::NAME) => {
-                self.found.before.alone(T::NAME, recorded.header().seq, true);
+            (Some(recorded), Some(made)) => self.found.before.pair(recorded, &made),
+            (Some(recorded), None) if !tick.is_recorded(topic) => {
+                self.found.before.alone(topic, recorded.header().seq, true);
             }
             (None, _) if tick.is_before() => {}
-            (Some(recorded), None) => self.found.comparison.alone(T::NAME, recorded.header().seq, true),
-            (None, Some(made)) if self.recording.has_topic(T::NAME) => {
-                self.found.comparison.alone(T::NAME, made.header.seq, false);
+            (Some(recorded), None) => self.found.comparison.alone(topic, recorded.header().seq, true),
+            (None, Some(made)) if self.recording.has_topic(topic) => {
+                self.found.comparison.alone(topic, made.header().seq, false);
             }
-            (None, Some(made)) => each(&Frame::of::<T>(&made.header, &made.elements, tick.received_ns())),
+            (None, Some(made)) => each(&made),
             (None, None) => {}
         }
     }

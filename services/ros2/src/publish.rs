@@ -57,7 +57,7 @@ pub fn run(run: &Run) -> Result<(), StageError> {
         match stage.wait_for(&forecasts, header.seq, until_ns)? {
             Awaited::Frame(frame) => bridge.forecasts(frame.header(), &frame),
             Awaited::Stopped => break,
-            Awaited::Void(_) | Awaited::Late | Awaited::Lost => {}
+            Awaited::Void(_) | Awaited::Late | Awaited::Lost(_) => {}
         }
         stage.done(header.seq);
     }

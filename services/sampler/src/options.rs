@@ -7,16 +7,13 @@ use nn::WORKERS_MAX;
 use run::{Conflict, Declaration, SpeedLimits};
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Serialize, Serializer};
-use wire::{
-    AgentType, ControlsTopic, ForecastsTopic, MODES_MAX, StageId, TICK_MS, Topic, TracksTopic, WorldOrigin,
-};
+use wire::{AgentType, MODES_MAX, StageId, TICK_MS, WorldOrigin};
 
-use crate::Degradation;
+use crate::{Degradation, Sampler};
 
 /// The sampler.
 pub const STAGE: Declaration<Options> =
-    Declaration::new(StageId::Sampler, &[TracksTopic::NAME, ControlsTopic::NAME], &[ForecastsTopic::NAME])
-        .with_rule(Options::check);
+    ports::declare::<Sampler, _>(StageId::Sampler).with_rule(Options::check);
 
 /// What may be set of the sampler.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]

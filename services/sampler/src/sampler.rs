@@ -95,9 +95,9 @@ impl Sampler {
 
     /// Continues with the evidence on the experts that an earlier sampler of the same model has learned, as
     /// after the end of its session.
-    pub fn continue_from(&mut self, earlier: Self) {
+    pub fn continue_from(&mut self, earlier: &mut Self) {
         if self.options.evidence {
-            self.experts = earlier.experts;
+            self.experts = earlier.experts.take();
             self.experts.iter_mut().for_each(|experts| experts.end_session());
         }
     }

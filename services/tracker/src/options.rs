@@ -2,17 +2,13 @@ use filters::{Bicycle, ConstantVelocity, Integrator, Models};
 use run::{Declaration, SpeedLimits};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use wire::{
-    AgentType, Detection, DetectionsTopic, ForecastsTopic, HISTORY_MAX, Header, SPEED_MAX_MPS, StageId,
-    Topic, TracksTopic, detection_flags, flags,
-};
+use wire::{AgentType, Detection, HISTORY_MAX, Header, SPEED_MAX_MPS, StageId, detection_flags, flags};
 
-use crate::FieldOfView;
 use crate::noise::DistanceFactors;
+use crate::{FieldOfView, Tracker};
 
 /// The tracker.
-pub const STAGE: Declaration<Options> =
-    Declaration::new(StageId::Tracker, &[DetectionsTopic::NAME, ForecastsTopic::NAME], &[TracksTopic::NAME]);
+pub const STAGE: Declaration<Options> = ports::declare::<Tracker, _>(StageId::Tracker);
 
 /// What may be set of the tracker.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]

@@ -1,11 +1,12 @@
 //! Runs a step as a process of a run.
 
-use crate::shedding::Shedder;
 use run::{Declaration, Run};
-use wire::{Header, Rejected, Topic, flags};
+use wire::{Header, Rejected, Topic};
 
+use crate::executor::{Executor, Frames, Outcome, Readable, Wanted, has_work};
 use crate::missing::Missing;
-use crate::step::{Answer, Room, Second, SecondInput, Step, Tick};
+use crate::shedding::{Allowance, Shedder};
+use crate::step::{Room, SecondInput, Step};
 use crate::{
     Awaited, Frame, Loan, Passage, PortError, Publisher, Stage, StageError, Subscriber, monotonic_ns,
 };
@@ -14,31 +15,41 @@ use crate::{
 ///
 /// # Errors
 /// [`StageError`] if the step can't be set up or ended, or the run's shared memory can't be used.
+///
+/// # Panics
+/// If the declaration has other topics than the step.
 pub fn drive<S: Step, O>(
     run: &Run,
     declaration: &Declaration<O>,
     open: impl FnOnce(&Run) -> Result<S, StageError>,
 ) -> Result<(), StageError> {
-    let mut step = open(run)?;
-    let answered = Driver::open(run, declaration, &mut step).and_then(|driver| driver.answer_all(&mut step));
-    let ended = step.end(run);
+    let mut executor = Executor::new(declaration, open(run)?);
+    let answered =
+        Ports::open(run, declaration, &mut executor).and_then(|mut ports| ports.answer_all(&mut executor));
+    let ended = executor.end(run);
     answered.and(ended)
 }
 
-/// The ports of a stage, and the driver's state between ticks.
-struct Driver<S: Step> {
+/// The ports of a stage, and the tick that it is answering.
+struct Ports<S: Step> {
     stage: Stage,
     input: Subscriber<S::Input>,
     second: Option<Subscriber<S::Second>>,
     output: Publisher<S::Output>,
     shedder: Shedder,
-    missing: Missing,
-    /// The newest frame of a second input that a later stage writes.
-    newest: Option<Frame<S::Second>>,
+    passage: Option<Passage>,
+    begun_ns: u64,
+    loan: Option<Loan<S::Output>>,
+    /// Why there is no memory. The process can't continue then.
+    fault: Option<PortError>,
 }
 
-impl<S: Step> Driver<S> {
-    fn open<O>(run: &Run, declaration: &Declaration<O>, step: &mut S) -> Result<Self, StageError> {
+impl<S: Step> Ports<S> {
+    fn open<O>(
+        run: &Run,
+        declaration: &Declaration<O>,
+        executor: &mut Executor<S, Frame<S::Second>>,
+    ) -> Result<Self, StageError> {
         let mut stage = Stage::open(run, declaration)?;
         let input = stage.subscribe()?;
         let second = match S::SECOND {
@@ -46,162 +57,114 @@ impl<S: Step> Driver<S> {
             SecondInput::SameTick => Some(stage.subscribe()?),
             SecondInput::Newest => Some(stage.subscribe_feedback(S::Second::DEPTH_MAX)?),
         };
-        let output = stage.publish_after(|header, sent| step.follow(header, sent))?;
-        step.begin(run, stage.incarnation());
-        let (shedder, missing) = (Shedder::new(run, declaration.id()), Missing::default());
-        Ok(Self { stage, input, second, output, shedder, missing, newest: None })
+        let output = stage.publish_after(|header, sent| executor.step.follow(header, sent))?;
+        executor.begin(run, stage.incarnation());
+        let shedder = Shedder::new(run, declaration.id());
+        let (passage, begun_ns, loan, fault) = (None, 0, None, None);
+        Ok(Self { stage, input, second, output, shedder, passage, begun_ns, loan, fault })
     }
 
-    fn answer_all(mut self, step: &mut S) -> Result<(), StageError> {
+    fn answer_all(&mut self, executor: &mut Executor<S, Frame<S::Second>>) -> Result<(), StageError> {
+        let mut missing = Missing::default();
         loop {
-            let until_ns = if S::ANSWERS_MISSING { self.missing.until_ns() } else { None };
-            let (header, frame) = match self.stage.next_until(&self.input, &self.output, until_ns)? {
-                Awaited::Frame(frame) => (*frame.header(), Some(frame)),
-                Awaited::Late => match self.missing.predict(self.input.has_no_publisher(), monotonic_ns()) {
+            let until_ns = if S::ANSWERS_MISSING { missing.until_ns() } else { None };
+            let (header, frame) = match self.stage.next_until(&self.input, until_ns)? {
+                Awaited::Frame(frame) | Awaited::Void(frame) => (*frame.header(), Some(frame)),
+                Awaited::Late => match missing.predict(self.input.has_no_publisher(), monotonic_ns()) {
                     Some(header) => (header, None),
                     None => continue,
                 },
-                Awaited::Void(frame) => {
-                    self.pass_void(frame.header())?;
-                    continue;
-                }
-                Awaited::Lost => continue,
+                Awaited::Lost(header) => (header, None),
                 Awaited::Stopped => return Ok(()),
             };
-            if let Some(frame) = &frame {
-                self.missing.came(&header, frame.received_ns());
+            match &frame {
+                Some(frame) if has_work(&header) => missing.came(&header, frame.received_ns()),
+                Some(_) => missing.is_no_tick(&header),
+                None => {}
             }
-            if !self.answer(step, &header, frame.as_ref())? {
+            if !executor.tick(&header, frame.as_ref(), self)? {
                 return Ok(());
             }
         }
     }
+}
 
-    fn pass_void(&mut self, header: &Header) -> Result<(), PortError> {
-        self.missing.is_no_tick(header);
-        // The second input's frame of the tick is VOID as well. In the queue it would push out later frames,
-        // which would then count as lost.
-        if let Some(second) = self.second.as_ref().filter(|_| S::SECOND == SecondInput::SameTick)
-            && header.is_tick()
-        {
-            second.of_tick(header.seq)?;
-        }
-        Ok(())
+impl<S: Step> Frames<'static, S> for Ports<S> {
+    type Input = Frame<S::Input>;
+    type Second = Frame<S::Second>;
+    type Fault = PortError;
+
+    const LOGS: bool = true;
+
+    fn pass(&mut self, header: Header, input: Option<&Frame<S::Input>>) -> Result<(), PortError> {
+        let passage = match input {
+            Some(frame) => self.stage.begin(frame),
+            None => self.stage.begin_lost::<S::Input>(header),
+        };
+        self.stage.pass_empty(passage, &self.output)
     }
 
-    /// Answers a tick. Returns `false` if the process has been asked to end.
-    fn answer(
+    fn second(&mut self, wanted: Wanted) -> Result<Awaited<Frame<S::Second>>, PortError> {
+        let Self { stage, second, .. } = self;
+        let Some(second) = second else { return Ok(Awaited::Late) };
+        match wanted {
+            Wanted::OfTick { seq, until_ns } => stage.wait_for(second, seq, until_ns),
+            Wanted::Newest => Ok(second.newest()?.map_or(Awaited::Late, Awaited::Frame)),
+        }
+    }
+
+    fn begin(
         &mut self,
-        step: &mut S,
-        header: &Header,
-        frame: Option<&Frame<S::Input>>,
-    ) -> Result<bool, StageError> {
-        let awaited = self.await_second(step, header)?;
-        let second = match (&awaited, &self.newest) {
-            (Some(Awaited::Stopped), _) => return Ok(false),
-            (Some(Awaited::Frame(frame)), _) | (None, Some(frame)) => Second::Frame(frame.header(), frame),
-            (Some(Awaited::Void(_) | Awaited::Lost), _) => Second::Refused,
-            (Some(Awaited::Late), _) | (None, None) => Second::None,
+        header: Header,
+        input: Option<&Frame<S::Input>>,
+        last: Option<&Frame<S::Second>>,
+    ) -> Header {
+        let mut passage = match (last, input) {
+            (Some(last), _) => self.stage.begin(last),
+            (None, Some(input)) => self.stage.begin(input),
+            (None, None) => return self.passage.insert(self.stage.release(header)).header,
         };
-        let Self { stage, output, shedder, .. } = self;
-        let mut passage = begin(stage, header, frame, awaited.as_ref());
-        let _span = tracing::debug_span!("step", stage = stage.id().name(), tick = header.seq).entered();
-        let begun_ns = monotonic_ns();
-        let allowance = shedder.allow(header, begun_ns, monotonic_ns);
-        let tick = Tick { header, input: frame.map_or(&[], |frame| &frame[..]), second, allowance };
-        let mut lent = Lent { output, loan: None, fault: None };
-        let mut out = Answer::new(passage.header, &mut lent);
-        let result = step.answer(&tick, &mut out);
-        let Answer { header: answered, served, refused, is_empty, .. } = out;
-        let Lent { loan, fault, .. } = lent;
-        shedder.took(monotonic_ns() - begun_ns, served.filter(|_| result.is_ok()));
-        if let Some(fault) = fault {
-            return Err(fault.into());
-        }
-        if let Some((topic, why)) = refused {
-            let of = tick.second.frame().filter(|_| topic == S::Second::NAME);
-            stage.refuse(of.map_or(header, |(header, _)| header), topic, &why);
-        }
-        passage.header = answered;
-        send(stage, output, passage, result.map(|()| loan), is_empty)?;
-        step.after(&tick);
-        step.log();
-        Ok(true)
+        passage.header = header;
+        self.passage.insert(passage).header
     }
 
-    /// Waits for the second input's frame of the same tick. `None` if the step has no such input. If a later
-    /// stage writes the second input, its newest frame is stored in `newest`.
-    fn await_second(&mut self, step: &S, header: &Header) -> Result<Option<Awaited<S::Second>>, PortError> {
-        let Self { stage, second, newest, .. } = self;
-        let Some(second) = second else { return Ok(None) };
-        let is_lockstep = header.has(flags::LOCKSTEP);
-        if S::SECOND == SecondInput::SameTick {
-            let until_ns =
-                (!is_lockstep).then(|| header.released_ns.saturating_add(step.second_deadline_ns()));
-            return stage.wait_for(second, header.seq, until_ns).map(Some);
+    fn allowance(&mut self, header: &Header) -> Allowance<'static> {
+        self.begun_ns = monotonic_ns();
+        self.shedder.allow(header, self.begun_ns, monotonic_ns)
+    }
+
+    fn refuse(&mut self, header: &Header, topic: &'static str, why: &Rejected) {
+        self.stage.refuse(header, topic, why);
+    }
+
+    fn send(&mut self, header: Header, outcome: Outcome, served: Option<usize>) -> Result<(), PortError> {
+        self.shedder.took(monotonic_ns() - self.begun_ns, served);
+        // A tick has one loan at a time: a VOID frame needs its own.
+        let loan = self.loan.take().filter(|_| matches!(outcome, Outcome::Answered));
+        if let Some(fault) = self.fault.take() {
+            return Err(fault);
         }
-        let newer = if !is_lockstep || header.seq == 0 {
-            second.newest()?
-        } else if let Awaited::Frame(frame) = stage.wait_for(second, header.seq - 1, None)? {
-            Some(frame)
-        } else {
-            None
-        };
-        if newer.is_some() {
-            *newest = newer;
+        let Self { stage, output, .. } = self;
+        let Some(mut passage) = self.passage.take() else { return Ok(()) };
+        passage.header = header;
+        match outcome {
+            Outcome::Answered => {
+                let loan = loan.map_or_else(|| output.loan(0), Ok)?;
+                stage.finish(passage, output, Ok(loan))
+            }
+            Outcome::Empty => {
+                stage.done(header.seq);
+                stage.pass_empty(passage, output)
+            }
+            Outcome::Refused(why) => stage.finish(passage, output, Err(why)),
         }
-        Ok(None)
     }
 }
 
-/// Begins the passage of a tick with the frame that arrives last: the second input's frame of the same tick
-/// or, without one, the input's frame. The header is the input's, with the hops of both.
-fn begin<I: Topic, T: Topic>(
-    stage: &Stage,
-    header: &Header,
-    frame: Option<&Frame<I>>,
-    second: Option<&Awaited<T>>,
-) -> Passage {
-    let mut passage = match (second, frame) {
-        (Some(Awaited::Frame(second) | Awaited::Void(second)), _) => stage.begin(second),
-        (_, Some(frame)) => stage.begin(frame),
-        (_, None) => return stage.release(*header),
-    };
-    passage.header = header.with_hops_of(&passage.header);
-    passage
-}
-
-fn send<O: Topic>(
-    stage: &mut Stage,
-    output: &Publisher<O>,
-    mut passage: Passage,
-    result: Result<Option<Loan<O>>, Rejected>,
-    is_empty: bool,
-) -> Result<(), PortError> {
-    if is_empty && result.is_ok() {
-        passage.header.flags |= flags::VOID;
-        stage.done(passage.header.seq);
-        return stage.pass_empty(passage, output);
-    }
-    let result = match result {
-        Ok(Some(loan)) => Ok(loan),
-        Ok(None) => Ok(output.loan(0)?),
-        Err(why) => Err(why),
-    };
-    stage.finish(passage, output, result)
-}
-
-/// Lends elements in shared memory.
-struct Lent<'a, O: Topic> {
-    output: &'a Publisher<O>,
-    loan: Option<Loan<O>>,
-    /// Why there is no memory. The process can't continue then.
-    fault: Option<PortError>,
-}
-
-impl<O: Topic> Room<O> for Lent<'_, O> {
-    fn elements(&mut self, count: usize) -> Result<&mut [O::Element], Rejected> {
-        let refused = Rejected::TooMany { field: O::NAME, found: count as u64, most: O::ELEMENTS_MAX as u64 };
+impl<S: Step> Room<S::Output> for Ports<S> {
+    fn elements(&mut self, count: usize) -> Result<&mut [<S::Output as Topic>::Element], Rejected> {
+        let most = S::Output::ELEMENTS_MAX as u64;
+        let refused = Rejected::TooMany { field: S::Output::NAME, found: count as u64, most };
         match self.output.loan(count) {
             Ok(loan) => Ok(self.loan.insert(loan)),
             Err(fault) => {
@@ -209,5 +172,15 @@ impl<O: Topic> Room<O> for Lent<'_, O> {
                 Err(refused)
             }
         }
+    }
+}
+
+impl<T: Topic> Readable<T> for Frame<T> {
+    fn header(&self) -> &Header {
+        self.header()
+    }
+
+    fn elements(&self) -> &[T::Element] {
+        self
     }
 }

@@ -8,6 +8,7 @@ use wire::{
 };
 
 use crate::error::log_refused;
+use crate::executor::has_work;
 use crate::limits::HEARTBEAT;
 use crate::log::{log_run, log_tick};
 use crate::memory::ResidentMemory;
@@ -72,15 +73,16 @@ pub struct Passage {
 
 /// Result of waiting for one tick's frame.
 #[derive(Debug)]
-pub enum Awaited<T: Topic> {
+#[expect(clippy::large_enum_variant, reason = "a header in a box would be allocated")]
+pub enum Awaited<F> {
     /// The frame.
-    Frame(Frame<T>),
+    Frame(F),
     /// The frame of a tick that an earlier stage refused, or a frame that is not a tick.
-    Void(Frame<T>),
+    Void(F),
     /// Nothing arrived until the deadline.
     Late,
-    /// In lockstep: the frame arrived and was refused, and it will not be sent again.
-    Lost,
+    /// In lockstep: the frame arrived and was refused, and it will not be sent again. The header is VOID.
+    Lost(Header),
     /// The process has been asked to end.
     Stopped,
 }
@@ -279,35 +281,23 @@ impl Stage {
         self.node.stop()
     }
 
-    /// The next tick to work on. Sleeps until it arrives or until `until_ns` on `CLOCK_MONOTONIC`.
-    ///
-    /// A frame without work is passed directly to `output` and returned as [`Awaited::Void`]. In lockstep, if
-    /// a frame was refused, its tick is passed on as VOID and [`Awaited::Lost`] is returned.
+    /// The next frame. Sleeps until it arrives or until `until_ns` on `CLOCK_MONOTONIC`.
     ///
     /// # Errors
     /// [`PortError`] if the transport fails.
-    pub fn next_until<I: Topic, O: Topic>(
+    pub fn next_until<I: Topic>(
         &mut self,
         input: &Subscriber<I>,
-        output: &Publisher<O>,
         until_ns: Option<u64>,
-    ) -> Result<Awaited<I>, PortError> {
+    ) -> Result<Awaited<Frame<I>>, PortError> {
         self.check_topics();
         while !self.stop().requested() {
             match input.receive()? {
-                Some(frame) if frame.header().is_tick() && !frame.header().has(flags::VOID) => {
-                    return Ok(Awaited::Frame(frame));
-                }
-                Some(frame) => {
-                    let passage = self.begin(&frame);
-                    self.pass_empty(passage, output)?;
-                    return Ok(Awaited::Void(frame));
-                }
+                Some(frame) if has_work(frame.header()) => return Ok(Awaited::Frame(frame)),
+                Some(frame) => return Ok(Awaited::Void(frame)),
                 None => {
                     if let Some(header) = input.take_lost() {
-                        let passage = self.start(header, monotonic_ns(), I::NAME);
-                        self.pass_empty(passage, output)?;
-                        return Ok(Awaited::Lost);
+                        return Ok(Awaited::Lost(header));
                     }
                     if until_ns.is_some_and(|until_ns| monotonic_ns() >= until_ns) {
                         return Ok(Awaited::Late);
@@ -351,14 +341,14 @@ impl Stage {
         input: &Subscriber<I>,
         seq: u64,
         deadline_ns: Option<u64>,
-    ) -> Result<Awaited<I>, PortError> {
+    ) -> Result<Awaited<Frame<I>>, PortError> {
         self.check_topics();
         while !self.stop().requested() {
             match input.of_tick(seq)? {
-                Some(frame) if frame.header().has(flags::VOID) => return Ok(Awaited::Void(frame)),
-                Some(frame) => return Ok(Awaited::Frame(frame)),
-                None if input.take_lost().is_some_and(|header| header.seq >= seq) => {
-                    return Ok(Awaited::Lost);
+                Some(frame) if has_work(frame.header()) => return Ok(Awaited::Frame(frame)),
+                Some(frame) => return Ok(Awaited::Void(frame)),
+                None if let Some(header) = input.take_lost().filter(|header| header.seq >= seq) => {
+                    return Ok(Awaited::Lost(header));
                 }
                 None if deadline_ns.is_some_and(|deadline_ns| monotonic_ns() >= deadline_ns) => {
                     return Ok(Awaited::Late);
@@ -393,6 +383,11 @@ impl Stage {
     /// Starts the work on a tick.
     pub fn begin<I: Topic>(&self, frame: &Frame<I>) -> Passage {
         self.start(*frame.header(), frame.received_ns(), I::NAME)
+    }
+
+    /// Starts the passage of a tick whose frame was refused.
+    pub(crate) fn begin_lost<I: Topic>(&self, header: Header) -> Passage {
+        self.start(header, monotonic_ns(), I::NAME)
     }
 
     fn start(&self, header: Header, received_ns: u64, input: &'static str) -> Passage {

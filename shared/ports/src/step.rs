@@ -1,22 +1,19 @@
 //! A stage's computation, apart from the way in which its frames arrive and leave.
 
-use crate::shedding::Allowance;
-use run::Run;
-use wire::{Header, Rejected, Topic};
+use run::{Declaration, Run};
+use wire::{Header, Rejected, StageId, Topic};
 
 use crate::StageError;
+use crate::executor::reads;
+use crate::shedding::Allowance;
 
 /// A stage: computes its answer to a tick from the tick's frames.
 ///
-/// [`Step::answer`] opens no file and sends nothing. It reads no clock except that of its [`Allowance`]. The
-/// code around a step is its *driver*. Three drivers run the same step, so its answers have the same bytes in
-/// each of them:
+/// [`Step::answer`] opens no file and sends nothing. It reads no clock except that of its [`Allowance`]. One
+/// [`Executor`](crate::Executor) runs the steps, so their answers have the same bytes in a process of a run, in
+/// one process with all stages, and in a replay.
 ///
-/// * [`drive`](crate::drive) in a process of a run, with frames in shared memory;
-/// * `onboard::Chain`, with all stages in one process;
-/// * `onboard::Replay`, with the frames of a recording.
-///
-/// A driver itself passes on frames that are not ticks, and frames that an earlier stage has refused (VOID).
+/// The executor itself passes on frames that are not ticks, and frames that an earlier stage has refused (VOID).
 pub trait Step {
     /// The topic whose frame begins a tick.
     type Input: Topic;
@@ -33,7 +30,7 @@ pub trait Step {
     /// Computes the answer to a tick.
     ///
     /// # Errors
-    /// [`Rejected`] if an input is impossible. The driver counts the tick as refused and sends a VOID frame;
+    /// [`Rejected`] if an input is impossible. The executor counts the tick as refused and sends a VOID frame;
     /// later stages answer without it.
     fn answer(
         &mut self,
@@ -91,6 +88,12 @@ impl Topic for NoTopic {
     const TYPE_NAME: &'static str = "";
     const ELEMENTS_MAX: usize = 0;
     const ELEMENTS_START: usize = 0;
+}
+
+/// Declares a stage whose topics are its step's.
+#[must_use]
+pub const fn declare<S: Step, O>(id: StageId) -> Declaration<O> {
+    Declaration::new(id, reads::<S>(), const { &[<S::Output as Topic>::NAME] })
 }
 
 /// A tick's inputs.
@@ -171,7 +174,7 @@ impl<'a, O: Topic> Answer<'a, O> {
         self.room.elements(count)
     }
 
-    /// Reports the number of served agents. The driver learns the cost of an agent from it.
+    /// Reports the number of served agents. The shedder learns the cost of an agent from it.
     pub const fn served(&mut self, agents: usize) {
         self.served = Some(agents);
     }
@@ -181,14 +184,8 @@ impl<'a, O: Topic> Answer<'a, O> {
         self.refused = Some((topic, why));
     }
 
-    /// Leaves the tick without an answer: the driver sends a VOID frame.
+    /// Leaves the tick without an answer: a VOID frame is sent.
     pub const fn leave_empty(&mut self) {
         self.is_empty = true;
-    }
-
-    /// Whether the step has left its answer empty.
-    #[must_use]
-    pub const fn is_empty(&self) -> bool {
-        self.is_empty
     }
 }

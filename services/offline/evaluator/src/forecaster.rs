@@ -7,16 +7,21 @@ use std::sync::Arc;
 
 use bytemuck::Zeroable;
 use data::Recording;
-use decoder::{BaseDecoder, DecoderOptions};
-use encoder::EncoderOptions;
+use decoder::{BaseDecoder, Decoder, DecoderOptions};
+use encoder::{Encoder, EncoderOptions};
+use extractor::{Extractor, ExtractorOptions};
 use lanes::LaneMap;
+use localiser::{Localiser, LocaliserOptions};
 use nn::{ModelConfig, Precision, Weights};
-use onboard::{Chain, ChainError, FeaturesToControls, OwnFrame, TracksToFeatures, TracksToForecasts};
+use onboard::{Chain, ChainError, Graph, Node, OwnFrame, node};
 use retrieval::RetrievalMemory;
 use run::{Run, StageRun};
 use sampler::Sampler;
 use tracker::Tracker;
-use wire::{AgentControls, FeaturesTopic, Forecast as Payload, Header, Track};
+use wire::{
+    AgentControls, ControlsTopic, EncodingsTopic, FeaturesTopic, Forecast as Payload, Header, Track,
+    TracksTopic,
+};
 
 use crate::forecast::{Forecast, Variants};
 use crate::maps::MapInput;
@@ -34,15 +39,15 @@ pub struct Forecaster {
 
 /// The stages up to the decoder, for the windows of one recording in time order.
 pub(crate) struct Session {
-    features: TracksToFeatures,
+    /// Localiser and extractor.
+    features: Graph,
     networks: Vec<Network>,
-    frames: Vec<OwnFrame<FeaturesTopic>>,
     publisher: Publisher,
 }
 
 /// A thread's encoder and decoder, and its decoder with the network switched off.
 struct Network {
-    controls: FeaturesToControls,
+    controls: Graph,
     base: Option<BaseDecoder>,
 }
 
@@ -168,14 +173,11 @@ impl Forecaster {
     }
 
     /// The stages from `tracks` to `forecasts`, with retrieval from `memory` if there is one.
-    pub fn stages(&self, map: MapInput<'_>, memory: Option<RetrievalMemory>) -> TracksToForecasts {
+    pub fn stages(&self, map: MapInput<'_>, memory: Option<RetrievalMemory>) -> Graph {
         let correction = if memory.is_some() { Correction::Retrieval } else { Correction::None };
         let mut sampler = self.sampler(correction);
         memory.into_iter().for_each(|memory| sampler.warm_start(memory));
-        let stages = self.tracks_to_features(map, 1).and_then(|features| {
-            Ok(TracksToForecasts::of_stages(features, self.features_to_controls()?, sampler))
-        });
-        stages.expect("stages that started before start again")
+        Graph::new(self.nodes(map, sampler).expect("stages that started before start again"))
     }
 
     /// All stages with the default options of a run, for detections that are `interval_ns` apart.
@@ -185,9 +187,17 @@ impl Forecaster {
     pub fn chain(&self, map: MapInput<'_>, interval_ns: u64) -> Result<Chain, ChainError> {
         let run = Run { interval_ns, ..self.run.clone() };
         let tracker = Tracker::new(tracker::settings(&run, self.config())?);
-        let (features, controls) = (self.tracks_to_features(map, 1)?, self.features_to_controls()?);
-        let sampler = self.sampler(Correction::RetrievalAndEvidence);
-        Ok(Chain::of_stages(tracker, TracksToForecasts::of_stages(features, controls, sampler)))
+        let mut nodes = self.nodes(map, self.sampler(Correction::RetrievalAndEvidence))?;
+        nodes.push(node(&tracker::STAGE, tracker));
+        Ok(Chain::of(nodes))
+    }
+
+    /// The stages from `tracks` to `forecasts`.
+    fn nodes(&self, map: MapInput<'_>, sampler: Sampler) -> Result<Vec<Box<dyn Node>>, ChainError> {
+        let mut nodes = self.tracks_to_features(map, 1)?;
+        nodes.extend(self.features_to_controls()?);
+        nodes.push(node(&sampler::STAGE, sampler));
+        Ok(nodes)
     }
 
     /// A sampler as in a run, with this correction.
@@ -203,21 +213,26 @@ impl Forecaster {
         sampler::open(&run, self.config()).expect("a sampler without a file opens")
     }
 
-    fn tracks_to_features(&self, map: MapInput<'_>, workers: usize) -> Result<TracksToFeatures, ChainError> {
+    /// Localiser and extractor.
+    fn tracks_to_features(
+        &self,
+        map: MapInput<'_>,
+        workers: usize,
+    ) -> Result<Vec<Box<dyn Node>>, ChainError> {
         let map = if self.config().context { map } else { MapInput::None };
         self.config().check_frames().map_err(nn::WeightsError::from)?;
-        let localiser = localiser::LocaliserOptions {
-            map: map.source(),
-            ..localiser::settings(&self.run, self.config())?
-        };
-        let extractor = extractor::ExtractorOptions { workers };
-        Ok(TracksToFeatures::new(&self.weights, localiser, extractor)?)
+        let localiser =
+            LocaliserOptions { map: map.source(), ..localiser::settings(&self.run, self.config())? };
+        let extractor = Extractor::new(&self.weights, ExtractorOptions { workers })?;
+        Ok(vec![node(&localiser::STAGE, Localiser::new(localiser)), node(&extractor::STAGE, extractor)])
     }
 
     /// An encoder and decoder on one thread. Each thread of an evaluation has its own pair.
-    fn features_to_controls(&self) -> Result<FeaturesToControls, ChainError> {
+    fn features_to_controls(&self) -> Result<Vec<Box<dyn Node>>, ChainError> {
         let decoder = DecoderOptions { workers: 1, ..decoder::settings(&self.run)? };
-        Ok(FeaturesToControls::new(&self.weights, EncoderOptions { workers: 1 }, decoder)?)
+        let encoder = Encoder::new(&self.weights, EncoderOptions { workers: 1 })?;
+        let decoder = Decoder::new(&self.weights, decoder)?;
+        Ok(vec![node(&encoder::STAGE, encoder), node(&decoder::STAGE, decoder)])
     }
 
     /// The header of a recording's first tick.
@@ -238,41 +253,37 @@ impl Session {
     ) -> Self {
         let threads = threads.clamp(1, nn::WORKERS_MAX);
         let network = || {
-            let controls = forecaster.features_to_controls()?;
+            let controls = Graph::new(forecaster.features_to_controls()?);
             Ok::<_, ChainError>(Network { controls, base: BaseDecoder::new(&forecaster.weights)? })
         };
         let started = "stages that started before start again";
         Self {
-            features: forecaster.tracks_to_features(map, threads).expect(started),
+            features: Graph::new(forecaster.tracks_to_features(map, threads).expect(started)),
             networks: (0..threads).map(|_| network().expect(started)).collect(),
-            frames: Vec::new(),
             publisher: Publisher::new(forecaster.header(), recording),
         }
     }
 
     /// Decodes the next scenes. `counts` returns the places of the agents whose forecasts are needed.
     pub(crate) fn decode(&mut self, scenes: &[Scene], counts: impl Fn(&Scene) -> Vec<usize>) -> Vec<Decoded> {
-        self.frames.resize_with(self.frames.len().max(scenes.len()), OwnFrame::default);
         let mut begun = Vec::with_capacity(scenes.len());
-        for (number, scene) in scenes.iter().enumerate() {
+        for scene in scenes {
             let payload = self.publisher.next(scene);
-            let frame = &mut self.frames[number];
-            let is_refused = self.features.step(&payload.header, &payload.tracks, frame, |_| ()).is_err();
-            let edges_left_out = self.features.effort().edges_dropped;
+            self.features.put::<TracksTopic>(&payload.header, &payload.tracks);
+            self.features.tick(|_| ());
+            let extractor = self.features.step::<Extractor>();
+            let edges_left_out = extractor.map_or(0, |extractor| extractor.effort().edges_dropped);
             let counting = counts(scene);
             let counting = (0..payload.places.len())
                 .filter(|&track| counting.contains(&payload.places[track]))
                 .collect();
             let decoded =
                 Decoded { payload, controls: Vec::new(), base: Vec::new(), counting, edges_left_out };
-            begun.push((decoded, is_refused));
+            begun.push((decoded, self.features.shared()));
         }
-        let numbers: Vec<usize> = (0..scenes.len()).collect();
-        let made = threads::each_with(&numbers, &mut self.networks, |&number, network| {
-            match (&begun[number], &self.frames[number]) {
-                ((decoded, false), frame) => network.step(frame, decoded),
-                _ => (Vec::new(), Vec::new()),
-            }
+        let made = threads::each_with(&begun, &mut self.networks, |(decoded, frame), network| match frame {
+            Some(frame) => network.step(frame.clone(), decoded),
+            None => (Vec::new(), Vec::new()),
         });
         let filled = begun.into_iter().zip(made);
         filled.map(|((decoded, _), (controls, base))| Decoded { controls, base, ..decoded }).collect()
@@ -283,18 +294,20 @@ impl Network {
     /// The controls of a tick, and the base controls of the counted agents.
     fn step(
         &mut self,
-        frame: &OwnFrame<FeaturesTopic>,
+        frame: Arc<OwnFrame<FeaturesTopic>>,
         decoded: &Decoded,
     ) -> (Vec<AgentControls>, Vec<AgentControls>) {
-        let made = &mut self.controls;
-        if made.step(frame, |_| ()).is_err() {
+        self.controls.put_shared(frame);
+        self.controls.tick(|_| ());
+        let controls = self.controls.frame::<ControlsTopic>();
+        if controls.is_void() {
             return (Vec::new(), Vec::new());
         }
-        let encodings = &made.encodings.elements;
+        let encodings = &self.controls.frame::<EncodingsTopic>().elements;
         let base = self.base.iter_mut().flat_map(|base| {
             decoded.counting.iter().map(|&track| base.controls(&encodings[track])).collect::<Vec<_>>()
         });
-        (made.controls.elements.clone(), base.collect())
+        (controls.elements.clone(), base.collect())
     }
 }
 

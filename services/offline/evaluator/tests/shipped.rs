@@ -6,10 +6,11 @@ use data::sets::{DataSet, Fold, Part};
 use data::{GeneratedScene, Recording, SceneOptions};
 use evaluator::{Cut, Forecast, Forecaster, MapInput, Scene, TracksPayload, Variants};
 use nn::Weights;
-use onboard::TracksToForecasts;
+use onboard::{Graph, open_all};
 use run::{Run, StageRun};
 use scene::AgentType;
 use testing::public_recording;
+use wire::{ForecastsTopic, StageId, TracksTopic};
 
 /// A run as `predict` sets it up.
 fn run(sampler: &sampler::Options) -> Run {
@@ -28,11 +29,19 @@ fn run(sampler: &sampler::Options) -> Run {
 /// The shipped chain's forecasts of the complete agents, scene by scene.
 fn shipped(run: &Run, scenes: &[Scene], payloads: &[TracksPayload]) -> Vec<Vec<(usize, Forecast)>> {
     let weights = Weights::onboard();
-    let mut stages = TracksToForecasts::new(run, weights.config()).unwrap();
+    let mut nodes = open_all(run, &weights).unwrap();
+    nodes.retain(|node| node.id() != StageId::Tracker);
+    let mut stages = Graph::new(nodes);
     let of_scene = |(scene, payload): (&Scene, &TracksPayload)| {
         let TracksPayload { header, tracks, places, .. } = payload;
-        let (_, forecasts) = stages.step(header, tracks).unwrap();
-        let forecasts = forecasts.iter().map(|payload| Forecast::of(payload, weights.config().horizon_len));
+        stages.put::<TracksTopic>(header, tracks);
+        stages.tick(|_| ());
+        assert_eq!(stages.refusal(StageId::Sampler), None);
+        let forecasts = stages
+            .frame::<ForecastsTopic>()
+            .elements
+            .iter()
+            .map(|payload| Forecast::of(payload, weights.config().horizon_len));
         let complete = scene.complete();
         places.iter().copied().zip(forecasts).filter(|(place, _)| complete.contains(place)).collect()
     };

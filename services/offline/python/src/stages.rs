@@ -132,8 +132,9 @@ impl Predictor {
     /// Writes the retrieval memory to its file.
     fn save_memory(&self, py: Python<'_>) -> PyResult<()> {
         py.detach(|| {
-            let started = self.0.lock();
-            let kept = started.stages.keep_memory(&started.prepared.run);
+            let mut started = self.0.lock();
+            let Started { stages, prepared, .. } = &mut *started;
+            let kept = stages.end(&prepared.run);
             kept.map_err(|why| error::of_failure(&Failure::from(why)))
         })
     }

@@ -3,10 +3,10 @@
 use std::collections::BTreeMap;
 
 use filters::ControlStep;
-use onboard::TracksToForecasts;
+use onboard::Graph;
 use retrieval::RetrievalMemory;
 use scene::State;
-use wire::{AgentType, Forecast as Payload, Header, Quality, TrackStatus};
+use wire::{AgentType, Forecast as Payload, ForecastsTopic, Header, Quality, TrackStatus, TracksTopic};
 
 use evaluator::{Agent, Forecaster, MapInput, Scene, TracksPayload};
 
@@ -46,7 +46,7 @@ type Past = BTreeMap<i64, State>;
 /// Forecasts filtered agents with the onboard stages. Each instant has one `tracks` payload with the filters'
 /// estimates.
 pub(crate) struct OnboardForecasts {
-    stages: TracksToForecasts,
+    stages: Graph,
     header: Header,
     history_len: i64,
     horizon_len: usize,
@@ -103,7 +103,9 @@ impl OnboardForecasts {
                 (track.status, track.unseen_ns) = (TrackStatus::Coasting as u32, self.header.step_ns);
             }
         }
-        let Ok((_, forecasts)) = self.stages.step(&header, &tracks) else { return Vec::new() };
+        self.stages.put::<TracksTopic>(&header, &tracks);
+        self.stages.tick(|_| ());
+        let forecasts = &self.stages.frame::<ForecastsTopic>().elements;
         let learned = |payload: &&Payload| payload.quality == Quality::Learned as u32;
         let horizon_len = self.horizon_len;
         let of_agent = |payload: &Payload| (payload.id, Hypotheses::of(payload, horizon_len));

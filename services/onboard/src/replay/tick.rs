@@ -1,7 +1,8 @@
 use ports::Allowance;
 use recording::{Frame, FrameError};
 use wire::{
-    ControlsTopic, EncodingsTopic, FeatureShape, Features, FeaturesTopic, ForecastsTopic, StageId, Topic,
+    ControlsTopic, EncodingsTopic, FeatureShape, Features, FeaturesTopic, ForecastsTopic, Header, StageId,
+    Topic,
 };
 
 use crate::OwnFrame;
@@ -46,6 +47,12 @@ impl Tick {
         self.frames.iter().find(|frame| frame.topic().name == topic)
     }
 
+    /// The header of a topic's frame; `None` if there is none or, as in [`Tick::own`], the frame is impossible.
+    pub fn sound<T: Topic>(&self, impossible: &mut Option<FrameError>) -> Option<&Header> {
+        self.own::<T>(impossible)?;
+        self.frame(T::NAME).map(Frame::header)
+    }
+
     /// The frame of a topic with its elements. `None` if the frame is impossible, which means that its sender
     /// is faulty. Stages refuse an impossible frame before they read it. `impossible` holds the first
     /// impossible frame.
@@ -68,15 +75,25 @@ impl Tick {
         by_output.or_else(by_hop)
     }
 
+    /// The agents that a stage of the run had time to serve.
+    pub fn allowance(&self, stage: StageId) -> Allowance<'_> {
+        match stage {
+            StageId::Extractor => self.extracted(),
+            StageId::Encoder => self.encoded(),
+            StageId::Decoder => self.decoded(),
+            _ => Allowance::All,
+        }
+    }
+
     /// The agents that the decoder served: those that the recorded header does not list as shed.
-    pub fn decoded(&self) -> Allowance<'_> {
+    fn decoded(&self) -> Allowance<'_> {
         let frame = self.frame(ControlsTopic::NAME).or_else(|| self.frame(ForecastsTopic::NAME));
         frame.map_or(Allowance::All, |frame| Allowance::AsRecorded(frame.header()))
     }
 
     /// The agents for which the extractor had time, from its features. All if it did not have to choose or
     /// its features were not recorded.
-    pub fn extracted(&self) -> Allowance<'static> {
+    fn extracted(&self) -> Allowance<'static> {
         let served = self.own::<FeaturesTopic>(&mut None).and_then(|features| {
             let counts = &features.header.counts;
             let shape = FeatureShape::of(counts);
@@ -89,7 +106,7 @@ impl Tick {
     }
 
     /// The agents for which the encoder had time, from its encodings. All if they were not recorded.
-    pub fn encoded(&self) -> Allowance<'static> {
+    fn encoded(&self) -> Allowance<'static> {
         let Some(encodings) = self.own::<EncodingsTopic>(&mut None) else { return Allowance::All };
         let served = encodings.elements.iter().filter(|agent| agent.forecastable != 0 && agent.shed == 0);
         Allowance::AtMost(served.count())
