@@ -86,11 +86,15 @@ fn errors_in_a_pipeline_are_reported_with_their_place() {
         format!("{file}:{line}:")
     };
     let unknown_key = scratch.pipeline("key.toml", "budget_ms = 6", "budget = 6");
-    let no_producer = scratch.pipeline("producer.toml", "writes = [\"encodings\"]", "command = [\"./mine\"]");
+    let no_producer = scratch.pipeline(
+        "producer.toml",
+        "name = \"encoder\"",
+        "name = \"encoder\"\ncommand = [\"./mine\"]\nreads = [\"features\"]",
+    );
     let cycle = scratch.pipeline(
         "cycle.toml",
-        "reads = [\"tracks\"]",
-        "reads = [\"tracks\", \"forecasts\"]\ncommand = [\"./mine\"]",
+        "name = \"localiser\"",
+        "name = \"localiser\"\ncommand = [\"./mine\"]\nreads = [\"tracks\", \"forecasts\"]\nwrites = [\"context\"]",
     );
     let cases: [(&str, &[&str]); 4] = [
         (&unknown_key, &["unknown field `budget`", &place("key.toml", "budget_ms = 6")]),

@@ -48,7 +48,7 @@ fn invalid_settings_are_refused_before_the_run() {
     assert_refused(
         &["check", &pipeline],
         78,
-        &["`fov` of the tracker", "p.toml:28:", "expected WIDTH,RANGE"],
+        &["`fov` of the tracker", "p.toml:25:", "expected WIDTH,RANGE"],
     );
 }
 
@@ -61,9 +61,9 @@ fn a_precision_that_the_kernels_lack_is_refused() {
     for verb in [&["run"][..], &["predict", &recording], &["bench"]] {
         assert_refused(&[verb, &set].concat(), 78, &[message, "leave the precision at f32"]);
     }
-    let encodings = "reads = [\"encodings\"]";
-    let options = format!("{encodings}\noptions = {{ precision = \"bf16\" }}");
-    let pipeline = scratch.pipeline("bf16.toml", encodings, &options);
+    let decoder = "name = \"decoder\"";
+    let options = format!("{decoder}\noptions = {{ precision = \"bf16\" }}");
+    let pipeline = scratch.pipeline("bf16.toml", decoder, &options);
     assert_refused(
         &["run", "--pipeline", &pipeline, "--kernels", "portable"],
         78,

@@ -3,7 +3,7 @@ use std::time::Duration;
 
 use run::{Declared, PROTECTED, TopicRun};
 use toml::Spanned;
-use wire::{ForecastsTopic, HOPS_MAX, StageId, TICK_MS, Topic, UnknownWorldOrigin};
+use wire::{HOPS_MAX, StageId, TICK_MS, UnknownWorldOrigin};
 
 use super::added::{self, name_of};
 use super::file::{File, StageTable};
@@ -177,7 +177,7 @@ fn same_type(
         let expected = expected.unwrap_or_default();
         return Err(Mistake::new(name.span(), message, format!("\"{}\" is \"{expected}\"", topic.get_ref())));
     }
-    if table.name.get_ref() == StageId::Tracker.name() && topic.get_ref() == ForecastsTopic::NAME {
+    if is_feedback(table, topic.get_ref()) {
         let message = "the forecasts that go back to the tracker have no other name";
         return Err(Mistake::new(name.span(), message, "the tracker reads those of the sampler"));
     }
@@ -343,8 +343,12 @@ fn acyclic(tables: &[&StageTable], topics: &[TopicRun]) -> Result<(), Mistake> {
         .help("the only cycle allowed is that of the tracker, which reads \"forecasts\""))
 }
 
-/// The first input of a stage that one of the open stages writes. The cycle through the tracker is intended,
-/// because the tracker reads the forecasts of earlier ticks.
+/// Whether a stage reads the frames of earlier ticks from a topic, by its own name.
+fn is_feedback(table: &StageTable, topic: &str) -> bool {
+    StageId::from_name(table.name.get_ref()).is_some_and(|stage| run::is_feedback(stage, topic))
+}
+
+/// The first input of a stage that one of the open stages writes in the same tick.
 fn open_input<'a>(
     table: &'a StageTable,
     open: &[&StageTable],
@@ -352,8 +356,8 @@ fn open_input<'a>(
 ) -> Option<&'a Spanned<String>> {
     table.reads.iter().find(|read| {
         let topic = read.get_ref();
-        let meant = table.name.get_ref() == "tracker" && topic == ForecastsTopic::NAME;
-        !meant && open.iter().any(|other| writes(other, name_of(table, topic, topics), topics))
+        !is_feedback(table, topic)
+            && open.iter().any(|other| writes(other, name_of(table, topic, topics), topics))
     })
 }
 
@@ -375,15 +379,14 @@ fn way<'a>(tables: &[&'a StageTable], topics: &[TopicRun]) -> Vec<&'a str> {
     way
 }
 
-/// The stages that write an input of a stage. The forecasts that go back to the tracker do not count.
+/// The stages that write an input of a stage in the same tick.
 fn producers_of<'a>(
     table: &StageTable,
     tables: &[&'a StageTable],
     topics: &[TopicRun],
 ) -> Vec<&'a StageTable> {
-    let is_tracker = table.name.get_ref() == StageId::Tracker.name();
-    let names = table.reads.iter().map(|read| name_of(table, read.get_ref(), topics));
-    let names: Vec<&str> = names.filter(|&name| !is_tracker || name != ForecastsTopic::NAME).collect();
+    let reads = table.reads.iter().map(Spanned::get_ref).filter(|read| !is_feedback(table, read));
+    let names: Vec<&str> = reads.map(|read| name_of(table, read, topics)).collect();
     let is_producer = |other: &&StageTable| names.iter().any(|name| writes(other, name, topics));
     tables.iter().copied().filter(is_producer).collect()
 }

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
+use run::Declared;
 use serde::Deserialize;
 use toml::Spanned;
 
@@ -74,6 +75,24 @@ pub(super) struct StageTable {
     pub cpu: Option<Spanned<Vec<Spanned<u64>>>>,
     pub priority: Option<Spanned<u64>>,
     pub spare: Option<Spanned<bool>>,
+}
+
+impl File {
+    /// Gives the topics of its declaration to a stage for which the file lists none.
+    pub fn add_topics_of(&mut self, declared: &[&dyn Declared]) {
+        for table in self.stages.iter_mut().map(Spanned::get_mut) {
+            let declares = |stage: &&&dyn Declared| stage.id().name() == table.name.get_ref();
+            if let Some(stage) = declared.iter().find(declares)
+                && table.reads.is_empty()
+                && table.writes.is_empty()
+            {
+                let topics = |names: &[&str]| {
+                    names.iter().map(|&name| Spanned::new(table.name.span(), name.to_owned())).collect()
+                };
+                (table.reads, table.writes) = (topics(stage.reads()), topics(stage.writes()));
+            }
+        }
+    }
 }
 
 /// A stage's options. The stage's declaration checks them.

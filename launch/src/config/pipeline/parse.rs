@@ -12,7 +12,8 @@ impl Pipeline {
     /// # Errors
     /// [`SourceError`] points to the first fault in the text.
     pub fn parse(name: &str, text: &str, declared: &[&dyn Declared]) -> Result<Self, SourceError> {
-        let file: File = toml::from_str(text).map_err(|e| Mistake::syntax(text, &e).at(name, text))?;
+        let mut file: File = toml::from_str(text).map_err(|e| Mistake::syntax(text, &e).at(name, text))?;
+        file.add_topics_of(declared);
         let mut pipeline = check::check(&file, declared).map_err(|mistake| mistake.at(name, text))?;
         for (stage, table) in pipeline.stages.iter_mut().zip(&file.stages) {
             let place = |at: usize| format!("{name}:{}", line_of(text, at));

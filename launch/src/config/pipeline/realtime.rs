@@ -234,8 +234,9 @@ mod tests {
         let limiter = |pipeline: &Pipeline| pipeline.stages.last().unwrap().scheduling.clone();
         let beside = parse(&stage("forecasts", "limited")).unwrap();
         assert!(limiter(&beside).is_default(), "no forecast waits for it");
-        let reads = "name = \"localiser\"\nreads = [\"tracks\"]";
-        let localiser = "name = \"localiser\"\ncommand = [\"sh\"]\nreads = [\"limited\"]";
+        let reads = "name = \"localiser\"";
+        let localiser =
+            "name = \"localiser\"\ncommand = [\"sh\"]\nreads = [\"limited\"]\nwrites = [\"context\"]";
         let between = stage("tracks", "limited").replacen(reads, localiser, 1);
         let between = parse(&between).unwrap();
         assert_eq!(limiter(&between).priority, Some(32));

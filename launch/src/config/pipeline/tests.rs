@@ -91,6 +91,23 @@ fn with(from: &str, to: &str) -> String {
     FULL.replacen(from, to, 1)
 }
 
+/// The shipped file with further lines of a stage.
+fn of(stage: &str, lines: &str) -> String {
+    let name = format!("name = \"{stage}\"\n");
+    with(&name, &format!("{name}{lines}\n"))
+}
+
+#[test]
+fn a_stage_has_the_topics_of_its_declaration_unless_the_file_lists_others() {
+    let plain = parsed(FULL);
+    let listed = parsed(&of("sampler", "reads = [\"tracks\", \"controls\"]\nwrites = [\"forecasts\"]"));
+    assert_eq!(listed.edges(), plain.edges());
+    let command = parsed(&of("localiser", "command = [\"./mine\"]"));
+    assert_eq!(command.edges(), plain.edges());
+    let lines = "command = [\"./mine\"]\nreads = [\"tracks\", \"detections\"]\nwrites = [\"context\"]";
+    assert_eq!(parsed(&of("localiser", lines)).edges().len(), plain.edges().len() + 1);
+}
+
 #[test]
 fn the_shipped_file_is_accepted() {
     let pipeline = parsed(FULL);
@@ -168,7 +185,7 @@ fn unknown_stage() {
 
 #[test]
 fn unknown_topic() {
-    insta::assert_snapshot!(error(&with("reads = [\"features\"]", "reads = [\"feature\"]")));
+    insta::assert_snapshot!(error(&of("encoder", "reads = [\"feature\"]")));
 }
 
 #[test]
@@ -180,12 +197,8 @@ fn duplicate_stage() {
 
 #[test]
 fn two_producers() {
-    let text = with("name = \"encoder\"", "name = \"encoder\"\ncommand = [\"./mine\"]");
-    insta::assert_snapshot!(error(&text.replacen(
-        "writes = [\"encodings\"]",
-        "writes = [\"encodings\", \"tracks\"]",
-        1
-    )));
+    let lines = "command = [\"./mine\"]\nreads = [\"features\"]\nwrites = [\"encodings\", \"tracks\"]";
+    insta::assert_snapshot!(error(&of("encoder", lines)));
 }
 
 #[test]
@@ -197,30 +210,23 @@ fn missing_producer() {
 
 #[test]
 fn wrong_topics_of_a_built_in_stage() {
-    insta::assert_snapshot!(error(&with("reads = [\"features\"]", "reads = [\"features\", \"tracks\"]")));
-    insta::assert_snapshot!(error(&with("reads = [\"tracks\", \"controls\"]", "reads = [\"controls\"]")));
+    insta::assert_snapshot!(error(&of(
+        "encoder",
+        "reads = [\"features\", \"tracks\"]\nwrites = [\"encodings\"]"
+    )));
+    insta::assert_snapshot!(error(&of("sampler", "reads = [\"controls\"]\nwrites = [\"forecasts\"]")));
 }
 
 #[test]
 fn cycle() {
-    let text = with("name = \"localiser\"", "name = \"localiser\"\ncommand = [\"./mine\"]");
-    insta::assert_snapshot!(error(&text.replacen(
-        "reads = [\"tracks\"]",
-        "reads = [\"tracks\", \"forecasts\"]",
-        1
-    )));
+    let lines = "command = [\"./mine\"]\nreads = [\"tracks\", \"forecasts\"]\nwrites = [\"context\"]";
+    insta::assert_snapshot!(error(&of("localiser", lines)));
 }
 
 #[test]
 fn budgets_over_a_tick() {
-    insta::assert_snapshot!(error(&with(
-        "writes = [\"encodings\"]\nbudget_ms = ",
-        "writes = [\"encodings\"]\nbudget_ms = 7"
-    )));
-    insta::assert_snapshot!(error(&with(
-        "writes = [\"encodings\"]\nbudget_ms = ",
-        "writes = [\"encodings\"]\nbudget_ms = -"
-    )));
+    insta::assert_snapshot!(error(&with("\"encoder\"\nbudget_ms = ", "\"encoder\"\nbudget_ms = 7")));
+    insta::assert_snapshot!(error(&with("\"encoder\"\nbudget_ms = ", "\"encoder\"\nbudget_ms = -")));
 }
 
 #[test]
@@ -246,10 +252,7 @@ fn options_that_exclude_each_other() {
 #[test]
 fn unknown_option() {
     insta::assert_snapshot!(error(&with("deadline_ms = 72", "deadline = 72")));
-    insta::assert_snapshot!(error(&with(
-        "writes = [\"encodings\"]",
-        "writes = [\"encodings\"]\noptions = { a = 1 }"
-    )));
+    insta::assert_snapshot!(error(&of("encoder", "options = { a = 1 }")));
 }
 
 #[test]
@@ -267,7 +270,7 @@ fn the_options_of_a_command_are_not_checked() {
 
 #[test]
 fn processors_and_priority_of_a_stage() {
-    let of = |keys: &str| with("name = \"encoder\"", &format!("name = \"encoder\"\n{keys}"));
+    let of = |keys: &str| of("encoder", keys);
     let set = parsed(&of("cpu = [3, 1]\npriority = 50"));
     let expected = Scheduling { cpus: vec![1, 3], priority: Some(50), unlocked: false };
     assert_eq!(stage(&set, StageId::Encoder).scheduling, expected);
@@ -292,8 +295,7 @@ fn empty_command() {
 
 #[test]
 fn a_topic_is_opened_under_another_name() {
-    let from = "writes = [\"encodings\"]";
-    let renamed = |entry: &str| with(from, &format!("{from}\ntopics = {{ {entry} }}"));
+    let renamed = |entry: &str| of("encoder", &format!("topics = {{ {entry} }}"));
     let pipeline = parsed(&renamed("encodings = \"encodings-raw\""));
     assert_eq!(stage(&pipeline, StageId::Encoder).topics["encodings"], "encodings-raw");
     assert!(stage(&pipeline, StageId::Decoder).topics.is_empty());
