@@ -12,6 +12,8 @@ const CHORD_NS: i64 = 1_000_000_000;
 pub(crate) const GAP_MAX_NS: i64 = 3_000_000_000;
 /// Shortest path in m and lowest speed in m/s that have a direction.
 const DIRECTED: [f64; 2] = [1.0, 0.8];
+/// Smallest cosine of the angle between two chords of a steady motion.
+const STEADY_COS: f64 = 0.7;
 /// Slower agents may be measured at the same place again.
 const MOVING_MPS: f64 = 1.0;
 /// Shorter steps may come from coarsely rounded numbers.
@@ -110,6 +112,20 @@ pub(crate) struct Step {
     pub chord: Option<Chord>,
     /// The same chord with the headings at its ends.
     pub directed: Option<Directed>,
+    /// The same chord if it has a direction, with the numbers that all its rows have.
+    pub constant: Option<Constant>,
+}
+
+/// A chord with a direction, and the speed and the heading if they are equal in all its rows.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Constant {
+    pub speed: Option<f64>,
+    pub heading: Option<f64>,
+    pub chord_mps: [f64; 2],
+    /// Whether the motion continues the one of the previous chord.
+    pub steady: bool,
+    pub rows: u64,
+    pub place: Place,
 }
 
 /// An agent, followed by its identity or from place to place.
@@ -131,6 +147,10 @@ pub(crate) struct Agent {
     first: Spot,
     /// Distance according to the reported speeds since `first`; `None` if a speed was missing.
     reported_m: Option<f64>,
+    /// Whether all speeds and all headings since `first` are equal, if they are given.
+    is_constant: [bool; 2],
+    /// Velocity of the previous chord.
+    chord_mps: Option<[f64; 2]>,
     /// Number of detections since `first`.
     rows: u64,
 }
@@ -147,6 +167,8 @@ impl Agent {
             alone_ns: [None; 2],
             first: spot,
             reported_m: Some(0.0),
+            is_constant: [true; 2],
+            chord_mps: None,
             rows: 1,
         }
     }
@@ -247,6 +269,8 @@ impl Agent {
         let mean_mps = self.last.speed_mps.zip(spot.speed_mps).map(|(from, to)| (from + to) / 2.0);
         let reported_m = mean_mps.map(|mean_mps| mean_mps * elapsed_s);
         self.reported_m = self.reported_m.zip(reported_m).map(|(way_m, step_m)| way_m + step_m);
+        let are_equal = [spot.speed_mps == self.first.speed_mps, spot.heading == self.first.heading];
+        self.is_constant = [0, 1].map(|column| self.is_constant[column] && are_equal[column]);
         (self.last, self.velocity_mps) = (spot, Some([x_m / elapsed_s, y_m / elapsed_s]));
         self.rows += 1;
         let elapsed_ns = spot.stamp_ns - self.first.stamp_ns;
@@ -267,14 +291,33 @@ impl Agent {
         let (rows, place) = (rows - 1, first.place);
         step.chord = Some(Chord { way_m, elapsed_s, reported_m: reported_m.map(f64::abs), rows, place });
         let [way_min_m, speed_min_mps] = DIRECTED;
+        let is_directed = way_m >= way_min_m && way_m / elapsed_s >= speed_min_mps;
+        let chord_mps = [x_m / elapsed_s, y_m / elapsed_s];
+        let steady = self.chord_mps.replace(chord_mps).is_some_and(|before| is_steady(before, chord_mps));
+        let [speed, heading] = [first.speed_mps, first.heading];
+        step.constant = is_directed.then_some(Constant {
+            speed: speed.filter(|_| self.is_constant[0]),
+            heading: heading.filter(|_| self.is_constant[1]),
+            chord_mps,
+            steady,
+            rows,
+            place,
+        });
         if let (Some(from), Some(to)) = (first.heading, last.heading)
-            && way_m >= way_min_m
-            && way_m / elapsed_s >= speed_min_mps
+            && is_directed
         {
             let is_reverse = reported_m.is_some_and(|way_m| way_m < 0.0);
             let direction_rad = if is_reverse { (-y_m).atan2(-x_m) } else { y_m.atan2(x_m) };
             step.directed = Some(Directed { direction_rad, headings: [from, to], rows, place });
         }
         (self.first, self.reported_m, self.rows) = (last, Some(0.0), 1);
+        self.is_constant = [true; 2];
     }
+}
+
+/// Whether two consecutive chords of an agent show one motion. Noise around a place turns back.
+fn is_steady(before_mps: [f64; 2], now_mps: [f64; 2]) -> bool {
+    let [before, now] = [before_mps, now_mps].map(|[x_mps, y_mps]| x_mps.hypot(y_mps));
+    let along = before_mps[0] * now_mps[0] + before_mps[1] * now_mps[1];
+    along > STEADY_COS * before * now && before > 0.5 * now && now > 0.5 * before
 }

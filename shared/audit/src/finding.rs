@@ -18,10 +18,27 @@ pub(crate) const INTERVAL_MAX_S: f64 = 4.8;
 pub(crate) enum Detail {
     None,
     Heading(Option<Reading>),
-    Reported { agent_type: AgentType, ratio: f64, unit: Option<Unit>, frame_rate: Option<f64> },
-    Speeds { agent_type: AgentType, speeds_mps: [f64; 2], frame_rate: Option<f64> },
-    Length { length_m: f64 },
-    Interval { interval_s: f64 },
+    Reported {
+        agent_type: AgentType,
+        ratio: f64,
+        unit: Option<Unit>,
+        frame_rate: Option<f64>,
+    },
+    Speeds {
+        agent_type: AgentType,
+        speeds_mps: [f64; 2],
+        frame_rate: Option<f64>,
+    },
+    Length {
+        length_m: f64,
+    },
+    Interval {
+        interval_s: f64,
+    },
+    /// A number that stands for "unknown".
+    Unknown {
+        value: f64,
+    },
 }
 
 /// A fault of the input and its rows.
@@ -178,6 +195,13 @@ impl fmt::Display for Finding {
             }
             Detail::Length { length_m } => {
                 write!(f, "vehicles are {length_m:.1} long at the median, as in feet: {remedy}")
+            }
+            Detail::Unknown { value } => {
+                let column = if self.doubt == Doubt::SpeedsDiffer { "speeds" } else { "headings" };
+                write!(
+                    f,
+                    "{column} are {value} while agents move otherwise: leave the column empty if it is unknown"
+                )
             }
             Detail::Interval { interval_s } => interval(f, self.doubt, interval_s),
             Detail::None | Detail::Heading(_) => write!(f, "{observation}: {remedy}"),

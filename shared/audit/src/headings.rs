@@ -23,6 +23,12 @@ const DISAGREEING: f64 = 0.15;
 /// The same share for headings that are turned or agree with no convention.
 const DISAGREEING_MOST: f64 = 0.5;
 
+/// Whether a motion in this direction contradicts a number that all rows have as their heading.
+pub(crate) fn differs(number_rad: f64, direction_rad: f64) -> bool {
+    let off = number_rad - direction_rad;
+    off.sin().atan2(off.cos()).abs() > TOLERANCE_RAD
+}
+
 /// A convention of headings.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Convention {

@@ -25,6 +25,7 @@
 
 mod agent;
 mod agents;
+mod column;
 mod doubt;
 mod finding;
 mod headings;
@@ -37,8 +38,9 @@ mod tally;
 
 use wire::{AgentType, Detection, detection_flags};
 
-use agent::{Repeated, Spot, Step};
+use agent::{Constant, Repeated, Spot, Step};
 use agents::Agents;
+use column::{Column, Unknown};
 pub use doubt::Doubt;
 use finding::Detail;
 pub use finding::{DOUBT_SHARE, Finding, Found};
@@ -88,6 +90,8 @@ pub struct Audit {
     by_type: [(u64, u64); TYPES.len()],
     speeds: [Speeds; TYPES.len()],
     headings: Headings,
+    /// Speeds and headings as numbers.
+    columns: [Column; 2],
     stamps: Stamps,
     whole: Tally,
     backwards: Tally,
@@ -114,6 +118,7 @@ impl Audit {
             by_type: Default::default(),
             speeds: std::array::from_fn(|_| Speeds::new()),
             headings: Headings::default(),
+            columns: Default::default(),
             stamps: Stamps::default(),
             whole: Tally::default(),
             backwards: Tally::default(),
@@ -132,6 +137,7 @@ impl Audit {
         self.speeds.iter_mut().for_each(Speeds::clear);
         (self.frames, self.rows) = (0, 0);
         self.by_type = Default::default();
+        self.columns = Default::default();
         (self.headings, self.stamps) = (Headings::default(), Stamps::default());
         (self.whole, self.backwards) = Default::default();
         (self.repeated, self.repeated_off_grid, self.on_grid_rows) = Default::default();
@@ -159,6 +165,9 @@ impl Audit {
         self.stamps.row(stamp_ns);
         if let Some(heading) = spot.heading {
             self.headings.row(heading, place);
+        }
+        for (column, value) in self.columns.iter_mut().zip([spot.speed_mps, spot.heading]) {
+            value.into_iter().for_each(|value| column.row(value));
         }
         if detection.x_m.fract() == 0.0 && detection.y_m.fract() == 0.0 {
             self.whole.add(1, place);
@@ -209,6 +218,13 @@ impl Audit {
         if let Some(directed) = &step.directed {
             self.headings.chord(directed);
         }
+        if let Some(Constant { speed, heading, chord_mps: [x_mps, y_mps], steady, rows, place }) =
+            step.constant
+        {
+            let [speeds, headings] = &mut self.columns;
+            speeds.chord(speed, |speed| steady && speeds::differs(speed, x_mps.hypot(y_mps)), rows, place);
+            headings.chord(heading, |h| steady && headings::differs(h, y_mps.atan2(x_mps)), rows, place);
+        }
     }
 
     /// Number of detections so far.
@@ -248,6 +264,23 @@ impl Audit {
         findings
     }
 
+    /// The speed and the heading that stand for "unknown": the motion contradicts them in more than
+    /// [`DOUBT_SHARE`] of the rows.
+    pub fn unknown(&self) -> [Option<f32>; 2] {
+        self.unknown_numbers().map(|unknown| unknown.map(|unknown| unknown.value as f32))
+    }
+
+    fn unknown_numbers(&self) -> [Option<Unknown>; 2] {
+        // A unit explains a constant speed better.
+        let has_unit =
+            self.speeds.iter().any(|speeds| speeds.reported().is_some_and(|found| found.unit.is_some()));
+        let [speed, heading] = [0, 1].map(|column| {
+            let unknown = self.columns[column].unknown();
+            unknown.filter(|found| found.tally.rows as f64 > DOUBT_SHARE * found.of as f64)
+        });
+        [speed.filter(|_| !has_unit), heading]
+    }
+
     /// Bits of the kinds that are doubts.
     pub fn doubts(&self) -> u32 {
         let mut bits = 0;
@@ -257,7 +290,15 @@ impl Audit {
 
     /// Passes every finding to `take`. Does not allocate.
     fn visit(&self, mut take: impl FnMut(Finding)) {
-        if let Some((reading, tally, of)) = self.headings.doubt() {
+        let [speed, heading] = self.unknown_numbers();
+        for (unknown, doubt) in [(speed, Doubt::SpeedsDiffer), (heading, Doubt::HeadingsUnrelated)] {
+            if let Some(Unknown { value, tally, of }) = unknown {
+                take(Finding::new(doubt, tally, of, Detail::Unknown { value }));
+            }
+        }
+        if heading.is_none()
+            && let Some((reading, tally, of)) = self.headings.doubt()
+        {
             let doubt = match reading {
                 None => Doubt::HeadingsUnrelated,
                 Some(reading) if reading.degrees => Doubt::HeadingsInDegrees,

@@ -157,6 +157,20 @@ mod tests {
     }
 
     #[test]
+    fn zeros_of_a_moving_producer_are_found() {
+        let speeds = |_: u64, detection: &mut Detection| detection.speed_mps = 0.0;
+        let headings = |_: u64, detection: &mut Detection| detection.heading_rad = 0.0;
+        for id in [detection_flags::HAS_ID, 0] {
+            let mut audit = doubts(320, TENTH_NS, id, speeds);
+            assert_eq!(audit.doubts(), Doubt::SpeedsDiffer.bit(), "{id}");
+            assert!(audit.take_new()[0].to_string().starts_with("speeds are 0 while agents move"));
+            let mut audit = doubts(320, TENTH_NS, id, headings);
+            assert_eq!(audit.doubts(), Doubt::HeadingsUnrelated.bit(), "{id}");
+            assert!(audit.take_new()[0].to_string().starts_with("headings are 0 while agents move"));
+        }
+    }
+
+    #[test]
     fn a_doubt_is_withdrawn_if_later_frames_lower_its_share_below_the_limit() {
         // One position of one car: more than 1 % of 96 frames, less than 1 % of 128 frames.
         let lone = |frames: u64| {

@@ -56,6 +56,11 @@ pub(crate) const fn usual_mps(agent_type: AgentType) -> [f64; 3] {
     }
 }
 
+/// Whether a motion at this speed contradicts a number that all rows have as their speed.
+pub(crate) fn differs(number_mps: f64, speed_mps: f64) -> bool {
+    (speed_mps - number_mps.abs()).abs() > (0.25 * number_mps.abs()).max(0.5)
+}
+
 /// The chords of a type.
 #[derive(Clone, Debug)]
 pub(crate) struct Speeds {

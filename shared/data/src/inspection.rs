@@ -1,8 +1,9 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use audit::{Audit, Found, Place, TypeFigures, TypeNoise};
+use audit::{Audit, Doubt, Found, Place, TypeFigures, TypeNoise};
 use serde::Serialize;
+use wire::{Detection, detection_flags};
 
 use crate::{LeftOut, Recording};
 
@@ -128,6 +129,44 @@ pub fn findings(recording: &Recording) -> Vec<Found> {
     if recording.sha256.is_empty() { Vec::new() } else { examine(recording).1 }
 }
 
+/// Removes the speeds and headings of a recording that stand for "unknown", because the motion contradicts them, and
+/// keeps the findings about them.
+pub(crate) fn drop_unknown(recording: &mut Recording) {
+    let flags = [detection_flags::HAS_SPEED, detection_flags::HAS_HEADING];
+    let value = |detection: &Detection, column: usize| [detection.speed_mps, detection.heading_rad][column];
+    let detections = || recording.frames.iter().flat_map(|frame| &frame.detections);
+    // Only zeros, or a column of one number, can stand for "unknown".
+    let may_be_unknown = [0, 1].map(|column| {
+        let mut values = detections().filter(|d| d.has(flags[column])).map(|d| value(d, column)).peekable();
+        let first = values.peek().copied();
+        let mut is_constant = first.is_some();
+        values.any(|value| {
+            is_constant &= Some(value) == first;
+            value == 0.0
+        }) || is_constant
+    });
+    if may_be_unknown == [false; 2] {
+        return;
+    }
+    let (audit, findings) = examine(recording);
+    let unknown = audit.unknown();
+    for (column, doubt) in [Doubt::SpeedsDiffer, Doubt::HeadingsUnrelated].into_iter().enumerate() {
+        let Some(unknown) = unknown[column] else { continue };
+        let found = findings.iter().find(|found| found.kind == doubt.name());
+        recording.unknown_columns.extend(found.cloned());
+        for frame in &mut recording.frames {
+            for place in 0..frame.detections.len() {
+                let written = frame.written(place).unwrap_or(frame.detections[place]);
+                if written.has(flags[column]) && value(&written, column) == unknown {
+                    let detection = &mut frame.detections[place];
+                    detection.flags &= !flags[column];
+                    *(if column == 0 { &mut detection.speed_mps } else { &mut detection.heading_rad }) = 0.0;
+                }
+            }
+        }
+    }
+}
+
 fn examine(recording: &Recording) -> (Audit, Vec<Found>) {
     let mut audit = Audit::new(IDENTITIES, recording.frame_rate.map(|rate| rate.hertz()));
     let mut paths: Vec<&Arc<str>> = Vec::new();
@@ -151,7 +190,9 @@ fn examine(recording: &Recording) -> (Audit, Vec<Found>) {
         Some(path) => format!("{path}:{line}"),
         None => format!("line {line}"),
     };
-    let findings = audit.findings().iter().map(|finding| finding.found(place)).collect();
+    let findings = audit.findings();
+    let findings = findings.iter().map(|finding| finding.found(place));
+    let findings = recording.unknown_columns.iter().cloned().chain(findings).collect();
     (audit, findings)
 }
 

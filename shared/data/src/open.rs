@@ -11,7 +11,7 @@ use crate::formats::{
     commonroad, csv, highd, interaction, kitti, levelx, obsmat, positions, rosbag, sdd_raw, vci_dut,
 };
 use crate::input::{FILE_BYTES_MAX, stem};
-use crate::{Format, FrameRate, Input, ReadError, Recording, Role, text};
+use crate::{Format, FrameRate, Input, ReadError, Recording, Role, inspection, text};
 
 /// Information about a recording besides its files.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -105,7 +105,7 @@ pub fn parse_at(format: Format, inputs: &[Input], fps: Option<FrameRate>) -> Res
         return Err(ReadError::file(&input.path, problem));
     }
     let at = |usual: FrameRate| fps.unwrap_or(usual);
-    let recording = match format {
+    let mut recording = match format {
         Format::EthUcy => positions::parse_eth_ucy(inputs, at(positions::ETH_UCY_RATE)),
         Format::Obsmat => obsmat::parse(inputs, at(obsmat::RATE)),
         Format::SddTrajnet => positions::parse_trajnet(inputs, at(positions::TRAJNET_RATE)),
@@ -120,6 +120,7 @@ pub fn parse_at(format: Format, inputs: &[Input], fps: Option<FrameRate>) -> Res
         Format::Rosbag => rosbag::parse(inputs),
         Format::Csv => csv::parse(inputs),
     }?;
+    inspection::drop_unknown(&mut recording);
     Ok(Recording {
         name: inputs.first().map_or_else(String::new, |input| name(&input.path)),
         sha256: sha256(inputs),

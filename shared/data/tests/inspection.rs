@@ -230,3 +230,47 @@ fn outliers_placeholders_and_jumps_are_told_apart() {
     let [note] = &found[..] else { panic!("{found:#?}") };
     assert_eq!((note.kind.as_str(), note.rows, note.doubtful), ("identities_jump", Some(2), false));
 }
+
+#[test]
+fn nan_in_a_column_means_unknown_and_is_counted() {
+    let text =
+        "stamp_s,type,x_m,y_m,speed_mps,length_m,width_m\n0,vehicle,1,2,NaN,nan,nan\n1,vehicle,3,2,4,,\n";
+    let recording = parse(Format::Csv, &[Input::new(Role::Rows, "mine.csv", text)]).unwrap();
+    assert_eq!(recording.frames[0].detections[0].flags, 0);
+    assert_eq!(recording.left_out[0].row_count, 3);
+}
+
+/// Two cars along +x and one along -y, for 10 s, with these headings and speeds as text.
+fn crossing(has_id: bool, heading_rad: &str, speed_mps: &str) -> data::Recording {
+    let mut text = "stamp_s,id,type,x_m,y_m,heading_rad,speed_mps\n".to_owned();
+    for step in 0..100 {
+        let t = f64::from(step) * 0.1;
+        for (id, [x_m, y_m]) in [[9.0 * t, 0.0], [7.0 * t, 7.0], [90.0, 90.0 - 6.0 * t]].iter().enumerate() {
+            let id = if has_id { id.to_string() } else { String::new() };
+            writeln!(text, "{t:.1},{id},vehicle,{x_m:.3},{y_m:.3},{heading_rad},{speed_mps}").unwrap();
+        }
+    }
+    parse(Format::Csv, &[Input::new(Role::Rows, "mine.csv", text)]).unwrap()
+}
+
+#[test]
+fn numbers_that_the_motion_contradicts_are_unknown_and_a_doubt() {
+    for has_id in [true, false] {
+        for (heading, speed, kind, words) in [
+            ("", "0", "speeds_differ", "speeds are 0 while"),
+            ("", "-1", "speeds_differ", "speeds are -1 while"),
+            ("", "99.9", "speeds_differ", "speeds are 99.9"),
+            ("0.0", "", "headings_unrelated", "headings are 0 while"),
+            ("1.57", "", "headings_unrelated", "headings are 1.57"),
+            ("-9", "", "headings_unrelated", "headings are -9 while"),
+        ] {
+            let recording = crossing(has_id, heading, speed);
+            let flags = recording.frames.iter().flat_map(|frame| &frame.detections).map(|d| d.flags);
+            assert!(flags.clone().all(|flags| flags == u32::from(has_id)), "{heading},{speed}");
+            let found = inspect(&recording).findings;
+            let found = found.iter().find(|found| found.doubtful && found.kind == kind).unwrap();
+            assert!(found.sentence.contains(words), "{}", found.sentence);
+            assert_eq!(data::findings(&recording), inspect(&recording).findings);
+        }
+    }
+}

@@ -114,11 +114,55 @@ fn tracks_keep_their_identities_and_other_classes_are_counted() {
     assert_eq!((recording.frames.len(), recording.left_out[0].row_count), (1, 1));
 }
 
+/// A car with a value of its message changed.
+fn changed(
+    sec: i32,
+    x_m: f64,
+    change: impl Fn(&mut DetectedObject),
+) -> (&'static str, &'static str, Vec<u8>) {
+    let (topic, schema, bytes) = detected(sec, "map", x_m, label::CAR);
+    let mut message: DetectedObjects = interop::cdr::from_bytes(&bytes).unwrap();
+    message.objects.iter_mut().for_each(change);
+    (topic, schema, to_bytes(&message))
+}
+
+#[test]
+fn values_that_no_agent_can_have_are_unknown_and_counted() {
+    let speed = |object: &mut DetectedObject| {
+        object.kinematics.twist_with_covariance.twist.linear.x = f64::NAN;
+    };
+    let far = |object: &mut DetectedObject| object.kinematics.twist_with_covariance.twist.linear.x = -9_999.0;
+    let rotation = |object: &mut DetectedObject| {
+        object.kinematics.pose_with_covariance.pose.orientation =
+            Quaternion { x: 0.0, y: 0.0, z: 0.0, w: 0.0 };
+    };
+    let size = |object: &mut DetectedObject| object.shape.dimensions.x = f64::NAN;
+    let deviation = |object: &mut DetectedObject| {
+        object.kinematics.has_position_covariance = true;
+        object.kinematics.pose_with_covariance.covariance.0[0] = -1.0;
+    };
+    let messages = [
+        changed(1, 0.0, |_| ()),
+        changed(2, 3.0, speed),
+        changed(3, 6.0, far),
+        changed(4, 9.0, rotation),
+        changed(5, 12.0, size),
+        changed(6, 15.0, deviation),
+        changed(7, f64::NAN, |_| ()),
+    ];
+    let recording = read(&messages).unwrap();
+    let flags: Vec<u32> = (0..6).map(|frame| only(&recording, frame).flags).collect();
+    let (heading, speed) = (detection_flags::HAS_HEADING, detection_flags::HAS_SPEED);
+    let size = detection_flags::HAS_SIZE;
+    let all = heading | speed | size;
+    assert_eq!(flags, [all, all - speed, all - speed, size, all - size, all]);
+    let counts: Vec<usize> = recording.left_out.iter().map(|left_out| left_out.row_count).collect();
+    assert_eq!((recording.frames.len(), counts), (6, vec![1, 5]));
+}
+
 #[test]
 fn errors_name_file_message_and_value() {
     let car = |sec, frame, x_m| detected(sec, frame, x_m, label::CAR);
-    let error = read(&[car(1, "map", 0.0), car(2, "map", f64::NAN)]).unwrap_err();
-    assert!(error.starts_with("drive.mcap: message 2: x_m = \"NaN\": not finite"), "{error}");
     let error = read(&[car(1, "map", 458_000.0)]).unwrap_err();
     assert!(
         error.starts_with("drive.mcap: message 1: x_m = \"458000\"") && error.contains("--origin"),

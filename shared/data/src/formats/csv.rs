@@ -34,7 +34,8 @@
 //! them. The reader also accepts names in capitals, and a few other names of the same meaning and unit, such
 //! as `track_id` and `yaw_rad`. Decimals have a point.
 //!
-//! Columns and rows can be in any order. Columns that are not needed can be missing or empty. Lines that
+//! Columns and rows can be in any order. Columns that are not needed can be missing or empty; NaN counts as empty,
+//! too. Lines that
 //! begin with `#` are comments.
 //!
 //! The rows of a frame need not have equal stamps. The reader joins the detections of each sweep to a frame,
@@ -46,6 +47,7 @@ use wire::{AgentType, Detection, Quality, detection_flags};
 
 use crate::egos::Egos;
 use crate::input::need;
+use crate::recording::LeftOut;
 use crate::rows::{self, Rows};
 use crate::stamp::stamp_ns;
 use crate::sweeps::{self, Sweeps};
@@ -201,9 +203,11 @@ pub(crate) fn parse(inputs: &[Input]) -> Result<Recording, ReadError> {
 
     let mut rows = Rows::default();
     let mut egos = Egos::default();
+    let mut unknown = 0;
     for line in lines {
         let line = line?;
         let fields = header.fields(&line)?;
+        unknown += fields.iter().filter(|field| is_nan(field)).count();
         let stamp_ns = stamp_ns(fields[STAMP])?;
         match content(&fields)? {
             Content::Detection(detection, heading) => {
@@ -216,12 +220,15 @@ pub(crate) fn parse(inputs: &[Input]) -> Result<Recording, ReadError> {
     }
     let Sweeps { frames, interval_ns, poses_missing } = sweeps::measured(&rows.sorted(input)?, &egos);
     let has_id = |detection: &Detection| detection.has(detection_flags::HAS_ID);
+    let nan =
+        LeftOut { reason: "values that are NaN (they count as unknown)".to_owned(), row_count: unknown };
     Ok(Recording {
         interval_ns: interval_ns.unwrap_or(INTERVAL_NS),
         has_identities: frames.iter().flat_map(|frame| &frame.detections).all(has_id),
         frames,
         own_stamps: true,
         poses_missing,
+        left_out: if unknown > 0 { vec![nan] } else { Vec::new() },
         ..Recording::default()
     })
 }
@@ -330,5 +337,10 @@ fn given<'a, T>(
     field: Field<'a>,
     read: impl Fn(&Field<'a>) -> Result<T, ReadError>,
 ) -> Result<Option<T>, ReadError> {
-    if field.text.is_empty() { Ok(None) } else { read(&field).map(Some) }
+    if field.text.is_empty() || is_nan(&field) { Ok(None) } else { read(&field).map(Some) }
+}
+
+/// Whether a value is written as NaN, which means that it is unknown.
+fn is_nan(field: &Field<'_>) -> bool {
+    field.text.trim_start_matches(['-', '+']).eq_ignore_ascii_case("nan")
 }

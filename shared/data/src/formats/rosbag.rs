@@ -9,6 +9,8 @@
 //! * Cars, trucks, buses, trailers and motorcycles are vehicles, bicycles are cyclists. Other classes are left out
 //!   and counted.
 //! * The identities of tracks are numbered in their order.
+//! * A value that no agent can have, such as NaN or a quaternion of zeros, is unknown. An object whose position is
+//!   not a number is left out. Both are counted.
 //!
 //! The objects become rows of [`crate::formats::csv`], which checks their values.
 
@@ -42,6 +44,10 @@ const USUAL: [&str; 3] = [
 ];
 /// Schemas of objects, the preferred one first.
 const OBJECTS: [&str; 2] = [DetectedObjects::DEFINITION.name, TrackedObjects::DEFINITION.name];
+
+/// Reason of [`LeftOut`] for values that are unknown.
+const IMPOSSIBLE: &str =
+    "headings, speeds, sizes, scores or deviations that are NaN or impossible (they count as unknown)";
 
 /// A message with objects.
 struct Message {
@@ -77,7 +83,7 @@ pub(crate) fn parse(inputs: &[Input]) -> Result<Recording, ReadError> {
     for message in &messages {
         table.add(message, &transforms).map_err(failed)?;
     }
-    let Table { text, numbers, other, .. } = table;
+    let Table { text, numbers, other, impossible, unplaced, .. } = table;
     let rows = Input { bytes: text.into_bytes(), ..input.clone() };
     let mut recording = csv::parse(&[rows]).map_err(|error| in_message(error, &numbers))?;
     for frame in &mut recording.frames {
@@ -86,9 +92,13 @@ pub(crate) fn parse(inputs: &[Input]) -> Result<Recording, ReadError> {
             frame.lines.push(line);
         }
     }
-    if other > 0 {
-        let reason = "objects of a class that is neither vehicle, cyclist nor pedestrian".to_owned();
-        recording.left_out.push(LeftOut { reason, row_count: other });
+    let counts = [
+        (other, "objects of a class that is neither vehicle, cyclist nor pedestrian"),
+        (unplaced, "objects whose position is not a number"),
+        (impossible, IMPOSSIBLE),
+    ];
+    for (row_count, reason) in counts.into_iter().filter(|(count, _)| *count > 0) {
+        recording.left_out.push(LeftOut { reason: reason.to_owned(), row_count });
     }
     Ok(recording)
 }
@@ -184,6 +194,10 @@ struct Table {
     ids: HashMap<[u8; 16], usize>,
     /// Objects of other classes.
     other: usize,
+    /// Objects whose position is not a number.
+    unplaced: usize,
+    /// Values that no agent can have.
+    impossible: usize,
     /// Stamp of the last ego pose.
     ego_ns: Option<i64>,
 }
@@ -192,7 +206,15 @@ impl Table {
     fn new() -> Self {
         let text =
             "stamp_s,id,type,x_m,y_m,heading_rad,speed_mps,length_m,width_m,score,sigma_m\n".to_owned();
-        Self { text, numbers: vec![0], ids: HashMap::new(), other: 0, ego_ns: None }
+        Self {
+            text,
+            numbers: vec![0],
+            ids: HashMap::new(),
+            other: 0,
+            unplaced: 0,
+            impossible: 0,
+            ego_ns: None,
+        }
     }
 
     fn add(&mut self, message: &Message, transforms: &Transforms) -> Result<(), Problem> {
@@ -224,6 +246,10 @@ impl Table {
         world_from_frame: &Isometry3<f64>,
     ) {
         let Some(placed) = object.placed(world_from_frame) else { return self.other += 1 };
+        if placed.position_m.iter().any(|coordinate_m| !coordinate_m.is_finite()) {
+            return self.unplaced += 1;
+        }
+        self.impossible += object.impossible_values();
         let next = self.ids.len() + 1;
         let id = object.id.map(|uuid| *self.ids.entry(uuid).or_insert(next));
         let given = |value: Option<f64>| value.map_or_else(String::new, |value| value.to_string());

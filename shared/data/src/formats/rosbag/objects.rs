@@ -11,6 +11,8 @@ use crate::text::wrapped;
 const AVAILABLE: u8 = 2;
 /// Largest extent of an agent.
 const EXTENT_MAX_M: f64 = 100.0;
+/// Smallest squared length of a quaternion that is a rotation.
+const NORM_MIN: f64 = 1e-6;
 
 /// What detected and tracked objects have in common.
 #[derive(Clone, Debug)]
@@ -43,6 +45,14 @@ pub struct Placed {
     pub score: f32,
     /// Standard deviation of the position per axis.
     pub sigma_m: Option<f64>,
+}
+
+fn is_speed(speed_mps: f64) -> bool {
+    speed_mps.abs() <= f64::from(SPEED_MAX_MPS)
+}
+
+fn is_extent(extent_m: f64) -> bool {
+    (0.0..=EXTENT_MAX_M).contains(&extent_m)
 }
 
 pub(super) fn class(classification: &[ObjectClassification]) -> u8 {
@@ -108,16 +118,41 @@ impl Object {
     pub fn placed(&self, world_from_frame: &Isometry3<f64>) -> Option<Placed> {
         let agent_type = agent_type(self.class)?;
         let pose = world_from_frame * transforms::pose(&self.pose);
+        let has_heading = self.has_heading && self.has_rotation();
         Some(Placed {
             agent_type,
             position_m: [pose.translation.x, pose.translation.y],
-            heading_rad: self.has_heading.then(|| heading_rad(&pose)),
+            heading_rad: has_heading.then(|| heading_rad(&pose)),
             // A speed is along the heading.
-            speed_mps: self.speed_mps.filter(|_| self.has_heading),
-            size_m: self.size_m.iter().all(|size_m| *size_m > 0.0).then_some(self.size_m),
-            score: self.score,
-            sigma_m: self.sigma_m,
+            speed_mps: self.speed_mps.filter(|speed_mps| has_heading && is_speed(*speed_mps)),
+            size_m: self
+                .size_m
+                .iter()
+                .all(|size_m| *size_m > 0.0 && is_extent(*size_m))
+                .then_some(self.size_m),
+            score: if self.score.is_nan() { 1.0 } else { self.score },
+            sigma_m: self.sigma_m.filter(|sigma_m| is_extent(*sigma_m)),
         })
+    }
+
+    /// Number of values that are said to be known and that no agent can have, such as NaN. They count as
+    /// unknown.
+    #[must_use]
+    pub fn impossible_values(&self) -> usize {
+        let impossible = [
+            self.has_heading && !self.has_rotation(),
+            self.speed_mps.is_some_and(|speed_mps| !is_speed(speed_mps)),
+            !self.size_m.into_iter().all(is_extent),
+            self.score.is_nan(),
+            self.sigma_m.is_some_and(|sigma_m| !is_extent(sigma_m)),
+        ];
+        impossible.into_iter().filter(|is_impossible| *is_impossible).count()
+    }
+
+    /// Whether the quaternion is a rotation. Zeros and NaN stand for an unknown one.
+    fn has_rotation(&self) -> bool {
+        let q = &self.pose.orientation;
+        [q.x, q.y, q.z, q.w].iter().map(|part| part * part).sum::<f64>() > NORM_MIN
     }
 }
 
