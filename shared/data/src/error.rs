@@ -148,7 +148,7 @@ impl ReadError {
     }
 
     /// The error of a file that is larger than is read.
-    pub(crate) fn too_large(path: impl Into<String>, bytes: usize, most: u64) -> Self {
+    pub(crate) fn too_large(path: impl Into<String>, bytes: u64, most: u64) -> Self {
         Self::file(path, format!("{bytes} bytes, at most {most} are read"))
     }
 

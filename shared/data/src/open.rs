@@ -140,14 +140,19 @@ fn name(path: &str) -> String {
 pub(crate) fn read(path: &Path, role: Role) -> Result<Input, ReadError> {
     let failed = |source| ReadError::Io { path: path.to_owned(), source };
     let file = File::open(path).map_err(failed)?;
-    if !file.metadata().map_err(failed)?.is_file() {
+    let metadata = file.metadata().map_err(failed)?;
+    if !metadata.is_file() {
         return Err(failed(io::Error::new(io::ErrorKind::InvalidInput, "not a regular file")));
     }
     let mut bytes = Vec::new();
-    file.take(FILE_BYTES_MAX + 1).read_to_end(&mut bytes).map_err(failed)?;
+    // A file in use may grow.
+    if metadata.len() <= FILE_BYTES_MAX {
+        file.take(FILE_BYTES_MAX + 1).read_to_end(&mut bytes).map_err(failed)?;
+    }
     let path = path.to_string_lossy().into_owned();
-    if bytes.len() as u64 > FILE_BYTES_MAX {
-        return Err(ReadError::too_large(path, bytes.len(), FILE_BYTES_MAX));
+    let len = metadata.len().max(bytes.len() as u64);
+    if len > FILE_BYTES_MAX {
+        return Err(ReadError::too_large(path, len, FILE_BYTES_MAX));
     }
     Ok(Input::new(role, path, bytes))
 }

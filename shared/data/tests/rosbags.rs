@@ -121,7 +121,7 @@ fn changed(
     change: impl Fn(&mut DetectedObject),
 ) -> (&'static str, &'static str, Vec<u8>) {
     let (topic, schema, bytes) = detected(sec, "map", x_m, label::CAR);
-    let mut message: DetectedObjects = interop::cdr::from_bytes(&bytes).unwrap();
+    let mut message: DetectedObjects = interop::cdr::from_bytes(&bytes).expect("a message");
     message.objects.iter_mut().for_each(change);
     (topic, schema, to_bytes(&message))
 }

@@ -12,6 +12,8 @@ use crate::{Element, Kind, LaneMapError};
 pub const XML_BYTES_MAX: u64 = 256 << 20;
 /// Maximum number of elements, texts and comments in a file.
 const XML_NODES_MAX: u32 = 16_000_000;
+/// Maximum number of attributes of an element. The parser compares each attribute with all others of its element.
+const ATTRIBUTES_MAX: usize = 256;
 /// Maximum number of nodes of a bound and of members of a lanelet.
 pub const MEMBERS_MAX: usize = 10_000;
 
@@ -80,6 +82,10 @@ impl<'a> Tags<'a> {
 
 /// Parses the text of a file.
 pub(crate) fn parse<'a>(path: &str, text: &'a str) -> Result<Document<'a>, LaneMapError> {
+    if let Some(line) = crowded_line(text) {
+        let problem = format!("an element has more than {ATTRIBUTES_MAX} attributes");
+        return Err(LaneMapError::Syntax { path: path.to_owned(), line, column: 1, problem });
+    }
     let options = ParsingOptions { nodes_limit: XML_NODES_MAX, ..ParsingOptions::default() };
     let document = Document::parse_with_options(text, options).map_err(|error| LaneMapError::Syntax {
         path: path.to_owned(),
@@ -94,6 +100,29 @@ pub(crate) fn parse<'a>(path: &str, text: &'a str) -> Result<Document<'a>, LaneM
         return Err(LaneMapError::Syntax { path: path.to_owned(), line: at.row, column: at.col, problem });
     }
     Ok(document)
+}
+
+/// The line of the first tag with more than [`ATTRIBUTES_MAX`] attributes. Text between tags and in quotes does not
+/// count; comments count as tags.
+fn crowded_line(text: &str) -> Option<u32> {
+    let (mut quote, mut attributes, mut line) = (None, None, 1);
+    for byte in text.bytes() {
+        line += u32::from(byte == b'\n');
+        match (byte, quote, &mut attributes) {
+            (b'<', None, None) => attributes = Some(0),
+            (b'>', None, _) => attributes = None,
+            (b'"' | b'\'', None, Some(_)) => quote = Some(byte),
+            (_, Some(open), _) if byte == open => quote = None,
+            (b'=', None, Some(count)) => {
+                *count += 1;
+                if *count > ATTRIBUTES_MAX {
+                    return Some(line);
+                }
+            }
+            _ => {}
+        }
+    }
+    None
 }
 
 impl<'a> Elements<'a> {

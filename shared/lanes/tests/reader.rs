@@ -402,3 +402,14 @@ fn deleted_elements_do_not_count() {
     let text = site().replace("<relation id='200'>", "<relation id='200' action='delete'>");
     assert_eq!(read(&text).expect("the site").lanes().len(), 4);
 }
+
+#[test]
+fn an_element_with_very_many_attributes_is_refused() {
+    for (count, is_refused) in [(200, false), (200_000, true)] {
+        let attributes: String = (0..count).map(|number| format!(" a{number}='='")).collect();
+        let text = format!("<osm>\n<node{attributes}/></osm>");
+        let error = LaneMap::parse("a.osm", text.as_bytes(), Coordinates::Default).unwrap_err().to_string();
+        let is_named = error.starts_with("a.osm:2") && error.contains("more than 256 attributes");
+        assert_eq!(is_named, is_refused, "{error}");
+    }
+}

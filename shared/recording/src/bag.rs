@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use mcap::MAGIC;
 use mcap::records::{Record, op};
 
-use crate::reader::{record, unpack};
+use crate::reader::{Allowance, record, unpack, unpacked_len};
 
 /// A message of a bag.
 #[derive(Clone, Copy, Debug)]
@@ -48,10 +48,11 @@ pub fn bag_messages<E: From<String>>(
     mut take: impl FnMut(BagMessage<'_>) -> Result<(), E>,
 ) -> Result<(), E> {
     let mut rest = bytes.strip_prefix(MAGIC).ok_or_else(|| "not an MCAP file".to_owned())?;
-    let mut known = Known::default();
+    let (mut known, mut allowance) = (Known::default(), Allowance::new(bytes.len() as u64));
     while let Some((op, body)) = record(&mut rest) {
         match op {
             op::CHUNK => {
+                allowance.take(unpacked_len(body))?;
                 let chunk = unpack(body)?;
                 let mut chunk = &chunk[..];
                 while let Some((op, body)) = record(&mut chunk) {

@@ -16,11 +16,16 @@ use self::parts::{Channel, Content, Part, channels};
 use crate::format::{BEGIN, END, PREFIX};
 use crate::{About, ReadError};
 
-pub(crate) use chunk::{record, unpack};
+use chunk::RECORD_BYTES_MAX;
+pub(crate) use chunk::{Allowance, record, unpack, unpacked_len};
 pub use messages::Messages;
 
 /// Messages outside of chunks are read in parts of about this size.
 const LOOSE_BYTES: u64 = 1 << 20;
+/// Largest record of metadata, of a channel, or of another description of the file.
+const DESCRIPTION_BYTES_MAX: u64 = 16 << 20;
+/// Bytes of a chunk's body up to the length of its content.
+const CHUNK_HEADER: u64 = 24;
 /// Bytes of a message before its data.
 const MESSAGE_HEADER: u64 = 22;
 
@@ -70,8 +75,9 @@ pub enum Ending {
 }
 
 /// The state of a scan over the file's records.
-#[derive(Default)]
 struct Scan {
+    /// What the chunks may unpack to.
+    allowance: Allowance,
     channels: Vec<records::Channel>,
     /// Number of channels before the index.
     data_channels: usize,
@@ -137,7 +143,7 @@ impl Recording {
 
     /// Scans the records up to the end of the file or of its intact part; also returns that position.
     fn scan(&self) -> Result<(Scan, u64), ReadError> {
-        let mut scan = Scan::default();
+        let mut scan = Scan::new(self.layout.len);
         let mut at = mcap::MAGIC.len() as u64;
         loop {
             match self.io(self.layout.record(at))? {
@@ -151,7 +157,8 @@ impl Recording {
                 // Only an index follows the data.
                 None if scan.data_end.is_some() => return Ok((scan, at)),
                 None => {
-                    let Some(next) = self.io(self.layout.whole_chunk(at + 1))? else { return Ok((scan, at)) };
+                    let next = self.io(self.layout.whole_chunk(at + 1, &mut scan.allowance))?;
+                    let Some(next) = next else { return Ok((scan, at)) };
                     let what = format!("{} bytes that are no whole records", next.at - at);
                     scan.damage(at, what);
                     at = next.at;
@@ -164,11 +171,26 @@ impl Recording {
     fn take(&self, place: Place, scan: &mut Scan) -> Result<(), ReadError> {
         let (at, end) = (place.at, place.end());
         let first_u64 = |bytes: &[u8]| bytes.first_chunk().map_or(0, |bytes| u64::from_le_bytes(*bytes));
+        let most = match place.op {
+            op::CHUNK | op::MESSAGE => RECORD_BYTES_MAX,
+            // The content of attachments and the like is not read.
+            op::CHANNEL | op::METADATA | op::DATA_END | op::FOOTER => DESCRIPTION_BYTES_MAX,
+            _ => u64::MAX,
+        };
+        if end - place.body_at() > most {
+            let len = end - place.body_at();
+            return Err(self.damaged(at, format!("a record of {len} bytes, at most {most} are read")));
+        }
         match place.op {
             op::CHUNK => {
-                let begin_ns =
-                    first_u64(&self.io(self.layout.bytes(place.body_at(), end.min(place.body_at() + 8)))?);
-                scan.parts.push(Part { begin_ns, at, end, content: Content::Chunk });
+                let header =
+                    self.io(self.layout.bytes(place.body_at(), end.min(place.body_at() + CHUNK_HEADER)))?;
+                let begin_ns = first_u64(&header);
+                let content = match scan.allowance.take(unpacked_len(&header)) {
+                    Ok(()) => Content::Chunk,
+                    Err(problem) => Content::Damage(problem),
+                };
+                scan.parts.push(Part { begin_ns, at, end, content });
             }
             op::MESSAGE => {
                 let header =
@@ -364,6 +386,20 @@ impl Recording {
 }
 
 impl Scan {
+    fn new(file_len: u64) -> Self {
+        Self {
+            allowance: Allowance::new(file_len),
+            channels: Vec::new(),
+            data_channels: 0,
+            begin: None,
+            end: None,
+            parts: Vec::new(),
+            checks: Vec::new(),
+            data_end: None,
+            footer_end: None,
+        }
+    }
+
     /// Adds a range with its check value; 0 means that the writer computed none.
     fn check(&mut self, begin: u64, end: u64, expected: u32, what: &'static str) {
         if expected != 0 {

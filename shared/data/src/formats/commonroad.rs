@@ -45,7 +45,7 @@ pub(crate) fn is_root_among<'a>(lines: impl Iterator<Item = Result<Line<'a>, Rea
 pub(crate) fn parse(inputs: &[Input]) -> Result<Recording, ReadError> {
     let input = need(inputs, Role::Rows)?;
     if input.bytes.len() as u64 > XML_BYTES_MAX {
-        return Err(ReadError::too_large(&input.path, input.bytes.len(), XML_BYTES_MAX));
+        return Err(ReadError::too_large(&input.path, input.bytes.len() as u64, XML_BYTES_MAX));
     }
     // Refuses bytes that are not text, and names their line.
     let last = text::lines(input).try_fold(None, |_, line| line.map(|line| Some(line.number)))?;

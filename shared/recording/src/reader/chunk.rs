@@ -8,8 +8,48 @@ use ruzstd::decoding::StreamingDecoder;
 
 use crate::format::PREFIX;
 
-/// Largest content of a chunk that is read into memory.
-const CHUNK_BYTES_MAX: u64 = 1 << 30;
+/// Largest record that is read into memory, and largest content of a chunk.
+pub(super) const RECORD_BYTES_MAX: u64 = 1 << 30;
+/// Bytes that the chunks of any file may unpack to, and further bytes for each byte of the file. A few bytes of a
+/// compressed chunk can stand for gigabytes.
+const UNPACKED_BYTES: u64 = 64 << 20;
+const UNPACKED_FACTOR: u64 = 32;
+
+/// The bytes that the chunks of a file may still unpack to.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Allowance {
+    rest: u64,
+    most: u64,
+}
+
+impl Allowance {
+    /// The allowance of a file of this length.
+    pub fn new(file_len: u64) -> Self {
+        let most = UNPACKED_BYTES.saturating_add(file_len.saturating_mul(UNPACKED_FACTOR));
+        Self { rest: most, most }
+    }
+
+    /// Takes the content of a chunk from the allowance.
+    ///
+    /// # Errors
+    /// The limit, if the allowance is used up.
+    pub fn take(&mut self, unpacked_len: u64) -> Result<(), String> {
+        self.rest = self.rest.checked_sub(unpacked_len).ok_or_else(|| {
+            let most = self.most;
+            format!(
+                "the chunks unpack to more than {most} bytes, the limit for this file: {UNPACKED_BYTES} and \
+                 {UNPACKED_FACTOR} times its size"
+            )
+        })?;
+        Ok(())
+    }
+}
+
+/// The length of a chunk's content, from the start of the record's body.
+pub(crate) fn unpacked_len(body: &[u8]) -> u64 {
+    // The times of the first and last message precede the length.
+    body.get(16..).and_then(|body| body.first_chunk()).map_or(0, |bytes| u64::from_le_bytes(*bytes))
+}
 /// First bytes of a frame that readers skip, except for the lower half of the first byte; the length follows.
 /// LZ4 and Zstandard share this format.
 const SKIPPED: [u8; 4] = [0x50, 0x2A, 0x4D, 0x18];
@@ -35,8 +75,8 @@ pub(crate) fn unpack(body: &[u8]) -> Result<Vec<u8>, String> {
         return Err("a chunk that is not whole".to_owned());
     };
     let len = header.uncompressed_size;
-    if len > CHUNK_BYTES_MAX {
-        return Err(format!("a chunk of {len} bytes"));
+    if len > RECORD_BYTES_MAX {
+        return Err(format!("a chunk of {len} bytes, at most {RECORD_BYTES_MAX} are read"));
     }
     let bytes = match header.compression.as_str() {
         "" => Ok(packed.into_owned()),
@@ -87,6 +127,7 @@ fn frames(
     frame: impl Fn(&mut &[u8], u64, &mut Vec<u8>) -> io::Result<usize>,
 ) -> io::Result<Vec<u8>> {
     let (mut rest, mut bytes) = (packed, Vec::new());
+    bytes.try_reserve_exact(usize::try_from(len).map_err(io::Error::other)? + 1).map_err(io::Error::other)?;
     while !rest.is_empty() && (bytes.len() as u64) < len {
         match rest {
             [first, second, third, fourth, a, b, c, d, behind @ ..]

@@ -7,7 +7,7 @@ use std::os::unix::fs::FileExt as _;
 use mcap::MAGIC;
 use mcap::records::op;
 
-use super::chunk::{parts, plausible, unpack};
+use super::chunk::{Allowance, RECORD_BYTES_MAX, parts, plausible, unpack, unpacked_len};
 use crate::format::PREFIX;
 
 /// Bytes that are searched at a time.
@@ -78,19 +78,25 @@ impl Layout {
         Ok((op != 0 && body_len <= most).then_some(Place { op, at, body_len }))
     }
 
-    /// The first chunk at or after `at` with a valid check value. It skips bytes that are not records.
-    pub fn whole_chunk(&self, mut at: u64) -> io::Result<Option<Place>> {
+    /// The first chunk at or after `at` with a valid check value. It skips bytes that are not records. Each
+    /// attempt to unpack a chunk is taken from `allowance`.
+    pub fn whole_chunk(&self, mut at: u64, allowance: &mut Allowance) -> io::Result<Option<Place>> {
         while at < self.len {
             let block = self.bytes(at, at + BLOCK + HEAD)?;
             let firsts =
                 block.iter().enumerate().take(BLOCK as usize).filter(|(_, byte)| **byte == op::CHUNK);
             for (number, _) in firsts {
                 let begin = at + number as u64;
-                let Some(body_len) = plausible(&block[number..], self.len - begin) else { continue };
+                let most = (self.len - begin).min(RECORD_BYTES_MAX);
+                let Some(body_len) = plausible(&block[number..], most) else { continue };
                 let place = Place { op: op::CHUNK, at: begin, body_len };
+                let mut attempts = *allowance;
+                attempts.take(unpacked_len(&block[number + PREFIX..])).map_err(io::Error::other)?;
                 if unpack(&self.body(place)?).is_ok() {
+                    // The scan takes the content of a whole chunk.
                     return Ok(Some(place));
                 }
+                *allowance = attempts;
             }
             at += BLOCK;
         }

@@ -132,3 +132,60 @@ fn bytes_behind_a_whole_recording_are_reported() {
         assert_eq!(read(&recording), all);
     }
 }
+
+/// The record of a chunk that claims to unpack to `len` bytes, with a check value.
+fn bomb(len: u64) -> Vec<u8> {
+    let mut body = Vec::new();
+    [0, 1, len].iter().for_each(|number: &u64| body.extend(number.to_le_bytes()));
+    body.extend(0x1234_5678_u32.to_le_bytes());
+    body.extend(4_u32.to_le_bytes());
+    body.extend(b"zstd");
+    // A frame of Zstandard: blocks of 128 KiB of one repeated byte.
+    let mut packed = b"\x28\xb5\x2f\xfd\x00\x38".to_vec();
+    let blocks = len >> 17;
+    for block in 1..=blocks {
+        let head = 1_u32 << 20 | 2 | u32::from(block == blocks);
+        packed.extend(&head.to_le_bytes()[..3]);
+        packed.push(0);
+    }
+    body.extend((packed.len() as u64).to_le_bytes());
+    body.extend(packed);
+    let mut record = vec![6];
+    record.extend((body.len() as u64).to_le_bytes());
+    record.extend(body);
+    record
+}
+
+#[test]
+fn chunks_that_unpack_to_much_more_than_the_file_are_refused() {
+    let bombs = bomb(16 << 20).repeat(20);
+    let error = recording::bag_messages(&[mcap::MAGIC, &bombs].concat(), |_| Ok::<(), String>(()));
+    // Without the limit, the wrong check value of the first chunk is found.
+    assert!(error.unwrap_err().contains("check value"));
+    let error = recording::bag_messages(&[mcap::MAGIC, &bomb(1 << 29)].concat(), |_| Ok::<(), String>(()));
+    assert!(error.unwrap_err().contains("the limit for this file: 67108864 and 32 times its size"));
+
+    let (_folder, path) = written(&messages(3));
+    let whole = fs::read(&path).unwrap();
+    let torn = [&whole[..whole.len() / 2], &[0; 20], &bombs].concat();
+    let whole = [mcap::MAGIC, &bombs, &whole[mcap::MAGIC.len()..]].concat();
+    let limit = "the chunks unpack to more than";
+    fs::write(&path, torn).unwrap();
+    let error = Recording::open(&path).unwrap_err().to_string();
+    assert!(error.contains(limit), "{error}");
+    let damages = open(&path, &whole).damages();
+    assert!(damages.iter().any(|damage| damage.to_string().contains(limit)), "{damages:?}");
+}
+
+#[test]
+fn metadata_beyond_the_limit_are_not_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("sparse.mcap");
+    let len: u64 = 64 << 30;
+    let file = fs::File::create(&path).unwrap();
+    let head = [mcap::MAGIC, &[0x0C], &len.to_le_bytes()].concat();
+    std::os::unix::fs::FileExt::write_all_at(&file, &head, 0).unwrap();
+    file.set_len(head.len() as u64 + len).unwrap();
+    let error = Recording::open(&path).unwrap_err().to_string();
+    assert!(error.contains("a record of 68719476736 bytes, at most 16777216 are read"), "{error}");
+}
