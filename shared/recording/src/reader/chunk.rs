@@ -11,9 +11,9 @@ use crate::format::PREFIX;
 /// Largest record that is read into memory, and largest content of a chunk.
 pub(super) const RECORD_BYTES_MAX: u64 = 1 << 30;
 /// Bytes that the chunks of any file may unpack to, and further bytes for each byte of the file. A few bytes of a
-/// compressed chunk can stand for gigabytes.
+/// Zstandard frame can stand for gigabytes. LZ4 packs at most 255 bytes into one.
 const UNPACKED_BYTES: u64 = 64 << 20;
-const UNPACKED_FACTOR: u64 = 32;
+const UNPACKED_FACTOR: u64 = 255;
 
 /// The bytes that the chunks of a file may still unpack to.
 #[derive(Clone, Copy, Debug)]

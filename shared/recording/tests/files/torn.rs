@@ -163,7 +163,7 @@ fn chunks_that_unpack_to_much_more_than_the_file_are_refused() {
     // Without the limit, the wrong check value of the first chunk is found.
     assert!(error.unwrap_err().contains("check value"));
     let error = recording::bag_messages(&[mcap::MAGIC, &bomb(1 << 29)].concat(), |_| Ok::<(), String>(()));
-    assert!(error.unwrap_err().contains("the limit for this file: 67108864 and 32 times its size"));
+    assert!(error.unwrap_err().contains("the limit for this file: 67108864 and 255 times its size"));
 
     let (_folder, path) = written(&messages(3));
     let whole = fs::read(&path).unwrap();
