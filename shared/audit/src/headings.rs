@@ -22,6 +22,8 @@ const EXPLAINED: f64 = 0.65;
 const DISAGREEING: f64 = 0.15;
 /// The same share for headings that are turned or agree with no convention.
 const DISAGREEING_MOST: f64 = 0.5;
+/// The same share for headings that are half a turn off. A vehicle with right headings may reverse most of the time.
+const BACKWARDS_MOST: f64 = 0.9;
 
 /// Whether a motion in this direction contradicts a number that all rows have as their heading.
 pub(crate) fn differs(number_rad: f64, direction_rad: f64) -> bool {
@@ -204,17 +206,15 @@ impl Headings {
         }
         let (radians, tally) = best(false);
         let off = share(self.off.rows, of);
-        let is_turned = radians.is_some_and(|reading| {
-            matches!(
-                reading.convention,
-                Convention::Backwards | Convention::Quarter | Convention::QuarterBack
-            )
-        });
+        let most = match radians.map(|reading| reading.convention) {
+            Some(Convention::Backwards) => BACKWARDS_MOST,
+            Some(Convention::Quarter | Convention::QuarterBack) => DISAGREEING_MOST,
+            _ => DISAGREEING,
+        };
         let explains = share(tally.rows, self.off.rows) >= EXPLAINED;
         match () {
-            () if explains && off >= if is_turned { DISAGREEING_MOST } else { DISAGREEING } => {
-                Some((radians, tally, of))
-            }
+            () if explains && off >= most => Some((radians, tally, of)),
+            () if explains && most == BACKWARDS_MOST => None,
             () if off >= DISAGREEING_MOST => Some((None, self.off, of)),
             () => None,
         }

@@ -153,7 +153,7 @@ pub(crate) fn drop_unknown(recording: &mut Recording) {
     for (column, doubt) in [Doubt::SpeedsDiffer, Doubt::HeadingsUnrelated].into_iter().enumerate() {
         let Some(unknown) = unknown[column] else { continue };
         let found = findings.iter().find(|found| found.kind == doubt.name());
-        recording.unknown_columns.extend(found.cloned());
+        recording.findings.extend(found.cloned());
         for frame in &mut recording.frames {
             for place in 0..frame.detections.len() {
                 let written = frame.written(place).unwrap_or(frame.detections[place]);
@@ -192,7 +192,7 @@ fn examine(recording: &Recording) -> (Audit, Vec<Found>) {
     };
     let findings = audit.findings();
     let findings = findings.iter().map(|finding| finding.found(place));
-    let findings = recording.unknown_columns.iter().cloned().chain(findings).collect();
+    let findings = recording.findings.iter().cloned().chain(findings).collect();
     (audit, findings)
 }
 

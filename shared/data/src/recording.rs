@@ -67,8 +67,8 @@ pub struct Recording {
     pub frames: Vec<Frame>,
     /// The rows that the format leaves out, by reason.
     pub left_out: Vec<LeftOut>,
-    /// Findings about speeds and headings that the motion contradicts. The detections do not have them.
-    pub unknown_columns: Vec<Found>,
+    /// Findings of the reader, such as speeds that the motion contradicts. The detections do not have such values.
+    pub findings: Vec<Found>,
     /// The rate of the files' frame numbers; `None` if the files contain their times.
     pub frame_rate: Option<FrameRate>,
     /// Whether the rows have their own stamps, so that the frames can be of several sensors. Otherwise the

@@ -274,3 +274,37 @@ fn numbers_that_the_motion_contradicts_are_unknown_and_a_doubt() {
         }
     }
 }
+
+#[test]
+fn a_car_that_reverses_most_of_the_time_has_right_headings() {
+    let mut text = "stamp_s,id,type,x_m,y_m,heading_rad\n".to_owned();
+    for step in 0..200 {
+        let t = f64::from(step) * 0.1;
+        let x_m = if t < 5.0 { 3.0 * t } else { 24.0 - 1.8 * t };
+        let heading_rad = 1e-3 * f64::from(step % 3);
+        writeln!(text, "{t:.1},1,vehicle,{x_m:.3},0,{heading_rad}").unwrap();
+    }
+    let recording = parse(Format::Csv, &[Input::new(Role::Rows, "mine.csv", text)]).unwrap();
+    assert_eq!(data::findings(&recording), []);
+}
+
+#[test]
+fn a_trajectory_may_repeat_the_initial_state() {
+    let state = |tag: &str, x_m: f64, time: usize| {
+        format!(
+            "<{tag}><position><point><x>{x_m}</x><y>1</y></point></position><time><exact>{time}</exact></time></{tag}>"
+        )
+    };
+    let read = |again_m: f64| {
+        let text = format!(
+            "<?xml version='1.0'?>\n<commonRoad timeStepSize='0.1'><dynamicObstacle id='10'><type>car</type>{}\
+             <trajectory>{}{}</trajectory></dynamicObstacle></commonRoad>",
+            state("initialState", 2.0, 0),
+            state("state", again_m, 0),
+            state("state", 3.0, 1)
+        );
+        parse(Format::CommonRoad, &[Input::new(Role::Rows, "a.xml", text)])
+    };
+    assert_eq!(read(2.0).unwrap().frames.len(), 2);
+    assert!(read(2.5).is_err());
+}

@@ -161,6 +161,54 @@ fn values_that_no_agent_can_have_are_unknown_and_counted() {
 }
 
 #[test]
+fn a_bag_that_ends_in_the_middle_is_doubtful() {
+    let messages: Vec<_> =
+        (1..100).map(|sec| detected(sec, "map", 3.0 * f64::from(sec), label::CAR)).collect();
+    let whole = bag(&messages);
+    let open =
+        |bytes: Vec<u8>| parse(Format::Rosbag, &[Input::new(Role::Rows, "drive.mcap", bytes)]).unwrap();
+    assert_eq!(open(whole.clone()).findings, []);
+    // The only chunk is cut, so its messages are written without a chunk.
+    let mut loose = Cursor::new(Vec::new());
+    let options = mcap::WriteOptions::new().compression(None).use_chunks(false);
+    let mut writer = options.create(&mut loose).unwrap();
+    for (place, (topic, schema, data)) in messages.iter().enumerate() {
+        let schema = writer.add_schema(schema, "ros2msg", b"").unwrap();
+        let channel_id = writer.add_channel(schema, topic, "cdr", &BTreeMap::new()).unwrap();
+        let log_time = place as u64;
+        let header =
+            mcap::records::MessageHeader { channel_id, sequence: 0, log_time, publish_time: log_time };
+        writer.write_to_known_channel(&header, data).unwrap();
+    }
+    writer.finish().unwrap();
+    drop(writer);
+    let loose = loose.into_inner();
+    assert_eq!(open(loose.clone()).findings, []);
+    for zeros in [0, 65_536] {
+        let cut = [&loose[..loose.len() / 2], &vec![0; zeros]].concat();
+        let recording = open(cut);
+        let [found] = &recording.findings[..] else { panic!("{:?}", recording.findings) };
+        let last_s = recording.frames.last().unwrap().stamp_ns / 1_000_000_000;
+        assert!((30..70).contains(&last_s), "{last_s}");
+        assert!(found.doubtful && found.sentence.starts_with("the file is cut off at byte"), "{found}");
+        assert!(found.sentence.contains(&format!("stamp {last_s}.000")), "{found}");
+        assert!(data::findings(&recording).contains(found));
+    }
+}
+
+#[test]
+fn stamps_of_zero_are_a_doubt_and_the_log_has_the_times() {
+    let messages: Vec<_> = (0..9).map(|sec| detected(0, "map", f64::from(sec), label::CAR)).collect();
+    let recording = read(&messages).unwrap();
+    // The first message was recorded at the time 0.
+    assert_eq!(recording.frames.last().unwrap().stamp_ns, 8);
+    assert_eq!(recording.findings[0].kind, "stamps_are_zero");
+    assert!(recording.findings[0].sentence.contains("8 of 9 headers are 0"), "{}", recording.findings[0]);
+    let clock = [detected(0, "map", 0.0, label::CAR), detected(1, "map", 1.0, label::CAR)];
+    assert_eq!(read(&clock).unwrap().findings, []);
+}
+
+#[test]
 fn errors_name_file_message_and_value() {
     let car = |sec, frame, x_m| detected(sec, frame, x_m, label::CAR);
     let error = read(&[car(1, "map", 458_000.0)]).unwrap_err();

@@ -39,31 +39,54 @@ pub fn is_bag(bytes: &[u8]) -> bool {
 }
 
 /// Calls `take` with each message, in the order of the file. A file that was cut off has the messages up to its
-/// last whole record.
+/// last whole record. Returns the place of the cut, or `None` if the file is whole.
 ///
 /// # Errors
 /// The damaged part of the file, or the error of `take`.
 pub fn bag_messages<E: From<String>>(
     bytes: &[u8],
     mut take: impl FnMut(BagMessage<'_>) -> Result<(), E>,
-) -> Result<(), E> {
+) -> Result<Option<usize>, E> {
     let mut rest = bytes.strip_prefix(MAGIC).ok_or_else(|| "not an MCAP file".to_owned())?;
     let (mut known, mut allowance) = (Known::default(), Allowance::new(bytes.len() as u64));
-    while let Some((op, body)) = record(&mut rest) {
+    loop {
+        let at = bytes.len() - rest.len();
+        let Some((op, body)) = record(&mut rest) else { return Ok(Some(at)) };
+        // Zeros follow the cut after a power loss. They may be part of the last record.
+        let is_last = !rest.is_empty() && rest.iter().all(|byte| *byte == 0);
         match op {
+            0 => return Ok(Some(at)),
             op::CHUNK => {
                 allowance.take(unpacked_len(body))?;
-                let chunk = unpack(body)?;
+                let chunk = match unpack(body) {
+                    Err(_) if is_last => return Ok(Some(at)),
+                    chunk => chunk?,
+                };
                 let mut chunk = &chunk[..];
+                if is_last && !is_whole(chunk) {
+                    return Ok(Some(at));
+                }
                 while let Some((op, body)) = record(&mut chunk) {
                     known.take(op, body, &mut take)?;
                 }
             }
-            op::DATA_END => break,
+            op::MESSAGE if is_last && body.last() == Some(&0) => return Ok(Some(at)),
+            op::DATA_END | op::FOOTER => return Ok(None),
             op => known.take(op, body, &mut take)?,
         }
     }
-    Ok(())
+}
+
+/// Whether the content of a chunk consists of whole records that do not end with zeros. 0 is not a valid opcode.
+fn is_whole(mut chunk: &[u8]) -> bool {
+    let mut is_whole = true;
+    while let Some((op, body)) = record(&mut chunk) {
+        is_whole = op != 0 && (op != op::MESSAGE || body.last() != Some(&0));
+        if op == 0 {
+            break;
+        }
+    }
+    is_whole && chunk.is_empty()
 }
 
 impl Known {

@@ -36,6 +36,9 @@ enum Kind {
     Other,
 }
 
+/// Largest difference between the numbers of equal states: those of different rounding.
+const STATE_TOLERANCE: f32 = 2e-3;
+
 /// Whether a file that begins with `<` is of this format, by its first lines.
 pub(crate) fn is_root_among<'a>(lines: impl Iterator<Item = Result<Line<'a>, ReadError>>) -> bool {
     lines.take(LINES_MAX).map_while(Result::ok).any(|line| line.text.contains("<commonRoad"))
@@ -86,6 +89,16 @@ struct Reading<'a, 's> {
     other: Vec<LeftOut>,
 }
 
+/// Whether two states are at one place, with the same values of motion as far as both have them.
+fn is_equal(a: &Detection, b: &Detection) -> bool {
+    let near = |a: f32, b: f32| (a - b).abs() <= STATE_TOLERANCE;
+    let both = |flag: u32| a.has(flag) && b.has(flag);
+    near(a.x_m, b.x_m)
+        && near(a.y_m, b.y_m)
+        && (!both(detection_flags::HAS_HEADING) || near(a.heading_rad, b.heading_rad))
+        && (!both(detection_flags::HAS_SPEED) || near(a.speed_mps, b.speed_mps))
+}
+
 impl<'a> Reading<'a, '_> {
     fn obstacle(&mut self, obstacle: Node<'a, 'a>) -> Result<(), ReadError> {
         let source = self.source;
@@ -119,8 +132,13 @@ impl<'a> Reading<'a, '_> {
         };
         let id = source.attribute(obstacle, "id")?.id_below(u64::MAX)?;
         let usual = Detection { id, ..self.sized(obstacle, rows::identified(agent_type, [0.0; 2], id))? };
-        for state in std::iter::once(initial).chain(states) {
+        let first = self.state(initial, usual)?;
+        for (place, state) in std::iter::once(initial).chain(states).enumerate() {
             let (stamp_ns, detection) = self.state(state, usual)?;
+            // A trajectory may repeat the initial state.
+            if place == 1 && stamp_ns == first.0 && is_equal(&detection, &first.1) {
+                continue;
+            }
             let line = source.line(state.range().start);
             match is_static {
                 true => self.stays.push((line, stamp_ns, detection)),

@@ -21,6 +21,7 @@ mod transforms;
 use std::collections::HashMap;
 use std::fmt::Write as _;
 
+use audit::Found;
 use interop::autoware::EGO;
 use interop::cdr::{Cdr, from_bytes};
 use interop::messages::{DetectedObjects, Header, TfMessage, Time, TrackedObjects};
@@ -49,9 +50,14 @@ const OBJECTS: [&str; 2] = [DetectedObjects::DEFINITION.name, TrackedObjects::DE
 const IMPOSSIBLE: &str =
     "headings, speeds, sizes, scores or deviations that are NaN or impossible (they count as unknown)";
 
+/// Smallest number of objects' messages with a stamp of 0 that is a fault. A simulated clock begins at 0.
+const ZERO_STAMPS_MIN: usize = 2;
+
 /// A message with objects.
 struct Message {
     number: usize,
+    /// When it was recorded, in Unix time.
+    log_ns: u64,
     topic: String,
     header: Header,
     objects: Vec<Object>,
@@ -78,7 +84,8 @@ impl Problem {
 pub(crate) fn parse(inputs: &[Input]) -> Result<Recording, ReadError> {
     let input = need(inputs, Role::Rows)?;
     let failed = |problem: Problem| problem.of(&input.path);
-    let (messages, transforms) = read(&input.bytes).map_err(failed)?;
+    let Bag { mut messages, transforms, cut } = read(&input.bytes).map_err(failed)?;
+    let zero_stamps = replace_zero_stamps(&mut messages);
     let mut table = Table::new();
     for message in &messages {
         table.add(message, &transforms).map_err(failed)?;
@@ -92,6 +99,8 @@ pub(crate) fn parse(inputs: &[Input]) -> Result<Recording, ReadError> {
             frame.lines.push(line);
         }
     }
+    recording.findings.extend(zero_stamps);
+    recording.findings.extend(cut.map(|at| cut_finding(at, input.bytes.len(), &recording)));
     let counts = [
         (other, "objects of a class that is neither vehicle, cyclist nor pedestrian"),
         (unplaced, "objects whose position is not a number"),
@@ -103,11 +112,56 @@ pub(crate) fn parse(inputs: &[Input]) -> Result<Recording, ReadError> {
     Ok(recording)
 }
 
-/// The messages of the topic that is played, and all transforms.
-fn read(bytes: &[u8]) -> Result<(Vec<Message>, Transforms), Problem> {
+/// A doubt about the file as a whole.
+fn doubt(kind: &str, sentence: String) -> Found {
+    Found { kind: kind.to_owned(), sentence, doubtful: true, ..Found::default() }
+}
+
+/// The doubt about a file that ends in the middle.
+fn cut_finding(at: usize, len: usize, recording: &Recording) -> Found {
+    let stamps_ns = || recording.frames.iter().map(|frame| frame.stamp_ns);
+    let last_ns = stamps_ns().next_back().unwrap_or(0);
+    let span_s = (last_ns - stamps_ns().next().unwrap_or(0)) as f64 * 1e-9;
+    let last_s = last_ns as f64 * 1e-9;
+    let sentence = format!(
+        "the file is cut off at byte {at} of {len}: it is played up to {span_s:.3} s, stamp {last_s:.3}, and what \
+         followed is missing"
+    );
+    doubt("cut_off", sentence)
+}
+
+/// Replaces stamps of 0 by the times at which the messages were recorded, and returns the doubt about them.
+fn replace_zero_stamps(messages: &mut [Message]) -> Option<Found> {
+    let is_zero = |message: &&mut Message| stamp_ns(&message.header.stamp) == 0 && message.log_ns > 0;
+    let of = messages.len();
+    let zeros: Vec<&mut Message> = messages.iter_mut().filter(is_zero).collect();
+    let rows = zeros.len();
+    if rows < ZERO_STAMPS_MIN {
+        return None;
+    }
+    for message in zeros {
+        let [sec, nanosec] = [message.log_ns / 1_000_000_000, message.log_ns % 1_000_000_000];
+        message.header.stamp = Time { sec: i32::try_from(sec).unwrap_or(i32::MAX), nanosec: nanosec as u32 };
+    }
+    let sentence = format!(
+        "the stamps in {rows} of {of} headers are 0: the times at which the messages were recorded are used"
+    );
+    Some(doubt("stamps_are_zero", sentence))
+}
+
+/// The content of a bag.
+struct Bag {
+    /// Messages of the topic that is played.
+    messages: Vec<Message>,
+    transforms: Transforms,
+    /// The byte at which the file was cut off.
+    cut: Option<usize>,
+}
+
+fn read(bytes: &[u8]) -> Result<Bag, Problem> {
     let (mut messages, mut transforms, mut schemas) =
         (Vec::new(), Transforms::default(), Vec::<String>::new());
-    bag_messages(bytes, |message: BagMessage<'_>| -> Result<(), Problem> {
+    let cut = bag_messages(bytes, |message: BagMessage<'_>| -> Result<(), Problem> {
         if !schemas.iter().any(|schema| schema == message.schema) {
             schemas.push(message.schema.to_owned());
         }
@@ -123,7 +177,13 @@ fn read(bytes: &[u8]) -> Result<(Vec<Message>, Transforms), Problem> {
             };
             messages.push((
                 kind,
-                Message { number: message.number, topic: message.topic.to_owned(), header, objects },
+                Message {
+                    number: message.number,
+                    log_ns: message.log_ns,
+                    topic: message.topic.to_owned(),
+                    header,
+                    objects,
+                },
             ));
         }
         Ok(())
@@ -138,7 +198,7 @@ fn read(bytes: &[u8]) -> Result<(Vec<Message>, Transforms), Problem> {
     if let Some(usual) = usual(topics, &USUAL)? {
         messages.retain(|message| message.topic == usual);
     }
-    Ok((messages, transforms))
+    Ok(Bag { messages, transforms, cut })
 }
 
 /// The topic to read if there are several; `None` if there is one.
