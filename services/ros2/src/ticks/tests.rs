@@ -3,7 +3,7 @@ use std::f64::consts::FRAC_PI_2;
 use interop::messages::{
     DetectedObject, ObjectClassification, Quaternion, Time, TrackedObject, TransformStamped, Uuid, label,
 };
-use wire::{AgentType, DETECTIONS_MAX};
+use wire::{AgentType, DETECTIONS_MAX, detection_flags};
 
 use super::*;
 
@@ -230,12 +230,17 @@ fn other_classes_and_impossible_values_are_counted() {
     let objects = objects.into_iter().chain([object(1_001.0, label::BICYCLE)]).map(Object::from).collect();
     ticks.message(Message { header: header(0, "map"), objects, arrived_ns: 0 });
     let Tick { frame, .. } = ticks.next(0).unwrap();
+    // An impossible speed is unknown; an impossible position loses the object.
     assert_eq!(
-        frame.detections.iter().map(|d| d.agent_type).collect::<Vec<_>>(),
-        [AgentType::Cyclist as u32]
+        frame
+            .detections
+            .iter()
+            .map(|d| (d.agent_type, d.has(detection_flags::HAS_SPEED)))
+            .collect::<Vec<_>>(),
+        [(AgentType::Vehicle as u32, false), (AgentType::Cyclist as u32, true)]
     );
-    frame.detections[0].check().unwrap();
-    assert_eq!(ticks.counts(), Counts { messages: 1, other: 1, refused: 3, ..Counts::default() });
+    frame.detections.iter().for_each(|detection| detection.check().unwrap());
+    assert_eq!(ticks.counts(), Counts { messages: 1, other: 1, refused: 2, ..Counts::default() });
     assert!(ticks.take_problem().is_some_and(|problem| problem.contains("the position (NaN")));
 }
 
