@@ -33,7 +33,7 @@ static STARTER: Mutex<Starter> = Mutex::new(Starter { orders: None, stuck: 0 });
 /// Starts a process.
 ///
 /// # Errors
-/// The system's error; [`ErrorKind::TimedOut`] if the start takes longer than [`LIMIT`]. The process is then
+/// The system's error; [`ErrorKind::TimedOut`] if the start takes longer than 1 s. The process is then
 /// killed as soon as it is there.
 pub fn spawn(command: Command) -> io::Result<Process> {
     spawn_within(command, LIMIT)
