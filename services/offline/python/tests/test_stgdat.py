@@ -168,6 +168,8 @@ class Forecasts(InFolder):
                 scores=rows["score"],
                 sigmas_m=rows["sigma_m"],
                 ego=(*tick.header["ego_m"].tolist(), float(tick.header["ego_heading_rad"])),
+                # The noise is learned by the distance from the sensor.
+                seen_from_ego=True,
             )
             self.assertEqual(rows["flags"].tolist(), made.records["flags"].tolist())
             self.assertEqual(predictor.step(made).to_json(), line)
