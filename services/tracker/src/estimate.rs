@@ -391,9 +391,9 @@ impl Estimate {
     pub fn teach(&mut self, noise: &mut Noise, input: &InputModel) {
         let age_ns = self.stamp_ns.saturating_sub(self.birth.stamp_ns);
         if self.is_ready() && (self.management.is_trusted() || age_ns >= TEACHES_FROM_NS) {
-            let distance_m = input.by_distance.distance_m(self.motion.position_m);
+            let line_of_sight_m = input.by_view.line_of_sight_m(self.motion.position_m);
             let of_type = self.class.current().index();
-            noise.learn(of_type, &mut self.measurements, self.nominal_m, distance_m);
+            noise.learn(of_type, &mut self.measurements, self.nominal_m, line_of_sight_m);
         }
     }
 

@@ -18,12 +18,12 @@
 //! deviation of an estimate, and κ is the value for which r² / N is the variance of a mean over several
 //! seconds of noise with a correlation time of 0.3 s.
 
-mod distance;
+mod view;
 
-use distance::ByDistance;
-pub use distance::DistanceFactors;
 use filters::noise::{Measured, Scale, Window};
 use filters::wrapped;
+use view::ByView;
+pub use view::ViewFactors;
 use wire::{AGENT_TYPES, Detection, Header, detection_flags};
 
 use crate::observation::Found;
@@ -47,8 +47,8 @@ const APART_MIN_COUNT: f64 = 12.0;
 const PUBLISHED_MIN_COUNT: f64 = 40.0;
 /// Smallest deviation that is published, because 0 means unknown.
 const PUBLISHED_LEAST: f64 = 1e-4;
-/// Number of contrasts from which the noise is also learned by distance.
-const BY_DISTANCE_MIN_COUNT: f64 = 40.0;
+/// Number of contrasts from which the noise is also learned by the view.
+const BY_VIEW_MIN_COUNT: f64 = 40.0;
 /// κ, q and m of the module's equation.
 const CORRELATED: f64 = 4.2;
 const EXCESS_RATIO: f64 = 1.5;
@@ -149,7 +149,7 @@ pub struct Noise {
 struct TypeNoise {
     /// Of the positions: without and with a reported deviation.
     positions: [PositionNoise; 2],
-    by_distance: ByDistance,
+    by_view: ByView,
     heading_rad: Scale,
     speed_mps: Scale,
 }
@@ -229,30 +229,30 @@ impl Noise {
     pub fn new(options: &TrackerOptions) -> Self {
         let of_type = options.detector.sensor.map(|prior| TypeNoise {
             positions: [PRIOR_COUNT, REPORTED_COUNT].map(|count| PositionNoise::new(count, prior.position_m)),
-            by_distance: ByDistance::new(),
+            by_view: ByView::new(),
             heading_rad: Scale::new(prior.heading_rad, PRIOR_COUNT, COUNT_MAX),
             speed_mps: Scale::new(prior.speed_mps, PRIOR_COUNT, COUNT_MAX),
         });
         Self { of_type }
     }
 
-    /// Learns from the newest measurement of an agent of this type, which is this far from the sensor.
+    /// Learns from the newest measurement of an agent of this type, which the sensor sees over this way.
     pub fn learn(
         &mut self,
         of_type: usize,
         measurements: &mut Measurements,
         nominal_m: f64,
-        distance_m: Option<f64>,
+        line_of_sight_m: Option<[f64; 2]>,
     ) {
         let contrasts = measurements.take();
-        let TypeNoise { positions, by_distance, heading_rad, speed_mps } = &mut self.of_type[of_type];
+        let TypeNoise { positions, by_view, heading_rad, speed_mps } = &mut self.of_type[of_type];
         let positions = &mut positions[usize::from(contrasts.is_reported)];
         positions.add(&contrasts);
         if let Some(position) = contrasts.position {
             positions.nominal_m += 0.05 * (nominal_m - positions.nominal_m);
-            if let Some(distance_m) = distance_m.filter(|_| positions.next.count() > BY_DISTANCE_MIN_COUNT) {
+            if let Some(way_m) = line_of_sight_m.filter(|_| positions.next.count() > BY_VIEW_MIN_COUNT) {
                 let deviation = positions.next.variance().sqrt();
-                position.iter().for_each(|contrast| by_distance.add(distance_m, contrast / deviation));
+                by_view.add(way_m, position.map(|contrast| contrast / deviation));
             }
         }
         contrasts.heading_rad.into_iter().for_each(|contrast| heading_rad.add(contrast));
@@ -266,8 +266,7 @@ impl Noise {
         let Some(factor_max) = factor_max(header, options) else {
             return InputModel { steadiness: [0.0; 3], ..model };
         };
-        model.by_distance =
-            DistanceFactors::new(header, self.of_type.each_ref().map(|noise| &noise.by_distance));
+        model.by_view = ViewFactors::new(header, self.of_type.each_ref().map(|noise| &noise.by_view));
         for agent_type in AGENT_TYPES {
             let i = agent_type.index();
             let (of_type, smooth) = (&self.of_type[i], &options.smooth.sensor[i]);

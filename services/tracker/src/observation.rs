@@ -49,9 +49,12 @@ impl<'a> Found<'a> {
 pub fn observation(detection: &Detection, agent_type: AgentType, input: &InputModel) -> Observation {
     let noise = &input.sensor[agent_type.index()];
     let value = |flag, value: f32, sigma: f64| detection.has(flag).then(|| (f64::from(value), sigma.powi(2)));
+    let position_m = [detection.x_m, detection.y_m].map(f64::from);
+    let position_variance = position_sigma_m(detection, agent_type, input).powi(2);
     Observation {
-        position_m: [f64::from(detection.x_m), f64::from(detection.y_m)],
-        position_variance: position_sigma_m(detection, agent_type, input).powi(2),
+        position_m,
+        position_variance,
+        elongation: input.by_view.elongation(agent_type, position_m, position_variance),
         heading_rad: value(detection_flags::HAS_HEADING, detection.heading_rad, noise.heading_rad),
         speed_mps: value(detection_flags::HAS_SPEED, detection.speed_mps, noise.speed_mps),
     }
@@ -60,13 +63,13 @@ pub fn observation(detection: &Detection, agent_type: AgentType, input: &InputMo
 /// Standard deviation of a detection's position per axis.
 #[must_use]
 pub fn position_sigma_m(detection: &Detection, agent_type: AgentType, input: &InputModel) -> f64 {
-    let by_distance = input.by_distance.factor(agent_type, [detection.x_m, detection.y_m].map(f64::from));
+    let by_view = input.by_view.factor(agent_type, [detection.x_m, detection.y_m].map(f64::from));
     match detection.sigma_m {
         sigma_m if sigma_m > 0.0 => {
-            let factor = by_distance * input.reported_factor[agent_type.index()];
+            let factor = by_view * input.reported_factor[agent_type.index()];
             (factor * f64::from(sigma_m)).clamp(SIGMA_RANGE_M.0, SIGMA_RANGE_M.1)
         }
-        _ => (by_distance * input.sensor[agent_type.index()].position_m).max(SMOOTH_M),
+        _ => (by_view * input.sensor[agent_type.index()].position_m).max(SMOOTH_M),
     }
 }
 

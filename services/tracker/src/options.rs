@@ -4,7 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use wire::{AgentType, Detection, HISTORY_MAX, Header, SPEED_MAX_MPS, StageId, detection_flags, flags};
 
-use crate::noise::DistanceFactors;
+use crate::noise::ViewFactors;
 use crate::{FieldOfView, Tracker};
 
 /// The tracker.
@@ -182,8 +182,8 @@ pub struct InputModel {
     pub sensor: [SensorNoise; 3],
     /// Factor on the deviations of positions that detections report themselves.
     pub reported_factor: [f64; 3],
-    /// Factors on the deviations of positions by distance from the sensor.
-    pub by_distance: DistanceFactors,
+    /// Factors on the deviations of positions by the view from the sensor.
+    pub by_view: ViewFactors,
     /// Process noise.
     pub motion: [MotionNoise; 3],
     /// How far forecasts are trusted when they are the prior.
@@ -262,7 +262,7 @@ const DETECTOR: InputModel = InputModel {
         MotionNoise { density: 0.5, acceleration_mps2: 1.0, slip_rate_radps: 0.5, slip_decay_per_s: 0.0 },
     ],
     reported_factor: [1.0; 3],
-    by_distance: DistanceFactors::NONE,
+    by_view: ViewFactors::NONE,
     trust: [ForecastTrust { noise_share: 0.3, ..TRUST }; 3],
     steadiness: [1.0; 3],
     coast_ns: 2_000_000_000,
@@ -289,7 +289,7 @@ const SMOOTH: InputModel = InputModel {
     // Chosen by the errors of tracks across gaps, on driving recordings from other sources, under noise of
     // 0.1 m.
     reported_factor: [1.0; 3],
-    by_distance: DistanceFactors::NONE,
+    by_view: ViewFactors::NONE,
     trust: [ForecastTrust { control_fade_in_s: 0.2, ..TRUST }; 3],
     steadiness: [0.0; 3],
     coast_ns: 1_000_000_000,

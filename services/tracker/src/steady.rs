@@ -219,7 +219,7 @@ impl Steady {
     fn log_density_standing(&self, steady: &Filter, observation: &Observation) -> f64 {
         let off_m = [0, 1].map(|axis| observation.position_m[axis] - self.place_m[axis]);
         let variance = self.place_variance;
-        let fit = Fit::new(off_m, [variance, 0.0, variance], observation.position_variance);
+        let fit = fit(off_m, [variance, 0.0, variance], observation);
         let of_speed = |(speed_mps, sigma2): (f64, f64)| normal(speed_mps, STANDING_VARIANCE + sigma2);
         fit.log_density()
             + log_density_of_heading(steady, observation)
@@ -256,12 +256,18 @@ fn mixed(from: &Filter, other: &Filter, share: f64) -> Filter {
     }
 }
 
+/// How well a measured position fits, this far off a predicted one of this covariance.
+fn fit(off_m: [f64; 2], [xx, xy, yy]: [f64; 3], observation: &Observation) -> Fit {
+    let [along, across] = observation.elongation;
+    Fit::new(off_m, [xx + along, xy + across, yy - along], observation.position_variance)
+}
+
 /// Logarithm of a measurement's density under a predicted motion. Position, heading and speed count as
 /// independent.
 fn log_density(filter: &Filter, observation: &Observation) -> f64 {
     let (mean_m, covariance_m2) = filter.position();
     let off_m = [0, 1].map(|axis| observation.position_m[axis] - mean_m[axis]);
-    let fit = Fit::new(off_m, covariance_m2, observation.position_variance);
+    let fit = fit(off_m, covariance_m2, observation);
     let of_speed = match (filter, observation.speed_mps) {
         (Filter::Bicycle(state), Some((speed_mps, variance))) => {
             normal(speed_mps - state.mean[3], state.covariance[(3, 3)] + variance)

@@ -193,3 +193,42 @@ fn noise_that_grows_with_the_distance_is_learned_by_distance() {
         "{everywhere:?} and {by_distance:?} m/s"
     );
 }
+
+/// Root mean square error of the published velocities of six vehicles around the sensor. Their positions are ten
+/// times less exact along the line of sight, or across it.
+fn elongated_mps(flags: u32, along_m: f64, across_m: f64) -> f64 {
+    let mut run = Harness::new(TrackerOptions::default(), flags);
+    let mut rng = ChaCha8Rng::seed_from_u64(4);
+    let (mut sum, mut count) = (0.0, 0);
+    for frame in 0..200 {
+        let detections: Vec<Detection> = (1..=AGENTS)
+            .map(|id| {
+                let (sin, cos) = (std::f64::consts::TAU * id as f64 / AGENTS as f64).sin_cos();
+                let [x, y] = [30.0 * cos + 2.0 * f64::from(frame) * TICK_S - 12.0, 30.0 * sin];
+                let distance_m = x.hypot(y);
+                let [along_m, across_m] = [along_m, across_m].map(|sigma_m| noise(&mut rng, sigma_m));
+                let dx = (along_m * x - across_m * y) / distance_m;
+                let dy = (along_m * y + across_m * x) / distance_m;
+                detected_at(AgentType::Vehicle, id, x + dx, y + dy)
+            })
+            .collect();
+        let tracks = run.step(&detections);
+        if frame >= 80 {
+            for track in tracks {
+                sum += (f64::from(track.vx_mps) - 2.0).powi(2) + f64::from(track.vy_mps).powi(2);
+                count += 1;
+            }
+        }
+    }
+    (sum / f64::from(count)).sqrt()
+}
+
+#[test]
+fn noise_along_or_across_the_line_of_sight_is_learned() {
+    for (along_m, across_m) in [(0.5, 0.05), (0.05, 0.5)] {
+        let [all, by_view] = [flags::HAS_IDENTITIES, flags::HAS_IDENTITIES | flags::SEEN_FROM_EGO]
+            .map(|flags| elongated_mps(flags, along_m, across_m));
+        println!("{along_m} and {across_m} m: {all:.3} m/s for one noise, {by_view:.3} m/s by the view");
+        assert!(by_view < 0.85 * all, "{all} and {by_view} m/s");
+    }
+}

@@ -20,6 +20,7 @@ fn ticks(criterion: &mut Criterion) {
     let observed = Observation {
         position_m: [0.63, 0.12],
         position_variance: 0.04,
+        elongation: [0.0; 2],
         heading_rad: Some((0.2, 0.01)),
         speed_mps: None,
     };

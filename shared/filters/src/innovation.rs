@@ -11,6 +11,8 @@ pub const MEASURED_MAX: usize = 4;
 pub struct Innovation<const N: usize> {
     /// Residual and variance of each measured component.
     values: [Option<(f64, f64)>; MEASURED_MAX],
+    /// The second value measures y − `skew` x.
+    skew: f64,
 }
 
 /// How well a measurement fits the prediction.
@@ -31,7 +33,16 @@ impl<const N: usize> Innovation<N> {
     #[must_use]
     pub fn of_position(residual: [f64; 2], variance: f64) -> Self {
         let [x, y] = residual.map(|residual| Some((residual, variance)));
-        Self { values: [x, y, None, None] }
+        Self { values: [x, y, None, None], skew: 0.0 }
+    }
+
+    /// As [`Innovation::of_position`], with errors of the covariance R = (xx, xy, yy). With R = L D Lᵀ, the
+    /// values L⁻¹ (x, y) have independent errors of the variances D.
+    #[must_use]
+    pub fn of_elongated([x, y]: [f64; 2], [xx, xy, yy]: [f64; 3]) -> Self {
+        let skew = xy / xx;
+        let values = [Some((x, xx)), Some((y - skew * x, yy - skew * xy)), None, None];
+        Self { values, skew }
     }
 
     /// Adds a measured component: measured minus predicted (angles wrapped), with its variance.
@@ -95,10 +106,10 @@ impl<const N: usize> Gaussian<N> {
             misfit: Misfit { nis: 0.0, det: 1.0, measured_count: 0 },
         };
         let [x, y, third, fourth] = innovation.values;
-        correction.update::<0>(x)?;
-        correction.update::<1>(y)?;
-        correction.update::<2>(third)?;
-        correction.update::<3>(fourth)?;
+        correction.update::<0>(x, 0.0)?;
+        correction.update::<1>(y, innovation.skew)?;
+        correction.update::<2>(third, 0.0)?;
+        correction.update::<3>(fourth, 0.0)?;
         let Correction { covariance, shift, misfit } = correction;
         let posterior = Self { mean: self.mean + shift, covariance };
         if !(posterior.is_finite() && misfit.is_finite()) {
@@ -119,23 +130,30 @@ struct Correction<const N: usize> {
 }
 
 impl<const N: usize> Correction<N> {
-    /// Updates by a value of the component `ROW`, if there is one. The value is a residual and its variance.
+    /// Updates by a value of the component `ROW` minus `skew` times the first, if there is one. The value is a
+    /// residual and its variance.
     #[inline]
-    fn update<const ROW: usize>(&mut self, value: Option<(f64, f64)>) -> Result<(), FilterFault> {
+    fn update<const ROW: usize>(&mut self, value: Option<(f64, f64)>, skew: f64) -> Result<(), FilterFault> {
         let Some((residual, variance)) = value else { return Ok(()) };
-        let column = self.covariance.column(ROW).into_owned();
-        let innovation_variance = column[ROW] + variance;
+        let mut column = self.covariance.column(ROW).into_owned();
+        let (mut own_variance, mut shift) = (column[ROW], self.shift[ROW]);
+        if skew != 0.0 {
+            column -= skew * self.covariance.column(0);
+            own_variance = column[ROW] - skew * column[0];
+            shift -= skew * self.shift[0];
+        }
+        let innovation_variance = own_variance + variance;
         if innovation_variance.is_nan() || innovation_variance <= 0.0 {
             return Err(FilterFault::NotPositive);
         }
         let gain = column / innovation_variance;
-        let residual = residual - self.shift[ROW];
+        let residual = residual - shift;
         self.shift += gain * residual;
         self.misfit.nis += residual * residual / innovation_variance;
         self.misfit.det *= innovation_variance;
         self.misfit.measured_count += 1;
-        // Column `ROW` of (I − k e_rᵀ) P, minus k R.
-        let rest = (column - gain * column[ROW]) - gain * variance;
+        // With e_r for the measured combination of components: (I − k e_rᵀ) P e_r − k R.
+        let rest = (column - gain * own_variance) - gain * variance;
         for j in 0..N {
             for i in 0..=j {
                 let value = self.covariance[(i, j)] - gain[i] * column[j] - rest[i] * gain[j];

@@ -57,6 +57,7 @@
 //!     let observation = Observation {
 //!         position_m: [0.8 * f64::from(tick), 0.0],
 //!         position_variance: 0.01,
+//!         elongation: [0.0; 2],
 //!         heading_rad: None,
 //!         speed_mps: None,
 //!     };
@@ -89,6 +90,7 @@
 //! let observation = Observation {
 //!     position_m: [true_x_m, 0.0],
 //!     position_variance: 0.01,
+//!     elongation: [0.0; 2],
 //!     heading_rad: None,
 //!     speed_mps: None,
 //! };

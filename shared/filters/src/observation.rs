@@ -10,8 +10,11 @@ pub const OBSERVATIONS_MAX: usize = 5;
 pub struct Observation {
     /// Position (x, y) in the world frame.
     pub position_m: [f64; 2],
-    /// Variance of the position per axis.
+    /// Variance of the position per axis, the mean over all directions.
     pub position_variance: f64,
+    /// What the errors have more along x than on average, and their covariance (xy); zeros if they are equal in
+    /// all directions.
+    pub elongation: [f64; 2],
     /// Heading.
     pub heading_rad: Option<(f64, f64)>,
     /// Speed along the heading.
@@ -55,7 +58,18 @@ impl Observation {
 
     fn position_against<const N: usize>(&self, mean: &SVector<f64, N>) -> Innovation<N> {
         let [x, y] = self.position_m;
-        Innovation::of_position([x - mean[0], y - mean[1]], self.position_variance)
+        let residual = [x - mean[0], y - mean[1]];
+        match self.elongation {
+            [0.0, 0.0] => Innovation::of_position(residual, self.position_variance),
+            _ => Innovation::of_elongated(residual, self.position_covariance()),
+        }
+    }
+
+    /// Covariance of the position as (xx, xy, yy).
+    #[must_use]
+    pub fn position_covariance(&self) -> [f64; 3] {
+        let (mean, [along, across]) = (self.position_variance, self.elongation);
+        [mean + along, across, mean - along]
     }
 }
 

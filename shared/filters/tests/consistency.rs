@@ -54,6 +54,7 @@ impl Sensor {
         Observation {
             position_m: [noisy(0, self.position_m), noisy(1, self.position_m)],
             position_variance: self.position_m.powi(2),
+            elongation: [0.0; 2],
             heading_rad: self.heading_rad.map(|sigma| (noisy(2, sigma), sigma.powi(2))),
             speed_mps: self.speed_mps.map(|sigma| (noisy(3, sigma), sigma.powi(2))),
         }

@@ -42,6 +42,7 @@ fn frame(truths: &[Gaussian<4>; 2], rng: &mut ChaCha8Rng) -> Vec<Observation> {
     let observed = |position_m| Observation {
         position_m,
         position_variance: SIGMA_M.powi(2),
+        elongation: [0.0; 2],
         heading_rad: None,
         speed_mps: None,
     };

@@ -72,6 +72,7 @@ fn run<F>(
         let observed = Observation {
             position_m: [m[4], m[5]],
             position_variance: 0.1_f64.powi(2),
+            elongation: [0.0; 2],
             heading_rad: with_heading.then_some((m[6], sigma_psi.powi(2))),
             speed_mps: None,
         };
@@ -256,8 +257,13 @@ fn arc_jacobian_equals_finite_differences() {
 fn evidence_equals_the_density_of_the_innovation() {
     let mut state = Gaussian::new([0.0, 0.0, 1.0, 0.0], [0.3, 0.5, 0.2, 0.2]);
     let process = ConstantVelocity { density: 1.0 };
-    let observed =
-        Observation { position_m: [0.6, -0.7], position_variance: 0.2, heading_rad: None, speed_mps: None };
+    let observed = Observation {
+        position_m: [0.6, -0.7],
+        position_variance: 0.2,
+        elongation: [0.0; 2],
+        heading_rad: None,
+        speed_mps: None,
+    };
     let (xx, yy) = (0.3 + 0.2, 0.5 + 0.2_f64);
     let nis: f64 = 0.36 / xx + 0.49 / yy;
     let density = (-0.5 * nis).exp() / (std::f64::consts::TAU * f64::sqrt(xx * yy));
@@ -280,6 +286,7 @@ fn every_kind_tracks_a_circle() {
                 Observation {
                     position_m: [radius_m * angle.cos(), radius_m * angle.sin()],
                     position_variance: 0.01,
+                    elongation: [0.0; 2],
                     heading_rad: (measured & 1 != 0).then_some((heading, 0.01)),
                     speed_mps: (measured & 2 != 0).then_some((speed_mps, 0.04)),
                 }
@@ -343,6 +350,7 @@ fn covariances_stay_positive_for_a_million_steps() {
     let start = Observation {
         position_m: [30.0, 0.0],
         position_variance: 1.0,
+        elongation: [0.0; 2],
         heading_rad: Some((1.5, 0.01)),
         speed_mps: None,
     };
@@ -360,6 +368,7 @@ fn covariances_stay_positive_for_a_million_steps() {
         let observed = Observation {
             position_m: [30.0 * (time_s / 10.0).cos(), 30.0 * (time_s / 10.0).sin()],
             position_variance: variance,
+            elongation: [0.0; 2],
             heading_rad: (k % 3 == 0).then_some((time_s / 10.0 + std::f64::consts::FRAC_PI_2, variance)),
             speed_mps: (k % 5 == 0).then_some((3.0, variance)),
         };
@@ -387,6 +396,7 @@ fn a_failed_update_restores_the_state() {
     let observed = |position_variance| Observation {
         position_m: [0.1, 0.2],
         position_variance,
+        elongation: [0.0; 2],
         heading_rad: None,
         speed_mps: None,
     };
@@ -443,5 +453,42 @@ proptest! {
             }
             prop_assert!((back.covariance - expected).amax() < 1e-9 * (1.0 + speed2));
         }
+    }
+}
+
+/// The update in the textbook's form, with dense matrices.
+#[test]
+fn errors_longer_in_one_direction_update_as_in_the_textbook() {
+    let (mean, covariance_m2) = ([3.0, -1.0, 0.4, 2.0], [0.5, 0.7, 0.2, 0.3]);
+    let model = ConstantVelocity { density: 0.5 };
+    let mut filter = Gaussian::<4>::new(mean, covariance_m2);
+    filter.predict(STEP_NS, &model).expect("finite");
+    for elongation in [[0.3, 0.0], [-0.2, 0.25], [0.0, -0.39]] {
+        let observed = Observation {
+            position_m: [3.4, -0.2],
+            position_variance: 0.4,
+            elongation,
+            heading_rad: None,
+            speed_mps: None,
+        };
+        let [xx, xy, yy] = observed.position_covariance();
+        let r = SMatrix::<f64, 2, 2>::new(xx, xy, xy, yy);
+        let h = SMatrix::<f64, 2, 4>::identity();
+        let residual = SVector::<f64, 2>::new(3.4, -0.2) - h * filter.mean;
+        let s = h * filter.covariance * h.transpose() + r;
+        let inverse = s.try_inverse().expect("positive definite");
+        let gain = filter.covariance * h.transpose() * inverse;
+        let expected = Gaussian {
+            mean: filter.mean + gain * residual,
+            covariance: filter.covariance - gain * h * filter.covariance,
+        };
+        let nis = (residual.transpose() * inverse * residual)[0];
+        let mut updated = filter;
+        let evidence = updated.update(&observed, &model).expect("finite");
+        assert!((updated.mean - expected.mean).norm() < 1e-12, "{updated:?} {expected:?}");
+        assert!((updated.covariance - expected.covariance).norm() < 1e-12, "{updated:?} {expected:?}");
+        let log_likelihood = -0.5 * (nis + s.determinant().ln() + 2.0 * std::f64::consts::TAU.ln());
+        assert!((evidence.nis - nis).abs() < 1e-12, "{evidence:?} {nis}");
+        assert!((evidence.log_likelihood - log_likelihood).abs() < 1e-12, "{evidence:?} {log_likelihood}");
     }
 }

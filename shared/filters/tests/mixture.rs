@@ -315,6 +315,7 @@ fn assert_stays_sound<P: Controlled<N> + Copy, const N: usize>(process: P, start
         let observed = Observation {
             position_m: [rng.random_range(-100.0..100.0), rng.random_range(-100.0..100.0)],
             position_variance: variance,
+            elongation: [0.0; 2],
             heading_rad: rng.random_bool(0.3).then_some((rng.random_range(-9.0..9.0), variance)),
             speed_mps: rng.random_bool(0.3).then_some((rng.random_range(-30.0..30.0), variance)),
         };

@@ -97,6 +97,7 @@ impl Follower<'_> {
             let observation = seen.measured_m.map(|position_m| Observation {
                 position_m,
                 position_variance: sigma_m * sigma_m,
+                elongation: [0.0; 2],
                 heading_rad: None,
                 speed_mps: None,
             });

@@ -270,8 +270,13 @@ mod tests {
     #[test]
     fn slip_sigma_of_a_vehicle_at_rest_stays_bounded() {
         let mut state = SINGER.of(&Gaussian::new([0.0; 5], [1e-4; 5]));
-        let seen =
-            Observation { position_m: [0.0; 2], position_variance: 1e-4, heading_rad: None, speed_mps: None };
+        let seen = Observation {
+            position_m: [0.0; 2],
+            position_variance: 1e-4,
+            elongation: [0.0; 2],
+            heading_rad: None,
+            speed_mps: None,
+        };
         for _ in 0..5_000 {
             state.predict(100_000_000, &SINGER).unwrap();
             state.update(&seen, &SINGER).unwrap();
@@ -311,6 +316,7 @@ mod tests {
                     let seen = Observation {
                         position_m: [0, 1].map(|axis| truth[axis] + POSITION_M * normal()),
                         position_variance: POSITION_M.powi(2),
+                        elongation: [0.0; 2],
                         heading_rad: sigmas
                             .map(|[sigma, _]: [f64; 2]| (truth[HEADING] + sigma * normal(), sigma.powi(2))),
                         speed_mps: sigmas.map(|[_, sigma]| (truth[SPEED] + sigma * normal(), sigma.powi(2))),
@@ -335,6 +341,7 @@ mod tests {
             let seen = Observation {
                 position_m: [12.0 * t_s - t_s * t_s, 0.0],
                 position_variance: 1e-4,
+                elongation: [0.0; 2],
                 heading_rad: None,
                 speed_mps: None,
             };

@@ -154,6 +154,7 @@ impl Reference {
             let seen = Observation {
                 position_m: self.z[k],
                 position_variance: POSITION_VARIANCE,
+                elongation: [0.0; 2],
                 heading_rad: None,
                 speed_mps: None,
             };

@@ -165,6 +165,7 @@ impl Recording {
         let seen = Observation {
             position_m: tick.position_m,
             position_variance: self.position_variance,
+            elongation: [0.0; 2],
             heading_rad: run.heading_variance.map(|variance| (tick.heading_rad, variance)),
             speed_mps: None,
         };
