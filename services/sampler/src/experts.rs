@@ -1,7 +1,7 @@
 //! Evidence on the experts in the sampler: how accurate the network's forecasts and those of the other
 //! experts have been.
 
-use evidence::{Agent, EXPERTS, Evidence, Fan, Mixture, MotionNow, Paths, Prior};
+use evidence::{Agent, EXPERTS, Evidence, Fan, Mixture, MotionNow, Observed, Paths, Prior};
 use kinematics::MotionModel;
 use metrics::HighestDensity;
 use retrieval::{ControlChange, ControlChanges, ForecastControls};
@@ -57,7 +57,7 @@ impl Experts {
     }
 
     /// Learns from the positions of agents at a time.
-    pub(crate) fn observe(&mut self, stamp_ns: i64, agents: impl IntoIterator<Item = (u64, [f32; 2])>) {
+    pub(crate) fn observe(&mut self, stamp_ns: i64, agents: impl IntoIterator<Item = (u64, Observed)>) {
         let Self { evidence, levels, .. } = self;
         evidence.observe_with(stamp_ns, agents, |matured| {
             let (means_m, covariances_m2) = (matured.means_m, matured.covariances_m2);

@@ -1,7 +1,7 @@
 use std::io;
 use std::sync::Arc;
 
-use evidence::{Evidence, Prior, Priors};
+use evidence::{Evidence, Observed, Prior, Priors};
 use kinematics::PARTICLES_MAX;
 use lanes::LaneMap;
 use nn::Workers;
@@ -330,16 +330,24 @@ impl Sampler {
     fn observe(&mut self, tick: Tick, tracks: &[Track]) {
         self.fallback.begin(tick.stamp_ns);
         let detected = tracks.iter().filter(|track| track.unseen_ns == 0);
-        let positions_m = detected.map(|track| (track.id, [track.x_m, track.y_m]));
+        let positions_m = detected.clone().map(|track| (track.id, [track.x_m, track.y_m]));
         if self.options.retrieval && tick.step_ns > 0 {
             let new = || Box::new(RetrievalMemory::new(self.options.horizon_len, tick.step_ns));
-            self.memory.get_or_insert_with(new).observe(tick.stamp_ns, positions_m.clone());
+            self.memory.get_or_insert_with(new).observe(tick.stamp_ns, positions_m);
         }
         if self.options.evidence && tick.step_ns > 0 {
             let new = || Box::new(Experts::new(self.options.horizon_len, tick.step_ns, &self.prior));
-            self.experts.get_or_insert_with(new).observe(tick.stamp_ns, positions_m);
+            let observed = detected.map(|track| (track.id, observed(track)));
+            self.experts.get_or_insert_with(new).observe(tick.stamp_ns, observed);
         }
     }
+}
+
+/// The position of a track, with its covariance.
+fn observed(track: &Track) -> Observed {
+    let row = track.state_len as usize;
+    let [xx, xy, yy] = [0, 1, row + 1].map(|place| track.covariance.get(place).copied().unwrap_or_default());
+    Observed { position_m: [track.x_m, track.y_m], covariance_m2: [xx, xy, yy] }
 }
 
 fn check(header: &Header, tracks: &[Track]) -> Result<Tick, Rejected> {

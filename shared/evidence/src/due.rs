@@ -91,6 +91,11 @@ impl Waiting {
         })
     }
 
+    /// A number from 0 to 3, at random.
+    pub(crate) fn any_of_four(&mut self) -> usize {
+        self.random_below(4)
+    }
+
     fn random_below(&mut self, bound: u64) -> usize {
         // Knuth's constants (MMIX); the high bits are the random ones.
         self.random =

@@ -50,6 +50,34 @@ pub struct Agent {
     pub course: [f32; 2],
 }
 
+/// The position of an agent as the tracker estimates it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Observed {
+    /// Estimated position, m.
+    pub position_m: [f32; 2],
+    /// Covariance of the estimate as (xx, xy, yy), m².
+    pub covariance_m2: [f32; 3],
+}
+
+impl Observed {
+    /// Variance of the position in a direction, by the direction's cosine and sine.
+    fn variance_m2(&self, [cos, sin]: [f32; 2]) -> f32 {
+        let [xx, xy, yy] = self.covariance_m2;
+        (cos * cos * xx + 2.0 * cos * sin * xy + sin * sin * yy).max(0.0)
+    }
+
+    /// One of four positions with equal probability. Their mean is `about_m`, and their covariance is that of
+    /// the estimate.
+    fn sigma_point(&self, about_m: [f32; 2], number: usize) -> [f32; 2] {
+        let [xx, xy, yy] = self.covariance_m2;
+        let first = xx.max(0.0).sqrt();
+        let slope = if first > 0.0 { xy / first } else { 0.0 };
+        let root = [[first, slope], [0.0, (yy - slope * slope).max(0.0).sqrt()]][number % 2];
+        let sign = if number < 2 { std::f32::consts::SQRT_2 } else { -std::f32::consts::SQRT_2 };
+        [0, 1].map(|axis| about_m[axis] + sign * root[axis])
+    }
+}
+
 /// The last observation of an agent, and its pending forecasts.
 #[derive(Clone, Debug)]
 struct Trace {
@@ -116,10 +144,13 @@ impl Evidence {
     /// Records the positions of agents at a time, and learns from the forecasts that mature. `level` returns
     /// the level, 0 to 1, of the region whose border contains the truth. The elapsed time limits the number
     /// of its calls. A time that is not newer than the last is ignored.
+    ///
+    /// The truth is known with the covariance of its estimate. The variance adds to the squared residuals,
+    /// and levels are those of [sigma points](https://doi.org/10.1109/JPROC.2003.823141) of the estimate.
     pub fn observe_with(
         &mut self,
         now_ns: i64,
-        agents: impl IntoIterator<Item = (u64, [f32; 2])>,
+        agents: impl IntoIterator<Item = (u64, Observed)>,
         mut level: impl FnMut(Matured<'_>) -> f64,
     ) {
         if now_ns <= self.now_ns {
@@ -142,8 +173,8 @@ impl Evidence {
         for (_, trace) in traces.extract_if(|_, trace| now_ns - trace.stamp_ns > gap_ns) {
             release(trace, spare, free);
         }
-        for (id, position_m) in agents {
-            self.observe_one(id, position_m);
+        for (id, observed) in agents {
+            self.observe_one(id, &observed);
         }
         for due in self.waiting.take(passed_s) {
             let level = level(due.matured());
@@ -164,11 +195,12 @@ impl Evidence {
     }
 
     /// As [`Evidence::observe_with`], without levels.
-    pub fn observe(&mut self, now_ns: i64, agents: impl IntoIterator<Item = (u64, [f32; 2])>) {
+    pub fn observe(&mut self, now_ns: i64, agents: impl IntoIterator<Item = (u64, Observed)>) {
         self.observe_with(now_ns, agents, |_| f64::NAN);
     }
 
-    fn observe_one(&mut self, id: u64, position_m: [f32; 2]) {
+    fn observe_one(&mut self, id: u64, observed: &Observed) {
+        let position_m = observed.position_m;
         let Self { now_ns, step_ns, knots, known, of_types, mixtures, free, waiting, .. } = self;
         let (now_ns, step_ns) = (*now_ns, *step_ns);
         let trace = match self.traces.entry(id) {
@@ -195,14 +227,17 @@ impl Evidence {
                 of_type.is_stale = true;
                 let velocity_m = pending.velocity_m[knot];
                 let taken_m = [0, 1].map(|axis| truth_m[axis] - velocity_m[axis]);
-                let deviation_m = DEVIATION_M * ((knots[knot] + 1) as f32).sqrt();
+                let [cos, sin] = pending.course;
+                let variances_m2 = [[cos, sin], [-sin, cos]].map(|direction| observed.variance_m2(direction));
+                let mean_m2 = 0.5 * (variances_m2[0] + variances_m2[1]);
+                let deviation_m = (DEVIATION_M.powi(2) * (knots[knot] + 1) as f32 + mean_m2).sqrt();
                 of_type.familiarity.add(pending.network_nearer(knot, taken_m, deviation_m, at_speeds));
                 if let Some(place) = pending.mixture {
                     mixtures[place].add_distances(knot, truth_m);
-                    waiting.push(mixtures[place].due(pending.context, knot, truth_m));
+                    let sample_m = observed.sigma_point(truth_m, waiting.any_of_four());
+                    waiting.push(mixtures[place].due(pending.context, knot, sample_m));
                 }
                 let [x, y] = [0, 1].map(|axis| truth_m[axis] - pending.centre_m[knot][axis]);
-                let [cos, sin] = pending.course;
                 let residual_m = [x * cos + y * sin, y * cos - x * sin];
                 pending.residuals_m[knot] = residual_m;
                 let of_modes = pending.mixture.filter(|_| pending.matured_count == KNOTS).map(|place| {
@@ -221,7 +256,7 @@ impl Evidence {
                             deviation_m,
                         };
                         knowledge.blend[knot].add(&outcome, share);
-                        knowledge.add_residual(knot, residual_m, deviation_m, share);
+                        knowledge.add_residual(knot, residual_m, variances_m2, deviation_m, share);
                         if let Some(((of_sets_m, of_middles_m), _)) = &of_modes {
                             knowledge.sets.add(&mut of_type.sets, *of_sets_m, share);
                             knowledge.of_middles.add(of_middles_m, share);

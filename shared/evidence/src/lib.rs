@@ -42,7 +42,7 @@
 //! A network that predicts twice the distance for agents that keep their velocity:
 //!
 //! ```
-//! use evidence::{Agent, EXPERTS, Evidence, Paths, Prior};
+//! use evidence::{Agent, EXPERTS, Evidence, Observed, Paths, Prior};
 //! use wire::{AgentType, Expert, HORIZON_MAX};
 //!
 //! const STEP_NS: i64 = 400_000_000;
@@ -50,7 +50,8 @@
 //! let before = evidence.weights(AgentType::Vehicle, 10.0)[11];
 //! for tick in 0..100 {
 //!     let x_m = 4.0 * tick as f32;
-//!     evidence.observe(tick * STEP_NS, [(1, [x_m, 0.0])]);
+//!     let observed = Observed { position_m: [x_m, 0.0], covariance_m2: [0.0; 3] };
+//!     evidence.observe(tick * STEP_NS, [(1, observed)]);
 //!     let velocity = std::array::from_fn(|step| [x_m + 4.0 * (step as f32 + 1.0), 0.0]);
 //!     let network = std::array::from_fn(|step| [x_m + 8.0 * (step as f32 + 1.0), 0.0]);
 //!     let mut experts = [velocity; EXPERTS];
@@ -82,7 +83,7 @@ pub use context::{BANDS, Context, SPEEDS_MPS, fill_unknown};
 pub use due::Matured;
 pub use fan::{FAN, Fan, Pattern};
 pub use ledger::numbers::NUMBERS_LEN;
-pub use ledger::{Agent, Evidence, Mixture};
+pub use ledger::{Agent, Evidence, Mixture, Observed};
 pub use paths::{MotionNow, Paths};
 pub use prior::{ContextPrior, Patterns, Prior, PriorError, Priors};
 pub use statistics::Statistics;

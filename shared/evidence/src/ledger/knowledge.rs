@@ -68,14 +68,22 @@ impl Knowledge {
         self.blend.iter_mut().for_each(|blend| blend.solve(known));
     }
 
-    /// Adds a residual at a knot along and across the course, clipped to [`OUTLIER`] deviations.
-    pub(super) fn add_residual(&mut self, knot: usize, residual_m: [f32; 2], floor_m: f32, weight: f32) {
+    /// Adds a residual at a knot along and across the course, clipped to [`OUTLIER`] deviations. The truth has
+    /// these variances.
+    pub(super) fn add_residual(
+        &mut self,
+        knot: usize,
+        residual_m: [f32; 2],
+        variances_m2: [f32; 2],
+        floor_m: f32,
+        weight: f32,
+    ) {
         let deviations_m = self.deviations_m(knot);
         let (squares, len) = &mut self.squares[knot];
         for axis in 0..2 {
             let most_m = OUTLIER * deviations_m[axis].max(floor_m);
             let residual_m = residual_m[axis].clamp(-most_m, most_m);
-            squares[axis] += f64::from(weight * residual_m * residual_m);
+            squares[axis] += f64::from(weight * (residual_m * residual_m + variances_m2[axis]));
         }
         *len += f64::from(weight);
     }

@@ -10,6 +10,11 @@ fn drive(steps: i64, factor: f32, level: f64) -> Evidence {
     drive_by(steps, |_| [1.0, factor, 1.0], level)
 }
 
+/// A position without error.
+const fn known(position_m: [f32; 2]) -> Observed {
+    Observed { position_m, covariance_m2: [0.0; 3] }
+}
+
 /// As [`drive`]. At each step the three factors scale the distances of constant velocity, the network and the
 /// blend.
 fn drive_by(steps: i64, factors: impl Fn(i64) -> [f32; 3], level: f64) -> Evidence {
@@ -22,7 +27,7 @@ fn drive_with(mut evidence: Evidence, steps: i64, factors: impl Fn(i64) -> [f32;
     let covariances_m2 = [[[1.0, 0.0, 1.0]; HORIZON_MAX]; MODES_MAX];
     for step in 0..steps {
         let x_m = 4.0 * step as f32;
-        evidence.observe_with(step * STEP_NS, [(AGENT.id, [x_m, 0.0])], |_| level);
+        evidence.observe_with(step * STEP_NS, [(AGENT.id, known([x_m, 0.0]))], |_| level);
         let now = MotionNow { position_m: [x_m, 0.0], velocity_mps: [10.0, 0.0], ..MotionNow::default() };
         let mut taken = [[0.0; 2]; HORIZON_MAX];
         now.steady(0.4, &mut taken);
@@ -268,8 +273,8 @@ fn what_is_known_of_agents_that_stay_away_for_days_lasts() {
 fn time_that_does_not_pass_teaches_nothing() {
     let mut evidence = drive(40, 1.5, 0.5);
     let before = evidence.weights(AGENT.agent_type, 10.0);
-    evidence.observe(39 * STEP_NS, [(AGENT.id, [1e6, 0.0])]);
-    evidence.observe(0, [(AGENT.id, [1e6, 0.0])]);
+    evidence.observe(39 * STEP_NS, [(AGENT.id, known([1e6, 0.0]))]);
+    evidence.observe(0, [(AGENT.id, known([1e6, 0.0]))]);
     assert_eq!(evidence.weights(AGENT.agent_type, 10.0), before);
 }
 
@@ -278,4 +283,40 @@ fn weights_between_the_knots_are_between_theirs() {
     let evidence = drive(60, 1.2, 0.5);
     let at = evidence.between_knots(&[[0.0], [2.0], [5.0], [11.0]]);
     assert!(at.iter().enumerate().all(|(step, [value])| (value - step as f32).abs() < 1e-5), "{at:?}");
+}
+
+#[test]
+fn the_sigma_points_have_the_mean_and_the_covariance_of_the_estimate() {
+    for covariance_m2 in [[0.5, 0.3, 0.4], [1.0, 0.0, 0.0], [0.0, 0.0, 2.0], [0.2, -0.2, 0.2]] {
+        let observed = Observed { position_m: [0.0; 2], covariance_m2 };
+        let points = [0, 1, 2, 3].map(|number| observed.sigma_point([3.0, -2.0], number));
+        let mean = |of: &dyn Fn(&[f32; 2]) -> f32| points.iter().map(of).sum::<f32>() / 4.0;
+        let of_centre = [mean(&|[x, _]| x - 3.0), mean(&|[_, y]| y + 2.0)];
+        let [xx, xy, yy] = [
+            mean(&|[x, _]| (x - 3.0).powi(2)),
+            mean(&|[x, y]| (x - 3.0) * (y + 2.0)),
+            mean(&|[_, y]| (y + 2.0).powi(2)),
+        ];
+        let off = |a: f32, b: f32| (a - b).abs();
+        assert!(of_centre.iter().all(|x| x.abs() < 1e-6), "{of_centre:?}");
+        let seen = [xx, xy, yy];
+        assert!(seen.iter().zip(covariance_m2).all(|(a, b)| off(*a, b) < 1e-5), "{seen:?} {covariance_m2:?}");
+    }
+}
+
+#[test]
+fn a_forecast_that_meets_an_uncertain_estimate_may_have_missed_the_truth() {
+    let deviations_m = |variance_m2: f32| {
+        let mut evidence = Evidence::new(12, STEP_NS as u64, &Prior::default());
+        let path = [[0.0; 2]; HORIZON_MAX];
+        for step in 0..200 {
+            let observed = Observed { position_m: [0.0; 2], covariance_m2: [variance_m2, 0.0, 0.0] };
+            evidence.observe(step * STEP_NS, [(AGENT.id, observed)]);
+            let paths = Paths { velocity: path, experts: [path; EXPERTS] };
+            evidence.store(step * STEP_NS, &AGENT, (&paths, &path), None);
+        }
+        evidence.fan(&AGENT, &path, &path).steps_m[0]
+    };
+    let ([sharp_m, _], [along_m, across_m]) = (deviations_m(0.0), deviations_m(0.25));
+    assert!(along_m > sharp_m + 0.3 && across_m < along_m - 0.3, "{sharp_m} {along_m} {across_m}");
 }
