@@ -19,7 +19,7 @@
 //!
 //! The published motion has the moments of all three.
 
-use filters::{Filter, FilterFault, Gaussian, Models, Observation, STEP_MAX_NS, moments, wrapped};
+use filters::{Filter, FilterFault, Gaussian, Models, Observation, STEP_MAX_NS, moments_near, wrapped};
 
 use crate::estimate::Fit;
 
@@ -58,6 +58,29 @@ pub struct Steady {
     probability: [f64; 3],
     /// Number of updates, up to [`UPDATES_MIN`].
     updates: u8,
+    changes: Changes,
+}
+
+/// Probabilities of changes between motions within a time.
+#[derive(Clone, Copy, Debug)]
+struct Changes {
+    dt_ns: u64,
+    begins: f64,
+    ends: f64,
+    stops: f64,
+    starts: f64,
+}
+
+impl Changes {
+    const IN_80_MS: Self =
+        Self { dt_ns: STEP_MAX_NS, begins: BEGINS, ends: ENDS, stops: STOPS, starts: STARTS };
+
+    fn within(dt_ns: u64) -> Self {
+        let steps = dt_ns as f64 / STEP_MAX_NS as f64;
+        let within = |probability: f64| 1.0 - (1.0 - probability).powf(steps);
+        let [begins, ends, stops, starts] = [BEGINS, ENDS, STOPS, STARTS].map(within);
+        Self { dt_ns, begins, ends, stops, starts }
+    }
 }
 
 impl Steady {
@@ -65,7 +88,14 @@ impl Steady {
     #[must_use]
     pub fn new(free: &Filter) -> Self {
         let (place_m, [xx, _, yy]) = free.position();
-        Self { filter: *free, place_m, place_variance: 0.5 * (xx + yy), probability: AT_BIRTH, updates: 0 }
+        Self {
+            filter: *free,
+            place_m,
+            place_variance: 0.5 * (xx + yy),
+            probability: AT_BIRTH,
+            updates: 0,
+            changes: Changes::IN_80_MS,
+        }
     }
 
     /// Begins again as the free motion if the free motion's filter is of another kind. Standing continues.
@@ -80,10 +110,11 @@ impl Steady {
     /// # Errors
     /// [`FilterFault`]; the steady motion is then unchanged.
     pub fn predict(&mut self, free: &Filter, dt_ns: u64, models: &Models) -> Result<(), FilterFault> {
-        let steps = dt_ns as f64 / STEP_MAX_NS as f64;
-        let within = |probability: f64| 1.0 - (1.0 - probability).powf(steps);
-        let [begins, ends, stops, starts] =
-            [BEGINS, ENDS, STOPS * slowness(&self.filter), STARTS].map(within);
+        if self.changes.dt_ns != dt_ns {
+            self.changes = Changes::within(dt_ns);
+        }
+        let Changes { begins, ends, stops, starts, .. } = self.changes;
+        let stops = stops * slowness(&self.filter);
         let [is_free, is_steady, stands] = self.probability;
         // A standing agent starts with a manoeuvre, and a free one stops.
         let next = [
@@ -92,24 +123,28 @@ impl Steady {
             (is_free * (1.0 - ends) + is_steady * (1.0 - begins)) * stops + stands * (1.0 - starts),
         ];
         self.filter = mixed(&self.filter, free, is_free * ends / next[STEADY]);
-        self.stop_at(
-            &mixed(free, &self.filter, is_steady / (is_free + is_steady)),
-            1.0 - stands * (1.0 - starts) / next[STANDING],
-        );
+        let share = is_steady / (is_free + is_steady);
+        self.stop_at(free, share, 1.0 - stands * (1.0 - starts) / next[STANDING]);
         self.place_variance += CREEP_M2 * dt_ns as f64 / 1e9;
         self.set(next);
         self.filter.predict(dt_ns, models)
     }
 
-    /// Mixes the position of a moving agent into the position of standing.
-    fn stop_at(&mut self, moving: &Filter, share: f64) {
-        let (position_m, [xx, _, yy]) = moving.position();
+    /// Mixes the position of a moving agent into the position of standing. It moves steadily with the
+    /// probability `is_steady`, and freely otherwise.
+    fn stop_at(&mut self, free: &Filter, is_steady: f64, share: f64) {
+        let ((free_m, free_m2), (steady_m, steady_m2)) = (free.position(), self.filter.position());
+        let variance = |[xx, _, yy]: [f64; 3]| 0.5 * (xx + yy);
+        let mut moving = (1.0 - is_steady) * variance(free_m2) + is_steady * variance(steady_m2);
         let mut spread = 0.0;
-        for (own, other) in self.place_m.iter_mut().zip(position_m) {
-            spread += 0.5 * share * (1.0 - share) * (other - *own).powi(2);
-            *own += share * (other - *own);
+        for (own, (free, steady)) in self.place_m.iter_mut().zip(free_m.into_iter().zip(steady_m)) {
+            let apart = steady - free;
+            moving += 0.5 * is_steady * (1.0 - is_steady) * apart * apart;
+            let off = free + is_steady * apart - *own;
+            spread += 0.5 * share * (1.0 - share) * off * off;
+            *own += share * off;
         }
-        self.place_variance += share * (0.5 * (xx + yy) - self.place_variance) + spread;
+        self.place_variance += share * (moving - self.place_variance) + spread;
     }
 
     /// Updates the motions and their probabilities by observations made `lag_s` after them, of which at most
@@ -179,7 +214,7 @@ impl Steady {
         }
         let sum: f64 = self.probability.iter().sum();
         let [_, steady, standing] = self.probability.map(|probability| share * probability / sum);
-        let weights = [1.0 - steady - standing, steady, standing];
+        let [is_free, is_steady, stands] = [1.0 - steady - standing, steady, standing];
         let variance = self.place_variance;
         match (free, &self.filter) {
             (Filter::ConstantVelocity(free), Filter::ConstantVelocity(steady)) => {
@@ -188,7 +223,10 @@ impl Steady {
                     [x, y, 0.0, 0.0],
                     [variance, variance, STANDING_VARIANCE, STANDING_VARIANCE],
                 );
-                Filter::ConstantVelocity(moments(weights.into_iter().zip([free, steady, &standing]), &[]))
+                Filter::ConstantVelocity(moments_near(
+                    &[(is_steady, steady), (is_free, free), (stands, &standing)],
+                    &[],
+                ))
             }
             (Filter::Bicycle(free), Filter::Bicycle(steady)) => {
                 let mut standing = *steady;
@@ -202,7 +240,10 @@ impl Steady {
                 }
                 standing.mean[3] = 0.0;
                 standing.mean[4] = 0.0;
-                Filter::Bicycle(moments(weights.into_iter().zip([free, steady, &standing]), &[2]))
+                Filter::Bicycle(moments_near(
+                    &[(is_steady, steady), (is_free, free), (stands, &standing)],
+                    &[2],
+                ))
             }
             _ => *free,
         }
@@ -247,10 +288,10 @@ fn slowness(filter: &Filter) -> f64 {
 fn mixed(from: &Filter, other: &Filter, share: f64) -> Filter {
     match (from, other) {
         (Filter::ConstantVelocity(a), Filter::ConstantVelocity(b)) => {
-            Filter::ConstantVelocity(moments([(1.0 - share, a), (share, b)].into_iter(), &[]))
+            Filter::ConstantVelocity(moments_near(&[(1.0 - share, a), (share, b)], &[]))
         }
         (Filter::Bicycle(a), Filter::Bicycle(b)) => {
-            Filter::Bicycle(moments([(1.0 - share, a), (share, b)].into_iter(), &[2]))
+            Filter::Bicycle(moments_near(&[(1.0 - share, a), (share, b)], &[2]))
         }
         _ => *from,
     }

@@ -131,7 +131,7 @@ pub use filter::{Filter, Kind, Models, Unknown};
 pub use gaussian::{FilterFault, Gaussian};
 pub use innovation::{Evidence, Innovation, MEASURED_MAX};
 pub use mixture::{Ahead, Mixture};
-pub use moments::{difference, interpolated, mean, moments, sample_moments};
+pub use moments::{difference, interpolated, mean, moments, moments_near, sample_moments};
 pub use observation::{Motion, OBSERVATIONS_MAX, Observation};
 pub use particles::Particles;
 pub use priors::Priors;

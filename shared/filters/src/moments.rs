@@ -53,6 +53,26 @@ pub fn moments<'a, const N: usize>(
     Gaussian { mean, covariance: symmetrised(&covariance) }
 }
 
+/// As [`moments`], without circular means: the components `angles` are taken relative to the first component's,
+/// and the others are assumed to be near it. There is at least one component.
+#[must_use]
+pub fn moments_near<const N: usize>(components: &[(f64, &Gaussian<N>)], angles: &[usize]) -> Gaussian<N> {
+    let [(_, first), others @ ..] = components else { return Gaussian::new([0.0; N], [0.0; N]) };
+    let off = |component: &Gaussian<N>| difference(&component.mean, &first.mean, angles);
+    let shift =
+        others.iter().fold(SVector::zeros(), |sum, &(weight, component)| sum + off(component) * weight);
+    let mut covariance = SMatrix::zeros();
+    for &(weight, component) in components {
+        let off = off(component) - shift;
+        covariance += (component.covariance + off * off.transpose()) * weight;
+    }
+    let mut mean = first.mean + shift;
+    for &angle in angles {
+        mean[angle] = wrapped(mean[angle]);
+    }
+    Gaussian { mean, covariance }
+}
+
 /// Sample mean of equally likely points, and their sample covariance with divisor n − 1.
 #[must_use]
 pub fn sample_moments<const N: usize>(points: &[SVector<f64, N>], angles: &[usize]) -> Gaussian<N> {

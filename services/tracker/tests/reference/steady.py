@@ -79,7 +79,8 @@ def normalised(shares):
 
 def chained(mu, slow, dt):
     """Probabilities of the motions after a time, and the matrix that leads there."""
-    begins, ends, stops, starts = (1 - (1 - p) ** (dt / STEP_S) for p in (BEGINS, ENDS, STOPS * slow, STARTS))
+    begins, ends, stops, starts = (1 - (1 - p) ** (dt / STEP_S) for p in (BEGINS, ENDS, STOPS, STARTS))
+    stops *= slow
     # Rows: from free, steady, standing. Columns: to the same.
     chain = [
         [(1 - ends) * (1 - stops), ends, (1 - ends) * stops],
@@ -188,13 +189,16 @@ def measured(state, z, r):
     return mean, added(product(product(left, cov), transposed(left)), noise)
 
 
-def circular_moments(parts):
-    """As moments; the mean heading is circular."""
-    mean = [sum(w * s[0][i] for w, s in parts) for i in range(5)]
-    mean[2] = math.atan2(*(sum(w * of(s[0][2]) for w, s in parts) for of in (math.sin, math.cos)))
+def moments_about(parts):
+    """As moments, with headings relative to the first part's."""
+    first = parts[0][1][0]
+    away = [[wrapped(a - b) if i == 2 else a - b for i, (a, b) in enumerate(zip(s[0], first))] for _, s in parts]
+    shift = [sum(w * off[i] for (w, _), off in zip(parts, away)) for i in range(5)]
+    mean = [a + b for a, b in zip(first, shift)]
+    mean[2] = wrapped(mean[2])
     cov = [[0.0] * 5 for _ in range(5)]
-    for w, (own, own_cov) in parts:
-        off = [wrapped(a - b) if i == 2 else a - b for i, (a, b) in enumerate(zip(own, mean))]
+    for (w, (_, own_cov)), off in zip(parts, away):
+        off = [a - b for a, b in zip(off, shift)]
         cov = [[c + w * (o + off[i] * off[j]) for j, (c, o) in enumerate(zip(row, own_cov[i]))] for i, row in enumerate(cov)]
     return mean, cov
 
@@ -214,9 +218,9 @@ class Driving:
         slow = math.exp(-0.5 * mean[3] ** 2 / (STOPPING_MPS**2 + cov[3][3]))
         c, chain = chained(self.mu, slow, dt)
         share = self.mu[0] * chain[0][1] / c[1]
-        self.steady = circular_moments([(1 - share, self.steady), (share, self.free)])
+        self.steady = moments_about([(1 - share, self.steady), (share, self.free)])
         moving = self.mu[0] + self.mu[1]
-        mean, cov = circular_moments([(self.mu[0] / moving, self.free), (self.mu[1] / moving, self.steady)])
+        mean, cov = moments_about([(self.mu[0] / moving, self.free), (self.mu[1] / moving, self.steady)])
         share = 1 - self.mu[2] * chain[2][2] / c[2]
         spread = sum(0.5 * share * (1 - share) * (m - p) ** 2 for m, p in zip(mean, self.place))
         self.place = [p + share * (m - p) for m, p in zip(mean, self.place)]
@@ -252,7 +256,8 @@ class Driving:
         ]
         standing = [*self.place, mean[2], 0.0, 0.0], stands
         total = sum(self.mu)
-        return circular_moments([(m / total, s) for m, s in zip(self.mu, (self.free, self.steady, standing))])
+        parts = [(m / total, s) for m, s in zip(self.mu, (self.free, self.steady, standing))]
+        return moments_about([parts[1], parts[0], parts[2]])
 
 
 def uniforms():
