@@ -121,6 +121,9 @@ class Doubts(enum.IntFlag):
     PLACEHOLDERS = 65536  # Positions that are placeholders for missing ones.
     IDENTITIES_JUMP = 131072  # Identities jump from one agent to another.
     NOISE_CHANGED = 262144  # The noise of the positions has changed by a factor of three.
+    GEOGRAPHIC = 1048576  # Positions are degrees of longitude and latitude.
+    STACKED = 2097152  # Boxes are on top of each other.
+    SPARSE = 4194304  # Frames are too far apart for agents without identities.
 
 
 class StageId(enum.IntEnum):

@@ -24,6 +24,9 @@ const GRID_NS: i64 = 2_000_000_000;
 const FIRST_STEP_M: f64 = 4.0;
 /// Measurement error that is allowed in addition to the agent's motion.
 const SLACK_M: f64 = 0.5;
+/// Longest step, and measurement error, of a path that is too fast for its type.
+const FAST_STEP_S: f64 = 1.0;
+const FAST_SLACK_M: f64 = 0.1;
 /// Coordinates that mark a missing position.
 const PLACEHOLDERS_M: [f32; 2] = [0.0, -1.0];
 
@@ -66,7 +69,7 @@ impl Spot {
         PLACEHOLDERS_M.into_iter().any(|placeholder| x_m == placeholder && y_m == placeholder)
     }
 
-    fn way_m(&self, to: &Self) -> [f64; 2] {
+    pub fn way_m(&self, to: &Self) -> [f64; 2] {
         [0, 1].map(|axis| f64::from(to.position_m[axis]) - f64::from(self.position_m[axis]))
     }
 
@@ -114,6 +117,8 @@ pub(crate) struct Step {
     pub directed: Option<Directed>,
     /// The same chord if it has a direction, with the numbers that all its rows have.
     pub constant: Option<Constant>,
+    /// The speed of a path that is too fast for the agent's type. The detection belongs to no agent then.
+    pub too_fast_mps: Option<f64>,
 }
 
 /// A chord with a direction, and the speed and the heading if they are equal in all its rows.
@@ -153,6 +158,8 @@ pub(crate) struct Agent {
     chord_mps: Option<[f64; 2]>,
     /// Number of detections since `first`.
     rows: u64,
+    /// A path of single detections that leads here and is too fast for the type: its velocity and steps.
+    pub fast: Option<([f64; 2], u32)>,
 }
 
 impl Agent {
@@ -170,6 +177,27 @@ impl Agent {
             is_constant: [true; 2],
             chord_mps: None,
             rows: 1,
+            fast: None,
+        }
+    }
+
+    /// The velocity and the steps of a path that is too fast for the type, if it leads from this single detection to
+    /// the spot.
+    pub fn leads_to(&self, spot: &Spot) -> Option<([f64; 2], u32)> {
+        let elapsed_s = (spot.stamp_ns - self.last.stamp_ns) as f64 * 1e-9;
+        let [_, _, most_mps] = usual_mps(self.agent_type);
+        if self.velocity_mps.is_some() || !(0.0..=FAST_STEP_S).contains(&elapsed_s) || elapsed_s == 0.0 {
+            return None;
+        }
+        let new @ [x_mps, y_mps] = self.last.way_m(spot).map(|way_m| way_m / elapsed_s);
+        let speed_mps = x_mps.hypot(y_mps);
+        (most_mps..limit_mps(AgentType::Vehicle)).contains(&speed_mps).then_some(())?;
+        match self.fast {
+            Some((old, steps)) => {
+                let change_mps = (new[0] - old[0]).hypot(new[1] - old[1]);
+                (change_mps <= 0.1 * speed_mps + FAST_SLACK_M / elapsed_s).then_some((new, steps + 1))
+            }
+            None => Some((new, 1)),
         }
     }
 
@@ -289,11 +317,12 @@ impl Agent {
         let [x_m, y_m] = first.way_m(&last);
         let way_m = x_m.hypot(y_m);
         let (rows, place) = (rows - 1, first.place);
-        step.chord = Some(Chord { way_m, elapsed_s, reported_m: reported_m.map(f64::abs), rows, place });
         let [way_min_m, speed_min_mps] = DIRECTED;
         let is_directed = way_m >= way_min_m && way_m / elapsed_s >= speed_min_mps;
         let chord_mps = [x_m / elapsed_s, y_m / elapsed_s];
         let steady = self.chord_mps.replace(chord_mps).is_some_and(|before| is_steady(before, chord_mps));
+        step.chord =
+            Some(Chord { way_m, elapsed_s, reported_m: reported_m.map(f64::abs), rows, place, steady });
         let [speed, heading] = [first.speed_mps, first.heading];
         step.constant = is_directed.then_some(Constant {
             speed: speed.filter(|_| self.is_constant[0]),

@@ -4,6 +4,8 @@ use crate::agent::{Agent, GAP_MAX_NS, Spot, Step};
 
 /// Number of places in a set, among which an identity is looked up.
 const WAYS: usize = 4;
+/// Smallest number of steps of a path that is too fast for its type. Single false detections make shorter ones.
+const FAST_STEPS_MIN: u32 = 3;
 /// Largest number of agents without identities.
 const LOOSE_MAX: usize = wire::DETECTIONS_MAX;
 
@@ -45,18 +47,26 @@ impl Agents {
     /// yet. Returns `None` if the agent is new.
     pub fn loose(&mut self, frame: u64, agent_type: AgentType, spot: Spot) -> Option<Step> {
         let mut nearest: Option<(f64, usize)> = None;
+        // The path with most steps.
+        let mut fast: Option<([f64; 2], u32)> = None;
         let mut place = 0;
         while let Some((agent, seen)) = self.loose.get(place) {
             if spot.stamp_ns - agent.seen_ns > GAP_MAX_NS || spot.stamp_ns < agent.seen_ns {
                 self.loose.swap_remove(place);
                 continue;
             }
-            if *seen != frame
-                && agent.agent_type == agent_type
-                && let Some(distance_m) = agent.is_near(&spot)
-                && nearest.is_none_or(|(least_m, _)| distance_m < least_m)
-            {
-                nearest = Some((distance_m, place));
+            if *seen != frame && agent.agent_type == agent_type {
+                match agent.is_near(&spot) {
+                    Some(distance_m) if nearest.is_none_or(|(least_m, _)| distance_m < least_m) => {
+                        nearest = Some((distance_m, place));
+                    }
+                    Some(_) => {}
+                    None => {
+                        let found = agent.leads_to(&spot);
+                        let steps = |path: Option<([f64; 2], u32)>| path.map_or(0, |(_, steps)| steps);
+                        fast = if steps(found) > steps(fast) { found } else { fast };
+                    }
+                }
             }
             place += 1;
         }
@@ -66,8 +76,11 @@ impl Agents {
             return Some(agent.step(spot, agent_type, false));
         }
         if self.loose.len() < LOOSE_MAX {
-            self.loose.push((Agent::new(agent_type, spot), frame));
+            let mut agent = Agent::new(agent_type, spot);
+            agent.fast = fast;
+            self.loose.push((agent, frame));
         }
-        None
+        let ([x_mps, y_mps], _) = fast.filter(|(_, steps)| *steps >= FAST_STEPS_MIN)?;
+        Some(Step { too_fast_mps: Some(x_mps.hypot(y_mps)), ..Step::default() })
     }
 }

@@ -43,6 +43,12 @@ wire::named! {
         IdentitiesJump = doubts::IDENTITIES_JUMP => "identities_jump",
         /// The noise of the positions has changed by a factor of three.
         NoiseChanged = doubts::NOISE_CHANGED => "noise_changed",
+        /// Positions are degrees of longitude and latitude.
+        Geographic = doubts::GEOGRAPHIC => "geographic",
+        /// Boxes are on top of each other.
+        Stacked = doubts::STACKED => "stacked",
+        /// Frames are too far apart for agents without identities.
+        Sparse = doubts::SPARSE => "sparse",
     }
 }
 
@@ -79,6 +85,9 @@ impl Doubt {
             Self::Placeholders => "positions look like placeholders for missing ones",
             Self::IdentitiesJump => "identities jump: they are swapped or reused",
             Self::NoiseChanged => "the noise of the positions has changed by a factor of three",
+            Self::Geographic => "positions look like degrees of longitude and latitude",
+            Self::Stacked => "boxes are on top of each other, as if objects were detected twice",
+            Self::Sparse => "frames are too far apart to follow agents without identities",
         }
     }
 
@@ -103,6 +112,9 @@ impl Doubt {
             Self::Placeholders => "leave these rows out; they count as missed detections",
             Self::IdentitiesJump => "check the identities, or let the tracker associate (--associate)",
             Self::NoiseChanged => "check the detector",
+            Self::Geographic => "project them to metres, such as UTM less the coordinates of a point nearby",
+            Self::Stacked => "write each object once",
+            Self::Sparse => "write identities, or more frames a second",
         }
     }
 }

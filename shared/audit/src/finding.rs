@@ -35,6 +35,11 @@ pub(crate) enum Detail {
     Interval {
         interval_s: f64,
     },
+    /// Paths that are too fast for a type.
+    TooFast {
+        agent_type: AgentType,
+        speed_mps: f64,
+    },
     /// A number that stands for "unknown".
     Unknown {
         value: f64,
@@ -202,6 +207,15 @@ impl fmt::Display for Finding {
                     f,
                     "{column} are {value} while agents move otherwise: leave the column empty if it is unknown"
                 )
+            }
+            Detail::TooFast { agent_type, speed_mps } => write!(
+                f,
+                "{} move at {speed_mps:.1} m/s and are not tracked: are positions in metres, times in seconds, and is \
+                 the type right?",
+                plural(agent_type)
+            ),
+            Detail::Interval { interval_s } if self.doubt == Doubt::Sparse => {
+                write!(f, "{observation}, {interval_s:.1} s: {remedy}")
             }
             Detail::Interval { interval_s } => interval(f, self.doubt, interval_s),
             Detail::None | Detail::Heading(_) => write!(f, "{observation}: {remedy}"),

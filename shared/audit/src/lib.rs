@@ -32,6 +32,7 @@ mod headings;
 mod histogram;
 mod live;
 mod noise;
+mod positions;
 mod speeds;
 mod stamps;
 mod tally;
@@ -47,6 +48,7 @@ pub use finding::{DOUBT_SHARE, Finding, Found};
 use headings::{Convention, Headings};
 pub use live::LiveAudit;
 pub use noise::{Noise, TypeNoise, noise_words};
+use positions::{Extent, Stacks};
 use speeds::{Speeds, Unit};
 use stamps::Stamps;
 pub use tally::Place;
@@ -103,6 +105,12 @@ pub struct Audit {
     placeholders: Tally,
     loose_placeholders: Tally,
     jumps: Tally,
+    extent: Extent,
+    stacks: Stacks,
+    /// Detections of loose agents that are too fast for their type, and their speed.
+    fast: [(Tally, f64); TYPES.len()],
+    /// Detections without identities.
+    loose: Tally,
 }
 
 impl Audit {
@@ -129,6 +137,10 @@ impl Audit {
             placeholders: Tally::default(),
             loose_placeholders: Tally::default(),
             jumps: Tally::default(),
+            extent: Extent::default(),
+            stacks: Stacks::new(),
+            fast: Default::default(),
+            loose: Tally::default(),
         }
     }
 
@@ -143,6 +155,8 @@ impl Audit {
         (self.repeated, self.repeated_off_grid, self.on_grid_rows) = Default::default();
         (self.outliers, self.placeholders, self.jumps) = Default::default();
         self.loose_placeholders = Tally::default();
+        (self.extent, self.fast, self.loose) = Default::default();
+        self.stacks.clear();
     }
 
     /// Starts a frame. The detections that follow were made at about the same time.
@@ -162,7 +176,9 @@ impl Audit {
         self.rows += 1;
         self.by_type[of_type].0 += 1;
         let spot = Spot::new(stamp_ns, detection, place);
-        self.stamps.row(stamp_ns);
+        self.stamps.row(stamp_ns, self.frames);
+        self.extent.row(&spot);
+        self.stacks.row(self.frames, detection, place);
         if let Some(heading) = spot.heading {
             self.headings.row(heading, place);
         }
@@ -182,9 +198,15 @@ impl Audit {
                 self.loose_placeholders.add(1, place);
             }
             self.speeds[of_type].is_loose();
+            self.loose.add(1, place);
             self.agents.loose(self.frames, agent_type, spot)
         };
         match step {
+            Some(Step { too_fast_mps: Some(speed_mps), .. }) => {
+                self.by_type[of_type].1 += 1;
+                self.fast[of_type].0.add(1, place);
+                self.fast[of_type].1 = speed_mps;
+            }
             Some(step) => self.step(of_type, &step, place),
             None => self.by_type[of_type].1 += 1,
         }
@@ -213,6 +235,7 @@ impl Audit {
             place.into_iter().for_each(|place| tally.add(1, place));
         }
         if let Some(chord) = step.chord {
+            self.extent.way(chord.way_m / chord.elapsed_s, chord.steady, chord.rows);
             self.speeds[of_type].chord(TYPES[of_type], chord);
         }
         if let Some(directed) = &step.directed {
@@ -318,6 +341,9 @@ impl Audit {
         let walking = &self.speeds[AgentType::Pedestrian as usize];
         let walks = walking.moving_mps().is_some() && walking.unusual(AgentType::Pedestrian).is_none();
         self.stamps.visit(knows_speeds || walks, self.rows, &mut take);
+        if let Some(interval_s) = self.stamps.sparse_s() {
+            take(Finding::new(Doubt::Sparse, self.loose, self.rows, Detail::Interval { interval_s }));
+        }
         let is_grid = self.on_grid_rows > self.repeated_off_grid.rows;
         let repeated = if is_grid { self.repeated_off_grid } else { self.repeated };
         for (doubt, tally) in [
@@ -335,7 +361,15 @@ impl Audit {
     fn visit_speeds(&self, agent_type: AgentType, take: &mut impl FnMut(Finding)) {
         let speeds = &self.speeds[agent_type as usize];
         let frame_rate = self.frame_rate;
-        if let Some((speeds_mps, tally)) = speeds.unusual(agent_type) {
+        let (fast, speed_mps) = self.fast[agent_type as usize];
+        if fast.rows > 0 {
+            take(Finding::new(
+                Doubt::SpeedsUnusual,
+                fast,
+                self.rows,
+                Detail::TooFast { agent_type, speed_mps },
+            ));
+        } else if let Some((speeds_mps, tally)) = speeds.unusual(agent_type) {
             let detail = Detail::Speeds { agent_type, speeds_mps, frame_rate };
             take(Finding::new(Doubt::SpeedsUnusual, tally, self.rows, detail));
         }
@@ -362,6 +396,11 @@ impl Audit {
         let moves = self.speeds.iter().any(|speeds| speeds.moving_mps().is_some());
         if moves && self.whole.rows >= WHOLE_MIN && self.whole.rows == self.rows {
             take(Finding::new(Doubt::Pixels, self.whole, self.rows, Detail::None));
+        }
+        if let Some(all) = self.extent.degrees(self.frames) {
+            take(Finding::new(Doubt::Geographic, all, self.rows, Detail::None));
+        } else if let Some(stacked) = self.stacks.doubt(self.rows) {
+            take(Finding::new(Doubt::Stacked, stacked, self.rows, Detail::None));
         }
         let mut placeholders = self.placeholders;
         if let Some(first) = self.loose_placeholders.first

@@ -215,4 +215,110 @@ mod tests {
             assert_eq!(audit.doubts(), Doubt::StampsGoBack.bit(), "{set_back}");
         }
     }
+
+    /// The doubts about frames of detections without identities: type, position and length of each.
+    fn of_frames(
+        frames: u64,
+        interval_ns: i64,
+        detections: impl Fn(u64) -> Vec<(AgentType, [f32; 2], f32)>,
+    ) -> LiveAudit {
+        let mut audit = LiveAudit::default();
+        for seq in 0..frames {
+            let detections = detections(seq).into_iter().map(|(agent_type, [x_m, y_m], length_m)| {
+                let sized =
+                    if length_m > 0.0 { detection_flags::HAS_SIZE | detection_flags::HAS_HEADING } else { 0 };
+                let agent_type = agent_type as u32;
+                Detection {
+                    x_m,
+                    y_m,
+                    length_m,
+                    width_m: 1.8,
+                    flags: sized,
+                    agent_type,
+                    ..Detection::default()
+                }
+            });
+            audit.frame(&Header::new(1, seq, seq as i64 * interval_ns), &detections.collect::<Vec<_>>());
+        }
+        audit
+    }
+
+    #[test]
+    fn degrees_of_longitude_and_latitude_are_found() {
+        // Cars at several places of the earth, one alone and four together, in either order, at 2 to 20 Hz.
+        for (place, ns) in [([11.5, 48.0], 1), ([-122.4, 37.8], 5), ([139.7, 35.6], 2), ([48.0, 11.5], 1)] {
+            for cars in [1_u64, 4] {
+                let detections = |seq: u64| {
+                    let way = |car: u64| (6.0 + car as f32) * (seq as i64 * ns) as f32 * 0.1 / 80_000.0;
+                    let car =
+                        |car| (AgentType::Vehicle, [place[0] + way(car), place[1] + car as f32 * 1e-4], 0.0);
+                    (0..cars).map(car).collect()
+                };
+                let doubts = of_frames(160, ns * TENTH_NS, detections).doubts();
+                assert_eq!(doubts & Doubt::Geographic.bit(), Doubt::Geographic.bit(), "{place:?} {cars}");
+            }
+        }
+        // A parked car, and one that stands beside a walker.
+        let parked = |seq: u64| vec![(AgentType::Vehicle, [11.5 + 0.01 * (seq % 3) as f32, 48.0], 0.0)];
+        assert_eq!(of_frames(160, TENTH_NS, parked).doubts(), 0);
+    }
+
+    #[test]
+    fn boxes_on_top_of_each_other_are_found() {
+        let cars = |gap_m: f32, length_m: f32| {
+            of_frames(160, TENTH_NS, move |seq| {
+                let car = |place: usize| {
+                    let x_m = 0.8 * seq as f32 + gap_m * (place % 2) as f32;
+                    (AgentType::Vehicle, [x_m, 6.0 * (place / 2) as f32], length_m)
+                };
+                (0..6).map(car).collect()
+            })
+        };
+        for (gap_m, length_m) in [(0.4, 4.5), (0.0, 4.5), (1.5, 4.5), (0.4, 0.0)] {
+            assert_eq!(cars(gap_m, length_m).doubts(), Doubt::Stacked.bit(), "{gap_m} {length_m}");
+        }
+        // Queues of cars.
+        assert_eq!([cars(5.0, 4.5).doubts(), cars(5.0, 0.0).doubts()], [0, 0]);
+    }
+
+    #[test]
+    fn types_that_are_too_slow_for_their_paths_are_found() {
+        let car = |speed_mps: f32, agent_type| {
+            move |seq: u64| {
+                let agent_type = if seq < 30 { agent_type } else { AgentType::Vehicle };
+                vec![(agent_type, [speed_mps * 0.1 * seq as f32 + 0.01, 0.0], 0.0)]
+            }
+        };
+        for (speed_mps, agent_type) in
+            [(9.0, AgentType::Pedestrian), (14.0, AgentType::Pedestrian), (21.0, AgentType::Cyclist)]
+        {
+            let mut audit = of_frames(160, TENTH_NS, car(speed_mps, agent_type));
+            assert_eq!(audit.doubts(), Doubt::SpeedsUnusual.bit(), "{speed_mps}");
+            let sentence = audit.take_new()[0].to_string();
+            assert!(
+                sentence.contains(&format!("move at {speed_mps:.1} m/s")) && sentence.contains("type right")
+            );
+        }
+        assert_eq!(of_frames(160, TENTH_NS, car(1.4, AgentType::Pedestrian)).doubts(), 0);
+    }
+
+    #[test]
+    fn frames_that_are_too_far_apart_are_found() {
+        let cars = |interval_s: i64| {
+            let car = move |seq: u64, lane: u64| {
+                let speed_mps = 7.0 + lane as f32;
+                (
+                    AgentType::Vehicle,
+                    [speed_mps * (interval_s as u64 * seq) as f32 + 0.1, 7.0 * lane as f32],
+                    0.0,
+                )
+            };
+            of_frames(64, interval_s * 10 * TENTH_NS, move |seq| (0..3).map(|lane| car(seq, lane)).collect())
+        };
+        assert_eq!(
+            [3, 4].map(|interval_s| cars(interval_s).doubts() & Doubt::Sparse.bit()),
+            [Doubt::Sparse.bit(); 2]
+        );
+        assert_eq!(cars(1).doubts() & Doubt::Sparse.bit(), 0);
+    }
 }

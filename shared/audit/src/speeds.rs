@@ -45,6 +45,8 @@ pub(crate) struct Chord {
     pub reported_m: Option<f64>,
     pub rows: u64,
     pub place: Place,
+    /// Whether the motion continues that of the previous chord.
+    pub steady: bool,
 }
 
 /// Usual speeds of the moving agents of a type: smallest and largest median, largest 95th percentile.
@@ -126,7 +128,7 @@ impl Speeds {
     }
 
     pub fn chord(&mut self, agent_type: AgentType, chord: Chord) {
-        let Chord { way_m, elapsed_s, reported_m, rows, place } = chord;
+        let Chord { way_m, elapsed_s, reported_m, rows, place, .. } = chord;
         let speed_mps = way_m / elapsed_s;
         if speed_mps >= MOVING_MPS {
             self.moving_mps.add(speed_mps);

@@ -7,6 +7,9 @@ const SECOND_NS: i64 = 1_000_000_000;
 const INTERVALS_MIN: u64 = 20;
 /// Shortest interval of a real sensor.
 const INTERVAL_MIN_S: f64 = 0.001;
+/// Interval between frames over which agents without identities can't be followed, and smallest number of intervals.
+const SPARSE_S: f64 = 2.2;
+const FRAMES_MIN: u64 = 8;
 /// Longest interval between frame numbers, in frames.
 const FRAMES_MAX: f64 = 20.0;
 
@@ -19,6 +22,10 @@ pub(crate) struct Stamps {
     /// Rows whose stamp is a whole second.
     whole: u64,
     intervals: Tally,
+    /// The newest frame with a detection and its first stamp, and the intervals between frames.
+    frame: Option<(u64, i64)>,
+    frame_counts: Octaves,
+    frame_intervals: u64,
 }
 
 /// Number and sum of intervals by octave.
@@ -31,8 +38,35 @@ impl Default for Octaves {
     }
 }
 
+impl Octaves {
+    fn add(&mut self, interval_ns: i64) {
+        let octave = &mut self.0[interval_ns.max(1).ilog2() as usize];
+        *octave = (octave.0 + 1, octave.1 + interval_ns as f64);
+    }
+
+    /// The median of this number of intervals, as the mean of its octave.
+    fn median_s(&self, len: u64) -> Option<f64> {
+        let mut before = 0;
+        let median = self.0.iter().find(|(count, _)| {
+            before += count;
+            2 * before > len
+        });
+        median.map(|(count, sum_ns)| sum_ns / *count as f64 * 1e-9)
+    }
+}
+
 impl Stamps {
-    pub fn row(&mut self, stamp_ns: i64) {
+    pub fn row(&mut self, stamp_ns: i64, frame: u64) {
+        match self.frame {
+            Some((newest, _)) if newest == frame => {}
+            before => {
+                if let Some((_, before_ns)) = before {
+                    self.frame_counts.add(stamp_ns.saturating_sub(before_ns));
+                    self.frame_intervals += 1;
+                }
+                self.frame = Some((frame, stamp_ns));
+            }
+        }
         self.rows += 1;
         self.whole += u64::from(stamp_ns % SECOND_NS == 0);
     }
@@ -40,23 +74,21 @@ impl Stamps {
     /// Adds the time between two detections of an agent.
     pub fn interval(&mut self, interval_ns: i64, place: Place) {
         self.intervals.add(1, place);
-        let octave = &mut self.counts.0[interval_ns.max(1).ilog2() as usize];
-        *octave = (octave.0 + 1, octave.1 + interval_ns as f64);
+        self.counts.add(interval_ns);
     }
 
-    /// The median, as the mean of its octave.
-    fn interval_s(&self) -> Option<f64> {
-        let mut before = 0;
-        let median = self.counts.0.iter().find(|(count, _)| {
-            before += count;
-            2 * before > self.intervals.rows
-        });
-        median.map(|(count, sum_ns)| sum_ns / *count as f64 * 1e-9)
+    /// The usual interval between frames, if agents without identities can't be followed over it.
+    pub fn sparse_s(&self) -> Option<f64> {
+        let interval_s = self.frame_counts.median_s(self.frame_intervals)?;
+        let is_sparse = (SPARSE_S..=INTERVAL_MAX_S).contains(&interval_s);
+        (is_sparse && self.frame_intervals >= FRAMES_MIN).then_some(interval_s)
     }
 
     /// Passes the faults of the stamps to `take`. `is_known` is set if speeds confirm that they are seconds.
     pub fn visit(&self, is_known: bool, rows: u64, take: &mut impl FnMut(Finding)) {
-        let Some(interval_s) = self.interval_s().filter(|_| self.intervals.rows >= INTERVALS_MIN) else {
+        let Some(interval_s) =
+            self.counts.median_s(self.intervals.rows).filter(|_| self.intervals.rows >= INTERVALS_MIN)
+        else {
             return;
         };
         let detail = Detail::Interval { interval_s };

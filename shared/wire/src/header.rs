@@ -73,6 +73,12 @@ pub mod doubts {
         pub const IDENTITIES_JUMP: u32 = 1 << 17;
         /// The noise of the positions has changed by a factor of three.
         pub const NOISE_CHANGED: u32 = 1 << 18;
+        /// Positions are degrees of longitude and latitude.
+        pub const GEOGRAPHIC: u32 = 1 << 20;
+        /// Boxes are on top of each other.
+        pub const STACKED: u32 = 1 << 21;
+        /// Frames are too far apart for agents without identities.
+        pub const SPARSE: u32 = 1 << 22;
     }
 }
 
