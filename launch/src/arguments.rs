@@ -50,6 +50,10 @@ pub struct SceneArguments {
     /// published rate of the data set
     #[arg(long, value_name = "HZ", requires = "played")]
     fps: Option<FrameRate>,
+    /// Topic of a bag whose objects are read; may be given several times. By default those of Autoware's own
+    /// detections or tracks, or else all with detections
+    #[arg(long, value_name = "NAME", requires = "played")]
+    topic: Vec<String>,
     /// Origin of the world frame in the frame of recording, detections and map, in metres, such as
     /// 458000,5428000. The run subtracts it from all positions; files of forecasts use the recording's frame
     #[arg(long, value_name = "X,Y", allow_hyphen_values = true)]
@@ -79,6 +83,10 @@ pub struct ReadArguments {
     /// published rate of the data set
     #[arg(long, value_name = "HZ")]
     pub fps: Option<FrameRate>,
+    /// Topic of a bag whose objects are read; may be given several times. By default those of Autoware's own
+    /// detections or tracks, or else all with detections
+    #[arg(long, value_name = "NAME")]
+    pub topic: Vec<String>,
     /// Origin of the world frame in the recordings' frame, in metres, such as 458000,5428000. It is
     /// subtracted from all positions
     #[arg(long, value_name = "X,Y", allow_hyphen_values = true)]
@@ -217,11 +225,13 @@ impl SceneArguments {
             // recording.
             recording.is_some().then(|| unset("--recording", "format")),
             recording.is_some().then(|| unset("--recording", "fps")),
+            recording.is_some().then(|| unset("--recording", "topics")),
             self.agents.map(|_| unset("--agents", "recording")),
             self.noise.map(|_| unset("--noise", "recording")),
             recording.map(|path| source("--recording", "recording", path.into())),
             self.format.map(|format| source("--format", "format", format.name().into())),
             self.fps.map(|fps| source("--fps", "fps", fps.hertz().into())),
+            (!self.topic.is_empty()).then(|| source("--topic", "topics", self.topic.clone().into())),
             self.agents.map(|agents| source("--agents", "agents", agents.into())),
             self.noise.map(|noise_m| source("--noise", "noise_m", noise_m.into())),
             self.ticks.map(|ticks| source("--ticks", "ticks", ticks.into())),
@@ -233,7 +243,8 @@ impl SceneArguments {
 impl ReadArguments {
     /// Returns the options with which recordings are opened.
     pub fn options(&self) -> OpenOptions {
-        OpenOptions { format: self.format, fps: self.fps, origin: self.origin.unwrap_or_default() }
+        let (format, fps, topics) = (self.format, self.fps, self.topic.clone());
+        OpenOptions { format, fps, origin: self.origin.unwrap_or_default(), topics }
     }
 
     /// Returns these arguments as command-line text, each after a space.
@@ -241,7 +252,8 @@ impl ReadArguments {
         let format = self.format.map(|format| format!(" --format {format}"));
         let fps = self.fps.map(|fps| format!(" --fps {fps}"));
         let origin = self.origin.map(|origin| format!(" --origin {origin}"));
-        [format, fps, origin].into_iter().flatten().collect()
+        let topics = self.topic.iter().map(|topic| format!(" --topic {}", quoted(topic)));
+        [format, fps, origin].into_iter().flatten().chain(topics).collect()
     }
 
     /// Reads a recording and warns about its probable defects.
@@ -387,6 +399,7 @@ impl PlaybackArguments {
             recording: None,
             format: self.read.format,
             fps: self.read.fps,
+            topic: self.read.topic.clone(),
             origin: None,
             agents: None,
             noise: None,

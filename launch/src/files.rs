@@ -13,6 +13,11 @@ use crate::options::absolute;
 /// Folders of shipped weights, relative to the folder of the program: installed, and in the source tree.
 const SHIPPED: [&str; 2] = ["../share/stgdat/weights", "../../shared/weights"];
 
+/// The file of weights that a command line names: a path, or the name of shipped weights.
+pub fn named_weights(name: &Path) -> PathBuf {
+    shipped_weights(name).unwrap_or_else(|| name.to_owned())
+}
+
 /// The file of shipped weights with this name; `None` if the text is a path, or no shipped weights have this name.
 pub fn shipped_weights(name: &Path) -> Option<PathBuf> {
     let is_name = name.components().count() == 1 && name.extension().is_none() && !name.exists();

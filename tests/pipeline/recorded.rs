@@ -102,6 +102,12 @@ fn other_tools_read_the_published_numbers_in_a_recording() {
     assert!(stdout(&replayed).contains("equal to the byte: 60 ticks"), "{}", stdout(&replayed));
     run_well(&["export", &file, &exported, "--for", "autoware", "--paths", "20"]);
     run_well(&["export", &file, &scene, "--for", "foxglove,autoware"]);
+    let bytes = std::fs::read(&exported).expect("the exported file");
+    let whole = recording::bag_messages(&bytes, |message| {
+        assert_eq!(message.encoding, "cdr", "{}", message.topic);
+        Ok::<(), String>(())
+    });
+    assert_eq!(whole, Ok(None));
 
     let objects = "/perception/object_recognition/objects 60";
     let of_ros = [objects, "/perception/object_recognition/tracking/objects 60", "/tf 60", "/diagnostics 60"];

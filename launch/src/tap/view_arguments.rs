@@ -31,6 +31,11 @@ impl ViewArguments {
         self.targets.is_empty()
     }
 
+    /// Whether the tools of ROS read the messages.
+    pub fn is_for_ros(&self) -> bool {
+        self.targets.contains(&Target::Autoware)
+    }
+
     /// The topics that the messages are made of, besides `names`.
     pub fn add_topics(&self, names: &mut Vec<String>) {
         for needed in [TracksTopic::NAME, ForecastsTopic::NAME] {

@@ -1,7 +1,7 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use recording::{About, EVENTS};
+use recording::{About, EVENTS, NO_TOPIC};
 use run::Exit;
 use wire::{ForecastsTopic, Topic as _, TracksTopic};
 
@@ -35,8 +35,9 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
             return Err(Failure::data_about(recording.path().display(), why));
         }
     }
-    // The frames themselves stay in the recording.
-    let about = About { topics: vec![EVENTS.to_owned()], before: false, ..recording.about().clone() };
+    // The frames themselves stay in the recording, and so do events if the tools of ROS cannot decode them.
+    let topic = if view.is_for_ros() { NO_TOPIC } else { EVENTS };
+    let about = About { topics: vec![topic.to_owned()], before: false, ..recording.about().clone() };
     let mut writer = view.create(file, &about).map_err(Failure::data)?;
     let mut damages = Vec::new();
     for message in recording.messages() {

@@ -3,7 +3,7 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use data::{Gap, Inspection, Recording, TypeInspection};
+use data::{BagTopic, Gap, Inspection, Recording, TypeInspection};
 use drawing::{Overview, overview};
 use lanes::LaneMap;
 use run::Exit;
@@ -79,6 +79,12 @@ fn text(inspection: &Inspection, out: Option<&Path>) -> String {
     }
     if let Some(Gap { at_s, length_s }) = inspection.longest_gap {
         line("gaps", format!("{}, the longest of {length_s:.2} s after {at_s:.2} s", inspection.gaps));
+    }
+    for (place, topic) in inspection.topics.iter().enumerate() {
+        let BagTopic { name, schema, messages, is_read } = topic;
+        let read = if *is_read { ", read" } else { "" };
+        let label = if place == 0 { "topics" } else { "" };
+        line(label, format!("{name}: {messages} messages, {schema}{read}"));
     }
     let with = if *identities { "all with identities" } else { "not all with identities" };
     line("detections", format!("{rows}, {with}"));

@@ -12,6 +12,7 @@ use wire::{ForecastsTopic, StageId, Topic as _, TracksTopic};
 use crate::arguments::{Speed, canonical};
 use crate::differences::{table, title};
 use crate::failure::Failure;
+use crate::files::named_weights;
 use crate::recorded::{self, open_and_check};
 use crate::show::show;
 use crate::verbs::wire::layout;
@@ -36,8 +37,8 @@ pub struct Arguments {
     /// Speed of the ticks; results do not depend on it
     #[arg(long, value_enum, default_value = "max")]
     speed: Speed,
-    /// Weights to use instead of the recorded run's
-    #[arg(long, value_name = "FILE")]
+    /// Weights to use instead of the recorded run's: a file, or the name of shipped weights such as `onboard-free`
+    #[arg(long, value_name = "FILE|NAME")]
     weights: Option<PathBuf>,
     /// Write the results of the stages as a recording, for `stgdat diff`
     #[arg(long, value_name = "FILE")]
@@ -84,7 +85,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
 /// Returns the weights of the command line, or else the run's weights, which must be unchanged.
 fn weights(arguments: &Arguments, recording: &Recording) -> Result<Weights, Failure> {
     let about = recording.about();
-    let named = arguments.weights.as_deref().map(canonical).transpose()?;
+    let named = arguments.weights.as_deref().map(|path| canonical(&named_weights(path))).transpose()?;
     let path = named.as_deref().or(about.run.weights.as_deref());
     let weights = match path {
         Some(path) => Weights::open(path).map_err(|error| Failure::weights(path, error))?,

@@ -164,7 +164,7 @@ impl Ticks {
         let world_from_frame = match self.world.pose {
             _ if frame == self.world.frame => Ok(Isometry3::identity()),
             Some(pose) => Ok(isometry(pose)),
-            None => self.transforms.to_root(frame, Some(&self.world.frame), stamp_ns),
+            None => self.transforms.to_world(frame, &self.world.frame, stamp_ns),
         };
         let world_from_frame = match world_from_frame {
             Ok(world_from_frame) => world_from_frame,
@@ -199,7 +199,7 @@ impl Ticks {
         let pose = match self.world.pose {
             Some(pose) => Some(isometry(pose)),
             None if self.transforms.has(EGO) => {
-                self.transforms.to_root(EGO, Some(&self.world.frame), stamp_ns).ok()
+                self.transforms.to_world(EGO, &self.world.frame, stamp_ns).ok()
             }
             None => None,
         };

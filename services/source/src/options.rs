@@ -27,6 +27,9 @@ pub struct Options {
     /// format's usual rate.
     #[schemars(range(min = FrameRate::MIN_HZ, max = FrameRate::MAX_HZ))]
     pub fps: Option<f64>,
+    /// Topics of a bag whose objects are read; by default those of Autoware's own detections or tracks, or else all
+    /// with detections.
+    pub topics: Vec<String>,
     /// Number of agents in the generated scene; fewer if there is no room.
     #[schemars(range(min = 1, max = AGENTS_MAX))]
     pub agents: usize,
@@ -43,7 +46,15 @@ pub struct Options {
 
 impl Default for Options {
     fn default() -> Self {
-        Self { recording: None, format: None, fps: None, agents: 32, noise_m: None, ticks: None }
+        Self {
+            recording: None,
+            format: None,
+            fps: None,
+            topics: Vec::new(),
+            agents: 32,
+            noise_m: None,
+            ticks: None,
+        }
     }
 }
 

@@ -16,7 +16,7 @@ const GENERATED_TICKS: u64 = 250;
 pub fn recording(options: &Options, origin: WorldOrigin, seed: u64) -> Result<Recording, StageError> {
     if let Some(path) = &options.recording {
         let fps = options.fps.map(FrameRate::new).transpose().map_err(StageError::config)?;
-        let open = OpenOptions { format: options.format, fps, origin };
+        let open = OpenOptions { format: options.format, fps, origin, topics: options.topics.clone() };
         return data::open_with(path, open).map_err(StageError::data);
     }
     let scene = GeneratedScene::new(generated_scene(options, seed)).map_err(StageError::config)?;

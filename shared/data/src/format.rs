@@ -48,6 +48,12 @@ pub struct UnknownFormat(pub String);
 /// Maximum number of lines that the detection of the format reads.
 const LINES_MAX: usize = 2_000;
 
+/// The first bytes of a bag in sqlite3.
+const SQLITE: &[u8] = b"SQLite format 3\0";
+/// How such a bag can be read.
+const SQLITE_REMEDY: &str = "a bag in sqlite3: convert its folder to MCAP, with `ros2 bag convert`, or without ROS by \
+                             `python3 tests/interop/bag_to_mcap.py FOLDER OUT.mcap` of stgdat's sources";
+
 impl Format {
     /// The default rate of frame numbers; `None` if the files contain their times or the rate is fixed.
     pub const fn frame_rate(self) -> Option<FrameRate> {
@@ -100,6 +106,9 @@ impl Format {
     pub fn detect(input: &Input) -> Result<Self, ReadError> {
         if recording::is_bag(&input.bytes) {
             return Ok(Self::Rosbag);
+        }
+        if input.bytes.starts_with(SQLITE) {
+            return Err(ReadError::file(&input.path, SQLITE_REMEDY));
         }
         let mut lines =
             text::lines(input).filter(|line| !matches!(line, Ok(line) if line.text.starts_with('#')));

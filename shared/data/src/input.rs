@@ -43,12 +43,20 @@ pub struct Input {
     pub bytes: Vec<u8>,
     /// The world frame's origin in the file's own frame.
     pub origin: WorldOrigin,
+    /// The topics of a bag whose objects are read; the usual ones if it is empty.
+    pub topics: Vec<String>,
 }
 
 impl Input {
     /// Creates a file whose own frame is the world frame.
     pub fn new(role: Role, path: impl Into<String>, bytes: impl Into<Vec<u8>>) -> Self {
-        Self { role, path: path.into(), bytes: bytes.into(), origin: WorldOrigin::default() }
+        Self {
+            role,
+            path: path.into(),
+            bytes: bytes.into(),
+            origin: WorldOrigin::default(),
+            topics: Vec::new(),
+        }
     }
 }
 

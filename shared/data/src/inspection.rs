@@ -5,7 +5,7 @@ use audit::{Audit, Doubt, Found, Place, TypeFigures, TypeNoise};
 use serde::Serialize;
 use wire::{Detection, detection_flags};
 
-use crate::{LeftOut, Recording};
+use crate::{BagTopic, LeftOut, Recording};
 
 /// Maximum number of identities in the audit of a recording at the same time.
 const IDENTITIES: usize = 4_096;
@@ -35,6 +35,8 @@ pub struct Inspection {
     pub longest_gap: Option<Gap>,
     /// Whether all detections have identities.
     pub identities: bool,
+    /// The topics of a bag, first those that are read.
+    pub topics: Vec<BagTopic>,
     /// Frames with the pose of a sensor that agents can occlude.
     pub frames_with_ego: usize,
     /// Frames without a pose of a moving sensor near enough in time. They count as not seen from the sensor.
@@ -109,6 +111,7 @@ pub fn inspect(recording: &Recording) -> Inspection {
         gaps,
         longest_gap,
         identities: recording.has_identities,
+        topics: recording.topics.clone(),
         poses_missing: recording.poses_missing,
         frames_with_ego: recording.frames.iter().filter(|frame| frame.ego.is_sensor).count(),
         types: audit.types().map(TypeInspection::from).collect(),

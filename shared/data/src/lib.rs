@@ -71,7 +71,7 @@ pub use input::{Input, Role};
 pub use inspection::{Gap, Inspection, TypeInspection, findings, inspect};
 pub use lines::Lines;
 pub use open::{OpenOptions, identity, open, open_with, parse, parse_at};
-pub use recording::{Ego, Frame, LeftOut, Recording};
+pub use recording::{BagTopic, Ego, Frame, LeftOut, Recording};
 pub use recording_file::write_frames;
 pub use track_file::{TrackFormat, TrackRows, TrackWriter, UnknownTrackFormat};
 pub use tracks::{RecordedTrack, Reported, tracks, tracks_from_positions};

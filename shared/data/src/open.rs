@@ -1,12 +1,15 @@
 //! From a path to a recording: finds and reads the files of the recording.
 
+use std::borrow::Cow;
 use std::fs::File;
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
+use recording::unpacked_file;
 use sha2::{Digest, Sha256};
 use wire::WorldOrigin;
 
+use crate::folder::bag_parts;
 use crate::formats::{
     commonroad, csv, highd, interaction, kitti, levelx, obsmat, positions, rosbag, sdd_raw, vci_dut,
 };
@@ -14,7 +17,7 @@ use crate::input::{FILE_BYTES_MAX, stem};
 use crate::{Format, FrameRate, Input, ReadError, Recording, Role, inspection, text};
 
 /// Information about a recording besides its files.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct OpenOptions {
     /// The format; `None` detects it from the content.
     pub format: Option<Format>,
@@ -23,6 +26,8 @@ pub struct OpenOptions {
     pub fps: Option<FrameRate>,
     /// The world frame's origin in the recording's own frame.
     pub origin: WorldOrigin,
+    /// The topics of a bag whose objects are read; empty means the usual ones.
+    pub topics: Vec<String>,
 }
 
 impl OpenOptions {
@@ -33,7 +38,8 @@ impl OpenOptions {
     }
 }
 
-/// Reads the recording that the file at `path` belongs to, with its other files. `None` detects the format
+/// Reads the recording that the file at `path` belongs to, with its other files; a folder of rosbag2 is one
+/// recording. `None` detects the format
 /// from the content.
 ///
 /// # Errors
@@ -48,13 +54,30 @@ pub fn open(path: &Path, format: Option<Format>) -> Result<Recording, ReadError>
 /// [`ReadError`] with file, line, column and value; [`ReadError::File`] if a frame rate is given and the
 /// files contain their times, or an origin for a format without a world frame.
 pub fn open_with(path: &Path, options: OpenOptions) -> Result<Recording, ReadError> {
-    let opened = read(path, Role::Rows)?;
+    let parts = bag_parts(path)?;
+    let opened = read(parts.first().map_or(path, |first| first), Role::Rows)?;
     let format = match options.format {
         Some(format) => format,
         None => Format::detect(&opened)?,
     };
     let mut inputs = with_companions(path, opened, format)?;
+    let mut len = inputs[0].bytes.len();
+    for part in parts.iter().skip(1) {
+        let input = read(part, Role::Rows)?;
+        len += input.bytes.len();
+        if len as u64 > FILE_BYTES_MAX {
+            return Err(ReadError::too_large(path.to_string_lossy(), len as u64, FILE_BYTES_MAX));
+        }
+        inputs.push(input);
+    }
+    if !options.topics.is_empty() && format != Format::Rosbag {
+        return Err(ReadError::file(
+            path.to_string_lossy(),
+            format!("{format} has no topics, and takes no --topic"),
+        ));
+    }
     inputs.iter_mut().for_each(|input| input.origin = options.origin);
+    inputs[0].topics = options.topics;
     let recording = parse_at(format, &inputs, options.fps)?;
     Ok(Recording { name: name(&path.to_string_lossy()), ..recording })
 }
@@ -153,6 +176,11 @@ pub(crate) fn read(path: &Path, role: Role) -> Result<Input, ReadError> {
     let len = metadata.len().max(bytes.len() as u64);
     if len > FILE_BYTES_MAX {
         return Err(ReadError::too_large(path, len, FILE_BYTES_MAX));
+    }
+    if let Cow::Owned(unpacked) =
+        unpacked_file(&bytes, FILE_BYTES_MAX).map_err(|why| ReadError::file(&path, why))?
+    {
+        bytes = unpacked;
     }
     Ok(Input::new(role, path, bytes))
 }

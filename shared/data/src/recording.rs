@@ -1,4 +1,5 @@
 use audit::Found;
+use serde::Serialize;
 use wire::{Detection, Truth};
 
 use crate::{FrameRate, Lines};
@@ -52,6 +53,20 @@ pub struct LeftOut {
     pub row_count: usize,
 }
 
+/// A topic of a bag.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct BagTopic {
+    /// The name.
+    pub name: String,
+    /// The type of its messages.
+    #[serde(rename = "type")]
+    pub schema: String,
+    /// Number of its messages.
+    pub messages: usize,
+    /// Whether the recording consists of its objects.
+    pub is_read: bool,
+}
+
 /// A recording or a generated scene: frames in time order.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Recording {
@@ -69,6 +84,8 @@ pub struct Recording {
     pub left_out: Vec<LeftOut>,
     /// Findings of the reader, such as speeds that the motion contradicts. The detections do not have such values.
     pub findings: Vec<Found>,
+    /// The topics of a bag, first those that are read.
+    pub topics: Vec<BagTopic>,
     /// The rate of the files' frame numbers; `None` if the files contain their times.
     pub frame_rate: Option<FrameRate>,
     /// Whether the rows have their own stamps, so that the frames can be of several sensors. Otherwise the

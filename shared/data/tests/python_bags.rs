@@ -125,3 +125,64 @@ fn forecasts_of_rosbags_are_read() {
         assert!(frame.objects.iter().all(confidences));
     }
 }
+
+/// Writes a bag in sqlite3 of which half of the messages are in the write-ahead log, as after a recorder was
+/// killed.
+const KILLED: &str = r#"
+import pathlib, sqlite3, sys
+folder = pathlib.Path(sys.argv[1])
+folder.mkdir()
+data = bytes.fromhex(sys.argv[2])
+base = sqlite3.connect(folder / "work", isolation_level=None)
+base.execute("PRAGMA journal_mode=WAL")
+base.execute("PRAGMA wal_autocheckpoint=0")
+base.execute("CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT, type TEXT, serialization_format TEXT)")
+base.execute("CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, data BLOB)")
+base.execute("INSERT INTO topics VALUES(1, '/objects', 'autoware_perception_msgs/msg/DetectedObjects', 'cdr')")
+for k in range(40):
+    if k == 20:
+        base.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+    stamp = int(k + 1).to_bytes(4, "little")
+    base.execute("INSERT INTO messages(topic_id, timestamp, data) VALUES(1, ?, ?)", (k * 10**9, data[:4] + stamp + data[8:]))
+for end in ("", "-wal"):
+    (folder / f"drive_0.db3{end}").write_bytes((folder / f"work{end}").read_bytes())
+base.close()
+(folder / "metadata.yaml").write_text("""rosbag2_bagfile_information:
+  message_count: 40
+  relative_file_paths:
+    - drive_0.db3
+  files:
+    - path: drive_0.db3
+      message_count: 40
+""")
+"#;
+
+#[test]
+fn a_bag_of_a_killed_recorder_is_converted_with_all_messages_or_not_at_all() {
+    use interop::messages::{DetectedObject, DetectedObjects, ObjectClassification, label};
+    let car = DetectedObject {
+        classification: vec![ObjectClassification { label: label::CAR, probability: 1.0 }],
+        ..DetectedObject::default()
+    };
+    let message = DetectedObjects { header: crate::rosbags::header(0, "map"), objects: vec![car] };
+    let hex: String = interop::cdr::to_bytes(&message).iter().map(|byte| format!("{byte:02x}")).collect();
+    let outer = tempfile::tempdir().unwrap();
+    let (bag, out) = (outer.path().join("drive"), outer.path().join("drive.mcap"));
+    let python = std::env::var("STGDAT_PYTHON").unwrap_or_else(|_| "python3".into());
+    match Command::new(&python).args(["-c", KILLED]).arg(&bag).arg(hex).status() {
+        Ok(status) => assert!(status.success()),
+        Err(error) => return println!("skipped: {python}: {error}"),
+    }
+    let convert = || {
+        let script = format!("{SCRIPTS}/bag_to_mcap.py");
+        let output = Command::new(&python).arg(script).arg(&bag).arg(&out).output().unwrap();
+        (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned())
+    };
+    assert_eq!(convert().0, Some(0));
+    assert_eq!(data::open(&out, None).unwrap().frames.len(), 40);
+    std::fs::remove_file(bag.join("drive_0.db3-wal")).unwrap();
+    let (code, error) = convert();
+    assert_eq!(code, Some(65));
+    assert!(error.contains("20 messages, and metadata.yaml lists 40"), "{error}");
+    assert!(!out.exists());
+}

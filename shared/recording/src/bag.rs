@@ -1,9 +1,13 @@
 //! The messages of any MCAP file, such as a rosbag2 of ROS 2.
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
+use std::io::{self, Read as _};
 
+use lz4_flex::frame::FrameDecoder;
 use mcap::MAGIC;
 use mcap::records::{Record, op};
+use ruzstd::decoding::StreamingDecoder;
 
 use crate::reader::{Allowance, record, unpack, unpacked_len};
 
@@ -36,6 +40,30 @@ struct Known {
 #[must_use]
 pub fn is_bag(bytes: &[u8]) -> bool {
     bytes.starts_with(MAGIC)
+}
+
+/// The content of a file that may be compressed as a whole with Zstandard or LZ4, as rosbag2 compresses files. A
+/// compressed file that was cut off has the content up to the cut.
+///
+/// # Errors
+/// The limit, if the content is larger than `most`, or than that of any plausible file of this size.
+pub fn unpacked_file(bytes: &[u8], most: u64) -> Result<Cow<'_, [u8]>, String> {
+    let most = Allowance::new(bytes.len() as u64).most().min(most);
+    let mut unpacked = Vec::new();
+    let read = match bytes {
+        [0x28, 0xB5, 0x2F, 0xFD, ..] => StreamingDecoder::new(bytes)
+            .map_err(io::Error::other)
+            .and_then(|decoder| decoder.take(most + 1).read_to_end(&mut unpacked)),
+        [0x04, 0x22, 0x4D, 0x18, ..] => FrameDecoder::new(bytes).take(most + 1).read_to_end(&mut unpacked),
+        _ => return Ok(Cow::Borrowed(bytes)),
+    };
+    match read {
+        _ if unpacked.len() as u64 > most => {
+            Err(format!("unpacks to more than {most} bytes, the limit for this file"))
+        }
+        Err(error) if unpacked.is_empty() => Err(format!("can't be decompressed: {error}")),
+        _ => Ok(Cow::Owned(unpacked)),
+    }
 }
 
 /// Calls `take` with each message, in the order of the file. A file that was cut off has the messages up to its

@@ -60,7 +60,7 @@ mod view;
 mod writer;
 
 pub use about::{ABOUT, About};
-pub use bag::{BagMessage, bag_messages, is_bag};
+pub use bag::{BagMessage, bag_messages, is_bag, unpacked_file};
 pub use before::{Before, Forgotten};
 pub use compare::{Comparison, Difference, FrameDifference, TopicComparison, compare, computed};
 pub use error::{ReadError, WriteError};
@@ -75,5 +75,7 @@ pub use writer::{CHUNK_BYTES, CHUNK_NS, Losses, Writer, Written};
 
 /// Topic of the supervisor's events, JSON.
 pub const EVENTS: &str = "events";
+/// Name in [`About::topics`] of a recording without frames, events and log lines.
+pub const NO_TOPIC: &str = "none";
 /// Topic of the stages' log lines, JSON.
 pub const LOG: &str = "log";

@@ -12,7 +12,7 @@ use wire::{Header, TABLE, TopicEntry};
 use crate::before::kept_bytes;
 use crate::format::{BEFORE, BEGIN, Body, END, JSON, PREFIX, WIRE};
 use crate::sink::FileSink;
-use crate::{About, EVENTS, Event, Frame, Happened, LOG, LogLine, Message, Sink, View, WriteError};
+use crate::{About, EVENTS, Event, Frame, Happened, LOG, LogLine, Message, NO_TOPIC, Sink, View, WriteError};
 
 /// A chunk is written when it has this many bytes …
 pub const CHUNK_BYTES: usize = 1 << 20;
@@ -162,7 +162,8 @@ impl<S: Sink> Writer<S> {
                 channels.push((id, name));
             }
         }
-        for (id, name) in [(EVENT_CHANNEL, EVENTS), (LOG_CHANNEL, LOG)] {
+        let has_events = about.topics.iter().all(|name| name != NO_TOPIC);
+        for (id, name) in [(EVENT_CHANNEL, EVENTS), (LOG_CHANNEL, LOG)].into_iter().filter(|_| has_events) {
             let body = Body::default().u16(id).u16(JSON_SCHEMA).text(name).text(JSON);
             body.texts(&[]).record(op::CHANNEL, &mut channel_records);
             channels.push((id, name.to_owned()));
@@ -232,13 +233,19 @@ impl<S: Sink> Writer<S> {
     pub fn event(&mut self, event: &Event) {
         // JSON can represent all numbers, texts and text keys.
         let json = serde_json::to_vec(event).unwrap_or_default();
-        self.message(EVENT_CHANNEL, 0, [event.at_ns; 2], &json);
+        self.json(EVENT_CHANNEL, event.at_ns, &json);
     }
 
     /// Adds a log line.
     pub fn line(&mut self, line: &LogLine) {
         let json = serde_json::to_vec(line).unwrap_or_default();
-        self.message(LOG_CHANNEL, 0, [line.at_ns; 2], &json);
+        self.json(LOG_CHANNEL, line.at_ns, &json);
+    }
+
+    fn json(&mut self, channel: u16, at_ns: u64, json: &[u8]) {
+        if self.channels.iter().any(|(id, _)| *id == channel) {
+            self.message(channel, 0, [at_ns; 2], json);
+        }
     }
 
     /// Adds a message.

@@ -123,8 +123,8 @@ impl Options {
     }
 
     /// Reads recordings and cuts them into scenes.
-    fn read(&self, paths: &[PathBuf], open: OpenOptions, cut: &Cut) -> Result<Vec<Footage>, EvaluateError> {
-        let read = |path: &PathBuf, (): &mut ()| cut.read(path, open);
+    fn read(&self, paths: &[PathBuf], open: &OpenOptions, cut: &Cut) -> Result<Vec<Footage>, EvaluateError> {
+        let read = |path: &PathBuf, (): &mut ()| cut.read(path, open.clone());
         threads::each(paths, self.threads, read).into_iter().collect()
     }
 
@@ -133,7 +133,7 @@ impl Options {
     /// # Errors
     /// [`EvaluateError`] if a recording can't be read.
     pub fn read_part(&self, set: DataSet, part: Part, cut: &Cut) -> Result<Vec<Footage>, EvaluateError> {
-        self.read(&set.files(&self.data, part)?, OpenOptions::of(set.format()), cut)
+        self.read(&set.files(&self.data, part)?, &OpenOptions::of(set.format()), cut)
     }
 }
 

@@ -83,7 +83,7 @@ fn evaluate(options: &Options, path: &Path) -> Result<Report, EvaluateError> {
 
 fn evaluate_all(options: &Options, paths: &[PathBuf]) -> Result<Report, EvaluateError> {
     let evaluation = Evaluation::new(options, false)?;
-    Ok(evaluation.recordings(paths, OpenOptions::default(), |_| ())?.report())
+    Ok(evaluation.recordings(paths, &OpenOptions::default(), |_| ())?.report())
 }
 
 /// A figure of all agents at the whole horizon.

@@ -23,7 +23,7 @@ fn states_of_single_files_merge_to_the_tables_of_all_files() {
     let folder = tempfile::tempdir().unwrap();
     let paths = recordings(folder.path());
     let evaluation = Evaluation::new(&options(folder.path(), None, 2), false).unwrap();
-    let whole = evaluation.recordings(&paths, OpenOptions::default(), |_| ()).unwrap();
+    let whole = evaluation.recordings(&paths, &OpenOptions::default(), |_| ()).unwrap();
     let (mut states, mut failures) = (Vec::new(), Vec::new());
     for path in &paths {
         let name = path.display().to_string();
@@ -51,7 +51,7 @@ fn a_file_that_fails_is_one_line() {
     let folder = tempfile::tempdir().unwrap();
     let paths = recordings(folder.path());
     let evaluation = Evaluation::new(&options(folder.path(), None, 2), false).unwrap();
-    let of = |paths: &[PathBuf]| evaluation.recordings(paths, OpenOptions::default(), |_| ());
+    let of = |paths: &[PathBuf]| evaluation.recordings(paths, &OpenOptions::default(), |_| ());
     let report = of(&paths).unwrap().report();
     let [broken, empty] = &report.failed[..] else { panic!("{:?}", report.failed) };
     assert!(broken.contains("broken.csv:2:") && broken.contains("car"), "{broken}");
@@ -78,7 +78,7 @@ fn doubts_are_counted_over_recordings() {
     };
     let paths = [write("a.csv", 3.0), write("b.csv", 3.0), straight(folder.path(), 120)];
     let evaluation = Evaluation::new(&options(folder.path(), None, 2), false).unwrap();
-    let report = evaluation.recordings(&paths, OpenOptions::default(), |_| ()).unwrap().report();
+    let report = evaluation.recordings(&paths, &OpenOptions::default(), |_| ()).unwrap().report();
     assert!(report.warnings.len() >= 2, "{:?}", report.warnings);
     let counts: Vec<u64> = report.doubts.values().map(|count| count.recordings).collect();
     assert!(counts.contains(&2), "{:?}", report.doubts);

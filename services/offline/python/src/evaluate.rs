@@ -66,7 +66,7 @@ impl Evaluator {
         py.detach(move || {
             let mut recording = match record_at(&path)? {
                 Some(record) => detections_of(&record)?,
-                None => data::open_with(&path, self.open).map_err(|why| error::of(&why))?,
+                None => data::open_with(&path, self.open.clone()).map_err(|why| error::of(&why))?,
             };
             recording.name = name.unwrap_or(recording.name);
             Ok(self.evaluation.opened(recording).to_bytes().into())
@@ -76,7 +76,7 @@ impl Evaluator {
     /// The state of recordings, of which some may fail.
     fn states(&self, py: Python<'_>, paths: Vec<PathBuf>) -> PyResult<Cow<'static, [u8]>> {
         py.detach(move || {
-            let state = self.evaluation.recordings(&paths, self.open, |_| ());
+            let state = self.evaluation.recordings(&paths, &self.open, |_| ());
             Ok(state.map_err(|why| error::of(&why))?.to_bytes().into())
         })
     }

@@ -143,9 +143,8 @@ fn transforms_follow_a_clock_that_is_set_back_or_wrong_once() {
     let mut ticks = Ticks::new(world(None));
     let mut add = |stamp_ms: i64, x_m: f64| {
         ticks.transform(&transform(stamp_ms, "map", "base_link", x_m, 0.0), false);
-        let found =
-            ticks.transforms.to_root("base_link", Some("map"), stamp_ms * MS).map(|at| at.translation.x);
-        (found.unwrap(), ticks.transforms.to_root("base_link", Some("map"), 0).is_ok())
+        let found = ticks.transforms.to_world("base_link", "map", stamp_ms * MS).map(|at| at.translation.x);
+        (found.unwrap(), ticks.transforms.to_world("base_link", "map", 0).is_ok())
     };
     assert_eq!(add(0, 1.0), (1.0, true));
     // What is older than 10 s is forgotten.

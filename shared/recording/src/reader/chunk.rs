@@ -29,6 +29,11 @@ impl Allowance {
         Self { rest: most, most }
     }
 
+    /// All bytes of the allowance.
+    pub const fn most(self) -> u64 {
+        self.most
+    }
+
     /// Takes the content of a chunk from the allowance.
     ///
     /// # Errors

@@ -53,7 +53,7 @@ pub fn eth_ucy(options: &Options, mut progress: impl FnMut(&str)) -> Result<Repo
         let mut tests = vec![(fold.name().to_owned(), options.read_part(set, options.part, &cut)?)];
         if fold == Fold::Eth && options.part == Part::Test {
             let path = options.data.join(TRUE_TIME);
-            let footage = options.read(&[path], OpenOptions::of(Format::Obsmat), &cut)?;
+            let footage = options.read(&[path], &OpenOptions::of(Format::Obsmat), &cut)?;
             tests.push(("eth, true time".to_owned(), footage));
         }
         for (name, footage) in tests {

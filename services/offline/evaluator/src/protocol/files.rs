@@ -98,13 +98,13 @@ impl Evaluation {
     pub fn recordings(
         &self,
         paths: &[PathBuf],
-        open: OpenOptions,
+        open: &OpenOptions,
         mut progress: impl FnMut(&str),
     ) -> Result<State, EvaluateError> {
         let mut whole = State::new(self.basis.clone());
         let mut failure = None;
         for paths in paths.chunks(self.threads.max(1)) {
-            let read = |path: &PathBuf, (): &mut ()| self.cut.read(path, open);
+            let read = |path: &PathBuf, (): &mut ()| self.cut.read(path, open.clone());
             for (path, footage) in paths.iter().zip(threads::each(paths, self.threads, read)) {
                 match footage {
                     Ok(footage) => {

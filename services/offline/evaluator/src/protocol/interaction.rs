@@ -171,7 +171,7 @@ impl Protocol<'_> {
         for part in [Part::Train, Part::Validation, Part::Test] {
             let of_site = |path: &PathBuf| short(&folder(path)) == site;
             let paths: Vec<PathBuf> = SET.files(&options.data, part)?.into_iter().filter(of_site).collect();
-            for footage in options.read(&paths, OpenOptions::of(SET.format()), cut)? {
+            for footage in options.read(&paths, &OpenOptions::of(SET.format()), cut)? {
                 if name != footage.site() {
                     name = footage.site();
                     judge.lanes = options.lanes_of(&name)?;

@@ -10,13 +10,14 @@ use trainer::ModelCard;
 use wire::AgentType;
 
 use launch::failure::Failure;
+use launch::files::named_weights;
 use launch::show::show;
 use launch::tables;
 
 /// Arguments of `stgdat card`.
 #[derive(Debug, Args)]
 pub struct Arguments {
-    /// Weights files, one row each; by default the embedded weights
+    /// Weights files or names of shipped weights, one row each; by default the embedded weights
     weights: Vec<PathBuf>,
     /// Print the whole card as JSON; for several files, an object by file name
     #[arg(long)]
@@ -56,7 +57,7 @@ fn several(arguments: &Arguments, paths: &[PathBuf]) -> Result<String, Failure> 
     let (mut cards, mut by_file) = (Vec::new(), serde_json::Map::new());
     for path in paths {
         let (weights, name) = (open(path)?, path.display().to_string());
-        let bytes = std::fs::metadata(path).map_err(|error| Failure::file(path, error))?.len();
+        let bytes = std::fs::metadata(named_weights(path)).map_err(|error| Failure::file(path, error))?.len();
         let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         cards.push(table::Row { stem, card: card(&weights, &name)?, bytes });
         by_file.insert(name.clone(), json(&weights, &name)?.clone());
@@ -65,6 +66,7 @@ fn several(arguments: &Arguments, paths: &[PathBuf]) -> Result<String, Failure> 
 }
 
 fn open(path: &Path) -> Result<Weights, Failure> {
+    let path = &named_weights(path);
     Weights::open(path).map_err(|error| Failure::weights(path, error))
 }
 

@@ -15,6 +15,7 @@ use self::noise::NoiseArguments;
 use crate::contenders::contenders;
 use launch::arguments::ReadArguments;
 use launch::failure::Failure;
+use launch::files::named_weights;
 use launch::options::{Setting, StageOptions};
 use launch::show::show;
 use launch::tables;
@@ -60,8 +61,8 @@ pub struct Arguments {
     /// Evaluate the validation part, which is for choosing options, instead of the test part
     #[arg(long)]
     validation: bool,
-    /// Weights for all recipes
-    #[arg(long, value_name = "FILE")]
+    /// Weights for all recipes: a file, or the name of shipped weights such as `onboard-free`
+    #[arg(long, value_name = "FILE|NAME")]
     weights: Option<PathBuf>,
     /// Folder with the weights of each recipe; recordings use the embedded weights
     #[arg(long, value_name = "DIR", default_value = "shared/weights", conflicts_with = "weights")]
@@ -339,7 +340,7 @@ fn options(arguments: &Arguments, weights_dir: &Path) -> Result<Options, Failure
         data: arguments.data.clone(),
         part: if arguments.validation { Part::Validation } else { Part::Test },
         weights: WeightsChoice {
-            file: arguments.weights.clone(),
+            file: arguments.weights.as_deref().map(named_weights),
             folder: weights_dir.to_owned(),
             precision: precision(arguments)?,
         },
@@ -495,7 +496,7 @@ fn recordings(arguments: &Arguments) -> Result<State, Failure> {
     } else {
         let options = options(arguments, &arguments.weights_dir)?;
         let evaluation = Evaluation::new(&options, arguments.positions).map_err(Failure::data)?;
-        let state = evaluation.recordings(&arguments.targets, arguments.read.options(), progress);
+        let state = evaluation.recordings(&arguments.targets, &arguments.read.options(), progress);
         state.map_err(Failure::data)?
     };
     if let Some(path) = &arguments.state {

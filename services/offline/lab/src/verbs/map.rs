@@ -50,7 +50,8 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     if let Some(path) = &arguments.lanelet2 {
         return draw_lanes(path, arguments);
     }
-    let read = ReadArguments { format: arguments.format, fps: arguments.fps, origin: arguments.origin()? };
+    let (format, fps, origin) = (arguments.format, arguments.fps, arguments.origin()?);
+    let read = ReadArguments { format, fps, origin, topic: Vec::new() };
     let open = |path: &PathBuf| read.open(path);
     let recordings = arguments.recordings.iter().map(open).collect::<Result<Vec<_>, _>>()?;
     let site = mapper::build(&recordings).map_err(Failure::data)?;

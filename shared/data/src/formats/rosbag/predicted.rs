@@ -8,8 +8,9 @@ use recording::{BagMessage, bag_messages};
 use wire::{AgentType, WorldOrigin};
 
 use super::objects::{agent_type, class};
+use super::transforms::bare;
 use super::transforms::{self, Transforms};
-use super::{Problem, add_transforms, decode, stamp_ns, to_root, usual};
+use super::{Place, Problem, add_transforms, decode, stamp_ns, usual};
 use crate::open::read;
 use crate::{ReadError, Role};
 
@@ -56,13 +57,13 @@ pub struct PredictedPath {
 /// [`ReadError::File`] with the message's number if the bag has none, or a value can't be used.
 pub fn predicted_objects(path: &Path, origin: WorldOrigin) -> Result<Vec<PredictedFrame>, ReadError> {
     let input = read(path, Role::Rows)?;
-    let failed = |problem: Problem| problem.of(&input.path);
+    let failed = |problem: Problem| problem.of(&[&input]);
     let (mut messages, mut transforms) = (Vec::new(), Transforms::default());
     let each = bag_messages(&input.bytes, |message: BagMessage<'_>| -> Result<(), Problem> {
         if message.schema == TfMessage::DEFINITION.name {
-            add_transforms(&message, &mut transforms)?;
+            add_transforms(0, &message, &mut transforms)?;
         } else if message.schema == NAME {
-            let found: PredictedObjects = decode(&message)?;
+            let found: PredictedObjects = decode(0, &message)?;
             messages.push((message.number, message.topic.to_owned(), found));
         }
         Ok(())
@@ -71,11 +72,23 @@ pub fn predicted_objects(path: &Path, origin: WorldOrigin) -> Result<Vec<Predict
     if messages.is_empty() {
         return Err(failed(format!("has no {NAME}").into()));
     }
-    let topic =
-        usual(messages.iter().map(|(_, topic, _)| topic.clone()).collect(), &USUAL).map_err(failed)?;
-    messages.retain(|(_, of, _)| topic.as_ref().is_none_or(|topic| of == topic));
-    let frames = messages.into_iter().map(|(number, _, message)| {
-        frame(&message, &transforms, origin).map_err(|problem| failed(Problem(Some(number), problem)))
+    let mut topics: Vec<String> = messages.iter().map(|(_, topic, _)| topic.clone()).collect();
+    let topic = usual(topics.clone(), &USUAL);
+    topics.sort();
+    topics.dedup();
+    if topic.is_none() && topics.len() > 1 {
+        let topics = topics.join(", ");
+        return Err(failed(
+            format!("objects on several topics: {topics}; keep one of them, as with `mcap filter`").into(),
+        ));
+    }
+    messages.retain(|(_, of, _)| topic.is_none_or(|topic| of == topic));
+    let frames = messages.iter().map(|(_, _, message)| bare(&message.header.frame_id));
+    let first = messages.first().map(|(number, ..)| Place { part: 0, number: *number });
+    let world = transforms.world(frames).map_err(|problem| failed(Problem(first, problem)))?;
+    let frames = messages.iter().map(|(number, _, message)| {
+        let place = Some(Place { part: 0, number: *number });
+        frame(message, &transforms, world, origin).map_err(|problem| failed(Problem(place, problem)))
     });
     frames.collect()
 }
@@ -83,10 +96,11 @@ pub fn predicted_objects(path: &Path, origin: WorldOrigin) -> Result<Vec<Predict
 fn frame(
     message: &PredictedObjects,
     transforms: &Transforms,
+    world: &str,
     origin: WorldOrigin,
 ) -> Result<PredictedFrame, String> {
     let stamp_ns = stamp_ns(&message.header.stamp);
-    let world_from_frame = to_root(&message.header, transforms, stamp_ns)?;
+    let world_from_frame = transforms.to_world(bare(&message.header.frame_id), world, stamp_ns)?;
     let mut frame = PredictedFrame { stamp_ns, ..PredictedFrame::default() };
     for object in &message.objects {
         match agent_type(class(&object.classification)) {
