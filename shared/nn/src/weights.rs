@@ -11,9 +11,9 @@ use crate::halves::from_f16;
 use crate::{ConfigError, ModelConfig};
 
 const ONBOARD: &[u8] = if cfg!(feature = "free-weights") {
-    include_bytes!("../../weights/onboard-free.safetensors")
+    include_bytes!("../weights/onboard-free.safetensors")
 } else {
-    include_bytes!("../../weights/onboard.safetensors")
+    include_bytes!("../weights/onboard.safetensors")
 };
 /// Bytes that hold the length of a safetensors header.
 const LENGTH_BYTES: usize = 8;

@@ -38,6 +38,12 @@ fn played(arguments: Vec<String>) -> PyResult<Outcomes> {
     driving_evaluator::outcomes(recording, &run, &model, None).map(|(outcomes, _)| outcomes).map_err(failed)
 }
 
+/// Checks arguments without a recording.
+#[pyfunction]
+pub fn check(py: Python<'_>, arguments: Vec<String>) -> PyResult<()> {
+    py.detach(|| prepare(arguments).map(|_| ()))
+}
+
 /// Examines a recording, as `stgdat inspect --json` does. Returns JSON.
 #[pyfunction]
 pub fn inspect(py: Python<'_>, arguments: Vec<String>) -> PyResult<String> {

@@ -67,6 +67,14 @@ impl Frame {
         Block::new(Owner::Elements(self.frame.clone()))
     }
 
+    /// The parts of which `frame` makes the same frame.
+    fn parts<'py>(&self, py: Python<'py>) -> (String, usize, Bound<'py, PyBytes>, u64, (f64, f64), bool) {
+        let Self { frame, is_numbered, .. } = self;
+        let bytes = PyBytes::new(py, frame.bytes());
+        let topic = frame.topic().name.to_owned();
+        (topic, frame.element_bytes(), bytes, frame.received_ns(), self.origin_m(), *is_numbered)
+    }
+
     /// The line that `stgdat predict` prints for these forecasts.
     fn json<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
         let forecasts = self.frame.elements::<ForecastsTopic>().map_err(|why| error::of(&why))?;
@@ -76,6 +84,31 @@ impl Frame {
     }
 }
 
+/// The frame of these parts.
+#[pyfunction]
+pub fn frame(
+    topic: &str,
+    element_bytes: usize,
+    bytes: &[u8],
+    received_ns: u64,
+    origin_m: (f64, f64),
+    is_numbered: bool,
+) -> PyResult<Frame> {
+    let refused = |why: String| error::InputError::new_err(format!("a pickled frame of {topic}: {why}"));
+    let number = recording::topic_number(topic).ok_or_else(|| refused("no such topic".to_owned()))?;
+    let frame = recording::Frame::read_leading(number, element_bytes, bytes.into(), received_ns)
+        .map_err(|why| refused(why.to_string()))?;
+    let origin =
+        WorldOrigin::new([origin_m.0, origin_m.1]).ok_or_else(|| refused("its origin".to_owned()))?;
+    Ok(Frame { frame, origin, is_numbered })
+}
+
+/// The doubts of these bits, in sentences.
+#[pyfunction]
+pub fn doubts_of(bits: u32) -> Vec<String> {
+    audit::Doubt::of_bits(bits).map(|doubt| audit::Found::of_kind(doubt).sentence).collect()
+}
+
 /// A frame of detections, whose header is that of a recording with the same content.
 #[pyfunction]
 pub fn detections(
@@ -83,11 +116,13 @@ pub fn detections(
     stamp_ns: i64,
     interval_ns: u64,
     has_identities: bool,
-    observed_types: Option<u32>,
     ego: (f32, f32, f32),
     is_sensor: bool,
     seq: Option<u64>,
+    origin: (f64, f64),
 ) -> PyResult<Frame> {
+    let origin = WorldOrigin::new([origin.0, origin.1])
+        .ok_or_else(|| error::InputError::new_err(format!("origin = {origin:?}: not finite, or too far")))?;
     let rows = elements.chunks_exact(size_of::<Detection>());
     let elements: Vec<Detection> = rows.map(bytemuck::pod_read_unaligned).collect();
     let all_types = AGENT_TYPES.iter().fold(0, |bits, agent_type| bits | agent_type.bit());
@@ -97,7 +132,7 @@ pub fn detections(
             | flag(has_identities, flags::HAS_IDENTITIES)
             | flag(is_sensor, flags::SEEN_FROM_EGO),
         interval_ns,
-        observed_types: observed_types.unwrap_or(all_types),
+        observed_types: all_types,
         ego_m: [ego.0, ego.1],
         ego_heading_rad: ego.2,
         counts: Counts { agents_len: elements.len() as u32, ..Counts::default() },
@@ -105,7 +140,7 @@ pub fn detections(
     };
     check(&header, &elements)?;
     let frame = recording::Frame::of::<DetectionsTopic>(&header, &elements, 0);
-    Ok(Frame { frame, origin: WorldOrigin::default(), is_numbered: seq.is_some() })
+    Ok(Frame { frame, origin, is_numbered: seq.is_some() })
 }
 
 /// Refuses detections that the tracker would refuse, and names the first wrong one.

@@ -8,6 +8,7 @@ use clap::Parser;
 use data::{GeneratedScene, SceneOptions};
 use launch::arguments::{PlaybackArguments, Prepared};
 use launch::failure::Failure;
+use launch::tracking::add_noise;
 use pyo3::prelude::*;
 use recording::{Message, ReadError};
 use source::PlaybackOptions;
@@ -177,10 +178,9 @@ impl Recording {
         (x_m, y_m)
     }
 
-    /// What the audit of the recording doubts.
-    fn doubts(&self) -> Vec<String> {
-        let findings = data::findings(&self.recording);
-        findings.iter().filter(|found| found.doubtful).map(ToString::to_string).collect()
+    /// What the audit of the recording doubts, with the changes of its noise, which a tracker learns.
+    fn doubts(&self, py: Python<'_>) -> Vec<String> {
+        py.detach(|| self.found())
     }
 
     fn detections(&self) -> Block {
@@ -200,6 +200,16 @@ impl Recording {
         let options = PlaybackOptions { run_id: 0, ticks_max: ticks, lockstep: true };
         let playback = py.detach(|| source::Playback::new(self.recording.clone(), options));
         Playback { origin: self.origin, playback: Mutex::new(playback) }
+    }
+}
+
+impl Recording {
+    fn found(&self) -> Vec<String> {
+        let mut inspection = data::inspect(&self.recording);
+        if !self.recording.sha256.is_empty() {
+            add_noise(&mut inspection, self.recording.clone());
+        }
+        inspection.findings.iter().filter(|found| found.doubtful).map(ToString::to_string).collect()
     }
 }
 

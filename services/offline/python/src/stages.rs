@@ -6,6 +6,7 @@ use launch::arguments::Prepared;
 use launch::failure::Failure;
 use launch::tracking::Tracking;
 use onboard::Chain;
+use pyo3::exceptions::PyRuntimeError;
 use pyo3::prelude::*;
 use wire::{Detection, DetectionsTopic, ForecastsTopic, Header, Rejected, TracksTopic, WorldOrigin};
 
@@ -21,8 +22,27 @@ struct Started<S> {
     seq: u64,
 }
 
+impl<S> Started<S> {
+    /// Takes the origin of detections that have one.
+    fn adopt(&mut self, origin: WorldOrigin) -> PyResult<()> {
+        let own = self.prepared.run.origin();
+        if origin.is_zero() || origin == own {
+            return Ok(());
+        }
+        if self.seq > 0 || !own.is_zero() {
+            return Err(InputError::new_err(format!("origin = {origin}: the stages have the origin {own}")));
+        }
+        self.prepared.run.origin_m = origin.position_m();
+        Ok(())
+    }
+}
+
 /// Stages that Python's threads share.
-struct Shared<S>(Mutex<Started<S>>);
+struct Shared<S> {
+    started: Mutex<Started<S>>,
+    /// The process of the stages' worker threads. A fork has no copies of them.
+    process: u32,
+}
 
 impl<S: Send> Shared<S> {
     fn new(
@@ -33,7 +53,10 @@ impl<S: Send> Shared<S> {
         py.detach(|| {
             let prepared = prepare(arguments)?;
             let stages = start(&prepared).map_err(|failure| error::of_failure(&failure))?;
-            Ok(Self(Mutex::new(Started { prepared, stages, seq: 0 })))
+            Ok(Self {
+                started: Mutex::new(Started { prepared, stages, seq: 0 }),
+                process: std::process::id(),
+            })
         })
     }
 
@@ -46,7 +69,7 @@ impl<S: Send> Shared<S> {
     ) -> PyResult<()> {
         let played = recording.map(|of| (of.recording.interval_ns, of.origin));
         py.detach(|| {
-            let mut started = self.lock();
+            let mut started = self.lock()?;
             if let Some((interval_ns, origin)) = played {
                 started.prepared.run.interval_ns = interval_ns;
                 started.prepared.run.origin_m = origin.position_m();
@@ -68,7 +91,8 @@ impl<S: Send> Shared<S> {
         let mut header = *detections.frame.header();
         crate::frame::check(&header, &elements)?;
         py.detach(|| {
-            let mut started = self.lock();
+            let mut started = self.lock()?;
+            started.adopt(detections.origin)?;
             if !detections.is_numbered {
                 header.seq = started.seq;
             }
@@ -80,8 +104,15 @@ impl<S: Send> Shared<S> {
         })
     }
 
-    fn lock(&self) -> MutexGuard<'_, Started<S>> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    /// The stages, in the process that has made them.
+    fn lock(&self) -> PyResult<MutexGuard<'_, Started<S>>> {
+        if self.process != std::process::id() {
+            return Err(PyRuntimeError::new_err(format!(
+                "these stages belong to process {}: after a fork, make new ones, or start processes with \"spawn\"",
+                self.process
+            )));
+        }
+        Ok(self.started.lock().unwrap_or_else(PoisonError::into_inner))
     }
 }
 
@@ -122,17 +153,17 @@ impl Predictor {
     }
 
     /// The tracks of the last tick.
-    fn tracks(&self) -> Frame {
-        let started = self.0.lock();
+    fn tracks(&self) -> PyResult<Frame> {
+        let started = self.0.lock()?;
         let (tracks, _) = started.stages.frames();
         let frame = recording::Frame::of::<TracksTopic>(&tracks.header, &tracks.elements, 0);
-        Frame::new(frame, started.prepared.run.origin())
+        Ok(Frame::new(frame, started.prepared.run.origin()))
     }
 
     /// Writes the retrieval memory to its file.
     fn save_memory(&self, py: Python<'_>) -> PyResult<()> {
         py.detach(|| {
-            let mut started = self.0.lock();
+            let mut started = self.0.lock()?;
             let Started { stages, prepared, .. } = &mut *started;
             let kept = stages.end(&prepared.run);
             kept.map_err(|why| error::of_failure(&Failure::from(why)))

@@ -19,6 +19,7 @@ radians counter-clockwise from +x. If a recording has an origin, add `origin_m` 
 """
 
 from ._stgdat import InputError, __version__
+from .checks import MissingFileError
 from .evaluation import Evaluation, Evaluator, combine_states, evaluate, evaluate_state, merge_states
 from .frames import Detections, Forecasts, Frame, Tracks, detections, dtype
 from .numbers import AgentType, Cause, DetectionFlags, Expert, Quality, TrackStatus
@@ -37,6 +38,7 @@ __all__ = [
     "Forecasts",
     "Frame",
     "InputError",
+    "MissingFileError",
     "Predictor",
     "Quality",
     "Record",

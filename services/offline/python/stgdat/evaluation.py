@@ -7,7 +7,7 @@ import os
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Dict, Iterable, List, Optional, Tuple, Union
 
-from . import _stgdat
+from . import _stgdat, checks
 from .arguments import Origin, Path, written
 from .recording import Recording
 
@@ -70,7 +70,15 @@ class Evaluator:
         arguments = written(
             weights=weights, lanes=lanes, lanes_origin=lanes_origin, format=format, fps=fps, origin=origin
         )
-        self._inner = _stgdat.Evaluator(arguments, map != "none", positions, threads)
+        self._arguments = (arguments, map != "none", positions, threads)
+        self._inner = _stgdat.Evaluator(*self._arguments)
+
+    def __getstate__(self) -> Dict[str, Any]:
+        return {"_arguments": self._arguments}
+
+    def __setstate__(self, state: Dict[str, Any]) -> None:
+        self._arguments = state["_arguments"]
+        self._inner = _stgdat.Evaluator(*self._arguments)
 
     def state(self, path: Union[Path, Recording], name: Optional[str] = None) -> bytes:
         """The sums behind the tables of one recording. `merge_states` makes tables from such states.
@@ -151,7 +159,7 @@ def _evaluation(state: bytes) -> Evaluation:
 
 def _path(recording: Union[Path, Recording]) -> str:
     if not isinstance(recording, Recording):
-        return os.fspath(recording)
+        return checks.existing(recording)
     if recording.path is None:
         raise _stgdat.InputError("a generated recording has no file to evaluate")
     return recording.path

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Optional, Tuple, Type, Union, cast
 import numpy as np
 import numpy.typing as npt
 
-from . import _stgdat, tables
+from . import _stgdat, checks, tables
 from .numbers import AgentType, Cause, DetectionFlags, Quality
 
 if TYPE_CHECKING:
@@ -56,6 +56,9 @@ class Frame:
 
     def __len__(self) -> int:
         return len(self.records)
+
+    def __reduce__(self) -> Tuple[Any, ...]:
+        return _unpickled, self._frame.parts()
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__} {self.seq} at {self.stamp_ns / 1e9:.3f} s: {len(self)} of {self.topic}>"
@@ -254,6 +257,11 @@ class Forecasts(_Agents):
         """Distance of each agent's history from the training data, [agent]; 0 inside."""
         return self._field("out_of_distribution")
 
+    @property
+    def left_out(self) -> int:
+        """Number of agents beyond the limit of a tick, 128, that have no forecast."""
+        return int(self.header["left_out_len"])
+
     def to_json(self) -> bytes:
         """The line of `stgdat predict` for this tick, byte for byte."""
         return self._frame.json()
@@ -295,6 +303,10 @@ class Forecasts(_Agents):
         }
 
 
+def _unpickled(*parts: Any) -> Frame:
+    return frame_of(_stgdat.frame(*parts))
+
+
 _KINDS = {"detections": Detections, "tracks": Tracks, "forecasts": Forecasts}
 
 
@@ -321,37 +333,48 @@ def detections(
     seen_from_ego: bool = False,
     interval_ns: int = INTERVAL_NS,
     seq: Optional[int] = None,
+    origin: Tuple[float, float] = (0.0, 0.0),
 ) -> Detections:
     """Makes detections from arrays, a value per detection.
 
     `types` are numbers of `AgentType`. `ids` are identities that the tracker may trust; without them it associates
     by position. `sizes_m` has two columns, length and width. NaN is an unknown heading, speed or size. `ego` is the
     sensor's x, y and heading; if the sensor sees from there, set `seen_from_ego`. Stamps must increase. Without `seq`,
-    `Predictor.step` numbers the tick.
+    `Predictor.step` numbers the tick. `origin` is subtracted from all positions, which then may be those of a map in
+    UTM; forecasts have it as `origin_m`.
+
+    Raises `InputError` for values that cannot be: masked ones, identities that are not whole or appear twice, sizes of
+    0, positive offsets, an interval of 0. Raises `TypeError` for values that are no numbers.
 
     >>> tick = detections(0, [AgentType.PEDESTRIAN], [1.0], [2.0], ids=[7])
     >>> tick.records["x_m"].tolist()
     [1.0]
     """
-    x = np.atleast_1d(np.asarray(x_m, np.float32))
+    x, y = (
+        np.atleast_1d(checks.unmasked(name, values)).astype(np.float64) - shift
+        for name, values, shift in zip(("x_m", "y_m"), (x_m, y_m), origin)
+    )
+    ego = (ego[0] - origin[0], ego[1] - origin[1], ego[2])
     records = np.zeros(len(x), dtype("detections"))
-    columns = {"x_m": x, "y_m": y_m, "agent_type": types, "score": scores, "sigma_m": sigmas_m, "offset_ns": offsets_ns}
+    columns = {"x_m": x, "y_m": y, "score": scores, "sigma_m": sigmas_m}
     for name, column in columns.items():
-        records[name] = column
+        records[name] = checks.unmasked(name, column)
+    records["agent_type"] = checks.whole("types", types, 0, (1 << 32) - 1)
+    records["offset_ns"] = checks.times(stamp_ns, interval_ns, offsets_ns)
     if ids is not None:
-        records["id"] = ids
+        records["id"] = checks.identities(ids)
         records["flags"] |= np.uint32(DetectionFlags.HAS_ID)
     flagged = [("heading_rad", headings_rad, DetectionFlags.HAS_HEADING)]
     flagged.append(("speed_mps", speeds_mps, DetectionFlags.HAS_SPEED))
     if sizes_m is not None:
-        sizes = np.asarray(sizes_m, np.float32).reshape(len(x), 2)
+        sizes = checks.sizes(sizes_m, len(x))
         flagged.append(("length_m", sizes[:, 0], DetectionFlags.HAS_SIZE))
         flagged.append(("width_m", sizes[:, 1], DetectionFlags.HAS_SIZE))
     for name, values, flag in flagged:
         if values is not None:
-            known = ~np.isnan(np.asarray(values, np.float32))
+            known = ~np.isnan(checks.unmasked(name, values).astype(np.float32))
             records[name] = np.where(known, values, 0)
             records["flags"] |= np.where(known, flag, 0).astype(np.uint32)
     has_ids = ids is not None
-    frame = _stgdat.detections(records.tobytes(), stamp_ns, interval_ns, has_ids, None, ego, seen_from_ego, seq)
+    frame = _stgdat.detections(records.tobytes(), stamp_ns, interval_ns, has_ids, ego, seen_from_ego, seq, origin)
     return Detections(frame)

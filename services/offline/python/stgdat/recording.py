@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import functools
 import os
-from typing import TYPE_CHECKING, Iterator, List, Optional, Tuple
+from typing import TYPE_CHECKING, Any, Iterator, List, Optional, Tuple
 
 import numpy as np
 
-from . import _stgdat, tables
+from . import _stgdat, checks, tables
 from .arguments import Origin, Path, written
 from .frames import Array, Detections, array_of, dtype
 from .numbers import AgentType, DetectionFlags
@@ -23,6 +23,8 @@ _AGENT = np.dtype([("id", "<u8"), ("agent_type", "<u4"), ("first_ns", "<i8"), ("
 class Recording:
     """A recording: frames of detections in time order. `open` and `generate` make it.
 
+    Pickle stores how it was made. Another process opens the file again, and refuses a file that has changed.
+
     >>> import stgdat
     >>> recording = stgdat.generate(agents=4, ticks=10)
     >>> len(recording), recording.detections.dtype.names[:3]
@@ -36,11 +38,16 @@ class Recording:
     offsets: Array
     """The rows of frame i are `detections[offsets[i]:offsets[i + 1]]`, [frame + 1]."""
 
-    def __init__(self, recording: _stgdat.Recording) -> None:
+    def __init__(self, recording: _stgdat.Recording, arguments: List[str], complete: bool = False) -> None:
         self._recording = recording
+        self._arguments = arguments
+        self._complete = complete
         self.detections = array_of(recording.detections(), dtype("detections"))
         self.stamps_ns = array_of(recording.stamps_ns(), "<i8")
         self.offsets = array_of(recording.offsets(), "<i8")
+
+    def __reduce__(self) -> Tuple[Any, ...]:
+        return _reopened, (self._arguments, self._complete, self.sha256)
 
     def __len__(self) -> int:
         return len(self.stamps_ns)
@@ -139,9 +146,9 @@ def open(
     `format` is detected unless it is given. `fps` is the rate of frame numbers, for formats whose files do not hold
     it. `origin` is subtracted from all positions, in metres.
 
-    Raises `InputError` with file, line and value.
+    Raises `InputError` with file, line and value, and `FileNotFoundError` for a missing file.
     """
-    return Recording(_stgdat.open(written(format=format, fps=fps, origin=origin) + ["--", os.fspath(path)], False))
+    return _made(written(format=format, fps=fps, origin=origin) + ["--", os.path.abspath(checks.existing(path))], False)
 
 
 def generate(*, agents: int = 32, ticks: int = 250, seed: int = 1, complete: bool = False) -> Recording:
@@ -150,4 +157,15 @@ def generate(*, agents: int = 32, ticks: int = 250, seed: int = 1, complete: boo
     With `complete`, all agents are detected in every frame, with their identities, and nothing else is detected. This
     is the scene of `stgdat bench`.
     """
-    return Recording(_stgdat.open(written({"source.agents": agents}, ticks=ticks, seed=seed), complete))
+    return _made(written({"source.agents": agents}, ticks=ticks, seed=seed), complete)
+
+
+def _made(arguments: List[str], complete: bool) -> Recording:
+    return Recording(_stgdat.open(arguments, complete), arguments, complete)
+
+
+def _reopened(arguments: List[str], complete: bool, sha256: str) -> Recording:
+    recording = _made(arguments, complete)
+    if recording.sha256 != sha256:
+        raise _stgdat.InputError(f"{recording.path}: the file has changed since the recording was pickled")
+    return recording

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Iterator, Mapping, Optional, Union
+from typing import Iterator, List, Mapping, Optional, Union
 
 from . import _stgdat
 from .arguments import Origin, Path, written
@@ -23,10 +23,13 @@ class Predictor:
     `settings` sets options of stages, as `--set` does: `{"tracker.fov": (90, 80)}`. The other arguments are those of
     `stgdat predict`.
 
-    A predictor may be shared by threads: one step runs at a time, without Python's global lock.
+    A predictor may be shared by threads: one step runs at a time, without Python's global lock. A process that was
+    forked later cannot use it, and gets a `RuntimeError`.
 
-    Raises `InputError` for a file or value that cannot be used.
+    Raises `FileNotFoundError` for a missing file and `InputError` for a file or value that cannot be used.
     """
+
+    _doubts = 0
 
     def __init__(
         self,
@@ -63,7 +66,17 @@ class Predictor:
         Raises `InputError` for detections that the tracker refuses, such as those of a stamp that it has seen. A tick
         that is late, but recent, is taken into account: its forecasts are empty, and the next ones know of it.
         """
-        return Forecasts(self._stages.step(detections._frame))
+        forecasts = Forecasts(self._stages.step(_frame(detections)))
+        self._doubts = int(forecasts.header["input"]["doubts"])
+        return forecasts
+
+    @property
+    def doubts(self) -> List[str]:
+        """Probable defects of the detections so far, such as headings in degrees: the findings of the input audit.
+
+        The audit looks for them every 32 ticks. `reset` and `run` forget them.
+        """
+        return _stgdat.doubts_of(self._doubts)
 
     @property
     def tracks(self) -> Tracks:
@@ -77,11 +90,13 @@ class Predictor:
         """
         played = _opened(recording)
         self._stages.begin(played._recording)
+        self._doubts = 0
         return (self.step(tick) for tick in played.ticks(ticks))
 
     def reset(self) -> None:
         """Forgets all earlier ticks."""
         self._stages.begin(None)
+        self._doubts = 0
 
     def save_memory(self) -> None:
         """Writes the retrieval memory to the file of `memory`."""
@@ -119,7 +134,7 @@ class Tracker:
 
         Raises `InputError` for detections that the tracker refuses.
         """
-        return Tracks(self._stages.step(detections._frame))
+        return Tracks(self._stages.step(_frame(detections)))
 
     def run(self, recording: Union[Recording, Path], ticks: Optional[int] = None) -> Iterator[Tracks]:
         """Plays a recording from the start, as `stgdat track` does."""
@@ -130,6 +145,12 @@ class Tracker:
     def reset(self) -> None:
         """Forgets all earlier ticks."""
         self._stages.begin(None)
+
+
+def _frame(detections: Detections) -> _stgdat.Frame:
+    if not isinstance(detections, Detections):
+        raise TypeError(f"expected Detections, such as those of stgdat.detections, not {type(detections).__name__}")
+    return detections._frame
 
 
 def _opened(recording: Union[Recording, Path]) -> Recording:

@@ -13,6 +13,7 @@ import sys
 import tempfile
 import time
 import unittest
+import unittest.mock
 from pathlib import Path
 from typing import Any, Dict, Iterator, List, Optional, Tuple
 
@@ -123,6 +124,23 @@ class Inputs(InFolder):
         with self.assertRaisesRegex(FileNotFoundError, "no recording"):
             driver.run(Count(Options()), self.tries, self.folder / "out", QUIET)
 
+    def test_options_are_checked_before_the_first_task(self) -> None:
+        root = self.write({"a/1.csv": "1"})
+        out = self.folder / "out"
+        for options, kind in (
+            (Options(weights="none.safetensors"), FileNotFoundError),
+            (Options(format="xml"), stgdat.InputError),
+            (Options(settings={"tracker.fov": "wide"}), stgdat.InputError),
+        ):
+            with self.assertRaises(kind):
+                driver.run(Count(options), root, out, QUIET)
+        command = [sys.executable, "-m", "stgdat.fleet", "audit", str(root), "--output", str(out), "--format", "xml"]
+        done = subprocess.run(command, capture_output=True, text=True)
+        self.assertEqual((done.returncode, done.stderr.count("\n")), (65, 1), done.stderr)
+        self.assertTrue(done.stderr.startswith("error: ") and "xml" in done.stderr, done.stderr)
+        self.assertFalse((out / "results").exists())
+        driver.run(Count(Options(weights="onboard-free")), root, out, QUIET)
+
     def test_recordings_and_results_at_an_address(self) -> None:
         fs = fsspec.filesystem("memory")
         fs.pipe({"/fleet/a/1.csv": b"one", "/fleet/b.csv": b"raise"})
@@ -230,7 +248,10 @@ class Jobs(InFolder):
         root = self.write({"a.csv": "one"})
 
         def done(options: Options = Options()) -> work.Done:
-            return driver.run(Count(options), root, self.folder / "out", QUIET).done[0]
+            job = Count(options)
+            # The weights of this test are no weights.
+            with unittest.mock.patch.object(job, "check"):
+                return driver.run(job, root, self.folder / "out", QUIET).done[0]
 
         first = done()
         self.assertTrue(done().is_found)

@@ -18,7 +18,7 @@ import tempfile
 import threading
 import unittest
 from pathlib import Path
-from typing import Any, List
+from typing import Any, Callable, List
 
 import numpy as np
 import numpy.typing as npt
@@ -448,7 +448,7 @@ class Runs(InFolder):
             stgdat.read_record(self.write("a.mcap", "no record"))
 
 
-class Package(unittest.TestCase):
+class Package(InFolder):
     def test_enumerations_are_those_of_the_wire(self) -> None:
         wire = _stgdat.numbers()
         for enumeration in [stgdat.AgentType, stgdat.TrackStatus, stgdat.Quality, stgdat.Cause, stgdat.Expert]:
@@ -467,10 +467,172 @@ class Package(unittest.TestCase):
         self.assertGreater(examples, 15)
 
     def test_errors_can_be_sent_to_other_processes(self) -> None:
-        with self.assertRaises(stgdat.InputError) as raised:
-            stgdat.open("/nowhere/a.csv")
-        copied = pickle.loads(pickle.dumps(raised.exception))
-        self.assertEqual((type(copied), str(copied)), (stgdat.InputError, str(raised.exception)))
+        path = self.write("b.csv", HEAD + "0,1,car,1,2,,\n")
+        for name, kind in ((path, stgdat.InputError), ("/nowhere/a.csv", stgdat.MissingFileError)):
+            with self.assertRaises(stgdat.InputError) as raised:
+                stgdat.open(name)
+            copied = pickle.loads(pickle.dumps(raised.exception))
+            self.assertEqual((type(copied), str(copied)), (kind, str(raised.exception)))
+
+    def test_missing_files_and_wrong_types_have_their_own_errors(self) -> None:
+        missing = str(self.folder / "none.csv")
+        missing_files: List[Callable[[], object]] = [
+            lambda: stgdat.open(missing),
+            lambda: stgdat.Predictor(missing),
+            lambda: stgdat.Predictor(lanes=missing),
+            lambda: stgdat.Tracker(weights=missing),
+            lambda: stgdat.Evaluator(missing),
+            lambda: stgdat.Evaluator().state(missing),
+        ]
+        for call in missing_files:
+            with self.assertRaisesRegex(FileNotFoundError, "none.csv"):
+                call()
+        predictor: Any = stgdat.Predictor()
+        unknown: Any = 3.5
+        wrong_types: List[Callable[[], object]] = [
+            lambda: stgdat.open(unknown),
+            lambda: stgdat.Predictor(unknown),
+            lambda: stgdat.Predictor(seed=unknown),
+            lambda: predictor.step(unknown),
+            lambda: predictor.step([1, 2]),
+            lambda: predictor.run(unknown),
+            lambda: stgdat.evaluate(unknown),
+            lambda: stgdat.detections(unknown, [0], [0.0], [0.0]),
+            lambda: stgdat.detections(0, ["car"], [0.0], [0.0]),
+            lambda: stgdat.detections(0, [0], [0.0], [0.0], ids=["a"]),
+        ]
+        for call in wrong_types:
+            with self.assertRaises(TypeError):
+                call()
+
+    def test_detections_that_cannot_be_are_refused(self) -> None:
+        two: Any = {"types": [0, 0], "x_m": [0.0, 9.0], "y_m": [0.0, 0.0]}
+        masked: Any = np.ma.MaskedArray([0.0, 9.0], [False, True])
+        wrong: List[Any] = [
+            ({"ids": [7, 7]}, "7 twice"),
+            ({"ids": [1.5, 2]}, "1.5: expected whole"),
+            ({"ids": [-1, 2]}, "-1: expected whole"),
+            ({"ids": [math.nan, 2]}, "nan: expected whole"),
+            ({"types": [0, 0.5]}, "0.5: expected whole"),
+            ({"x_m": masked}, "x_m has masked values"),
+            ({"headings_rad": masked}, "heading_rad has masked values"),
+            ({"ids": np.ma.MaskedArray([1, 2], [True, False])}, "ids has masked values"),
+            ({"sizes_m": [[0.0, 1.0], [4.0, 2.0]]}, "sizes_m has 0"),
+            ({"sizes_m": [[-4.0, 1.0], [4.0, 2.0]]}, "sizes_m has -4"),
+            ({"sizes_m": [[4.0, math.inf], [4.0, 2.0]]}, "sizes_m has inf"),
+            ({"sizes_m": [[4.0, math.nan], [4.0, 2.0]]}, "one of length and width"),
+            ({"interval_ns": 0}, "interval_ns = 0"),
+            ({"stamp_ns": -1}, "stamp_ns = -1"),
+            ({"stamp_ns": 1 << 63}, "stamp_ns = "),
+            ({"offsets_ns": [0, 5]}, "offsets_ns has 5"),
+        ]
+        for change, message in wrong:
+            arguments: Any = {"stamp_ns": 0, **two, **change}
+            with self.assertRaisesRegex(stgdat.InputError, message):
+                stgdat.detections(**arguments)
+        unknown = stgdat.detections(0, **two, sizes_m=[[math.nan, math.nan], [4.0, 2.0]], ids=np.array([0, 2**64 - 1], np.uint64))
+        self.assertEqual(unknown.records["length_m"].tolist(), [0.0, 4.0])
+        self.assertEqual(int(unknown.records["id"][1]), 2**64 - 1)
+
+    def test_detections_have_an_origin(self) -> None:
+        origin = (691_608.25, 5_334_763.5)
+        predictor = stgdat.Predictor()
+        for tick in range(20):
+            x_m = origin[0] + 0.8 * tick
+            made = stgdat.detections(tick * 100_000_000, [0], [x_m], [origin[1] + 2.0], ids=[1], origin=origin)
+            self.assertAlmostEqual(float(made.records["x_m"][0]), 0.8 * tick, places=5)
+            forecasts = predictor.step(made)
+        self.assertEqual((made.origin_m, forecasts.origin_m), (origin, origin))
+        self.assertAlmostEqual(float(forecasts.velocities_mps[0, 0]), 8.0, places=1)
+        with self.assertRaisesRegex(stgdat.InputError, "the stages have the origin"):
+            predictor.step(stgdat.detections(3_000_000_000, [0], [9.0], [0.0], origin=(5.0, 5.0)))
+        with self.assertRaisesRegex(stgdat.InputError, "not finite, or too far"):
+            stgdat.detections(0, [0], [0.0], [0.0], origin=(math.nan, 0.0))
+
+    def test_agents_beyond_the_limit_are_counted(self) -> None:
+        predictor = stgdat.Predictor()
+        places = 6.0 * np.arange(140)
+        for tick in range(5):
+            made = stgdat.detections(tick * 100_000_000, [0] * 140, places, places * 0.0, ids=np.arange(140))
+            forecasts = predictor.step(made)
+        self.assertEqual((len(forecasts), forecasts.left_out), (128, 12))
+
+    def test_doubts_about_live_detections(self) -> None:
+        predictor = stgdat.Predictor()
+        for tick in range(64):
+            # Headings in degrees.
+            made = stgdat.detections(
+                tick * 100_000_000, [0, 0], [0.8 * tick, 9.0], [0.0, 0.8 * tick], ids=[1, 2], headings_rad=[0.0, 90.0]
+            )
+            predictor.step(made)
+        self.assertEqual(len(predictor.doubts), 1, predictor.doubts)
+        self.assertIn("degrees", predictor.doubts[0])
+        predictor.reset()
+        self.assertEqual(predictor.doubts, [])
+
+    def test_the_noise_of_a_recording_is_a_doubt_if_it_changes(self) -> None:
+        random = np.random.default_rng(4)
+        rows = []
+        for k in range(900):
+            sigma = 0.1 if k < 450 else 0.5
+            for car in range(8):
+                x, y = 0.6 * k + random.normal(0, sigma), 8 * car + random.normal(0, sigma)
+                rows.append(f"{k / 10},{car + 1},vehicle,{x:.3f},{y:.3f},,\n")
+        recording = stgdat.open(self.write("noisy.csv", HEAD + "".join(rows)))
+        self.assertTrue(any("noise of vehicles rose" in doubt for doubt in recording.doubts), recording.doubts)
+
+    def test_shipped_weights_have_names(self) -> None:
+        self.write("a.csv", walk())
+        free = [line.to_json() for line in stgdat.Predictor("onboard-free").run(self.folder / "a.csv")]
+        own = [line.to_json() for line in stgdat.Predictor().run(self.folder / "a.csv")]
+        self.assertNotEqual(free, own)
+        self.assertEqual(free, predicted(str(self.folder / "a.csv"), "--weights", "onboard-free"))
+
+    def test_objects_can_be_pickled(self) -> None:
+        recording = stgdat.open(self.write("a.csv", walk()))
+        predictor = stgdat.Predictor()
+        *_, tick = recording.ticks()
+        *_, forecasts = predictor.run(recording)
+        for frame in (tick, forecasts, predictor.tracks):
+            copied = pickle.loads(pickle.dumps(frame))
+            self.assertIs(type(copied), type(frame))
+            self.assertEqual(copied.header.tobytes(), frame.header.tobytes())
+            self.assertEqual(copied.records.tobytes(), frame.records.tobytes())
+        self.assertEqual(pickle.loads(pickle.dumps(forecasts)).to_json(), forecasts.to_json())
+        for made in (recording, stgdat.generate(agents=4, ticks=5), stgdat.generate(agents=4, ticks=5, complete=True)):
+            copy = pickle.loads(pickle.dumps(made))
+            self.assertEqual((copy.name, copy.sha256, len(copy)), (made.name, made.sha256, len(made)))
+            self.assertEqual(copy.detections.tobytes(), made.detections.tobytes())
+        evaluator = stgdat.Evaluator(positions=True)
+        again = pickle.loads(pickle.dumps(evaluator))
+        self.assertEqual(again.state(recording), evaluator.state(recording))
+        stored = pickle.dumps(recording)
+        self.write("a.csv", walk(1.0))
+        with self.assertRaisesRegex(stgdat.InputError, "has changed"):
+            pickle.loads(stored)
+
+    @unittest.skipUnless(hasattr(os, "fork"), "needs fork")
+    def test_stages_from_before_a_fork_are_refused(self) -> None:
+        predictor, tracker = stgdat.Predictor(), stgdat.Tracker()
+        tick = stgdat.detections(0, [0], [0.0], [0.0])
+        predictor.step(tick)
+        read, write = os.pipe()
+        child = os.fork()
+        if child == 0:
+            said = []
+            for call in (lambda: predictor.step(tick), lambda: tracker.step(tick), predictor.reset, lambda: predictor.tracks):
+                try:
+                    call()
+                    said.append("nothing")
+                except RuntimeError as error:
+                    said.append(str(error)[:21])
+            os.write(write, ", ".join(said).encode())
+            os._exit(0)
+        os.close(write)
+        with os.fdopen(read) as pipe:
+            self.assertEqual(pipe.read(), ", ".join(["these stages belong t"] * 4))
+        os.waitpid(child, 0)
+        predictor.step(stgdat.detections(100_000_000, [0], [0.0], [0.0]))
 
 
 if __name__ == "__main__":

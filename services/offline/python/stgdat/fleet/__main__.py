@@ -7,7 +7,7 @@ import os
 import sys
 from typing import Dict, List, Optional, Sequence, Tuple
 
-from . import Options, Place, run
+from . import Options, Place, run, work
 from .inputs import PATTERNS
 from .jobs import Job
 from .jobs.audit import Audit
@@ -124,11 +124,15 @@ def _job(arguments: argparse.Namespace) -> Job:
 
 
 def main(arguments: Optional[Sequence[str]] = None) -> int:
-    """Runs a job. Returns 0, or 65 if recordings were set aside."""
+    """Runs a job. Returns 0, or 65 if recordings were set aside or the job could not start."""
     of = _parser().parse_args(arguments)
     patterns: List[str] = of.pattern or list(PATTERNS)
     place = Place(of.address, of.processes, of.task_mib, patterns)
-    finished = run(_job(of), of.paths, of.output, place)
+    try:
+        finished = run(_job(of), of.paths, of.output, place)
+    except (ImportError, OSError, TypeError, ValueError, work.OtherBuild) as error:
+        print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
+        return 65
     print(finished.report.text)
     return 65 if finished.failed else 0
 

@@ -68,8 +68,11 @@ def run(
 ) -> Finished:
     """Runs a job over the recordings at `paths`. What an earlier run has done is not done again.
 
-    Raises `FileNotFoundError` if there is no recording.
+    Raises `FileNotFoundError` if there is no recording, and `InputError` for options that cannot work.
     """
+    if place.address is None:
+        # The files of the options are on this machine, too.
+        job.check()
     recordings = inputs.find(paths, place.patterns)
     if not recordings:
         raise FileNotFoundError(f"no recording: folders are searched for {', '.join(place.patterns)}")

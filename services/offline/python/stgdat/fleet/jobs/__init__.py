@@ -46,16 +46,20 @@ class Options:
         model = written(settings, weights=self.weights, lanes=self.lanes, lanes_origin=self.lanes_origin, map=self.map)
         return [*self.reading(), *model, "--", path]
 
+    def check(self) -> None:
+        """Raises `InputError` or `FileNotFoundError` for options that no recording can be read or forecast with."""
+        _stgdat.check(self.arguments("")[:-2])
+
     def reading(self) -> List[str]:
         """The arguments on how recordings are read."""
         return written(format=self.format, fps=self.fps, origin=self.origin)
 
     def identity(self) -> Dict[str, Any]:
         """Everything that a result depends on, with the content of files instead of their names."""
-        settings = {name: _content(str(value)) for name, value in self.settings.items()}
+        settings = {name: content(str(value)) for name, value in self.settings.items()}
         files = {name: getattr(self, name) for name in ("weights", "lanes", "map")}
         return {
-            **{name: None if value is None else _content(value) for name, value in files.items()},
+            **{name: None if value is None else content(value) for name, value in files.items()},
             "lanes_origin": self.lanes_origin,
             "settings": settings,
             "reading": self.reading(),
@@ -63,7 +67,8 @@ class Options:
         }
 
 
-def _content(text: str) -> str:
+def content(text: str) -> str:
+    """The digest of a file's content, or the text if it is no file, such as the name of shipped weights."""
     return inputs.digest(text) if os.path.isfile(text) else text
 
 
@@ -88,6 +93,10 @@ class Job(abc.ABC):
 
     def __init__(self, options: Options) -> None:
         self.options = options
+
+    def check(self) -> None:
+        """Raises an error for options that cannot work, before the first recording."""
+        self.options.check()
 
     def identity(self) -> Dict[str, Any]:
         """Everything besides the recording that a result depends on."""
@@ -130,4 +139,4 @@ def failures(failed: List[Tuple[str, str]]) -> str:
     return f"\n## Set aside\n\n{lines}"
 
 
-__all__ = ["Job", "Options", "Report", "failures", "table", "write_rows", "_stgdat"]
+__all__ = ["Job", "Options", "Report", "content", "failures", "table", "write_rows", "_stgdat"]

@@ -6,10 +6,9 @@ import json
 from typing import Any, Dict, Iterator, List, Optional, Tuple
 
 from ... import _stgdat
-from .. import inputs
 from ..inputs import Input
 from ..store import Result, Store
-from . import Job, Options, Report, failures, table, write_rows
+from . import Job, Options, Report, content, failures, table, write_rows
 
 _COUNTS = ("forecasts", "different", "matured", "better", "worse")
 _SUMS = ("before_m", "after_m")
@@ -44,8 +43,12 @@ class Replay(Job):
         self.before = before
 
     def identity(self) -> Dict[str, Any]:
-        before = None if self.before is None else inputs.digest(self.before)
+        before = None if self.before is None else content(self.before)
         return {**super().identity(), "before": before}
+
+    def check(self) -> None:
+        super().check()
+        Options(self.before).check()
 
     def work(self, recording: Input, path: str, key: str, store: Store) -> Result:
         of = self.options
