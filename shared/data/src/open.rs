@@ -79,7 +79,9 @@ pub fn open_with(path: &Path, options: OpenOptions) -> Result<Recording, ReadErr
     inputs.iter_mut().for_each(|input| input.origin = options.origin);
     inputs[0].topics = options.topics;
     let recording = parse_at(format, &inputs, options.fps)?;
-    Ok(Recording { name: name(&path.to_string_lossy()), ..recording })
+    // A folder such as `.` has no name in the path.
+    let folder = path.canonicalize().ok().filter(|path| path.is_dir());
+    Ok(Recording { name: name(&folder.as_deref().unwrap_or(path).to_string_lossy()), ..recording })
 }
 
 /// The name of a recording in a single file of another reader, and the SHA-256 of the file, as

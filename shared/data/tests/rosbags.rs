@@ -395,6 +395,7 @@ fn a_folder_of_rosbag2_is_one_recording() {
     let check = |folder: &std::path::Path| {
         let recording = data::open(folder, None).unwrap();
         assert_eq!(recording.frames.len(), 12);
+        assert_eq!(data::open(&folder.join("."), None).unwrap().name, recording.name);
         for (place, frame) in recording.frames.iter().enumerate() {
             let x_m = only(&recording, place).x_m;
             assert!((f64::from(x_m) - frame.stamp_ns as f64 * 3e-9 - 1.0).abs() < 1e-2, "{place}: {x_m}");
