@@ -39,11 +39,17 @@ struct Options {
     offsets_ms: [f64; 2],
     /// A recording whose frames are sent instead, at most at 12.5 Hz.
     play: Option<PathBuf>,
+    /// `[frame, s]`: nothing is sent for this time before this frame.
+    pause: Option<(u64, f64)>,
+    /// `[frame, s]`: the sensor's clock is set forward by this time before this frame, or back if negative.
+    set_clock: Option<(u64, f64)>,
+    /// How often the frames are played. The stamps begin again each time, as in a bag that is played in a loop.
+    rounds: u64,
 }
 
 impl Default for Options {
     fn default() -> Self {
-        Self { ticks: 125, offsets_ms: [0.0; 2], play: None }
+        Self { ticks: 125, offsets_ms: [0.0; 2], play: None, pause: None, set_clock: None, rounds: 1 }
     }
 }
 
@@ -121,19 +127,30 @@ fn run(run: &Run) -> Result<(), StageError> {
         peers.listen()?;
     }
 
-    let begin_ns = monotonic_ns();
+    let mut begin_ns = monotonic_ns();
     let first_ns = frames.first().map_or(0, |frame| frame.stamp_ns);
-    let mut end_ns = first_ns;
-    for (seq, frame) in (0..).zip(frames) {
-        if !stage.sleep_until(begin_ns + frame.stamp_ns.abs_diff(first_ns))? {
+    let (mut end_ns, mut clock_ns) = (first_ns, 0);
+    for (seq, frame) in (0..).zip((0..options.rounds).flat_map(|_| frames)) {
+        if let Some((_, pause_s)) = options.pause.filter(|(at, _)| *at == seq) {
+            begin_ns += (pause_s * 1e9) as u64;
+            clock_ns += (pause_s * 1e9) as i64;
+        }
+        if let Some((_, step_s)) = options.set_clock.filter(|(at, _)| *at == seq) {
+            clock_ns += (step_s * 1e9) as i64;
+        }
+        let round = seq / frames.len() as u64;
+        let round_ns =
+            round * (frames.last().map_or(0, |last| last.stamp_ns.abs_diff(first_ns)) + scene.interval_ns);
+        if !stage.sleep_until(begin_ns + round_ns + frame.stamp_ns.abs_diff(first_ns))? {
             return Ok(());
         }
+        let stamp_ns = frame.stamp_ns + clock_ns;
         let seen_from_ego = if frame.ego.is_sensor { flags::SEEN_FROM_EGO } else { 0 };
         let mut passage = stage.release(Header {
             observed_types: frame.observed_types,
             ego_m: frame.ego.position_m,
             ego_heading_rad: frame.ego.heading_rad,
-            ..header(seq, frame.stamp_ns, seen_from_ego)
+            ..header(seq, stamp_ns, seen_from_ego)
         });
         // As a detector would send them, so the tracker's audit sees the file's content.
         let measured: Vec<Detection> =
@@ -141,10 +158,11 @@ fn run(run: &Run) -> Result<(), StageError> {
         passage.header.counts.agents_len = measured.len() as u32;
         let loan = detections.copy(&measured)?;
         stage.finish(passage, &detections, Ok(loan))?;
-        end_ns = frame.stamp_ns + scene.interval_ns as i64;
+        end_ns = stamp_ns + scene.interval_ns as i64;
     }
-    stage.sleep_until(begin_ns + end_ns.abs_diff(first_ns))?;
-    Ok(stage.pass_empty(stage.release(header(frames.len() as u64, end_ns, flags::END)), &detections)?)
+    stage.sleep_until(monotonic_ns() + scene.interval_ns)?;
+    let seq = options.rounds * frames.len() as u64;
+    Ok(stage.pass_empty(stage.release(header(seq, end_ns, flags::END)), &detections)?)
 }
 
 fn main() -> ExitCode {

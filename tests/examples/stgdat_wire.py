@@ -88,6 +88,7 @@ class Flags(enum.IntFlag):
     VOID = 16  # No agents: a stage has refused this tick, or it was a late measurement that was processed out of sequence.
     SEEN_FROM_EGO = 32  # A sensor made the detections from `Header.ego_m`, and objects occlude its view.
     PREDICTED = 64  # No detections arrived for this tick: its tracks are predicted.
+    NEW_SESSION = 128  # The tick begins a session: the clock of the stamps was set.
 
 
 class DetectionFlags(enum.IntFlag):

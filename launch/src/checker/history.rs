@@ -94,6 +94,9 @@ pub struct Output {
     /// Whether its tracks are predicted.
     #[serde(default, skip_serializing_if = "is_default")]
     pub predicted: bool,
+    /// Whether it begins a session, in which stamps may be older.
+    #[serde(default, skip_serializing_if = "is_default")]
+    pub new_session: bool,
     /// The first number that is not finite or is impossible.
     #[serde(default, skip_serializing_if = "is_default")]
     pub impossible: Option<String>,
@@ -235,6 +238,7 @@ impl Output {
             received_ns,
             void: header.has(flags::VOID),
             predicted: header.has(flags::PREDICTED),
+            new_session: header.has(flags::NEW_SESSION),
             impossible: forecasts.iter().find_map(impossible),
             incarnations: stages.collect(),
             forecasts: forecasts.iter().map(ForecastSeen::of).collect(),

@@ -57,7 +57,8 @@ pub struct Extractor {
     embedders: Workers<Embedder>,
     cache: StampCache,
     queue: Queue,
-    last: Option<(u64, i64)>,
+    /// Run, number and stamp of the newest tick.
+    last: Option<(u64, (u64, i64))>,
     frame: Frame,
     effort: Effort,
 }
@@ -150,10 +151,14 @@ impl Extractor {
             return Ok(FeatureShape { agents_len: 0, edges_len: 0 });
         }
         self.check(header, context)?;
-        if self.last.is_some_and(|(run_id, _)| run_id != header.run_id) {
+        if self
+            .last
+            .is_some_and(|(run_id, last)| run_id != header.run_id || header.begins_session_after(last))
+        {
             self.cache.clear();
+            self.queue = Queue::new();
         }
-        self.last = Some((header.run_id, header.stamp_ns));
+        self.last = Some((header.run_id, (header.seq, header.stamp_ns)));
         self.place_agents(context);
         if let Some(served_max) = served_max {
             self.queue.choose(header, context.tracks, served_max, &mut self.frame.agents);
@@ -176,11 +181,12 @@ impl Extractor {
 
     fn check(&self, header: &Header, context: &Context<'_>) -> Result<(), Rejected> {
         header.check_agents(context.tracks.len())?;
-        if let Some((run_id, last_ns)) = self.last
+        if let Some((run_id, last)) = self.last
             && run_id == header.run_id
-            && header.stamp_ns <= last_ns
+            && header.stamp_ns <= last.1
+            && !header.begins_session_after(last)
         {
-            return Err(Rejected::NotNewer { stamp_ns: header.stamp_ns, last_ns });
+            return Err(Rejected::NotNewer { stamp_ns: header.stamp_ns, last_ns: last.1 });
         }
         let ContextShape { agents_len, history_len, patch_side } = context.shape;
         equal("agents_len", context.tracks.len(), agents_len)?;

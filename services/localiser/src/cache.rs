@@ -35,6 +35,11 @@ impl PatchCache {
         }
     }
 
+    /// Drops all patches.
+    pub(crate) fn clear(&mut self) {
+        self.entries.clear();
+    }
+
     /// Marks the tracks as used at this stamp, which protects their slots from eviction until a later stamp.
     pub(crate) fn touch(&mut self, ids: impl Iterator<Item = u64>, now_ns: i64) {
         for id in ids {

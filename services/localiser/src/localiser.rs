@@ -37,7 +37,8 @@ pub struct Localiser {
     patch: PatchOptions,
     map: Map,
     cache: PatchCache,
-    last_ns: Option<i64>,
+    /// Number and stamp of the newest tick.
+    last: Option<(u64, i64)>,
 }
 
 impl Localiser {
@@ -55,7 +56,7 @@ impl Localiser {
             MapSource::Fixed(map) => Map::Fixed(map),
             MapSource::Online => Map::Online(Box::default()),
         };
-        Self { history_len, patch, map, cache: PatchCache::new(patch.len()), last_ns: None }
+        Self { history_len, patch, map, cache: PatchCache::new(patch.len()), last: None }
     }
 
     /// The shape of a frame of `track_count` tracks.
@@ -83,6 +84,10 @@ impl Localiser {
         if !header.is_tick() {
             return Ok(());
         }
+        if self.last.is_some_and(|last| header.begins_session_after(last)) {
+            // Stamps of patches have no meaning any more. The map of the place stays.
+            self.cache.clear();
+        }
         out.tracks.copy_from_slice(tracks);
         self.cache.touch(tracks.iter().map(|track| track.id), header.stamp_ns);
         for (agent, track) in tracks.iter().enumerate() {
@@ -95,7 +100,7 @@ impl Localiser {
                 confirmed.map(|track| ([track.x_m, track.y_m], [track.vx_mps, track.vy_mps])),
             );
         }
-        self.last_ns = Some(header.stamp_ns);
+        self.last = Some((header.seq, header.stamp_ns));
         Ok(())
     }
 
@@ -105,9 +110,9 @@ impl Localiser {
             return Ok(());
         }
         equal("history_len", header.counts.history_len as usize, self.history_len)?;
-        match self.last_ns {
-            Some(last_ns) if header.stamp_ns <= last_ns => {
-                Err(Rejected::NotNewer { stamp_ns: header.stamp_ns, last_ns })
+        match self.last {
+            Some(last) if header.stamp_ns <= last.1 && !header.begins_session_after(last) => {
+                Err(Rejected::NotNewer { stamp_ns: header.stamp_ns, last_ns: last.1 })
             }
             _ => tracks.iter().try_for_each(Track::check),
         }

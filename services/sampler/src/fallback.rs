@@ -29,6 +29,12 @@ impl Fallback {
         self.newest_learned_ns.get_or_insert(stamp_ns);
     }
 
+    /// Ends a session: no forecast is held, and the clock of the policy starts again.
+    pub(crate) fn end_session(&mut self) {
+        self.held.clear();
+        self.newest_learned_ns = None;
+    }
+
     /// Keeps a learned forecast.
     pub(crate) fn keep(&mut self, stamp_ns: i64, forecast: &Forecast) {
         self.held.keep(stamp_ns, forecast);

@@ -24,6 +24,12 @@ impl HeldForecasts {
         Self { keys: Vec::with_capacity(AGENTS_MAX), forecasts: Vec::with_capacity(AGENTS_MAX) }
     }
 
+    /// Drops all forecasts.
+    pub(crate) fn clear(&mut self) {
+        self.keys.clear();
+        self.forecasts.clear();
+    }
+
     /// Keeps a learned forecast. It replaces the track's previous one or, if the track is new and all places
     /// are taken, the oldest one. A newer forecast is never replaced.
     pub(crate) fn keep(&mut self, stamp_ns: i64, forecast: &Forecast) {

@@ -30,6 +30,8 @@ pub struct Sampler {
     /// `None` if evidence is off, or before the first tick.
     experts: Option<Box<Experts>>,
     resumed_ticks: u64,
+    /// Number and stamp of the newest tick.
+    last: Option<(u64, i64)>,
     workers: Workers<Forecaster>,
     /// Scratch memory: the turn of each track, or why it has none.
     turns: Vec<Result<usize, Cause>>,
@@ -71,6 +73,7 @@ impl Sampler {
             prior: if options.evidence { Priors::shipped().all() } else { Prior::default() },
             experts: None,
             resumed_ticks: 0,
+            last: None,
             workers: Workers::new(Turns::new(options), forecasters)?,
             turns: Vec::with_capacity(AGENTS_MAX),
             levels: Vec::with_capacity(AGENTS_MAX),
@@ -108,6 +111,13 @@ impl Sampler {
     pub fn follow(&mut self, header: &Header, forecasts: &[Forecast]) {
         if !header.is_tick() || header.has(flags::VOID) {
             return;
+        }
+        if self
+            .last
+            .replace((header.seq, header.stamp_ns))
+            .is_some_and(|last| header.begins_session_after(last))
+        {
+            self.fallback.end_session();
         }
         self.fallback.begin(header.stamp_ns);
         for forecast in forecasts.iter().filter(|forecast| forecast.is_served() && forecast.check().is_ok()) {
@@ -231,6 +241,13 @@ impl Sampler {
         room: impl FnOnce(usize) -> Result<&'a mut [Forecast], Rejected>,
     ) -> Result<usize, Rejected> {
         let tick = check(header, tracks)?;
+        // A tick that is sampled again, without its controls, is no session.
+        if self.last.is_none_or(|(seq, _)| seq < header.seq) {
+            let last = self.last.replace((header.seq, header.stamp_ns));
+            if last.is_some_and(|last| header.begins_session_after(last)) {
+                self.end_session();
+            }
+        }
         self.observe(tick, tracks);
         match controls {
             Ok(controls) => self.take_turns(tick, header, tracks, controls),
@@ -244,6 +261,13 @@ impl Sampler {
         assert_eq!(out.len(), count, "a place per forecast");
         self.write(tick, tracks, out)?;
         Ok(count)
+    }
+
+    /// Ends a session: the stamps begin again, and all later agents are new. What was learned remains.
+    fn end_session(&mut self) {
+        self.fallback.end_session();
+        self.memory.iter_mut().for_each(|memory| memory.end_session());
+        self.experts.iter_mut().for_each(|experts| experts.end_session());
     }
 
     /// Chooses the level of each track. Returns the number of forecasts: all tracks that are not silent.

@@ -9,6 +9,7 @@
 //!    with its own time, by the rules for recordings ([`merge`]).
 //! 4. If no frame is due for 80 ms after a frame arrived, the waiting frames go out.
 
+use audit::{Clock, Stamped, StampedFrame};
 use data::Frame;
 use ports::{Stage, StageError};
 use run::{Declaration, Run};
@@ -28,6 +29,8 @@ const GAP: i64 = 4;
 /// Frames wait if they are faster than the ticks by more than 1 / `TOLERANCE`. Stamps of
 /// a live sensor vary, and a rate that is taken for a higher one costs every second frame.
 const TOLERANCE: u64 = 10;
+/// A stamp that is ahead by more, the horizon of the forecasts, begins a session.
+const HORIZON_NS: u64 = 4_800_000_000;
 /// Maximum number of frames that wait.
 const WAITING_MAX: usize = 64;
 
@@ -52,16 +55,31 @@ struct Waiting {
 }
 
 /// Makes ticks of frames.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub struct LiveTicks {
     /// Frames that wait for a tick, by stamp.
     frames: Vec<Waiting>,
     /// The newest stamps, sorted.
     stamps: Vec<i64>,
     last_ns: Option<i64>,
+    clock: Clock,
     input: InputCounts,
     dropped: u64,
     restarts: u64,
+}
+
+impl Default for LiveTicks {
+    fn default() -> Self {
+        Self {
+            frames: Vec::new(),
+            stamps: Vec::new(),
+            last_ns: None,
+            clock: Clock::of_several(HORIZON_NS),
+            input: InputCounts::default(),
+            dropped: 0,
+            restarts: 0,
+        }
+    }
 }
 
 impl LiveTicks {
@@ -80,8 +98,9 @@ impl LiveTicks {
     /// Adds a frame that arrived at `arrived_ns` on `CLOCK_MONOTONIC`; the tick, if the frame is due.
     pub fn add(&mut self, frame: Frame, arrived_ns: u64) -> Option<LiveTick> {
         let stamp_ns = frame.stamp_ns;
-        let restart_ns = OFFSET_MAX_NS as i64;
-        if self.last_ns.is_some_and(|last_ns| stamp_ns < last_ns.saturating_sub(restart_ns)) {
+        let is_repeated = self.frames.iter().any(|waiting| waiting.frame == frame);
+        let stamped = StampedFrame { stamp_ns, interval_ns: 0, released_ns: Some(arrived_ns), is_repeated };
+        if matches!(self.clock.add(stamped), Stamped::Set { by_ns } if by_ns < 0) {
             self.restarts += 1;
             self.stamps.clear();
             self.frames.clear();

@@ -89,6 +89,11 @@ impl Estimates {
         &self.all
     }
 
+    /// Ends all estimates. What was learned about the detector and about forecasts remains.
+    pub fn end_session(&mut self) {
+        self.all.clear();
+    }
+
     /// Adds the estimate of a track that another tracker has published. Calls must follow the order of
     /// births.
     pub fn add(&mut self, of_track: impl FnOnce(u64) -> Estimate) {

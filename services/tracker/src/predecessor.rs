@@ -25,7 +25,9 @@ impl Predecessor {
     /// Follows a frame of the topic `tracks`. Control frames, and frames with an impossible number, change
     /// nothing.
     pub fn follow(&mut self, header: &Header, tracks: &[Track]) {
-        let is_older = !self.is_empty() && header.stamp_ns <= self.header.stamp_ns;
+        let newest = (self.header.seq, self.header.stamp_ns);
+        let is_older =
+            !self.is_empty() && header.stamp_ns <= newest.1 && !header.begins_session_after(newest);
         if !header.is_tick() || header.has(flags::VOID) || is_older {
             return;
         }

@@ -95,6 +95,12 @@ impl Publications {
         self.next_id = first;
     }
 
+    /// Ends all publications. Their ids are not used again.
+    pub fn end_session(&mut self) {
+        self.all.clear();
+        (self.next, self.last_ns) = (0, i64::MIN);
+    }
+
     /// Continues a track that another tracker has published at `now_ns`.
     pub fn resume(&mut self, track: &Track, birth: Birth, now_ns: i64, history: &History) {
         self.all.push(Publication {

@@ -60,10 +60,24 @@ impl ReplayBuffer {
         self.first.copy(estimates);
     }
 
+    /// Forgets the scans, and begins again with these estimates.
+    pub fn restart(&mut self, estimates: &Estimates) {
+        self.len = 0;
+        self.begin_with(estimates);
+    }
+
     /// The scans held, oldest first.
     #[must_use]
     pub fn scans(&self) -> &[Scan] {
         &self.scans[..self.len]
+    }
+
+    /// Whether a scan with this stamp and these detections is held: the frame was sent twice.
+    #[must_use]
+    pub fn has(&self, stamp_ns: i64, detections: &[Detection]) -> bool {
+        let bytes = bytemuck::cast_slice::<Detection, u8>;
+        let mut same = self.scans().iter().filter(|scan| scan.header.stamp_ns == stamp_ns);
+        same.any(|scan| bytes(&scan.detections) == bytes(detections))
     }
 
     /// The position of a frame with this stamp among the scans.

@@ -48,6 +48,7 @@ impl Step for Tracker {
             }
             let tracks = &mut tracks[..tracked.track_count];
             if !tick.header.has(flags::LOCKSTEP) {
+                let prior = prior.filter(|(of, _)| of.seq >= self.session_seq());
                 feedback::tell(&mut out.header, tracks, prior);
             }
             out.elements(tracks.len())?.copy_from_slice(tracks);
@@ -63,6 +64,9 @@ impl Step for Tracker {
 
     fn log(&mut self) {
         self.warn();
+        if let Some(set) = self.session_begun() {
+            tracing::warn!("input: {set}: a new session begins, and the tracks end");
+        }
         for finding in self.new_doubts() {
             let found = finding.found(|place| format!("tick {}", place.line));
             tracing::warn!("input: {found}");

@@ -7,6 +7,8 @@ use crate::tracked::Tracked;
 pub struct Tally {
     /// Out-of-sequence frames that were processed.
     pub out_of_sequence_count: u64,
+    /// Sessions that began because the clock of the stamps was set.
+    pub session_count: u64,
     /// Frames that were refused as too late.
     pub too_late_count: u64,
     /// Frames that were refused because a frame with their stamp was processed before.
@@ -45,6 +47,7 @@ impl Warned {
     pub(crate) fn warn(&mut self, now: Tally) {
         let Tally {
             out_of_sequence_count,
+            session_count: _,
             too_late_count,
             repeated_count,
             input,

@@ -6,6 +6,8 @@ pub struct Tracked {
     /// Number of consecutive frames with these detections, which are ignored because their source is frozen;
     /// 0 if it is not frozen.
     pub frozen_count: u32,
+    /// If the frame begins a session: the difference between its stamp and the expected one.
+    pub set_by_ns: Option<i64>,
     /// Number of newer frames that were replayed after this out-of-sequence frame; 0 for a frame in sequence.
     pub replayed_count: usize,
     /// Number of tracks that did not fit into the frame: the ones farthest from the ego.

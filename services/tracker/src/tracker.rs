@@ -1,4 +1,4 @@
-use audit::{Finding, Found, LiveAudit, Noise};
+use audit::{Clock, ClockSet, Finding, Found, LiveAudit, Noise, Stamped, StampedFrame};
 use bytemuck::Zeroable;
 use wire::{
     AGENTS_MAX, AgentType, Counts, DETECTIONS_MAX, Detection, Forecast, HISTORY_MAX, Header, InputCounts,
@@ -45,6 +45,10 @@ pub struct Tracker {
     identities: Vec<(u64, u64, usize)>,
     /// The previous tracker processed frames up to this stamp.
     predecessor_ns: Option<i64>,
+    /// The clock of the stamps.
+    clock: Clock,
+    /// Number of the session's first frame. Forecasts of earlier ticks are no priors.
+    session_seq: u64,
     audit: LiveAudit,
     /// The published noise.
     noise: Noise,
@@ -84,6 +88,8 @@ impl Tracker {
             publishable: Vec::with_capacity(options.tracks_max),
             identities: Vec::with_capacity(AGENTS_MAX),
             predecessor_ns: None,
+            clock: Clock::new(options.horizon_ns),
+            session_seq: 0,
             audit: LiveAudit::default(),
             noise: Noise::default(),
             is_auditable: false,
@@ -140,6 +146,28 @@ impl Tracker {
         }
         self.replay.begin_with(&self.estimates);
         self.predecessor_ns = Some(header.stamp_ns);
+        self.clock.restart(header.stamp_ns, header.interval_ns);
+    }
+
+    /// Begins a session if the clock of the stamps was set, or if the frame has the flag. Returns the difference
+    /// to the expected stamp. Tracks end. What was learned about the detector remains.
+    fn begin_session(&mut self, header: &Header, detections: &[Detection]) -> Option<i64> {
+        let (stamp_ns, interval_ns) = (header.stamp_ns, header.interval_ns);
+        let set_by_ns = if header.has(flags::NEW_SESSION) {
+            self.clock.restart(stamp_ns, interval_ns)
+        } else {
+            let released_ns = Some(header.released_ns).filter(|_| !header.has(flags::LOCKSTEP));
+            let is_repeated = self.replay.has(stamp_ns, detections);
+            let frame = StampedFrame { stamp_ns, interval_ns, released_ns, is_repeated };
+            let Stamped::Set { by_ns } = self.clock.add(frame) else { return None };
+            by_ns
+        };
+        self.estimates.end_session();
+        self.replay.restart(&self.estimates);
+        self.publications.end_session();
+        (self.predecessor_ns, self.session_seq) = (None, header.seq);
+        self.tally.session_count += 1;
+        Some(set_by_ns)
     }
 
     /// Processes the detections of a frame and writes the tracks at its stamp to `out`, in the order of their
@@ -159,6 +187,9 @@ impl Tracker {
     /// forecasts. No tracks are written. Everything published stays unchanged, including histories and ids.
     /// The frame takes effect from the next frame on. An agent whose first detection arrives out of sequence
     /// keeps the id under which it was published.
+    ///
+    /// If stamps go back by more than late frames explain, or jump ahead beyond the horizon, a session begins:
+    /// see [`Clock`].
     ///
     /// A source is frozen if its detections are the same for [`TrackerOptions::frozen_frames`] frames
     /// although some agent in them moves. The detections are then ignored, and the tracks are predicted.
@@ -184,8 +215,10 @@ impl Tracker {
         }
         self.check(header, detections)?;
         self.is_auditable = true;
+        self.last.set_by_ns = self.begin_session(header, detections);
         let position = self.position(header)?;
-        let prior = prior.filter(|_| self.options.prior == Prior::Learned);
+        let is_prior = |of: &Header| self.options.prior == Prior::Learned && of.seq >= self.session_seq;
+        let prior = prior.filter(|(of, _)| is_prior(of));
         let frozen_count = self.frozen_count(header, detections);
         let given_len = detections.len();
         // No type was observed, so no track is missed.
@@ -197,7 +230,7 @@ impl Tracker {
             (header, detections)
         };
         let position = self.replay.insert(position, seen, (detections, &self.types), prior);
-        let mut tracked = Tracked { frozen_count, ..self.process(position) };
+        let mut tracked = Tracked { frozen_count, set_by_ns: self.last.set_by_ns, ..self.process(position) };
         if frozen_count > 0 {
             (tracked.detection_count, tracked.repeated_count) = (given_len, given_len);
         }
@@ -227,7 +260,9 @@ impl Tracker {
     #[must_use]
     pub fn header(&self, detections: &Header) -> Header {
         Header {
-            flags: detections.flags | if self.last.frozen_count > 0 { flags::PREDICTED } else { 0 },
+            flags: detections.flags
+                | if self.last.frozen_count > 0 { flags::PREDICTED } else { 0 }
+                | self.last.set_by_ns.map_or(0, |_| flags::NEW_SESSION),
             observed_types: if self.last.frozen_count > 0 { 0 } else { detections.observed_types },
             step_ns: self.options.step_ns,
             left_out_len: self.last.left_out_len as u32,
@@ -250,8 +285,18 @@ impl Tracker {
     /// no stage waits for the audit. The headers of later frames contain the doubts.
     pub fn audit(&mut self, header: &Header, detections: &[Detection]) {
         if std::mem::take(&mut self.is_auditable) {
-            self.audit.frame(header, detections);
+            self.audit.frame(header, detections, self.session_begun());
         }
+    }
+
+    /// The clock's step, if the frame of the last [step](Tracker::step) began a session.
+    pub(crate) fn session_begun(&self) -> Option<ClockSet> {
+        Some(ClockSet::new(self.session_seq, self.last.set_by_ns?))
+    }
+
+    /// Number of the session's first frame.
+    pub(crate) const fn session_seq(&self) -> u64 {
+        self.session_seq
     }
 
     /// Doubts about the input that were found since the last call. Allocates only if there are any.

@@ -25,6 +25,12 @@ impl Agents {
         Self { identified, loose: Vec::with_capacity(LOOSE_MAX) }
     }
 
+    /// Forgets all agents.
+    pub fn clear(&mut self) {
+        self.identified.fill(None);
+        self.loose.clear();
+    }
+
     /// Adds a detection with an identity. Returns `None` if the identity is new.
     pub fn identified(&mut self, id: u64, agent_type: AgentType, spot: Spot) -> Option<Step> {
         let sets = self.identified.len() / WAYS;

@@ -21,10 +21,13 @@
 //! A [`Finding`] is a fault with the number of its rows and the place of the first row. It is a doubt if it
 //! concerns more than [`DOUBT_SHARE`] of the rows. [`LiveAudit`] keeps the doubts of a run as bits.
 //!
+//! [`Clock`] watches the stamps: it tells a late frame from a clock that was set.
+//!
 //! [`Noise`] watches the detector's noise that the tracker learns. A change by a factor of three is a doubt.
 
 mod agent;
 mod agents;
+mod clock;
 mod column;
 mod doubt;
 mod finding;
@@ -41,6 +44,7 @@ use wire::{AgentType, Detection, detection_flags};
 
 use agent::{Constant, Repeated, Spot, Step};
 use agents::Agents;
+pub use clock::{Clock, ClockSet, Stamped, StampedFrame};
 use column::{Column, Unknown};
 pub use doubt::Doubt;
 use finding::Detail;
@@ -157,6 +161,11 @@ impl Audit {
         self.loose_placeholders = Tally::default();
         (self.extent, self.fast, self.loose) = Default::default();
         self.stacks.clear();
+    }
+
+    /// Forgets the agents: their stamps have no meaning any more.
+    pub fn end_session(&mut self) {
+        self.agents.clear();
     }
 
     /// Starts a frame. The detections that follow were made at about the same time.

@@ -1,6 +1,6 @@
 use wire::{Detection, Header};
 
-use crate::{Audit, Finding, Place};
+use crate::{Audit, ClockSet, Doubt, Finding, Place};
 
 /// Largest number of identities that are followed at a time.
 const IDENTITIES: usize = 2 * wire::DETECTIONS_MAX;
@@ -8,7 +8,7 @@ const IDENTITIES: usize = 2 * wire::DETECTIONS_MAX;
 const LOOK_FRAMES: u64 = 32;
 /// Number of checks after which the figures start again, so that a fault late in a long run is still found.
 const LOOKS: u64 = 96;
-/// A stamp this much before the newest one comes from a clock that was set back.
+/// A stamp this much before the newest one comes from another clock.
 const BACK_NS: i64 = 1_000_000_000;
 
 /// The audit of a running producer. Its doubts are bits.
@@ -45,15 +45,22 @@ impl Default for LiveAudit {
 }
 
 impl LiveAudit {
-    /// Adds a frame. Does not allocate.
-    pub fn frame(&mut self, header: &Header, detections: &[Detection]) {
+    /// Adds a frame. If it begins a session, `set` has the clock's step. Does not allocate.
+    pub fn frame(&mut self, header: &Header, detections: &[Detection], set: Option<ClockSet>) {
         let place = Place { file: 0, line: header.seq };
         self.audit.frame();
-        let is_back = self.newest_ns.is_some_and(|newest_ns| newest_ns - header.stamp_ns > BACK_NS);
-        if is_back {
+        if let Some(set) = set {
+            self.audit.end_session();
+            self.newest_ns = None;
+            // One step is enough for a doubt, and the tracker logs it.
+            let bit = if set.is_back() { Doubt::StampsGoBack.bit() } else { 0 };
+            self.settled |= bit;
+            self.found |= bit;
+        }
+        // Frames of a second clock far behind.
+        if self.newest_ns.is_some_and(|newest_ns| newest_ns.saturating_sub(header.stamp_ns) > BACK_NS) {
             self.audit.went_back(detections.len() as u64, place);
         }
-        // Counts all frames until the clock has caught up, because the tracker refuses them.
         self.newest_ns = self.newest_ns.max(Some(header.stamp_ns));
         for detection in detections {
             self.audit.detection(header.stamp_ns.saturating_add(detection.offset_ns), detection, place);
@@ -96,7 +103,6 @@ mod tests {
     use wire::{AgentType, detection_flags};
 
     use super::*;
-    use crate::Doubt;
 
     /// A producer's cars on circles of 60 m, with or without identities. `write` modifies the detections.
     fn doubts(frames: u64, interval_ns: i64, id: u32, write: impl Fn(u64, &mut Detection)) -> LiveAudit {
@@ -121,7 +127,7 @@ mod tests {
                 detection
             };
             let cars: Vec<Detection> = (0..6).map(car).collect();
-            audit.frame(&Header::new(1, seq, seq as i64 * interval_ns), &cars);
+            audit.frame(&Header::new(1, seq, seq as i64 * interval_ns), &cars, None);
         }
         audit
     }
@@ -179,7 +185,7 @@ mod tests {
                 let (x_m, y_m) = (0.8 * seq as f32, if seq == 50 { 300.0 } else { 0.0 });
                 let flags = detection_flags::HAS_ID;
                 let car = Detection { x_m, y_m, flags, ..Detection::default() };
-                audit.frame(&Header::new(1, seq, seq as i64 * TENTH_NS), &[car]);
+                audit.frame(&Header::new(1, seq, seq as i64 * TENTH_NS), &[car], None);
             }
             audit
         };
@@ -203,16 +209,19 @@ mod tests {
     }
 
     #[test]
-    fn a_clock_that_is_set_back_is_found() {
-        // Also when a single frame is less than 1 % of all frames.
-        for (set_back, frames) in [(30, 64), (300, 320)] {
+    fn a_clock_that_is_set_back_and_one_that_is_far_behind_are_found() {
+        // A step is a doubt even if it is less than 1 % of all frames.
+        for (frames, back) in
+            [(320, |seq| seq == 300), (64, |seq| seq % 2 == 1)] as [(u64, fn(u64) -> bool); 2]
+        {
             let mut audit = LiveAudit::default();
             let detection = Detection { flags: detection_flags::HAS_ID, ..Detection::default() };
             for seq in 0..frames {
-                let back_ns = if seq < set_back { 0 } else { 20 * TENTH_NS };
-                audit.frame(&Header::new(1, seq, seq as i64 * TENTH_NS - back_ns), &[detection]);
+                let back_ns = if back(seq) { 20 * TENTH_NS } else { 0 };
+                let set = (seq == 300).then(|| ClockSet::new(seq, -back_ns));
+                audit.frame(&Header::new(1, seq, seq as i64 * TENTH_NS - back_ns), &[detection], set);
             }
-            assert_eq!(audit.doubts(), Doubt::StampsGoBack.bit(), "{set_back}");
+            assert_eq!(audit.doubts() & Doubt::StampsGoBack.bit(), Doubt::StampsGoBack.bit(), "{frames}");
         }
     }
 

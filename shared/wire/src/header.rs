@@ -27,6 +27,9 @@ pub mod flags {
         /// No detections arrived for this tick: its tracks are predicted. Its number and stamp follow the
         /// previous tick's by one interval. Its time of release is the time of the tracker's prediction.
         pub const PREDICTED: u32 = 1 << 6;
+        /// The tick begins a session: the clock of the stamps was set. Tracks of earlier ticks have ended, and
+        /// the stamps may be older. The tracker sets it; a producer that knows may set it as well.
+        pub const NEW_SESSION: u32 = 1 << 7;
     }
 }
 
@@ -310,6 +313,14 @@ impl Header {
     /// Whether the frame belongs to a tick, and not to the start or end of the pipeline.
     pub const fn is_tick(&self) -> bool {
         self.flags & (flags::WARM_UP | flags::END) == 0
+    }
+
+    /// Whether the tick begins a session, after a tick with this number and stamp. A stage that has missed the
+    /// tick with the flag sees that the stamps went back. A VOID tick begins none: its frame was late.
+    #[must_use]
+    pub const fn begins_session_after(&self, (seq, stamp_ns): (u64, i64)) -> bool {
+        let is_set = self.has(flags::NEW_SESSION) || self.stamp_ns <= stamp_ns;
+        self.seq > seq && !self.has(flags::VOID) && is_set
     }
 
     /// Refuses another schema, in which all other fields may have other meanings.
