@@ -12,7 +12,7 @@ use std::collections::{BTreeMap, VecDeque};
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, sync_channel};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use clap::Args;
 use perfetto::Clocks;
@@ -94,6 +94,8 @@ pub struct Observer {
     begun: Instant,
     usage: Usage,
     events: VecDeque<StatusEvent>,
+    /// What is wrong with the input, and since when.
+    input_fault: Option<(String, Instant)>,
     questions: Receiver<Asked>,
     /// Removed at the end.
     _sockets: Vec<SocketFile>,
@@ -129,6 +131,7 @@ impl Observer {
         let options = RecorderOptions {
             stages: run.order(),
             budgets_ms: run.budgets_ms(),
+            silence_ns: recorder::STAGE.options(run).unwrap_or_default().silence_ns(),
             scores: false,
             input,
             ..RecorderOptions::default()
@@ -142,6 +145,7 @@ impl Observer {
             begun: Instant::now(),
             usage: Usage::default(),
             events: VecDeque::with_capacity(EVENTS_MAX),
+            input_fault: None,
             questions,
             _sockets: metrics_socket.into_iter().chain([status_socket]).collect(),
             metrics_file,
@@ -208,6 +212,27 @@ impl Observer {
         }
         let elapsed_s = (self.begun.elapsed().as_secs_f64() * 10.0).round() / 10.0;
         self.events.push_back(StatusEvent { elapsed_s, text });
+    }
+
+    /// Logs a line when the input of a live run fails, and one when it is well again.
+    pub fn check_input(&mut self) {
+        let status = self.measured.input_status(monotonic_ns());
+        if !status.is_live || status.kind() == self.input_fault.as_ref().map(|(kind, _)| kind.as_str()) {
+            return;
+        }
+        if let Some((kind, since)) = self.input_fault.take() {
+            self.report(format!(
+                "the input is back: {kind} has ended after {:.1} s",
+                since.elapsed().as_secs_f64()
+            ));
+        }
+        if let (Some(kind), Some(state)) = (status.kind(), &status.state) {
+            // Silence has begun with the last input.
+            let age = Duration::from_secs_f64(status.age_s.unwrap_or(0.0));
+            let since = Instant::now().checked_sub(age).unwrap_or_else(Instant::now);
+            self.input_fault = Some((kind.to_owned(), since));
+            self.report(state.clone());
+        }
     }
 
     /// Answers the pending questions.

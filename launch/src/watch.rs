@@ -77,6 +77,7 @@ impl Watch {
         let heartbeats = self.peers.listen()?;
         heartbeats.iter().for_each(|heartbeat| self.observer.heartbeat(heartbeat));
         self.take_forecasts()?;
+        self.observer.check_input();
         self.count_lost_lines(fleet);
         self.show(fleet);
         Ok(heartbeats)

@@ -8,6 +8,7 @@ mod fault_runs;
 mod faults;
 mod foxglove;
 mod frames;
+mod input_clock;
 mod live;
 mod lockstep;
 mod observing;

@@ -45,12 +45,14 @@ pub struct Scorer {
     spare: Vec<Vec<Scored>>,
     tally: Tally,
     levels: HighestDensity,
+    /// Number and stamp of the newest truth.
+    newest: Option<(u64, i64)>,
 }
 
 impl Default for Scorer {
     fn default() -> Self {
         let (paths, waiting, spare, tally) = Default::default();
-        Self { paths, waiting, spare, tally, levels: HighestDensity::with_room(MODES_MAX) }
+        Self { paths, waiting, spare, tally, levels: HighestDensity::with_room(MODES_MAX), newest: None }
     }
 }
 
@@ -60,7 +62,12 @@ impl Scorer {
     /// # Errors
     /// [`Rejected`] if a number is impossible or the frame is not newer than the last; nothing changes then.
     pub fn truth(&mut self, header: &Header, truths: &[Truth]) -> Result<(), Rejected> {
+        if self.newest.is_some_and(|newest| header.begins_session_after(newest)) {
+            self.end_session();
+            self.paths = Paths::default();
+        }
         self.paths.add(header.stamp_ns, truths)?;
+        self.newest = Some((header.seq, header.stamp_ns));
         // The truth at the end of the horizon is interpolated, and the next sample may arrive a whole gap
         // later.
         while self
@@ -93,6 +100,13 @@ impl Scorer {
             self.score_oldest();
         }
         self.waiting.push_back(tick);
+    }
+
+    /// Scores all forecasts that wait as they are, because no truth follows.
+    pub fn end_session(&mut self) {
+        while !self.waiting.is_empty() {
+            self.score_oldest();
+        }
     }
 
     fn score_oldest(&mut self) {

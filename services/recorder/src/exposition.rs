@@ -11,7 +11,7 @@ use wire::StageId;
 use crate::distribution::Distribution;
 use crate::passage::Phases;
 use crate::record::Recorder;
-use crate::report::Percentiles;
+use crate::report::{Percentiles, Report};
 use crate::status::{RunStatus, StageStatus};
 
 /// Media type of the text.
@@ -239,6 +239,21 @@ fn forecasts(text: &mut Text, status: &RunStatus) {
 }
 
 fn input(text: &mut Text, status: &RunStatus) {
+    let state = u8::from(status.input.is_silent);
+    text.single(Kind::Gauge, "stgdat_input_silent", "1 while no input arrives.", state);
+    for (name, help, value) in [
+        ("stgdat_input_age_seconds", "Age of the last input.", status.input.age_s),
+        ("stgdat_input_rate_hertz", "Rate of the input.", status.input.rate_hz),
+    ] {
+        if let Some(value) = value {
+            text.single(Kind::Gauge, name, help, value);
+        }
+    }
+    let Report { silences, sessions, .. } = &status.report;
+    let help = "Times without input from a live source.";
+    text.single(Kind::Counter, "stgdat_silences_total", help, silences.count);
+    let help = "Sessions: parts of the run in which the stamps have one clock.";
+    text.single(Kind::Counter, "stgdat_sessions_total", help, sessions.count);
     let input = &status.report.input;
     let name = "stgdat_input_detections_total";
     text.metric(Kind::Counter, name, "Detections by what became of them; `detections` counts all.");

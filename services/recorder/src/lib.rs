@@ -15,6 +15,7 @@
 //! nothing else grows.
 
 pub mod accuracy;
+mod arrivals;
 mod distribution;
 pub mod exposition;
 mod forecast_lines;
@@ -28,6 +29,7 @@ mod refusals;
 mod render;
 pub mod report;
 pub mod saved;
+mod sessions;
 pub mod stage;
 pub mod status;
 pub mod text;
@@ -36,6 +38,7 @@ pub mod trace;
 mod whole_file;
 mod worst;
 
+pub use arrivals::{InputStatus, Silences};
 pub use forecast_lines::{FORECASTS_VERSION, ForecastWriter, write_forecast_line};
 pub use input::{InputReport, InputTally};
 pub use lanes::LaneCounts;
@@ -45,5 +48,6 @@ pub use report::{
     Errors, Outage, REPORT_VERSION, RefusedFrames, Replacement, ReplacementOutcome, Report, ReportError,
     RunInfo, SceneNoise, SpareReport, StageMemory, Status, Supervision, Verdict, WorstTick, program_name,
 };
+pub use sessions::Sessions;
 pub use tick::Tick;
 pub use whole_file::{WholeFile, is_standard_output};

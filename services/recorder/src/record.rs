@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 use wire::{Cause, Forecast, Header, Heartbeat, Quality, Rejected, StageId, Truth, flags};
 
 use crate::accuracy::Scorer;
+use crate::arrivals::{Arrivals, InputStatus, SILENCE_NS};
 use crate::distribution::{Distribution, ms};
 use crate::input::{InputReport, InputTally};
 use crate::lanes::LaneCounts;
@@ -19,6 +20,7 @@ use crate::report::{
     Accuracy, Agents, ForecastCounts, OutOfDistribution, Percentiles, PriorCounts, REPORT_VERSION, Report,
     RunInfo, StageDrops, StageReport, Supervision, Verdict, WorstTick,
 };
+use crate::sessions::Sessions;
 use crate::tick::{Tick, is_fault, limit_ns};
 use crate::worst::{Usual, Worst};
 
@@ -41,6 +43,8 @@ pub struct RecorderOptions {
     pub scores: bool,
     /// Information about the recording's input.
     pub input: InputReport,
+    /// Time without a tick that is silence.
+    pub silence_ns: u64,
     /// A tick whose cause [`Recorder::explained`] returns.
     pub explain: Option<u64>,
 }
@@ -53,6 +57,7 @@ impl Default for RecorderOptions {
             budgets_ms: BTreeMap::new(),
             scores: true,
             input: InputReport::default(),
+            silence_ns: SILENCE_NS,
             explain: None,
         }
     }
@@ -90,6 +95,10 @@ struct Sums {
     stages: BTreeMap<u32, StageTimes>,
     losses: Losses,
     span: Option<Span>,
+    #[serde(default)]
+    sessions: Sessions,
+    #[serde(default)]
+    arrivals: Arrivals,
     /// Number of the next tick, if it is known.
     next_seq: Option<u64>,
     interval_ns: u64,
@@ -125,6 +134,8 @@ pub struct Recorder {
     sums: Sums,
     recent: Recent,
     scorer: Scorer,
+    /// When the run ended, if a silence may have lasted until then.
+    ended_ns: Option<u64>,
     /// Whether the recorder continues from a previous recorder's checkpoint and has not received a tick yet.
     resumed: bool,
 }
@@ -133,12 +144,14 @@ impl Recorder {
     /// A recorder before the first frame.
     #[must_use]
     pub fn new(options: RecorderOptions) -> Self {
+        let arrivals = Arrivals::new(options.silence_ns);
         Self {
             options,
             timeline: Timeline::default(),
-            sums: Sums::default(),
+            sums: Sums { arrivals, ..Sums::default() },
             recent: Recent::default(),
             scorer: Scorer::default(),
+            ended_ns: None,
             resumed: false,
         }
     }
@@ -162,7 +175,7 @@ impl Recorder {
     /// Lost ticks are gaps in the sequence. After a warm-up frame the sequence starts at tick 0. Otherwise it
     /// starts at the first tick received, because the recorder may start during a run. The END frame of a
     /// recording reveals ticks lost before it. A VOID tick that is not newer than the last arrived late at
-    /// the tracker. It is not lost, but unpublished.
+    /// the tracker. It is not lost, but unpublished. Another tick with an older stamp begins a session.
     ///
     /// Returns the figures of the tick; `None` if the frame is not a newer tick.
     ///
@@ -188,9 +201,11 @@ impl Recorder {
         }
         self.sums.next_seq = Some(header.seq.saturating_add(1));
         if !header.is_tick() {
+            self.sums.arrivals.end();
             return Ok(None);
         }
-        if self.newer_ns(header).is_some() {
+        self.sums.arrivals.tick(header);
+        if self.sums.sessions.is_old(header) {
             self.sums.unpublished_ticks += 1;
             return Ok(None);
         }
@@ -210,7 +225,7 @@ impl Recorder {
     /// Whether the previous recorder has recorded the tick. A topic keeps such ticks for new readers.
     #[must_use]
     pub fn is_recorded(&self, header: &Header) -> bool {
-        self.resumed && self.newer_ns(header).is_some()
+        self.resumed && header.is_tick() && self.sums.sessions.is_old(header)
     }
 
     /// Adds the header of a frame from an added stage outside the tick's path. Returns the stage and its times
@@ -230,6 +245,9 @@ impl Recorder {
     pub fn heartbeat(&mut self, heartbeat: &Heartbeat) {
         self.sums.losses.heartbeat(heartbeat);
         self.recent.heartbeat(heartbeat);
+        if heartbeat.stage == StageId::Source.number() {
+            self.sums.arrivals.source(heartbeat.seq, heartbeat.sent_ns);
+        }
     }
 
     fn check(&self, header: &Header, forecasts: &[Forecast]) -> Result<(), Rejected> {
@@ -238,16 +256,14 @@ impl Recorder {
         if forecasts.len() != expected {
             return Err(Rejected::Length { found: forecasts.len(), expected });
         }
-        if let Some(last_ns) = self.newer_ns(header).filter(|_| !header.has(flags::VOID)) {
+        if let Some((_, last_ns)) = self.sums.sessions.newest
+            && header.is_tick()
+            && !header.has(flags::VOID)
+            && self.sums.sessions.is_old(header)
+        {
             return Err(Rejected::NotNewer { stamp_ns: header.stamp_ns, last_ns });
         }
         if self.options.scores { forecasts.iter().try_for_each(Forecast::check) } else { Ok(()) }
-    }
-
-    /// Stamp of the newest tick so far, if this tick is not newer.
-    fn newer_ns(&self, header: &Header) -> Option<i64> {
-        let last_ns = self.sums.span?.stamp_ns[1];
-        (header.is_tick() && header.stamp_ns <= last_ns).then_some(last_ns)
     }
 
     fn header(&mut self, header: &Header, forecasts: &[Forecast]) {
@@ -257,6 +273,11 @@ impl Recorder {
         sums.lockstep |= header.has(flags::LOCKSTEP);
         let first = Span { stamp_ns: [header.stamp_ns; 2], released_ns: [header.released_ns; 2] };
         let span = sums.span.get_or_insert(first);
+        if let Some(by_ns) = sums.sessions.tick(header) {
+            // The played time has no step.
+            span.stamp_ns[0] = span.stamp_ns[0].saturating_add(by_ns);
+            self.scorer.end_session();
+        }
         span.stamp_ns[1] = header.stamp_ns;
         span.released_ns[1] = header.released_ns;
         sums.agents_left_out += u64::from(header.left_out_len);
@@ -291,6 +312,17 @@ impl Recorder {
         sums.degraded_ticks += u64::from(tick.is_degraded);
     }
 
+    /// States that the run ends at this time, on `CLOCK_MONOTONIC`. A silence counts until then.
+    pub const fn end(&mut self, now_ns: u64) {
+        self.ended_ns = Some(now_ns);
+    }
+
+    /// The state of the input at this time.
+    #[must_use]
+    pub fn input_status(&self, now_ns: u64) -> InputStatus {
+        self.sums.arrivals.status(now_ns)
+    }
+
     /// The report so far. It may be called at any time and changes nothing.
     #[must_use]
     pub fn report(&self) -> Report {
@@ -310,6 +342,8 @@ impl Recorder {
             hops_missing: self.sums.hops_missing,
             files_unwritten: self.sums.files_unwritten,
             unpublished_ticks: self.sums.unpublished_ticks,
+            sessions: self.sums.sessions.report(),
+            silences: self.sums.arrivals.report(self.ended_ns),
             input: self.sums.input.report(&self.options.input),
             agents: self.agents(),
             forecasts: self.forecast_counts(),
@@ -323,6 +357,7 @@ impl Recorder {
             worst_ticks: self.sums.worst.list(&self.usual()),
             supervision: Supervision::default(),
         };
+        self.sums.sessions.name_steps(&mut report.input);
         report.verdict = verdict(&report);
         report
     }

@@ -14,8 +14,10 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
+use crate::arrivals::Silences;
 use crate::input::{DOUBT, InputReport};
 use crate::lanes::LaneCounts;
+use crate::sessions::Sessions;
 use crate::text::{count, percent};
 pub use accuracy::{Accuracy, AgentErrors, Errors, WorstForecast};
 pub use supervision::{
@@ -63,6 +65,12 @@ pub struct Report {
     /// refused, or processed as out-of-sequence measurements, and newer forecasts had been published already.
     #[serde(default)]
     pub unpublished_ticks: u64,
+    /// The parts of the run in which the stamps have one clock.
+    #[serde(default)]
+    pub sessions: Sessions,
+    /// Times without input from a live source.
+    #[serde(default)]
+    pub silences: Silences,
     /// The content of the input, and its probable faults.
     #[serde(default)]
     pub input: InputReport,
@@ -483,9 +491,18 @@ impl Report {
     /// Completes the report with the information about the recording. Its doubts are last in the verdict.
     pub fn audited(&mut self, recording: &InputReport) {
         self.input.add(recording);
+        self.sessions.name_steps(&mut self.input);
         self.verdict.reasons.retain(|reason| !reason.starts_with(DOUBT));
         self.verdict.reasons.extend(self.doubts());
         self.verdict.settle();
+    }
+
+    /// Puts the present state of the input before the reasons, for a run in progress.
+    pub(crate) fn now(&mut self, state: Option<&str>) {
+        if let Some(state) = state {
+            self.verdict.reasons.insert(0, state.to_owned());
+            self.verdict.settle();
+        }
     }
 
     /// The reasons of the verdict that are doubts about the input and about the map of lanes.

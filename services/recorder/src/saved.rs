@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use run::Run;
 
-use crate::{Checkpoint, Options, Recorder, RecorderOptions, Report};
+use crate::{Checkpoint, Options, Recorder, RecorderOptions, Report, STAGE};
 
 /// Name of the checkpoint in the run's directory.
 const CHECKPOINT: &str = "recorder-checkpoint.json";
@@ -62,5 +62,12 @@ pub fn report_path(run: &Run, options: &Options) -> PathBuf {
 }
 
 pub(crate) fn settings(run: &Run) -> RecorderOptions {
-    RecorderOptions { stages: run.order(), budgets_ms: run.budgets_ms(), ..RecorderOptions::default() }
+    // The stage has refused options that can't be read.
+    let silence_ns = STAGE.options(run).unwrap_or_default().silence_ns();
+    RecorderOptions {
+        stages: run.order(),
+        budgets_ms: run.budgets_ms(),
+        silence_ns,
+        ..RecorderOptions::default()
+    }
 }

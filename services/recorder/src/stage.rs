@@ -78,6 +78,7 @@ pub fn run(run: &Run) -> Result<(), StageError> {
         }
     }
     if stage.stop().requested() {
+        recorder.end(monotonic_ns());
         // If this process is asked to end, another process may continue.
         save(run, &mut recorder);
     }

@@ -10,11 +10,12 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 use wire::{Cause, Quality, StageId};
 
+use crate::arrivals::InputStatus;
 use crate::distribution::ms;
 use crate::record::Recorder;
 use crate::report::{Errors, Percentiles, Report, Supervision};
 use crate::text::{count, number};
-use crate::tick::Tick;
+use crate::tick::{Tick, is_fault};
 
 /// Version of the status' fields.
 pub const STATUS_VERSION: u32 = 2;
@@ -45,8 +46,15 @@ pub struct RunStatus {
     pub recent_end_to_end_ms: Percentiles,
     /// Latency of each recent tick, newest last.
     pub recent_latencies_ms: Vec<f64>,
+    /// Share of learned forecasts in the recent ticks, of those that can be learned: agents are old enough, and
+    /// no other expert is better. `None` without such forecasts.
+    #[serde(default)]
+    pub recent_learned_share: Option<f64>,
     /// The stages in the order in which a tick passes them.
     pub stages: Vec<StageStatus>,
+    /// The state of the input.
+    #[serde(default)]
+    pub input: InputStatus,
     /// The forecasts of the newest tick.
     pub newest: Newest,
     /// Errors and coverage of the forecasts so far, as last reported by the recorder; `None` before the first
@@ -159,6 +167,8 @@ impl RunStatus {
     pub fn new(measured: &Recorder, facts: Facts) -> Self {
         let mut report = measured.report();
         report.supervised(facts.supervision);
+        let input = measured.input_status(facts.now_ns);
+        report.now(input.state.as_deref());
         let newest = measured.recent().next_back();
         let stage_status = |stage: StageId| {
             let mut process = facts.processes.get(&stage).cloned().unwrap_or_default();
@@ -194,7 +204,9 @@ impl RunStatus {
             recent_ticks: measured.recent().len() as u64,
             recent_end_to_end_ms: measured.recent_end_to_end_ms(),
             recent_latencies_ms: latencies_ns.map(ms).collect(),
+            recent_learned_share: learned_share(measured.recent()),
             stages: measured.live_stages().map(stage_status).collect(),
+            input,
             newest: Newest::of(newest),
             accuracy: facts.accuracy,
             events: facts.events,
@@ -202,10 +214,12 @@ impl RunStatus {
         }
     }
 
-    /// One line for supervisors: the verdict so far, then [`line`](Self::line).
+    /// One line for supervisors: the state of the input if it is wrong, or else the verdict so far. Then
+    /// [`line`](Self::line).
     #[must_use]
     pub fn service_line(&self) -> String {
-        format!("{}: {}", self.report.verdict.status.name(), self.line())
+        let state = self.input.state.as_deref().unwrap_or(self.report.verdict.status.name());
+        format!("{state}: {}", self.line())
     }
 
     /// One line for outputs other than terminals: ticks, latency of the last ten seconds, late ticks and losses.
@@ -235,6 +249,17 @@ impl RunStatus {
             self.report.drops,
         )
     }
+}
+
+/// See [`RunStatus::recent_learned_share`].
+fn learned_share<'a>(ticks: impl Iterator<Item = &'a Tick>) -> Option<f64> {
+    let faults = Cause::ALL.into_iter().enumerate().filter(|(_, cause)| is_fault(*cause));
+    let faults: Vec<usize> = faults.map(|(place, _)| place).collect();
+    let (learned, others) = ticks.fold((0, 0), |(learned, others), tick| {
+        let [of_tick, ..] = tick.qualities;
+        (learned + of_tick, others + faults.iter().map(|place| tick.causes[*place]).sum::<u64>())
+    });
+    (learned + others > 0).then(|| learned as f64 / (learned + others) as f64)
 }
 
 impl Newest {

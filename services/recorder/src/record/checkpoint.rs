@@ -53,6 +53,12 @@ impl Recorder {
     pub fn resume(options: RecorderOptions, kept: Checkpoint) -> Self {
         let Checkpoint { sums, scorer } = kept;
         let worst = sums.worst.with_room();
-        Self { sums: Sums { worst, ..sums }, scorer: scorer.into(), resumed: true, ..Self::new(options) }
+        let arrivals = sums.arrivals.with_limit(options.silence_ns);
+        Self {
+            sums: Sums { worst, arrivals, ..sums },
+            scorer: scorer.into(),
+            resumed: true,
+            ..Self::new(options)
+        }
     }
 }

@@ -197,7 +197,9 @@ fn a_late_void_tick_is_not_lost() {
         let in_order = header(seq, 1, &whole_chain(2));
         if seq == 50 {
             let late = Header { stamp_ns: 48 * TICK_NS as i64 + 1, ..in_order };
-            assert!(matches!(recorder.forecasts(&late, &[learned()]), Err(Rejected::NotNewer { .. })));
+            // A frame of an earlier tick is no session.
+            let earlier = Header { seq: 48, ..late };
+            assert!(matches!(recorder.forecasts(&earlier, &[learned()]), Err(Rejected::NotNewer { .. })));
             let counts = Counts { agents_len: 0, ..late.counts };
             recorder.forecasts(&Header { flags: flags::VOID, counts, ..late }, &[]).unwrap();
         } else {

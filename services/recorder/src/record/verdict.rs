@@ -9,6 +9,7 @@ pub(super) fn verdict(report: &Report) -> Verdict {
         let named = report.stages.iter().map(|stage| (stage.name.as_str(), count(stage)));
         list(named)
     };
+    reasons.extend(report.silences.reason());
     if report.drops > 0 {
         reasons.push(format!("frames lost: {} ({})", report.drops, by_stage(|stage| stage.drops.total())));
     }
