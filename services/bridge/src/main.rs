@@ -35,7 +35,7 @@ fn command(arguments: &Arguments) -> ExitCode {
         Ok(()) => Exit::Done.into(),
         Err(error) => {
             // Standard error may have no reader.
-            let _ = writeln!(std::io::stderr(), "error: {error}");
+            let _ = writeln!(std::io::stderr(), "error: {}", ports::escaped(&error.to_string(), false));
             Exit::Unavailable.into()
         }
     }

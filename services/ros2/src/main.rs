@@ -34,7 +34,7 @@ fn follow(arguments: &Arguments) -> ExitCode {
         Ok(()) => Exit::Done.into(),
         Err(error) => {
             // Standard error may have no reader.
-            let _ = writeln!(std::io::stderr(), "error: {error}");
+            let _ = writeln!(std::io::stderr(), "error: {}", ports::escaped(&error.to_string(), false));
             Exit::Unavailable.into()
         }
     }

@@ -30,14 +30,20 @@ pub struct KeptMemory {
 unsafe impl Send for KeptMemory {}
 
 impl KeptMemory {
+    /// The path of the run's file with this name.
+    #[must_use]
+    pub fn path_of(run: &Run, name: &str) -> PathBuf {
+        // The upper half of the run's number is secret: nobody can take the name in advance.
+        Path::new(SHARED_MEMORY).join(format!("{}{:08x}_{name}", run.prefix, run.id >> 32))
+    }
+
     /// Opens the run's file with this name. The file has the content that an earlier process left, or is
     /// empty.
     ///
     /// # Errors
     /// If the file can't be made or mapped, or another process has it open.
     pub fn open(run: &Run, name: &str) -> io::Result<Self> {
-        // The upper half of the run's number is secret: nobody can take the name in advance.
-        let path = Path::new(SHARED_MEMORY).join(format!("{}{:08x}_{name}", run.prefix, run.id >> 32));
+        let path = Self::path_of(run, name);
         let flags = OFlags::RDWR | OFlags::CREATE | OFlags::CLOEXEC | OFlags::NOFOLLOW;
         let file = open(&path, flags, Mode::RUSR | Mode::WUSR)?;
         flock(&file, FlockOperation::NonBlockingLockExclusive)?;

@@ -48,6 +48,7 @@ mod color;
 mod drive;
 mod element;
 mod error;
+mod escape;
 mod executor;
 mod half_made;
 mod keep;
@@ -88,13 +89,15 @@ pub use clock::{clock_offset_ns, monotonic_ns};
 pub use color::{COLOR_VARIABLE, Color};
 pub use drive::drive;
 pub use error::{Awaiting, PortError, StageError};
+pub use escape::escaped;
 pub use executor::{Executor, Frames, Outcome, Readable, Wanted};
 pub use half_made::remove_half_made_connections;
 pub use kept::KeptMemory;
 pub use limits::HEARTBEAT;
 pub use living::choose_run;
 pub use log::{
-    LOG_VARIABLE, LogFormat, OUTPUT_TARGET, begin_command_logging, begin_logging, log_run, log_tick,
+    LOG_VARIABLE, LogFormat, OUTPUT_TARGET, begin_command_logging, begin_logging, log_run, log_tick, now,
+    priority,
 };
 pub use names::TOPICS_VARIABLE;
 pub use node::{HALF_MADE_LIMIT, Node, clean_dead_nodes};

@@ -2,25 +2,33 @@
 //!
 //! `RUST_LOG` selects the events, `--log` or [`LOG_VARIABLE`] the format. A line of JSON is one object with
 //! `timestamp`, `level`, `target`, `message` and the other fields of the event. In a process of a run, the
-//! object also has `run` and `tick`.
+//! object also has `run` and `tick`. In systemd's journal, each line begins with its priority.
 
 use std::fmt;
+use std::io::{self, IsTerminal as _};
 use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Mutex, PoisonError};
+use std::sync::{LazyLock, Mutex, PoisonError};
 
+use rustix::fs::fstat;
 use serde_json::{Map, Value};
 use tracing::{Event, Level, Subscriber};
 use tracing_subscriber::EnvFilter;
 use tracing_subscriber::fmt::format::Writer;
+use tracing_subscriber::fmt::time::{FormatTime as _, SystemTime};
 use tracing_subscriber::fmt::{FmtContext, FormatEvent, FormatFields, MakeWriter};
 use tracing_subscriber::registry::LookupSpan;
+
+use crate::escape::EscapedError;
 
 /// The environment variable that holds a [`LogFormat`], for programs that get no `--log`.
 pub const LOG_VARIABLE: &str = "STGDAT_LOG";
 
 /// Target of the lines of other programs that a command logs, whatever `RUST_LOG` selects.
 pub const OUTPUT_TARGET: &str = "output";
+
+/// The environment variable in which systemd names the device and the file of its journal.
+const JOURNAL_VARIABLE: &str = "JOURNAL_STREAM";
 
 /// Name of the run that this process belongs to; empty before it has joined one.
 static RUN: Mutex<String> = Mutex::new(String::new());
@@ -68,18 +76,50 @@ impl LogFormat {
     }
 }
 
+/// The priority of syslog before a line of this level, such as `<4>`, if standard error is systemd's journal.
+/// Empty otherwise.
+#[must_use]
+pub fn priority(level: Level) -> &'static str {
+    static IS_JOURNAL: LazyLock<bool> = LazyLock::new(|| {
+        let journal = std::env::var(JOURNAL_VARIABLE).unwrap_or_default();
+        fstat(io::stderr()).is_ok_and(|error| journal == format!("{}:{}", error.st_dev, error.st_ino))
+    });
+    match level {
+        _ if !*IS_JOURNAL => "",
+        Level::ERROR => "<3>",
+        Level::WARN => "<4>",
+        Level::INFO => "<6>",
+        _ => "<7>",
+    }
+}
+
+/// The time as in the lines of JSON.
+#[must_use]
+pub fn now() -> String {
+    let mut text = String::new();
+    let _ = SystemTime.format_time(&mut Writer::new(&mut text));
+    text
+}
+
+/// Logs a panic as one line of JSON.
+fn log_panics() {
+    std::panic::set_hook(Box::new(|panic| tracing::error!(target: OUTPUT_TARGET, "{panic}")));
+}
+
 /// Starts the log of a stage's process on standard error, with time and level in each line. Without
 /// `RUST_LOG`, it has warnings and errors. The launcher adds the colours.
 pub fn begin_logging(format: LogFormat) {
     let builder = tracing_subscriber::fmt()
-        .with_env_filter(filter("warn"))
-        .with_writer(std::io::stderr)
+        .with_env_filter(with_output(filter("warn")))
+        .with_writer(|| EscapedError)
+        .with_ansi(io::stderr().is_terminal())
         // A closed pipe would make a second message about it panic.
         .log_internal_errors(false);
     // Starting fails if a test or an embedding program has already installed a log, which is then used.
     let _ = match format {
         LogFormat::Text => builder.with_target(false).try_init(),
         LogFormat::Json => {
+            log_panics();
             builder.json().flatten_event(true).with_span_list(false).map_event_format(OfRun).try_init()
         }
     };
@@ -92,16 +132,14 @@ pub fn begin_command_logging(
     default: &str,
     writer: impl for<'w> MakeWriter<'w> + Send + Sync + 'static,
 ) {
-    let filter = match "output=info".parse() {
-        Ok(directive) => filter(default).add_directive(directive),
-        Err(_) => filter(default),
-    };
+    let filter = with_output(filter(default));
     let builder =
         tracing_subscriber::fmt().with_env_filter(filter).with_writer(writer).log_internal_errors(false);
     // As above.
     let _ = match format {
         LogFormat::Text => builder.event_format(Message).try_init(),
         LogFormat::Json => {
+            log_panics();
             builder.json().flatten_event(true).with_span_list(false).map_event_format(OfRun).try_init()
         }
     };
@@ -110,6 +148,14 @@ pub fn begin_command_logging(
 /// The selection of `RUST_LOG`, else the default.
 fn filter(default: &str) -> EnvFilter {
     EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(default))
+}
+
+/// The selection with the events of [`OUTPUT_TARGET`].
+fn with_output(filter: EnvFilter) -> EnvFilter {
+    match "output=info".parse() {
+        Ok(directive) => filter.add_directive(directive),
+        Err(_) => filter,
+    }
 }
 
 /// The text of a command's event.
@@ -127,6 +173,7 @@ where
         event: &Event<'_>,
     ) -> fmt::Result {
         let metadata = event.metadata();
+        writer.write_str(priority(*metadata.level()))?;
         writer.write_str(match *metadata.level() {
             _ if metadata.target() == "launcher" => "launcher: ",
             Level::ERROR => "error: ",
@@ -156,7 +203,7 @@ where
         let mut line = String::new();
         self.0.format_event(context, Writer::new(&mut line), event)?;
         let Ok(mut object) = serde_json::from_str::<Map<String, Value>>(&line) else {
-            return writer.write_str(&line);
+            return write!(writer, "{}{line}", priority(*event.metadata().level()));
         };
         let run = RUN.lock().unwrap_or_else(PoisonError::into_inner).clone();
         // An event's own field of this name stays.
@@ -167,7 +214,7 @@ where
         if tick != NO_TICK {
             object.entry("tick").or_insert(tick.into());
         }
-        writeln!(writer, "{}", Value::Object(object))
+        writeln!(writer, "{}{}", priority(*event.metadata().level()), Value::Object(object))
     }
 }
 

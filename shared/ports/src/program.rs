@@ -5,7 +5,7 @@ use std::process::ExitCode;
 use run::{Exit, Run};
 use rustix::process::{Pid, Signal, getppid, set_parent_process_death_signal};
 
-use crate::{LogFormat, StageError, begin_logging, choose_run, living_runs};
+use crate::{LogFormat, StageError, begin_logging, choose_run, escaped, living_runs};
 
 /// The environment variable that names the run's record, for programs without `--run`.
 pub const RUN_VARIABLE: &str = "STGDAT_RUN";
@@ -67,7 +67,7 @@ fn record_of(named: Option<PathBuf>) -> Result<PathBuf, String> {
 /// Prints why the program can't start.
 fn refuse(text: &str) -> ExitCode {
     // Standard error may have no reader.
-    let _ = writeln!(std::io::stderr(), "{text}");
+    let _ = writeln!(std::io::stderr(), "{}", escaped(text, false));
     Exit::Usage.into()
 }
 
