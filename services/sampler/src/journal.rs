@@ -34,6 +34,17 @@ const SLOTS_AT: usize = RECORDS_AT + 2 * RECORD_BYTES;
 /// Number of slots by which the memory grows, ahead of need: about 1 MiB.
 const GROWTH_SLOTS: usize = 8192;
 
+/// Size of the largest journal.
+pub(crate) const BYTES_MAX: usize =
+    SLOTS_AT + (RetrievalMemory::ENTRIES_MAX + GROWTH_SLOTS) * size_of::<Slot>();
+
+/// Bytes as aligned numbers, filled up with zeros.
+pub(crate) fn words(bytes: &[u8]) -> Vec<u64> {
+    let mut words = vec![0; bytes.len().div_ceil(size_of::<u64>())];
+    cast_slice_mut(&mut words)[..bytes.len()].copy_from_slice(bytes);
+    words
+}
+
 /// Bytes that outlive their writer.
 pub trait Storage {
     /// All bytes, aligned for 64-bit numbers.
@@ -73,7 +84,7 @@ impl Storage for Vec<u64> {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
 #[repr(C)]
 pub struct Identity {
-    /// Number of the run.
+    /// Number of the run, or of the weights for state that is saved for later runs.
     run_id: u64,
     /// Steps of a forecast.
     horizon_len: u32,
@@ -128,6 +139,25 @@ pub struct Journal<S> {
     identity: Identity,
     /// Generation of the newest record; 0 before the first.
     generation: u64,
+}
+
+impl Journal<Vec<u64>> {
+    /// Wraps a copy of a journal, whoever owns it, and returns its identity.
+    ///
+    /// # Errors
+    /// The reason why the bytes are not a journal.
+    pub(crate) fn belonging_to_any(words: Vec<u64>) -> Result<(Self, Identity), &'static str> {
+        let head = cast_slice::<u64, u8>(&words).get(..size_of::<Head>()).ok_or("of another version")?;
+        let Head { identity, .. } = *from_bytes(head);
+        Ok((Self::over(words, identity), identity))
+    }
+
+    /// The bytes of the journal for another owner.
+    pub(crate) fn into_bytes_for(self, identity: Identity) -> Vec<u8> {
+        let mut bytes = cast_slice::<u64, u8>(&self.storage).to_vec();
+        bytes[..size_of::<Head>()].copy_from_slice(bytes_of(&Head::new(identity)));
+        bytes
+    }
 }
 
 impl<S: Storage> Journal<S> {
@@ -313,6 +343,11 @@ impl Identity {
         let parts = u64::from(options.retrieval) * MEMORY + u64::from(options.evidence) * EVIDENCE;
         let horizon_len = options.horizon_len as u32;
         (parts != 0).then_some(Self { run_id, horizon_len, parts: parts as u32 })
+    }
+
+    /// The same identity with another owner.
+    pub(crate) const fn with_owner(self, owner: u64) -> Self {
+        Self { run_id: owner, ..self }
     }
 }
 

@@ -32,6 +32,7 @@ mod published;
 mod sampler;
 mod settings;
 mod spread;
+pub mod state;
 mod step;
 mod tick;
 mod turns;

@@ -13,6 +13,7 @@ use run::Run;
 
 use crate::journal::{Identity, Journal, Storage};
 use crate::settings::settings;
+use crate::state;
 use crate::{LanesOrigin, Options, STAGE, Sampler};
 
 /// A sampler with the options of the run's record: warm-started from the memory file that they name, if it
@@ -41,7 +42,7 @@ pub fn open(run: &Run, model: &ModelConfig) -> Result<Sampler, StageError> {
 }
 
 /// Name of the file in the run's shared memory for the state that outlives the sampler's process.
-const KEPT: &str = "sampler_kept";
+pub(crate) const KEPT: &str = "sampler_kept";
 
 /// The run's memory for the sampler's learned state.
 pub(crate) struct Kept(KeptMemory);
@@ -79,7 +80,8 @@ pub(crate) fn resume(run: &Run, sampler: &mut Sampler, incarnation: u32) {
                 Ok(None) => "nothing was kept",
                 Err(why) => why,
             };
-        if incarnation > 0 {
+        let is_loaded = state::load(run, sampler);
+        if incarnation > 0 && !is_loaded {
             tracing::warn!("restarted with an empty retrieval memory and no evidence: {why}");
         }
         journal.clear().map(|()| journal)

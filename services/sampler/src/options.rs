@@ -40,6 +40,10 @@ pub struct Options {
     /// File of the retrieval memory: read at the start if it exists (warm start), and written at the end.
     #[schemars(extend("format" = "path"))]
     pub memory: Option<PathBuf>,
+    /// File of the learned state, which is the retrieval memory and the evidence: read at the start if it exists,
+    /// and written every minute and at the end. Not in lockstep.
+    #[schemars(extend("format" = "path"))]
+    pub state: Option<PathBuf>,
     /// File of priors of the experts, which replaces the shipped priors: what earlier recordings of these roads
     /// show. `stgdat evaluate driving --prior` and `python -m stgdat.fleet priors` write it.
     #[schemars(extend("format" = "path"))]
@@ -122,6 +126,7 @@ impl Default for Options {
             retrieval: true,
             evidence: true,
             memory: None,
+            state: None,
             prior: None,
             lanes: None,
             lanes_origin: None,

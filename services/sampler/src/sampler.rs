@@ -192,6 +192,18 @@ impl Sampler {
         Ok(())
     }
 
+    /// Starts with the state that the sampler of an earlier run has learned. Time restarts, and all agents are
+    /// new.
+    ///
+    /// # Errors
+    /// As [`Sampler::resume`].
+    pub(crate) fn start_from(&mut self, resumed: Resumed) -> Result<(), &'static str> {
+        self.resume(Resumed { ticks: 0, ..resumed })?;
+        self.experts.iter_mut().for_each(|experts| experts.end_session());
+        self.memory.iter_mut().for_each(|memory| memory.end_session());
+        Ok(())
+    }
+
     /// Number of ticks in the resumed state; 0 if none was resumed.
     pub fn resumed_ticks(&self) -> u32 {
         u32::try_from(self.resumed_ticks).unwrap_or(0)
