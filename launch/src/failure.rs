@@ -7,12 +7,13 @@ use std::path::Path;
 use crate::config::SourceError;
 use nn::{StartError, WeightsError};
 use onboard::ChainError;
-use ports::{LogFormat, PortError, SpaceError, StageError};
+use ports::{LogFormat, PortError, SpaceError, StageError, priority};
 use recorder::is_standard_output;
 use run::{Exit, OptionError};
 pub use supervisor::StageDeath;
 use supervisor::{Cause, cause_about};
 use thiserror::Error;
+use tracing::Level;
 
 use crate::{color, log};
 
@@ -122,7 +123,7 @@ impl Failure {
     /// Prints the failure on standard error, whatever `RUST_LOG` selects.
     pub fn print(&self) {
         match log::format() {
-            LogFormat::Text => log::write(None, &format!("{}\n", self.message())),
+            LogFormat::Text => log::write(None, &format!("{}{}\n", priority(Level::ERROR), self.message())),
             LogFormat::Json => tracing::error!("{}", self.message()),
         }
     }

@@ -31,6 +31,7 @@ pub mod program;
 mod recorded;
 mod report_differences;
 pub mod runs;
+mod saved_state;
 mod screen;
 mod service;
 pub mod stages;

@@ -5,15 +5,17 @@
 //! printed above the table. Otherwise, they go to standard error. In the launcher neither waits for the reader of
 //! the log: `streams` and `outlet`.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 use std::io::Write;
 use std::process::Command;
-use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Mutex, OnceLock, PoisonError};
+use std::time::{Duration, Instant};
 
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use ports::{LAUNCHER_VARIABLE, LOG_VARIABLE, LogFormat, OUTPUT_TARGET};
 use serde_json::Value;
+use tracing::Level;
 use wire::StageId;
 
 use crate::color;
@@ -82,23 +84,68 @@ pub fn lost() -> BTreeMap<Origin, u64> {
     lost
 }
 
+/// Time for which a warning that a stage repeats is not printed again, such as one about a full disk.
+const REPEAT: Duration = Duration::from_mins(1);
+/// Most warnings that are remembered for this.
+const REPEATS_MAX: usize = 64;
+/// The warnings of the last minute, oldest first.
+static WARNINGS: Mutex<VecDeque<(StageId, String, Instant)>> = Mutex::new(VecDeque::new());
+
+/// Whether a stage has printed this warning or error within the last minute.
+fn repeats(stage: StageId, level: Level, message: &str) -> bool {
+    if level > Level::WARN {
+        return false;
+    }
+    let now = Instant::now();
+    let mut warnings = WARNINGS.lock().unwrap_or_else(PoisonError::into_inner);
+    while warnings
+        .front()
+        .is_some_and(|(.., printed)| now - *printed >= REPEAT || warnings.len() > REPEATS_MAX)
+    {
+        warnings.pop_front();
+    }
+    let is_known = warnings.iter().any(|(of, text, _)| *of == stage && text == message);
+    if !is_known {
+        warnings.push_back((stage, message.to_owned(), now));
+    }
+    is_known
+}
+
 /// Writes a line of a stage's output: as text with the stage's name before it, as JSON with the field
-/// `stage`. A line that is not an object becomes the message.
+/// `stage`. A line that is not an object becomes the message. A warning is printed at most once per minute.
 pub fn relay(stage: StageId, line: &str) {
     let line = match format() {
         LogFormat::Text => {
-            let line = format!("{}: {line}", stage.name());
+            let level = level_of(line);
+            // The time comes first.
+            if repeats(stage, level, line.split_once(' ').map_or(line, |(_, message)| message)) {
+                return;
+            }
+            let line = format!("{}{}: {line}", ports::priority(level), stage.name());
             match color::choice().is_on(&std::io::stderr()) && !HAS_TABLE.load(Ordering::Acquire) {
                 true => color::with_level(&line).into_owned(),
                 false => line,
             }
         }
         LogFormat::Json => match with_stage(stage, line) {
-            Some(object) => object.to_string(),
+            Some(object) => {
+                let level =
+                    object["level"].as_str().and_then(|level| level.parse().ok()).unwrap_or(Level::INFO);
+                if repeats(stage, level, object["message"].as_str().unwrap_or_default()) {
+                    return;
+                }
+                format!("{}{object}", ports::priority(level))
+            }
             None => return tracing::info!(target: OUTPUT_TARGET, stage = stage.name(), "{line}"),
         },
     };
     write(Some(stage), &format!("{line}\n"));
+}
+
+/// The level in a line of text: time and level come first.
+fn level_of(line: &str) -> Level {
+    let level = |word: &str| word.parse().ok().filter(|_| word.chars().all(|c| c.is_ascii_uppercase()));
+    line.split_whitespace().take(2).find_map(level).unwrap_or(Level::INFO)
 }
 
 /// The object of a stage's line with the stage's name; `None` if the stage did not write the line with
@@ -109,8 +156,18 @@ fn with_stage(stage: StageId, line: &str) -> Option<Value> {
     Some(object.into())
 }
 
-/// Writes whole lines.
+/// Prints a line of a run, such as the file of its recording: as an event if the log is JSON, and otherwise on
+/// standard output.
+pub fn tell(line: &str) {
+    match format() {
+        LogFormat::Text => say!("{line}"),
+        LogFormat::Json => tracing::info!(target: OUTPUT_TARGET, "{line}"),
+    }
+}
+
+/// Writes whole lines, without commands to the terminal.
 pub fn write(origin: Origin, text: &str) {
+    let text = &*ports::escaped(text, color::choice().is_on(&std::io::stderr()));
     if HAS_TABLE.load(Ordering::Acquire) {
         ABOVE_TABLE.push(origin, text.into());
     } else {
@@ -142,6 +199,16 @@ mod tests {
         let relayed = with_stage(StageId::Decoder, line).expect("an object");
         assert_eq!(relayed["stage"], "decoder");
         assert_eq!((&relayed["message"], &relayed["level"]), (&"late".into(), &"WARN".into()));
+    }
+
+    #[test]
+    fn a_warning_repeats_by_stage_and_text() {
+        let repeats = |stage, text| repeats(stage, Level::WARN, text);
+        assert!(!repeats(StageId::Recorder, "no space") && repeats(StageId::Recorder, "no space"));
+        assert!(!repeats(StageId::Sampler, "no space") && !repeats(StageId::Recorder, "no room"));
+        assert!((0..2).all(|_| !super::repeats(StageId::Recorder, Level::INFO, "tick")));
+        assert_eq!(level_of("2026-11-27T00:00:00Z  WARN late"), Level::WARN);
+        assert_eq!(level_of("frame 3 is late: error"), Level::INFO);
     }
 
     #[test]

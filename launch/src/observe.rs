@@ -57,6 +57,9 @@ pub struct ObserveArguments {
     trace: Option<PathBuf>,
 }
 
+/// Time for which an event that repeats is not logged again.
+const REPEAT: Duration = Duration::from_mins(1);
+
 /// Where the metrics are served.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Endpoint {
@@ -91,6 +94,10 @@ pub struct Observer {
     /// The recording or scene.
     title: String,
     ticks_limit: Option<u64>,
+    /// The stage that a run which has not begun waits for.
+    waiting_for: Option<StageId>,
+    /// The newest event of a detector that is not ready, and when it was logged.
+    not_ready: Option<(String, Instant)>,
     begun: Instant,
     usage: Usage,
     events: VecDeque<StatusEvent>,
@@ -142,6 +149,8 @@ impl Observer {
             run: name_of(&run.root),
             title,
             ticks_limit,
+            waiting_for: None,
+            not_ready: None,
             begun: Instant::now(),
             usage: Usage::default(),
             events: VecDeque::with_capacity(EVENTS_MAX),
@@ -199,9 +208,36 @@ impl Observer {
                 }
             }
         }
-        if event.is_logged() {
+        if event.is_logged() && !self.repeats(event) {
             self.report(event.to_string());
         }
+    }
+
+    /// Whether this event was logged less than a minute ago.
+    fn repeats(&mut self, event: &Event) -> bool {
+        let may_repeat = match event {
+            Event::NotReady { .. } => true,
+            Event::Died { how, .. } => how.contains("without room"),
+            _ => false,
+        };
+        if !may_repeat {
+            return false;
+        }
+        let (text, now) = (event.to_string(), Instant::now());
+        let is_new = |(before, logged): &(String, Instant)| *before != text || now - *logged >= REPEAT;
+        if !self.not_ready.as_ref().is_none_or(is_new) {
+            return true;
+        }
+        self.not_ready = Some((text, now));
+        false
+    }
+
+    /// Sets the stage that a run which has not begun waits for. The first time is logged.
+    pub fn wait_for(&mut self, stage: Option<StageId>) {
+        if let (Some(stage), None, None) = (stage, self.waiting_for, &self.not_ready) {
+            self.report(format!("WAITING for {}: it has not sent a frame yet", stage.name()));
+        }
+        self.waiting_for = stage;
     }
 
     /// Logs a line and adds it to the events in the status.
@@ -279,6 +315,7 @@ impl Observer {
             run: self.run.clone(),
             launcher_pid: std::process::id(),
             linked,
+            waiting_for: self.waiting_for.filter(|_| !linked),
             title: self.title.clone(),
             ticks_limit: self.ticks_limit,
             now_ns: monotonic_ns(),

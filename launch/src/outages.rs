@@ -50,6 +50,11 @@ impl Outages {
         }
     }
 
+    /// Records that the detector was not ready before the run had begun.
+    pub const fn not_ready(&mut self) {
+        self.record.early_starts = self.record.early_starts.saturating_add(1);
+    }
+
     /// Records that a dead stage continues with its spare.
     pub fn promoted(&mut self, stage: StageId) {
         let of_stage = |outage: &&mut Outage| outage.stage == stage.name();

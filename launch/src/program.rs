@@ -61,6 +61,7 @@ pub fn exit(error: &clap::Error) -> ! {
 
 fn print(output: &mut (impl Write + IsTerminal), text: &str) -> std::io::Result<()> {
     let is_painted = color::choice().is_on(output);
+    let text = &*ports::escaped(text, false);
     write!(output, "{}", if is_painted { painted(text) } else { text.to_owned() })
 }
 

@@ -16,6 +16,8 @@ use supervisor::Outlet;
 const WAITING_MAX: usize = 4096;
 /// Time for systemd to take the last report.
 const END_LIMIT: Duration = Duration::from_millis(200);
+/// Time until the next report for a service that waits. systemd then ends it.
+const WAIT_LIMIT: Duration = Duration::from_secs(30);
 /// Interval between reports of the status.
 const STATUS_INTERVAL: Duration = Duration::from_secs(1);
 
@@ -42,6 +44,17 @@ fn missed(setting: &str, limit: impl Fn(Resource) -> Option<u64>) -> Option<Stri
     })?;
     let is_met = asked.parse().is_ok_and(|asked: u64| found >= asked);
     (!is_met).then(|| format!("systemd could not apply {setting}: the limit is {found}"))
+}
+
+/// How far a run is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Phase {
+    /// Its stages start.
+    Starting,
+    /// Its stages wait for the detector.
+    Waiting,
+    /// The first tick has passed all stages.
+    Ready,
 }
 
 /// The reports of a run to systemd.
@@ -88,11 +101,12 @@ impl Service {
     }
 
     /// Reports that the run is ready once the first tick has passed all stages. Then reports its status each
-    /// second, and feeds the watchdog while the heartbeats of all stages advance.
+    /// second, and feeds the watchdog while the heartbeats of all stages advance. While the run waits for the
+    /// detector, the time limit of the start moves on.
     pub fn tend(
         &mut self,
         heartbeats: &[Heartbeat],
-        has_ticks: bool,
+        phase: Phase,
         status: impl FnOnce() -> String,
         now: Instant,
     ) {
@@ -100,12 +114,17 @@ impl Service {
             self.heard.entry(stage).and_modify(|heard| *heard = now);
         }
         let interval = self.watchdog.map_or(STATUS_INTERVAL, |watchdog| STATUS_INTERVAL.min(watchdog / 4));
-        let becomes_ready = has_ticks && !self.is_ready;
-        if !has_ticks || (!becomes_ready && now.duration_since(self.reported) < interval) {
+        let becomes_ready = phase == Phase::Ready && !self.is_ready;
+        let is_due = becomes_ready || now.duration_since(self.reported) >= interval;
+        if phase == Phase::Starting || !is_due {
             return;
         }
-        (self.is_ready, self.reported) = (true, now);
+        self.is_ready |= becomes_ready;
+        self.reported = now;
         let mut report = format!("STATUS={}", status());
+        if !self.is_ready {
+            report += &format!("\nEXTEND_TIMEOUT_USEC={}", WAIT_LIMIT.as_micros());
+        }
         if becomes_ready {
             report += "\nREADY=1";
         }
@@ -142,9 +161,9 @@ mod tests {
         let reports = Outlet::open("test", WAITING_MAX, io::sink()).unwrap();
         let mut service = Service { heard, watchdog, is_ready: true, reported: begun, reports };
         let beat = |stage: StageId| Heartbeat { stage: stage.number(), ..bytemuck::Zeroable::zeroed() };
-        service.tend(&[beat(StageId::Decoder)], true, String::new, at(900));
+        service.tend(&[beat(StageId::Decoder)], Phase::Ready, String::new, at(900));
         assert!(service.is_alive(at(999)) && !service.is_alive(at(1_000)), "the sampler is silent");
-        service.tend(&[beat(StageId::Sampler), beat(StageId::Source)], true, String::new, at(1_500));
+        service.tend(&[beat(StageId::Sampler), beat(StageId::Source)], Phase::Ready, String::new, at(1_500));
         assert!(service.is_alive(at(1_800)) && !service.is_alive(at(1_900)), "the decoder is silent");
         service.watchdog = None;
         assert!(!service.is_alive(at(1_500)), "nobody waits for it");

@@ -1,4 +1,4 @@
-//! Output of verbs. If the reader closes its pipe early, as `head` does, a verb ends quietly and a run
+//! Output of verbs, without commands to the terminal: names of files, topics and tags come from outside. If the reader closes its pipe early, as `head` does, a verb ends quietly and a run
 //! continues.
 
 use std::fmt::Arguments;
@@ -7,6 +7,7 @@ use std::path::Path;
 
 use run::Exit;
 
+use crate::color;
 use crate::failure::Failure;
 use crate::streams::{self, Stream};
 
@@ -19,6 +20,7 @@ macro_rules! say {
 /// Writes the result of a verb to standard output. A closed pipe is not an error.
 pub fn show(text: &str) -> Result<Exit, Failure> {
     let mut output = std::io::stdout().lock();
+    let text = ports::escaped(text, color::choice().is_on(&output));
     match output.write_all(text.as_bytes()).and_then(|()| output.flush()) {
         Err(error) if error.kind() != ErrorKind::BrokenPipe => Err(Failure::output(Path::new("-"), error)),
         _ => Ok(Exit::Done),
@@ -36,5 +38,7 @@ pub fn is_read(written: std::io::Result<()>) -> std::io::Result<bool> {
 /// As [`say!`].
 pub fn say(line: Arguments<'_>) {
     // The verb's work is done, even if nobody reads the output.
-    let _ = streams::write(Stream::Output, None, &format!("{line}\n"));
+    let text = format!("{line}\n");
+    let text = ports::escaped(&text, color::choice().is_on(&std::io::stdout()));
+    let _ = streams::write(Stream::Output, None, &text);
 }

@@ -145,11 +145,17 @@ impl Watch {
             Event::Tried(replaced) => self.outages.tried(replaced),
             Event::Promoted { stage } => self.outages.promoted(*stage),
             Event::Starved { stage } => self.outages.starved(*stage),
+            Event::NotReady { .. } => self.outages.not_ready(),
             Event::CannotDie { .. }
             | Event::CleanUpHung(_)
             | Event::ReaderDied(_)
             | Event::SpareGivenUp { .. } => {}
         }
+    }
+
+    /// Sets the stage that a run which has not begun waits for.
+    pub fn wait_for(&mut self, stage: Option<StageId>) {
+        self.observer.wait_for(stage);
     }
 
     /// Logs a setting of pipeline.toml that the system refused, and keeps it for the report.

@@ -115,12 +115,18 @@ fn a_stage_that_cannot_start_or_ends_early_ends_the_run() {
     assert_refused(&["run", "--pipeline", &no_such_program], 78, &["the localiser", "./none"]);
     let ends_at_once = scratch.pipeline_with("encoder", &["true"]);
     assert_refused(&["run", "--pipeline", &ends_at_once], 70, &["the encoder ended with exit code 0"]);
-    let words = "echo no camera >&2; exit 3";
+    let words = "echo no key >&2; exit 78";
     let last_words = scratch.pipeline_with("source", &["sh", "-c", words]);
     assert_refused(
         &["run", "--pipeline", &last_words],
+        78,
+        &["the source ended with exit code 78", "no key"],
+    );
+    let again_and_again = scratch.pipeline_with("encoder", &["sh", "-c", "exit 3"]);
+    assert_refused(
+        &["run", "--pipeline", &again_and_again],
         70,
-        &["the source ended with exit code 3", "no camera"],
+        &["the encoder ended with exit code 3 and is given up: it was restarted too often"],
     );
 }
 

@@ -12,6 +12,7 @@ mod input_clock;
 mod live;
 mod lockstep;
 mod observing;
+mod operation;
 mod options;
 mod origins;
 mod pages;

@@ -119,11 +119,11 @@ fn title(view: &View, width: usize) -> Line {
 fn verdict(view: &View, width: usize) -> Vec<Line> {
     let status = &view.status;
     let (name, colour) = match status.report.verdict.status {
-        _ if view.silent => ("NO ANSWER", Color::Red),
-        _ if !status.linked => ("STARTING", Color::Yellow),
-        Status::Ok => (Status::Ok.name(), Color::Green),
-        Status::Empty => ("NO FORECASTS", Color::Yellow),
-        other => (other.name(), Color::Yellow),
+        _ if view.silent => ("NO ANSWER".into(), Color::Red),
+        _ if !status.linked => (status.before_begin(), Color::Yellow),
+        Status::Ok => (Status::Ok.name().into(), Color::Green),
+        Status::Empty => ("NO FORECASTS".into(), Color::Yellow),
+        other => (other.name().into(), Color::Yellow),
     };
     let paused = if view.paused { "  (paused)" } else { "" };
     let reasons = if view.silent {

@@ -73,7 +73,10 @@ fn fault(first: &RunStatus, now: &RunStatus) -> Option<String> {
         now.stages.iter().find(|stage| is_it(stage)).map(|stage| stage.name.clone())
     };
     if !now.linked {
-        return Some("it is starting".to_owned());
+        return Some(match &now.waiting_for {
+            Some(stage) => format!("it waits for the {stage}"),
+            None => "it is starting".to_owned(),
+        });
     }
     if let Some(state) = &now.input.state {
         return Some(state.clone());

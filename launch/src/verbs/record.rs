@@ -1,5 +1,4 @@
 use std::collections::BTreeMap;
-use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -107,9 +106,9 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let recorded = match arguments.ring.limits() {
         None => {
             let writer = arguments.view.create(file, &about).map_err(Failure::data)?;
-            say(&format!("recording {} to {}; Ctrl-C ends it", run.name, file.display()));
+            say!("recording {} to {}; Ctrl-C ends it", run.name, file.display());
             let recorded = follow(&run.root, &request, client, writer, events, limit, &stop)?;
-            say(&summary(file, &recorded));
+            say!("{}", summary(file, &recorded));
             recorded
         }
         Some(limits) => {
@@ -117,23 +116,23 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
             // A whole ring is packed at once, so the stages get priority.
             let _ = rustix::process::nice(NICE);
             let asked = Asked::by_usr1().map_err(Failure::unavailable)?;
-            say(&format!("{}: {}", run.name, arguments.ring.told(file)));
-            let recorder = FlightRecorder::new(file, about, limits, asked, say, arguments.view.clone());
+            say!("{}: {}", run.name, arguments.ring.told(file));
+            let recorder = FlightRecorder::new(
+                file,
+                about,
+                limits,
+                asked,
+                |line| say!("{line}"),
+                arguments.view.clone(),
+            );
             follow(&run.root, &request, client, recorder, true, limit, &stop)?
         }
     };
     let lost = recorded.lost.values().chain(recorded.written.lost.values()).sum::<u64>();
     if lost > 0 {
-        say(&format!("  {lost} frames are not in it: {}", losses(&recorded)));
+        say!("  {lost} frames are not in it: {}", losses(&recorded));
     }
     Ok(Exit::Done)
-}
-
-/// Prints a line on standard output immediately, because the launcher may wait for it. A closed pipe is not
-/// an error.
-fn say(line: &str) {
-    let mut output = std::io::stdout().lock();
-    let _ = writeln!(output, "{line}").and_then(|()| output.flush());
 }
 
 fn summary(file: &Path, Recorded { written, seconds, .. }: &Recorded) -> String {

@@ -7,11 +7,12 @@ use crate::config::Pipeline;
 use clap::{Args, ValueEnum};
 use localiser::MapChoice;
 use nn::Weights;
-use ports::{Space, Stop, clock_offset_ns};
-use recorder::{InputReport, Report, RunInfo, SceneNoise, Supervision, is_standard_output};
+use ports::{LogFormat, Space, Stop, clock_offset_ns};
+use recorder::{InputReport, Report, RunInfo, SceneNoise, Status, Supervision, Verdict, is_standard_output};
 use recording::About;
 use run::{Exit, Run, SpareRun, StageRun};
 use scene::ContextMap;
+use serde_json::json;
 use source::{Playback, PlaybackOptions};
 use toml::Value;
 use wire::{StageId, WorldOrigin};
@@ -25,15 +26,16 @@ use crate::fail_if::{self, Condition};
 use crate::failure::Failure;
 use crate::files::{check_place, version, within};
 use crate::observe::{ObserveArguments, Observer, address};
-use crate::options::{Setting, StageOptions, text};
+use crate::options::{Setting, StageOptions, absolute, text};
 use crate::pipeline_file;
 use crate::play_report::input_of;
+use crate::saved_state::{self, SavedState};
 use crate::tap::{Recording, RingArguments, Tap, ViewArguments};
 use crate::verbs::record;
 use crate::verbs::report::RunReport;
 use crate::verbs::view::Page;
 use crate::watch::Watch;
-use crate::{streams, version};
+use crate::{log, streams, version};
 
 /// Shared memory that must be free at the start of a run, bytes.
 pub const SHARED_BYTES: u64 = 48 << 20;
@@ -136,6 +138,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let playback = Playback::new(recording, playing);
     let mut info = info(arguments, &options, &source, origin, &playback, weights_path.as_deref(), &weights)?;
     check_map(&mut options)?;
+    let state = state_file(&mut options, arguments.speed == Speed::Max)?;
 
     let mut space = Space::create(arguments.runtime_dir.as_deref(), SHARED_BYTES)?;
     let report_path = report_path(&mut options, space.root())?;
@@ -162,6 +165,8 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     drop((playback, weights));
 
     let report_before = version(&report_path);
+    let state = state.zip(info.weights_sha256.clone());
+    let state = state.map(|(path, sha256)| SavedState::start(&run, path, sha256)).transpose()?;
     let keeps_memory = options.get(StageId::Sampler, "memory").is_some();
     let record_file = write_record(&run, arguments.announce.as_deref())?;
     about(arguments, &info, &run)?.write(&run.root).map_err(|error| Failure::file(&run.root, error))?;
@@ -177,7 +182,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let observer = Observer::open(&run, &arguments.observe, input.clone(), title, ticks_limit)?;
     let watch = Watch::open(&run, arguments.quiet, observer)?;
     let page = arguments.view.map(|address| Page::start(&run.root, address)).transpose()?;
-    let following = Following { tap, recording, watch };
+    let following = Following { tap, recording, watch, state };
     space.keep();
     let ended = supervise(&pipeline, &run, &mut space, &record_file, &stop, following, keeps_memory)?;
     drop(page);
@@ -205,7 +210,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         let mut measured = measured;
         measured.audited(&input);
         let measured = report(arguments, measured, info, supervision)?;
-        ended.recorded.iter().for_each(|line| say!("{line}"));
+        ended.recorded.iter().for_each(|line| log::tell(line));
         html.map_or(Ok(()), |html| html.write(Some(measured.clone())))?;
         if matches!(ended.outcome, Ok(Exit::Done)) {
             fail_if::check(&arguments.fail_if, &measured)?;
@@ -258,6 +263,20 @@ fn check_map(options: &mut StageOptions) -> Result<(), Failure> {
     let path = canonical(&path)?;
     ContextMap::load(&path).map_err(Failure::data)?;
     options.set_path(StageId::Localiser, "map", &path)
+}
+
+/// Returns the file of the learned state: from the sampler's options, or else in the service's folder of state.
+/// In lockstep there is none.
+fn state_file(options: &mut StageOptions, is_lockstep: bool) -> Result<Option<PathBuf>, Failure> {
+    if is_lockstep || !options.is_built_in(StageId::Sampler) {
+        return Ok(None);
+    }
+    let named = options.read(&sampler::STAGE)?.state;
+    let Some(path) = named.or_else(saved_state::file_of_service) else { return Ok(None) };
+    check_place(&path)?;
+    let path = absolute(&path)?;
+    options.set_path(StageId::Sampler, "state", &path)?;
+    Ok(Some(path))
 }
 
 /// Returns the path of the recorder's report: from its options, or else in the run's directory.
@@ -329,9 +348,14 @@ fn report(
         lockstep: measured.lockstep,
         ..info
     };
-    let width = rustix::termios::tcgetwinsize(std::io::stdout())
-        .map_or(REPORT_WIDTH, |size| usize::from(size.ws_col).max(1));
-    say!("{}", report.render(width).trim_end_matches('\n'));
+    match log::format() {
+        LogFormat::Json => say!("{}", report_line(&report)),
+        LogFormat::Text => {
+            let width = rustix::termios::tcgetwinsize(std::io::stdout())
+                .map_or(REPORT_WIDTH, |size| usize::from(size.ws_col).max(1));
+            say!("{}", report.render(width).trim_end_matches('\n'));
+        }
+    }
     report.lanes.doubt().iter().for_each(|doubt| tracing::warn!("{doubt}"));
     if let Some(path) = &arguments.report {
         if is_standard_output(path) {
@@ -341,6 +365,27 @@ fn report(
         within(path, move || whole.write(&file).map_err(Failure::data))?;
     }
     Ok(report)
+}
+
+/// Most bytes of a line in systemd's journal, which splits longer lines (`LineMax=`), less some room.
+const LINE_MAX: usize = 46 << 10;
+
+/// The report as one line of JSON with the fields of the log's lines. If it is too long for a journal, `report` has
+/// the verdict and the key figures only, and `whole` is false.
+fn report_line(report: &Report) -> String {
+    let Verdict { status, reasons } = &report.verdict;
+    let level = if *status == Status::Ok { "INFO" } else { "WARN" };
+    let message = [&[status.name().to_owned()], &reasons[..]].concat().join("; ");
+    let mut line = json!({
+        "timestamp": ports::now(), "level": level, "target": "report", "message": message,
+        "run": report.run.run_id, "whole": true, "report": report,
+    });
+    if line.to_string().len() > LINE_MAX {
+        line["whole"] = false.into();
+        line["report"] =
+            json!({ "verdict": report.verdict, "ticks": report.ticks, "late_ticks": report.late_ticks });
+    }
+    line.to_string()
 }
 
 /// Returns the facts of a run that are known before it begins.

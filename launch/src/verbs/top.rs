@@ -1,13 +1,15 @@
-use std::io::{IsTerminal, Write, stdout};
+use std::io::{IsTerminal, stdout};
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use clap::Args;
+use ports::escaped;
 use run::Exit;
 
 use crate::failure::Failure;
 use crate::runs;
 use crate::show::show;
+use crate::streams::{self, Stream};
 use crate::terminal::{self, Key, Screen};
 use crate::top::{Client, SortBy, View, text};
 
@@ -78,7 +80,9 @@ fn print_json(client: &Client, view: &View, arguments: &Arguments) -> Result<Exi
     loop {
         let line = serde_json::to_string(&status).map_err(Failure::data)?;
         // The reader may have closed its end.
-        if writeln!(stdout(), "{line}").and_then(|()| stdout().flush()).is_err() || arguments.once {
+        if !streams::write(Stream::Output, None, &(escaped(&line, false).into_owned() + "\n"))
+            || arguments.once
+        {
             return Ok(Exit::Done);
         }
         std::thread::sleep(arguments.interval);

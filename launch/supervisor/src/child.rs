@@ -205,6 +205,14 @@ impl Child {
         }
     }
 
+    /// Whether the last lines of a dead process report a failed allocation.
+    pub fn lacked_memory(&self) -> bool {
+        let lines = self.output.last_lines(LAST_LINES_LIMIT);
+        lines.iter().any(|line| {
+            ["memory allocation of", "MemoryError", "bad_alloc"].iter().any(|of| line.contains(of))
+        })
+    }
+
     /// Whether the process was killed but does not end. Returns true once.
     pub fn cannot_die(&mut self) -> bool {
         let is_overdue = self.killed.is_some_and(|killed| killed.elapsed() > KILL_LIMIT);

@@ -10,7 +10,7 @@ use std::os::fd::BorrowedFd;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-use run::{Exit, OptionError, Run};
+use run::{OptionError, Run};
 use rustix::process::{Pid, Signal};
 use wire::{Heartbeat, StageId};
 
@@ -182,6 +182,11 @@ impl Fleet {
         })
     }
 
+    /// Whether a detector has ended before the run has begun.
+    pub fn awaits_source(&self) -> bool {
+        self.members.iter().any(|member| member.supervision.is_awaited())
+    }
+
     /// Whether a stage has ended with success.
     pub fn done(&self, stage: StageId) -> bool {
         self.members.iter().any(|m| m.stage == stage && m.supervision.state() == State::Done)
@@ -194,7 +199,8 @@ impl Fleet {
     }
 
     /// Reaps, restarts and watches the stages. `is_linked` is true once the run has begun. Before that, a
-    /// stage that ends by itself can't be started, so the run ends. In lockstep every death ends the run.
+    /// detector that fails is awaited, and a stage that is given up ends the run. In lockstep every death ends
+    /// the run.
     /// `is_restoring` is true while removed files of the run are restored. A stage that could not read them then
     /// is started again.
     ///
@@ -231,6 +237,9 @@ impl Fleet {
                     }
                 }
             }
+            if is_linked {
+                member.supervision.begun();
+            }
             if !matches!(member.supervision.state(), State::Running { .. }) {
                 continue;
             }
@@ -246,15 +255,12 @@ impl Fleet {
                     // Start the clean-up immediately; the last output is read meanwhile.
                     self.cleaner.tend(member.ticket, now)?;
                 }
-                // A process killed by a signal during its start can be restarted. A process that ends by
-                // itself during its start can't, unless the half-made files of a killed process blocked it.
-                let is_in_the_way = one_died && status.code() == Some(Exit::Unavailable as i32);
-                let is_by_signal = status.code().is_none();
-                let is_restartable =
-                    !self.surroundings.run.lockstep && (is_linked || is_by_signal || is_in_the_way);
+                if self.surroundings.run.lockstep && !member.is_done(status) {
+                    return Err(member.child.death(status).into());
+                }
                 events.extend(member.handle_exit(
                     status,
-                    is_restartable,
+                    is_linked,
                     ports::is_full(&self.surroundings.run.root),
                     !is_restoring && self.surroundings.record.exists(),
                     now,
@@ -268,7 +274,7 @@ impl Fleet {
         events.extend(self.tend_trial(stopped, now));
         events.extend(self.tend_dying());
         events.extend(self.tend_spares(is_linked, is_restoring, stopped, now)?);
-        events.extend(self.restart(now)?);
+        events.extend(self.restart(is_linked, now)?);
         self.note_own();
         Ok(events)
     }
@@ -313,7 +319,7 @@ impl Fleet {
     }
 
     /// Restarts the stages whose pause is over and whose dead predecessor is cleaned up.
-    fn restart(&mut self, now: Duration) -> Result<Vec<Event>, Error> {
+    fn restart(&mut self, is_linked: bool, now: Duration) -> Result<Vec<Event>, Error> {
         let mut events = Vec::new();
         let waiting =
             |m: &&Member| matches!(m.supervision.state(), State::Waiting { .. } | State::GivenUp { .. });
@@ -347,7 +353,7 @@ impl Fleet {
                     // As if it had ended at once.
                     Err(StartError::Hung(how)) => {
                         member.supervision.restarted(now);
-                        events.extend(member.handle_end(End::Failure, how, None, now)?);
+                        events.extend(member.handle_end(End::Failure, how, None, is_linked, now)?);
                     }
                     Err(StartError::Failed(failure)) => return Err(failure),
                 }

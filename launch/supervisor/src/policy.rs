@@ -9,8 +9,9 @@
 //!    └──────────────▶ given up, for good
 //! ```
 //!
-//! A stage that ends while there is no room for its files is started again every second. These restarts have
-//! no limit.
+//! A stage that ends while there is no room for its files is started again every second. A source that ends
+//! before the run has begun, such as a detector without a camera, is started again with growing pauses. These
+//! restarts have no limit.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -31,6 +32,8 @@ pub enum End {
     Config,
     /// With another exit code or by a signal, while there was no room for its files.
     NoRoom,
+    /// With another exit code or by a signal: a source that is not ready before the run has begun.
+    NotReady,
     /// With another exit code or by a signal.
     Failure,
 }
@@ -67,13 +70,15 @@ pub struct Supervision {
     incarnation: u32,
     /// Times of the restarts within the window, oldest first.
     restarts: VecDeque<Duration>,
+    /// Number of ends as [`End::NotReady`].
+    not_ready: u32,
 }
 
 impl Supervision {
     /// Creates the state of a stage that was started for the first time.
     pub const fn new(policy: RestartPolicy, now: Duration) -> Self {
         let state = State::Running { since: now, linked: false };
-        Self { policy, state, incarnation: 0, restarts: VecDeque::new() }
+        Self { policy, state, incarnation: 0, restarts: VecDeque::new(), not_ready: 0 }
     }
 
     /// The state.
@@ -104,23 +109,28 @@ impl Supervision {
             (_, Restart::Never) => given_up("its policy is never to restart it"),
             // Not the stage's fault. It starts once there is room again.
             (End::NoRoom, _) => State::Waiting { until: now + NO_ROOM_PAUSE },
+            // As above: the device of a detector may need a minute after the boot.
+            (End::NotReady, _) => {
+                self.not_ready = self.not_ready.saturating_add(1);
+                State::Waiting { until: now + self.pause(self.not_ready as usize) }
+            }
             (End::Success, Restart::OnFailure) => given_up("it ended by itself, which is no failure"),
             _ if self.restarts.len() >= self.policy.restarts_max as usize => {
                 given_up("it was restarted too often")
             }
             _ => {
                 self.restarts.push_back(now);
-                State::Waiting { until: now + self.pause() }
+                State::Waiting { until: now + self.pause(self.restarts.len()) }
             }
         };
         self.state
     }
 
-    /// Returns the pause before the newest restart. The first restart in the window has no pause; then come
-    /// the backoff, twice the backoff, and so on.
-    fn pause(&self) -> Duration {
-        match self.restarts.len().saturating_sub(2) {
-            _ if self.restarts.len() < 2 => Duration::ZERO,
+    /// Returns the pause before the restart of this number. The first restart has no pause; then come the
+    /// backoff, twice the backoff, and so on.
+    fn pause(&self, restart: usize) -> Duration {
+        match restart.saturating_sub(2) {
+            _ if restart < 2 => Duration::ZERO,
             doublings => {
                 let factor = 1_u32.checked_shl(doublings as u32).unwrap_or(u32::MAX);
                 self.policy.backoff.saturating_mul(factor).min(RestartPolicy::BACKOFF_MAX)
@@ -131,6 +141,16 @@ impl Supervision {
     /// Whether the pause before a restart is over.
     pub fn is_due(&self, now: Duration) -> bool {
         matches!(self.state, State::Waiting { until } if now >= until)
+    }
+
+    /// Whether the source was not ready and the run has not begun since.
+    pub const fn is_awaited(&self) -> bool {
+        self.not_ready > 0
+    }
+
+    /// Records that the run has begun.
+    pub const fn begun(&mut self) {
+        self.not_ready = 0;
     }
 
     /// Records a restart of the process.
@@ -252,6 +272,25 @@ mod tests {
         }
         assert_eq!(stage.ended(End::Failure, SECOND * 200), State::Waiting { until: SECOND * 200 });
         assert!(matches!(supervision(Restart::Never).ended(End::NoRoom, SECOND), State::GivenUp { .. }));
+    }
+
+    #[test]
+    fn a_source_that_is_not_ready_is_awaited_without_a_limit_by_its_policy() {
+        let mut stage = supervision(Restart::OnFailure);
+        let mut pauses_ms = Vec::new();
+        for number in 1..=100 {
+            let now = SECOND * 10 * number;
+            let State::Waiting { until } = stage.ended(End::NotReady, now) else { panic!("given up") };
+            pauses_ms.push((until - now).as_millis());
+            stage.restarted(until);
+        }
+        assert_eq!(pauses_ms[..9], [0, 80, 160, 320, 640, 1280, 2560, 4000, 4000]);
+        assert_eq!(pauses_ms[99], 4000);
+        assert!(stage.is_awaited());
+        stage.begun();
+        assert!(!stage.is_awaited());
+        assert_eq!(stage.ended(End::Failure, SECOND * 2000), State::Waiting { until: SECOND * 2000 });
+        assert!(matches!(supervision(Restart::Never).ended(End::NotReady, SECOND), State::GivenUp { .. }));
     }
 
     #[test]

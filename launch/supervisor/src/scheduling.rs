@@ -21,6 +21,9 @@ pub struct Scheduling {
     pub cpus: Vec<u32>,
     /// The priority in the real-time class SCHED_FIFO; `None` for the normal class.
     pub priority: Option<u8>,
+    /// Most private memory of the process, MiB (`RLIMIT_DATA`); `None` without a limit. A process that needs more
+    /// ends, and its stage is started again.
+    pub memory_mib: Option<u64>,
     /// Whether its memory is not locked. By default a stage locks as much as its limit permits.
     pub unlocked: bool,
 }
@@ -56,6 +59,10 @@ pub fn set_at_start(command: &mut Command, scheduling: &Scheduling) {
     }
     let cpus = (!scheduling.cpus.is_empty()).then(|| set_of(&scheduling.cpus));
     let priority = scheduling.priority.map(i32::from);
+    let memory = scheduling.memory_mib.map(|mib| {
+        let bytes = Some(mib.saturating_mul(1 << 20));
+        Rlimit { current: bytes, maximum: bytes }
+    });
     // SAFETY: between fork and exec the closure makes system calls and touches no memory but its own copies.
     unsafe {
         command.pre_exec(move || {
@@ -65,6 +72,9 @@ pub fn set_at_start(command: &mut Command, scheduling: &Scheduling) {
             if let Some(sched_priority) = priority {
                 let parameters = libc::sched_param { sched_priority };
                 libc::sched_setscheduler(0, libc::SCHED_FIFO, &raw const parameters);
+            }
+            if let Some(memory) = memory {
+                let _ = setrlimit(Resource::Data, memory);
             }
             Ok(())
         });

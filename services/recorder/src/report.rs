@@ -13,6 +13,7 @@ mod verdict;
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
+use wire::StageId;
 
 use crate::arrivals::Silences;
 use crate::input::{DOUBT, InputReport};
@@ -468,12 +469,17 @@ impl Report {
         self.without_replacements();
     }
 
-    /// Subtracts replacements from the restarts that the recorder has counted by incarnations.
+    /// Subtracts replacements, and starts before the run had begun, from the restarts that the recorder has
+    /// counted by incarnations.
     fn without_replacements(&mut self) {
         let outcomes = self.supervision.replacements.iter();
         let outcomes: Vec<_> = outcomes.map(|of| (of.outage.stage.clone(), of.outcome)).collect();
-        if outcomes.is_empty() {
+        let early = self.supervision.early_starts;
+        if outcomes.is_empty() && early == 0 {
             return;
+        }
+        for stage in self.stages.iter_mut().filter(|stage| stage.name == StageId::Source.name()) {
+            stage.restarts = stage.restarts.saturating_sub(early);
         }
         for (name, outcome) in outcomes {
             for stage in self.stages.iter_mut().filter(|stage| stage.name == name) {

@@ -5,6 +5,7 @@
 //! * the whole run so far ([`Report`]) and its last ten seconds, from a [`Recorder`];
 //! * facts that only the launcher knows ([`Facts`]): processes with their CPU time, memory and events.
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
@@ -36,6 +37,9 @@ pub struct RunStatus {
     pub launcher_pid: u32,
     /// Whether a frame has passed through the whole chain.
     pub linked: bool,
+    /// The stage that a run which has not begun waits for.
+    #[serde(default)]
+    pub waiting_for: Option<String>,
     /// Time since the release of the first tick.
     pub elapsed_s: f64,
     /// Number of ticks after which the run ends, if it is known.
@@ -145,6 +149,8 @@ pub struct Facts {
     pub launcher_pid: u32,
     /// Whether a frame has passed through the whole chain.
     pub linked: bool,
+    /// The stage that a run which has not begun waits for.
+    pub waiting_for: Option<StageId>,
     /// The recording or scene.
     pub title: String,
     /// Number of ticks after which the run ends, if it is known.
@@ -175,7 +181,8 @@ impl RunStatus {
             let replacements = report.supervision.replacements.iter();
             let of_stage = replacements.filter(|replacement| replacement.outage.stage == stage.name());
             let replaced: u32 = of_stage.map(|replacement| replacement.outcome.incarnations()).sum();
-            process.restarts = process.restarts.saturating_sub(replaced);
+            let early = if stage == StageId::Source { report.supervision.early_starts } else { 0 };
+            process.restarts = process.restarts.saturating_sub(replaced + early);
             let beat = measured.beat(stage);
             let reached = beat.filter(|beat| beat.frames_len > 0).map(|beat| beat.seq);
             let [recent_waiting_ms, recent_wake_up_ms, recent_compute_ms, recent_publish_ms] =
@@ -199,6 +206,7 @@ impl RunStatus {
             title: facts.title,
             launcher_pid: facts.launcher_pid,
             linked: facts.linked,
+            waiting_for: facts.waiting_for.map(|stage| stage.name().to_owned()),
             elapsed_s: (measured.elapsed_s(facts.now_ns) * 1e3).round() / 1e3,
             ticks_limit: facts.ticks_limit,
             recent_ticks: measured.recent().len() as u64,
@@ -214,10 +222,19 @@ impl RunStatus {
         }
     }
 
+    /// The state of a run that has not begun: `STARTING`, or `WAITING for source`.
+    #[must_use]
+    pub fn before_begin(&self) -> Cow<'static, str> {
+        self.waiting_for.as_ref().map_or("STARTING".into(), |stage| format!("WAITING for {stage}").into())
+    }
+
     /// One line for supervisors: the state of the input if it is wrong, or else the verdict so far. Then
     /// [`line`](Self::line).
     #[must_use]
     pub fn service_line(&self) -> String {
+        if !self.linked {
+            return self.before_begin().into_owned();
+        }
         let state = self.input.state.as_deref().unwrap_or(self.report.verdict.status.name());
         format!("{state}: {}", self.line())
     }

@@ -17,6 +17,7 @@ pub(super) struct File {
     pub protect: Option<Vec<Spanned<String>>>,
     pub shed: Option<bool>,
     pub awake: Option<Spanned<bool>>,
+    pub memory_mib: Option<Spanned<u64>>,
     pub realtime: Option<RealtimeTable>,
     #[serde(default)]
     pub readers: BTreeMap<Spanned<String>, Spanned<u64>>,
@@ -74,6 +75,7 @@ pub(super) struct StageTable {
     pub hang_after_ms: Option<Spanned<u64>>,
     pub cpu: Option<Spanned<Vec<Spanned<u64>>>>,
     pub priority: Option<Spanned<u64>>,
+    pub memory_mib: Option<Spanned<u64>>,
     pub spare: Option<Spanned<bool>>,
 }
 

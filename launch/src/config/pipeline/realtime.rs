@@ -34,7 +34,19 @@ pub(super) fn of_stage(table: &StageTable) -> Result<Scheduling, Mistake> {
         }
     };
     let priority = table.priority.as_ref().map(priority).transpose()?.filter(|&priority| priority > 0);
-    Ok(Scheduling { cpus, priority, unlocked: false })
+    let memory_mib = table.memory_mib.as_ref().map(memory_mib).transpose()?;
+    Ok(Scheduling { cpus, priority, memory_mib, unlocked: false })
+}
+
+/// Least limit of a stage's memory, MiB: a stage with its weights needs about 50.
+const MEMORY_MIN_MIB: u64 = 64;
+
+fn memory_mib(set: &Spanned<u64>) -> Result<u64, Mistake> {
+    let is_possible = *set.get_ref() >= MEMORY_MIN_MIB;
+    let advice = || format!("expected at least {MEMORY_MIN_MIB} MiB");
+    is_possible
+        .then_some(*set.get_ref())
+        .ok_or_else(|| Mistake::new(set.span(), "a limit of memory is out of range", advice()))
 }
 
 /// Applies `[realtime]` to stages without own keys. A stage has a rank if it is on a tick's way.
@@ -60,7 +72,12 @@ pub(super) fn apply(file: &File, ranks: &[Option<u8>], stages: &mut [Stage]) -> 
     }
     let awake = table.awake.as_ref().or(file.awake.as_ref()).map_or(is_vehicle, |awake| *awake.get_ref());
     let mut realtime = Realtime { awake, lock: table.lock.unwrap_or(is_vehicle), auto_cpu: Vec::new() };
+    let memory_mib = file.memory_mib.as_ref().map(memory_mib).transpose()?;
     for ((stage, own), rank) in stages.iter_mut().zip(&file.stages).zip(ranks) {
+        // Programs of others, such as a detector, may need much more than the built-in stages.
+        if stage.command.is_none() {
+            stage.scheduling.memory_mib = stage.scheduling.memory_mib.or(memory_mib);
+        }
         stage.scheduling.unlocked = table.lock == Some(false);
         let (own, Some(rank)) = (own.get_ref(), rank) else { continue };
         if own.priority.is_none() && first > 0 {
@@ -185,7 +202,7 @@ mod tests {
         assert_eq!(vehicle.realtime, expected);
         vehicle.choose_cpus(&[2, 3]);
         for (id, priority) in IN_PROCESS.into_iter().zip(30..) {
-            let expected = Scheduling { cpus: vec![2, 3], priority: Some(priority), unlocked: false };
+            let expected = Scheduling { cpus: vec![2, 3], priority: Some(priority), ..Scheduling::default() };
             assert_eq!(*scheduling(&vehicle, id), expected, "{id:?}");
         }
         assert!(scheduling(&vehicle, StageId::Recorder).is_default());

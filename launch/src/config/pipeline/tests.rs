@@ -272,7 +272,7 @@ fn the_options_of_a_command_are_not_checked() {
 fn processors_and_priority_of_a_stage() {
     let of = |keys: &str| of("encoder", keys);
     let set = parsed(&of("cpu = [3, 1]\npriority = 50"));
-    let expected = Scheduling { cpus: vec![1, 3], priority: Some(50), unlocked: false };
+    let expected = Scheduling { cpus: vec![1, 3], priority: Some(50), ..Scheduling::default() };
     assert_eq!(stage(&set, StageId::Encoder).scheduling, expected);
     assert!(stage(&set, StageId::Decoder).scheduling.is_default());
     insta::assert_snapshot!(error(&of("cpu = []")));

@@ -16,7 +16,8 @@ use crate::config::{Pipeline, Stage};
 use crate::failure::{Failure, StageDeath};
 use crate::memory::Memory;
 use crate::outages::Outages;
-use crate::service::{self, Service};
+use crate::saved_state::SavedState;
+use crate::service::{self, Phase, Service};
 use crate::tap::{Recording, Tap};
 use crate::watch::Watch;
 use crate::{log, stages};
@@ -24,8 +25,11 @@ use supervisor::control::{Control, Request};
 use supervisor::scheduling;
 use supervisor::{Fleet, Program, Settings, StageSettings};
 
-/// Time limit for all stages to start and to link to their neighbours.
+/// Time limit for all stages to start and to link to their neighbours. A run waits for a detector of others
+/// without a limit.
 const START_LIMIT: Duration = Duration::from_secs(45);
+/// Time after which a run that has not begun waits for its detector. Built-in stages start within a second.
+const DETECTOR_LIMIT: Duration = Duration::from_secs(3);
 /// How a run ended.
 pub(super) struct Ended {
     /// The exit code, or the failure that ended the run early.
@@ -51,6 +55,7 @@ pub(super) struct Following {
     pub tap: Tap,
     pub recording: Option<Recording>,
     pub watch: Watch,
+    pub state: Option<SavedState>,
 }
 
 /// Starts the stages, follows them to the end of the scene, and ends them.
@@ -63,7 +68,7 @@ pub(super) fn supervise(
     following: Following,
     keeps_memory: bool,
 ) -> Result<Ended, Failure> {
-    let Following { mut tap, recording, mut watch } = following;
+    let Following { mut tap, recording, mut watch, state } = following;
     let control = Control::open(run)?;
     ports::log_run(&run.root);
     // The first process that opens a topic creates it. An external program would not reserve places for
@@ -84,6 +89,8 @@ pub(super) fn supervise(
     let mut memory = Memory::default();
     let started = Instant::now();
     let mut linked = false;
+    let has_detector = pipeline.stages.iter().any(|s| s.id == StageId::Source && s.command.is_some());
+    let may_wait = has_detector && !run.lockstep;
     let mut service = Service::of_environment(run, started)?;
     let outcome = loop {
         match space.tend() {
@@ -113,10 +120,16 @@ pub(super) fn supervise(
             }),
             Err(failure) => break Err(failure.into()),
         }
+        let waits = may_wait && !linked && (fleet.awaits_source() || started.elapsed() > DETECTOR_LIMIT);
+        watch.wait_for(waits.then_some(StageId::Source));
         watch.answer(&fleet, linked);
         if let Some(service) = &mut service {
-            let has_ticks = linked && watch.ticks() > 0;
-            service.tend(&heartbeats, has_ticks, || watch.status(&fleet).service_line(), Instant::now());
+            let phase = match linked {
+                true if watch.ticks() > 0 => Phase::Ready,
+                false if waits => Phase::Waiting,
+                _ => Phase::Starting,
+            };
+            service.tend(&heartbeats, phase, || watch.status(&fleet).service_line(), Instant::now());
         }
         if let Err(failure) = replace(&mut watch, &mut tap, &mut fleet, &control, run, linked) {
             break Err(failure);
@@ -124,7 +137,7 @@ pub(super) fn supervise(
         if fleet.done(StageId::Recorder) || fleet.is_over() {
             break Ok(Exit::Done);
         }
-        if !linked && started.elapsed() > START_LIMIT {
+        if !linked && !waits && started.elapsed() > START_LIMIT {
             let names: Vec<&str> = watch.unlinked().into_iter().map(StageId::name).collect();
             let seconds = START_LIMIT.as_secs();
             break Err(Failure::Failed(format!("not linked after {seconds} s: {}", names.join(", "))));
@@ -145,7 +158,8 @@ pub(super) fn supervise(
         }
     }
     let unkept = keeps_memory.then(|| fleet.failure(StageId::Sampler)).flatten();
-    let (outages, unwritten) = watch.close(&undead, &fleet);
+    let (outages, mut unwritten) = watch.close(&undead, &fleet);
+    unwritten.extend(state.and_then(|state| state.end().err()));
     Ok(Ended { outcome, unkept, linked, outages, memory, spares, dead_readers, recorded, unwritten })
 }
 

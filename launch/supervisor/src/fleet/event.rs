@@ -81,6 +81,13 @@ pub enum Event {
         /// The reason for giving up.
         why: &'static str,
     },
+    /// A detector has ended before the run has begun, and will be restarted.
+    NotReady {
+        /// The stage.
+        stage: StageId,
+        /// How the stage ended and its last line, phrased to follow its name.
+        how: String,
+    },
     /// The stage gets no CPU time.
     Starved {
         /// The stage.
@@ -124,6 +131,10 @@ impl fmt::Display for Event {
                 let (stage, pid) = (stage.name(), pid.as_raw_nonzero());
                 write!(f, "the {stage} (process {pid}) was killed but does not end: the kernel holds it")
             }
+            Self::NotReady { stage, how } => {
+                let stage = stage.name();
+                write!(f, "WAITING for {stage}: the {stage} {how}")
+            }
             Self::CleanUpHung(hung) => write!(f, "{hung}"),
             Self::ReaderDied(reader) => write!(f, "{reader}"),
             Self::SpareGivenUp { stage, how } => write!(f, "the {}: {how}", stage.name()),
@@ -156,6 +167,7 @@ impl Event {
             }
             Self::Starved { stage } => Happened::Starved { stage: name(stage) },
             Self::HandedOver(_)
+            | Self::NotReady { .. }
             | Self::Promoted { .. }
             | Self::CannotDie { .. }
             | Self::CleanUpHung(_)

@@ -1,5 +1,6 @@
 //! A stage with its process.
 
+use std::os::unix::process::ExitStatusExt as _;
 use std::process::ExitStatus;
 use std::time::Duration;
 
@@ -48,12 +49,18 @@ impl Member {
         }
     }
 
-    /// Records the end of the process. `has_files` is false if files of the run were removed and may have been
+    /// Whether this is a detector of others, whose device may not be ready when the run starts.
+    pub(super) fn is_detector(&self) -> bool {
+        self.stage == StageId::Source && self.program.command.is_some()
+    }
+
+    /// Records the end of the process. Before the run has begun (`is_linked`), a detector that fails is awaited,
+    /// and a stage that is given up ends the run. `has_files` is false if files of the run were removed and may have been
     /// missing when the process read them.
     pub(super) fn handle_exit(
         &mut self,
         status: ExitStatus,
-        is_restartable: bool,
+        is_linked: bool,
         is_full: bool,
         has_files: bool,
         now: Duration,
@@ -63,12 +70,17 @@ impl Member {
             Some(0) => End::Success,
             Some(code) if code == Exit::Config as i32 && has_files => End::Config,
             _ if is_full => End::NoRoom,
+            _ if !is_linked && self.is_detector() => End::NotReady,
             _ => End::Failure,
         };
-        if end != End::Done && !is_restartable {
-            return Err(self.child.death(status).into());
+        let ends_itself = status.signal().is_none_or(|signal| signal == Signal::ABORT.as_raw());
+        let mut how = how_of(status);
+        if let Some(mib) =
+            self.program.scheduling.memory_mib.filter(|_| ends_itself && self.child.lacked_memory())
+        {
+            how += &format!(": its memory reached the limit, memory_mib = {mib}");
         }
-        self.handle_end(end, how_of(status), Some(status), now)
+        self.handle_end(end, how, Some(status), is_linked, now)
     }
 
     /// Records the end of the process, or a start that failed and has no `status`.
@@ -77,10 +89,15 @@ impl Member {
         end: End,
         how: String,
         status: Option<ExitStatus>,
+        is_linked: bool,
         now: Duration,
     ) -> Result<Option<Event>, Error> {
         let stage = self.stage;
         match self.supervision.ended(end, now) {
+            State::Waiting { .. } if end == End::NotReady => {
+                let how = status.map_or(how, |status| self.child.death(status).how_and_why());
+                Ok(Some(Event::NotReady { stage, how }))
+            }
             State::Waiting { .. } => {
                 let mut how = self.killed_for.map_or(how, str::to_owned);
                 if end == End::NoRoom {
@@ -88,13 +105,15 @@ impl Member {
                 }
                 Ok(Some(Event::Died { stage, how, next: self.supervision.incarnation() + 1 }))
             }
-            // The output depends on this stage, so the run ends.
+            // The output, or the start of the run, depends on this stage, so the run ends.
             State::GivenUp { why }
-                if matches!(stage, StageId::Source | StageId::Tracker | StageId::Sampler) =>
+                if !is_linked || matches!(stage, StageId::Source | StageId::Tracker | StageId::Sampler) =>
             {
                 let no_process = StageDeath { stage, how, exit: None, last_lines: Vec::new() };
                 let mut death = status.map_or(no_process, |status| self.child.death(status));
-                death.how += &format!(" and is given up: {why}");
+                if is_linked || self.supervision.incarnation() > 0 {
+                    death.how += &format!(" and is given up: {why}");
+                }
                 Err(death.into())
             }
             State::GivenUp { why } => Ok(Some(Event::GivenUp { stage, how, why })),

@@ -28,6 +28,8 @@ pub struct Supervision {
     pub replacements_unlisted: u64,
     /// The spares, by stage.
     pub spares: BTreeMap<String, SpareReport>,
+    /// Number of times that the detector was not ready before the run had begun. These are not restarts.
+    pub early_starts: u32,
     /// Number of processes other than stages that read topics and have died. Their places on the topics were
     /// released.
     pub dead_readers: u64,

@@ -1,0 +1,105 @@
+//! Operation as a service: a detector that is not ready, a log that is JSON throughout, saved state, hostile names.
+
+use std::process::Command;
+
+use serde_json::Value;
+use testing::Scratch;
+
+use crate::started::{run, run_well, stderr, stdout};
+
+#[test]
+fn a_run_waits_for_its_detector_and_every_line_is_json() {
+    let scratch = Scratch::new("waits");
+    let count = scratch.path("count");
+    let program = env!("CARGO_BIN_EXE_stgdat");
+    // More failures than a policy of restarts allows.
+    let words = format!(
+        "echo x >>{count}; [ $(wc -l <{count}) -gt 7 ] || {{ echo no camera >&2; exit 1; }}; \
+         exec {program} stage source --run \"$STGDAT_RUN\""
+    );
+    let pipeline = scratch.pipeline_with("source", &["sh", "-c", &words]);
+    let report = scratch.path("report.json");
+    let output =
+        run_well(&["run", "--pipeline", &pipeline, "--ticks", "20", "--log", "json", "--report", &report]);
+    let lines = format!("{}{}", stdout(&output), stderr(&output));
+    let lines: Vec<Value> = lines.lines().map(|line| serde_json::from_str(line).expect(line)).collect();
+    let waits =
+        |line: &&Value| line["message"].as_str().is_some_and(|text| text.starts_with("WAITING for source"));
+    let waiting: Vec<&Value> = lines.iter().filter(waits).collect();
+    assert_eq!(waiting.len(), 1, "{waiting:?}");
+    assert_eq!(waiting[0]["message"], "WAITING for source: the source ended with exit code 1: no camera");
+    assert_eq!(lines.iter().filter(|line| line["target"] == "report").count(), 1);
+    let report: Value = serde_json::from_slice(&scratch.read("report.json")).expect("a report");
+    assert_eq!(report["supervision"]["early_starts"], 7);
+    assert_eq!(report["supervision"]["outages"], Value::Array(Vec::new()), "no restart of the run");
+}
+
+#[test]
+fn learned_state_is_saved_and_a_damaged_file_is_ignored() {
+    let scratch = Scratch::new("state");
+    let state = scratch.path("learned-state");
+    let set = format!("sampler.state={state}");
+    let arguments = ["run", "--ticks", "40", "--set", &set];
+    assert!(!stderr(&run_well(&arguments)).contains("started with"));
+    assert!(stderr(&run_well(&arguments)).contains("entries of the retrieval memory and the evidence of"));
+    let whole = scratch.read("learned-state");
+    for damaged in [&b"foreign"[..], &whole[..whole.len() / 3], &[]] {
+        scratch.file("learned-state", damaged);
+        let log = stderr(&run_well(&arguments));
+        assert!(log.contains("the saved state is ") && log.contains("so it is ignored"), "{log}");
+        assert_eq!(scratch.read("learned-state").len(), whole.len(), "replaced at the end");
+    }
+}
+
+#[test]
+fn names_from_outside_are_no_commands_to_the_terminal() {
+    let scratch = Scratch::new("escapes");
+    let hostile = "a\u{1b}]0;title\u{7}\u{1b}[2J\r\u{9b}31m\u{202e}.csv";
+    let recording = scratch.recording(hostile, 10);
+    let missing = format!("{recording}\u{1b}[31m");
+    let out = scratch.path("out");
+    for path in [&recording, &missing] {
+        for arguments in [
+            &["inspect", path][..],
+            &["inspect", path, "--json"],
+            &["predict", path, "--out", &out],
+            &["track", path, "--out", &out],
+            &["run", "--recording", path, "--ticks", "5"],
+            &["run", "--recording", path, "--ticks", "5", "--log", "json"],
+            &["report", path],
+            &["replay", path],
+            &["export", path, &out],
+            &["trace", path, &out],
+            &["tick", path, "3"],
+            &["diff", path, path],
+            &["check", path],
+            &["graph", path],
+            &["view", "--run", path],
+            &["top", "--run", path],
+            &["health", "--run", path],
+            &["fault", path],
+            &["stage", path],
+            &["verify", path],
+            &[path],
+        ] {
+            let output = run(arguments);
+            let text = format!("{}{}", stdout(&output), stderr(&output));
+            let is_command = |c: char| (c.is_control() && c != '\n') || c == '\u{202e}';
+            assert!(!text.contains(is_command), "{arguments:?}: {text:?}");
+        }
+    }
+}
+
+#[test]
+fn lines_in_the_journal_have_priorities() {
+    use std::os::unix::fs::MetadataExt as _;
+    let scratch = Scratch::new("journal");
+    let journal = std::fs::File::create(scratch.path("journal")).expect("the folder can be written");
+    let about = journal.metadata().expect("it is open");
+    let mut command = Command::new(env!("CARGO_BIN_EXE_stgdat"));
+    command.args(["inspect", "no-such-file"]).stderr(journal);
+    command.env("JOURNAL_STREAM", format!("{}:{}", about.dev(), about.ino()));
+    assert!(!command.status().expect("it starts").success());
+    let text = String::from_utf8(scratch.read("journal")).expect("it is text");
+    assert!(text.starts_with("<3>error: "), "{text}");
+}
