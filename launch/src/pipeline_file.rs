@@ -1,7 +1,8 @@
+//! Reads the pipeline.toml of a run: a user's file or the shipped one.
+
 use std::path::Path;
 
 use crate::config::Pipeline;
-
 use crate::failure::Failure;
 use crate::stages;
 use supervisor::scheduling;

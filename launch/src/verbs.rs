@@ -7,7 +7,6 @@ pub mod completions;
 pub mod diff;
 pub mod doctor;
 pub mod export;
-pub mod fault;
 pub mod graph;
 pub mod health;
 pub mod inspect;
@@ -58,9 +57,6 @@ pub enum Verb {
     Verify(verify::Arguments),
     /// Measure compute per stage and the overhead of the pipeline
     Bench(bench::Arguments),
-    /// Inject faults into runs and check that the runs keep their guarantees
-    #[command(subcommand)]
-    Fault(fault::Verb),
     /// Record a running pipeline: frames, events and log lines in one MCAP file
     Record(record::Arguments),
     /// Mark this moment in the recordings of a run
@@ -145,7 +141,6 @@ impl Verb {
             Self::Graph(arguments) => graph::execute(&arguments),
             Self::Verify(arguments) => verify::execute(&arguments),
             Self::Bench(arguments) => bench::execute(&arguments),
-            Self::Fault(verb) => verb.execute(),
             Self::Record(arguments) => record::execute(&arguments),
             Self::Mark(arguments) => mark::execute(&arguments),
             Self::Replay(arguments) => replay::execute(&arguments),

@@ -165,7 +165,7 @@ fn copied(scratch: &Scratch, lab: Option<&str>) -> Command {
 fn verbs_of_the_laboratory_are_run_by_it() {
     let script = "#!/bin/sh\necho \"$@\"\nexit 7\n";
     let beside = Scratch::new("lab-beside");
-    let arguments = ["--color", "never", "evaluate", "mine.csv", "--help", "--all"];
+    let arguments = ["--color", "never", "fault", "run", "mine.toml", "--help"];
     let output = copied(&beside, Some(script)).args(arguments).output().unwrap();
     assert_eq!((output.status.code(), stdout(&output)), (Some(7), arguments.join(" ") + "\n"));
 

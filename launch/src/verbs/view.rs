@@ -18,8 +18,8 @@ use crate::failure::Failure;
 use crate::observe::address;
 use crate::options::absolute;
 use crate::program::this_program;
+use crate::siblings::replace_by;
 use crate::top::Client;
-use crate::verbs::lab::replace_by;
 use crate::{log, runs};
 use supervisor::{die_with_this_process, end_within};
 

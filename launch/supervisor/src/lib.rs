@@ -59,40 +59,8 @@ pub use text::{message, parse, plain};
 
 #[cfg(test)]
 mod tests {
-    use std::path::{Path, PathBuf};
-
-    /// The line of each module in the table above.
-    fn line_of(module: &str) -> Option<usize> {
-        let table = include_str!("lib.rs").split("```").nth(1).expect("the table is there");
-        table
-            .lines()
-            .skip(1)
-            .position(|line| line.trim_start_matches("//! ").split("  ").any(|word| word.trim() == module))
-    }
-
-    fn files(folder: &Path) -> Vec<PathBuf> {
-        let entries = std::fs::read_dir(folder).expect("the sources are there");
-        let paths = entries.map(|entry| entry.expect("it can be read").path());
-        paths.flat_map(|path| if path.is_dir() { files(&path) } else { vec![path] }).collect()
-    }
-
     #[test]
     fn no_module_imports_from_its_own_line_or_above() {
-        let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
-        for path in files(&source) {
-            let own = path.strip_prefix(&source).expect("it is below").with_extension("");
-            let own = own.iter().next().and_then(|name| name.to_str()).expect("it has a name");
-            if own == "lib" {
-                continue;
-            }
-            let text = std::fs::read_to_string(&path).expect("it is text");
-            let text = text.split("#[cfg(test)]").next().unwrap_or_default();
-            let line = line_of(own).unwrap_or_else(|| panic!("{own} is not in the table"));
-            for used in text.split("use crate::").skip(1) {
-                let used = used.split([':', ';']).next().unwrap_or_default();
-                let below = line_of(used).unwrap_or_else(|| panic!("{used} is not in the table"));
-                assert!(own == used || below > line, "{own} imports from {used}");
-            }
-        }
+        testing::assert_layers(env!("CARGO_MANIFEST_DIR"));
     }
 }

@@ -1,4 +1,5 @@
-//! `stgdat-lab` trains and evaluates models, draws pictures and builds maps. None of it runs on a vehicle.
+//! `stgdat-lab` trains and evaluates models, draws pictures, builds maps and injects faults. None of it runs on a
+//! vehicle.
 //!
 //! Each verb is a module of [`verbs`]. `stgdat VERB` runs this program for them.
 
@@ -18,7 +19,7 @@ use clap::{CommandFactory as _, FromArgMatches as _, Parser};
 use launch::program::{self, GlobalArguments};
 use verbs::Verb;
 
-/// Training, evaluation, pictures and maps for stgdat; nothing of this runs on a vehicle.
+/// Training, evaluation, pictures, maps and fault injection for stgdat; nothing of this runs on a vehicle.
 #[derive(Debug, Parser)]
 #[command(name = "stgdat-lab", version)]
 struct Cli {

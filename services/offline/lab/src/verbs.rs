@@ -8,6 +8,7 @@ mod plot;
 mod train;
 
 use clap::Subcommand;
+use faults::Verb as Fault;
 use launch::failure::Failure;
 use run::Exit;
 
@@ -24,6 +25,9 @@ pub enum Verb {
     Plot(plot::Arguments),
     /// Build the context map of a site from its recordings
     Map(map::Arguments),
+    /// Inject faults into runs and check that the runs keep their guarantees
+    #[command(subcommand)]
+    Fault(Fault),
     /// Print the manual of both programs as Markdown: the page docs/cli.md
     #[command(hide = true)]
     Manual(manual::Arguments),
@@ -38,6 +42,7 @@ impl Verb {
             Self::Card(arguments) => card::execute(&arguments),
             Self::Plot(arguments) => plot::execute(&arguments),
             Self::Map(arguments) => map::execute(&arguments),
+            Self::Fault(verb) => verb.execute(),
             Self::Manual(arguments) => manual::execute(&arguments),
         }
     }

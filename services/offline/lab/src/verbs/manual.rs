@@ -24,8 +24,8 @@ const GROUPS: [(&str, &[&str]); 5] = [
     ("Run", &["run", "predict", "track", "check", "graph", "stage", "wire"]),
     ("Observe", &["top", "health", "view", "ros2", "bridge", "report", "trace", "tick"]),
     ("Record", &["record", "export", "mark", "replay", "diff"]),
-    ("Diagnose", &["inspect", "verify", "bench", "fault", "doctor", "clean", "completions"]),
-    ("Laboratory", &["train", "evaluate", "card", "plot", "map", "manual"]),
+    ("Diagnose", &["inspect", "verify", "bench", "doctor", "clean", "completions"]),
+    ("Laboratory", &["train", "evaluate", "card", "plot", "map", "fault", "manual"]),
 ];
 
 /// The beginning of the page.

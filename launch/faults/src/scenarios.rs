@@ -2,8 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::failure::Failure;
-use crate::faults::spec::Spec;
+use crate::spec::Spec;
+use launch::failure::Failure;
 
 /// Lists the files of `tests/faults` with their texts.
 macro_rules! scenarios {
@@ -89,7 +89,7 @@ mod tests {
 
     #[test]
     fn every_file_of_the_folder_is_built_in_and_can_be_used() {
-        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/faults");
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/faults");
         let in_folder: Vec<String> = find_all(&[folder]).unwrap().into_iter().map(|spec| spec.name).collect();
         let known: Vec<String> = built_in().unwrap().into_iter().map(|spec| spec.name).collect();
         assert_eq!(in_folder, known);

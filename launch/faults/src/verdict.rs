@@ -6,9 +6,9 @@ use crate::checker::{Finding, Line, Promise};
 use recorder::ReplacementOutcome;
 use serde::Serialize;
 
-use crate::faults::observation::EXPLANATIONS;
-pub use crate::faults::observation::{Cost, Observation, Resources, longest_run};
-use crate::faults::spec::{Counted, Expect, Spec};
+use crate::observation::EXPLANATIONS;
+pub use crate::observation::{Cost, Observation, Resources, longest_run};
+use crate::spec::{Counted, Expect, Spec};
 
 /// The outcome of one expectation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]

@@ -2,7 +2,7 @@
 
 use std::io::{BufRead as _, BufReader};
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, ExitStatus, Stdio};
+use std::process::{Child, ExitStatus, Stdio};
 use std::sync::mpsc::SyncSender;
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
@@ -12,26 +12,18 @@ use run::STAGE_VARIABLE;
 use rustix::process::{Pid, Resource as Limited, Rlimit, Signal, kill_process, prlimit};
 use wire::StageId;
 
-use crate::failure::Failure;
-use crate::faults::effect::Random;
-use crate::faults::spec::Resource;
-use crate::program;
+use crate::effect::Random;
+use crate::program::this_program;
+use crate::spec::Resource;
+use launch::failure::Failure;
+use supervisor::end_within;
 use supervisor::look;
 use supervisor::{children, memory};
-use supervisor::{die_with_this_process, end_within};
 
 /// Time that a process has to end after a request.
 const END_LIMIT: Duration = Duration::from_secs(3);
 /// Interval between checks for the end of an output.
 const LOOK: Duration = Duration::from_millis(1);
-
-/// Returns a command that starts this program as another process, which dies with this one.
-pub fn this_program() -> Result<Command, Failure> {
-    let mut command = Command::new(program::this_program());
-    command.stdin(Stdio::null());
-    die_with_this_process(&mut command);
-    Ok(command)
-}
 
 /// A process that writes history lines. When dropped, it is asked to end and then killed.
 #[derive(Debug)]
@@ -41,9 +33,9 @@ pub struct Writer {
 }
 
 impl Writer {
-    /// Starts `stgdat fault …` and forwards its lines.
+    /// Starts `stgdat-lab fault …` and forwards its lines.
     pub fn start(arguments: &[&str], record: &Path, lines: &SyncSender<Line>) -> Result<Self, Failure> {
-        let mut command = this_program()?;
+        let mut command = this_program();
         command.arg("fault").args(arguments).arg("--run").arg(record);
         let mut child = command.stdout(Stdio::piped()).spawn().map_err(Failure::unavailable)?;
         let (output, lines) = (child.stdout.take(), lines.clone());
@@ -91,7 +83,7 @@ pub struct Mortal {
 }
 
 impl Mortal {
-    /// Starts `stgdat fault …`, which is killed within these times after each start.
+    /// Starts `stgdat-lab fault …`, which is killed within these times after each start.
     pub fn start(
         arguments: Vec<String>,
         record: &Path,

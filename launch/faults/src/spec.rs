@@ -11,7 +11,7 @@ use ports::Point;
 use run::TopicRun;
 use wire::StageId;
 
-use crate::faults::effect::{Random, TopicFault};
+use crate::effect::{Random, TopicFault};
 pub use table::{Counted, Expect, Resource};
 
 /// The run, its faults and the expectation.

@@ -11,12 +11,12 @@ use recorder::Outage;
 use serde::Serialize;
 use wire::StageId;
 
-use crate::failure::Failure;
-use crate::faults::effect::Random;
-use crate::faults::runner;
-use crate::faults::spec::Spec;
-use crate::faults::verdict::{Observation, longest_run};
-use crate::tables;
+use crate::effect::Random;
+use crate::runner;
+use crate::spec::Spec;
+use crate::verdict::{Observation, longest_run};
+use launch::failure::Failure;
+use launch::tables;
 
 /// Ticks before the first death, in which agents become old enough to be forecast.
 const LEAD_TICKS: u64 = 25;

@@ -4,15 +4,15 @@ use clap::{Args, Subcommand};
 use run::Exit;
 use wire::StageId;
 
-use crate::failure::Failure;
-use crate::faults::runner::{Options, Verdict};
-use crate::faults::spec::Spec;
-use crate::faults::table::{self, Row, Series};
-use crate::faults::{follow, inject, output, runner, scenarios};
-use crate::show::show;
-use crate::tables;
+use crate::runner::{Options, Verdict};
+use crate::spec::Spec;
+use crate::table::{self, Row, Series};
+use crate::{checker, follow, inject, output, runner, scenarios};
+use launch::failure::Failure;
+use launch::show::show;
+use launch::tables;
 
-/// The verbs of `stgdat fault`.
+/// The verbs of `stgdat fault`, with their arguments.
 #[derive(Debug, Subcommand)]
 pub enum Verb {
     /// Run pipelines with injected faults and check the expectations
@@ -217,9 +217,9 @@ fn measure(arguments: &TableArguments) -> Result<Exit, Failure> {
 }
 
 fn verify(path: &Path) -> Result<Exit, Failure> {
-    let findings = crate::checker::check(&crate::checker::read(path).map_err(Failure::data)?);
+    let findings = checker::check(&checker::read(path).map_err(Failure::data)?);
     let mut is_kept = true;
-    for crate::checker::Finding { promise, count, first } in findings {
+    for checker::Finding { promise, count, first } in findings {
         is_kept &= count == 0;
         let first = if count == 0 { String::new() } else { format!(", first {first}") };
         show(&format!("{count:6}  {}{first}\n", promise.name()))?;

@@ -17,14 +17,13 @@ use rustix::process::{Pid, Signal, kill_process};
 use serde::Serialize;
 use wire::StageId;
 
-use crate::failure::Failure;
-use crate::faults::effect::TopicFault;
-use crate::faults::plan::{arguments, pipeline, points};
-use crate::faults::processes::{
-    Launcher, Mortal, Writer, is_alive, limit, resident_bytes, this_program, use_cpu,
-};
-use crate::faults::spec::{Action, Consumer, Due, Spec, Target, What};
-use crate::faults::verdict::{Check, Cost, Observation, Outcome, judge};
+use crate::effect::TopicFault;
+use crate::plan::{arguments, pipeline, points};
+use crate::processes::{Launcher, Mortal, Writer, is_alive, limit, resident_bytes, use_cpu};
+use crate::program::{start_stgdat, stgdat};
+use crate::spec::{Action, Consumer, Due, Spec, Target, What};
+use crate::verdict::{Check, Cost, Observation, Outcome, judge};
+use launch::failure::Failure;
 use supervisor::end_within;
 
 /// Ticks at the end of a run in which consumers are neither killed nor started again.
@@ -163,13 +162,13 @@ impl<'a> Session<'a> {
             let _ = std::fs::remove_file(file(name));
         }
         let log = File::create(file("log.txt")).map_err(|error| Failure::file(folder, error))?;
-        let mut command = this_program()?;
+        let mut command = stgdat();
         arguments(&mut command, spec, folder);
         command
             .env(POINTS_VARIABLE, points(spec))
             .stderr(log.try_clone().map_err(|error| Failure::file(folder, error))?)
             .stdout(log);
-        let launcher = Launcher::new(command.spawn().map_err(Failure::unavailable)?);
+        let launcher = Launcher::new(start_stgdat(&mut command)?);
         let (sender, lines) = sync_channel(WAITING_MAX);
         Ok(Self {
             spec,
@@ -364,7 +363,7 @@ impl<'a> Session<'a> {
             }
             What::Replace(stage, command) => {
                 let Some((run, _)) = &self.run else { return Ok(false) };
-                let mut verb = this_program()?;
+                let mut verb = stgdat();
                 verb.args(["stage", "replace", stage.name(), "--run"]).arg(&run.root);
                 if !command.is_empty() {
                     verb.arg("--exec").args(command);
@@ -372,7 +371,7 @@ impl<'a> Session<'a> {
                 let log = File::options().append(true).open(self.folder.join("log.txt"));
                 let log = log.map_err(|error| Failure::file(self.folder, error))?;
                 verb.stdout(Stdio::null()).stderr(log);
-                self.replacing.push((*stage, verb.spawn().map_err(Failure::unavailable)?));
+                self.replacing.push((*stage, start_stgdat(&mut verb)?));
                 (stage.name(), "ordered to be replaced")
             }
             What::Cpu(threads, time) => {

@@ -9,10 +9,10 @@ use run::{Exit, Run, injected_name};
 use wire::Protection;
 
 use crate::checker::Line;
-use crate::failure::Failure;
-use crate::faults::effect::TopicFault;
-use crate::faults::effect::{Due, Injector, Raw};
-use crate::faults::follow::print;
+use crate::effect::TopicFault;
+use crate::effect::{Due, Injector, Raw};
+use crate::follow::print;
+use launch::failure::Failure;
 
 /// Longest sleep between checks that the run is still there.
 const SLEEP: Duration = Duration::from_millis(50);

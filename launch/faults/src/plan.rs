@@ -1,18 +1,15 @@
-//! What a specification asks for: the pipeline and the arguments of its run, and programs that die.
+//! The pipeline and the arguments of a specification's run.
 
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-use ports::{POINTS_VARIABLE, Point};
 use run::injected_name;
-use wire::StageId;
 
-use crate::config::Pipeline;
-use crate::failure::Failure;
-use crate::faults::spec::Spec;
-use crate::pipeline_file;
-use crate::program;
-use crate::stages::declared;
+use crate::spec::Spec;
+use launch::config::Pipeline;
+use launch::failure::Failure;
+use launch::pipeline_file;
+use launch::stages::declared;
 
 /// Formats the points at which stages kill themselves, for their environment variable.
 pub fn points(spec: &Spec) -> String {
@@ -97,28 +94,10 @@ pub fn pipeline(spec: &Spec) -> Result<String, Failure> {
     toml::to_string(&pipeline).map_err(Failure::config)
 }
 
-/// Returns a command whose first process is the stage and whose later processes end immediately.
-pub fn crashing(stage: StageId, exit_code: u8) -> Vec<String> {
-    let this = program::this_program();
-    let words =
-        format!("test $STGDAT_INCARNATION = 0 || exit {exit_code}; exec \"$0\" stage {}", stage.name());
-    vec!["sh".to_owned(), "-c".to_owned(), words, this.display().to_string()]
-}
-
-/// Returns the built-in stage as a command that kills itself at a point of its first step, in any
-/// incarnation.
-pub fn dying(stage: StageId, point: Point) -> Vec<String> {
-    let this = program::this_program();
-    let (stage, point) = (stage.name(), point.name());
-    let words = format!(
-        "for i in $(seq 0 $STGDAT_INCARNATION); do p=${{p}}{stage}:{point}@0,; done; export {POINTS_VARIABLE}=$p; \
-         exec \"$0\" stage {stage}"
-    );
-    vec!["sh".to_owned(), "-c".to_owned(), words, this.display().to_string()]
-}
-
 #[cfg(test)]
 mod tests {
+    use wire::StageId;
+
     use super::*;
 
     fn spec(faults: &str) -> Spec {
@@ -141,9 +120,9 @@ mod tests {
             "[[fault]]\nkind = \"drop\"\ntopic = \"tracks\"\nticks = [1, 2]\n\
              [[fault]]\nkind = \"command\"\nstage = \"encoder\"\ncommand = [\"/nowhere\"]",
         );
-        let declared = crate::stages::declared();
+        let declared = launch::stages::declared();
         let pipeline =
-            crate::config::Pipeline::parse("a.toml", &pipeline(&spec).unwrap(), &declared).unwrap();
+            launch::config::Pipeline::parse("a.toml", &pipeline(&spec).unwrap(), &declared).unwrap();
         let stage = |id| pipeline.stages.iter().find(|stage| stage.id == id).unwrap();
         assert_eq!(stage(StageId::Tracker).topics["tracks"], "tracks-injected");
         assert!(stage(StageId::Localiser).topics.is_empty());

@@ -12,8 +12,8 @@ use serde::de::DeserializeOwned;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue, ValueDeserializer};
 
-use crate::config::Mistake;
-use crate::faults::effect::{Effect, Part};
+use crate::effect::{Effect, Part};
+use launch::config::Mistake;
 
 /// A resource of a process.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]

@@ -6,7 +6,7 @@ use recorder::{Outage, ReplacementOutcome, Report};
 use serde::Serialize;
 
 use crate::checker::{Finding, Line, Output, Promise, Told};
-use crate::faults::spec::Spec;
+use crate::spec::Spec;
 
 /// The observation of a run.
 #[derive(Clone, Debug, Default)]

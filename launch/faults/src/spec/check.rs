@@ -5,7 +5,7 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use crate::config::{Mistake, Pipeline, SourceError};
+use launch::config::{Mistake, Pipeline, SourceError};
 use ports::Point;
 use run::TopicRun;
 use serde::Deserialize;
@@ -15,10 +15,10 @@ use wire::{RefusalCause, StageId, TABLE};
 
 use super::table::{At, Expect, FaultTable, File, Kill, Process, TopicTable};
 use super::{Action, Consumer, Due, Faults, RunSpec, Spec, Target, What};
-use crate::failure::Failure;
-use crate::faults::effect::{Effect, Random, TopicFault};
-use crate::faults::plan::{crashing, dying};
-use crate::stages::declared;
+use crate::effect::{Effect, Random, TopicFault};
+use crate::substitute::{crashing, dying};
+use launch::failure::Failure;
+use launch::stages::declared;
 
 /// Causes for which a stage counts lost frames.
 const COUNTERS: [&str; 3] = ["gap", "refused", "restart"];

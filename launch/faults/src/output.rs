@@ -2,8 +2,8 @@
 
 use std::fmt::Write as _;
 
-use crate::faults::runner::Verdict;
-use crate::faults::verdict::{Check, Outcome};
+use crate::runner::Verdict;
+use crate::verdict::{Check, Outcome};
 
 /// Formats the verdict for a terminal: one line per expectation, with the finding.
 pub fn table(verdict: &Verdict) -> String {
@@ -80,7 +80,7 @@ fn escaped(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::faults::verdict::Cost;
+    use crate::verdict::Cost;
 
     fn verdict(passed: bool) -> Verdict {
         let outcome = if passed { Outcome::Ok } else { Outcome::Failed };
