@@ -1,0 +1,82 @@
+//! The map in docs/architecture.md against the manifests of the workspace.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+use std::process::Command;
+
+use serde_json::Value;
+
+/// The stages that a vehicle runs.
+const ONLINE: [&str; 8] =
+    ["source", "tracker", "localiser", "extractor", "encoder", "decoder", "sampler", "recorder"];
+
+fn root() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("the repository")
+}
+
+/// The name of a crate in the code: without the prefix of this project's packages.
+fn short(package: &Value) -> String {
+    let name = package["name"].as_str().expect("a name");
+    name.strip_prefix("stgdat-").unwrap_or(name).replace('-', "_")
+}
+
+/// The crates that each crate of the workspace depends on, outside tests.
+fn dependencies() -> BTreeMap<String, BTreeSet<String>> {
+    let metadata = Command::new(env!("CARGO"))
+        .args(["metadata", "--no-deps", "--offline", "--format-version", "1"])
+        .current_dir(root())
+        .output()
+        .expect("cargo runs");
+    assert!(metadata.status.success(), "{}", String::from_utf8_lossy(&metadata.stderr));
+    let metadata: Value = serde_json::from_slice(&metadata.stdout).expect("JSON");
+    let list = |of: &Value| of.as_array().cloned().unwrap_or_default();
+    let used = |package: &Value| {
+        let normal = list(&package["dependencies"]).into_iter().filter(|one| one["kind"].is_null());
+        normal.map(|one| short(&one)).collect()
+    };
+    list(&metadata["packages"]).iter().map(|package| (short(package), used(package))).collect()
+}
+
+/// The words in backticks.
+fn names(cell: &str) -> BTreeSet<String> {
+    cell.split('`').skip(1).step_by(2).map(ToOwned::to_owned).collect()
+}
+
+#[test]
+fn the_map_names_the_dependencies_of_each_library_from_the_leaves_up() {
+    let (dependencies, mut above) = (dependencies(), BTreeSet::new());
+    let page = std::fs::read_to_string(root().join("docs/architecture.md")).expect("the page");
+    for line in page.lines() {
+        let cells: Vec<&str> = line.split('|').map(str::trim).collect();
+        let ["", name, _, knows, ""] = cells.as_slice() else { continue };
+        let Some(used) = dependencies.get(name.trim_matches('`')) else { continue };
+        let own: BTreeSet<String> =
+            used.iter().filter(|one| dependencies.contains_key(*one)).cloned().collect();
+        assert_eq!(names(knows), own, "{line}");
+        assert!(own.is_subset(&above), "not from the leaves up: {line}");
+        above.insert(name.trim_matches('`').to_owned());
+    }
+    let libraries = std::fs::read_dir(root().join("shared")).expect("the libraries");
+    // The folder of the weights is no crate.
+    assert_eq!(above.len(), libraries.count() - 1, "{above:?}");
+}
+
+#[test]
+fn iceoryx2_and_bincode_have_the_users_that_the_page_names() {
+    let dependencies = dependencies();
+    let users = |used: &str| -> Vec<&String> {
+        dependencies.iter().filter(|(_, all)| all.contains(used)).map(|(name, _)| name).collect()
+    };
+    assert_eq!(users("iceoryx2"), ["ports"]);
+    assert_eq!(users("bincode"), ["evaluator", "run"]);
+}
+
+#[test]
+fn no_online_stage_depends_on_another() {
+    let dependencies = dependencies();
+    for stage in ONLINE {
+        let others: Vec<&String> =
+            dependencies[stage].iter().filter(|name| ONLINE.contains(&name.as_str())).collect();
+        assert!(others.is_empty(), "{stage}: {others:?}");
+    }
+}
