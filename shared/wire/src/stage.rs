@@ -1,5 +1,6 @@
 use std::fmt;
-use std::sync::{PoisonError, RwLock};
+use std::sync::OnceLock;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 use crate::ADDED_STAGES_MAX;
 use crate::table::{Number, Numbers};
@@ -56,9 +57,40 @@ stages! {
     Recorder = 8 => "recorder",
 }
 
-/// Names of the current run's added stages, by place. Each name is leaked once, so that it is `'static` like
-/// any other.
-static ADDED: RwLock<[Option<&'static str>; ADDED_STAGES_MAX]> = RwLock::new([None; ADDED_STAGES_MAX]);
+/// Maximum number of different names of added stages that a process learns. Later names are ignored.
+const NAMES_MAX: usize = 256;
+
+/// Names, each stored once and until the process ends. Reading takes no lock.
+struct Names<const LEN: usize>([OnceLock<Box<str>>; LEN]);
+
+impl<const LEN: usize> Names<LEN> {
+    const fn new() -> Self {
+        Self([const { OnceLock::new() }; LEN])
+    }
+
+    /// The index of a name; `None` if there is no room for it.
+    fn intern(&self, name: &str) -> Option<usize> {
+        self.0.iter().position(|slot| **slot.get_or_init(|| name.into()) == *name)
+    }
+}
+
+/// All names of added stages that this process has learnt.
+static NAMES: Names<NAMES_MAX> = Names::new();
+
+/// The current run's added stages, by place: the index of the name plus one; 0 for an unknown name.
+static ADDED: [AtomicUsize; ADDED_STAGES_MAX] = [const { AtomicUsize::new(0) }; ADDED_STAGES_MAX];
+
+/// The names of added stages whose names this process does not know, by place.
+const UNKNOWN: [&str; ADDED_STAGES_MAX] = [
+    "stage-65", "stage-66", "stage-67", "stage-68", "stage-69", "stage-70", "stage-71", "stage-72",
+    "stage-73", "stage-74", "stage-75", "stage-76", "stage-77", "stage-78", "stage-79", "stage-80",
+];
+
+/// The name that the current run has given to the added stage at this place.
+fn given_name(place: usize) -> Option<&'static str> {
+    let index = ADDED[place].load(Ordering::Acquire).checked_sub(1)?;
+    NAMES.0[index].get().map(|name| &**name)
+}
 
 impl StageId {
     /// Number of the first added stage; [`ADDED_STAGES_MAX`] numbers follow each other.
@@ -111,20 +143,14 @@ impl StageId {
             return entry.name;
         }
         let place = (self.0 - Self::ADDED_FIRST) as usize;
-        if let Some(name) = ADDED.read().unwrap_or_else(PoisonError::into_inner)[place] {
-            return name;
-        }
-        Self::name_added(place, &format!("stage-{}", self.0))
+        given_name(place).unwrap_or(UNKNOWN[place])
     }
 
-    /// Registers the name of an added stage in this process, by its place in the pipeline file. Places beyond
+    /// Sets the name of an added stage in this process, by its place in the pipeline file. Places beyond
     /// [`ADDED_STAGES_MAX`] are ignored.
-    pub fn name_added(place: usize, name: &str) -> &'static str {
-        let mut names = ADDED.write().unwrap_or_else(PoisonError::into_inner);
-        match names.get_mut(place) {
-            Some(Some(known)) if *known == name => known,
-            Some(free) => free.insert(Box::leak(name.into())),
-            None => "",
+    pub fn name_added(place: usize, name: &str) {
+        if let (Some(added), Some(index)) = (ADDED.get(place), NAMES.intern(name)) {
+            added.store(index + 1, Ordering::Release);
         }
     }
 
@@ -136,8 +162,7 @@ impl StageId {
 
     /// Stgdat's own stages, and the added ones whose names this process knows.
     pub fn known() -> impl Iterator<Item = Self> {
-        let names = *ADDED.read().unwrap_or_else(PoisonError::into_inner);
-        let added = (0..ADDED_STAGES_MAX).filter(move |&place| names[place].is_some());
+        let added = (0..ADDED_STAGES_MAX).filter(|&place| given_name(place).is_some());
         Self::ALL.into_iter().chain(added.filter_map(Self::added))
     }
 }
@@ -164,6 +189,18 @@ mod tests {
     }
 
     #[test]
+    fn names_are_stored_once_and_have_a_limit() {
+        let names = Names::<2>::new();
+        assert_eq!(
+            ["a", "b", "a", "c", "b"].map(|name| names.intern(name)),
+            [Some(0), Some(1), Some(0), None, Some(1)]
+        );
+        for (place, name) in UNKNOWN.iter().enumerate() {
+            assert_eq!(*name, format!("stage-{}", StageId::added(place).unwrap().number()));
+        }
+    }
+
+    #[test]
     fn an_added_stage_has_the_name_that_its_run_gave_it() {
         let stage = StageId::added(11).unwrap();
         assert_eq!(StageId::from_name("planner"), None);
@@ -171,7 +208,9 @@ mod tests {
         assert_eq!((stage.name(), StageId::from_name("planner")), ("planner", Some(stage)));
         StageId::name_added(11, "monitor");
         assert_eq!((stage.name(), StageId::from_name("planner")), ("monitor", None), "another run");
-        assert_eq!(StageId::from_number(74).unwrap().name(), "stage-74");
+        let unknown = StageId::from_number(74).unwrap();
+        assert_eq!((unknown.name(), format!("{unknown:?}").as_str()), ("stage-74", "stage-74"));
+        assert!(StageId::known().all(|stage| stage != unknown), "reading a name sets none");
         assert_eq!(StageId::from_name("sampler"), Some(StageId::Sampler));
     }
 }
