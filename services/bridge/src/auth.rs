@@ -12,9 +12,11 @@ use std::io::{self, Read as _};
 use std::os::unix::fs::MetadataExt as _;
 use std::path::{Path, PathBuf};
 
+use hmac::{Hmac, Mac as _};
 use rustix::process::geteuid;
 use rustix::rand::{GetRandomFlags, getrandom};
-use sha2::{Digest as _, Sha256};
+use sha2::Sha256;
+use subtle::ConstantTimeEq as _;
 use thiserror::Error;
 
 /// Bytes of a code.
@@ -26,8 +28,6 @@ pub const KEY_BYTES_MIN: usize = 16;
 /// Most bytes of a key.
 pub const KEY_BYTES_MAX: usize = 1024;
 
-/// Input block of SHA-256.
-const BLOCK_BYTES: usize = 64;
 /// What a code is for: a code for one purpose is invalid for all others.
 const RECEIVER: &[u8] = b"receiver";
 const SESSION: &[u8] = b"session";
@@ -142,7 +142,7 @@ impl Session {
 /// Whether two codes are equal, in a time that does not depend on them.
 #[must_use]
 pub fn is_equal(a: &[u8; CODE_BYTES], b: &[u8; CODE_BYTES]) -> bool {
-    std::hint::black_box(a.iter().zip(b).fold(0, |differing, (a, b)| differing | (a ^ b))) == 0
+    a.ct_eq(b).into()
 }
 
 /// A nonce that nobody can predict.
@@ -162,18 +162,9 @@ fn cut(code: &[u8; 32]) -> [u8; CODE_BYTES] {
 }
 
 /// HMAC-SHA-256 of the parts, as if they were one.
-///
-///     H((k ⊕ opad) ‖ H((k ⊕ ipad) ‖ message))          [RFC 2104, §2]
 fn hmac(key: &[u8], parts: &[&[u8]]) -> [u8; 32] {
-    let mut block = [0; BLOCK_BYTES];
-    if key.len() > BLOCK_BYTES {
-        block[..32].copy_from_slice(&Sha256::digest(key));
-    } else {
-        block[..key.len()].copy_from_slice(key);
-    }
-    let inner = Sha256::new().chain_update(block.map(|byte| byte ^ 0x36));
-    let inner = parts.iter().fold(inner, |hash, part| hash.chain_update(part)).finalize();
-    Sha256::new().chain_update(block.map(|byte| byte ^ 0x5c)).chain_update(inner).finalize().into()
+    let code = Hmac::<Sha256>::new_from_slice(key).expect("HMAC takes keys of any length");
+    parts.iter().fold(code, |code, part| code.chain_update(part)).finalize().into_bytes().into()
 }
 
 #[cfg(test)]

@@ -17,7 +17,6 @@ mod context;
 mod decoder;
 mod embedding;
 mod encoding;
-mod halves;
 mod linear;
 mod motion;
 mod precision;

@@ -3,11 +3,11 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use half::f16;
 use safetensors::{Dtype, SafeTensorError, SafeTensors};
 use sha2::{Digest, Sha256};
 use thiserror::Error;
 
-use crate::halves::from_f16;
 use crate::{ConfigError, ModelConfig};
 
 const ONBOARD: &[u8] = if cfg!(feature = "free-weights") {
@@ -288,7 +288,7 @@ fn floats(name: &str, dtype: Dtype, data: &[u8]) -> Result<Vec<f32>, WeightsErro
     match dtype {
         Dtype::F32 => Ok(data.as_chunks().0.iter().map(|&bytes| f32::from_le_bytes(bytes)).collect()),
         Dtype::F16 => {
-            Ok(data.as_chunks().0.iter().map(|&bytes| from_f16(u16::from_le_bytes(bytes))).collect())
+            Ok(data.as_chunks().0.iter().map(|&bytes| f16::from_le_bytes(bytes).to_f32()).collect())
         }
         other => Err(WeightsError::Type { name: name.into(), dtype: other }),
     }

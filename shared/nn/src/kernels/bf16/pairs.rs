@@ -1,7 +1,8 @@
 //! The operands of a product in bf16.
 
+use half::bf16;
+
 use crate::buffer::Buffer;
-use crate::halves::to_bf16;
 use crate::kernels::product::PANEL;
 
 /// Maximum number of inputs of a layer.
@@ -60,7 +61,7 @@ impl PairPanels {
         let mut padded_bias = Buffer::zeroed(panel_count * PANEL);
         for out in 0..out_len {
             padded_bias[out] = bias(out);
-            let bits = |i: usize| if i < in_len { to_bf16(weight(out, i)) } else { 0 };
+            let bits = |i: usize| if i < in_len { bf16::from_f32(weight(out, i)).to_bits() } else { 0 };
             for pair in 0..pair_count {
                 let [low, high] = [2 * pair, 2 * pair + 1].map(|i| u32::from(bits(i)));
                 let place = (out / PANEL * pair_count + pair) * PANEL + out % PANEL;
