@@ -1,6 +1,6 @@
 use std::time::{Duration, Instant};
 
-use ports::{Beside, Node, Peers, Subscriber};
+use ports::{Node, Peers, SideOutputs, Subscriber};
 use recorder::status::RunStatus;
 use run::Run;
 use rustix::process::Pid;
@@ -27,7 +27,7 @@ const ROWS: usize = 25;
 pub struct Watch {
     forecasts: Subscriber<ForecastsTopic>,
     peers: Peers,
-    beside: Beside,
+    side_outputs: SideOutputs,
     display: Display,
     shown: Instant,
     printed_ticks: u64,
@@ -54,7 +54,7 @@ impl Watch {
         let node = Node::open(run, "launcher")?;
         Ok(Self {
             forecasts: node.subscriber(ForecastsTopic::DEPTH_MAX)?,
-            beside: Beside::open(&node, run)?,
+            side_outputs: SideOutputs::open(&node, run)?,
             peers: Peers::new(node.subscriber(HeartbeatsTopic::DEPTH_MAX)?, run),
             display: if quiet { Display::Quiet } else { Display::for_output() },
             shown: Instant::now(),
@@ -109,7 +109,7 @@ impl Watch {
             self.newest = Some(*frame.header());
             ports::log_tick(frame.header().seq);
         }
-        self.beside.take()?.iter().for_each(|header| self.observer.beside(header));
+        self.side_outputs.take()?.iter().for_each(|header| self.observer.beside(header));
         Ok(())
     }
 

@@ -41,7 +41,7 @@ pub fn run(run: &Run) -> Result<(), StageError> {
     let forecasts = stage.subscribe_deep::<ForecastsTopic>(ForecastsTopic::DEPTH_MAX)?;
     let truth = stage.subscribe_deep::<TruthTopic>(TruthTopic::DEPTH_MAX)?;
     let mut peers = stage.peers(run)?;
-    let beside = stage.beside(run)?;
+    let side_outputs = stage.side_outputs(run)?;
     let mut kept_ns = monotonic_ns();
 
     while let Some(frame) = stage.take(&forecasts)? {
@@ -50,7 +50,7 @@ pub fn run(run: &Run) -> Result<(), StageError> {
             let result = recorder.truth(frame.header(), &frame);
             count(&mut stage, frame.header(), TruthTopic::NAME, result);
         }
-        for header in beside.take()? {
+        for header in side_outputs.take()? {
             recorder.beside(&header);
         }
         peers.listen()?.iter().for_each(|heartbeat| recorder.heartbeat(heartbeat));

@@ -78,8 +78,8 @@ impl<S: Step> Ports<S> {
                 Awaited::Stopped => return Ok(()),
             };
             match &frame {
-                Some(frame) if has_work(&header) => missing.came(&header, frame.received_ns()),
-                Some(_) => missing.is_no_tick(&header),
+                Some(frame) if has_work(&header) => missing.arrive(&header, frame.received_ns()),
+                Some(_) => missing.take_other(&header),
                 None => {}
             }
             if !executor.tick(&header, frame.as_ref(), self)? {

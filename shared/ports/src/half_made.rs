@@ -51,6 +51,7 @@ pub(crate) fn is_older(metadata: &Metadata, age: Duration) -> bool {
 mod tests {
     use std::fs::Permissions;
     use std::os::unix::fs::PermissionsExt as _;
+    use std::time::SystemTime;
 
     use super::*;
 
@@ -61,10 +62,11 @@ mod tests {
         std::fs::create_dir_all(&services).unwrap();
         for (name, mode) in [("whole.service", 0o400), ("half.service", 0o600)] {
             std::fs::write(services.join(name), "x").unwrap();
+            let second_ago = SystemTime::now() - Duration::from_secs(1);
+            std::fs::File::open(services.join(name)).unwrap().set_modified(second_ago).unwrap();
             std::fs::set_permissions(services.join(name), Permissions::from_mode(mode)).unwrap();
         }
         let young = remove_half_made_services(&root, Duration::from_secs(3_600));
-        std::thread::sleep(Duration::from_millis(2));
         let old = remove_half_made_services(&root, Duration::ZERO);
         let is_left = ["whole.service", "half.service"].map(|name| services.join(name).exists());
         std::fs::remove_dir_all(&root).unwrap();

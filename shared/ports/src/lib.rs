@@ -42,7 +42,6 @@
 //! ```
 
 mod added;
-mod beside;
 mod clock;
 mod color;
 mod drive;
@@ -51,6 +50,7 @@ mod error;
 mod escape;
 mod executor;
 mod half_made;
+mod intake;
 mod keep;
 mod kept;
 mod limits;
@@ -72,19 +72,20 @@ mod raw;
 mod removal;
 mod runs;
 pub mod shedding;
+mod side_outputs;
 mod space;
 mod stage;
 mod standby;
 mod step;
 mod stop;
 mod subscriber;
+mod tally;
 mod temporary;
 mod topics;
 mod transport;
 mod wait;
 
 pub use crate::shedding::Allowance;
-pub use beside::Beside;
 pub use clock::{clock_offset_ns, monotonic_ns};
 pub use color::{COLOR_VARIABLE, Color};
 pub use drive::drive;
@@ -113,6 +114,7 @@ pub use program::{
 pub use publisher::{Loan, Publisher};
 pub use raw::{RawFrame, RawSubscriber, RawTopic, Relay};
 pub use runs::{ForeignRun, Leftover, LivingRun, files_left, foreign_runs, leftovers, living_runs};
+pub use side_outputs::SideOutputs;
 pub use space::{Space, SpaceError};
 pub use stage::{Awaited, Passage, Stage};
 pub use standby::{GO, STANDBY_VARIABLE, await_turn};

@@ -23,7 +23,7 @@ struct Last {
 
 impl Missing {
     /// Records a tick that arrived at `received_ns`. In lockstep no tick is missing, however late it is.
-    pub fn came(&mut self, header: &Header, received_ns: u64) {
+    pub fn arrive(&mut self, header: &Header, received_ns: u64) {
         let can_miss = header.interval_ns > 0 && !header.has(flags::LOCKSTEP);
         let last = Last { header: *header, received_ns, predicted_count: 0, look_ns: 0 };
         *self = Self { last: can_miss.then_some(last), is_gone: false };
@@ -31,7 +31,7 @@ impl Missing {
 
     /// Records a frame that is not a tick. Nothing follows the end of a recording. A warm-up frame means that
     /// another source starts and has not sent a tick yet.
-    pub fn is_no_tick(&mut self, header: &Header) {
+    pub fn take_other(&mut self, header: &Header) {
         if header.has(flags::END) {
             *self = Self::default();
         }
@@ -90,7 +90,7 @@ mod tests {
     fn ticks_are_predicted_one_per_interval_once_the_source_is_gone() {
         let mut missing = Missing::default();
         assert_eq!(missing.until_ns(), None);
-        missing.came(&header(7, 0), 1_000);
+        missing.arrive(&header(7, 0), 1_000);
         assert_eq!(missing.until_ns(), Some(1_160));
         assert!(missing.predict(false, 1_160).is_none(), "the source is there");
         assert_eq!(missing.until_ns(), Some(1_180));
@@ -100,18 +100,18 @@ mod tests {
         assert_eq!(missing.until_ns(), Some(1_200));
         let predicted = missing.predict(false, 1_200).expect("back, and no tick yet");
         assert_eq!((predicted.seq, predicted.stamp_ns), (9, 720));
-        missing.came(&header(10, 0), 1_300);
+        missing.arrive(&header(10, 0), 1_300);
         assert!(missing.predict(false, 1_460).is_none());
-        missing.is_no_tick(&header(10, flags::WARM_UP));
+        missing.take_other(&header(10, flags::WARM_UP));
         assert!(missing.predict(false, 1_460).is_some(), "another source begins");
-        missing.is_no_tick(&header(10, flags::END));
+        missing.take_other(&header(10, flags::END));
         assert_eq!(missing.until_ns(), None);
     }
 
     #[test]
     fn at_an_unknown_interval_nothing_is_missing() {
         let mut missing = Missing::default();
-        missing.came(&Header { interval_ns: 0, ..header(7, 0) }, 1_000);
+        missing.arrive(&Header { interval_ns: 0, ..header(7, 0) }, 1_000);
         assert_eq!(missing.until_ns(), None);
         assert!(missing.predict(true, 9_000).is_none());
     }
@@ -119,7 +119,7 @@ mod tests {
     #[test]
     fn in_lockstep_nothing_is_missing() {
         let mut missing = Missing::default();
-        missing.came(&header(7, flags::LOCKSTEP), 1_000);
+        missing.arrive(&header(7, flags::LOCKSTEP), 1_000);
         assert_eq!(missing.until_ns(), None);
     }
 }

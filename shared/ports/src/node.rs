@@ -148,7 +148,7 @@ impl Node {
 
     /// Adds places for spares and for the further readers of the pipeline file. Each spare may read the
     /// topic, and the place of a dead process is free only after the clean-up.
-    pub(crate) fn with_further(&self, name: &str, limits: Limits) -> Limits {
+    pub(crate) fn with_spares_and_readers(&self, name: &str, limits: Limits) -> Limits {
         let spares = self.spares.iter().filter(|spare| spare.opens(name)).count();
         let readers = self.readers.get(name).map_or(0, |&readers| readers as usize);
         Limits {

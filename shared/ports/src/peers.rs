@@ -21,7 +21,7 @@ pub struct Peers {
     /// Stages that send heartbeats.
     expected: Vec<StageId>,
     /// Added stages that write a topic and whose output no forecast waits for.
-    beside: Vec<StageId>,
+    side_stages: Vec<StageId>,
 }
 
 impl Peers {
@@ -32,8 +32,8 @@ impl Peers {
         let built_in = run.stages.iter().filter(|stage| stage.built_in);
         let expected = built_in.filter_map(|stage| StageId::from_number(stage.stage)).collect();
         let writes = |id: &StageId| run.stage(*id).is_some_and(|stage| !stage.writes.is_empty());
-        let beside = run.beside().into_iter().filter(writes).collect();
-        Self { heartbeats, newest: BTreeMap::new(), expected, beside }
+        let side_stages = run.beside().into_iter().filter(writes).collect();
+        Self { heartbeats, newest: BTreeMap::new(), expected, side_stages }
     }
 
     /// Takes the heartbeats that have arrived, and returns them.
@@ -41,12 +41,12 @@ impl Peers {
     /// # Errors
     /// [`PortError`] if the transport fails.
     pub fn listen(&mut self) -> Result<Vec<Heartbeat>, PortError> {
-        let mut came = Vec::new();
+        let mut received = Vec::new();
         while let Some(frame) = self.heartbeats.receive()? {
-            came.extend_from_slice(&frame);
+            received.extend_from_slice(&frame);
         }
         // A replaced process may have left a heartbeat in the queue.
-        came.retain(|heartbeat: &Heartbeat| {
+        received.retain(|heartbeat: &Heartbeat| {
             let newest = self.newest.get(&heartbeat.stage).map_or(0, |newest| newest.incarnation);
             let is_new = heartbeat.incarnation >= newest;
             if is_new {
@@ -54,7 +54,7 @@ impl Peers {
             }
             is_new
         });
-        Ok(came)
+        Ok(received)
     }
 
     /// The newest received heartbeat of a stage.
@@ -92,7 +92,7 @@ impl Peers {
                 heartbeat.linked == 0 || heartbeat.seq >= seq || is_silent
             })
         };
-        reached(TAP) && self.beside.iter().all(|stage| reached(stage.number()))
+        reached(TAP) && self.side_stages.iter().all(|stage| reached(stage.number()))
     }
 
     /// Whether a stage has finished or refused tick `seq`.

@@ -1,22 +1,17 @@
-use std::rc::Rc;
 use std::time::Duration;
 
 use run::{Declaration, Run};
-use wire::{
-    Counts, Header, Heartbeat, HeartbeatsTopic, Hop, LinkCount, REFUSALS_MAX, Refusals, Rejected, StageId,
-    Topic, flags,
-};
+use wire::{Counts, Header, Heartbeat, HeartbeatsTopic, Hop, LinkCount, Rejected, StageId, Topic, flags};
 
 use crate::error::log_refused;
 use crate::executor::has_work;
-use crate::limits::HEARTBEAT;
 use crate::log::{log_run, log_tick};
 use crate::memory::ResidentMemory;
 use crate::points::{self, Point};
-use crate::subscriber::Input;
+use crate::tally::{Inputs, Tally};
 use crate::wait::{Wakes, wait};
 use crate::{
-    Beside, Frame, Loan, Node, Peers, PortError, Publisher, Stop, Subscriber, monotonic_ns, standby,
+    Frame, Loan, Node, Peers, PortError, Publisher, SideOutputs, Stop, Subscriber, monotonic_ns, standby,
 };
 
 /// Queue depth of a stage's input: the current tick and the next.
@@ -33,18 +28,8 @@ pub struct Stage {
     node: Node,
     declared: Topics,
     heartbeats: Publisher<HeartbeatsTopic>,
-    inputs: Vec<Rc<dyn Input>>,
-    /// Number of inputs on a tick's path; later stages write the other inputs.
-    on_the_way_count: usize,
-    /// Whether a frame has been sent, or there is no output.
-    passed: bool,
-    next_beat_ns: u64,
-    beat: u64,
-    seq: u64,
-    frames_len: u64,
-    rejected_len: u64,
-    refusals: [Refusals; REFUSALS_MAX],
-    link: [Refusals; REFUSALS_MAX],
+    inputs: Inputs,
+    tally: Tally,
     memory: ResidentMemory,
     /// Number of the newest tick of the process that this one has replaced.
     taken_over: Option<u64>,
@@ -101,25 +86,14 @@ impl Stage {
         let heartbeats = node.publisher()?;
         let (reads, writes) = (declaration.reads(), declaration.writes());
         let declared = Topics { reads, writes, opened: Vec::new(), complete: false };
-        let inputs = Vec::new();
-        let (seq, frames_len, rejected_len, beat) = (0, 0, 0, 0);
-        let (passed, next_beat_ns, on_the_way_count) = (true, 0, 0);
         Ok(Self {
             id,
             incarnation,
             node,
             declared,
             heartbeats,
-            inputs,
-            on_the_way_count,
-            passed,
-            next_beat_ns,
-            beat,
-            seq,
-            frames_len,
-            rejected_len,
-            refusals: [Refusals::default(); REFUSALS_MAX],
-            link: [Refusals::default(); REFUSALS_MAX],
+            inputs: Inputs::default(),
+            tally: Tally::new(id, incarnation),
             memory: ResidentMemory::of_stage(),
             taken_over: None,
         })
@@ -144,12 +118,8 @@ impl Stage {
     /// # Panics
     /// If the stage has not declared that it reads the topic.
     pub fn subscribe_deep<T: Topic>(&mut self, depth: usize) -> Result<Subscriber<T>, PortError> {
-        let reads = self.declared.reads;
-        assert!(reads.contains(&T::NAME), "the {} declares no input \"{}\"", self.id.name(), T::NAME);
-        self.declared.opened.push(T::NAME);
-        let subscriber = self.node.subscriber::<T>(depth)?;
-        self.inputs.insert(self.on_the_way_count, subscriber.input());
-        self.on_the_way_count += 1;
+        let subscriber = self.open_input::<T>(depth)?;
+        self.inputs.add(subscriber.input());
         Ok(subscriber)
     }
 
@@ -162,10 +132,16 @@ impl Stage {
     /// # Panics
     /// If the stage has not declared that it reads the topic.
     pub fn subscribe_feedback<T: Topic>(&mut self, depth: usize) -> Result<Subscriber<T>, PortError> {
-        let subscriber = self.subscribe_deep(depth)?;
-        self.on_the_way_count -= 1;
-        self.inputs[self.on_the_way_count..].rotate_left(1);
+        let subscriber = self.open_input::<T>(depth)?;
+        self.inputs.add_feedback(subscriber.input());
         Ok(subscriber)
+    }
+
+    fn open_input<T: Topic>(&mut self, depth: usize) -> Result<Subscriber<T>, PortError> {
+        let reads = self.declared.reads;
+        assert!(reads.contains(&T::NAME), "the {} declares no input \"{}\"", self.id.name(), T::NAME);
+        self.declared.opened.push(T::NAME);
+        self.node.subscriber(depth)
     }
 
     /// Opens an output. The stage is linked only after it has sent a frame.
@@ -197,7 +173,7 @@ impl Stage {
         let writes = self.declared.writes;
         assert!(writes.contains(&T::NAME), "the {} declares no output \"{}\"", self.id.name(), T::NAME);
         self.declared.opened.push(T::NAME);
-        self.passed = false;
+        self.tally.has_passed = false;
         if standby::is_standby() {
             self.take_over::<T>(follow)?;
         }
@@ -235,7 +211,7 @@ impl Stage {
         look()?;
         self.taken_over = newest;
         if let Some(seq) = self.taken_over {
-            self.inputs[..self.on_the_way_count].iter().for_each(|input| input.resume_after(seq));
+            self.inputs.resume_after(seq);
         }
         Ok(())
     }
@@ -259,8 +235,8 @@ impl Stage {
     ///
     /// # Errors
     /// As [`Node::raw_subscriber`].
-    pub fn beside(&self, run: &Run) -> Result<Beside, PortError> {
-        Beside::open(&self.node, run)
+    pub fn side_outputs(&self, run: &Run) -> Result<SideOutputs, PortError> {
+        SideOutputs::open(&self.node, run)
     }
 
     /// Which stage it is.
@@ -324,7 +300,7 @@ impl Stage {
             }
             if let Some(header) = input.take_lost() {
                 // The source waits for this stage's answer: that it has none.
-                self.seq = header.seq;
+                self.tally.skip(header.seq);
                 self.beat()?;
             }
             self.sleep([input], None)?;
@@ -435,24 +411,20 @@ impl Stage {
 
     /// Counts and logs a refused frame whose tick gets a substitute.
     pub fn refuse(&mut self, header: &Header, topic: &'static str, why: &Rejected) {
-        self.seq = header.seq;
-        self.rejected_len += 1;
-        Refusals::count(&mut self.refusals, header.sender, why.cause(), 1);
+        self.tally.refuse(header, why);
         log_refused(topic, header.seq, why);
     }
 
     /// States the counts of a link to other boxes so far, which the next heartbeats contain. There is room for
     /// eight kinds, less the refused frames.
     pub fn set_link(&mut self, counts: impl IntoIterator<Item = (LinkCount, u64)>) {
-        self.link = Default::default();
-        Refusals::put_link(&mut self.link, counts);
+        self.tally.set_link(counts);
     }
 
     /// Counts a tick as finished.
     pub fn done(&mut self, seq: u64) {
         points::finished(seq);
-        self.seq = seq;
-        self.frames_len += 1;
+        self.tally.finish(seq);
     }
 
     /// Sends a frame without elements.
@@ -484,7 +456,7 @@ impl Stage {
         passage.hop.sent_ns = monotonic_ns();
         passage.header.push_hop(passage.hop);
         output.send(loan, passage.header)?;
-        self.passed = true;
+        self.tally.has_passed = true;
         // In lockstep the source waits for this heartbeat before it releases the next tick.
         if self.id.is_added() && passage.header.has(flags::LOCKSTEP) && passage.header.is_tick() {
             return self.beat();
@@ -497,11 +469,9 @@ impl Stage {
     /// # Errors
     /// [`PortError`] if the transport fails.
     pub fn beat(&mut self) -> Result<(), PortError> {
-        let heartbeat = self.heartbeat();
-        self.next_beat_ns = heartbeat.sent_ns + HEARTBEAT.as_nanos() as u64;
-        let mut header = Header::new(self.node.run_id(), self.beat, 0);
+        let heartbeat = self.tally.beat(&self.inputs, monotonic_ns());
+        let mut header = Header::new(self.node.run_id(), heartbeat.beat, 0);
         header.counts.agents_len = 1;
-        self.beat += 1;
         self.heartbeats.send_copy(&[heartbeat], header)?;
         self.memory.tend();
         Ok(())
@@ -510,34 +480,11 @@ impl Stage {
     /// The stage's current counters.
     #[must_use]
     pub fn heartbeat(&self) -> Heartbeat {
-        let inputs = || self.inputs.iter();
-        let linked = self.passed && inputs().all(|input| input.linked());
-        let mut refusals = self.refusals;
-        inputs().for_each(|input| Refusals::add(&mut refusals, &input.refusals()));
-        let link = self.link.iter().filter_map(|entry| Some((entry.link()?, entry.frames_len.into())));
-        Refusals::put_link(&mut refusals, link);
-        Heartbeat {
-            stage: self.id.number(),
-            incarnation: self.incarnation,
-            pid: std::process::id(),
-            linked: u32::from(linked),
-            beat: self.beat,
-            seq: self.seq,
-            frames_len: self.frames_len,
-            rejected_len: self.rejected_len + inputs().map(|input| input.rejected_len()).sum::<u64>(),
-            // A tick that was lost on its path is missing in all inputs.
-            dropped_len: counter(
-                inputs().take(self.on_the_way_count).map(|input| input.dropped_len()).max().unwrap_or(0),
-            ),
-            // A step begins with a frame of the first input.
-            unanswered_len: counter(inputs().next().map_or(0, |input| input.dropped_len())),
-            sent_ns: monotonic_ns(),
-            refusals,
-        }
+        self.tally.heartbeat(&self.inputs, monotonic_ns())
     }
 
     fn beat_if_due(&mut self) -> Result<(), PortError> {
-        if monotonic_ns() >= self.next_beat_ns { self.beat() } else { Ok(()) }
+        if monotonic_ns() >= self.tally.next_beat_ns() { self.beat() } else { Ok(()) }
     }
 
     /// Checks, at the first wait, that all declared topics are open: other stages would wait for a missing
@@ -559,13 +506,10 @@ impl Stage {
     ) -> Result<(), PortError> {
         self.check_topics();
         self.beat_if_due()?;
-        let end_ns = until_ns.map_or(self.next_beat_ns, |until_ns| until_ns.min(self.next_beat_ns));
+        let beat_ns = self.tally.next_beat_ns();
+        let end_ns = until_ns.map_or(beat_ns, |until_ns| until_ns.min(beat_ns));
         let left = Duration::from_nanos(end_ns.saturating_sub(monotonic_ns()));
         points::reach(Point::Idle);
         if left.is_zero() { Ok(()) } else { wait(topics, left) }
     }
-}
-/// A count in the format of a heartbeat.
-fn counter(len: u64) -> u32 {
-    u32::try_from(len).unwrap_or(u32::MAX)
 }

@@ -75,10 +75,10 @@ impl Node {
     /// its record.
     fn limits(&self, name: &str, shipped: Limits, is_heartbeats: bool) -> Limits {
         if let Some(topic) = self.added.topic(name) {
-            return self.with_further(name, self.added.limits(topic));
+            return self.with_spares_and_readers(name, self.added.limits(topic));
         }
         let heartbeat_count = if is_heartbeats { self.added.stage_count } else { 0 };
-        self.with_further(
+        self.with_spares_and_readers(
             name,
             Limits {
                 publishers_max: shipped.publishers_max + heartbeat_count,

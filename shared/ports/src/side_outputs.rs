@@ -8,9 +8,9 @@ use crate::{Node, PortError, RawSubscriber, RawTopic};
 /// Reads the headers of added stages whose output no forecast waits for: the forecasts' headers do not
 /// contain their hops.
 #[derive(Debug)]
-pub struct Beside(Vec<RawSubscriber>);
+pub struct SideOutputs(Vec<RawSubscriber>);
 
-impl Beside {
+impl SideOutputs {
     /// Opens one output topic of each of these stages.
     ///
     /// # Errors
