@@ -29,7 +29,7 @@ pub fn open(path: &Path) -> Result<Recording, Failure> {
 }
 
 /// Fails with the first damaged part, after all readable parts were used.
-pub fn told(damages: Vec<ReadError>) -> Result<Exit, Failure> {
+pub fn end_with(damages: Vec<ReadError>) -> Result<Exit, Failure> {
     let more = damages.len().saturating_sub(1);
     match damages.into_iter().next() {
         None => Ok(Exit::Done),

@@ -10,7 +10,7 @@ mod check;
 mod history;
 
 pub use check::{Finding, Promise, check};
-pub use history::{ForecastSeen, Line, Outage, Output, Told, read};
+pub use history::{Facts, ForecastSeen, Line, Outage, Output, read};
 
 #[cfg(test)]
 mod tests;

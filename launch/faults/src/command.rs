@@ -204,14 +204,14 @@ fn measure(arguments: &TableArguments) -> Result<Exit, Failure> {
         write(path, &(serde_json::to_string_pretty(&rows).map_err(Failure::data)? + "\n"))?;
     }
     if let Some(path) = &arguments.table {
-        let told = format!(
+        let conditions = format!(
             "{turns} turns of each, seed {seed}, {agents} agents at 12.5 Hz, {} processors, load average {load_before} \
              before and {} after.\n\n",
             std::thread::available_parallelism().map_or(1, std::num::NonZero::get),
             table::load_average(),
         );
         let lines: String = rows.iter().map(Row::line).collect();
-        tables::replace(path, "fault table", &(told + &head + &lines))?;
+        tables::replace(path, "fault table", &(conditions + &head + &lines))?;
     }
     Ok(Exit::Done)
 }

@@ -62,9 +62,7 @@ pub enum Effect {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Part {
-    /// The header.
     Header,
-    /// The elements.
     Payload,
     /// The time of validity.
     Stamp,
@@ -134,7 +132,6 @@ impl Effect {
 /// A frame inside the injector, with its elements as bytes.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Raw {
-    /// The header.
     pub header: Header,
     /// The elements, concatenated.
     pub payload: Vec<u8>,
@@ -146,7 +143,6 @@ pub struct Raw {
 /// A frame to be sent, after a delay.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Due {
-    /// The frame.
     pub frame: Raw,
     /// Nanoseconds from now.
     pub delay_ns: u64,
@@ -302,7 +298,6 @@ impl Random {
 /// A fault between a topic's writer and its readers.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TopicFault {
-    /// The topic.
     pub topic: String,
     /// The effect on a frame.
     pub effect: Effect,

@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use recorder::{Outage, ReplacementOutcome, Report};
 use serde::Serialize;
 
-use crate::checker::{Finding, Line, Output, Promise, Told};
+use crate::checker::{Facts, Finding, Line, Output, Promise};
 use crate::spec::Spec;
 
 /// The observation of a run.
@@ -20,7 +20,7 @@ pub struct Observation {
     /// The report, if there is one.
     pub report: Option<Report>,
     /// Topics with an injector on which no forecast depends.
-    pub beside: Vec<String>,
+    pub off_path_topics: Vec<String>,
     /// Ticks at which faults without own frames were over.
     pub over: Vec<u64>,
     /// Files left in shared memory and the run's folder.
@@ -72,7 +72,7 @@ pub struct Resources {
 
 /// Promises that every missing tick and every cause is explained.
 pub(super) const EXPLANATIONS: [Promise; 3] =
-    [Promise::MissingTicksExplained, Promise::CausesSaid, Promise::CausesCounted];
+    [Promise::MissingTicksExplained, Promise::CausesNamed, Promise::CausesCounted];
 
 /// The outputs by tick.
 pub(super) struct Outputs<'a>(pub BTreeMap<u64, &'a Output>);
@@ -80,8 +80,8 @@ pub(super) struct Outputs<'a>(pub BTreeMap<u64, &'a Output>);
 impl Observation {
     /// Returns the observation with the run's own report as its last line.
     pub fn concluded(mut self, spec: &Spec) -> Self {
-        let told = self.told(spec);
-        self.lines.push(Line::Told(Box::new(told)));
+        let facts = self.facts(spec);
+        self.lines.push(Line::Facts(Box::new(facts)));
         self
     }
 
@@ -191,10 +191,10 @@ impl Observation {
 
     /// Returns the facts that the checker needs in addition to the history: the run's report and the expected
     /// events.
-    pub fn told(&self, spec: &Spec) -> Told {
+    pub fn facts(&self, spec: &Spec) -> Facts {
         let expect = &spec.expect;
         let seen = self.outputs();
-        let mut told = Told {
+        let mut facts = Facts {
             ticks: (expect.exit_code == 0).then_some(spec.run.ticks),
             held_max_ns: spec.held_max_ns(),
             targets: spec.faults.targets.iter().map(|stage| stage.name().to_owned()).collect(),
@@ -202,13 +202,13 @@ impl Observation {
             leftovers: expect.leftovers,
             reported: self.report.is_some(),
             recorded_alone: self.recorded.iter().copied().filter(|tick| !seen.0.contains_key(tick)).collect(),
-            beside: self.beside.clone(),
+            off_path_topics: self.off_path_topics.clone(),
             files_left: self.leftovers,
             stages_left: self.survivors,
-            ..Told::default()
+            ..Facts::default()
         };
-        let Some(report) = &self.report else { return told };
-        told.lockstep = report.run.lockstep.unwrap_or(false);
+        let Some(report) = &self.report else { return facts };
+        facts.lockstep = report.run.lockstep.unwrap_or(false);
         let outage = |outage: &recorder::Outage| crate::checker::Outage {
             stage: outage.stage.clone(),
             tick: outage.tick,
@@ -219,17 +219,17 @@ impl Observation {
             .replacements
             .iter()
             .flat_map(|of| std::iter::repeat_n(&of.outage, of.outcome.incarnations() as usize));
-        told.outages = report.supervision.outages.iter().chain(replaced).map(outage).collect();
-        told.outages_unlisted = report.supervision.outages_unlisted;
+        facts.outages = report.supervision.outages.iter().chain(replaced).map(outage).collect();
+        facts.outages_unlisted = report.supervision.outages_unlisted;
         let lost = |stage: &recorder::report::StageReport| {
             (stage.name.clone(), stage.drops.gap + stage.drops.refused)
         };
-        told.lost = report.stages.iter().map(lost).collect();
+        facts.lost = report.stages.iter().map(lost).collect();
         let unanswered = report.stages.iter().map(|stage| (stage.name.clone(), stage.drops.unanswered));
-        told.unanswered = unanswered.collect();
-        told.causes.clone_from(&report.forecasts.causes);
-        told.late_ticks = report.late_ticks;
-        told
+        facts.unanswered = unanswered.collect();
+        facts.causes.clone_from(&report.forecasts.causes);
+        facts.late_ticks = report.late_ticks;
+        facts
     }
 
     /// Returns the resources at the beginning and at the end. Medians are used because stages come and go.

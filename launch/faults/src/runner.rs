@@ -233,7 +233,7 @@ impl<'a> Session<'a> {
         let mut writers = vec![Writer::start(&["follow"], record, &self.sender)?];
         for topic in self.spec.injected_topics() {
             if !run.is_on_way(topic) {
-                self.seen.beside.push(topic.to_owned());
+                self.seen.off_path_topics.push(topic.to_owned());
             }
             let faults: Vec<&TopicFault> =
                 self.spec.faults.topics.iter().filter(|fault| fault.topic == topic).collect();

@@ -19,14 +19,11 @@ pub use table::{Counted, Expect, Resource};
 pub struct Spec {
     /// The file's stem.
     pub name: String,
-    /// The file.
     pub path: PathBuf,
     text: String,
     /// The property that it demonstrates, in one sentence.
     pub shows: String,
-    /// The run.
     pub run: RunSpec,
-    /// The faults.
     pub faults: Faults,
     /// What is expected.
     pub expect: Expect,
@@ -97,9 +94,7 @@ pub struct Faults {
 /// An action at a given time.
 #[derive(Clone, Debug)]
 pub struct Action {
-    /// The time.
     pub at: Due,
-    /// The action.
     pub what: What,
 }
 
@@ -130,7 +125,6 @@ pub enum What {
 /// A consumer that returns its frames late or never.
 #[derive(Clone, Debug)]
 pub struct Consumer {
-    /// The topic.
     pub topic: String,
     /// Time for which each frame is held; `None` for forever.
     pub hold_ms: Option<u64>,
@@ -145,7 +139,6 @@ pub struct Consumer {
 pub enum Target {
     /// A stage, built in or external.
     Stage(StageId),
-    /// The launcher.
     Launcher,
 }
 

@@ -54,7 +54,6 @@ pub enum Series {
 /// One run of the measurement.
 #[derive(Clone, Copy, Debug)]
 pub struct Plan {
-    /// The stage.
     pub stage: StageId,
     /// The series of faults.
     pub series: Series,
@@ -69,9 +68,7 @@ pub struct Plan {
 /// The cost of one kind of fault on a stage.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Row {
-    /// The stage.
     pub stage: String,
-    /// The fault.
     pub fault: String,
     /// Number of faults.
     pub times: u64,

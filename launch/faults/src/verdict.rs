@@ -29,9 +29,7 @@ pub struct Check {
     pub what: String,
     /// The expected value.
     pub expected: String,
-    /// The finding.
     pub found: String,
-    /// The outcome.
     pub outcome: Outcome,
 }
 
@@ -51,14 +49,14 @@ fn promises(seen: &Observation, expect: &Expect) -> Vec<Check> {
         elsewhere.extend(EXPLANATIONS);
     }
     let findings = seen.findings().into_iter().filter(|found| !elsewhere.contains(&found.promise));
-    let told = |found: Finding| match found.count {
+    let to_check = |found: Finding| match found.count {
         0 => equal(found.promise.name(), &0, &0),
         count => {
             let found_text = format!("{count}, first {}", found.first);
             check(found.promise.name(), &0, &found_text, false)
         }
     };
-    findings.map(told).collect()
+    findings.map(to_check).collect()
 }
 
 /// Compares the observation with the specification's expectation. Without `timing`, tick counts outside the
@@ -210,7 +208,7 @@ fn supervised(spec: &Spec, seen: &Observation) -> Vec<Check> {
 /// Compares the exit codes of the `stage replace` commands with the report; `None` if there were no
 /// replacements.
 fn replaced(seen: &Observation, reported: &[recorder::Replacement]) -> Option<Check> {
-    let told = seen.lines.iter().filter_map(|line| match line {
+    let by_verb = seen.lines.iter().filter_map(|line| match line {
         Line::Replaced { exit, .. } => Some(*exit == 0),
         _ => None,
     });
@@ -219,9 +217,9 @@ fn replaced(seen: &Observation, reported: &[recorder::Replacement]) -> Option<Ch
         let replaced = outcomes.iter().filter(|is_replaced| **is_replaced).count();
         format!("{replaced} replaced, {} not", outcomes.len() - replaced)
     };
-    let (told, reported): (Vec<bool>, Vec<bool>) = (told.collect(), reported.collect());
-    let any = !told.is_empty() || !reported.is_empty();
-    any.then(|| equal("replacements by the verb's exit codes", &count(reported), &count(told)))
+    let (by_verb, reported): (Vec<bool>, Vec<bool>) = (by_verb.collect(), reported.collect());
+    let any = !by_verb.is_empty() || !reported.is_empty();
+    any.then(|| equal("replacements by the verb's exit codes", &count(reported), &count(by_verb)))
 }
 
 /// Checks the report's counters of lost frames.

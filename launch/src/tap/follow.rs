@@ -96,7 +96,7 @@ pub fn follow(
 ) -> Result<Recorded, Failure> {
     let begun = Instant::now();
     let mut lost = BTreeMap::new();
-    let (mut said, mut has_ended) = (None, false);
+    let (mut reported_error, mut has_ended) = (None, false);
     let how = loop {
         if stop.requested() {
             break Followed::Stopped;
@@ -126,8 +126,8 @@ pub fn follow(
         }
         if let Some(error) = writer.take_error() {
             // Reported once per kind of error, because a full disk stays full.
-            if said != Some(error.kind()) {
-                said = Some(error.kind());
+            if reported_error != Some(error.kind()) {
+                reported_error = Some(error.kind());
                 tracing::warn!("recording: {error}: frames are lost until the disk has space again");
             }
         }

@@ -17,7 +17,7 @@ use wire::StageId;
 use crate::failure::Failure;
 use crate::log;
 use crate::program::this_program;
-use crate::tap::server::Told;
+use crate::tap::server::FromLauncher;
 use crate::tap::{RingArguments, ViewArguments};
 use supervisor::spawn;
 use supervisor::{KILL_LIMIT, die_with_this_process, end_within};
@@ -57,12 +57,12 @@ impl TapMessages {
     /// Forwards an output line of a stage.
     pub fn line(&self, stage: StageId, line: &str) {
         let line = LogLine { at_ns: monotonic_ns(), stage: stage.name().to_owned(), line: line.to_owned() };
-        self.send(Some(stage), &Told::Line(line));
+        self.send(Some(stage), &FromLauncher::Line(line));
     }
 
-    fn send(&self, origin: Origin, told: &Told) {
+    fn send(&self, origin: Origin, message: &FromLauncher) {
         let outlet = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        if let (Some(outlet), Ok(mut line)) = (&*outlet, serde_json::to_vec(told)) {
+        if let (Some(outlet), Ok(mut line)) = (&*outlet, serde_json::to_vec(message)) {
             line.push(b'\n');
             outlet.push(origin, line);
         }
@@ -140,7 +140,7 @@ impl Tap {
 
     /// Reports an event to the tools.
     pub fn event(&self, what: Happened) {
-        self.messages.send(None, &Told::Event(Event { at_ns: monotonic_ns(), what }));
+        self.messages.send(None, &FromLauncher::Event(Event { at_ns: monotonic_ns(), what }));
     }
 
     /// Lets the tap send its last data to the tools, and ends the process.

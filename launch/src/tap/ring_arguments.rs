@@ -87,7 +87,7 @@ impl RingArguments {
     }
 
     /// Describes in one sentence the recorded data and its file.
-    pub fn told(&self, path: &Path) -> String {
+    pub fn description(&self, path: &Path) -> String {
         let seconds = self.last.unwrap_or_default().as_secs_f64();
         let [first, last] = [1, self.files].map(|number| numbered(path, number).display().to_string());
         format!(

@@ -29,14 +29,14 @@ const END_LIMIT: Duration = Duration::from_millis(500);
 /// Maximum number of connections whose request is incomplete. The oldest makes room.
 const PENDING_MAX: usize = 16;
 /// Longest message of the launcher.
-const TOLD_MAX: usize = 1 << 20;
+const UNPROCESSED_MAX: usize = 1 << 20;
 /// Number of bytes read at a time from the launcher's messages.
 const BLOCK: usize = 1 << 14;
 
 /// A message of the launcher to the tap, as one line of JSON.
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Told {
+pub enum FromLauncher {
     /// An event happened.
     Event(Event),
     /// A stage wrote a line.
@@ -61,7 +61,7 @@ struct Server {
     beaten: u64,
     beat: u64,
     /// Unprocessed input from the launcher.
-    told: Vec<u8>,
+    unprocessed: Vec<u8>,
 }
 
 /// Listens on a socket. The socket gets its final name only after it listens; otherwise a tool could connect
@@ -96,7 +96,7 @@ pub fn serve(record: &Path) -> Result<Exit, Failure> {
         newest: 0,
         beaten: 0,
         beat: 0,
-        told: Vec::new(),
+        unprocessed: Vec::new(),
     };
     let mut input = std::io::stdin();
     loop {
@@ -221,19 +221,19 @@ impl Server {
         let mut block = [0; BLOCK];
         match input.read(&mut block) {
             Ok(0) => return false,
-            Ok(len) => self.told.extend_from_slice(&block[..len]),
+            Ok(len) => self.unprocessed.extend_from_slice(&block[..len]),
             Err(error) => return error.kind() == ErrorKind::Interrupted,
         }
-        while let Some(end) = self.told.iter().position(|&byte| byte == b'\n') {
-            let line: Vec<u8> = self.told.drain(..=end).collect();
+        while let Some(end) = self.unprocessed.iter().position(|&byte| byte == b'\n') {
+            let line: Vec<u8> = self.unprocessed.drain(..=end).collect();
             match serde_json::from_slice(&line) {
-                Ok(Told::Event(event)) => self.hub.event(&event),
-                Ok(Told::Line(line)) => self.hub.line(&line),
+                Ok(FromLauncher::Event(event)) => self.hub.event(&event),
+                Ok(FromLauncher::Line(line)) => self.hub.line(&line),
                 Err(error) => tracing::warn!("from the launcher: {error}"),
             }
         }
-        if self.told.len() > TOLD_MAX {
-            self.told.clear();
+        if self.unprocessed.len() > UNPROCESSED_MAX {
+            self.unprocessed.clear();
         }
         true
     }

@@ -81,7 +81,7 @@ fn recordings(arguments: &Arguments) -> Result<Exit, Failure> {
         show(&text)?;
     }
     damages.extend(damages_of_b);
-    recorded::told(damages)?;
+    recorded::end_with(damages)?;
     Ok(if comparison.is_equal() && comparison.ticks() > 0 { Exit::Done } else { Exit::Different })
 }
 

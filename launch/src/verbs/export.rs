@@ -52,5 +52,5 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     if !written.lost.is_empty() {
         return Err(Failure::Failed(format!("{}: not written: {:?}", file.display(), written.lost)));
     }
-    recorded::told(damages)
+    recorded::end_with(damages)
 }

@@ -116,7 +116,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
             // A whole ring is packed at once, so the stages get priority.
             let _ = rustix::process::nice(NICE);
             let asked = Asked::by_usr1().map_err(Failure::unavailable)?;
-            say!("{}: {}", run.name, arguments.ring.told(file));
+            say!("{}: {}", run.name, arguments.ring.description(file));
             let recorder = FlightRecorder::new(
                 file,
                 about,

@@ -76,8 +76,8 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         }
         writer.finish("the replay has ended").map_err(Failure::data)?;
     }
-    show(&(told(&replayed) + &noise_lines(&noise)))?;
-    recorded::told(damages)?;
+    show(&(summary(&replayed) + &noise_lines(&noise)))?;
+    recorded::end_with(damages)?;
     let is_equal = replayed.comparison.is_equal() && replayed.comparison.ticks() > 0;
     Ok(if is_equal { Exit::Done } else { Exit::Different })
 }
@@ -170,7 +170,7 @@ fn noise_lines(noise: &Noise) -> String {
 }
 
 /// Describes the result of the replay.
-fn told(replayed: &Replayed) -> String {
+fn summary(replayed: &Replayed) -> String {
     let Replayed {
         comparison,
         ticks,

@@ -37,7 +37,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     if !recorder::is_standard_output(&path) {
         say!("{}", path.display());
     }
-    recorded::told(damages)
+    recorded::end_with(damages)
 }
 
 /// Reads a report or a recording. A recording takes its report from the file of the same name that ends in
@@ -125,7 +125,7 @@ impl RunReport {
         let name = name.unwrap_or_else(|| recording.about().scene.clone());
         let (run, damages) = page_of(name, &recording, report);
         write(&self.path, &[run])?;
-        recorded::told(damages).map(drop)
+        recorded::end_with(damages).map(drop)
     }
 }
 

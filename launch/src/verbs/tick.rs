@@ -27,15 +27,15 @@ pub struct Arguments {
 
 /// Prints one tick of a recorded run.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
-    let (telling, damages) = tell(arguments)?;
+    let (telling, damages) = explain(arguments)?;
     let width = rustix::termios::tcgetwinsize(std::io::stdout())
         .map_or(WIDTH, |size| usize::from(size.ws_col).max(1));
     let exit = show(&telling.render(width))?;
-    recorded::told(damages).map(|_| exit)
+    recorded::end_with(damages).map(|_| exit)
 }
 
 /// Reads the tick's data from the file. Also returns the damaged parts of the file.
-fn tell(arguments: &Arguments) -> Result<(Telling, Vec<ReadError>), Failure> {
+fn explain(arguments: &Arguments) -> Result<(Telling, Vec<ReadError>), Failure> {
     let recording = recorded::open(&arguments.file)?;
     let mut search = Search::new(arguments.tick, &recording);
     let mut damages = Vec::new();
@@ -165,8 +165,8 @@ mod tests {
         std::fs::create_dir_all(&folder).expect("a folder can be made");
         let file = folder.join("a.mcap");
         recorded::tests::write(&file);
-        let tell = |tick| tell(&Arguments { file: file.clone(), tick });
-        let (telling, damages) = tell(7).expect("it is there");
+        let explained = |tick| explain(&Arguments { file: file.clone(), tick });
+        let (telling, damages) = explained(7).expect("it is there");
         assert!(damages.is_empty());
         let text = telling.render(100);
         for part in [
@@ -177,7 +177,7 @@ mod tests {
         ] {
             assert!(text.contains(part), "{part} in\n{text}");
         }
-        let error = tell(99).expect_err("there are ten").to_string();
+        let error = explained(99).expect_err("there are ten").to_string();
         assert!(error.contains("no forecasts of tick 99: those of ticks 0 to 9 are there"), "{error}");
         std::fs::remove_dir_all(folder).expect("the folder is ours");
     }

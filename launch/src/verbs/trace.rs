@@ -59,7 +59,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     if !recorder::is_standard_output(&path) {
         say!("{}: {ticks} ticks; open it at https://ui.perfetto.dev", path.display());
     }
-    recorded::told(damages)
+    recorded::end_with(damages)
 }
 
 /// Returns the clocks at the first message. The machine's sleep time is not recorded, so boot time equals

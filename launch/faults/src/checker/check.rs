@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use wire::{Cause, Quality, StageId};
 
-use crate::checker::{ForecastSeen, Line, Outage, Output, Told};
+use crate::checker::{Facts, ForecastSeen, Line, Outage, Output};
 
 /// Movement of an agent after which the same controls cannot be a new forecast.
 const MOVED_MIN_M: f32 = 0.05;
@@ -20,7 +20,7 @@ wire::named! {
         /// A missing tick is within an outage, was hit by a fault, or was counted by a stage.
         MissingTicksExplained => "missing ticks that nobody explains",
         /// A forecast that is not learned names its cause.
-        CausesSaid => "forecasts not learned and without a cause",
+        CausesNamed => "forecasts not learned and without a cause",
         /// The run has counted every cause that forecasts name.
         CausesCounted => "causes that nobody counted",
         /// A learned forecast has age 0. A held one has the age of the learned forecast that it repeats.
@@ -32,7 +32,7 @@ wire::named! {
         /// No number is impossible.
         NumbersPossible => "impossible numbers",
         /// A stage is restarted only if the run reports a death.
-        RestartsTold => "restarts that nobody reports",
+        RestartsReported => "restarts that nobody reports",
         /// Stages that are not the target of a fault are not restarted.
         OthersUntouched => "restarts of others",
         /// No file and no process is left.
@@ -43,7 +43,6 @@ wire::named! {
 /// A promise, and how often it was broken.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Finding {
-    /// The promise.
     pub promise: Promise,
     /// Number of violations.
     pub count: u64,
@@ -54,7 +53,7 @@ pub struct Finding {
 /// Data gathered from a history before the checks.
 struct History<'a> {
     lines: &'a [Line],
-    told: &'a Told,
+    facts: &'a Facts,
     /// Outputs that belong to their tick, in order of arrival.
     valid: Vec<&'a Output>,
     /// Ticks with at least one output.
@@ -64,13 +63,13 @@ struct History<'a> {
 /// Checks a history against all promises. Returns one finding per promise, in their order.
 #[must_use]
 pub fn check(lines: &[Line]) -> Vec<Finding> {
-    let nothing = Told::default();
-    let told =
-        lines.iter().rev().find_map(|line| if let Line::Told(told) = line { Some(&**told) } else { None });
+    let nothing = Facts::default();
+    let facts =
+        lines.iter().rev().find_map(|line| if let Line::Facts(facts) = line { Some(&**facts) } else { None });
     let outputs = || lines.iter().filter_map(Line::output);
     let history = History {
         lines,
-        told: told.unwrap_or(&nothing),
+        facts: facts.unwrap_or(&nothing),
         // A void frame does not belong to its tick.
         valid: outputs().filter(|output| !output.void).collect(),
         seen: outputs().map(|output| output.tick).collect(),
@@ -122,7 +121,7 @@ impl History<'_> {
     /// Ticks on which a fault has acted, on a topic that forecasts wait for.
     fn acted_on(&self) -> BTreeSet<u64> {
         let tick = |line: &Line| match line {
-            Line::Injected { tick, topic, .. } if !self.told.beside.contains(topic) => Some(*tick),
+            Line::Injected { tick, topic, .. } if !self.facts.off_path_topics.contains(topic) => Some(*tick),
             _ => None,
         };
         self.lines.iter().filter_map(tick).collect()
@@ -131,24 +130,24 @@ impl History<'_> {
     /// Checks a run up to its newest tick if the run was ended early.
     fn missing(&self, broken: &mut Broken) {
         let (acted_on, alone): (_, BTreeSet<u64>) =
-            (self.acted_on(), self.told.recorded_alone.iter().copied().collect());
+            (self.acted_on(), self.facts.recorded_alone.iter().copied().collect());
         let newest = self.seen.iter().chain(&alone).max().map_or(0, |newest| newest + 1);
         let lies_in = |outage: &Outage, tick: u64| {
             let end = outage.ticks_to_learned.map_or(u64::MAX, |ticks| outage.tick.saturating_add(ticks));
             (outage.tick..=end).contains(&tick)
         };
         let is_explained =
-            |tick: &u64| acted_on.contains(tick) || self.told.outages.iter().any(|o| lies_in(o, *tick));
-        let missing: Vec<u64> = (0..self.told.ticks.unwrap_or(newest))
+            |tick: &u64| acted_on.contains(tick) || self.facts.outages.iter().any(|o| lies_in(o, *tick));
+        let missing: Vec<u64> = (0..self.facts.ticks.unwrap_or(newest))
             .filter(|tick| !self.seen.contains(tick) && !alone.contains(tick) && !is_explained(tick))
             .collect();
         // A loss in another stage does not suppress the answer, and neither does a loss of controls in the
         // sampler.
         let of =
             |counts: &BTreeMap<String, u64>, stage: StageId| counts.get(stage.name()).copied().unwrap_or(0);
-        let counted = of(&self.told.lost, StageId::Tracker)
-            + of(&self.told.lost, StageId::Recorder)
-            + of(&self.told.unanswered, StageId::Sampler);
+        let counted = of(&self.facts.lost, StageId::Tracker)
+            + of(&self.facts.lost, StageId::Recorder)
+            + of(&self.facts.unanswered, StageId::Sampler);
         let without = (missing.len() as u64).saturating_sub(counted);
         broken.add(Promise::MissingTicksExplained, without, || {
             format!("tick {}; {counted} lost frames are counted on the way", missing[0])
@@ -160,20 +159,20 @@ impl History<'_> {
         for output in &self.valid {
             for forecast in output.forecasts.iter().filter(|forecast| !forecast.is_learned()) {
                 *seen.entry(&forecast.cause).or_default() += 1;
-                let is_said = Cause::ALL.iter().any(|c| *c != Cause::None && c.name() == forecast.cause);
-                broken.add(Promise::CausesSaid, u64::from(!is_said), || {
+                let is_named = Cause::ALL.iter().any(|c| *c != Cause::None && c.name() == forecast.cause);
+                broken.add(Promise::CausesNamed, u64::from(!is_named), || {
                     format!("tick {}, track {}: \"{}\"", output.tick, forecast.id, forecast.cause)
                 });
             }
         }
         // The counts are incomplete if the recorder has died or lost a frame.
-        let is_complete = self.told.reported
-            && self.told.ticks.is_some()
-            && self.told.outages_unlisted == 0
-            && self.told.lost.get(StageId::Recorder.name()).is_none_or(|lost| *lost == 0)
-            && self.told.outages.iter().all(|outage| outage.stage != StageId::Recorder.name());
+        let is_complete = self.facts.reported
+            && self.facts.ticks.is_some()
+            && self.facts.outages_unlisted == 0
+            && self.facts.lost.get(StageId::Recorder.name()).is_none_or(|lost| *lost == 0)
+            && self.facts.outages.iter().all(|outage| outage.stage != StageId::Recorder.name());
         for (cause, seen) in seen.into_iter().filter(|_| is_complete) {
-            let counted = self.told.causes.get(cause).copied().unwrap_or(0);
+            let counted = self.facts.causes.get(cause).copied().unwrap_or(0);
             broken.add(Promise::CausesCounted, seen.saturating_sub(counted), || {
                 format!("{seen} forecasts with cause \"{cause}\", {counted} counted")
             });
@@ -230,7 +229,7 @@ impl History<'_> {
         let mut stale: Vec<&Output> = Vec::new();
         for output in &self.valid {
             let late_ns = output.received_ns.saturating_sub(output.released_ns);
-            let is_late = self.told.held_max_ns.is_some_and(|most| late_ns > most) && !self.told.lockstep;
+            let is_late = self.facts.held_max_ns.is_some_and(|most| late_ns > most) && !self.facts.lockstep;
             if is_late && output.forecasts.iter().any(ForecastSeen::is_learned) {
                 stale.push(output);
             }
@@ -251,7 +250,7 @@ impl History<'_> {
                 });
             }
         }
-        let uncounted = (stale.len() as u64).saturating_sub(self.told.late_ticks);
+        let uncounted = (stale.len() as u64).saturating_sub(self.facts.late_ticks);
         broken.add(Promise::NothingStale, uncounted, || {
             let late_ns = stale[0].received_ns - stale[0].released_ns;
             format!("tick {}: learned, {late_ns} ns after its release", stale[0].tick)
@@ -259,7 +258,7 @@ impl History<'_> {
         let held = |forecast: &&ForecastSeen| forecast.quality == Quality::Held.name();
         for output in &self.valid {
             for forecast in output.forecasts.iter().filter(held) {
-                let is_stale = self.told.held_max_ns.is_some_and(|most| forecast.age_ns > most);
+                let is_stale = self.facts.held_max_ns.is_some_and(|most| forecast.age_ns > most);
                 broken.add(Promise::NothingStale, u64::from(is_stale), || {
                     format!("tick {}, track {}: held for {} ns", output.tick, forecast.id, forecast.age_ns)
                 });
@@ -280,19 +279,19 @@ impl History<'_> {
                 _ => {}
             }
         }
-        let (told, targets) = (self.told, &self.told.targets);
-        if told.reported && told.outages_unlisted == 0 {
+        let (facts, targets) = (self.facts, &self.facts.targets);
+        if facts.reported && facts.outages_unlisted == 0 {
             for (stage, seen) in newest {
-                let deaths = told.outages.iter().filter(|outage| outage.stage == stage).count() as u64;
-                broken.add(Promise::RestartsTold, u64::from(seen).saturating_sub(deaths), || {
+                let deaths = facts.outages.iter().filter(|outage| outage.stage == stage).count() as u64;
+                broken.add(Promise::RestartsReported, u64::from(seen).saturating_sub(deaths), || {
                     format!("the {stage} is process {}, {deaths} deaths are reported", seen + 1)
                 });
             }
         }
-        let others: Vec<&Outage> = told.outages.iter().filter(|o| !targets.contains(&o.stage)).collect();
+        let others: Vec<&Outage> = facts.outages.iter().filter(|o| !targets.contains(&o.stage)).collect();
         broken.add(
             Promise::OthersUntouched,
-            (others.len() as u64).saturating_sub(told.restarts_of_others),
+            (others.len() as u64).saturating_sub(facts.restarts_of_others),
             || format!("the {} after tick {}", others[0].stage, others[0].tick),
         );
     }
@@ -303,7 +302,7 @@ impl History<'_> {
                 broken.add(Promise::NumbersPossible, 1, || format!("tick {}: {what}", output.tick));
             }
         }
-        let Told { files_left, stages_left, leftovers, .. } = *self.told;
+        let Facts { files_left, stages_left, leftovers, .. } = *self.facts;
         broken.add(Promise::NothingLeft, files_left.saturating_sub(leftovers) + stages_left, || {
             format!("{files_left} files, {stages_left} stages")
         });

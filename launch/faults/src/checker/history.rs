@@ -15,25 +15,20 @@ pub enum Line {
     Forecasts(Output),
     /// The source has released a tick, or a stage has finished one, according to a heartbeat.
     Reached {
-        /// The stage.
         stage: String,
-        /// The tick.
         tick: u64,
         /// Number of earlier starts of the stage.
         incarnation: u32,
     },
     /// Faults acted on a frame.
     Injected {
-        /// The topic.
         topic: String,
-        /// The tick.
         tick: u64,
         /// The kinds of the faults.
         kinds: Vec<String>,
     },
     /// The cost of an injector.
     Cost {
-        /// The topic.
         topic: String,
         /// Number of frames that passed through it.
         frames: u64,
@@ -44,7 +39,6 @@ pub enum Line {
     },
     /// A process received a signal or a limit.
     Signalled {
-        /// The process.
         target: String,
         /// The signal or limit.
         what: String,
@@ -53,7 +47,6 @@ pub enum Line {
     },
     /// The command that replaces a stage has ended.
     Replaced {
-        /// The stage.
         stage: String,
         /// Exit code: 0 if the new process stays.
         exit: i32,
@@ -74,13 +67,12 @@ pub enum Line {
         shared_bytes: u64,
     },
     /// The run's own report at its end, and what the run has left behind.
-    Told(Box<Told>),
+    Facts(Box<Facts>),
 }
 
 /// The observed forecasts of one tick.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Output {
-    /// The tick.
     pub tick: u64,
     /// Time of validity.
     pub stamp_ns: i64,
@@ -102,14 +94,12 @@ pub struct Output {
     pub impossible: Option<String>,
     /// The incarnations of the stages that the tick has passed through.
     pub incarnations: BTreeMap<String, u32>,
-    /// The forecasts.
     pub forecasts: Vec<ForecastSeen>,
 }
 
 /// One observed forecast.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ForecastSeen {
-    /// The track.
     pub id: u64,
     /// `learned`, `held` or `kinematic`.
     pub quality: String,
@@ -129,7 +119,7 @@ pub struct ForecastSeen {
 /// A run's own report at its end, and what the run has left behind.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
-pub struct Told {
+pub struct Facts {
     /// Planned number of ticks; `None` for a run that was to end early.
     pub ticks: Option<u64>,
     /// Whether it ran in lockstep.
@@ -157,7 +147,7 @@ pub struct Told {
     /// Number of ticks that arrived too late.
     pub late_ticks: u64,
     /// Topics that no forecast waits for. A fault on their frames explains nothing.
-    pub beside: Vec<String>,
+    pub off_path_topics: Vec<String>,
     /// Ticks that the recorder has written but the follower has not seen.
     pub recorded_alone: Vec<u64>,
     /// Number of files left in shared memory and the run's folder.
@@ -169,7 +159,6 @@ pub struct Told {
 /// A reported death of a stage.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Outage {
-    /// The stage.
     pub stage: String,
     /// The newest tick with forecasts when the death was noticed.
     pub tick: u64,
@@ -183,7 +172,6 @@ pub enum HistoryError {
     /// The file can't be read.
     #[error("{}: {source}", path.display())]
     File {
-        /// The file.
         path: PathBuf,
         /// The system's error.
         source: std::io::Error,
@@ -191,7 +179,6 @@ pub enum HistoryError {
     /// A line is not a valid history line.
     #[error("{}:{line}: {source}", path.display())]
     Line {
-        /// The file.
         path: PathBuf,
         /// The line's number.
         line: usize,

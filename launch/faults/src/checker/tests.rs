@@ -5,7 +5,7 @@
 
 use std::path::Path;
 
-use super::{ForecastSeen, Line, Output, Promise, Told, check, read};
+use super::{Facts, ForecastSeen, Line, Output, Promise, check, read};
 use wire::{Cause, Forecast, Header, Quality, Steering};
 
 fn true_history() -> Vec<Line> {
@@ -19,10 +19,10 @@ fn broken(history: &[Line]) -> Vec<Promise> {
     findings.filter(|finding| finding.count > 0).map(|finding| finding.promise).collect()
 }
 
-fn told(history: &mut [Line]) -> &mut Told {
-    let told =
-        history.iter_mut().find_map(|line| if let Line::Told(told) = line { Some(told) } else { None });
-    told.expect("a history ends with what the run tells")
+fn facts(history: &mut [Line]) -> &mut Facts {
+    let facts =
+        history.iter_mut().find_map(|line| if let Line::Facts(facts) = line { Some(facts) } else { None });
+    facts.expect("a history ends with the facts about the run")
 }
 
 fn is_output(line: &Line) -> bool {
@@ -79,26 +79,26 @@ type Lie = fn(&mut Vec<Line>);
 const LIES: [(&str, Lie, Promise); 21] = [
     ("a missing tick", |h| drop(h.remove(calm_pair(h).0)), Promise::MissingTicksExplained),
     (
-        "a missing tick beside controls that never came",
+        "a missing tick, and controls that never arrived",
         |h| {
             h.remove(calm_pair(h).0);
-            *told(h).lost.entry("sampler".to_owned()).or_default() += 50;
+            *facts(h).lost.entry("sampler".to_owned()).or_default() += 50;
         },
         Promise::MissingTicksExplained,
     ),
     (
-        "a missing tick on which a fault beside its way has acted",
+        "a missing tick on which a fault off its path has acted",
         |h| {
             let Line::Forecasts(output) = h.remove(calm_pair(h).0) else { panic!("an output") };
             let (topic, kinds) = ("approaches".to_owned(), vec!["drop".to_owned()]);
-            told(h).beside.push(topic.clone());
+            facts(h).off_path_topics.push(topic.clone());
             h.insert(0, Line::Injected { topic, tick: output.tick, kinds });
         },
         Promise::MissingTicksExplained,
     ),
     (
         "missing last ticks",
-        |h| told(h).ticks = told(h).ticks.map(|ticks| ticks + 2),
+        |h| facts(h).ticks = facts(h).ticks.map(|ticks| ticks + 2),
         Promise::MissingTicksExplained,
     ),
     ("a doubled tick", |h| h.insert(calm_pair(h).1, h[calm_pair(h).0].clone()), Promise::TicksInOrder),
@@ -134,7 +134,7 @@ const LIES: [(&str, Lie, Promise); 21] = [
     ),
     ("a stale forecast called fresh", |h| repeat(h), Promise::LearnedAreOfTheirTick),
     ("forecasts that come 3 s late", |h| delay(h), Promise::NothingStale),
-    ("a forecast without a cause", |h| held(output(h, is_held)).cause = "none".into(), Promise::CausesSaid),
+    ("a forecast without a cause", |h| held(output(h, is_held)).cause = "none".into(), Promise::CausesNamed),
     (
         "a cause that nobody counted",
         |h| held(output(h, is_held)).cause = "missing".into(),
@@ -142,7 +142,7 @@ const LIES: [(&str, Lie, Promise); 21] = [
     ),
     (
         "causes counted too low",
-        |h| *told(h).causes.get_mut("late").expect("late") -= 1,
+        |h| *facts(h).causes.get_mut("late").expect("late") -= 1,
         Promise::CausesCounted,
     ),
     (
@@ -150,13 +150,13 @@ const LIES: [(&str, Lie, Promise); 21] = [
         |h| output(h, is_learned).impossible = Some("NaN".into()),
         Promise::NumbersPossible,
     ),
-    ("a restart that is not told", |h| forget_outage(h), Promise::RestartsTold),
+    ("a restart that is not reported", |h| forget_outage(h), Promise::RestartsReported),
     (
         "a neighbour restarted",
-        |h| told(h).targets.retain(|stage| stage != "sampler"),
+        |h| facts(h).targets.retain(|stage| stage != "sampler"),
         Promise::OthersUntouched,
     ),
-    ("a file left", |h| told(h).files_left = 1, Promise::NothingLeft),
+    ("a file left", |h| facts(h).files_left = 1, Promise::NothingLeft),
 ];
 
 /// Delays all ticks from a calm one on by one tick number.
@@ -167,12 +167,12 @@ fn shift(history: &mut [Line]) {
             output.tick += 1;
         }
     }
-    told(history).ticks = None;
+    facts(history).ticks = None;
 }
 
 /// Delays more outputs than are counted as late.
 fn delay(history: &mut [Line]) {
-    let late = told(history).late_ticks as usize + 1;
+    let late = facts(history).late_ticks as usize + 1;
     let from = calm_pair(history).0;
     let outputs = history[from..].iter_mut().filter(|line| line.output().is_some_and(is_learned));
     for line in outputs.take(late) {
@@ -198,7 +198,7 @@ fn repeat(history: &mut [Line]) {
 
 /// Removes a death of the decoder from the report.
 fn forget_outage(history: &mut [Line]) {
-    let outages = &mut told(history).outages;
+    let outages = &mut facts(history).outages;
     let place = outages.iter().rposition(|outage| outage.stage == "decoder").expect("it was killed");
     outages.remove(place);
 }
@@ -217,18 +217,18 @@ fn each_lie_is_found() {
 fn a_missing_tick_whose_tracks_never_came_is_explained() {
     let mut history = true_history();
     history.remove(calm_pair(&history).0);
-    told(&mut history).unanswered.insert("sampler".to_owned(), 1);
+    facts(&mut history).unanswered.insert("sampler".to_owned(), 1);
     assert_eq!(broken(&history), []);
 }
 
 #[test]
 fn a_stage_left_and_an_unknown_cause_are_found() {
     let mut history = true_history();
-    told(&mut history).stages_left = 1;
+    facts(&mut history).stages_left = 1;
     held(output(&mut history, is_held)).cause = "number 77".into();
     let found = broken(&history);
     assert!(
-        [Promise::NothingLeft, Promise::CausesSaid].iter().all(|promise| found.contains(promise)),
+        [Promise::NothingLeft, Promise::CausesNamed].iter().all(|promise| found.contains(promise)),
         "{found:?}"
     );
 }

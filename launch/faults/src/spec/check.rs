@@ -79,10 +79,10 @@ fn check(path: &Path, file: File, tables: &[Spanned<FaultTable>]) -> Result<Spec
             "expected 1 or more",
         ));
     }
-    let beside = |path: PathBuf| if path.is_absolute() { path } else { folder.join(path) };
+    let from_folder = |path: PathBuf| if path.is_absolute() { path } else { folder.join(path) };
     let pipeline = file.run.pipeline.map(|path| {
         let span = path.span();
-        (beside(path.into_inner()), span)
+        (from_folder(path.into_inner()), span)
     });
     let (added, topics) =
         pipeline.as_ref().map_or(Ok(Default::default()), |(path, span)| added_to_pipeline(path, span))?;
@@ -92,10 +92,10 @@ fn check(path: &Path, file: File, tables: &[Spanned<FaultTable>]) -> Result<Spec
         topics,
         ticks,
         agents: file.run.agents,
-        recording: file.run.recording.map(beside),
+        recording: file.run.recording.map(from_folder),
         seed: file.run.seed,
         pipeline: pipeline.map(|(path, _)| path),
-        forecasts: file.run.forecasts.map(beside),
+        forecasts: file.run.forecasts.map(from_folder),
         protect: file.run.protect,
         arguments: file.run.arguments,
     };

@@ -242,7 +242,6 @@ pub struct Expect {
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Outages {
-    /// The stage.
     pub stage: String,
     /// Text that the cause contains.
     #[serde(default)]
@@ -255,7 +254,6 @@ pub struct Outages {
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Replacements {
-    /// The stage.
     pub stage: String,
     /// The required outcome.
     pub outcome: recorder::ReplacementOutcome,
@@ -270,7 +268,6 @@ pub struct Replacements {
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Counted {
-    /// The stage.
     pub stage: String,
     /// `gap`, `refused` or `restart`, or a cause of refusals such as `check value`.
     pub cause: String,

@@ -150,8 +150,8 @@ pub(super) fn supervise(
     tap.end();
     let mut recorded = Vec::new();
     if let Some(recording) = recording {
-        let (said, is_whole) = recording.end();
-        recorded = said;
+        let (lines, is_whole) = recording.end();
+        recorded = lines;
         if !is_whole {
             recorded
                 .push("the recording is incomplete: it is readable up to its last whole chunk".to_owned());
