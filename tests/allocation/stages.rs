@@ -31,6 +31,8 @@ static ALLOCATOR: CountingAllocator = CountingAllocator;
 
 /// Time limit for an answer, far longer than an answer takes.
 const LIMIT: Duration = Duration::from_secs(60);
+/// Number of the last warm-up frame; the frames before it have the number 0.
+const LAST_WARM_UP: u64 = 1;
 const AGENTS: u64 = 24;
 /// The test's own index among the counted threads.
 const HERE: usize = 7;
@@ -137,9 +139,12 @@ impl Ends {
             }
             assert!(begin.elapsed() < LIMIT, "linked are {linked:?}");
         }
-        // Warm-up frames that are still in a queue must not displace a tick.
-        std::thread::sleep(Duration::from_millis(100));
-        while self.forecasts.receive().unwrap().is_some() {}
+        // Warm-up frames that are still in a queue must not displace a tick: waits for the last one.
+        self.detections.send_copy(&[], Header { seq: LAST_WARM_UP, ..header }).unwrap();
+        while self.forecasts.receive().unwrap().is_none_or(|frame| frame.header().seq != LAST_WARM_UP) {
+            assert!(begin.elapsed() < LIMIT, "the last warm-up frame does not arrive");
+            std::thread::sleep(Duration::from_millis(1));
+        }
     }
 
     /// Passes a tick through all stages.

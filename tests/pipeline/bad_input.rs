@@ -180,7 +180,7 @@ fn full_shared_memory_is_reported_with_exit_code_69() {
         piped("unshare").args(["-m", "sh", "-c", &script, env!("CARGO_BIN_EXE_stgdat")]).output()
     };
     if !in_little_memory("true").is_ok_and(|output| output.status.success()) {
-        println!("skipped: no right to a mount of its own");
+        testing::skip("no right to a mount of its own");
         return;
     }
     let output = in_little_memory("\"$0\" run --ticks 5; code=$?; ls /dev/shm; exit $code");

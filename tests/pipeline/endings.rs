@@ -14,8 +14,13 @@ use crate::started::{
 
 /// Whether a process still runs. A zombie does not run: its new parent has not waited for it yet.
 fn lives(pid: Pid) -> bool {
-    let state = std::fs::read_to_string(format!("/proc/{}/stat", pid.as_raw_nonzero()));
-    state.is_ok_and(|state| state.rsplit(") ").next().is_some_and(|rest| !rest.starts_with('Z')))
+    state(pid).is_some_and(|state| state != 'Z')
+}
+
+/// The letter of the kernel for a process's state.
+fn state(pid: Pid) -> Option<char> {
+    let line = std::fs::read_to_string(format!("/proc/{}/stat", pid.as_raw_nonzero())).ok()?;
+    line.rsplit(") ").next()?.chars().next()
 }
 
 /// Whether this process ignores a signal, such as SIGHUP under `nohup`, or SIGINT in the background of a script.
@@ -127,8 +132,11 @@ fn a_stopped_stage_is_ended_with_the_run() {
     let pipeline = scratch.pipeline("never.toml", name, &format!("{name}restart = \"never\"\n"));
     let run = Started::run(&["--agents", "6", "--pipeline", &pipeline]);
     let root = run.wait_until_it_runs();
+    let stages = run.stages();
+    let (decoder, _) =
+        stages.iter().find(|(_, line)| line.iter().any(|word| word == "decoder")).expect("it runs");
     run.signal_stage("decoder", Signal::STOP);
-    std::thread::sleep(Duration::from_millis(500));
+    wait_for("the decoder does not stop", || (state(*decoder) == Some('T')).then_some(()));
     run.signal(Signal::TERM);
     assert_eq!(run.output().status.code(), Some(143));
     assert_nothing_left(&root);

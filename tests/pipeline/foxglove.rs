@@ -71,7 +71,10 @@ fn foxglove_receives_live_what_a_recording_holds() {
     assert!(output.status.success(), "{}", stderr(&output));
     assert_nothing_left(&root);
     if reader.status.code() == Some(77) {
-        println!("{} (STGDAT_PYTHON names another interpreter)", stdout(&reader));
+        testing::skip(format_args!(
+            "{} (STGDAT_PYTHON names another interpreter)",
+            stdout(&reader).trim_end()
+        ));
         return;
     }
     assert!(reader.status.success(), "{}{}", stdout(&reader), stderr(&reader));

@@ -21,7 +21,7 @@ impl Browser {
     fn open(scratch: &Scratch, url: &str, width: u32, more: &[&str]) -> Option<Self> {
         let chromium = std::env::var("STGDAT_CHROMIUM").unwrap_or_else(|_| "chromium".into());
         if let Err(error) = piped(&chromium).arg("--version").output() {
-            eprintln!("skipped: {chromium}: {error} (STGDAT_CHROMIUM names another program)");
+            testing::skip(format_args!("{chromium}: {error} (STGDAT_CHROMIUM names another program)"));
             return None;
         }
         let [log, profile] = ["log", "profile"].map(|name| scratch.path(&format!("{name}-{width}")));

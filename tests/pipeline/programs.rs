@@ -121,8 +121,8 @@ fn a_detector_and_a_planner_in_python_join_a_run() {
     let mut consumer = piped(&python);
     consumer.arg(program("consumer.py")).env("STGDAT_ROOT", &root).env_remove("STGDAT_PREFIX");
     let consumer = Started::spawn(&mut consumer);
+    run.wait_until_it_forecasts();
     // A detector that pauses for longer than its readers' deadline can continue.
-    std::thread::sleep(std::time::Duration::from_secs(1));
     run.signal_stage(&program("producer.py"), Signal::STOP);
     std::thread::sleep(std::time::Duration::from_millis(400));
     run.signal_stage(&program("producer.py"), Signal::CONT);

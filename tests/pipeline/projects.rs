@@ -38,13 +38,13 @@ fn added_stages_are_reported_and_come_back() {
 
     // A real-time run restarts both stages after a kill.
     let started = Started::run(&[&scene[1..], &["--ticks", "60"]].concat());
+    started.wait_until_it_forecasts();
     let pid_of = |program: &str| {
         let stages = started.stages();
         stages.iter().find(|(_, line)| line[0] == program).map(|(pid, _)| *pid)
     };
     for program in [&filter, &monitor] {
         let pid = wait_for("the stage does not run", || pid_of(program));
-        std::thread::sleep(std::time::Duration::from_secs(1));
         rustix::process::kill_process(pid, rustix::process::Signal::KILL).expect("it runs");
         wait_for("the stage does not come back", || pid_of(program).filter(|new| *new != pid));
     }

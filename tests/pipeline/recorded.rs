@@ -78,11 +78,11 @@ fn python(script: &str, arguments: &[&str], lines: &[&str]) {
     let script = format!("{}/../tests/interop/{script}", env!("CARGO_MANIFEST_DIR"));
     let output = match piped(&python).arg(script).args(arguments).output() {
         Ok(output) => output,
-        Err(error) => return eprintln!("skipped: {python}: {error}"),
+        Err(error) => return testing::skip(format_args!("{python}: {error}")),
     };
     let said = stdout(&output);
     if output.status.code() == Some(77) {
-        return eprintln!("{said} (STGDAT_PYTHON names another interpreter)");
+        return testing::skip(format_args!("{} (STGDAT_PYTHON names another interpreter)", said.trim_end()));
     }
     assert!(output.status.success(), "{said}{}", stderr(&output));
     for line in lines.iter().chain(&["different: none"]) {
@@ -154,9 +154,8 @@ fn a_run_with_a_stopped_stage_replays_to_the_same_bytes() {
     let scratch = Scratch::new("record-stop");
     let file = scratch.path("stop.mcap");
     let started = Started::run(&["--ticks", "150", "--agents", "8", "--quiet", "--record", &file]);
-    let root = started.wait_until_it_runs();
-    // Waits until ticks are running: before the first tick a new decoder would cost none.
-    std::thread::sleep(std::time::Duration::from_secs(3));
+    // Before the first tick a new decoder would cost none.
+    let root = started.wait_until_it_forecasts();
     started.signal_stage("decoder", Signal::STOP);
     std::thread::sleep(std::time::Duration::from_millis(600));
     // If the decoder was not killed and restarted meanwhile, it continues.
@@ -400,8 +399,9 @@ fn a_flight_recorder_that_comes_late_says_what_it_does_not_know() {
     run_well(&["record", &early, "--run", &name, "--topics", "detections", "--seconds", "1.5"]);
     assert!(!ticks(&messages(&early).1, "detections").is_empty());
     let record = ["record", &file, "--run", &name, "--last", "1s", "--after", "1s", "--files", "1"];
+    let descriptors = started.descriptors("tap");
     let recorder = Started::spawn(crate::started::stgdat().args(record));
-    std::thread::sleep(std::time::Duration::from_secs(2));
+    wait_for("the tap has no further tool", || (started.descriptors("tap") > descriptors).then_some(()));
     run_well(&["mark", "now", "--run", &name]);
     assert!(started.output().status.success());
     let output = recorder.output();

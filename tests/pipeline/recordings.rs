@@ -81,7 +81,7 @@ fn neither_workers_nor_instruction_sets_change_a_byte() {
                 assert!(bf16 == same_bytes(&scratch, &recording, &arguments), "bf16, {workers}");
             }
         }
-        Err(why) => println!("skipped: {why}"),
+        Err(why) => testing::skip(why),
     }
     // The multiply-adds of portable kernels round twice. The stages of the run use the option too.
     assert!(default != same_bytes(&scratch, &recording, &["--kernels", "portable"]));
@@ -198,8 +198,8 @@ fn an_unwritable_memory_fails_the_run_after_its_report() {
     let mut run = stgdat();
     run.args(["run", "--recording", &recording, "--quiet", "--memory", &memory, "--report", &report]);
     let started = Started::spawn(&mut run);
-    // The recording plays for five seconds. The launcher has checked the folder by now.
-    std::thread::sleep(std::time::Duration::from_secs(3));
+    // The recording plays for five seconds. The launcher checks the folder before it starts the stages.
+    started.wait_until_it_forecasts();
     std::fs::remove_dir(scratch.path("gone")).expect("still empty");
     let output = started.output();
     assert!(!output.status.success());

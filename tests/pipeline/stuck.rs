@@ -176,7 +176,7 @@ fn a_process_that_cannot_be_killed_is_reported_and_left_behind() {
     let root = run.wait_until_it_forecasts();
     let decoder = pid_of(&run, "decoder").expect("it runs");
     if let Err(error) = hold_in_exit(decoder) {
-        eprintln!("skipped: this process may not trace another one: {error}");
+        testing::skip(format_args!("this process may not trace another one: {error}"));
         return;
     }
     kill_process(decoder, Signal::KILL).expect("it runs");

@@ -12,7 +12,7 @@ const EXAMPLES_MODULE: &str = include_str!("../examples/stgdat_wire.py");
 fn is_here(program: &str) -> bool {
     let here = piped(program).arg("--version").output().is_ok_and(|output| output.status.success());
     if !here {
-        println!("skipped: no {program} on this machine");
+        testing::skip(format_args!("no {program} on this machine"));
     }
     here
 }

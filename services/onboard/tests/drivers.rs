@@ -38,6 +38,8 @@ const CASES: u32 = 8;
 const TICKS: u64 = 48;
 /// Time limit for a frame, far longer than a frame takes.
 const LIMIT: Duration = Duration::from_secs(60);
+/// Number of the last warm-up frame; the frames before it have the number 0.
+const LAST_WARM_UP: u64 = 1;
 
 #[derive(Clone, Copy, Debug)]
 enum Kind {
@@ -211,7 +213,9 @@ impl Drop for Stop {
 }
 
 /// Sends empty frames until all stages are linked.
-fn link(detections: &Publisher<DetectionsTopic>, heartbeats: &Subscriber<HeartbeatsTopic>, run_id: u64) {
+fn link(node: &ports::Node, detections: &Publisher<DetectionsTopic>, run_id: u64) {
+    let heartbeats = node.subscriber::<HeartbeatsTopic>(HeartbeatsTopic::DEPTH_MAX).unwrap();
+    let forecasts = node.subscriber::<ForecastsTopic>(ForecastsTopic::DEPTH_MAX).unwrap();
     let begun = std::time::Instant::now();
     let header = Header { flags: flags::WARM_UP | flags::LOCKSTEP, ..Header::new(run_id, 0, 0) };
     let mut linked = std::collections::BTreeSet::new();
@@ -223,8 +227,12 @@ fn link(detections: &Publisher<DetectionsTopic>, heartbeats: &Subscriber<Heartbe
         }
         assert!(begun.elapsed() < LIMIT, "linked are {linked:?}");
     }
-    // Warm-up frames that are still in a queue must not displace a tick.
-    std::thread::sleep(Duration::from_millis(100));
+    // Warm-up frames that are still in a queue must not displace a tick: waits for the last one.
+    detections.send_copy(&[], Header { seq: LAST_WARM_UP, ..header }).unwrap();
+    while forecasts.receive().unwrap().is_none_or(|frame| frame.header().seq != LAST_WARM_UP) {
+        assert!(begun.elapsed() < LIMIT, "the last warm-up frame does not arrive");
+        std::thread::sleep(Duration::from_millis(1));
+    }
 }
 
 /// The frames of all topics, tick by tick, of stages with ports of their own.
@@ -237,7 +245,6 @@ fn in_processes(
     weights.config().write(&run.root).unwrap();
     let node = ports::Node::open(run, "test").unwrap();
     let detections = node.publisher::<DetectionsTopic>().unwrap();
-    let heartbeats = node.subscriber::<HeartbeatsTopic>(HeartbeatsTopic::DEPTH_MAX).unwrap();
     let readers: [Box<dyn Reads>; 6] = [
         Box::new(Reader(node.subscriber::<TracksTopic>(2).unwrap())),
         Box::new(Reader(node.subscriber::<ContextTopic>(2).unwrap())),
@@ -250,7 +257,7 @@ fn in_processes(
         let serve = |stage| move || with_step(stage, run, weights, AsProcess(run, faults.clone()));
         let stages: Vec<_> = STAGES.iter().map(|stage| scope.spawn(serve(stage.id()))).collect();
         let stop = Stop;
-        link(&detections, &heartbeats, run.id);
+        link(&node, &detections, run.id);
         let pass = |(header, elements): &(Header, Vec<Detection>)| {
             detections.send_copy(elements, *header).unwrap();
             let sent = Frame::of::<DetectionsTopic>(header, elements, header.seq);

@@ -19,6 +19,8 @@ use crate::support::harness::{ALL_TYPES, Harness, TICK_NS, detected_at, noise, w
 const FRAMES: u32 = 40;
 /// Longest wait for an answer, far above the usual time.
 const LIMIT: Duration = Duration::from_secs(30);
+/// Number of the last warm-up frame; the frames before it have the number 0.
+const LAST_WARM_UP: u64 = 1;
 
 /// The other ends of the stage's ports.
 struct Ends {
@@ -81,9 +83,13 @@ impl Ends {
             assert!(begin.elapsed() < LIMIT, "the stage does not link");
             std::thread::sleep(Duration::from_millis(10));
         }
-        // The remaining ones must not push a tick out of the queue.
-        std::thread::sleep(Duration::from_millis(50));
-        while self.tracks.receive().expect("the transport works").is_some() {}
+        // The remaining ones must not push a tick out of the queue: waits for the last one.
+        self.detections.send_copy(&[], Header { seq: LAST_WARM_UP, ..header }).expect("the transport works");
+        let receive = || self.tracks.receive().expect("the transport works");
+        while receive().is_none_or(|frame| frame.header().seq != LAST_WARM_UP) {
+            assert!(begin.elapsed() < LIMIT, "the last warm-up frame does not arrive");
+            std::thread::sleep(Duration::from_millis(1));
+        }
     }
 
     /// Number of frames that the stage reports as refused, once it is above 0.

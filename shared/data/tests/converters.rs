@@ -27,7 +27,7 @@ fn has(module: &str) -> bool {
     let found = python().args(["-c", &format!("import {module}")]).output();
     let found = found.is_ok_and(|output| output.status.success());
     if !found {
-        println!("skipped: there is no python3 (or $STGDAT_PYTHON) with {module}");
+        testing::skip(format_args!("there is no python3 (or $STGDAT_PYTHON) with {module}"));
     }
     found
 }

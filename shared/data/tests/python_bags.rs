@@ -23,13 +23,13 @@ fn script(name: &str, arguments: &[&str]) -> bool {
     let output = match Command::new(&python).arg(format!("{SCRIPTS}/{name}")).args(arguments).output() {
         Ok(output) => output,
         Err(error) => {
-            println!("skipped: {python}: {error}");
+            testing::skip(format_args!("{python}: {error}"));
             return false;
         }
     };
     let said = String::from_utf8_lossy(&output.stdout);
     if output.status.code() == Some(77) {
-        println!("{said} (STGDAT_PYTHON names another interpreter)");
+        testing::skip(format_args!("{} (STGDAT_PYTHON names another interpreter)", said.trim_end()));
         return false;
     }
     assert!(output.status.success(), "{said}{}", String::from_utf8_lossy(&output.stderr));

@@ -110,7 +110,7 @@ fn innermost(function: &[(u64, String)]) -> Vec<Loop<'_>> {
 /// Checks the loops of an instruction set. At least `loop_count` of them must have `sum_count` sums.
 fn check(set: &str, sum_count: usize, loop_count: usize) {
     let Some(functions) = disassemble(&["kernels", set]) else {
-        println!("skipped: no objdump");
+        testing::skip("no objdump");
         return;
     };
     let loops = functions.iter().flat_map(|function| innermost(function));
@@ -131,7 +131,7 @@ fn hot_loops_neither_spill_nor_copy_registers() {
     // Refused if the processor lacks it, but still linked.
     let _ = Decoder::with_precision(&Weights::onboard(), Precision::Bf16);
     if cfg!(debug_assertions) || !cfg!(target_arch = "x86_64") {
-        println!("skipped: this needs an optimised build for x86-64");
+        testing::skip("this needs an optimised build for x86-64");
         return;
     }
     // The peak, and the products of rows, of columns and of taps.

@@ -2,6 +2,7 @@
 //!
 //! * [`public_recording`] finds recordings that are not part of the repository. If a recording is missing,
 //!   its tests return early, or fail if `STGDAT_REQUIRE_DATA=1` is set.
+//! * [`skip`] lists such tests, with the reason, at the end of the test program.
 //! * [`CountingAllocator`] counts allocations, for tests that assert that a steady step makes none.
 //! * [`Model`] makes weights files from the embedded one.
 //! * [`lane`] is a map of one lane.
@@ -15,6 +16,7 @@ mod layers;
 mod model;
 mod recordings;
 mod scratch;
+mod skipped;
 
 pub use allocation::{AllocationCounts, CountingAllocator, THREADS_MAX, allocations};
 pub use lane::lane;
@@ -22,3 +24,4 @@ pub use layers::assert_layers;
 pub use model::{Model, value};
 pub use recordings::{public_recording, recordings_folder};
 pub use scratch::{SHIPPED_PIPELINE, Scratch};
+pub use skipped::skip;

@@ -7,7 +7,7 @@ pub fn recordings_folder() -> PathBuf {
     std::env::var_os("STGDAT_DATA").map_or_else(beside, PathBuf::from)
 }
 
-/// A file or folder among the public recordings; `None`, with a printed note, if it is missing.
+/// A file or folder among the public recordings; `None` if it is missing, and the test is listed as skipped.
 ///
 /// # Panics
 /// If it is missing and `STGDAT_REQUIRE_DATA=1` is set.
@@ -19,6 +19,6 @@ pub fn public_recording(name: &str) -> Option<PathBuf> {
     }
     let is_required = std::env::var_os("STGDAT_REQUIRE_DATA").is_some_and(|value| value == "1");
     assert!(!is_required, "STGDAT_REQUIRE_DATA=1, and no recording at {}", path.display());
-    println!("skipped: no recording at {}", path.display());
+    crate::skip(format_args!("no recording at {}", path.display()));
     None
 }

@@ -10,7 +10,7 @@ fn value(i: usize) -> f32 {
 fn proof() -> Option<DotProducts> {
     let proof = Precision::Bf16.dot_products().ok().flatten();
     if proof.is_none() {
-        println!("skipped: no bf16 dot products with these kernels");
+        testing::skip("no bf16 dot products with these kernels");
     }
     proof
 }
