@@ -199,7 +199,7 @@ impl Arrivals {
         let known = self.intervals_ns.iter().filter(|ns| **ns > 0);
         let (sum_ns, count) = (known.clone().sum::<u64>(), known.count() as u64);
         // An interval that has not ended counts as soon as it is the longest.
-        let present_ns = if count == 0 { 0 } else { (sum_ns / count).max(age_ns) };
+        let present_ns = sum_ns.checked_div(count).map_or(0, |mean_ns| mean_ns.max(age_ns));
         let hertz = |ns: u64| (ns > 0).then(|| (1e11 / ns as f64).round() / 1e2);
         let (rate_hz, usual_hz) =
             (if is_silent { Some(0.0) } else { hertz(present_ns) }, hertz(self.usual_ns));

@@ -247,7 +247,11 @@ mod tests {
                     ..Detection::default()
                 }
             });
-            audit.frame(&Header::new(1, seq, seq as i64 * interval_ns), &detections.collect::<Vec<_>>());
+            audit.frame(
+                &Header::new(1, seq, seq as i64 * interval_ns),
+                &detections.collect::<Vec<_>>(),
+                None,
+            );
         }
         audit
     }
