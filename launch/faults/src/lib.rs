@@ -10,7 +10,7 @@
 //! Each module imports only from the lines below its own.
 //!
 //! ```text
-//! command               the verbs
+//! command  fuzz         the verbs; random specifications and histories
 //! output  table         verdicts as text; the cost of deaths and stops of each stage
 //! runner                one run with its faults
 //! verdict               whether a run met its expectations

@@ -24,6 +24,8 @@ const NEWEST: usize = 8;
 const SLOW: u64 = 3;
 /// Number of ticks from which the usual interval is known.
 const SETTLED: u64 = 32;
+/// Longest first interval of a slow sensor. A longer one is silence.
+const FIRST_MAX_NS: u64 = 10_000_000_000;
 /// Number of intervals over which the usual interval is a mean.
 const USUAL: u64 = 1_024;
 
@@ -148,7 +150,9 @@ impl Arrivals {
         else {
             return;
         };
-        if interval_ns >= self.silence_ns() {
+        // The first interval shows the rate of a slow sensor.
+        let is_first = self.count == 0 && interval_ns <= FIRST_MAX_NS;
+        if !is_first && interval_ns >= self.silence_ns() {
             self.end_silence(interval_ns);
             return;
         }

@@ -135,7 +135,7 @@ fn a_message_waits_for_its_transform_and_is_counted_without_one() {
     ticks.message(message(1_200, "radar", &[1.0]));
     assert_eq!(ticks.next(at_ns(1_260)), None);
     assert_eq!(ticks.counts(), Counts { messages: 3, unplaced: 1, ..Counts::default() });
-    assert_eq!(ticks.take_problem().unwrap(), "no transform from radar to map in /tf");
+    assert_eq!(ticks.take_problem().unwrap(), "no transform from radar to map in /tf or /tf_static");
 }
 
 #[test]

@@ -66,7 +66,7 @@ fn stages_that_the_pipeline_adds_are_known() {
 fn topics_that_the_pipeline_declares_are_known() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.toml");
-    let examples = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/examples/pipeline.toml");
+    let examples = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/examples/pipeline.toml");
     let head = format!("shows = \"a test\"\n[run]\nticks = 100\npipeline = \"{examples}\"\n");
     let read = |fault: &str| {
         let text = format!("{head}[[fault]]\n{fault}\nticks = [1, 2]\n");

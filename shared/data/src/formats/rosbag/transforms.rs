@@ -134,9 +134,7 @@ impl Transforms {
         }
         let Some(way) = self.path(frame, world, |_| true) else {
             let of = if frame.is_empty() { "a frame without a name" } else { frame };
-            return Err(format!(
-                "no transform from {of} to {world} in /tf or /tf_static (of a split bag, name the folder)"
-            ));
+            return Err(format!("no transform from {of} to {world} in /tf or /tf_static"));
         };
         let mut name = frame;
         for edge in way {
