@@ -71,7 +71,7 @@ pub(crate) fn resume(run: &Run, sampler: &mut Sampler, incarnation: u32) {
                     let entry_count = sampler.memory().map_or(0, RetrievalMemory::entry_count);
                     let matured_count = sampler.evidence().map_or(0.0, Evidence::matured_count);
                     tracing::warn!(
-                        "restarted with {entry_count} entries of the retrieval memory and the evidence of \
+                        "incarnation {incarnation} restarted with {entry_count} entries of the retrieval memory and the evidence of \
                      {matured_count:.0} forecasts, as of tick {}",
                         sampler.resumed_ticks().saturating_sub(1)
                     );

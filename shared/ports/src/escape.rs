@@ -4,9 +4,9 @@ use std::borrow::Cow;
 use std::fmt::Write as _;
 use std::io::{self, Write};
 
-/// Returns text in which a terminal finds no command: control characters other than line feeds, and characters that
-/// change the direction of text, become `\u001b` and the like. In JSON these are the same characters. Sequences that
-/// set a colour stay if `keeps_colors`.
+/// Returns text in which a terminal finds no command: control characters other than line feeds and tabs, and
+/// characters that change the direction of text, become `\u001b` and the like. In JSON these are the same
+/// characters. Sequences that set a colour stay if `keeps_colors`.
 #[must_use]
 pub fn escaped(text: &str, keeps_colors: bool) -> Cow<'_, str> {
     if !text.contains(is_command) {
@@ -32,7 +32,7 @@ pub fn escaped(text: &str, keeps_colors: bool) -> Cow<'_, str> {
 
 fn is_command(c: char) -> bool {
     let turns = matches!(c, '\u{200e}' | '\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}');
-    (c.is_control() && c != '\n') || turns
+    (c.is_control() && !matches!(c, '\n' | '\t')) || turns
 }
 
 /// Number of bytes of a sequence that sets a colour at the start of the text; 0 if there is none.
