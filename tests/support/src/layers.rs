@@ -26,8 +26,13 @@ pub fn assert_layers(crate_folder: &str) {
         let text = std::fs::read_to_string(&path).unwrap();
         let text = text.split("#[cfg(test)]").next().unwrap_or_default();
         for used in text.split("use crate::").skip(1) {
-            let used = used.split([':', ';']).next().unwrap_or_default();
-            assert!(own == used || line_of(used) > line_of(own), "{own} imports from {used}");
+            let used = used.split(';').next().unwrap_or_default();
+            // Either one path, or several in braces.
+            let paths = used.strip_prefix('{').map_or(vec![used], |several| several.split(',').collect());
+            for path in paths {
+                let used = path.split([':', '}']).next().unwrap_or_default().trim();
+                assert!(own == used || line_of(used) > line_of(own), "{own} imports from {used}");
+            }
         }
     }
 }
