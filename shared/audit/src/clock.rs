@@ -83,7 +83,8 @@ pub struct StampedFrame {
     pub is_repeated: bool,
 }
 
-/// Decides whether the clock of the stamps was set: see the [module](self).
+/// Decides whether the clock of the stamps was set: a frame that is not newer is late until more frames show that
+/// the clock goes on there.
 #[derive(Clone, Copy, Debug)]
 pub struct Clock {
     /// A frame that is late by more is not used. A stamp that is ahead by more begins a session.
