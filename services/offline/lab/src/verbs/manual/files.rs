@@ -42,7 +42,7 @@ mod tests {
             let page = page(&format!("stgdat-{}.1", verb.get_name()));
             assert_eq!(page.is_ok(), !verb.is_hide_set(), "{}", verb.get_name());
         }
-        assert!(page("stgdat-bench-cost.1").is_ok(), "verbs of verbs");
+        assert!(page("stgdat-stage-new.1").is_ok(), "verbs of verbs");
         assert!(page("stgdat-run.1").unwrap().contains(r"\fB\-\-ticks\fR"));
         let main = page("stgdat.1").unwrap();
         assert!(main.contains("stgdat\\-health(1)") && !main.contains("train"), "{main}");
