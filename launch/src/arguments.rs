@@ -50,8 +50,8 @@ pub struct SceneArguments {
     /// published rate of the data set
     #[arg(long, value_name = "HZ", requires = "played")]
     fps: Option<FrameRate>,
-    /// Topic of a bag whose objects are read; may be given several times. By default those of Autoware's own
-    /// detections or tracks, or else all with detections
+    /// Topic of a bag whose objects are read; may be given several times. The default is Autoware's own detections
+    /// or tracks, or else every topic with detections
     #[arg(long, value_name = "NAME", requires = "played")]
     topic: Vec<String>,
     /// Origin of the world frame in the frame of recording, detections and map, in metres, such as
@@ -83,8 +83,8 @@ pub struct ReadArguments {
     /// published rate of the data set
     #[arg(long, value_name = "HZ")]
     pub fps: Option<FrameRate>,
-    /// Topic of a bag whose objects are read; may be given several times. By default those of Autoware's own
-    /// detections or tracks, or else all with detections
+    /// Topic of a bag whose objects are read; may be given several times. The default is Autoware's own detections
+    /// or tracks, or else every topic with detections
     #[arg(long, value_name = "NAME")]
     pub topic: Vec<String>,
     /// Origin of the world frame in the recordings' frame, in metres, such as 458000,5428000. It is

@@ -84,29 +84,44 @@ pub fn lost() -> BTreeMap<Origin, u64> {
     lost
 }
 
-/// Time for which a warning that a stage repeats is not printed again, such as one about a full disk.
+/// Time for which a repeated warning is not printed again, such as one about a full disk.
 const REPEAT: Duration = Duration::from_mins(1);
 /// Most warnings that are remembered for this.
 const REPEATS_MAX: usize = 64;
 /// The warnings of the last minute, oldest first.
-static WARNINGS: Mutex<VecDeque<(StageId, String, Instant)>> = Mutex::new(VecDeque::new());
+static WARNINGS: Mutex<VecDeque<Warning>> = Mutex::new(VecDeque::new());
 
-/// Whether a stage has printed this warning or error within the last minute.
-fn repeats(stage: StageId, level: Level, message: &str) -> bool {
+/// A printed warning.
+struct Warning {
+    origin: Origin,
+    text: String,
+    printed: Instant,
+    repeats: u32,
+}
+
+/// Whether this warning or error was printed within the last minute. When the minute is over, the next warning
+/// of anybody prints the number of repetitions first.
+pub fn repeats(origin: Origin, level: Level, text: &str) -> bool {
     if level > Level::WARN {
         return false;
     }
     let now = Instant::now();
     let mut warnings = WARNINGS.lock().unwrap_or_else(PoisonError::into_inner);
-    while warnings
-        .front()
-        .is_some_and(|(.., printed)| now - *printed >= REPEAT || warnings.len() > REPEATS_MAX)
+    let mut over = Vec::new();
+    while let Some(first) = warnings.front()
+        && (now - first.printed >= REPEAT || warnings.len() > REPEATS_MAX)
     {
-        warnings.pop_front();
+        over.extend(warnings.pop_front());
     }
-    let is_known = warnings.iter().any(|(of, text, _)| *of == stage && text == message);
+    let known = warnings.iter_mut().find(|known| known.origin == origin && known.text == text);
+    let is_known = known.map(|known| known.repeats += 1).is_some();
     if !is_known {
-        warnings.push_back((stage, message.to_owned(), now));
+        warnings.push_back(Warning { origin, text: text.to_owned(), printed: now, repeats: 0 });
+    }
+    drop(warnings);
+    for Warning { origin, text, repeats, .. } in over.into_iter().filter(|warning| warning.repeats > 0) {
+        let name = origin.map_or("launcher", |stage| stage.name());
+        tracing::warn!(target: "launcher", "{repeats} more times from the {name}: {}", text.trim_start());
     }
     is_known
 }
@@ -118,7 +133,7 @@ pub fn relay(stage: StageId, line: &str) {
         LogFormat::Text => {
             let level = level_of(line);
             // The time comes first.
-            if repeats(stage, level, line.split_once(' ').map_or(line, |(_, message)| message)) {
+            if repeats(Some(stage), level, line.split_once(' ').map_or(line, |(_, message)| message)) {
                 return;
             }
             let line = format!("{}{}: {line}", ports::priority(level), stage.name());
@@ -131,7 +146,7 @@ pub fn relay(stage: StageId, line: &str) {
             Some(object) => {
                 let level =
                     object["level"].as_str().and_then(|level| level.parse().ok()).unwrap_or(Level::INFO);
-                if repeats(stage, level, object["message"].as_str().unwrap_or_default()) {
+                if repeats(Some(stage), level, object["message"].as_str().unwrap_or_default()) {
                     return;
                 }
                 format!("{}{object}", ports::priority(level))
@@ -203,10 +218,13 @@ mod tests {
 
     #[test]
     fn a_warning_repeats_by_stage_and_text() {
-        let repeats = |stage, text| repeats(stage, Level::WARN, text);
+        let repeats = |stage, text| repeats(Some(stage), Level::WARN, text);
         assert!(!repeats(StageId::Recorder, "no space") && repeats(StageId::Recorder, "no space"));
+        assert!(repeats(StageId::Recorder, "no space"));
+        let counts = WARNINGS.lock().unwrap().iter().map(|warning| warning.repeats).collect::<Vec<_>>();
+        assert_eq!(counts, [2]);
         assert!(!repeats(StageId::Sampler, "no space") && !repeats(StageId::Recorder, "no room"));
-        assert!((0..2).all(|_| !super::repeats(StageId::Recorder, Level::INFO, "tick")));
+        assert!((0..2).all(|_| !super::repeats(Some(StageId::Recorder), Level::INFO, "tick")));
         assert_eq!(level_of("2026-11-27T00:00:00Z  WARN late"), Level::WARN);
         assert_eq!(level_of("frame 3 is late: error"), Level::INFO);
     }

@@ -24,9 +24,11 @@ use recorder::{Errors, InputReport, Recorder, RecorderOptions, Supervision, Tick
 use recording::Event as Happening;
 use run::Run;
 use rustix::time::{ClockId, clock_gettime};
+use tracing::Level;
 use wire::{Forecast, Header, Heartbeat, StageId};
 
 use crate::failure::Failure;
+use crate::log;
 use crate::outages::Outages;
 use files::{MetricsFile, TraceFile};
 pub use mark::mark;
@@ -56,9 +58,6 @@ pub struct ObserveArguments {
     #[arg(long, value_name = "FILE")]
     trace: Option<PathBuf>,
 }
-
-/// Time for which an event that repeats is not logged again.
-const REPEAT: Duration = Duration::from_mins(1);
 
 /// Where the metrics are served.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -96,8 +95,8 @@ pub struct Observer {
     ticks_limit: Option<u64>,
     /// The stage that a run which has not begun waits for.
     waiting_for: Option<StageId>,
-    /// The newest event of a detector that is not ready, and when it was logged.
-    not_ready: Option<(String, Instant)>,
+    /// Whether the log says why the run waits.
+    is_explained: bool,
     begun: Instant,
     usage: Usage,
     events: VecDeque<StatusEvent>,
@@ -150,7 +149,7 @@ impl Observer {
             title,
             ticks_limit,
             waiting_for: None,
-            not_ready: None,
+            is_explained: false,
             begun: Instant::now(),
             usage: Usage::default(),
             events: VecDeque::with_capacity(EVENTS_MAX),
@@ -220,21 +219,13 @@ impl Observer {
             Event::Died { how, .. } => how.contains("without room"),
             _ => false,
         };
-        if !may_repeat {
-            return false;
-        }
-        let (text, now) = (event.to_string(), Instant::now());
-        let is_new = |(before, logged): &(String, Instant)| *before != text || now - *logged >= REPEAT;
-        if !self.not_ready.as_ref().is_none_or(is_new) {
-            return true;
-        }
-        self.not_ready = Some((text, now));
-        false
+        self.is_explained |= may_repeat;
+        may_repeat && log::repeats(None, Level::WARN, &event.to_string())
     }
 
     /// Sets the stage that a run which has not begun waits for. The first time is logged.
     pub fn wait_for(&mut self, stage: Option<StageId>) {
-        if let (Some(stage), None, None) = (stage, self.waiting_for, &self.not_ready) {
+        if let (Some(stage), None, false) = (stage, self.waiting_for, self.is_explained) {
             self.report(format!("WAITING for {}: it has not sent a frame yet", stage.name()));
         }
         self.waiting_for = stage;

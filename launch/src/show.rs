@@ -1,5 +1,5 @@
-//! Output of verbs, without commands to the terminal: names of files, topics and tags come from outside. If the reader closes its pipe early, as `head` does, a verb ends quietly and a run
-//! continues.
+//! Output of verbs, without commands to the terminal: names of files, topics and tags come from outside. If the
+//! reader closes its pipe early, as `head` does, a verb ends quietly and a run continues.
 
 use std::fmt::Arguments;
 use std::io::{ErrorKind, Write as _};

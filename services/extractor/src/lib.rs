@@ -156,7 +156,7 @@ impl Extractor {
             .is_some_and(|(run_id, last)| run_id != header.run_id || header.begins_session_after(last))
         {
             self.cache.clear();
-            self.queue = Queue::new();
+            self.queue.clear();
         }
         self.last = Some((header.run_id, (header.seq, header.stamp_ns)));
         self.place_agents(context);

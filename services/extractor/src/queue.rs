@@ -34,6 +34,13 @@ impl Queue {
         }
     }
 
+    /// Forgets all agents.
+    pub(crate) fn clear(&mut self) {
+        self.turns = Turns::default();
+        self.known.clear();
+        self.ego = None;
+    }
+
     /// Gives the agents of a tick, one per track, their turns. Agents after the first `served_max` are marked
     /// as shed.
     pub(crate) fn choose(

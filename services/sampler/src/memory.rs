@@ -65,21 +65,23 @@ pub(crate) fn resume(run: &Run, sampler: &mut Sampler, incarnation: u32) {
     let opened = KeptMemory::open(run, KEPT).map_err(|error| error.to_string()).and_then(|kept| {
         let kept: Box<dyn Storage + Send> = Box::new(Kept(kept));
         let mut journal = Journal::over(kept, identity);
-        let why =
-            match journal.resume(None).and_then(|resumed| resumed.map(|r| sampler.resume(r)).transpose()) {
-                Ok(Some(())) => {
-                    let entry_count = sampler.memory().map_or(0, RetrievalMemory::entry_count);
-                    let matured_count = sampler.evidence().map_or(0.0, Evidence::matured_count);
-                    tracing::warn!(
-                        "incarnation {incarnation} restarted with {entry_count} entries of the retrieval memory and the evidence of \
-                     {matured_count:.0} forecasts, as of tick {}",
-                        sampler.resumed_ticks().saturating_sub(1)
-                    );
-                    return Ok(journal);
-                }
-                Ok(None) => "nothing was kept",
-                Err(why) => why,
-            };
+        let why = match journal
+            .resume(None)
+            .and_then(|resumed| resumed.map(|r| sampler.resume(r)).transpose())
+        {
+            Ok(Some(())) => {
+                let entry_count = sampler.memory().map_or(0, RetrievalMemory::entry_count);
+                let matured_count = sampler.evidence().map_or(0.0, Evidence::matured_count);
+                tracing::warn!(
+                    "incarnation {incarnation} restarted with {entry_count} entries of the retrieval memory \
+                         and the evidence of {matured_count:.0} forecasts, as of tick {}",
+                    sampler.resumed_ticks().saturating_sub(1)
+                );
+                return Ok(journal);
+            }
+            Ok(None) => "nothing was kept",
+            Err(why) => why,
+        };
         let is_loaded = state::load(run, sampler);
         if incarnation > 0 && !is_loaded {
             tracing::warn!("restarted with an empty retrieval memory and no evidence: {why}");

@@ -112,11 +112,7 @@ impl Sampler {
         if !header.is_tick() || header.has(flags::VOID) {
             return;
         }
-        if self
-            .last
-            .replace((header.seq, header.stamp_ns))
-            .is_some_and(|last| header.begins_session_after(last))
-        {
+        if self.begins_session(header) {
             self.fallback.end_session();
         }
         self.fallback.begin(header.stamp_ns);
@@ -253,12 +249,8 @@ impl Sampler {
         room: impl FnOnce(usize) -> Result<&'a mut [Forecast], Rejected>,
     ) -> Result<usize, Rejected> {
         let tick = check(header, tracks)?;
-        // A tick that is sampled again, without its controls, is no session.
-        if self.last.is_none_or(|(seq, _)| seq < header.seq) {
-            let last = self.last.replace((header.seq, header.stamp_ns));
-            if last.is_some_and(|last| header.begins_session_after(last)) {
-                self.end_session();
-            }
+        if self.begins_session(header) {
+            self.end_session();
         }
         self.observe(tick, tracks);
         match controls {
@@ -273,6 +265,15 @@ impl Sampler {
         assert_eq!(out.len(), count, "a place per forecast");
         self.write(tick, tracks, out)?;
         Ok(count)
+    }
+
+    /// Whether a tick begins a session. A tick that is sampled again, without its controls, begins none.
+    fn begins_session(&mut self, header: &Header) -> bool {
+        if self.last.is_some_and(|(seq, _)| header.seq <= seq) {
+            return false;
+        }
+        let last = self.last.replace((header.seq, header.stamp_ns));
+        last.is_some_and(|last| header.begins_session_after(last))
     }
 
     /// Ends a session: the stamps begin again, and all later agents are new. What was learned remains.

@@ -27,8 +27,8 @@ pub struct Options {
     /// format's usual rate.
     #[schemars(range(min = FrameRate::MIN_HZ, max = FrameRate::MAX_HZ))]
     pub fps: Option<f64>,
-    /// Topics of a bag whose objects are read; by default those of Autoware's own detections or tracks, or else all
-    /// with detections.
+    /// Topics of a bag whose objects are read. The default is Autoware's own detections or tracks, or else every
+    /// topic with detections.
     pub topics: Vec<String>,
     /// Number of agents in the generated scene; fewer if there is no room.
     #[schemars(range(min = 1, max = AGENTS_MAX))]

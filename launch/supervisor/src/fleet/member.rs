@@ -55,8 +55,8 @@ impl Member {
     }
 
     /// Records the end of the process. Before the run has begun (`is_linked`), a detector that fails is awaited,
-    /// and a stage that is given up ends the run. `has_files` is false if files of the run were removed and may have been
-    /// missing when the process read them.
+    /// and a stage that is given up ends the run. `has_files` is false if files of the run were removed and may
+    /// have been missing when the process read them.
     pub(super) fn handle_exit(
         &mut self,
         status: ExitStatus,

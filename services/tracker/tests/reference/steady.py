@@ -91,28 +91,39 @@ def chained(mu, slow, dt):
 
 
 class Motions:
+    """The motions under constant velocity: positions are measured."""
+
+    mixture = staticmethod(moments)
+
     def __init__(self, first):
         self.free = self.steady = first
         self.place, self.variance = first[0][:2], 0.5 * (first[1][0][0] + first[1][1][1])
         self.mu = [0.475, 0.475, 0.05]
 
-    def predict(self, dt):
+    def speed(self):
+        """The squared speed of the steady motion, and its variance."""
         mean, cov = self.steady
-        speed2, variance = mean[2] ** 2 + mean[3] ** 2, 0.5 * (cov[2][2] + cov[3][3])
+        return mean[2] ** 2 + mean[3] ** 2, 0.5 * (cov[2][2] + cov[3][3])
+
+    def move(self, dt):
+        self.free = predicted(self.free, dt, FREE_DENSITY)
+        self.steady = predicted(self.steady, dt, STEADY_DENSITY)
+
+    def predict(self, dt):
+        speed2, variance = self.speed()
         slow = math.exp(-0.5 * speed2 / (STOPPING_MPS**2 + variance))
         c, chain = chained(self.mu, slow, dt)
         share = self.mu[0] * chain[0][1] / c[1]
-        self.steady = moments([(1 - share, self.steady), (share, self.free)])
+        self.steady = self.mixture([(1 - share, self.steady), (share, self.free)])
         # Who stops has the moments of the two motions that move.
         moving = self.mu[0] + self.mu[1]
-        mean, cov = moments([(self.mu[0] / moving, self.free), (self.mu[1] / moving, self.steady)])
+        mean, cov = self.mixture([(self.mu[0] / moving, self.free), (self.mu[1] / moving, self.steady)])
         share = 1 - self.mu[2] * chain[2][2] / c[2]
         spread = sum(0.5 * share * (1 - share) * (m - p) ** 2 for m, p in zip(mean, self.place))
         self.place = [p + share * (m - p) for m, p in zip(mean, self.place)]
         self.variance += share * (0.5 * (cov[0][0] + cov[1][1]) - self.variance) + spread + CREEP_M2 * dt
         self.mu = normalised(c)
-        self.free = predicted(self.free, dt, FREE_DENSITY)
-        self.steady = predicted(self.steady, dt, STEADY_DENSITY)
+        self.move(dt)
 
     def update(self, z, r):
         logs = []
@@ -207,25 +218,16 @@ def normal(off, variance):
     return -0.5 * (off * off / variance + math.log(variance))
 
 
-class Driving:
-    def __init__(self, first):
-        self.free = self.steady = first
-        self.place, self.variance = first[0][:2], 0.5 * (first[1][0][0] + first[1][1][1])
-        self.mu = [0.475, 0.475, 0.05]
+class Driving(Motions):
+    """The motions of a bicycle: positions, headings and speeds are measured."""
 
-    def predict(self, dt):
+    mixture = staticmethod(moments_about)
+
+    def speed(self):
         mean, cov = self.steady
-        slow = math.exp(-0.5 * mean[3] ** 2 / (STOPPING_MPS**2 + cov[3][3]))
-        c, chain = chained(self.mu, slow, dt)
-        share = self.mu[0] * chain[0][1] / c[1]
-        self.steady = moments_about([(1 - share, self.steady), (share, self.free)])
-        moving = self.mu[0] + self.mu[1]
-        mean, cov = moments_about([(self.mu[0] / moving, self.free), (self.mu[1] / moving, self.steady)])
-        share = 1 - self.mu[2] * chain[2][2] / c[2]
-        spread = sum(0.5 * share * (1 - share) * (m - p) ** 2 for m, p in zip(mean, self.place))
-        self.place = [p + share * (m - p) for m, p in zip(mean, self.place)]
-        self.variance += share * (0.5 * (cov[0][0] + cov[1][1]) - self.variance) + spread + CREEP_M2 * dt
-        self.mu = normalised(c)
+        return mean[3] ** 2, cov[3][3]
+
+    def move(self, dt):
         self.free, self.steady = driven(self.free, dt, FREE), driven(self.steady, dt, STEADY)
 
     def update(self, z, r):

@@ -44,8 +44,8 @@ mod tests {
 
     #[test]
     fn a_thread_is_kept_off_the_callers_processor() {
-        let (to_test, tid) = std::sync::mpsc::channel();
-        let (end, ended) = std::sync::mpsc::channel::<()>();
+        let (to_test, tid) = std::sync::mpsc::sync_channel(1);
+        let (end, ended) = std::sync::mpsc::sync_channel::<()>(1);
         let thread = std::thread::spawn(move || {
             to_test.send(rustix::thread::gettid()).unwrap();
             // Wait for the end of the test.
