@@ -71,7 +71,7 @@ impl Extent {
 
 /// A box of the present frame.
 #[derive(Clone, Copy, Debug)]
-struct Box {
+struct Footprint {
     position_m: [f32; 2],
     id: Option<u64>,
     /// Cosine and sine of the heading.
@@ -83,7 +83,7 @@ struct Box {
 #[derive(Clone, Debug)]
 pub(crate) struct Stacks {
     frame: u64,
-    boxes: Vec<Box>,
+    boxes: Vec<Footprint>,
     stacked: Tally,
 }
 
@@ -111,7 +111,7 @@ impl Stacks {
         let usual = SIZES_M.get(detection.agent_type as usize).copied().unwrap_or(SIZES_M[0]);
         let size_m = [detection.length_m, detection.width_m];
         let is_sized = given(detection_flags::HAS_SIZE) && size_m.iter().all(|size_m| *size_m > 0.0);
-        let new = Box {
+        let new = Footprint {
             position_m: [detection.x_m, detection.y_m],
             id: given(detection_flags::HAS_ID).then_some(detection.id),
             along: given(detection_flags::HAS_HEADING).then(|| {
@@ -129,7 +129,7 @@ impl Stacks {
     }
 }
 
-impl Box {
+impl Footprint {
     /// Whether two boxes cover most of each other. Two agents cannot.
     fn is_below(&self, other: &Self) -> bool {
         if self.id.is_some() && self.id == other.id {
