@@ -1,17 +1,22 @@
 //! Evidence on the experts in the sampler: how accurate the network's forecasts and those of the other
 //! experts have been.
 
-use evidence::{Agent, EXPERTS, Evidence, Fan, Mixture, MotionNow, Observed, Paths, Prior};
+use evidence::{
+    Agent, EXPERTS, Evidence, Fan, Line, Mixture, MotionNow, Observed, Paths, Prior, RoadUser, Traffic,
+};
 use kinematics::MotionModel;
+use lanes::{LaneLine, ROUTE_POINTS_MAX, ROUTE_STEP_M};
 use metrics::HighestDensity;
 use retrieval::{ControlChange, ControlChanges, ForecastControls};
-use scene::{AgentType, State};
+use scene::{AgentType, track_history};
 use wire::{Expert, Forecast, HORIZON_MAX, MODES_MAX, Quality, Track};
 
 use crate::spread::Spread;
 
 /// Number of history steps, if available, from which turn rate and acceleration are computed.
 const RATE_STEPS: usize = 2;
+/// Mean distance between a lane and the decaying turn at which the lane's share falls to exp(−½).
+const OFF_LANE_M: f32 = 3.0;
 /// Seed of the levels; every forecast has the same draws.
 const SEED: u64 = 1;
 
@@ -66,27 +71,36 @@ impl Experts {
     }
 
     /// Blends the experts' paths of an agent.
-    pub(crate) fn blend(
+    pub(crate) fn blend<'l>(
         &self,
-        (track, agent_type): (&Track, AgentType),
-        history: &[Option<State>],
+        user: &RoadUser,
+        agent_type: AgentType,
+        traffic: &Traffic,
+        lane: impl FnOnce(&[[f32; 2]]) -> Option<LaneLine<'l>>,
         model: &MotionModel,
         (network, base): (impl Iterator<Item = [f32; 2]>, impl Iterator<Item = [f32; 2]>),
         dt_s: f32,
     ) -> Blended {
         let len = self.horizon_len;
-        let now = motion_now(track, history, dt_s);
+        let now = &user.motion;
         let mut paths =
             Paths { velocity: [[0.0; 2]; HORIZON_MAX], experts: [[[0.0; 2]; HORIZON_MAX]; EXPERTS] };
-        let [by_network, by_base, by_turn, by_acceleration] = &mut paths.experts;
+        let [by_network, by_base, by_turn, by_acceleration, by_following, by_lane] = &mut paths.experts;
         now.steady(dt_s, &mut paths.velocity[..len]);
         now.turning(dt_s, &mut by_turn[..len]);
         now.accelerating(dt_s, &mut by_acceleration[..len]);
+        let follows = agent_type != AgentType::Pedestrian;
+        let leader = follows.then(|| traffic.leader_on_turn(user, len as f32 * dt_s)).flatten();
+        now.following(dt_s, leader.as_ref(), &mut by_following[..len]);
+        *by_lane = *by_following;
+        if let Some(lane) = lane(&by_turn[..len]) {
+            along_lane(user, traffic, &lane, dt_s, &mut by_lane[..len]);
+        }
         model.positions(network, &mut by_network[..len]);
         model.positions(base, &mut by_base[..len]);
 
-        let (speed_mps, course) = (now.speed_mps(), now.course(track.heading_rad));
-        let agent = Agent { id: track.id, agent_type, speed_mps, course };
+        let (speed_mps, course) = (now.speed_mps(), user.course());
+        let agent = Agent { id: user.id, agent_type, speed_mps, course };
         let weights = self.evidence.weights(agent_type, agent.speed_mps);
         let mut best_m = [[0.0; 2]; HORIZON_MAX];
         self.evidence.blend(&weights, &paths, &mut best_m[..len]);
@@ -160,11 +174,41 @@ impl Experts {
     }
 }
 
-/// The present motion of a track. The newest steps of its history determine its rates.
-fn motion_now(track: &Track, history: &[Option<State>], dt_s: f32) -> MotionNow {
+/// Moves a path onto the lane, at the speed that lane and leader permit.
+fn along_lane(user: &RoadUser, traffic: &Traffic, lane: &LaneLine<'_>, dt_s: f32, path: &mut [[f32; 2]]) {
+    let (points_m, along_m) = lane.points();
+    let leader = traffic.leader(user, Line { points_m, along_m });
+    let (mut gone_m, mut on_lane) = ([0.0; HORIZON_MAX], [[0.0; 2]; HORIZON_MAX]);
+    let (gone_m, on_lane) = (&mut gone_m[..path.len()], &mut on_lane[..path.len()]);
+    let speeds_mps = lane.speeds_mps();
+    let most_mps = |gone_m: f32| speeds_mps[((gone_m / ROUTE_STEP_M) as usize).min(ROUTE_POINTS_MAX - 1)];
+    user.motion.progress(dt_s, leader.as_ref(), most_mps, gone_m);
+    lane.at(gone_m, on_lane);
+    let trust = (-0.5 * (lane.apart_m / OFF_LANE_M).powi(2)).exp();
+    for (point, on_lane) in path.iter_mut().zip(on_lane) {
+        *point = [0, 1].map(|axis| point[axis] + trust * (on_lane[axis] - point[axis]));
+    }
+}
+
+/// A track as others see it on the road. The newest steps of its history determine its rates.
+pub(crate) fn road_user(track: &Track, history_len: usize, dt_s: f32) -> RoadUser {
+    let history = &track_history(track)[..history_len];
     let before = (1..=RATE_STEPS).rev().find_map(|back| {
         let state = (*history.len().checked_sub(back + 1).and_then(|step| history.get(step))?)?;
         Some((state.velocity_mps, back as f32 * dt_s))
     });
-    MotionNow::since([track.x_m, track.y_m], [track.vx_mps, track.vy_mps], before)
+    let motion = MotionNow::since([track.x_m, track.y_m], [track.vx_mps, track.vy_mps], before);
+    let usual_m = track.agent_type().map_or([0.5; 2], usual_size_m);
+    let own_m = [track.length_m, track.width_m];
+    let size_m = [0, 1].map(|side| if own_m[side] > 0.0 { own_m[side] } else { usual_m[side] });
+    RoadUser { id: track.id, motion, heading: [track.heading_rad.cos(), track.heading_rad.sin()], size_m }
+}
+
+/// Length and width of an agent of unknown size.
+const fn usual_size_m(agent_type: AgentType) -> [f32; 2] {
+    match agent_type {
+        AgentType::Vehicle => [4.5, 1.8],
+        AgentType::Cyclist => [1.8, 0.6],
+        AgentType::Pedestrian => [0.5, 0.5],
+    }
 }

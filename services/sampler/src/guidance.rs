@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use kinematics::MotionModel;
-use lanes::{Guided, GuidedPath, LaneGuide, LaneMap};
+use lanes::{Guided, GuidedPath, LaneGuide, LaneLine, LaneMap};
 use retrieval::{ControlChanges, ForecastControls, Residuals};
 use scene::AgentType;
 use wire::{ControlGaussian, Forecast, HORIZON_MAX, MODES_MAX, Track};
@@ -63,6 +63,13 @@ impl Guidance {
             changes.shift_best(&by);
         }
         Forecast::ALONG_LANES
+    }
+}
+
+impl Guidance {
+    /// The line nearest to a path of the vehicle that was [guided](Guidance::change) last.
+    pub(crate) fn nearest(&self, start_m: [f32; 2], path: &[[f32; 2]]) -> Option<LaneLine<'_>> {
+        self.guide.nearest(start_m, path)
     }
 }
 

@@ -338,7 +338,7 @@ impl Sampler {
         let Self { workers, memory, experts, turns, .. } = self;
         let mut input = workers.input();
         (input.memory, input.experts) = (memory.take(), experts.take());
-        input.begin(tick);
+        input.begin(tick, tracks);
         turns.clear();
         let mut next = 0;
         for (place, track) in tracks.iter().enumerate() {

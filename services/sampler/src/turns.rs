@@ -3,6 +3,7 @@
 use std::sync::{Mutex, PoisonError};
 
 use bytemuck::Zeroable;
+use evidence::Traffic;
 use kinematics::Normals;
 use nn::Job;
 use retrieval::{Bucket, ControlChanges, Key, Query, Retrieval, RetrievalMemory, Unstored};
@@ -10,7 +11,7 @@ use scene::{AgentType, track_history};
 use wire::{AGENTS_MAX, AgentControls, Cause, Forecast, Quality, Track};
 
 use crate::SamplerOptions;
-use crate::experts::{Blended, Experts};
+use crate::experts::{Blended, Experts, road_user};
 use crate::guidance::Guidance;
 use crate::learned::LearnedControls;
 use crate::motion::{certain_motion, with_track_covariance};
@@ -29,6 +30,8 @@ pub(crate) struct Turns {
     pub(crate) memory: Option<Box<RetrievalMemory>>,
     /// Lent for the tick; `None` if evidence is off.
     pub(crate) experts: Option<Box<Experts>>,
+    /// All agents of the tick, whether they have controls or not.
+    traffic: Traffic,
     turns: Vec<Turn>,
     /// Buckets of the agents that are to be stored in the retrieval memory, in their order.
     stored: Vec<Bucket>,
@@ -66,15 +69,20 @@ impl Turns {
             tick: Tick::default(),
             memory: None,
             experts: None,
+            traffic: Traffic::default(),
             turns: Vec::with_capacity(AGENTS_MAX),
             stored: Vec::with_capacity(AGENTS_MAX),
             made: (0..AGENTS_MAX).map(|_| Mutex::new(made())).collect(),
         }
     }
 
-    /// Prepares for the turns of a tick.
-    pub(crate) fn begin(&mut self, tick: Tick) {
+    /// Prepares for the turns of a tick with these agents.
+    pub(crate) fn begin(&mut self, tick: Tick, tracks: &[Track]) {
         self.tick = tick;
+        self.traffic.clear();
+        tracks
+            .iter()
+            .for_each(|track| self.traffic.push(road_user(track, self.options.history_len, tick.dt_s())));
         self.turns.clear();
         self.stored.clear();
     }
@@ -132,11 +140,10 @@ impl Job for Forecaster {
 
 impl Forecaster {
     fn forecast(&mut self, turns: &Turns, turn: &Turn, made: &mut Made) {
-        let Turns { options, tick, memory, experts, stored, .. } = turns;
+        let Turns { options, tick, memory, experts, traffic, stored, .. } = turns;
         let Turn { track, agent_type, key, stored_count, .. } = turn;
         let controls = LearnedControls::of_checked(&turn.controls, options.horizon_len);
         let mut model = certain_motion(track, *agent_type, options, tick.dt_s());
-        let history = &track_history(track)[..options.history_len];
         made.unstored = match (memory, *key) {
             (Some(memory), Some(key)) => {
                 let query = Query { stamp_ns: tick.stamp_ns, agent: track.id, key };
@@ -157,7 +164,11 @@ impl Forecaster {
             let decoded = controls.as_decoded();
             let network = self.changes.best(&decoded);
             let paths = (network, controls.base());
-            let mut blended = experts.blend((track, *agent_type), history, &model, paths, tick.dt_s());
+            let start_m = [track.x_m, track.y_m];
+            let guidance = self.guidance.as_ref().filter(|_| lanes == Forecast::ALONG_LANES);
+            let lane = |path: &[[f32; 2]]| guidance.and_then(|guidance| guidance.nearest(start_m, path));
+            let user = road_user(track, options.history_len, tick.dt_s());
+            let mut blended = experts.blend(&user, *agent_type, traffic, lane, &model, paths, tick.dt_s());
             experts.change(&model, &decoded, &mut blended, &mut self.changes);
             blended
         });

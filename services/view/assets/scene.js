@@ -10,7 +10,7 @@ const CAUSE_WORDS = {
   outdone: "constant velocity better", shed: "shed to save time",
 };
 const EXPERTS = ["network", "base", "constant velocity", "decaying turn", "process model",
-                 "decaying acceleration"];
+                 "decaying acceleration", "following", "lane"];
 
 const root = document.documentElement;
 const systemDark = matchMedia("(prefers-color-scheme: dark)");

@@ -194,6 +194,8 @@ fn right_network(prior: &Statistics) -> Statistics {
 mod tests {
     use super::*;
 
+    const NETWORK_ALONE: [f32; EXPERTS] = [1.0, 0.0, 0.0, 0.0, 0.0, 0.0];
+
     /// A blend of vehicles after forecasts of the network alone. Each pair is the predicted and the actual
     /// distance along a line.
     fn after(forecasts: impl IntoIterator<Item = (f32, f32)>) -> Blend {
@@ -232,7 +234,7 @@ mod tests {
         let standing = std::iter::repeat_n((0.1, 0.0), 300);
         let blend = after(standing.chain(std::iter::repeat_n((5.0, 5.0), 30)));
         assert!(blend.regression[0] < 1.0, "{:?}", blend.regression);
-        assert_eq!(blend.weights, [1.0, 0.0, 0.0, 0.0]);
+        assert_eq!(blend.weights, NETWORK_ALONE);
     }
 
     #[test]
@@ -241,7 +243,7 @@ mod tests {
         let forecasts = |moving: usize| standing.clone().chain(std::iter::repeat_n((5.0, 5.0), moving));
         let [few, enough] = [9, 10].map(|moving| after(forecasts(moving)));
         assert!(few.weights == few.regression && few.regression[0] < 1.0, "{:?}", few.weights);
-        assert_eq!(enough.weights, [1.0, 0.0, 0.0, 0.0]);
+        assert_eq!(enough.weights, NETWORK_ALONE);
     }
 
     #[test]
@@ -250,7 +252,7 @@ mod tests {
         let of_little_use = || std::iter::repeat_n((1.0, 100.0), 100);
         let [vehicles, cyclists] =
             [AgentType::Vehicle, AgentType::Cyclist].map(|of| after_those_of(of, of_little_use()));
-        assert_eq!(vehicles.weights, [1.0, 0.0, 0.0, 0.0]);
+        assert_eq!(vehicles.weights, NETWORK_ALONE);
         assert_eq!(cyclists.weights, [0.0; EXPERTS]);
     }
 
@@ -259,7 +261,7 @@ mod tests {
         let moving = || std::iter::repeat_n((0.1, 0.0), 300).chain(std::iter::repeat_n((5.0, 5.0), 30));
         let [vehicles, cyclists] =
             [AgentType::Vehicle, AgentType::Cyclist].map(|of| after_those_of(of, moving()));
-        assert_eq!(vehicles.weights, [1.0, 0.0, 0.0, 0.0]);
+        assert_eq!(vehicles.weights, NETWORK_ALONE);
         assert_eq!(cyclists.weights, cyclists.regression);
         assert!(cyclists.weights[0] > 0.5, "{:?}", cyclists.weights);
     }
@@ -267,7 +269,7 @@ mod tests {
     #[test]
     fn where_the_network_knows_the_road_it_is_trusted_before_any_forecast_matures() {
         let mut prior = Statistics::doubting();
-        prior.targets = [0.3, 0.2, 0.2, 0.0];
+        prior.targets = [0.3, 0.2, 0.2, 0.0, 0.0, 0.0];
         let [strange, half, known] = [0.0, 0.5, 1.0].map(|known| Blend::new(Caution::LITTLE, &prior, known));
         let [by_strange, by_half, by_known] = [&strange, &half, &known].map(|blend| blend.weights[0]);
         assert!(by_strange < 0.31 && by_strange < by_half, "{by_strange} {by_half}");

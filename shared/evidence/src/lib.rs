@@ -5,8 +5,9 @@
 //! stored until the agent has taken its steps. It then gives three kinds of evidence about its
 //! [context](Context), the type and speed of the agent:
 //!
-//! * **How to blend.** The experts are the network, the base control, a decaying turn and a decaying
-//!   acceleration. Constant velocity has the remaining weight. Let d_e be an expert's position and y the
+//! * **How to blend.** The experts are the network, the base control, a decaying turn, a decaying
+//!   acceleration, both in one path behind the vehicle ahead ([`Traffic`]), and the same along a lane. Constant
+//!   velocity has the remaining weight. Let d_e be an expert's position and y the
 //!   truth, both relative to constant velocity. A regression computes the weights that minimise the mean
 //!   distance over all matured forecasts, discounted by age. The weights are nonnegative and at most 1 in
 //!   sum. The regression uses squares weighted by the inverse of the distance r missed so far ([iteratively
@@ -76,6 +77,7 @@ mod prior;
 mod sets;
 mod share;
 mod statistics;
+mod traffic;
 mod width;
 
 pub use choice::Choice;
@@ -87,16 +89,19 @@ pub use ledger::{Agent, Evidence, Mixture, Observed};
 pub use paths::{MotionNow, Paths};
 pub use prior::{ContextPrior, Patterns, Prior, PriorError, Priors};
 pub use statistics::Statistics;
+pub use traffic::{Leader, Line, RoadUser, Traffic};
 pub use width::RADIUS_90;
 
 /// Number of experts besides constant velocity, in the order of [`SLOTS`].
-pub const EXPERTS: usize = 4;
+pub const EXPERTS: usize = 6;
 /// The slot of each expert in [`wire::Forecast::expert_weights`].
 pub const SLOTS: [wire::Expert; EXPERTS] = [
     wire::Expert::Network,
     wire::Expert::Base,
     wire::Expert::DecayingTurn,
     wire::Expert::DecayingAcceleration,
+    wire::Expert::Following,
+    wire::Expert::Lane,
 ];
 /// Steps of the horizon at which evidence is kept.
 pub const KNOTS: usize = 4;

@@ -15,7 +15,7 @@ const ACCELERATION_S: f32 = 1.5;
 /// Parts of a step with a straight course.
 const PARTS: usize = 4;
 /// Below this speed an agent has no course.
-const COURSE_MIN_MPS: f32 = 0.3;
+pub(crate) const COURSE_MIN_MPS: f32 = 0.3;
 
 /// Positions of an agent at each step of the horizon, by expert.
 #[derive(Clone, Debug, PartialEq)]
@@ -50,6 +50,16 @@ impl Paths {
 /// The weighted sum of the experts' differences from constant velocity, m.
 pub(crate) fn weighted_m(weights: &[f32; EXPERTS], differences_m: &[[f32; 2]; EXPERTS]) -> [f32; 2] {
     [0, 1].map(|axis| weights.iter().zip(differences_m).map(|(weight, d)| weight * d[axis]).sum())
+}
+
+/// A decaying acceleration after a time.
+pub(crate) fn decayed(acceleration_mps2: f32, time_s: f32) -> f32 {
+    acceleration_mps2 * (-time_s / ACCELERATION_S).exp()
+}
+
+/// The speed that a decaying acceleration has added after a time.
+pub(crate) fn gained_mps(acceleration_mps2: f32, time_s: f32) -> f32 {
+    acceleration_mps2 * ACCELERATION_S * (1.0 - (-time_s / ACCELERATION_S).exp())
 }
 
 impl MotionNow {
@@ -98,6 +108,11 @@ impl MotionNow {
         }
     }
 
+    /// The angle by which a decaying turn has turned the course after a time.
+    pub(crate) fn turned_rad(&self, time_s: f32) -> f32 {
+        self.turn_rate_radps * TURN_S * (1.0 - (-time_s / TURN_S).exp())
+    }
+
     /// Constant speed on a course whose turn rate decays: θ = θ₀ + ω τ (1 − e^(−t/τ)).
     pub fn turning(&self, dt_s: f32, out: &mut [[f32; 2]]) {
         let ([mut x, mut y], part_s) = (self.position_m, dt_s / PARTS as f32);
@@ -105,8 +120,7 @@ impl MotionNow {
         for (step, out) in out.iter_mut().enumerate() {
             for part in 0..PARTS {
                 let middle_s = ((step * PARTS + part) as f32 + 0.5) * part_s;
-                let turned = self.turn_rate_radps * TURN_S * (1.0 - (-middle_s / TURN_S).exp());
-                let (sin, cos) = turned.sin_cos();
+                let (sin, cos) = self.turned_rad(middle_s).sin_cos();
                 x += (vx * cos - vy * sin) * part_s;
                 y += (vx * sin + vy * cos) * part_s;
             }
@@ -122,9 +136,7 @@ impl MotionNow {
         for (step, out) in out.iter_mut().enumerate() {
             for part in 0..PARTS {
                 let middle_s = ((step * PARTS + part) as f32 + 0.5) * part_s;
-                let gained =
-                    self.acceleration_mps2 * ACCELERATION_S * (1.0 - (-middle_s / ACCELERATION_S).exp());
-                gone_m += (speed + gained).max(0.0) * part_s;
+                gone_m += (speed + gained_mps(self.acceleration_mps2, middle_s)).max(0.0) * part_s;
             }
             *out = [0, 1].map(|axis| self.position_m[axis] + gone_m * course[axis]);
         }

@@ -1,6 +1,6 @@
 use crate::EXPERTS;
 
-/// Maximum rounds of coordinate descent; four unknowns converge in few.
+/// Maximum rounds of coordinate descent; few unknowns converge in few.
 const ROUNDS: usize = 40;
 
 /// Sums over matured forecasts at one step of the horizon: A = Σ D Dᵀ / s², b = Σ D y / s², and their count.
@@ -106,6 +106,13 @@ impl Statistics {
 mod tests {
     use super::*;
 
+    /// The positions of the first four experts; the others agree with constant velocity.
+    fn first_four(experts_m: [[f32; 2]; 4]) -> [[f32; 2]; EXPERTS] {
+        let mut all_m = [[0.0; 2]; EXPERTS];
+        all_m[..4].copy_from_slice(&experts_m);
+        all_m
+    }
+
     fn of(forecasts: &[([[f32; 2]; EXPERTS], [f32; 2])]) -> Statistics {
         let mut statistics = Statistics::default();
         forecasts.iter().for_each(|(experts, truth)| statistics.add(experts, *truth, 1.0, 1.0));
@@ -114,7 +121,7 @@ mod tests {
 
     #[test]
     fn the_expert_that_is_right_has_all_weight() {
-        let right = |x: f32| ([[x, 0.0], [0.0, x], [-x, 1.0], [0.3, 0.0]], [x, 0.0]);
+        let right = |x: f32| (first_four([[x, 0.0], [0.0, x], [-x, 1.0], [0.3, 0.0]]), [x, 0.0]);
         let weights = of(&[right(1.0), right(-2.0), right(5.0)]).weights();
         assert!((weights[0] - 1.0).abs() < 1e-3, "{weights:?}");
         assert!(weights[1..].iter().all(|weight| *weight < 1e-3), "{weights:?}");
@@ -122,14 +129,15 @@ mod tests {
 
     #[test]
     fn experts_that_are_worse_than_constant_velocity_have_none() {
-        let wrong = |x: f32| ([[x, 0.0], [x, x], [2.0 * x, 0.0], [x, -x]], [-0.1 * x, 0.0]);
+        let wrong = |x: f32| (first_four([[x, 0.0], [x, x], [2.0 * x, 0.0], [x, -x]]), [-0.1 * x, 0.0]);
         assert_eq!(of(&[wrong(1.0), wrong(-2.0)]).weights(), [0.0; EXPERTS]);
     }
 
     #[test]
     fn doubt_yields_to_many_forecasts_and_not_to_few() {
         let network = |len: usize| {
-            let mut statistics = of(&vec![([[1.0, 0.0], [0.0; 2], [0.0; 2], [0.0; 2]], [1.0, 0.0]); len]);
+            let mut statistics =
+                of(&vec![(first_four([[1.0, 0.0], [0.0; 2], [0.0; 2], [0.0; 2]]), [1.0, 0.0]); len]);
             statistics.add_scaled(&Statistics::doubting(), 20.0);
             statistics.weights()[0]
         };
@@ -138,7 +146,7 @@ mod tests {
 
     #[test]
     fn two_experts_on_either_side_share() {
-        let between = |x: f32| ([[x, 0.0], [3.0 * x, 0.0], [0.0, 0.0], [0.0, 0.0]], [2.0 * x, 0.0]);
+        let between = |x: f32| (first_four([[x, 0.0], [3.0 * x, 0.0], [0.0; 2], [0.0; 2]]), [2.0 * x, 0.0]);
         let [near, far, ..] = of(&[between(1.0), between(2.0)]).weights();
         assert!((near + 3.0 * far - 2.0).abs() < 1e-3, "{near} {far}");
         assert!(near >= 0.0 && far >= 0.0 && near + far <= 1.0 + 1e-6, "{near} {far}");

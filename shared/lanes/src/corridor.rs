@@ -20,6 +20,12 @@ const KEPT: f32 = 0.5;
 const STIFFER: f32 = 30.0;
 /// Largest slope of the agent's direction relative to the route.
 const SLOPE_MAX: f32 = 0.68;
+/// Lateral acceleration that drivers accept in bends.
+const BEND_MPS2: f32 = 3.0;
+/// Deceleration before bends.
+const BEFORE_BEND_MPS2: f32 = 2.0;
+/// Points on either side from which the curvature is computed.
+const BEND_POINTS: usize = 5;
 /// Number of passes. The second pass knows the places at which the first left the bounds.
 const PASSES: usize = 2;
 
@@ -92,6 +98,42 @@ impl Corridor {
         for pair in self.points_m.windows(2) {
             let last_m = self.along_m.last().copied().unwrap_or(0.0);
             self.along_m.push(last_m + (pair[1][0] - pair[0][0]).hypot(pair[1][1] - pair[0][1]));
+        }
+    }
+
+    /// Its points, and the length up to each.
+    pub(crate) fn points(&self) -> (&[[f32; 2]], &[f32]) {
+        (&self.points_m, &self.along_m)
+    }
+
+    /// Writes the speed that the line permits at each point: bends limit it, and it falls before them.
+    ///
+    /// ```text
+    /// v_i = min(√(a / κ_i), √(v_(i+1)² + 2 b ℓ_i))
+    /// ```
+    ///
+    /// κ is the curvature, a the lateral acceleration that drivers accept, b their deceleration, and ℓ the
+    /// distance between two points.
+    pub(crate) fn speeds_mps(&self, out: &mut [f32; ROUTE_POINTS_MAX]) {
+        let last = self.points_m.len() - 1;
+        let heading = |from: usize, to: usize| {
+            let [x, y] = [0, 1].map(|axis| self.points_m[to][axis] - self.points_m[from][axis]);
+            y.atan2(x)
+        };
+        let mut next_mps = f32::INFINITY;
+        for place in (0..=last).rev() {
+            let [from, to] = [place.saturating_sub(BEND_POINTS), (place + BEND_POINTS).min(last)];
+            let turned = if from < place && place < to {
+                scene::turn(heading(from, place), heading(place, to)).abs()
+            } else {
+                0.0
+            };
+            let curvature = 2.0 * turned / (self.along_m[to] - self.along_m[from]).max(1e-3);
+            let by_bend_mps = (BEND_MPS2 / curvature.max(1e-6)).sqrt();
+            let step_m = self.along_m[(place + 1).min(last)] - self.along_m[place];
+            let before_mps = (next_mps * next_mps + 2.0 * BEFORE_BEND_MPS2 * step_m).sqrt();
+            next_mps = by_bend_mps.min(before_mps);
+            out[place] = next_mps;
         }
     }
 

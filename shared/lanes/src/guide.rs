@@ -47,6 +47,35 @@ pub struct Guided {
     pub step_s: f32,
 }
 
+/// The line that an agent would drive along a route.
+#[derive(Clone, Copy, Debug)]
+pub struct LaneLine<'a> {
+    corridor: &'a Corridor,
+    /// Mean distance from the path for which it was chosen.
+    pub apart_m: f32,
+}
+
+impl LaneLine<'_> {
+    /// Its points, and the length up to each.
+    #[must_use]
+    pub fn points(&self) -> (&[[f32; 2]], &[f32]) {
+        self.corridor.points()
+    }
+
+    /// The speed that the line permits at each of its points: bends limit it.
+    #[must_use]
+    pub fn speeds_mps(&self) -> [f32; ROUTE_POINTS_MAX] {
+        let mut speeds_mps = [f32::INFINITY; ROUTE_POINTS_MAX];
+        self.corridor.speeds_mps(&mut speeds_mps);
+        speeds_mps
+    }
+
+    /// Writes the points at increasing lengths. Beyond the end the line is straight.
+    pub fn at(&self, lengths_m: &[f32], out: &mut [[f32; 2]]) {
+        self.corridor.at(lengths_m, out);
+    }
+}
+
 impl LaneGuide {
     /// A guide along the lanes of a map.
     #[must_use]
@@ -129,6 +158,15 @@ impl LaneGuide {
         }
         follow(&mut best[..horizon_len], &line, off_road(apart_m[nearest]), &shares);
         true
+    }
+
+    /// The line nearest to a path of the agent that was [guided](LaneGuide::guide) last.
+    #[must_use]
+    pub fn nearest(&self, start_m: [f32; 2], path: &[[f32; 2]]) -> Option<LaneLine<'_>> {
+        let route_count = self.routes.as_slice().len();
+        let (_, apart_m) = self.lines(start_m, path);
+        let place = (route_count > 0).then(|| nearest(&apart_m[..route_count]))?;
+        Some(LaneLine { corridor: &self.corridors[place], apart_m: apart_m[place] })
     }
 
     /// The routes' lines at the lengths of a path, and the mean distance between each line and the path.

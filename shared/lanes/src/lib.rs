@@ -38,7 +38,7 @@ mod skipped;
 mod tags;
 
 pub use error::{Element, Kind, LaneMapError};
-pub use guide::{Guided, GuidedPath, LaneGuide};
+pub use guide::{Guided, GuidedPath, LaneGuide, LaneLine};
 pub use lane::{Lane, POINTS_MAX, SPACING_M, Users};
 pub use map::{Area, LANES_MAX, LaneMap};
 pub use osm::{MEMBERS_MAX, XML_BYTES_MAX};

@@ -27,6 +27,7 @@
 
 mod against;
 mod cell;
+mod conflicts;
 mod differences;
 mod error;
 mod footprint;

@@ -13,6 +13,9 @@ pub struct Options {
     pub precision: nn::Precision,
     /// Whether the network reads the online map.
     pub map: bool,
+    /// Folder with a Lanelet2 map of each recording, `SOURCE/RECORDING.osm`, whose lanes vehicles follow.
+    /// Recordings without a map are played without lanes.
+    pub lanes: Option<PathBuf>,
     /// Whether the sampler uses evidence from matured forecasts.
     pub evidence: bool,
     /// Whether a source begins with a prior from the other sources. If not, it begins without a prior, so its

@@ -1,9 +1,10 @@
 //! Plays the recordings of a source through the pipeline.
 
 use std::collections::{BTreeMap, VecDeque};
+use std::path::PathBuf;
 
 use data::RecordedTrack;
-use evidence::{Prior, Priors};
+use evidence::{MotionNow, Prior, Priors, RoadUser, Traffic};
 use metrics::{Anchors, HighestDensity};
 use nn::ModelConfig;
 use onboard::Chain;
@@ -12,6 +13,7 @@ use scene::AgentType;
 use source::{Playback, PlaybackOptions};
 use wire::{Forecast, MODES_MAX};
 
+use crate::conflicts::{self, Known, Pair};
 use crate::error::DrivingError;
 use crate::matching::agents;
 use crate::options::Options;
@@ -25,12 +27,18 @@ pub(crate) type Learned = Option<Prior>;
 const EVERY_NS: i64 = 400_000_000;
 /// Time over which the kinematic baselines measure turn rate and acceleration.
 const RATES_NS: i64 = 800_000_000;
+/// An agent has a leader if one is on its way within this time and 20 m.
+const LEADER_S: f32 = 2.0;
 /// Minimum number of forecasts that a context needs to enter a prior.
 pub(crate) const LEARNED_MIN: f64 = 30.0;
 
 /// A source's matured forecasts, and the sampler's evidence after it.
 pub(crate) struct Played {
     pub(crate) samples: Vec<Sample>,
+    /// Pairs of agents, for conflicts.
+    pub(crate) pairs: Vec<Pair>,
+    /// Time that agents with forecasts were present, summed over the agents.
+    pub(crate) agent_s: f64,
     pub(crate) seconds: f64,
     pub(crate) learned: Learned,
 }
@@ -48,7 +56,7 @@ pub(crate) fn play(
         dt_s: model.dt_s as f32,
         horizon_len: model.horizon_len,
     };
-    let (mut samples, mut played_s) = (Vec::new(), 0.0);
+    let (mut seen, mut played_s) = (Seen::default(), 0.0);
     let mut before: Option<Chain> = None;
     for (number, path) in source.files.iter().enumerate() {
         let recording = source.open(path)?;
@@ -57,7 +65,7 @@ pub(crate) fn play(
         let noisy = options.noise.applied_to(&recording);
         let has_identities = noisy.has_identities;
         let playback = Playback::new(noisy, PlaybackOptions { lockstep: true, ..PlaybackOptions::default() });
-        let mut chain = Chain::new(&run(&playback, options)?, model)?;
+        let mut chain = Chain::new(&run(&playback, options, source.lanes_of(path, options))?, model)?;
         match before.take() {
             Some(before) => chain.continue_from(before),
             None if options.priors => chain.expect(Priors::shipped().without(&source.folder_name())),
@@ -65,16 +73,21 @@ pub(crate) fn play(
         }
         let agents = (number as u64) << 32;
         let session = Session { agents, before_s: played_s, tracks: &tracks, has_identities };
-        played_s += session.play(playback, &mut chain, &mut judge, &mut samples);
+        played_s += session.play(playback, &mut chain, &mut judge, &mut seen);
         before = Some(chain);
     }
     let evidence = before.as_ref().and_then(Chain::evidence);
     let learned = evidence.map(|evidence| evidence.as_prior(LEARNED_MIN));
-    Ok(Played { samples, seconds: played_s, learned })
+    let Seen { samples, pairs, agent_s } = seen;
+    Ok(Played { samples, pairs, agent_s, seconds: played_s, learned })
 }
 
-pub(crate) fn run(playback: &Playback, options: &Options) -> Result<Run, DrivingError> {
-    let sampler = sampler::Options { evidence: options.evidence, ..sampler::Options::default() };
+pub(crate) fn run(
+    playback: &Playback,
+    options: &Options,
+    lanes: Option<PathBuf>,
+) -> Result<Run, DrivingError> {
+    let sampler = sampler::Options { evidence: options.evidence, lanes, ..sampler::Options::default() };
     let decoder = decoder::Options { precision: options.precision, ..decoder::Options::default() };
     let map = if options.map { localiser::MapChoice::Online } else { localiser::MapChoice::None };
     Ok(Run {
@@ -88,6 +101,14 @@ pub(crate) fn run(playback: &Playback, options: &Options) -> Result<Run, Driving
         ],
         ..Run::default()
     })
+}
+
+/// What is collected while a source is played.
+#[derive(Default)]
+struct Seen {
+    samples: Vec<Sample>,
+    pairs: Vec<Pair>,
+    agent_s: f64,
 }
 
 /// One recording.
@@ -109,21 +130,32 @@ struct Recent {
 
 impl Session<'_> {
     /// Plays a recording to its end and returns its duration, s.
-    fn play(
-        &self,
-        mut playback: Playback,
-        chain: &mut Chain,
-        judge: &mut Judge<'_>,
-        samples: &mut Vec<Sample>,
-    ) -> f64 {
+    fn play(&self, mut playback: Playback, chain: &mut Chain, judge: &mut Judge<'_>, seen: &mut Seen) -> f64 {
         let mut recent: BTreeMap<u64, Recent> = BTreeMap::new();
-        let (mut first_ns, mut seconds) = (None, 0.0);
+        let (mut first_ns, mut next_pairs_ns, mut seconds) = (None, None, 0.0);
+        let mut traffic = Traffic::default();
         while let Some(tick) = playback.next_tick() {
             let stamp_ns = tick.header.stamp_ns;
             let since_ns = stamp_ns - *first_ns.get_or_insert(stamp_ns);
             seconds = since_ns as f64 * 1e-9;
             let (_, forecasts) = chain.tick(&tick.header, tick.detections, |_| ());
             let agents = agents(forecasts, self.tracks, stamp_ns, self.has_identities);
+            if next_pairs_ns.is_none_or(|next_ns| stamp_ns >= next_ns) {
+                next_pairs_ns = Some(stamp_ns + conflicts::EVERY_NS);
+                let known: Vec<Known<'_>> = forecasts
+                    .iter()
+                    .zip(&agents)
+                    .filter_map(|(forecast, agent)| {
+                        let truth_m = judge.truth(stamp_ns, self.tracks.get(&(*agent)?)?)?;
+                        let agent_type = AgentType::try_from(forecast.agent_type).ok()?;
+                        Some(Known { forecast, agent_type, truth_m })
+                    })
+                    .collect();
+                seen.agent_s += known.len() as f64 * conflicts::EVERY_NS as f64 * 1e-9;
+                conflicts::pairs(&known, judge.dt_s, &mut seen.pairs);
+            }
+            traffic.clear();
+            forecasts.iter().for_each(|forecast| traffic.push(road_user(forecast)));
             for (forecast, agent) in forecasts.iter().zip(agents) {
                 let Some(track) = agent.and_then(|agent| self.tracks.get(&agent)) else { continue };
                 let recent = recent.entry(forecast.id).or_default();
@@ -133,12 +165,20 @@ impl Session<'_> {
                 }
                 if let Some(sample) = judge.judge(stamp_ns, forecast, before, track) {
                     let (agent, source_s) = (self.agents + sample.agent, self.before_s + seconds);
-                    samples.push(Sample { agent, recording_s: seconds, source_s, ..sample });
+                    let has_leader = traffic.leader_on_turn(&road_user(forecast), LEADER_S).is_some();
+                    seen.samples.push(Sample { agent, recording_s: seconds, source_s, has_leader, ..sample });
                 }
             }
         }
         seconds
     }
+}
+
+/// A forecast's agent as others see it on the road, without its rates.
+fn road_user(forecast: &Forecast) -> RoadUser {
+    let motion = MotionNow::since([forecast.x_m, forecast.y_m], [forecast.vx_mps, forecast.vy_mps], None);
+    let (sin, cos) = forecast.heading_rad.sin_cos();
+    RoadUser { id: forecast.id, motion, heading: [cos, sin], size_m: [forecast.length_m, forecast.width_m] }
 }
 
 impl Recent {

@@ -12,6 +12,7 @@ use scene::AgentType;
 use serde_json::json;
 
 use crate::cell::{BAND_NAMES, Cell, band_of, interval};
+use crate::conflicts::{FORETELLERS, Foretold, Pair, RECALL};
 use crate::patterns::{Residuals, patterns};
 use crate::play::Played;
 use crate::sample::{LEVEL, METHODS, Method, STEPS, Sample};
@@ -20,6 +21,19 @@ use crate::{Errors, Options};
 
 /// Cells with fewer forecasts are left out.
 const CELL_MIN: usize = 200;
+/// Speed from which a vehicle counts as moving.
+const MOVES_MPS: f32 = 1.0;
+/// A turning vehicle ends farther beside the line of constant velocity.
+const TURNING_M: f32 = 2.0;
+/// A part of the moving vehicles: its name, and whether a forecast belongs to it.
+type Subset = (&'static str, fn(&Sample) -> bool);
+const SUBSETS: [Subset; 5] = [
+    ("all", |_| true),
+    ("straight", |sample| sample.beyond_steady_m[1].abs() <= TURNING_M),
+    ("turning", |sample| sample.beyond_steady_m[1].abs() > TURNING_M),
+    ("with a leader", |sample| sample.has_leader),
+    ("without a leader", |sample| !sample.has_leader),
+];
 /// Time of a source after which its regions count as settled.
 const SETTLED_S: f64 = 60.0;
 /// Upper bounds of the parts of a recording in the table of first seconds.
@@ -53,6 +67,7 @@ impl Report {
         });
         let map = if options.map { "online map" } else { "no map" };
         let evidence = if options.evidence { "with evidence" } else { "without evidence" };
+        let lanes = if options.lanes.is_some() { ", lanes of the recordings' maps" } else { "" };
         let precision = match options.precision {
             Precision::F32 => String::new(),
             other => format!(", decoder in {other}"),
@@ -63,7 +78,7 @@ impl Report {
         };
         let horizon_s = model.horizon_len as f64 * model.dt_s;
         let made = format!(
-            "Played through the online pipeline: {weights}, {map}, {evidence}{precision}{noise}; horizon {horizon_s:.1} s, a forecast of each agent \
+            "Played through the online pipeline: {weights}, {map}{lanes}, {evidence}{precision}{noise}; horizon {horizon_s:.1} s, a forecast of each agent \
              every 0.4 s."
         );
         Self { sources: sources.into_iter().zip(played).collect(), made }
@@ -83,7 +98,15 @@ impl Report {
 
     /// The main tables as Markdown.
     pub fn summary(&self) -> String {
-        [self.by_source(), self.coverage(), self.out_of_distribution(), self.first_seconds()].join("\n\n")
+        [
+            self.by_source(),
+            self.moving(),
+            self.conflicts(),
+            self.coverage(),
+            self.out_of_distribution(),
+            self.first_seconds(),
+        ]
+        .join("\n\n")
     }
 
     /// All tables as Markdown.
@@ -173,6 +196,87 @@ impl Report {
             }
         }
         format!("## By speed\n\n{}", table.grid())
+    }
+
+    /// Moving vehicles, with subsets that need a road or a leader.
+    fn moving(&self) -> String {
+        let columns = [
+            "subset",
+            "forecasts",
+            "single best",
+            "constant velocity",
+            "/ CV, ADE",
+            "/ CV, FDE",
+            "best of 20",
+        ];
+        let mut table = Table::new("", "", &["source"], columns.map(str::to_owned).into_iter());
+        let mut ratios: Vec<[f64; 2]> = Vec::new();
+        for (source, agent_type, mut samples) in self.cells() {
+            samples.retain(|sample| sample.speed_mps >= MOVES_MPS);
+            if agent_type != AgentType::Vehicle || samples.len() < CELL_MIN {
+                continue;
+            }
+            for (number, (name, is_in)) in SUBSETS.iter().enumerate() {
+                let subset: Vec<&Sample> = samples.iter().copied().filter(|sample| is_in(sample)).collect();
+                if subset.len() < CELL_MIN / 4 {
+                    continue;
+                }
+                let cell = Cell { samples: &subset };
+                let ratio = cell.ratios(Method::Best, Method::ConstantVelocity);
+                if let (0, [Some(ade), Some(fde)]) = (number, &ratio) {
+                    ratios.push([ade.mean, fde.mean]);
+                }
+                let mut row = vec![source.name.clone(), (*name).to_owned(), subset.len().to_string()];
+                row.extend([Method::Best, Method::ConstantVelocity].map(|method| cell.text(method)));
+                row.extend(ratio.iter().map(interval));
+                row.push(cell.text(Method::BestOf));
+                table.push_row(row);
+            }
+        }
+        let mean = |i: usize| ratios.iter().map(|ratio| ratio[i]).sum::<f64>() / ratios.len() as f64;
+        format!(
+            "## Moving vehicles\n\nVehicles that drive at {MOVES_MPS} m/s or more. *Turning* vehicles end more than \
+             {TURNING_M} m beside the line of constant velocity. A vehicle has a *leader* if another agent is on its way \
+             within 2 s and 20 m.\n\n{}\nMean over the sources of the ratio of ADE / FDE: {:.3} / {:.3}.",
+            table.grid(),
+            mean(0),
+            mean(1)
+        )
+    }
+
+    /// How well forecasts foretell conflicts, by source and over all.
+    fn conflicts(&self) -> String {
+        let measures = ["AP", "precision", "false alarms", "per agent and hour", "s ahead"];
+        let columns = ["pairs", "conflicts"].into_iter().chain(measures);
+        let mut table = Table::new("", "", &["source", "forecast"], columns.map(str::to_owned));
+        let all: Vec<Pair> = self.sources.iter().flat_map(|(_, played)| &played.pairs).copied().collect();
+        let all_s = self.sources.iter().map(|(_, played)| played.agent_s).sum();
+        let of_sources =
+            self.sources.iter().map(|(source, played)| (&*source.name, &played.pairs[..], played.agent_s));
+        for (name, pairs, agent_s) in of_sources.chain([("all", &all[..], all_s)]) {
+            let conflict_count = pairs.iter().filter(|pair| pair.conflict_s.is_some()).count();
+            for (number, foreteller) in FORETELLERS.iter().enumerate() {
+                let Some(foretold) = Foretold::of(pairs, number) else { continue };
+                table.push_row(vec![
+                    name.to_owned(),
+                    (*foreteller).to_owned(),
+                    pairs.len().to_string(),
+                    conflict_count.to_string(),
+                    format!("{:.3}", foretold.average_precision),
+                    format!("{:.3}", foretold.precision),
+                    foretold.false_alarms.to_string(),
+                    format!("{:.2}", foretold.false_alarms as f64 / agent_s * 3600.0),
+                    format!("{:.1}", foretold.ahead_s),
+                ]);
+            }
+        }
+        format!(
+            "## Conflicts\n\nPairs of agents within 60 m, every 0.8 s. A pair has a conflict if its outlines come closer \
+             than 0.5 m at a common step of the horizon. *Modes* add the probabilities of the pairs of modes that do. AP is \
+             the average precision of the pairs in the order of their scores. The other columns hold at a recall of \
+             {RECALL}, with the mean time from an alarm to its conflict.\n\n{}",
+            table.grid()
+        )
     }
 
     fn coverage(&self) -> String {

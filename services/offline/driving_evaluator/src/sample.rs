@@ -60,6 +60,8 @@ pub struct Sample {
     pub recording_s: f64,
     /// Time since the source began, s.
     pub source_s: f64,
+    /// Whether another agent is on its way, a short distance ahead.
+    pub has_leader: bool,
     /// Errors of each of [`METHODS`].
     pub errors: [Errors; METHODS.len()],
     /// Level of the highest-density region whose border passes through the truth, at each of the `STEPS`.
@@ -101,6 +103,7 @@ impl Sample {
             speed_mps,
             recording_s: 0.0,
             source_s: 0.0,
+            has_leader: false,
             errors: Default::default(),
             levels: Default::default(),
             area_m2: 0.0,
@@ -123,6 +126,16 @@ impl Sample {
 }
 
 impl Judge<'_> {
+    /// The positions of an agent over the horizon; `None` if the recording does not have all of them.
+    pub(crate) fn truth(&self, stamp_ns: i64, track: &RecordedTrack) -> Option<Vec<[f32; 2]>> {
+        let step_ns = f64::from(self.dt_s) * 1e9;
+        let truth = (1..=self.horizon_len).map(|step| {
+            let at_ns = stamp_ns + (step as f64 * step_ns).round() as i64;
+            Some(track.state_at(at_ns, i64::MAX, GAP_NS)?.position_m)
+        });
+        truth.collect()
+    }
+
     /// The sample of a forecast; `None` if the recording does not have the agent for the whole horizon.
     pub(crate) fn judge(
         &mut self,
@@ -131,15 +144,8 @@ impl Judge<'_> {
         before: Option<([f32; 2], f32)>,
         track: &RecordedTrack,
     ) -> Option<Sample> {
-        let (len, step_ns) = (self.horizon_len, f64::from(self.dt_s) * 1e9);
-        let truth = (1..=len).map(|step| {
-            let at_ns = stamp_ns + (step as f64 * step_ns).round() as i64;
-            Some(track.state_at(at_ns, i64::MAX, GAP_NS)?.position_m)
-        });
-        let truth: Vec<Option<[f32; 2]>> = truth.collect();
-        if truth.iter().any(Option::is_none) {
-            return None;
-        }
+        let len = self.horizon_len;
+        let truth: Vec<Option<[f32; 2]>> = self.truth(stamp_ns, track)?.into_iter().map(Some).collect();
         let agent_type = AgentType::try_from(forecast.agent_type).ok()?;
         let now = MotionNow::since([forecast.x_m, forecast.y_m], [forecast.vx_mps, forecast.vy_mps], before);
         let path = |of: &dyn Fn(&mut [[f32; 2]])| {
@@ -193,6 +199,7 @@ impl Judge<'_> {
             speed_mps: now.speed_mps(),
             recording_s: 0.0,
             source_s: 0.0,
+            has_leader: false,
             errors,
             levels,
             area_m2: self.levels.area_m2(

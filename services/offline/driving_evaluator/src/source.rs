@@ -9,7 +9,7 @@ use metrics::{Anchors, Window};
 use nn::ModelConfig;
 use scene::AgentType;
 
-use crate::DrivingError;
+use crate::{DrivingError, Options};
 
 /// Sources with fast roads, which are also played at twice their scale.
 const FAST: [&str; 2] = ["ngsim_us101", "mona"];
@@ -94,6 +94,13 @@ impl Source {
             }
         }
         Ok(recording)
+    }
+
+    /// The map of a recording's lanes, if there is one. At another scale there is none.
+    pub(crate) fn lanes_of(&self, path: &Path, options: &Options) -> Option<PathBuf> {
+        let folder = options.lanes.as_ref().filter(|_| self.scale == 1.0)?;
+        let map = folder.join(self.folder_name()).join(path.file_stem()?).with_added_extension("osm");
+        map.exists().then_some(map)
     }
 
     /// Complete agents of the source's windows, at most [`WINDOWS_MAX`] per type, spread evenly.

@@ -30,6 +30,7 @@ fn options(folder: &Path, evidence: bool) -> Options {
         weights: None,
         precision: nn::Precision::F32,
         map: false,
+        lanes: None,
         evidence,
         priors: true,
         noise: Noise::default(),

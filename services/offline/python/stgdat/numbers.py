@@ -47,6 +47,8 @@ class Expert(IntEnum):
     DECAYING_TURN = 3
     PROCESS_MODEL = 4
     DECAYING_ACCELERATION = 5
+    FOLLOWING = 6
+    LANE = 7
     FAN = 254
     RETRIEVAL = 255
 

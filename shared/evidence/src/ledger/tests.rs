@@ -76,7 +76,7 @@ fn a_network_that_is_wrong_loses_its_modes_to_the_fan() {
 #[test]
 fn a_network_that_knows_the_road_is_believed_before_its_last_steps_matured() {
     let mut doubt = crate::Statistics::doubting();
-    (doubt.targets, doubt.len) = ([0.2, 0.0, 0.0, 0.0], 1.0);
+    (doubt.targets[0], doubt.len) = (0.2, 1.0);
     let mut prior = Prior::default();
     prior.0.as_flattened_mut().iter_mut().for_each(|context| context.blend = [doubt; KNOTS]);
     // Constant velocity or the network goes too far, for 3.2 s of 4.8.

@@ -71,6 +71,10 @@ numbers! {
         ProcessModel = 4 => "process model",
         /// A decaying acceleration.
         DecayingAcceleration = 5 => "decaying acceleration",
+        /// A decaying turn with a decaying acceleration, behind the vehicle ahead.
+        Following = 6 => "following",
+        /// The lane nearest to the decaying turn, with a decaying acceleration, behind the vehicle ahead.
+        Lane = 7 => "lane",
         /// A centre between constant velocity and the single best forecast, plus a typical residual of
         /// similar agents.
         Fan = 254 => "fan",
@@ -126,7 +130,7 @@ record! {
         /// and if it is not reported. At 0.25 the network's part is halved.
         92 => out_of_distribution: f32,
         /// Weight of each [`Expert`] by its number: network, base, constant velocity, decaying turn, process
-        /// model, decaying acceleration; zeros if they are not reported.
+        /// model, decaying acceleration, following, lane; zeros if they are not reported.
         96 => expert_weights: [f32; EXPERTS_MAX],
         /// Probability of each mode; they sum to 1.
         128 => probability: [f32; MODES_MAX],

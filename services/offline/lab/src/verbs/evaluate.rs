@@ -75,7 +75,8 @@ pub struct Arguments {
     /// --lanes, and `online` in data sets without sites
     #[arg(long, value_enum, default_value_t = Map::Site)]
     map: Map,
-    /// Forecast vehicles of `interaction` along the lanes of each site's Lanelet2 map, in DIR/interaction/maps
+    /// Forecast vehicles along the lanes of Lanelet2 maps: of each site of `interaction`, in DIR/interaction/maps,
+    /// and of each recording of `driving` that has one, DIR/driving_maps/SOURCE/RECORDING.osm
     #[arg(long)]
     lanes: bool,
     /// Parts of `interaction`: `seen` or a held-out site [default: seen,FT,EP1]; of `tracking`: `interaction`
@@ -215,7 +216,7 @@ fn refuse_unused(name: &str, arguments: &Arguments) -> Result<(), Failure> {
             "`interaction`, `driving`, `tracking` and `noise`",
         ),
         ("--scenes", arguments.scenes.is_some(), is_noise, "`noise`"),
-        ("--lanes", arguments.lanes, name == "interaction", "`interaction`"),
+        ("--lanes", arguments.lanes, name == "interaction" || is_driving, "`interaction` and `driving`"),
         ("--without-evidence", arguments.without_evidence, is_driving || is_noise, "`driving` and `noise`"),
         ("--prior", arguments.prior.is_some(), is_driving, "`driving`"),
         ("--sigmas", !arguments.sigmas.is_empty(), is_tracking, "`tracking`"),
@@ -364,6 +365,7 @@ fn driving(arguments: &Arguments, sources: &[String]) -> Result<driving_evaluato
         weights: weights.file,
         precision: weights.precision,
         map: !matches!(arguments.map, Map::None),
+        lanes: arguments.lanes.then(|| data.join("driving_maps")),
         evidence: !arguments.without_evidence,
         priors: arguments.prior.is_none(),
         noise,
@@ -379,7 +381,8 @@ fn drive(arguments: &Arguments) -> Result<Written, Failure> {
         write(path, &(report.priors(options.threads).to_json() + "\n"))?;
     }
     let texts = [report.markdown(), report.summary(), report.csv()];
-    let mark = format!("evaluate driving{}", options.noise.arguments());
+    let lanes = if arguments.lanes { " --lanes" } else { "" };
+    let mark = format!("evaluate driving{lanes}{}", options.noise.arguments());
     Ok(Written::new("driving", mark, texts, report.json()))
 }
 
