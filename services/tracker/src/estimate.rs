@@ -44,8 +44,11 @@ const COURSE_SPEED_MIN_MPS: f64 = 0.5;
 const COURSE_MIN_MPS: f64 = 0.1;
 /// Age from which a track without a trusted identity shows the noise of its detections.
 const TEACHES_FROM_NS: i64 = 2_000_000_000;
-/// Weight of a new detection's size.
-const SIZE_WEIGHT: f32 = 0.2;
+/// Smallest weight of a new detection's size. The published size is the mean of the first 1 / weight sizes, and
+/// forgets older ones from then on, because a detector sees more of an agent that comes nearer.
+const SIZE_WEIGHT_MIN: f32 = 0.05;
+/// Number of sizes that the size of another tracker's track counts for.
+const SIZES_OF_TRACK: u16 = 5;
 
 /// The detection that started an estimate. It identifies an agent independent of the order in which frames
 /// arrive.
@@ -108,6 +111,8 @@ pub struct Estimate {
     published_heading_rad: f64,
     length_m: f32,
     width_m: f32,
+    /// Number of sizes of which they are the mean.
+    size_count: u16,
     /// The agent's trials of its forecasts.
     trials: Trials,
     /// The reports of its detections.
@@ -150,6 +155,7 @@ impl Estimate {
             published_heading_rad: 0.0,
             length_m: if has_size { detection.length_m } else { 0.0 },
             width_m: if has_size { detection.width_m } else { 0.0 },
+            size_count: u16::from(has_size),
             trials: Trials::default(),
             reports: Reports::new(found),
             gate: Gate::new(own_ns),
@@ -202,6 +208,7 @@ impl Estimate {
             published_heading_rad: heading_rad,
             length_m: track.length_m,
             width_m: track.width_m,
+            size_count: if track.length_m > 0.0 { SIZES_OF_TRACK } else { 0 },
             trials: Trials::default(),
             reports: Reports::new(&last),
             gate: Gate::new(seen_ns),
@@ -515,7 +522,9 @@ impl Estimate {
 
     fn smooth_size(&mut self, detection: &Detection) {
         if detection.has(detection_flags::HAS_SIZE) {
-            let smooth = |old: f32, new: f32| if old == 0.0 { new } else { old + SIZE_WEIGHT * (new - old) };
+            self.size_count = self.size_count.saturating_add(1);
+            let weight = (1.0 / f32::from(self.size_count)).max(SIZE_WEIGHT_MIN);
+            let smooth = |old: f32, new: f32| old + weight * (new - old);
             self.length_m = smooth(self.length_m, detection.length_m);
             self.width_m = smooth(self.width_m, detection.width_m);
         }

@@ -4,7 +4,7 @@ use audit::Doubt;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use tracker::{Association, TrackerOptions};
-use wire::{AgentType, Detection, Track, flags};
+use wire::{AgentType, Detection, Track, detection_flags, flags};
 
 use crate::support::harness::{Harness, detected_at, noise, with_heading};
 
@@ -93,6 +93,43 @@ fn associated_detections_are_tracked_as_those_without_identities() {
         let [associated, without] =
             [associated, without].map(|tracks| bytemuck::cast_slice::<Track, u8>(tracks));
         assert!(associated == without, "frame {frame}");
+    }
+}
+
+/// The published size is a mean over about 39 detections, and a box of half the length hardly changes it.
+#[test]
+fn published_sizes_average_the_noise() {
+    let (length_m, width_m) = (4.5_f64, 1.8_f64);
+    for flags in [flags::HAS_IDENTITIES, 0] {
+        let mut run = Harness::new(TrackerOptions::default(), flags);
+        let mut rng = ChaCha8Rng::seed_from_u64(11);
+        let (mut square_m2, mut count) = (0.0, 0);
+        for frame in 0..=300 {
+            let detections: Vec<Detection> = (1..=AGENTS)
+                .map(|id| {
+                    let x_m = 9.0 * f64::from(frame) * TICK_S;
+                    let is_cut = frame == 300;
+                    let length_m = if is_cut { 0.5 * length_m } else { length_m + noise(&mut rng, 0.3) };
+                    Detection {
+                        length_m: length_m as f32,
+                        width_m: (width_m + noise(&mut rng, 0.3)).max(0.1) as f32,
+                        flags: detection_flags::HAS_ID | detection_flags::HAS_SIZE,
+                        ..detected_at(AgentType::Vehicle, id, x_m, 30.0 * id as f64)
+                    }
+                })
+                .collect();
+            let tracks = run.step(&detections);
+            if (30..300).contains(&frame) {
+                square_m2 += tracks.iter().map(|of| (f64::from(of.length_m) - length_m).powi(2)).sum::<f64>();
+                count += tracks.len();
+            } else if frame == 300 {
+                let least_m = tracks.iter().map(|of| of.length_m).fold(f32::INFINITY, f32::min);
+                assert!(least_m > 4.1, "a box of {:.2} m changed the length to {least_m}", 0.5 * length_m);
+            }
+        }
+        let rms_m = (square_m2 / count as f64).sqrt();
+        println!("published length: {rms_m:.3} m RMS for detections of 0.3 m");
+        assert!(count > 1500 && rms_m < 0.08, "{rms_m} m over {count}");
     }
 }
 
