@@ -22,8 +22,8 @@
 //! [`through_gaps`] evaluates how much forecasts help the tracker on the same sources. It returns a
 //! [`GapReport`].
 //!
-//! [`synthetic`] evaluates forecasts and tracks of generated agents under noise, [`under_noise`] forecasts of
-//! recorded vehicles.
+//! [`synthetic`] evaluates forecasts and tracks of generated agents under noise, [`under_noise`] and
+//! [`network_under_noise`] forecasts of recorded vehicles.
 
 mod against;
 mod cell;
@@ -53,7 +53,9 @@ pub use footprint::Contact;
 pub use gaps::{GapReport, through_gaps};
 pub use learned::{Learned, learn, priors};
 pub use metrics::Errors;
-pub use noise::{COLUMNS as NOISE_COLUMNS, NoiseReport, SyntheticReport, synthetic, under_noise};
+pub use noise::{
+    COLUMNS as NOISE_COLUMNS, NoiseReport, SyntheticReport, network_under_noise, synthetic, under_noise,
+};
 pub use options::Options;
 pub use outcomes::{Outcome, OutcomeErrors, Outcomes, outcomes};
 pub use report::Report;

@@ -2,6 +2,8 @@
 //!
 //! Each recording passes through a simulated sensor and then through the pipeline. The forecasts are compared
 //! with the recorded motion, and with the forecasts of the same agents at the same times without noise.
+//! [`under_noise`] varies the reports of the sensor. [`network_under_noise`] compares the network's own forecasts
+//! with the published ones.
 
 use std::collections::BTreeMap;
 
@@ -48,20 +50,26 @@ struct Job<'a> {
     source: &'a Source,
     noise: Noise,
     fields: Fields,
+    /// Whether the forecasts are the network's own, without evidence.
+    is_network: bool,
 }
 
 /// A forecast: place of the recording in its source, agent, time.
 type Key = (usize, u64, i64);
 
-/// Errors at the horizon.
+/// Errors of a forecast; at the horizon, unless the field is named after the mean.
 #[derive(Clone, Copy, Debug)]
 struct Ends {
     /// The single best forecast.
     best_m: f64,
+    /// The same, mean over the steps.
+    best_mean_m: f64,
     /// The best of the modes.
     best_of_m: f64,
     /// Constant velocity from the true state.
     steady_m: f64,
+    /// Constant velocity from the published state.
+    tracked_m: f64,
 }
 
 /// Plays the sources with every noise. Of each source at most `scenes` recordings are played, spread evenly over
@@ -76,14 +84,9 @@ pub fn under_noise(
 ) -> Result<NoiseReport, DrivingError> {
     let weights = model_of(options)?;
     let model = weights.config();
-    let mut sources = sources(&options.folder, &options.sources)?;
-    sources.iter_mut().for_each(|source| source.files = spread(&source.files, scenes));
+    let sources = spread_sources(options, scenes)?;
     let jobs: Vec<Job<'_>> = sources.iter().flat_map(jobs_of).collect();
-    let played = threads::each(&jobs, options.threads, |job, _: &mut ()| {
-        progress(&format!("{}, {}", job.source.name, job.names()[1..].join(", ")));
-        job.play(options, model)
-    });
-    let played = played.into_iter().collect::<Result<Vec<_>, _>>()?;
+    let played = play_all(&jobs, options, model, progress)?;
     let mut sheet = sheet(scenes, model.horizon_len as f64 * model.dt_s);
     // The first run of a source is the one without noise.
     let mut clean = &BTreeMap::new();
@@ -94,6 +97,51 @@ pub fn under_noise(
         sheet.rows.push(Row { names: job.names(), values: figures(played, clean) });
     }
     Ok(NoiseReport { sheet })
+}
+
+/// As [`under_noise`], of detections with identities: the network's own forecasts beside the published ones.
+///
+/// # Errors
+/// As [`under_noise`].
+pub fn network_under_noise(
+    options: &Options,
+    scenes: usize,
+    progress: impl Fn(&str) + Sync,
+) -> Result<NoiseReport, DrivingError> {
+    let weights = model_of(options)?;
+    let model = weights.config();
+    let sources = spread_sources(options, scenes)?;
+    let jobs: Vec<Job<'_>> = sources.iter().flat_map(network_jobs_of).collect();
+    let played = play_all(&jobs, options, model, progress)?;
+    let mut sheet = network_sheet(scenes, model.horizon_len as f64 * model.dt_s);
+    let runs: Vec<_> = jobs.iter().zip(&played).collect();
+    // The first run of each series is the one without noise.
+    for series in runs.chunks(SIGMAS_M.len()) {
+        for (job, played) in series {
+            sheet.rows.push(Row { names: job.network_names(), values: network_figures(played, series[0].1) });
+        }
+    }
+    Ok(NoiseReport { sheet })
+}
+
+/// The sources, with at most `scenes` recordings each.
+fn spread_sources(options: &Options, scenes: usize) -> Result<Vec<Source>, DrivingError> {
+    let mut sources = sources(&options.folder, &options.sources)?;
+    sources.iter_mut().for_each(|source| source.files = spread(&source.files, scenes));
+    Ok(sources)
+}
+
+fn play_all(
+    jobs: &[Job<'_>],
+    options: &Options,
+    model: &ModelConfig,
+    progress: impl Fn(&str) + Sync,
+) -> Result<Vec<BTreeMap<Key, Ends>>, DrivingError> {
+    let played = threads::each(jobs, options.threads, |job, _: &mut ()| {
+        progress(&format!("{}, {}", job.source.name, job.names()[1..].join(", ")));
+        job.play(options, model)
+    });
+    played.into_iter().collect()
 }
 
 /// At most `len` items at even distances.
@@ -121,11 +169,24 @@ fn jobs_of(source: &Source) -> Vec<Job<'_>> {
                     seed: 1,
                     ..Noise::default()
                 };
-                jobs.push(Job { source, noise, fields });
+                jobs.push(Job { source, noise, fields, is_network: false });
             }
         }
     }
     jobs
+}
+
+/// The runs of a source that compare the network with the published forecasts: in each series the noise grows.
+fn network_jobs_of(source: &Source) -> Vec<Job<'_>> {
+    let with_ids = |fields| {
+        let jobs = jobs_of(source).into_iter();
+        jobs.filter(move |job| !job.noise.without_ids && job.fields == fields)
+    };
+    let series = |(fields, is_network)| with_ids(fields).map(move |job| Job { is_network, ..job });
+    [(Fields::All, true), (Fields::All, false), (Fields::Positions, true), (Fields::Positions, false)]
+        .into_iter()
+        .flat_map(series)
+        .collect()
 }
 
 fn sheet(scenes: usize, horizon_s: f64) -> Sheet {
@@ -143,23 +204,65 @@ fn sheet(scenes: usize, horizon_s: f64) -> Sheet {
     }
 }
 
+fn network_sheet(scenes: usize, horizon_s: f64) -> Sheet {
+    Sheet {
+        title: "The network under noise",
+        note: format!(
+            "ADE and FDE in m over {horizon_s:.1} s of moving vehicles ({MOVING_MPS} m/s or more) with ids, a forecast every 0.4 s. \
+             At most {scenes} recordings of each source, spread evenly. *Network*: the network's forecasts without evidence. \
+             *Published*: with evidence. *All fields* as in the table of recorded vehicles. Ratios to 0 m compare the \
+             forecasts that both runs have. *Tracked CV* is constant velocity from the published state."
+        ),
+        names: vec!["source", "fields", "forecasts of", "noise"],
+        columns: vec![
+            COUNTS,
+            "ADE",
+            "FDE",
+            "minFDE₂₀",
+            "ADE / 0 m",
+            "FDE / 0 m",
+            "minFDE₂₀ / 0 m",
+            "tracked CV, FDE / 0 m",
+        ],
+        rows: Vec::new(),
+    }
+}
+
+/// The numbers of a row of [`network_sheet`].
+fn network_figures(played: &BTreeMap<Key, Ends>, clean: &BTreeMap<Key, Ends>) -> Vec<Option<f64>> {
+    let of: [fn(&Ends) -> f64; 4] =
+        [|of| of.best_mean_m, |of| of.best_m, |of| of.best_of_m, |of| of.tracked_m];
+    let counted = Some(played.len() as f64);
+    let means = of[..3].iter().map(|of| mean(played, *of));
+    let ratios = of.iter().map(|of| to_clean(played, clean, *of));
+    [counted].into_iter().chain(means).chain(ratios).collect()
+}
+
+fn mean(played: &BTreeMap<Key, Ends>, of: fn(&Ends) -> f64) -> Option<f64> {
+    (!played.is_empty()).then(|| played.values().map(of).sum::<f64>() / played.len() as f64)
+}
+
+fn ratio(a: f64, b: f64) -> Option<f64> {
+    (b > 0.0).then(|| a / b)
+}
+
+/// The ratio of an error to the clean run's, on the forecasts that both runs have.
+fn to_clean(played: &BTreeMap<Key, Ends>, clean: &BTreeMap<Key, Ends>, of: fn(&Ends) -> f64) -> Option<f64> {
+    let both = played.iter().filter_map(|(key, ends)| Some((ends, clean.get(key)?)));
+    let (ours, theirs) = both.fold((0.0, 0.0), |(ours, theirs), (a, b)| (ours + of(a), theirs + of(b)));
+    ratio(ours, theirs)
+}
+
 /// The numbers of a row.
 fn figures(played: &BTreeMap<Key, Ends>, clean: &BTreeMap<Key, Ends>) -> Vec<Option<f64>> {
     let sum = |of: fn(&Ends) -> f64| played.values().map(of).sum::<f64>();
-    let mean = |of: fn(&Ends) -> f64| (!played.is_empty()).then(|| sum(of) / played.len() as f64);
-    let ratio = |a: f64, b: f64| (b > 0.0).then(|| a / b);
-    let both = || played.iter().filter_map(|(key, ends)| Some((ends, clean.get(key)?)));
-    let to_clean = |of: fn(&Ends) -> f64| {
-        let (ours, theirs) = both().fold((0.0, 0.0), |(ours, theirs), (a, b)| (ours + of(a), theirs + of(b)));
-        ratio(ours, theirs)
-    };
     let [best, best_of]: [fn(&Ends) -> f64; 2] = [|of| of.best_m, |of| of.best_of_m];
     vec![
         Some(played.len() as f64),
-        mean(best),
-        mean(best_of),
-        to_clean(best),
-        to_clean(best_of),
+        mean(played, best),
+        mean(played, best_of),
+        to_clean(played, clean, best),
+        to_clean(played, clean, best_of),
         ratio(sum(best), sum(|of| of.steady_m)),
     ]
 }
@@ -193,8 +296,15 @@ impl Job<'_> {
         vec![self.source.name.clone(), ids.to_owned(), fields.to_owned(), noise]
     }
 
+    fn network_names(&self) -> Vec<String> {
+        let [source, _, fields, noise]: [String; 4] = self.names().try_into().expect("four names");
+        let of = if self.is_network { "network" } else { "published" };
+        vec![source, fields, of.to_owned(), noise]
+    }
+
     /// Plays the source as one run, as `evaluate driving` does.
     fn play(&self, options: &Options, model: &ModelConfig) -> Result<BTreeMap<Key, Ends>, DrivingError> {
+        let options = &Options { evidence: options.evidence && !self.is_network, ..options.clone() };
         let mut ends = BTreeMap::new();
         let mut before: Option<Chain> = None;
         for (place, path) in self.source.files.iter().enumerate() {
@@ -247,13 +357,19 @@ fn judge(stamp_ns: i64, forecast: &Forecast, track: &RecordedTrack, model: &Mode
         track.state_at(at_ns, i64::MAX, GAP_NS).map(|state| Some(state.position_m))
     });
     let truth: Vec<Option<[f32; 2]>> = truth.collect::<Option<_>>()?;
-    let mut steady = vec![[0.0; 2]; len];
-    MotionNow::since(now.position_m, now.velocity_mps, None).steady(model.dt_s as f32, &mut steady);
+    let steady_m = |position_m: [f32; 2], velocity_mps: [f32; 2]| {
+        let mut steady = vec![[0.0; 2]; len];
+        MotionNow::since(position_m, velocity_mps, None).steady(model.dt_s as f32, &mut steady);
+        Errors::of(displacement(&steady, &truth)).fde_m
+    };
+    let best = Errors::of(displacement(&forecast.best, &truth));
     let modes = &forecast.modes[..forecast.modes_len as usize];
     Some(Ends {
-        best_m: Errors::of(displacement(&forecast.best, &truth)).fde_m,
+        best_m: best.fde_m,
+        best_mean_m: best.ade_m,
         best_of_m: Errors::of(min_displacement(modes, &truth)).fde_m,
-        steady_m: Errors::of(displacement(&steady, &truth)).fde_m,
+        steady_m: steady_m(now.position_m, now.velocity_mps),
+        tracked_m: steady_m([forecast.x_m, forecast.y_m], [forecast.vx_mps, forecast.vy_mps]),
     })
 }
 
@@ -262,7 +378,7 @@ mod tests {
     use super::*;
 
     fn ends(best_m: f64) -> Ends {
-        Ends { best_m, best_of_m: best_m / 2.0, steady_m: 4.0 }
+        Ends { best_m, best_mean_m: best_m / 4.0, best_of_m: best_m / 2.0, steady_m: 4.0, tracked_m: 5.0 }
     }
 
     #[test]
@@ -272,6 +388,8 @@ mod tests {
         let expected = [3.0, 5.0, 2.5, 2.0, 2.0, 1.25].map(Some);
         assert_eq!(figures(&noisy, &clean), expected);
         assert_eq!(figures(&BTreeMap::new(), &clean), [Some(0.0), None, None, None, None, None]);
+        let of_network = [3.0, 1.25, 5.0, 2.5, 2.0, 2.0, 2.0, 1.0].map(Some);
+        assert_eq!(network_figures(&noisy, &clean), of_network);
     }
 
     #[test]
@@ -291,5 +409,16 @@ mod tests {
         names.sort();
         names.dedup();
         assert_eq!(names.len(), jobs.len());
+    }
+
+    #[test]
+    fn each_series_of_the_network_begins_without_noise() {
+        let source = Source { name: String::new(), folder: "a".into(), files: Vec::new(), scale: 1.0 };
+        let jobs = network_jobs_of(&source);
+        for series in jobs.chunks(SIGMAS_M.len()) {
+            assert_eq!(series.iter().map(|job| job.noise.sigma_m).collect::<Vec<_>>(), SIGMAS_M);
+            let first = series[0].network_names();
+            assert!(series.iter().all(|job| job.network_names()[..3] == first[..3]));
+        }
     }
 }

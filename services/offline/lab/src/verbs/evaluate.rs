@@ -26,10 +26,14 @@ const SIGMAS_M: std::ops::RangeInclusive<f64> = 0.001..=10.0;
 const INTERACTION_PARTS: [&str; 3] = ["seen", "FT", "EP1"];
 /// All parts of `tracking`, which run by default.
 const TRACKING_PARTS: [&str; 3] = ["interaction", "kitti", "driving"];
-/// Parts of `noise` that run by default: generated agents, and sources of `driving`.
-const NOISE_PARTS: [&str; 4] = [SYNTHETIC, "womd", "av2_sensor", "nuscenes_mini"];
+/// Parts of `noise` that run by default.
+const NOISE_PARTS: [&str; 5] = [SYNTHETIC, NETWORK, NOISE_SOURCES[0], NOISE_SOURCES[1], NOISE_SOURCES[2]];
 /// The part of `noise` with generated agents.
 const SYNTHETIC: &str = "synthetic";
+/// The part of `noise` that compares the network with the published forecasts.
+const NETWORK: &str = "network";
+/// Sources of `driving` that `noise` plays by default.
+const NOISE_SOURCES: [&str; 3] = ["womd", "av2_sensor", "nuscenes_mini"];
 /// Recordings of each source that `noise` plays by default.
 const NOISE_SCENES: u16 = 8;
 
@@ -82,8 +86,9 @@ pub struct Arguments {
     /// Parts of `interaction`: `seen` or a held-out site [default: seen,FT,EP1]; of `tracking`: `interaction`
     /// (filters on noisy positions), `kitti` (trackers on a detector's output) and `driving` (gaps on many
     /// roads) [default: all]; of
-    /// `driving`: sources [default: all]; of `noise`: `synthetic` (generated agents) and sources of `driving`
-    /// [default: synthetic,womd,av2_sensor,nuscenes_mini]
+    /// `driving`: sources [default: all]; of `noise`: `synthetic` (generated agents), `network` (the
+    /// network's forecasts beside the published ones) and sources of `driving`
+    /// [default: synthetic,network,womd,av2_sensor,nuscenes_mini]
     #[arg(long, value_name = "PART,…", value_delimiter = ',')]
     parts: Vec<String>,
     /// Standard deviations of the measured positions in `tracking`, m; by default the protocol's values
@@ -308,6 +313,11 @@ impl Written {
         Self::new("recorded", "evaluate noise", texts, report.json())
     }
 
+    fn of_network(report: &NoiseReport) -> Self {
+        let texts = [report.markdown(), report.markdown(), report.csv()];
+        Self::new(NETWORK, "evaluate noise --parts network", texts, report.json())
+    }
+
     fn of_synthetic(report: &SyntheticReport) -> Self {
         let texts = [report.markdown(), report.markdown(), report.csv()];
         Self::new(SYNTHETIC, "evaluate noise --parts synthetic", texts, report.json())
@@ -388,18 +398,24 @@ fn drive(arguments: &Arguments) -> Result<Written, Failure> {
 
 /// Forecasts under many kinds of noise, of generated agents and of recorded vehicles.
 fn under_noise(arguments: &Arguments) -> Result<Vec<Written>, Failure> {
-    let (generated, sources): (Vec<&str>, Vec<&str>) =
-        parts(arguments, &NOISE_PARTS).partition(|part| *part == SYNTHETIC);
+    let (own, sources): (Vec<&str>, Vec<&str>) =
+        parts(arguments, &NOISE_PARTS).partition(|part| [SYNTHETIC, NETWORK].contains(part));
+    let has_recorded = !sources.is_empty();
+    let sources = if has_recorded { sources } else { NOISE_SOURCES.to_vec() };
     let sources: Vec<String> = sources.into_iter().map(str::to_owned).collect();
     let options = driving(arguments, &sources)?;
+    let scenes = usize::from(arguments.scenes.unwrap_or(NOISE_SCENES));
     let mut written = Vec::new();
-    if !generated.is_empty() {
+    if own.contains(&SYNTHETIC) {
         progress("generated agents");
         let report = driving_evaluator::synthetic(&options).map_err(Failure::data)?;
         written.push(Written::of_synthetic(&report));
     }
-    if !sources.is_empty() {
-        let scenes = usize::from(arguments.scenes.unwrap_or(NOISE_SCENES));
+    if own.contains(&NETWORK) {
+        let report = driving_evaluator::network_under_noise(&options, scenes, progress);
+        written.push(Written::of_network(&report.map_err(Failure::data)?));
+    }
+    if has_recorded {
         let report = driving_evaluator::under_noise(&options, scenes, progress).map_err(Failure::data)?;
         written.push(Written::of_noise(&report));
     }
