@@ -1,7 +1,7 @@
 //! Pictures as SVG: recordings, forecasts of scenes, learning curves.
 //!
-//! [`overview`] draws a whole recording. [`scenes`] draws forecasts of scenes. [`learning_curves`] draws a
-//! [`TrainingLog`]. A picture consists of *panels*. The panel of a scene shows these layers, from bottom to
+//! [`overview`] draws a whole recording. [`scenes`] draws forecasts of scenes. [`noisy_track`] draws one
+//! agent under noise. [`learning_curves`] draws a [`TrainingLog`]. A picture consists of *panels*. The panel of a scene shows these layers, from bottom to
 //! top:
 //!
 //! 1. how often the ground was visited (the context map);
@@ -26,6 +26,7 @@ mod error;
 mod ground;
 mod mask;
 mod mixture;
+mod noisy_track;
 mod overview;
 mod path;
 mod scene;
@@ -38,6 +39,7 @@ mod view;
 pub use curves::learning_curves;
 pub use error::PictureError;
 pub use mask::Mask;
+pub use noisy_track::{NoisyTrack, noisy_track};
 pub use overview::{Overview, overview};
 pub use scene::{AgentDrawing, SceneDrawing, SceneOptions, scenes};
 pub use training_log::{LogError, Progress, SetErrors, TrainingLog, Validation};

@@ -1,4 +1,5 @@
 mod scene;
+mod track;
 mod training;
 
 use clap::{Args, Subcommand};
@@ -17,6 +18,8 @@ pub struct Arguments {
 enum What {
     /// Plot scenes of a recording with their forecasts
     Scene(Box<scene::Arguments>),
+    /// Plot one agent of a recording under noise: detections, track, forecast and true motion
+    Track(track::Arguments),
     /// Plot the learning curves of a training
     Training(training::Arguments),
 }
@@ -25,6 +28,7 @@ enum What {
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     match &arguments.what {
         What::Scene(arguments) => scene::execute(arguments),
+        What::Track(arguments) => track::execute(arguments),
         What::Training(arguments) => training::execute(arguments),
     }
 }
