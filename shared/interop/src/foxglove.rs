@@ -4,8 +4,8 @@
 
 use perfetto::Message;
 use scene::ContextMap;
-use wire::tick_view::{AgentView, Point};
-use wire::{AgentType, Cause, Quality, WorldOrigin};
+use wire::tick_view::{AgentView, ForecastView, Point};
+use wire::{AgentType, Cause, Quality, WorldOrigin, vocabulary};
 
 use crate::autoware::{EGO, MAP, Tick, probable_paths, size_m};
 
@@ -31,15 +31,13 @@ const LINE_PX: f64 = 3.0;
 /// A color: red, green, blue and opacity.
 type Color = [f64; 4];
 
-/// The color of a forecast's quality; grey without a forecast.
+/// The color of a forecast's cause on a dark ground; grey without a forecast.
 #[must_use]
-pub const fn color(quality: Option<Quality>) -> Color {
-    match quality {
-        Some(Quality::Learned) => [0.15, 0.65, 0.3, 1.0],
-        Some(Quality::Held) => [0.95, 0.65, 0.1, 1.0],
-        Some(Quality::Kinematic) => [0.9, 0.25, 0.2, 1.0],
-        None => [0.55, 0.55, 0.55, 1.0],
-    }
+pub fn color(forecast: Option<&ForecastView>) -> Color {
+    let look = forecast.and_then(|forecast| vocabulary::look(forecast.cause));
+    let [red, green, blue] = look.map_or(vocabulary::UNKNOWN[1], |look| look.dark);
+    let [red, green, blue] = [red, green, blue].map(|value| f64::from(value) / 255.0);
+    [red, green, blue, 1.0]
 }
 
 fn time(message: &mut Message<'_>, field: u32, ns: i64) {
@@ -74,7 +72,7 @@ fn pose(message: &mut Message<'_>, field: u32, [x, y]: [f64; 2], z_m: f64, headi
 }
 
 /// A `foxglove.SceneUpdate` that replaces the previous one: of each agent a box, its most probable paths, its
-/// history and a label, colored by the quality of its forecast.
+/// history and a label, colored by the cause of its forecast.
 #[must_use]
 pub fn scene_update(view: &Tick<'_>, paths_max: usize) -> Vec<u8> {
     let mut bytes = Vec::new();
@@ -119,7 +117,7 @@ fn metadata(agent: &AgentView) -> Vec<(&'static str, String)> {
 
 fn shape(entity: &mut Message<'_>, view: &Tick<'_>, agent: &AgentView) {
     let size_m = size_m(agent).map(f64::from);
-    let [red, green, blue, _] = color(agent.forecast.as_ref().map(|forecast| forecast.quality));
+    let [red, green, blue, _] = color(agent.forecast.as_ref());
     // Pedestrians are cylinders.
     let field = if agent.agent_type == AgentType::Pedestrian { 10 } else { 8 };
     entity.message(field, |shape| {
@@ -153,7 +151,7 @@ fn lines(entity: &mut Message<'_>, view: &Tick<'_>, agent: &AgentView, paths_max
     if let Some(forecast) = &agent.forecast {
         let paths = probable_paths(forecast, paths_max);
         let most = paths.first().map_or(1.0, |(_, probability)| probability.max(f32::MIN_POSITIVE));
-        let [red, green, blue, _] = color(Some(forecast.quality));
+        let [red, green, blue, _] = color(Some(forecast));
         for (points, probability) in paths {
             let opacity = 0.25 + 0.75 * f64::from(probability / most);
             let mut points = present.clone().chain(points.iter().copied());

@@ -94,6 +94,7 @@ mod tests;
 mod tick;
 pub mod tick_view;
 mod topic;
+pub mod vocabulary;
 mod whole;
 
 pub use agent::{AGENT_TYPES, AgentType, UnknownAgentType};
