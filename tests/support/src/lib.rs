@@ -5,12 +5,14 @@
 //! * [`skip`] lists such tests, with the reason, at the end of the test program.
 //! * [`CountingAllocator`] counts allocations, for tests that assert that a steady step makes none.
 //! * [`Model`] makes weights files from the embedded one.
+//! * [`Browser`] is a page in headless Chromium.
 //! * [`lane`] is a map of one lane.
 //! * [`assert_layers`] checks the order of a crate's modules.
 //! * [`Scratch`] is the folder of a test, with generated recordings and changed pipelines.
 #![expect(clippy::unwrap_used, reason = "a test ends at what it can't do")]
 
 mod allocation;
+mod browser;
 mod lane;
 mod layers;
 mod model;
@@ -19,6 +21,7 @@ mod scratch;
 mod skipped;
 
 pub use allocation::{AllocationCounts, CountingAllocator, THREADS_MAX, allocations};
+pub use browser::Browser;
 pub use lane::lane;
 pub use layers::assert_layers;
 pub use model::{Model, value};
