@@ -82,7 +82,8 @@ fn the_live_page_shows_a_run_and_its_end() {
         }
         let number = |name: &str| attribute(&dom, name).parse::<u64>().unwrap();
         assert!(number("data-ticks") > 5 && number("data-draws") > 0 && number("data-agents") > 3);
-        assert!(dom.contains(">The run has ended</div>"));
+        assert!(dom.contains("<div id=\"ended\"><b>The run has ended</b>"), "the page says so");
+        assert!(dom.contains("download=\""), "the report is offered");
     }
 }
 

@@ -17,7 +17,8 @@ function canvasOf(canvas) {
 function stepsTo(high, count) {
   const rough = high / count;
   const power = 10 ** Math.floor(Math.log10(rough || 1));
-  const step = [1, 2, 5, 10].map((factor) => factor * power).find((value) => value >= rough) || 1;
+  const choices = [1, 2, 5, 10].map((factor) => factor * power).filter((value) => value <= high);
+  const step = choices.find((value) => value >= rough) || choices[choices.length - 1] || 1;
   const steps = [];
   for (let at = 0; at <= high * 1.0001; at += step) steps.push(+at.toFixed(6));
   return steps;
@@ -123,6 +124,7 @@ function stackedChart(canvas, x, layers, { xUnit = "s" } = {}) {
     for (let place = begin; place < end; place++) if (learned(place) < learned(worst)) worst = place;
     let base = 0;
     for (const { values, color } of layers) {
+      if (!values[worst]) continue;
       const tallness = values[worst] / most * tall;
       context.fillStyle = color;
       context.fillRect(left + column * inner / columns, top + tall - base - tallness, inner / columns + 0.5, tallness);

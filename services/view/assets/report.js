@@ -13,26 +13,6 @@ async function inflate(base64) {
   return new Uint8Array(await new Response(stream).arrayBuffer());
 }
 
-// A reader of zigzag varints; see scrub.rs. Numbers have up to 53 bits.
-class Varints {
-  constructor(bytes, at, end) { Object.assign(this, { bytes, at, end }); }
-  next() {
-    let [value, scale, byte] = [0, 1, 0];
-    do {
-      byte = this.bytes[this.at++];
-      value += (byte & 0x7f) * scale;
-      scale *= 128;
-    } while (byte & 0x80);
-    return value % 2 ? -(value + 1) / 2 : value / 2;
-  }
-  text() {
-    const length = this.next();
-    const bytes = this.bytes.subarray(this.at, this.at + length);
-    this.at += length;
-    return String.fromCharCode(...bytes);
-  }
-}
-
 // The scenes of the kept ticks.
 function decodeScrub(bytes) {
   const head = new Varints(bytes, 0, bytes.length);
@@ -62,16 +42,7 @@ function decodeScrub(bytes) {
       const agent = { i: track.i, n: track.n, t: track.t, s: track.s, u: 0, y: [], v: [0, 0],
                       p: [track.pose[0], track.pose[1]], h: track.pose[2] };
       if (kind >= 0) {
-        const points = [];
-        let [x, y, vx, vy] = [0, 0, 0, 0];
-        for (let step = steps.next(); step > 0; step--) {
-          vx += steps.next();
-          vy += steps.next();
-          x += vx;
-          y += vy;
-          points.push(x, y);
-        }
-        agent.f = { q: kind % 4, c: Math.floor(kind / 4), a: 0, b: points, m: [], e: [], x: [], o: 0 };
+        agent.f = { q: kind % 4, c: Math.floor(kind / 4), a: 0, b: steps.path(), m: [], e: [], x: [], o: 0 };
       }
       scene.agents.push(agent);
     }
@@ -81,7 +52,6 @@ function decodeScrub(bytes) {
 }
 
 const percent = (share) => (share === null || share === undefined ? "–" : `${(share * 100).toFixed(share > 0.1 ? 0 : 1)} %`);
-const VERDICTS = { ok: ["OK", "good"], doubtful: ["DOUBTFUL", "warn"], degraded: ["DEGRADED", "bad"], empty: ["EMPTY", "warn"] };
 
 function element(html) {
   const template = document.createElement("template");
@@ -195,6 +165,9 @@ function worstOf({ report }, details) {
   return `<section class="card"><h2>Worst ticks</h2><div class="worst">${worst.map(card).join("")}</div></section>`;
 }
 
+// How long a path of laterOf is, s: the usual horizon.
+const LATER_S = 4.8;
+
 const later = []; // what draws charts, after each change of size or theme
 const scenes = [];
 
@@ -234,7 +207,7 @@ function timeCharts(column, run, details) {
     <span class="soft">agents</span></h2><canvas class="chart" data-chart="quality"></canvas>
     <div class="legend">${legendOf(occurring.map(([cause]) => cause))}</div></section>`));
   chart(column, "[data-chart=quality]", (canvas) => stackedChart(canvas, x, occurring.map(([cause, values]) =>
-    ({ values, color: themed("cause-" + CAUSES[cause]) }))));
+    ({ values, color: themed("cause-" + LOOKS[cause].cause) }))));
 }
 
 function horizonCharts(column, details) {
@@ -263,18 +236,19 @@ function horizonCharts(column, details) {
   { high: 100, absolute: true }));
 }
 
-function sceneOver(column, run, frames) {
+// The scene of a run with a slider, or of two runs with the forecasts of both.
+function sceneOver(column, run, frames, title = "The scene over the whole run", framesB = null) {
   const slot = column.querySelector("[data-slot=scene]");
-  if (!frames.length) return slot.remove();
+  if (!frames.length) return void slot.remove();
   const note = run.every > 1 ? `One tick in ${run.every} is kept.` : "";
-  const card = element(`<section class="card"><h2>The scene over the whole run<span class="soft">${note}</span></h2>
-    <div class="play"><button data-play>Play</button><input type="range" min="0" max="${frames.length - 1}" value="0" aria-label="Tick">
+  const card = element(`<section class="card"><h2>${title}<span class="soft">${note}</span></h2>
+    <div class="play"><button data-play>Play</button><button data-truth aria-pressed="false">Where they went</button><input type="range" min="0" max="${frames.length - 1}" value="0" aria-label="Tick">
     <output></output></div><canvas class="scene" tabindex="0"></canvas><div class="legend"></div></section>`);
   slot.replaceWith(card);
   const canvas = new SceneCanvas(card.querySelector("canvas"), { regions: false });
   scenes.push(canvas);
   canvas.lanes = run.lanes || [];
-  const [input, output, button] = ["input", "output", "[data-play]"].map((selector) => card.querySelector(selector));
+  const [input, output, button, truth] = ["input", "output", "[data-play]", "[data-truth]"].map((selector) => card.querySelector(selector));
   const causes = new Set([0]);
   for (const frame of frames) {
     for (const agent of frame.agents) {
@@ -283,16 +257,29 @@ function sceneOver(column, run, frames) {
     }
   }
   const begin = frames[0].t;
+  const ofB = framesB && new Map(framesB.map((frame) => [frame.seq, frame]));
   const show = () => {
     const frame = frames[+input.value];
     canvas.scene = frame;
+    canvas.later = truth.getAttribute("aria-pressed") === "true" ? laterOf(frames, +input.value) : null;
+    const other = ofB && ofB.get(frame.seq);
+    canvas.past = (other ? other.agents : []).filter(({ f }) => f && f.b.length).map(({ p, f }) => ({ age: 2, p, f }));
     canvas.request();
     output.textContent = `tick ${frame.seq} · ${(frame.t - begin).toFixed(1)} s · ${frame.agents.length} agents`;
   };
   card.querySelector(".legend").innerHTML = legendOf([...causes].sort(), '<span class="key"><i class="dash"></i>held</span>' +
     '<span class="key"><i class="dots"></i>kinematic</span><span class="key"><i style="background:var(--faint)"></i>places seen</span>' +
-    (canvas.lanes.length ? '<span class="key"><i class="line" style="background:var(--lane)"></i>lanes</span>' : ""));
+    (canvas.lanes.length ? '<span class="key"><i class="line" style="background:var(--lane)"></i>lanes</span>' : "") +
+    (framesB ? '<span class="key"><i class="line" style="background:var(--select)"></i>B, dashed</span>' : ""));
   input.addEventListener("input", show);
+  canvas.go = (place) => {
+    input.value = place;
+    show();
+  };
+  truth.addEventListener("click", () => {
+    truth.setAttribute("aria-pressed", String(truth.getAttribute("aria-pressed") === "false"));
+    show();
+  });
   let playing = null;
   button.addEventListener("click", () => {
     if (playing) { clearInterval(playing); playing = null; button.textContent = "Play"; return; }
@@ -307,7 +294,17 @@ function sceneOver(column, run, frames) {
   });
   input.value = Math.floor(frames.length / 2);
   show();
-  card.scenes = frames;
+  return canvas;
+}
+
+// Where the agents of a frame were tracked later, for the length of a forecast.
+function laterOf(frames, place) {
+  const paths = new Map(frames[place].agents.map(({ i, p }) => [i, [...p]]));
+  for (const { t, agents } of frames.slice(place + 1)) {
+    if (t > frames[place].t + LATER_S) break;
+    for (const { i, p } of agents) if (paths.has(i)) paths.get(i).push(...p);
+  }
+  return paths;
 }
 
 function worstScenes(column, run, details) {
@@ -331,17 +328,22 @@ async function build() {
     const details = run.details ? JSON.parse(new TextDecoder().decode(await inflate(run.details))) : null;
     const frames = run.scrub ? decodeScrub(await inflate(run.scrub)) : [];
     const column = element(`<article class="run">${headOf(run)}${figuresOf(run)}
-      ${details ? '<div data-slot="scene"></div><div data-slot="times"></div><div data-slot="stages"></div>' : ""}
+      ${details && RUNS.length === 1 ? '<div data-slot="scene"></div>' : ""}${details ? '<div data-slot="times"></div><div data-slot="stages"></div>' : ""}
       ${stageTable(run)}${worstOf(run, details)}${details ? '<div data-slot="quality"></div>' : ""}
       ${accuracyTable(run)}${details ? '<div data-slot="horizon"></div>' : ""}${factsOf(run)}</article>`);
     document.getElementById("runs").append(column);
     if (details) {
       timeCharts(column, run, details);
       horizonCharts(column, details);
-      sceneOver(column, run, frames);
+      if (RUNS.length === 1) sceneOver(column, run, frames);
       worstScenes(column, run, details);
     }
     run.unpacked = { details, frames };
+  }
+  if (RUNS.length === 2) {
+    const card = comparison(RUNS);
+    document.getElementById("runs").before(card);
+    comparedScene(card, RUNS);
   }
   redraw();
   // For tests: what was unpacked.

@@ -4,11 +4,16 @@
 
 const TYPES = ["vehicle", "cyclist", "pedestrian"];
 const QUALITIES = ["learned", "held", "kinematic"];
-const CAUSES = ["none", "late", "rejected", "missing", "young", "outdone", "shed"];
-const CAUSE_WORDS = {
-  none: "learned", late: "late", rejected: "rejected", missing: "missing", young: "too young",
-  outdone: "constant velocity better", shed: "shed to save time",
-};
+const PLURALS = ["vehicles", "cyclists", "pedestrians"];
+const VERDICTS = { ok: ["OK", "good"], doubtful: ["DOUBTFUL", "warn"], degraded: ["DEGRADED", "bad"], empty: ["EMPTY", "warn"] };
+// The layers of a scene that can be switched: name, words, and whether they are shown at first.
+const LAYERS = [
+  ["forecasts", "forecasts", true], ["modes", "modes", true], ["improbable", "modes below 2 %", false],
+  ["regions", "regions", true], ["histories", "histories", true], ["lanes", "lanes", true],
+  ["places", "places seen", true], ["truth", "where they went", false], ["conflicts", "conflicts", true],
+];
+// Modes with a smaller probability, in thousandths, belong to the layer "improbable".
+const IMPROBABLE = 20;
 const EXPERTS = ["network", "base", "constant velocity", "decaying turn", "process model",
                  "decaying acceleration", "following", "lane"];
 
@@ -23,10 +28,10 @@ function themed(name) {
 
 function palette() {
   const colors = {};
-  for (const name of ["ground", "grid", "ink", "soft", "faint", "lane", "ego", "select", "unknown"]) {
+  for (const name of ["ground", "grid", "ink", "soft", "faint", "lane", "ego", "select", "unknown", "bad"]) {
     colors[name] = themed(name);
   }
-  colors.cause = CAUSES.map((cause) => themed("cause-" + cause));
+  colors.cause = LOOKS.map(({ cause }) => themed("cause-" + cause));
   return colors;
 }
 
@@ -185,6 +190,16 @@ class Places {
   }
 }
 
+// Length and width of the ego vehicle: a typical car, since no frame contains its size.
+const EGO_CM = [460, 190];
+// The shapes of the vocabulary, about 8 pixels wide.
+const SHAPES = {
+  disc: "M-3 0A3 3 0 1 0 3 0A3 3 0 1 0-3 0Z", square: "M-3-3H3V3H-3Z", ring: "M-3.2 0A3.2 3.2 0 1 0 3.2 0A3.2 3.2 0 1 0-3.2 0Z",
+  triangle: "M0-4L4 3H-4Z", cross: "M-3.4-3.4L3.4 3.4M3.4-3.4L-3.4 3.4", diamond: "M0-4.4L4.4 0L0 4.4L-4.4 0Z",
+  plus: "M-4 0H4M0-4V4",
+};
+const OPEN_SHAPES = ["ring", "cross", "plus"];
+
 class SceneCanvas {
   constructor(canvas, options = {}) {
     this.canvas = canvas;
@@ -194,6 +209,11 @@ class SceneCanvas {
     this.lanes = [];
     this.follow = null;
     this.selected = null;
+    this.layers = Object.fromEntries(LAYERS.map(([name, , isShown]) => [name, isShown]));
+    this.later = null; // by track: where it was tracked later
+    this.past = []; // earlier forecasts of the selected agent
+    this.conflicts = [];
+    this.ruler = null; // while it is on: its two ends in cm
     this.center = null;
     this.scale = 6; // pixels per metre
     this.fitted = false;
@@ -260,6 +280,31 @@ class SceneCanvas {
     this.moved = false;
   }
 
+  // Fits again if most agents have left the view and nobody has moved it.
+  keepInView() {
+    if (!this.scene || !this.center || !this.width || this.moved || this.follow) return;
+    const seen = this.scene.agents.filter(({ p }) => this.isOnScreen(p, 0)).length;
+    if (seen < this.scene.agents.length / 2) this.fit();
+  }
+
+  isOnScreen([x, y], margin) {
+    const [sx, sy] = this.toScreen(x, y);
+    return sx > -margin && sy > -margin && sx < this.width + margin && sy < this.height + margin;
+  }
+
+  toWorld(x, y) {
+    return [(this.center[0] + (x - this.width / 2) / this.scale) * 100, (this.center[1] + (this.height / 2 - y) / this.scale) * 100];
+  }
+
+  // Puts a place in cm into the middle, near enough to see it.
+  lookAt([x, y]) {
+    this.setFollow(null);
+    this.center = [x / 100, y / 100];
+    this.scale = Math.max(this.scale, 10);
+    this.moved = this.fitted = true;
+    this.request();
+  }
+
   toScreen(x, y) {
     return [this.width / 2 + (x / 100 - this.center[0]) * this.scale,
             this.height / 2 - (y / 100 - this.center[1]) * this.scale];
@@ -292,11 +337,17 @@ class SceneCanvas {
       canvas.setPointerCapture(event.pointerId);
       this.pointers.set(event.pointerId, place(event));
       if (this.pointers.size === 1) this.pressed = place(event);
+      if (this.ruler && this.center) this.ruler = [this.toWorld(...place(event)), this.toWorld(...place(event))];
     });
     canvas.addEventListener("pointermove", (event) => {
       const before = this.pointers.get(event.pointerId);
       if (!before || !this.center) return;
       const now = place(event);
+      if (this.ruler && this.pointers.size === 1) {
+        this.ruler[1] = this.toWorld(...now);
+        this.request();
+        return;
+      }
       if (this.pointers.size === 2) {
         const [other] = [...this.pointers].filter(([id]) => id !== event.pointerId).map(([, at]) => at);
         const apart = (point) => Math.hypot(point[0] - other[0], point[1] - other[1]);
@@ -314,18 +365,23 @@ class SceneCanvas {
     });
     const release = (event) => {
       this.pointers.delete(event.pointerId);
-      if (event.type === "pointerup" && this.pressed) this.pick(...this.pressed);
+      if (event.type === "pointerup" && this.pressed && !this.ruler) {
+        // A finger is wider than a pointer.
+        this.pick(...this.pressed, event.pointerType === "touch" ? 40 : 24);
+      }
       this.pressed = null;
     };
     canvas.addEventListener("pointerup", release);
     canvas.addEventListener("pointercancel", release);
     canvas.addEventListener("keydown", (event) => {
       const step = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] }[event.key];
-      if (step && this.center) {
+      // Without Shift, the arrow keys belong to the time line.
+      if (step && this.center && event.shiftKey) {
         this.setFollow(null);
         this.moved = true;
         this.center = this.center.map((value, axis) => value + step[axis] * 60 / this.scale);
         event.preventDefault();
+        event.stopPropagation();
       } else if (event.key === "+") this.zoom(1.25, this.width / 2, this.height / 2);
       else if (event.key === "-") this.zoom(0.8, this.width / 2, this.height / 2);
       else if (event.key === "0") { this.setFollow(null); this.fit(); }
@@ -341,9 +397,9 @@ class SceneCanvas {
     if (this.options.onFollow) this.options.onFollow(what);
   }
 
-  pick(x, y) {
+  pick(x, y, reach = 24) {
     if (!this.scene || !this.center) return;
-    let [best, least] = [null, 24];
+    let [best, least] = [null, reach];
     for (const agent of this.scene.agents) {
       const [ax, ay] = this.toScreen(agent.p[0], agent.p[1]);
       const apart = Math.hypot(ax - x, ay - y);
@@ -371,21 +427,22 @@ class SceneCanvas {
                   this.ratio * this.height / 2 + this.center[1] * 100 * k];
     this.thin = 100 / this.scale;
     context.setTransform(...this.world);
-    this.places.draw(context);
+    const { layers } = this;
+    if (layers.places) this.places.draw(context);
     this.drawGrid();
-    this.drawLanes();
-    const reach = 6000;
-    const seen = scene.agents.filter(({ p }) => {
-      const [x, y] = this.toScreen(p[0], p[1]);
-      const margin = Math.min(reach * this.scale / 100, 600);
-      return x > -margin && y > -margin && x < this.width + margin && y < this.height + margin;
-    });
-    if (this.options.regions) this.drawRegions();
+    if (layers.lanes) this.drawLanes();
+    const margin = Math.min(60 * this.scale, 600);
+    const seen = scene.agents.filter(({ p }) => this.isOnScreen(p, margin));
+    if (this.options.regions && layers.regions) this.drawRegions();
+    if (this.later) seen.forEach((agent) => this.drawLater(agent));
     seen.forEach((agent) => this.drawPaths(agent));
+    this.drawPast();
     if (scene.ego) this.drawEgo(scene.ego);
     seen.forEach((agent) => this.drawBody(agent));
     context.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
+    if (layers.conflicts) this.drawConflicts();
     this.drawLabels(seen);
+    this.drawRuler();
     this.drawScale();
     this.draws++;
   }
@@ -478,33 +535,119 @@ class SceneCanvas {
   drawPaths(agent) {
     const { context, colors, thin } = this;
     const { p, f, y } = agent;
+    const { layers } = this;
     context.lineJoin = context.lineCap = "round";
     context.strokeStyle = colors.soft;
     context.lineWidth = 1.4 * thin;
-    if (y && y.length) {
+    if (layers.histories && y && y.length) {
       this.trace(p, y, false);
       context.lineTo(p[0], p[1]);
       context.stroke();
     }
     if (!f) return;
+    const look = LOOKS[f.c];
     context.strokeStyle = colorOf(colors, f);
-    for (const [probability, points] of f.m || []) {
-      context.globalAlpha = 0.25 + 0.55 * Math.min(probability / 400, 1);
+    context.setLineDash(look ? look.dash.map((length) => length * thin) : []);
+    if (look && look.dash.length) context.lineCap = "butt";
+    for (const [probability, points] of layers.modes ? f.m || [] : []) {
+      if (probability < IMPROBABLE && !layers.improbable) continue;
+      context.globalAlpha = 0.2 + 0.6 * Math.min(probability / 400, 1);
       context.lineWidth = (0.8 + 1.6 * Math.min(probability / 500, 1)) * thin;
       this.trace(p, points, true);
       context.stroke();
     }
     context.globalAlpha = 1;
-    context.lineWidth = 2.2 * thin;
-    this.trace(p, f.b, true);
-    context.stroke();
-    const end = f.b.length - 2;
-    if (end >= 0) {
-      context.fillStyle = colorOf(colors, f);
-      context.beginPath();
-      context.arc(p[0] + f.b[end], p[1] + f.b[end + 1], 2.6 * thin, 0, 7);
-      context.fill();
+    if (layers.forecasts) {
+      context.lineWidth = 2.2 * thin;
+      this.trace(p, f.b, true);
+      context.stroke();
     }
+    context.setLineDash([]);
+    if (!layers.forecasts) return;
+    const end = f.b.length - 2;
+    if (end >= 0) this.drawEnd(look, p[0] + f.b[end], p[1] + f.b[end + 1], colorOf(colors, f));
+  }
+
+  // The shape of a cause at the end of a forecast.
+  drawEnd(look, x, y, color) {
+    const { context, thin } = this;
+    context.save();
+    context.translate(x, y);
+    context.scale(thin, -thin);
+    const path = new Path2D(SHAPES[look ? look.shape : "disc"]);
+    context.fillStyle = context.strokeStyle = color;
+    context.lineWidth = 1.8;
+    if (!OPEN_SHAPES.includes(look && look.shape)) context.fill(path);
+    context.stroke(path);
+    context.restore();
+  }
+
+  // Where an agent was tracked later.
+  drawLater({ i, p }) {
+    const path = this.later.get(i);
+    if (!path || path.length < 4) return;
+    const { context, colors, thin } = this;
+    context.strokeStyle = colors.ink;
+    context.lineWidth = 1.6 * thin;
+    context.globalAlpha = 0.75;
+    context.beginPath();
+    for (let at = 0; at < path.length; at += 2) {
+      if (at) context.lineTo(path[at], path[at + 1]); else context.moveTo(path[at], path[at + 1]);
+    }
+    context.stroke();
+    context.globalAlpha = 1;
+  }
+
+  // The selected agent's forecasts of some seconds ago, each from where it was made.
+  drawPast() {
+    const { context, colors, thin } = this;
+    for (const { age, p, f } of this.past) {
+      context.strokeStyle = colors.select;
+      context.lineWidth = 1.8 * thin;
+      context.globalAlpha = 1 - age / 8;
+      context.setLineDash([2 * age * thin, 2.5 * thin]);
+      this.trace(p, f.b, true);
+      context.stroke();
+      context.setLineDash([]);
+      context.globalAlpha = 1;
+      const end = f.b.length - 2;
+      this.drawEnd(LOOKS[f.c], p[0] + f.b[end], p[1] + f.b[end + 1], colors.select);
+    }
+  }
+
+  drawConflicts() {
+    const { context, colors } = this;
+    for (const { x, y, p } of this.conflicts) {
+      const [sx, sy] = this.toScreen(x, y);
+      context.strokeStyle = colors.bad;
+      context.lineWidth = 1 + 2 * p;
+      context.beginPath();
+      context.arc(sx, sy, 9, 0, 7);
+      context.moveTo(sx - 5, sy - 5);
+      context.lineTo(sx + 5, sy + 5);
+      context.moveTo(sx + 5, sy - 5);
+      context.lineTo(sx - 5, sy + 5);
+      context.stroke();
+    }
+  }
+
+  drawRuler() {
+    const { context, colors, ruler } = this;
+    if (!ruler || ruler.length < 2) return;
+    const [[ax, ay], [bx, by]] = ruler.map((point) => this.toScreen(...point));
+    context.strokeStyle = colors.select;
+    context.lineWidth = 2;
+    context.beginPath();
+    context.moveTo(ax, ay);
+    context.lineTo(bx, by);
+    context.stroke();
+    this.measured = Math.hypot(ruler[1][0] - ruler[0][0], ruler[1][1] - ruler[0][1]) / 100;
+    context.font = "600 13px system-ui, sans-serif";
+    context.lineWidth = 4;
+    context.strokeStyle = colors.ground;
+    context.strokeText(`${this.measured.toFixed(2)} m`, bx + 8, by - 8);
+    context.fillStyle = colors.select;
+    context.fillText(`${this.measured.toFixed(2)} m`, bx + 8, by - 8);
   }
 
   drawBody(agent) {
@@ -560,14 +703,23 @@ class SceneCanvas {
     context.save();
     context.translate(x * 100, y * 100);
     context.rotate(heading);
+    // The footprint of a typical car, true to scale, and an arrow that stays visible from afar.
+    const [length, width] = EGO_CM;
     context.beginPath();
-    const [length, width] = [Math.max(460, 12 * thin), Math.max(190, 6 * thin)];
-    context.moveTo(length / 2, 0);
-    context.lineTo(-length / 2, width / 2);
-    context.lineTo(-length / 3, 0);
-    context.lineTo(-length / 2, -width / 2);
+    context.rect(-length / 2, -width / 2, length, width);
+    context.strokeStyle = context.fillStyle = colors.ego;
+    context.lineWidth = 1.6 * thin;
+    context.globalAlpha = 0.25;
+    context.fill();
+    context.globalAlpha = 1;
+    context.stroke();
+    const [reach, half] = [Math.max(length / 2, 7 * thin), Math.max(width / 2.6, 4 * thin)];
+    context.beginPath();
+    context.moveTo(reach, 0);
+    context.lineTo(-reach * 0.7, half);
+    context.lineTo(-reach * 0.4, 0);
+    context.lineTo(-reach * 0.7, -half);
     context.closePath();
-    context.fillStyle = colors.ego;
     context.fill();
     context.restore();
   }
@@ -597,8 +749,9 @@ class SceneCanvas {
       if (!detailed && !isChosen) continue;
       const [x, y] = this.toScreen(agent.p[0], agent.p[1]);
       put(agent.n, x + 8, y - 8, isChosen ? colors.select : colors.ink, isChosen ? 13 : 11);
-      const modes = agent.f && agent.f.m && (isChosen || this.scale > 14) ? agent.f.m : [];
+      const modes = this.layers.modes && agent.f && agent.f.m && (isChosen || this.scale > 14) ? agent.f.m : [];
       for (const [probability, points] of modes) {
+        if (probability < IMPROBABLE && !this.layers.improbable) continue;
         const end = points.length - 2;
         if (end < 0) continue;
         const [ex, ey] = this.toScreen(agent.p[0] + points[end], agent.p[1] + points[end + 1]);
@@ -631,13 +784,26 @@ class SceneCanvas {
 
 // A cause in words. A newer version's cause is a number.
 function causeWords(cause) {
-  return CAUSE_WORDS[CAUSES[cause]] || `cause ${cause}`;
+  return LOOKS[cause] ? LOOKS[cause].words : `cause ${cause}`;
 }
 
-// The legend: what colours and outlines mean, for the causes that occur.
+// A cause as a line with its dash and shape, or its shape alone.
+function glyphOf(cause, isShort = false) {
+  const look = LOOKS[cause] || { cause: "unknown", dash: [], shape: "disc" };
+  const color = LOOKS[cause] ? `var(--cause-${look.cause})` : "var(--unknown)";
+  const fill = OPEN_SHAPES.includes(look.shape) ? "none" : color;
+  return `<svg width="${isShort ? 12 : 34}" height="12" viewBox="${isShort ? "22 0 12 12" : "0 0 34 12"}" aria-hidden="true"><g stroke="${color}" stroke-width="2"><path d="${isShort ? "" : "M0 6H26"}" ` +
+    `stroke-dasharray="${look.dash.join(" ")}" fill="none"/><path d="${SHAPES[look.shape]}" transform="translate(28 6)" fill="${fill}"/></g></svg>`;
+}
+
+// The legend: what colours, dashes and shapes mean, for the causes that occur.
 function legendOf(causes, extra = "") {
-  const color = (cause) => CAUSES[cause] ? "cause-" + CAUSES[cause] : "unknown";
-  const items = causes.map((cause) => `<span class="key"><i style="background:var(--${color(cause)})"></i>` +
+  const items = causes.map((cause) => `<span class="key" title="${LOOKS[cause] ? explanationOf(cause, 0) : ""}">${glyphOf(cause)}` +
     `${causeWords(cause)}</span>`);
   return items.join("") + extra;
+}
+
+// Why a forecast is as it is, for agents of a type.
+function explanationOf(cause, type) {
+  return LOOKS[cause] ? LOOKS[cause].explanation.replace("{agents}", PLURALS[type] || "agents") : `Cause ${cause} of a newer version`;
 }

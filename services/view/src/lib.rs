@@ -4,6 +4,8 @@
 //! ([`wire::tick_view::TickView`]). A page is one file: styles, scripts and data are inside, and it requests
 //! nothing from any other server.
 
+use wire::vocabulary::{LOOKS, Look, Rgb, UNKNOWN};
+
 pub mod http;
 mod live;
 mod report;
@@ -14,18 +16,41 @@ pub use report::{PAGE_BYTES, RunPage, html};
 pub use scene::{MODES_DRAWN, Pairing, Scene};
 
 const STYLE: &str = include_str!("../assets/page.css");
+const PACKED: &str = include_str!("../assets/packed.js");
 const SCENE: &str = include_str!("../assets/scene.js");
 const CHARTS: &str = include_str!("../assets/charts.js");
 
 /// Puts styles and scripts into a page.
 fn page(html: &str, scripts: &[&str]) -> String {
-    let scripts: String = scripts.iter().map(|script| format!("<script>\n{script}</script>\n")).collect();
-    html.replacen("{{style}}", STYLE, 1).replacen("{{scripts}}", &scripts, 1)
+    let [colors, looks] = vocabulary();
+    let scripts = [looks.as_str(), PACKED, SCENE, CHARTS].into_iter().chain(scripts.iter().copied());
+    let scripts: String = scripts.map(|script| format!("<script>\n{script}</script>\n")).collect();
+    html.replacen("{{style}}", &(colors + STYLE), 1).replacen("{{scripts}}", &scripts, 1)
+}
+
+/// The vocabulary of causes as colours of both themes, and as a constant of the scripts.
+fn vocabulary() -> [String; 2] {
+    let hex = |[red, green, blue]: Rgb| format!("#{red:02x}{green:02x}{blue:02x}");
+    let theme = |selector: &str, unknown: Rgb, color: fn(&Look) -> Rgb| {
+        let variable = |look: &Look| format!(" --cause-{}: {};", look.cause.name(), hex(color(look)));
+        let causes: String = LOOKS.iter().map(variable).collect();
+        format!("{selector} {{ --unknown: {};{causes} }}\n", hex(unknown))
+    };
+    let colors = theme(":root", UNKNOWN[0], |look| look.light)
+        + &theme(":root[data-theme=\"dark\"]", UNKNOWN[1], |look| look.dark);
+    let looks = LOOKS.map(|look| {
+        serde_json::json!({
+            "cause": look.cause.name(), "words": look.words, "explanation": look.explanation,
+            "normal": look.is_normal, "dash": look.dash, "shape": look.shape,
+        })
+    });
+    [colors, format!("const LOOKS = {};\n", serde_json::Value::from(looks.to_vec()))]
 }
 
 /// The live page.
 fn live_page() -> String {
-    page(include_str!("../assets/live.html"), &[SCENE, CHARTS, include_str!("../assets/live.js")])
+    let scripts = [include_str!("../assets/conflicts.js"), include_str!("../assets/live.js")];
+    page(include_str!("../assets/live.html"), &scripts)
 }
 
 /// The bounds of lanes as JSON, in whole centimetres: the first value of an element is the type.

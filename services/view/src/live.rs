@@ -20,7 +20,7 @@ const TOKEN_BYTES: usize = 16;
 
 /// The security policy of the page: it contains everything, and connects to its own server only.
 const HEADERS: &str = "Content-Security-Policy: default-src 'none'; script-src 'unsafe-inline'; style-src \
-                       'unsafe-inline'; connect-src 'self'\r\nReferrer-Policy: no-referrer\r\nCache-Control: \
+                       'unsafe-inline'; connect-src 'self'; img-src data:\r\nReferrer-Policy: no-referrer\r\nCache-Control: \
                        no-store\r\nX-Content-Type-Options: nosniff\r\n";
 
 /// The live page of a run, served until the process ends.

@@ -16,12 +16,12 @@ use recorder::{Recorder, RecorderOptions, Report, WorstTick};
 use recording::{Frame, FrameError, Message, ReadError, Recording};
 use serde::Serialize;
 use wire::tick_view::TickView;
-use wire::{ForecastsTopic, HeartbeatsTopic, Topic as _, TruthTopic};
+use wire::{ForecastsTopic, HeartbeatsTopic, StageId, Topic as _, TruthTopic};
 
 use self::errors::{ErrorRow, HorizonErrors};
 use self::scrub::{Scrub, deflate};
 use self::series::Series;
-use crate::{CHARTS, MODES_DRAWN, Pairing, SCENE, Scene, page};
+use crate::{MODES_DRAWN, Pairing, Scene, page};
 
 /// Maximum size of a page with one or two runs.
 pub const PAGE_BYTES: usize = 1_000_000;
@@ -52,6 +52,8 @@ struct Details {
     scrub: Scrub,
     worst: BTreeMap<u64, TickView>,
     lanes: String,
+    /// Options that decide about forecasts, by stage and name.
+    options: BTreeMap<String, String>,
 }
 
 /// The details as the page reads them.
@@ -95,6 +97,7 @@ impl RunPage {
         });
         let wanted: BTreeSet<u64> = drawn(&report).map(|worst| worst.tick).collect();
         details.worst = scenes(recording, &wanted);
+        details.options = options(recording);
         details.lanes =
             lanes.filter(|map| points_len(map) <= LANE_POINTS_MAX).map(crate::lanes_json).unwrap_or_default();
         (Self { name, report, details: Some(Box::new(details)) }, damages)
@@ -109,11 +112,28 @@ impl RunPage {
         if let Some(details) = &self.details {
             data["details"] = details.packed(DETAIL_BYTES / runs).into();
             data["scrub"] = base64(&details.scrub.packed(SCRUB_BYTES / runs)).into();
+            data["options"] = serde_json::json!(details.options);
             data["every"] = details.scrub.every(SCRUB_BYTES / runs).into();
             data["lanes"] = serde_json::from_str(&details.lanes).unwrap_or_default();
         }
         data.to_string()
     }
+}
+
+/// The options of the stages before the recorder. Paths in the run's own directory are left out.
+fn options(recording: &Recording) -> BTreeMap<String, String> {
+    let run = &recording.about().run;
+    let root = run.root.to_string_lossy();
+    let mut options = BTreeMap::new();
+    for stage in &run.stages {
+        let Some(id) = StageId::from_number(stage.stage).filter(|id| *id != StageId::Recorder) else {
+            continue;
+        };
+        let pairs = stage.options.lines().filter_map(|line| line.split_once(" = "));
+        let pairs = pairs.filter(|(_, value)| !value.contains(&*root));
+        options.extend(pairs.map(|(name, value)| (format!("{}.{name}", id.name()), value.to_owned())));
+    }
+    options
 }
 
 fn points_len(map: &LaneMap) -> usize {
@@ -202,7 +222,8 @@ impl Details {
     /// their modes, then their number is halved.
     fn packed(&self, limit: usize) -> String {
         let mut series = self.series.clone();
-        let mut choices = [(MODES_DRAWN, WORST_DRAWN), (0, WORST_DRAWN), (0, 2), (0, 0)].into_iter();
+        let mut choices =
+            [(MODES_DRAWN, WORST_DRAWN), (6, WORST_DRAWN), (0, WORST_DRAWN), (0, 2), (0, 0)].into_iter();
         loop {
             let choice = choices.next();
             let (modes, scenes) = choice.unwrap_or_default();
@@ -226,7 +247,7 @@ pub fn html(runs: &[RunPage]) -> String {
     let data: Vec<String> = runs.iter().map(|run| run.json(runs.len())).collect();
     // No text can end the script or begin a comment.
     let data = format!("const RUNS = [{}];\n", data.join(",\n").replace('<', "\\u003c"));
-    let scripts = [data.as_str(), SCENE, CHARTS, include_str!("../assets/report.js")];
+    let scripts = [data.as_str(), include_str!("../assets/compare.js"), include_str!("../assets/report.js")];
     page(include_str!("../assets/report.html"), &scripts)
 }
 
@@ -260,7 +281,7 @@ mod tests {
     fn no_text_of_a_run_ends_the_script() {
         let name = "</script><script>alert(1)</script><!--".to_owned();
         let html = html(&[RunPage::of_report(name, Report::default())]);
-        assert_eq!(html.matches("</script").count(), 4);
+        assert_eq!(html.matches("</script").count(), 7);
         assert!(html.len() < 100_000 && !html.contains("alert(1)</script"));
     }
 }

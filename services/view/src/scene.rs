@@ -3,15 +3,15 @@
 //! Lengths are whole centimetres. `p` is a position in the world frame; all other positions of an agent are
 //! relative to its `p`, as flat lists x, y, x, y, …
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 
 use recording::Frame;
 use serde::Serialize;
 use wire::tick_view::{AgentView, ForecastView, Point, TickView};
 use wire::{ForecastsTopic, Topic as _, TracksTopic};
 
-/// Number of drawn modes: the most probable ones.
-pub const MODES_DRAWN: usize = 3;
+/// Number of modes in a scene of the live page: all of them. The page draws the probable ones.
+pub const MODES_DRAWN: usize = wire::MODES_MAX;
 /// Number of frames of tracks that wait for their forecasts.
 const WAITING_MAX: usize = 16;
 
@@ -25,6 +25,12 @@ pub struct Scene {
     dt: f64,
     /// Position in m and heading of the ego vehicle.
     ego: Option<[f64; 3]>,
+    /// End-to-end latency, ms.
+    l: Option<f64>,
+    /// Stages that were restarted, with the number of their earlier starts.
+    r: BTreeMap<&'static str, u32>,
+    /// Doubts about the input so far: bits of [`wire::doubts`].
+    d: u32,
     agents: Vec<Agent>,
 }
 
@@ -99,6 +105,9 @@ impl Scene {
             t: view.stamp_ns as f64 / 1e9,
             dt: view.step_ns as f64 / 1e9,
             ego,
+            l: view.end_to_end_ns.map(|time_ns| (time_ns as f64 / 1e4).round() / 1e2),
+            r: view.starts.iter().filter(|(_, starts)| *starts > 0).map(|(id, n)| (id.name(), *n)).collect(),
+            d: view.doubts,
             agents: view.agents.iter().map(|agent| Agent::new(agent, modes)).collect(),
         }
     }
@@ -137,7 +146,7 @@ impl Forecast {
         let mut order: Vec<usize> = (0..forecast.modes.len()).collect();
         order.sort_by(|a, b| forecast.probability[*b].total_cmp(&forecast.probability[*a]));
         let probability = |mode: usize| scaled(forecast.probability[mode], 1e3);
-        let drawn = order.iter().take(modes);
+        let drawn = order.iter().take(modes).filter(|&&mode| probability(mode) > 0);
         let drawn = drawn.map(|&mode| (probability(mode), relative(&forecast.modes[mode], origin)));
         let end = |&mode: &usize| {
             let (mean, covariance) = (forecast.modes[mode].last()?, forecast.covariance[mode].last()?);

@@ -5,7 +5,7 @@
 
 use crate::{
     AgentType, EXPERTS_MAX, Forecast, HISTORY_MAX, HORIZON_MAX, Header, HistoryState, MODES_MAX, Quality,
-    Track, flags,
+    StageId, Track, flags,
 };
 
 /// A position in the world frame, m.
@@ -24,6 +24,10 @@ pub struct TickView {
     pub ego: Option<(Point, f32)>,
     /// Doubts about the input so far: bits of [`doubts`](crate::doubts).
     pub doubts: u32,
+    /// Time from the tick's release to the sending of its forecasts; `None` if it did not pass the sampler.
+    pub end_to_end_ns: Option<u64>,
+    /// The stages that the tick passed, each with the number of its earlier starts.
+    pub starts: Vec<(StageId, u32)>,
     /// The tracks, in the order of the frame.
     pub agents: Vec<AgentView>,
 }
@@ -90,10 +94,15 @@ impl TickView {
             let forecast = forecast.and_then(|forecast| ForecastView::new(forecast, horizon_len));
             AgentView::new(track, history_len, forecast)
         });
+        let sent_ns = of.hop(StageId::Sampler).map(|hop| hop.sent_ns);
+        let starts =
+            of.hops().iter().filter_map(|hop| Some((StageId::from_number(hop.stage)?, hop.incarnation)));
         Self {
             seq: header.seq,
             stamp_ns: header.stamp_ns,
             step_ns: header.step_ns,
+            end_to_end_ns: sent_ns.map(|sent_ns| sent_ns.saturating_sub(of.released_ns)),
+            starts: starts.collect(),
             ego: header.has(flags::SEEN_FROM_EGO).then_some((header.ego_m, header.ego_heading_rad)),
             doubts: header.input.doubts,
             agents: agents.collect(),
