@@ -10,6 +10,9 @@ interface of the namespace. Exit code 77: a module, `unshare` or the right to a 
     python3 tests/interop/ros2_bridge.py PROGRAMS tracked                   TrackedObjects keep their identities
     python3 tests/interop/ros2_bridge.py PROGRAMS killed-bridge             the bridge is killed and comes back
     python3 tests/interop/ros2_bridge.py PROGRAMS domains                   a reader in another domain receives nothing
+    python3 tests/interop/ros2_bridge.py PROGRAMS silence                   detections pause for 8 s: what others receive
+    python3 tests/interop/ros2_bridge.py PROGRAMS clock 0.5                 /clock at this rate, then the bag begins again
+    python3 tests/interop/ros2_bridge.py PROGRAMS near-misses               other QoS, types, names and domains
     python3 tests/interop/ros2_bridge.py PROGRAMS attached                  `stgdat ros2` publishes a running pipeline
     python3 tests/interop/ros2_bridge.py PROGRAMS table                     all of them, as the tables of docs/results
 
@@ -26,10 +29,13 @@ import tempfile
 import time
 from pathlib import Path
 
+from dataclasses import dataclass
+
 from cdr_by_cyclonedds import blank
-from ros2_cyclone import (CYCLONEDDS, INTERVAL_S, LATCHED, NAMESPACE, PATHS, POSES, QOS, DataWriter, DomainParticipant, Reader,
-                          ReaderProcess, Topic, Writer, detected_objects, end_run, figures, pipeline, place, process_of,
-                          read_until_killed, root_of, send, start_run, ticks_of, types_of, until, wait_for_bridge)
+from ros2_cyclone import (CYCLONEDDS, DETECTIONS, INTERVAL_S, IdlStruct, LATCHED, NAMESPACE, PATHS, POSES, QOS, REST, DataReader,
+                          DataWriter, DomainParticipant, Policy, Qos, Reader, ReaderProcess, Topic, Writer,
+                          detected_objects, duration, end_run, figures, idl_types, pipeline, place, process_of, read_until_killed,
+                          root_of, send, start_run, ticks_of, types_of, until, wait_for_bridge)
 
 
 def round_trip(programs, types, count, seconds):
@@ -195,6 +201,102 @@ def killed_bridge(programs, types):
         return {phase: figures(sent, reader.messages()) for phase, sent in stamps.items()}
 
 
+class Diagnostics:
+    """Takes /diagnostics: [(received_s, {name: (level, message, {key: value})})]"""
+
+    def __init__(self, types):
+        participant = DomainParticipant(0)
+        topic = Topic(participant, "rt/diagnostics", types.of("diagnostic_msgs/DiagnosticArray"))
+        self.reader = DataReader(participant, topic, qos=Qos(Policy.Reliability.Reliable(duration(milliseconds=100)),
+                                                             Policy.History.KeepLast(64)))
+
+    def raw(self):
+        return [array for array in self.reader.take(64) if hasattr(array, "status")]
+
+    def take(self):
+        valid = self.raw()
+        return [(time.time(), {of.name: (of.level, of.message, {pair.key: pair.value for pair in of.values})
+                               for of in array.status}) for array in valid]
+
+
+def silence(programs, types):
+    """Detections pause for 8 s. Planners and monitors receive messages all the time."""
+    with tempfile.TemporaryDirectory() as folder:
+        run = start_run(programs, pipeline(programs, folder))
+        writer, whole, diagnostics, waiting = Writer(types), Reader(types), Diagnostics(types), []
+        wait_for_bridge(writer, run)
+        until(lambda: waiting.extend(diagnostics.take()) or waiting, 20, "no diagnostics before the first detection")
+        send(writer, 8, 4)
+        whole.take(0), diagnostics.take()
+        begun, frames, states = time.time(), [], []
+        while time.time() - begun < 8:
+            frames += whole.take(0.05)
+            states += diagnostics.take()
+        stamps = send(writer, 8, 3)
+        again = whole.take(0.5)
+        log = end_run(run)
+    of_tick = [of["stgdat: tick"] for _, of in states if "stgdat: tick" in of]
+    of_input = [of["stgdat: ros2 input"] for _, of in states if "stgdat: ros2 input" in of]
+    times = [begun] + [received_ns / 1e9 for received_ns, *_ in frames] + [begun + 8]
+    return {"waiting": sorted({message for _, of in waiting for _, message, _ in of.values()}),
+            "frames": len(frames), "longest_gap_s": max(b - a for a, b in zip(times, times[1:])),
+            "objects": [objects for *_, objects, _ in frames][::12],
+            "tick": [of_tick[0][1], of_tick[-1][1]], "input": [of_input[0][1], of_input[-1][1]], "values": of_input[-1][2],
+            "input_messages": len(of_input), "again": len(again), "sent": len(stamps), "log": log}
+
+
+def clock(programs, types, rate):
+    """A bag of 4 s is played three times at a rate, with /clock. Its stamps begin at 1000 s."""
+    # Two numbers in a message; Cyclone compares names of types only.
+    @dataclass
+    class Clock(IdlStruct, typename="rosgraph_msgs::msg::dds_::Clock_"):
+        sec: idl_types.int32
+        nanosec: idl_types.uint32
+
+    with tempfile.TemporaryDirectory() as folder:
+        run = start_run(programs, pipeline(programs, folder, "use_sim_time = true"))
+        writer, whole, diagnostics, participant = Writer(types), Reader(types), Diagnostics(types), DomainParticipant(0)
+        ticking = DataWriter(participant, Topic(participant, "rt/clock", Clock),
+                             qos=Qos(Policy.Reliability.BestEffort, Policy.History.KeepLast(1)))
+        wait_for_bridge(writer, run)
+        answered, speeds, stamps_s = [], [], []
+        for _ in range(3):
+            begun, frames = time.time(), []
+            for tick in range(50):
+                time.sleep(max(0.0, begun + tick * INTERVAL_S / rate - time.time()))
+                stamp_ns = 1000 * 10**9 + round(tick * INTERVAL_S * 1e9)
+                ticking.write(Clock(stamp_ns // 10**9, stamp_ns % 10**9))
+                writer.write(detected_objects(stamp_ns, 4, tick * INTERVAL_S))
+                frames += whole.take(0)
+                for array in diagnostics.raw():
+                    stamps_s.append(array.header.stamp.sec)
+            frames += whole.take(0.3)
+            answered.append(len({stamp for _, stamp, objects, _ in frames if objects}))
+            *_, data = frames[-1]
+            speeds += [round(of.kinematics.initial_twist_with_covariance.twist.linear.x, 1)
+                       for of in whole.type.deserialize(data).objects]
+        log = end_run(run)
+    return {"answered": answered, "speeds": speeds, "diagnostics_s": [min(stamps_s), max(stamps_s)], "log": log}
+
+
+def near_misses(programs, types):
+    """Publishers that do not fit, one after the other."""
+    detected, tracked = (types.of(f"autoware_perception_msgs/{name}Objects") for name in ("Detected", "Tracked"))
+    best_effort = Qos(Policy.Durability.Volatile, Policy.Reliability.BestEffort, *REST[1:])
+    rows = {"qos": (0, DETECTIONS, detected, best_effort), "type": (0, DETECTIONS, tracked, QOS),
+            "namespace": (0, "rt/car/objects", detected, QOS), "domain": (7, DETECTIONS, detected, QOS)}
+    found = {}
+    for name, (domain, topic, of, qos) in rows.items():
+        with tempfile.TemporaryDirectory() as folder:
+            run = start_run(programs, pipeline(programs, folder))
+            participant = DomainParticipant(domain)
+            writer = DataWriter(participant, Topic(participant, topic, of), qos=qos)
+            time.sleep(11)
+            found[name] = [line for line in end_run(run).splitlines() if "publishes" in line or "connections" in line]
+            del writer, participant
+    return found
+
+
 def attached(programs, types):
     """`stgdat ros2` attaches to a run of a generated scene, with a topic of another name, and ends with it."""
     with tempfile.TemporaryDirectory() as folder:
@@ -236,8 +338,11 @@ def main(programs, scenario, *arguments):
     elif scenario == "round-trip":
         seconds = float(arguments[1]) if len(arguments) > 1 else 6.0
         print(json.dumps(round_trip(programs, types, int(arguments[0]), seconds)))
+    elif scenario == "clock":
+        print(json.dumps(clock(programs, types, float(arguments[0]))))
     elif scenario in (plain := {"stopped-reader": stopped_reader, "transforms": transforms, "tracked": tracked,
-                                "killed-bridge": killed_bridge, "attached": attached, "domains": domains}):
+                                "killed-bridge": killed_bridge, "silence": silence,
+                                "near-misses": near_misses, "attached": attached, "domains": domains}):
         print(json.dumps(plain[scenario](programs, types)))
     elif scenario == "table":
         from ros2_table import table

@@ -16,6 +16,7 @@ try:
     from cyclonedds.core import Policy, Qos, ReadCondition, SampleState, ViewState, InstanceState, WaitSet
     from cyclonedds._clayer import ddspy_take, ddspy_write
     from cyclonedds.domain import DomainParticipant
+    from cyclonedds.idl import IdlStruct, types as idl_types
     from cyclonedds.pub import DataWriter
     from cyclonedds.sub import DataReader
     from cyclonedds.topic import Topic

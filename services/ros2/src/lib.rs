@@ -12,6 +12,8 @@
 //! options and the conversions.
 
 pub mod command;
+pub mod diagnostics;
+pub mod graph;
 #[cfg(feature = "ros2")]
 pub mod node;
 pub mod options;

@@ -27,6 +27,8 @@ pub mod names {
     pub const TF: &str = "/tf";
     /// `TFMessage` of frames that do not move, read.
     pub const TF_STATIC: &str = "/tf_static";
+    /// `Clock`, read if the time is simulated.
+    pub const CLOCK: &str = "/clock";
     /// `DiagnosticArray`, written.
     pub const DIAGNOSTICS: &str = "/diagnostics";
 }
@@ -70,6 +72,12 @@ pub struct Options {
     /// Whether the publishers of the objects are not reliable.
     #[arg(skip)]
     pub best_effort: bool,
+    /// Whether the time is the one of the topic `/clock`.
+    #[arg(skip)]
+    pub use_sim_time: bool,
+    /// Whether tracks are predicted while no messages arrive.
+    #[arg(skip = true)]
+    pub predict: bool,
     /// Number of ticks after which the source ends.
     #[arg(skip)]
     pub ticks: Option<u64>,
@@ -92,6 +100,8 @@ impl Default for Options {
             tracks: Vec::new(),
             pose: None,
             best_effort: false,
+            use_sim_time: false,
+            predict: true,
             ticks: None,
         }
     }

@@ -6,16 +6,18 @@
 use std::collections::{BTreeMap, VecDeque};
 
 use interop::autoware::{self, Tick};
-use interop::messages::{
-    DiagnosticArray, DiagnosticStatus, KeyValue, PredictedObjects, TfMessage, TrackedObjects,
-};
+use interop::messages::{DiagnosticArray, PredictedObjects, TfMessage, TrackedObjects};
 use wire::tick_view::TickView;
 use wire::{Forecast, Header, StageId, Track, WorldOrigin, flags};
 
+use crate::diagnostics::{self, Link, Pulse, SILENCE_NS};
 use crate::options::Options;
 
 /// Tracks that wait for the forecasts of their tick.
 const WAITING_MAX: usize = 16;
+
+/// A longer time between two ticks is a gap.
+const INTERVAL_MAX_NS: u64 = 10_000_000_000;
 
 /// A message to publish.
 #[derive(Clone, Debug, PartialEq)]
@@ -51,6 +53,9 @@ pub struct Output {
     waiting: VecDeque<(Header, Vec<Track>)>,
     /// What became of the ticks so far.
     pub published: Published,
+    /// The connections of the node.
+    pub link: Link,
+    pulse: Option<Pulse>,
 }
 
 impl Output {
@@ -67,6 +72,8 @@ impl Output {
             has_tf: options.tf.unwrap_or(!is_vehicle),
             waiting: VecDeque::with_capacity(WAITING_MAX),
             published: Published::default(),
+            link: Link::default(),
+            pulse: None,
         }
     }
 
@@ -110,32 +117,34 @@ impl Output {
         let old = |max_age_ns| autoware::leave_out_old(&mut tick.view, max_age_ns, passed_ns);
         let left_out = self.max_age_ns.map_or(0, old);
         self.published.too_old += left_out;
-        diagnostics.status.push(self.status(left_out));
+        // A tick without input has no own time of arrival.
+        let input_ns = match self.pulse {
+            Some(pulse) if header.has(flags::PREDICTED) => pulse.input_ns,
+            _ => header.released_ns,
+        };
+        let silent_ns = now_ns.saturating_sub(input_ns);
+        if header.has(flags::PREDICTED) && silent_ns >= SILENCE_NS {
+            diagnostics::mark_silent(&mut diagnostics, silent_ns);
+        }
+        let stamp_ns = header.stamp_ns;
+        // The clock of the stamps may be slower or faster than this machine's.
+        let interval_ns =
+            self.pulse.map_or(header.interval_ns, |pulse| match now_ns - pulse.published_ns.min(now_ns) {
+                apart_ns if apart_ns < INTERVAL_MAX_NS => apart_ns,
+                _ => pulse.interval_ns,
+            });
+        self.pulse = Some(Pulse { input_ns, stamp_ns, published_ns: now_ns, interval_ns });
+        diagnostics.status.push(diagnostics::of_output(&self.published, left_out, &self.link));
         diagnostics.header.frame_id.clone_from(&self.frame);
         let mut predicted = autoware::predicted_objects(&tick, self.paths);
         predicted.header.frame_id.clone_from(&self.frame);
         Some(Outgoing::Forecasts(predicted, diagnostics))
     }
 
-    /// The diagnostics of the bridge.
-    fn status(&self, left_out: u64) -> DiagnosticStatus {
-        let Published { sent, dropped, too_old, unpaired } = self.published;
-        let values = [
-            ("published", sent),
-            ("dropped", dropped),
-            ("without tracks", unpaired),
-            ("left out now", left_out),
-            ("left out so far", too_old),
-        ];
-        let values = values.map(|(key, value)| KeyValue { key: key.to_owned(), value: value.to_string() });
-        let message = if left_out > 0 { "objects are left out: their forecasts are too old" } else { "" };
-        DiagnosticStatus {
-            level: interop::cdr::Byte(u8::from(left_out > 0)),
-            name: "stgdat: ros2".to_owned(),
-            message: message.to_owned(),
-            values: values.to_vec(),
-            ..DiagnosticStatus::default()
-        }
+    /// The newest tick that was published.
+    #[must_use]
+    pub const fn pulse(&self) -> Option<Pulse> {
+        self.pulse
     }
 }
 

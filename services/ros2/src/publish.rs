@@ -14,9 +14,10 @@ use recording::tap::{Client, Item, Request};
 use run::{Declaration, Run};
 use wire::{Forecast, ForecastsTopic, Header, Topic as _, Track, TracksTopic, flags};
 
-use crate::node::{FAREWELL, Node, NodeError, Writer, reliable};
+use crate::diagnostics::{self, Pulse};
+use crate::node::{Connections, FAREWELL, Node, NodeError, Writer, reliable};
 use crate::options::{Options, names};
-use crate::output::{Outgoing, Output};
+use crate::output::{Outgoing, Output, Published};
 
 /// The stage, which pipeline.toml adds. No tick waits for it.
 pub const STAGE: Declaration<Options> =
@@ -26,6 +27,11 @@ pub const STAGE: Declaration<Options> =
 const FORECASTS_LIMIT_NS: u64 = 1_000_000_000;
 /// Longest wait for a frame of the tap.
 const WAIT: Duration = Duration::from_millis(100);
+/// Time between two diagnostics without a tick, and between two looks at the connections.
+const DIAGNOSTICS: Duration = Duration::from_secs(1);
+/// Bounds of the time between two frames without a tick.
+const EMPTY_MIN_NS: u64 = 80_000_000;
+const EMPTY_MAX_NS: u64 = 1_000_000_000;
 /// Time between two reports of losses.
 const REPORT: Duration = Duration::from_secs(10);
 /// Queues of the publishers, as Autoware and tf2 have them.
@@ -115,6 +121,8 @@ struct Bridge {
     output: Output,
     shared: Arc<Shared>,
     thread: Option<JoinHandle<()>>,
+    connections: Connections,
+    looked: Instant,
     reported: Instant,
     /// The count of lost messages that was logged.
     logged: u64,
@@ -124,11 +132,14 @@ impl Bridge {
     fn open(run: &Run, options: &Options) -> Result<Self, NodeError> {
         let shared = Arc::new(Shared::default());
         let writers = Writers::open(options)?;
+        let connections = writers.node.connections();
         let of_thread = Arc::clone(&shared);
         let thread = std::thread::Builder::new().name("ros2-writer".to_owned());
         let thread = thread.spawn(move || writers.publish(&of_thread))?;
         let output = Output::new(run, options);
-        Ok(Self { output, shared, thread: Some(thread), reported: Instant::now(), logged: 0 })
+        let now = Instant::now();
+        let (thread, looked, reported) = (Some(thread), now, now);
+        Ok(Self { output, shared, thread, connections, looked, reported, logged: 0 })
     }
 
     fn tracks(&mut self, header: &Header, tracks: &[Track]) {
@@ -140,7 +151,12 @@ impl Bridge {
     fn forecasts(&mut self, header: &Header, forecasts: &[Forecast]) {
         self.output.published.sent = self.shared.sent.load(Ordering::Relaxed);
         self.output.published.dropped = self.shared.dropped.load(Ordering::Relaxed);
+        if self.looked.elapsed() >= DIAGNOSTICS {
+            self.looked = Instant::now();
+            self.output.link = self.connections.link();
+        }
         if let Some(outgoing) = self.output.forecasts(header, forecasts, monotonic_ns()) {
+            self.shared.slots().newest = self.output.pulse().map(|pulse| (pulse, self.output.published));
             self.shared.put(outgoing);
         }
         if self.reported.elapsed() >= REPORT {
@@ -190,6 +206,8 @@ struct Shared {
 struct Slots {
     tracks: Option<(TrackedObjects, Option<TfMessage>)>,
     forecasts: Option<(PredictedObjects, DiagnosticArray)>,
+    /// The newest tick, and what had become of the ticks.
+    newest: Option<(Pulse, Published)>,
     is_closed: bool,
 }
 
@@ -218,13 +236,14 @@ impl Shared {
         self.changed.notify_one();
     }
 
-    /// The messages that wait. Waits for the first; empty only if none will come.
-    fn take(&self) -> Slots {
+    /// The messages that wait. Waits for the first, at most for `limit`.
+    fn take(&self, limit: Duration) -> Slots {
         let is_idle =
             |slots: &mut Slots| slots.tracks.is_none() && slots.forecasts.is_none() && !slots.is_closed;
-        let waited = self.changed.wait_while(self.slots(), is_idle);
-        let mut slots = waited.unwrap_or_else(PoisonError::into_inner);
-        Slots { tracks: slots.tracks.take(), forecasts: slots.forecasts.take(), is_closed: slots.is_closed }
+        let waited = self.changed.wait_timeout_while(self.slots(), limit, is_idle);
+        let mut slots = waited.unwrap_or_else(PoisonError::into_inner).0;
+        let (tracks, forecasts) = (slots.tracks.take(), slots.forecasts.take());
+        Slots { tracks, forecasts, newest: slots.newest, is_closed: slots.is_closed }
     }
 }
 
@@ -234,7 +253,8 @@ struct Writers {
     predicted: Writer<PredictedObjects>,
     tf: Writer<TfMessage>,
     diagnostics: Writer<DiagnosticArray>,
-    _node: Node,
+    frame: String,
+    node: Node,
 }
 
 impl Writers {
@@ -254,13 +274,17 @@ impl Writers {
                 &DiagnosticArray::DEFINITION,
                 &reliable(DIAGNOSTICS_DEPTH),
             )?,
-            _node: node,
+            frame: options.frame.clone(),
+            node,
         })
     }
 
     fn publish(mut self, shared: &Shared) {
+        let opened_ns = monotonic_ns();
+        let (mut interval_ns, mut emptied_ns, mut diagnosed) = (EMPTY_MAX_NS, 0, Instant::now());
         loop {
-            let Slots { tracks, forecasts, is_closed } = shared.take();
+            let Slots { tracks, forecasts, newest, is_closed } =
+                shared.take(Duration::from_nanos(interval_ns));
             if is_closed && tracks.is_none() && forecasts.is_none() {
                 return;
             }
@@ -272,10 +296,39 @@ impl Writers {
             if let Some((predicted, diagnostics)) = forecasts {
                 self.predicted.publish(predicted);
                 self.diagnostics.publish(diagnostics);
+                diagnosed = Instant::now();
+            }
+            let now_ns = monotonic_ns();
+            let pulse = newest.map(|(pulse, _)| pulse);
+            interval_ns = pulse.map_or(EMPTY_MAX_NS, |p| p.interval_ns.clamp(EMPTY_MIN_NS, EMPTY_MAX_NS));
+            let since_ns = pulse.map_or(opened_ns, |pulse| pulse.published_ns);
+            if now_ns.saturating_sub(since_ns) >= pulse.unwrap_or_default().silence_ns()
+                && now_ns.saturating_sub(emptied_ns) >= interval_ns
+                && !is_closed
+            {
+                emptied_ns = now_ns;
+                self.silence(newest, now_ns, &mut diagnosed);
             }
             let now = self.counts();
             shared.sent.fetch_add(now[0] - before[0], Ordering::Relaxed);
             shared.dropped.fetch_add(now[1] - before[1], Ordering::Relaxed);
+        }
+    }
+
+    /// Publishes that there is no tick.
+    fn silence(&mut self, newest: Option<(Pulse, Published)>, now_ns: u64, diagnosed: &mut Instant) {
+        let published = newest.map_or_else(Published::default, |(_, published)| published);
+        let of_bridge = diagnostics::of_output(&published, 0, &self.node.connections().link());
+        let pulse = newest.map(|(pulse, _)| pulse);
+        let simulated_ns = self.node.simulated_ns();
+        let (predicted, diagnostics) =
+            diagnostics::silent(pulse.as_ref(), simulated_ns, &self.frame, now_ns, of_bridge);
+        if let Some(predicted) = predicted {
+            self.predicted.publish(predicted);
+        }
+        if diagnosed.elapsed() >= DIAGNOSTICS {
+            *diagnosed = Instant::now();
+            self.diagnostics.publish(diagnostics);
         }
     }
 

@@ -4,13 +4,14 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use data::formats::rosbag::Object;
-use interop::messages::{DetectedObjects, TfMessage, TrackedObjects};
+use interop::messages::{DetectedObjects, DiagnosticArray, TfMessage, TrackedObjects};
 use ports::{StageError, monotonic_ns};
 use run::{Declaration, Run};
 use source::{Inbox, LiveSource};
 use wire::{DetectionsTopic, StageId, Topic as _, TruthTopic};
 
-use crate::node::{Node, NodeError, latched, reliable};
+use crate::diagnostics;
+use crate::node::{Node, NodeError, Writer, latched, reliable};
 use crate::options::{Options, names};
 use crate::ticks::{Message, Ticks, World};
 
@@ -23,10 +24,15 @@ pub const STAGE: Declaration<Options> =
 const INBOX_MAX: usize = 1024;
 /// Longest wait for a message, so that waiting ones go out in time.
 const WAIT: Duration = Duration::from_millis(10);
+/// A longer time between two messages is a gap.
+const INTERVAL_MAX_NS: u64 = 10_000_000_000;
 /// Time between two reports of problems.
 const REPORT: Duration = Duration::from_secs(5);
 /// Queues of subscriptions: as tf2 has them, and as Autoware's subscribers of objects.
 const TRANSFORMS_DEPTH: usize = 100;
+const DIAGNOSTICS_DEPTH: usize = 10;
+/// Time between two diagnostics.
+const DIAGNOSTICS: Duration = Duration::from_secs(1);
 const OBJECTS_DEPTH: usize = 1;
 
 /// What arrives from ROS.
@@ -46,7 +52,8 @@ pub fn run(run: &Run) -> Result<(), StageError> {
     // Detections have no identities, and one without makes all untrustworthy.
     source.set_identities(options.detections().is_empty() && !options.tracks.is_empty());
     let inbox = Arc::new(Inbox::new(INBOX_MAX));
-    let node = subscribe(&options, &inbox)?;
+    source.set_prediction(options.predict);
+    let (node, mut writer) = subscribe(&options, &inbox)?;
     let world = World { frame: options.frame.clone(), origin: run.origin(), pose: options.pose };
     let mut ticks = Ticks::new(world);
     source.link()?;
@@ -57,11 +64,17 @@ pub fn run(run: &Run) -> Result<(), StageError> {
         }
     }
     let mut reported = Instant::now();
+    let (mut diagnosed, mut arrived_ns, mut interval_ns) = (Instant::now(), None::<u64>, 0);
     while !source.is_over() {
         source.tend()?;
         for arrival in inbox.take(WAIT) {
             match arrival {
-                Arrival::Objects(message) => ticks.message(message),
+                Arrival::Objects(message) => {
+                    let apart_ns = arrived_ns.map(|before_ns| message.arrived_ns.saturating_sub(before_ns));
+                    interval_ns = apart_ns.filter(|ns| *ns < INTERVAL_MAX_NS).unwrap_or(interval_ns);
+                    arrived_ns = Some(message.arrived_ns);
+                    ticks.message(message);
+                }
                 Arrival::Transforms(message, is_static) => ticks.transform(&message, is_static),
             }
         }
@@ -69,6 +82,14 @@ pub fn run(run: &Run) -> Result<(), StageError> {
             && let Some(tick) = ticks.next(monotonic_ns())
         {
             source.send(&tick)?;
+        }
+        if diagnosed.elapsed() >= DIAGNOSTICS {
+            diagnosed = Instant::now();
+            let age_ns = arrived_ns.map(|arrived_ns| monotonic_ns().saturating_sub(arrived_ns));
+            let (counts, link) = (ticks.counts(), node.connections().link());
+            let header = diagnostics::header_now(node.simulated_ns(), &options.frame);
+            let unread = inbox.dropped();
+            writer.publish(diagnostics::of_input(&counts, unread, age_ns, interval_ns, &link, header));
         }
         if reported.elapsed() >= REPORT
             && let Some(problem) = ticks.take_problem()
@@ -86,7 +107,10 @@ pub fn run(run: &Run) -> Result<(), StageError> {
 }
 
 /// Opens the subscriptions, whose threads fill the inbox.
-fn subscribe(options: &Options, inbox: &Arc<Inbox<Arrival>>) -> Result<Node, NodeError> {
+fn subscribe(
+    options: &Options,
+    inbox: &Arc<Inbox<Arrival>>,
+) -> Result<(Node, Writer<DiagnosticArray>), NodeError> {
     let mut node = Node::open(options, "source")?;
     let qos = reliable(OBJECTS_DEPTH);
     let qos = if options.best_effort { qos.reliability_best_effort() } else { qos };
@@ -115,6 +139,9 @@ fn subscribe(options: &Options, inbox: &Arc<Inbox<Arrival>>) -> Result<Node, Nod
         node.read(options.topic(name), &TfMessage::DEFINITION, &qos, take)?;
     }
     let read: Vec<&str> = detections.iter().chain(&options.tracks).map(|name| options.topic(name)).collect();
+    read.iter().for_each(|topic| node.need(topic));
     tracing::info!("reads {}", read.join(", "));
-    Ok(node)
+    let diagnostics = options.topic(names::DIAGNOSTICS);
+    let writer = node.writer(diagnostics, &DiagnosticArray::DEFINITION, &reliable(DIAGNOSTICS_DEPTH))?;
+    Ok((node, writer))
 }

@@ -10,7 +10,7 @@ use std::fmt;
 use data::formats::rosbag::{Object, Transforms};
 use data::{Ego, Frame};
 use interop::autoware::EGO;
-use interop::messages::{Header, TfMessage};
+use interop::messages::{Header, TfMessage, Time};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 pub use source::LiveTick as Tick;
 use source::LiveTicks;
@@ -58,15 +58,20 @@ pub struct Counts {
     pub other: u64,
     /// Objects with impossible values.
     pub refused: u64,
+    /// Objects whose positions are NaN or infinite.
+    pub not_finite: u64,
+    /// Impossible values, such as a speed of NaN, that count as unknown.
+    pub unknown: u64,
 }
 
 impl fmt::Display for Counts {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { messages, unplaced, dropped, other, refused } = self;
+        let Self { messages, unplaced, dropped, other, refused, not_finite, unknown } = self;
         write!(
             f,
             "{messages} messages: {unplaced} without a transform, {dropped} dropped; left out {other} objects of \
-             other classes and {refused} with impossible values"
+             other classes, {not_finite} whose positions are not numbers, and {refused} with impossible values; \
+             {unknown} values count as unknown"
         )
     }
 }
@@ -180,10 +185,12 @@ impl Ticks {
                 self.counts.other += 1;
                 continue;
             };
+            self.counts.unknown += object.impossible_values() as u64;
             match placed.detection(object.id.map(identity), self.world.origin) {
                 Ok(detection) => detections.push(detection),
                 Err(problem) => {
-                    self.counts.refused += 1;
+                    let is_finite = placed.position_m.iter().all(|value| value.is_finite());
+                    *(if is_finite { &mut self.counts.refused } else { &mut self.counts.not_finite }) += 1;
                     self.problem = Some(format!("an object of the frame {frame}: {problem}"));
                 }
             }
@@ -219,7 +226,12 @@ impl Ticks {
 
 /// A stamp in nanoseconds.
 fn stamp_ns(header: &Header) -> i64 {
-    i64::from(header.stamp.sec) * 1_000_000_000 + i64::from(header.stamp.nanosec)
+    time_ns(&header.stamp)
+}
+
+/// A time of ROS in nanoseconds.
+pub(crate) fn time_ns(time: &Time) -> i64 {
+    i64::from(time.sec) * 1_000_000_000 + i64::from(time.nanosec)
 }
 
 /// A frame's name without the slash of ROS 1.

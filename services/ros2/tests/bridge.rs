@@ -101,3 +101,50 @@ fn a_reader_in_another_domain_receives_nothing() {
     assert!(has_answers(&found["same"]), "{found}");
     assert_eq!(found["other"], 0, "{found}");
 }
+
+/// Whether a list of lines, or a text, contains a text.
+fn contains(found: &Value, text: &str) -> bool {
+    found.to_string().replace("\\\"", "\"").contains(text)
+}
+
+#[test]
+fn planners_and_monitors_receive_messages_during_silence() {
+    let Some(found) = tried(&["silence"]) else { return };
+    assert!(contains(&found["waiting"], "WAITING for input"), "{found}");
+    // 8 s of silence. Diagnostics are sent each second, frames more often.
+    assert!(found["frames"].as_u64().is_some_and(|frames| frames >= 16), "{found}");
+    assert!(found["longest_gap_s"].as_f64().is_some_and(|gap_s| gap_s < 3.0), "{found}");
+    assert_eq!(found["objects"].as_array().and_then(|objects| objects.last()), Some(&0.into()), "{found}");
+    for of in ["tick", "input"] {
+        assert!(contains(&found[of][1], "NO INPUT for "), "{found}");
+    }
+    assert!(found["input_messages"].as_u64().is_some_and(|messages| messages >= 4), "{found}");
+    assert!(contains(&found["log"], "NO INPUT for"), "{found}");
+    assert!(found["again"].as_u64().is_some_and(|again| again > 0), "{found}");
+}
+
+#[test]
+fn publishers_that_do_not_fit_are_named_with_the_option_that_helps() {
+    let Some(found) = tried(&["near-misses"]) else { return };
+    for (of, option) in [
+        ("qos", "set best_effort = true"),
+        ("type", "set tracks = ["),
+        ("namespace", ":=/car/objects\"]"),
+        ("domain", "set domain = 7"),
+    ] {
+        assert!(contains(&found[of], option), "{of}: {found}");
+    }
+}
+
+#[test]
+fn a_simulated_clock_runs_at_any_rate_and_may_go_back() {
+    for rate in ["0.5", "2"] {
+        let Some(found) = tried(&["clock", rate]) else { return };
+        let answered = found["answered"].as_array().expect("three rounds");
+        assert!(answered.iter().all(|answered| answered.as_u64() >= Some(1)), "{found}");
+        // The speed is the one of the stamps.
+        let speeds = found["speeds"].as_array().expect("speeds");
+        assert!(speeds.iter().all(|of| of.as_f64().is_some_and(|of| (of - 8.0).abs() < 1.5)), "{found}");
+        assert!(found["diagnostics_s"][1].as_i64() <= Some(1_005), "{found}");
+    }
+}

@@ -11,7 +11,7 @@
 
 use audit::{Clock, Stamped, StampedFrame};
 use data::Frame;
-use ports::{Stage, StageError};
+use ports::{Stage, StageError, monotonic_ns};
 use run::{Declaration, Run};
 use wire::{
     Counts, DETECTIONS_MAX, Detection, Header, InputCounts, LinkCount, OFFSET_MAX_NS, StampSource, TICK_NS,
@@ -31,6 +31,9 @@ const GAP: i64 = 4;
 const TOLERANCE: u64 = 10;
 /// A stamp that is ahead by more, the horizon of the forecasts, begins a session.
 const HORIZON_NS: u64 = 4_800_000_000;
+/// Time without a tick that is silence, and a time between two ticks that is a gap.
+const SILENCE_NS: u64 = 1_000_000_000;
+const GAP_NS: u64 = 10_000_000_000;
 /// Maximum number of frames that wait.
 const WAITING_MAX: usize = 64;
 
@@ -196,6 +199,11 @@ pub struct LiveSource {
     is_lockstep: bool,
     /// Whether the tracker has been asked to predict ticks since the last one.
     is_missing: bool,
+    /// Whether the tracker predicts ticks during silence.
+    predicts: bool,
+    /// When the previous tick was sent on `CLOCK_MONOTONIC`, and the time between the previous two.
+    sent_ns: u64,
+    apart_ns: u64,
 }
 
 impl LiveSource {
@@ -224,7 +232,15 @@ impl LiveSource {
             ticks_max,
             is_lockstep,
             is_missing: false,
+            predicts: true,
+            sent_ns: 0,
+            apart_ns: 0,
         })
+    }
+
+    /// States whether the tracker predicts ticks during silence, until the tracks end.
+    pub const fn set_prediction(&mut self, predicts: bool) {
+        self.predicts = predicts;
     }
 
     /// States whether the detections have identities that the tracker may trust.
@@ -258,11 +274,16 @@ impl LiveSource {
         self.stage.stop().requested() || self.ticks_max.is_some_and(|ticks| self.seq >= ticks)
     }
 
-    /// Does the work between two ticks that is due. It does not wait.
+    /// Does the work between two ticks that is due. It does not wait. Silence begins a second after a tick, or
+    /// 2.5 intervals after it if that is longer.
     ///
     /// # Errors
     /// [`StageError`] if the transport fails.
     pub fn tend(&mut self) -> Result<(), StageError> {
+        let silence_ns = SILENCE_NS.max(self.apart_ns.saturating_mul(5) / 2);
+        if self.predicts && monotonic_ns().saturating_sub(self.sent_ns) >= silence_ns {
+            self.miss()?;
+        }
         Ok(self.outputs.tend(&mut self.stage)?)
     }
 
@@ -312,6 +333,11 @@ impl LiveSource {
             self.outputs.wait_for_forecasts(&mut self.stage, self.seq, ANSWER_LIMIT_NS)?;
         }
         self.seq += 1;
+        let before_ns = std::mem::replace(&mut self.sent_ns, monotonic_ns());
+        let apart_ns = self.sent_ns - before_ns;
+        if apart_ns <= GAP_NS {
+            self.apart_ns = apart_ns;
+        }
         (self.stamp_ns, self.interval_ns) = (header.stamp_ns, header.interval_ns);
         Ok(())
     }

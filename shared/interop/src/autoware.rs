@@ -8,6 +8,7 @@ use std::collections::BTreeMap;
 use std::fmt::Display;
 use std::ops::Deref;
 
+use audit::Doubt;
 use wire::tick_view::{AgentView, ForecastView, Point, TickView};
 use wire::{AGENT_TYPES, AgentType, Cause, Expert, Hop, Quality, StageId, Track, WorldOrigin};
 
@@ -320,7 +321,10 @@ fn input_status(view: &Tick<'_>) -> DiagnosticStatus {
     values.extend(Quality::ALL.map(|quality| value(quality.name(), &of(quality))));
     let without = view.agents.iter().filter(|agent| agent.forecast.is_none()).count();
     values.push(value("without forecast", &without));
-    values.push(value("doubts", &format!("{:#x}", view.doubts)));
+    let doubts: Vec<Doubt> = Doubt::of_bits(view.doubts).collect();
+    for doubt in &doubts {
+        values.push(value(&format!("doubt: {}", doubt.name()), &doubt.remedy()));
+    }
     for agent_type in AGENT_TYPES {
         let track = view.tracks.iter().find(|track| track.agent_type == agent_type as u32);
         let noise =
@@ -329,15 +333,17 @@ fn input_status(view: &Tick<'_>) -> DiagnosticStatus {
             values.push(value(&format!("noise: {} {of}", agent_type.name()), &deviation));
         }
     }
+    let observations: Vec<&str> = doubts.iter().map(|doubt| doubt.observation()).collect();
     let (level, message) = match (view.doubts, without) {
-        (0, 0) => (OK, "every track has a forecast"),
-        (0, _) => (WARN, "tracks without a forecast are not among the predicted objects"),
-        _ => (WARN, "the input looks wrong"),
+        _ if view.is_predicted => (WARN, "no detections arrived: the tracks are predicted".to_owned()),
+        (0, 0) => (OK, "every track has a forecast".to_owned()),
+        (0, _) => (WARN, "tracks without a forecast are not among the predicted objects".to_owned()),
+        _ => (WARN, format!("the input looks wrong: {}", observations.join("; "))),
     };
     DiagnosticStatus {
         level,
         name: "stgdat: tick".to_owned(),
-        message: message.to_owned(),
+        message,
         values,
         ..DiagnosticStatus::default()
     }

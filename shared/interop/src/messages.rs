@@ -122,6 +122,8 @@ messages! {
     TransformStamped = "geometry_msgs/msg/TransformStamped" {
         header: Header, child_frame_id: String, transform: Transform,
     }
+    /// The time of a simulation or of a bag that is played.
+    Clock = "rosgraph_msgs/msg/Clock" { clock: Time, }
     /// Transforms.
     TfMessage = "tf2_msgs/msg/TFMessage" { transforms: Vec<TransformStamped>, }
     /// A class with its probability.

@@ -24,7 +24,7 @@ use crate::escape::EscapedError;
 /// The environment variable that holds a [`LogFormat`], for programs that get no `--log`.
 pub const LOG_VARIABLE: &str = "STGDAT_LOG";
 
-/// Target of the lines of other programs that a command logs, whatever `RUST_LOG` selects.
+/// Target of lines that are logged whatever `RUST_LOG` selects, such as those of other programs.
 pub const OUTPUT_TARGET: &str = "output";
 
 /// The environment variable in which systemd names the device and the file of its journal.

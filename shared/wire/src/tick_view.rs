@@ -28,6 +28,8 @@ pub struct TickView {
     pub end_to_end_ns: Option<u64>,
     /// The stages that the tick passed, each with the number of its earlier starts.
     pub starts: Vec<(StageId, u32)>,
+    /// Whether no detections arrived for the tick, so that its tracks are predicted.
+    pub is_predicted: bool,
     /// The tracks, in the order of the frame.
     pub agents: Vec<AgentView>,
 }
@@ -105,6 +107,7 @@ impl TickView {
             starts: starts.collect(),
             ego: header.has(flags::SEEN_FROM_EGO).then_some((header.ego_m, header.ego_heading_rad)),
             doubts: header.input.doubts,
+            is_predicted: header.has(flags::PREDICTED),
             agents: agents.collect(),
         }
     }

@@ -78,6 +78,31 @@ fn objects_with_old_forecasts_are_left_out_and_counted() {
 }
 
 #[test]
+fn predicted_ticks_state_that_there_is_no_input_and_doubts_are_sentences() {
+    let mut output = output(&Options::default(), true);
+    let (tracks, forecasts) = frames([0, 0]);
+    let mut tick = |seq, flag, doubts, now_ms: u64| {
+        let mut header = Header { interval_ns: 80_000_000, ..header(seq) };
+        header.flags |= flag;
+        header.input.doubts = doubts;
+        output.tracks(&header, &tracks).unwrap();
+        match output.forecasts(&header, &forecasts, now_ms * 1_000_000) {
+            Some(Outgoing::Forecasts(_, diagnostics)) => {
+                (diagnostics.status[0].level.0, diagnostics.status[0].message.clone())
+            }
+            other => panic!("{other:?}"),
+        }
+    };
+    assert_eq!(tick(1, 0, 0, 1_010).0, 0);
+    let (level, message) = tick(2, 0, wire::doubts::HEADINGS_IN_DEGREES, 1_020);
+    assert_eq!((level, message.as_str()), (1, "the input looks wrong: headings look like degrees"));
+    let (level, message) = tick(3, flags::PREDICTED, 0, 1_200);
+    assert_eq!((level, message.as_str()), (1, "no detections arrived: the tracks are predicted"));
+    let (level, message) = tick(4, flags::PREDICTED, 0, 4_100);
+    assert_eq!((level, message.as_str()), (2, "NO INPUT for 3.1 s: the tracks are predicted"));
+}
+
+#[test]
 fn the_ego_vehicles_pose_is_published_unless_the_vehicle_does() {
     let has_tf = |tf, is_built_in| {
         let mut output = output(&Options { tf, ..Options::default() }, is_built_in);

@@ -245,7 +245,8 @@ fn other_classes_and_impossible_values_are_counted() {
         [(AgentType::Vehicle as u32, false), (AgentType::Cyclist as u32, true)]
     );
     frame.detections.iter().for_each(|detection| detection.check().unwrap());
-    assert_eq!(ticks.counts(), Counts { messages: 1, other: 1, refused: 2, ..Counts::default() });
+    let counts = Counts { messages: 1, other: 1, refused: 1, not_finite: 1, unknown: 1, ..Counts::default() };
+    assert_eq!(ticks.counts(), counts);
     assert!(ticks.take_problem().is_some_and(|problem| problem.contains("the position (NaN")));
 }
 

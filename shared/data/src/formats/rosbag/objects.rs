@@ -167,6 +167,9 @@ impl Placed {
             value => Ok(value.map(|value| value as f32)),
         };
         let [x, y] = self.position_m;
+        if !(x.is_finite() && y.is_finite()) {
+            return Err(format!("the position ({x}, {y}) is not a number"));
+        }
         let [x_m, y_m] = origin.world_m(self.position_m).ok_or_else(|| {
             format!("the position ({x}, {y}) is too far from the origin {origin}: see --origin")
         })?;
