@@ -17,10 +17,10 @@ use source::{Playback, PlaybackOptions};
 use toml::Value;
 use wire::{StageId, WorldOrigin};
 
-use crate::failure::Failure;
 use crate::files::{check_place, quoted, shipped_weights};
 use crate::options::{Setting, StageOptions, absolute, text};
 use crate::play_report::input_of;
+use console::failure::Failure;
 
 /// How fast ticks follow one another.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]

@@ -10,7 +10,7 @@ use recorder::Report;
 use thiserror::Error;
 use wire::StageId;
 
-use crate::failure::Failure;
+use console::failure::Failure;
 
 /// Why a text is not a valid condition.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]

@@ -7,8 +7,8 @@ use std::time::Duration;
 
 use rustix::fs::Access;
 
-use crate::failure::Failure;
 use crate::options::absolute;
+use console::failure::Failure;
 
 /// Folders of shipped weights, relative to the folder of the program: installed, and in the source tree.
 const SHIPPED: [&str; 2] = ["../share/stgdat/weights", "../../shared/weights"];

@@ -6,18 +6,12 @@
 // These panic on a closed pipe; `say!` and the log do not.
 #![warn(clippy::print_stdout, clippy::print_stderr)]
 
-#[macro_use]
-pub mod show;
-
 pub mod arguments;
 mod awake;
-mod color;
 pub mod config;
 mod differences;
 mod fail_if;
-pub mod failure;
 pub mod files;
-mod log;
 mod memory;
 mod observe;
 pub mod options;
@@ -25,19 +19,13 @@ mod outages;
 pub mod pipeline_file;
 mod play_report;
 mod prediction;
-pub mod program;
 mod recorded;
 mod report_differences;
 pub mod runs;
 mod saved_state;
-mod screen;
 mod service;
-pub mod siblings;
 pub mod stages;
-mod streams;
-pub mod tables;
 mod tap;
-mod terminal;
 mod top;
 pub mod tracking;
 mod verbs;
@@ -49,7 +37,8 @@ use std::process::ExitCode;
 
 use clap::{Command, CommandFactory as _, FromArgMatches as _, Parser, Subcommand as _};
 
-use program::GlobalArguments;
+use console::program::{self, GlobalArguments};
+use console::say;
 
 /// Items for benchmarks.
 pub mod bench {

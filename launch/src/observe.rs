@@ -27,9 +27,9 @@ use rustix::time::{ClockId, clock_gettime};
 use tracing::Level;
 use wire::{Forecast, Header, Heartbeat, StageId};
 
-use crate::failure::Failure;
-use crate::log;
 use crate::outages::Outages;
+use console::failure::Failure;
+use console::log;
 use files::{MetricsFile, TraceFile};
 pub use mark::mark;
 pub use server::SOCKET;

@@ -13,8 +13,8 @@ use thiserror::Error;
 use toml::{Table, Value};
 use wire::StageId;
 
-use crate::failure::Failure;
 use crate::stages;
+use console::failure::Failure;
 
 /// A setting of the command line: one option of one stage.
 #[derive(Clone, Debug)]

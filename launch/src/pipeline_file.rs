@@ -3,8 +3,8 @@
 use std::path::Path;
 
 use crate::config::Pipeline;
-use crate::failure::Failure;
 use crate::stages;
+use console::failure::Failure;
 use supervisor::scheduling;
 
 /// The default pipeline.toml.

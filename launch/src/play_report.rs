@@ -11,8 +11,8 @@ use serde::Serialize;
 use source::Playback;
 use wire::Header;
 
-use crate::failure::Failure;
 use crate::files::check_place;
+use console::failure::Failure;
 
 /// The report on a recording that is played in this process.
 #[derive(Debug, Args)]

@@ -16,8 +16,8 @@ use run::Run;
 use source::{Playback, PlaybackOptions};
 use wire::{AGENTS_MAX, StageId};
 
-use crate::failure::Failure;
 use crate::options::{Setting, StageOptions};
+use console::failure::Failure;
 
 /// Agents of the default demo, used for the measurement.
 pub const AGENTS: u32 = 32;

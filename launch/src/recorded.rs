@@ -6,7 +6,7 @@ use recording::{Ending, ReadError, Recording};
 use run::Exit;
 use wire::{ForecastsTopic, Topic};
 
-use crate::failure::Failure;
+use console::failure::Failure;
 
 /// Opens a recording and reads all of it; returns its damaged parts too.
 pub fn open_and_check(path: &Path) -> Result<(Recording, Vec<ReadError>), Failure> {

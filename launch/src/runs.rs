@@ -5,7 +5,7 @@ use std::path::Path;
 use ports::{ForeignRun, LivingRun};
 use recording::About;
 
-use crate::failure::Failure;
+use console::failure::Failure;
 
 /// Finds the run with this name or folder; without a name, the only run.
 pub fn find(name: Option<&Path>) -> Result<LivingRun, Failure> {

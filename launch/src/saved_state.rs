@@ -8,8 +8,8 @@ use std::time::Duration;
 use recorder::WholeFile;
 use run::Run;
 
-use crate::failure::Failure;
 use crate::files::within;
+use console::failure::Failure;
 
 /// The environment variable in which systemd names the folder of `StateDirectory=`.
 const FOLDER_VARIABLE: &str = "STATE_DIRECTORY";

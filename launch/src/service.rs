@@ -9,7 +9,7 @@ use rustix::process::{Resource, getrlimit};
 use sd_notify::{NotifyState, notify, watchdog_enabled};
 use wire::{Heartbeat, StageId};
 
-use crate::failure::Failure;
+use console::failure::Failure;
 use supervisor::Outlet;
 
 /// Most bytes of reports that wait for systemd.

@@ -9,7 +9,7 @@ use source::{Playback, PlaybackOptions};
 use tracker::{Prior, Tracker, TrackerOptions};
 use wire::{AGENTS_MAX, Detection, Header, Rejected, Track};
 
-use crate::failure::Failure;
+use console::failure::Failure;
 
 /// The stages needed to compute tracks, with the same steps and settings as in a run.
 pub struct Tracking(Chain);

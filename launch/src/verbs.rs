@@ -34,7 +34,7 @@ use ::run::Exit;
 use clap::error::{ContextKind, ContextValue};
 use clap::{Command, Subcommand};
 
-use crate::failure::Failure;
+use console::failure::Failure;
 
 /// A verb with its arguments.
 #[derive(Debug, Subcommand)]

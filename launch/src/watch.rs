@@ -6,12 +6,12 @@ use run::Run;
 use rustix::process::Pid;
 use wire::{ForecastsTopic, Header, Heartbeat, HeartbeatsTopic, StageId, Topic};
 
-use crate::failure::Failure;
-use crate::log;
 use crate::observe::Observer;
 use crate::outages::Outages;
-use crate::terminal::{self, Table};
 use crate::top::{SortBy, View};
+use console::failure::Failure;
+use console::log;
+use console::terminal::{self, Table};
 use supervisor::{Event, Fleet};
 
 /// Longest sleep.

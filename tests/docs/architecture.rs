@@ -20,8 +20,8 @@ fn short(package: &Value) -> String {
     name.strip_prefix("stgdat-").unwrap_or(name).replace('-', "_")
 }
 
-/// The crates that each crate of the workspace depends on, outside tests.
-fn dependencies() -> BTreeMap<String, BTreeSet<String>> {
+/// The packages of the workspace.
+fn packages() -> Vec<Value> {
     let metadata = Command::new(env!("CARGO"))
         .args(["metadata", "--no-deps", "--offline", "--format-version", "1"])
         .current_dir(root())
@@ -29,12 +29,29 @@ fn dependencies() -> BTreeMap<String, BTreeSet<String>> {
         .expect("cargo runs");
     assert!(metadata.status.success(), "{}", String::from_utf8_lossy(&metadata.stderr));
     let metadata: Value = serde_json::from_slice(&metadata.stdout).expect("JSON");
-    let list = |of: &Value| of.as_array().cloned().unwrap_or_default();
+    list(&metadata["packages"])
+}
+
+fn list(of: &Value) -> Vec<Value> {
+    of.as_array().cloned().unwrap_or_default()
+}
+
+/// The crates that each crate of the workspace depends on, outside tests.
+fn dependencies() -> BTreeMap<String, BTreeSet<String>> {
     let used = |package: &Value| {
         let normal = list(&package["dependencies"]).into_iter().filter(|one| one["kind"].is_null());
         normal.map(|one| short(&one)).collect()
     };
-    list(&metadata["packages"]).iter().map(|package| (short(package), used(package))).collect()
+    packages().iter().map(|package| (short(package), used(package))).collect()
+}
+
+/// The crates in a folder of the repository.
+fn crates_in(folder: &str) -> BTreeSet<String> {
+    let is_in = |package: &&Value| {
+        let manifest = package["manifest_path"].as_str().expect("a path");
+        Path::new(manifest).starts_with(root().join(folder))
+    };
+    packages().iter().filter(is_in).map(short).collect()
 }
 
 /// The words in backticks.
@@ -43,22 +60,31 @@ fn names(cell: &str) -> BTreeSet<String> {
 }
 
 #[test]
-fn the_map_names_the_dependencies_of_each_library_from_the_leaves_up() {
-    let (dependencies, mut above) = (dependencies(), BTreeSet::new());
+fn the_map_names_the_dependencies_of_each_crate_from_the_leaves_up() {
+    let dependencies = dependencies();
     let page = std::fs::read_to_string(root().join("docs/architecture.md")).expect("the page");
-    for line in page.lines() {
-        let cells: Vec<&str> = line.split('|').map(str::trim).collect();
-        let ["", name, _, knows, ""] = cells.as_slice() else { continue };
-        let Some(used) = dependencies.get(name.trim_matches('`')) else { continue };
-        let own: BTreeSet<String> =
-            used.iter().filter(|one| dependencies.contains_key(*one)).cloned().collect();
-        assert_eq!(names(knows), own, "{line}");
-        assert!(own.is_subset(&above), "not from the leaves up: {line}");
-        above.insert(name.trim_matches('`').to_owned());
+    for folder in ["shared", "launch"] {
+        let (crates, mut above) = (crates_in(folder), BTreeSet::new());
+        for line in page.lines() {
+            let cells: Vec<&str> = line.split('|').map(str::trim).collect();
+            let ["", name, _, knows, ""] = cells.as_slice() else { continue };
+            let Some(name) = crates.get(name.trim_matches('`')) else { continue };
+            let own: BTreeSet<String> = dependencies[name].intersection(&crates).cloned().collect();
+            assert_eq!(names(knows), own, "{line}");
+            assert!(own.is_subset(&above), "not from the leaves up: {line}");
+            above.insert(name.clone());
+        }
+        assert_eq!(above, crates);
     }
-    let libraries = std::fs::read_dir(root().join("shared")).expect("the libraries");
-    // The folder of the weights is no crate.
-    assert_eq!(above.len(), libraries.count() - 1, "{above:?}");
+}
+
+#[test]
+fn no_library_depends_on_a_stage_or_a_program() {
+    let (dependencies, libraries) = (dependencies(), crates_in("shared"));
+    for library in &libraries {
+        let others = dependencies[library].iter().filter(|one| dependencies.contains_key(*one));
+        assert!(others.clone().all(|one| libraries.contains(one)), "{library}: {:?}", dependencies[library]);
+    }
 }
 
 #[test]

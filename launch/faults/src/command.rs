@@ -8,9 +8,9 @@ use crate::runner::{Options, Verdict};
 use crate::spec::Spec;
 use crate::table::{self, Row, Series};
 use crate::{checker, follow, inject, output, runner, scenarios};
-use launch::failure::Failure;
-use launch::show::show;
-use launch::tables;
+use console::failure::Failure;
+use console::show::show;
+use console::tables;
 
 /// The verbs of `stgdat fault`, with their arguments.
 #[derive(Debug, Subcommand)]

@@ -9,7 +9,7 @@ use ports::{Node, Peers};
 use run::{Exit, Run};
 use wire::{ForecastsTopic, HeartbeatsTopic, StageId, Topic};
 
-use launch::failure::Failure;
+use console::failure::Failure;
 
 /// Longest sleep. Heartbeats do not wake the follower.
 const SLEEP: Duration = Duration::from_millis(20);

@@ -12,7 +12,7 @@ use crate::checker::Line;
 use crate::effect::TopicFault;
 use crate::effect::{Due, Injector, Raw};
 use crate::follow::print;
-use launch::failure::Failure;
+use console::failure::Failure;
 
 /// Longest sleep between checks that the run is still there.
 const SLEEP: Duration = Duration::from_millis(50);

@@ -6,8 +6,8 @@ use std::process::{Command, Stdio};
 use run::injected_name;
 
 use crate::spec::Spec;
+use console::failure::Failure;
 use launch::config::Pipeline;
-use launch::failure::Failure;
 use launch::pipeline_file;
 use launch::stages::declared;
 

@@ -15,7 +15,7 @@ use wire::StageId;
 use crate::effect::Random;
 use crate::program::this_program;
 use crate::spec::Resource;
-use launch::failure::Failure;
+use console::failure::Failure;
 use supervisor::end_within;
 use supervisor::look;
 use supervisor::{children, memory};

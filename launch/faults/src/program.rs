@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
 
-use launch::failure::Failure;
-use launch::siblings::{self, STGDAT_VARIABLE};
+use console::failure::Failure;
+use console::siblings::{self, STGDAT_VARIABLE};
 use supervisor::die_with_this_process;
 
 /// The name of the program under test.

@@ -23,7 +23,7 @@ use crate::processes::{Launcher, Mortal, Writer, is_alive, limit, resident_bytes
 use crate::program::{start_stgdat, stgdat};
 use crate::spec::{Action, Consumer, Due, Spec, Target, What};
 use crate::verdict::{Check, Cost, Observation, Outcome, judge};
-use launch::failure::Failure;
+use console::failure::Failure;
 use supervisor::end_within;
 
 /// Ticks at the end of a run in which consumers are neither killed nor started again.

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use crate::spec::Spec;
-use launch::failure::Failure;
+use console::failure::Failure;
 
 /// Lists the files of `tests/faults` with their texts.
 macro_rules! scenarios {

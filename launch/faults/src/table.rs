@@ -15,8 +15,8 @@ use crate::effect::Random;
 use crate::runner;
 use crate::spec::Spec;
 use crate::verdict::{Observation, longest_run};
-use launch::failure::Failure;
-use launch::tables;
+use console::failure::Failure;
+use console::tables;
 
 /// Ticks before the first death, in which agents become old enough to be forecast.
 const LEAD_TICKS: u64 = 25;

@@ -9,7 +9,7 @@ use std::time::Duration;
 use recorder::WholeFile;
 
 use super::server::{Asked, Question, ask_launcher};
-use crate::failure::Failure;
+use console::failure::Failure;
 use supervisor::Outlet;
 
 /// Interval between updates of the metrics file.

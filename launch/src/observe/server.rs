@@ -11,7 +11,7 @@ use ports::is_own_user;
 use recorder::exposition::CONTENT_TYPE;
 use view::http::{Connection, PLAIN, Request, accept, respond};
 
-use crate::failure::Failure;
+use console::failure::Failure;
 
 /// Time limit for the launcher to answer.
 const ANSWER_LIMIT: Duration = Duration::from_secs(1);

@@ -8,7 +8,7 @@ use ports::{Stop, monotonic_ns};
 use recording::tap::{Client, Item, Request};
 use recording::{Event, Happened, Losses, Message, WriteError, Writer, Written};
 
-use crate::failure::Failure;
+use console::failure::Failure;
 
 /// Longest wait for an item between checks for a request to end.
 const WAIT: Duration = Duration::from_millis(200);

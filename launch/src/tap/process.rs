@@ -14,11 +14,11 @@ use recording::tap::SOCKET;
 use recording::{Event, Happened, LogLine};
 use wire::StageId;
 
-use crate::failure::Failure;
-use crate::log;
-use crate::program::this_program;
 use crate::tap::server::FromLauncher;
 use crate::tap::{RingArguments, ViewArguments};
+use console::failure::Failure;
+use console::log;
+use console::program::this_program;
 use supervisor::spawn;
 use supervisor::{KILL_LIMIT, die_with_this_process, end_within};
 use supervisor::{Origin, Outlet};

@@ -6,7 +6,7 @@ use clap::Args;
 use recording::RingLimits;
 use recording::flight::FlightLimits;
 
-use crate::failure::Failure;
+use console::failure::Failure;
 
 /// Maximum duration of a ring. For longer durations, a recording is the right tool.
 const SECONDS_MAX: f64 = 3_600.0;

@@ -16,9 +16,9 @@ use rustix::io::Errno;
 use serde::{Deserialize, Serialize};
 use wire::{Header, Heartbeat, HeartbeatsTopic, REFUSALS_MAX, RefusalCause, Refusals, StageId, TABLE, Topic};
 
-use crate::failure::Failure;
-use crate::streams;
 use crate::tap::topic::{Input, Taken};
+use console::failure::Failure;
+use console::streams;
 
 /// Longest sleep between checks that the run still exists.
 const SLEEP: Duration = Duration::from_millis(500);

@@ -5,8 +5,8 @@ use std::time::Duration;
 
 use recorder::status::{RunStatus, STATUS_VERSION};
 
-use crate::failure::Failure;
 use crate::observe::SOCKET;
+use console::failure::Failure;
 
 /// Time limit for the launcher to answer.
 const LIMIT: Duration = Duration::from_secs(3);

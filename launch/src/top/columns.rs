@@ -1,6 +1,6 @@
 //! The columns of the table of stages.
 
-use crate::screen::{BOLD, Color, DIM, Line, Span, Style};
+use console::screen::{BOLD, Color, DIM, Line, Span, Style};
 use recorder::report::{StageReport, WorstTick};
 use recorder::status::StageStatus;
 use recorder::text::{bar, count, number};

@@ -4,7 +4,7 @@ use recorder::text::{count, number, percent};
 
 use super::View;
 use super::columns::{Row, WORST, bar_width, cut, heading, line, section, share_spans, worst};
-use crate::screen::{BOLD, Color, DIM, Line, Span, TITLE, curve};
+use console::screen::{BOLD, Color, DIM, Line, Span, TITLE, curve};
 
 /// Maximum number of lines for events and for worst ticks.
 const EVENTS_MAX: usize = 4;

@@ -1,6 +1,6 @@
 //! The view of a single stage.
 
-use crate::screen::{BOLD, Color, DIM, Line, Span};
+use console::screen::{BOLD, Color, DIM, Line, Span};
 use recorder::report::Percentiles;
 use recorder::status::StageStatus;
 use recorder::text::{count, number};

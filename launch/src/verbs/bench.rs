@@ -18,12 +18,12 @@ use run::{Exit, Run};
 use wire::StageId;
 
 use crate::fail_if;
-use crate::failure::Failure;
 use crate::options::{Setting, StageOptions};
-use crate::program::this_program;
-use crate::show::show;
-use crate::tables;
 use crate::version;
+use console::failure::Failure;
+use console::program::this_program;
+use console::show::show;
+use console::tables;
 
 pub use arguments::Arguments;
 pub use percentile::percentile;

@@ -2,10 +2,11 @@ use std::path::PathBuf;
 
 use crate::config::{BUDGET_MAX_MS, Pipeline, Realtime, Scheduling};
 use clap::Args;
+use console::say;
 use run::Exit;
 
-use crate::failure::Failure;
 use crate::pipeline_file;
+use console::failure::Failure;
 
 /// Arguments of `stgdat check`.
 #[derive(Debug, Args)]

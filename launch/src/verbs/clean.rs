@@ -1,7 +1,8 @@
 use clap::Args;
 use run::Exit;
 
-use crate::failure::Failure;
+use console::failure::Failure;
+use console::say;
 
 /// Arguments of `stgdat clean`.
 #[derive(Debug, Args)]

@@ -2,8 +2,8 @@ use clap::{Args, Command};
 use clap_complete::Shell;
 use run::Exit;
 
-use crate::failure::Failure;
-use crate::show::show;
+use console::failure::Failure;
+use console::show::show;
 
 /// Arguments of `stgdat completions`.
 #[derive(Debug, Args)]

@@ -7,10 +7,10 @@ use recording::{About, Comparison};
 use run::Exit;
 
 use crate::differences::{table, title};
-use crate::failure::Failure;
 use crate::recorded::{self, open_and_check};
 use crate::report_differences::ReportComparison;
-use crate::show::show;
+use console::failure::Failure;
+use console::show::show;
 
 /// Arguments of `stgdat diff`.
 #[derive(Debug, Args)]

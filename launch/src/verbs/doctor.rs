@@ -13,9 +13,10 @@ use rustix::process::{Resource, Rlimit, getrlimit};
 use rustix::thread::{CapabilitySet, capabilities};
 
 use crate::awake;
-use crate::failure::Failure;
 use crate::prediction::{self, LIMIT_MS, Prediction};
 use crate::verbs::run::SHARED_BYTES;
+use console::failure::Failure;
+use console::say;
 
 /// Number of open files below which the transport may fail.
 const FILES: u64 = 1024;

@@ -5,9 +5,10 @@ use recording::{About, EVENTS, NO_TOPIC};
 use run::Exit;
 use wire::{ForecastsTopic, Topic as _, TracksTopic};
 
-use crate::failure::Failure;
 use crate::recorded;
 use crate::tap::ViewArguments;
+use console::failure::Failure;
+use console::say;
 
 /// Arguments of `stgdat export`.
 #[derive(Debug, Args)]

@@ -4,9 +4,9 @@ use crate::config::{Pipeline, Stage};
 use clap::{Args, ValueEnum};
 use run::Exit;
 
-use crate::failure::Failure;
 use crate::pipeline_file;
-use crate::show::show;
+use console::failure::Failure;
+use console::show::show;
 
 /// Arguments of `stgdat graph`.
 #[derive(Debug, Args)]

@@ -5,9 +5,10 @@ use clap::Args;
 use recorder::status::RunStatus;
 use run::Exit;
 
-use crate::failure::Failure;
 use crate::runs;
 use crate::top::Client;
+use console::failure::Failure;
+use console::say;
 
 /// Pause between two questions.
 const PAUSE: Duration = Duration::from_millis(100);

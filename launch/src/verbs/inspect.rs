@@ -10,10 +10,11 @@ use run::Exit;
 use wire::detection_flags;
 
 use crate::arguments::{ModelArguments, ReadArguments};
-use crate::failure::Failure;
 use crate::files::quoted;
-use crate::show::show;
 use crate::tracking::add_noise;
+use console::failure::Failure;
+use console::say;
+use console::show::show;
 
 /// Width of the picture, pt.
 const WIDTH: f64 = 516.0;

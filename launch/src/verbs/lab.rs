@@ -3,8 +3,8 @@ use std::ffi::OsString;
 use clap::{Args, Subcommand};
 use run::Exit;
 
-use crate::failure::Failure;
-use crate::siblings::replace_by;
+use console::failure::Failure;
+use console::siblings::replace_by;
 
 /// The program that executes these verbs.
 const PROGRAM: &str = "stgdat-lab";

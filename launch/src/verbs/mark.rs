@@ -5,9 +5,9 @@ use clap::Args;
 use recording::tap::{Client, Item, Marked, Request};
 use run::Exit;
 
-use crate::failure::Failure;
 use crate::runs;
-use crate::show::show;
+use console::failure::Failure;
+use console::show::show;
 
 /// Time limit for the tap to answer.
 const ANSWER_LIMIT: Duration = Duration::from_secs(10);

@@ -10,11 +10,12 @@ use source::{Playback, Tick};
 use wire::{ForecastsTopic, Topic as _, TracksTopic, TruthTopic, WorldOrigin};
 
 use crate::arguments::{PlaybackArguments, Played};
-use crate::failure::Failure;
 use crate::play_report::{PlayReport, VerdictArguments};
-use crate::show::is_read;
 use crate::verbs::report::RunReport;
 use crate::verbs::wire::layout;
+use console::failure::Failure;
+use console::say;
+use console::show::is_read;
 
 /// Arguments of `stgdat predict`.
 #[derive(Debug, Args)]

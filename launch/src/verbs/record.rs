@@ -9,9 +9,10 @@ use recording::{About, EVENTS, LOG};
 use run::Exit;
 use wire::{ForecastsTopic, TABLE, Topic as _};
 
-use crate::failure::Failure;
 use crate::runs;
 use crate::tap::{FlightRecorder, Recorded, RingArguments, ViewArguments, follow};
+use console::failure::Failure;
+use console::say;
 
 /// The topic name of forecasts with all their fields.
 const WHOLE: &str = "forecasts-whole";

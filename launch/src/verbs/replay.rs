@@ -11,12 +11,12 @@ use wire::{ForecastsTopic, StageId, Topic as _, TracksTopic};
 
 use crate::arguments::{Speed, canonical};
 use crate::differences::{table, title};
-use crate::failure::Failure;
 use crate::files::named_weights;
 use crate::recorded::{self, open_and_check};
-use crate::show::show;
 use crate::verbs::wire::layout;
 use crate::version;
+use console::failure::Failure;
+use console::show::show;
 
 /// Maximum number of listed ticks.
 const LISTED_MAX: usize = 8;

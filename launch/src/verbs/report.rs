@@ -7,9 +7,10 @@ use run::Exit;
 use view::RunPage;
 
 use crate::arguments::lanes_of;
-use crate::failure::Failure;
 use crate::files::check_place;
 use crate::recorded;
+use console::failure::Failure;
+use console::say;
 
 /// Arguments of `stgdat report`.
 #[derive(Debug, Args)]

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use crate::config::Pipeline;
 use clap::{Args, ValueEnum};
+use console::say;
 use localiser::MapChoice;
 use nn::Weights;
 use ports::{LogFormat, Space, Stop, clock_offset_ns};
@@ -23,7 +24,6 @@ use crate::arguments::{
     check_lanes, check_memory, check_prior, warn_of_doubts,
 };
 use crate::fail_if::{self, Condition};
-use crate::failure::Failure;
 use crate::files::{check_place, version, within};
 use crate::observe::{ObserveArguments, Observer, address};
 use crate::options::{Setting, StageOptions, absolute, text};
@@ -34,8 +34,10 @@ use crate::tap::{Recording, RingArguments, Tap, ViewArguments};
 use crate::verbs::record;
 use crate::verbs::report::RunReport;
 use crate::verbs::view::Page;
+use crate::version;
 use crate::watch::Watch;
-use crate::{log, streams, version};
+use console::failure::Failure;
+use console::{log, streams};
 
 /// Shared memory that must be free at the start of a run, bytes.
 pub const SHARED_BYTES: u64 = 48 << 20;

@@ -8,8 +8,8 @@ use ports::{RUN_VARIABLE, StageError};
 use run::{Exit, Run};
 use wire::StageId;
 
-use crate::failure::Failure;
 use crate::stages;
+use console::failure::Failure;
 
 /// Arguments of `stgdat stage`.
 #[derive(Debug, Args)]

@@ -4,7 +4,8 @@ use clap::Args;
 use run::{Exit, Run};
 use supervisor::helper_line;
 
-use crate::failure::Failure;
+use console::failure::Failure;
+use console::say;
 
 /// Arguments of `stgdat sweep`.
 #[derive(Debug, Args)]

@@ -3,8 +3,8 @@ use std::path::PathBuf;
 use clap::Args;
 use run::Exit;
 
-use crate::failure::Failure;
 use crate::tap;
+use console::failure::Failure;
 
 /// Arguments of `stgdat tap`.
 #[derive(Debug, Args)]

@@ -6,10 +6,10 @@ use recording::{Event, Frame, Happened, Message, ReadError, Recording};
 use run::Exit;
 use wire::{Forecast, ForecastsTopic, Header, HeartbeatsTopic, Topic};
 
-use crate::failure::Failure;
 use crate::recorded;
-use crate::show::show;
 use crate::waterfall::{FrameOf, Telling};
+use console::failure::Failure;
+use console::show::show;
 
 /// Width of lines if the output is not a terminal.
 const WIDTH: usize = 100;

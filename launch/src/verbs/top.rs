@@ -6,12 +6,13 @@ use clap::Args;
 use ports::escaped;
 use run::Exit;
 
-use crate::failure::Failure;
 use crate::runs;
-use crate::show::show;
-use crate::streams::{self, Stream};
-use crate::terminal::{self, Key, Screen};
 use crate::top::{Client, SortBy, View, text};
+use console::failure::Failure;
+use console::say;
+use console::show::show;
+use console::streams::{self, Stream};
+use console::terminal::{self, Key, Screen};
 
 /// Width of the table if the output is not a terminal.
 const WIDTH: usize = 100;

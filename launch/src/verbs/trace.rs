@@ -9,9 +9,10 @@ use recording::{FrameError, Message, Recording};
 use run::Exit;
 use wire::{ForecastsTopic, HeartbeatsTopic, Topic};
 
-use crate::failure::Failure;
 use crate::observe::mark;
 use crate::recorded;
+use console::failure::Failure;
+use console::say;
 
 /// Arguments of `stgdat trace`.
 #[derive(Debug, Args)]

@@ -9,10 +9,11 @@ use source::Playback;
 use wire::WorldOrigin;
 
 use crate::arguments::{PlaybackArguments, Played};
-use crate::failure::Failure;
 use crate::play_report::{PlayReport, VerdictArguments};
-use crate::show::is_read;
 use crate::tracking::Tracking;
+use console::failure::Failure;
+use console::say;
+use console::show::is_read;
 
 /// Arguments of `stgdat track`.
 #[derive(Debug, Args)]

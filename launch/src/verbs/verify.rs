@@ -4,7 +4,8 @@ use clap::Args;
 use run::Exit;
 use verifier::{Comparison, VerifyError};
 
-use crate::failure::Failure;
+use console::failure::Failure;
+use console::say;
 
 /// Arguments of `stgdat verify`.
 #[derive(Debug, Args)]

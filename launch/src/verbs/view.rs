@@ -14,13 +14,14 @@ use view::{Live, MODES_DRAWN, Pairing, Scene};
 use wire::{ForecastsTopic, MODES_MAX, Topic as _, TracksTopic};
 
 use crate::arguments::{lanes_of, map_path};
-use crate::failure::Failure;
 use crate::observe::address;
 use crate::options::absolute;
-use crate::program::this_program;
-use crate::siblings::replace_by;
+use crate::runs;
 use crate::top::Client;
-use crate::{log, runs};
+use console::failure::Failure;
+use console::log;
+use console::program::this_program;
+use console::siblings::replace_by;
 use supervisor::{die_with_this_process, end_within};
 
 /// The address if none is named; any free port if this one is taken.

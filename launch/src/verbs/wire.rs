@@ -8,8 +8,8 @@ mod text;
 use clap::Args;
 use run::Exit;
 
-use crate::failure::Failure;
-use crate::show::show;
+use console::failure::Failure;
+use console::show::show;
 
 /// Arguments of `stgdat wire`.
 #[derive(Debug, Args)]

@@ -4,6 +4,7 @@ use evidence::{Evidence, Prior};
 use extractor::Extractor;
 use localiser::Localiser;
 use nn::{ModelConfig, Weights};
+use ports::StageError;
 use run::{Declared, Run};
 use sampler::Sampler;
 use tracker::Tracker;
@@ -48,9 +49,9 @@ impl Chain {
     /// Sets up all stages of a lockstep run with this model from its record.
     ///
     /// # Errors
-    /// [`ChainError`] if weights, options, map or retrieval memory can't be used.
-    pub fn new(run: &Run, model: &ModelConfig) -> Result<Self, ChainError> {
-        let weights = Weights::of_model(run.weights.as_deref(), model)?;
+    /// [`StageError`] if weights, options, map or retrieval memory can't be used.
+    pub fn new(run: &Run, model: &ModelConfig) -> Result<Self, StageError> {
+        let weights = Weights::of_model(run.weights.as_deref(), model).map_err(StageError::data)?;
         let mut graph = Graph::new(open_all(run, &weights)?);
         graph.begin(run, 0);
         Ok(Self(graph))
@@ -84,9 +85,9 @@ impl Chain {
     /// Ends the stages of a run: saves the retrieval memory if the run's record names a file.
     ///
     /// # Errors
-    /// [`ChainError`] if the file can't be written.
-    pub fn end(&mut self, run: &Run) -> Result<(), ChainError> {
-        Ok(self.0.end(run)?)
+    /// [`StageError`] if the file can't be written.
+    pub fn end(&mut self, run: &Run) -> Result<(), StageError> {
+        self.0.end(run)
     }
 
     /// Replaces the shipped prior of the sampler's experts by `prior`.

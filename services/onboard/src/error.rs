@@ -19,3 +19,15 @@ pub enum ChainError {
     #[error(transparent)]
     Stage(#[from] StageError),
 }
+
+impl From<ChainError> for StageError {
+    fn from(error: ChainError) -> Self {
+        match error {
+            ChainError::Weights(error) => Self::data(error),
+            ChainError::Start(error @ StartError::Precision(_)) => Self::config(error),
+            ChainError::Start(error) => Self::data(error),
+            ChainError::Options(error) => error.into(),
+            ChainError::Stage(error) => error,
+        }
+    }
+}

@@ -5,7 +5,8 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use launch::config::{Mistake, Pipeline, SourceError};
+use console::mistake::{Mistake, SourceError};
+use launch::config::Pipeline;
 use ports::Point;
 use run::TopicRun;
 use serde::Deserialize;
@@ -17,7 +18,7 @@ use super::table::{At, Expect, FaultTable, File, Kill, Process, TopicTable};
 use super::{Action, Consumer, Due, Faults, RunSpec, Spec, Target, What};
 use crate::effect::{Effect, Random, TopicFault};
 use crate::substitute::{crashing, dying};
-use launch::failure::Failure;
+use console::failure::Failure;
 use launch::stages::declared;
 
 /// Causes for which a stage counts lost frames.

@@ -13,7 +13,7 @@ use toml::Spanned;
 use toml::de::{DeTable, DeValue, ValueDeserializer};
 
 use crate::effect::{Effect, Part};
-use launch::config::Mistake;
+use console::mistake::Mistake;
 
 /// A resource of a process.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]

@@ -7,7 +7,7 @@ use toml::Spanned;
 use wire::{ADDED_STAGES_MAX, ADDED_TOPICS_MAX, ELEMENT_SIZE_MAX, StageId, TABLE, TopicEntry};
 
 use super::file::{File, StageTable};
-use crate::config::Mistake;
+use console::mistake::Mistake;
 
 /// Longest name of a stage or topic, in bytes.
 const NAME_MAX: usize = 32;

@@ -2,7 +2,7 @@ use run::{Declared, OptionError};
 use wire::StageId;
 
 use super::file::OptionsTable;
-use crate::config::Mistake;
+use console::mistake::Mistake;
 
 /// The options of one of this project's own programs.
 pub(super) fn options(

@@ -2,8 +2,8 @@ use run::Declared;
 
 use super::file::File;
 use super::{Pipeline, check};
-use crate::config::mistake::line_of;
-use crate::config::{Mistake, SourceError};
+use console::mistake::line_of;
+use console::mistake::{Mistake, SourceError};
 
 impl Pipeline {
     /// Reads and checks the text of a pipeline.toml. `name` is the file's name in errors. `declared` contains

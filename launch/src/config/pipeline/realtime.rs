@@ -7,7 +7,8 @@ use toml::Spanned;
 
 use super::Stage;
 use super::file::{File, Profile, RealtimeTable, StageTable};
-use crate::config::{Mistake, Realtime, Scheduling};
+use crate::config::{Realtime, Scheduling};
+use console::mistake::Mistake;
 
 /// The label of a processor that this machine lacks.
 pub(super) const MISSING: &str = "not one of this machine's, or not allowed";

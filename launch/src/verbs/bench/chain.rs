@@ -10,8 +10,8 @@ use rustix::process::Pid;
 
 use super::percentile::percentile;
 use super::{Arguments, pipe, pipeline_run};
-use crate::failure::Failure;
-use crate::tables;
+use console::failure::Failure;
+use console::tables;
 use supervisor::children;
 
 /// Number of ticks in two seconds.

@@ -5,8 +5,8 @@ use ports::TemporaryFolder;
 use super::arguments::Arguments;
 use super::percentile::percentile;
 use super::{modes, stages};
-use crate::failure::Failure;
-use crate::tables;
+use console::failure::Failure;
+use console::tables;
 
 /// Measured numbers of agents.
 const AGENTS: [usize; 5] = [1, 8, 32, 64, 128];

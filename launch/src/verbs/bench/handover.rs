@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use nn::{Job, Workers, default_workers};
 
 use super::percentile::percentile;
-use crate::failure::Failure;
+use console::failure::Failure;
 
 /// Duration of a block.
 const BLOCK: Duration = Duration::from_micros(200);

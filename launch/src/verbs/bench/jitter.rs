@@ -16,9 +16,9 @@ use wire::{ForecastsTopic, Header, StageId, Topic};
 
 use super::percentile::percentile;
 use super::{Arguments, pipeline_run};
-use crate::failure::Failure;
 use crate::pipeline_file::SHIPPED;
-use crate::tables;
+use console::failure::Failure;
+use console::tables;
 
 /// Ticks in two seconds.
 const RATE: u64 = 25;

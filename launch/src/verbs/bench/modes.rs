@@ -7,7 +7,7 @@ use nn::{ModelConfig, Weights};
 use safetensors::Dtype;
 use safetensors::tensor::TensorView;
 
-use crate::failure::Failure;
+use console::failure::Failure;
 
 /// Returns the mode axis of a tensor.
 fn axis_of_modes(name: &str) -> Option<usize> {

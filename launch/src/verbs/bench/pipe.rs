@@ -4,7 +4,7 @@ use std::io::{Read, Write};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use crate::failure::Failure;
+use console::failure::Failure;
 
 /// Measures the one-way latency in ms of `pings` messages at 12.5 Hz.
 pub(super) fn hops_ms(pings: usize) -> Result<Vec<f64>, Failure> {

@@ -13,10 +13,10 @@ use wire::StageId;
 use super::arguments::Arguments;
 use super::percentile::percentile;
 use super::work::Work;
-use crate::failure::Failure;
 use crate::options::{Setting, StageOptions};
 use crate::prediction::SHARED;
-use crate::tables;
+use console::failure::Failure;
+use console::tables;
 
 /// Numbers of agents if none are given.
 const AGENTS: [u16; 4] = [1, 16, 64, 128];

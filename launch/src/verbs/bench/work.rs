@@ -7,7 +7,7 @@ use wire::{
     STATE_FEATURES, TEMPORAL,
 };
 
-use crate::failure::Failure;
+use console::failure::Failure;
 
 /// Width of the hidden layers and of the GRU.
 const HIDDEN: usize = 128;

@@ -8,7 +8,8 @@ use run::Exit;
 
 use super::files::{Files, Unread, cpu_group};
 use crate::awake;
-use crate::failure::Failure;
+use console::failure::Failure;
+use console::say;
 use supervisor::scheduling::cpu_list;
 
 /// The highest priority of `profile = "vehicle"`.

@@ -13,14 +13,15 @@ use wire::StageId;
 
 use crate::awake::Awake;
 use crate::config::{Pipeline, Stage};
-use crate::failure::{Failure, StageDeath};
 use crate::memory::Memory;
 use crate::outages::Outages;
 use crate::saved_state::SavedState;
 use crate::service::{self, Phase, Service};
+use crate::stages;
 use crate::tap::{Recording, Tap};
 use crate::watch::Watch;
-use crate::{log, stages};
+use console::failure::{Failure, StageDeath};
+use console::log;
 use supervisor::control::{Control, Request};
 use supervisor::scheduling;
 use supervisor::{Fleet, Program, Settings, StageSettings};

@@ -3,10 +3,10 @@ use std::path::{Path, PathBuf};
 use clap::{Args, ValueEnum};
 use run::Exit;
 
-use crate::failure::Failure;
 use crate::options::absolute;
 use crate::pipeline_file;
-use crate::show::show;
+use console::failure::Failure;
+use console::show::show;
 
 /// The repository from which this program was built, if it still exists. A package names no folder of the machine
 /// that built it.

@@ -4,11 +4,11 @@ use clap::Args;
 use recorder::ReplacementOutcome;
 use run::{Exit, Run};
 
-use crate::failure::Failure;
 use crate::options;
 use crate::runs;
-use crate::show::show;
 use crate::stages;
+use console::failure::Failure;
+use console::show::show;
 use supervisor::control::{self, Answer, Order};
 
 /// Arguments of `stgdat stage replace`.

@@ -2,7 +2,7 @@ use std::path::PathBuf;
 
 use data::ReadError;
 use nn::WeightsError;
-use onboard::ChainError;
+use ports::StageError;
 use run::OptionError;
 
 /// Why the evaluation fails.
@@ -40,7 +40,7 @@ pub enum DrivingError {
     Against(String),
     /// The stages can't be set up.
     #[error(transparent)]
-    Stages(#[from] ChainError),
+    Stages(#[from] StageError),
     /// The stages' options can't be recorded.
     #[error(transparent)]
     Run(#[from] OptionError),

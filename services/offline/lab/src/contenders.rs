@@ -10,7 +10,7 @@ use tracker::Prior;
 use tracking_evaluator::{Contender, Published, PublishedTrack};
 use wire::{AgentType, Track};
 
-use launch::failure::Failure;
+use console::failure::Failure;
 use launch::tracking::Tracking;
 
 /// Minimum existence probability of a published track.

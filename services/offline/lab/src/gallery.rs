@@ -3,10 +3,10 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::rc::Rc;
 
+use console::failure::Failure;
 use data::{RecordedTrack, Recording, Reported};
 use drawing::AgentDrawing;
 use evaluator::MOVING_MPS;
-use launch::failure::Failure;
 use metrics::{Displacement, Point};
 use nn::ModelConfig;
 use onboard::Chain;

@@ -16,7 +16,7 @@ mod verbs;
 use std::process::ExitCode;
 
 use clap::{CommandFactory as _, FromArgMatches as _, Parser};
-use launch::program::{self, GlobalArguments};
+use console::program::{self, GlobalArguments};
 use verbs::Verb;
 
 /// Training, evaluation, pictures, maps and fault injection for stgdat; nothing of this runs on a vehicle.

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use launch::failure::Failure;
+use console::failure::Failure;
 use resvg::tiny_skia::{Pixmap, Transform};
 use resvg::usvg::{Options, Tree};
 

@@ -5,7 +5,7 @@ use std::fs::File;
 use std::io::{BufRead as _, BufReader};
 use std::path::{Path, PathBuf};
 
-use launch::failure::Failure;
+use console::failure::Failure;
 use recording::{Message, ReadError, Recording};
 use serde::Deserialize;
 use view::Pairing;

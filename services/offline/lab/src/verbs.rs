@@ -8,8 +8,8 @@ mod plot;
 mod train;
 
 use clap::Subcommand;
+use console::failure::Failure;
 use faults::Verb as Fault;
-use launch::failure::Failure;
 use run::Exit;
 
 /// A verb with its arguments.

@@ -2,8 +2,8 @@
 
 use std::error::Error;
 
+use console::failure::Failure;
 use data::ReadError;
-use launch::failure::Failure;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 

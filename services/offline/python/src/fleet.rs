@@ -5,9 +5,9 @@ use std::fs::File;
 use std::io::BufWriter;
 use std::path::PathBuf;
 
+use console::failure::Failure;
 use driving_evaluator::{Learned, Outcome, OutcomeErrors, Outcomes, count_differences, differences as pairs};
 use launch::arguments::Prepared;
-use launch::failure::Failure;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;

@@ -5,9 +5,9 @@ use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use clap::Parser;
+use console::failure::Failure;
 use data::{GeneratedScene, SceneOptions};
 use launch::arguments::{PlaybackArguments, Prepared};
-use launch::failure::Failure;
 use launch::tracking::add_noise;
 use pyo3::prelude::*;
 use recording::{Message, ReadError};

@@ -2,8 +2,8 @@
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
+use console::failure::Failure;
 use launch::arguments::Prepared;
-use launch::failure::Failure;
 use launch::tracking::Tracking;
 use onboard::Chain;
 use pyo3::exceptions::PyRuntimeError;

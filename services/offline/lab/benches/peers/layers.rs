@@ -15,7 +15,7 @@ use wire::{
 };
 
 use crate::TIME;
-use launch::failure::Failure;
+use console::failure::Failure;
 
 /// Side of the square matrices.
 const SIDE: usize = 512;

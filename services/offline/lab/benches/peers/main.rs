@@ -16,9 +16,9 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use clap::Parser;
+use console::failure::Failure;
+use console::{program, show, tables};
 use launch::bench::{machine, percentile};
-use launch::failure::Failure;
-use launch::{program, show, tables};
 use nn::Weights;
 use nn::kernels::{self, peak};
 use run::Exit;

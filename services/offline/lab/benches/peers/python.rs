@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 use std::time::Duration;
 
-use launch::failure::Failure;
+use console::failure::Failure;
 
 /// The script, which makes the environment and answers requests.
 const SCRIPT: &str = include_str!("peers.py");

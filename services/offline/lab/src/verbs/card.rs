@@ -9,10 +9,10 @@ use run::Exit;
 use trainer::ModelCard;
 use wire::AgentType;
 
-use launch::failure::Failure;
+use console::failure::Failure;
+use console::show::show;
+use console::tables;
 use launch::files::named_weights;
-use launch::show::show;
-use launch::tables;
 
 /// Arguments of `stgdat card`.
 #[derive(Debug, Args)]

@@ -12,8 +12,8 @@ use clap::{Arg, Args, Command, CommandFactory as _};
 use run::Exit;
 use run::options::OptionSchema;
 
-use launch::failure::Failure;
-use launch::show::show;
+use console::failure::Failure;
+use console::show::show;
 use launch::stages;
 
 /// Maximum length of a line; single words and usages may be longer.

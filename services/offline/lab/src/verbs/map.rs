@@ -7,9 +7,9 @@ use data::{Format, FrameRate};
 use lanes::Coordinates;
 use run::Exit;
 
+use console::failure::Failure;
+use console::say;
 use launch::arguments::{ReadArguments, open_lanes};
-use launch::failure::Failure;
-use launch::say;
 
 /// Arguments of `stgdat map`.
 #[derive(Debug, Args)]

@@ -5,7 +5,7 @@ mod training;
 use clap::{Args, Subcommand};
 use run::Exit;
 
-use launch::failure::Failure;
+use console::failure::Failure;
 
 /// Arguments of `stgdat plot`.
 #[derive(Debug, Args)]

@@ -5,10 +5,10 @@ use run::Exit;
 use trainer::TrainOptions;
 
 use super::card;
+use console::failure::Failure;
+use console::say;
 use launch::arguments::canonical;
-use launch::failure::Failure;
 use launch::files::check_place;
-use launch::say;
 
 /// Arguments of `stgdat train`.
 #[derive(Debug, Args)]

@@ -1,4 +1,4 @@
-use launch::tables;
+use console::tables;
 use metrics::Errors;
 use trainer::{ModelCard, SetScore};
 

@@ -3,7 +3,7 @@
 use clap::Args;
 use evaluator::{Noise, SEED};
 
-use launch::failure::Failure;
+use console::failure::Failure;
 
 /// The sets whose evaluation takes these options.
 pub const SETS: [&str; 3] = ["driving", "interaction", "eth-ucy"];

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use clap::{Command, ValueEnum as _};
 use clap_complete::Shell;
-use launch::failure::Failure;
+use console::failure::Failure;
 
 /// Writes `man1/stgdat.1`, a page for each verb of `stgdat` in the same folder, and the completions for shells.
 pub fn write(folder: &Path) -> Result<(), Failure> {

@@ -2,11 +2,11 @@ use std::path::{Path, PathBuf};
 
 use ::scene::ContextMap;
 use clap::{Args, ValueEnum};
+use console::failure::Failure;
+use console::say;
 use drawing::{Mask, SceneDrawing, SceneOptions, scenes};
 use lanes::LaneMap;
 use launch::arguments::{PlaybackArguments, Played, lanes_of};
-use launch::failure::Failure;
-use launch::say;
 use localiser::MapChoice;
 use run::Exit;
 

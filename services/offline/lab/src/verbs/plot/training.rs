@@ -5,8 +5,8 @@ use clap::Args;
 use drawing::{TrainingLog, learning_curves};
 use run::Exit;
 
-use launch::failure::Failure;
-use launch::say;
+use console::failure::Failure;
+use console::say;
 
 /// Arguments of `stgdat plot training`.
 #[derive(Debug, Args)]

@@ -83,7 +83,8 @@ impl fmt::Display for SourceError {
 }
 
 /// The line, counted from 1, of a byte of the text.
-pub(crate) fn line_of(text: &str, at: usize) -> usize {
+#[must_use]
+pub fn line_of(text: &str, at: usize) -> usize {
     text.get(..at).unwrap_or(text).matches('\n').count() + 1
 }
 

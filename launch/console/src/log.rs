@@ -24,7 +24,7 @@ use supervisor::{Origin, QUEUE_BYTES_MAX, Queue, parse};
 
 /// The events of the log unless `RUST_LOG` selects others: reports of the programs, and warnings of all other
 /// crates.
-const EVENTS: &str = "warn,launch=info,stgdat_lab=info,trainer=info";
+const EVENTS: &str = "warn,launch=info,telemetry=info,stgdat_lab=info,trainer=info";
 
 /// The format of this process.
 static FORMAT: OnceLock<LogFormat> = OnceLock::new();
@@ -175,7 +175,7 @@ fn with_stage(stage: StageId, line: &str) -> Option<Value> {
 /// standard output.
 pub fn tell(line: &str) {
     match format() {
-        LogFormat::Text => say!("{line}"),
+        LogFormat::Text => crate::say!("{line}"),
         LogFormat::Json => tracing::info!(target: OUTPUT_TARGET, "{line}"),
     }
 }

@@ -4,9 +4,7 @@ use std::error::Error;
 use std::fmt::Display;
 use std::path::Path;
 
-use crate::config::SourceError;
-use nn::{StartError, WeightsError};
-use onboard::ChainError;
+use nn::WeightsError;
 use ports::{LogFormat, PortError, SpaceError, StageError, priority};
 use recorder::is_standard_output;
 use run::{Exit, OptionError};
@@ -15,6 +13,7 @@ use supervisor::{Cause, cause_about};
 use thiserror::Error;
 use tracing::Level;
 
+use crate::mistake::SourceError;
 use crate::{color, log};
 
 /// Why a verb failed, which determines its exit code.
@@ -164,18 +163,6 @@ impl From<supervisor::Error> for Failure {
             Error::Port(error) => Self::Port(error),
             Error::Unavailable(cause) => Self::Unavailable(cause),
             Error::Death(death) => Self::Death(death),
-        }
-    }
-}
-
-impl From<ChainError> for Failure {
-    fn from(error: ChainError) -> Self {
-        match error {
-            ChainError::Weights(error) => Self::data(error),
-            ChainError::Start(error @ StartError::Precision(_)) => Self::config(error),
-            ChainError::Start(error) => Self::data(error),
-            ChainError::Options(error) => error.into(),
-            ChainError::Stage(error) => error.into(),
         }
     }
 }

@@ -3,6 +3,7 @@
 //! Without [`never_wait`], a write waits for the reader, as is usual for a command whose output is its result.
 
 use std::collections::BTreeMap;
+use std::fmt::Arguments;
 use std::fs::File;
 use std::io::{self, Write as _};
 use std::os::fd::{AsFd, BorrowedFd};
@@ -12,6 +13,14 @@ use std::time::{Duration, Instant};
 use rustix::fs::fstat;
 
 use supervisor::{Origin, Outlet, QUEUE_BYTES_MAX};
+
+use crate::color;
+
+/// Prints a line on standard output. The line is dropped if nobody can read it.
+#[macro_export]
+macro_rules! say {
+    ($($text:tt)*) => { $crate::streams::say(format_args!($($text)*)) };
+}
 
 /// Time for the reader of the output to take the last lines, at the end of the process.
 const END_LIMIT: Duration = Duration::from_secs(1);
@@ -62,6 +71,14 @@ pub fn write(stream: Stream, origin: Origin, text: &str) -> bool {
         }
         (None, Stream::Error) => io::stderr().lock().write_all(text.as_bytes()).is_ok(),
     }
+}
+
+/// As [`say!`].
+pub fn say(line: Arguments<'_>) {
+    // The verb's work is done, even if nobody reads the output.
+    let text = format!("{line}\n");
+    let text = ports::escaped(&text, color::choice().is_on(&std::io::stdout()));
+    let _ = write(Stream::Output, None, &text);
 }
 
 /// Numbers of discarded lines of the log, by origin.

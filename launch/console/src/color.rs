@@ -5,9 +5,10 @@ use std::ffi::OsString;
 use std::io::IsTerminal;
 use std::sync::OnceLock;
 
-use crate::config::SourceError;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use ports::Color;
+
+use crate::mistake::SourceError;
 
 /// The choice made on the command line or in the environment.
 static CHOICE: OnceLock<Color> = OnceLock::new();

@@ -95,7 +95,7 @@ fn painted(text: &str) -> String {
 const GLOBAL: [&str; 3] = ["--kernels", "--color", "--log"];
 
 /// Moves the global options before a verb behind it. Before a verb, the parser takes them for options of `run`.
-pub(crate) fn verb_first(mut arguments: Vec<OsString>, is_verb: fn(&str) -> bool) -> Vec<OsString> {
+pub fn verb_first(mut arguments: Vec<OsString>, is_verb: fn(&str) -> bool) -> Vec<OsString> {
     let mut verb = 1;
     while let Some(word) = arguments.get(verb).and_then(|word| word.to_str()) {
         verb += match word {
