@@ -18,8 +18,9 @@ use toml::Value;
 use wire::{StageId, WorldOrigin};
 
 use crate::files::{check_place, quoted, shipped_weights};
-use crate::options::{Setting, StageOptions, absolute, text};
 use crate::play_report::input_of;
+use configuration::options::{Setting, StageOptions, absolute, text};
+use configuration::stages::IN_PROCESS;
 use console::failure::Failure;
 
 /// How fast ticks follow one another.
@@ -184,17 +185,6 @@ pub struct Prepared {
     /// Model.
     pub model: ModelConfig,
 }
-
-/// The stages on a tick's way, which also run in one process.
-pub(crate) const IN_PROCESS: [StageId; 7] = [
-    StageId::Source,
-    StageId::Tracker,
-    StageId::Localiser,
-    StageId::Extractor,
-    StageId::Encoder,
-    StageId::Decoder,
-    StageId::Sampler,
-];
 
 impl SceneArguments {
     /// The seed.

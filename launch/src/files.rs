@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use rustix::fs::Access;
 
-use crate::options::absolute;
+use configuration::options::absolute;
 use console::failure::Failure;
 
 /// Folders of shipped weights, relative to the folder of the program: installed, and in the source tree.

@@ -8,15 +8,12 @@
 
 pub mod arguments;
 mod awake;
-pub mod config;
 mod differences;
 mod fail_if;
 pub mod files;
 mod memory;
 mod observe;
-pub mod options;
 mod outages;
-pub mod pipeline_file;
 mod play_report;
 mod prediction;
 mod recorded;
@@ -24,7 +21,6 @@ mod report_differences;
 pub mod runs;
 mod saved_state;
 mod service;
-pub mod stages;
 mod tap;
 mod top;
 pub mod tracking;

@@ -16,7 +16,7 @@ use run::Run;
 use source::{Playback, PlaybackOptions};
 use wire::{AGENTS_MAX, StageId};
 
-use crate::options::{Setting, StageOptions};
+use configuration::options::{Setting, StageOptions};
 use console::failure::Failure;
 
 /// Agents of the default demo, used for the measurement.

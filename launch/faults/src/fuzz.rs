@@ -7,8 +7,8 @@
 use std::path::Path;
 
 use crate::spec::{Action, Due, Spec};
-use launch::pipeline_file::SHIPPED;
-use launch::stages::declared;
+use configuration::pipeline_file::SHIPPED;
+use configuration::stages::declared;
 
 /// Iterations of a target in an ordinary test run.
 const ITERATIONS: usize = 5_000;
@@ -74,7 +74,7 @@ fn fuzz(good: &str, read: fn(&str)) {
 
 #[test]
 fn pipeline_file() {
-    fuzz(SHIPPED, |text| match launch::config::Pipeline::parse("p.toml", text, &declared()) {
+    fuzz(SHIPPED, |text| match configuration::Pipeline::parse("p.toml", text, &declared()) {
         Ok(pipeline) => {
             assert!(!pipeline.stages.is_empty());
             assert!(pipeline.stages.iter().all(|stage| stage.restart.restarts_max > 0));

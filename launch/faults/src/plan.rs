@@ -6,10 +6,10 @@ use std::process::{Command, Stdio};
 use run::injected_name;
 
 use crate::spec::Spec;
+use configuration::Pipeline;
+use configuration::pipeline_file;
+use configuration::stages::declared;
 use console::failure::Failure;
-use launch::config::Pipeline;
-use launch::pipeline_file;
-use launch::stages::declared;
 
 /// Formats the points at which stages kill themselves, for their environment variable.
 pub fn points(spec: &Spec) -> String {
@@ -120,9 +120,9 @@ mod tests {
             "[[fault]]\nkind = \"drop\"\ntopic = \"tracks\"\nticks = [1, 2]\n\
              [[fault]]\nkind = \"command\"\nstage = \"encoder\"\ncommand = [\"/nowhere\"]",
         );
-        let declared = launch::stages::declared();
+        let declared = configuration::stages::declared();
         let pipeline =
-            launch::config::Pipeline::parse("a.toml", &pipeline(&spec).unwrap(), &declared).unwrap();
+            configuration::Pipeline::parse("a.toml", &pipeline(&spec).unwrap(), &declared).unwrap();
         let stage = |id| pipeline.stages.iter().find(|stage| stage.id == id).unwrap();
         assert_eq!(stage(StageId::Tracker).topics["tracks"], "tracks-injected");
         assert!(stage(StageId::Localiser).topics.is_empty());

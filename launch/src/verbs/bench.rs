@@ -18,8 +18,8 @@ use run::{Exit, Run};
 use wire::StageId;
 
 use crate::fail_if;
-use crate::options::{Setting, StageOptions};
 use crate::version;
+use configuration::options::{Setting, StageOptions};
 use console::failure::Failure;
 use console::program::this_program;
 use console::show::show;

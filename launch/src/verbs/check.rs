@@ -1,11 +1,12 @@
 use std::path::PathBuf;
 
-use crate::config::{BUDGET_MAX_MS, Pipeline, Realtime, Scheduling};
 use clap::Args;
+use configuration::{BUDGET_MAX_MS, Pipeline, Realtime};
 use console::say;
 use run::Exit;
+use supervisor::Scheduling;
 
-use crate::pipeline_file;
+use configuration::pipeline_file;
 use console::failure::Failure;
 
 /// Arguments of `stgdat check`.
@@ -61,7 +62,7 @@ mod tests {
     fn the_settings_of_real_time_are_listed() {
         let parse = |above: &str| {
             let text = format!("{above}\n{}", pipeline_file::SHIPPED);
-            Pipeline::parse("p.toml", &text, &crate::stages::declared()).unwrap()
+            Pipeline::parse("p.toml", &text, &configuration::stages::declared()).unwrap()
         };
         assert!(realtime(&parse("")).is_empty());
         let expected = [

@@ -1,10 +1,10 @@
 use std::path::PathBuf;
 
-use crate::config::{Pipeline, Stage};
 use clap::{Args, ValueEnum};
+use configuration::{Pipeline, Stage};
 use run::Exit;
 
-use crate::pipeline_file;
+use configuration::pipeline_file;
 use console::failure::Failure;
 use console::show::show;
 
@@ -91,7 +91,7 @@ mod tests {
         assert!(mermaid(&pipeline).contains("sampler -->|forecasts| tracker\n"));
         assert!(dot(&pipeline).contains("sampler -> tracker [label = \"forecasts\"];\n"));
         let text = format!("[realtime]\npriority = 9\ncpu = [1]\n{}", pipeline_file::SHIPPED);
-        let pipeline = Pipeline::parse("p.toml", &text, &crate::stages::declared()).unwrap();
+        let pipeline = Pipeline::parse("p.toml", &text, &configuration::stages::declared()).unwrap();
         assert!(mermaid(&pipeline).contains("tracker<br/>6 ms<br/>priority 10<br/>cpu 1\"]"));
         assert!(mermaid(&pipeline).contains("recorder[\"recorder\"]"), "not on a tick's way");
     }

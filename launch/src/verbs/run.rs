@@ -3,8 +3,8 @@ mod supervise;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
-use crate::config::Pipeline;
 use clap::{Args, ValueEnum};
+use configuration::Pipeline;
 use console::say;
 use localiser::MapChoice;
 use nn::Weights;
@@ -26,8 +26,6 @@ use crate::arguments::{
 use crate::fail_if::{self, Condition};
 use crate::files::{check_place, version, within};
 use crate::observe::{ObserveArguments, Observer, address};
-use crate::options::{Setting, StageOptions, absolute, text};
-use crate::pipeline_file;
 use crate::play_report::input_of;
 use crate::saved_state::{self, SavedState};
 use crate::tap::{Recording, RingArguments, Tap, ViewArguments};
@@ -36,6 +34,8 @@ use crate::verbs::report::RunReport;
 use crate::verbs::view::Page;
 use crate::version;
 use crate::watch::Watch;
+use configuration::options::{Setting, StageOptions, absolute, text};
+use configuration::pipeline_file;
 use console::failure::Failure;
 use console::{log, streams};
 
@@ -309,7 +309,7 @@ fn stage_runs(pipeline: &Pipeline, options: &StageOptions) -> Vec<StageRun> {
 /// Returns the spares for the run record; empty in lockstep, in which stages are not restarted.
 fn spare_runs(pipeline: &Pipeline, lockstep: bool) -> Vec<SpareRun> {
     let with_spare = pipeline.stages.iter().filter(|stage| stage.spare && !lockstep);
-    let topics = |stage: &crate::config::Stage| {
+    let topics = |stage: &configuration::Stage| {
         let topics = stage.reads.iter().chain(&stage.writes);
         topics.map(|topic| stage.topics.get(topic).unwrap_or(topic).clone()).collect()
     };

@@ -8,7 +8,7 @@ use ports::{RUN_VARIABLE, StageError};
 use run::{Exit, Run};
 use wire::StageId;
 
-use crate::stages;
+use configuration::stages;
 use console::failure::Failure;
 
 /// Arguments of `stgdat stage`.

@@ -15,9 +15,9 @@ use wire::{ForecastsTopic, MODES_MAX, Topic as _, TracksTopic};
 
 use crate::arguments::{lanes_of, map_path};
 use crate::observe::address;
-use crate::options::absolute;
 use crate::runs;
 use crate::top::Client;
+use configuration::options::absolute;
 use console::failure::Failure;
 use console::log;
 use console::program::this_program;

@@ -5,8 +5,8 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use configuration::Pipeline;
 use console::mistake::{Mistake, SourceError};
-use launch::config::Pipeline;
 use ports::Point;
 use run::TopicRun;
 use serde::Deserialize;
@@ -18,8 +18,8 @@ use super::table::{At, Expect, FaultTable, File, Kill, Process, TopicTable};
 use super::{Action, Consumer, Due, Faults, RunSpec, Spec, Target, What};
 use crate::effect::{Effect, Random, TopicFault};
 use crate::substitute::{crashing, dying};
+use configuration::stages::declared;
 use console::failure::Failure;
-use launch::stages::declared;
 
 /// Causes for which a stage counts lost frames.
 const COUNTERS: [&str; 3] = ["gap", "refused", "restart"];

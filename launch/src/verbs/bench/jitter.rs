@@ -16,7 +16,7 @@ use wire::{ForecastsTopic, Header, StageId, Topic};
 
 use super::percentile::percentile;
 use super::{Arguments, pipeline_run};
-use crate::pipeline_file::SHIPPED;
+use configuration::pipeline_file::SHIPPED;
 use console::failure::Failure;
 use console::tables;
 

@@ -13,8 +13,8 @@ use wire::StageId;
 use super::arguments::Arguments;
 use super::percentile::percentile;
 use super::work::Work;
-use crate::options::{Setting, StageOptions};
 use crate::prediction::SHARED;
+use configuration::options::{Setting, StageOptions};
 use console::failure::Failure;
 use console::tables;
 

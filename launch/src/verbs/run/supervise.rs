@@ -12,14 +12,14 @@ use run::{Exit, Run};
 use wire::StageId;
 
 use crate::awake::Awake;
-use crate::config::{Pipeline, Stage};
 use crate::memory::Memory;
 use crate::outages::Outages;
 use crate::saved_state::SavedState;
 use crate::service::{self, Phase, Service};
-use crate::stages;
 use crate::tap::{Recording, Tap};
 use crate::watch::Watch;
+use configuration::stages;
+use configuration::{Pipeline, Stage};
 use console::failure::{Failure, StageDeath};
 use console::log;
 use supervisor::control::{Control, Request};

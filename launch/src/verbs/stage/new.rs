@@ -3,8 +3,8 @@ use std::path::{Path, PathBuf};
 use clap::{Args, ValueEnum};
 use run::Exit;
 
-use crate::options::absolute;
-use crate::pipeline_file;
+use configuration::options::absolute;
+use configuration::pipeline_file;
 use console::failure::Failure;
 use console::show::show;
 
@@ -244,7 +244,7 @@ mod tests {
         for of in Template::value_variants() {
             let Some(text) = pipeline(*of, "mine") else { continue };
             let pipeline =
-                crate::config::Pipeline::parse("a.toml", &text, &crate::stages::declared()).unwrap();
+                configuration::Pipeline::parse("a.toml", &text, &configuration::stages::declared()).unwrap();
             let own: Vec<_> = pipeline.stages.iter().filter_map(|stage| stage.command.clone()).collect();
             assert_eq!(own, [["target/release/mine"]]);
             let added = pipeline.stages.iter().find(|stage| stage.id.is_added());

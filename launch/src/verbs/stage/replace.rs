@@ -4,9 +4,9 @@ use clap::Args;
 use recorder::ReplacementOutcome;
 use run::{Exit, Run};
 
-use crate::options;
 use crate::runs;
-use crate::stages;
+use configuration::options;
+use configuration::stages;
 use console::failure::Failure;
 use console::show::show;
 use supervisor::control::{self, Answer, Order};

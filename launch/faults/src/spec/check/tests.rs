@@ -36,7 +36,7 @@ fn a_specification_is_read() {
 fn stages_that_the_pipeline_adds_are_known() {
     let folder = tempfile::tempdir().unwrap();
     let added = "\n[[stage]]\nname = \"monitor\"\ncommand = [\"sleep\", \"9\"]\nreads = [\"tracks\"]\n";
-    std::fs::write(folder.path().join("p.toml"), format!("{}{added}", launch::pipeline_file::SHIPPED))
+    std::fs::write(folder.path().join("p.toml"), format!("{}{added}", configuration::pipeline_file::SHIPPED))
         .unwrap();
     let read = |pipeline: &str, body: &str| {
         let text = format!("shows = \"a test\"\n[run]\nticks = 100\npipeline = \"{pipeline}\"\n{body}");

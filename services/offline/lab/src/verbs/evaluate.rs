@@ -13,12 +13,12 @@ use wire::StageId;
 
 use self::noise::NoiseArguments;
 use crate::contenders::contenders;
+use configuration::options::{Setting, StageOptions};
 use console::failure::Failure;
 use console::show::show;
 use console::tables;
 use launch::arguments::ReadArguments;
 use launch::files::named_weights;
-use launch::options::{Setting, StageOptions};
 
 /// Sensible standard deviations of measured positions, m.
 const SIGMAS_M: std::ops::RangeInclusive<f64> = 0.001..=10.0;

@@ -12,9 +12,9 @@ use clap::{Arg, Args, Command, CommandFactory as _};
 use run::Exit;
 use run::options::OptionSchema;
 
+use configuration::stages;
 use console::failure::Failure;
 use console::show::show;
-use launch::stages;
 
 /// Maximum length of a line; single words and usages may be longer.
 const WIDTH: usize = 110;

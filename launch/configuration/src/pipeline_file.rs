@@ -2,13 +2,13 @@
 
 use std::path::Path;
 
-use crate::config::Pipeline;
+use crate::pipeline::Pipeline;
 use crate::stages;
 use console::failure::Failure;
 use supervisor::scheduling;
 
 /// The default pipeline.toml.
-pub const SHIPPED: &str = include_str!("../pipeline.toml");
+pub const SHIPPED: &str = include_str!("../../pipeline.toml");
 
 /// Reads and checks a pipeline.toml, or the shipped one.
 pub fn load(path: Option<&Path>) -> Result<Pipeline, Failure> {

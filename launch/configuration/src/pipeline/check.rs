@@ -10,8 +10,8 @@ use super::file::{File, StageTable};
 use super::options::options;
 use super::realtime;
 use super::{Pipeline, Stage};
-use crate::config::{Restart, RestartPolicy};
 use console::mistake::Mistake;
+use supervisor::{Restart, RestartPolicy};
 
 /// Largest sum of all budgets: one tick.
 pub const BUDGET_MAX_MS: f64 = TICK_MS;

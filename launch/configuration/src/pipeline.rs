@@ -14,7 +14,8 @@ pub use check::BUDGET_MAX_MS;
 use run::TopicRun;
 use wire::{StageId, WorldOrigin};
 
-use crate::config::{Realtime, RestartPolicy, Scheduling};
+use crate::realtime::Realtime;
+use supervisor::{RestartPolicy, Scheduling};
 
 /// A process of the pipeline.
 #[derive(Clone, Debug, PartialEq)]

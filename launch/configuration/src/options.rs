@@ -5,7 +5,7 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
-use crate::config::Pipeline;
+use crate::pipeline::{Pipeline, Stage};
 use run::options::OptionSchema;
 use run::{Declaration, Declared, OptionError, StageRun};
 use serde::de::DeserializeOwned;
@@ -115,7 +115,7 @@ pub struct StageOptions(BTreeMap<StageId, Options>);
 impl StageOptions {
     /// The options in a pipeline.toml.
     pub fn of_pipeline(pipeline: &Pipeline) -> Self {
-        let of_stage = |stage: &crate::config::Stage| {
+        let of_stage = |stage: &Stage| {
             let built_in = stages::built_in(stage.id).filter(|_| stage.command.is_none());
             let declared = built_in.map(|built_in| built_in.declared);
             let (table, places) = (stage.options.clone(), stage.places.clone());
@@ -260,6 +260,7 @@ pub fn text(path: &Path) -> Result<String, Failure> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::pipeline_file::SHIPPED;
 
     /// The options after these settings, or the error.
     fn applied(pipeline: &str, settings: &[&str]) -> Result<StageOptions, String> {
@@ -271,8 +272,6 @@ mod tests {
             .map_err(|failure| failure.to_string())?;
         Ok(options)
     }
-
-    const SHIPPED: &str = include_str!("../pipeline.toml");
 
     /// The shipped pipeline with other options of the sampler.
     fn with_sampler(options: &str) -> String {

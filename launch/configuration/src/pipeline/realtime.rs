@@ -7,8 +7,9 @@ use toml::Spanned;
 
 use super::Stage;
 use super::file::{File, Profile, RealtimeTable, StageTable};
-use crate::config::{Realtime, Scheduling};
+use crate::realtime::Realtime;
 use console::mistake::Mistake;
+use supervisor::Scheduling;
 
 /// The label of a processor that this machine lacks.
 pub(super) const MISSING: &str = "not one of this machine's, or not allowed";
@@ -173,10 +174,9 @@ mod tests {
     use wire::StageId;
 
     use super::*;
-    use crate::arguments::IN_PROCESS;
-    use crate::config::Pipeline;
+    use crate::pipeline::Pipeline;
     use crate::pipeline_file::SHIPPED;
-    use crate::stages::declared;
+    use crate::stages::{IN_PROCESS, declared};
 
     fn parse(text: &str) -> Result<Pipeline, String> {
         Pipeline::parse("p.toml", text, &declared()).map_err(|error| error.report(false, false))

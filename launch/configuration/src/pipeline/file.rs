@@ -7,7 +7,7 @@ use run::Declared;
 use serde::Deserialize;
 use toml::Spanned;
 
-use crate::config::Restart;
+use supervisor::Restart;
 
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]

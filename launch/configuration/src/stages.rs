@@ -31,6 +31,17 @@ pub const STAGES: [BuiltIn; 8] = [
     BuiltIn { declared: &recorder::STAGE, body: recorder::stage::run },
 ];
 
+/// The stages on a tick's way, which also run in one process.
+pub const IN_PROCESS: [StageId; 7] = [
+    StageId::Source,
+    StageId::Tracker,
+    StageId::Localiser,
+    StageId::Extractor,
+    StageId::Encoder,
+    StageId::Decoder,
+    StageId::Sampler,
+];
+
 /// Returns the stage with this number.
 pub fn built_in(id: StageId) -> Option<BuiltIn> {
     STAGES.into_iter().find(|stage| stage.declared.id() == id)
