@@ -3,6 +3,9 @@
 use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
+use configuration::options::{Setting, StageOptions, absolute, text};
+use configuration::stages::IN_PROCESS;
+use console::failure::Failure;
 use data::{Format, FrameRate, OpenOptions, Recording};
 use lanes::{Coordinates, LaneMap};
 use localiser::MapChoice;
@@ -19,9 +22,6 @@ use wire::{StageId, WorldOrigin};
 
 use crate::files::{check_place, quoted, shipped_weights};
 use crate::play_report::input_of;
-use configuration::options::{Setting, StageOptions, absolute, text};
-use configuration::stages::IN_PROCESS;
-use console::failure::Failure;
 
 /// How fast ticks follow one another.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]

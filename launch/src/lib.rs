@@ -11,23 +11,16 @@ mod awake;
 mod differences;
 mod fail_if;
 pub mod files;
-mod memory;
-mod observe;
-mod outages;
 mod play_report;
 mod prediction;
 mod recorded;
 mod report_differences;
 pub mod runs;
 mod saved_state;
-mod service;
-mod tap;
-mod top;
 pub mod tracking;
 mod verbs;
 mod version;
-mod watch;
-mod waterfall;
+mod view_arguments;
 
 use std::process::ExitCode;
 

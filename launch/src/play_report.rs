@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
+use console::failure::Failure;
 use data::Recording;
 use recorder::{InputReport, InputTally, LaneCounts, Status, Verdict};
 use run::Exit;
@@ -12,7 +13,6 @@ use source::Playback;
 use wire::Header;
 
 use crate::files::check_place;
-use console::failure::Failure;
 
 /// The report on a recording that is played in this process.
 #[derive(Debug, Args)]

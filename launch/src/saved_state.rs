@@ -5,11 +5,11 @@ use std::path::{Path, PathBuf};
 use std::sync::mpsc::{RecvTimeoutError, SyncSender, sync_channel};
 use std::time::Duration;
 
+use console::failure::Failure;
 use recorder::WholeFile;
 use run::Run;
 
 use crate::files::within;
-use console::failure::Failure;
 
 /// The environment variable in which systemd names the folder of `StateDirectory=`.
 const FOLDER_VARIABLE: &str = "STATE_DIRECTORY";

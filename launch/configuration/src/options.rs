@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use crate::pipeline::{Pipeline, Stage};
+use console::failure::Failure;
 use run::options::OptionSchema;
 use run::{Declaration, Declared, OptionError, StageRun};
 use serde::de::DeserializeOwned;
@@ -14,7 +15,6 @@ use toml::{Table, Value};
 use wire::StageId;
 
 use crate::stages;
-use console::failure::Failure;
 
 /// A setting of the command line: one option of one stage.
 #[derive(Clone, Debug)]

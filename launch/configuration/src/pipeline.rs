@@ -12,10 +12,10 @@ use std::path::PathBuf;
 
 pub use check::BUDGET_MAX_MS;
 use run::TopicRun;
+use supervisor::{RestartPolicy, Scheduling};
 use wire::{StageId, WorldOrigin};
 
 use crate::realtime::Realtime;
-use supervisor::{RestartPolicy, Scheduling};
 
 /// A process of the pipeline.
 #[derive(Clone, Debug, PartialEq)]

@@ -2,10 +2,11 @@
 
 use std::path::Path;
 
-use crate::pipeline::Pipeline;
-use crate::stages;
 use console::failure::Failure;
 use supervisor::scheduling;
+
+use crate::pipeline::Pipeline;
+use crate::stages;
 
 /// The default pipeline.toml.
 pub const SHIPPED: &str = include_str!("../../pipeline.toml");

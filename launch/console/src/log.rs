@@ -15,12 +15,12 @@ use std::time::{Duration, Instant};
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use ports::{LAUNCHER_VARIABLE, LOG_VARIABLE, LogFormat, OUTPUT_TARGET};
 use serde_json::Value;
+use supervisor::{Origin, QUEUE_BYTES_MAX, Queue, parse};
 use tracing::Level;
 use wire::StageId;
 
 use crate::color;
 use crate::streams::{self, Stream};
-use supervisor::{Origin, QUEUE_BYTES_MAX, Queue, parse};
 
 /// The events of the log unless `RUST_LOG` selects others: reports of the programs, and warnings of all other
 /// crates.

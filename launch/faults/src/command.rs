@@ -1,6 +1,9 @@
 use std::path::{Path, PathBuf};
 
 use clap::{Args, Subcommand};
+use console::failure::Failure;
+use console::show::show;
+use console::tables;
 use run::Exit;
 use wire::StageId;
 
@@ -8,9 +11,6 @@ use crate::runner::{Options, Verdict};
 use crate::spec::Spec;
 use crate::table::{self, Row, Series};
 use crate::{checker, follow, inject, output, runner, scenarios};
-use console::failure::Failure;
-use console::show::show;
-use console::tables;
 
 /// The verbs of `stgdat fault`, with their arguments.
 #[derive(Debug, Subcommand)]

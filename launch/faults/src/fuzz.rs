@@ -6,9 +6,10 @@
 
 use std::path::Path;
 
-use crate::spec::{Action, Due, Spec};
 use configuration::pipeline_file::SHIPPED;
 use configuration::stages::declared;
+
+use crate::spec::{Action, Due, Spec};
 
 /// Iterations of a target in an ordinary test run.
 const ITERATIONS: usize = 5_000;

@@ -4,6 +4,7 @@
 use std::path::Path;
 use std::time::Duration;
 
+use console::failure::Failure;
 use ports::{PortError, RawTopic, Relay, monotonic_ns};
 use run::{Exit, Run, injected_name};
 use wire::Protection;
@@ -12,7 +13,6 @@ use crate::checker::Line;
 use crate::effect::TopicFault;
 use crate::effect::{Due, Injector, Raw};
 use crate::follow::print;
-use console::failure::Failure;
 
 /// Longest sleep between checks that the run is still there.
 const SLEEP: Duration = Duration::from_millis(50);

@@ -3,13 +3,13 @@
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-use run::injected_name;
-
-use crate::spec::Spec;
 use configuration::Pipeline;
 use configuration::pipeline_file;
 use configuration::stages::declared;
 use console::failure::Failure;
+use run::injected_name;
+
+use crate::spec::Spec;
 
 /// Formats the points at which stages kill themselves, for their environment variable.
 pub fn points(spec: &Spec) -> String {

@@ -8,17 +8,17 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use crate::checker::Line;
+use console::failure::Failure;
 use run::STAGE_VARIABLE;
 use rustix::process::{Pid, Resource as Limited, Rlimit, Signal, kill_process, prlimit};
+use supervisor::end_within;
+use supervisor::look;
+use supervisor::{children, memory};
 use wire::StageId;
 
 use crate::effect::Random;
 use crate::program::this_program;
 use crate::spec::Resource;
-use console::failure::Failure;
-use supervisor::end_within;
-use supervisor::look;
-use supervisor::{children, memory};
 
 /// Time that a process has to end after a request.
 const END_LIMIT: Duration = Duration::from_secs(3);

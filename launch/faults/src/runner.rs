@@ -10,11 +10,13 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::time::{Duration, Instant};
 
 use crate::checker::Line;
+use console::failure::Failure;
 use ports::{POINTS_VARIABLE, TemporaryFolder};
 use recorder::Report;
 use run::Run;
 use rustix::process::{Pid, Signal, kill_process};
 use serde::Serialize;
+use supervisor::end_within;
 use wire::StageId;
 
 use crate::effect::TopicFault;
@@ -23,8 +25,6 @@ use crate::processes::{Launcher, Mortal, Writer, is_alive, limit, resident_bytes
 use crate::program::{start_stgdat, stgdat};
 use crate::spec::{Action, Consumer, Due, Spec, Target, What};
 use crate::verdict::{Check, Cost, Observation, Outcome, judge};
-use console::failure::Failure;
-use supervisor::end_within;
 
 /// Ticks at the end of a run in which consumers are neither killed nor started again.
 const LAST_TICKS: u64 = 25;

@@ -2,8 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::spec::Spec;
 use console::failure::Failure;
+
+use crate::spec::Spec;
 
 /// Lists the files of `tests/faults` with their texts.
 macro_rules! scenarios {

@@ -6,6 +6,8 @@ use std::fmt::Display;
 use std::fmt::Write as _;
 use std::path::Path;
 
+use console::failure::Failure;
+use console::tables;
 use ports::Point;
 use recorder::Outage;
 use serde::Serialize;
@@ -15,8 +17,6 @@ use crate::effect::Random;
 use crate::runner;
 use crate::spec::Spec;
 use crate::verdict::{Observation, longest_run};
-use console::failure::Failure;
-use console::tables;
 
 /// Ticks before the first death, in which agents become old enough to be forecast.
 const LEAD_TICKS: u64 = 25;

@@ -13,17 +13,17 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
+use configuration::options::{Setting, StageOptions};
+use console::failure::Failure;
+use console::program::this_program;
+use console::show::show;
+use console::tables;
 use nn::kernels;
 use run::{Exit, Run};
 use wire::StageId;
 
 use crate::fail_if;
 use crate::version;
-use configuration::options::{Setting, StageOptions};
-use console::failure::Failure;
-use console::program::this_program;
-use console::show::show;
-use console::tables;
 
 pub use arguments::Arguments;
 pub use percentile::percentile;

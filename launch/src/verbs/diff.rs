@@ -2,6 +2,8 @@ use std::io::Read as _;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
+use console::failure::Failure;
+use console::show::show;
 use recorder::Report;
 use recording::{About, Comparison};
 use run::Exit;
@@ -9,8 +11,6 @@ use run::Exit;
 use crate::differences::{table, title};
 use crate::recorded::{self, open_and_check};
 use crate::report_differences::ReportComparison;
-use console::failure::Failure;
-use console::show::show;
 
 /// Arguments of `stgdat diff`.
 #[derive(Debug, Args)]

@@ -6,6 +6,8 @@ use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 
 use clap::Args;
+use console::failure::Failure;
+use console::say;
 use nn::Precision;
 use nn::kernels::{self, Isa};
 use run::Exit;
@@ -15,8 +17,6 @@ use rustix::thread::{CapabilitySet, capabilities};
 use crate::awake;
 use crate::prediction::{self, LIMIT_MS, Prediction};
 use crate::verbs::run::SHARED_BYTES;
-use console::failure::Failure;
-use console::say;
 
 /// Number of open files below which the transport may fail.
 const FILES: u64 = 1024;

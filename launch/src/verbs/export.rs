@@ -1,14 +1,14 @@
 use std::path::PathBuf;
 
 use clap::Args;
+use console::failure::Failure;
+use console::say;
 use recording::{About, EVENTS, NO_TOPIC};
 use run::Exit;
 use wire::{ForecastsTopic, Topic as _, TracksTopic};
 
 use crate::recorded;
-use crate::tap::ViewArguments;
-use console::failure::Failure;
-use console::say;
+use crate::view_arguments::ViewArguments;
 
 /// Arguments of `stgdat export`.
 #[derive(Debug, Args)]

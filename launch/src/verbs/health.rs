@@ -2,13 +2,13 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use clap::Args;
-use recorder::status::RunStatus;
-use run::Exit;
-
-use crate::runs;
-use crate::top::Client;
 use console::failure::Failure;
 use console::say;
+use recorder::status::RunStatus;
+use run::Exit;
+use telemetry::top::Client;
+
+use crate::runs;
 
 /// Pause between two questions.
 const PAUSE: Duration = Duration::from_millis(100);

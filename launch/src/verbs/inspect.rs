@@ -3,6 +3,9 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
+use console::failure::Failure;
+use console::say;
+use console::show::show;
 use data::{BagTopic, Gap, Inspection, Recording, TypeInspection};
 use drawing::{Overview, overview};
 use lanes::LaneMap;
@@ -12,9 +15,6 @@ use wire::detection_flags;
 use crate::arguments::{ModelArguments, ReadArguments};
 use crate::files::quoted;
 use crate::tracking::add_noise;
-use console::failure::Failure;
-use console::say;
-use console::show::show;
 
 /// Width of the picture, pt.
 const WIDTH: f64 = 516.0;

@@ -2,12 +2,12 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::Args;
+use console::failure::Failure;
+use console::show::show;
 use recording::tap::{Client, Item, Marked, Request};
 use run::Exit;
 
 use crate::runs;
-use console::failure::Failure;
-use console::show::show;
 
 /// Time limit for the tap to answer.
 const ANSWER_LIMIT: Duration = Duration::from_secs(10);

@@ -1,6 +1,9 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
+use console::failure::Failure;
+use console::say;
+use console::show::is_read;
 use onboard::Chain;
 use recorder::{ForecastWriter, is_standard_output};
 use recording::{About, Frame, Writer};
@@ -13,9 +16,6 @@ use crate::arguments::{PlaybackArguments, Played};
 use crate::play_report::{PlayReport, VerdictArguments};
 use crate::verbs::report::RunReport;
 use crate::verbs::wire::layout;
-use console::failure::Failure;
-use console::say;
-use console::show::is_read;
 
 /// Arguments of `stgdat predict`.
 #[derive(Debug, Args)]

@@ -3,16 +3,17 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use clap::Args;
+use console::failure::Failure;
+use console::say;
 use ports::{Asked, Stop, clock_offset_ns};
 use recording::tap::{Client, Item, Request};
 use recording::{About, EVENTS, LOG};
 use run::Exit;
+use telemetry::tap::{FlightRecorder, Recorded, RingArguments, follow};
 use wire::{ForecastsTopic, TABLE, Topic as _};
 
 use crate::runs;
-use crate::tap::{FlightRecorder, Recorded, RingArguments, ViewArguments, follow};
-use console::failure::Failure;
-use console::say;
+use crate::view_arguments::ViewArguments;
 
 /// The topic name of forecasts with all their fields.
 const WHOLE: &str = "forecasts-whole";
@@ -124,7 +125,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
                 limits,
                 asked,
                 |line| say!("{line}"),
-                arguments.view.clone(),
+                |file, about| arguments.view.create(file, about),
             );
             follow(&run.root, &request, client, recorder, true, limit, &stop)?
         }

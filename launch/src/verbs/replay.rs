@@ -3,6 +3,8 @@ use std::path::PathBuf;
 use audit::{Noise, TypeNoise, noise_words};
 use clap::Args;
 use clap::builder::PossibleValuesParser;
+use console::failure::Failure;
+use console::show::show;
 use nn::Weights;
 use onboard::{Replay, Replayed, STAGES};
 use recording::{About, Comparison, Frame, Recording, Writer};
@@ -15,8 +17,6 @@ use crate::files::named_weights;
 use crate::recorded::{self, open_and_check};
 use crate::verbs::wire::layout;
 use crate::version;
-use console::failure::Failure;
-use console::show::show;
 
 /// Maximum number of listed ticks.
 const LISTED_MAX: usize = 8;

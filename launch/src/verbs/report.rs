@@ -1,6 +1,8 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
+use console::failure::Failure;
+use console::say;
 use recorder::{Report, WholeFile};
 use recording::{About, ReadError, Recording};
 use run::Exit;
@@ -9,8 +11,6 @@ use view::RunPage;
 use crate::arguments::lanes_of;
 use crate::files::check_place;
 use crate::recorded;
-use console::failure::Failure;
-use console::say;
 
 /// Arguments of `stgdat report`.
 #[derive(Debug, Args)]

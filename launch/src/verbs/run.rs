@@ -5,7 +5,11 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
 use configuration::Pipeline;
+use configuration::options::{Setting, StageOptions, absolute, text};
+use configuration::pipeline_file;
+use console::failure::Failure;
 use console::say;
+use console::{log, streams};
 use localiser::MapChoice;
 use nn::Weights;
 use ports::{LogFormat, Space, Stop, clock_offset_ns};
@@ -15,6 +19,9 @@ use run::{Exit, Run, SpareRun, StageRun};
 use scene::ContextMap;
 use serde_json::json;
 use source::{Playback, PlaybackOptions};
+use telemetry::observe::{ObserveArguments, Observer, address};
+use telemetry::tap::{Recording, RingArguments, Tap};
+use telemetry::watch::Watch;
 use toml::Value;
 use wire::{StageId, WorldOrigin};
 
@@ -25,19 +32,13 @@ use crate::arguments::{
 };
 use crate::fail_if::{self, Condition};
 use crate::files::{check_place, version, within};
-use crate::observe::{ObserveArguments, Observer, address};
 use crate::play_report::input_of;
 use crate::saved_state::{self, SavedState};
-use crate::tap::{Recording, RingArguments, Tap, ViewArguments};
 use crate::verbs::record;
 use crate::verbs::report::RunReport;
 use crate::verbs::view::Page;
 use crate::version;
-use crate::watch::Watch;
-use configuration::options::{Setting, StageOptions, absolute, text};
-use configuration::pipeline_file;
-use console::failure::Failure;
-use console::{log, streams};
+use crate::view_arguments::ViewArguments;
 
 /// Shared memory that must be free at the start of a run, bytes.
 pub const SHARED_BYTES: u64 = 48 << 20;
@@ -178,7 +179,9 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let recording = arguments.record.as_deref().or(html.as_ref().map(RunReport::recording));
     let recording = recording
         .map(|file| {
-            Recording::start(&run.root, file, &arguments.record_topics, &arguments.ring, &arguments.tools)
+            Recording::start(&run.root, file, &arguments.record_topics, &arguments.ring, |command| {
+                arguments.tools.pass_on(command);
+            })
         })
         .transpose()?;
     let observer = Observer::open(&run, &arguments.observe, input.clone(), title, ticks_limit)?;

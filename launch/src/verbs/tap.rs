@@ -3,8 +3,8 @@ use std::path::PathBuf;
 use clap::Args;
 use run::Exit;
 
-use crate::tap;
 use console::failure::Failure;
+use telemetry::tap;
 
 /// Arguments of `stgdat tap`.
 #[derive(Debug, Args)]

@@ -1,15 +1,15 @@
 use std::path::PathBuf;
 
 use clap::Args;
+use console::failure::Failure;
+use console::show::show;
 use recorder::{Recorder, RecorderOptions, Tick};
 use recording::{Event, Frame, Happened, Message, ReadError, Recording};
 use run::Exit;
+use telemetry::waterfall::{FrameOf, Telling};
 use wire::{Forecast, ForecastsTopic, Header, HeartbeatsTopic, Topic};
 
 use crate::recorded;
-use crate::waterfall::{FrameOf, Telling};
-use console::failure::Failure;
-use console::show::show;
 
 /// Width of lines if the output is not a terminal.
 const WIDTH: usize = 100;

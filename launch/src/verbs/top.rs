@@ -3,16 +3,16 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use clap::Args;
-use ports::escaped;
-use run::Exit;
-
-use crate::runs;
-use crate::top::{Client, SortBy, View, text};
 use console::failure::Failure;
 use console::say;
 use console::show::show;
 use console::streams::{self, Stream};
 use console::terminal::{self, Key, Screen};
+use ports::escaped;
+use run::Exit;
+use telemetry::top::{Client, SortBy, View, text};
+
+use crate::runs;
 
 /// Width of the table if the output is not a terminal.
 const WIDTH: usize = 100;

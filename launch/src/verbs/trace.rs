@@ -2,17 +2,17 @@ use std::io::Write as _;
 use std::path::PathBuf;
 
 use clap::Args;
+use console::failure::Failure;
+use console::say;
 use perfetto::Clocks;
 use recorder::trace::Tracer;
 use recorder::{Recorder, RecorderOptions, WholeFile};
 use recording::{FrameError, Message, Recording};
 use run::Exit;
+use telemetry::observe::mark;
 use wire::{ForecastsTopic, HeartbeatsTopic, Topic};
 
-use crate::observe::mark;
 use crate::recorded;
-use console::failure::Failure;
-use console::say;
 
 /// Arguments of `stgdat trace`.
 #[derive(Debug, Args)]

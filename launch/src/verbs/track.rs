@@ -1,6 +1,9 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
+use console::failure::Failure;
+use console::say;
+use console::show::is_read;
 use data::formats::kitti::WorldFromCamera;
 use data::{TrackFormat, TrackRows, TrackWriter};
 use recorder::{WholeFile, is_standard_output};
@@ -11,9 +14,6 @@ use wire::WorldOrigin;
 use crate::arguments::{PlaybackArguments, Played};
 use crate::play_report::{PlayReport, VerdictArguments};
 use crate::tracking::Tracking;
-use console::failure::Failure;
-use console::say;
-use console::show::is_read;
 
 /// Arguments of `stgdat track`.
 #[derive(Debug, Args)]

@@ -5,24 +5,24 @@ use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use clap::Args;
-use ports::{LivingRun, Stop};
-use recording::About;
-use recording::tap::{Client as TapClient, Item, Request};
-use run::Exit;
-use rustix::process::{Pid, Signal, kill_process};
-use view::{Live, MODES_DRAWN, Pairing, Scene};
-use wire::{ForecastsTopic, MODES_MAX, Topic as _, TracksTopic};
-
-use crate::arguments::{lanes_of, map_path};
-use crate::observe::address;
-use crate::runs;
-use crate::top::Client;
 use configuration::options::absolute;
 use console::failure::Failure;
 use console::log;
 use console::program::this_program;
 use console::siblings::replace_by;
+use ports::{LivingRun, Stop};
+use recording::About;
+use recording::tap::{Client as TapClient, Item, Request};
+use run::Exit;
+use rustix::process::{Pid, Signal, kill_process};
 use supervisor::{die_with_this_process, end_within};
+use telemetry::observe::address;
+use telemetry::top::Client;
+use view::{Live, MODES_DRAWN, Pairing, Scene};
+use wire::{ForecastsTopic, MODES_MAX, Topic as _, TracksTopic};
+
+use crate::arguments::{lanes_of, map_path};
+use crate::runs;
 
 /// The address if none is named; any free port if this one is taken.
 const ADDRESS: ([u8; 4], u16) = ([127, 0, 0, 1], 9465);

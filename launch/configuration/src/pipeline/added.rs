@@ -2,12 +2,12 @@
 
 use std::ops::Range;
 
+use console::mistake::Mistake;
 use run::{TopicRun, injected_topic};
 use toml::Spanned;
 use wire::{ADDED_STAGES_MAX, ADDED_TOPICS_MAX, ELEMENT_SIZE_MAX, StageId, TABLE, TopicEntry};
 
 use super::file::{File, StageTable};
-use console::mistake::Mistake;
 
 /// Longest name of a stage or topic, in bytes.
 const NAME_MAX: usize = 32;

@@ -1,7 +1,9 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
+use console::mistake::Mistake;
 use run::{Declared, PROTECTED, TopicRun};
+use supervisor::{Restart, RestartPolicy};
 use toml::Spanned;
 use wire::{HOPS_MAX, StageId, TICK_MS, UnknownWorldOrigin};
 
@@ -10,8 +12,6 @@ use super::file::{File, StageTable};
 use super::options::options;
 use super::realtime;
 use super::{Pipeline, Stage};
-use console::mistake::Mistake;
-use supervisor::{Restart, RestartPolicy};
 
 /// Largest sum of all budgets: one tick.
 pub const BUDGET_MAX_MS: f64 = TICK_MS;

@@ -1,8 +1,8 @@
+use console::mistake::Mistake;
 use run::{Declared, OptionError};
 use wire::StageId;
 
 use super::file::OptionsTable;
-use console::mistake::Mistake;
 
 /// The options of one of this project's own programs.
 pub(super) fn options(

@@ -1,9 +1,9 @@
+use console::mistake::line_of;
+use console::mistake::{Mistake, SourceError};
 use run::Declared;
 
 use super::file::File;
 use super::{Pipeline, check};
-use console::mistake::line_of;
-use console::mistake::{Mistake, SourceError};
 
 impl Pipeline {
     /// Reads and checks the text of a pipeline.toml. `name` is the file's name in errors. `declared` contains

@@ -3,13 +3,13 @@
 //! The settings apply to the stages on a tick's way. Each further stage has a higher priority, so a tick that
 //! is on its way passes before the next one starts.
 
+use console::mistake::Mistake;
+use supervisor::Scheduling;
 use toml::Spanned;
 
 use super::Stage;
 use super::file::{File, Profile, RealtimeTable, StageTable};
 use crate::realtime::Realtime;
-use console::mistake::Mistake;
-use supervisor::Scheduling;
 
 /// The label of a processor that this machine lacks.
 pub(super) const MISSING: &str = "not one of this machine's, or not allowed";

@@ -6,6 +6,8 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use configuration::Pipeline;
+use configuration::stages::declared;
+use console::failure::Failure;
 use console::mistake::{Mistake, SourceError};
 use ports::Point;
 use run::TopicRun;
@@ -18,8 +20,6 @@ use super::table::{At, Expect, FaultTable, File, Kill, Process, TopicTable};
 use super::{Action, Consumer, Due, Faults, RunSpec, Spec, Target, What};
 use crate::effect::{Effect, Random, TopicFault};
 use crate::substitute::{crashing, dying};
-use configuration::stages::declared;
-use console::failure::Failure;
 
 /// Causes for which a stage counts lost frames.
 const COUNTERS: [&str; 3] = ["gap", "refused", "restart"];

@@ -7,13 +7,13 @@ use std::collections::BTreeMap;
 use std::ops::Range;
 use std::path::PathBuf;
 
+use console::mistake::Mistake;
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue, ValueDeserializer};
 
 use crate::effect::{Effect, Part};
-use console::mistake::Mistake;
 
 /// A resource of a process.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]

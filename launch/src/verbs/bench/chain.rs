@@ -4,15 +4,15 @@ use std::path::Path;
 use std::process::Child;
 use std::time::Duration;
 
+use console::failure::Failure;
+use console::tables;
 use ports::TemporaryFolder;
 use recorder::Report;
 use rustix::process::Pid;
+use supervisor::children;
 
 use super::percentile::percentile;
 use super::{Arguments, pipe, pipeline_run};
-use console::failure::Failure;
-use console::tables;
-use supervisor::children;
 
 /// Number of ticks in two seconds.
 const RATE: u64 = 25;

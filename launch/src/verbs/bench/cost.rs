@@ -1,12 +1,12 @@
 //! `--cost`: the compute cost of agents and modes.
 
+use console::failure::Failure;
+use console::tables;
 use ports::TemporaryFolder;
 
 use super::arguments::Arguments;
 use super::percentile::percentile;
 use super::{modes, stages};
-use console::failure::Failure;
-use console::tables;
 
 /// Measured numbers of agents.
 const AGENTS: [usize; 5] = [1, 8, 32, 64, 128];

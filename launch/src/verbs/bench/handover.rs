@@ -2,10 +2,10 @@
 
 use std::time::{Duration, Instant};
 
+use console::failure::Failure;
 use nn::{Job, Workers, default_workers};
 
 use super::percentile::percentile;
-use console::failure::Failure;
 
 /// Duration of a block.
 const BLOCK: Duration = Duration::from_micros(200);

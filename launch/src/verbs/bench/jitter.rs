@@ -9,6 +9,9 @@ use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
+use configuration::pipeline_file::SHIPPED;
+use console::failure::Failure;
+use console::tables;
 use ports::{Node, TemporaryFolder, monotonic_ns};
 use recorder::Report;
 use run::Run;
@@ -16,9 +19,6 @@ use wire::{ForecastsTopic, Header, StageId, Topic};
 
 use super::percentile::percentile;
 use super::{Arguments, pipeline_run};
-use configuration::pipeline_file::SHIPPED;
-use console::failure::Failure;
-use console::tables;
 
 /// Ticks in two seconds.
 const RATE: u64 = 25;

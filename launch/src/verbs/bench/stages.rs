@@ -3,6 +3,9 @@
 use std::path::Path;
 use std::time::Instant;
 
+use configuration::options::{Setting, StageOptions};
+use console::failure::Failure;
+use console::tables;
 use data::{GeneratedScene, SceneOptions};
 use nn::{ContextCnn, Weights};
 use onboard::Chain;
@@ -14,9 +17,6 @@ use super::arguments::Arguments;
 use super::percentile::percentile;
 use super::work::Work;
 use crate::prediction::SHARED;
-use configuration::options::{Setting, StageOptions};
-use console::failure::Failure;
-use console::tables;
 
 /// Numbers of agents if none are given.
 const AGENTS: [u16; 4] = [1, 16, 64, 128];

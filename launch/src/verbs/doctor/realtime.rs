@@ -4,13 +4,13 @@
 
 use std::io::Error;
 
+use console::failure::Failure;
+use console::say;
 use run::Exit;
+use supervisor::scheduling::cpu_list;
 
 use super::files::{Files, Unread, cpu_group};
 use crate::awake;
-use console::failure::Failure;
-use console::say;
-use supervisor::scheduling::cpu_list;
 
 /// The highest priority of `profile = "vehicle"`.
 const PRIORITY: u64 = 36;

@@ -4,27 +4,27 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
+use configuration::stages;
+use configuration::{Pipeline, Stage};
+use console::failure::{Failure, StageDeath};
+use console::log;
 use nn::kernels;
 use ports::{Space, Stop, Topics};
 use recorder::SpareReport;
 use recording::Happened;
 use run::{Exit, Run};
-use wire::StageId;
-
-use crate::awake::Awake;
-use crate::memory::Memory;
-use crate::outages::Outages;
-use crate::saved_state::SavedState;
-use crate::service::{self, Phase, Service};
-use crate::tap::{Recording, Tap};
-use crate::watch::Watch;
-use configuration::stages;
-use configuration::{Pipeline, Stage};
-use console::failure::{Failure, StageDeath};
-use console::log;
 use supervisor::control::{Control, Request};
 use supervisor::scheduling;
 use supervisor::{Fleet, Program, Settings, StageSettings};
+use telemetry::memory::Memory;
+use telemetry::outages::Outages;
+use telemetry::service::{self, Phase, Service};
+use telemetry::tap::{Recording, Tap};
+use telemetry::watch::Watch;
+use wire::StageId;
+
+use crate::awake::Awake;
+use crate::saved_state::SavedState;
 
 /// Time limit for all stages to start and to link to their neighbours. A run waits for a detector of others
 /// without a limit.

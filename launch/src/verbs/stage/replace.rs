@@ -1,15 +1,15 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use recorder::ReplacementOutcome;
-use run::{Exit, Run};
-
-use crate::runs;
 use configuration::options;
 use configuration::stages;
 use console::failure::Failure;
 use console::show::show;
+use recorder::ReplacementOutcome;
+use run::{Exit, Run};
 use supervisor::control::{self, Answer, Order};
+
+use crate::runs;
 
 /// Arguments of `stgdat stage replace`.
 #[derive(Debug, Args)]

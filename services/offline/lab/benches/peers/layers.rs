@@ -3,6 +3,7 @@
 use std::hint::black_box;
 use std::time::Instant;
 
+use console::failure::Failure;
 use faer::linalg::matmul::matmul;
 use faer::{Accum, Mat, Par};
 use nn::kernels::peak;
@@ -15,7 +16,6 @@ use wire::{
 };
 
 use crate::TIME;
-use console::failure::Failure;
 
 /// Side of the square matrices.
 const SIDE: usize = 512;

@@ -3,6 +3,10 @@ mod noise;
 use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
+use configuration::options::{Setting, StageOptions};
+use console::failure::Failure;
+use console::show::show;
+use console::tables;
 use data::sets::Part;
 use driving_evaluator::{GapReport, NoiseReport, SyntheticReport};
 use evaluator::{Evaluation, InteractionPart, MapChoice, Options, Report, State, StateError, WeightsChoice};
@@ -13,10 +17,6 @@ use wire::StageId;
 
 use self::noise::NoiseArguments;
 use crate::contenders::contenders;
-use configuration::options::{Setting, StageOptions};
-use console::failure::Failure;
-use console::show::show;
-use console::tables;
 use launch::arguments::ReadArguments;
 use launch::files::named_weights;
 

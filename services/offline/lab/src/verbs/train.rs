@@ -1,12 +1,12 @@
 use std::path::PathBuf;
 
 use clap::Args;
+use console::failure::Failure;
+use console::say;
 use run::Exit;
 use trainer::TrainOptions;
 
 use super::card;
-use console::failure::Failure;
-use console::say;
 use launch::arguments::canonical;
 use launch::files::check_place;
 

@@ -9,19 +9,16 @@ use std::sync::mpsc::{Receiver, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
+use console::failure::Failure;
+use console::log;
 use ports::monotonic_ns;
 use recording::tap::SOCKET;
 use recording::{Event, Happened, LogLine};
+use supervisor::{KILL_LIMIT, Origin, Outlet, die_with_this_process, end_within, spawn, this_program};
 use wire::StageId;
 
+use crate::tap::RingArguments;
 use crate::tap::server::FromLauncher;
-use crate::tap::{RingArguments, ViewArguments};
-use console::failure::Failure;
-use console::log;
-use console::program::this_program;
-use supervisor::spawn;
-use supervisor::{KILL_LIMIT, die_with_this_process, end_within};
-use supervisor::{Origin, Outlet};
 
 /// Pause before a dead tap is restarted.
 const PAUSE: Duration = Duration::from_secs(1);
@@ -168,18 +165,18 @@ pub struct Recording {
 }
 
 impl Recording {
-    /// Starts `stgdat record` for a run and waits until it receives all frames.
+    /// Starts `stgdat record` for a run and waits until it receives all frames. `pass_on` adds further arguments.
     pub fn start(
         root: &Path,
         file: &Path,
         topics: &str,
         ring: &RingArguments,
-        view: &ViewArguments,
+        pass_on: impl FnOnce(&mut Command),
     ) -> Result<Self, Failure> {
         let mut command = Command::new(this_program());
         command.arg("record").arg(file).arg("--run").arg(root).args(["--topics", topics]);
         ring.pass_on(&mut command);
-        view.pass_on(&mut command);
+        pass_on(&mut command);
         command.stdin(Stdio::null()).stdout(Stdio::piped()).process_group(0);
         log::pass_on(&mut command);
         let mut process = spawn(command).map_err(Failure::unavailable)?;

@@ -10,11 +10,9 @@ mod process;
 mod ring_arguments;
 mod server;
 mod topic;
-mod view_arguments;
 
 pub use flight::FlightRecorder;
 pub use follow::{Recorded, follow};
-pub use process::{Recording, Tap};
+pub use process::{Recording, Tap, TapMessages};
 pub use ring_arguments::RingArguments;
 pub use server::serve;
-pub use view_arguments::ViewArguments;

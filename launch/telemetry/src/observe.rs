@@ -15,6 +15,8 @@ use std::sync::mpsc::{Receiver, sync_channel};
 use std::time::{Duration, Instant};
 
 use clap::Args;
+use console::failure::Failure;
+use console::log;
 use perfetto::Clocks;
 use ports::monotonic_ns;
 use recorder::exposition::metrics;
@@ -24,18 +26,16 @@ use recorder::{Errors, InputReport, Recorder, RecorderOptions, Supervision, Tick
 use recording::Event as Happening;
 use run::Run;
 use rustix::time::{ClockId, clock_gettime};
+use supervisor::Usage;
+use supervisor::{Event, Fleet};
 use tracing::Level;
 use wire::{Forecast, Header, Heartbeat, StageId};
 
 use crate::outages::Outages;
-use console::failure::Failure;
-use console::log;
 use files::{MetricsFile, TraceFile};
 pub use mark::mark;
 pub use server::SOCKET;
 use server::{Asked, Question, SocketFile};
-use supervisor::Usage;
-use supervisor::{Event, Fleet};
 
 /// Maximum number of waiting questions.
 const QUESTIONS_MAX: usize = 16;

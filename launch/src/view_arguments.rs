@@ -1,3 +1,5 @@
+//! Messages in a recording for other tools.
+
 use std::path::Path;
 use std::process::Command;
 

@@ -1,10 +1,10 @@
+use console::screen::{BOLD, Color, DIM, Line, Span, TITLE, curve};
 use recorder::Status;
 use recorder::report::Percentiles;
 use recorder::text::{count, number, percent};
 
 use super::View;
 use super::columns::{Row, WORST, bar_width, cut, heading, line, section, share_spans, worst};
-use console::screen::{BOLD, Color, DIM, Line, Span, TITLE, curve};
 
 /// Maximum number of lines for events and for worst ticks.
 const EVENTS_MAX: usize = 4;

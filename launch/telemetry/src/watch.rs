@@ -1,18 +1,20 @@
+//! A run as its launcher follows it: linked stages, progress, outages, and the table or lines about them.
+
 use std::time::{Duration, Instant};
 
+use console::failure::Failure;
+use console::log;
+use console::terminal::{self, Table};
 use ports::{Node, Peers, SideOutputs, Subscriber};
 use recorder::status::RunStatus;
 use run::Run;
 use rustix::process::Pid;
+use supervisor::{Event, Fleet};
 use wire::{ForecastsTopic, Header, Heartbeat, HeartbeatsTopic, StageId, Topic};
 
 use crate::observe::Observer;
 use crate::outages::Outages;
 use crate::top::{SortBy, View};
-use console::failure::Failure;
-use console::log;
-use console::terminal::{self, Table};
-use supervisor::{Event, Fleet};
 
 /// Longest sleep.
 const SLEEP: Duration = Duration::from_millis(50);

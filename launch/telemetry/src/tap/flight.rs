@@ -10,12 +10,11 @@ use recording::flight::{Act, Flight, Trigger, caused_by};
 use recording::{About, Before, Event, Forgotten, Happened, Message, Ring, WriteError, Writer, Written};
 use wire::{Forecast, ForecastsTopic, Header, Topic};
 
-use super::ViewArguments;
 use super::follow::Keep;
 use super::ring_arguments::{Limits, numbered};
 
 /// Keeps a ring of messages and writes it to numbered files.
-pub struct FlightRecorder {
+pub struct FlightRecorder<C> {
     ring: Ring,
     before: Before,
     flight: Flight,
@@ -29,7 +28,7 @@ pub struct FlightRecorder {
     error: Option<io::Error>,
     is_cut_told: bool,
     say: fn(&str),
-    view: ViewArguments,
+    create: C,
 }
 
 /// The fault of a tick, in words; `None` if it has none.
@@ -39,16 +38,9 @@ fn wrong_with(header: &Header, forecasts: &[Forecast]) -> Option<(Trigger, Strin
     tick.fault().map(|why| (trigger, why))
 }
 
-impl FlightRecorder {
-    /// Creates an empty ring; `say` reports each file.
-    pub fn new(
-        path: &Path,
-        about: About,
-        limits: Limits,
-        asked: Asked,
-        say: fn(&str),
-        view: ViewArguments,
-    ) -> Self {
+impl<C: Fn(&Path, &About) -> Result<Writer, WriteError>> FlightRecorder<C> {
+    /// Creates an empty ring; `say` reports each file that `create` has created.
+    pub fn new(path: &Path, about: About, limits: Limits, asked: Asked, say: fn(&str), create: C) -> Self {
         Self {
             ring: Ring::new(limits.ring),
             before: Before::new(limits.before_bytes, &about.topics),
@@ -61,7 +53,7 @@ impl FlightRecorder {
             error: None,
             is_cut_told: false,
             say,
-            view,
+            create,
         }
     }
 
@@ -73,7 +65,7 @@ impl FlightRecorder {
             Act::Begin(number) => {
                 let path = numbered(&self.path, number);
                 let about = About { before: self.before.is_whole(), ..self.about.clone() };
-                match self.view.create(&path, &about) {
+                match (self.create)(&path, &about) {
                     Ok(mut writer) => {
                         self.before.frames().for_each(|frame| writer.before(&frame));
                         self.ring.messages().for_each(|message| writer.add(message));
@@ -127,7 +119,7 @@ impl FlightRecorder {
     }
 }
 
-impl Keep for FlightRecorder {
+impl<C: Fn(&Path, &About) -> Result<Writer, WriteError>> Keep for FlightRecorder<C> {
     fn keep(&mut self, mut message: Message) {
         // Data that no file will contain must not take memory.
         if let Message::Frame(frame) = &mut message

@@ -6,11 +6,11 @@ use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::time::Duration;
 
+use console::failure::Failure;
 use recorder::WholeFile;
+use supervisor::Outlet;
 
 use super::server::{Asked, Question, ask_launcher};
-use console::failure::Failure;
-use supervisor::Outlet;
 
 /// Interval between updates of the metrics file.
 const METRICS_INTERVAL: Duration = Duration::from_secs(1);

@@ -7,6 +7,8 @@ use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::Path;
 use std::time::{Duration, Instant};
 
+use console::failure::Failure;
+use console::streams;
 use ports::{Node, Publisher, Stop, TAP, is_own_user, monotonic_ns};
 use recording::tap::{self, Hub, QUEUE_BYTES, REQUEST_BYTES_MAX, Request, SOCKET, TOOLS_MAX, Tool, Want};
 use recording::{Event, Happened, LogLine};
@@ -17,8 +19,6 @@ use serde::{Deserialize, Serialize};
 use wire::{Header, Heartbeat, HeartbeatsTopic, REFUSALS_MAX, RefusalCause, Refusals, StageId, TABLE, Topic};
 
 use crate::tap::topic::{Input, Taken};
-use console::failure::Failure;
-use console::streams;
 
 /// Longest sleep between checks that the run still exists.
 const SLEEP: Duration = Duration::from_millis(500);

@@ -3,10 +3,10 @@ use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use console::failure::Failure;
 use recorder::status::{RunStatus, STATUS_VERSION};
 
 use crate::observe::SOCKET;
-use console::failure::Failure;
 
 /// Time limit for the launcher to answer.
 const LIMIT: Duration = Duration::from_secs(3);
