@@ -218,7 +218,7 @@ fn scene(report: &Report) -> [String; 5] {
 }
 
 fn runs(a: &Report, b: &Report) -> Vec<(&'static str, String, String)> {
-    let told = |report: &Report| {
+    let inputs = |report: &Report| {
         let run = &report.run;
         let text = |value: &Option<String>| value.clone().unwrap_or_else(|| "unknown".to_owned());
         let seed = run.seed.map_or_else(|| "unknown".to_owned(), |seed| seed.to_string());
@@ -239,7 +239,7 @@ fn runs(a: &Report, b: &Report) -> Vec<(&'static str, String, String)> {
             ("program", report.stgdat_version.clone()),
         ]
     };
-    let pairs = told(a).into_iter().zip(told(b));
+    let pairs = inputs(a).into_iter().zip(inputs(b));
     pairs.filter(|((_, a), (_, b))| a != b).map(|((what, a), (_, b))| (what, a, b)).collect()
 }
 

@@ -173,7 +173,7 @@ fn with_stage(stage: StageId, line: &str) -> Option<Value> {
 
 /// Prints a line of a run, such as the file of its recording: as an event if the log is JSON, and otherwise on
 /// standard output.
-pub fn tell(line: &str) {
+pub fn print_line(line: &str) {
     match format() {
         LogFormat::Text => crate::say!("{line}"),
         LogFormat::Json => tracing::info!(target: OUTPUT_TARGET, "{line}"),

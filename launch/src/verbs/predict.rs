@@ -40,8 +40,8 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let mut report = PlayReport::new(&playback, input);
     let name = playback.recording().name.clone();
     let mut page = arguments.html.as_deref().map(|path| PlayedPage::new(path, &name, &run)).transpose()?;
-    let out = (&*arguments.out, run.origin());
-    let played = play(out, &mut playback, &mut chain, &mut report, page.as_mut());
+    let out = &*arguments.out;
+    let played = play(out, run.origin(), &mut playback, &mut chain, &mut report, page.as_mut());
     let kept = chain.end(&run);
     let is_whole = played?;
     kept?;
@@ -55,7 +55,8 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
 
 /// Writes the forecasts of all ticks.
 fn play(
-    (out, origin): (&Path, WorldOrigin),
+    out: &Path,
+    origin: WorldOrigin,
     playback: &mut Playback,
     chain: &mut Chain,
     report: &mut PlayReport,

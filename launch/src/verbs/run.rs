@@ -215,7 +215,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         let mut measured = measured;
         measured.audited(&input);
         let measured = report(arguments, measured, info, supervision)?;
-        ended.recorded.iter().for_each(|line| log::tell(line));
+        ended.recorded.iter().for_each(|line| log::print_line(line));
         html.map_or(Ok(()), |html| html.write(Some(measured.clone())))?;
         if matches!(ended.outcome, Ok(Exit::Done)) {
             fail_if::check(&arguments.fail_if, &measured)?;

@@ -6,7 +6,7 @@ use console::show::show;
 use recorder::{Recorder, RecorderOptions, Tick};
 use recording::{Event, Frame, Happened, Message, ReadError, Recording};
 use run::Exit;
-use telemetry::waterfall::{FrameOf, Telling};
+use telemetry::waterfall::{FrameOf, WholeTick};
 use wire::{Forecast, ForecastsTopic, Header, HeartbeatsTopic, Topic};
 
 use crate::recorded;
@@ -27,15 +27,15 @@ pub struct Arguments {
 
 /// Prints one tick of a recorded run.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
-    let (telling, damages) = explain(arguments)?;
+    let (whole_tick, damages) = explain(arguments)?;
     let width = rustix::termios::tcgetwinsize(std::io::stdout())
         .map_or(WIDTH, |size| usize::from(size.ws_col).max(1));
-    let exit = show(&telling.render(width))?;
+    let exit = show(&whole_tick.render(width))?;
     recorded::end_with(damages).map(|_| exit)
 }
 
 /// Reads the tick's data from the file. Also returns the damaged parts of the file.
-fn explain(arguments: &Arguments) -> Result<(Telling, Vec<ReadError>), Failure> {
+fn explain(arguments: &Arguments) -> Result<(WholeTick, Vec<ReadError>), Failure> {
     let recording = recorded::open(&arguments.file)?;
     let mut search = Search::new(arguments.tick, &recording);
     let mut damages = Vec::new();
@@ -50,7 +50,7 @@ fn explain(arguments: &Arguments) -> Result<(Telling, Vec<ReadError>), Failure> 
     };
     let [first_ns, last_ns] = [header.released_ns, header.hops().last().map_or(0, |hop| hop.sent_ns)];
     let near = |at_ns: u64| at_ns + NEAR_NS >= first_ns && at_ns <= last_ns + NEAR_NS;
-    let telling = Telling {
+    let whole_tick = WholeTick {
         tick,
         frames: search.frames,
         cause: search.recorder.explained(),
@@ -59,7 +59,7 @@ fn explain(arguments: &Arguments) -> Result<(Telling, Vec<ReadError>), Failure> 
         header,
         forecasts,
     };
-    Ok((telling, damages))
+    Ok((whole_tick, damages))
 }
 
 /// The tick's header, figures and forecasts.
@@ -166,9 +166,9 @@ mod tests {
         let file = folder.join("a.mcap");
         recorded::tests::write(&file);
         let explained = |tick| explain(&Arguments { file: file.clone(), tick });
-        let (telling, damages) = explained(7).expect("it is there");
+        let (whole_tick, damages) = explained(7).expect("it is there");
         assert!(damages.is_empty());
-        let text = telling.render(100);
+        let text = whole_tick.render(100);
         for part in [
             "its controls did not arrive: the decoder was restarted; 1 of 1 forecasts not learned (late)",
             "recorded: 1 detections, 1 forecasts",

@@ -75,7 +75,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         Some(_) => Err(error),
     });
     let live = live.map_err(|error| Failure::unavailable_about(format!("the page on {wanted}"), error))?;
-    log::tell(&format!("{} shows {} in a browser; Ctrl-C ends it", live.url(), run.name));
+    log::print_line(&format!("{} shows {} in a browser; Ctrl-C ends it", live.url(), run.name));
     let client = Client::new(&run.root);
     while !stop.requested() && client.is_there() {
         // Without a browser nothing is read.

@@ -173,7 +173,7 @@ impl Observer {
     }
 
     /// Measures the header of a frame that an added stage has sent outside a tick's path.
-    pub fn beside(&mut self, header: &Header) {
+    pub fn side_output(&mut self, header: &Header) {
         let passage = self.measured.beside(header);
         if let (Some((stage, times)), Some((tracer, file))) = (passage, &mut self.tracer) {
             tracer.beside(header, stage, times);

@@ -111,7 +111,7 @@ impl Watch {
             self.newest = Some(*frame.header());
             ports::log_tick(frame.header().seq);
         }
-        self.side_outputs.take()?.iter().for_each(|header| self.observer.beside(header));
+        self.side_outputs.take()?.iter().for_each(|header| self.observer.side_output(header));
         Ok(())
     }
 

@@ -27,7 +27,7 @@ pub struct FrameOf {
 
 /// All data of a tick.
 #[derive(Clone, Debug)]
-pub struct Telling {
+pub struct WholeTick {
     /// The header of its forecasts.
     pub header: Header,
     /// Forecasts.
@@ -44,7 +44,7 @@ pub struct Telling {
     pub events: Vec<(u64, String)>,
 }
 
-impl Telling {
+impl WholeTick {
     /// Formats the tick as text in lines of `width` characters, clamped to 80..=140.
     pub fn render(&self, width: usize) -> String {
         let width = width.clamp(*WIDTHS.start(), *WIDTHS.end());
@@ -229,7 +229,7 @@ mod tests {
 
     const MS: u64 = 1_000_000;
 
-    fn telling() -> Telling {
+    fn whole_tick() -> WholeTick {
         let mut header =
             Header { released_ns: 5_000 * MS, interval_ns: 80 * MS, ..Header::new(1, 153, 12_240_000_000) };
         for (stage, incarnation, at_ms, took_ms) in [
@@ -252,7 +252,7 @@ mod tests {
             age_ns: 160 * MS,
             ..learned
         };
-        Telling {
+        WholeTick {
             frames: vec![FrameOf { topic: "detections", elements: 3, bytes: 900 }],
             cause: Some(WorstTick {
                 cause: "the decoder computed 40.0 ms (usually 3.10)".to_owned(),
@@ -268,7 +268,7 @@ mod tests {
 
     #[test]
     fn a_tick_is_told_from_its_release_to_its_forecasts() {
-        let text = telling().render(100);
+        let text = whole_tick().render(100);
         let line =
             |part: &str| text.lines().find(|line| line.contains(part)).unwrap_or_else(|| panic!("{part}"));
         assert!(line("tick 153").contains("2 agents   stamp 12.240 s   released 4.000 s after the first"));
@@ -289,10 +289,11 @@ mod tests {
     #[test]
     fn any_width_and_an_empty_tick_can_be_told() {
         for width in [0, 80, 1_000] {
-            telling().render(width);
+            whole_tick().render(width);
         }
         let header = Header::new(1, 153, 0);
-        let empty = Telling { forecasts: Vec::new(), tick: Tick::alone(&header, &[]), header, ..telling() };
+        let empty =
+            WholeTick { forecasts: Vec::new(), tick: Tick::alone(&header, &[]), header, ..whole_tick() };
         assert!(empty.render(80).contains("no forecasts"));
     }
 }

@@ -26,7 +26,7 @@ pub struct FlightRecorder<C> {
     file: Option<(PathBuf, String, Writer)>,
     written: Written,
     error: Option<io::Error>,
-    is_cut_told: bool,
+    is_cut_reported: bool,
     say: fn(&str),
     create: C,
 }
@@ -51,7 +51,7 @@ impl<C: Fn(&Path, &About) -> Result<Writer, WriteError>> FlightRecorder<C> {
             file: None,
             written: Written::default(),
             error: None,
-            is_cut_told: false,
+            is_cut_reported: false,
             say,
             create,
         }
@@ -151,7 +151,7 @@ impl<C: Fn(&Path, &About) -> Result<Writer, WriteError>> Keep for FlightRecorder
                 None => {}
             }
         });
-        if self.ring.is_cut() && !std::mem::replace(&mut self.is_cut_told, true) {
+        if self.ring.is_cut() && !std::mem::replace(&mut self.is_cut_reported, true) {
             let seconds = self.ring.span_ns() as f64 / 1e9;
             (self.say)(&format!("the memory holds {seconds:.0} s: --ring-mib gives it more"));
         }

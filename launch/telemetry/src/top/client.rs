@@ -50,25 +50,26 @@ impl Client {
     }
 
     fn read(&self, answer: &[u8]) -> Result<RunStatus, Failure> {
-        let said = |what: String| Failure::unavailable_about(self.socket.display(), what);
-        let text = std::str::from_utf8(answer).map_err(|error| said(error.to_string()))?;
-        let (head, body) = text.split_once("\r\n\r\n").ok_or_else(|| said("no answer".to_owned()))?;
+        let failed = |what: String| Failure::unavailable_about(self.socket.display(), what);
+        let text = std::str::from_utf8(answer).map_err(|error| failed(error.to_string()))?;
+        let (head, body) = text.split_once("\r\n\r\n").ok_or_else(|| failed("no answer".to_owned()))?;
         if !head.starts_with("HTTP/1.1 200 ") {
-            return Err(said(body.trim_end().to_owned()));
+            return Err(failed(body.trim_end().to_owned()));
         }
         // Only this number is read from a status of another version.
         #[derive(serde::Deserialize)]
         struct Versioned {
             version: u32,
         }
-        let found = serde_json::from_str::<Versioned>(body).map_err(|error| said(error.to_string()))?.version;
+        let found =
+            serde_json::from_str::<Versioned>(body).map_err(|error| failed(error.to_string()))?.version;
         if found != STATUS_VERSION {
-            return Err(said(format!(
+            return Err(failed(format!(
                 "a status of version {found}, this program reads {STATUS_VERSION}: launcher and top must be of \
                  one version"
             )));
         }
-        serde_json::from_str(body).map_err(|error| said(error.to_string()))
+        serde_json::from_str(body).map_err(|error| failed(error.to_string()))
     }
 }
 
@@ -77,7 +78,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn answers_are_read_and_refusals_told() {
+    fn answers_are_read_and_refusals_kept() {
         let client = Client::new(Path::new("/no/such/run"));
         assert!(client.ask().is_err() && !client.is_there());
         let error = |answer: &str| client.read(answer.as_bytes()).unwrap_err().to_string();

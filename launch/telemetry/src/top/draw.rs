@@ -127,7 +127,7 @@ fn verdict(view: &View, width: usize) -> Vec<Line> {
     };
     let paused = if view.paused { "  (paused)" } else { "" };
     let reasons = if view.silent {
-        vec!["the launcher does not answer; what is shown is what it said last".to_owned()]
+        vec!["the launcher does not answer; the table shows its last answer".to_owned()]
     } else if status.linked && status.report.verdict.status == Status::Ok {
         status.report.ok_lines()
     } else {

@@ -36,7 +36,7 @@ pub fn lines(view: &View, name: &str, width: usize) -> Vec<Line> {
 /// The state and resources of the process, wrapped to `width`.
 fn process(view: &View, stage: &StageStatus, width: usize) -> Vec<Line> {
     let process = &stage.process;
-    let told = |name: &str, value: Option<String>| {
+    let item = |name: &str, value: Option<String>| {
         vec![Span::styled(format!("   {name} "), DIM), Span::raw(value.unwrap_or_else(|| "–".to_owned()))]
     };
     let alive = match stage.alive {
@@ -45,17 +45,17 @@ fn process(view: &View, stage: &StageStatus, width: usize) -> Vec<Line> {
         None => Span::styled("no heartbeat yet", DIM),
     };
     let mut items = vec![
-        told("pid", process.pid.map(|pid| pid.to_string())),
-        told("restarts", Some(process.restarts.to_string())),
-        told("cpu", process.cpu.map(|cpu| format!("{:.0} %", cpu * 1e2))),
-        told("memory", process.memory_bytes.map(|own| bytes(Some(own)).0)),
-        told("shared", process.shared_bytes.map(|shared| bytes(Some(shared)).0)),
+        item("pid", process.pid.map(|pid| pid.to_string())),
+        item("restarts", Some(process.restarts.to_string())),
+        item("cpu", process.cpu.map(|cpu| format!("{:.0} %", cpu * 1e2))),
+        item("memory", process.memory_bytes.map(|own| bytes(Some(own)).0)),
+        item("shared", process.shared_bytes.map(|shared| bytes(Some(shared)).0)),
     ];
     if let Some(spare) = &process.spare {
-        items.push(told("spare", Some(format!("{spare}, promoted {}×", process.promotions))));
+        items.push(item("spare", Some(format!("{spare}, promoted {}×", process.promotions))));
     }
     if let Some(&lost) = view.status.report.supervision.lost_lines.get(&stage.name) {
-        items.push(told("lines lost", Some(count(lost))));
+        items.push(item("lines lost", Some(count(lost))));
     }
     let mut lines = vec![Line(vec![
         Span::styled(format!("  {}  ", stage.name), BOLD),
