@@ -82,8 +82,10 @@ impl StampCache {
         &mut self,
         stamp_ns: i64,
         step: usize,
-        (agents, is_computed): (&[AgentFeatures], impl Fn(usize) -> bool),
-        (edges, relations): (&[Edge], &[[f32; EDGE_ATTRIBUTES]]),
+        agents: &[AgentFeatures],
+        is_computed: impl Fn(usize) -> bool,
+        edges: &[Edge],
+        relations: &[[f32; EDGE_ATTRIBUTES]],
     ) {
         self.order.clear();
         self.order.extend((0..agents.len()).filter(|&i| is_computed(i)));

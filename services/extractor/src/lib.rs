@@ -326,9 +326,9 @@ impl Extractor {
         });
         for step in wanted.steps() {
             let of_step = span(edges, step);
-            let of_step = (&edges[of_step.clone()], &attributes[of_step]);
             let is_computed = |agent: usize| agents[agent].is_present(step) && is_needed(agent, step);
-            self.cache.keep(stamp_ns(step), step, (agents, is_computed), of_step);
+            let (edges, relations) = (&edges[of_step.clone()], &attributes[of_step]);
+            self.cache.keep(stamp_ns(step), step, agents, is_computed, edges, relations);
         }
         self.effort.patch_count = wanted.patch_count();
         self.effort.relation_count = wanted.relation_count();

@@ -2,7 +2,8 @@
 //! stage (`run --speed max`), the memory of one process (`predict`), and a recording (`replay`).
 //!
 //! Faults are injected into random stages at random ticks. A faulty step refuses its tick before or after it has
-//! computed, or leaves the tick empty. The source sends a VOID frame or impossible detections.
+//! computed, leaves the tick empty, or reads inputs with flipped bits. The source sends a VOID frame, impossible or
+//! damaged detections, or a frame of another length than its header states.
 //!
 //! The processes are threads here, each with its own ports. `PROPTEST_CASES` sets the number of random scenes.
 #![expect(clippy::unwrap_used, reason = "a test ends at what it can't do")]
@@ -18,7 +19,7 @@ use extractor::Extractor;
 use localiser::Localiser;
 use nn::Weights;
 use onboard::{Graph, Node, Replay, STAGES, Stages, node};
-use ports::{Answer, Publisher, SecondInput, Space, StageError, Step, Subscriber, Tick, drive};
+use ports::{Answer, Publisher, Second, SecondInput, Space, StageError, Step, Subscriber, Tick, drive};
 use proptest::prelude::*;
 use proptest::strategy::ValueTree as _;
 use recording::{About, Frame, Recording, Writer, compare};
@@ -49,6 +50,12 @@ enum Kind {
     Refused,
     /// The tick is refused after the step has changed its state.
     RefusedLate,
+    /// Bits of the input are flipped. The seed selects the bits.
+    Damaged(u64),
+    /// Bits of the second input are flipped.
+    SecondDamaged(u64),
+    /// The source's frame has one element too many, so its reader refuses the frame. Other stages go on.
+    WrongLength,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -59,7 +66,14 @@ struct Fault {
 }
 
 fn faults() -> impl Strategy<Value = Vec<Fault>> {
-    let kinds = prop_oneof![Just(Kind::Empty), Just(Kind::Refused), Just(Kind::RefusedLate)];
+    let kinds = prop_oneof![
+        Just(Kind::Empty),
+        Just(Kind::Refused),
+        Just(Kind::RefusedLate),
+        any::<u64>().prop_map(Kind::Damaged),
+        any::<u64>().prop_map(Kind::SecondDamaged),
+        Just(Kind::WrongLength),
+    ];
     let stages = prop::sample::select(StageId::ALL[..7].to_vec());
     let fault = (stages, 0..TICKS, kinds).prop_map(|(stage, seq, kind)| Fault { stage, seq, kind });
     prop::collection::vec(fault, 0..12)
@@ -86,12 +100,25 @@ impl<S: Step> Step for Faulty<S> {
     ) -> Result<(), Rejected> {
         let refused = Err(Rejected::Impossible { field: "seq", value: tick.header.seq as f64 });
         match fault(&self.faults, self.stage, tick.header.seq) {
-            Some(Kind::Empty) => out.leave_empty(),
-            Some(Kind::Refused) => return refused,
-            Some(Kind::RefusedLate) => return self.step.answer(tick, out).and(refused),
-            None => return self.step.answer(tick, out),
+            Some(Kind::Empty) => {
+                out.leave_empty();
+                Ok(())
+            }
+            Some(Kind::Refused) => refused,
+            Some(Kind::RefusedLate) => self.step.answer(tick, out).and(refused),
+            Some(Kind::Damaged(seed)) => {
+                let input = damaged(tick.input, seed);
+                let Tick { header, second, allowance, .. } = *tick;
+                self.step.answer(&Tick { header, input: &input, second, allowance }, out)
+            }
+            Some(Kind::SecondDamaged(seed)) if let Some((of_second, elements)) = tick.second.frame() => {
+                let elements = damaged(elements, seed);
+                let Tick { header, input, allowance, .. } = *tick;
+                let second = Second::Frame(of_second, &elements);
+                self.step.answer(&Tick { header, input, second, allowance }, out)
+            }
+            Some(Kind::SecondDamaged(_) | Kind::WrongLength) | None => self.step.answer(tick, out),
         }
-        Ok(())
     }
 
     fn after(&mut self, tick: &Tick<'_, S::Input, S::Second>) {
@@ -101,6 +128,22 @@ impl<S: Step> Step for Faulty<S> {
     fn begin(&mut self, run: &Run, incarnation: u32) {
         self.step.begin(run, incarnation);
     }
+}
+
+/// The elements with some of their bits flipped.
+fn damaged<E: bytemuck::Pod>(elements: &[E], seed: u64) -> Vec<E> {
+    let mut elements = elements.to_vec();
+    let bytes: &mut [u8] = bytemuck::cast_slice_mut(&mut elements);
+    let mut place = seed;
+    for _ in 0..=seed % 3 {
+        // Steps of Knuth's linear congruential generator.
+        place = place.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        let bit = (place >> 33) as usize;
+        if !bytes.is_empty() {
+            bytes[bit / 8 % bytes.len()] ^= 1 << (bit % 8);
+        }
+    }
+    elements
 }
 
 fn fault(faults: &[Fault], stage: StageId, seq: u64) -> Option<Kind> {
@@ -162,22 +205,38 @@ fn nodes(run: &Run, weights: &Weights, faults: &Arc<[Fault]>) -> Vec<Box<dyn Nod
     STAGES.iter().rev().map(|stage| with_step(stage.id(), run, weights, AsNode(faults.clone()))).collect()
 }
 
+/// A tick of the source.
+struct SourceTick {
+    header: Header,
+    detections: Vec<Detection>,
+    /// The frame that a process sends in place of this one. Its reader refuses it and goes on with this one.
+    sent: Option<(Header, Vec<Detection>)>,
+}
+
 /// A recording as the source sends it, with the source's faults.
-fn ticks(recording: &data::Recording, run: &Run, faults: &[Fault]) -> Vec<(Header, Vec<Detection>)> {
+fn ticks(recording: &data::Recording, run: &Run, faults: &[Fault]) -> Vec<SourceTick> {
     let options = PlaybackOptions { run_id: run.id, ticks_max: Some(TICKS), lockstep: true };
     let mut playback = Playback::new(recording.clone(), options);
     let mut ticks = Vec::new();
     while let Some(tick) = playback.next_tick() {
         let (mut header, mut detections) = (tick.header, tick.detections.to_vec());
-        match fault(faults, StageId::Source, header.seq) {
+        let kind = fault(faults, StageId::Source, header.seq);
+        let sent = matches!(kind, Some(Kind::WrongLength)).then(|| {
+            let extra = [Detection::default()];
+            (header, detections.iter().copied().chain(extra).collect())
+        });
+        match kind {
             None => {}
-            Some(Kind::Empty) => {
+            Some(Kind::Empty | Kind::WrongLength) => {
                 (header.flags, header.counts) = (header.flags | flags::VOID, Counts::default());
                 detections.clear();
             }
-            Some(_) => detections.iter_mut().for_each(|detection| detection.x_m = f32::NAN),
+            Some(Kind::Damaged(seed) | Kind::SecondDamaged(seed)) => detections = damaged(&detections, seed),
+            Some(Kind::Refused | Kind::RefusedLate) => {
+                detections.iter_mut().for_each(|detection| detection.x_m = f32::NAN);
+            }
         }
-        ticks.push((header, detections));
+        ticks.push(SourceTick { header, detections, sent });
     }
     ticks
 }
@@ -258,10 +317,13 @@ fn in_processes(
         let stages: Vec<_> = STAGES.iter().map(|stage| scope.spawn(serve(stage.id()))).collect();
         let stop = Stop;
         link(&node, &detections, run.id);
-        let pass = |(header, elements): &(Header, Vec<Detection>)| {
-            detections.send_copy(elements, *header).unwrap();
-            let sent = Frame::of::<DetectionsTopic>(header, elements, header.seq);
-            std::iter::once(sent).chain(readers.iter().map(|reader| reader.frame(header.seq))).collect()
+        let pass = |SourceTick { header, detections: elements, sent }: &SourceTick| {
+            match sent {
+                Some((header, elements)) => detections.send_copy(elements, *header).unwrap(),
+                None => detections.send_copy(elements, *header).unwrap(),
+            }
+            let frame = Frame::of::<DetectionsTopic>(header, elements, header.seq);
+            std::iter::once(frame).chain(readers.iter().map(|reader| reader.frame(header.seq))).collect()
         };
         let frames = ticks(recording, run, faults).iter().map(pass).collect();
         drop(stop);
@@ -284,11 +346,11 @@ fn in_one_process(
 ) -> Vec<Vec<Frame>> {
     let mut graph = Graph::new(nodes(run, weights, faults));
     graph.begin(run, 0);
-    let pass = |(header, elements): &(Header, Vec<Detection>)| {
-        graph.put::<DetectionsTopic>(header, elements);
+    let pass = |SourceTick { header, detections, .. }: &SourceTick| {
+        graph.put::<DetectionsTopic>(header, detections);
         graph.tick(|_| ());
         let seq = header.seq;
-        let (graph, sent) = (&graph, Frame::of::<DetectionsTopic>(header, elements, seq));
+        let (graph, sent) = (&graph, Frame::of::<DetectionsTopic>(header, detections, seq));
         let before = [sent, of::<TracksTopic>(graph, seq), of::<ContextTopic>(graph, seq)];
         let after = [
             of::<FeaturesTopic>(graph, seq),

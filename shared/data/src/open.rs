@@ -245,10 +245,13 @@ fn levelx_files(path: &Path, opened: Input) -> Result<Vec<Input>, ReadError> {
         path.file_name().and_then(|name| name.to_str()).and_then(|name| name.strip_suffix("_tracks.csv"));
     let searched = ": the file's name does not end in _tracks.csv";
     let name = name.ok_or_else(|| ReadError::missing(&opened.path, Role::TracksMeta.name(), searched))?;
-    let beside = |what: &str, role| {
+    let attributes_of = |what: &str, role| {
         read_needed(&path.with_file_name(format!("{name}_{what}.csv")), role, &opened.path)
     };
-    let attributes = [beside("tracksMeta", Role::TracksMeta)?, beside("recordingMeta", Role::RecordingMeta)?];
+    let attributes = [
+        attributes_of("tracksMeta", Role::TracksMeta)?,
+        attributes_of("recordingMeta", Role::RecordingMeta)?,
+    ];
     Ok(std::iter::once(opened).chain(attributes).collect())
 }
 

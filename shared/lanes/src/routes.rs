@@ -119,7 +119,7 @@ impl Routes {
                 if starts.iter().any(|start| start.lane == beside) || starts.len() == starts.capacity() {
                     continue;
                 }
-                let there = Start::beside(lanes, beside, agent_type, position_m, heading_rad);
+                let there = Start::on_neighbour(lanes, beside, agent_type, position_m, heading_rad);
                 starts.extend(there);
             }
         }
@@ -226,8 +226,8 @@ impl Start {
         is_on.then_some(start)
     }
 
-    /// Places the agent beside a lane.
-    fn beside(
+    /// Places the agent on the lane beside its own.
+    fn on_neighbour(
         lanes: &[Lane],
         place: u32,
         agent_type: AgentType,

@@ -64,12 +64,12 @@ pub(crate) fn is_one_way(tags: Tags<'_>, odd: &mut Vec<String>) -> bool {
 /// Whether a vehicle may cross a bound. `side` is 0 if the bound is on the vehicle's left and 1 on its right.
 /// `is_along` is set if the line runs in the vehicle's direction.
 pub(crate) fn may_cross(tags: Tags<'_>, side: usize, is_along: bool) -> bool {
-    let said = |key: &str| tags.yes(key).ok().flatten();
+    let permits = |key: &str| tags.yes(key).ok().flatten();
     // A vehicle that crosses a line on its left moves from the line's right to its left, if the line runs
     // along.
     let goes_left = (side == 0) == is_along;
-    let of_direction = said(if goes_left { "lane_change:left" } else { "lane_change:right" });
-    if let Some(allowed) = of_direction.or_else(|| said("lane_change")) {
+    let of_direction = permits(if goes_left { "lane_change:left" } else { "lane_change:right" });
+    if let Some(allowed) = of_direction.or_else(|| permits("lane_change")) {
         return allowed;
     }
     match (tags.get("type"), tags.get("subtype")) {

@@ -174,7 +174,7 @@ proptest! {
 }
 
 /// Latent points, moved by their base controls, \[agent, draw\]: z + M (scale · control).
-fn told_of_base(
+fn moved_by_base(
     weights: &Weights,
     agent_type: AgentType,
     points: &[f32],
@@ -206,7 +206,7 @@ fn learned_points_are_decoded_as_if_they_were_given() {
     let horizon_len = weights.config().horizon_len;
     let base: Vec<[f32; 2]> =
         (0..agents_len * 21 * horizon_len).map(|i| [value(3 * i), 0.1 * value(i)]).collect();
-    let given = told_of_base(&weights, AgentType::Cyclist, &latents.repeat(agents_len), &base);
+    let given = moved_by_base(&weights, AgentType::Cyclist, &latents.repeat(agents_len), &base);
     let states: Vec<[f32; 6]> = (0..8 * agents_len).map(|i| [value(i); 6]).collect();
     let temporal: Vec<[f32; 64]> = (0..agents_len).map(|i| [value(i + 3); 64]).collect();
     let present = vec![true; states.len()];

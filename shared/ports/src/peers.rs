@@ -32,7 +32,7 @@ impl Peers {
         let built_in = run.stages.iter().filter(|stage| stage.built_in);
         let expected = built_in.filter_map(|stage| StageId::from_number(stage.stage)).collect();
         let writes = |id: &StageId| run.stage(*id).is_some_and(|stage| !stage.writes.is_empty());
-        let side_stages = run.beside().into_iter().filter(writes).collect();
+        let side_stages = run.side_stages().into_iter().filter(writes).collect();
         Self { heartbeats, newest: BTreeMap::new(), expected, side_stages }
     }
 

@@ -16,7 +16,7 @@ impl SideOutputs {
     /// # Errors
     /// As [`Node::raw_subscriber`].
     pub fn open(node: &Node, run: &Run) -> Result<Self, PortError> {
-        let stages = run.beside();
+        let stages = run.side_stages();
         let stages = stages.iter().filter_map(|stage| run.stage(*stage));
         let names = stages.filter_map(|stage| stage.writes.iter().find(|name| run.topic(name).is_some()));
         let topics = names.filter_map(|name| RawTopic::of(run, name));

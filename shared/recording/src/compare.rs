@@ -213,13 +213,13 @@ pub fn compare(a: &Frame, b: &Frame) -> Option<FrameDifference> {
         return None;
     }
     let mut found = Found { tick: a.header().seq, topic: a.topic().name, difference: None };
-    found.records((&Header::RECORD, size_of::<Header>()), "header", None, [header_a, header_b]);
+    found.records(&Header::RECORD, size_of::<Header>(), "header", None, [header_a, header_b]);
     let (len_a, len_b) = (a.payload().len(), b.payload().len());
     if has_same_len {
         for (record, name, range) in sections(a) {
             let payloads = [&a.payload()[range.clone()], &b.payload()[range]];
             let leading = if record.name == a.element().name { common } else { record.size };
-            found.records((record, leading), name, Some(0), payloads);
+            found.records(record, leading, name, Some(0), payloads);
         }
     } else {
         let [elements_a, elements_b] = [a, b].map(|frame| frame.elements_len() as f64);
@@ -229,7 +229,7 @@ pub fn compare(a: &Frame, b: &Frame) -> Option<FrameDifference> {
         if a.element().name != Row::RECORD.name {
             let len = len_a.min(len_b);
             let payloads = [&a.payload()[..len], &b.payload()[..len]];
-            found.records((a.element(), common), "", Some(0), payloads);
+            found.records(a.element(), common, "", Some(0), payloads);
         }
     }
     found.difference
@@ -300,7 +300,8 @@ impl Found {
     /// it.
     fn records(
         &mut self,
-        (record, leading): (&Record, usize),
+        record: &Record,
+        leading: usize,
         name: &str,
         first: Option<usize>,
         bytes: [&[u8]; 2],

@@ -73,7 +73,7 @@ pub struct Writer<S: Sink = FileSink> {
     metadata: Vec<(u64, u64, &'static str)>,
     written: Written,
     /// Losses that no event in the file reports yet.
-    untold: Losses,
+    unwritten_losses: Losses,
     /// The last error of the sink.
     error: Option<io::Error>,
 }
@@ -191,7 +191,7 @@ impl<S: Sink> Writer<S> {
             chunks: Vec::new(),
             metadata: Vec::new(),
             written: Written::default(),
-            untold: Losses::new(),
+            unwritten_losses: Losses::new(),
             error: None,
         };
         let mut begin = MAGIC.to_vec();
@@ -305,14 +305,14 @@ impl<S: Sink> Writer<S> {
                     self.written.messages += index.len() as u64;
                 }
                 self.written.uncompressed_bytes += chunk.bytes.len() as u64;
-                self.tell_losses(chunk.end_ns);
+                self.write_losses(chunk.end_ns);
             }
             Err(error) => {
                 self.error = Some(error);
                 for (channel, index) in &chunk.index {
                     let topic = self.topic(*channel).to_owned();
                     *self.written.lost.entry(topic.clone()).or_default() += index.len() as u64;
-                    *self.untold.entry(topic).or_default() += index.len() as u64;
+                    *self.unwritten_losses.entry(topic).or_default() += index.len() as u64;
                 }
             }
         }
@@ -324,9 +324,9 @@ impl<S: Sink> Writer<S> {
     }
 
     /// Writes pending loss events as soon as the file takes blocks again.
-    fn tell_losses(&mut self, end_ns: u64) {
+    fn write_losses(&mut self, end_ns: u64) {
         let at_ns = end_ns.saturating_add_signed(-self.clock_offset_ns);
-        for (topic, frames) in std::mem::take(&mut self.untold) {
+        for (topic, frames) in std::mem::take(&mut self.unwritten_losses) {
             let what = Happened::Lost { at: "disk".to_owned(), topic, frames };
             self.event(&Event { at_ns, what });
         }

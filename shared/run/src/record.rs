@@ -322,7 +322,7 @@ impl Run {
     }
 
     /// The added stages that no forecast waits for.
-    pub fn beside(&self) -> Vec<StageId> {
+    pub fn side_stages(&self) -> Vec<StageId> {
         let way = self.before(StageId::Sampler);
         self.added().map(|(id, _)| id).filter(|id| !way.contains(id)).collect()
     }

@@ -35,7 +35,7 @@ pub struct Tool<C> {
     /// Written bytes of the first item.
     written: usize,
     /// Frames lost in its queue that are not reported to it yet, by topic.
-    untold: Vec<u64>,
+    unsent_losses: Vec<u64>,
     /// Frames lost in its queue.
     lost: u64,
 }
@@ -55,11 +55,12 @@ impl<C: Write> Hub<C> {
         if self.tools.len() >= TOOLS_MAX {
             return Err(connection);
         }
-        let untold = vec![0; TABLE.topics.len()];
+        let unsent_losses = vec![0; TABLE.topics.len()];
         let want = Want::of(&request);
         let Request { tool: name, recording, .. } = request;
         let (queue, queued_bytes, written, lost) = (VecDeque::new(), 0, 0, 0);
-        let mut tool = Tool { name, want, recording, connection, queue, queued_bytes, written, untold, lost };
+        let mut tool =
+            Tool { name, want, recording, connection, queue, queued_bytes, written, unsent_losses, lost };
         tool.enqueue(protocol::attached());
         self.tools.push(tool);
         Ok(())
@@ -104,7 +105,7 @@ impl<C: Write> Hub<C> {
                 tool.enqueue(packet.clone());
             } else {
                 // Reported with the losses of the queue, once it has room.
-                tool.untold[usize::from(topic)] += frames;
+                tool.unsent_losses[usize::from(topic)] += frames;
             }
         }
     }
@@ -167,12 +168,12 @@ impl<C: Write> Tool<C> {
     fn push(&mut self, topic: u8, packet: &Arc<[u8]>, limit: usize) {
         // An empty queue takes any frame.
         if self.queued_bytes > 0 && self.queued_bytes + packet.len() > limit {
-            self.untold[usize::from(topic)] += 1;
+            self.unsent_losses[usize::from(topic)] += 1;
             self.lost += 1;
             return;
         }
-        for topic in 0..self.untold.len() {
-            let frames = std::mem::take(&mut self.untold[topic]);
+        for topic in 0..self.unsent_losses.len() {
+            let frames = std::mem::take(&mut self.unsent_losses[topic]);
             if frames > 0 {
                 self.enqueue(protocol::lost(&Lost { at: LostAt::Queue, topic: topic as u8, frames }));
             }

@@ -1,12 +1,12 @@
 use std::path::PathBuf;
 
 use clap::Args;
+use console::failure::Failure;
+use console::say;
 use data::{RecordedTrack, Recording};
 use drawing::{NoisyTrack, noisy_track};
 use evaluator::{Noise, SEED};
 use launch::arguments::ReadArguments;
-use launch::failure::Failure;
-use launch::say;
 use metrics::Point;
 use nn::{ModelConfig, Weights};
 use onboard::Chain;
