@@ -20,7 +20,7 @@ use source::{Playback, PlaybackOptions};
 use toml::Value;
 use wire::{StageId, WorldOrigin};
 
-use crate::files::{check_place, quoted, shipped_weights};
+use crate::files::{check_place, quoted, shipped_weights, spooled};
 use crate::play_report::input_of;
 
 /// How fast ticks follow one another.
@@ -421,6 +421,9 @@ fn note_unused_seed(sampler: &sampler::Options, model: &ModelConfig) {
 
 /// Absolute path of a recording, or of the only one in a folder.
 fn recording_at(path: &Path) -> Result<PathBuf, Failure> {
+    if let Some(path) = spooled(path)? {
+        return Ok(path);
+    }
     let path = canonical(path)?;
     if !path.is_dir() {
         return Ok(path);

@@ -1,11 +1,14 @@
 //! Files and words that a command line names.
 
-use std::os::unix::fs::MetadataExt as _;
+use std::fs::File;
+use std::io::Read as _;
+use std::os::fd::IntoRawFd as _;
+use std::os::unix::fs::{FileTypeExt as _, MetadataExt as _};
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::sync_channel;
 use std::time::Duration;
 
-use rustix::fs::Access;
+use rustix::fs::{Access, MemfdFlags, memfd_create};
 
 use configuration::options::absolute;
 use console::failure::Failure;
@@ -25,6 +28,40 @@ pub fn shipped_weights(name: &Path) -> Option<PathBuf> {
     let file = name.with_extension("safetensors");
     let places = SHIPPED.iter().map(|folder| Some(program.parent()?.join(folder).join(&file)));
     places.flatten().find_map(|place| place.canonicalize().ok())
+}
+
+/// Copies a pipe or standard input (`-`) into memory, because the processes of a run read a recording by its path,
+/// more than once. Returns the path of the copy, which is valid while this process lives; `None` for a file.
+///
+/// # Errors
+/// [`Failure::Data`] if the pipe can't be read or its content is too large.
+pub fn spooled(path: &Path) -> Result<Option<PathBuf>, Failure> {
+    let is_input = data::is_standard_input(path);
+    let opened = if is_input { Path::new(data::STANDARD_INPUT) } else { path };
+    let failed = |error| Failure::file(path, error);
+    if !is_input && !std::fs::metadata(path).is_ok_and(|found| found.file_type().is_fifo()) {
+        return Ok(None);
+    }
+    let memory = memfd_create("recording", MemfdFlags::CLOEXEC).map_err(|error| failed(error.into()))?;
+    let mut memory = File::from(memory);
+    let mut input = File::open(opened).map_err(failed)?.take(data::FILE_BYTES_MAX + 1);
+    if std::io::copy(&mut input, &mut memory).map_err(failed)? > data::FILE_BYTES_MAX {
+        return Err(failed(std::io::ErrorKind::FileTooLarge.into()));
+    }
+    // The copy stays open until this process ends.
+    Ok(Some(format!("/proc/{}/fd/{}", std::process::id(), memory.into_raw_fd()).into()))
+}
+
+/// Checks that an output file can be written, as [`check_place`], and that it does not exist unless `force`
+/// permits to replace it.
+///
+/// # Errors
+/// [`Failure::Data`] as for [`check_place`], or if the file exists.
+pub fn check_new(path: &Path, force: bool) -> Result<(), Failure> {
+    if !force && !recorder::is_standard_output(path) && path.is_file() {
+        return Err(Failure::file(path, "the file exists: name another one, or replace it with --force"));
+    }
+    check_place(path)
 }
 
 /// Time for a disk to take a file at the end of a run.

@@ -91,6 +91,41 @@ fn names_from_outside_are_no_commands_to_the_terminal() {
 }
 
 #[test]
+fn a_pipe_and_standard_input_are_recordings() {
+    let scratch = Scratch::new("pipes");
+    let recording = scratch.recording("scene.csv", 10);
+    let expected = run(&["track", &recording]);
+    assert!(expected.status.success() && !expected.stdout.is_empty(), "{}", stderr(&expected));
+    for arguments in
+        [&["track"][..], &["predict"], &["inspect"], &["run", "--ticks", "5", "--quiet", "--recording"]]
+    {
+        // A shell makes `<(cat file)` a pipe.
+        for (shell, what) in [("exec cat \"$0\" | \"$@\" -", "-"), ("\"$@\" <(cat \"$0\")", "a pipe")] {
+            let output = Command::new("bash")
+                .args(["-c", shell, &recording, env!("CARGO_BIN_EXE_stgdat")])
+                .args(arguments)
+                .output()
+                .expect("bash starts");
+            assert!(output.status.success(), "{arguments:?} {what}: {}", stderr(&output));
+            if arguments == ["track"] {
+                assert_eq!(output.stdout, expected.stdout, "{what}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_full_output_and_too_few_descriptors_are_failures_that_name_the_cause() {
+    let program = env!("CARGO_BIN_EXE_stgdat");
+    let of = |shell: &str| Command::new("bash").args(["-c", shell, program]).output().expect("bash starts");
+    let full = of("\"$0\" doctor >/dev/full");
+    assert_eq!(full.status.code(), Some(65), "{}", stderr(&full));
+    assert!(stderr(&full).contains("standard output: "), "{}", stderr(&full));
+    let few = of("ulimit -n 64; \"$0\" run --ticks 5 --quiet");
+    assert!(!few.status.success() && stderr(&few).contains("ulimit -n 1024"), "{}", stderr(&few));
+}
+
+#[test]
 fn lines_in_the_journal_have_priorities() {
     use std::os::unix::fs::MetadataExt as _;
     let scratch = Scratch::new("journal");

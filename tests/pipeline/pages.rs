@@ -229,6 +229,11 @@ fn two_runs_are_side_by_side_and_a_report_alone_is_enough() {
     run_well(&[&scene[..], &["--seed", "2", "--report", &b]].concat());
     run_well(&["report", &a, &b, "--out", &page]);
     assert!(scratch.read("two.html").len() < view::PAGE_BYTES);
+    for again in [&["report", &a, &b, "--out", &page][..], &["run", "--ticks", "5", "--html", &page]] {
+        let refused = run(again);
+        assert!(stderr(&refused).contains("--force") && !refused.status.success(), "{}", stderr(&refused));
+    }
+    run_well(&["report", &a, &b, "--out", &page, "--force"]);
     let refused = run(&["report", &scratch.path("missing.mcap")]);
     assert!(!refused.status.success() && stderr(&refused).contains("missing.mcap"));
     let url = format!("file://{page}");

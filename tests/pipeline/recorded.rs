@@ -130,7 +130,10 @@ fn other_tools_read_the_published_numbers_in_a_recording() {
     assert!(!without.status.success() && stderr(&without).contains("forecasts"), "{}", stderr(&without));
 
     let again = run(&["export", &file, &exported, "--for", "foxglove"]);
-    assert!(!again.status.success() && stderr(&again).contains("not replaced"), "{}", stderr(&again));
+    assert!(!again.status.success() && stderr(&again).contains("--force"), "{}", stderr(&again));
+    run_well(&["export", &file, &exported, "--for", "foxglove", "--force"]);
+    let itself = run(&["export", &file, &file, "--for", "foxglove", "--force"]);
+    assert!(stderr(&itself).contains("can't be exported to itself"), "{}", stderr(&itself));
     let without = run(&["--ticks", "9", "--quiet", "--for", "foxglove"]);
     assert!(!without.status.success() && stderr(&without).contains("--record FILE"), "{}", stderr(&without));
 }

@@ -8,6 +8,8 @@ use nn::WeightsError;
 use ports::{LogFormat, PortError, SpaceError, StageError, priority};
 use recorder::is_standard_output;
 use run::{Exit, OptionError};
+use rustix::io::Errno;
+use rustix::process::{Resource, getrlimit};
 pub use supervisor::StageDeath;
 use supervisor::{Cause, cause_about};
 use thiserror::Error;
@@ -147,6 +149,11 @@ impl Failure {
                 text += &format!("\n  caused by: {below}");
             }
             source = error.source();
+        }
+        if text.contains(&format!("(os error {})", Errno::MFILE.raw_os_error())) {
+            let most = getrlimit(Resource::Nofile).current.map_or_else(String::new, |most| most.to_string());
+            text +=
+                &format!("\n  a process may open {most} files and sockets: raise the limit (ulimit -n 1024)");
         }
         text
     }

@@ -2,6 +2,7 @@
 
 use std::ffi::OsString;
 use std::io::{IsTerminal, Write};
+use std::path::Path;
 use std::process::ExitCode;
 
 use clap::Args;
@@ -114,6 +115,10 @@ pub fn verb_first(mut arguments: Vec<OsString>, is_verb: fn(&str) -> bool) -> Ve
 /// Prints the failure of a verb, if any, and returns the exit code.
 #[must_use]
 pub fn end(outcome: Result<Exit, Failure>) -> ExitCode {
+    let outcome = outcome.and_then(|exit| match streams::failed() {
+        Some(error) if exit == Exit::Done => Err(Failure::output(Path::new("-"), error)),
+        _ => Ok(exit),
+    });
     let exit = outcome.unwrap_or_else(|failure| {
         failure.print();
         failure.exit()

@@ -7,7 +7,7 @@ use std::fmt::Arguments;
 use std::fs::File;
 use std::io::{self, Write as _};
 use std::os::fd::{AsFd, BorrowedFd};
-use std::sync::OnceLock;
+use std::sync::{Mutex, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
 
 use rustix::fs::fstat;
@@ -67,7 +67,8 @@ pub fn write(stream: Stream, origin: Origin, text: &str) -> bool {
         (Some([_, error]), Stream::Error) => error.push(origin, text.into()),
         (None, Stream::Output) => {
             let mut output = io::stdout().lock();
-            output.write_all(text.as_bytes()).and_then(|()| output.flush()).is_ok()
+            let written = output.write_all(text.as_bytes()).and_then(|()| output.flush());
+            written.map_err(fail).is_ok()
         }
         (None, Stream::Error) => io::stderr().lock().write_all(text.as_bytes()).is_ok(),
     }
@@ -79,6 +80,21 @@ pub fn say(line: Arguments<'_>) {
     let text = format!("{line}\n");
     let text = ports::escaped(&text, color::choice().is_on(&std::io::stdout()));
     let _ = write(Stream::Output, None, &text);
+}
+
+/// The first error of standard output, other than a closed pipe.
+static FAILED: Mutex<Option<io::Error>> = Mutex::new(None);
+
+/// Remembers an error of standard output.
+fn fail(error: io::Error) {
+    if error.kind() != io::ErrorKind::BrokenPipe {
+        FAILED.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(error);
+    }
+}
+
+/// Why lines of standard output are missing, once.
+pub fn failed() -> Option<io::Error> {
+    FAILED.lock().unwrap_or_else(PoisonError::into_inner).take()
 }
 
 /// Numbers of discarded lines of the log, by origin.

@@ -7,6 +7,7 @@ use recording::{About, EVENTS, NO_TOPIC};
 use run::Exit;
 use wire::{ForecastsTopic, Topic as _, TracksTopic};
 
+use crate::files::check_new;
 use crate::recorded;
 use crate::view_arguments::ViewArguments;
 
@@ -16,20 +17,30 @@ pub struct Arguments {
     /// Recording of a run, as `run --record` and `record` write them
     #[arg(value_name = "RUN")]
     recording: PathBuf,
-    /// File to write, which must not exist
+    /// File to write
     #[arg(value_name = "FILE")]
     file: PathBuf,
+    /// Replace the file if it exists
+    #[arg(long)]
+    force: bool,
     #[command(flatten)]
     view: ViewArguments,
 }
 
 /// Writes the messages of a recorded run that other tools read.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
-    let Arguments { recording, file, view } = arguments;
+    let Arguments { recording, file, force, view } = arguments;
     if view.is_empty() {
         return Err(Failure::Usage("--for names the tools: foxglove, autoware".to_owned()));
     }
+    check_new(file, *force)?;
     let recording = recorded::open(recording)?;
+    if file.is_file() {
+        if file.canonicalize().ok() == recording.path().canonicalize().ok() {
+            return Err(Failure::file(file, "the recording can't be exported to itself"));
+        }
+        std::fs::remove_file(file).map_err(|error| Failure::file(file, error))?;
+    }
     for topic in [TracksTopic::NAME, ForecastsTopic::NAME] {
         if !recording.has_topic(topic) {
             let why = format!("it has no {topic}, which the messages are made of");

@@ -26,6 +26,9 @@ pub struct Arguments {
     /// Write the scenes, qualities and errors as an HTML page, as `run --html` does
     #[arg(long, value_name = "FILE")]
     html: Option<PathBuf>,
+    /// Replace the file of --html if it exists
+    #[arg(long, requires = "html")]
+    force: bool,
     #[command(flatten)]
     playback: PlaybackArguments,
     #[command(flatten)]
@@ -39,7 +42,8 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let mut chain = Chain::new(&run, &model)?;
     let mut report = PlayReport::new(&playback, input);
     let name = playback.recording().name.clone();
-    let mut page = arguments.html.as_deref().map(|path| PlayedPage::new(path, &name, &run)).transpose()?;
+    let page = arguments.html.as_deref();
+    let mut page = page.map(|path| PlayedPage::new(path, &name, &run, arguments.force)).transpose()?;
     let out = &*arguments.out;
     let played = play(out, run.origin(), &mut playback, &mut chain, &mut report, page.as_mut());
     let kept = chain.end(&run);
@@ -95,8 +99,8 @@ struct PlayedPage {
 }
 
 impl PlayedPage {
-    fn new(path: &Path, name: &str, run: &Run) -> Result<Self, Failure> {
-        let page = RunReport::new(path, None)?;
+    fn new(path: &Path, name: &str, run: &Run, force: bool) -> Result<Self, Failure> {
+        let page = RunReport::new(path, None, force)?;
         let topics = [TracksTopic::NAME, ForecastsTopic::NAME, TruthTopic::NAME].map(str::to_owned).to_vec();
         let about = About { scene: name.to_owned(), run: run.clone(), topics, ..About::default() };
         let writer = Writer::create(page.recording(), &about, &layout()).map_err(Failure::data)?;

@@ -9,7 +9,7 @@ use run::Exit;
 use view::RunPage;
 
 use crate::arguments::lanes_of;
-use crate::files::check_place;
+use crate::files::check_new;
 use crate::recorded;
 
 /// Arguments of `stgdat report`.
@@ -22,10 +22,15 @@ pub struct Arguments {
     /// HTML file to write; by default the first file's name with the extension html
     #[arg(short, long, value_name = "FILE")]
     out: Option<PathBuf>,
+    /// Replace the HTML file if it exists
+    #[arg(long)]
+    force: bool,
 }
 
 /// Writes the report of one or two runs as an HTML page.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
+    let path = arguments.out.clone().unwrap_or_else(|| arguments.run.with_extension("html"));
+    check_new(&path, arguments.force)?;
     let mut damages = Vec::new();
     let mut runs = Vec::new();
     for path in [Some(&arguments.run), arguments.other.as_ref()].into_iter().flatten() {
@@ -33,7 +38,6 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         runs.push(run);
         damages.extend(damaged);
     }
-    let path = arguments.out.clone().unwrap_or_else(|| arguments.run.with_extension("html"));
     write(&path, &runs)?;
     if !recorder::is_standard_output(&path) {
         say!("{}", path.display());
@@ -98,9 +102,9 @@ pub struct RunReport {
 }
 
 impl RunReport {
-    /// Checks that the page can be written. Without a `recording`, the run is recorded beside the page.
-    pub fn new(path: &Path, recording: Option<&Path>) -> Result<Self, Failure> {
-        check_place(path)?;
+    /// Checks that the page can be written, and does not exist unless `force` permits to replace it. Without a `recording`, the run is recorded beside the page.
+    pub fn new(path: &Path, recording: Option<&Path>, force: bool) -> Result<Self, Failure> {
+        check_new(path, force)?;
         let own = || {
             let mut name = path.as_os_str().to_owned();
             name.push(format!(".{}.mcap", std::process::id()));

@@ -67,6 +67,9 @@ pub struct Arguments {
     /// Write the report as one HTML page, with the scene and the times of all ticks
     #[arg(long, value_name = "FILE")]
     html: Option<PathBuf>,
+    /// Replace the file of --html if it exists
+    #[arg(long, requires = "html")]
+    force: bool,
     /// Write all forecasts as JSON lines
     #[arg(long, value_name = "FILE")]
     forecasts: Option<PathBuf>,
@@ -174,7 +177,10 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let record_file = write_record(&run, arguments.announce.as_deref())?;
     about(arguments, &info, &run)?.write(&run.root).map_err(|error| Failure::file(&run.root, error))?;
     let tap = Tap::start(&record_file)?;
-    let html = arguments.html.as_deref().map(|path| RunReport::new(path, arguments.record.as_deref()));
+    let html = arguments
+        .html
+        .as_deref()
+        .map(|path| RunReport::new(path, arguments.record.as_deref(), arguments.force));
     let html = html.transpose()?;
     let recording = arguments.record.as_deref().or(html.as_ref().map(RunReport::recording));
     let recording = recording

@@ -9,7 +9,10 @@ use crate::counts::LinkError;
 use crate::frame::{Kind, MAGIC, ReceiverHello, Refused, SenderHello, VERSION, check_hello};
 use crate::socket::Socket;
 
-/// Time limit of the greetings. Loss may delay each of them by a second.
+/// Time limit of a sender for the greeting of a receiver, which holds one of few places meanwhile. A receiver
+/// whose packet was lost connects again.
+const RECEIVER_LIMIT: Duration = Duration::from_millis(500);
+/// Time limit of a receiver for the greeting of its sender. Loss may delay it by a second.
 pub(crate) const GREETING_LIMIT: Duration = Duration::from_secs(3);
 
 /// A receiver that is authenticated.
@@ -21,7 +24,7 @@ pub(crate) struct Greeted {
 
 /// Greets a receiver.
 pub(crate) fn greet(socket: &mut Socket, kind: Kind, key: &Key) -> Result<Greeted, LinkError> {
-    let until = Instant::now() + GREETING_LIMIT;
+    let until = Instant::now() + RECEIVER_LIMIT;
     let mine = SenderHello { magic: MAGIC, version: VERSION, kind: kind as u16, nonce: nonce()? };
     socket.write_until(bytes_of(&mine), until)?;
     let (mut other, mut code) = (ReceiverHello::zeroed(), [0; CODE_BYTES]);

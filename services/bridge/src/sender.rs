@@ -5,7 +5,9 @@
 //! before is skipped, and counted. A receiver that does not confirm a frame within the time limit is dropped,
 //! together with the bytes that the kernel still holds for it.
 
+use std::collections::VecDeque;
 use std::io;
+use std::net::IpAddr;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread;
@@ -22,8 +24,10 @@ use crate::socket::{Address, Listener, Socket};
 
 /// Most receivers of a sender.
 pub const RECEIVERS_MAX: usize = 4;
-/// Most connections that have not been authenticated yet.
-pub const GREETINGS_MAX: usize = 8;
+/// Most connections that have not been authenticated yet. The oldest one yields to a further one.
+pub const GREETINGS_MAX: usize = 16;
+/// The same for the connections of one address, so that another address keeps places.
+pub const GREETINGS_OF_SOURCE_MAX: usize = 4;
 /// Most frames of a link that wait for their confirmation. Two use a link whose round trip is longer than a
 /// tick; each further one would be a backlog.
 pub const WINDOW: usize = 2;
@@ -52,7 +56,15 @@ struct Shared {
     newest: Mutex<Newest>,
     changed: Condvar,
     receivers: AtomicUsize,
-    greetings: AtomicUsize,
+    /// The connections that have not been authenticated yet, oldest first.
+    greetings: Mutex<VecDeque<Arc<Greeting>>>,
+}
+
+/// A connection that has not been authenticated yet.
+#[derive(Debug)]
+struct Greeting {
+    source: Option<IpAddr>,
+    socket: Socket,
 }
 
 /// The newest frame.
@@ -95,7 +107,7 @@ impl Sender {
             newest: Mutex::new(newest),
             changed: Condvar::new(),
             receivers: AtomicUsize::new(0),
-            greetings: AtomicUsize::new(0),
+            greetings: Mutex::default(),
         });
         let of_thread = Arc::clone(&shared);
         thread::Builder::new().name("bridge-accept".to_owned()).spawn(move || accept(&of_thread))?;
@@ -150,6 +162,34 @@ impl Shared {
         // Every change is whole before a panic can happen.
         self.newest.lock().unwrap_or_else(PoisonError::into_inner)
     }
+
+    fn greetings(&self) -> MutexGuard<'_, VecDeque<Arc<Greeting>>> {
+        // As above.
+        self.greetings.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Gives a connection a place until it is authenticated. If there is none, the oldest connection of the same
+    /// address ends, or else the oldest one.
+    fn begin_greeting(&self, socket: &Socket) -> io::Result<Arc<Greeting>> {
+        let greeting = Arc::new(Greeting { source: socket.source(), socket: socket.try_clone()? });
+        let mut greetings = self.greetings();
+        let is_same = |other: &Arc<Greeting>| other.source == greeting.source;
+        let of_source = greetings.iter().filter(|other| is_same(other)).count();
+        let yields = match of_source >= GREETINGS_OF_SOURCE_MAX {
+            true => greetings.iter().position(is_same),
+            false => (greetings.len() >= GREETINGS_MAX).then_some(0),
+        };
+        if let Some(oldest) = yields.and_then(|place| greetings.remove(place)) {
+            oldest.socket.abort();
+            self.counts.end(&LinkError::Full);
+        }
+        greetings.push_back(Arc::clone(&greeting));
+        Ok(greeting)
+    }
+
+    fn end_greeting(&self, greeting: &Arc<Greeting>) {
+        self.greetings().retain(|other| !Arc::ptr_eq(other, greeting));
+    }
 }
 
 /// One of a limited number of places.
@@ -186,24 +226,23 @@ fn accept(shared: &Arc<Shared>) {
                 continue;
             }
         };
-        if shared.greetings.load(Ordering::Relaxed) >= GREETINGS_MAX {
+        let Ok(greeting) = shared.begin_greeting(&socket) else {
             shared.counts.end(&LinkError::Full);
             continue;
-        }
-        shared.greetings.fetch_add(1, Ordering::AcqRel);
-        let of_thread = Arc::clone(shared);
+        };
+        let (of_thread, of_connection) = (Arc::clone(shared), Arc::clone(&greeting));
         let thread = thread::Builder::new().name("bridge-send".to_owned());
-        if thread.spawn(move || serve(socket, &of_thread)).is_err() {
-            shared.greetings.fetch_sub(1, Ordering::AcqRel);
+        if thread.spawn(move || serve(socket, &of_connection, &of_thread)).is_err() {
+            shared.end_greeting(&greeting);
             shared.counts.end(&LinkError::Full);
         }
     }
 }
 
 /// Serves a connection until it ends.
-fn serve(mut socket: Socket, shared: &Arc<Shared>) {
+fn serve(mut socket: Socket, greeting: &Arc<Greeting>, shared: &Arc<Shared>) {
     let greeted = greet(&mut socket, shared.kind, &shared.key);
-    shared.greetings.fetch_sub(1, Ordering::AcqRel);
+    shared.end_greeting(greeting);
     let place = Place::take(&shared.receivers, RECEIVERS_MAX);
     let ended = match (greeted, &place) {
         (Ok(_), None) => Err(LinkError::Full),

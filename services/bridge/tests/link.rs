@@ -11,7 +11,7 @@ use bridge::counts::Count;
 use bridge::frame::detections::{self, Detections};
 use bridge::frame::{Kind, TickHead};
 use bridge::receiver::{Body, Link, Received, Receiver};
-use bridge::sender::{RECEIVERS_MAX, Sender, WINDOW};
+use bridge::sender::{GREETINGS_MAX, RECEIVERS_MAX, Sender, WINDOW};
 use bridge::socket::Address;
 use ports::monotonic_ns;
 use wire::Detection;
@@ -160,6 +160,21 @@ fn garbage_is_refused_and_counted_and_harms_nobody() {
     }
     assert!(exchanged(&mut sender, &receiver, seq + 1) > seq);
     assert_eq!(receiver.counts().connected.get(), 1, "the same connection");
+}
+
+#[test]
+fn connections_that_say_nothing_keep_no_place_from_a_receiver_with_the_key() {
+    let mut sender = sender("127.0.0.1:0", LONG);
+    let Address::Tcp(address) = *sender.address() else { panic!("no TCP") };
+    let mut idle: Vec<TcpStream> =
+        (0..3 * GREETINGS_MAX).map(|_| TcpStream::connect(address).unwrap()).collect();
+    // The oldest ones yield, and the others are ended soon.
+    wait("they yield", || sender.counts().full.get() >= GREETINGS_MAX as u64);
+    let receiver = receiver(link(&sender, key(), LONG));
+    exchanged(&mut sender, &receiver, 1);
+    for socket in &mut idle {
+        let _ = socket.read_to_end(&mut Vec::new());
+    }
 }
 
 /// The bytes of a greeting with the right key, as a receiver in another language sends them.

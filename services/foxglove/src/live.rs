@@ -106,7 +106,8 @@ impl Live {
         let url = SocketAddr::new(ip, server.port());
         let mut output = std::io::stdout().lock();
         // A closed pipe is not an error.
-        let _ = writeln!(output, "ws://{url} shows {} in Foxglove; Ctrl-C ends it", about.scene)
+        let scene = ports::escaped(&about.scene, false);
+        let _ = writeln!(output, "ws://{url} shows {scene} in Foxglove; Ctrl-C ends it")
             .and_then(|()| output.flush());
         let clock_offset_ns = about.clock_offset_ns;
         Ok(Self {

@@ -12,9 +12,11 @@
 mod arguments;
 mod live;
 
+use std::io::Write as _;
 use std::process::ExitCode;
 
 use clap::Parser;
+use ports::LogFormat;
 use run::Exit;
 
 use arguments::Arguments;
@@ -24,13 +26,12 @@ const LOG: &str = "warn,foxglove::websocket::connected_client::send_lossy=info";
 
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
-    let filter = tracing_subscriber::EnvFilter::try_from_default_env();
-    let filter = filter.unwrap_or_else(|_| tracing_subscriber::EnvFilter::new(LOG));
-    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
+    ports::begin_command_logging(LogFormat::of_environment(), LOG, std::io::stderr);
     match live::serve(&arguments) {
         Ok(()) => Exit::Done.into(),
         Err(error) => {
-            let _ = std::io::Write::write_fmt(&mut std::io::stderr(), format_args!("error: {error}\n"));
+            // Standard error may have no reader.
+            let _ = writeln!(std::io::stderr(), "error: {}", ports::escaped(&error.to_string(), false));
             Exit::Unavailable.into()
         }
     }

@@ -11,7 +11,7 @@ mod live;
 mod report;
 mod scene;
 
-pub use live::{Live, WRITE_LIMIT};
+pub use live::{Live, WRITE_LIMIT, is_direct};
 pub use report::{PAGE_BYTES, RunPage, html};
 pub use scene::{MODES_DRAWN, Pairing, Scene};
 

@@ -126,7 +126,8 @@ impl Live {
 
 /// Whether a request addresses this machine by number or as localhost. Other names may be those of a foreign
 /// page that had its own name point here.
-fn is_direct(request: &Request) -> bool {
+#[must_use]
+pub fn is_direct(request: &Request) -> bool {
     let Some(host) = request.header("host") else { return true };
     let name = host.rsplit_once(':').map_or(host, |(name, _)| name);
     name == "localhost" || host.parse::<SocketAddr>().is_ok() || name.parse::<std::net::IpAddr>().is_ok()

@@ -3,7 +3,7 @@ use wire::WorldOrigin;
 use crate::ReadError;
 
 /// Size of the largest file that is read.
-pub(crate) const FILE_BYTES_MAX: u64 = 1 << 30;
+pub const FILE_BYTES_MAX: u64 = 1 << 30;
 
 wire::named! {
     /// The content of a file of a recording.

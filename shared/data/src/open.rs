@@ -3,6 +3,7 @@
 use std::borrow::Cow;
 use std::fs::File;
 use std::io::{self, Read};
+use std::os::unix::fs::FileTypeExt as _;
 use std::path::{Path, PathBuf};
 
 use recording::unpacked_file;
@@ -162,11 +163,21 @@ fn name(path: &str) -> String {
     }
 }
 
+/// The file of standard input.
+pub const STANDARD_INPUT: &str = "/dev/stdin";
+
+/// Whether a path is `-`, which means standard input.
+#[must_use]
+pub fn is_standard_input(path: &Path) -> bool {
+    path.as_os_str() == "-"
+}
+
 pub(crate) fn read(path: &Path, role: Role) -> Result<Input, ReadError> {
     let failed = |source| ReadError::Io { path: path.to_owned(), source };
-    let file = File::open(path).map_err(failed)?;
+    let file = File::open(if is_standard_input(path) { Path::new(STANDARD_INPUT) } else { path });
+    let file = file.map_err(failed)?;
     let metadata = file.metadata().map_err(failed)?;
-    if !metadata.is_file() {
+    if !metadata.is_file() && !metadata.file_type().is_fifo() {
         return Err(failed(io::Error::new(io::ErrorKind::InvalidInput, "not a regular file")));
     }
     let mut bytes = Vec::new();

@@ -10,6 +10,7 @@ use std::time::Duration;
 use ports::is_own_user;
 use recorder::exposition::CONTENT_TYPE;
 use view::http::{Connection, PLAIN, Request, accept, respond};
+use view::is_direct;
 
 use console::failure::Failure;
 
@@ -29,8 +30,14 @@ pub fn listen_tcp(address: SocketAddr, ask: SyncSender<Asked>) -> Result<(), Fai
     let failed = |error| Failure::unavailable_about(format!("metrics on {address}"), error);
     let listener = TcpListener::bind(address).map_err(failed)?;
     let next = move || listener.accept().map(|(stream, _)| stream);
-    accept("metrics", next, move |connection, request| answer(connection, request.as_ref(), &ask))
-        .map_err(failed)
+    accept("metrics", next, move |connection, request| {
+        // A page of a foreign site may have had its own name point here.
+        match request.as_ref().is_none_or(is_direct) {
+            true => answer(connection, request.as_ref(), &ask),
+            false => refuse(connection),
+        }
+    })
+    .map_err(failed)
 }
 
 /// The file of a Unix socket, removed when it is dropped.
@@ -63,6 +70,12 @@ pub fn listen_unix(path: &Path, ask: SyncSender<Asked>) -> Result<SocketFile, Fa
     accept("status", next, move |connection, request| answer(connection, request.as_ref(), &ask))
         .map_err(failed)?;
     Ok(file)
+}
+
+/// Refuses a request to another name.
+fn refuse(mut connection: impl Connection) -> io::Result<()> {
+    let why = "the request names another host: use the address of this machine as a number, or localhost\n";
+    respond(&mut connection, "GET", "403 Forbidden", (PLAIN, ""), why)
 }
 
 fn answer(
