@@ -1,11 +1,13 @@
 //! Files and words that a command line names.
 
+use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::Read as _;
 use std::os::fd::IntoRawFd as _;
 use std::os::unix::fs::{FileTypeExt as _, MetadataExt as _};
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::sync_channel;
+use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
 use rustix::fs::{Access, MemfdFlags, memfd_create};
@@ -36,6 +38,12 @@ pub fn shipped_weights(name: &Path) -> Option<PathBuf> {
 /// # Errors
 /// [`Failure::Data`] if the pipe can't be read or its content is too large.
 pub fn spooled(path: &Path) -> Result<Option<PathBuf>, Failure> {
+    // A pipe can be read once, but a verb may ask for its recording more than once.
+    static COPIES: Mutex<BTreeMap<PathBuf, PathBuf>> = Mutex::new(BTreeMap::new());
+    let mut copies = COPIES.lock().unwrap_or_else(PoisonError::into_inner);
+    if let Some(copy) = copies.get(path) {
+        return Ok(Some(copy.clone()));
+    }
     let is_input = data::is_standard_input(path);
     let opened = if is_input { Path::new(data::STANDARD_INPUT) } else { path };
     let failed = |error| Failure::file(path, error);
@@ -49,7 +57,9 @@ pub fn spooled(path: &Path) -> Result<Option<PathBuf>, Failure> {
         return Err(failed(std::io::ErrorKind::FileTooLarge.into()));
     }
     // The copy stays open until this process ends.
-    Ok(Some(format!("/proc/{}/fd/{}", std::process::id(), memory.into_raw_fd()).into()))
+    let copy = PathBuf::from(format!("/proc/{}/fd/{}", std::process::id(), memory.into_raw_fd()));
+    copies.insert(path.to_owned(), copy.clone());
+    Ok(Some(copy))
 }
 
 /// Checks that an output file can be written, as [`check_place`], and that it does not exist unless `force`

@@ -19,8 +19,8 @@ const PRINTS: [&str; 10] = [
 
 /// Files that may, with the reason.
 const PERMITTED: [(&str, &str); 5] = [
-    ("launch/src/show.rs", "escapes the text before"),
-    ("launch/src/streams.rs", "its callers escape"),
+    ("launch/console/src/show.rs", "escapes the text before"),
+    ("launch/console/src/streams.rs", "its callers escape"),
     ("launch/faults/src/follow.rs", "writes JSON, whose encoder escapes"),
     ("services/bridge/src/main.rs", "writes JSON, whose encoder escapes"),
     ("services/foxglove/src/live.rs", "escapes the text before"),

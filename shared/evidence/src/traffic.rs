@@ -359,7 +359,7 @@ mod tests {
     fn speeds_that_a_path_permits_are_kept() {
         let motion = MotionNow::since([0.0; 2], [12.0, 0.0], None);
         let mut gone_m = [0.0; 12];
-        motion.progress(DT_S, None, |gone_m| if gone_m > 20.0 { 5.0 } else { f32::INFINITY }, &mut gone_m);
+        motion.progress(DT_S, None, |gone_m| if gone_m > 10.0 { 5.0 } else { f32::INFINITY }, &mut gone_m);
         let last_mps = (gone_m[11] - gone_m[10]) / DT_S;
         assert!((last_mps - 5.0).abs() < 0.1, "{gone_m:?}");
     }
