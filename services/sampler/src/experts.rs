@@ -5,7 +5,7 @@ use evidence::{
     Agent, EXPERTS, Evidence, Fan, Line, Mixture, MotionNow, Observed, Paths, Prior, RoadUser, Traffic,
 };
 use kinematics::MotionModel;
-use lanes::{LaneLine, ROUTE_POINTS_MAX, ROUTE_STEP_M};
+use lanes::LaneLine;
 use metrics::HighestDensity;
 use retrieval::{ControlChange, ControlChanges, ForecastControls};
 use scene::{AgentType, track_history};
@@ -99,7 +99,7 @@ impl Experts {
         model.positions(network, &mut by_network[..len]);
         model.positions(base, &mut by_base[..len]);
 
-        let (speed_mps, course) = (now.speed_mps(), user.course());
+        let (speed_mps, course) = (now.speed_mps(), now.course(user.heading_rad));
         let agent = Agent { id: user.id, agent_type, speed_mps, course };
         let weights = self.evidence.weights(agent_type, agent.speed_mps);
         let mut best_m = [[0.0; 2]; HORIZON_MAX];
@@ -181,7 +181,7 @@ fn along_lane(user: &RoadUser, traffic: &Traffic, lane: &LaneLine<'_>, dt_s: f32
     let (mut gone_m, mut on_lane) = ([0.0; HORIZON_MAX], [[0.0; 2]; HORIZON_MAX]);
     let (gone_m, on_lane) = (&mut gone_m[..path.len()], &mut on_lane[..path.len()]);
     let speeds_mps = lane.speeds_mps();
-    let most_mps = |gone_m: f32| speeds_mps[((gone_m / ROUTE_STEP_M) as usize).min(ROUTE_POINTS_MAX - 1)];
+    let most_mps = |gone_m: f32| speeds_mps[along_m.partition_point(|m| *m <= gone_m).saturating_sub(1)];
     user.motion.progress(dt_s, leader.as_ref(), most_mps, gone_m);
     lane.at(gone_m, on_lane);
     let trust = (-0.5 * (lane.apart_m / OFF_LANE_M).powi(2)).exp();
@@ -198,17 +198,8 @@ pub(crate) fn road_user(track: &Track, history_len: usize, dt_s: f32) -> RoadUse
         Some((state.velocity_mps, back as f32 * dt_s))
     });
     let motion = MotionNow::since([track.x_m, track.y_m], [track.vx_mps, track.vy_mps], before);
-    let usual_m = track.agent_type().map_or([0.5; 2], usual_size_m);
+    let usual_m = track.agent_type().map_or([0.5; 2], AgentType::usual_size_m);
     let own_m = [track.length_m, track.width_m];
     let size_m = [0, 1].map(|side| if own_m[side] > 0.0 { own_m[side] } else { usual_m[side] });
-    RoadUser { id: track.id, motion, heading: [track.heading_rad.cos(), track.heading_rad.sin()], size_m }
-}
-
-/// Length and width of an agent of unknown size.
-const fn usual_size_m(agent_type: AgentType) -> [f32; 2] {
-    match agent_type {
-        AgentType::Vehicle => [4.5, 1.8],
-        AgentType::Cyclist => [1.8, 0.6],
-        AgentType::Pedestrian => [0.5, 0.5],
-    }
+    RoadUser { id: track.id, motion, heading_rad: track.heading_rad, size_m }
 }

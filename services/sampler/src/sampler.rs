@@ -349,7 +349,7 @@ impl Sampler {
             turns.push(match found {
                 Some(found) => {
                     next = found + 1;
-                    input.push(track, &controls[found])
+                    input.push(place, track, &controls[found])
                 }
                 None if header.is_shed(place) => Err(Cause::Shed),
                 None => Err(Cause::Missing),

@@ -41,6 +41,8 @@ pub(crate) struct Turns {
 /// An agent with controls.
 struct Turn {
     track: Track,
+    /// Its place among the tracks.
+    place: usize,
     agent_type: AgentType,
     controls: AgentControls,
     /// `None` if nothing is retrieved for the agent.
@@ -88,7 +90,12 @@ impl Turns {
     }
 
     /// Adds the turn of an agent, and returns its number.
-    pub(crate) fn push(&mut self, track: &Track, controls: &AgentControls) -> Result<usize, Cause> {
+    pub(crate) fn push(
+        &mut self,
+        place: usize,
+        track: &Track,
+        controls: &AgentControls,
+    ) -> Result<usize, Cause> {
         let agent_type = track.agent_type().map_err(|_| Cause::Rejected)?;
         LearnedControls::check(controls).map_err(|_| Cause::Rejected)?;
         let stored_count = self.stored.len();
@@ -101,7 +108,7 @@ impl Turns {
             }
             Some(key)
         });
-        self.turns.push(Turn { track: *track, agent_type, controls: *controls, key, stored_count });
+        self.turns.push(Turn { track: *track, place, agent_type, controls: *controls, key, stored_count });
         Ok(self.turns.len() - 1)
     }
 
@@ -141,7 +148,7 @@ impl Job for Forecaster {
 impl Forecaster {
     fn forecast(&mut self, turns: &Turns, turn: &Turn, made: &mut Made) {
         let Turns { options, tick, memory, experts, traffic, stored, .. } = turns;
-        let Turn { track, agent_type, key, stored_count, .. } = turn;
+        let Turn { track, place, agent_type, key, stored_count, .. } = turn;
         let controls = LearnedControls::of_checked(&turn.controls, options.horizon_len);
         let mut model = certain_motion(track, *agent_type, options, tick.dt_s());
         made.unstored = match (memory, *key) {
@@ -167,8 +174,8 @@ impl Forecaster {
             let start_m = [track.x_m, track.y_m];
             let guidance = self.guidance.as_ref().filter(|_| lanes == Forecast::ALONG_LANES);
             let lane = |path: &[[f32; 2]]| guidance.and_then(|guidance| guidance.nearest(start_m, path));
-            let user = road_user(track, options.history_len, tick.dt_s());
-            let mut blended = experts.blend(&user, *agent_type, traffic, lane, &model, paths, tick.dt_s());
+            let mut blended =
+                experts.blend(traffic.of(*place), *agent_type, traffic, lane, &model, paths, tick.dt_s());
             experts.change(&model, &decoded, &mut blended, &mut self.changes);
             blended
         });

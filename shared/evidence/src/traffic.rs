@@ -36,8 +36,8 @@ pub struct RoadUser {
     pub id: u64,
     /// Its motion.
     pub motion: MotionNow,
-    /// Cosine and sine of its heading.
-    pub heading: [f32; 2],
+    /// Its heading.
+    pub heading_rad: f32,
     /// Length and width.
     pub size_m: [f32; 2],
 }
@@ -85,6 +85,15 @@ impl Traffic {
         }
     }
 
+    /// The agent that was added at this place.
+    ///
+    /// # Panics
+    /// If there is none.
+    #[must_use]
+    pub fn of(&self, place: usize) -> &RoadUser {
+        &self.0[place]
+    }
+
     /// The vehicle ahead of an agent on the path of its decaying turn. An agent without a course has none.
     #[must_use]
     pub fn leader_on_turn(&self, follower: &RoadUser, horizon_s: f32) -> Option<Leader> {
@@ -100,7 +109,7 @@ impl Traffic {
     #[must_use]
     pub fn leader(&self, follower: &RoadUser, line: Line<'_>) -> Option<Leader> {
         let reach_m = *line.along_m.last()?;
-        let course = follower.course();
+        let course = follower.motion.course(follower.heading_rad);
         let ahead = |user: &&RoadUser| {
             let [x, y] = [0, 1].map(|axis| user.motion.position_m[axis] - follower.motion.position_m[axis]);
             user.id != follower.id && x * course[0] + y * course[1] > 0.0 && x.hypot(y) < reach_m
@@ -108,11 +117,13 @@ impl Traffic {
         let in_the_way = self.0.iter().filter(ahead).filter_map(|user| {
             let (along_m, beside_m, tangent) = line.nearest(user.motion.position_m)?;
             let cos = |[x, y]: [f32; 2]| x * tangent[0] + y * tangent[1];
-            let across = (1.0 - cos(user.heading).powi(2)).max(0.0).sqrt();
+            let (sin_heading, cos_heading) = user.heading_rad.sin_cos();
+            let [along, across] =
+                [[cos_heading, sin_heading], [-sin_heading, cos_heading]].map(|of| cos(of).abs());
             // Half of the leader's extent along and across the path.
             let [long_m, wide_m] = user.size_m.map(|size_m| 0.5 * size_m);
-            let half_along_m = long_m * cos(user.heading).abs() + wide_m * across;
-            let half_across_m = wide_m * cos(user.heading).abs() + long_m * across;
+            let half_along_m = long_m * along + wide_m * across;
+            let half_across_m = wide_m * along + long_m * across;
             let along_mps = cos(user.motion.velocity_mps);
             let speed_mps = user.motion.speed_mps();
             if beside_m > half_across_m + 0.5 * follower.size_m[1] + BESIDE_M
@@ -127,19 +138,6 @@ impl Traffic {
             })
         });
         in_the_way.min_by(|a, b| a.gap_m.total_cmp(&b.gap_m))
-    }
-}
-
-impl RoadUser {
-    /// Cosine and sine of its course; of its heading if it hardly moves.
-    #[must_use]
-    pub fn course(&self) -> [f32; 2] {
-        let speed_mps = self.motion.speed_mps();
-        if speed_mps > COURSE_MIN_MPS {
-            self.motion.velocity_mps.map(|of_axis| of_axis / speed_mps)
-        } else {
-            self.heading
-        }
     }
 }
 
@@ -275,7 +273,7 @@ mod tests {
 
     fn car(id: u64, position_m: [f32; 2], velocity_mps: [f32; 2]) -> RoadUser {
         let motion = MotionNow::since(position_m, velocity_mps, None);
-        RoadUser { id, motion, heading: [1.0, 0.0], size_m: [4.0, 2.0] }
+        RoadUser { id, motion, heading_rad: 0.0, size_m: [4.0, 2.0] }
     }
 
     fn traffic(users: &[RoadUser]) -> Traffic {

@@ -30,6 +30,15 @@ impl AgentType {
         self as usize
     }
 
+    /// Usual length and width, for an agent of unknown size.
+    pub const fn usual_size_m(self) -> [f32; 2] {
+        match self {
+            Self::Vehicle => [4.5, 1.8],
+            Self::Cyclist => [1.8, 0.6],
+            Self::Pedestrian => [0.5, 0.5],
+        }
+    }
+
     /// The type's bit in [`crate::Header::observed_types`].
     pub const fn bit(self) -> u32 {
         1 << self as u32

@@ -68,7 +68,7 @@ pub fn against_bag(
     let truth = Truth::of(&recording);
     let mut playback =
         Playback::new(recording, PlaybackOptions { lockstep: true, ..PlaybackOptions::default() });
-    let mut chain = Chain::new(&play::run(&playback, options, None)?, model)?;
+    let mut chain = Chain::new(&play::run(&playback, options)?, model)?;
     let steps = Steps::of(&frames, &playback, (model.dt_s * 1e9).round() as i64, model.horizon_len)?;
     let mut comparison = Comparison::new(truth, steps, playback.interval_ns().cast_signed());
     let mut frames = frames.into_iter().peekable();

@@ -20,15 +20,6 @@ pub(crate) struct Footprint {
     pub(crate) size_m: [f32; 2],
 }
 
-/// Usual length and width of an agent whose size the recording does not hold.
-pub(crate) const fn usual_size_m(agent_type: AgentType) -> [f32; 2] {
-    match agent_type {
-        AgentType::Vehicle => [4.5, 1.8],
-        AgentType::Cyclist => [1.8, 0.6],
-        AgentType::Pedestrian => [0.4, 0.4],
-    }
-}
-
 /// A contact that two agents avoid.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Contact {

@@ -74,7 +74,7 @@ fn track(source: &Source, options: &Options, model: &ModelConfig) -> Result<Vec<
             data::tracks(&recording).into_iter().map(|track| (track.id, track)).collect();
         let mut playback =
             Playback::new(recording, PlaybackOptions { lockstep: true, ..PlaybackOptions::default() });
-        let run = run(&playback, options, None)?;
+        let run = run(&playback, options)?;
         let mut chain = Chain::new(&run, model)?;
         match before.take() {
             Some(before) => chain.continue_from(before),

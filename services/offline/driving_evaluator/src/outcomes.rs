@@ -13,7 +13,7 @@ use source::{Playback, PlaybackOptions};
 use wire::{Forecast, Header, MODES_MAX};
 
 use crate::DrivingError;
-use crate::footprint::{Contact, Footprint, contacts, usual_size_m};
+use crate::footprint::{Contact, Footprint, contacts};
 use crate::play::LEARNED_MIN;
 use crate::sample::{GAP_NS, nll};
 
@@ -132,7 +132,7 @@ impl Outcomes {
             position_m: state.position_m,
             velocity_mps: state.velocity_mps,
             heading_rad: state.heading_rad,
-            size_m: if is_known { own_m } else { usual_size_m(reported.agent_type) },
+            size_m: if is_known { own_m } else { reported.agent_type.usual_size_m() },
         })
     }
 

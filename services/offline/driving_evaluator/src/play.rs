@@ -65,7 +65,7 @@ pub(crate) fn play(
         let noisy = options.noise.applied_to(&recording);
         let has_identities = noisy.has_identities;
         let playback = Playback::new(noisy, PlaybackOptions { lockstep: true, ..PlaybackOptions::default() });
-        let mut chain = Chain::new(&run(&playback, options, source.lanes_of(path, options))?, model)?;
+        let mut chain = Chain::new(&run_along(&playback, options, source.lanes_of(path, options))?, model)?;
         match before.take() {
             Some(before) => chain.continue_from(before),
             None if options.priors => chain.expect(Priors::shipped().without(&source.folder_name())),
@@ -82,11 +82,13 @@ pub(crate) fn play(
     Ok(Played { samples, pairs, agent_s, seconds: played_s, learned })
 }
 
-pub(crate) fn run(
-    playback: &Playback,
-    options: &Options,
-    lanes: Option<PathBuf>,
-) -> Result<Run, DrivingError> {
+/// The run of a playback, without lanes.
+pub(crate) fn run(playback: &Playback, options: &Options) -> Result<Run, DrivingError> {
+    run_along(playback, options, None)
+}
+
+/// The run of a playback along the lanes of a map, if there is one.
+fn run_along(playback: &Playback, options: &Options, lanes: Option<PathBuf>) -> Result<Run, DrivingError> {
     let sampler = sampler::Options { evidence: options.evidence, lanes, ..sampler::Options::default() };
     let decoder = decoder::Options { precision: options.precision, ..decoder::Options::default() };
     let map = if options.map { localiser::MapChoice::Online } else { localiser::MapChoice::None };
@@ -177,8 +179,8 @@ impl Session<'_> {
 /// A forecast's agent as others see it on the road, without its rates.
 fn road_user(forecast: &Forecast) -> RoadUser {
     let motion = MotionNow::since([forecast.x_m, forecast.y_m], [forecast.vx_mps, forecast.vy_mps], None);
-    let (sin, cos) = forecast.heading_rad.sin_cos();
-    RoadUser { id: forecast.id, motion, heading: [cos, sin], size_m: [forecast.length_m, forecast.width_m] }
+    let size_m = [forecast.length_m, forecast.width_m];
+    RoadUser { id: forecast.id, motion, heading_rad: forecast.heading_rad, size_m }
 }
 
 impl Recent {

@@ -45,7 +45,7 @@ fn exported(recording: Recording, paths: usize) -> Vec<PredictedFrame> {
     let mut playback =
         Playback::new(recording, PlaybackOptions { lockstep: true, ..PlaybackOptions::default() });
     let weights = nn::Weights::onboard();
-    let run = play::run(&playback, &options(), None).expect("a run");
+    let run = play::run(&playback, &options()).expect("a run");
     let mut chain = Chain::new(&run, weights.config()).expect("the stages");
     let step_ns = (weights.config().dt_s * 1e9).round() as i64;
     let horizon_len = weights.config().horizon_len;

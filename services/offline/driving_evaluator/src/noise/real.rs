@@ -315,7 +315,7 @@ impl Job<'_> {
             let has_identities = noisy.has_identities;
             let mut playback =
                 Playback::new(noisy, PlaybackOptions { lockstep: true, ..PlaybackOptions::default() });
-            let mut chain = Chain::new(&run(&playback, options, None)?, model)?;
+            let mut chain = Chain::new(&run(&playback, options)?, model)?;
             match before.take() {
                 Some(before) => chain.continue_from(before),
                 None => chain.expect(Priors::shipped().without(&self.source.folder_name())),

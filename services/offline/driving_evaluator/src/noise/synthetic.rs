@@ -201,7 +201,7 @@ impl Job {
         let has_identities = noisy.has_identities;
         let mut playback =
             Playback::new(noisy, PlaybackOptions { lockstep: true, ..PlaybackOptions::default() });
-        let mut chain = Chain::new(&run(&playback, options, None)?, model)?;
+        let mut chain = Chain::new(&run(&playback, options)?, model)?;
         let mut played = Played::default();
         while let Some(tick) = playback.next_tick() {
             let stamp_ns = tick.header.stamp_ns;
