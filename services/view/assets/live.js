@@ -10,6 +10,7 @@ const live = {
   playing: null, // since when time runs from an earlier tick
   reasons: null, // of the verdict, as last seen
   conflictsNext: 0, // when conflicts are looked for again
+  conflictsLater: null, // the timer of that look
 };
 const ring = new Ring();
 const scene = new SceneCanvas($("scene"), {
@@ -157,8 +158,14 @@ function showDetails() {
 // Looks for conflicts, in at most a tenth of the page's time.
 function findConflicts(shown, ego) {
   const now = performance.now();
-  if (now < live.conflictsNext) return;
+  clearTimeout(live.conflictsLater);
+  if (now < live.conflictsNext) {
+    // Without another tick, the shown one still gets its conflicts.
+    live.conflictsLater = setTimeout(showDetails, live.conflictsNext - now);
+    return;
+  }
   scene.conflicts = conflictsOf(shown, ego);
+  scene.request();
   live.conflictsNext = now + 10 * (performance.now() - now);
 }
 
