@@ -79,7 +79,8 @@ pub fn evaluate(options: &Options, progress: impl Fn(&str) + Sync) -> Result<Rep
         source.windows(model)
     });
     let windows = windows.into_iter().collect::<Result<Vec<_>, _>>()?;
-    let played = threads::each(&sources, options.threads, |source, _: &mut ()| {
+    let threads = if options.lines.is_some() { 1 } else { options.threads };
+    let played = threads::each(&sources, threads, |source, _: &mut ()| {
         progress(&format!("playing {}", source.name));
         let others = sources.iter().zip(&windows).filter(|(other, _)| other.folder != source.folder);
         let anchors = source::anchors(others.map(|(_, windows)| &windows[..]), model);

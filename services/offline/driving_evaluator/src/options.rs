@@ -1,4 +1,5 @@
 use std::path::PathBuf;
+use std::sync::Arc;
 
 /// The options of an evaluation.
 #[derive(Clone, Debug)]
@@ -25,4 +26,6 @@ pub struct Options {
     pub noise: evaluator::Noise,
     /// Threads that share the work; results do not depend on their number.
     pub threads: usize,
+    /// Where all forecasts behind the tables are written. Sources are then played in turn.
+    pub lines: Option<Arc<evaluator::ForecastLines>>,
 }

@@ -1,9 +1,11 @@
 //! Plays the recordings of a source through the pipeline.
 
+use std::borrow::Cow;
 use std::collections::{BTreeMap, VecDeque};
 use std::path::PathBuf;
 
 use data::RecordedTrack;
+use evaluator::{Candidate, ForecastLine, ForecastLines};
 use evidence::{MotionNow, Prior, Priors, RoadUser, Traffic};
 use metrics::{Anchors, HighestDensity};
 use nn::ModelConfig;
@@ -17,6 +19,7 @@ use crate::conflicts::{self, Known, Pair};
 use crate::error::DrivingError;
 use crate::matching::agents;
 use crate::options::Options;
+use crate::report::subsets_of;
 use crate::sample::{Judge, Sample};
 use crate::source::Source;
 
@@ -72,7 +75,12 @@ pub(crate) fn play(
             None => chain.expect(Prior::default()),
         }
         let agents = (number as u64) << 32;
-        let session = Session { agents, before_s: played_s, tracks: &tracks, has_identities };
+        let lines = options.lines.as_deref().map(|file| Lines {
+            file,
+            part: &source.name,
+            recording: path.file_stem().unwrap_or_default().to_string_lossy(),
+        });
+        let session = Session { agents, before_s: played_s, tracks: &tracks, has_identities, lines };
         played_s += session.play(playback, &mut chain, &mut judge, &mut seen);
         before = Some(chain);
     }
@@ -121,6 +129,14 @@ struct Session<'a> {
     before_s: f64,
     tracks: &'a BTreeMap<u64, RecordedTrack>,
     has_identities: bool,
+    lines: Option<Lines<'a>>,
+}
+
+/// Where the forecasts of a recording are written.
+struct Lines<'a> {
+    file: &'a ForecastLines,
+    part: &'a str,
+    recording: Cow<'a, str>,
 }
 
 /// The recent motion of an agent.
@@ -165,14 +181,52 @@ impl Session<'_> {
                 if forecast.modes_len < 2 || !recent.counts(stamp_ns) {
                     continue;
                 }
-                if let Some(sample) = judge.judge(stamp_ns, forecast, before, track) {
-                    let (agent, source_s) = (self.agents + sample.agent, self.before_s + seconds);
+                if let Some(judged) = judge.judge(stamp_ns, forecast, before, track) {
                     let has_leader = traffic.leader_on_turn(&road_user(forecast), LEADER_S).is_some();
-                    seen.samples.push(Sample { agent, recording_s: seconds, source_s, has_leader, ..sample });
+                    let (agent, source_s) = (self.agents + track.id, self.before_s + seconds);
+                    let sample = Sample { recording_s: seconds, source_s, has_leader, ..judged.sample };
+                    if let Some(lines) = &self.lines {
+                        lines.write(stamp_ns, &sample, &judged.truth_m, forecast, judged.baselines);
+                    }
+                    seen.samples.push(Sample { agent, ..sample });
                 }
             }
         }
         seconds
+    }
+}
+
+impl Lines<'_> {
+    fn write(
+        &self,
+        stamp_ns: i64,
+        sample: &Sample,
+        truth_m: &[Option<[f32; 2]>],
+        forecast: &Forecast,
+        baselines: [(&'static str, Candidate); 4],
+    ) {
+        let len = truth_m.len();
+        let modes_len = forecast.modes_len as usize;
+        let published = Candidate {
+            modes: forecast.modes[..modes_len].iter().map(|mode| mode[..len].to_vec()).collect(),
+            probability: Some(forecast.probability[..modes_len].to_vec()),
+            single: Some(forecast.best[..len].to_vec()),
+        };
+        let mut forecasts: BTreeMap<&str, &Candidate> = BTreeMap::from([("published", &published)]);
+        forecasts.extend(baselines.iter().filter(|(_, of)| !of.is_empty()).map(|(name, of)| (*name, of)));
+        let line = ForecastLine {
+            part: self.part,
+            recording: &self.recording,
+            stamp_ns,
+            agent: sample.agent,
+            agent_type: sample.agent_type.name(),
+            speed_mps: sample.speed_mps,
+            subsets: subsets_of(sample).collect(),
+            pixel_m: None,
+            truth_m,
+            forecasts,
+        };
+        self.file.write(&line.text());
     }
 }
 

@@ -34,6 +34,12 @@ const SUBSETS: [Subset; 5] = [
     ("with a leader", |sample| sample.has_leader),
     ("without a leader", |sample| !sample.has_leader),
 ];
+/// The subsets of the moving vehicles that contain a forecast.
+pub(crate) fn subsets_of(sample: &Sample) -> impl Iterator<Item = &'static str> {
+    let moves = sample.agent_type == AgentType::Vehicle && sample.speed_mps >= MOVES_MPS;
+    SUBSETS.iter().filter(move |(_, is_in)| moves && is_in(sample)).map(|(name, _)| *name)
+}
+
 /// Time of a source after which its regions count as settled.
 const SETTLED_S: f64 = 60.0;
 /// Upper bounds of the parts of a recording in the table of first seconds.

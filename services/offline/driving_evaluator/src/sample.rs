@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use data::RecordedTrack;
+use evaluator::Candidate;
 use evidence::{KNOTS, MotionNow};
 use metrics::{Anchors, Errors, HighestDensity, displacement, min_displacement};
 use scene::{AgentType, State};
@@ -93,6 +94,15 @@ pub(crate) struct Judge<'a> {
     pub(crate) horizon_len: usize,
 }
 
+/// A sample with what it was computed from.
+pub(crate) struct Judged {
+    pub(crate) sample: Sample,
+    /// Position at each step.
+    pub(crate) truth_m: Vec<Option<[f32; 2]>>,
+    /// The forecasts of the baselines by name.
+    pub(crate) baselines: [(&'static str, Candidate); 4],
+}
+
 #[cfg(test)]
 impl Sample {
     /// A sample of this type and speed with default values.
@@ -143,7 +153,7 @@ impl Judge<'_> {
         forecast: &Forecast,
         before: Option<([f32; 2], f32)>,
         track: &RecordedTrack,
-    ) -> Option<Sample> {
+    ) -> Option<Judged> {
         let len = self.horizon_len;
         let truth: Vec<Option<[f32; 2]>> = self.truth(stamp_ns, track)?.into_iter().map(Some).collect();
         let agent_type = AgentType::try_from(forecast.agent_type).ok()?;
@@ -151,7 +161,7 @@ impl Judge<'_> {
         let path = |of: &dyn Fn(&mut [[f32; 2]])| {
             let mut path = vec![[0.0; 2]; len];
             of(&mut path);
-            Errors::of(displacement(&path, &truth))
+            path
         };
         let modes_len = forecast.modes_len as usize;
         let modes = &forecast.modes[..modes_len];
@@ -161,19 +171,20 @@ impl Judge<'_> {
             heading_rad: forecast.heading_rad,
         };
         let anchors = self.anchors.get(&agent_type).and_then(|anchors| anchors.predict(&[Some(state)]));
-        let errors = METHODS.map(|method| match method {
-            Method::Best => Errors::of(displacement(&forecast.best, &truth)),
-            Method::BestOf => Errors::of(min_displacement(modes, &truth)),
-            Method::ConstantVelocity => path(&|path| now.steady(self.dt_s, path)),
-            Method::DecayingTurn => path(&|path| now.turning(self.dt_s, path)),
-            Method::DecayingAcceleration => path(&|path| now.accelerating(self.dt_s, path)),
-            Method::Anchors => {
-                let nearest = anchors.as_ref().map(|anchors| min_displacement(anchors, &truth));
-                Errors::of(nearest.unwrap_or_default())
-            }
+        let anchors = anchors.unwrap_or_default();
+        let steady = path(&|path| now.steady(self.dt_s, path));
+        let turning = path(&|path| now.turning(self.dt_s, path));
+        let accelerating = path(&|path| now.accelerating(self.dt_s, path));
+        let errors = METHODS.map(|method| {
+            Errors::of(match method {
+                Method::Best => displacement(&forecast.best, &truth),
+                Method::BestOf => min_displacement(modes, &truth),
+                Method::ConstantVelocity => displacement(&steady, &truth),
+                Method::DecayingTurn => displacement(&turning, &truth),
+                Method::DecayingAcceleration => displacement(&accelerating, &truth),
+                Method::Anchors => min_displacement(&anchors, &truth),
+            })
         });
-        let mut steady = vec![[0.0; 2]; len];
-        now.steady(self.dt_s, &mut steady);
         let [cos, sin] = now.course(forecast.heading_rad);
         let beyond_m = |step: usize, middle_m: [f32; 2]| {
             let truth = truth[step].unwrap_or_default();
@@ -193,7 +204,7 @@ impl Judge<'_> {
         let last = len - 1;
         let (means, covariances) = at_step(forecast, last);
         let end = truth[last].unwrap_or_default();
-        Some(Sample {
+        let sample = Sample {
             agent: track.id,
             agent_type,
             speed_mps: now.speed_mps(),
@@ -216,7 +227,15 @@ impl Judge<'_> {
             out_of_distribution: forecast.out_of_distribution,
             beyond_steady_m: beyond_m(last, steady[last]),
             residuals_m,
-        })
+        };
+        let single = |single| Candidate { single: Some(single), ..Candidate::default() };
+        let baselines = [
+            ("constant velocity", single(steady)),
+            ("turn", single(turning)),
+            ("acceleration", single(accelerating)),
+            ("20 anchors", Candidate { modes: anchors, ..Candidate::default() }),
+        ];
+        Some(Judged { sample, truth_m: truth, baselines })
     }
 }
 

@@ -6,6 +6,7 @@ use metrics::{Anchors, CVM_DRAWS, CVM_SIGMA_RAD, Point};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use scene::AgentType;
+use serde::Serialize;
 
 use crate::forecast::{Forecast, Variants};
 use crate::{Agent, Cut, Method, Scene};
@@ -14,14 +15,25 @@ use crate::{Agent, Cut, Method, Scene};
 pub const ANCHOR_AGENTS: usize = 60_000;
 
 /// The forecasts of one method for one agent.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub(crate) struct Candidate {
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Candidate {
     /// The 20 modes; empty if the method has none.
-    pub(crate) modes: Vec<Vec<Point>>,
+    #[serde(rename = "modes_m", skip_serializing_if = "Vec::is_empty")]
+    pub modes: Vec<Vec<Point>>,
     /// Probabilities of the modes; `None` if the method has none.
-    pub(crate) probability: Option<Vec<f32>>,
+    #[serde(rename = "probabilities", skip_serializing_if = "Option::is_none")]
+    pub probability: Option<Vec<f32>>,
     /// The single forecast; `None` if the method has none.
-    pub(crate) single: Option<Vec<Point>>,
+    #[serde(rename = "single_m", skip_serializing_if = "Option::is_none")]
+    pub single: Option<Vec<Point>>,
+}
+
+impl Candidate {
+    /// Whether the method has no forecast.
+    #[must_use]
+    pub const fn is_empty(&self) -> bool {
+        self.modes.is_empty() && self.single.is_none()
+    }
 }
 
 /// The baselines, with fitted anchors.

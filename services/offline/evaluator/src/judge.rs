@@ -13,7 +13,7 @@ use crate::baselines::{Baselines, Candidate};
 use crate::forecast::{Forecast, Variants};
 use crate::forecaster::{Decoded, Samplers, Session, TOGETHER};
 use crate::maps::MapInput;
-use crate::{Agent, Forecaster, Method, Scene, Tally, threads};
+use crate::{Agent, ForecastLine, ForecastLines, Forecaster, Method, Scene, Tally, threads};
 
 /// Speed at the last observed step from which an agent counts as moving.
 pub const MOVING_MPS: f32 = 0.5;
@@ -86,6 +86,8 @@ pub struct Judge<'a> {
     pub lanes: Option<Arc<LaneMap>>,
     /// Threads that share the scenes; results do not depend on their number.
     pub threads: usize,
+    /// Where all forecasts are written, and the name of their part.
+    pub lines: Option<(&'a ForecastLines, String)>,
 }
 
 impl Judge<'_> {
@@ -108,7 +110,9 @@ impl Judge<'_> {
         let config = self.forecaster.config();
         let mut session = Session::new(self.forecaster, recording, map, self.threads);
         let mut samplers = Samplers::new(self.forecaster, visited.as_deref().cloned(), self.lanes.as_ref());
-        let parts = scenes.chunks(TOGETHER).flat_map(|scenes| self.part(scenes, &mut session, &mut samplers));
+        let parts = scenes
+            .chunks(TOGETHER)
+            .flat_map(|scenes| self.part(recording, scenes, &mut session, &mut samplers));
         let block_ns = config.step_ns() as i64 * (config.history_len + config.horizon_len) as i64;
         let mut blocks: Vec<(i64, Block)> = Vec::new();
         for (stamp_ns, tallies) in parts {
@@ -129,6 +133,7 @@ impl Judge<'_> {
     /// The tallies of the scenes with counted agents, with the scenes' stamps.
     fn part(
         &self,
+        recording: &Recording,
         scenes: &[Scene],
         session: &mut Session,
         samplers: &mut Samplers,
@@ -139,12 +144,16 @@ impl Judge<'_> {
         let cases: Vec<_> = all.filter(|(_, forecasts)| !forecasts.is_empty()).collect();
         let tally = |((scene, decoded), forecasts): &((&Scene, &Decoded), &Vec<(usize, Variants)>),
                      (): &mut ()| {
-            let mut tallies = self.scene(scene, forecasts);
+            let (mut tallies, lines) = self.scene(recording, scene, forecasts);
             let counting = tallies.iter_mut().filter(|tally| !tally.is_empty());
             counting.for_each(|tally| tally.crowding = decoded.crowding());
-            tallies
+            (tallies, lines)
         };
-        let tallies = threads::each(&cases, self.threads, tally);
+        let made = threads::each(&cases, self.threads, tally).into_iter();
+        let tallies = made.map(|(tallies, lines)| {
+            self.lines.iter().for_each(|(file, _)| file.write(&lines));
+            tallies
+        });
         cases.iter().map(|((scene, _), _)| scene.stamp_ns).zip(tallies).collect()
     }
 
@@ -155,14 +164,21 @@ impl Judge<'_> {
         scene.complete().into_iter().filter(is_of_type).collect()
     }
 
-    /// One tally per subset. `forecasts` has the agents' places in the scene.
-    fn scene(&self, scene: &Scene, forecasts: &[(usize, Variants)]) -> Vec<Tally> {
+    /// One tally per subset, and the lines of the forecasts if they are written. `forecasts` has the agents'
+    /// places in the scene.
+    fn scene(
+        &self,
+        recording: &Recording,
+        scene: &Scene,
+        forecasts: &[(usize, Variants)],
+    ) -> (Vec<Tally>, String) {
         let complete: Vec<usize> = forecasts.iter().map(|(place, _)| *place).collect();
         let judged =
             |(place, variants): &(usize, Variants)| self.agent(scene, &scene.agents[*place], variants);
         let judged: Vec<Judged<'_>> = forecasts.iter().map(judged).collect();
-        let tally = |subset: &Subset| {
-            let members = subset.of(scene, &complete);
+        let members: Vec<Vec<usize>> =
+            self.subsets.iter().map(|subset| subset.of(scene, &complete)).collect();
+        let tally = |members: &Vec<usize>| {
             let members: Vec<&Judged<'_>> = complete
                 .iter()
                 .zip(&judged)
@@ -171,7 +187,41 @@ impl Judge<'_> {
                 .collect();
             self.together(scene, &members)
         };
-        self.subsets.iter().map(tally).collect()
+        let tallies = members.iter().map(tally).collect();
+        let line = |(place, judged): (&usize, &Judged<'_>), part: &str| {
+            let counts = self.subsets.iter().zip(&members).filter(|(_, members)| members.contains(place));
+            let subsets = counts.map(|(subset, _)| subset.name()).collect();
+            self.line(recording, scene, judged, part, subsets)
+        };
+        let lines = self.lines.iter().flat_map(|(_, part)| {
+            complete.iter().zip(&judged).map(|agent| line(agent, part)).collect::<Vec<_>>()
+        });
+        (tallies, lines.collect())
+    }
+
+    fn line(
+        &self,
+        recording: &Recording,
+        scene: &Scene,
+        judged: &Judged<'_>,
+        part: &str,
+        subsets: Vec<&'static str>,
+    ) -> String {
+        let Judged { agent, candidates, .. } = judged;
+        let forecasts = Method::ALL.iter().map(|method| method.name()).zip(candidates);
+        let line = ForecastLine {
+            part,
+            recording: &recording.name,
+            stamp_ns: scene.stamp_ns,
+            agent: agent.id,
+            agent_type: agent.agent_type.name(),
+            speed_mps: agent.newest().map_or(f32::NAN, |state| state.speed_mps()),
+            subsets,
+            pixel_m: recording.pixel_m,
+            truth_m: &agent.future,
+            forecasts: forecasts.filter(|(_, forecast)| !forecast.is_empty()).collect(),
+        };
+        line.text()
     }
 
     /// The sums of these agents of a scene. Joint futures depend on all agents that are present, complete or

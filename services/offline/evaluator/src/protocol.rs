@@ -23,7 +23,7 @@ pub use sdd::sdd;
 use crate::judge::Block;
 use crate::maps::{MapInput, site_map};
 use crate::weights::{Model, WeightsChoice};
-use crate::{Baselines, Cut, EvaluateError, Judge, Noise, Scene, Subset, threads};
+use crate::{Baselines, Cut, EvaluateError, ForecastLines, Judge, Noise, Scene, Subset, threads};
 
 /// Seed of latent variables, drawn directions and anchors.
 pub const SEED: u64 = 1;
@@ -57,6 +57,8 @@ pub struct Options {
     pub noise: Noise,
     /// Threads that share the work; results do not depend on their number.
     pub threads: usize,
+    /// Where all forecasts behind the tables are written.
+    pub lines: Option<Arc<ForecastLines>>,
 }
 
 /// A recording and its scenes.
@@ -144,6 +146,7 @@ struct Rules<'a> {
     subsets: &'a [Subset],
     of_type: Option<scene::AgentType>,
     threads: usize,
+    lines: Option<&'a ForecastLines>,
 }
 
 impl Rules<'_> {
@@ -154,12 +157,13 @@ impl Rules<'_> {
         baselines: &Baselines,
         footage: &Footage,
         map: MapInput<'_>,
+        part: &str,
     ) -> Vec<Block> {
-        self.judge_with(model, baselines).recording(&footage.recording, &footage.scenes, map)
+        self.judge_with(model, baselines, part).recording(&footage.recording, &footage.scenes, map)
     }
 
-    /// The evaluation of a model with these rules.
-    fn judge_with<'a>(&'a self, model: &'a Model, baselines: &'a Baselines) -> Judge<'a> {
+    /// The evaluation of a model with these rules. `part` names the agents in the lines of forecasts.
+    fn judge_with<'a>(&'a self, model: &'a Model, baselines: &'a Baselines, part: &str) -> Judge<'a> {
         Judge {
             forecaster: &model.forecaster,
             baselines,
@@ -168,6 +172,7 @@ impl Rules<'_> {
             of_type: self.of_type,
             lanes: None,
             threads: self.threads,
+            lines: self.lines.map(|lines| (lines, part.to_owned())),
         }
     }
 

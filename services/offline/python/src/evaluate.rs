@@ -51,6 +51,7 @@ impl Evaluator {
                 lanes: false,
                 noise: evaluator::Noise::default(),
                 threads: threads.unwrap_or(cores).max(1),
+                lines: None,
             };
             let mut evaluation = Evaluation::new(&options, positions).map_err(|why| error::of(&why))?;
             let lanes = arguments.model().open_lanes(open.origin).map_err(|why| error::of_failure(&why))?;

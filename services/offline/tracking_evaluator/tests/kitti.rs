@@ -44,6 +44,7 @@ fn options(root: &Path) -> Options {
         lanes: false,
         noise: evaluator::Noise::default(),
         threads: 2,
+        lines: None,
     }
 }
 

@@ -12,7 +12,6 @@ use crate::net::layout::layout;
 use crate::net::tensors::{TensorRole, Tensors};
 use crate::optimiser::{Adam, Moments};
 use crate::options::TrainOptions;
-use crate::score::SetScore;
 
 /// Name of the file in the checkpoint folder.
 const FILE: &str = "checkpoint.safetensors";
@@ -45,11 +44,6 @@ pub(crate) struct RunProgress {
     /// Seed and model at the start of the run.
     pub(crate) seed: u64,
     pub(crate) model: nn::ModelConfig,
-    /// Scores before the first update.
-    #[serde(default)]
-    pub(crate) first_scores: Vec<SetScore>,
-    #[serde(default)]
-    pub(crate) best_scores: Vec<SetScore>,
     /// SHA-256 of the user's own recordings in the training data.
     #[serde(default)]
     pub(crate) recordings: Vec<String>,
@@ -68,8 +62,6 @@ impl RunState {
             seconds: 0.0,
             seed: options.seed,
             model: options.model.clone(),
-            first_scores: Vec::new(),
-            best_scores: Vec::new(),
             recordings: Vec::new(),
         };
         Self { best: weights.clone(), weights, adam, progress }

@@ -53,7 +53,7 @@ pub use error::{TensorError, TrainError};
 pub use objective::Objective;
 pub use optimiser::OptimiserOptions;
 pub use options::TrainOptions;
-pub use own::{begin_with_onboard, own};
+pub use own::{begin_with_onboard, own, validation_recordings};
 pub use presets::PRESETS;
 pub use recipes::{RECIPES, recipe};
 pub use samples::Source;

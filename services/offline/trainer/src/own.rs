@@ -80,6 +80,18 @@ fn cut_ns(recording: &Recording) -> i64 {
     last - part
 }
 
+/// The recordings that validate a training on these files.
+///
+/// # Errors
+/// [`data::ReadError`] if one can't be read.
+pub fn validation_recordings(files: &[PathBuf]) -> Result<Vec<Recording>, data::ReadError> {
+    let of_part = files_of(files, Part::Validation).iter().map(|path| {
+        let recording = data::open(path, None)?;
+        Ok(if files.len() < 2 { cut_in_time(recording, Part::Validation) } else { recording })
+    });
+    of_part.collect()
+}
+
 /// Describes the split.
 pub(crate) fn split(files: &[PathBuf]) -> String {
     let names = |part| {

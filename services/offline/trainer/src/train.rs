@@ -45,8 +45,6 @@ pub struct Summary {
     pub steps: u64,
     /// The card of the written weights.
     pub card: ModelCard,
-    /// The validation before the first update, and the best one, on the same agents; empty without updates.
-    pub scores: [Vec<SetScore>; 2],
 }
 
 /// Trains a model. Writes its weights to [`TrainOptions::out`] whenever a validation is the best so far, and
@@ -63,15 +61,14 @@ pub fn train(options: &TrainOptions) -> Result<Summary, TrainError> {
     if options.steps == 0 {
         let card = run.write_revised(&state.weights, &base, CARD_AGENTS)?;
         progress.finish();
-        return Ok(Summary { steps: 0, card, scores: Default::default() });
+        return Ok(Summary { steps: 0, card });
     }
     progress.restart(state.progress.step);
     run.learn(&mut state, &base, &mut progress)?;
     let card = run.write(&state, &base, CARD_AGENTS)?;
     state.save(&options.checkpoints)?;
     progress.finish();
-    let scores = [state.progress.first_scores, state.progress.best_scores];
-    Ok(Summary { steps: state.progress.step, card, scores })
+    Ok(Summary { steps: state.progress.step, card })
 }
 
 /// State that does not change during a run.
@@ -337,14 +334,10 @@ impl<'a> Run<'a> {
         let scores = self.scores(&average, base, Some(MapKind::Online), self.options.validation_agents)?;
         let figure = choose_by(&scores);
         progress.note(&format!("validation at {}: {figure:.4}\n{}", state.progress.step, table(&scores)));
-        if state.progress.first_scores.is_empty() {
-            state.progress.first_scores.clone_from(&scores);
-        }
         let (step, seconds) = (state.progress.step, state.progress.seconds);
-        log.write(&Line::Validation { step, seconds, validation: figure, sets: scores.clone() })?;
+        log.write(&Line::Validation { step, seconds, validation: figure, sets: scores })?;
         if state.progress.best_figure.is_none_or(|best| figure < best) {
             state.best = average;
-            state.progress.best_scores = scores;
             state.progress.best_figure = Some(figure);
             state.progress.best_step = state.progress.step;
             state.progress.stale = 0;

@@ -37,6 +37,7 @@ fn options() -> Options {
         priors: true,
         noise: evaluator::Noise::default(),
         threads: 1,
+        lines: None,
     }
 }
 

@@ -27,8 +27,13 @@ const TRUE_TIME: &str = "eth_ucy/obsmat/eth_0.4s.txt";
 pub fn eth_ucy(options: &Options, mut progress: impl FnMut(&str)) -> Result<Report, EvaluateError> {
     let (history_len, horizon_len, dt_s) = STEPS;
     let subsets = [Subset::Company, Subset::All];
-    let rules =
-        Rules { horizons: &[3, 6, 9, 12], subsets: &subsets, of_type: None, threads: options.threads };
+    let rules = Rules {
+        horizons: &[3, 6, 9, 12],
+        subsets: &subsets,
+        of_type: None,
+        threads: options.threads,
+        lines: options.lines.as_deref(),
+    };
     let cut = Cut { history_len, horizon_len, dt_s, from_positions: false };
     let mut report = Report::new(&format!(
         "ETH/UCY, leave one out, {} part{}",
@@ -59,8 +64,10 @@ pub fn eth_ucy(options: &Options, mut progress: impl FnMut(&str)) -> Result<Repo
         for (name, footage) in tests {
             let sensor = Sensor { noise: options.noise, forecaster: &model.forecaster, map };
             let footage = sensor.observe_all(footage, options.threads, &name, &mut report)?;
-            let blocks: Vec<_> =
-                footage.iter().flat_map(|footage| rules.judge(&model, &baselines, footage, map)).collect();
+            let blocks: Vec<_> = footage
+                .iter()
+                .flat_map(|footage| rules.judge(&model, &baselines, footage, map, &name))
+                .collect();
             need_agents(&blocks, &name, &cut)?;
             let recordings: Vec<_> = footage.iter().map(|footage| &footage.recording).collect();
             report.provenance.push(model.provenance(&name, map_label, &recordings));

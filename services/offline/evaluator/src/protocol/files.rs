@@ -10,7 +10,7 @@ use super::{Footage, MapChoice, Options, Rules, SEED};
 use crate::maps::MapInput;
 use crate::state::{Basis, State};
 use crate::weights::{EMBEDDED, Model};
-use crate::{Baselines, Cut, EvaluateError, Judge, Provenance, Subset, threads};
+use crate::{Baselines, Cut, EvaluateError, ForecastLines, Judge, Provenance, Subset, threads};
 
 /// The subsets of recordings. Only the first two have tables.
 pub(crate) const SUBSETS: [Subset; 2 + wire::AGENT_TYPES.len()] = [
@@ -31,6 +31,7 @@ pub struct Evaluation {
     map: MapInput<'static>,
     lanes: Option<Arc<LaneMap>>,
     threads: usize,
+    lines: Option<Arc<ForecastLines>>,
     basis: Basis,
 }
 
@@ -64,7 +65,8 @@ impl Evaluation {
             horizons_s: horizons.iter().map(|&steps| (steps as i64 * cut.step_ns()) as f64 / 1e9).collect(),
         };
         let baselines = Baselines::fit(std::iter::empty(), &cut, SEED);
-        Ok(Self { model, baselines, cut, horizons, map, lanes: None, threads: options.threads, basis })
+        let (threads, lines) = (options.threads, options.lines.clone());
+        Ok(Self { model, baselines, cut, horizons, map, lanes: None, threads, lines, basis })
     }
 
     /// Forecasts vehicles along the lanes of the recordings' site.
@@ -127,9 +129,17 @@ impl Evaluation {
 
     fn judged(&self, footage: &Footage) -> State {
         let Footage { recording, scenes } = footage;
-        let rules =
-            Rules { horizons: &self.horizons, subsets: &SUBSETS, of_type: None, threads: self.threads };
-        let judge = Judge { lanes: self.lanes.clone(), ..rules.judge_with(&self.model, &self.baselines) };
+        let rules = Rules {
+            horizons: &self.horizons,
+            subsets: &SUBSETS,
+            of_type: None,
+            threads: self.threads,
+            lines: self.lines.as_deref(),
+        };
+        let judge = Judge {
+            lanes: self.lanes.clone(),
+            ..rules.judge_with(&self.model, &self.baselines, &recording.name)
+        };
         let blocks = judge.recording(recording, scenes, self.map);
         State::of(self.basis.clone(), recording, self.model.has_seen(recording), &blocks)
     }

@@ -56,6 +56,7 @@ pub fn interaction(
         subsets: &SUBSETS,
         of_type: Some(AgentType::Vehicle),
         threads: options.threads,
+        lines: options.lines.as_deref(),
     };
     let mut models = Vec::new();
     for part in parts {
@@ -71,7 +72,7 @@ pub fn interaction(
         progress(&format!("{motion}: training part"));
         let training = options.read_part(SET, Part::Train, &cut)?;
         let mut judged = Vec::new();
-        let protocol = Protocol { options, rules, cut, training: &training };
+        let protocol = Protocol { options, rules, cut, motion, training: &training };
         for (part, model) in &models {
             match part {
                 InteractionPart::Seen => {
@@ -96,13 +97,15 @@ struct Protocol<'a> {
     options: &'a Options,
     rules: Rules<'a>,
     cut: Cut,
+    /// Where the motion of this table comes from.
+    motion: &'static str,
     training: &'a [Footage],
 }
 
 impl Protocol<'_> {
     /// The recordings of all sites in the evaluated part, by site.
     fn seen(&self, model: &Model, report: &mut Report) -> Result<Vec<Judged>, EvaluateError> {
-        let Self { options, rules, cut, training } = self;
+        let Self { options, rules, cut, motion, training } = self;
         let baselines = fit(training, cut);
         let footage = options.read_part(SET, options.part, cut)?;
         let mut sites: Vec<(String, Vec<Block>)> = Vec::new();
@@ -113,7 +116,9 @@ impl Protocol<'_> {
             let site = footage.site();
             let map = (options.map == MapChoice::Site).then(|| map_of(training, &site)).flatten();
             let map = options.map.input(map.as_ref());
-            let judge = Judge { lanes: options.lanes_of(&site)?, ..rules.judge_with(model, &baselines) };
+            let part = format!("seen {}, {motion}", short(&site));
+            let judge =
+                Judge { lanes: options.lanes_of(&site)?, ..rules.judge_with(model, &baselines, &part) };
             if visited.as_ref().is_none_or(|(name, _)| *name != site) {
                 let mut memory = model.forecaster.memory();
                 for earlier in training.iter().filter(|footage| footage.site() == site) {
@@ -160,24 +165,27 @@ impl Protocol<'_> {
 
     /// All recordings of a site together, and the recordings of the evaluated part separately.
     fn held_out(&self, model: &Model, site: &str, report: &mut Report) -> Result<Vec<Judged>, EvaluateError> {
-        let Self { options, rules, cut, training } = self;
+        let Self { options, rules, cut, motion, training } = self;
         let others = training.iter().filter(|footage| short(&footage.site()) != site);
         let baselines = Baselines::fit(others.flat_map(|footage| &footage.scenes), cut, SEED);
         let (mut tests, mut all, mut recordings) = (Vec::new(), Vec::new(), Vec::new());
         let mut name = site.to_owned();
-        let mut judge = rules.judge_with(model, &baselines);
+        let mut lanes = None;
         let mut drawn = None;
         let mut memory = model.forecaster.memory();
         for part in [Part::Train, Part::Validation, Part::Test] {
             let of_site = |path: &PathBuf| short(&folder(path)) == site;
+            let name_of_part = format!("held-out {site}, {} part, {motion}", part.name());
+            let mut judge = rules.judge_with(model, &baselines, &name_of_part);
             let paths: Vec<PathBuf> = SET.files(&options.data, part)?.into_iter().filter(of_site).collect();
             for footage in options.read(&paths, &OpenOptions::of(SET.format()), cut)? {
                 if name != footage.site() {
                     name = footage.site();
-                    judge.lanes = options.lanes_of(&name)?;
-                    let of_lanes = judge.lanes.as_deref().map(mapper::of_lanes).transpose();
+                    lanes = options.lanes_of(&name)?;
+                    let of_lanes = lanes.as_deref().map(mapper::of_lanes).transpose();
                     drawn = of_lanes.map_err(|source| EvaluateError::unusable(&name, source))?;
                 }
+                judge.lanes.clone_from(&lanes);
                 // Training used no recording of this site, so the only possible site map is the map of its
                 // lanes.
                 let map = options.map.input(drawn.as_ref());

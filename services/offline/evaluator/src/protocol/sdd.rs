@@ -22,8 +22,13 @@ const STEPS: (usize, usize, f64) = (8, 12, 0.4);
 pub fn sdd(options: &Options, mut progress: impl FnMut(&str)) -> Result<Report, EvaluateError> {
     let (history_len, horizon_len, dt_s) = STEPS;
     let subsets = [Subset::All];
-    let rules =
-        Rules { horizons: &[3, 6, 9, 12], subsets: &subsets, of_type: None, threads: options.threads };
+    let rules = Rules {
+        horizons: &[3, 6, 9, 12],
+        subsets: &subsets,
+        of_type: None,
+        threads: options.threads,
+        lines: options.lines.as_deref(),
+    };
     let cut = Cut { history_len, horizon_len, dt_s, from_positions: false };
     let model = options.weights.open("sdd", SEED)?;
     model.check_steps("SDD", history_len, horizon_len, dt_s)?;
@@ -37,7 +42,7 @@ pub fn sdd(options: &Options, mut progress: impl FnMut(&str)) -> Result<Report, 
     };
     let (mut metres, mut pixels) = (Vec::new(), Vec::new());
     for footage in &footage {
-        let blocks = rules.judge(&model, &baselines, footage, map);
+        let blocks = rules.judge(&model, &baselines, footage, map, options.part.name());
         let name = &footage.recording.name;
         need_agents(&blocks, name, &cut)?;
         let pixel_m =

@@ -16,6 +16,7 @@ static ONE: LazyLock<State> = LazyLock::new(|| {
         lanes: false,
         noise: crate::Noise::default(),
         threads: 2,
+        lines: None,
     };
     let scene = SceneOptions { agents: 10, identities: true, ..SceneOptions::default() };
     let recording = GeneratedScene::new(scene).unwrap().recording(300);

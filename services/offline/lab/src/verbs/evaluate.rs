@@ -1,6 +1,9 @@
 mod noise;
 
+use std::fs::File;
+use std::io::BufWriter;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use clap::{Args, ValueEnum};
 use configuration::options::{Setting, StageOptions};
@@ -9,7 +12,9 @@ use console::show::show;
 use console::tables;
 use data::sets::Part;
 use driving_evaluator::{GapReport, NoiseReport, SyntheticReport};
-use evaluator::{Evaluation, InteractionPart, MapChoice, Options, Report, State, StateError, WeightsChoice};
+use evaluator::{
+    Evaluation, ForecastLines, InteractionPart, MapChoice, Options, Report, State, StateError, WeightsChoice,
+};
 use nn::{Precision, Weights};
 use run::Exit;
 use tracking_evaluator::{KittiReport, TrackingReport};
@@ -38,12 +43,13 @@ const NOISE_SOURCES: [&str; 3] = ["womd", "av2_sensor", "nuscenes_mini"];
 const NOISE_SCENES: u16 = 8;
 
 /// Options that states already have.
-const MERGED_BEFORE: [&str; 11] = [
+const MERGED_BEFORE: [&str; 12] = [
     "validation",
     "weights",
     "beside",
     "map",
     "against_bag",
+    "forecasts",
     "format",
     "fps",
     "origin",
@@ -136,6 +142,9 @@ pub struct Arguments {
     /// the same figures
     #[arg(long, conflicts_with_all = MERGED_BEFORE)]
     merge: bool,
+    /// Write every forecast behind the tables with its truth, as JSON lines
+    #[arg(long, value_name = "FILE", conflicts_with = "against_bag")]
+    forecasts: Option<PathBuf>,
     /// Write all figures as CSV, one per line
     #[arg(long, value_name = "FILE")]
     csv: Option<PathBuf>,
@@ -163,21 +172,25 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         _ => "",
     };
     refuse_unused(name, arguments)?;
+    let lines = arguments.forecasts.as_deref().map(forecast_lines).transpose()?;
     let written = match name {
         _ if arguments.against_bag.is_some() => vec![against(arguments)?],
         "tracking" => track(arguments)?,
-        "driving" => vec![drive(arguments)?],
+        "driving" => vec![drive(arguments, lines.clone())?],
         "noise" => under_noise(arguments)?,
         "eth-ucy" | "sdd" | "interaction" => {
-            let mut report = evaluate(name, arguments, &arguments.weights_dir)?;
-            let beside = arguments.beside.iter().map(|folder| evaluate(name, arguments, folder));
+            let mut report = evaluate(name, arguments, &arguments.weights_dir, lines.clone())?;
+            let beside = arguments.beside.iter().map(|folder| evaluate(name, arguments, folder, None));
             report.add_beside(&beside.collect::<Result<Vec<_>, _>>()?);
             let lanes = if arguments.lanes { " --lanes" } else { "" };
             let mark = format!("{name}{lanes}{}", sensor(arguments)?.arguments());
             vec![Written::of_forecasts(&report, &mark)]
         }
-        _ => vec![Written::of_forecasts(&recordings(arguments)?.report(), name)],
+        _ => vec![Written::of_forecasts(&recordings(arguments, lines.clone())?.report(), name)],
     };
+    if let (Some(path), Some(lines)) = (&arguments.forecasts, &lines) {
+        lines.finish().map_err(|error| Failure::file(path, error))?;
+    }
     if let Some(path) = &arguments.csv {
         write(path, &written.iter().map(|part| part.csv.as_str()).collect::<String>())?;
     }
@@ -243,6 +256,12 @@ fn refuse_unused(name: &str, arguments: &Arguments) -> Result<(), Failure> {
             "recordings, `driving`, `interaction` and `eth-ucy`",
         ),
         ("--state", arguments.state.is_some(), !is_set, "recordings"),
+        (
+            "--forecasts",
+            arguments.forecasts.is_some(),
+            !is_tracking && !is_noise,
+            "recordings, `driving`, `interaction`, `eth-ucy` and `sdd`",
+        ),
         ("--merge", arguments.merge, !is_set, "states of recordings"),
         ("--set", !arguments.set.is_empty(), !is_tracking, "forecasts, not `tracking`"),
     ];
@@ -363,6 +382,7 @@ fn options(arguments: &Arguments, weights_dir: &Path) -> Result<Options, Failure
         lanes: arguments.lanes,
         noise: sensor(arguments)?,
         threads: arguments.threads.map_or(threads, usize::from),
+        lines: None,
     })
 }
 
@@ -380,12 +400,19 @@ fn driving(arguments: &Arguments, sources: &[String]) -> Result<driving_evaluato
         priors: arguments.prior.is_none(),
         noise,
         threads,
+        lines: None,
     })
 }
 
+/// The file of `--forecasts`.
+fn forecast_lines(path: &Path) -> Result<Arc<ForecastLines>, Failure> {
+    let file = File::create(path).map_err(|error| Failure::file(path, error))?;
+    Ok(Arc::new(ForecastLines::to(BufWriter::new(file))))
+}
+
 /// Forecasts as a car gets them, on many roads.
-fn drive(arguments: &Arguments) -> Result<Written, Failure> {
-    let options = driving(arguments, &arguments.parts)?;
+fn drive(arguments: &Arguments, lines: Option<Arc<ForecastLines>>) -> Result<Written, Failure> {
+    let options = driving_evaluator::Options { lines, ..driving(arguments, &arguments.parts)? };
     let report = driving_evaluator::evaluate(&options, progress).map_err(Failure::data)?;
     if let Some(path) = &arguments.prior {
         write(path, &(report.priors(options.threads).to_json() + "\n"))?;
@@ -494,8 +521,13 @@ fn progress(step: &str) {
     tracing::info!("{step} …");
 }
 
-fn evaluate(name: &str, arguments: &Arguments, weights_dir: &Path) -> Result<Report, Failure> {
-    let options = options(arguments, weights_dir)?;
+fn evaluate(
+    name: &str,
+    arguments: &Arguments,
+    weights_dir: &Path,
+    lines: Option<Arc<ForecastLines>>,
+) -> Result<Report, Failure> {
+    let options = Options { lines, ..options(arguments, weights_dir)? };
     let report = match name {
         "eth-ucy" => evaluator::eth_ucy(&options, progress),
         "sdd" => evaluator::sdd(&options, progress),
@@ -509,11 +541,11 @@ fn evaluate(name: &str, arguments: &Arguments, weights_dir: &Path) -> Result<Rep
 }
 
 /// The state of recordings, or of the states that hold them.
-fn recordings(arguments: &Arguments) -> Result<State, Failure> {
+fn recordings(arguments: &Arguments, lines: Option<Arc<ForecastLines>>) -> Result<State, Failure> {
     let state = if arguments.merge {
         State::merged(arguments.targets.iter().map(|path| state(path))).map_err(Failure::data)?
     } else {
-        let options = options(arguments, &arguments.weights_dir)?;
+        let options = Options { lines, ..options(arguments, &arguments.weights_dir)? };
         let evaluation = Evaluation::new(&options, arguments.positions).map_err(Failure::data)?;
         let state = evaluation.recordings(&arguments.targets, &arguments.read.options(), progress);
         state.map_err(Failure::data)?

@@ -1,3 +1,5 @@
+mod gain;
+
 use std::path::PathBuf;
 
 use clap::Args;
@@ -72,15 +74,9 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     }
     let summary = trainer::train(&options).map_err(Failure::data)?;
     say!("{}\n{} updates: {}", card::text(&summary.card), summary.steps, options.out.display());
-    if let [[before], [after]] = summary.scores.each_ref().map(Vec::as_slice) {
-        let [before, after] = [before, after].map(|score| (score.best_of_modes.ade_m, score.single.fde_m));
-        say!(
-            "validation before → after: minADE₂₀ {:.3} → {:.3} m, FDE of the single best forecast {:.3} → {:.3} m",
-            before.0,
-            after.0,
-            before.1,
-            after.1
-        );
+    if let ([before], false) = (&options.begin_with[..], options.files.is_empty()) {
+        let recordings = trainer::validation_recordings(&options.files).map_err(Failure::data)?;
+        say!("{}", gain::text(&recordings, before, &options.out)?);
     }
     Ok(Exit::Done)
 }

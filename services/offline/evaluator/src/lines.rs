@@ -1,0 +1,84 @@
+//! Every forecast behind a table beside the truth, as JSON lines.
+
+use std::collections::BTreeMap;
+use std::fmt;
+use std::io::{self, Write};
+use std::sync::{Mutex, PoisonError};
+
+use metrics::Point;
+use serde::Serialize;
+
+use crate::Candidate;
+
+/// Where the lines are written. A failure ends the writing and is reported at the end.
+pub struct ForecastLines(Mutex<(Box<dyn Write + Send>, io::Result<()>)>);
+
+/// All forecasts for an agent at a time.
+#[derive(Debug, Serialize)]
+pub struct ForecastLine<'a> {
+    /// Part of the evaluation: a fold, a site, a source or a recording.
+    pub part: &'a str,
+    /// Name of the recording.
+    pub recording: &'a str,
+    /// Time of the forecast.
+    pub stamp_ns: i64,
+    /// Identity of the agent in the recording.
+    pub agent: u64,
+    /// Type of the agent.
+    #[serde(rename = "type")]
+    pub agent_type: &'static str,
+    /// Speed at the last observed step, m/s.
+    pub speed_mps: f32,
+    /// The subsets of the tables that count the agent.
+    pub subsets: Vec<&'static str>,
+    /// Size of a pixel of the video, if the tables have pixels.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub pixel_m: Option<f64>,
+    /// Position at each step of the horizon; `null` where the recording has none.
+    pub truth_m: &'a [Option<Point>],
+    /// The forecasts by the name of their method in the tables.
+    pub forecasts: BTreeMap<&'static str, &'a Candidate>,
+}
+
+impl ForecastLines {
+    /// Lines for a writer.
+    pub fn to(writer: impl Write + Send + 'static) -> Self {
+        Self(Mutex::new((Box::new(writer), Ok(()))))
+    }
+
+    /// Writes whole lines.
+    pub fn write(&self, lines: &str) {
+        let mut of = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let (writer, outcome) = &mut *of;
+        if outcome.is_ok() {
+            *outcome = writer.write_all(lines.as_bytes());
+        }
+    }
+
+    /// Ends the writing.
+    ///
+    /// # Errors
+    /// The first failure.
+    pub fn finish(&self) -> io::Result<()> {
+        let mut of = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let (writer, outcome) = &mut *of;
+        std::mem::replace(outcome, Ok(())).and_then(|()| writer.flush())
+    }
+}
+
+impl fmt::Debug for ForecastLines {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str("ForecastLines")
+    }
+}
+
+impl ForecastLine<'_> {
+    /// The line, with its end.
+    ///
+    /// # Panics
+    /// Never: all keys are strings.
+    #[must_use]
+    pub fn text(&self) -> String {
+        serde_json::to_string(self).expect("all keys are strings") + "\n"
+    }
+}
