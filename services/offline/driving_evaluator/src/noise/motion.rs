@@ -16,10 +16,9 @@ const FRAMES_MAX_HZ: u32 = 10;
 const BEGINS_S: f64 = 5.0;
 /// Duration of the turn of 90 degrees.
 const TURN_S: f64 = 3.0;
-/// Duration of the braking.
-const BRAKING_S: f64 = 1.0;
-/// Loss of speed in the braking.
-const BRAKING_MPS: f64 = 3.0;
+/// Acceleration of the braking and of the start, m/s², and their durations.
+const BRAKING: (f64, f64) = (-3.0, 1.0);
+const STARTING: (f64, f64) = (2.0, 1.5);
 
 /// What the agents of a scene do.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -30,6 +29,8 @@ pub(crate) enum Motion {
     Turn,
     /// 3 m/s slower within 1 s.
     Braking,
+    /// 3 m/s faster within 1.5 s.
+    Starting,
 }
 
 /// A scene of equal agents.
@@ -51,6 +52,17 @@ pub(crate) struct Moving {
     pub(crate) speed_mps: f64,
 }
 
+impl Motion {
+    /// The acceleration of a manoeuvre along the path, m/s², and its duration, s.
+    const fn acceleration(self) -> (f64, f64) {
+        match self {
+            Self::Braking => BRAKING,
+            Self::Starting => STARTING,
+            Self::Straight | Self::Turn => (0.0, 0.0),
+        }
+    }
+}
+
 impl Scene {
     /// The true motion of an agent.
     pub(crate) fn state(&self, agent: u64, time_s: f64) -> Moving {
@@ -68,12 +80,12 @@ impl Scene {
                 let radius_m = v / rate;
                 (straight_m + radius_m * turned.sin(), radius_m * (1.0 - turned.cos()) + after_m, turned, v)
             }
-            Motion::Braking => {
-                let braked_s = since_s.clamp(0.0, BRAKING_S);
-                let rest_s = (since_s - BRAKING_S).max(0.0);
-                let rate = BRAKING_MPS / BRAKING_S;
-                let lost_m = 0.5 * rate * braked_s * braked_s + BRAKING_MPS * rest_s;
-                (v * time_s - lost_m, 0.0, 0.0, v - rate * braked_s)
+            Motion::Braking | Motion::Starting => {
+                let (rate, duration_s) = self.motion.acceleration();
+                let changing_s = since_s.clamp(0.0, duration_s);
+                let rest_s = (since_s - duration_s).max(0.0);
+                let gained_m = rate * changing_s * (0.5 * changing_s + rest_s);
+                (v * time_s + gained_m, 0.0, 0.0, v + rate * changing_s)
             }
         };
         let (sin, cos) = course_rad.sin_cos();
@@ -90,8 +102,8 @@ impl Scene {
 
     /// Time at which half of an agent's manoeuvre is done.
     pub(crate) fn half_s(&self, agent: u64) -> f64 {
-        let half = if self.motion == Motion::Turn { TURN_S } else { BRAKING_S } / 2.0;
-        begins_s(agent) + half
+        let duration_s = if self.motion == Motion::Turn { TURN_S } else { self.motion.acceleration().1 };
+        begins_s(agent) + duration_s / 2.0
     }
 
     /// Whether a published course or speed is beyond the middle of the manoeuvre.
@@ -102,7 +114,11 @@ impl Scene {
                 let before_rad = self.state(agent, 0.0).heading_rad;
                 wrapped(vy.atan2(vx) - before_rad) > FRAC_PI_2 / 2.0
             }
-            Motion::Braking => vx.hypot(vy) < self.speed_mps - BRAKING_MPS / 2.0,
+            Motion::Braking | Motion::Starting => {
+                let (rate, duration_s) = self.motion.acceleration();
+                let beyond = vx.hypot(vy) - (self.speed_mps + rate * duration_s / 2.0);
+                beyond * rate > 0.0
+            }
             Motion::Straight => false,
         }
     }
@@ -183,10 +199,11 @@ fn wrapped(angle_rad: f64) -> f64 {
 mod tests {
     use super::*;
 
-    const MOTIONS: [Motion; 3] = [Motion::Straight, Motion::Turn, Motion::Braking];
+    const MOTIONS: [Motion; 4] = [Motion::Straight, Motion::Turn, Motion::Braking, Motion::Starting];
 
     fn scene(motion: Motion) -> Scene {
-        Scene { agent_type: AgentType::Vehicle, motion, speed_mps: 8.0, rate_hz: 10 }
+        let speed_mps = if motion == Motion::Starting { 0.0 } else { 8.0 };
+        Scene { agent_type: AgentType::Vehicle, motion, speed_mps, rate_hz: 10 }
     }
 
     #[test]
@@ -210,7 +227,7 @@ mod tests {
 
     #[test]
     fn the_manoeuvre_is_half_done_at_its_middle() {
-        for motion in [Motion::Turn, Motion::Braking] {
+        for motion in [Motion::Turn, Motion::Braking, Motion::Starting] {
             let scene = scene(motion);
             for agent in 1..=AGENTS {
                 let is_past = |time_s: f64| {
