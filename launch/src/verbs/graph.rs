@@ -1,12 +1,15 @@
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
-use configuration::{Pipeline, Stage};
-use run::Exit;
-
-use configuration::pipeline_file;
+use configuration::{Pipeline, Stage, pipeline_file};
 use console::failure::Failure;
 use console::show::show;
+use recorder::Report;
+use recorder::report::{Percentiles, StageReport};
+use run::Exit;
+use telemetry::top::Client;
+
+use crate::runs;
 
 /// Arguments of `stgdat graph`.
 #[derive(Debug, Args)]
@@ -17,6 +20,10 @@ pub struct Arguments {
     /// The same, as `run` takes it
     #[arg(long, value_name = "FILE", conflicts_with = "file")]
     pipeline: Option<PathBuf>,
+    /// Draw a run with its times, losses and restarts: that of a report (`run --report`), or without a value the
+    /// one that is running
+    #[arg(long, value_name = "REPORT", num_args = 0..=1, conflicts_with_all = ["file", "pipeline"])]
+    run: Option<Option<PathBuf>>,
     /// Language of the graph
     #[arg(long, value_enum, default_value = "mermaid")]
     format: Format,
@@ -28,53 +35,114 @@ enum Format {
     Dot,
 }
 
-/// Prints the graph of a pipeline.toml.
+/// The boxes and arrows of a graph.
+struct Graph {
+    /// Name and lines of each stage.
+    stages: Vec<(String, Vec<String>)>,
+    /// Producer, topic and consumer.
+    edges: Vec<(String, String, String)>,
+}
+
+/// Prints the graph of a pipeline.toml or of a run.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
-    let pipeline = pipeline_file::load(arguments.file.as_deref().or(arguments.pipeline.as_deref()))?;
+    let graph = match &arguments.run {
+        None => {
+            let file = arguments.file.as_deref().or(arguments.pipeline.as_deref());
+            of_pipeline(&pipeline_file::load(file)?)
+        }
+        Some(Some(path)) => of_report(&Report::read(path).map_err(Failure::data)?)
+            .ok_or_else(|| Failure::file(path, "the report does not have the topics of its stages"))?,
+        Some(None) => {
+            let run = runs::find(None)?;
+            of_report(&Client::new(&run.root).ask()?.report)
+                .ok_or_else(|| Failure::unavailable(format!("{}: there is no tick yet", run.name)))?
+        }
+    };
     show(&match arguments.format {
-        Format::Mermaid => mermaid(&pipeline),
-        Format::Dot => dot(&pipeline),
+        Format::Mermaid => graph.mermaid(),
+        Format::Dot => graph.dot(),
     })
 }
 
-fn mermaid(pipeline: &Pipeline) -> String {
-    let mut text = String::from("flowchart LR\n");
-    for stage in &pipeline.stages {
-        text += &format!("    {}[\"{}\"]\n", stage.id.name(), label(stage, "<br/>"));
+fn of_pipeline(pipeline: &Pipeline) -> Graph {
+    let edges = pipeline.edges().into_iter();
+    Graph {
+        stages: pipeline.stages.iter().map(|stage| (stage.id.name().to_owned(), lines_of(stage))).collect(),
+        edges: edges
+            .map(|(producer, topic, consumer)| {
+                (producer.name().to_owned(), topic.to_owned(), consumer.name().to_owned())
+            })
+            .collect(),
     }
-    for (producer, topic, consumer) in pipeline.edges() {
-        text += &format!("    {} -->|{topic}| {}\n", producer.name(), consumer.name());
-    }
-    text
 }
 
-fn dot(pipeline: &Pipeline) -> String {
-    let mut text = String::from("digraph stgdat {\n    rankdir = LR;\n    node [shape = box];\n");
-    for stage in &pipeline.stages {
-        text += &format!("    {} [label = \"{}\"];\n", stage.id.name(), label(stage, "\\n"));
+/// The graph of a run; `None` if the report does not have the topics of the stages.
+fn of_report(report: &Report) -> Option<Graph> {
+    let mut edges = Vec::new();
+    for producer in &report.stages {
+        for topic in &producer.writes {
+            let reads = report.stages.iter().filter(|stage| stage.reads.contains(topic));
+            edges.extend(reads.map(|consumer| (producer.name.clone(), topic.clone(), consumer.name.clone())));
+        }
     }
-    for (producer, topic, consumer) in pipeline.edges() {
-        text += &format!("    {} -> {} [label = \"{topic}\"];\n", producer.name(), consumer.name());
-    }
-    text + "}\n"
+    let stages = report.stages.iter().map(|stage| (stage.name.clone(), measured_lines(stage))).collect();
+    (!edges.is_empty()).then_some(Graph { stages, edges })
 }
 
-/// Name, budget, real-time settings and, if external, program of a stage.
-fn label(stage: &Stage, line_break: &str) -> String {
-    let mut label = stage.id.name().to_owned();
-    if let Some(budget_ms) = stage.budget_ms {
-        label += &format!("{line_break}{budget_ms} ms");
+impl Graph {
+    fn mermaid(&self) -> String {
+        let mut text = String::from("flowchart LR\n");
+        for (name, lines) in &self.stages {
+            text += &format!("    {name}[\"{}\"]\n", label(name, lines, "<br/>"));
+        }
+        for (producer, topic, consumer) in &self.edges {
+            text += &format!("    {producer} -->|{topic}| {consumer}\n");
+        }
+        text
     }
-    if let Some(priority) = stage.scheduling.priority {
-        label += &format!("{line_break}priority {priority}");
+
+    fn dot(&self) -> String {
+        let mut text = String::from("digraph stgdat {\n    rankdir = LR;\n    node [shape = box];\n");
+        for (name, lines) in &self.stages {
+            text += &format!("    {name} [label = \"{}\"];\n", label(name, lines, "\\n"));
+        }
+        for (producer, topic, consumer) in &self.edges {
+            text += &format!("    {producer} -> {consumer} [label = \"{topic}\"];\n");
+        }
+        text + "}\n"
     }
-    if let Some(cpus) = stage.scheduling.cpu_list() {
-        label += &format!("{line_break}cpu {cpus}");
-    }
-    if let Some(program) = stage.command.as_ref().and_then(|command| command.first()) {
-        label += &format!("{line_break}{}", program.replace(['"', '\\'], "'"));
-    }
-    label
+}
+
+fn label(name: &str, lines: &[String], line_break: &str) -> String {
+    std::iter::once(name).chain(lines.iter().map(String::as_str)).collect::<Vec<_>>().join(line_break)
+}
+
+/// Budget, real-time settings and, if external, program of a stage.
+fn lines_of(stage: &Stage) -> Vec<String> {
+    let program = stage.command.as_ref().and_then(|command| command.first());
+    let lines = [
+        stage.budget_ms.map(|budget_ms| format!("{budget_ms} ms")),
+        stage.scheduling.priority.map(|priority| format!("priority {priority}")),
+        stage.scheduling.cpu_list().map(|cpus| format!("cpu {cpus}")),
+        program.map(|program| program.replace(['"', '\\'], "'")),
+    ];
+    lines.into_iter().flatten().collect()
+}
+
+/// Median and 99th percentile of the compute against the budget, of the waiting and of the wake-up, and faults.
+fn measured_lines(stage: &StageReport) -> Vec<String> {
+    let number = |value_ms: Option<f64>| value_ms.map_or("-".to_owned(), |value_ms| format!("{value_ms:.2}"));
+    let pair = |of: &Percentiles| format!("{} / {}", number(of.p50), number(of.p99));
+    let budget = stage.budget_ms.map_or(String::new(), |budget_ms| format!(" of {budget_ms}"));
+    let count = |count: u64, what: &str| (count > 0).then(|| format!("{count} {what}"));
+    let lines = [
+        Some(format!("{}{budget} ms", pair(&stage.compute_ms))),
+        Some(format!("waiting {}", pair(&stage.waiting_ms))),
+        Some(format!("wake-up {}", pair(&stage.wake_up_ms))),
+        count(stage.drops.total(), "lost"),
+        count(stage.restarts.into(), "restarts"),
+    ];
+    lines.into_iter().flatten().collect()
 }
 
 #[cfg(test)]
@@ -84,15 +152,37 @@ mod tests {
     #[test]
     fn every_stage_and_connection_is_drawn() {
         let pipeline = pipeline_file::load(None).unwrap();
-        for text in [mermaid(&pipeline), dot(&pipeline)] {
+        let graph = of_pipeline(&pipeline);
+        for text in [graph.mermaid(), graph.dot()] {
             assert!(pipeline.stages.iter().all(|stage| text.contains(stage.id.name())), "{text}");
             assert_eq!(text.matches("->").count(), pipeline.edges().len(), "{text}");
         }
-        assert!(mermaid(&pipeline).contains("sampler -->|forecasts| tracker\n"));
-        assert!(dot(&pipeline).contains("sampler -> tracker [label = \"forecasts\"];\n"));
+        assert!(graph.mermaid().contains("sampler -->|forecasts| tracker\n"));
+        assert!(graph.dot().contains("sampler -> tracker [label = \"forecasts\"];\n"));
         let text = format!("[realtime]\npriority = 9\ncpu = [1]\n{}", pipeline_file::SHIPPED);
         let pipeline = Pipeline::parse("p.toml", &text, &configuration::stages::declared()).unwrap();
-        assert!(mermaid(&pipeline).contains("tracker<br/>6 ms<br/>priority 10<br/>cpu 1\"]"));
-        assert!(mermaid(&pipeline).contains("recorder[\"recorder\"]"), "not on a tick's way");
+        let mermaid = of_pipeline(&pipeline).mermaid();
+        assert!(mermaid.contains("tracker<br/>6 ms<br/>priority 10<br/>cpu 1\"]"));
+        assert!(mermaid.contains("recorder[\"recorder\"]"), "not on a tick's way");
+    }
+
+    #[test]
+    fn a_run_is_drawn_with_its_times_and_faults() {
+        let stage = |name: &str, reads: &str, writes: &str| StageReport {
+            name: name.into(),
+            reads: vec![reads.into()],
+            writes: vec![writes.into()],
+            compute_ms: Percentiles { p50: Some(1.0), p99: Some(7.25), ..Percentiles::default() },
+            budget_ms: Some(6.0),
+            ..StageReport::default()
+        };
+        let mut report = Report::default();
+        assert!(of_report(&report).is_none());
+        report.stages = vec![stage("source", "", "detections"), stage("tracker", "detections", "tracks")];
+        report.stages[1].restarts = 2;
+        let text = of_report(&report).unwrap().mermaid();
+        assert!(text.contains("    source -->|detections| tracker\n"), "{text}");
+        let label = "tracker<br/>1.00 / 7.25 of 6 ms<br/>waiting - / -<br/>wake-up - / -<br/>2 restarts\"]";
+        assert!(text.contains(label) && !text.contains("lost"), "{text}");
     }
 }

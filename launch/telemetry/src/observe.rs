@@ -137,6 +137,7 @@ impl Observer {
         let options = RecorderOptions {
             stages: run.order(),
             budgets_ms: run.budgets_ms(),
+            topics: run.topics_of_stages(),
             silence_ns: recorder::STAGE.options(run).unwrap_or_default().silence_ns(),
             scores: false,
             input,

@@ -38,6 +38,8 @@ pub struct RecorderOptions {
     pub stages: Vec<StageId>,
     /// Each stage's share of the tick limit.
     pub budgets_ms: BTreeMap<StageId, f64>,
+    /// The topics that each stage reads and writes.
+    pub topics: BTreeMap<StageId, [Vec<String>; 2]>,
     /// Whether forecasts are kept and scored when truth arrives. Otherwise only times and counts are
     /// recorded, and the forecasts' numbers are not checked.
     pub scores: bool,
@@ -55,6 +57,7 @@ impl Default for RecorderOptions {
             run: RunInfo::default(),
             stages: StageId::ALL.to_vec(),
             budgets_ms: BTreeMap::new(),
+            topics: BTreeMap::new(),
             scores: true,
             input: InputReport::default(),
             silence_ns: SILENCE_NS,
@@ -470,8 +473,11 @@ impl Recorder {
         };
         let budget_ms = self.options.budgets_ms.get(&stage).copied();
         let share = |value_ms: Option<f64>| Some((value_ms? / budget_ms? * 1e4).round() / 1e4);
+        let [reads, writes] = self.options.topics.get(&stage).cloned().unwrap_or_default();
         StageReport {
             name: stage.name().to_owned(),
+            reads,
+            writes,
             budget_ms,
             budget_share_p50: share(compute_ms.p50),
             budget_share_p99: share(compute_ms.p99),

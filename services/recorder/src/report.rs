@@ -309,6 +309,12 @@ pub struct Percentiles {
 pub struct StageReport {
     /// The stage's name.
     pub name: String,
+    /// Topics that it reads; empty if they are unknown.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub reads: Vec<String>,
+    /// Topics that it writes; empty if they are unknown.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub writes: Vec<String>,
     /// Share of the tick limit of 80 ms.
     pub budget_ms: Option<f64>,
     /// Median of compute over budget.

@@ -67,6 +67,7 @@ pub(crate) fn settings(run: &Run) -> RecorderOptions {
     RecorderOptions {
         stages: run.order(),
         budgets_ms: run.budgets_ms(),
+        topics: run.topics_of_stages(),
         silence_ns,
         ..RecorderOptions::default()
     }

@@ -25,10 +25,14 @@ use crate::estimate::Fit;
 
 /// Probabilities that an agent begins a manoeuvre, ends one, stops and starts between two measurements 80 ms
 /// apart.
-const BEGINS: f64 = 0.03;
+const BEGINS: f64 = 0.003;
 const ENDS: f64 = 0.03;
 const STOPS: f64 = 0.03;
-const STARTS: f64 = 0.01;
+const STARTS: f64 = 0.003;
+/// Probability that a manoeuvre begins if there was no measurement for [`UNSEEN_NS`]. Only forecasts know of it,
+/// and the free motion follows them.
+const BEGINS_UNSEEN: f64 = 0.06;
+const UNSEEN_NS: u64 = 500_000_000;
 /// An agent stops from a speed below this, or below the deviation of its speed.
 const STOPPING_MPS: f64 = 0.3;
 /// Lower bound of each probability, so that a few measurements can change it.
@@ -58,6 +62,8 @@ pub struct Steady {
     probability: [f64; 3],
     /// Number of updates, up to [`UPDATES_MIN`].
     updates: u8,
+    /// Time since the last update.
+    unseen_ns: u64,
     changes: Changes,
 }
 
@@ -66,20 +72,28 @@ pub struct Steady {
 struct Changes {
     dt_ns: u64,
     begins: f64,
+    begins_unseen: f64,
     ends: f64,
     stops: f64,
     starts: f64,
 }
 
 impl Changes {
-    const IN_80_MS: Self =
-        Self { dt_ns: STEP_MAX_NS, begins: BEGINS, ends: ENDS, stops: STOPS, starts: STARTS };
+    const IN_80_MS: Self = Self {
+        dt_ns: STEP_MAX_NS,
+        begins: BEGINS,
+        begins_unseen: BEGINS_UNSEEN,
+        ends: ENDS,
+        stops: STOPS,
+        starts: STARTS,
+    };
 
     fn within(dt_ns: u64) -> Self {
         let steps = dt_ns as f64 / STEP_MAX_NS as f64;
         let within = |probability: f64| 1.0 - (1.0 - probability).powf(steps);
-        let [begins, ends, stops, starts] = [BEGINS, ENDS, STOPS, STARTS].map(within);
-        Self { dt_ns, begins, ends, stops, starts }
+        let [begins, begins_unseen, ends, stops, starts] =
+            [BEGINS, BEGINS_UNSEEN, ENDS, STOPS, STARTS].map(within);
+        Self { dt_ns, begins, begins_unseen, ends, stops, starts }
     }
 }
 
@@ -94,6 +108,7 @@ impl Steady {
             place_variance: 0.5 * (xx + yy),
             probability: AT_BIRTH,
             updates: 0,
+            unseen_ns: 0,
             changes: Changes::IN_80_MS,
         }
     }
@@ -113,7 +128,10 @@ impl Steady {
         if self.changes.dt_ns != dt_ns {
             self.changes = Changes::within(dt_ns);
         }
-        let Changes { begins, ends, stops, starts, .. } = self.changes;
+        let Changes { ends, stops, starts, .. } = self.changes;
+        let is_unseen = self.unseen_ns >= UNSEEN_NS;
+        let begins = if is_unseen { self.changes.begins_unseen } else { self.changes.begins };
+        self.unseen_ns = self.unseen_ns.saturating_add(dt_ns);
         let stops = stops * slowness(&self.filter);
         let [is_free, is_steady, stands] = self.probability;
         // A standing agent starts with a manoeuvre, and a free one stops.
@@ -163,6 +181,9 @@ impl Steady {
         let shifted =
             |filter: &Filter, dt_s: f64| if dt_s == 0.0 { *filter } else { filter.shifted(dt_s, models) };
         self.updates = (self.updates + 1).min(UPDATES_MIN);
+        if !possible.is_empty() {
+            self.unseen_ns = 0;
+        }
         let mut moved = shifted(&self.filter, lag_s);
         if let [(1.0, observation)] = possible {
             let free = shifted(free, lag_s);

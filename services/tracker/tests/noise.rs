@@ -266,6 +266,6 @@ fn noise_along_or_across_the_line_of_sight_is_learned() {
         let [all, by_view] = [flags::HAS_IDENTITIES, flags::HAS_IDENTITIES | flags::SEEN_FROM_EGO]
             .map(|flags| elongated_mps(flags, along_m, across_m));
         println!("{along_m} and {across_m} m: {all:.3} m/s for one noise, {by_view:.3} m/s by the view");
-        assert!(by_view < 0.85 * all, "{all} and {by_view} m/s");
+        assert!(by_view < 0.95 * all, "{all} and {by_view} m/s");
     }
 }

@@ -383,6 +383,7 @@ function showStatus(status) {
         `<td class="soft">${shortNumber(stage.budget_ms)}</td>` +
         `<td class="${stage.process.restarts ? "bad" : "soft"}">${stage.process.restarts}</td></tr>`;
     }).join("");
+  if ($("graph-box").open) $("graph").innerHTML = graphOf(report.stages);
   const restarts = status.stages.reduce((sum, stage) => sum + stage.process.restarts, 0);
   const bad = (count) => (count ? "bad" : "good");
   $("health").innerHTML = figure(report.late_ticks, "late ticks", bad(report.late_ticks)) +
@@ -503,6 +504,7 @@ for (const event of ["click", "keydown"]) {
     if (row && (!key || key === "Enter")) select(row.dataset.id);
   });
 }
+$("graph-box").addEventListener("toggle", () => live.status && showStatus(live.status));
 $("conflicts").addEventListener("click", ({ target }) => {
   const row = target.closest("tr[data-a]");
   if (!row) return;

@@ -123,6 +123,12 @@ function stageTable({ report }) {
     ${report.stages.map(row).join("")}</table></div></section>`;
 }
 
+function graphCard({ report }) {
+  const graph = graphOf(report.stages);
+  return graph && `<section class="card"><h2>Pipeline<span class="soft">p50 / p99, ms; dashed: for the next tick</span></h2>
+    <div class="scroll">${graph}</div></section>`;
+}
+
 function accuracyTable({ report }) {
   const { accuracy } = report;
   const groups = [["all", accuracy], ...Object.entries(accuracy.by_type)].filter(([, errors]) => errors.forecasts > 0);
@@ -329,7 +335,7 @@ async function build() {
     const frames = run.scrub ? decodeScrub(await inflate(run.scrub)) : [];
     const column = element(`<article class="run">${headOf(run)}${figuresOf(run)}
       ${details && RUNS.length === 1 ? '<div data-slot="scene"></div>' : ""}${details ? '<div data-slot="times"></div><div data-slot="stages"></div>' : ""}
-      ${stageTable(run)}${worstOf(run, details)}${details ? '<div data-slot="quality"></div>' : ""}
+      ${graphCard(run)}${stageTable(run)}${worstOf(run, details)}${details ? '<div data-slot="quality"></div>' : ""}
       ${accuracyTable(run)}${details ? '<div data-slot="horizon"></div>' : ""}${factsOf(run)}</article>`);
     document.getElementById("runs").append(column);
     if (details) {

@@ -19,11 +19,12 @@ const STYLE: &str = include_str!("../assets/page.css");
 const PACKED: &str = include_str!("../assets/packed.js");
 const SCENE: &str = include_str!("../assets/scene.js");
 const CHARTS: &str = include_str!("../assets/charts.js");
+const GRAPH: &str = include_str!("../assets/graph.js");
 
 /// Puts styles and scripts into a page.
 fn page(html: &str, scripts: &[&str]) -> String {
     let [colors, looks] = vocabulary();
-    let scripts = [looks.as_str(), PACKED, SCENE, CHARTS].into_iter().chain(scripts.iter().copied());
+    let scripts = [looks.as_str(), PACKED, SCENE, CHARTS, GRAPH].into_iter().chain(scripts.iter().copied());
     let scripts: String = scripts.map(|script| format!("<script>\n{script}</script>\n")).collect();
     html.replacen("{{style}}", &(colors + STYLE), 1).replacen("{{scripts}}", &scripts, 1)
 }

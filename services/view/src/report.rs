@@ -180,6 +180,7 @@ impl Gathering {
         let options = RecorderOptions {
             stages: if run.stages.is_empty() { wire::StageId::ALL.to_vec() } else { run.order() },
             budgets_ms: run.budgets_ms(),
+            topics: run.topics_of_stages(),
             scores: recording.has_topic(TruthTopic::NAME),
             ..RecorderOptions::default()
         };

@@ -234,6 +234,15 @@ impl Run {
         stages.filter_map(|stage| Some((StageId::from_number(stage.stage)?, stage.budget_ms?))).collect()
     }
 
+    /// The topics that each stage reads and writes.
+    pub fn topics_of_stages(&self) -> BTreeMap<StageId, [Vec<String>; 2]> {
+        let stages = self.stages.iter();
+        let of = |stage: &StageRun| {
+            Some((StageId::from_number(stage.stage)?, [stage.reads.clone(), stage.writes.clone()]))
+        };
+        stages.filter_map(of).collect()
+    }
+
     /// The deadline of a stage, as time after the release of a tick. Agents that it has not served by then
     /// are left out.
     ///

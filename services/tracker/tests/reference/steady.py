@@ -9,7 +9,7 @@ import math
 import pathlib
 
 FREE_DENSITY, STEADY_DENSITY = 0.5, 0.01
-BEGINS, ENDS, STOPS, STARTS = 0.03, 0.03, 0.03, 0.01
+BEGINS, ENDS, STOPS, STARTS = 0.003, 0.03, 0.03, 0.003
 STOPPING_MPS, CREEP_M2, STANDING_VARIANCE, LEAST = 0.3, 1e-3, 1e-4, 1e-6
 STEP_S = 0.08
 # The bicycle: rear axle in m; deviations of acceleration and slip rate of the free and of the steady motion;
