@@ -21,13 +21,15 @@ radians counter-clockwise from +x. If a recording has an origin, add `origin_m` 
 from ._stgdat import InputError, __version__
 from .checks import MissingFileError
 from .evaluation import Evaluation, Evaluator, combine_states, evaluate, evaluate_state, merge_states
-from .frames import Detections, Forecasts, Frame, Tracks, detections, dtype
+from .frames import Agent, Detections, Forecasts, Frame, Tracks, detections, dtype
 from .numbers import AgentType, Cause, DetectionFlags, Expert, Quality, TrackStatus
+from .pictures import plot
 from .recording import Recording, generate, open
 from .runs import Record, Run, read_record
 from .stages import Predictor, Tracker
 
 __all__ = [
+    "Agent",
     "AgentType",
     "Cause",
     "DetectionFlags",
@@ -56,5 +58,6 @@ __all__ = [
     "generate",
     "merge_states",
     "open",
+    "plot",
     "read_record",
 ]

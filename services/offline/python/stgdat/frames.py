@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from typing import TYPE_CHECKING, Any, Optional, Tuple, Type, Union, cast
+from typing import TYPE_CHECKING, Any, Iterator, Optional, Tuple, Type, Union, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -181,8 +181,95 @@ class Tracks(_Agents):
         return {**self._common(), "existence": self.existence}
 
 
+class Agent:
+    """The forecasts of one agent. Arrays are those of `Forecasts` without their first axis."""
+
+    def __init__(self, forecasts: Forecasts, row: int) -> None:
+        self._forecasts, self._row = forecasts, row
+        self._modes = int(forecasts.records["modes_len"][row])
+
+    def __repr__(self) -> str:
+        x, y = self.position_m
+        of = f"{self.type.name.lower()} {self.id} at ({x:.1f}, {y:.1f}) m"
+        return f"<Agent {of}: {self.quality.name.lower()}, {self._modes} modes>"
+
+    @property
+    def id(self) -> int:
+        """The track."""
+        return int(self._forecasts.ids[self._row])
+
+    @property
+    def source_id(self) -> int:
+        """The identity in the recording; 0 without one."""
+        return int(self._forecasts.source_ids[self._row])
+
+    @property
+    def type(self) -> AgentType:
+        """The type."""
+        return AgentType(self._forecasts.types[self._row])
+
+    @property
+    def quality(self) -> Quality:
+        """The origin of the forecast."""
+        return Quality(self._forecasts.quality[self._row])
+
+    @property
+    def cause(self) -> Cause:
+        """Why the forecast is not learned."""
+        return Cause(self._forecasts.cause[self._row])
+
+    @property
+    def position_m(self) -> Array:
+        """Position at the stamp, [xy]."""
+        return self._of(self._forecasts.positions_m)
+
+    @property
+    def velocity_mps(self) -> Array:
+        """Velocity at the stamp, [xy]."""
+        return self._of(self._forecasts.velocities_mps)
+
+    @property
+    def heading_rad(self) -> float:
+        """Heading at the stamp."""
+        return float(self._forecasts.headings_rad[self._row])
+
+    @property
+    def modes_m(self) -> Array:
+        """Positions of this agent's modes, [mode, step, xy]."""
+        return self._of(self._forecasts.modes_m)[: self._modes]
+
+    @property
+    def probabilities(self) -> Array:
+        """Probability of each mode, [mode]."""
+        return self._of(self._forecasts.probabilities)[: self._modes]
+
+    @property
+    def mode_covariances_m2(self) -> Array:
+        """Covariance of the position in each mode, [mode, step, (xx, xy, yy)]."""
+        return self._of(self._forecasts.mode_covariances_m2)[: self._modes]
+
+    @property
+    def best_m(self) -> Array:
+        """The single best forecast, [step, xy]."""
+        return self._of(self._forecasts.best_m)
+
+    @property
+    def mean_m(self) -> Array:
+        """Mean of the mixture of all modes, [step, xy]."""
+        return self._of(self._forecasts.mean_m)
+
+    @property
+    def covariances_m2(self) -> Array:
+        """Covariance of the mixture of all modes, [step, (xx, xy, yy)]."""
+        return self._of(self._forecasts.covariances_m2)
+
+    def _of(self, array: Array) -> Array:
+        row: Array = array[self._row]
+        return row
+
+
 class Forecasts(_Agents):
-    """The forecasts of one tick, as arrays by agent.
+    """The forecasts of one tick, as arrays by agent. Iteration gives an `Agent` for each row.
 
     Step k is `(k + 1) * step_s` after the stamp.
 
@@ -195,7 +282,23 @@ class Forecasts(_Agents):
     >>> path_m = last.modes_m[agent, likely]  # [step, xy]
     >>> path_m.shape
     (12, 2)
+    >>> [of.id for of in last] == last.ids.tolist()
+    True
     """
+
+    def __iter__(self) -> Iterator[Agent]:
+        return (Agent(self, row) for row in range(len(self)))
+
+    def __repr__(self) -> str:
+        from . import pictures
+
+        ahead_s = self.step_s * self._steps
+        return f"<Forecasts {self.seq} at {self.stamp_ns / 1e9:.3f} s: {pictures.summary(self)}, to {ahead_s:.1f} s>"
+
+    def _repr_html_(self) -> str:
+        from . import pictures
+
+        return pictures.in_html(self)
 
     @property
     def times_s(self) -> Array:

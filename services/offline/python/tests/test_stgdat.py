@@ -19,6 +19,7 @@ import threading
 import unittest
 from pathlib import Path
 from typing import Any, Callable, List
+from xml.etree import ElementTree
 
 import numpy as np
 import numpy.typing as npt
@@ -229,6 +230,43 @@ class Forecasts(InFolder):
         done.set()
         counter.join()
         self.assertGreater(during, 10)
+
+    def test_agents_are_rows(self) -> None:
+        *_, last = stgdat.Predictor().run(stgdat.generate(agents=8, ticks=50))
+        self.assertEqual([agent.id for agent in last], last.ids.tolist())
+        for row, agent in enumerate(last):
+            self.assertEqual(agent.source_id, last.source_ids[row])
+            numbers = [agent.type, agent.quality, agent.cause]
+            self.assertEqual(numbers, [last.types[row], last.quality[row], last.cause[row]])
+            self.assertEqual(len(agent.modes_m), last.records["modes_len"][row])
+            self.assertAlmostEqual(float(agent.probabilities.sum()), 1.0, places=4)
+            for name in ("best_m", "mean_m", "covariances_m2"):
+                self.assertTrue((getattr(agent, name) == getattr(last, name)[row]).all())
+            self.assertEqual(agent.position_m.tolist(), last.positions_m[row].tolist())
+        self.assertRegex(repr(last), r"<Forecasts 49 at .* s: \d+ agents \(.*vehicle.*; .*learned.*\), to 4.8 s>")
+        self.assertRegex(repr(agent), r"<Agent \w+ \d+ at \(")
+
+    def test_forecasts_have_pictures(self) -> None:
+        recording = stgdat.generate(agents=40, ticks=50, complete=True)
+        first, *_, last = stgdat.Predictor().run(recording)
+        for of in (first, last):
+            found = of._repr_html_()
+            ElementTree.fromstring(f"<div>{found}</div>")
+            self.assertEqual(found.count("<circle"), len(of))
+            self.assertNotIn("nan", found)
+        self.assertIn("<polyline", last._repr_html_())
+        self.assertIn("more", last._repr_html_())
+        try:
+            import matplotlib
+        except ModuleNotFoundError as error:
+            self.skipTest(str(error))
+        matplotlib.use("Agg")
+        axes: Any = stgdat.plot(last, recording)
+        # Modes, the best one and the position of each agent; both sides of the recording; a line per type.
+        lines = int(last.records["modes_len"].sum()) + 2 * len(last) + 2 + len(set(last.types.tolist()))
+        self.assertEqual(len(axes.lines), lines)
+        self.assertIs(stgdat.plot(last, ax=axes), axes)
+        axes.figure.savefig(self.folder / "x.png")
 
     def test_tables(self) -> None:
         try:
