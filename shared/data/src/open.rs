@@ -57,6 +57,7 @@ pub fn open(path: &Path, format: Option<Format>) -> Result<Recording, ReadError>
 pub fn open_with(path: &Path, options: OpenOptions) -> Result<Recording, ReadError> {
     let parts = bag_parts(path)?;
     let opened = read(parts.first().map_or(path, |first| first), Role::Rows)?;
+    refuse_table(path, &opened)?;
     let format = match options.format {
         Some(format) => format,
         None => Format::detect(&opened)?,
@@ -84,6 +85,23 @@ pub fn open_with(path: &Path, options: OpenOptions) -> Result<Recording, ReadErr
     let folder = path.canonicalize().ok().filter(|path| path.is_dir());
     Ok(Recording { name: name(&folder.as_deref().unwrap_or(path).to_string_lossy()), ..recording })
 }
+
+/// Refuses a file of a data frame, and names the lines of Python that make a CSV of it.
+fn refuse_table(path: &Path, opened: &Input) -> Result<(), ReadError> {
+    let Some((_, kind, read)) = TABLES.iter().find(|(magic, ..)| opened.bytes.starts_with(magic)) else {
+        return Ok(());
+    };
+    let saved = path.with_extension("csv");
+    let problem = format!(
+        "a {kind} file. Two lines of Python make a recording of it, if its columns have the names of the CSV \
+         format:\n    import pandas, stgdat\n    stgdat.Recording.from_pandas(pandas.{read}({path:?})).save({saved:?})"
+    );
+    Err(ReadError::file(&opened.path, problem))
+}
+
+/// First bytes of the files of data frames, their names, and the readers of pandas.
+const TABLES: [(&[u8], &str, &str); 2] =
+    [(b"PAR1", "Parquet", "read_parquet"), (b"ARROW1", "Feather", "read_feather")];
 
 /// The name of a recording in a single file of another reader, and the SHA-256 of the file, as
 /// [`Recording::name`] and [`Recording::sha256`].

@@ -12,7 +12,7 @@ use pyo3::prelude::*;
 use pyo3::pybacked::PyBackedBytes;
 
 use crate::error;
-use crate::recording::{detections_of, parse, record_at};
+use crate::recording::{Recording, detections_of, parse, record_at};
 
 /// States that are merged while the global lock is released.
 const TOGETHER: usize = 256;
@@ -59,6 +59,20 @@ impl Evaluator {
                 evaluation = evaluation.along(Arc::new(lanes));
             }
             Ok(Self { evaluation, open })
+        })
+    }
+
+    /// The state of a recording that is already read. `name` is its name in tables.
+    fn state_of(
+        &self,
+        py: Python<'_>,
+        recording: &Recording,
+        name: Option<String>,
+    ) -> PyResult<Cow<'static, [u8]>> {
+        py.detach(move || {
+            let mut recording = recording.recording.clone();
+            recording.name = name.unwrap_or(recording.name);
+            Ok(self.evaluation.opened(recording).to_bytes().into())
         })
     }
 

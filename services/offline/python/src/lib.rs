@@ -7,6 +7,7 @@
 //! Computations release Python's global lock.
 
 mod block;
+mod columns;
 mod error;
 mod evaluate;
 mod fleet;
@@ -23,6 +24,8 @@ mod _stgdat {
 
     #[pymodule_export]
     use crate::block::Block;
+    #[pymodule_export]
+    use crate::columns::{column_of, parse_columns, write_columns};
     #[pymodule_export]
     use crate::error::InputError;
     #[pymodule_export]

@@ -10,6 +10,7 @@ use data::{GeneratedScene, SceneOptions};
 use launch::arguments::{PlaybackArguments, Prepared};
 use launch::tracking::add_noise;
 use pyo3::prelude::*;
+use pyo3::types::PyBytes;
 use recording::{Message, ReadError};
 use source::PlaybackOptions;
 use wire::{Detection, DetectionsTopic, Topic as _, WorldOrigin, flags};
@@ -128,20 +129,8 @@ pub fn open(py: Python<'_>, arguments: Vec<String>, is_complete: bool) -> PyResu
         let prepared = prepare(arguments)?;
         let recording = if is_complete { complete(&prepared)? } else { load(&prepared)? };
         let Prepared { source, run, .. } = prepared;
-        let frames = || recording.frames.iter();
-        let mut end = 0;
-        let ends = frames().map(|frame| {
-            end += frame.detections.len() as i64;
-            end
-        });
-        Ok(Recording {
-            offsets: std::iter::once(0).chain(ends).collect(),
-            detections: frames().flat_map(|frame| &frame.detections).copied().collect(),
-            stamps_ns: frames().map(|frame| frame.stamp_ns).collect(),
-            path: source.recording.map(|path| path.display().to_string()),
-            origin: run.origin(),
-            recording,
-        })
+        let path = source.recording.map(|path| path.display().to_string());
+        Ok(Recording::new(recording, path, run.origin()))
     })
 }
 
@@ -195,6 +184,15 @@ impl Recording {
         Block::new(Owner::Numbers(self.offsets.clone()))
     }
 
+    /// The recording as a file in the project's own format. Its positions are in the world frame.
+    fn csv<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
+        let text = py.detach(|| {
+            let mut text = Vec::new();
+            data::write_frames(&mut text, &self.recording.frames).map(|()| text)
+        })?;
+        Ok(PyBytes::new(py, &text))
+    }
+
     /// Plays the recording tick by tick, as `stgdat predict` does.
     fn play(&self, py: Python<'_>, ticks: Option<u64>) -> Playback {
         let options = PlaybackOptions { run_id: 0, ticks_max: ticks, lockstep: true };
@@ -204,6 +202,24 @@ impl Recording {
 }
 
 impl Recording {
+    /// A recording with its columns for numpy.
+    pub fn new(recording: data::Recording, path: Option<String>, origin: WorldOrigin) -> Self {
+        let frames = || recording.frames.iter();
+        let mut end = 0;
+        let ends = frames().map(|frame| {
+            end += frame.detections.len() as i64;
+            end
+        });
+        Self {
+            offsets: std::iter::once(0).chain(ends).collect(),
+            detections: frames().flat_map(|frame| &frame.detections).copied().collect(),
+            stamps_ns: frames().map(|frame| frame.stamp_ns).collect(),
+            path,
+            origin,
+            recording,
+        }
+    }
+
     fn found(&self) -> Vec<String> {
         let mut inspection = data::inspect(&self.recording);
         if !self.recording.sha256.is_empty() {

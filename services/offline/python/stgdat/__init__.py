@@ -8,7 +8,7 @@
     >>> forecasts.modes_m.shape[1:]  # modes, steps, x and y
     (20, 12, 2)
 
-* `open` reads a recording; `generate` makes one.
+* `open` reads a recording; `generate` makes one, and `Recording.from_pandas` and `from_arrays` of your own data.
 * `Predictor` and `Tracker` run the stages in this process.
 * `evaluate` compares forecasts with the recorded motion. `Evaluator.state` makes a state of each recording, and
   `merge_states` the same figures from states.

@@ -83,16 +83,25 @@ class Evaluator:
     def state(self, path: Union[Path, Recording], name: Optional[str] = None) -> bytes:
         """The sums behind the tables of one recording. `merge_states` makes tables from such states.
 
-        `path` may be the record of a run, whose detections are evaluated. `name` replaces the name of the recording in
-        tables: for a file that was copied to a temporary place. Raises `InputError` for a recording that cannot be read.
+        A `Recording` is evaluated as it was read. `path` may be the record of a run, whose detections are evaluated.
+        `name` replaces the name of the recording in tables: for a file that was copied to a temporary place. Raises
+        `InputError` for a recording that cannot be read.
         """
-        return self._inner.state(_path(path), name)
+        if isinstance(path, Recording):
+            return self._inner.state_of(path._recording, name)
+        return self._inner.state(checks.existing(path), name)
 
     def evaluate(self, recordings: Union[Path, Recording, Iterable[Union[Path, Recording]]]) -> Evaluation:
         """The figures of recordings. See `stgdat.evaluate`."""
         if isinstance(recordings, (str, os.PathLike, Recording)):
             recordings = [recordings]
-        return _evaluation(self._inner.states([_path(recording) for recording in recordings]))
+        opened, paths = [], []
+        for recording in recordings:
+            if isinstance(recording, Recording):
+                opened.append(self._inner.state_of(recording._recording, None))
+            else:
+                paths.append(checks.existing(recording))
+        return _evaluation(combine_states(opened + [self._inner.states(paths)] if paths or not opened else opened))
 
 
 def evaluate(
@@ -155,11 +164,3 @@ def _evaluation(state: bytes) -> Evaluation:
         table=table,
         tables=tables,
     )
-
-
-def _path(recording: Union[Path, Recording]) -> str:
-    if not isinstance(recording, Recording):
-        return checks.existing(recording)
-    if recording.path is None:
-        raise _stgdat.InputError("a generated recording has no file to evaluate")
-    return recording.path

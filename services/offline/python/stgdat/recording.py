@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import builtins
 import functools
 import os
-from typing import TYPE_CHECKING, Any, Iterator, List, Optional, Tuple
+from typing import TYPE_CHECKING, Any, Dict, Iterator, List, Mapping, Optional, Tuple, Union
 
 import numpy as np
+import numpy.typing as npt
 
 from . import _stgdat, checks, tables
+from . import columns as columns_of
 from .arguments import Origin, Path, written
 from .frames import Array, Detections, array_of, dtype
 from .numbers import AgentType, DetectionFlags
@@ -21,9 +24,11 @@ _AGENT = np.dtype([("id", "<u8"), ("agent_type", "<u4"), ("first_ns", "<i8"), ("
 
 
 class Recording:
-    """A recording: frames of detections in time order. `open` and `generate` make it.
+    """A recording: frames of detections in time order.
 
-    Pickle stores how it was made. Another process opens the file again, and refuses a file that has changed.
+    `open` and `generate` make it, and `Recording.from_arrays` and `Recording.from_pandas` of your own data. Pickle
+    stores how it was made: another process opens the file again, and refuses a file that has changed. A recording from
+    arrays is stored itself.
 
     >>> import stgdat
     >>> recording = stgdat.generate(agents=4, ticks=10)
@@ -38,22 +43,93 @@ class Recording:
     offsets: Array
     """The rows of frame i are `detections[offsets[i]:offsets[i + 1]]`, [frame + 1]."""
 
-    def __init__(self, recording: _stgdat.Recording, arguments: List[str], complete: bool = False) -> None:
+    def __init__(self, recording: _stgdat.Recording, remade: Tuple[Any, ...]) -> None:
         self._recording = recording
-        self._arguments = arguments
-        self._complete = complete
+        self._remade = remade
         self.detections = array_of(recording.detections(), dtype("detections"))
         self.stamps_ns = array_of(recording.stamps_ns(), "<i8")
         self.offsets = array_of(recording.offsets(), "<i8")
 
     def __reduce__(self) -> Tuple[Any, ...]:
-        return _reopened, (self._arguments, self._complete, self.sha256)
+        return self._remade
 
     def __len__(self) -> int:
         return len(self.stamps_ns)
 
     def __repr__(self) -> str:
         return f"<Recording {self.name}: {len(self)} frames, {len(self.detections)} detections>"
+
+    @classmethod
+    def from_arrays(
+        cls,
+        types: Union[str, AgentType, npt.ArrayLike],
+        x_m: npt.ArrayLike,
+        y_m: npt.ArrayLike,
+        *,
+        stamp_s: Optional[npt.ArrayLike] = None,
+        stamp_ns: Optional[npt.ArrayLike] = None,
+        ids: Optional[npt.ArrayLike] = None,
+        headings_rad: Optional[npt.ArrayLike] = None,
+        speeds_mps: Optional[npt.ArrayLike] = None,
+        sizes_m: Optional[npt.ArrayLike] = None,
+        scores: Optional[npt.ArrayLike] = None,
+        sigmas_m: Optional[npt.ArrayLike] = None,
+        name: str = "arrays",
+        origin: Origin = (0.0, 0.0),
+    ) -> Recording:
+        """Makes a recording of arrays, with a value per detection.
+
+        `types` are `AgentType`, their numbers or names, or one of them for all rows. The names `ego` and `above` mark
+        poses of the sensor. Give `stamp_s` or `stamp_ns`, and the latter for clocks since 1970. `sizes_m` has two
+        columns, length and width. NaN is an unknown value. The rows are read as those of a CSV file, with all its checks.
+
+        Raises `InputError` with row, column and value, and `TypeError` for values that are no numbers.
+
+        >>> recording = Recording.from_arrays("vehicle", [0.0, 0.8], [0.0, 0.0], stamp_s=[0.0, 0.1], ids=[1, 1])
+        >>> len(recording), recording.interval_ns
+        (2, 100000000)
+        """
+        given = {"stamp_s": stamp_s, "stamp_ns": stamp_ns, "id": ids, "type": types, "x_m": x_m, "y_m": y_m}
+        given.update(heading_rad=headings_rad, speed_mps=speeds_mps, score=scores, sigma_m=sigmas_m)
+        if sizes_m is not None:
+            sizes = np.asarray(sizes_m)
+            if sizes.ndim != 2 or sizes.shape[1] != 2:
+                raise _stgdat.InputError(f"sizes_m has the shape {sizes.shape}: expected two columns, length and width")
+            given.update(length_m=sizes[:, 0], width_m=sizes[:, 1])
+        labels = {"id": "ids", "type": "types", "heading_rad": "headings_rad", "speed_mps": "speeds_mps"}
+        labels.update(score="scores", sigma_m="sigmas_m", length_m="sizes_m[:, 0]", width_m="sizes_m[:, 1]")
+        return _of_columns({key: values for key, values in given.items() if values is not None}, name, labels, origin)
+
+    @classmethod
+    def from_pandas(
+        cls,
+        frame: pandas.DataFrame,
+        columns: Optional[Mapping[str, Any]] = None,
+        *,
+        name: str = "data frame",
+        origin: Origin = (0.0, 0.0),
+    ) -> Recording:
+        """Makes a recording of a data frame, with a row per detection.
+
+        The columns have the names of the CSV format: `stamp_s` or `stamp_ns`, `type`, `x_m`, `y_m`, and, if they are
+        known, `id`, `heading_rad`, `speed_mps`, `length_m`, `width_m`, `score`, `sigma_m`. `columns` names those that the
+        frame calls otherwise: `{"x_m": "east", "speed_mps": None}` reads x from `east`, and no speed. The unit must be
+        that of the key. Times of pandas can be `stamp_ns`. Columns with other names are left out, but a name such as
+        `yaw`, which may have another unit, must be in `columns`.
+
+        Raises `InputError` with row, column and value, and `TypeError` for values that are no numbers. Rows count from
+        0, whatever the index.
+        """
+        found = columns_of.named([str(column) for column in frame.columns], columns or {})
+        at = {str(column): place for place, column in enumerate(frame.columns)}
+        given = {key: frame.iloc[:, at[column]] for key, column in found.items()}
+        labels = {key: f"{column} ({key})" for key, column in found.items() if key != column}
+        return _of_columns(given, name, labels, origin)
+
+    def save(self, path: Path) -> None:
+        """Writes the recording as CSV, with positions in the world frame. `open` reads it again."""
+        with builtins.open(path, "wb") as file:
+            file.write(self._recording.csv())
 
     @property
     def name(self) -> str:
@@ -62,7 +138,7 @@ class Recording:
 
     @property
     def path(self) -> Optional[str]:
-        """The file; `None` for a generated recording."""
+        """The file; `None` for a recording that was generated or made of arrays."""
         return self._recording.path
 
     @property
@@ -161,7 +237,8 @@ def generate(*, agents: int = 32, ticks: int = 250, seed: int = 1, complete: boo
 
 
 def _made(arguments: List[str], complete: bool) -> Recording:
-    return Recording(_stgdat.open(arguments, complete), arguments, complete)
+    recording = _stgdat.open(arguments, complete)
+    return Recording(recording, (_reopened, (arguments, complete, recording.sha256)))
 
 
 def _reopened(arguments: List[str], complete: bool, sha256: str) -> Recording:
@@ -169,3 +246,12 @@ def _reopened(arguments: List[str], complete: bool, sha256: str) -> Recording:
     if recording.sha256 != sha256:
         raise _stgdat.InputError(f"{recording.path}: the file has changed since the recording was pickled")
     return recording
+
+
+def _of_columns(columns: Mapping[str, Any], name: str, labels: Mapping[str, str], origin: Origin) -> Recording:
+    return _parsed(columns_of.written(name, columns, labels), name, dict(labels), origin)
+
+
+def _parsed(text: bytes, name: str, labels: Dict[str, str], origin: Origin) -> Recording:
+    shift = (float(origin[0]), float(origin[1]))
+    return Recording(_stgdat.parse_columns(text, name, labels, shift), (_parsed, (text, name, labels, shift)))

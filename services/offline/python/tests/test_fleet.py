@@ -124,6 +124,17 @@ class Inputs(InFolder):
         with self.assertRaisesRegex(FileNotFoundError, "no recording"):
             driver.run(Count(Options()), self.tries, self.folder / "out", QUIET)
 
+    def test_a_recording_without_a_file_is_stored(self) -> None:
+        made = stgdat.generate(agents=4, ticks=60, complete=True)
+        path = self.folder / "made.csv"
+        made.save(path)
+        tables: List[Any] = []
+        for recordings in ([made], [str(path)]):
+            finished = driver.run(Audit(Options()), recordings, self.folder / f"out{len(tables)}", QUIET)
+            self.assertEqual([of.error for of in finished.done], [None])
+            tables.append(finished.report.figures)
+        self.assertEqual(tables[0], tables[1])
+
     def test_options_are_checked_before_the_first_task(self) -> None:
         root = self.write({"a/1.csv": "1"})
         out = self.folder / "out"

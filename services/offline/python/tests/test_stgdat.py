@@ -673,5 +673,146 @@ class Package(InFolder):
         predictor.step(stgdat.detections(100_000_000, [0], [0.0], [0.0]))
 
 
+class DataFrames(InFolder):
+    def setUp(self) -> None:
+        super().setUp()
+        try:
+            import pandas
+        except ModuleNotFoundError as error:
+            self.skipTest(str(error))
+        self.pandas = pandas
+
+    def lines(self, recording: stgdat.Recording) -> List[bytes]:
+        return [of.to_json() for of in stgdat.Predictor().run(recording)]
+
+    def test_a_frame_equals_its_file(self) -> None:
+        full = "stamp_s,id,type,x_m,y_m,heading_rad,speed_mps,length_m,width_m,score,sigma_m\n1700000000,,ego,1,2,0.5,,,,,\n"
+        random = np.random.default_rng(1)
+        for k in range(60):
+            for car in range(3):
+                x, y, score = 0.83 * k + random.normal(0, 0.1), 8 * car + random.normal(0, 0.1), random.random()
+                size, speed = ("4.5,1.8", f"{8.3:.1f}") if car else (",", "")
+                full += f"{1700000000.1 + k / 10:.3f},{car + 1},vehicle,{x},{y},{'' if car == 2 else 0.01},{speed},{size},{score},0.2\n"
+        other = walk().replace("stamp_s,id", "Time_s,track_id").replace(",1,vehicle", ",,vehicle")
+        for name, text in [("walk", walk()), ("full", full), ("other", other)]:
+            path = self.write(f"{name}.csv", text)
+            opened = stgdat.open(path)
+            made = stgdat.Recording.from_pandas(self.pandas.read_csv(path))
+            with self.subTest(name=name):
+                self.assertEqual(made.detections.tobytes(), opened.detections.tobytes())
+                self.assertEqual(made.stamps_ns.tolist(), opened.stamps_ns.tolist())
+                self.assertEqual(made.doubts, opened.doubts)
+                lines = self.lines(made)
+                self.assertEqual(lines, self.lines(opened))
+                self.assertGreater(len(lines), 50)
+                made.save(self.folder / "saved.csv")
+                self.assertEqual(self.lines(stgdat.open(self.folder / "saved.csv")), lines)
+
+    def test_arrays_and_frames_go_wherever_files_go(self) -> None:
+        path = self.write("walk.csv", walk())
+        opened = stgdat.open(path)
+        columns = self.pandas.read_csv(path)
+        made = stgdat.Recording.from_arrays(
+            columns["type"],
+            columns["x_m"].to_numpy(),
+            columns["y_m"].tolist(),
+            stamp_ns=(columns["stamp_s"] * 1e9).round().astype("int64"),
+            ids=columns["id"],
+            headings_rad=columns["heading_rad"],
+            speeds_mps=np.ma.masked_invalid(columns["speed_mps"]),
+        )
+        self.assertEqual((made.path, made.name, len(made.sha256)), (None, "arrays", 64))
+        copy = pickle.loads(pickle.dumps(made))
+        for recording in (made, copy):
+            self.assertEqual(self.lines(recording), self.lines(opened))
+        tracks, expected = stgdat.Tracker().run(made), stgdat.Tracker().run(path)
+        self.assertEqual([of.records.tobytes() for of in tracks], [of.records.tobytes() for of in expected])
+        self.assertEqual(stgdat.evaluate([made, path]).table, stgdat.evaluate([opened, opened]).table)
+        evaluator = stgdat.Evaluator()
+        table = stgdat.merge_states([evaluator.state(made)]).table
+        self.assertEqual(table, evaluator.evaluate(path).table)
+        self.assertEqual(evaluator.evaluate(made).table, table)
+
+    def test_columns_are_named_not_guessed(self) -> None:
+        path = self.write("walk.csv", walk())
+        frame = self.pandas.read_csv(path)
+        own = frame.rename(columns={"x_m": "east", "type": "kind", "speed_mps": "v"})
+        own["stamp_s"] = self.pandas.to_datetime(frame["stamp_s"].round(3), unit="s").astype("datetime64[ns]")
+        own["weather"] = "rain"
+        given = {"stamp_ns": "stamp_s", "x_m": "east", "type": "kind", "speed_mps": "v"}
+        made = stgdat.Recording.from_pandas(own, given)
+        self.assertEqual(made.detections.tobytes(), stgdat.open(path).detections.tobytes())
+        without = stgdat.Recording.from_pandas(own, {**given, "speed_mps": None})
+        self.assertFalse(without.detections["speed_mps"].any())
+        for change, message in [
+            ({"speed_mps": "speed"}, "columns\\['speed_mps'\\] = 'speed': the frame has stamp_s, id"),
+            ({"velocity": "v"}, "no such column of a recording"),
+        ]:
+            with self.assertRaisesRegex(stgdat.InputError, message):
+                stgdat.Recording.from_pandas(own, {**given, **change})
+        with self.assertRaisesRegex(stgdat.InputError, "column 'v': did you mean speed_mps"):
+            stgdat.Recording.from_pandas(own, {"stamp_ns": "stamp_s", "x_m": "east", "type": "kind"})
+        with self.assertRaisesRegex(stgdat.InputError, "needs a column type"):
+            stgdat.Recording.from_pandas(frame.drop(columns="type"))
+        with self.assertRaisesRegex(stgdat.InputError, "needs either stamp_s or stamp_ns"):
+            stgdat.Recording.from_pandas(frame.assign(stamp_ns=0))
+
+    def test_bad_values_name_row_and_column(self) -> None:
+        frame = self.pandas.read_csv(self.write("walk.csv", walk()))
+        wrong: List[Any] = [
+            ("type", "car", stgdat.InputError, "type: row 5 has 'car': expected vehicle"),
+            ("type", 7, stgdat.InputError, "type: row 5 has 7"),
+            ("type", None, stgdat.InputError, "type: row 5 has None"),
+            ("x_m", 99_999.0, stgdat.InputError, "row 5: x_m = 99999.0: "),
+            ("x_m", math.nan, stgdat.InputError, "row 5: x_m = nothing: "),
+            ("x_m", math.inf, stgdat.InputError, "row 5: x_m = inf"),
+            ("x_m", "far", TypeError, "row 5: data frame: x_m = 'far': expected a number, not str"),
+            ("id", 1.5, stgdat.InputError, "id: row 5 has 1.5: expected a whole number"),
+            ("id", -1, stgdat.InputError, "id: row 5 has -1"),
+            ("id", "a7", TypeError, "row 5: data frame: id = 'a7': expected a number"),
+            ("id", 1, stgdat.InputError, "row 5: id 1 stands in this frame already, in row 4"),
+            ("speed_mps", 1e9, stgdat.InputError, "row 5: speed_mps = 1000000000.0"),
+            ("stamp_s", math.nan, stgdat.InputError, "row 5: stamp_s = nothing: expected seconds"),
+        ]
+        for column, value, kind, message in wrong:
+            changed = frame.astype({column: object})
+            changed.loc[5, column] = value
+            if column == "id" and value == 1:
+                changed.loc[5, "stamp_s"], changed.loc[4, "stamp_s"] = 0.1, 0.1
+                changed.loc[4, "id"] = 1
+            with self.subTest(column=column, value=value), self.assertRaisesRegex(kind, message):
+                stgdat.Recording.from_pandas(changed)
+        with self.assertRaisesRegex(TypeError, "float32, which is too coarse"):
+            stgdat.Recording.from_pandas(frame.astype({"stamp_s": "float32"}))
+        with self.assertRaisesRegex(stgdat.InputError, "shape"):
+            stgdat.Recording.from_arrays("vehicle", [0.0, 1.0], [0.0], stamp_s=[0.0, 0.1])
+        with self.assertRaisesRegex(stgdat.InputError, "no rows"):
+            stgdat.Recording.from_pandas(frame.iloc[:0])
+
+    def test_the_audit_examines_frames(self) -> None:
+        frame = self.pandas.read_csv(self.write("walk.csv", walk()))
+        frame["heading_rad"] = np.degrees(frame["heading_rad"])
+        self.assertTrue(any("degrees" in doubt for doubt in stgdat.Recording.from_pandas(frame).doubts))
+
+    def test_parquet_names_the_lines_that_read_it(self) -> None:
+        try:
+            import pyarrow  # noqa: F401
+        except ModuleNotFoundError as error:
+            self.skipTest(str(error))
+        path = self.write("walk.csv", walk())
+        expected = self.lines(stgdat.open(path))
+        self.pandas.read_csv(path).to_parquet(self.folder / "x.parquet")
+        with self.assertRaisesRegex(stgdat.InputError, "a Parquet file") as raised:
+            stgdat.open(self.folder / "x.parquet")
+        done = subprocess.run([PROGRAM, "predict", str(self.folder / "x.parquet")], capture_output=True, text=True)
+        self.assertIn("read_parquet", done.stderr)
+        for message in (str(raised.exception), done.stderr):
+            program = "\n".join(line.strip() for line in message.splitlines() if line.startswith("    "))
+            self.assertEqual(program.count("\n"), 1, message)
+            subprocess.run([sys.executable, "-c", program], check=True, cwd=self.folder)
+            self.assertEqual(self.lines(stgdat.open(self.folder / "x.csv")), expected)
+            (self.folder / "x.csv").unlink()
+
+
 if __name__ == "__main__":
     unittest.main()

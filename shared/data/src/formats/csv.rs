@@ -170,6 +170,14 @@ fn suggestion(name: &str) -> Option<&'static str> {
     SUGGESTED.iter().find(|(_, others)| others.contains(&&*name)).map(|(column, _)| *column)
 }
 
+/// Finds the column that a name means, as the header of a file is read.
+///
+/// # Errors
+/// The column that the name may mean, with another unit or without one; `None` for any other name.
+pub fn column_of(name: &str) -> Result<&'static str, Option<&'static str>> {
+    column(name).map(|place| NAMES[place]).ok_or_else(|| suggestion(name))
+}
+
 /// The separator between the names of a header: the one that gives the most known columns.
 fn separator(line: &Line<'_>) -> Separator {
     let known =

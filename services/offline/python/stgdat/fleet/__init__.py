@@ -12,18 +12,16 @@ them, stores the result of each, and merges the results. It needs `pip install '
 
 from __future__ import annotations
 
-from typing import Iterable, Optional, Union
+from typing import Optional
 
 from .driver import Finished, Place, run
-from .inputs import Path
+from .inputs import Path, Paths
 from .jobs import Job, Options, Report
 from .jobs.audit import Audit
 from .jobs.evaluate import Evaluate
 from .jobs.mine import Mine
 from .jobs.priors import Priors
 from .jobs.replay import Replay
-
-Paths = Union[Path, Iterable[Path]]
 
 
 def evaluate(

@@ -6,11 +6,11 @@ import json
 import os
 import sys
 from dataclasses import dataclass, field
-from typing import Any, Callable, Dict, Iterable, Iterator, List, Mapping, Optional, Sequence, TextIO, Union
+from typing import Any, Callable, Dict, Iterator, List, Mapping, Optional, Sequence, TextIO, Union
 
 from . import inputs, schedule, work
 from .executors import Executor, Here, Processes, Ray
-from .inputs import Path
+from .inputs import Path, Paths
 from .jobs import Job, Report
 from .progress import Progress
 from .store import Result, Store
@@ -61,7 +61,7 @@ class Finished:
 
 def run(
     job: Job,
-    paths: Union[Path, Iterable[Path]],
+    paths: Paths,
     output: Path,
     place: Place = Place(),
     executor: Optional[Callable[[Spec], Executor]] = None,
@@ -73,10 +73,10 @@ def run(
     if place.address is None:
         # The files of the options are on this machine, too.
         job.check()
-    recordings = inputs.find(paths, place.patterns)
+    store = Store(os.fspath(output))
+    recordings = inputs.find(inputs.stored(paths, store), place.patterns)
     if not recordings:
         raise FileNotFoundError(f"no recording: folders are searched for {', '.join(place.patterns)}")
-    store = Store(os.fspath(output))
     spec = Spec(job, store, work.build())
     workers = (executor or place.executor)(spec)
     try:

@@ -6,6 +6,7 @@ import contextlib
 import fnmatch
 import hashlib
 import os
+import re
 import tempfile
 from dataclasses import dataclass
 from pathlib import PurePosixPath
@@ -13,7 +14,11 @@ from typing import Any, Iterable, Iterator, List, Sequence, Tuple, Union
 
 import fsspec
 
+from ..recording import Recording
+from .store import Store
+
 Path = Union[str, "os.PathLike[str]"]
+Paths = Union[Path, Recording, Iterable[Union[Path, Recording]]]
 #: Files of a folder that are recordings.
 PATTERNS = ("*.csv", "*.mcap")
 _CHUNK = 1 << 20
@@ -42,6 +47,23 @@ def find(paths: Union[Path, Iterable[Path]], patterns: Sequence[str] = PATTERNS)
         for one in listed:
             found += _at(one, patterns)
     return sorted(set(found), key=lambda of: (of.name, of.url))
+
+
+def stored(paths: Paths, store: Store) -> List[Path]:
+    """The paths, with recordings as files. One that has no file is written to the store, which all workers reach."""
+    if isinstance(paths, (str, os.PathLike, Recording)):
+        paths = [paths]
+    return [_stored(path, store) if isinstance(path, Recording) else path for path in paths]
+
+
+def _stored(recording: Recording, store: Store) -> str:
+    if recording.path is not None:
+        return recording.path
+    content = recording._recording.csv()
+    # Two recordings may have the same name.
+    name = re.sub(r"[^\w.-]+", "_", recording.name) + "_" + hashlib.sha256(content).hexdigest()[:8]
+    store.write(f"recordings/{name}.csv", content)
+    return store.address(f"recordings/{name}.csv")
 
 
 def _lines(path: str) -> List[str]:

@@ -37,6 +37,10 @@ class Store:
         """The place of a file, for messages and for other programs."""
         return f"{self._root}/{name}"
 
+    def address(self, name: str) -> str:
+        """The address of a file, for workers."""
+        return str(self._fs.unstrip_protocol(self.path(name)))
+
     def exists(self, name: str) -> bool:
         """Whether the file is there, and whole."""
         return bool(self._fs.exists(self.path(name)))
