@@ -39,5 +39,5 @@ pub use model::{
 };
 pub use motion::{motion_kind, motion_options};
 pub use precision::Precision;
-pub use weights::{Weights, WeightsError};
+pub use weights::{Stored, Weights, WeightsError, encode};
 pub use workers::{Deadline, Job, StartError, WORKERS_MAX, Workers, default_workers};

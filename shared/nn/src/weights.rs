@@ -1,14 +1,15 @@
 //! Weights files: safetensors with the model's configuration in their metadata.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 
 use half::f16;
+use safetensors::tensor::TensorView;
 use safetensors::{Dtype, SafeTensorError, SafeTensors};
 use sha2::{Digest, Sha256};
 use thiserror::Error;
 
-use crate::{ConfigError, ModelConfig};
+use crate::{ConfigError, ContextCnn, Decoder, Gdat, ModelConfig, RelationMlp, StateMlp};
 
 const ONBOARD: &[u8] = if cfg!(feature = "free-weights") {
     include_bytes!("../weights/onboard-free.safetensors")
@@ -96,6 +97,39 @@ pub enum WeightsError {
         /// The value.
         value: f32,
     },
+}
+
+/// How the values of a file are stored.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stored {
+    /// Half precision: weights that are shipped.
+    F16,
+    /// Single precision: checkpoints.
+    F32,
+}
+
+/// The bytes of a safetensors file with these tensors: name, shape and values in row-major order.
+///
+/// # Errors
+/// [`SafeTensorError`] if a tensor has another number of values than its shape.
+pub fn encode<'a>(
+    tensors: impl IntoIterator<Item = (&'a str, &'a [usize], &'a [f32])>,
+    stored: Stored,
+    metadata: HashMap<String, String>,
+) -> Result<Vec<u8>, SafeTensorError> {
+    let (dtype, bytes): (_, fn(&[f32]) -> Vec<u8>) = match stored {
+        Stored::F16 => {
+            (Dtype::F16, |values| values.iter().flat_map(|&x| f16::from_f32(x).to_le_bytes()).collect())
+        }
+        Stored::F32 => (Dtype::F32, |values| values.iter().flat_map(|x| x.to_le_bytes()).collect()),
+    };
+    let encoded: Vec<_> =
+        tensors.into_iter().map(|(name, shape, values)| (name, shape, bytes(values))).collect();
+    let views = encoded
+        .iter()
+        .map(|(name, shape, bytes)| Ok((*name, TensorView::new(dtype, shape.to_vec(), bytes)?)))
+        .collect::<Result<Vec<_>, SafeTensorError>>()?;
+    safetensors::serialize(views, Some(metadata))
 }
 
 struct Tensor {
@@ -187,6 +221,21 @@ impl Weights {
         }
         let sha256 = Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect();
         Ok(Self { tensors, config, card, sha256 })
+    }
+
+    /// Builds all layers that run on board, as a check of names and shapes.
+    ///
+    /// # Errors
+    /// [`WeightsError`] if a tensor is missing or has another shape than the model needs.
+    pub fn check(&self) -> Result<(), WeightsError> {
+        self.config.check_frames()?;
+        StateMlp::new(self)?;
+        RelationMlp::new(self)?;
+        if self.config.context {
+            ContextCnn::new(self)?;
+        }
+        Gdat::new(self)?;
+        Decoder::new(self).map(drop)
     }
 
     /// The model's options.

@@ -1,35 +1,42 @@
 //! Weights files: complete, in half precision, truncated, damaged, or in another format.
 
 use nn::{
-    ContextCnn, ContextMemory, Decoder, EncodingFunction, Gdat, MlpMemory, RelationMlp, StateMlp, Weights,
-    WeightsError,
+    ContextCnn, ContextMemory, EncodingFunction, MlpMemory, StateMlp, Stored, Weights, WeightsError, encode,
 };
 use proptest::prelude::*;
 use safetensors::Dtype;
 use testing::{Model, value};
 
-/// Builds every layer.
-fn build(weights: &Weights) -> Result<(), WeightsError> {
-    StateMlp::new(weights)?;
-    RelationMlp::new(weights)?;
-    ContextCnn::new(weights)?;
-    Gdat::new(weights)?;
-    Decoder::new(weights)?;
-    Ok(())
-}
-
 #[test]
 fn the_embedded_weights_hold_the_whole_model() {
     let weights = Weights::onboard();
-    weights.config().check_frames().unwrap();
-    build(&weights).unwrap();
+    weights.check().unwrap();
     assert_eq!(weights.sha256().len(), 64);
+}
+
+#[test]
+fn written_weights_are_read_again() {
+    let weights = Weights::onboard();
+    let read = |weights: &Weights, name: &str, shape: &[usize]| weights.tensor(name, shape).unwrap().to_vec();
+    let values: Vec<_> =
+        weights.shapes().map(|(name, shape)| (name, shape, read(&weights, name, shape))).collect();
+    let config = serde_json::to_string(weights.config()).unwrap();
+    for stored in [Stored::F16, Stored::F32] {
+        let tensors = values.iter().map(|(name, shape, values)| (*name, *shape, &values[..]));
+        let bytes = encode(tensors, stored, [("config".to_owned(), config.clone())].into()).unwrap();
+        let again = Weights::from_bytes(&bytes).unwrap();
+        again.check().unwrap();
+        assert_eq!(again.config(), weights.config());
+        assert!(values.iter().all(|(name, shape, values)| read(&again, name, shape) == *values));
+    }
+    let short = encode([("a", &[3][..], &[1.0][..])], Stored::F32, [].into());
+    assert!(short.is_err());
 }
 
 #[test]
 fn every_option_has_its_tensors() {
     let model = Model::with_all_options();
-    build(&model.weights()).unwrap();
+    model.weights().check().unwrap();
     for name in [
         "decoder.cyclist.latents",
         "decoder.cyclist.latent_base.weight",
@@ -38,7 +45,7 @@ fn every_option_has_its_tensors() {
     ] {
         let mut lacking = Model::with_all_options();
         lacking.tensors.retain(|(known, ..)| known != name);
-        let error = build(&lacking.weights()).unwrap_err();
+        let error = lacking.weights().check().unwrap_err();
         assert!(matches!(&error, WeightsError::Missing { name: missing } if missing == name), "{error}");
     }
 }
@@ -52,7 +59,7 @@ fn types_without_networks_of_their_own_take_the_pedestrians() {
     };
     model.tensors.retain(|(name, ..)| !of_others(name));
     let weights = model.weights();
-    build(&weights).unwrap();
+    weights.check().unwrap();
     let mlp = StateMlp::new(&weights).unwrap();
     let embed = |agent_type| {
         let mut out = vec![0.0; weights.config().state_embedding_len()];
@@ -101,12 +108,12 @@ fn truncated_files_and_other_formats_have_errors_of_their_own() {
 fn errors_name_the_tensor_and_both_shapes() {
     let mut model = Model::onboard();
     model.set("fe.relation.1.weight", &[128, 64]);
-    let error = build(&model.weights()).unwrap_err().to_string();
+    let error = model.weights().check().unwrap_err().to_string();
     assert_eq!(error, "tensor fe.relation.1.weight has shape [128, 64], the model needs [128, 128]");
 
     let mut model = Model::onboard();
     model.tensors.retain(|(name, ..)| name != "gdat.temporal.score.weight");
-    let error = build(&model.weights()).unwrap_err().to_string();
+    let error = model.weights().check().unwrap_err().to_string();
     assert_eq!(error, "tensor gdat.temporal.score.weight is missing");
 
     let mut model = Model::onboard();
@@ -142,7 +149,7 @@ proptest! {
         let mut bytes = BYTES.with(Clone::clone);
         bytes[at] = byte;
         if let Ok(weights) = Weights::from_bytes(&bytes) {
-            let _ = build(&weights);
+            let _ = weights.check();
             let _ = EncodingFunction::new(&weights);
         }
     }

@@ -7,7 +7,6 @@ use crate::TrainError;
 use crate::base::Fitness;
 use crate::checkpoint::RunProgress;
 use crate::machine;
-use crate::net::file::Precision;
 use crate::net::tensors::Tensors;
 use crate::options::TrainOptions;
 use crate::options::set_named;
@@ -194,7 +193,7 @@ impl ModelCard {
             entry("config", serde_json::to_string(&self.options.model))?,
             entry("card", serde_json::to_string(self))?,
         ]);
-        weights.to_safetensors(Precision::F16, metadata).map_err(|error| error.of(path))
+        weights.to_safetensors(nn::Stored::F16, metadata).map_err(|error| error.of(path))
     }
 }
 

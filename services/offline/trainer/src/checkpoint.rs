@@ -7,7 +7,6 @@ use safetensors::SafeTensors;
 
 use crate::TrainError;
 use crate::error::TensorError;
-use crate::net::file::Precision;
 use crate::net::layout::layout;
 use crate::net::tensors::{TensorRole, Tensors};
 use crate::optimiser::{Adam, Moments};
@@ -88,7 +87,7 @@ impl RunState {
         add("first", &moments(|moments| &moments.first));
         add("second", &moments(|moments| &moments.second));
         let run = serde_json::to_string(&self.progress).expect("numbers and strings are JSON");
-        let bytes = all.to_safetensors(Precision::F32, HashMap::from([("run".to_owned(), run)]));
+        let bytes = all.to_safetensors(nn::Stored::F32, HashMap::from([("run".to_owned(), run)]));
         let path = folder.join(FILE);
         let bytes = bytes.map_err(|error| error.of(&path))?;
         let io = |source| TrainError::Io { path: folder.to_owned(), source };

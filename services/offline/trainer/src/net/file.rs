@@ -3,36 +3,12 @@
 use std::collections::HashMap;
 
 use half::f16;
-use safetensors::{Dtype, SafeTensors, tensor::TensorView};
+use nn::Stored;
+use safetensors::{Dtype, SafeTensors};
 
 use super::layout::Entry;
 use super::tensors::Tensors;
 use crate::error::TensorError;
-
-/// How values are stored in a file.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Precision {
-    /// Half precision: weights that are shipped.
-    F16,
-    /// Single precision: checkpoints.
-    F32,
-}
-
-impl Precision {
-    fn dtype(self) -> Dtype {
-        match self {
-            Self::F16 => Dtype::F16,
-            Self::F32 => Dtype::F32,
-        }
-    }
-
-    fn encode(self, values: &[f32]) -> Vec<u8> {
-        match self {
-            Self::F16 => values.iter().flat_map(|&value| f16::from_f32(value).to_le_bytes()).collect(),
-            Self::F32 => values.iter().flat_map(|value| value.to_le_bytes()).collect(),
-        }
-    }
-}
 
 fn decode(dtype: Dtype, bytes: &[u8]) -> Option<Vec<f32>> {
     match dtype {
@@ -48,21 +24,14 @@ impl Tensors {
     /// All tensors as the bytes of a safetensors file.
     pub(crate) fn to_safetensors(
         &self,
-        precision: Precision,
+        stored: Stored,
         metadata: HashMap<String, String>,
     ) -> Result<Vec<u8>, TensorError> {
-        let encoded: Vec<(&str, &[usize], Vec<u8>)> = self
+        let tensors = self
             .0
             .iter()
-            .map(|(name, tensor)| (name.as_str(), tensor.shape.as_slice(), precision.encode(&tensor.values)))
-            .collect();
-        let views = encoded
-            .iter()
-            .map(|(name, shape, bytes)| {
-                Ok((*name, TensorView::new(precision.dtype(), shape.to_vec(), bytes)?))
-            })
-            .collect::<Result<Vec<_>, safetensors::SafeTensorError>>()?;
-        Ok(safetensors::serialize(views, Some(metadata.into_iter().collect()))?)
+            .map(|(name, tensor)| (name.as_str(), tensor.shape.as_slice(), tensor.values.as_slice()));
+        Ok(nn::encode(tensors, stored, metadata)?)
     }
 
     /// The tensors of `layout` from the bytes of a safetensors file; other tensors in the file are ignored.
