@@ -96,12 +96,29 @@ pub fn text(card: &ModelCard) -> String {
         origin(card),
         card.wall_s / 60.0,
     );
+    if card.validation.is_empty() {
+        text += "No validation.\n";
+    } else {
+        text += &validation(card);
+    }
+    if !card.fitness.is_empty() {
+        text += &fitness(card);
+    }
+    if !card.licences.is_empty() {
+        let licences = card.licences.iter().map(|(set, licence)| format!("{set}: {licence}"));
+        text += &format!("\nLicences of the training data: {}.\n", licences.collect::<Vec<_>>().join("; "));
+    }
+    text
+}
+
+/// The table of the validation.
+fn validation(card: &ModelCard) -> String {
     let pair = |errors: &Errors| format!("{:.3} / {:.3}", errors.ade_m, errors.fde_m);
     let share = |[ade, fde]: [f64; 2]| format!("{:+.0} % / {:+.0} %", -100.0 * ade, -100.0 * fde);
     let model = &card.options.model;
     let horizon_s = model.dt_s * model.horizon_len as f64;
     let map = if model.context { ", online map" } else { "" };
-    text += &format!("Validation, ADE / FDE in m over {horizon_s:.1} s{map}:\n\n");
+    let mut text = format!("Validation, ADE / FDE in m over {horizon_s:.1} s{map}:\n\n");
     text += &format!(
         "| {:<12} | agents | {:>15} | {:>15} | {:>15} | {:>15} | {:>15} | {:>15} |\n",
         "data set", "min of 20", "20 anchors", "gain", "K = 1", "const. velocity", "gain"
@@ -120,13 +137,6 @@ pub fn text(card: &ModelCard) -> String {
             share(gain.single_over_constant_velocity),
         );
     }
-    if !card.fitness.is_empty() {
-        text += &fitness(card);
-    }
-    if !card.licences.is_empty() {
-        let licences = card.licences.iter().map(|(set, licence)| format!("{set}: {licence}"));
-        text += &format!("\nLicences of the training data: {}.\n", licences.collect::<Vec<_>>().join("; "));
-    }
     text
 }
 
@@ -135,7 +145,8 @@ fn origin(card: &ModelCard) -> String {
     let begun: Vec<String> = card.options.begin_with.iter().map(|path| path.display().to_string()).collect();
     let begun = begun.join(", ");
     match card.step {
-        0 if !begun.is_empty() => format!("mean of {begun}"),
+        0 if card.options.begin_with.len() > 1 => format!("mean of {begun}"),
+        0 if !begun.is_empty() => format!("from {begun}"),
         step if begun.is_empty() => format!("update {step}, seed {}", card.options.seed),
         step => format!("update {step} from {begun}, seed {}", card.options.seed),
     }
