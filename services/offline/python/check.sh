@@ -39,6 +39,17 @@ install tools "$(ls "$dir"/wheels/*.whl)"
 (cd "$dir" && "$dir/tools/bin/python" -m mypy.stubtest --ignore-disjoint-bases stgdat._stgdat)
 alone python "$here/tests/test_stgdat.py"
 alone python "$here/tests/test_fleet.py"
+torch=${STGDAT_TORCH:-$python}
+if "$torch" -c 'import numpy, safetensors, torch' 2>/dev/null; then
+    rm -rf "$dir/torch"
+    "$dir/tools/bin/python" -m pip install --quiet --disable-pip-version-check --no-deps --no-index \
+        --target "$dir/torch" "$(ls "$dir"/wheels/*.whl)"
+    alone PYTHONPATH="$dir/torch" STGDAT_GOLDEN="$root/tests/golden" \
+        "$("$torch" -c 'import sys; print(sys.executable)')" "$here/tests/test_torch.py"
+else
+    printf 'skipped: stgdat.torch: %s cannot import torch, safetensors and numpy; STGDAT_TORCH names a Python that can\n' \
+        "$torch"
+fi
 alone python "$here/examples/stream.py" >"$dir/stream.txt"
 printf 'wheel: %s bytes\n' "$(wc -c <"$(ls "$dir"/wheels/*.whl)")"
 if [ "$extra" = no ]; then skip 'the notebook needs matplotlib, nbconvert and ipykernel'; fi

@@ -9,8 +9,8 @@ use run::{Declared, Run};
 use sampler::Sampler;
 use tracker::Tracker;
 use wire::{
-    Detection, DetectionsTopic, EncodingsTopic, FeatureShape, Features, FeaturesTopic, Forecast,
-    ForecastsTopic, Header, Rejected, StageId, Track, TracksTopic,
+    ControlsTopic, Detection, DetectionsTopic, EncodingsTopic, FeatureShape, Features, FeaturesTopic,
+    Forecast, ForecastsTopic, Header, Rejected, StageId, Track, TracksTopic,
 };
 
 use crate::graph::{Node, node};
@@ -121,6 +121,11 @@ impl Chain {
 
     /// Tracks and forecasts of the last tick.
     pub fn frames(&self) -> (&OwnFrame<TracksTopic>, &OwnFrame<ForecastsTopic>) {
+        (self.0.frame(), self.0.frame())
+    }
+
+    /// What enters the attention and what leaves the decoder, of the last tick.
+    pub fn network(&self) -> (&OwnFrame<FeaturesTopic>, &OwnFrame<ControlsTopic>) {
         (self.0.frame(), self.0.frame())
     }
 

@@ -6,7 +6,7 @@ use pyo3::IntoPyObjectExt as _;
 use pyo3::exceptions::PyKeyError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use wire::{Header, Primitive, Record, TABLE, Type, Value};
+use wire::{Primitive, Record, TABLE, Type, Value};
 
 /// The layout of the leading bytes of a record, as the argument of `numpy.dtype`. Only whole fields have a
 /// place in it.
@@ -17,7 +17,7 @@ pub fn layout<'py>(
     leading_bytes: Option<usize>,
 ) -> PyResult<Bound<'py, PyDict>> {
     let topic = TABLE.topics.iter().find(|topic| topic.name == record).map(|topic| topic.element);
-    let found = topic.or_else(|| (record == Header::RECORD.name).then_some(&Header::RECORD));
+    let found = topic.or_else(|| TABLE.records.iter().find(|other| other.name == record));
     let found = found.ok_or_else(|| PyKeyError::new_err(record.to_owned()))?;
     of_record(py, found, leading_bytes.unwrap_or(found.size))
 }

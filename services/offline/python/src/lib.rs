@@ -17,6 +17,7 @@ mod live;
 mod record;
 mod recording;
 mod stages;
+mod weights;
 
 #[pyo3::pymodule]
 mod _stgdat {
@@ -44,6 +45,8 @@ mod _stgdat {
     use crate::recording::{Playback, Recording, open};
     #[pymodule_export]
     use crate::stages::{Predictor, Tracker};
+    #[pymodule_export]
+    use crate::weights::{read_weights, write_weights};
 
     #[pymodule_init]
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {

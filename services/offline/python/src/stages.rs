@@ -8,7 +8,10 @@ use launch::tracking::Tracking;
 use onboard::Chain;
 use pyo3::exceptions::PyRuntimeError;
 use pyo3::prelude::*;
-use wire::{Detection, DetectionsTopic, ForecastsTopic, Header, Rejected, TracksTopic, WorldOrigin};
+use wire::{
+    ControlsTopic, Detection, DetectionsTopic, FeaturesTopic, ForecastsTopic, Header, Rejected, TracksTopic,
+    WorldOrigin,
+};
 
 use crate::error::{self, InputError};
 use crate::frame::Frame;
@@ -158,6 +161,16 @@ impl Predictor {
         let (tracks, _) = started.stages.frames();
         let frame = recording::Frame::of::<TracksTopic>(&tracks.header, &tracks.elements, 0);
         Ok(Frame::new(frame, started.prepared.run.origin()))
+    }
+
+    /// What entered the attention and what left the decoder, of the last tick.
+    fn network(&self) -> PyResult<(Frame, Frame)> {
+        let started = self.0.lock()?;
+        let (features, controls) = started.stages.network();
+        let origin = started.prepared.run.origin();
+        let features = recording::Frame::of::<FeaturesTopic>(&features.header, &features.elements, 0);
+        let controls = recording::Frame::of::<ControlsTopic>(&controls.header, &controls.elements, 0);
+        Ok((Frame::new(features, origin), Frame::new(controls, origin)))
     }
 
     /// Writes the retrieval memory to its file.

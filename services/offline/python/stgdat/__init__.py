@@ -12,6 +12,7 @@
 * `Predictor` and `Tracker` run the stages in this process.
 * `evaluate` compares forecasts with the recorded motion. `Evaluator.state` makes a state of each recording, and
   `merge_states` the same figures from states.
+* `stgdat.torch` is the model as modules of PyTorch. It needs torch.
 * `Run.attach` reads the topics of a live run, `read_record` those of a recorded one.
 
 Arrays are read-only views of memory that Rust owns. Positions are in metres in the world frame, and headings in

@@ -29,7 +29,7 @@ def _checked(name: str, value: Any) -> Any:
     if value is None:
         return None
     if name == "weights":
-        return _weights(value)
+        return weights_file(value)
     if name == "lanes":
         return checks.existing(value)
     if name in ("seed", "ticks") and (isinstance(value, bool) or not isinstance(value, (int, np.integer))):
@@ -37,7 +37,7 @@ def _checked(name: str, value: Any) -> Any:
     return value
 
 
-def _weights(weights: Path) -> str:
+def weights_file(weights: Path) -> str:
     """The file of the weights, or of the shipped weights of this name."""
     name = os.fspath(weights)
     shipped = os.path.join(os.path.dirname(__file__), "weights", name + ".safetensors")

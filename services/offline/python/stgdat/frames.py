@@ -22,7 +22,7 @@ INTERVAL_NS = 80_000_000
 
 @functools.lru_cache(maxsize=None)
 def dtype(record: str, leading_bytes: Optional[int] = None) -> np.dtype[Any]:
-    """The layout of a topic's elements, such as `"forecasts"`, or of `"Header"`.
+    """The layout of a topic's elements, such as `"forecasts"`, or of a record of the wire, such as `"Header"`.
 
     >>> dtype("detections").names[:4]
     ('id', 'x_m', 'y_m', 'heading_rad')

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Iterator, List, Mapping, Optional, Union
+from typing import Iterator, List, Mapping, Optional, Tuple, Union
 
 from . import _stgdat
 from .arguments import Origin, Path, written
-from .frames import Detections, Forecasts, Tracks
+from .frames import Detections, Forecasts, Frame, Tracks
 from .recording import Recording
 from .recording import open as open_recording
 
@@ -82,6 +82,12 @@ class Predictor:
     def tracks(self) -> Tracks:
         """The tracks of the last tick."""
         return Tracks(self._stages.tracks())
+
+    @property
+    def network(self) -> Tuple[Frame, Frame]:
+        """What entered the attention and what left the decoder at the last tick: topics `features` and `controls`."""
+        features, controls = self._stages.network()
+        return Frame(features), Frame(controls)
 
     def run(self, recording: Union[Recording, Path], ticks: Optional[int] = None) -> Iterator[Forecasts]:
         """Plays a recording from the start, as `stgdat predict` does; the forecasts have the same bytes.
