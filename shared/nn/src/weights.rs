@@ -117,11 +117,15 @@ pub fn encode<'a>(
     stored: Stored,
     metadata: HashMap<String, String>,
 ) -> Result<Vec<u8>, SafeTensorError> {
-    let (dtype, bytes): (_, fn(&[f32]) -> Vec<u8>) = match stored {
-        Stored::F16 => {
-            (Dtype::F16, |values| values.iter().flat_map(|&x| f16::from_f32(x).to_le_bytes()).collect())
+    let dtype = match stored {
+        Stored::F16 => Dtype::F16,
+        Stored::F32 => Dtype::F32,
+    };
+    let bytes = |values: &[f32]| -> Vec<u8> {
+        match stored {
+            Stored::F16 => values.iter().flat_map(|&x| f16::from_f32(x).to_le_bytes()).collect(),
+            Stored::F32 => values.iter().flat_map(|x| x.to_le_bytes()).collect(),
         }
-        Stored::F32 => (Dtype::F32, |values| values.iter().flat_map(|x| x.to_le_bytes()).collect()),
     };
     let encoded: Vec<_> =
         tensors.into_iter().map(|(name, shape, values)| (name, shape, bytes(values))).collect();

@@ -14,12 +14,13 @@ use crate::error::{self, InputError};
 /// Name, shape and values of a tensor: 32-bit floats of this machine in row-major order.
 type Tensor<V> = (String, Vec<usize>, V);
 
-/// Configuration, card, fingerprint and tensors of a weights file; without a path of the embedded weights.
+/// Configuration, card, fingerprint and tensors of a weights file.
+type File<'py> = (String, Option<String>, String, Vec<Tensor<Bound<'py, PyBytes>>>);
+
+/// The parts of a weights file; without a path of the embedded weights.
 #[pyfunction]
-pub fn read_weights(
-    py: Python<'_>,
-    path: Option<PathBuf>,
-) -> PyResult<(String, Option<String>, String, Vec<Tensor<Bound<'_, PyBytes>>>)> {
+#[expect(clippy::needless_pass_by_value, reason = "pyo3 extracts owned paths")]
+pub fn read_weights(py: Python<'_>, path: Option<PathBuf>) -> PyResult<File<'_>> {
     let weights = py
         .detach(|| Weights::open_or_onboard(path.as_deref()))
         .map_err(|why| of_weights(path.as_deref(), why))?;
@@ -34,6 +35,7 @@ pub fn read_weights(
 
 /// Writes a weights file and returns its fingerprint, if the program can run the model.
 #[pyfunction]
+#[expect(clippy::needless_pass_by_value, reason = "pyo3 extracts owned paths")]
 pub fn write_weights(
     py: Python<'_>,
     path: PathBuf,
