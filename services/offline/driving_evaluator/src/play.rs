@@ -186,7 +186,7 @@ impl Session<'_> {
                     let (agent, source_s) = (self.agents + track.id, self.before_s + seconds);
                     let sample = Sample { recording_s: seconds, source_s, has_leader, ..judged.sample };
                     if let Some(lines) = &self.lines {
-                        lines.write(stamp_ns, &sample, &judged.truth_m, forecast, judged.baselines);
+                        lines.write(stamp_ns, &sample, &judged.truth_m, forecast, &judged.baselines);
                     }
                     seen.samples.push(Sample { agent, ..sample });
                 }
@@ -203,7 +203,7 @@ impl Lines<'_> {
         sample: &Sample,
         truth_m: &[Option<[f32; 2]>],
         forecast: &Forecast,
-        baselines: [(&'static str, Candidate); 4],
+        baselines: &[(&'static str, Candidate)],
     ) {
         let len = truth_m.len();
         let modes_len = forecast.modes_len as usize;
