@@ -114,11 +114,11 @@ fn errors(report: &Report, method: Method, measure: Measure) -> Option<Errors> {
 
 /// A figure of all agents over the whole horizon, and their number. The last part holds all recordings.
 fn figure(report: &Report, method: Method, measure: Measure, quantity: &str) -> Option<(f64, u64)> {
-    let wanted = report.figures.iter().filter(|figure| {
+    let mut wanted = report.figures.iter().filter(|figure| {
         (figure.method, figure.measure, &*figure.quantity) == (method.name(), measure.name(), quantity)
             && figure.subset == "all"
     });
-    wanted.last().map(|figure| (figure.value, figure.agents))
+    wanted.next_back().map(|figure| (figure.value, figure.agents))
 }
 
 #[cfg(test)]
