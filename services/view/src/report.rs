@@ -282,7 +282,7 @@ mod tests {
     fn no_text_of_a_run_ends_the_script() {
         let name = "</script><script>alert(1)</script><!--".to_owned();
         let html = html(&[RunPage::of_report(name, Report::default())]);
-        assert_eq!(html.matches("</script").count(), 7);
+        assert_eq!(html.matches("</script").count(), 8);
         assert!(html.len() < 100_000 && !html.contains("alert(1)</script"));
     }
 }

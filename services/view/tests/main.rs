@@ -271,6 +271,20 @@ fn two_runs_have_a_verdict_and_the_largest_difference() {
     browser.wait_for("document.body.dataset.ready");
     assert!(browser.text("#compared").starts_with("P99 3.00 ms longer."), "{}", browser.text("#compared"));
     assert!(browser.text("#compared").contains("build: 1.0 in A, 1.1 in B"));
+    // The pipeline: two boxes, an arrow, and one back.
+    let graph = "(() => { const times = (p50, p99) => ({ p50, p99 }); const stage = (name, reads, writes, p99) => ({ name, reads, writes, \
+                 budget_ms: 6, compute_ms: times(1, p99), waiting_ms: times(0, 0), wake_up_ms: times(0, 0), restarts: 2, \
+                 drops: { gap: 0, refused: 1, restart: 0 } }); const place = document.createElement('div'); \
+                 place.innerHTML = graphOf([stage('tracker', ['forecasts'], ['tracks'], 2), stage('sampler', ['tracks'], ['forecasts'], 9)]); \
+                 const texts = [...place.querySelectorAll('[data-stage=sampler] text')].map((text) => text.textContent); \
+                 return [place.querySelectorAll('path[stroke]').length, place.querySelectorAll('[stroke-dasharray]').length, texts.join(' | ')]; })()";
+    let drawn = browser.value(graph);
+    assert_eq!(drawn[0], 2, "{drawn}");
+    assert_eq!(drawn[1], 1, "{drawn}");
+    assert!(
+        drawn[2].as_str().unwrap().starts_with("sampler | 1 lost, 2 restarts | 1.00 / 9.00 of 6.00 ms"),
+        "{drawn}"
+    );
     // The same runs with scenes. Cars drive at 10 m/s; forecasts are short by 1 m at each step, in B by 0.9 m.
     let script = "(() => { const frames = (error) => Array.from({ length: 100 }, (_, k) => ({ seq: k, t: k * 0.08, ego: null, \
                   agents: Array.from({ length: 10 }, (_, car) => ({ i: `${car}`, n: `${car}`, t: 0, s: [0, 0], u: 0, y: [], v: [0, 0], \

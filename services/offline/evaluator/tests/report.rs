@@ -159,7 +159,7 @@ fn the_written_forecasts_give_the_figures_again() {
                     match figures[..] {
                         [] => assert!(errors.is_empty(), "{method} {measure}"),
                         [figure] => {
-                            assert!((figure - mean).abs() < 1e-6, "{method} {measure}: {figure} {mean}")
+                            assert!((figure - mean).abs() < 1e-6, "{method} {measure}: {figure} {mean}");
                         }
                         _ => panic!("{figures:?}"),
                     }

@@ -1,12 +1,14 @@
 //! Figures of recordings.
 
 use std::borrow::Cow;
+use std::fs::File;
+use std::io::BufWriter;
 use std::path::PathBuf;
 use std::sync::Arc;
 
 use data::OpenOptions;
 use data::sets::Part;
-use evaluator::{Evaluation, MapChoice, Options, State, StateError, WeightsChoice};
+use evaluator::{Evaluation, ForecastLines, MapChoice, Options, State, StateError, WeightsChoice};
 use nn::Precision;
 use pyo3::prelude::*;
 use pyo3::pybacked::PyBackedBytes;
@@ -22,12 +24,13 @@ const TOGETHER: usize = 256;
 pub struct Evaluator {
     evaluation: Evaluation,
     open: OpenOptions,
+    lines: Option<Arc<ForecastLines>>,
 }
 
 #[pymethods]
 impl Evaluator {
     /// `arguments` are the weights, the lanes and how recordings are read. `has_map` states whether the
-    /// network reads the online map.
+    /// network reads the online map. `lines` is a file for every forecast behind the tables.
     #[new]
     fn new(
         py: Python<'_>,
@@ -35,11 +38,15 @@ impl Evaluator {
         has_map: bool,
         positions: bool,
         threads: Option<usize>,
+        lines: Option<PathBuf>,
     ) -> PyResult<Self> {
         py.detach(|| {
             let arguments = parse(arguments)?;
             let open = arguments.read().options();
             let run = arguments.prepare().map_err(|why| error::of_failure(&why))?.run;
+            let lines = lines
+                .map(|path| Ok::<_, PyErr>(Arc::new(ForecastLines::to(BufWriter::new(File::create(path)?)))));
+            let lines = lines.transpose()?;
             let cores = std::thread::available_parallelism().map_or(1, usize::from);
             let weights =
                 WeightsChoice { file: run.weights, folder: PathBuf::new(), precision: Precision::default() };
@@ -51,14 +58,14 @@ impl Evaluator {
                 lanes: false,
                 noise: evaluator::Noise::default(),
                 threads: threads.unwrap_or(cores).max(1),
-                lines: None,
+                lines: lines.clone(),
             };
             let mut evaluation = Evaluation::new(&options, positions).map_err(|why| error::of(&why))?;
             let lanes = arguments.model().open_lanes(open.origin).map_err(|why| error::of_failure(&why))?;
             if let Some(lanes) = lanes {
                 evaluation = evaluation.along(Arc::new(lanes));
             }
-            Ok(Self { evaluation, open })
+            Ok(Self { evaluation, open, lines })
         })
     }
 
@@ -94,6 +101,12 @@ impl Evaluator {
             let state = self.evaluation.recordings(&paths, &self.open, |_| ());
             Ok(state.map_err(|why| error::of(&why))?.to_bytes().into())
         })
+    }
+
+    /// Ends the file of forecasts.
+    fn finish_lines(&self, py: Python<'_>) -> PyResult<()> {
+        py.detach(|| self.lines.as_ref().map_or(Ok(()), |lines| lines.finish()))?;
+        Ok(())
     }
 }
 

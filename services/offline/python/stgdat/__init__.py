@@ -23,6 +23,7 @@ from ._stgdat import InputError, __version__
 from .checks import MissingFileError
 from .evaluation import Evaluation, Evaluator, combine_states, evaluate, evaluate_state, merge_states
 from .frames import Agent, Detections, Forecasts, Frame, Tracks, detections, dtype
+from .judged import JudgedForecasts, MethodForecasts
 from .numbers import AgentType, Cause, DetectionFlags, Expert, Quality, TrackStatus
 from .pictures import plot
 from .recording import Recording, generate, open
@@ -41,6 +42,8 @@ __all__ = [
     "Forecasts",
     "Frame",
     "InputError",
+    "JudgedForecasts",
+    "MethodForecasts",
     "MissingFileError",
     "Predictor",
     "Quality",

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 import os
-from dataclasses import dataclass
+import tempfile
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Dict, Iterable, List, Optional, Tuple, Union
 
 from . import _stgdat, checks
 from .arguments import Origin, Path, written
+from .judged import JudgedForecasts, judged
 from .recording import Recording
 
 if TYPE_CHECKING:
@@ -37,6 +39,8 @@ class Evaluation:
     """The main table, in Markdown."""
     tables: str
     """All tables, in Markdown, as with `--all`."""
+    forecasts: Optional[JudgedForecasts] = None
+    """Every forecast behind the tables, if `forecasts=True` asked for them."""
 
     def to_pandas(self) -> pandas.DataFrame:
         """A row per figure. Needs `stgdat[pandas]`."""
@@ -71,14 +75,14 @@ class Evaluator:
             weights=weights, lanes=lanes, lanes_origin=lanes_origin, format=format, fps=fps, origin=origin
         )
         self._arguments = (arguments, map != "none", positions, threads)
-        self._inner = _stgdat.Evaluator(*self._arguments)
+        self._inner = _stgdat.Evaluator(*self._arguments, None)
 
     def __getstate__(self) -> Dict[str, Any]:
         return {"_arguments": self._arguments}
 
     def __setstate__(self, state: Dict[str, Any]) -> None:
         self._arguments = state["_arguments"]
-        self._inner = _stgdat.Evaluator(*self._arguments)
+        self._inner = _stgdat.Evaluator(*self._arguments, None)
 
     def state(self, path: Union[Path, Recording], name: Optional[str] = None) -> bytes:
         """The sums behind the tables of one recording. `merge_states` makes tables from such states.
@@ -91,8 +95,20 @@ class Evaluator:
             return self._inner.state_of(path._recording, name)
         return self._inner.state(checks.existing(path), name)
 
-    def evaluate(self, recordings: Union[Path, Recording, Iterable[Union[Path, Recording]]]) -> Evaluation:
+    def evaluate(
+        self, recordings: Union[Path, Recording, Iterable[Union[Path, Recording]]], forecasts: bool = False
+    ) -> Evaluation:
         """The figures of recordings. See `stgdat.evaluate`."""
+        if forecasts:
+            with tempfile.TemporaryDirectory() as folder:
+                path = os.path.join(folder, "forecasts.jsonl")
+                writing = Evaluator.__new__(Evaluator)
+                writing._arguments = self._arguments
+                writing._inner = _stgdat.Evaluator(*self._arguments, path)
+                evaluation = writing.evaluate(recordings)
+                writing._inner.finish_lines()
+                with open(path, encoding="utf-8") as lines:
+                    return replace(evaluation, forecasts=judged(lines))
         if isinstance(recordings, (str, os.PathLike, Recording)):
             recordings = [recordings]
         opened, paths = [], []
@@ -113,15 +129,17 @@ def evaluate(
     origin: Optional[Origin] = None,
     positions: bool = False,
     threads: Optional[int] = None,
+    forecasts: bool = False,
 ) -> Evaluation:
     """Compares forecasts with the recorded motion, beside constant velocity and other baselines.
 
     `positions` derives velocities and headings from the positions alone. Figures do not depend on `threads`.
+    `forecasts=True` also returns every forecast behind the tables with its truth: about 30 kB per agent and time.
 
     A recording that cannot be read is a line of `failed`. Raises `InputError` if no recording can be evaluated.
     """
     evaluator = Evaluator(weights, format=format, fps=fps, origin=origin, positions=positions, threads=threads)
-    return evaluator.evaluate(recordings)
+    return evaluator.evaluate(recordings, forecasts)
 
 
 def evaluate_state(

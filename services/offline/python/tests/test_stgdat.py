@@ -377,6 +377,32 @@ class Recordings(InFolder):
         printed = subprocess.run(example, check=True, capture_output=True, text=True).stdout
         self.assertEqual(printed, evaluation.table + "\n")
 
+    def test_forecasts_give_the_figures_again(self) -> None:
+        path = self.write("walk.csv", walk())
+        evaluation = stgdat.evaluate([stgdat.open(path), path], forecasts=True)
+        self.assertIsNone(stgdat.evaluate(path).forecasts)
+        rows = evaluation.forecasts
+        assert rows is not None
+        figures = {
+            (figure["method"], figure["measure"], figure["quantity"]): figure
+            for figure in evaluation.figures
+            if figure["subset"] == "moving" and figure["horizon_s"] > 4.5
+        }
+        counted = rows.subsets["moving"]
+        self.assertEqual(len(rows), len(counted))
+        for name, method in rows.methods.items():
+            for measure, paths in ("K = 1", method.single_m), ("minADE₂₀ / minFDE₂₀", method.modes_m):
+                if paths is None:
+                    continue
+                truth = rows.truth_m if measure == "K = 1" else rows.truth_m[:, None]
+                errors = np.linalg.norm(paths - truth, axis=-1)[counted]
+                means = [errors.mean(-1), errors[..., -1]]
+                if measure != "K = 1":
+                    means = [error.min(1) for error in means]
+                for quantity, error in zip(("ADE, m", "FDE, m"), means):
+                    figure = figures[name, measure, quantity]
+                    self.assertAlmostEqual(figure["value"], error.mean(), places=5)
+
     def test_overhead_writes_its_table_between_the_marks(self) -> None:
         page = self.write("page.md", "a\n<!-- begin overhead.py -->\nold\n<!-- end overhead.py -->\nb\n")
         options = ["--agents", "1,8", "--rounds", "1", "--ticks", "10", "--kernels", "", "--table", str(page)]
