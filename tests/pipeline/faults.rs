@@ -70,7 +70,7 @@ fn a_stopped_stage_is_replaced() {
     assert_recovered("encoder", &run);
 }
 
-/// A run of 60 ticks went on long after a kill near the tenth. A busy machine loses some of them.
+/// A run of 60 ticks continues after a kill near the tenth. A busy machine loses some ticks.
 fn assert_went_on(report: &serde_json::Value) {
     assert!((41..=60).contains(&report["ticks"].as_u64().unwrap_or_default()), "{report:#}");
 }

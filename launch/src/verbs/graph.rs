@@ -20,8 +20,8 @@ pub struct Arguments {
     /// The same, as `run` takes it
     #[arg(long, value_name = "FILE", conflicts_with = "file")]
     pipeline: Option<PathBuf>,
-    /// Draw a run with its times, losses and restarts: that of a report (`run --report`), or without a value the
-    /// one that is running
+    /// Draw a run with its times, losses and restarts. The file is a report (`run --report`); without it, the
+    /// running pipeline is drawn
     #[arg(long, value_name = "REPORT", num_args = 0..=1, conflicts_with_all = ["file", "pipeline"])]
     run: Option<Option<PathBuf>>,
     /// Language of the graph

@@ -262,10 +262,10 @@ fn elongated_mps(flags: u32, along_m: f64, across_m: f64) -> f64 {
 
 #[test]
 fn noise_along_or_across_the_line_of_sight_is_learned() {
-    for (along_m, across_m) in [(0.5, 0.05), (0.05, 0.5)] {
+    for (along_m, across_m, most) in [(0.5, 0.05, 0.95), (0.05, 0.5, 0.65)] {
         let [all, by_view] = [flags::HAS_IDENTITIES, flags::HAS_IDENTITIES | flags::SEEN_FROM_EGO]
             .map(|flags| elongated_mps(flags, along_m, across_m));
         println!("{along_m} and {across_m} m: {all:.3} m/s for one noise, {by_view:.3} m/s by the view");
-        assert!(by_view < 0.95 * all, "{all} and {by_view} m/s");
+        assert!(by_view < most * all, "{all} and {by_view} m/s");
     }
 }

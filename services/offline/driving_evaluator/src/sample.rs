@@ -94,7 +94,7 @@ pub(crate) struct Judge<'a> {
     pub(crate) horizon_len: usize,
 }
 
-/// A sample with what it was computed from.
+/// A sample, its truth, and the forecasts of the baselines.
 pub(crate) struct Judged {
     pub(crate) sample: Sample,
     /// Position at each step.

@@ -34,7 +34,7 @@ pub struct ForecastLine<'a> {
     /// Size of a pixel of the video, if the tables have pixels.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub pixel_m: Option<f64>,
-    /// Position at each step of the horizon; `null` where the recording has none.
+    /// Position at each step of the horizon; `null` if the recording has none.
     pub truth_m: &'a [Option<Point>],
     /// The forecasts by the name of their method in the tables.
     pub forecasts: BTreeMap<&'static str, &'a Candidate>,

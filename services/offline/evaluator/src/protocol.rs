@@ -115,6 +115,16 @@ impl Cut {
 }
 
 impl Options {
+    /// The rules of a protocol.
+    fn rules<'a>(
+        &'a self,
+        horizons: &'a [usize],
+        subsets: &'a [Subset],
+        of_type: Option<scene::AgentType>,
+    ) -> Rules<'a> {
+        Rules { horizons, subsets, of_type, threads: self.threads, lines: self.lines.as_deref() }
+    }
+
     /// The lanes of a site of INTERACTION; `None` if the options do not use lanes.
     fn lanes_of(&self, site: &str) -> Result<Option<Arc<LaneMap>>, EvaluateError> {
         if !self.lanes {

@@ -65,8 +65,13 @@ pub(crate) fn files_of(files: &[PathBuf], part: Part) -> &[PathBuf] {
     if part == Part::Train { train } else { validation }
 }
 
+/// What a part has of a recording: all of it, or a part of the time if there is no other file.
+pub(crate) fn within(recording: Recording, files: &[PathBuf], part: Part) -> Recording {
+    if files.len() == 1 { cut_in_time(recording, part) } else { recording }
+}
+
 /// The frames of the only recording that belong to a part.
-pub(crate) fn cut_in_time(mut recording: Recording, part: Part) -> Recording {
+fn cut_in_time(mut recording: Recording, part: Part) -> Recording {
     let cut_ns = cut_ns(&recording);
     recording.frames.retain(|frame| (frame.stamp_ns < cut_ns) == (part == Part::Train));
     recording
@@ -85,10 +90,9 @@ fn cut_ns(recording: &Recording) -> i64 {
 /// # Errors
 /// [`data::ReadError`] if one can't be read.
 pub fn validation_recordings(files: &[PathBuf]) -> Result<Vec<Recording>, data::ReadError> {
-    let of_part = files_of(files, Part::Validation).iter().map(|path| {
-        let recording = data::open(path, None)?;
-        Ok(if files.len() < 2 { cut_in_time(recording, Part::Validation) } else { recording })
-    });
+    let of_part = files_of(files, Part::Validation)
+        .iter()
+        .map(|path| Ok(within(data::open(path, None)?, files, Part::Validation)));
     of_part.collect()
 }
 

@@ -125,8 +125,8 @@ impl Samples {
             for path in selection.files(set)? {
                 progress(&path);
                 let mut recording = set.open(&path)?;
-                if set == DataSet::Own && selection.own.len() == 1 {
-                    recording = own::cut_in_time(recording, selection.part);
+                if set == DataSet::Own {
+                    recording = own::within(recording, selection.own, selection.part);
                 }
                 let number = sources.len() as u32;
                 let (scenes, ground) = cut(&recording, selection, config, &mut spooling)?;

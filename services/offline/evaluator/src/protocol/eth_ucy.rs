@@ -27,13 +27,7 @@ const TRUE_TIME: &str = "eth_ucy/obsmat/eth_0.4s.txt";
 pub fn eth_ucy(options: &Options, mut progress: impl FnMut(&str)) -> Result<Report, EvaluateError> {
     let (history_len, horizon_len, dt_s) = STEPS;
     let subsets = [Subset::Company, Subset::All];
-    let rules = Rules {
-        horizons: &[3, 6, 9, 12],
-        subsets: &subsets,
-        of_type: None,
-        threads: options.threads,
-        lines: options.lines.as_deref(),
-    };
+    let rules = options.rules(&[3, 6, 9, 12], &subsets, None);
     let cut = Cut { history_len, horizon_len, dt_s, from_positions: false };
     let mut report = Report::new(&format!(
         "ETH/UCY, leave one out, {} part{}",

@@ -51,13 +51,7 @@ pub fn interaction(
     mut progress: impl FnMut(&str),
 ) -> Result<Report, EvaluateError> {
     let (history_len, horizon_len, dt_s) = STEPS;
-    let rules = Rules {
-        horizons: &[2, 4, 6, 8, 10],
-        subsets: &SUBSETS,
-        of_type: Some(AgentType::Vehicle),
-        threads: options.threads,
-        lines: options.lines.as_deref(),
-    };
+    let rules = options.rules(&[2, 4, 6, 8, 10], &SUBSETS, Some(AgentType::Vehicle));
     let mut models = Vec::new();
     for part in parts {
         let model = options.weights.open(&part.recipe(), SEED)?;

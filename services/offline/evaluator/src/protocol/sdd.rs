@@ -2,7 +2,7 @@
 
 use data::sets::{DataSet, Part};
 
-use super::{GROWTH, MapChoice, Options, RATES, Rules, SEED, fit, need_agents};
+use super::{GROWTH, MapChoice, Options, RATES, SEED, fit, need_agents};
 use crate::group::Group;
 use crate::maps::MapInput;
 use crate::reference;
@@ -22,13 +22,7 @@ const STEPS: (usize, usize, f64) = (8, 12, 0.4);
 pub fn sdd(options: &Options, mut progress: impl FnMut(&str)) -> Result<Report, EvaluateError> {
     let (history_len, horizon_len, dt_s) = STEPS;
     let subsets = [Subset::All];
-    let rules = Rules {
-        horizons: &[3, 6, 9, 12],
-        subsets: &subsets,
-        of_type: None,
-        threads: options.threads,
-        lines: options.lines.as_deref(),
-    };
+    let rules = options.rules(&[3, 6, 9, 12], &subsets, None);
     let cut = Cut { history_len, horizon_len, dt_s, from_positions: false };
     let model = options.weights.open("sdd", SEED)?;
     model.check_steps("SDD", history_len, horizon_len, dt_s)?;

@@ -52,6 +52,9 @@ pub fn text(recordings: &[Recording], before: &Path, after: &Path) -> Result<Str
 
 fn verdict(before: &Figures, after: &Figures) -> String {
     let fde_m = |of: &[Option<Errors>; 2]| of[0].map_or(f64::NAN, |errors| errors.fde_m);
+    if after.agents == 0 {
+        return "No agent of the validation part is present over a whole window.".to_owned();
+    }
     let [from, to] = [before, after].map(|of| fde_m(&of.published));
     let change = to / from - 1.0;
     if change <= -CHANGE_MIN {
@@ -132,6 +135,8 @@ mod tests {
 
     #[test]
     fn the_verdict_is_about_the_published_forecasts() {
+        let none = verdict(&of(1.0, 1.0), &Figures { agents: 0, ..of(1.0, 1.0) });
+        assert!(none.starts_with("No agent"), "{none}");
         let better = verdict(&of(8.571, 4.0), &of(3.0, 3.0));
         assert_eq!(better, "The published single best forecasts are better: FDE 4.000 -> 3.000 m (-25 %).");
         let same = verdict(&of(8.571, 3.5), &of(5.85, 3.51));
