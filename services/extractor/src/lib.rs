@@ -5,9 +5,9 @@
 //! relation embedding.
 //!
 //! SE is relative to the agent's newest state and is computed in each tick. CE and e depend only on the
-//! states of their own step. The tracker never changes a published state, so CE is cached by (track, stamp)
-//! and e by (pair, stamp). In a steady run, CE and e are computed for the newest step only. After a restart,
-//! the window refills the cache.
+//! states of their own step. So CE is cached by (track, stamp) and e by (pair, stamp). In a steady run, CE and e
+//! are computed for the newest step only. After a restart, the window refills the cache. The tracker smooths
+//! older states of noisy detections. CE and e then belong to the state as it was published.
 
 mod cache;
 mod embed;

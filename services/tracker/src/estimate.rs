@@ -27,6 +27,7 @@ use crate::front::{Front, folded, rate_limited_rad};
 use crate::noise::{Measurements, Noise};
 use crate::observation::{Found, nominal_sigma_m, observation, source_id};
 use crate::options::{ForecastTrust, InputModel, TrackerOptions};
+use crate::smoothing::Spread;
 use crate::steady::Steady;
 use crate::track_management::TrackManagement;
 use crate::trials::{PART_NS, Shown, Trials};
@@ -102,6 +103,8 @@ pub struct Estimate {
     /// The state to publish at the end of the frame, and its motion.
     published: Filter,
     motion: Motion,
+    /// How the published states are smoothed.
+    spread: Spread,
     /// Whether the agent probably stands, so that its course is meaningless.
     is_standing: bool,
     held: Held,
@@ -148,6 +151,7 @@ impl Estimate {
             dt_ns: 0,
             visibility: 1.0,
             published: *belief.filter(),
+            spread: Spread::NONE,
             is_standing: false,
             motion: belief.motion(),
             held: Held::new(belief.motion(), own_ns),
@@ -201,6 +205,7 @@ impl Estimate {
             dt_ns: 0,
             visibility: 1.0,
             published: *belief.filter(),
+            spread: Spread::NONE,
             is_standing: false,
             motion: belief.motion(),
             held: Held::new(belief.motion(), stamp_ns),
@@ -413,6 +418,7 @@ impl Estimate {
         self.is_standing = share > 0.0 && self.steady.stands();
         self.published = limited(self.steady.published(self.belief.filter(), share), limit_mps);
         self.motion = self.held.motion(self.published.motion(), self.stamp_ns);
+        self.spread = self.spread_of(share, &self.models(input));
         self.heading_rad = self.heading(&self.motion);
         let last_rad = self.published_heading_rad;
         let limited_rad = if self.was_ready { rate_limited_rad(last_rad, self.heading_rad) } else { None };
@@ -422,6 +428,17 @@ impl Estimate {
         }
         self.published_heading_rad = limited_rad.unwrap_or(self.heading_rad);
         self.was_ready |= self.is_ready();
+    }
+
+    /// The spread of the published state.
+    fn spread_of(&self, share: f64, models: &Models) -> Spread {
+        if share <= 0.0 {
+            return Spread::NONE;
+        }
+        let [free, steady] = [models, &models.steady()].map(|models| models.constant_velocity.density);
+        let is_free = self.steady.is_free(share);
+        let density = is_free * free + (1.0 - is_free) * steady;
+        Spread::new(&self.published, models.bicycle.rear_axle_m, density, share)
     }
 
     /// Whether the estimate is to be deleted at the end of a frame.
@@ -454,6 +471,12 @@ impl Estimate {
     #[must_use]
     pub const fn motion(&self) -> &Motion {
         &self.motion
+    }
+
+    /// How the published state is smoothed.
+    #[must_use]
+    pub const fn spread(&self) -> &Spread {
+        &self.spread
     }
 
     /// Heading. It is held if the motion has none.

@@ -1,19 +1,28 @@
 use wire::HistoryState;
 
+use crate::smoothing::Spread;
+
 /// States kept per track: 5 s at 80 ms, more than the longest window.
 const STATES_MAX: usize = 64;
 
-/// The published, filtered states of one track in time order.
+/// The published states of one track in time order.
 ///
-/// A published state is never rewritten. The window at a later time therefore has the same bits, and
-/// everything computed for (track, stamp) stays valid. A time between two states gets their interpolation. It
-/// depends only on these two states and therefore stays the same, too.
+/// A published state is never rewritten. Of exact detections, the window at a later time therefore has the same
+/// bits, and everything computed for (track, stamp) stays valid. Of noisy detections, the older states of each
+/// window are [smoothed](crate::smoothing). A time between two states gets their interpolation.
 #[derive(Clone, Copy, Debug)]
 pub struct History {
-    /// States by their stamps.
-    states: [(i64, HistoryState); STATES_MAX],
+    past: [Past; STATES_MAX],
     /// Number of states pushed so far. The newest state is at (len − 1) modulo the ring's size.
     len: usize,
+}
+
+/// A published state.
+#[derive(Clone, Copy, Debug)]
+struct Past {
+    stamp_ns: i64,
+    state: HistoryState,
+    spread: Spread,
 }
 
 impl History {
@@ -22,12 +31,14 @@ impl History {
     pub const fn new() -> Self {
         const ABSENT: HistoryState =
             HistoryState { x_m: 0.0, y_m: 0.0, vx_mps: 0.0, vy_mps: 0.0, heading_rad: 0.0, present: 0 };
-        Self { states: [(0, ABSENT); STATES_MAX], len: 0 }
+        const NONE: Past = Past { stamp_ns: 0, state: ABSENT, spread: Spread::NONE };
+        Self { past: [NONE; STATES_MAX], len: 0 }
     }
 
     /// Appends the state of `stamp_ns`, which is later than all others. A full ring drops the oldest state.
-    pub fn push(&mut self, stamp_ns: i64, state: HistoryState) {
-        self.states[self.len % STATES_MAX] = (stamp_ns, HistoryState { present: 1, ..state });
+    pub fn push(&mut self, stamp_ns: i64, state: HistoryState, spread: Spread) {
+        self.past[self.len % STATES_MAX] =
+            Past { stamp_ns, state: HistoryState { present: 1, ..state }, spread };
         self.len += 1;
     }
 
@@ -35,7 +46,7 @@ impl History {
     ///
     /// If a track's first detection is only a position, its first state has no velocity.
     pub fn backfill(&mut self, known: &HistoryState) {
-        for (_, state) in &mut self.states[..self.len.min(STATES_MAX)] {
+        for Past { state, .. } in &mut self.past[..self.len.min(STATES_MAX)] {
             (state.vx_mps, state.vy_mps) = (known.vx_mps, known.vy_mps);
             state.heading_rad = known.heading_rad;
         }
@@ -46,6 +57,32 @@ impl History {
     /// A time between two states gets their interpolation, unless the two states are more than `gap_max_ns`
     /// apart.
     pub fn window(&self, now_ns: i64, step_ns: u64, gap_max_ns: u64, window: &mut [HistoryState]) {
+        let newest = self.len.checked_sub(1).map(|_| self.at(0));
+        if newest.is_some_and(|newest| newest.spread.is_noisy()) {
+            let oldest_ns = now_ns.saturating_sub_unsigned(step_ns.saturating_mul(window.len() as u64));
+            self.smoothed(oldest_ns, gap_max_ns).cut(now_ns, step_ns, gap_max_ns, window);
+        } else {
+            self.cut(now_ns, step_ns, gap_max_ns, window);
+        }
+    }
+
+    /// The history with smoothed states from `oldest_ns` on, and after the last gap of more than `gap_max_ns`.
+    fn smoothed(&self, oldest_ns: i64, gap_max_ns: u64) -> Self {
+        let mut smoothed = *self;
+        for back in 1..self.len.min(STATES_MAX) {
+            let (before, after) = (self.at(back), smoothed.at(back - 1));
+            let gap_ns = after.stamp_ns.abs_diff(before.stamp_ns);
+            if before.stamp_ns < oldest_ns || gap_ns > gap_max_ns {
+                break;
+            }
+            let dt_s = gap_ns as f64 / 1e9;
+            let state = before.spread.smoothed(&before.state, (&after.state, &after.spread), dt_s);
+            smoothed.past[self.slot(back)].state = state;
+        }
+        smoothed
+    }
+
+    fn cut(&self, now_ns: i64, step_ns: u64, gap_max_ns: u64, window: &mut [HistoryState]) {
         let held = self.len.min(STATES_MAX);
         // Steps back from the newest state. The window is filled from its newest end, so this only grows.
         let mut back = 0;
@@ -100,12 +137,16 @@ impl History {
         (self.len - 1 - back) % STATES_MAX
     }
 
+    fn at(&self, back: usize) -> &Past {
+        &self.past[self.slot(back)]
+    }
+
     fn stamp_ns(&self, back: usize) -> i64 {
-        self.states[self.slot(back)].0
+        self.at(back).stamp_ns
     }
 
     fn state(&self, back: usize) -> &HistoryState {
-        &self.states[self.slot(back)].1
+        &self.at(back).state
     }
 }
 

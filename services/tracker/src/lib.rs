@@ -19,7 +19,7 @@
 //!    depends on occlusion. A track hidden behind others coasts for longer and is less likely to take a
 //!    detection.
 //! 5. **Publish.** Each track carries its history at exact Δt spacing, made of the previously published
-//!    states.
+//!    states. Of noisy detections, these states are [smoothed](smoothing).
 //!
 //! **Out of sequence.** An *estimate* is the belief about one agent. It depends on the frames and the
 //! forecasts that came with them, in the order of their stamps. A frame that arrives after newer ones is
@@ -69,6 +69,7 @@ mod publication;
 mod replay;
 mod scan;
 mod settings;
+mod smoothing;
 mod steady;
 mod step;
 mod tally;

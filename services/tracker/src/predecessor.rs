@@ -9,6 +9,7 @@
 use wire::{Header, HistoryState, Track, flags};
 
 use crate::history::History;
+use crate::smoothing::Spread;
 
 /// The tracks of the previous process, as they were published.
 #[derive(Debug, Default)]
@@ -40,7 +41,7 @@ impl Predecessor {
             let known = self.before.binary_search_by_key(&track.id, |(id, _)| *id);
             let mut history = known.map_or_else(|_| of_window(header, track), |place| self.before[place].1);
             if known.is_ok() {
-                history.push(header.stamp_ns, state_of(track));
+                history.push(header.stamp_ns, state_of(track), Spread::NONE);
             }
             self.histories.push(history);
         }
@@ -78,7 +79,7 @@ fn of_window(header: &Header, track: &Track) -> History {
     let len = (header.counts.history_len as usize).min(track.history.len());
     for (k, state) in track.history[..len].iter().enumerate().filter(|(_, state)| state.present == 1) {
         let back_ns = header.step_ns.saturating_mul((len - 1 - k) as u64);
-        history.push(header.stamp_ns.saturating_sub_unsigned(back_ns), *state);
+        history.push(header.stamp_ns.saturating_sub_unsigned(back_ns), *state, Spread::NONE);
     }
     history
 }

@@ -55,7 +55,7 @@ impl Publication {
         // Before the first publication only detected states count, because predictions without a velocity
         // stand still.
         if self.is_published || estimate.is_seen() {
-            self.history.push(now_ns, state);
+            self.history.push(now_ns, state, *estimate.spread());
         }
         self.held_ns = now_ns;
     }

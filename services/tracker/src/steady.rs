@@ -270,6 +270,13 @@ impl Steady {
         }
     }
 
+    /// Probability of the free motion, if the other motions count by this share.
+    #[must_use]
+    pub fn is_free(&self, share: f64) -> f64 {
+        let [free, steady, standing] = self.probability;
+        1.0 - share * (steady + standing) / (free + steady + standing)
+    }
+
     /// Whether the agent probably stands.
     #[must_use]
     pub fn stands(&self) -> bool {

@@ -70,6 +70,39 @@ fn a_parked_vehicle_stands_under_noise() {
     }
 }
 
+/// The network reads accelerations from the history. Later measurements make it smoother than the states were
+/// when they were published.
+#[test]
+fn histories_are_smoothed_under_noise() {
+    let [braking_m, braking_mps]: [fn(f64) -> f64; 2] =
+        [|time_s| 14.0 * time_s - 0.6 * time_s * time_s, |time_s| 14.0 - 1.2 * time_s];
+    for flags in [flags::HAS_IDENTITIES, 0] {
+        let frames = play((TrackerOptions::default(), flags), 0.2, braking_m);
+        let (mut published, mut smoothed) = ([0.0; 2], [0.0; 2]);
+        let add = |sums: &mut [f64; 2], state: &wire::HistoryState, frame: usize| {
+            let lane_m = 30.0 * (f64::from(state.y_m) / 30.0).round();
+            let time_s = frame as f64 * TICK_S;
+            let off_m = f64::from(state.x_m) - braking_m(time_s);
+            let off_mps = f64::from(state.vx_mps) - braking_mps(time_s);
+            sums[0] += off_m.powi(2) + (f64::from(state.y_m) - lane_m).powi(2);
+            sums[1] += off_mps.powi(2) + f64::from(state.vy_mps).powi(2);
+        };
+        for (frame, tracks) in frames.iter().enumerate().skip(40) {
+            for back in 1..=3 {
+                let before = frame - 5 * back;
+                let newest = tracks[0].history.len() - 1;
+                tracks.iter().for_each(|track| add(&mut smoothed, &track.history[newest - back], before));
+                frames[before].iter().for_each(|track| add(&mut published, &track.history[newest], before));
+            }
+        }
+        let [of_positions, of_velocities] = [0, 1].map(|i| (smoothed[i] / published[i]).sqrt());
+        println!(
+            "errors of positions {of_positions:.3}, of velocities {of_velocities:.3} of those published"
+        );
+        assert!(of_positions < 0.75 && of_velocities < 0.75, "{of_positions} and {of_velocities}");
+    }
+}
+
 #[test]
 fn exact_positions_are_found_exact_within_a_second() {
     let [along_m, true_mps]: [fn(f64) -> f64; 2] =

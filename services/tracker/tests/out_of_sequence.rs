@@ -14,7 +14,7 @@ use wire::{
 };
 
 use crate::support::forecaster::{HORIZON_LEN, STEP_NS, forecast, forecasts_header};
-use crate::support::harness::{Harness, TICK_NS, detected_at, noise, with_heading};
+use crate::support::harness::{Harness, TICK_NS, detected_at, noise, with_heading, without_smoothing};
 
 /// Largest number of frames that may be newer than an out-of-sequence frame.
 const LAG_MAX: usize = 8;
@@ -257,7 +257,7 @@ fn out_of_sequence_frames_change_no_published_state() {
     for seed in 0..20 {
         let scene = Scene::new(seed, 120, 9, true);
         let order = shuffled(120, 0, &mut ChaCha8Rng::seed_from_u64(seed));
-        let late = deliver(&scene, &order, TrackerOptions::default(), 0);
+        let late = deliver(&scene, &order, without_smoothing(), 0);
         let mut published: BTreeMap<(u64, i64), HistoryState> = BTreeMap::new();
         let mut headings: BTreeMap<u64, f64> = BTreeMap::new();
         for (frame, tracks) in &late.tracks {

@@ -5,7 +5,7 @@ use rand_chacha::ChaCha8Rng;
 use tracker::{Predecessor, Tracker, TrackerOptions};
 use wire::{AGENT_TYPES, AgentType, Detection, Header, Rejected, Track, flags};
 
-use crate::support::harness::{Harness, detected_at, noise, with_heading};
+use crate::support::harness::{Harness, detected_at, noise, with_heading, without_smoothing};
 
 const FRAMES: usize = 60;
 /// The frame after which another tracker takes over.
@@ -42,14 +42,14 @@ fn header(of: &Harness) -> Header {
 /// tracks of both in each frame after `LAST`.
 fn taken_over(identities: u32, mut compare: impl FnMut(usize, &[Track], &[Track])) {
     let frames = frames(identities != 0);
-    let mut before = Harness::new(TrackerOptions::default(), identities);
+    let mut before = Harness::new(without_smoothing(), identities);
     let mut predecessor = Predecessor::default();
     for frame in &frames[..=LAST] {
         let tracks = before.step(frame).to_vec();
         predecessor.follow(&header(&before), &tracks);
     }
-    let mut after = Harness::new(TrackerOptions::default(), identities);
-    after.tracker = Tracker::new(TrackerOptions::default()).with_ids_of(1);
+    let mut after = Harness::new(without_smoothing(), identities);
+    after.tracker = Tracker::new(without_smoothing()).with_ids_of(1);
     after.tracker.begin_with(&predecessor);
     after.stamp_ns = before.stamp_ns;
     for (nth, frame) in frames.iter().enumerate().skip(LAST + 1) {

@@ -3,11 +3,17 @@
 use bytemuck::Zeroable;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, Normal};
-use tracker::{Tracked, Tracker, TrackerOptions};
+use tracker::{InputModel, Tracked, Tracker, TrackerOptions};
 use wire::{AGENTS_MAX, AgentType, Detection, Forecast, Header, Rejected, Track, detection_flags};
 
 pub const TICK_NS: i64 = 80_000_000;
 pub const ALL_TYPES: u32 = 0b111;
+
+/// Options without a steady motion and without smoothing: histories hold the states as they were published.
+pub fn without_smoothing() -> TrackerOptions {
+    let options = TrackerOptions::default();
+    TrackerOptions { detector: InputModel { steadiness: [0.0; 3], ..options.detector }, ..options }
+}
 
 /// A tracker that processes frames at a steady rate.
 pub struct Harness {

@@ -73,7 +73,7 @@ record! {
         /// Covariance of the filtered state, row-major, `state_len` × `state_len`, the rest 0.
         100 => covariance: [f32; 25],
         /// States at now − (T_h − 1 − k) Δt, oldest first, in the first `history_len` entries. A published
-        /// state is never changed later.
+        /// state is never changed later. Of noisy detections, the older states are smoothed.
         200 => history: [HistoryState; HISTORY_MAX],
         /// [`crate::Quality`] of the prediction to this stamp, as a number: a forecast, one that is older
         /// than Δt, or the process model alone.
