@@ -2,8 +2,10 @@ mod fit;
 mod gate;
 mod held;
 mod judgement;
+mod published;
 mod reports;
 mod resent;
+mod size;
 mod track;
 mod visibility;
 mod written;
@@ -15,13 +17,15 @@ use std::f64::consts::FRAC_PI_2;
 
 use filters::{Filter, FilterFault, Kind, Models, Motion, Observation, Unknown, wrapped};
 use run::SpeedLimits;
-use wire::{AgentType, Detection, Forecast, Steering, Track, detection_flags};
+use wire::{AgentType, Forecast, Steering};
 
 use crate::belief::Belief;
 use crate::class::Class;
 use crate::estimate::gate::Gate;
 use crate::estimate::held::Held;
+use crate::estimate::published::Published;
 use crate::estimate::reports::Reports;
+use crate::estimate::size::Size;
 use crate::forecasts::{Controls, Forecasts};
 use crate::front::{Front, folded, rate_limited_rad};
 use crate::noise::{Measurements, Noise};
@@ -41,15 +45,8 @@ const UNKNOWN: [Unknown; 3] = [
 /// The course sets an unknown heading once its standard deviation is this small, from the speed below on.
 const COURSE_SIGMA_MAX_RAD: f64 = 0.3;
 const COURSE_SPEED_MIN_MPS: f64 = 0.5;
-/// Below this speed a course is meaningless and the last heading is held.
-const COURSE_MIN_MPS: f64 = 0.1;
 /// Age from which a track without a trusted identity shows the noise of its detections.
 const TEACHES_FROM_NS: i64 = 2_000_000_000;
-/// Smallest weight of a new detection's size. The published size is the mean of the first 1 / weight sizes, and
-/// forgets older ones from then on, because a detector sees more of an agent that comes nearer.
-const SIZE_WEIGHT_MIN: f32 = 0.05;
-/// Number of sizes that the size of another tracker's track counts for.
-const SIZES_OF_TRACK: u16 = 5;
 
 /// The detection that started an estimate. It identifies an agent independent of the order in which frames
 /// arrive.
@@ -100,22 +97,10 @@ pub struct Estimate {
     dt_ns: u64,
     /// Share of the agent that is visible in the current frame; 1 if occlusion is not computed.
     visibility: f64,
-    /// The state to publish at the end of the frame, and its motion.
-    published: Filter,
-    motion: Motion,
-    /// How the published states are smoothed.
-    spread: Spread,
-    /// Whether the agent probably stands, so that its course is meaningless.
-    is_standing: bool,
+    /// The state to publish at the end of the frame.
+    published: Published,
     held: Held,
-    /// Heading. It is held if the filter has none.
-    heading_rad: f64,
-    /// The published heading while frames arrive in sequence.
-    published_heading_rad: f64,
-    length_m: f32,
-    width_m: f32,
-    /// Number of sizes of which they are the mean.
-    size_count: u16,
+    size: Size,
     /// The agent's trials of its forecasts.
     trials: Trials,
     /// The reports of its detections.
@@ -133,7 +118,6 @@ impl Estimate {
         let &Found { detection, agent_type, own_ns } = found;
         let seen = observation(detection, agent_type, input);
         let belief = Belief::new(Filter::start(kind(agent_type), &seen, &UNKNOWN[agent_type.index()]));
-        let has_size = detection.has(detection_flags::HAS_SIZE);
         Self {
             class: Class::new(agent_type),
             birth,
@@ -150,73 +134,16 @@ impl Estimate {
             was_ready: false,
             dt_ns: 0,
             visibility: 1.0,
-            published: *belief.filter(),
-            spread: Spread::NONE,
-            is_standing: false,
-            motion: belief.motion(),
+            published: Published::new(
+                belief.filter(),
+                seen.heading_rad.map_or(0.0, |(heading, _)| heading),
+                0.0,
+            ),
             held: Held::new(belief.motion(), own_ns),
-            heading_rad: seen.heading_rad.map_or(0.0, |(heading, _)| heading),
-            published_heading_rad: 0.0,
-            length_m: if has_size { detection.length_m } else { 0.0 },
-            width_m: if has_size { detection.width_m } else { 0.0 },
-            size_count: u16::from(has_size),
+            size: Size::of_detection(detection),
             trials: Trials::default(),
             reports: Reports::new(found),
             gate: Gate::new(own_ns),
-            is_replaced: false,
-            steady: Steady::new(belief.filter()),
-            measurements: Measurements::default(),
-            nominal_m: 0.0,
-            belief,
-        }
-    }
-
-    /// The estimate of a track of known type that another tracker has published at `stamp_ns`.
-    #[must_use]
-    pub fn of_track(
-        (birth, seed): (Birth, u64),
-        stamp_ns: i64,
-        (track, agent_type): (&Track, AgentType),
-        input: &InputModel,
-        trusted: bool,
-    ) -> Self {
-        let belief = Belief::new(track::filter(track));
-        let heading_rad = f64::from(track.heading_rad);
-        let unseen_ns = track.unseen_ns;
-        let age_ns = stamp_ns.saturating_sub(birth.stamp_ns).max(0).unsigned_abs();
-        let existence = f64::from(track.existence);
-        let seen_ns = stamp_ns.saturating_sub_unsigned(unseen_ns);
-        let last = Detection { x_m: track.x_m, y_m: track.y_m, ..Detection::default() };
-        let last = Found { detection: &last, agent_type, own_ns: seen_ns };
-        Self {
-            class: Class::of(agent_type, track.type_probability.map(f64::from)),
-            birth,
-            source_id: track.source_id,
-            seed,
-            stamp_ns,
-            frame_ns: stamp_ns,
-            seen_ns,
-            controls_ns: None,
-            front_ns: birth.stamp_ns,
-            management: TrackManagement::of_confirmed(existence, (age_ns, unseen_ns), trusted, input),
-            front: Front::new(),
-            has_velocity: true,
-            was_ready: true,
-            dt_ns: 0,
-            visibility: 1.0,
-            published: *belief.filter(),
-            spread: Spread::NONE,
-            is_standing: false,
-            motion: belief.motion(),
-            held: Held::new(belief.motion(), stamp_ns),
-            heading_rad,
-            published_heading_rad: heading_rad,
-            length_m: track.length_m,
-            width_m: track.width_m,
-            size_count: if track.length_m > 0.0 { SIZES_OF_TRACK } else { 0 },
-            trials: Trials::default(),
-            reports: Reports::new(&last),
-            gate: Gate::new(seen_ns),
             is_replaced: false,
             steady: Steady::new(belief.filter()),
             measurements: Measurements::default(),
@@ -243,7 +170,7 @@ impl Estimate {
         let controls_ns = forecasts.controls_ns(forecast);
         let is_due = self.belief.forecast_age_ns().is_none_or(|age_ns| age_ns >= forecasts.step_ns());
         let is_newer = self.is_seen() && self.controls_ns.is_none_or(|last_ns| controls_ns > last_ns);
-        let turn_rad = wrapped(f64::from(forecast.frame_heading_rad) - self.heading_rad);
+        let turn_rad = wrapped(f64::from(forecast.frame_heading_rad) - self.published.heading_rad);
         let fits = (self.front_ns..=self.stamp_ns).contains(&controls_ns)
             && forecast.agent_type == agent_type as u32
             && self.belief.accepts(steering)
@@ -352,12 +279,12 @@ impl Estimate {
         self.reports.add(found);
         self.nominal_m = nominal_sigma_m(detection, agent_type, options);
         self.measurements.add(found, self.nominal_m);
-        self.smooth_size(detection);
+        self.size.add(detection);
         self.seen_ns = self.frame_ns;
         self.held.end();
         self.has_velocity = true;
         if let (Filter::Bicycle(_), Some((heading, _))) = (self.belief.filter(), seen.heading_rad) {
-            self.front.observe_heading(heading, self.heading_rad);
+            self.front.observe_heading(heading, self.published.heading_rad);
         }
         self.correct(possible, self.lag_s(own_ns), input)?;
         self.resolve_front();
@@ -388,7 +315,7 @@ impl Estimate {
     ) -> Result<(), FilterFault> {
         if let Filter::Bicycle(_) = self.belief.filter() {
             for (heading, _) in possible.iter_mut().filter_map(|(_, seen)| seen.heading_rad.as_mut()) {
-                *heading = folded(*heading, self.heading_rad);
+                *heading = folded(*heading, self.published.heading_rad);
             }
         }
         let models = self.models(input);
@@ -403,7 +330,7 @@ impl Estimate {
     pub fn teach(&mut self, noise: &mut Noise, input: &InputModel) {
         let age_ns = self.stamp_ns.saturating_sub(self.birth.stamp_ns);
         if self.is_ready() && (self.management.is_trusted() || age_ns >= TEACHES_FROM_NS) {
-            let line_of_sight_m = input.by_view.line_of_sight_m(self.motion.position_m);
+            let line_of_sight_m = input.by_view.line_of_sight_m(self.published.motion.position_m);
             let of_type = self.class.current().index();
             noise.learn(of_type, &mut self.measurements, self.nominal_m, line_of_sight_m);
         }
@@ -415,30 +342,23 @@ impl Estimate {
         self.belief.limit_speed(limit_mps);
         self.steady.follow_kind(self.belief.filter());
         let share = input.steadiness[self.class.current().index()];
-        self.is_standing = share > 0.0 && self.steady.stands();
-        self.published = limited(self.steady.published(self.belief.filter(), share), limit_mps);
-        self.motion = self.held.motion(self.published.motion(), self.stamp_ns);
-        self.spread = self.spread_of(share, &self.models(input));
-        self.heading_rad = self.heading(&self.motion);
-        let last_rad = self.published_heading_rad;
-        let limited_rad = if self.was_ready { rate_limited_rad(last_rad, self.heading_rad) } else { None };
+        let models = self.models(input);
+        let published = &mut self.published;
+        published.is_standing = share > 0.0 && self.steady.stands();
+        published.state = limited(self.steady.published(self.belief.filter(), share), limit_mps);
+        published.motion = self.held.motion(published.state.motion(), self.stamp_ns);
+        let density = self.steady.density(&models, share);
+        published.spread = Spread::new(&published.state, models.bicycle.rear_axle_m, density, share);
+        published.heading_rad = published.heading();
+        let last_rad = published.limited_rad;
+        let limited_rad =
+            if self.was_ready { rate_limited_rad(last_rad, published.heading_rad) } else { None };
+        published.limited_rad = limited_rad.unwrap_or(published.heading_rad);
         if limited_rad.is_some() {
             // Forecasts relative to a heading that still turns do not fit the state.
             self.front_ns = self.stamp_ns.saturating_add(1);
         }
-        self.published_heading_rad = limited_rad.unwrap_or(self.heading_rad);
         self.was_ready |= self.is_ready();
-    }
-
-    /// The spread of the published state.
-    fn spread_of(&self, share: f64, models: &Models) -> Spread {
-        if share <= 0.0 {
-            return Spread::NONE;
-        }
-        let [free, steady] = [models, &models.steady()].map(|models| models.constant_velocity.density);
-        let is_free = self.steady.is_free(share);
-        let density = is_free * free + (1.0 - is_free) * steady;
-        Spread::new(&self.published, models.bicycle.rear_axle_m, density, share)
     }
 
     /// Whether the estimate is to be deleted at the end of a frame.
@@ -446,7 +366,7 @@ impl Estimate {
     pub fn is_over(&self, input: &InputModel, options: &TrackerOptions) -> bool {
         self.is_replaced
             || self.management.is_over(self.unseen_ns(self.stamp_ns), input, options)
-            || !self.is_within_limits()
+            || !self.published.is_within_limits()
     }
 
     /// The detection that started the estimate.
@@ -470,19 +390,19 @@ impl Estimate {
     /// The motion at the end of the frame.
     #[must_use]
     pub const fn motion(&self) -> &Motion {
-        &self.motion
+        &self.published.motion
     }
 
-    /// How the published state is smoothed.
+    /// How later frames smooth the published state.
     #[must_use]
     pub const fn spread(&self) -> &Spread {
-        &self.spread
+        &self.published.spread
     }
 
     /// Heading. It is held if the motion has none.
     #[must_use]
     pub const fn heading_rad(&self) -> f64 {
-        self.heading_rad
+        self.published.heading_rad
     }
 
     /// Whether the current frame has detected the agent so far.
@@ -531,31 +451,7 @@ impl Estimate {
     }
 
     fn models(&self, input: &InputModel) -> Models {
-        input.models(self.class.current(), f64::from(self.length_m))
-    }
-
-    fn heading(&self, motion: &Motion) -> f64 {
-        let [vx, vy] = motion.velocity_mps;
-        match motion.heading_rad {
-            Some(heading) => heading,
-            None if motion.speed_mps >= COURSE_MIN_MPS && !self.is_standing => vy.atan2(vx),
-            None => self.heading_rad,
-        }
-    }
-
-    fn smooth_size(&mut self, detection: &Detection) {
-        if detection.has(detection_flags::HAS_SIZE) {
-            self.size_count = self.size_count.saturating_add(1);
-            let weight = (1.0 / f32::from(self.size_count)).max(SIZE_WEIGHT_MIN);
-            let smooth = |old: f32, new: f32| old + weight * (new - old);
-            self.length_m = smooth(self.length_m, detection.length_m);
-            self.width_m = smooth(self.width_m, detection.width_m);
-        }
-    }
-
-    fn is_within_limits(&self) -> bool {
-        self.motion.position_m.iter().all(|x| x.abs() <= f64::from(wire::POSITION_MAX_M))
-            && self.motion.speed_mps.abs() <= f64::from(wire::SPEED_MAX_MPS)
+        input.models(self.class.current(), f64::from(self.size.length_m))
     }
 }
 

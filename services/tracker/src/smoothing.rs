@@ -47,9 +47,13 @@ impl Spread {
         share: 0.0,
     };
 
-    /// The spread of a state. An acceleration of this spectral density led to it.
+    /// The spread of a state. An acceleration of this spectral density led to it. At a share of 0, the state stays
+    /// as it is.
     #[must_use]
     pub fn new(state: &Filter, rear_axle_m: f64, density: f64, share: f64) -> Self {
+        if share <= 0.0 {
+            return Self::NONE;
+        }
         let covariance = state.cartesian().covariance;
         let mean =
             |row: usize, column: usize| 0.5 * (covariance[(row, column)] + covariance[(row + 1, column + 1)]);

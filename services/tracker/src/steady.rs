@@ -270,11 +270,14 @@ impl Steady {
         }
     }
 
-    /// Probability of the free motion, if the other motions count by this share.
+    /// Mean spectral density of the acceleration, m²/s³, that of the free motion being the one of `models`. The
+    /// probabilities of the steady motion and of standing count by this share.
     #[must_use]
-    pub fn is_free(&self, share: f64) -> f64 {
+    pub fn density(&self, models: &Models, share: f64) -> f64 {
         let [free, steady, standing] = self.probability;
-        1.0 - share * (steady + standing) / (free + steady + standing)
+        let is_quiet = share * (steady + standing) / (free + steady + standing);
+        let [free, quiet] = [models, &models.steady()].map(|models| models.constant_velocity.density);
+        free + is_quiet * (quiet - free)
     }
 
     /// Whether the agent probably stands.

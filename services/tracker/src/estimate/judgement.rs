@@ -287,8 +287,9 @@ impl Estimate {
         let filter = self.belief.filter().moved_to(seen.position_m, seen.position_variance);
         let mut moved = Self::new(birth, &found, input, true);
         moved.belief = crate::belief::Belief::new(filter);
-        (moved.class, moved.front, moved.heading_rad) = (self.class, self.front, self.heading_rad);
-        (moved.length_m, moved.width_m) = (self.length_m, self.width_m);
+        (moved.class, moved.front, moved.published.heading_rad) =
+            (self.class, self.front, self.published.heading_rad);
+        moved.size = self.size;
         (moved.has_velocity, moved.gate.residual_m2) = (self.has_velocity, self.gate.residual_m2);
         moved.gate.measured = SETTLED;
         moved

@@ -53,9 +53,9 @@ impl Estimate {
     #[must_use]
     pub fn outline(&self) -> Outline {
         let (centre_m, covariance_m2) = self.belief.position();
-        let heading_rad = self.belief.motion().heading_rad.unwrap_or(self.heading_rad);
+        let heading_rad = self.belief.motion().heading_rad.unwrap_or(self.published.heading_rad);
         let usual_m = EXTENT_M[self.class.current().index()];
-        let known_m = [self.length_m, self.width_m].map(f64::from);
+        let known_m = [self.size.length_m, self.size.width_m].map(f64::from);
         let half_m = [0, 1].map(|axis| 0.5 * if known_m[axis] > 0.0 { known_m[axis] } else { usual_m[axis] });
         Outline { centre_m, covariance_m2, heading_rad, half_m }
     }

@@ -6,7 +6,7 @@ use super::Estimate;
 impl Estimate {
     /// Writes the estimate to the published track. `step_ns` is Δt.
     pub fn write(&self, step_ns: u64, track: &mut Track) {
-        let motion = &self.motion;
+        let motion = &self.published.motion;
         let status = if self.management.was_hit() { TrackStatus::Confirmed } else { TrackStatus::Coasting };
         track.source_id = self.source_id;
         track.born_ns = self.birth.stamp_ns;
@@ -17,11 +17,11 @@ impl Estimate {
         [track.vx_mps, track.vy_mps] = motion.velocity_mps.map(|v| v as f32);
         track.speed_mps = motion.speed_mps as f32;
         track.slip_rad = motion.slip_rad as f32;
-        track.length_m = self.length_m;
-        track.width_m = self.width_m;
+        track.length_m = self.size.length_m;
+        track.width_m = self.size.width_m;
         track.existence = self.management.existence_probability() as f32;
         track.type_probability = self.class.probability().map(|p| p as f32);
-        track.state_len = match &self.published {
+        track.state_len = match &self.published.state {
             Filter::Bicycle(state) => write_covariance(state, &mut track.covariance),
             other => write_covariance(&other.cartesian(), &mut track.covariance),
         };
