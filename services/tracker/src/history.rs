@@ -1,6 +1,6 @@
 use wire::HistoryState;
 
-use crate::smoothing::Spread;
+use crate::smoothing::{Correction, Link, Spread};
 
 /// States kept per track: 5 s at 80 ms, more than the longest window.
 const STATES_MAX: usize = 64;
@@ -13,6 +13,8 @@ const STATES_MAX: usize = 64;
 #[derive(Clone, Copy, Debug)]
 pub struct History {
     past: [Past; STATES_MAX],
+    /// Spread of the newest state.
+    spread: Spread,
     /// Number of states pushed so far. The newest state is at (len − 1) modulo the ring's size.
     len: usize,
 }
@@ -22,7 +24,8 @@ pub struct History {
 struct Past {
     stamp_ns: i64,
     state: HistoryState,
-    spread: Spread,
+    /// The link to the next state, once there is one.
+    link: Link,
 }
 
 impl History {
@@ -31,14 +34,21 @@ impl History {
     pub const fn new() -> Self {
         const ABSENT: HistoryState =
             HistoryState { x_m: 0.0, y_m: 0.0, vx_mps: 0.0, vy_mps: 0.0, heading_rad: 0.0, present: 0 };
-        const NONE: Past = Past { stamp_ns: 0, state: ABSENT, spread: Spread::NONE };
-        Self { past: [NONE; STATES_MAX], len: 0 }
+        const NONE: Past = Past { stamp_ns: 0, state: ABSENT, link: Link::NONE };
+        Self { past: [NONE; STATES_MAX], spread: Spread::NONE, len: 0 }
     }
 
     /// Appends the state of `stamp_ns`, which is later than all others. A full ring drops the oldest state.
     pub fn push(&mut self, stamp_ns: i64, state: HistoryState, spread: Spread) {
-        self.past[self.len % STATES_MAX] =
-            Past { stamp_ns, state: HistoryState { present: 1, ..state }, spread };
+        let state = HistoryState { present: 1, ..state };
+        if self.len > 0 {
+            let newest = self.slot(0);
+            let Past { stamp_ns: before_ns, state: before, link } = &mut self.past[newest];
+            let dt_s = stamp_ns.abs_diff(*before_ns) as f64 / 1e9;
+            *link = self.spread.link(before, (&state, &spread), dt_s);
+        }
+        self.past[self.len % STATES_MAX] = Past { stamp_ns, state, link: Link::NONE };
+        self.spread = spread;
         self.len += 1;
     }
 
@@ -46,9 +56,10 @@ impl History {
     ///
     /// If a track's first detection is only a position, its first state has no velocity.
     pub fn backfill(&mut self, known: &HistoryState) {
-        for Past { state, .. } in &mut self.past[..self.len.min(STATES_MAX)] {
+        for Past { state, link, .. } in &mut self.past[..self.len.min(STATES_MAX)] {
             (state.vx_mps, state.vy_mps) = (known.vx_mps, known.vy_mps);
             state.heading_rad = known.heading_rad;
+            *link = Link::NONE;
         }
     }
 
@@ -57,32 +68,17 @@ impl History {
     /// A time between two states gets their interpolation, unless the two states are more than `gap_max_ns`
     /// apart.
     pub fn window(&self, now_ns: i64, step_ns: u64, gap_max_ns: u64, window: &mut [HistoryState]) {
-        let newest = self.len.checked_sub(1).map(|_| self.at(0));
-        if newest.is_some_and(|newest| newest.spread.is_noisy()) {
+        let mut corrections = [Correction::default(); STATES_MAX];
+        let corrected = if self.spread.is_noisy() {
             let oldest_ns = now_ns.saturating_sub_unsigned(step_ns.saturating_mul(window.len() as u64));
-            self.smoothed(oldest_ns, gap_max_ns).cut(now_ns, step_ns, gap_max_ns, window);
+            self.correct(oldest_ns, gap_max_ns, &mut corrections)
         } else {
-            self.cut(now_ns, step_ns, gap_max_ns, window);
-        }
-    }
-
-    /// The history with smoothed states from `oldest_ns` on, and after the last gap of more than `gap_max_ns`.
-    fn smoothed(&self, oldest_ns: i64, gap_max_ns: u64) -> Self {
-        let mut smoothed = *self;
-        for back in 1..self.len.min(STATES_MAX) {
-            let (before, after) = (self.at(back), smoothed.at(back - 1));
-            let gap_ns = after.stamp_ns.abs_diff(before.stamp_ns);
-            if before.stamp_ns < oldest_ns || gap_ns > gap_max_ns {
-                break;
-            }
-            let dt_s = gap_ns as f64 / 1e9;
-            let state = before.spread.smoothed(&before.state, (&after.state, &after.spread), dt_s);
-            smoothed.past[self.slot(back)].state = state;
-        }
-        smoothed
-    }
-
-    fn cut(&self, now_ns: i64, step_ns: u64, gap_max_ns: u64, window: &mut [HistoryState]) {
+            0
+        };
+        let state = |back: usize| {
+            let Past { state, link, .. } = self.at(back);
+            if (1..corrected).contains(&back) { link.corrected(state, corrections[back]) } else { *state }
+        };
         let held = self.len.min(STATES_MAX);
         // Steps back from the newest state. The window is filled from its newest end, so this only grows.
         let mut back = 0;
@@ -102,24 +98,44 @@ impl History {
             *entry = if back == held {
                 HistoryState::default()
             } else if self.stamp_ns(back) == wanted_ns {
-                *self.state(back)
+                state(back)
             } else if back == 0 {
                 HistoryState::default()
             } else {
-                self.between(back, wanted_ns, gap_max_ns)
+                self.between(back, wanted_ns, gap_max_ns, state)
             };
         }
     }
 
+    /// Computes the corrections of the states by their steps back from the newest: from `oldest_ns` on, and after
+    /// the last gap of more than `gap_max_ns`. Returns their number.
+    fn correct(&self, oldest_ns: i64, gap_max_ns: u64, corrections: &mut [Correction; STATES_MAX]) -> usize {
+        let held = self.len.min(STATES_MAX);
+        for back in 1..held {
+            let Past { stamp_ns, link, .. } = self.at(back);
+            if *stamp_ns < oldest_ns || self.stamp_ns(back - 1).abs_diff(*stamp_ns) > gap_max_ns {
+                return back;
+            }
+            corrections[back] = link.correction(corrections[back - 1]);
+        }
+        held
+    }
+
     /// The state between the one `back` steps ago and its successor.
-    fn between(&self, back: usize, wanted_ns: i64, gap_max_ns: u64) -> HistoryState {
+    fn between(
+        &self,
+        back: usize,
+        wanted_ns: i64,
+        gap_max_ns: u64,
+        state: impl Fn(usize) -> HistoryState,
+    ) -> HistoryState {
         let (before_ns, after_ns) = (self.stamp_ns(back), self.stamp_ns(back - 1));
         let gap_ns = after_ns.abs_diff(before_ns);
         if gap_ns > gap_max_ns {
             return HistoryState::default();
         }
         let share = (wanted_ns.abs_diff(before_ns) as f64 / gap_ns as f64) as f32;
-        let (before, after) = (self.state(back), self.state(back - 1));
+        let (before, after) = (state(back), state(back - 1));
         let mix = |a: f32, b: f32| a + (b - a) * share;
         let turn = filters::wrapped(f64::from(after.heading_rad) - f64::from(before.heading_rad));
         let heading = f64::from(before.heading_rad) + turn * f64::from(share);
@@ -143,10 +159,6 @@ impl History {
 
     fn stamp_ns(&self, back: usize) -> i64 {
         self.at(back).stamp_ns
-    }
-
-    fn state(&self, back: usize) -> &HistoryState {
-        &self.at(back).state
     }
 }
 

@@ -11,6 +11,8 @@
 //!
 //! [Rauch, Tung, Striebel: *Maximum likelihood estimates of linear dynamic systems*, 1965]
 //!
+//! The corrections x̂ − x follow from each other by [links](Link), which are computed once.
+//!
 //! Differs from the reference: P is the mean of both axes, and velocities are compared in the frame of the
 //! earlier state. q is the mean of the densities of the free and the steady motion, by their probabilities.
 
@@ -77,39 +79,26 @@ impl Spread {
         self.share > 0.0
     }
 
-    /// The state smoothed by its successor `dt_s` later, which is smoothed already and has the spread `after`.
+    /// The link of a state to its successor `dt_s` later, which has the spread `after`.
     #[must_use]
-    pub fn smoothed(
-        &self,
-        state: &HistoryState,
-        (successor, after): (&HistoryState, &Self),
-        dt_s: f64,
-    ) -> HistoryState {
-        let Some([by_position, by_velocity]) = self.gain(after.density, dt_s) else { return *state };
+    pub fn link(&self, state: &HistoryState, (successor, after): (&HistoryState, &Self), dt_s: f64) -> Link {
+        let Some(gain) = self.gain(after.density, dt_s) else { return Link::NONE };
         let (position_m, velocity_mps) = (position_m(state), self::velocity_mps(state));
-        let half_rad = 0.5 * self.turn_rate_radps * dt_s;
-        let middle_mps = turned(velocity_mps, half_rad);
-        let before_mps = turned(self::velocity_mps(successor), -2.0 * half_rad);
+        let (sin, cos) = (0.5 * self.turn_rate_radps * dt_s).sin_cos();
+        let middle_mps = turned(velocity_mps, [cos, sin]);
+        let back = [cos * cos - sin * sin, -2.0 * sin * cos];
+        let before_mps = turned(self::velocity_mps(successor), back);
         let next_m = self::position_m(successor);
-        let off = [0, 1].map(|axis| {
-            let off_m = next_m[axis] - position_m[axis] - dt_s * middle_mps[axis];
-            [off_m, before_mps[axis] - velocity_mps[axis]]
-        });
-        let corrected = |value: f64, [by_m, by_mps]: [f64; 2], [off_m, off_mps]: [f64; 2]| {
-            value + self.share * (by_m * off_m + by_mps * off_mps)
-        };
-        let [x_m, y_m] = [0, 1].map(|axis| corrected(position_m[axis], by_position, off[axis]));
-        let [vx_mps, vy_mps] = [0, 1].map(|axis| corrected(velocity_mps[axis], by_velocity, off[axis]));
-        let turn_rad = wrapped(vy_mps.atan2(vx_mps) - velocity_mps[1].atan2(velocity_mps[0]));
+        let off_m = [0, 1].map(|axis| next_m[axis] - position_m[axis] - dt_s * middle_mps[axis]);
+        let off_mps = [0, 1].map(|axis| before_mps[axis] - velocity_mps[axis]);
+        let constant = gain
+            .map(|[by_m, by_mps]| [0, 1].map(|axis| (by_m * off_m[axis] + by_mps * off_mps[axis]) as f32));
         let speed2 = velocity_mps[0].powi(2) + velocity_mps[1].powi(2);
-        let moves = speed2 / (speed2 + self.velocity_m2ps2 + COURSE_MPS * COURSE_MPS);
-        HistoryState {
-            x_m: x_m as f32,
-            y_m: y_m as f32,
-            vx_mps: vx_mps as f32,
-            vy_mps: vy_mps as f32,
-            heading_rad: wrapped(f64::from(state.heading_rad) + moves * turn_rad) as f32,
-            ..*state
+        Link {
+            constant,
+            gain: gain.map(|row| row.map(|by| by as f32)),
+            back: back.map(|part| part as f32),
+            course_share: (speed2 / (speed2 + self.velocity_m2ps2 + COURSE_MPS * COURSE_MPS)) as f32,
         }
     }
 
@@ -118,7 +107,7 @@ impl Spread {
         if !self.is_noisy() {
             return None;
         }
-        let &Self { position_m2, both_m2ps, velocity_m2ps2, .. } = self;
+        let &Self { position_m2, both_m2ps, velocity_m2ps2, share, .. } = self;
         // The rows of P Fᵀ, and the predicted covariance.
         let rows = [
             [position_m2 + dt_s * both_m2ps, both_m2ps],
@@ -130,11 +119,63 @@ impl Spread {
         let determinant = position * velocity - both * both;
         (determinant > DETERMINANT_MIN).then(|| {
             rows.map(|[a, b]| {
-                [(a * velocity - b * both) / determinant, (b * position - a * both) / determinant]
+                [a * velocity - b * both, b * position - a * both].map(|by| share * by / determinant)
             })
         })
     }
 }
+
+/// How the correction of a state follows from that of its successor: d = G (x' − f(x)) + G R d'.
+///
+/// x' is the successor before its correction d', and R turns a velocity back into the frame of the earlier state.
+/// So a state's link is computed once, when its successor is known.
+#[derive(Clone, Copy, Debug)]
+pub struct Link {
+    /// G (x' − f(x)): of the position and of the velocity.
+    constant: [[f32; 2]; 2],
+    gain: [[f32; 2]; 2],
+    /// Cosine and sine of the turn back.
+    back: [f32; 2],
+    /// How far the heading follows the course.
+    course_share: f32,
+}
+
+impl Link {
+    /// The link of a state that stays as it is.
+    pub const NONE: Self =
+        Self { constant: [[0.0; 2]; 2], gain: [[0.0; 2]; 2], back: [1.0, 0.0], course_share: 0.0 };
+
+    /// The correction of the state, from that of its successor.
+    #[must_use]
+    pub fn correction(&self, [by_m, by_mps]: Correction) -> Correction {
+        let [cos, sin] = self.back;
+        let by_mps = [cos * by_mps[0] - sin * by_mps[1], sin * by_mps[0] + cos * by_mps[1]];
+        [0, 1].map(|row| {
+            let [of_m, of_mps] = self.gain[row];
+            [0, 1].map(|axis| self.constant[row][axis] + of_m * by_m[axis] + of_mps * by_mps[axis])
+        })
+    }
+
+    /// A state with its correction.
+    #[must_use]
+    pub fn corrected(&self, state: &HistoryState, [by_m, by_mps]: Correction) -> HistoryState {
+        let &HistoryState { vx_mps, vy_mps, .. } = state;
+        let [new_x, new_y] = [vx_mps + by_mps[0], vy_mps + by_mps[1]];
+        let turn_rad = (vx_mps * new_y - vy_mps * new_x).atan2(vx_mps * new_x + vy_mps * new_y);
+        let heading_rad = f64::from(state.heading_rad) + f64::from(self.course_share * turn_rad);
+        HistoryState {
+            x_m: state.x_m + by_m[0],
+            y_m: state.y_m + by_m[1],
+            vx_mps: new_x,
+            vy_mps: new_y,
+            heading_rad: wrapped(heading_rad) as f32,
+            ..*state
+        }
+    }
+}
+
+/// Correction of a position, m, and of a velocity, m/s.
+pub type Correction = [[f32; 2]; 2];
 
 fn position_m(state: &HistoryState) -> [f64; 2] {
     [f64::from(state.x_m), f64::from(state.y_m)]
@@ -144,8 +185,8 @@ fn velocity_mps(state: &HistoryState) -> [f64; 2] {
     [f64::from(state.vx_mps), f64::from(state.vy_mps)]
 }
 
-fn turned([x, y]: [f64; 2], angle_rad: f64) -> [f64; 2] {
-    let (sin, cos) = angle_rad.sin_cos();
+/// A vector turned by an angle with this cosine and sine.
+fn turned([x, y]: [f64; 2], [cos, sin]: [f64; 2]) -> [f64; 2] {
     [cos * x - sin * y, sin * x + cos * y]
 }
 
@@ -206,9 +247,11 @@ mod tests {
             filtered.push(published(&filter));
             spreads.push(Spread::new(&filter, MODELS.bicycle.rear_axle_m, DENSITY, 1.0));
         }
-        let mut smoothed = filtered.clone();
+        let (mut smoothed, mut correction) = (filtered.clone(), Correction::default());
         for k in (0..smoothed.len() - 1).rev() {
-            smoothed[k] = spreads[k].smoothed(&filtered[k], (&smoothed[k + 1], &spreads[k + 1]), TICK_S);
+            let link = spreads[k].link(&filtered[k], (&filtered[k + 1], &spreads[k + 1]), TICK_S);
+            correction = link.correction(correction);
+            smoothed[k] = link.corrected(&filtered[k], correction);
         }
         [filtered, smoothed]
     }
@@ -307,11 +350,12 @@ mod tests {
     }
 
     #[test]
-    fn exact_states_stay_as_they_are() {
+    fn exact_states_have_no_correction() {
         let filter = Filter::ConstantVelocity(Gaussian::new([1.0, 2.0, 3.0, 4.0], [0.1; 4]));
         let (state, other) = (published(&filter), HistoryState { x_m: 9.0, ..published(&filter) });
         for spread in [Spread::NONE, Spread::new(&filter, 1.2, DENSITY, 0.0)] {
-            assert_eq!(spread.smoothed(&state, (&other, &spread), TICK_S), state);
+            let link = spread.link(&state, (&other, &spread), TICK_S);
+            assert_eq!(link.correction([[1.0; 2]; 2]), Correction::default());
         }
     }
 }
