@@ -339,6 +339,9 @@ impl TrackerOptions {
 /// a logarithmic scale.
 pub const NOISY_M: f64 = 0.1;
 
+/// The noise of positions from which steady motion and smoothing count fully.
+const STEADY_FROM_M: f64 = 0.05;
+
 /// Distance from reference point to rear axle, as a share of the length.
 const REAR_AXLE_RATIO: f64 = 0.26;
 /// Lengths by agent type, for tracks of unknown length.
@@ -350,10 +353,11 @@ impl InputModel {
     pub(crate) fn set_motion(&mut self, agent_type: AgentType, noise_m: f64, smooth: &Self, noisy: &Self) {
         let i = agent_type.index();
         let least_m = smooth.sensor[i].position_m;
-        let share = ((noise_m / least_m).ln() / (NOISY_M / least_m).ln()).clamp(0.0, 1.0);
+        let share_of = |most_m: f64| ((noise_m / least_m).ln() / (most_m / least_m).ln()).clamp(0.0, 1.0);
+        let share = share_of(NOISY_M);
         self.motion[i] = MotionNoise::between(&smooth.motion[i], &noisy.motion[i], share);
         self.trust[i] = ForecastTrust::between(&smooth.trust[i], &noisy.trust[i], share);
-        self.steadiness[i] = mix(smooth.steadiness[i], noisy.steadiness[i], share);
+        self.steadiness[i] = mix(smooth.steadiness[i], noisy.steadiness[i], share_of(STEADY_FROM_M));
     }
 
     /// The process models of an agent of this type and length. A length of 0 means unknown.
