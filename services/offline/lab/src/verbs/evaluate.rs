@@ -1,4 +1,5 @@
 mod noise;
+mod written;
 
 use std::fs::File;
 use std::io::BufWriter;
@@ -11,16 +12,16 @@ use console::failure::Failure;
 use console::show::show;
 use console::tables;
 use data::sets::Part;
-use driving_evaluator::{GapReport, NoiseReport, SyntheticReport};
 use evaluator::{
     Evaluation, ForecastLines, InteractionPart, MapChoice, Options, Report, State, StateError, WeightsChoice,
 };
 use nn::{Precision, Weights};
 use run::Exit;
-use tracking_evaluator::{KittiReport, TrackingReport};
+use tracking_evaluator::KittiReport;
 use wire::StageId;
 
 use self::noise::NoiseArguments;
+use self::written::{Written, json};
 use crate::contenders::contenders;
 use launch::arguments::ReadArguments;
 use launch::files::named_weights;
@@ -279,78 +280,6 @@ fn unused(option: &str, users: &str) -> Failure {
 fn sensor(arguments: &Arguments) -> Result<evaluator::Noise, Failure> {
     let name = arguments.targets.first().and_then(|target| target.to_str()).unwrap_or_default();
     arguments.noise.sensor(arguments.positions && noise::SETS.contains(&name))
-}
-
-/// A single report unchanged, several reports by name.
-fn json(written: &[Written]) -> serde_json::Value {
-    match written {
-        [one] => one.json.clone(),
-        several => several.iter().map(|part| (part.name.to_owned(), part.json.clone())).collect(),
-    }
-}
-
-/// A report in all its forms.
-struct Written {
-    /// Name among several reports.
-    name: &'static str,
-    /// Its mark in a Markdown file.
-    mark: String,
-    /// The text that is printed without `--all`, if it is not the Markdown.
-    text: Option<String>,
-    markdown: String,
-    summary: String,
-    csv: String,
-    json: serde_json::Value,
-}
-
-impl Written {
-    fn new(
-        name: &'static str,
-        mark: impl Into<String>,
-        [markdown, summary, csv]: [String; 3],
-        json: serde_json::Value,
-    ) -> Self {
-        Self { name, mark: mark.into(), text: None, markdown, summary, csv, json }
-    }
-
-    fn of_forecasts(report: &Report, set: &str) -> Self {
-        report.warnings.iter().for_each(|line| tracing::warn!("{line}"));
-        report.left_out.iter().for_each(|line| tracing::warn!("left out: {line}"));
-        report.failed.iter().for_each(|line| tracing::warn!("failed: {line}"));
-        let mark = format!("evaluate {set}");
-        let texts = [report.markdown(), report.summary(), report.csv()];
-        Self { text: Some(report.text()), ..Self::new("forecasts", mark, texts, report.json()) }
-    }
-
-    fn of_motion(report: &TrackingReport) -> Self {
-        let texts = [report.markdown(), report.summary(), report.csv()];
-        Self::new("interaction", "evaluate tracking --parts interaction", texts, report.json())
-    }
-
-    fn of_noise(report: &NoiseReport) -> Self {
-        let texts = [report.markdown(), report.markdown(), report.csv()];
-        Self::new("recorded", "evaluate noise", texts, report.json())
-    }
-
-    fn of_network(report: &NoiseReport) -> Self {
-        let texts = [report.markdown(), report.markdown(), report.csv()];
-        Self::new(NETWORK, "evaluate noise --parts network", texts, report.json())
-    }
-
-    fn of_synthetic(report: &SyntheticReport) -> Self {
-        let texts = [report.markdown(), report.markdown(), report.csv()];
-        Self::new(SYNTHETIC, "evaluate noise --parts synthetic", texts, report.json())
-    }
-
-    fn of_gaps(report: &GapReport) -> Self {
-        let texts = [report.markdown(), report.markdown(), report.csv()];
-        Self::new("driving", "evaluate tracking --parts driving", texts, report.json())
-    }
-
-    fn of_trackers(report: &KittiReport) -> Self {
-        let texts = [report.markdown(), report.summary(), report.csv()];
-        Self::new("kitti", "evaluate tracking --parts kitti", texts, report.json())
-    }
 }
 
 /// The precision of the decoder, the only option of a stage that evaluations accept.
