@@ -19,7 +19,7 @@
 //!    depends on occlusion. A track hidden behind others coasts for longer and is less likely to take a
 //!    detection.
 //! 5. **Publish.** Each track carries its history at exact Δt spacing, made of the previously published
-//!    states. Of noisy detections, these states are [smoothed](smoothing).
+//!    states. Of noisy detections, these states are smoothed.
 //!
 //! **Out of sequence.** An *estimate* is the belief about one agent. It depends on the frames and the
 //! forecasts that came with them, in the order of their stamps. A frame that arrives after newer ones is
@@ -43,7 +43,7 @@
 //! steady                steady motion and standing     noise     the noise of the detections
 //! belief  forecasts     motion and its prior           trials    trials of forecasts
 //! class  front  grid  history  observation  occlusion  placeholders  scan  tally  track_management
-//! tracked
+//! smoothing             smoothing of published histories  tracked
 //! options
 //! ```
 
