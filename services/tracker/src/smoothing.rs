@@ -1,7 +1,7 @@
 //! Smoothing of the published history: later measurements improve earlier states.
 //!
-//! A filtered state knows nothing of later measurements, so its error differs from that of its neighbours. The
-//! network reads accelerations and turn rates from such differences. The fixed-interval smoother goes back from
+//! A filtered state knows nothing of later measurements, so neighbouring states have different errors. The
+//! network reads accelerations and turn rates from their differences. The fixed-interval smoother goes back from
 //! the newest state. The motion to a state's successor is a turn at constant rate, with a random acceleration of
 //! spectral density q:
 //!
@@ -13,8 +13,8 @@
 //!
 //! The corrections x̂ − x follow from each other by [links](Link), which are computed once.
 //!
-//! Differs from the reference: P is the mean of both axes, and velocities are compared in the frame of the
-//! earlier state. q is the mean of the densities of the free and the steady motion, by their probabilities.
+//! Differs from the reference: P is the mean of both axes. Velocities are compared in the frame of the earlier
+//! state. q is the mean of the densities of the free and the steady motion, by their probabilities.
 
 use filters::{Filter, wrapped};
 use wire::HistoryState;
@@ -125,7 +125,7 @@ impl Spread {
     }
 }
 
-/// How the correction of a state follows from that of its successor: d = G (x' − f(x)) + G R d'.
+/// How a state's correction follows from its successor's: d = G (x' − f(x)) + G R d'.
 ///
 /// x' is the successor before its correction d', and R turns a velocity back into the frame of the earlier state.
 /// So a state's link is computed once, when its successor is known.
@@ -145,7 +145,7 @@ impl Link {
     pub const NONE: Self =
         Self { constant: [[0.0; 2]; 2], gain: [[0.0; 2]; 2], back: [1.0, 0.0], course_share: 0.0 };
 
-    /// The correction of the state, from that of its successor.
+    /// The state's correction, from its successor's.
     #[must_use]
     pub fn correction(&self, [by_m, by_mps]: Correction) -> Correction {
         let [cos, sin] = self.back;

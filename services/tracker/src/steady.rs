@@ -270,7 +270,7 @@ impl Steady {
         }
     }
 
-    /// Mean spectral density of the acceleration, m²/s³, that of the free motion being the one of `models`. The
+    /// Mean spectral density of the acceleration, m²/s³. The free motion has the density of `models`. The
     /// probabilities of the steady motion and of standing count by this share.
     #[must_use]
     pub fn density(&self, models: &Models, share: f64) -> f64 {
