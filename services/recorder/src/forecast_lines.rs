@@ -32,6 +32,7 @@
 //! | `best_m` | \[step\] = \[x, y\]: the single best forecast |
 //! | `mean_m` | \[step\] = \[x, y\]: mean of the mixture of all modes |
 //! | `covariance_m2` | \[step\] = \[xx, xy, yy\] of the mixture |
+//! | `conflicts` | probable conflicts, each with `other_id` (the track), `probability`, `if_nobody_reacts` and `in_s`; left out if there are none, or the sampler was not asked for them |
 //!
 //! Positions are in the recording's own frame, because the run's origin (`--origin`) is added again. Without
 //! an origin this is the world frame.
@@ -45,7 +46,8 @@ use std::path::Path;
 
 use serde::{Serialize, Serializer};
 use wire::{
-    AgentType, Cause, EXPERTS_MAX, Expert, Forecast, HORIZON_MAX, Header, MODES_MAX, Quality, WorldOrigin,
+    AgentType, CONFLICTS_MAX, Cause, EXPERTS_MAX, Expert, Forecast, ForeseenConflict, HORIZON_MAX, Header,
+    MODES_MAX, Quality, WorldOrigin,
 };
 
 use crate::whole_file::WholeFile;
@@ -163,6 +165,8 @@ struct Agent<'a> {
     best_m: Points<'a>,
     mean_m: Points<'a>,
     covariance_m2: Rows<'a, 3, 6>,
+    #[serde(skip_serializing_if = "Conflicts::is_empty")]
+    conflicts: Conflicts<'a>,
 }
 
 impl<'a> Agent<'a> {
@@ -193,7 +197,36 @@ impl<'a> Agent<'a> {
             best_m: points(&forecast.best),
             mean_m: points(&forecast.mean),
             covariance_m2: Rows(&forecast.covariance[..horizon_len]),
+            conflicts: Conflicts(&forecast.conflicts[..(forecast.conflicts_len as usize).min(CONFLICTS_MAX)]),
         }
+    }
+}
+
+/// The conflicts of an agent.
+struct Conflicts<'a>(&'a [ForeseenConflict]);
+
+impl Conflicts<'_> {
+    const fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+}
+
+impl Serialize for Conflicts<'_> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        #[derive(Serialize)]
+        struct Conflict {
+            other_id: u64,
+            probability: Rounded<4>,
+            if_nobody_reacts: Rounded<4>,
+            in_s: Rounded<4>,
+        }
+        let conflict = |of: &ForeseenConflict| Conflict {
+            other_id: of.other_id,
+            probability: Rounded(of.probability),
+            if_nobody_reacts: Rounded(of.if_nobody_reacts),
+            in_s: Rounded(of.in_s),
+        };
+        serializer.collect_seq(self.0.iter().map(conflict))
     }
 }
 
@@ -320,6 +353,27 @@ mod tests {
     #[test]
     fn a_line_has_the_documented_fields() {
         insta::assert_snapshot!(line(&header(1), &[forecast()]));
+    }
+
+    #[test]
+    fn conflicts_are_written_if_there_are_any() {
+        let mut of = forecast();
+        of.conflicts[0] = ForeseenConflict {
+            other_id: 9,
+            probability: 0.123_456,
+            if_nobody_reacts: 0.75,
+            in_s: 2.5,
+            reserved: 0,
+        };
+        of.conflicts_len = 1;
+        let line = line(&header(1), &[of, forecast()]);
+        assert_eq!(line.matches("conflicts").count(), 1, "{line}");
+        assert!(
+            line.contains(
+                r#","conflicts":[{"other_id":9,"probability":0.1235,"if_nobody_reacts":0.75,"in_s":2.5}]}"#
+            ),
+            "{line}"
+        );
     }
 
     #[test]

@@ -37,6 +37,8 @@ pub struct Options {
     /// Whether matured forecasts determine the blend of network and kinematic experts and the size of
     /// regions. If false, the network's forecasts are published unchanged.
     pub evidence: bool,
+    /// Whether forecasts contain the conflicts of their agent: with whom, how probably and when.
+    pub conflicts: bool,
     /// File of the retrieval memory: read at the start if it exists (warm start), and written at the end.
     #[schemars(extend("format" = "path"))]
     pub memory: Option<PathBuf>,
@@ -125,6 +127,7 @@ impl Default for Options {
             kinematic_s: None,
             retrieval: true,
             evidence: true,
+            conflicts: false,
             memory: None,
             state: None,
             prior: None,
@@ -205,6 +208,8 @@ pub struct SamplerOptions {
     pub retrieval: bool,
     /// Whether the forecasts that have matured decide on blend and widths.
     pub evidence: bool,
+    /// Whether forecasts contain the conflicts of their agent.
+    pub conflicts: bool,
     /// What is published of an agent without a learned forecast.
     pub degradation: Degradation,
     /// Highest speed of each type, as the run's tracker has it.
@@ -241,6 +246,7 @@ impl Default for SamplerOptions {
             seed: 0,
             retrieval: true,
             evidence: true,
+            conflicts: false,
             degradation: Degradation::default(),
             speed_limits: SpeedLimits::default(),
             deadline_ns: u64::MAX,

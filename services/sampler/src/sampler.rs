@@ -1,6 +1,7 @@
 use std::io;
 use std::sync::Arc;
 
+use conflicts::Finder;
 use evidence::{Evidence, Observed, Prior, Priors};
 use kinematics::PARTICLES_MAX;
 use lanes::LaneMap;
@@ -29,6 +30,8 @@ pub struct Sampler {
     prior: Prior,
     /// `None` if evidence is off, or before the first tick.
     experts: Option<Box<Experts>>,
+    /// `None` if they are not asked for.
+    conflicts: Option<Box<Finder>>,
     resumed_ticks: u64,
     /// Number and stamp of the newest tick.
     last: Option<(u64, i64)>,
@@ -72,6 +75,7 @@ impl Sampler {
             memory: None,
             prior: if options.evidence { Priors::shipped().all() } else { Prior::default() },
             experts: None,
+            conflicts: options.conflicts.then(Box::default),
             resumed_ticks: 0,
             last: None,
             workers: Workers::new(Turns::new(options), forecasters)?,
@@ -264,6 +268,9 @@ impl Sampler {
         let out = room(count)?;
         assert_eq!(out.len(), count, "a place per forecast");
         self.write(tick, tracks, out)?;
+        if let Some(conflicts) = &mut self.conflicts {
+            conflicts.write(out, self.options.horizon_len, tick.step_ns as f32 * 1e-9);
+        }
         Ok(count)
     }
 

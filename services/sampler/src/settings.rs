@@ -21,6 +21,7 @@ pub fn settings(options: &Options, model: &ModelConfig, run: &Run) -> SamplerOpt
         speed_limits: SpeedLimits::of_run(run),
         retrieval: options.retrieval,
         evidence: options.evidence,
+        conflicts: options.conflicts,
         degradation: options.degradation(),
         deadline_ns: run.interval_ns.min((options.deadline_ms * 1e6) as u64),
         ..SamplerOptions::default()

@@ -54,6 +54,7 @@ fn a_thousand_steady_steps_allocate_nothing() {
         (full, false, 1),
         (full, true, 1),
         (full, true, 3),
+        (SamplerOptions { conflicts: true, ..full }, true, 3),
         (SamplerOptions { degradation: silent, ..plain }, false, 1),
         (SamplerOptions { degradation: silent, ..full }, true, 3),
     ];

@@ -667,3 +667,27 @@ fn vehicles_turn_no_harder_than_tyres_hold() {
         }
     }
 }
+
+/// Two cars that approach each other, and a third far away. The controls of one are late.
+#[test]
+fn conflicts_change_nothing_else_of_a_forecast() {
+    let tracks = [
+        track(1, AgentType::Vehicle, [0.0, 0.0], 0.0, 5.0),
+        track(2, AgentType::Vehicle, [30.0, 0.5], std::f32::consts::PI, 5.0),
+        track(3, AgentType::Vehicle, [0.0, 50.0], 0.0, 5.0),
+    ];
+    let controls = [1, 3].map(|id| controls(id, AgentType::Vehicle, &[[0.0; 2]], 0.1));
+    let forecasts = |conflicts| {
+        let options = SamplerOptions { conflicts, ..without_evidence() };
+        learned(&mut Sampler::new(options), 0, &tracks, &controls)
+    };
+    let (with, without) = (forecasts(true), forecasts(false));
+    assert_eq!(with.iter().map(|of| of.conflicts_len).collect::<Vec<_>>(), [1, 1, 0]);
+    assert_eq!((with[0].conflicts[0].other_id, with[1].conflicts[0].other_id), (2, 1));
+    // 26 m between the bumpers, and 10 m/s.
+    assert!((2.3..2.9).contains(&with[0].conflicts[0].in_s), "{:?}", with[0].conflicts);
+    for (mut with, without) in with.into_iter().zip(without) {
+        (with.conflicts_len, with.conflicts) = (0, Default::default());
+        assert_eq!(with, without);
+    }
+}

@@ -1,16 +1,21 @@
 "use strict";
-// Conflicts: pairs of agents whose forecasts meet. An outline is three circles along the agent, one for a
-// pedestrian; the gap of a pair is the smallest distance of the outlines. The probability of a conflict is the sum of
-// p_i p_j over the pairs of probable modes, each with a logistic weight of its smallest gap.
+// Conflicts: pairs of agents whose forecasts meet, as the crate `conflicts` computes them, from the probable modes. An
+// outline is three circles along the agent, one for a pedestrian; the gap of a pair is the smallest distance of the
+// outlines. The odds of a conflict, CONFLICT_ODDS, are what recordings say of pairs with the same signs.
 
 // Pairs that are farther apart, or closer already, are left out. Lengths in cm.
 const FAR_CM = 6000;
 const TOUCHING_CM = 100;
-// A gap below this is a conflict; the logistic has the same width.
+// A gap below the first is a conflict, and below the second it is near.
 const GAP_CM = 50;
-// An agent that is slower does not move, cm/s.
-const STILL_CMPS = 100;
-// Conflicts with a smaller probability are not listed, and the most that are listed.
+const NEAR_CM = 200;
+// A smaller probability has its logarithm.
+const PROBABILITY_LEAST = 1e-4;
+// Directions are the same or opposite up to an angle with this cosine.
+const ALIKE = 0.7;
+// An agent that is not faster stands, cm/s.
+const STILL_CMPS = 50;
+// Conflicts that the modes foretell with a smaller probability are not listed, and the most that are listed.
 const CONFLICT_LEAST = 0.1;
 const CONFLICTS_MAX = 8;
 const TYPICAL_CM = [[450, 190], [180, 60], [60, 60]];
@@ -76,30 +81,43 @@ function gapOf(a, b, at, first, second) {
   return Math.sqrt(least) - first.radius - second.radius;
 }
 
-// The conflict of a pair: probability, time in s, and place in cm; null if there is none.
+// The odds of a conflict as a probability: `until` a quarter, half and all of the horizon, and that of nearness.
+function probabilityOf(one, other, until, near) {
+  const walk = [one, other].filter(({ agent }) => agent.t === 2).length;
+  const cosine = Math.cos((one.agent.h - other.agent.h) / 1000);
+  const signs = [...until, near].map((p) => Math.log(Math.max(p, PROBABILITY_LEAST)));
+  signs.push(Math.min(one.speed, other.speed) <= STILL_CMPS, walk === 1, walk === 2, cosine > ALIKE, cosine < -ALIKE);
+  const logit = signs.reduce((sum, sign, at) => sum + CONFLICT_ODDS.weights[at] * sign, CONFLICT_ODDS.constant);
+  return 1 / (1 + Math.exp(-logit));
+}
+
+// The conflict of a pair: its probability, that of the modes as if nobody reacted, time in s, and place in cm; null if there is none.
 function conflictOf(one, other, dt) {
   const [first, second] = [one.outline, other.outline];
   if (Math.hypot(one.agent.p[0] - other.agent.p[0], one.agent.p[1] - other.agent.p[1]) > FAR_CM) return null;
   if (gapOf(one.moves[0].poses, other.moves[0].poses, 0, first, second) < TOUCHING_CM) return null;
-  let [probability, best, found] = [0, 0, null];
+  let [until, near, best, found] = [[0, 0, 0], 0, 0, null];
   for (const a of one.moves) {
     for (const b of other.moves) {
-      let [least, begin] = [6 * GAP_CM, 0];
-      for (let at = POSE; at < Math.min(a.poses.length, b.poses.length); at += POSE) {
-        const gap = gapOf(a.poses, b.poses, at, first, second);
-        if (gap < least) least = gap;
-        if (gap < GAP_CM && !begin) begin = at;
+      const end = Math.min(a.poses.length, b.poses.length);
+      let [least, begin] = [Infinity, 0];
+      for (let at = POSE; at < end && !begin; at += POSE) {
+        least = Math.min(least, gapOf(a.poses, b.poses, at, first, second));
+        if (least < GAP_CM) begin = at / POSE;
       }
-      const weight = a.p * b.p / (1 + Math.exp((least - GAP_CM) / GAP_CM));
-      probability += weight;
-      if (begin && weight > best) {
-        best = weight;
-        const middle = (axis) => (a.poses[begin + axis] + b.poses[begin + axis]) / 2;
-        found = { t: begin / POSE * dt, x: middle(0), y: middle(1) };
+      const p = a.p * b.p;
+      near += least < NEAR_CM ? p : 0;
+      if (!begin) continue;
+      const steps = end / POSE - 1;
+      until = until.map((sum, part) => sum + (begin <= Math.ceil(steps / [4, 2, 1][part]) ? p : 0));
+      if (p > best) {
+        best = p;
+        const middle = (axis) => (a.poses[begin * POSE + axis] + b.poses[begin * POSE + axis]) / 2;
+        found = { t: begin * dt, x: middle(0), y: middle(1) };
       }
     }
   }
-  return found && { ...found, p: probability };
+  return found && { ...found, p: probabilityOf(one, other, until, near), m: until[2] };
 }
 
 // The ego vehicle as an agent that keeps its speed and its rate of turn, from its pose `ago` seconds earlier.
@@ -130,11 +148,11 @@ function conflictsOf(scene, ego) {
   const found = [];
   agents.forEach((one, place) => {
     for (const other of agents.slice(place + 1)) {
-      if (Math.max(one.speed, other.speed) < STILL_CMPS) continue;
-      const slack = one.outline.reach + other.outline.reach + 3 * GAP_CM;
+      if (Math.max(one.speed, other.speed) <= STILL_CMPS) continue;
+      const slack = one.outline.reach + other.outline.reach + NEAR_CM;
       const isApart = [0, 1].some((axis) => one.box[axis] - slack > other.box[axis + 2] || other.box[axis] - slack > one.box[axis + 2]);
       const conflict = isApart ? null : conflictOf(one, other, scene.dt);
-      if (conflict && conflict.p >= CONFLICT_LEAST) found.push({ ...conflict, a: one.agent, b: other.agent });
+      if (conflict && conflict.m >= CONFLICT_LEAST) found.push({ ...conflict, a: one.agent, b: other.agent });
     }
   });
   const isEgo = ({ a }) => (a.i === "ego" ? 1 : 0);

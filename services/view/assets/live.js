@@ -305,11 +305,13 @@ function select(id) {
 
 function showConflicts(shown) {
   const name = (agent) => (agent.i === "ego" ? "<b>ego</b>" : escaped(`${TYPES[agent.t]} ${agent.n}`));
-  const html = scene.conflicts.map(({ a, b, p, t, x, y }) => `<tr data-a="${escaped(a.i)}" data-b="${escaped(b.i)}" data-x="${x}" data-y="${y}">` +
-    `<td>${name(a)} – ${name(b)}</td><td>in ${t.toFixed(1)} s</td><td class="${p > 0.3 ? "bad" : ""}">${Math.round(p * 100)} %</td></tr>`).join("") ||
+  const html = scene.conflicts.map(({ a, b, p, m, t, x, y }) => `<tr data-a="${escaped(a.i)}" data-b="${escaped(b.i)}" data-x="${x}" data-y="${y}">` +
+    `<td>${name(a)} – ${name(b)}</td><td>in ${t.toFixed(1)} s</td><td class="${p > 0.2 ? "bad" : ""}">${Math.round(p * 100)} %</td>` +
+    `<td title="if nobody reacts">${Math.round(m * 100)} %</td></tr>`).join("") ||
     '<tr><td class="soft">none within the horizon</td></tr>';
   if (live.conflicts !== html) $("conflicts").innerHTML = live.conflicts = html;
-  $("conflict-note").textContent = shown.ego ? "ego at constant speed and turn" : "forecasts that meet";
+  $("conflict-note").textContent = "probability, and if nobody reacts";
+  $("conflict-note").title = shown.ego ? "the ego vehicle keeps its speed and its rate of turn" : "";
 }
 
 // The marks of the time line: those that would cover each other are joined.

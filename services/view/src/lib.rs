@@ -50,8 +50,9 @@ fn vocabulary() -> [String; 2] {
 
 /// The live page.
 fn live_page() -> String {
-    let scripts = [include_str!("../assets/conflicts.js"), include_str!("../assets/live.js")];
-    page(include_str!("../assets/live.html"), &scripts)
+    let odds = serde_json::json!(conflicts::OddsOfSources::shipped().all);
+    let conflicts = format!("const CONFLICT_ODDS = {odds};\n") + include_str!("../assets/conflicts.js");
+    page(include_str!("../assets/live.html"), &[&conflicts, include_str!("../assets/live.js")])
 }
 
 /// The bounds of lanes as JSON, in whole centimetres: the first value of an element is the type.

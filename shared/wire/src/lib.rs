@@ -105,18 +105,18 @@ pub use layout::{
     feature_rows,
 };
 pub use limits::{
-    ADDED_STAGES_MAX, ADDED_TOPICS_MAX, AGENTS_MAX, CONTEXT_EMBEDDING, DETECTIONS_MAX, EDGE_ATTRIBUTES,
-    EDGES_MAX, ELEMENT_SIZE_MAX, EXPERTS_MAX, HISTORY_MAX, HOPS_MAX, HORIZON_MAX, INTERVAL_MAX_NS,
-    INTERVAL_MIN_NS, LATENT, MODES_MAX, NODE_ATTRIBUTES, OFFSET_MAX_NS, PATCH_CHANNELS, PATCH_SIDE_MAX,
-    POSITION_MAX_M, REFUSALS_MAX, RELATION_FEATURES, SCHEMA, SEQ_MAX, SHED_WORDS, SPEED_MAX_MPS,
-    STATE_EMBEDDING, STATE_FEATURES, TEMPORAL,
+    ADDED_STAGES_MAX, ADDED_TOPICS_MAX, AGENTS_MAX, CONFLICTS_MAX, CONTEXT_EMBEDDING, DETECTIONS_MAX,
+    EDGE_ATTRIBUTES, EDGES_MAX, ELEMENT_SIZE_MAX, EXPERTS_MAX, HISTORY_MAX, HOPS_MAX, HORIZON_MAX,
+    INTERVAL_MAX_NS, INTERVAL_MIN_NS, LATENT, MODES_MAX, NODE_ATTRIBUTES, OFFSET_MAX_NS, PATCH_CHANNELS,
+    PATCH_SIDE_MAX, POSITION_MAX_M, REFUSALS_MAX, RELATION_FEATURES, SCHEMA, SEQ_MAX, SHED_WORDS,
+    SPEED_MAX_MPS, STATE_EMBEDDING, STATE_FEATURES, TEMPORAL,
 };
 pub use origin::{UnknownWorldOrigin, WorldOrigin};
 pub use protection::{crc64, data_id};
 pub use records::{
     AgentControls, AgentEncoding, AgentFeatures, Cause, ControlGaussian, Detection, Expert, Forecast,
-    Heartbeat, HistoryState, LinkCount, Quality, RefusalCause, Refusals, Steering, Track, TrackStatus, Truth,
-    detection_flags,
+    ForeseenConflict, Heartbeat, HistoryState, LinkCount, Quality, RefusalCause, Refusals, Steering, Track,
+    TrackStatus, Truth, detection_flags,
 };
 pub use stage::StageId;
 pub use table::{

@@ -41,6 +41,8 @@ constants! {
     pub const HORIZON_MAX: usize = 12;
     /// Maximum number of latent draws (modes), K, of an agent.
     pub const MODES_MAX: usize = 20;
+    /// Maximum number of conflicts in a forecast.
+    pub const CONFLICTS_MAX: usize = 2;
     /// Maximum number of experts in a forecast's weights.
     pub const EXPERTS_MAX: usize = 8;
     /// Maximum number of pairs of sender and cause for which a heartbeat counts refused frames.

@@ -4,9 +4,9 @@ use crate::table::{Flags, Table};
 use crate::topic::TOPICS;
 use crate::{
     AgentControls, AgentEncoding, AgentFeatures, AgentType, Cause, ControlGaussian, Counts, Detection, Edge,
-    Expert, Forecast, Header, Heartbeat, HistoryState, Hop, InputCounts, LinkCount, Protection, Quality,
-    RefusalCause, Refusals, Row, SCHEMA, StageId, StampSource, Steering, Track, TrackStatus, Truth,
-    detection_flags, doubts, flags, limits,
+    Expert, Forecast, ForeseenConflict, Header, Heartbeat, HistoryState, Hop, InputCounts, LinkCount,
+    Protection, Quality, RefusalCause, Refusals, Row, SCHEMA, StageId, StampSource, Steering, Track,
+    TrackStatus, Truth, detection_flags, doubts, flags, limits,
 };
 
 /// The whole wire.
@@ -50,6 +50,7 @@ pub const TABLE: Table = Table {
         AgentEncoding::RECORD,
         ControlGaussian::RECORD,
         AgentControls::RECORD,
+        ForeseenConflict::RECORD,
         Forecast::RECORD,
         Refusals::RECORD,
         Heartbeat::RECORD,

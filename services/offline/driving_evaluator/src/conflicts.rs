@@ -1,33 +1,20 @@
-//! Conflicts: pairs of agents that come too close within the horizon, and how well forecasts foretell them.
-//!
-//! An outline is three circles along the agent, or one for a pedestrian. The *gap* of a pair is the smallest
-//! distance between their outlines at a common step. A pair has a *conflict* if its gap falls below
-//! [`CONFLICT_M`].
+//! Conflicts: how well forecasts foretell the pairs of agents that come too close within the horizon.
 
-use scene::AgentType;
-use wire::{Forecast, HORIZON_MAX};
+use conflicts::{
+    APART_MAX_M, APART_MIN_M, Body, CONFLICT_M, Moving, Odds, Outline, Room, SIGNS, STANDS_MPS, Signs,
+};
+use wire::Forecast;
 
-/// A smaller gap is a conflict.
-const CONFLICT_M: f32 = 0.5;
-/// Width of the logistic function that softens this bound for modes.
+/// Width of the logistic function that softens the bound of a conflict for independent modes.
 const SOFT_M: f32 = 0.5;
-/// Pairs that are closer already are left out.
-const APART_MIN_M: f32 = 1.0;
-/// Pairs that are farther apart are left out.
-const APART_MAX_M: f32 = 60.0;
-/// Pairs of which nobody is faster are left out.
-const MOVES_MPS: f32 = 0.5;
 /// Time between two looks at all pairs.
 pub(crate) const EVERY_NS: i64 = 800_000_000;
-/// Radius of a pedestrian.
-const PEDESTRIAN_M: f32 = 0.3;
-/// Below this distance of a step, an agent keeps its direction.
-const STEP_MIN_M: f32 = 0.1;
 /// Recall at which false alarms are counted.
 pub(crate) const RECALL: f64 = 0.6;
 
 /// What foretells conflicts.
-pub(crate) const FORETELLERS: [&str; 3] = ["constant velocity", "single best", "modes"];
+pub(crate) const FORETELLERS: [&str; 4] =
+    ["constant velocity", "single best", "independent modes", "published probability"];
 
 /// A pair of agents at a time.
 #[derive(Clone, Copy, Debug)]
@@ -36,44 +23,39 @@ pub(crate) struct Pair {
     pub(crate) conflict_s: Option<f32>,
     /// The score by each of [`FORETELLERS`]: larger means that a conflict is more likely.
     pub(crate) scores: [f32; FORETELLERS.len()],
-}
-
-/// The outlines of an agent along a path.
-#[derive(Clone, Copy, Debug)]
-struct Outline {
-    len: usize,
-    circle_count: usize,
-    radius_m: f32,
-    centres_m: [[[f32; 2]; 3]; HORIZON_MAX],
+    /// What the forecasts say; `None` if no modes come near one another.
+    pub(crate) signs: Option<[f32; SIGNS]>,
 }
 
 /// An agent whose future is known.
 pub(crate) struct Known<'a> {
     pub(crate) forecast: &'a Forecast,
-    pub(crate) agent_type: AgentType,
     /// Its position at each step.
     pub(crate) truth_m: Vec<[f32; 2]>,
 }
 
 /// All pairs of a tick.
-pub(crate) fn pairs(agents: &[Known<'_>], dt_s: f32, out: &mut Vec<Pair>) {
-    let drawn: Vec<Drawn> = agents.iter().map(|agent| Drawn::new(agent, dt_s)).collect();
-    for (number, (a, drawn_a)) in agents.iter().zip(&drawn).enumerate() {
-        for (b, drawn_b) in agents[..number].iter().zip(&drawn) {
-            let [x, y] = [a.forecast.x_m - b.forecast.x_m, a.forecast.y_m - b.forecast.y_m];
-            let moves = [a, b].iter().any(|of| of.forecast.vx_mps.hypot(of.forecast.vy_mps) > MOVES_MPS);
-            if !moves || x.hypot(y) > APART_MAX_M || drawn_a.now.gap(&drawn_b.now).0 < APART_MIN_M {
+pub(crate) fn pairs(agents: &[Known<'_>], dt_s: f32, odds: &Odds, out: &mut Vec<Pair>) {
+    let drawn: Vec<Drawn> = agents.iter().filter_map(|agent| Drawn::new(agent, dt_s)).collect();
+    let mut room = Box::<Room>::default();
+    for (number, a) in drawn.iter().enumerate() {
+        for b in &drawn[..number] {
+            let [x, y] = [0, 1].map(|axis| a.position_m[axis] - b.position_m[axis]);
+            let moves = a.speed_mps.max(b.speed_mps) > STANDS_MPS;
+            if !moves || x.hypot(y) > APART_MAX_M || a.now.gap(&b.now).0 < APART_MIN_M {
                 continue;
             }
-            let (truth_m, step) = drawn_a.truth.gap(&drawn_b.truth);
-            let single = |a: &Outline, b: &Outline| -a.gap(b).0;
+            let (truth_m, step) = a.truth.gap(&b.truth);
+            let signs = Signs::of(&a.moving, &b.moving, dt_s, &mut room);
             out.push(Pair {
                 conflict_s: (truth_m < CONFLICT_M).then_some((step + 1) as f32 * dt_s),
                 scores: [
-                    single(&drawn_a.steady, &drawn_b.steady),
-                    single(&drawn_a.best, &drawn_b.best),
-                    of_modes(drawn_a, drawn_b),
+                    -a.steady.gap(&b.steady).0,
+                    -a.best.gap(&b.best).0,
+                    of_modes(a, b),
+                    signs.map_or(0.0, |signs| odds.probability(&signs)),
                 ],
+                signs: signs.map(|signs| signs.numbers()),
             });
         }
     }
@@ -92,78 +74,36 @@ fn of_modes(a: &Drawn, b: &Drawn) -> f32 {
 
 /// The outlines of an agent.
 struct Drawn {
+    position_m: [f32; 2],
+    speed_mps: f32,
     now: Outline,
     truth: Outline,
     steady: Outline,
     best: Outline,
     modes: Vec<(Outline, f32)>,
+    moving: Moving,
 }
 
 impl Drawn {
-    fn new(agent: &Known<'_>, dt_s: f32) -> Self {
-        let Known { forecast, agent_type, truth_m } = agent;
-        let len = truth_m.len();
-        let start_m = [forecast.x_m, forecast.y_m];
-        let velocity_mps = [forecast.vx_mps, forecast.vy_mps];
+    fn new(agent: &Known<'_>, dt_s: f32) -> Option<Self> {
+        let Known { forecast, truth_m } = agent;
+        let (body, len) = (Body::of(forecast)?, truth_m.len());
+        let [vx_mps, vy_mps] = [forecast.vx_mps, forecast.vy_mps];
         let steady: Vec<[f32; 2]> = (1..=len)
-            .map(|step| [0, 1].map(|axis| start_m[axis] + step as f32 * dt_s * velocity_mps[axis]))
+            .map(|step| step as f32 * dt_s)
+            .map(|in_s| [forecast.x_m + in_s * vx_mps, forecast.y_m + in_s * vy_mps])
             .collect();
-        let size_m = [forecast.length_m, forecast.width_m];
-        let outline =
-            |path_m: &[[f32; 2]]| Outline::new(*agent_type, size_m, start_m, forecast.heading_rad, path_m);
-        let modes_len = forecast.modes_len as usize;
-        let modes = forecast.modes[..modes_len].iter().zip(&forecast.probability);
-        Self {
-            now: outline(&[start_m]),
-            truth: outline(truth_m),
-            steady: outline(&steady),
-            best: outline(&forecast.best[..len]),
-            modes: modes.map(|(mode, p)| (outline(&mode[..len]), *p)).collect(),
-        }
-    }
-}
-
-impl Outline {
-    fn new(
-        agent_type: AgentType,
-        [length_m, width_m]: [f32; 2],
-        start_m: [f32; 2],
-        heading_rad: f32,
-        path_m: &[[f32; 2]],
-    ) -> Self {
-        let is_pedestrian = agent_type == AgentType::Pedestrian;
-        let (circle_count, radius_m) =
-            if is_pedestrian { (1, PEDESTRIAN_M) } else { (3, 0.5 * width_m.max(0.5)) };
-        let reach_m = if is_pedestrian { 0.0 } else { (0.5 * length_m - radius_m).max(0.0) };
-        let mut centres_m = [[[0.0; 2]; 3]; HORIZON_MAX];
-        let (mut from, mut direction) = (start_m, [heading_rad.cos(), heading_rad.sin()]);
-        for (centres, at) in centres_m.iter_mut().zip(path_m) {
-            let [x, y] = [at[0] - from[0], at[1] - from[1]];
-            let length_m = x.hypot(y);
-            if length_m > STEP_MIN_M {
-                direction = [x / length_m, y / length_m];
-            }
-            *centres = [0.0, reach_m, -reach_m]
-                .map(|along_m| [0, 1].map(|axis| at[axis] + along_m * direction[axis]));
-            from = *at;
-        }
-        Self { len: path_m.len(), circle_count, radius_m, centres_m }
-    }
-
-    /// The smallest distance between two outlines at a common step, and that step.
-    fn gap(&self, other: &Self) -> (f32, usize) {
-        let mut least = (f32::INFINITY, 0);
-        for step in 0..self.len.min(other.len) {
-            for a in &self.centres_m[step][..self.circle_count] {
-                for b in &other.centres_m[step][..other.circle_count] {
-                    let square = (a[0] - b[0]).powi(2) + (a[1] - b[1]).powi(2);
-                    if square < least.0 {
-                        least = (square, step);
-                    }
-                }
-            }
-        }
-        (least.0.sqrt() - self.radius_m - other.radius_m, least.1)
+        let modes = forecast.modes[..forecast.modes_len as usize].iter().zip(&forecast.probability);
+        Some(Self {
+            position_m: body.position_m,
+            speed_mps: vx_mps.hypot(vy_mps),
+            now: body.now(),
+            truth: body.along([&truth_m[..]]),
+            steady: body.along([&steady[..]]),
+            best: body.along([&forecast.best[..len]]),
+            modes: modes.map(|(mode, p)| (body.along([&mode[..len]]), *p)).collect(),
+            moving: Moving::of(forecast, len)?,
+        })
     }
 }
 
@@ -221,31 +161,13 @@ impl Foretold {
 mod tests {
     use super::*;
 
-    fn outline(path_m: &[[f32; 2]]) -> Outline {
-        Outline::new(AgentType::Vehicle, [4.0, 2.0], [0.0; 2], 0.0, path_m)
-    }
-
-    #[test]
-    fn gaps_are_between_outlines_and_not_between_centres() {
-        let ahead = outline(&[[10.0, 0.0]]);
-        let (gap_m, _) = outline(&[[0.1, 0.0]]).gap(&ahead);
-        assert!((gap_m - 5.9).abs() < 1e-4, "{gap_m}");
-        let beside = Outline::new(AgentType::Pedestrian, [0.5; 2], [0.0; 2], 0.0, &[[0.1, 3.0]]);
-        let (gap_m, _) = outline(&[[0.1, 0.0]]).gap(&beside);
-        assert!((gap_m - 1.7).abs() < 1e-4, "{gap_m}");
-    }
-
-    #[test]
-    fn the_gap_is_at_a_common_step() {
-        let first = outline(&[[10.0, 0.0], [20.0, 0.0]]);
-        let later = outline(&[[30.0, 0.0], [10.0, 0.0]]);
-        assert_eq!(first.gap(&later).1, 1);
-        assert!((first.gap(&later).0 - 6.0).abs() < 1e-4, "{:?}", first.gap(&later));
-    }
-
     #[test]
     fn alarms_count_up_to_the_recall() {
-        let pair = |score: f32, conflict_s: Option<f32>| Pair { conflict_s, scores: [score; 3] };
+        let pair = |score: f32, conflict_s: Option<f32>| Pair {
+            conflict_s,
+            scores: [score; FORETELLERS.len()],
+            signs: None,
+        };
         let pairs = [
             pair(0.9, None),
             pair(0.8, Some(2.0)),

@@ -36,6 +36,7 @@ mod gaussian;
 mod learned;
 mod matching;
 mod noise;
+mod odds;
 mod options;
 mod outcomes;
 mod patterns;

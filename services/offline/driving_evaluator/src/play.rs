@@ -4,6 +4,7 @@ use std::borrow::Cow;
 use std::collections::{BTreeMap, VecDeque};
 use std::path::PathBuf;
 
+use ::conflicts::OddsOfSources;
 use data::RecordedTrack;
 use evaluator::{Candidate, ForecastLine, ForecastLines};
 use evidence::{MotionNow, Prior, Priors, RoadUser, Traffic};
@@ -53,8 +54,10 @@ pub(crate) fn play(
     options: &Options,
     model: &ModelConfig,
 ) -> Result<Played, DrivingError> {
+    let odds = OddsOfSources::shipped();
     let mut judge = Judge {
         anchors,
+        odds: odds.for_source(&source.folder_name()),
         levels: HighestDensity::with_room(MODES_MAX),
         dt_s: model.dt_s as f32,
         horizon_len: model.horizon_len,
@@ -165,12 +168,11 @@ impl Session<'_> {
                     .zip(&agents)
                     .filter_map(|(forecast, agent)| {
                         let truth_m = judge.truth(stamp_ns, self.tracks.get(&(*agent)?)?)?;
-                        let agent_type = AgentType::try_from(forecast.agent_type).ok()?;
-                        Some(Known { forecast, agent_type, truth_m })
+                        Some(Known { forecast, truth_m })
                     })
                     .collect();
                 seen.agent_s += known.len() as f64 * conflicts::EVERY_NS as f64 * 1e-9;
-                conflicts::pairs(&known, judge.dt_s, &mut seen.pairs);
+                conflicts::pairs(&known, judge.dt_s, judge.odds, &mut seen.pairs);
             }
             traffic.clear();
             forecasts.iter().for_each(|forecast| traffic.push(road_user(forecast)));

@@ -51,7 +51,7 @@ const HELD_AT_FIRST: [f64; 2] = [0.8, 0.97];
 /// The published forecasts and their baselines, by source, type and speed.
 #[derive(Debug)]
 pub struct Report {
-    sources: Vec<(Source, Played)>,
+    pub(crate) sources: Vec<(Source, Played)>,
     made: String,
 }
 
@@ -278,8 +278,8 @@ impl Report {
         }
         format!(
             "## Conflicts\n\nPairs of agents within 60 m, every 0.8 s. A pair has a conflict if its outlines come closer \
-             than 0.5 m at a common step of the horizon. *Modes* add the probabilities of the pairs of modes that do. AP is \
-             the average precision of the pairs in the order of their scores. The other columns hold at a recall of \
+             than 0.5 m at a common step of the horizon. *Independent modes* add the probabilities of the pairs of modes \
+             that do. The *published probability* contains how often such pairs had a conflict on the other sources. AP is the average precision of the pairs in the order of their scores. The other columns hold at a recall of \
              {RECALL}, with the mean time from an alarm to its conflict.\n\n{}",
             table.grid()
         )

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use conflicts::Odds;
 use data::RecordedTrack;
 use evaluator::Candidate;
 use evidence::{KNOTS, MotionNow};
@@ -89,6 +90,7 @@ pub struct Sample {
 /// Turns forecasts into samples; reuses its memory.
 pub(crate) struct Judge<'a> {
     pub(crate) anchors: &'a BTreeMap<AgentType, Anchors>,
+    pub(crate) odds: &'a Odds,
     pub(crate) levels: HighestDensity,
     pub(crate) dt_s: f32,
     pub(crate) horizon_len: usize,

@@ -361,6 +361,15 @@ class Forecasts(_Agents):
         return self._field("out_of_distribution")
 
     @property
+    def conflicts(self) -> Array:
+        """The most probable conflicts, [agent, 2], by fields: `other_id`, `probability`, `if_nobody_reacts`, `in_s`.
+
+        The first `conflicts_len` of each agent are valid; the others are zeros, and so are all without the option
+        `sampler.conflicts`.
+        """
+        return self._field("conflicts")
+
+    @property
     def left_out(self) -> int:
         """Number of agents beyond the limit of a tick, 128, that have no forecast."""
         return int(self.header["left_out_len"])

@@ -2,8 +2,8 @@
 
 use super::{AgentControls, AgentEncoding, AgentFeatures, Detection, Forecast, Track};
 use crate::{
-    AgentType, MODES_MAX, OFFSET_MAX_NS, POSITION_MAX_M, Rejected, SPEED_MAX_MPS, UnknownAgentType, at_most,
-    finite,
+    AgentType, CONFLICTS_MAX, MODES_MAX, OFFSET_MAX_NS, POSITION_MAX_M, Rejected, SPEED_MAX_MPS,
+    UnknownAgentType, at_most, finite,
 };
 
 fn position(field: &'static str, values: &[f32]) -> Result<(), Rejected> {
@@ -240,6 +240,11 @@ impl Forecast {
                 self.width_m,
                 self.out_of_distribution,
             ],
+        )?;
+        at_most("conflicts_len", self.conflicts_len as usize, CONFLICTS_MAX)?;
+        finite(
+            "conflicts",
+            self.conflicts.map(|of| [of.probability, of.if_nobody_reacts, of.in_s]).as_flattened(),
         )?;
         finite("expert weights", &self.expert_weights)?;
         finite("forecast modes", self.modes.as_flattened().as_flattened())?;

@@ -2,7 +2,7 @@ use std::borrow::Cow;
 
 use super::ControlGaussian;
 use crate::declare::{numbers, record};
-use crate::{EXPERTS_MAX, HORIZON_MAX, MODES_MAX, Rejected};
+use crate::{CONFLICTS_MAX, EXPERTS_MAX, HORIZON_MAX, MODES_MAX, Rejected};
 
 numbers! {
     /// The origin of a forecast.
@@ -85,6 +85,23 @@ numbers! {
 }
 
 record! {
+    /// A conflict that forecasts foretell: two agents whose outlines may come closer than 0.5 m within the
+    /// horizon.
+    pub struct ForeseenConflict: 24 bytes {
+        /// The other track.
+        0 => other_id: u64,
+        /// Probability that the conflict happens: the share of such pairs on recordings.
+        8 => probability: f32,
+        /// Probability by the modes, as if neither agent reacted to the other.
+        12 => if_nobody_reacts: f32,
+        /// Mean time until it happens, s.
+        16 => in_s: f32,
+        /// Zero.
+        20 => reserved: u32,
+    }
+}
+
+record! {
     /// The forecast of an agent: element of the topic `forecasts`. Step k is (k + 1) Δt after the frame's
     /// stamp.
     pub struct Forecast: 10304 bytes {
@@ -145,8 +162,12 @@ record! {
         236 => noise_heading_rad: f32,
         /// As in [`crate::Track::noise_speed_mps`].
         240 => noise_speed_mps: f32,
+        /// Conflicts in `conflicts`.
+        244 => conflicts_len: u32,
+        /// The agent's most probable conflicts, the most probable first; none if the sampler is not asked for them.
+        248 => conflicts: [ForeseenConflict; CONFLICTS_MAX],
         /// Zero.
-        244 => reserved: [u8; 60],
+        296 => reserved: [u8; 8],
         /// Covariance of the mixture of all modes as (xx, xy, yy), m².
         304 => covariance: [[f32; 3]; HORIZON_MAX],
         /// The single best forecast (K = 1).

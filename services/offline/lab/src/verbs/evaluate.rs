@@ -117,6 +117,9 @@ pub struct Arguments {
     /// other roads
     #[arg(long, value_name = "FILE")]
     prior: Option<PathBuf>,
+    /// Write how often the conflicts that forecasts of `driving` foretell happen, as odds for the sampler
+    #[arg(long, value_name = "FILE")]
+    odds: Option<PathBuf>,
     /// Compare the forecasts with the `PredictedObjects` of this bag: same agents, times, horizon and truth.
     /// The target is one recording, which is played as `predict` plays it; it may be the same bag
     #[arg(long, value_name = "BAG", conflicts_with_all = ["positions", "all", "validation", "beside"])]
@@ -238,6 +241,7 @@ fn refuse_unused(name: &str, arguments: &Arguments) -> Result<(), Failure> {
         ("--lanes", arguments.lanes, name == "interaction" || is_driving, "`interaction` and `driving`"),
         ("--without-evidence", arguments.without_evidence, is_driving || is_noise, "`driving` and `noise`"),
         ("--prior", arguments.prior.is_some(), is_driving, "`driving`"),
+        ("--odds", arguments.odds.is_some(), is_driving, "`driving`"),
         ("--sigmas", !arguments.sigmas.is_empty(), is_tracking, "`tracking`"),
         ("--particles", arguments.particles, is_tracking, "`tracking`"),
         (
@@ -345,6 +349,9 @@ fn drive(arguments: &Arguments, lines: Option<Arc<ForecastLines>>) -> Result<Wri
     let report = driving_evaluator::evaluate(&options, progress).map_err(Failure::data)?;
     if let Some(path) = &arguments.prior {
         write(path, &(report.priors(options.threads).to_json() + "\n"))?;
+    }
+    if let Some(path) = &arguments.odds {
+        write(path, &(serde_json::to_string_pretty(&report.odds()).map_err(Failure::data)? + "\n"))?;
     }
     let texts = [report.markdown(), report.summary(), report.csv()];
     let lanes = if arguments.lanes { " --lanes" } else { "" };
