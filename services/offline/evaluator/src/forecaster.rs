@@ -23,10 +23,19 @@ use wire::{
     TracksTopic,
 };
 
-use crate::forecast::{Forecast, Variants};
-use crate::maps::MapInput;
-use crate::tracks::{Publisher, TracksPayload};
-use crate::{Crowding, Scene, threads};
+mod forecast;
+mod maps;
+mod tracks;
+mod weights;
+
+pub use forecast::{Crowding, Forecast, Variants};
+pub use maps::{MapInput, site_map};
+use tracks::Publisher;
+pub use tracks::TracksPayload;
+pub use weights::{EMBEDDED, Model, Provenance, WeightsChoice};
+
+use crate::scenes::Scene;
+use crate::threads;
 
 /// Windows that are decoded together before the samplers continue. Bounds the memory use.
 pub(crate) const TOGETHER: usize = 32;

@@ -8,8 +8,6 @@ use std::sync::{Mutex, PoisonError};
 use metrics::Point;
 use serde::Serialize;
 
-use crate::Candidate;
-
 /// Where the lines are written. A failure ends the writing and is reported at the end.
 pub struct ForecastLines(Mutex<(Box<dyn Write + Send>, io::Result<()>)>);
 
@@ -38,6 +36,28 @@ pub struct ForecastLine<'a> {
     pub truth_m: &'a [Option<Point>],
     /// The forecasts by the name of their method in the tables.
     pub forecasts: BTreeMap<&'static str, &'a Candidate>,
+}
+
+/// The forecasts of one method for one agent.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Candidate {
+    /// The 20 modes; empty if the method has none.
+    #[serde(rename = "modes_m", skip_serializing_if = "Vec::is_empty")]
+    pub modes: Vec<Vec<Point>>,
+    /// Probabilities of the modes; `None` if the method has none.
+    #[serde(rename = "probabilities", skip_serializing_if = "Option::is_none")]
+    pub probability: Option<Vec<f32>>,
+    /// The single forecast; `None` if the method has none.
+    #[serde(rename = "single_m", skip_serializing_if = "Option::is_none")]
+    pub single: Option<Vec<Point>>,
+}
+
+impl Candidate {
+    /// Whether the method has no forecast.
+    #[must_use]
+    pub const fn is_empty(&self) -> bool {
+        self.modes.is_empty() && self.single.is_none()
+    }
 }
 
 impl ForecastLines {

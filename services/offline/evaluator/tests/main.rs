@@ -4,7 +4,9 @@ mod support {
     pub mod weights;
 }
 
+mod driving;
 mod forecaster;
+mod kitti;
 mod report;
 mod shipped;
 mod states;

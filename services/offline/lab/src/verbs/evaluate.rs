@@ -12,12 +12,12 @@ use console::failure::Failure;
 use console::show::show;
 use console::tables;
 use data::sets::Part;
+use evaluator::tracking::KittiReport;
 use evaluator::{
     Evaluation, ForecastLines, InteractionPart, MapChoice, Options, Report, State, StateError, WeightsChoice,
 };
 use nn::{Precision, Weights};
 use run::Exit;
-use tracking_evaluator::KittiReport;
 use wire::StageId;
 
 use self::noise::NoiseArguments;
@@ -316,9 +316,9 @@ fn options(arguments: &Arguments, weights_dir: &Path) -> Result<Options, Failure
 }
 
 /// The options for driving recordings; all sources if none are named.
-fn driving(arguments: &Arguments, sources: &[String]) -> Result<driving_evaluator::Options, Failure> {
+fn driving(arguments: &Arguments, sources: &[String]) -> Result<evaluator::driving::Options, Failure> {
     let Options { data, threads, weights, noise, .. } = options(arguments, &arguments.weights_dir)?;
-    Ok(driving_evaluator::Options {
+    Ok(evaluator::driving::Options {
         folder: data.join("driving"),
         sources: sources.to_vec(),
         weights: weights.file,
@@ -341,8 +341,8 @@ fn forecast_lines(path: &Path) -> Result<Arc<ForecastLines>, Failure> {
 
 /// Forecasts as a car gets them, on many roads.
 fn drive(arguments: &Arguments, lines: Option<Arc<ForecastLines>>) -> Result<Written, Failure> {
-    let options = driving_evaluator::Options { lines, ..driving(arguments, &arguments.parts)? };
-    let report = driving_evaluator::evaluate(&options, progress).map_err(Failure::data)?;
+    let options = evaluator::driving::Options { lines, ..driving(arguments, &arguments.parts)? };
+    let report = evaluator::driving::evaluate(&options, progress).map_err(Failure::data)?;
     if let Some(path) = &arguments.prior {
         write(path, &(report.priors(options.threads).to_json() + "\n"))?;
     }
@@ -364,19 +364,19 @@ fn under_noise(arguments: &Arguments) -> Result<Vec<Written>, Failure> {
     let mut written = Vec::new();
     if own.contains(&SYNTHETIC) {
         progress("generated agents");
-        let report = driving_evaluator::synthetic(&options).map_err(Failure::data)?;
+        let report = evaluator::driving::synthetic(&options).map_err(Failure::data)?;
         written.push(Written::of_synthetic(&report));
     }
     if own.contains(&NETWORK) {
-        let report = driving_evaluator::network_under_noise(&options, scenes, progress);
+        let report = evaluator::driving::network_under_noise(&options, scenes, progress);
         written.push(Written::of_network(&report.map_err(Failure::data)?));
     }
     if has_recorded {
-        let report = driving_evaluator::under_noise(&options, scenes, progress).map_err(Failure::data)?;
+        let report = evaluator::driving::under_noise(&options, scenes, progress).map_err(Failure::data)?;
         written.push(Written::of_noise(&report));
     }
     if let Some(first) = written.first_mut() {
-        first.csv.insert_str(0, driving_evaluator::NOISE_COLUMNS);
+        first.csv.insert_str(0, evaluator::driving::NOISE_COLUMNS);
     }
     Ok(written)
 }
@@ -388,7 +388,7 @@ fn against(arguments: &Arguments) -> Result<Written, Failure> {
     };
     let frames = data::predicted_objects(bag, arguments.read.options().origin).map_err(Failure::data)?;
     let recording = arguments.read.open(target)?;
-    let report = driving_evaluator::against_bag(recording, frames, &driving(arguments, &[])?);
+    let report = evaluator::bag::against_bag(recording, frames, &driving(arguments, &[])?);
     let report = report.map_err(Failure::data)?;
     let texts = [report.markdown(), report.markdown(), report.csv()];
     Ok(Written::new("against bag", "evaluate --against-bag", texts, report.json()))
@@ -415,11 +415,11 @@ fn track(arguments: &Arguments) -> Result<Vec<Written>, Failure> {
         written.push(match part {
             "kitti" => Written::of_trackers(&evaluate_trackers(&options)?),
             "driving" => {
-                let report = driving_evaluator::through_gaps(&driving(arguments, &[])?, progress);
+                let report = evaluator::driving::through_gaps(&driving(arguments, &[])?, progress);
                 Written::of_gaps(&report.map_err(Failure::data)?)
             }
             _ => {
-                let report = tracking_evaluator::interaction(
+                let report = evaluator::tracking::interaction(
                     &options,
                     &arguments.sigmas,
                     arguments.particles,
@@ -430,7 +430,7 @@ fn track(arguments: &Arguments) -> Result<Vec<Written>, Failure> {
         });
     }
     if let Some(first) = written.iter_mut().find(|part| part.name != "driving") {
-        first.csv.insert_str(0, tracking_evaluator::COLUMNS);
+        first.csv.insert_str(0, evaluator::tracking::COLUMNS);
     }
     Ok(written)
 }
@@ -443,7 +443,7 @@ fn evaluate_trackers(options: &Options) -> Result<KittiReport, Failure> {
         Some(path) => Weights::open(path).map_err(|error| Failure::weights(path, error))?,
     };
     let contenders = contenders(weights, model.config());
-    tracking_evaluator::kitti(options, contenders, progress).map_err(Failure::data)
+    evaluator::tracking::kitti(options, contenders, progress).map_err(Failure::data)
 }
 
 fn progress(step: &str) {

@@ -1,8 +1,8 @@
 //! The reports of all evaluations in one form.
 
-use driving_evaluator::{GapReport, NoiseReport, SyntheticReport};
 use evaluator::Report;
-use tracking_evaluator::{KittiReport, TrackingReport};
+use evaluator::driving::{GapReport, NoiseReport, SyntheticReport};
+use evaluator::tracking::{KittiReport, TrackingReport};
 
 use super::{NETWORK, SYNTHETIC};
 

@@ -1,0 +1,141 @@
+//! Sources: folders of recordings of similar roads.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use data::Recording;
+use metrics::{Anchors, Window};
+use nn::ModelConfig;
+use scene::AgentType;
+
+use crate::driving::{DrivingError, Options};
+use crate::scenes::{Agent, Cut};
+
+/// Sources with fast roads, which are also played at twice their scale.
+const FAST: [&str; 2] = ["ngsim_us101", "mona"];
+/// Bounds of the speed bins of vehicles' anchors; they include motorway speeds.
+const SPEED_CUTS_MPS: [f32; metrics::SPEED_BINS - 1] = [1.0, 3.5, 6.5, 10.0, 14.5, 20.0, 28.0];
+/// Maximum number of windows per source and type that anchors are fitted to.
+const WINDOWS_MAX: usize = 4_000;
+const SEED: u64 = 1;
+
+/// A folder of recordings, at original or changed scale.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Source {
+    /// Name in tables.
+    pub name: String,
+    /// The folder.
+    pub folder: PathBuf,
+    /// The recordings, sorted by name.
+    pub files: Vec<PathBuf>,
+    /// Factor on all distances; agents keep their sizes.
+    pub scale: f32,
+}
+
+/// The sources in a folder, including fast sources at twice their scale. If `named` is not empty, only the
+/// sources that it names.
+///
+/// # Errors
+/// [`DrivingError`] if the folder can't be listed or has no source of a given name.
+pub fn sources(folder: &Path, named: &[String]) -> Result<Vec<Source>, DrivingError> {
+    let mut all = Vec::new();
+    for folder in list(folder)?.into_iter().filter(|path| path.is_dir()) {
+        let name = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let mut files = list(&folder)?;
+        files.retain(|path| path.extension().is_some_and(|extension| extension == "csv"));
+        let fast = FAST.contains(&&*name);
+        let twice = || Source {
+            name: format!("{name} ×2"),
+            folder: folder.clone(),
+            files: files.clone(),
+            scale: 2.0,
+        };
+        all.extend(fast.then(twice));
+        all.push(Source { name, folder, files, scale: 1.0 });
+    }
+    all.sort_by(|a, b| {
+        (a.scale, &a.name).partial_cmp(&(b.scale, &b.name)).unwrap_or(std::cmp::Ordering::Equal)
+    });
+    if named.is_empty() {
+        return Ok(all);
+    }
+    let known: Vec<&str> = all.iter().map(|source| &*source.name).collect();
+    if let Some(name) = named.iter().find(|name| !known.contains(&&***name)) {
+        return Err(DrivingError::UnknownSource { name: name.clone(), known: known.join(", ") });
+    }
+    all.retain(|source| named.contains(&source.name));
+    Ok(all)
+}
+
+fn list(folder: &Path) -> Result<Vec<PathBuf>, DrivingError> {
+    let failed = |source| DrivingError::Folder { path: folder.to_owned(), source };
+    let entries = std::fs::read_dir(folder).map_err(failed)?;
+    let mut paths = entries.map(|entry| Ok(entry?.path())).collect::<Result<Vec<_>, _>>().map_err(failed)?;
+    paths.sort();
+    Ok(paths)
+}
+
+impl Source {
+    /// Name of the folder, the same at any scale.
+    pub(crate) fn folder_name(&self) -> String {
+        self.folder.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
+    }
+
+    /// Opens a recording at the source's scale.
+    pub(crate) fn open(&self, path: &Path) -> Result<Recording, DrivingError> {
+        let mut recording = data::open(path, None)?;
+        if self.scale != 1.0 {
+            for frame in &mut recording.frames {
+                frame.ego.position_m = frame.ego.position_m.map(|x| self.scale * x);
+                for detection in &mut frame.detections {
+                    let lengths = [&mut detection.x_m, &mut detection.y_m, &mut detection.speed_mps];
+                    lengths.into_iter().for_each(|length| *length *= self.scale);
+                }
+            }
+        }
+        Ok(recording)
+    }
+
+    /// The map of a recording's lanes, if there is one. At another scale there is none.
+    pub(crate) fn lanes_of(&self, path: &Path, options: &Options) -> Option<PathBuf> {
+        let folder = options.lanes.as_ref().filter(|_| self.scale == 1.0)?;
+        let map = folder.join(self.folder_name()).join(path.file_stem()?).with_added_extension("osm");
+        map.exists().then_some(map)
+    }
+
+    /// Complete agents of the source's windows, at most [`WINDOWS_MAX`] per type, spread evenly.
+    pub(crate) fn windows(&self, model: &ModelConfig) -> Result<Vec<Agent>, DrivingError> {
+        let mut of_type: BTreeMap<AgentType, Vec<Agent>> = BTreeMap::new();
+        for path in &self.files {
+            for scene in Cut::of(model).scenes(&self.open(path)?) {
+                for agent in scene.agents.into_iter().filter(Agent::is_complete) {
+                    of_type.entry(agent.agent_type).or_default().push(agent);
+                }
+            }
+        }
+        let few = |agents: Vec<Agent>| {
+            let stride = agents.len().div_ceil(WINDOWS_MAX).max(1);
+            agents.into_iter().step_by(stride)
+        };
+        Ok(of_type.into_values().flat_map(few).collect())
+    }
+}
+
+/// Fits 20 anchors on constant velocity per speed bin and type to windows of sources.
+pub(crate) fn anchors<'a>(
+    sources: impl Iterator<Item = &'a [Agent]>,
+    model: &ModelConfig,
+) -> BTreeMap<AgentType, Anchors> {
+    let agents: Vec<&Agent> = sources.flatten().collect();
+    let fit = |agent_type: AgentType| {
+        let of_type = agents.iter().filter(|agent| agent.agent_type == agent_type);
+        let windows: Vec<Window<'_>> =
+            of_type.map(|agent| Window { history: &agent.history, future: &agent.future }).collect();
+        let cuts_mps = match agent_type {
+            AgentType::Vehicle => SPEED_CUTS_MPS,
+            _ => metrics::speed_cuts_mps(agent_type),
+        };
+        Anchors::fit(&windows, model.dt_s as f32, model.horizon_len, cuts_mps, SEED)
+    };
+    wire::AGENT_TYPES.into_iter().filter_map(|agent_type| Some((agent_type, fit(agent_type)?))).collect()
+}
