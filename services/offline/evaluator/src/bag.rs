@@ -10,20 +10,22 @@
 
 mod report;
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::VecDeque;
 
-use data::{PredictedAgent, PredictedFrame, RecordedTrack, Recording};
-use metrics::{HighestDensity, Point, displacement, min_displacement};
+use data::{PredictedAgent, PredictedFrame, Recording};
+use metrics::{Errors, HighestDensity, Point, displacement, min_displacement};
 use onboard::Chain;
-use scene::State;
-use source::{Playback, PlaybackOptions};
-use wire::{AgentType, Forecast, HORIZON_MAX, MODES_MAX, Track};
+use source::Playback;
+use wire::{AgentType, Forecast, HORIZON_MAX, MODES_MAX};
 
-pub use report::{AgainstReport, AgainstRow, Counts};
-use report::{Cell, Cells};
+use report::{AgainstReport, Cell, Cells, Counts};
 
-use crate::driving::{DrivingError, GAP_NS, Options, model_of, run};
-use metrics::Errors;
+use crate::driving::{at_step, run};
+use crate::error::EvaluateError;
+use crate::footage::Options;
+use crate::matching::nearest_pairs;
+use crate::page::Page;
+use crate::playback::{GAP_NS, Truth, playback};
 
 /// Largest distance between an object of the bag and our forecast of it.
 const RADIUS_M: f32 = 2.0;
@@ -47,30 +49,42 @@ struct Steps {
     len: usize,
 }
 
-/// The true positions.
-struct Truth {
-    tracks: BTreeMap<u64, RecordedTrack>,
-    is_recorded: bool,
-}
-
 /// Plays a recording, and compares the forecasts with a bag's.
 ///
 /// # Errors
-/// [`DrivingError`] if the stages can't be set up, or nothing can be compared.
+/// [`EvaluateError`] if the stages can't be set up, or nothing can be compared.
 pub fn against_bag(
+    recording: Recording,
+    frames: Vec<PredictedFrame>,
+    options: &Options,
+) -> Result<Page, EvaluateError> {
+    Ok(compare(recording, frames, options)?.page())
+}
+
+fn compare(
     recording: Recording,
     mut frames: Vec<PredictedFrame>,
     options: &Options,
-) -> Result<AgainstReport, DrivingError> {
-    let weights = model_of(options)?;
+) -> Result<AgainstReport, EvaluateError> {
+    let weights = options.weights.load()?;
     let model = weights.config();
     frames.sort_by_key(|frame| frame.stamp_ns);
-    let truth = Truth::of(&recording);
-    let mut playback =
-        Playback::new(recording, PlaybackOptions { lockstep: true, ..PlaybackOptions::default() });
-    let mut chain = Chain::new(&run(&playback, options)?, model)?;
+    let is_truth_recorded = recording.has_identities;
+    let truth = if is_truth_recorded { Truth::of(&recording) } else { Truth::default() };
+    let mut playback = playback(recording);
+    let mut chain = Chain::new(&run(playback.interval_ns(), options, None)?, model)?;
     let steps = Steps::of(&frames, &playback, (model.dt_s * 1e9).round() as i64, model.horizon_len)?;
-    let mut comparison = Comparison::new(truth, steps, playback.interval_ns().cast_signed());
+    let mut comparison = Comparison {
+        truth,
+        is_truth_recorded,
+        steps,
+        interval_ns: playback.interval_ns().cast_signed(),
+        waiting: VecDeque::new(),
+        counts: Counts::default(),
+        cells: Cells::new(steps.len),
+        levels: HighestDensity::with_room(MODES_MAX),
+        paths_max: 0,
+    };
     let mut frames = frames.into_iter().peekable();
     let mut last: Option<(i64, Vec<Forecast>)> = None;
     while let Some(tick) = playback.next_tick() {
@@ -79,7 +93,10 @@ pub fn against_bag(
             comparison.frame(frame, last.as_ref());
         }
         let forecasts = chain.tick(&tick.header, tick.detections, |_| ()).1.to_vec();
-        comparison.truth.add(stamp_ns, chain.tracks());
+        if !is_truth_recorded {
+            let observed = chain.tracks().iter().filter(|track| track.unseen_ns == 0);
+            observed.for_each(|track| comparison.truth.add(stamp_ns, track));
+        }
         comparison.mature(stamp_ns);
         last = Some((stamp_ns, forecasts));
     }
@@ -96,7 +113,7 @@ impl Steps {
         playback: &Playback,
         step_ns: i64,
         horizon_len: usize,
-    ) -> Result<Self, DrivingError> {
+    ) -> Result<Self, EvaluateError> {
         let objects = frames.iter().flat_map(|frame| &frame.objects);
         let mut durations: Vec<i64> =
             objects.map(longest_ns).filter(|duration_ns| *duration_ns > 0).collect();
@@ -112,7 +129,7 @@ impl Steps {
         let len = usize::try_from(theirs_ns / step_ns).unwrap_or(0).min(ours_len);
         if len == 0 {
             let (theirs_s, step_s) = (theirs_ns as f64 / 1e9, step_ns as f64 / 1e9);
-            return Err(DrivingError::Against(format!(
+            return Err(EvaluateError::Against(format!(
                 "half of the bag's paths end within {theirs_s:.1} s, and a step is {step_s:.1} s"
             )));
         }
@@ -128,45 +145,11 @@ fn longest_ns(agent: &PredictedAgent) -> i64 {
     agent.paths.iter().map(data::PredictedPath::duration_ns).max().unwrap_or(0)
 }
 
-impl Truth {
-    fn of(recording: &Recording) -> Self {
-        let is_recorded = recording.has_identities;
-        let tracks = if is_recorded { data::tracks(recording) } else { Vec::new() };
-        Self { tracks: tracks.into_iter().map(|track| (track.id, track)).collect(), is_recorded }
-    }
-
-    /// The agent of a forecast.
-    const fn agent(&self, forecast: &Forecast) -> u64 {
-        if self.is_recorded { forecast.source_id } else { forecast.id }
-    }
-
-    /// Adds the tracks that were observed at a tick, if the recording itself has no identities.
-    fn add(&mut self, stamp_ns: i64, tracks: &[Track]) {
-        if self.is_recorded {
-            return;
-        }
-        for track in tracks.iter().filter(|track| track.unseen_ns == 0) {
-            let position_m = [track.x_m, track.y_m];
-            let velocity_mps = [track.vx_mps, track.vy_mps];
-            let state = State { position_m, velocity_mps, heading_rad: track.heading_rad };
-            let empty = || RecordedTrack {
-                id: track.id,
-                states: Vec::new(),
-                starts_unmoved: false,
-                reported: Vec::new(),
-            };
-            self.tracks.entry(track.id).or_insert_with(empty).states.push((stamp_ns, state));
-        }
-    }
-
-    fn at(&self, agent: u64, at_ns: i64) -> Option<Point> {
-        Some(self.tracks.get(&agent)?.state_at(at_ns, i64::MAX, GAP_NS)?.position_m)
-    }
-}
-
 /// A running comparison.
 struct Comparison {
+    /// The recording's own motion, or that of our tracks if it has no identities.
     truth: Truth,
+    is_truth_recorded: bool,
     steps: Steps,
     interval_ns: i64,
     waiting: VecDeque<Pair>,
@@ -177,21 +160,6 @@ struct Comparison {
 }
 
 impl Comparison {
-    fn new(truth: Truth, steps: Steps, interval_ns: i64) -> Self {
-        let (waiting, counts) = (VecDeque::new(), Counts::default());
-        let levels = HighestDensity::with_room(MODES_MAX);
-        Self {
-            truth,
-            steps,
-            interval_ns,
-            waiting,
-            counts,
-            cells: Cells::new(steps.len),
-            levels,
-            paths_max: 0,
-        }
-    }
-
     /// Pairs the objects of a message with the forecasts of the tick before it.
     fn frame(&mut self, frame: PredictedFrame, last: Option<&(i64, Vec<Forecast>)>) {
         let at_ns = frame.stamp_ns;
@@ -212,7 +180,8 @@ impl Comparison {
                 continue;
             }
             let forecast = &forecasts[ours];
-            let (agent, agent_type) = (self.truth.agent(forecast), theirs.agent_type);
+            let agent = if self.is_truth_recorded { forecast.source_id } else { forecast.id };
+            let agent_type = theirs.agent_type;
             let (ours, our_ns) = (Box::new(*forecast), *our_ns);
             self.waiting.push_back(Pair { agent, agent_type, ours, our_ns, theirs, at_ns });
         }
@@ -229,13 +198,12 @@ impl Comparison {
 
     fn judge(&mut self, pair: &Pair) {
         let Steps { step_ns, len } = self.steps;
-        let truth = (0..len).map(|step| self.truth.at(pair.agent, pair.at_ns + self.steps.ahead_ns(step)));
-        let truth: Vec<Option<Point>> = truth.collect();
+        let truth = self.truth.ahead(pair.agent, pair.at_ns, step_ns as f64, len);
         let paths = pair.theirs_at(self.steps);
-        if truth.contains(&None) || paths.is_empty() {
+        let Some(truth) = truth.filter(|_| !paths.is_empty()) else {
             self.counts.without_truth += 1;
             return;
-        }
+        };
         self.counts.forecasts += 1;
         self.paths_max = self.paths_max.max(paths.len());
         let modes = pair.modes_at(self.steps);
@@ -249,50 +217,35 @@ impl Comparison {
             let errors =
                 [one(&ours), one(&paths[0]), one(&steady), best(as_many), best(&paths), best(&modes)];
             // A region belongs to a step of our own tick.
-            let end = self.truth.at(pair.agent, pair.our_ns + step_ns * horizon as i64);
-            let level = end.map(|end| pair.level(horizon - 1, end, &mut self.levels));
+            let end = self.truth.state(pair.agent, pair.our_ns + step_ns * horizon as i64);
+            let level = end.map(|end| pair.level(horizon - 1, end.position_m, &mut self.levels));
             self.cells.add(pair.agent_type, place, &Cell::of(errors, level));
         }
     }
 
-    fn report(self, last_ns: i64) -> Result<AgainstReport, DrivingError> {
-        let Self { counts, cells, steps, truth, paths_max, .. } = self;
+    fn report(self, last_ns: i64) -> Result<AgainstReport, EvaluateError> {
+        let Self { counts, cells, steps, is_truth_recorded, paths_max, .. } = self;
         if counts.forecasts == 0 {
-            return Err(DrivingError::Against(format!(
+            return Err(EvaluateError::Against(format!(
                 "no forecast of the bag can be compared: {}; the recording ends at {:.3} s",
                 counts.text(),
                 last_ns as f64 / 1e9
             )));
         }
-        Ok(AgainstReport {
-            counts,
-            rows: cells.rows(steps.step_ns),
-            paths_max,
-            is_truth_recorded: truth.is_recorded,
-        })
+        Ok(AgainstReport { counts, rows: cells.rows(steps.step_ns), paths_max, is_truth_recorded })
     }
 }
 
 /// Places of objects and forecasts of the same agents. Our forecasts are moved on by `age_s`.
 fn matches(objects: &[PredictedAgent], forecasts: &[Forecast], age_s: f32) -> Vec<(usize, usize)> {
-    let mut near = Vec::new();
-    for (theirs, object) in objects.iter().enumerate() {
-        for (ours, forecast) in forecasts.iter().enumerate() {
-            let [x_m, y_m] = [forecast.x_m + age_s * forecast.vx_mps, forecast.y_m + age_s * forecast.vy_mps];
-            let apart_m = (object.position_m[0] - x_m).hypot(object.position_m[1] - y_m);
-            if forecast.agent_type == object.agent_type as u32 && apart_m <= RADIUS_M {
-                near.push((apart_m, theirs, ours));
-            }
-        }
-    }
-    near.sort_by(|a, b| a.0.total_cmp(&b.0).then((a.1, a.2).cmp(&(b.1, b.2))));
-    let mut pairs: Vec<(usize, usize)> = Vec::new();
-    for (_, theirs, ours) in near {
-        if !pairs.iter().any(|pair| pair.0 == theirs || pair.1 == ours) {
-            pairs.push((theirs, ours));
-        }
-    }
-    pairs
+    let apart_m = |theirs: usize, ours: usize| {
+        let (object, forecast) = (&objects[theirs], &forecasts[ours]);
+        let [x_m, y_m] = [forecast.x_m + age_s * forecast.vx_mps, forecast.y_m + age_s * forecast.vy_mps];
+        let apart_m = (object.position_m[0] - x_m).hypot(object.position_m[1] - y_m);
+        let is_near = forecast.agent_type == object.agent_type as u32 && apart_m <= RADIUS_M;
+        is_near.then_some(f64::from(apart_m))
+    };
+    nearest_pairs([objects.len(), forecasts.len()], apart_m)
 }
 
 impl Pair {
@@ -340,8 +293,7 @@ impl Pair {
     /// The level of our region at a step whose border passes through the truth.
     fn level(&self, step: usize, truth: Point, levels: &mut HighestDensity) -> f64 {
         let len = (self.ours.modes_len as usize).min(MODES_MAX);
-        let means = self.ours.modes.map(|mode| mode[step]);
-        let covariances = self.ours.mode_covariance.map(|mode| mode[step]);
+        let (means, covariances) = at_step(&self.ours, step);
         levels.level(&means[..len], &covariances[..len], &self.ours.probability[..len], truth, SEED)
     }
 }

@@ -15,19 +15,16 @@
 //! sources.
 //!
 //! [`through_gaps`] evaluates how much forecasts help the tracker on the same sources. It returns a
-//! [`GapReport`].
+//! [`Page`](crate::Page).
 //!
 //! [`synthetic`] evaluates forecasts and tracks of generated agents under noise, [`under_noise`] and
 //! [`network_under_noise`] forecasts of recorded vehicles.
 
 mod cell;
 mod conflicts;
-mod error;
 mod gaps;
 mod gaussian;
-mod matching;
 mod noise;
-mod options;
 mod patterns;
 mod play;
 mod region_of_steady;
@@ -35,31 +32,27 @@ mod report;
 mod sample;
 mod source;
 
-pub use error::DrivingError;
-pub use gaps::{GapReport, through_gaps};
-pub use noise::{
-    COLUMNS as NOISE_COLUMNS, NoiseReport, SyntheticReport, network_under_noise, synthetic, under_noise,
-};
-pub use options::Options;
+pub use gaps::through_gaps;
+pub use noise::{COLUMNS as NOISE_COLUMNS, network_under_noise, synthetic, under_noise};
 pub(crate) use patterns::{Residual, Residuals, patterns};
-pub(crate) use play::{LEARNED_MIN, run};
+pub(crate) use play::{EVERY_NS, LEARNED_MIN};
 pub use report::Report;
-pub(crate) use sample::{GAP_NS, nll};
-pub use sample::{METHODS, Method, Sample};
+pub(crate) use sample::{at_step, nll_at, residuals_m};
+pub(crate) use source::run;
 pub use source::{Source, sources};
 
-use nn::Weights;
-
+use crate::error::EvaluateError;
+use crate::footage::Options;
 use crate::threads;
 
 /// Plays all sources. Calls `progress` with each source's name before it is read and before it is played.
 ///
 /// # Errors
-/// [`DrivingError`] names the folder, recording or weights at fault.
-pub fn evaluate(options: &Options, progress: impl Fn(&str) + Sync) -> Result<Report, DrivingError> {
-    let weights = model_of(options)?;
+/// [`EvaluateError`] names the folder, recording or weights at fault.
+pub fn evaluate(options: &Options, progress: impl Fn(&str) + Sync) -> Result<Report, EvaluateError> {
+    let weights = options.weights.load()?;
     let model = weights.config();
-    let sources = sources(&options.folder, &options.sources)?;
+    let sources = sources(&options.data.join("driving"), &options.sources)?;
     let windows = threads::each(&sources, options.threads, |source, _: &mut ()| {
         progress(&format!("reading {}", source.name));
         source.windows(model)
@@ -74,9 +67,4 @@ pub fn evaluate(options: &Options, progress: impl Fn(&str) + Sync) -> Result<Rep
     });
     let played = played.into_iter().collect::<Result<Vec<_>, _>>()?;
     Ok(Report::new(sources, played, options, model))
-}
-
-pub(crate) fn model_of(options: &Options) -> Result<Weights, DrivingError> {
-    let Some(path) = &options.weights else { return Ok(Weights::onboard()) };
-    Weights::open(path).map_err(|source| DrivingError::Weights { path: path.clone(), source })
 }

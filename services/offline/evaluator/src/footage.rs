@@ -41,14 +41,42 @@ pub struct Options {
     pub weights: WeightsChoice,
     /// The map for models that read one.
     pub map: MapChoice,
-    /// Whether forecasts follow the lanes of each site's Lanelet2 map. INTERACTION has these maps in `maps`.
+    /// Whether forecasts follow the lanes of Lanelet2 maps: of INTERACTION's sites, in `interaction/maps`, and of
+    /// driving recordings that have one, `driving_maps/SOURCE/RECORDING.osm`.
     pub lanes: bool,
-    /// The sensor that sees the evaluated part of ETH/UCY and INTERACTION. Training parts are seen without noise.
+    /// The sensor that sees the evaluated recordings of ETH/UCY, INTERACTION and driving sources. Training parts
+    /// are seen without noise, and errors are relative to the recordings as they are.
     pub noise: Noise,
     /// Threads that share the work; results do not depend on their number.
     pub threads: usize,
-    /// Where all forecasts behind the tables are written.
+    /// Where all forecasts behind the tables are written. Driving sources are then played in turn.
     pub lines: Option<Arc<ForecastLines>>,
+    /// Names of the sources of driving recordings; all sources if empty.
+    pub sources: Vec<String>,
+    /// Whether the sampler uses evidence from matured forecasts on driving recordings.
+    pub evidence: bool,
+    /// Whether a driving source begins with a prior from the other sources. If not, it begins without a prior, so
+    /// its evidence is independent of them.
+    pub priors: bool,
+}
+
+impl Default for Options {
+    /// The test part of sets in the current folder, by the embedded weights with an online map, on one thread.
+    fn default() -> Self {
+        Self {
+            data: PathBuf::new(),
+            part: Part::Test,
+            weights: WeightsChoice::default(),
+            map: MapChoice::Online,
+            lanes: false,
+            noise: Noise::default(),
+            threads: 1,
+            lines: None,
+            sources: Vec::new(),
+            evidence: true,
+            priors: true,
+        }
+    }
 }
 
 /// A recording and its scenes.

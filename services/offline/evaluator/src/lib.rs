@@ -21,9 +21,10 @@
 //! windows               data sets and recordings in windows, and states
 //! footage               data sets cut into scenes; the options
 //! forecaster            the stages on scenes
+//! playback              recordings through the pipeline, beside their motion
 //! scenes  matching      what a forecaster sees and the true future; which agent a track follows
-//! noise  lines  table   a noisy sensor; forecasts as JSON lines; tables as Markdown
-//! error  threads
+//! noise  lines  page    a noisy sensor; forecasts as JSON lines; reports in all their forms
+//! table  error  threads    tables as Markdown, and intervals; why an evaluation fails; shared work
 //! ```
 
 pub mod bag;
@@ -35,6 +36,8 @@ mod forecaster;
 mod lines;
 mod matching;
 mod noise;
+mod page;
+mod playback;
 mod scenes;
 mod table;
 pub mod threads;
@@ -51,8 +54,9 @@ pub use lines::{Candidate, ForecastLine, ForecastLines};
 pub use matching::{Placed, nearest};
 pub use metrics::Errors;
 pub use noise::Noise;
+pub use page::Page;
 pub use scenes::{Agent, Cut, MOVING_MPS, Scene};
-pub use table::{RESAMPLES, Table, digits, percent};
+pub use table::{RESAMPLES, Table, digits, pair, percent};
 pub use windows::*;
 
 #[cfg(test)]

@@ -1,9 +1,13 @@
 //! Tables as Markdown, and how their figures are written.
 
-use metrics::Interval;
+use std::collections::BTreeMap;
+
+use metrics::{Errors, Interval, PairedErrors, paired_bootstrap_ratio};
 
 /// Resamples per interval.
 pub const RESAMPLES: usize = 1000;
+/// Seed of the resamples.
+pub(crate) const SEED: u64 = 1;
 
 /// A table of strings.
 #[derive(Clone, Debug)]
@@ -83,4 +87,24 @@ pub fn digits(value: f64) -> String {
 pub fn percent(&Interval { low, mean, high }: &Interval) -> String {
     let [low, mean, high] = [low, mean, high].map(|ratio| 100.0 * (ratio - 1.0));
     format!("{mean:+.1} [{low:+.1}, {high:+.1}]")
+}
+
+/// ADE / FDE in three or four digits.
+pub fn pair(errors: Errors) -> String {
+    format!("{} / {}", digits(errors.ade_m), digits(errors.fde_m))
+}
+
+/// The ratio of the means of two quantities, with an interval that resamples clusters. Each item has the number of
+/// its cluster.
+pub(crate) fn ratio_of_clusters(items: impl Iterator<Item = (u64, [f64; 2])>) -> Option<Interval> {
+    let mut clusters: BTreeMap<u64, PairedErrors> = BTreeMap::new();
+    items.for_each(|(cluster, [ours, theirs])| clusters.entry(cluster).or_default().add(ours, theirs));
+    paired_bootstrap_ratio(&clusters.into_values().collect::<Vec<_>>(), RESAMPLES, SEED)
+}
+
+/// A figure with its interval; `-` if there is none.
+pub(crate) fn text_of_interval(figure: Option<Interval>, decimals: usize) -> String {
+    figure.map_or("-".to_owned(), |Interval { mean, low, high }| {
+        format!("{mean:.decimals$} ({low:.decimals$}–{high:.decimals$})")
+    })
 }

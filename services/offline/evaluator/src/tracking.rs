@@ -23,21 +23,21 @@ mod singer;
 mod smoother;
 mod tuning;
 
-pub use kitti::{Contender, KittiReport, MakeTracks, Published, PublishedTrack};
+pub use kitti::{Contender, MakeTracks, Published, PublishedTrack};
 pub use protocol::{interaction, kitti};
-pub use report::TrackingReport;
 
 pub(crate) use course::{Course, Sensor};
 pub(crate) use follower::Follower;
 pub(crate) use hypotheses::Place;
 pub(crate) use kitti::{
-    ByClass, CLASSES, Counts, KittiMeasure, KittiPart, KittiRow, LEAST_SCORES, Sequence, nearest_neighbours,
+    ByClass, CLASSES, Counts, KittiMeasure, KittiPart, KittiReport, KittiRow, LEAST_SCORES, Sequence,
+    class_name, nearest_neighbours,
 };
 pub(crate) use method::TrackingMethod;
 pub(crate) use outcome::Outcome;
-pub(crate) use report::MethodErrors;
+pub(crate) use report::{MethodErrors, TrackingReport};
 pub(crate) use tuning::{TRIALS, Trials, tune};
 
-/// The header of [`TrackingReport::csv`] and [`KittiReport::csv`], whose lines form one table.
+/// The first line of the figures of [`interaction()`] and [`kitti()`] as CSV, which form one table.
 pub const COLUMNS: &str =
     "part,sigma_m,gap_s,sequences,least_score,class,method,quantity,measure,value,len,weights_sha256\n";

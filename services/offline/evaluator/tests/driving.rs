@@ -1,10 +1,12 @@
+#![expect(clippy::unwrap_used, reason = "a test that can't write its files has failed")]
+
 use std::fmt::Write as _;
 use std::path::Path;
 use std::sync::Arc;
 
-use evaluator::driving::{DrivingError, Options, evaluate, sources, under_noise};
+use evaluator::driving::{evaluate, sources, under_noise};
 use evaluator::fleet::{Learned, learn, outcomes, priors};
-use evaluator::{ForecastLines, Noise};
+use evaluator::{EvaluateError, ForecastLines, MapChoice, Noise, Options, Page};
 use evidence::Prior;
 use scene::AgentType;
 
@@ -24,30 +26,27 @@ fn steady(path: &Path, agents: u64) {
 }
 
 fn options(folder: &Path, evidence: bool) -> Options {
-    Options {
-        folder: folder.to_owned(),
-        sources: Vec::new(),
-        weights: None,
-        precision: nn::Precision::F32,
-        map: false,
-        lanes: None,
-        evidence,
-        priors: true,
-        noise: Noise::default(),
-        threads: 2,
-        lines: None,
+    let (data, map) = (folder.to_owned(), MapChoice::None);
+    Options { data, map, evidence, threads: 2, ..Options::default() }
+}
+
+/// A folder of sources with this number of recordings of this number of agents.
+pub fn sources_of(names: &[&str], files: usize, agents: u64) -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    for name in names {
+        let source = folder.path().join("driving").join(name);
+        std::fs::create_dir_all(&source).unwrap();
+        (0..files).for_each(|file| steady(&source.join(format!("{file}.csv")), agents));
     }
+    folder
 }
 
 #[test]
 fn steady_vehicles_are_no_further_than_constant_velocity_has_them() {
-    let folder = tempfile::tempdir().unwrap();
-    for source in ["one", "two"] {
-        std::fs::create_dir(folder.path().join(source)).unwrap();
-        (0..2).for_each(|file| steady(&folder.path().join(source).join(format!("{file}.csv")), 6));
-    }
+    let folder = sources_of(&["one", "two"], 2, 6);
     let report = evaluate(&options(folder.path(), true), |_| ()).unwrap();
-    let cells = &report.json()["cells"];
+    let page = report.page();
+    let cells = &page.json["cells"];
     for cell in cells.as_array().unwrap() {
         let ade_m = |method: &str| cell["errors"][method]["ade_m"].as_f64().unwrap();
         assert!(ade_m("ConstantVelocity") < 0.1, "{cell}");
@@ -57,7 +56,7 @@ fn steady_vehicles_are_no_further_than_constant_velocity_has_them() {
         assert!((500..900).contains(&cell["forecasts"].as_u64().unwrap()), "{cell}");
     }
     assert_eq!(cells.as_array().unwrap().len(), 2);
-    assert!(report.markdown().contains("| one "), "{}", report.markdown());
+    assert!(page.markdown.contains("| one "), "{}", page.markdown);
     let priors = report.priors(2);
     assert!(priors.sources.keys().eq(["one", "two"]) && priors.pattern_without.keys().eq(["one", "two"]));
     // The recordings contain vehicles only.
@@ -77,15 +76,11 @@ fn steady_vehicles_are_no_further_than_constant_velocity_has_them() {
 
 #[test]
 fn the_written_forecasts_give_the_figures_again() {
-    let folder = tempfile::tempdir().unwrap();
-    for source in ["one", "two"] {
-        std::fs::create_dir(folder.path().join(source)).unwrap();
-        (0..2).for_each(|file| steady(&folder.path().join(source).join(format!("{file}.csv")), 6));
-    }
+    let folder = sources_of(&["one", "two"], 2, 6);
     let file = tempfile::NamedTempFile::new().unwrap();
     let lines = Arc::new(ForecastLines::to(file.reopen().unwrap()));
     let options = Options { lines: Some(lines.clone()), ..options(folder.path(), true) };
-    let report = evaluate(&options, |_| ()).unwrap().json();
+    let report = evaluate(&options, |_| ()).unwrap().page().json;
     lines.finish().unwrap();
     let text = std::fs::read_to_string(file.path()).unwrap();
     let lines: Vec<serde_json::Value> =
@@ -114,27 +109,23 @@ fn the_written_forecasts_give_the_figures_again() {
 
 #[test]
 fn any_number_of_threads_makes_the_same_report() {
-    let folder = tempfile::tempdir().unwrap();
-    for source in ["one", "two"] {
-        std::fs::create_dir(folder.path().join(source)).unwrap();
-        steady(&folder.path().join(source).join("0.csv"), 8);
-    }
-    let csv = |threads| evaluate(&Options { threads, ..options(folder.path(), true) }, |_| ()).unwrap().csv();
+    let folder = sources_of(&["one", "two"], 1, 8);
+    let csv =
+        |threads| evaluate(&Options { threads, ..options(folder.path(), true) }, |_| ()).unwrap().page().csv;
     assert_eq!(csv(1), csv(2));
 }
 
 #[test]
 fn a_sensor_without_errors_changes_no_figure_and_one_with_errors_does() {
-    let folder = tempfile::tempdir().unwrap();
-    std::fs::create_dir(folder.path().join("one")).unwrap();
-    steady(&folder.path().join("one/0.csv"), 6);
-    let report = |noise: Noise| evaluate(&Options { noise, ..options(folder.path(), true) }, |_| ()).unwrap();
+    let folder = sources_of(&["one"], 1, 6);
+    let report =
+        |noise: Noise| evaluate(&Options { noise, ..options(folder.path(), true) }, |_| ()).unwrap().page();
     let clean = report(Noise::default());
     let other_seed = report(Noise { seed: 9, lag_s: 0.3, ..Noise::default() });
-    assert_eq!((clean.csv(), clean.markdown()), (other_seed.csv(), other_seed.markdown()));
+    assert_eq!((&clean.csv, &clean.markdown), (&other_seed.csv, &other_seed.markdown));
     let noisy = Noise { sigma_m: 0.3, positions_only: true, ..Noise::default() };
-    let forecasts = |report: &evaluator::driving::Report| {
-        let cell = &report.json()["cells"][0];
+    let forecasts = |page: &Page| {
+        let cell = &page.json["cells"][0];
         (cell["forecasts"].as_u64().unwrap(), cell["errors"]["ConstantVelocity"]["fde_m"].as_f64().unwrap())
     };
     let (count, clean_m) = forecasts(&clean);
@@ -145,19 +136,16 @@ fn a_sensor_without_errors_changes_no_figure_and_one_with_errors_does() {
         assert!(noisy_m > clean_m + 1.0, "{noisy_m} m, {clean_m} m without noise");
         let expected =
             if without_ids { "--noise 0.3 --no-ids --positions" } else { "--noise 0.3 --positions" };
-        assert!(report.markdown().contains(expected));
+        assert!(report.markdown.contains(expected));
     }
 }
 
 #[test]
 fn the_truth_has_no_noise() {
-    let folder = tempfile::tempdir().unwrap();
-    std::fs::create_dir(folder.path().join("one")).unwrap();
-    steady(&folder.path().join("one/0.csv"), 3);
+    let folder = sources_of(&["one"], 1, 3);
     let options = Options { evidence: false, ..options(folder.path(), true) };
     let report = under_noise(&options, 1, |_| ()).unwrap();
-    let rows = report.json();
-    let rows = rows["rows"].as_array().unwrap();
+    let rows = report.json["rows"].as_array().unwrap();
     let number = |row: &serde_json::Value, column: &str| row[column].as_f64().unwrap();
     assert!((number(&rows[0], "FDE / clean") - 1.0).abs() < 1e-9);
     for row in rows {
@@ -176,21 +164,24 @@ fn the_truth_has_no_noise() {
 
 #[test]
 fn a_missing_folder_and_an_unknown_source_are_named() {
-    let folder = tempfile::tempdir().unwrap();
-    std::fs::create_dir(folder.path().join("one")).unwrap();
-    let missing = evaluate(&options(&folder.path().join("none"), true), |_| ()).unwrap_err();
-    assert!(matches!(&missing, DrivingError::Folder { path, .. } if path.ends_with("none")), "{missing}");
-    let unknown = sources(folder.path(), &["three".to_owned()]).unwrap_err().to_string();
+    let folder = sources_of(&["one"], 0, 0);
+    let missing = evaluate(&options(&folder.path().join("none"), true), |_| ()).err().unwrap();
+    assert!(
+        matches!(&missing, EvaluateError::Folder { path, .. } if path.ends_with("none/driving")),
+        "{missing}"
+    );
+    let unknown = sources(&folder.path().join("driving"), &["three".to_owned()]).unwrap_err().to_string();
     assert!(unknown.contains("three") && unknown.contains("one"), "{unknown}");
 }
 
 #[test]
 fn fast_sources_are_also_shown_at_twice_their_scale() {
-    let folder = tempfile::tempdir().unwrap();
-    std::fs::create_dir(folder.path().join("mona")).unwrap();
-    steady(&folder.path().join("mona/0.csv"), 1);
-    let names: Vec<(String, f32)> =
-        sources(folder.path(), &[]).unwrap().into_iter().map(|source| (source.name, source.scale)).collect();
+    let folder = sources_of(&["mona"], 1, 1);
+    let names: Vec<(String, f32)> = sources(&folder.path().join("driving"), &[])
+        .unwrap()
+        .into_iter()
+        .map(|source| (source.name, source.scale))
+        .collect();
     assert_eq!(names, [("mona".to_owned(), 1.0), ("mona ×2".to_owned(), 2.0)]);
 }
 

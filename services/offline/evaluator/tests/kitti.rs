@@ -4,9 +4,8 @@
 use std::path::Path;
 
 use data::Recording;
-use data::sets::Part;
 use evaluator::tracking::{Contender, Published, PublishedTrack};
-use evaluator::{MapChoice, Options, WeightsChoice};
+use evaluator::{ForecastLines, Options, WeightsChoice};
 
 const CALIBRATION: &str = "P2: 721.5 0 609.5 44.8 0 721.5 172.8 0.2 0 0 1 0.003\nR_rect 1 0 0 0 1 0 0 0 1\n\
     Tr_velo_cam 0 -1 0 0 0 0 -1 -0.08 1 0 0 -0.27\nTr_imu_velo 1 0 0 -0.81 0 1 0 0.32 0 0 1 -0.8\n";
@@ -36,16 +35,8 @@ fn write_sequence(root: &Path, name: &str, score_of_ghost: f32) {
 fn options(root: &Path) -> Options {
     write_sequence(root, "0000", 2.5);
     write_sequence(root, "0016", 0.5);
-    Options {
-        data: root.to_owned(),
-        part: Part::Test,
-        weights: WeightsChoice { file: None, folder: root.to_owned(), precision: nn::Precision::F32 },
-        map: MapChoice::Online,
-        lanes: false,
-        noise: evaluator::Noise::default(),
-        threads: 2,
-        lines: None,
-    }
+    let weights = WeightsChoice { folder: root.to_owned(), ..WeightsChoice::default() };
+    Options { data: root.to_owned(), weights, threads: 2, ..Options::default() }
 }
 
 /// A tracker that publishes every detection as a track.
@@ -66,7 +57,11 @@ fn scores_are_chosen_on_one_part_for_the_other() {
     let root = tempfile::tempdir().unwrap();
     let options = options(root.path());
     let contender = Contender { name: "credulous", track: Box::new(|recording| Ok(credulous(recording))) };
-    let report = evaluator::tracking::kitti(&options, vec![contender], |_| ()).unwrap().json();
+    let file = tempfile::NamedTempFile::new().unwrap();
+    let lines = std::sync::Arc::new(ForecastLines::to(file.reopen().unwrap()));
+    let options = Options { lines: Some(lines.clone()), ..options };
+    let report = evaluator::tracking::kitti(&options, vec![contender], |_| ()).unwrap().json;
+    lines.finish().unwrap();
     let figure = |sequences: &str, tracker: &str, measure: &str| {
         let wanted = |of: &&serde_json::Value| {
             of["sequences"] == sequences
@@ -83,6 +78,23 @@ fn scores_are_chosen_on_one_part_for_the_other() {
     assert_eq!(figure("all", "credulous", "MOTA"), (0.5, "1;3".to_owned()));
     // A single frame does not confirm a track.
     assert_eq!(figure("all", "nearest neighbours", "misses").0, 2.0);
+    // The lines give the same counts: the car is matched, and each further track is false.
+    let text = std::fs::read_to_string(file.path()).unwrap();
+    let lines: Vec<serde_json::Value> =
+        text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    for tracker in ["credulous", "nearest neighbours"] {
+        for sequences in ["0000 to 0000", "0016 to 0016"] {
+            let is_of = |line: &&serde_json::Value| {
+                line["part"] == sequences && line["tracker"] == tracker && line["class"] == "car"
+            };
+            let len = |key: &str| -> usize {
+                lines.iter().filter(is_of).map(|line| line[key].as_array().unwrap().len()).sum()
+            };
+            let (truths, tracks) = (len("truths"), len("tracks"));
+            assert_eq!(figure(sequences, tracker, "misses").0, truths.saturating_sub(tracks) as f64);
+            assert_eq!(figure(sequences, tracker, "false").0, tracks.saturating_sub(truths) as f64);
+        }
+    }
 }
 
 #[test]

@@ -7,6 +7,7 @@ mod support {
 mod driving;
 mod forecaster;
 mod kitti;
+mod lines;
 mod report;
 mod shipped;
 mod states;

@@ -5,23 +5,12 @@
 use crate::support::weights;
 use std::path::{Path, PathBuf};
 
-use data::sets::Part;
 use data::{GeneratedScene, OpenOptions, SceneOptions};
-use evaluator::{
-    Cut, EvaluateError, Evaluation, Figure, ForecastLines, MapChoice, Options, Report, WeightsChoice,
-};
+use evaluator::{Cut, EvaluateError, Evaluation, Figure, ForecastLines, Options, Report, WeightsChoice};
 
 pub fn options(folder: &Path, weights: Option<PathBuf>, threads: usize) -> Options {
-    Options {
-        data: folder.to_owned(),
-        part: Part::Test,
-        weights: WeightsChoice { file: weights, folder: folder.to_owned(), precision: nn::Precision::F32 },
-        map: MapChoice::Online,
-        lanes: false,
-        noise: evaluator::Noise::default(),
-        threads,
-        lines: None,
-    }
+    let weights = WeightsChoice { file: weights, folder: folder.to_owned(), ..WeightsChoice::default() };
+    Options { data: folder.to_owned(), weights, threads, ..Options::default() }
 }
 
 /// Vehicles that drive straight at a constant speed, each on its own line, for `steps` tenths of a second.

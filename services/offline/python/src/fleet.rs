@@ -28,7 +28,7 @@ fn prepared(arguments: Vec<String>) -> PyResult<(Prepared, data::Recording)> {
     Ok((prepared, recording))
 }
 
-fn failed(why: evaluator::driving::DrivingError) -> PyErr {
+fn failed(why: evaluator::EvaluateError) -> PyErr {
     error::of_failure(&Failure::data(why))
 }
 

@@ -2,37 +2,31 @@
 
 use std::fmt::Write as _;
 
-use crate::table::{Table, digits};
-use serde::Serialize;
+use metrics::Errors;
+use serde_json::{Value, json};
 use wire::{AGENT_TYPES, AgentType};
 
-use metrics::Errors;
+use crate::page::Page;
+use crate::table::{Table, pair};
 
 /// Levels of the regions whose coverage is reported.
 pub(crate) const LEVELS: [f64; 2] = [0.5, 0.9];
 
-/// What is compared.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Method {
-    /// Our single best forecast.
-    Ours,
-    /// The other system's path of the highest confidence.
-    Theirs,
-    /// Constant velocity of our track.
-    Steady,
-    /// The best of as many of our most probable modes as the other system has paths.
-    OursOfAsMany,
-    /// The best of the other system's paths.
-    TheirsOfPaths,
-    /// The best of all our modes.
-    OursOfAll,
-}
-
-pub(crate) const METHODS: usize = 6;
+/// What is compared, as the keys of the JSON form and as the names of the CSV form: our single best forecast, the
+/// bag's path of the highest confidence, constant velocity of our track, the best of as many of our most probable
+/// modes as the bag has paths, the best of the bag's paths, and the best of all our modes.
+pub(crate) const METHODS: [[&str; 2]; 6] = [
+    ["ours", "stgdat"],
+    ["bag", "bag"],
+    ["constant_velocity", "constant velocity"],
+    ["ours_of_as_many", "stgdat best of as many"],
+    ["bag_of_paths", "bag best of paths"],
+    ["ours_of_all", "stgdat best of 20"],
+];
 
 /// What was compared and what was not.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
-pub struct Counts {
+pub(crate) struct Counts {
     /// Messages that were compared.
     pub messages: u64,
     /// Messages without a tick of ours at most one interval before.
@@ -55,7 +49,7 @@ pub struct Counts {
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Cell {
     forecasts: u64,
-    sums: [Errors; METHODS],
+    sums: [Errors; METHODS.len()],
     regions: u64,
     held: [u64; LEVELS.len()],
 }
@@ -68,45 +62,31 @@ pub(crate) struct Cells {
 }
 
 /// The errors of one type over one horizon.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct AgainstRow {
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Row {
     /// The type; `all` for all types.
-    pub agents: &'static str,
-    /// The horizon.
-    pub horizon_s: f64,
-    /// Compared forecasts.
-    pub forecasts: u64,
-    /// Our single best forecast.
-    pub ours: Errors,
-    /// The bag's path of the highest confidence.
-    pub bag: Errors,
-    /// Constant velocity.
-    pub constant_velocity: Errors,
-    /// The best of as many of our modes as the bag has paths, the most probable ones.
-    pub ours_of_as_many: Errors,
-    /// The best of the bag's paths.
-    pub bag_of_paths: Errors,
-    /// The best of all our modes.
-    pub ours_of_all: Errors,
+    pub(crate) agents: &'static str,
+    pub(crate) horizon_s: f64,
+    pub(crate) forecasts: u64,
+    /// By [`METHODS`].
+    pub(crate) errors: [Errors; METHODS.len()],
     /// Share of truths within our regions of 50 % and 90 % at the end of the horizon; a bag has no regions.
-    pub within: Option<[f64; LEVELS.len()]>,
+    pub(crate) within: Option<[f64; LEVELS.len()]>,
 }
 
 /// A bag's forecasts and ours.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct AgainstReport {
-    /// What was compared.
-    pub counts: Counts,
-    /// The errors.
-    pub rows: Vec<AgainstRow>,
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct AgainstReport {
+    pub(crate) counts: Counts,
+    pub(crate) rows: Vec<Row>,
     /// Largest number of paths of an object in the bag.
-    pub paths_max: usize,
+    pub(crate) paths_max: usize,
     /// Whether the truth is the recording's own.
-    pub is_truth_recorded: bool,
+    pub(crate) is_truth_recorded: bool,
 }
 
 impl Cell {
-    pub fn of(errors: [Errors; METHODS], level: Option<f64>) -> Self {
+    pub(crate) fn of(errors: [Errors; METHODS.len()], level: Option<f64>) -> Self {
         let held = LEVELS.map(|of| u64::from(level.is_some_and(|level| level <= of)));
         Self { forecasts: 1, sums: errors, regions: u64::from(level.is_some()), held }
     }
@@ -118,12 +98,6 @@ impl Cell {
             *sum = Errors { ade_m: sum.ade_m + more.ade_m, fde_m: sum.fde_m + more.fde_m };
         }
         self.held.iter_mut().zip(other.held).for_each(|(sum, more)| *sum += more);
-    }
-
-    fn errors(&self, method: Method) -> Errors {
-        let Errors { ade_m, fde_m } = self.sums[method as usize];
-        let mean = |sum_m: f64| sum_m / self.forecasts as f64;
-        Errors { ade_m: mean(ade_m), fde_m: mean(fde_m) }
     }
 }
 
@@ -144,7 +118,7 @@ impl Cells {
         self.cells[AGENT_TYPES.len()][horizon].add(cell);
     }
 
-    pub fn rows(&self, step_ns: i64) -> Vec<AgainstRow> {
+    pub fn rows(&self, step_ns: i64) -> Vec<Row> {
         let names = AGENT_TYPES.map(AgentType::name).into_iter().chain(["all"]);
         let rows = names.zip(&self.cells).flat_map(|(agents, cells)| {
             let mut horizons: Vec<(usize, &Cell)> = self.horizons.into_iter().zip(cells).collect();
@@ -158,26 +132,24 @@ impl Cells {
     }
 }
 
-fn row(agents: &'static str, horizon_s: f64, cell: &Cell) -> Option<AgainstRow> {
+fn row(agents: &'static str, horizon_s: f64, cell: &Cell) -> Option<Row> {
+    let mean = |of: Errors| {
+        let [ade_m, fde_m] = [of.ade_m, of.fde_m].map(|sum_m| sum_m / cell.forecasts as f64);
+        Errors { ade_m, fde_m }
+    };
     let share = |held: u64| held as f64 / cell.regions as f64;
-    (cell.forecasts > 0).then(|| AgainstRow {
+    (cell.forecasts > 0).then(|| Row {
         agents,
         horizon_s,
         forecasts: cell.forecasts,
-        ours: cell.errors(Method::Ours),
-        bag: cell.errors(Method::Theirs),
-        constant_velocity: cell.errors(Method::Steady),
-        ours_of_as_many: cell.errors(Method::OursOfAsMany),
-        bag_of_paths: cell.errors(Method::TheirsOfPaths),
-        ours_of_all: cell.errors(Method::OursOfAll),
+        errors: cell.sums.map(mean),
         within: (cell.regions > 0).then(|| cell.held.map(share)),
     })
 }
 
 impl Counts {
     /// The counts in words.
-    #[must_use]
-    pub fn text(&self) -> String {
+    pub(crate) fn text(&self) -> String {
         let Self {
             messages,
             messages_outside,
@@ -197,30 +169,30 @@ impl Counts {
     }
 }
 
-impl AgainstRow {
+impl Row {
     fn cells(&self) -> Vec<String> {
-        let errors = |of: Errors| format!("{} / {}", digits(of.ade_m), digits(of.fde_m));
         let within = self.within.map(|[half, most]| format!("{:.0} / {:.0} %", 100.0 * half, 100.0 * most));
-        vec![
-            self.agents.to_owned(),
-            format!("{:.1}", self.horizon_s),
-            self.forecasts.to_string(),
-            errors(self.ours),
-            errors(self.bag),
-            errors(self.constant_velocity),
-            errors(self.ours_of_as_many),
-            errors(self.bag_of_paths),
-            errors(self.ours_of_all),
-            within.unwrap_or_else(|| "-".to_owned()),
-        ]
+        let names = [self.agents.to_owned(), format!("{:.1}", self.horizon_s), self.forecasts.to_string()];
+        let within = within.unwrap_or_else(|| "-".to_owned());
+        names.into_iter().chain(self.errors.map(pair)).chain([within]).collect()
+    }
+
+    fn json(&self) -> Value {
+        let mut row = json!({
+            "agents": self.agents,
+            "horizon_s": self.horizon_s,
+            "forecasts": self.forecasts,
+            "within": self.within,
+        });
+        METHODS.iter().zip(self.errors).for_each(|([key, _], errors)| row[*key] = json!(errors));
+        row
     }
 }
 
 impl AgainstReport {
     /// The table as Markdown that is also readable in a terminal: every type over the longest horizon, and
     /// all agents over all horizons.
-    #[must_use]
-    pub fn markdown(&self) -> String {
+    pub(crate) fn markdown(&self) -> String {
         let truth =
             if self.is_truth_recorded { "the recording's own tracks" } else { "the later tracks of stgdat" };
         let note = format!("ADE / FDE, m. Best of: the path with the least error. Truth: {truth}.");
@@ -244,30 +216,25 @@ impl AgainstReport {
         format!("#{}\n{}.\n", table.markdown(""), self.counts.text())
     }
 
-    /// One line per row, with all horizons.
-    #[must_use]
-    pub fn csv(&self) -> String {
+    /// One line per row and method, with all horizons.
+    pub(crate) fn csv(&self) -> String {
         let mut text = "agents,horizon_s,forecasts,method,ade_m,fde_m\n".to_owned();
-        for row in &self.rows {
-            let methods = [
-                ("stgdat", row.ours),
-                ("bag", row.bag),
-                ("constant velocity", row.constant_velocity),
-                ("stgdat best of as many", row.ours_of_as_many),
-                ("bag best of paths", row.bag_of_paths),
-                ("stgdat best of 20", row.ours_of_all),
-            ];
-            for (method, Errors { ade_m, fde_m }) in methods {
-                let AgainstRow { agents, horizon_s, forecasts, .. } = row;
+        for Row { agents, horizon_s, forecasts, errors, .. } in &self.rows {
+            for ([_, method], Errors { ade_m, fde_m }) in METHODS.iter().zip(errors) {
                 let _ = writeln!(text, "{agents},{horizon_s},{forecasts},{method},{ade_m:.6},{fde_m:.6}");
             }
         }
         text
     }
 
-    /// The whole report as JSON.
-    #[must_use]
-    pub fn json(&self) -> serde_json::Value {
-        serde_json::to_value(self).unwrap_or_default()
+    /// The report in all its forms.
+    pub(crate) fn page(&self) -> Page {
+        let json = json!({
+            "counts": self.counts,
+            "rows": self.rows.iter().map(Row::json).collect::<Vec<_>>(),
+            "paths_max": self.paths_max,
+            "is_truth_recorded": self.is_truth_recorded,
+        });
+        Page::new("against bag", "evaluate --against-bag", self.markdown(), self.csv(), json)
     }
 }

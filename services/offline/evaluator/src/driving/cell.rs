@@ -1,20 +1,14 @@
 //! Statistics over a set of samples.
 
-use std::collections::BTreeMap;
+use metrics::{Errors, Interval};
 
-use metrics::{Interval, PairedErrors, paired_bootstrap_ratio};
-
-use crate::driving::{
-    region_of_steady,
-    sample::{LEVEL, Method, Sample},
-};
-use crate::table::{RESAMPLES, digits};
-use metrics::Errors;
+use super::region_of_steady;
+use super::sample::{LEVEL, Method, Sample};
+use crate::table::{pair, ratio_of_clusters};
 
 /// Bounds of the speed bands, m/s.
 const BANDS_MPS: [f32; 4] = [3.0, 8.0, 15.0, 25.0];
 pub(crate) const BAND_NAMES: [&str; 5] = ["0-3", "3-8", "8-15", "15-25", "> 25"];
-const SEED: u64 = 1;
 
 /// The index of a sample's speed band.
 pub(crate) fn band_of(sample: &Sample) -> usize {
@@ -43,8 +37,8 @@ impl Cell<'_> {
     }
 
     pub(crate) fn text(&self, method: Method) -> String {
-        let Errors { ade_m, fde_m } = self.errors(method);
-        if ade_m.is_nan() { "-".to_owned() } else { format!("{} / {}", digits(ade_m), digits(fde_m)) }
+        let errors = self.errors(method);
+        if errors.ade_m.is_nan() { "-".to_owned() } else { pair(errors) }
     }
 
     pub(crate) fn held(&self, level: f64, step: usize) -> f64 {
@@ -53,31 +47,27 @@ impl Cell<'_> {
 
     /// Share of truths inside the region of this level at a step, with its interval.
     pub(crate) fn held_with_interval(&self, level: f64, step: usize) -> Option<Interval> {
-        self.ratio(|sample| [f64::from(u8::from(sample.is_held(level, step))), 1.0])
+        self.ratio_of(|sample| [f64::from(u8::from(sample.is_held(level, step))), 1.0])
     }
 
-    /// Ratio of the mean errors of two methods, for ADE and for FDE.
-    pub(crate) fn ratios(&self, ours: Method, theirs: Method) -> [Option<Interval>; 2] {
-        [|errors: &Errors| errors.ade_m, |errors: &Errors| errors.fde_m]
-            .map(|of| self.ratio(|sample| [ours, theirs].map(|method| of(&sample.errors[method as usize]))))
+    /// Ratio of the mean errors of two methods, of ADE or of FDE.
+    pub(crate) fn ratio(&self, ours: Method, theirs: Method, of: fn(&Errors) -> f64) -> Option<Interval> {
+        self.ratio_of(|sample| [ours, theirs].map(|method| of(&sample.errors[method as usize])))
     }
 
     /// Ratio of the means of two quantities. The interval resamples agents.
-    fn ratio(&self, of: impl Fn(&Sample) -> [f64; 2]) -> Option<Interval> {
-        let mut clusters: BTreeMap<u64, PairedErrors> = BTreeMap::new();
-        for sample in self.samples {
-            let [ours, theirs] = of(sample);
-            clusters.entry(sample.agent).or_default().add(ours, theirs);
-        }
-        let clusters: Vec<PairedErrors> = clusters.into_values().collect();
-        paired_bootstrap_ratio(&clusters, RESAMPLES, SEED)
+    fn ratio_of(&self, of: impl Fn(&Sample) -> [f64; 2]) -> Option<Interval> {
+        ratio_of_clusters(self.samples.iter().map(|sample| (sample.agent, of(sample))))
     }
 
-    /// Mean areas at the end of the horizon, m²: of the published 90 % region and of its constant-velocity
-    /// reference. Both regions hold the same number of truths.
-    pub(crate) fn areas_m2(&self) -> [f64; 2] {
-        let steady_m2 = region_of_steady::mean_area_m2(self.samples, LEVEL, band_of, BAND_NAMES.len());
-        [self.mean(|sample| sample.area_m2), steady_m2]
+    /// Mean area of the published 90 % region at the end of the horizon, m².
+    pub(crate) fn area_m2(&self) -> f64 {
+        self.mean(|sample| sample.area_m2)
+    }
+
+    /// The same of its constant-velocity reference, which holds as many truths.
+    pub(crate) fn steady_area_m2(&self) -> f64 {
+        region_of_steady::mean_area_m2(self.samples, LEVEL, band_of, BAND_NAMES.len())
     }
 
     /// Ratio of the published forecast's ADE to the ADE of the best kinematic expert.
@@ -86,13 +76,6 @@ impl Cell<'_> {
         let least = experts.map(|method| self.errors(method).ade_m).into_iter().fold(f64::INFINITY, f64::min);
         self.errors(Method::Best).ade_m / least
     }
-}
-
-/// Formats a figure with its interval; `-` if there is none.
-pub(crate) fn interval(figure: &Option<Interval>) -> String {
-    figure
-        .as_ref()
-        .map_or("-".to_owned(), |Interval { mean, low, high, .. }| format!("{mean:.2} ({low:.2}–{high:.2})"))
 }
 
 #[cfg(test)]

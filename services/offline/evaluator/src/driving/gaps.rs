@@ -1,22 +1,21 @@
 //! Tracking through gaps: how far tracks are from the truth while their agents are not detected.
 
-use std::collections::BTreeMap;
-
 use bytemuck::Zeroable;
-use data::RecordedTrack;
-use evidence::Priors;
 use kinematics::Normals;
-use metrics::{PairedErrors, paired_bootstrap_ratio};
+use metrics::Interval;
 use nn::ModelConfig;
-use onboard::Chain;
 use scene::AgentType;
 use serde_json::json;
-use source::{Playback, PlaybackOptions};
 use tracker::Tracker;
 use wire::{AGENTS_MAX, Detection, Track, detection_flags};
 
-use crate::driving::{DrivingError, Options, model_of, play::run, sample::GAP_NS, source::Source, sources};
-use crate::table::{RESAMPLES, Table};
+use super::source::{self, Source, sources};
+use crate::error::EvaluateError;
+use crate::footage::Options;
+use crate::lines::{Motion, TrackLine};
+use crate::noise::Noise;
+use crate::page::Page;
+use crate::table::{RESAMPLES, Table, ratio_of_clusters, text_of_interval};
 use crate::threads;
 
 /// Lengths of the gaps, s. An agent's gaps alternate between them.
@@ -27,6 +26,8 @@ const PERIOD_S: f64 = 6.0;
 const BEGINS_S: f64 = 4.0;
 /// Standard deviation of a measured position per axis.
 const SIGMA_M: f32 = 0.1;
+/// The priors of the compared tracks.
+const PRIORS: [&str; 2] = ["forecasts", "kinematic"];
 /// Cells with fewer positions are left out.
 const CELL_MIN: usize = 200;
 const SEED: u64 = 1;
@@ -42,46 +43,37 @@ struct Position {
 }
 
 /// Errors in gaps, by source, type and length of the gap.
-#[derive(Debug)]
-pub struct GapReport {
-    sources: Vec<(Source, Vec<Position>)>,
-}
+struct Gaps(Vec<(Source, Vec<Position>)>);
 
 /// Tracks all sources from noisy positions with gaps. Calls `progress` with each source's name before it
 /// starts.
 ///
 /// # Errors
-/// [`DrivingError`] names the folder, recording or weights at fault.
-pub fn through_gaps(options: &Options, progress: impl Fn(&str) + Sync) -> Result<GapReport, DrivingError> {
-    let weights = model_of(options)?;
-    let sources = sources(&options.folder, &options.sources)?;
-    let tracked = threads::each(&sources, options.threads, |source, _: &mut ()| {
+/// [`EvaluateError`] names the folder, recording or weights at fault.
+pub fn through_gaps(options: &Options, progress: impl Fn(&str) + Sync) -> Result<Page, EvaluateError> {
+    let weights = options.weights.load()?;
+    let sources = sources(&options.data.join("driving"), &options.sources)?;
+    let threads = if options.lines.is_some() { 1 } else { options.threads };
+    let tracked = threads::each(&sources, threads, |source, _: &mut ()| {
         progress(&format!("tracking {}", source.name));
         track(source, options, weights.config())
     });
     let tracked = tracked.into_iter().collect::<Result<Vec<_>, _>>()?;
-    Ok(GapReport { sources: sources.into_iter().zip(tracked).collect() })
+    let gaps = Gaps(sources.into_iter().zip(tracked).collect());
+    Ok(Page::new("driving", "evaluate tracking --parts driving", gaps.markdown(), gaps.csv(), gaps.json()))
 }
 
-fn track(source: &Source, options: &Options, model: &ModelConfig) -> Result<Vec<Position>, DrivingError> {
+fn track(source: &Source, options: &Options, model: &ModelConfig) -> Result<Vec<Position>, EvaluateError> {
+    // The sensor of this evaluation is `measured`.
+    let options = &Options { noise: Noise::default(), ..options.clone() };
     let mut positions = Vec::new();
-    let mut before: Option<Chain> = None;
-    for (number, path) in source.files.iter().enumerate() {
-        let recording = source.open(path)?;
-        let truth: BTreeMap<u64, RecordedTrack> =
-            data::tracks(&recording).into_iter().map(|track| (track.id, track)).collect();
-        let mut playback =
-            Playback::new(recording, PlaybackOptions { lockstep: true, ..PlaybackOptions::default() });
-        let run = run(&playback, options)?;
-        let mut chain = Chain::new(&run, model)?;
-        match before.take() {
-            Some(before) => chain.continue_from(before),
-            None => chain.expect(Priors::shipped().without(&source.folder_name())),
-        }
+    source.play(options, model, |number, path, playing| {
+        let recording = path.file_stem().unwrap_or_default().to_string_lossy();
+        let run = source::run(playing.playback.interval_ns(), options, None)?;
         let mut plain = Tracker::new(tracker::settings(&run, model)?);
         let mut plain_tracks = vec![Track::zeroed(); AGENTS_MAX];
         let mut first_ns = None;
-        while let Some(tick) = playback.next_tick() {
+        while let Some(tick) = playing.playback.next_tick() {
             let stamp_ns = tick.header.stamp_ns;
             let time_s = (stamp_ns - *first_ns.get_or_insert(stamp_ns)) as f64 * 1e-9;
             let seen = tick.detections.iter().filter(|detection| gap(detection.id, time_s).is_none());
@@ -89,29 +81,45 @@ fn track(source: &Source, options: &Options, model: &ModelConfig) -> Result<Vec<
                 seen.map(|detection| measured(detection, tick.header.seq)).collect();
             let mut header = tick.header;
             header.counts.agents_len = measured.len() as u32;
-            chain.tick(&header, &measured, |_| ());
+            playing.chain.tick(&header, &measured, |_| ());
             let plain_count = plain.step(&header, &measured, None, &mut plain_tracks);
             let plain_count = plain_count.map_or(0, |tracked| tracked.track_count);
-            for track in chain.tracks() {
-                let other =
-                    plain_tracks[..plain_count].iter().find(|other| other.source_id == track.source_id);
-                let position = other.and_then(|other| {
-                    let gap = gap(track.source_id, time_s)?;
-                    let truth_m =
-                        truth.get(&track.source_id)?.state_at(stamp_ns, i64::MAX, GAP_NS)?.position_m;
-                    let square_m2 = |track: &Track| {
-                        let [x, y] = [track.x_m - truth_m[0], track.y_m - truth_m[1]].map(f64::from);
-                        x * x + y * y
+            let position = |track: &Track| {
+                let id = track.source_id;
+                let other = plain_tracks[..plain_count].iter().find(|other| other.source_id == id)?;
+                let gap = gap(id, time_s)?;
+                let truth_m = playing.truth.state(id, stamp_ns)?.position_m;
+                let square_m2 = |track: &Track| {
+                    let [x, y] = [track.x_m - truth_m[0], track.y_m - truth_m[1]].map(f64::from);
+                    x * x + y * y
+                };
+                let agent_type = track.agent_type().ok()?;
+                if let Some(lines) = &options.lines {
+                    let at = |position_m: [f32; 2]| Motion {
+                        position_m: position_m.map(f64::from),
+                        velocity_mps: None,
                     };
-                    let agent_type = track.agent_type().ok()?;
-                    let agent = ((number as u64) << 32) + track.source_id;
-                    Some(Position { agent, agent_type, gap, squares_m2: [track, other].map(square_m2) })
-                });
-                positions.extend(position);
-            }
+                    let tracks = PRIORS.into_iter().zip([track, other].map(|of| at([of.x_m, of.y_m])));
+                    lines.add(&TrackLine {
+                        part: &source.name,
+                        recording: &recording,
+                        stamp_ns,
+                        agent: id,
+                        agent_type: agent_type.name(),
+                        sigma_m: f64::from(SIGMA_M),
+                        gap_s: GAPS_S[gap],
+                        is_measured: false,
+                        truth: at(truth_m),
+                        tracks: tracks.collect(),
+                    });
+                }
+                let agent = ((number as u64) << 32) + id;
+                Some(Position { agent, agent_type, gap, squares_m2: [track, other].map(square_m2) })
+            };
+            positions.extend(playing.chain.tracks().iter().filter_map(position));
         }
-        before = Some(chain);
-    }
+        Ok(())
+    })?;
     Ok(positions)
 }
 
@@ -138,10 +146,10 @@ fn measured(detection: &Detection, seq: u64) -> Detection {
     }
 }
 
-impl GapReport {
+impl Gaps {
     /// The cells with enough positions: source, type, gap, and the positions.
     fn cells(&self) -> impl Iterator<Item = (&Source, AgentType, usize, Vec<&Position>)> {
-        self.sources.iter().flat_map(|(source, positions)| {
+        self.0.iter().flat_map(|(source, positions)| {
             wire::AGENT_TYPES.into_iter().flat_map(move |agent_type| {
                 (0..GAPS_S.len()).filter_map(move |gap| {
                     let of_cell = positions.iter().filter(|p| p.agent_type == agent_type && p.gap == gap);
@@ -153,7 +161,7 @@ impl GapReport {
     }
 
     /// The errors as a Markdown table.
-    pub fn markdown(&self) -> String {
+    fn markdown(&self) -> String {
         let columns = ["positions", "forecasts m", "kinematic m", "ratio"].map(str::to_owned);
         let mut table = Table::new("", "", &["source", "type", "gap s"], columns.into_iter());
         for (source, agent_type, gap, positions) in self.cells() {
@@ -177,10 +185,10 @@ impl GapReport {
     }
 
     /// One line per source, type, gap and prior.
-    pub fn csv(&self) -> String {
+    fn csv(&self) -> String {
         let mut text = String::from("source,type,gap_s,prior,positions,rmse_m\n");
         for (source, agent_type, gap, positions) in self.cells() {
-            for (prior, rmse_m) in ["forecasts", "kinematic"].into_iter().zip(rmse_m(&positions)) {
+            for (prior, rmse_m) in PRIORS.into_iter().zip(rmse_m(&positions)) {
                 let (name, of_type, len) = (&source.name, agent_type.name(), positions.len());
                 text += &format!("{name},{of_type},{},{prior},{len},{rmse_m}\n", GAPS_S[gap]);
             }
@@ -189,7 +197,7 @@ impl GapReport {
     }
 
     /// Errors by source, type and gap.
-    pub fn json(&self) -> serde_json::Value {
+    fn json(&self) -> serde_json::Value {
         let cells = self.cells().map(|(source, agent_type, gap, positions)| {
             let [forecasts_m, kinematic_m] = rmse_m(&positions);
             json!({
@@ -212,14 +220,13 @@ fn rmse_m(positions: &[&Position]) -> [f64; 2] {
 }
 
 fn ratio(positions: &[&Position]) -> String {
-    let mut clusters: BTreeMap<u64, PairedErrors> = BTreeMap::new();
-    for position in positions {
-        clusters.entry(position.agent).or_default().add(position.squares_m2[0], position.squares_m2[1]);
-    }
-    let clusters: Vec<PairedErrors> = clusters.into_values().collect();
-    paired_bootstrap_ratio(&clusters, RESAMPLES, SEED).map_or("-".to_owned(), |ratio| {
-        format!("{:.3} ({:.3}–{:.3})", ratio.mean.sqrt(), ratio.low.sqrt(), ratio.high.sqrt())
-    })
+    let squares = positions.iter().map(|of| (of.agent, of.squares_m2));
+    let root = |ratio: Interval| Interval {
+        mean: ratio.mean.sqrt(),
+        low: ratio.low.sqrt(),
+        high: ratio.high.sqrt(),
+    };
+    text_of_interval(ratio_of_clusters(squares).map(root), 3)
 }
 
 #[cfg(test)]

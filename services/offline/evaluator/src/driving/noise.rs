@@ -8,6 +8,6 @@ mod real;
 mod sheet;
 mod synthetic;
 
-pub use real::{NoiseReport, network_under_noise, under_noise};
+pub use real::{network_under_noise, under_noise};
 pub use sheet::COLUMNS;
-pub use synthetic::{SyntheticReport, synthetic};
+pub use synthetic::synthetic;

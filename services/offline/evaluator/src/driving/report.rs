@@ -1,27 +1,24 @@
 //! Tables of matured forecasts.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::fmt::Write as _;
 
 use evidence::Priors;
-use metrics::Interval;
-use nn::ModelConfig;
-use nn::Precision;
+use metrics::{Errors, Interval};
+use nn::{ModelConfig, Precision};
 use scene::AgentType;
 use serde_json::json;
 
-use crate::driving::{
-    Options,
-    cell::{BAND_NAMES, Cell, band_of, interval},
-    conflicts::{FORETELLERS, Foretold, Pair, RECALL},
-    patterns::{Residuals, patterns},
-    play::Played,
-    sample::{LEVEL, METHODS, Method, STEPS, Sample},
-    source::Source,
-};
-use crate::table::{RESAMPLES, Table};
+use super::cell::{BAND_NAMES, Cell, band_of};
+use super::conflicts::{FORETELLERS, Foretold, Pair, RECALL};
+use super::patterns::{Residuals, patterns};
+use super::play::Played;
+use super::sample::{LEVEL, METHODS, Method, STEPS, Sample};
+use super::source::Source;
+use crate::footage::{MapChoice, Options};
+use crate::page::Page;
+use crate::table::{RESAMPLES, Table, text_of_interval};
 use crate::threads;
-use metrics::Errors;
 
 /// Cells with fewer forecasts are left out.
 const CELL_MIN: usize = 200;
@@ -38,6 +35,38 @@ const SUBSETS: [Subset; 5] = [
     ("with a leader", |sample| sample.has_leader),
     ("without a leader", |sample| !sample.has_leader),
 ];
+const ADE: fn(&Errors) -> f64 = |errors| errors.ade_m;
+const FDE: fn(&Errors) -> f64 = |errors| errors.fde_m;
+/// The figures of a cell by the names of their columns.
+type Figure = (&'static str, fn(&Cell<'_>) -> String);
+const FIGURES: [Figure; 19] = [
+    ("forecasts", |cell| cell.samples.len().to_string()),
+    ("single best", |cell| cell.text(Method::Best)),
+    ("constant velocity", |cell| cell.text(Method::ConstantVelocity)),
+    ("/ CV, ADE", |cell| interval(cell.ratio(Method::Best, Method::ConstantVelocity, ADE))),
+    ("/ CV, FDE", |cell| interval(cell.ratio(Method::Best, Method::ConstantVelocity, FDE))),
+    ("turn", |cell| cell.text(Method::DecayingTurn)),
+    ("acceleration", |cell| cell.text(Method::DecayingAcceleration)),
+    ("best of 20", |cell| cell.text(Method::BestOf)),
+    ("20 anchors", |cell| cell.text(Method::Anchors)),
+    ("/ anchors, ADE", |cell| interval(cell.ratio(Method::BestOf, Method::Anchors, ADE))),
+    ("/ anchors, FDE", |cell| interval(cell.ratio(Method::BestOf, Method::Anchors, FDE))),
+    ("missed", |cell| format!("{:.2}", cell.share(|sample| sample.missed))),
+    ("held 90 %", |cell| interval(cell.held_with_interval(LEVEL, STEPS.len() - 1))),
+    ("area m²", |cell| format!("{:.0}", cell.area_m2())),
+    ("CV area m²", |cell| format!("{:.0}", cell.steady_area_m2())),
+    ("NLL", |cell| format!("{:.2}", cell.mean(|sample| sample.nll))),
+    ("regret", |cell| format!("{:.2}", cell.regret())),
+    ("network", |cell| format!("{:.2}", cell.mean(|sample| f64::from(sample.network)))),
+    ("learned", |cell| format!("{:.2}", cell.share(|sample| sample.learned))),
+];
+/// The columns of the tables by source, by speed, and of moving vehicles.
+const BY_SOURCE: &str = "forecasts|single best|constant velocity|/ CV, ADE|/ CV, FDE|turn|acceleration|best of 20|\
+     20 anchors|/ anchors, ADE|/ anchors, FDE|missed|area m²|CV area m²|NLL|regret|network|learned";
+const BY_SPEED: &str = "forecasts|single best|constant velocity|/ CV, ADE|/ CV, FDE|turn|best of 20|20 anchors|\
+     / anchors, ADE|/ anchors, FDE|missed|held 90 %|area m²|CV area m²";
+const MOVING: &str = "subset|forecasts|single best|constant velocity|/ CV, ADE|/ CV, FDE|best of 20";
+
 /// The subsets of the moving vehicles that contain a forecast.
 pub(crate) fn subsets_of(sample: &Sample) -> impl Iterator<Item = &'static str> {
     let moves = sample.agent_type == AgentType::Vehicle && sample.speed_mps >= MOVES_MPS;
@@ -53,16 +82,10 @@ const HELD_SETTLED: [f64; 2] = [0.88, 0.92];
 const HELD_AT_FIRST: [f64; 2] = [0.8, 0.97];
 
 /// The published forecasts and their baselines, by source, type and speed.
-#[derive(Debug)]
 pub struct Report {
     sources: Vec<(Source, Played)>,
     made: String,
-}
-
-impl std::fmt::Debug for Played {
-    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(formatter, "{} forecasts in {:.0} s", self.samples.len(), self.seconds)
-    }
+    mark: String,
 }
 
 impl Report {
@@ -72,26 +95,24 @@ impl Report {
         options: &Options,
         model: &ModelConfig,
     ) -> Self {
-        let weights = options.weights.as_ref().map_or("the embedded weights".to_owned(), |path| {
+        let weights = options.weights.file.as_ref().map_or("the embedded weights".to_owned(), |path| {
             path.file_name().unwrap_or_default().to_string_lossy().into_owned()
         });
-        let map = if options.map { "online map" } else { "no map" };
+        let map = if options.map == MapChoice::None { "no map" } else { "online map" };
         let evidence = if options.evidence { "with evidence" } else { "without evidence" };
-        let lanes = if options.lanes.is_some() { ", lanes of the recordings' maps" } else { "" };
-        let precision = match options.precision {
+        let lanes = if options.lanes { ", lanes of the recordings' maps" } else { "" };
+        let precision = match options.weights.precision {
             Precision::F32 => String::new(),
             other => format!(", decoder in {other}"),
         };
-        let noise = match options.noise.is_none() {
-            true => String::new(),
-            false => format!(", detections with{}", options.noise.arguments()),
-        };
-        let horizon_s = model.horizon_len as f64 * model.dt_s;
+        let (noise, horizon_s) = (options.noise.label(), model.horizon_len as f64 * model.dt_s);
         let made = format!(
             "Played through the online pipeline: {weights}, {map}{lanes}, {evidence}{precision}{noise}; horizon {horizon_s:.1} s, a forecast of each agent \
              every 0.4 s."
         );
-        Self { sources: sources.into_iter().zip(played).collect(), made }
+        let lanes = if options.lanes { " --lanes" } else { "" };
+        let mark = format!("evaluate driving{lanes}{}", options.noise.arguments());
+        Self { sources: sources.into_iter().zip(played).collect(), made, mark }
     }
 
     /// All samples of a source and type; cells with fewer than [`CELL_MIN`] are left out.
@@ -106,9 +127,10 @@ impl Report {
         })
     }
 
-    /// The main tables as Markdown.
-    pub fn summary(&self) -> String {
-        [
+    /// The report in all its forms.
+    #[must_use]
+    pub fn page(&self) -> Page {
+        let summary = [
             self.by_source(),
             self.moving(),
             self.conflicts(),
@@ -116,49 +138,20 @@ impl Report {
             self.out_of_distribution(),
             self.first_seconds(),
         ]
-        .join("\n\n")
-    }
-
-    /// All tables as Markdown.
-    pub fn markdown(&self) -> String {
-        [self.summary(), self.by_speed()].join("\n\n")
+        .join("\n\n");
+        let markdown = [&summary[..], &self.by_speed()].join("\n\n");
+        Page { summary, ..Page::new("driving", &self.mark, markdown, self.csv(), self.json()) }
     }
 
     fn by_source(&self) -> String {
-        let columns =
-            "forecasts|single best|constant velocity|/ CV, ADE|/ CV, FDE|turn|acceleration|best of 20|\
-             20 anchors|/ anchors, ADE|/ anchors, FDE|missed|area m²|CV area m²|NLL|regret|network|\
-             learned"
-                .split('|');
-        let mut table = Table::new("", "", &["source", "type"], columns.map(str::to_owned));
-        let mut ratios: BTreeMap<AgentType, Vec<[f64; 2]>> = BTreeMap::new();
-        for (source, agent_type, samples) in self.cells() {
-            let cell = Cell { samples: &samples };
-            let ratio = cell.ratios(Method::Best, Method::ConstantVelocity);
-            if let [Some(ade), Some(fde)] = &ratio {
-                ratios.entry(agent_type).or_default().push([ade.mean, fde.mean]);
-            }
-            let mut row = vec![source.name.clone(), agent_type.name().to_owned(), samples.len().to_string()];
-            row.push(cell.text(Method::Best));
-            row.push(cell.text(Method::ConstantVelocity));
-            row.extend(ratio.iter().map(interval));
-            row.extend(
-                [Method::DecayingTurn, Method::DecayingAcceleration, Method::BestOf, Method::Anchors]
-                    .map(|method| cell.text(method)),
-            );
-            row.extend(cell.ratios(Method::BestOf, Method::Anchors).iter().map(interval));
-            row.push(format!("{:.2}", cell.share(|sample| sample.missed)));
-            row.extend(cell.areas_m2().map(|area_m2| format!("{area_m2:.0}")));
-            row.push(format!("{:.2}", cell.mean(|sample| sample.nll)));
-            row.push(format!("{:.2}", cell.regret()));
-            row.push(format!("{:.2}", cell.mean(|sample| f64::from(sample.network))));
-            row.push(format!("{:.2}", cell.share(|sample| sample.learned)));
-            table.push_row(row);
-        }
-        let means = ratios.iter().map(|(agent_type, ratios)| {
-            let [ade, fde] =
-                [0, 1].map(|i| ratios.iter().map(|ratio| ratio[i]).sum::<f64>() / ratios.len() as f64);
-            format!("{} {ade:.3} / {fde:.3}", agent_type.name())
+        let rows = self.cells().map(|(source, agent_type, samples)| {
+            (vec![source.name.clone(), agent_type.name().to_owned()], samples)
+        });
+        let table = table(&["source", "type"], BY_SOURCE, rows);
+        let means = wire::AGENT_TYPES.into_iter().filter_map(|agent_type| {
+            let of_type = self.cells().filter(|(_, of, _)| *of == agent_type);
+            let [ade, fde] = mean_ratios(of_type.map(|(.., samples)| samples));
+            (!ade.is_nan()).then(|| format!("{} {ade:.3} / {fde:.3}", agent_type.name()))
         });
         let means: Vec<String> = means.collect();
         format!(
@@ -166,91 +159,46 @@ impl Report {
              20 anchors on constant velocity are fitted to the other sources; regret is the single best forecast's error over that \
              of the best of constant velocity, turn and acceleration in hindsight; area is that of the highest-density region of 90 % at the end, \
              CV area that of a Gaussian about constant velocity, fitted in hindsight to the same forecasts of each speed, \
-             that holds as many of their truths.\n\n{}\n\
+             that holds as many of their truths.\n\n{table}\n\
              Mean over the sources of the ratio of ADE / FDE: {}.",
             self.made,
-            table.grid(),
             means.join(", ")
         )
     }
 
     fn by_speed(&self) -> String {
-        let columns =
-            "forecasts|single best|constant velocity|/ CV, ADE|/ CV, FDE|turn|best of 20|20 anchors|\
-             / anchors, ADE|/ anchors, FDE|missed|held 90 %|area m²|CV area m²"
-                .split('|');
-        let mut table = Table::new("", "", &["source", "type", "m/s"], columns.map(str::to_owned));
-        for (source, agent_type, samples) in self.cells() {
-            for (band, name) in BAND_NAMES.iter().enumerate() {
-                let of_band: Vec<&Sample> = samples.iter().copied().filter(|s| band_of(s) == band).collect();
-                if of_band.len() < CELL_MIN {
-                    continue;
-                }
-                let cell = Cell { samples: &of_band };
-                let mut row = vec![
-                    source.name.clone(),
-                    agent_type.name().to_owned(),
-                    (*name).to_owned(),
-                    of_band.len().to_string(),
-                ];
-                row.extend([Method::Best, Method::ConstantVelocity].map(|method| cell.text(method)));
-                row.extend(cell.ratios(Method::Best, Method::ConstantVelocity).iter().map(interval));
-                row.extend(
-                    [Method::DecayingTurn, Method::BestOf, Method::Anchors].map(|method| cell.text(method)),
-                );
-                row.extend(cell.ratios(Method::BestOf, Method::Anchors).iter().map(interval));
-                row.push(format!("{:.2}", cell.share(|sample| sample.missed)));
-                row.push(interval(&cell.held_with_interval(LEVEL, STEPS.len() - 1)));
-                row.extend(cell.areas_m2().map(|area_m2| format!("{area_m2:.0}")));
-                table.push_row(row);
-            }
-        }
-        format!("## By speed\n\n{}", table.grid())
+        let bands = self.cells().flat_map(|(source, agent_type, samples)| {
+            BAND_NAMES.iter().enumerate().map(move |(band, name)| {
+                let of_band = samples.iter().copied().filter(|sample| band_of(sample) == band).collect();
+                let names = [&source.name, agent_type.name(), name].map(str::to_owned);
+                (names.to_vec(), of_band)
+            })
+        });
+        let rows = bands.filter(|(_, of_band): &(_, Vec<&Sample>)| of_band.len() >= CELL_MIN);
+        format!("## By speed\n\n{}", table(&["source", "type", "m/s"], BY_SPEED, rows))
     }
 
     /// Moving vehicles, with subsets that need a road or a leader.
     fn moving(&self) -> String {
-        let columns = [
-            "subset",
-            "forecasts",
-            "single best",
-            "constant velocity",
-            "/ CV, ADE",
-            "/ CV, FDE",
-            "best of 20",
-        ];
-        let mut table = Table::new("", "", &["source"], columns.map(str::to_owned).into_iter());
-        let mut ratios: Vec<[f64; 2]> = Vec::new();
-        for (source, agent_type, mut samples) in self.cells() {
-            samples.retain(|sample| sample.speed_mps >= MOVES_MPS);
-            if agent_type != AgentType::Vehicle || samples.len() < CELL_MIN {
-                continue;
-            }
-            for (number, (name, is_in)) in SUBSETS.iter().enumerate() {
-                let subset: Vec<&Sample> = samples.iter().copied().filter(|sample| is_in(sample)).collect();
-                if subset.len() < CELL_MIN / 4 {
-                    continue;
-                }
-                let cell = Cell { samples: &subset };
-                let ratio = cell.ratios(Method::Best, Method::ConstantVelocity);
-                if let (0, [Some(ade), Some(fde)]) = (number, &ratio) {
-                    ratios.push([ade.mean, fde.mean]);
-                }
-                let mut row = vec![source.name.clone(), (*name).to_owned(), subset.len().to_string()];
-                row.extend([Method::Best, Method::ConstantVelocity].map(|method| cell.text(method)));
-                row.extend(ratio.iter().map(interval));
-                row.push(cell.text(Method::BestOf));
-                table.push_row(row);
-            }
-        }
-        let mean = |i: usize| ratios.iter().map(|ratio| ratio[i]).sum::<f64>() / ratios.len() as f64;
+        let moving = || {
+            self.cells().filter_map(|(source, agent_type, mut samples)| {
+                samples.retain(|sample| sample.speed_mps >= MOVES_MPS);
+                (agent_type == AgentType::Vehicle && samples.len() >= CELL_MIN).then_some((source, samples))
+            })
+        };
+        let subsets = moving().flat_map(|(source, samples)| {
+            SUBSETS.iter().map(move |(name, is_in)| {
+                let subset = samples.iter().copied().filter(|sample| is_in(sample)).collect();
+                (vec![source.name.clone(), (*name).to_owned()], subset)
+            })
+        });
+        let rows = subsets.filter(|(_, subset): &(_, Vec<&Sample>)| subset.len() >= CELL_MIN / 4);
+        let table = table(&["source"], MOVING, rows);
+        let [ade, fde] = mean_ratios(moving().map(|(_, samples)| samples));
         format!(
             "## Moving vehicles\n\nVehicles that drive at {MOVES_MPS} m/s or more. *Turning* vehicles end more than \
              {TURNING_M} m beside the line of constant velocity. A vehicle has a *leader* if another agent is on its way \
-             within 2 s and 20 m.\n\n{}\nMean over the sources of the ratio of ADE / FDE: {:.3} / {:.3}.",
-            table.grid(),
-            mean(0),
-            mean(1)
+             within 2 s and 20 m.\n\n{table}\nMean over the sources of the ratio of ADE / FDE: {ade:.3} / {fde:.3}.",
         )
     }
 
@@ -314,7 +262,7 @@ impl Report {
                 row.extend((0..STEPS.len()).map(|step| format!("{:.2}", cell.held(0.5, step))));
                 let held = (0..STEPS.len()).map(|step| cell.held_with_interval(LEVEL, step));
                 let held: Vec<Option<Interval>> = held.collect();
-                row.extend(held.iter().map(interval));
+                row.extend(held.iter().copied().map(interval));
                 table.push_row(row);
                 of_parts[usize::from(settled)].extend(held.into_iter().flatten());
             }
@@ -393,7 +341,7 @@ impl Report {
     }
 
     /// One line per source, type and method.
-    pub fn csv(&self) -> String {
+    fn csv(&self) -> String {
         let mut text = String::from("source,type,method,forecasts,ade_m,fde_m\n");
         for (source, agent_type, samples) in self.cells() {
             for method in METHODS {
@@ -406,7 +354,7 @@ impl Report {
     }
 
     /// Errors by source, type and method.
-    pub fn json(&self) -> serde_json::Value {
+    fn json(&self) -> serde_json::Value {
         let cells = self.cells().map(|(source, agent_type, samples)| {
             let cell = Cell { samples: &samples };
             let errors = METHODS.map(|method| {
@@ -415,7 +363,6 @@ impl Report {
             });
             let held = [0.5, 0.9]
                 .map(|level| (0..STEPS.len()).map(|step| cell.held(level, step)).collect::<Vec<f64>>());
-            let [area_m2, steady_area_m2] = cell.areas_m2();
             json!({
                 "source": source.name,
                 "type": agent_type.name(),
@@ -423,8 +370,8 @@ impl Report {
                 "errors": errors.into_iter().collect::<serde_json::Map<_, _>>(),
                 "held_50": held[0],
                 "held_90": held[1],
-                "area_90_m2": area_m2,
-                "constant_velocity_area_90_m2": steady_area_m2,
+                "area_90_m2": cell.area_m2(),
+                "constant_velocity_area_90_m2": cell.steady_area_m2(),
             })
         });
         json!({ "made": self.made, "cells": cells.collect::<Vec<_>>() })
@@ -457,6 +404,37 @@ impl Report {
         }
         priors
     }
+}
+
+/// A table with a row per cell. A row has its names, and a cell per column of [`FIGURES`].
+fn table<'a>(
+    names: &[&str],
+    columns: &str,
+    rows: impl Iterator<Item = (Vec<String>, Vec<&'a Sample>)>,
+) -> String {
+    let named = |name: &str| FIGURES.into_iter().find(|(of, _)| *of == name);
+    let figures: Vec<Figure> = columns.split('|').filter_map(named).collect();
+    let mut table = Table::new("", "", names, columns.split('|').map(str::to_owned));
+    for (mut row, samples) in rows {
+        row.extend(figures.iter().map(|(_, figure)| figure(&Cell { samples: &samples })));
+        table.push_row(row);
+    }
+    table.grid()
+}
+
+/// Mean of the cells' ratios of ADE and of FDE to constant velocity; NaN without a cell.
+fn mean_ratios<'a>(cells: impl Iterator<Item = Vec<&'a Sample>>) -> [f64; 2] {
+    let ratios = cells.filter_map(|samples| {
+        let cell = Cell { samples: &samples };
+        let to_steady = |of| Some(cell.ratio(Method::Best, Method::ConstantVelocity, of)?.mean);
+        Some([to_steady(ADE)?, to_steady(FDE)?])
+    });
+    let ratios: Vec<[f64; 2]> = ratios.collect();
+    [0, 1].map(|of| ratios.iter().map(|ratio| ratio[of]).sum::<f64>() / ratios.len() as f64)
+}
+
+fn interval(figure: Option<Interval>) -> String {
+    text_of_interval(figure, 2)
 }
 
 /// Reports the number of shares within the bounds, and the number of other shares whose interval reaches the

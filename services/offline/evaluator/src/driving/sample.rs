@@ -2,21 +2,19 @@
 
 use std::collections::BTreeMap;
 
-use data::RecordedTrack;
 use evidence::{KNOTS, MotionNow};
-use metrics::{Anchors, Errors, HighestDensity, displacement, min_displacement};
+use metrics::{Anchors, Errors, HighestDensity, Point, displacement, min_displacement};
 use scene::{AgentType, State};
 use wire::{Expert, Forecast, MODES_MAX, Quality};
 
-use crate::driving::gaussian::Gaussian;
+use super::gaussian::Gaussian;
 use crate::lines::Candidate;
+use crate::playback::{Truth, type_of};
 
 /// Steps at which coverage is evaluated: 0.4, 1.2, 2.4 s and the last.
 pub(crate) const STEPS: [usize; 4] = [0, 2, 5, 11];
 /// The forecast misses if its final position is farther away than this.
 const MISS_M: f64 = 2.0;
-/// Longest gap between two frames over which the truth is interpolated, ns.
-pub(crate) const GAP_NS: i64 = 1_000_000_000;
 /// Level of the region whose area is reported.
 pub(crate) const LEVEL: f64 = 0.9;
 const SEED: u64 = 1;
@@ -98,7 +96,7 @@ pub(crate) struct Judge<'a> {
 pub(crate) struct Judged {
     pub(crate) sample: Sample,
     /// Position at each step.
-    pub(crate) truth_m: Vec<Option<[f32; 2]>>,
+    pub(crate) truth_m: Vec<Option<Point>>,
     /// The forecasts of the baselines by name.
     pub(crate) baselines: [(&'static str, Candidate); 4],
 }
@@ -137,26 +135,22 @@ impl Sample {
 
 impl Judge<'_> {
     /// The positions of an agent over the horizon; `None` if the recording does not have all of them.
-    pub(crate) fn truth(&self, stamp_ns: i64, track: &RecordedTrack) -> Option<Vec<[f32; 2]>> {
-        let step_ns = f64::from(self.dt_s) * 1e9;
-        let truth = (1..=self.horizon_len).map(|step| {
-            let at_ns = stamp_ns + (step as f64 * step_ns).round() as i64;
-            Some(track.state_at(at_ns, i64::MAX, GAP_NS)?.position_m)
-        });
-        truth.collect()
+    pub(crate) fn truth(&self, truth: &Truth, stamp_ns: i64, agent: u64) -> Option<Vec<Option<Point>>> {
+        truth.ahead(agent, stamp_ns, f64::from(self.dt_s) * 1e9, self.horizon_len)
     }
 
     /// The sample of a forecast; `None` if the recording does not have the agent for the whole horizon.
     pub(crate) fn judge(
         &mut self,
+        truth: &Truth,
         stamp_ns: i64,
         forecast: &Forecast,
         before: Option<([f32; 2], f32)>,
-        track: &RecordedTrack,
+        agent: u64,
     ) -> Option<Judged> {
         let len = self.horizon_len;
-        let truth: Vec<Option<[f32; 2]>> = self.truth(stamp_ns, track)?.into_iter().map(Some).collect();
-        let agent_type = AgentType::try_from(forecast.agent_type).ok()?;
+        let truth = self.truth(truth, stamp_ns, agent)?;
+        let agent_type = type_of(forecast)?;
         let now = MotionNow::since([forecast.x_m, forecast.y_m], [forecast.vx_mps, forecast.vy_mps], before);
         let path = |of: &dyn Fn(&mut [[f32; 2]])| {
             let mut path = vec![[0.0; 2]; len];
@@ -185,15 +179,7 @@ impl Judge<'_> {
                 Method::Anchors => min_displacement(&anchors, &truth),
             })
         });
-        let [cos, sin] = now.course(forecast.heading_rad);
-        let beyond_m = |step: usize, middle_m: [f32; 2]| {
-            let truth = truth[step].unwrap_or_default();
-            let [x, y] = [0, 1].map(|axis| truth[axis] - middle_m[axis]);
-            [x * cos + y * sin, y * cos - x * sin]
-        };
-        let residuals_m = evidence::knots(len).map(|step| {
-            beyond_m(step, [0, 1].map(|axis| 0.5 * (steady[step][axis] + forecast.best[step][axis])))
-        });
+        let course = now.course(forecast.heading_rad);
         let probability = &forecast.probability[..modes_len];
         let levels = STEPS.map(|step| {
             let step = step.min(len - 1);
@@ -205,7 +191,7 @@ impl Judge<'_> {
         let (means, covariances) = at_step(forecast, last);
         let end = truth[last].unwrap_or_default();
         let sample = Sample {
-            agent: track.id,
+            agent,
             agent_type,
             speed_mps: now.speed_mps(),
             recording_s: 0.0,
@@ -220,13 +206,13 @@ impl Judge<'_> {
                 LEVEL,
                 SEED,
             ),
-            nll: nll(&means[..modes_len], &covariances[..modes_len], probability, end),
+            nll: nll_at(forecast, last, end),
             missed: errors[0].fde_m > MISS_M,
             learned: forecast.quality == Quality::Learned as u32,
             network: forecast.expert_weights[Expert::Network as usize],
             out_of_distribution: forecast.out_of_distribution,
-            beyond_steady_m: beyond_m(last, steady[last]),
-            residuals_m,
+            beyond_steady_m: beyond_m(course, end, steady[last]),
+            residuals_m: residuals_m(course, &truth, &steady, forecast),
         };
         let single = |single| Candidate { single: Some(single), ..Candidate::default() };
         let baselines = [
@@ -240,12 +226,39 @@ impl Judge<'_> {
 }
 
 /// Means and covariances of all modes at a step.
-fn at_step(forecast: &Forecast, step: usize) -> ([[f32; 2]; MODES_MAX], [[f32; 3]; MODES_MAX]) {
+pub(crate) fn at_step(forecast: &Forecast, step: usize) -> ([Point; MODES_MAX], [[f32; 3]; MODES_MAX]) {
     (forecast.modes.map(|mode| mode[step]), forecast.mode_covariance.map(|mode| mode[step]))
 }
 
+/// The offset of a position from another one, along and across a course with this cosine and sine.
+fn beyond_m([cos, sin]: [f32; 2], truth_m: Point, from_m: Point) -> [f32; 2] {
+    let [x, y] = [0, 1].map(|axis| truth_m[axis] - from_m[axis]);
+    [x * cos + y * sin, y * cos - x * sin]
+}
+
+/// Residuals of the truth to the mean of constant velocity and the single best forecast, at the knots of a
+/// [fan](evidence::knots), along and across the course.
+pub(crate) fn residuals_m(
+    course: [f32; 2],
+    truth_m: &[Option<Point>],
+    steady_m: &[Point],
+    forecast: &Forecast,
+) -> [[f32; 2]; KNOTS] {
+    evidence::knots(truth_m.len()).map(|step| {
+        let middle_m = [0, 1].map(|axis| 0.5 * (steady_m[step][axis] + forecast.best[step][axis]));
+        beyond_m(course, truth_m[step].unwrap_or_default(), middle_m)
+    })
+}
+
+/// Negative log density of the modes of a forecast at a step.
+pub(crate) fn nll_at(forecast: &Forecast, step: usize, truth: Point) -> f64 {
+    let modes_len = (forecast.modes_len as usize).min(MODES_MAX);
+    let (means, covariances) = at_step(forecast, step);
+    nll(&means[..modes_len], &covariances[..modes_len], &forecast.probability[..modes_len], truth)
+}
+
 /// Negative log density of a mixture. The variance of each mode is at least (1 cm)².
-pub(crate) fn nll(means: &[[f32; 2]], covariances: &[[f32; 3]], probability: &[f32], truth: [f32; 2]) -> f64 {
+fn nll(means: &[[f32; 2]], covariances: &[[f32; 3]], probability: &[f32], truth: [f32; 2]) -> f64 {
     let parts = means.iter().zip(covariances).zip(probability).map(|((mean, covariance), p)| {
         let gaussian = Gaussian::new(mean.map(f64::from), covariance.map(f64::from));
         let spread = 0.5 * gaussian.determinant().ln() + std::f64::consts::TAU.ln();

@@ -4,11 +4,16 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use data::Recording;
+use evidence::{Prior, Priors};
 use metrics::{Anchors, Window};
 use nn::ModelConfig;
+use onboard::Chain;
+use run::{Run, StageRun};
 use scene::AgentType;
 
-use crate::driving::{DrivingError, Options};
+use crate::error::EvaluateError;
+use crate::footage::{MapChoice, Options};
+use crate::playback::Playing;
 use crate::scenes::{Agent, Cut};
 
 /// Sources with fast roads, which are also played at twice their scale.
@@ -36,8 +41,8 @@ pub struct Source {
 /// sources that it names.
 ///
 /// # Errors
-/// [`DrivingError`] if the folder can't be listed or has no source of a given name.
-pub fn sources(folder: &Path, named: &[String]) -> Result<Vec<Source>, DrivingError> {
+/// [`EvaluateError`] if the folder can't be listed or has no source of a given name.
+pub fn sources(folder: &Path, named: &[String]) -> Result<Vec<Source>, EvaluateError> {
     let mut all = Vec::new();
     for folder in list(folder)?.into_iter().filter(|path| path.is_dir()) {
         let name = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
@@ -61,14 +66,14 @@ pub fn sources(folder: &Path, named: &[String]) -> Result<Vec<Source>, DrivingEr
     }
     let known: Vec<&str> = all.iter().map(|source| &*source.name).collect();
     if let Some(name) = named.iter().find(|name| !known.contains(&&***name)) {
-        return Err(DrivingError::UnknownSource { name: name.clone(), known: known.join(", ") });
+        return Err(EvaluateError::UnknownSource { name: name.clone(), known: known.join(", ") });
     }
     all.retain(|source| named.contains(&source.name));
     Ok(all)
 }
 
-fn list(folder: &Path) -> Result<Vec<PathBuf>, DrivingError> {
-    let failed = |source| DrivingError::Folder { path: folder.to_owned(), source };
+fn list(folder: &Path) -> Result<Vec<PathBuf>, EvaluateError> {
+    let failed = |source| EvaluateError::Folder { path: folder.to_owned(), source };
     let entries = std::fs::read_dir(folder).map_err(failed)?;
     let mut paths = entries.map(|entry| Ok(entry?.path())).collect::<Result<Vec<_>, _>>().map_err(failed)?;
     paths.sort();
@@ -82,7 +87,7 @@ impl Source {
     }
 
     /// Opens a recording at the source's scale.
-    pub(crate) fn open(&self, path: &Path) -> Result<Recording, DrivingError> {
+    pub(crate) fn open(&self, path: &Path) -> Result<Recording, EvaluateError> {
         let mut recording = data::open(path, None)?;
         if self.scale != 1.0 {
             for frame in &mut recording.frames {
@@ -98,13 +103,43 @@ impl Source {
 
     /// The map of a recording's lanes, if there is one. At another scale there is none.
     pub(crate) fn lanes_of(&self, path: &Path, options: &Options) -> Option<PathBuf> {
-        let folder = options.lanes.as_ref().filter(|_| self.scale == 1.0)?;
+        let is_along = options.lanes && self.scale == 1.0;
+        let folder = is_along.then(|| options.data.join("driving_maps"))?;
         let map = folder.join(self.folder_name()).join(path.file_stem()?).with_added_extension("osm");
         map.exists().then_some(map)
     }
 
+    /// Plays the recordings as one run: each has new tracks, a new map and a new retrieval memory, and the sampler
+    /// keeps its evidence. `each` gets the number, the file and the playback of a recording, and plays it. Returns
+    /// the stages after the last recording.
+    pub(crate) fn play(
+        &self,
+        options: &Options,
+        model: &ModelConfig,
+        mut each: impl FnMut(usize, &Path, &mut Playing) -> Result<(), EvaluateError>,
+    ) -> Result<Option<Chain>, EvaluateError> {
+        let mut before: Option<Chain> = None;
+        for (number, path) in self.files.iter().enumerate() {
+            let recording = self.open(path)?;
+            let mut playing = Playing::new(&recording, &options.noise, |interval_ns| {
+                let run = run(interval_ns, options, self.lanes_of(path, options))?;
+                Ok::<_, EvaluateError>(Chain::new(&run, model)?)
+            })?;
+            match before.take() {
+                Some(before) => playing.chain.continue_from(before),
+                None if options.priors => {
+                    playing.chain.expect(Priors::shipped().without(&self.folder_name()));
+                }
+                None => playing.chain.expect(Prior::default()),
+            }
+            each(number, path, &mut playing)?;
+            before = Some(playing.chain);
+        }
+        Ok(before)
+    }
+
     /// Complete agents of the source's windows, at most [`WINDOWS_MAX`] per type, spread evenly.
-    pub(crate) fn windows(&self, model: &ModelConfig) -> Result<Vec<Agent>, DrivingError> {
+    pub(crate) fn windows(&self, model: &ModelConfig) -> Result<Vec<Agent>, EvaluateError> {
         let mut of_type: BTreeMap<AgentType, Vec<Agent>> = BTreeMap::new();
         for path in &self.files {
             for scene in Cut::of(model).scenes(&self.open(path)?) {
@@ -138,4 +173,26 @@ pub(crate) fn anchors<'a>(
         Anchors::fit(&windows, model.dt_s as f32, model.horizon_len, cuts_mps, SEED)
     };
     wire::AGENT_TYPES.into_iter().filter_map(|agent_type| Some((agent_type, fit(agent_type)?))).collect()
+}
+
+/// The run of detections that are `interval_ns` apart, along the lanes of a map, if there is one.
+pub(crate) fn run(interval_ns: u64, options: &Options, lanes: Option<PathBuf>) -> Result<Run, EvaluateError> {
+    let sampler = sampler::Options { evidence: options.evidence, lanes, ..sampler::Options::default() };
+    let decoder = decoder::Options { precision: options.weights.precision, ..decoder::Options::default() };
+    let map = if options.map == MapChoice::None {
+        localiser::MapChoice::None
+    } else {
+        localiser::MapChoice::Online
+    };
+    Ok(Run {
+        interval_ns,
+        lockstep: true,
+        weights: options.weights.file.clone(),
+        stages: vec![
+            StageRun::with_options(&sampler::STAGE, &sampler)?,
+            StageRun::with_options(&decoder::STAGE, &decoder)?,
+            StageRun::with_options(&localiser::STAGE, &localiser::Options { map })?,
+        ],
+        ..Run::default()
+    })
 }

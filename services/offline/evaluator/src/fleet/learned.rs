@@ -8,11 +8,10 @@ use nn::ModelConfig;
 use run::Run;
 use scene::AgentType;
 
-use crate::driving::{DrivingError, Residual, Residuals, patterns};
+use crate::driving::{EVERY_NS, Residual, Residuals, patterns};
+use crate::error::EvaluateError;
 use crate::fleet::{Outcome, outcomes};
 
-/// Time between two forecasts of an agent that contribute.
-const EVERY_NS: i64 = 400_000_000;
 /// Maximum number of residuals of a recording per type and speed.
 const RESIDUALS_MAX: usize = 60;
 
@@ -27,8 +26,8 @@ pub struct Learned {
 /// Plays a recording from empty evidence, so that its result depends on nothing else.
 ///
 /// # Errors
-/// [`DrivingError`] if the stages can't be set up.
-pub fn learn(recording: Recording, run: &Run, model: &ModelConfig) -> Result<Learned, DrivingError> {
+/// [`EvaluateError`] if the stages can't be set up.
+pub fn learn(recording: Recording, run: &Run, model: &ModelConfig) -> Result<Learned, EvaluateError> {
     let (outcomes, prior) = outcomes(recording, run, model, Some(Prior::default()))?;
     Ok(Learned { prior: prior.unwrap_or_default(), residuals: residuals(&outcomes.rows) })
 }

@@ -1,19 +1,18 @@
 //! Every forecast of a recording beside what its agent then did: a row for each agent and tick.
 
-use std::collections::BTreeMap;
-
-use data::{RecordedTrack, Recording};
+use data::Recording;
 use evidence::{KNOTS, MotionNow, Prior};
 use metrics::{Errors, displacement, min_displacement};
 use nn::ModelConfig;
 use onboard::Chain;
 use run::Run;
 use scene::AgentType;
-use source::{Playback, PlaybackOptions};
 use wire::{Forecast, Header, MODES_MAX};
 
-use crate::driving::{DrivingError, GAP_NS, LEARNED_MIN, nll};
+use crate::driving::{LEARNED_MIN, nll_at, residuals_m};
+use crate::error::EvaluateError;
 use crate::fleet::footprint::{Contact, Footprint, contacts};
+use crate::playback::{Truth, playback, type_of};
 
 /// Contacts after more than this time are left out.
 const CONTACT_S: f32 = 3.0;
@@ -68,7 +67,7 @@ pub struct OutcomeErrors {
 /// The forecasts of a recording beside its motion.
 #[derive(Debug)]
 pub struct Outcomes {
-    tracks: BTreeMap<u64, RecordedTrack>,
+    truth: Truth,
     /// In the order of ticks.
     pub rows: Vec<Outcome>,
 }
@@ -77,8 +76,7 @@ impl Outcomes {
     /// Without a forecast yet.
     #[must_use]
     pub fn of(recording: &Recording) -> Self {
-        let tracks = data::tracks(recording).into_iter().map(|track| (track.id, track)).collect();
-        Self { tracks, rows: Vec::new() }
+        Self { truth: Truth::of(recording), rows: Vec::new() }
     }
 
     /// Adds the forecasts of a tick.
@@ -90,7 +88,7 @@ impl Outcomes {
         let mut contacts = contacts(&present, CONTACT_S, do_touch).into_iter();
         for (forecast, agent) in forecasts.iter().zip(agents) {
             let contact = agent.and_then(|_| contacts.next().flatten());
-            let Ok(agent_type) = AgentType::try_from(forecast.agent_type) else { continue };
+            let Some(agent_type) = type_of(forecast) else { continue };
             let horizon_len = header.counts.horizon_len as usize;
             self.rows.push(Outcome {
                 seq: header.seq,
@@ -119,9 +117,8 @@ impl Outcomes {
     }
 
     fn footprint(&self, stamp_ns: i64, agent: u64) -> Option<Footprint> {
-        let track = self.tracks.get(&agent)?;
-        let state = track.state_at(stamp_ns, i64::MAX, GAP_NS)?;
-        let reported = track.reported_at(stamp_ns);
+        let state = self.truth.state(agent, stamp_ns)?;
+        let reported = self.truth.track(agent)?.reported_at(stamp_ns);
         let own_m = [reported.length_m, reported.width_m];
         let is_known = own_m.iter().all(|size_m| *size_m > 0.0);
         Some(Footprint {
@@ -135,39 +132,20 @@ impl Outcomes {
     }
 
     fn errors(&self, header: &Header, forecast: &Forecast) -> Option<OutcomeErrors> {
-        let track = self.tracks.get(&forecast.source_id)?;
         let len = (header.counts.horizon_len as usize).min(forecast.best.len());
-        let step_ns = header.step_ns.cast_signed();
-        let truth = (1..=len as i64).map(|step| {
-            let at_ns = header.stamp_ns.checked_add(step.checked_mul(step_ns)?)?;
-            Some(track.state_at(at_ns, i64::MAX, GAP_NS)?.position_m)
-        });
-        let truth: Vec<[f32; 2]> = truth.collect::<Option<_>>().filter(|truth: &Vec<_>| !truth.is_empty())?;
-        let optional: Vec<Option<[f32; 2]>> = truth.iter().copied().map(Some).collect();
+        let step_ns = header.step_ns.cast_signed() as f64;
+        let truth = self.truth.ahead(forecast.source_id, header.stamp_ns, step_ns, len)?;
+        let end = (*truth.last()?)?;
         let now = MotionNow::since([forecast.x_m, forecast.y_m], [forecast.vx_mps, forecast.vy_mps], None);
         let mut steady = vec![[0.0; 2]; len];
-        now.steady((step_ns as f64 * 1e-9) as f32, &mut steady);
-        let modes_len = (forecast.modes_len as usize).min(MODES_MAX);
-        let modes = &forecast.modes[..modes_len];
-        let end = len - 1;
-        let at_end = (forecast.modes.map(|mode| mode[end]), forecast.mode_covariance.map(|mode| mode[end]));
-        let [cos, sin] = now.course(forecast.heading_rad);
-        let residuals_m = evidence::knots(len).map(|step| {
-            let [x, y] =
-                [0, 1].map(|axis| truth[step][axis] - 0.5 * (steady[step][axis] + forecast.best[step][axis]));
-            [x * cos + y * sin, y * cos - x * sin]
-        });
+        now.steady((step_ns * 1e-9) as f32, &mut steady);
+        let modes = &forecast.modes[..(forecast.modes_len as usize).min(MODES_MAX)];
         Some(OutcomeErrors {
-            best: Errors::of(displacement(&forecast.best[..len], &optional)),
-            best_of: Errors::of(min_displacement(modes, &optional)),
-            steady: Errors::of(displacement(&steady, &optional)),
-            nll: nll(
-                &at_end.0[..modes_len],
-                &at_end.1[..modes_len],
-                &forecast.probability[..modes_len],
-                truth[end],
-            ),
-            residuals_m,
+            best: Errors::of(displacement(&forecast.best[..len], &truth)),
+            best_of: Errors::of(min_displacement(modes, &truth)),
+            steady: Errors::of(displacement(&steady, &truth)),
+            nll: nll_at(forecast, len - 1, end),
+            residuals_m: residuals_m(now.course(forecast.heading_rad), &truth, &steady, forecast),
         })
     }
 }
@@ -176,16 +154,15 @@ impl Outcomes {
 /// from it. Returns the outcomes, and the sampler's evidence as a prior for others.
 ///
 /// # Errors
-/// [`DrivingError`] if the stages can't be set up.
+/// [`EvaluateError`] if the stages can't be set up.
 pub fn outcomes(
     recording: Recording,
     run: &Run,
     model: &ModelConfig,
     prior: Option<Prior>,
-) -> Result<(Outcomes, Option<Prior>), DrivingError> {
+) -> Result<(Outcomes, Option<Prior>), EvaluateError> {
     let mut outcomes = Outcomes::of(&recording);
-    let playing = PlaybackOptions { lockstep: true, ..PlaybackOptions::default() };
-    let mut playback = Playback::new(recording, playing);
+    let mut playback = playback(recording);
     let run = Run { interval_ns: playback.interval_ns(), ..run.clone() };
     let mut chain = Chain::new(&run, model)?;
     if let Some(prior) = prior {

@@ -12,7 +12,7 @@ use crate::forecaster::Forecaster;
 pub const EMBEDDED: &str = "onboard";
 
 /// Selects weights.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct WeightsChoice {
     /// One weights file for all recipes.
     pub file: Option<PathBuf>,
@@ -63,6 +63,15 @@ pub struct Provenance {
 }
 
 impl WeightsChoice {
+    /// The weights of `file`, or the embedded ones.
+    ///
+    /// # Errors
+    /// [`EvaluateError::Unusable`] if the file can't be read.
+    pub fn load(&self) -> Result<Weights, EvaluateError> {
+        let Some(path) = &self.file else { return Ok(Weights::onboard()) };
+        Weights::open(path).map_err(|error| EvaluateError::unusable(path.display().to_string(), error))
+    }
+
     /// Opens the weights of `recipe`, or `file` if it is set.
     ///
     /// # Errors
@@ -74,8 +83,7 @@ impl WeightsChoice {
             "embedded".clone_into(&mut shown);
             Weights::onboard()
         } else if path.exists() {
-            Weights::open(&path)
-                .map_err(|error| EvaluateError::unusable(path.display().to_string(), error))?
+            Self { file: Some(path.clone()), ..self.clone() }.load()?
         } else {
             return Err(EvaluateError::NoWeights { path: shown, recipe: recipe.to_owned() });
         };

@@ -124,7 +124,7 @@ impl Follower<'_> {
             outcome.fault_count += fault_count;
             let age_s = (instant.stamp_ns - track.born_ns) as f64 / 1e9;
             if let Some(truth) = seen.truth.filter(|_| counts && age_s >= SETTLED_S) {
-                let (error, nees) = track.error(seen, &truth);
+                let (error, nees) = track.error(seen, instant.stamp_ns, truth);
                 outcome.errors.push(error);
                 if let Some(nees) = nees {
                     let added = outcome.nees[usize::from(!error.visible)].add(tick, nees, DEGREES);
@@ -287,7 +287,7 @@ impl Track {
         }
     }
 
-    fn error(&self, seen: &Seen, truth: &PlanarState) -> (Error, Option<f64>) {
+    fn error(&self, seen: &Seen, stamp_ns: i64, truth: PlanarState) -> (Error, Option<f64>) {
         let state = self.filter().cartesian();
         let [[x, y], [vx, vy]] = [truth.position_m, truth.velocity_mps];
         let error = state.mean - Vector4::new(x, y, vx, vy);
@@ -295,9 +295,13 @@ impl Track {
             &error.fixed_rows::<2>(0).into_owned(),
             &state.covariance.fixed_view::<2, 2>(0, 0).into_owned(),
         );
+        let [x, y, vx, vy] = state.mean.into();
         let error = Error {
             id: seen.id,
+            stamp_ns,
             visible: seen.measured_m.is_some(),
+            truth,
+            estimate: PlanarState { position_m: [x, y], velocity_mps: [vx, vy] },
             position_m: error[0].hypot(error[1]),
             velocity_mps: error[2].hypot(error[3]),
         };

@@ -11,10 +11,9 @@ mod nearest;
 mod report;
 mod sequence;
 
-pub use report::KittiReport;
 pub use sequence::{Contender, MakeTracks, Published, PublishedTrack};
 
 pub(crate) use counts::{Counts, GATE_M, KittiMeasure};
 pub(crate) use nearest::nearest_neighbours;
-pub(crate) use report::{KittiPart, KittiRow};
+pub(crate) use report::{KittiPart, KittiReport, KittiRow};
 pub(crate) use sequence::{ByClass, CLASSES, LEAST_SCORES, Sequence, class_name};

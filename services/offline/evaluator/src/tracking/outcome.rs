@@ -1,6 +1,6 @@
 //! The errors of a method over a course.
 
-use metrics::tracking::Consistency;
+use metrics::tracking::{Consistency, PlanarState};
 
 /// Degrees of freedom of a position.
 pub(crate) const DEGREES: u32 = 2;
@@ -11,7 +11,11 @@ pub(crate) const SETTLED_S: f64 = 1.0;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Error {
     pub(crate) id: u64,
+    pub(crate) stamp_ns: i64,
     pub(crate) visible: bool,
+    pub(crate) truth: PlanarState,
+    pub(crate) estimate: PlanarState,
+    /// Norms of the differences.
     pub(crate) position_m: f64,
     pub(crate) velocity_mps: f64,
 }

@@ -6,10 +6,9 @@ use metrics::{PairedErrors, paired_bootstrap_ratio};
 use super::outcome::Error;
 use super::{Outcome, Sensor, TRIALS, TrackingMethod, Trials};
 use crate::forecaster::Provenance;
-use crate::table::{RESAMPLES, Table, digits, percent};
+use crate::page::Page;
+use crate::table::{RESAMPLES, SEED, Table, digits, percent};
 
-/// Seed of the bootstrap.
-const SEED: u64 = 1;
 /// Probability within the χ² bounds of the normalised squares.
 const BOUNDS: f64 = 0.95;
 /// The noise whose errors a summary contains, m. With it a constant-velocity filter has about the error of
@@ -32,7 +31,7 @@ pub(crate) struct MethodErrors {
 
 /// The result of an evaluation of tracking.
 #[derive(Clone, Debug)]
-pub struct TrackingReport {
+pub(crate) struct TrackingReport {
     provenance: Provenance,
     evaluated_s: f64,
     tuned_s: f64,
@@ -168,16 +167,18 @@ impl TrackingReport {
         self.sensors(sigma_m).iter().map(name).collect()
     }
 
-    /// The report as a Markdown page that is also readable in a terminal.
-    pub fn markdown(&self) -> String {
-        self.written(&self.tables(), "#")
-    }
-
-    /// The errors at one noise and the comparisons at all, with headings from the second level on.
-    pub fn summary(&self) -> String {
+    /// The report in all its forms. The summary has the errors at one noise and the comparisons at all.
+    pub(crate) fn page(&self) -> Page {
         let is_reported = |sigma_m: f64| sigma_m == SUMMARISED_M;
         let [position, velocity] = Quantity::ALL.map(|quantity| self.errors(quantity, is_reported));
-        self.written(&[position, velocity, self.comparisons()], "##")
+        let mut tables: Vec<Table> = Quantity::ALL.map(|quantity| self.errors(quantity, |_| true)).into();
+        tables.extend([self.comparisons(), self.certainty(), self.settings()]);
+        let (markdown, json) = (self.written(&tables, "#"), self.json());
+        let mark = "evaluate tracking --parts interaction";
+        Page {
+            summary: self.written(&[position, velocity, self.comparisons()], "##"),
+            ..Page::new("interaction", mark, markdown, self.csv(), json)
+        }
     }
 
     fn written(&self, tables: &[Table], heading: &str) -> String {
@@ -186,12 +187,6 @@ impl TrackingReport {
             text += &format!("{heading}{}\n", table.markdown(""));
         }
         text + &format!("Forecasts of the learned prior: {}\n", self.provenance.line())
-    }
-
-    fn tables(&self) -> Vec<Table> {
-        let mut tables: Vec<Table> = Quantity::ALL.map(|quantity| self.errors(quantity, |_| true)).into();
-        tables.extend([self.comparisons(), self.certainty(), self.settings()]);
-        tables
     }
 
     fn errors(&self, quantity: Quantity, is_reported: impl Fn(f64) -> bool) -> Table {
@@ -311,8 +306,8 @@ impl TrackingReport {
         table
     }
 
-    /// One line per figure, in the columns of [`crate::COLUMNS`].
-    pub fn csv(&self) -> String {
+    /// One line per figure, in the columns of [`COLUMNS`](super::COLUMNS).
+    fn csv(&self) -> String {
         let sha256 = &self.provenance.sha256;
         let line = |figures: &Figures, (measure, value): (&str, f64)| {
             let Figures { sigma_m, gap_s, method, quantity, len, .. } = figures;
@@ -332,7 +327,7 @@ impl TrackingReport {
     }
 
     /// The whole report as JSON.
-    pub fn json(&self) -> serde_json::Value {
+    fn json(&self) -> serde_json::Value {
         serde_json::json!({ "provenance": self.provenance, "figures": self.figures().collect::<Vec<_>>() })
     }
 

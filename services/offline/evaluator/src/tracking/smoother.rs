@@ -8,7 +8,7 @@
 use std::collections::BTreeMap;
 
 use filters::chain_noise;
-use metrics::tracking::normalised_square;
+use metrics::tracking::{PlanarState, normalised_square};
 use nalgebra::{Matrix2, Matrix3, Matrix3x2, RowVector2, Vector2};
 use wire::AgentType;
 
@@ -101,9 +101,13 @@ fn finish(track: &[SmootherStep<'_>], outcome: &mut Outcome) {
         let Some(truth) = step.seen.truth.filter(|_| age_s >= SETTLED_S) else { continue };
         let off = |row: usize, truth: [f64; 2]| estimate.mean.row(row) - RowVector2::from(truth);
         let [position, velocity] = [off(0, truth.position_m), off(1, truth.velocity_mps)];
+        let row = |row: usize| [0, 1].map(|axis| estimate.mean[(row, axis)]);
         let error = Error {
             id: step.seen.id,
+            stamp_ns: step.stamp_ns,
             visible: step.seen.measured_m.is_some(),
+            truth,
+            estimate: PlanarState { position_m: row(0), velocity_mps: row(1) },
             position_m: position.norm(),
             velocity_mps: velocity.norm(),
         };

@@ -10,7 +10,7 @@ use retrieval::RetrievalMemory;
 use scene::AgentType;
 
 use crate::forecaster::{Decoded, Forecast, Forecaster, MapInput, Samplers, Session, TOGETHER, Variants};
-use crate::lines::{Candidate, ForecastLine, ForecastLines};
+use crate::lines::{Candidate, ForecastLine, ForecastLines, text};
 use crate::scenes::{Agent, MOVING_MPS, Scene};
 use crate::threads;
 use crate::windows::{Baselines, Method, Tally};
@@ -218,7 +218,7 @@ impl Judge<'_> {
             truth_m: &agent.future,
             forecasts: forecasts.filter(|(_, forecast)| !forecast.is_empty()).collect(),
         };
-        line.text()
+        text(&line)
     }
 
     /// The sums of these agents of a scene. Joint futures depend on all agents that are present, complete or

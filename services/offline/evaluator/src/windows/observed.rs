@@ -7,7 +7,6 @@
 use data::Recording;
 use metrics::Point;
 use scene::State;
-use source::{Playback, PlaybackOptions};
 use wire::{AgentType, HistoryState, Track};
 
 use crate::error::EvaluateError;
@@ -15,6 +14,7 @@ use crate::footage::Footage;
 use crate::forecaster::{Forecaster, MapInput};
 use crate::matching::{Placed, nearest};
 use crate::noise::Noise;
+use crate::playback::Playing;
 use crate::scenes::{Agent, Scene};
 use crate::threads;
 use crate::windows::report::Report;
@@ -67,21 +67,16 @@ impl Sensor<'_> {
 
     fn observe(&self, footage: &Footage) -> Result<Observed, EvaluateError> {
         let Footage { recording, scenes } = footage;
-        let noisy = self.noise.applied_to(recording);
-        let has_identities = noisy.has_identities;
-        let mut playback =
-            Playback::new(noisy, PlaybackOptions { lockstep: true, ..PlaybackOptions::default() });
-        let chain = self.forecaster.chain(self.map, playback.interval_ns());
-        let mut chain = chain.map_err(|source| EvaluateError::unusable(&recording.name, source))?;
+        let chain = |interval_ns| self.forecaster.chain(self.map, interval_ns);
+        let playing = Playing::new(recording, &self.noise, chain);
+        let mut playing = playing.map_err(|source| EvaluateError::unusable(&recording.name, source))?;
         let history_len = self.forecaster.config().history_len;
         let mut wanted = scenes.iter().peekable();
         let mut observed = Vec::with_capacity(scenes.len());
-        while let Some(tick) = playback.next_tick() {
-            let stamp_ns = tick.header.stamp_ns;
-            chain.tick(&tick.header, tick.detections, |_| ());
+        while let Some(stamp_ns) = playing.next().map(|tick| tick.header.stamp_ns) {
             while wanted.next_if(|scene| scene.stamp_ns < stamp_ns).is_some() {}
             if let Some(scene) = wanted.next_if(|scene| scene.stamp_ns == stamp_ns) {
-                observed.push(scene_of(scene, chain.tracks(), has_identities, history_len));
+                observed.push(scene_of(scene, playing.chain.tracks(), playing.has_identities, history_len));
             }
         }
         let count = |scenes: &[Scene]| scenes.iter().map(|scene| scene.complete().len()).sum();

@@ -6,6 +6,7 @@ use metrics::Interval;
 use serde::Serialize;
 
 use crate::forecaster::{Crowding, Provenance};
+use crate::page::Page;
 use crate::table::Table;
 use crate::windows::{
     Measure, Method,
@@ -208,6 +209,13 @@ impl Report {
             text += &format!("* {}\n", provenance.line());
         }
         text
+    }
+
+    /// The report in all its forms. `set` is its mark in a Markdown file.
+    pub fn page(&self, set: &str) -> Page {
+        let page =
+            Page::new("forecasts", format!("evaluate {set}"), self.markdown(), self.csv(), self.json());
+        Page { text: Some(self.text()), summary: self.summary(), ..page }
     }
 
     /// Recordings that the tables leave out, and doubts about the others.

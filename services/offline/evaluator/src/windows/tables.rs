@@ -2,7 +2,7 @@
 
 use metrics::Errors;
 
-use crate::table::{RESAMPLES, Table, digits, percent};
+use crate::table::{RESAMPLES, Table, pair, percent};
 use crate::windows::{
     Calibration, Measure, Method, Tally,
     group::{COMPARED, Group},
@@ -76,7 +76,7 @@ impl Table {
             else {
                 continue;
             };
-            let cell = |e: Errors| format!("{} / {}", digits(e.ade_m), digits(e.fde_m));
+            let cell = pair;
             let ratio =
                 if plain.fde_m > 0.0 { format!("{:.2}", ours.fde_m / plain.fde_m) } else { "-".to_owned() };
             let best = errors(Method::Evidence, Measure::BestOf).map_or_else(|| "-".to_owned(), cell);
@@ -208,9 +208,7 @@ impl Table {
         if cells.iter().all(Option::is_none) {
             return;
         }
-        let text = |errors: &Option<Errors>| {
-            errors.map_or_else(|| "-".to_owned(), |e| format!("{} / {}", digits(e.ade_m), digits(e.fde_m)))
-        };
+        let text = |errors: &Option<Errors>| errors.map_or_else(|| "-".to_owned(), pair);
         self.rows.push(names.map(str::to_owned).into_iter().chain(cells.iter().map(text)).collect());
     }
 }

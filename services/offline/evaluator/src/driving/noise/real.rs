@@ -7,20 +7,22 @@
 
 use std::collections::BTreeMap;
 
-use data::RecordedTrack;
-use evidence::{MotionNow, Priors};
+use evidence::MotionNow;
 use metrics::{Errors, displacement, min_displacement};
 use nn::ModelConfig;
-use onboard::Chain;
 use scene::AgentType;
-use source::{Playback, PlaybackOptions};
 use wire::Forecast;
 
-use super::sheet::{COUNTS, Row, Sheet};
+use super::sheet::{COUNTS, Row, Sheet, page};
 use crate::driving::{
-    DrivingError, Options, matching::agents, model_of, play::run, sample::GAP_NS, source::Source, sources,
+    play::EVERY_NS,
+    source::{Source, sources},
 };
+use crate::error::EvaluateError;
+use crate::footage::Options;
 use crate::noise::Noise;
+use crate::page::Page;
+use crate::playback::Truth;
 use crate::scenes::MOVING_MPS;
 use crate::threads;
 
@@ -28,14 +30,6 @@ use crate::threads;
 const SIGMAS_M: [f64; 5] = [0.0, 0.05, 0.1, 0.2, 0.3];
 /// Standard deviation of a reported heading with noise: 2 degrees.
 const HEADING_RAD: f64 = 2.0 * std::f64::consts::PI / 180.0;
-/// Time between two forecasts of an agent that count.
-const EVERY_NS: i64 = 400_000_000;
-
-/// Errors of recorded vehicles under noise.
-#[derive(Clone, Debug, PartialEq)]
-pub struct NoiseReport {
-    sheet: Sheet,
-}
 
 /// What detections report.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -76,18 +70,16 @@ struct Ends {
 /// their names. Calls `progress` with each run before it starts.
 ///
 /// # Errors
-/// [`DrivingError`] names the folder, recording or weights at fault.
+/// [`EvaluateError`] names the folder, recording or weights at fault.
 pub fn under_noise(
     options: &Options,
     scenes: usize,
     progress: impl Fn(&str) + Sync,
-) -> Result<NoiseReport, DrivingError> {
-    let weights = model_of(options)?;
-    let model = weights.config();
-    let sources = spread_sources(options, scenes)?;
+) -> Result<Page, EvaluateError> {
+    let (model, sources) = (options.weights.load()?, spread_sources(options, scenes)?);
     let jobs: Vec<Job<'_>> = sources.iter().flat_map(jobs_of).collect();
-    let played = play_all(&jobs, options, model, progress)?;
-    let mut sheet = sheet(scenes, model.horizon_len as f64 * model.dt_s);
+    let played = play_all(&jobs, options, model.config(), progress)?;
+    let mut sheet = sheet(scenes, model.config());
     // The first run of a source is the one without noise.
     let mut clean = &BTreeMap::new();
     for (job, played) in jobs.iter().zip(&played) {
@@ -96,7 +88,7 @@ pub fn under_noise(
         }
         sheet.rows.push(Row { names: job.names(), values: figures(played, clean) });
     }
-    Ok(NoiseReport { sheet })
+    Ok(page("recorded", "evaluate noise", &[sheet]))
 }
 
 /// As [`under_noise`], of detections with identities: the network's own forecasts beside the published ones.
@@ -107,13 +99,11 @@ pub fn network_under_noise(
     options: &Options,
     scenes: usize,
     progress: impl Fn(&str) + Sync,
-) -> Result<NoiseReport, DrivingError> {
-    let weights = model_of(options)?;
-    let model = weights.config();
-    let sources = spread_sources(options, scenes)?;
+) -> Result<Page, EvaluateError> {
+    let (model, sources) = (options.weights.load()?, spread_sources(options, scenes)?);
     let jobs: Vec<Job<'_>> = sources.iter().flat_map(network_jobs_of).collect();
-    let played = play_all(&jobs, options, model, progress)?;
-    let mut sheet = network_sheet(scenes, model.horizon_len as f64 * model.dt_s);
+    let played = play_all(&jobs, options, model.config(), progress)?;
+    let mut sheet = network_sheet(scenes, model.config());
     let runs: Vec<_> = jobs.iter().zip(&played).collect();
     // The first run of each series is the one without noise.
     for series in runs.chunks(SIGMAS_M.len()) {
@@ -121,12 +111,12 @@ pub fn network_under_noise(
             sheet.rows.push(Row { names: job.network_names(), values: network_figures(played, series[0].1) });
         }
     }
-    Ok(NoiseReport { sheet })
+    Ok(page("network", "evaluate noise --parts network", &[sheet]))
 }
 
 /// The sources, with at most `scenes` recordings each.
-fn spread_sources(options: &Options, scenes: usize) -> Result<Vec<Source>, DrivingError> {
-    let mut sources = sources(&options.folder, &options.sources)?;
+fn spread_sources(options: &Options, scenes: usize) -> Result<Vec<Source>, EvaluateError> {
+    let mut sources = sources(&options.data.join("driving"), &options.sources)?;
     sources.iter_mut().for_each(|source| source.files = spread(&source.files, scenes));
     Ok(sources)
 }
@@ -136,7 +126,7 @@ fn play_all(
     options: &Options,
     model: &ModelConfig,
     progress: impl Fn(&str) + Sync,
-) -> Result<Vec<BTreeMap<Key, Ends>>, DrivingError> {
+) -> Result<Vec<BTreeMap<Key, Ends>>, EvaluateError> {
     let played = threads::each(jobs, options.threads, |job, _: &mut ()| {
         progress(&format!("{}, {}", job.source.name, job.names()[1..].join(", ")));
         job.play(options, model)
@@ -189,7 +179,8 @@ fn network_jobs_of(source: &Source) -> Vec<Job<'_>> {
         .collect()
 }
 
-fn sheet(scenes: usize, horizon_s: f64) -> Sheet {
+fn sheet(scenes: usize, model: &ModelConfig) -> Sheet {
+    let horizon_s = model.horizon_len as f64 * model.dt_s;
     Sheet {
         title: "Recorded vehicles",
         note: format!(
@@ -204,7 +195,8 @@ fn sheet(scenes: usize, horizon_s: f64) -> Sheet {
     }
 }
 
-fn network_sheet(scenes: usize, horizon_s: f64) -> Sheet {
+fn network_sheet(scenes: usize, model: &ModelConfig) -> Sheet {
+    let horizon_s = model.horizon_len as f64 * model.dt_s;
     Sheet {
         title: "The network under noise",
         note: format!(
@@ -267,23 +259,6 @@ fn figures(played: &BTreeMap<Key, Ends>, clean: &BTreeMap<Key, Ends>) -> Vec<Opt
     ]
 }
 
-impl NoiseReport {
-    /// The table as Markdown.
-    pub fn markdown(&self) -> String {
-        self.sheet.markdown()
-    }
-
-    /// One line per number.
-    pub fn csv(&self) -> String {
-        self.sheet.csv()
-    }
-
-    /// The table by its title.
-    pub fn json(&self) -> serde_json::Value {
-        self.sheet.json()
-    }
-}
-
 impl Job<'_> {
     fn names(&self) -> Vec<String> {
         let fields = match self.fields {
@@ -303,60 +278,38 @@ impl Job<'_> {
     }
 
     /// Plays the source as one run, as `evaluate driving` does.
-    fn play(&self, options: &Options, model: &ModelConfig) -> Result<BTreeMap<Key, Ends>, DrivingError> {
-        let options = &Options { evidence: options.evidence && !self.is_network, ..options.clone() };
+    fn play(&self, options: &Options, model: &ModelConfig) -> Result<BTreeMap<Key, Ends>, EvaluateError> {
+        let evidence = options.evidence && !self.is_network;
+        let options = &Options { evidence, noise: self.noise, ..options.clone() };
         let mut ends = BTreeMap::new();
-        let mut before: Option<Chain> = None;
-        for (place, path) in self.source.files.iter().enumerate() {
-            let clean = self.source.open(path)?;
-            let truth: BTreeMap<u64, RecordedTrack> =
-                data::tracks(&clean).into_iter().map(|track| (track.id, track)).collect();
-            let noisy = self.noise.applied_to(&clean);
-            let has_identities = noisy.has_identities;
-            let mut playback =
-                Playback::new(noisy, PlaybackOptions { lockstep: true, ..PlaybackOptions::default() });
-            let mut chain = Chain::new(&run(&playback, options)?, model)?;
-            match before.take() {
-                Some(before) => chain.continue_from(before),
-                None => chain.expect(Priors::shipped().without(&self.source.folder_name())),
-            }
+        self.source.play(options, model, |place, _, playing| {
             let mut counted = None;
-            while let Some(tick) = playback.next_tick() {
+            while let Some(tick) = playing.next() {
                 let stamp_ns = tick.header.stamp_ns;
-                let (_, forecasts) = chain.tick(&tick.header, tick.detections, |_| ());
                 let number = stamp_ns.div_euclid(EVERY_NS);
                 if counted.replace(number) == Some(number) {
                     continue;
                 }
-                for (forecast, agent) in
-                    forecasts.iter().zip(agents(forecasts, &truth, stamp_ns, has_identities))
-                {
-                    let of_agent = agent.and_then(|agent| Some((agent, truth.get(&agent)?)));
-                    let Some((agent, track)) = of_agent else { continue };
-                    if let Some(of_forecast) = judge(stamp_ns, forecast, track, model) {
-                        ends.insert((place, agent, stamp_ns), of_forecast);
-                    }
+                for (forecast, track) in tick.followed() {
+                    let is_vehicle = track.reported_at(stamp_ns).agent_type == AgentType::Vehicle;
+                    let judged = judge(stamp_ns, forecast, tick.truth, track.id, model);
+                    ends.extend(judged.filter(|_| is_vehicle).map(|of| ((place, track.id, stamp_ns), of)));
                 }
             }
-            before = Some(chain);
-        }
+            Ok(())
+        })?;
         Ok(ends)
     }
 }
 
-/// The errors of a moving vehicle's forecast; `None` if it does not count or the recording lacks its future.
-fn judge(stamp_ns: i64, forecast: &Forecast, track: &RecordedTrack, model: &ModelConfig) -> Option<Ends> {
-    let now = track.state_at(stamp_ns, i64::MAX, GAP_NS)?;
-    let is_vehicle = track.reported_at(stamp_ns).agent_type == AgentType::Vehicle;
-    if !is_vehicle || now.speed_mps() < MOVING_MPS || forecast.modes_len < 2 {
+/// The errors of the forecast of a moving agent; `None` if it does not count or the recording lacks its future.
+fn judge(stamp_ns: i64, forecast: &Forecast, truth: &Truth, agent: u64, model: &ModelConfig) -> Option<Ends> {
+    let now = truth.state(agent, stamp_ns)?;
+    if now.speed_mps() < MOVING_MPS || forecast.modes_len < 2 {
         return None;
     }
     let len = model.horizon_len;
-    let truth = (1..=len as i64).map(|step| {
-        let at_ns = stamp_ns + step * model.step_ns().cast_signed();
-        track.state_at(at_ns, i64::MAX, GAP_NS).map(|state| Some(state.position_m))
-    });
-    let truth: Vec<Option<[f32; 2]>> = truth.collect::<Option<_>>()?;
+    let truth = truth.ahead(agent, stamp_ns, model.step_ns() as f64, len)?;
     let steady_m = |position_m: [f32; 2], velocity_mps: [f32; 2]| {
         let mut steady = vec![[0.0; 2]; len];
         MotionNow::since(position_m, velocity_mps, None).steady(model.dt_s as f32, &mut steady);

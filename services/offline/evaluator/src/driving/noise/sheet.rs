@@ -1,5 +1,6 @@
 //! A table of numbers, as Markdown, CSV and JSON.
 
+use crate::page::Page;
 use crate::table::{Table, digits};
 use serde_json::json;
 
@@ -67,6 +68,16 @@ impl Sheet {
         };
         json!({ "title": self.title, "rows": self.rows.iter().map(row).collect::<Vec<_>>() })
     }
+}
+
+/// The report of one sheet, or of several.
+pub(crate) fn page(name: &'static str, mark: &str, sheets: &[Sheet]) -> Page {
+    let markdown: Vec<String> = sheets.iter().map(Sheet::markdown).collect();
+    let json = match sheets {
+        [one] => one.json(),
+        several => several.iter().map(Sheet::json).collect(),
+    };
+    Page::new(name, mark, markdown.join("\n"), sheets.iter().map(Sheet::csv).collect(), json)
 }
 
 #[cfg(test)]

@@ -5,17 +5,18 @@
 
 use std::collections::BTreeMap;
 
-use data::RecordedTrack;
 use nn::ModelConfig;
 use onboard::Chain;
 use scene::AgentType;
-use source::{Playback, PlaybackOptions};
-use wire::Forecast;
 
 use super::motion::{AGENTS, Motion, Scene};
-use super::sheet::{Row, Sheet};
-use crate::driving::{DrivingError, Options, matching::agents, model_of, play::run};
+use super::sheet::{Row, Sheet, page};
+use crate::driving::source::run;
+use crate::error::EvaluateError;
+use crate::footage::Options;
 use crate::noise::Noise;
+use crate::page::Page;
+use crate::playback::Playing;
 use crate::threads;
 
 /// Played time of a scene.
@@ -57,13 +58,7 @@ const MANOEUVRES_M: [f64; 3] = [0.0, 0.12, 0.3];
 /// What the detections report besides positions.
 const REPORTS: [&str; 3] = ["ids", "ids, sigma", "no ids"];
 
-/// Errors of generated agents under noise.
-#[derive(Clone, Debug, PartialEq)]
-pub struct SyntheticReport {
-    sheets: [Sheet; 3],
-}
-
-/// One scene with its noise, and its results.
+/// One scene with its noise.
 #[derive(Clone, Copy, Debug)]
 struct Job {
     scene: Scene,
@@ -82,9 +77,9 @@ struct Played {
 /// Plays all generated scenes. Takes about 80 s of computing.
 ///
 /// # Errors
-/// [`DrivingError`] if the weights can't be used.
-pub fn synthetic(options: &Options) -> Result<SyntheticReport, DrivingError> {
-    let weights = model_of(options)?;
+/// [`EvaluateError`] if the weights can't be used.
+pub fn synthetic(options: &Options) -> Result<Page, EvaluateError> {
+    let weights = options.weights.load()?;
     let model = weights.config();
     let horizon_s = model.horizon_len as f64 * model.dt_s;
     let straight = STRAIGHT.into_iter().flat_map(|(agent_type, speed_mps, sensors)| {
@@ -122,7 +117,7 @@ pub fn synthetic(options: &Options) -> Result<SyntheticReport, DrivingError> {
         };
         sheets[sheet].rows.push(row);
     }
-    Ok(SyntheticReport { sheets })
+    Ok(page("synthetic", "evaluate noise --parts synthetic", &sheets))
 }
 
 /// The same scene with each kind of report.
@@ -175,57 +170,27 @@ fn manoeuvre_sheet() -> Sheet {
     }
 }
 
-impl SyntheticReport {
-    /// The tables as Markdown.
-    pub fn markdown(&self) -> String {
-        self.sheets.each_ref().map(Sheet::markdown).join("\n")
-    }
-
-    /// One line per number.
-    pub fn csv(&self) -> String {
-        self.sheets.iter().map(Sheet::csv).collect()
-    }
-
-    /// The tables by their titles.
-    pub fn json(&self) -> serde_json::Value {
-        self.sheets.iter().map(Sheet::json).collect()
-    }
-}
-
 impl Job {
     /// Plays the scene through the pipeline.
-    fn play(&self, options: &Options, model: &ModelConfig) -> Result<Played, DrivingError> {
+    fn play(&self, options: &Options, model: &ModelConfig) -> Result<Played, EvaluateError> {
         let horizon_s = model.horizon_len as f64 * model.dt_s;
-        let clean = self.scene.recording("generated", PLAYED_S);
-        let truth: BTreeMap<u64, RecordedTrack> =
-            data::tracks(&clean).into_iter().map(|track| (track.id, track)).collect();
-        let noisy = self.noise.applied_to(&clean);
-        let has_identities = noisy.has_identities;
-        let mut playback =
-            Playback::new(noisy, PlaybackOptions { lockstep: true, ..PlaybackOptions::default() });
-        let mut chain = Chain::new(&run(&playback, options)?, model)?;
+        let chain =
+            |interval_ns| Ok::<_, EvaluateError>(Chain::new(&run(interval_ns, options, None)?, model)?);
+        let mut playing = Playing::new(&self.scene.recording("generated", PLAYED_S), &self.noise, chain)?;
         let mut played = Played::default();
-        while let Some(tick) = playback.next_tick() {
-            let stamp_ns = tick.header.stamp_ns;
-            let time_s = stamp_ns as f64 * 1e-9;
-            let (_, forecasts) = chain.tick(&tick.header, tick.detections, |_| ());
-            for (forecast, agent) in forecasts.iter().zip(agents(forecasts, &truth, stamp_ns, has_identities))
-            {
-                let Some(agent) = agent else { continue };
+        while let Some(tick) = playing.next() {
+            let time_s = tick.header.stamp_ns as f64 * 1e-9;
+            for (forecast, track) in tick.followed() {
                 let velocity_mps = [forecast.vx_mps, forecast.vy_mps];
-                played.velocities_mps.entry(agent).or_default().push((time_s, velocity_mps));
+                played.velocities_mps.entry(track.id).or_default().push((time_s, velocity_mps));
                 if time_s >= FROM_S {
-                    let end = self.scene.state(agent, time_s + horizon_s).position_m;
-                    played.fde_m.push(apart_m(last(forecast, model), end));
+                    let end = self.scene.state(track.id, time_s + horizon_s).position_m;
+                    played.fde_m.push(apart_m(forecast.best[model.horizon_len - 1].map(f64::from), end));
                 }
             }
         }
         Ok(played)
     }
-}
-
-fn last(forecast: &Forecast, model: &ModelConfig) -> [f64; 2] {
-    forecast.best[model.horizon_len - 1].map(f64::from)
 }
 
 fn apart_m(a: [f64; 2], b: [f64; 2]) -> f64 {

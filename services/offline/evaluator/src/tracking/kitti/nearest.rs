@@ -3,6 +3,7 @@ use filters::{ConstantVelocity, Gaussian, Observation};
 use wire::{AgentType, Detection};
 
 use super::{ByClass, CLASSES, Published, PublishedTrack};
+use crate::matching::nearest_pairs;
 
 /// Standard deviation of a detection's position per axis, m.
 const SIGMA_M: f64 = 0.25;
@@ -39,7 +40,11 @@ pub(crate) fn nearest_neighbours(recording: &Recording) -> Published {
             targets.retain_mut(|target| target.state.predict(elapsed_ns.unsigned_abs(), &process).is_ok());
             let of_class = |detection: &&Detection| detection.agent_type == agent_type as u32;
             let seen: Vec<Observation> = frame.detections.iter().filter(of_class).map(observation).collect();
-            let paired = nearest_pairs(&targets, &seen, NEAR_M[class]);
+            let apart_m = |t: usize, d: usize| {
+                let ([x, y], [seen_x, seen_y]) = (targets[t].position_m(), seen[d].position_m);
+                Some((seen_x - x).hypot(seen_y - y)).filter(|apart_m| *apart_m <= NEAR_M[class])
+            };
+            let paired = nearest_pairs([targets.len(), seen.len()], apart_m);
             for (t, target) in targets.iter_mut().enumerate() {
                 match paired.iter().find(|pair| pair.0 == t) {
                     Some(&(_, d)) => target.take(&seen[d], &process),
@@ -67,26 +72,6 @@ fn observation(detection: &Detection) -> Observation {
         heading_rad: None,
         speed_mps: None,
     }
-}
-
-/// Pairs (target, detection), the nearest first. Each target and detection occurs at most once.
-fn nearest_pairs(targets: &[Target], seen: &[Observation], near_m: f64) -> Vec<(usize, usize)> {
-    let distance_m = |target: &Target, seen: &Observation| {
-        let [x, y] = target.position_m();
-        (seen.position_m[0] - x).hypot(seen.position_m[1] - y)
-    };
-    let all = targets.iter().enumerate().flat_map(|(t, target)| {
-        seen.iter().enumerate().map(move |(d, seen)| (distance_m(target, seen), t, d))
-    });
-    let mut near: Vec<(f64, usize, usize)> = all.filter(|pair| pair.0 <= near_m).collect();
-    near.sort_by(|a, b| a.0.total_cmp(&b.0).then((a.1, a.2).cmp(&(b.1, b.2))));
-    let mut pairs: Vec<(usize, usize)> = Vec::new();
-    for (_, t, d) in near {
-        if pairs.iter().all(|pair| pair.0 != t && pair.1 != d) {
-            pairs.push((t, d));
-        }
-    }
-    pairs
 }
 
 impl Target {

@@ -4,16 +4,15 @@ use metrics::{Interval, cluster_bootstrap};
 
 use super::{ByClass, CLASSES, Counts, KittiMeasure, class_name};
 use crate::forecaster::Provenance;
-use crate::table::{RESAMPLES, Table};
+use crate::page::Page;
+use crate::table::{RESAMPLES, SEED, Table};
 
-/// Seed of the bootstrap.
-const SEED: u64 = 1;
 /// Minimum number of sequences for an interval.
 const SEQUENCES_MIN: usize = 3;
 
 /// The result of an evaluation of trackers.
 #[derive(Clone, Debug)]
-pub struct KittiReport {
+pub(crate) struct KittiReport {
     /// Provenance of the weights behind the forecasts, for each part.
     provenance: Vec<Provenance>,
     parts: Vec<KittiPart>,
@@ -90,14 +89,11 @@ impl KittiReport {
         Self { provenance, parts }
     }
 
-    /// The report as a Markdown page that is also readable in a terminal.
-    pub fn markdown(&self) -> String {
-        self.written("#")
-    }
-
-    /// The same for a page that has a title: headings start at the second level.
-    pub fn summary(&self) -> String {
-        self.written("##")
+    /// The report in all its forms.
+    pub(crate) fn page(&self) -> Page {
+        let mark = "evaluate tracking --parts kitti";
+        let page = Page::new("kitti", mark, self.written("#"), self.csv(), self.json());
+        Page { summary: self.written("##"), ..page }
     }
 
     fn written(&self, heading: &str) -> String {
@@ -165,8 +161,8 @@ impl KittiReport {
         table
     }
 
-    /// One line per figure, in the columns of [`crate::COLUMNS`].
-    pub fn csv(&self) -> String {
+    /// One line per figure, in the columns of [`COLUMNS`](super::COLUMNS).
+    fn csv(&self) -> String {
         let sha256 = self.provenance.first().map_or("", |provenance| &provenance.sha256);
         let line = |value: KittiValue<'_>| {
             let KittiValue { sequences, class, tracker, least_scores, truths_len, measure, value } = value;
@@ -198,7 +194,7 @@ impl KittiReport {
     }
 
     /// The whole report as JSON.
-    pub fn json(&self) -> serde_json::Value {
+    fn json(&self) -> serde_json::Value {
         serde_json::json!({ "provenance": self.provenance, "figures": self.values().collect::<Vec<_>>() })
     }
 }

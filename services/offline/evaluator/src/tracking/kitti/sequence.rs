@@ -67,28 +67,33 @@ impl Sequence {
     }
 
     /// Evaluates a contender's tracks for each class. The contender gets the detections with at least these
-    /// scores.
+    /// scores. Also returns what counts in each frame.
     pub(crate) fn evaluate(
         &self,
         contender: &Contender<'_>,
         least_scores: ByClass<f32>,
-    ) -> Result<ByClass<Counts>, EvaluateError> {
+    ) -> Result<ByClass<(Counts, Vec<Frame>)>, EvaluateError> {
         let failed = |source| EvaluateError::Contender {
             name: contender.name,
             recording: self.recording.name.clone(),
             source,
         };
         let published = (contender.track)(&self.with_scores(least_scores)).map_err(failed)?;
-        let mut counts = [Counts::default(); CLASSES.len()];
-        for (counts, agent_type) in counts.iter_mut().zip(CLASSES) {
+        let mut evaluated: ByClass<(Counts, Vec<Frame>)> = Default::default();
+        for (of_class, agent_type) in evaluated.iter_mut().zip(CLASSES) {
             let frames = self.annotations.frames().iter().enumerate().map(|(index, annotated)| {
                 let tracks = published.get(index).map_or(&[][..], Vec::as_slice);
                 self.frame(index, annotated, tracks, agent_type)
             });
             let frames: Vec<Frame> = frames.collect::<Result<_, _>>().map_err(|e| failed(e.into()))?;
-            *counts = Counts::of(&frames).map_err(|error| failed(error.into()))?;
+            *of_class = (Counts::of(&frames).map_err(|error| failed(error.into()))?, frames);
         }
-        Ok(counts)
+        Ok(evaluated)
+    }
+
+    /// Name of the recording.
+    pub(crate) fn name(&self) -> &str {
+        &self.recording.name
     }
 
     /// The recording without detections of lower scores.
@@ -186,7 +191,7 @@ mod tests {
             track: Box::new(move |_| Ok(vec![places_m.iter().zip(1..).map(track).collect()])),
         };
         let [cars, ..] = sequence().evaluate(&contender, [-1.0; 3]).unwrap();
-        [KittiMeasure::Missed, KittiMeasure::False, KittiMeasure::Hota].map(|measure| cars.figure(measure))
+        [KittiMeasure::Missed, KittiMeasure::False, KittiMeasure::Hota].map(|measure| cars.0.figure(measure))
     }
 
     #[test]

@@ -3,15 +3,18 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use data::sets::{DataSet, Part};
-use scene::ContextMap;
+use metrics::tracking::PlanarState;
+use scene::{AgentType, ContextMap};
 
 use crate::error::EvaluateError;
 use crate::footage::{Footage, Options, SEED, map_of};
 use crate::forecaster::Model;
+use crate::lines::{ForecastLines, Motion, TrackLine};
+use crate::page::Page;
 use crate::scenes::Cut;
 use crate::threads;
 use crate::tracking::{
-    Course, Follower, MethodErrors, Place, Sensor, TrackingMethod, TrackingReport, Trials, tune,
+    Course, Follower, MethodErrors, Outcome, Place, Sensor, TrackingMethod, TrackingReport, Trials, tune,
 };
 
 const SET: DataSet = DataSet::Interaction;
@@ -45,7 +48,7 @@ pub fn interaction(
     sigmas_m: &[f64],
     particles: bool,
     mut progress: impl FnMut(&str),
-) -> Result<TrackingReport, EvaluateError> {
+) -> Result<Page, EvaluateError> {
     let model = options.weights.open(RECIPE, SEED)?;
     let cut = Cut::of(model.forecaster.config());
     progress("reading recordings");
@@ -68,11 +71,11 @@ pub fn interaction(
         for &gap_s in &GAPS_S {
             progress(&format!("measured within {sigma_m} m, gaps of {gap_s} s"));
             let sensor = Sensor { sigma_m, gap_s, seed: SEED };
-            report.add(evaluate(&evaluated, &places, &model, sensor, &trials, options.threads));
+            report.add(evaluate(&evaluated, &places, &model, sensor, &trials, options));
         }
         report.add_trials(sigma_m, trials);
     }
-    Ok(report)
+    Ok(report.page())
 }
 
 /// Map and retrieval memory of each site, from its training recordings.
@@ -124,7 +127,7 @@ fn evaluate(
     model: &Model,
     sensor: Sensor,
     trials: &Trials,
-    threads: usize,
+    options: &Options,
 ) -> Vec<MethodErrors> {
     let (settings, forecaster) = (trials.settings, &model.forecaster);
     let methods = || trials.figures.iter().map(|&(method, _)| method);
@@ -133,7 +136,41 @@ fn evaluate(
         let outcome = |method| Follower { method, settings, forecaster }.follow(&course);
         methods().map(outcome).collect::<Vec<_>>()
     };
-    let outcomes = threads::each(footage, threads, follow);
+    let outcomes = threads::each(footage, options.threads, follow);
+    if let Some(lines) = &options.lines {
+        for (footage, outcomes) in footage.iter().zip(&outcomes) {
+            write(lines, &footage.recording.name, sensor, methods().zip(outcomes));
+        }
+    }
     let of_method = |(place, method)| MethodErrors::new(sensor, method, outcomes.iter().map(|of| &of[place]));
     methods().enumerate().map(of_method).collect()
+}
+
+/// Writes the estimates of all methods of a recording, instant by instant.
+fn write<'a>(
+    lines: &ForecastLines,
+    recording: &str,
+    sensor: Sensor,
+    outcomes: impl Iterator<Item = (TrackingMethod, &'a Outcome)>,
+) {
+    let motion = |of: PlanarState| Motion { position_m: of.position_m, velocity_mps: Some(of.velocity_mps) };
+    let mut instants: BTreeMap<(i64, u64), TrackLine<'_>> = BTreeMap::new();
+    for (method, outcome) in outcomes {
+        for error in &outcome.errors {
+            let line = instants.entry((error.stamp_ns, error.id)).or_insert_with(|| TrackLine {
+                part: "interaction",
+                recording,
+                stamp_ns: error.stamp_ns,
+                agent: error.id,
+                agent_type: AgentType::Vehicle.name(),
+                sigma_m: sensor.sigma_m,
+                gap_s: sensor.gap_s,
+                is_measured: error.visible,
+                truth: motion(error.truth),
+                tracks: BTreeMap::new(),
+            });
+            line.tracks.insert(method.name(), motion(error.estimate));
+        }
+    }
+    instants.values().for_each(|line| lines.add(line));
 }

@@ -4,14 +4,17 @@ use std::path::PathBuf;
 
 use data::Format;
 use data::sets::{DataSet, Part};
+use metrics::tracking::{Frame, Object};
 
 use crate::error::EvaluateError;
 use crate::footage::{Options, SEED};
 use crate::forecaster::{EMBEDDED, Model, Provenance};
+use crate::lines::{ForecastLines, FrameLine};
+use crate::page::Page;
 use crate::threads;
 use crate::tracking::{
     ByClass, CLASSES, Contender, Counts, KittiMeasure, KittiPart, KittiReport, KittiRow, LEAST_SCORES,
-    Sequence, nearest_neighbours,
+    Sequence, class_name, nearest_neighbours,
 };
 
 const SET: DataSet = DataSet::KittiDetections;
@@ -29,7 +32,7 @@ pub fn kitti(
     options: &Options,
     contenders: Vec<Contender<'_>>,
     mut progress: impl FnMut(&str),
-) -> Result<KittiReport, EvaluateError> {
+) -> Result<Page, EvaluateError> {
     let plain = Contender {
         name: "nearest neighbours",
         track: Box::new(|recording| Ok(nearest_neighbours(recording))),
@@ -47,9 +50,10 @@ pub fn kitti(
         }
         // Each part gets the thresholds chosen on the other part.
         for (part, least_scores) in parts.iter_mut().zip(choices.into_iter().rev()) {
-            let counts = part.evaluate(contender, least_scores, options.threads)?;
+            let counts = part.evaluate(contender, least_scores, options.threads, options.lines.as_deref())?;
             let last = contenders.last().filter(|last| last.name != contender.name);
-            let last = last.map(|last| part.evaluate(last, least_scores, options.threads)).transpose()?;
+            let last =
+                last.map(|last| part.evaluate(last, least_scores, options.threads, None)).transpose()?;
             let least_scores = least_scores.map(|score| vec![score]);
             let last_on_same = last.unwrap_or_else(|| counts.clone());
             part.rows.push(KittiRow { name: contender.name, least_scores, counts, last_on_same });
@@ -61,7 +65,7 @@ pub fn kitti(
         provenance.push(part.provenance(&model)?);
     }
     let parts = parts.into_iter().map(|part| KittiPart { name: part.name, rows: part.rows });
-    Ok(KittiReport::new(parts.collect(), provenance))
+    Ok(KittiReport::new(parts.collect(), provenance).page())
 }
 
 /// A part of the set and its results so far.
@@ -88,7 +92,7 @@ impl PartEvaluation {
     fn choose(&self, contender: &Contender<'_>, threads: usize) -> Result<ByClass<f32>, EvaluateError> {
         let mut best = [(f64::NEG_INFINITY, LEAST_SCORES[0]); CLASSES.len()];
         for least_score in LEAST_SCORES {
-            let counts = self.evaluate(contender, [least_score; CLASSES.len()], threads)?;
+            let counts = self.evaluate(contender, [least_score; CLASSES.len()], threads, None)?;
             for (class, best) in best.iter_mut().enumerate() {
                 let total = Counts::sum(counts.iter().map(|counts| &counts[class]));
                 let mota = total.figure(KittiMeasure::Mota).unwrap_or(f64::NEG_INFINITY);
@@ -100,15 +104,40 @@ impl PartEvaluation {
         Ok(best.map(|(_, least_score)| least_score))
     }
 
-    /// The counts of each sequence.
+    /// The counts of each sequence. Writes what counts in each frame, if there are lines.
     fn evaluate(
         &self,
         contender: &Contender<'_>,
         least_scores: ByClass<f32>,
         threads: usize,
+        lines: Option<&ForecastLines>,
     ) -> Result<Vec<ByClass<Counts>>, EvaluateError> {
-        let counts = |sequence: &Sequence, (): &mut ()| sequence.evaluate(contender, least_scores);
-        threads::each(&self.sequences, threads, counts).into_iter().collect()
+        let evaluate = |sequence: &Sequence, (): &mut ()| sequence.evaluate(contender, least_scores);
+        let mut counts = Vec::with_capacity(self.sequences.len());
+        let evaluated = threads::each(&self.sequences, threads, evaluate);
+        for (sequence, evaluated) in self.sequences.iter().zip(evaluated) {
+            let evaluated = evaluated?;
+            for ((_, frames), class) in evaluated.iter().zip(CLASSES).filter(|_| lines.is_some()) {
+                let objects =
+                    |of: &[Object]| of.iter().map(|of| (of.id, of.position_m[0], of.position_m[1])).collect();
+                let line = |(frame, of): (usize, &Frame)| FrameLine {
+                    part: &self.name,
+                    recording: sequence.name(),
+                    frame,
+                    class: class_name(class),
+                    tracker: contender.name,
+                    truths: objects(of.truths()),
+                    tracks: objects(of.tracks()),
+                };
+                frames
+                    .iter()
+                    .enumerate()
+                    .map(line)
+                    .for_each(|line| lines.iter().for_each(|to| to.add(&line)));
+            }
+            counts.push(evaluated.map(|(counts, _)| counts));
+        }
+        Ok(counts)
     }
 
     /// Provenance with the number of sequences that the weights' training used. Training reads their labels,

@@ -4,22 +4,12 @@ use data::{GeneratedScene, SceneOptions};
 use proptest::prelude::*;
 
 use super::*;
-use crate::footage::{MapChoice, Options};
-use crate::forecaster::WeightsChoice;
+use crate::footage::Options;
 use crate::windows::Evaluation;
 
 /// The state of a generated recording of all types.
 static ONE: LazyLock<State> = LazyLock::new(|| {
-    let options = Options {
-        data: "none".into(),
-        part: data::sets::Part::Test,
-        weights: WeightsChoice { file: None, folder: "none".into(), precision: Precision::F32 },
-        map: MapChoice::Online,
-        lanes: false,
-        noise: crate::Noise::default(),
-        threads: 2,
-        lines: None,
-    };
+    let options = Options { threads: 2, ..Options::default() };
     let scene = SceneOptions { agents: 10, identities: true, ..SceneOptions::default() };
     let recording = GeneratedScene::new(scene).unwrap().recording(300);
     Evaluation::new(&options, false).unwrap().opened(recording)
