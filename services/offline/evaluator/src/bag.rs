@@ -22,14 +22,13 @@ use report::{AgainstReport, Cell, Cells, Counts};
 
 use crate::driving::{at_step, run};
 use crate::error::EvaluateError;
-use crate::footage::Options;
+use crate::footage::{Options, SEED};
 use crate::matching::nearest_pairs;
 use crate::page::Page;
 use crate::playback::{GAP_NS, Truth, playback};
 
 /// Largest distance between an object of the bag and our forecast of it.
 const RADIUS_M: f32 = 2.0;
-const SEED: u64 = 1;
 
 /// A forecast of both systems.
 struct Pair {
@@ -147,7 +146,7 @@ fn longest_ns(agent: &PredictedAgent) -> i64 {
 
 /// A running comparison.
 struct Comparison {
-    /// The recording's own motion, or that of our tracks if it has no identities.
+    /// The recording's own motion. Without identities it is the motion of our tracks.
     truth: Truth,
     is_truth_recorded: bool,
     steps: Steps,

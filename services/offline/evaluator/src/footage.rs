@@ -106,6 +106,14 @@ impl MapChoice {
         }
     }
 
+    /// The map in data sets without sites, and its name in reports.
+    pub(crate) const fn without_sites(self) -> (MapInput<'static>, &'static str) {
+        match self {
+            Self::None => (MapInput::None, "none"),
+            Self::Online | Self::Site => (MapInput::Online, "online"),
+        }
+    }
+
     /// The name in reports.
     pub const fn label(self) -> &'static str {
         match self {

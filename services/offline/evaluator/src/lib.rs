@@ -2,14 +2,14 @@
 //!
 //! | input | evaluation |
 //! |---|---|
-//! | windows with exact states, or with histories of a noisy sensor | [`windows`]: [`eth_ucy`], [`sdd`], [`interaction`], and any recordings ([`Evaluation`]), whose [`State`]s merge |
+//! | windows with exact states, or with histories of a noisy sensor | [`eth_ucy`], [`sdd`], [`interaction`], and any recordings ([`Evaluation`]), whose [`State`]s merge |
 //! | recordings of roads, through the whole pipeline | [`driving`]: forecasts, tracks in gaps, forecasts under noise |
 //! | noisy positions with gaps, and a detector's output | [`tracking`]: filters and trackers, with forecasts as their prior and without |
 //! | the forecasts of another system, from its bag | [`bag`] |
 //! | one recording of a fleet | [`fleet`]: every forecast beside its outcome |
 //!
-//! All of them read data sets and weights by [`Options`], see the same sensor ([`Noise`]), write [`Table`]s, and share
-//! their work among [`threads`]. Results do not depend on the number of threads.
+//! All of them read data sets and weights by [`Options`], see the same sensor ([`Noise`]), and write [`Table`]s.
+//! Threads share the work; results do not depend on their number.
 //!
 //! # Modules
 //!
@@ -40,24 +40,23 @@ mod page;
 mod playback;
 mod scenes;
 mod table;
-pub mod threads;
+mod threads;
 pub mod tracking;
-pub mod windows;
+mod windows;
 
 pub use error::EvaluateError;
-pub use footage::{Footage, MapChoice, Options, SEED, map_of};
-pub use forecaster::{
-    Crowding, EMBEDDED, Forecast, Forecaster, MapInput, Model, Provenance, TracksPayload, Variants,
-    WeightsChoice, site_map,
-};
-pub use lines::{Candidate, ForecastLine, ForecastLines};
-pub use matching::{Placed, nearest};
+pub use footage::{MapChoice, Options, SEED};
+pub use forecaster::{Forecast, Forecaster, MapInput, TracksPayload, Variants, WeightsChoice};
+pub use lines::ForecastLines;
 pub use metrics::Errors;
 pub use noise::Noise;
 pub use page::Page;
 pub use scenes::{Agent, Cut, MOVING_MPS, Scene};
-pub use table::{RESAMPLES, Table, digits, pair, percent};
-pub use windows::*;
+pub use table::{Table, digits, pair};
+pub use windows::{
+    Evaluation, Figure, InteractionPart, Measure, Method, Report, State, StateError, eth_ucy, interaction,
+    sdd,
+};
 
 #[cfg(test)]
 mod tests {

@@ -16,14 +16,15 @@ mod state;
 mod tables;
 mod tally;
 
-pub use baselines::{ANCHOR_AGENTS, Baselines};
+pub use baselines::Baselines;
+pub(crate) use baselines::anchors;
 pub use eth_ucy::eth_ucy;
 pub use files::Evaluation;
-pub use group::{Contrast, Group};
+pub use group::Group;
 pub use interaction::{InteractionPart, interaction};
 pub use judge::{Block, Judge, Subset};
 pub use method::Method;
 pub use report::{Figure, Report};
 pub use sdd::sdd;
-pub use state::{BLOCKS_MAX, DoubtCount, RECORDINGS_MAX, State, StateError};
+pub use state::{State, StateError};
 pub use tally::{Calibration, Measure, Tally};

@@ -2,11 +2,10 @@
 
 use std::fmt::Write as _;
 use std::path::Path;
-use std::sync::Arc;
 
 use evaluator::driving::{evaluate, sources, under_noise};
 use evaluator::fleet::{Learned, learn, outcomes, priors};
-use evaluator::{EvaluateError, ForecastLines, MapChoice, Noise, Options, Page};
+use evaluator::{EvaluateError, MapChoice, Noise, Options, Page};
 use evidence::Prior;
 use scene::AgentType;
 
@@ -72,39 +71,6 @@ fn steady_vehicles_are_no_further_than_constant_velocity_has_them() {
         |prior: &Prior| prior.0[AgentType::Pedestrian.index()].map(|context| context.deviation_m);
     assert!(of_pedestrians(&nothing.sources["one"]) == of_pedestrians(&Prior::default()));
     assert!(of_pedestrians(&priors.sources["one"]) != of_pedestrians(&Prior::default()));
-}
-
-#[test]
-fn the_written_forecasts_give_the_figures_again() {
-    let folder = sources_of(&["one", "two"], 2, 6);
-    let file = tempfile::NamedTempFile::new().unwrap();
-    let lines = Arc::new(ForecastLines::to(file.reopen().unwrap()));
-    let options = Options { lines: Some(lines.clone()), ..options(folder.path(), true) };
-    let report = evaluate(&options, |_| ()).unwrap().page().json;
-    lines.finish().unwrap();
-    let text = std::fs::read_to_string(file.path()).unwrap();
-    let lines: Vec<serde_json::Value> =
-        text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
-    for cell in report["cells"].as_array().unwrap() {
-        let of_cell: Vec<_> = lines
-            .iter()
-            .filter(|line| line["part"] == cell["source"] && line["type"] == cell["type"])
-            .collect();
-        assert_eq!(of_cell.len() as u64, cell["forecasts"].as_u64().unwrap());
-        for (method, name) in [("Best", "published"), ("ConstantVelocity", "constant velocity")] {
-            let ends = of_cell.iter().map(|line| {
-                let last = |path: &serde_json::Value| [0, 1].map(|axis| path[11][axis].as_f64().unwrap());
-                let [ours, truth] = [last(&line["forecasts"][name]["single_m"]), last(&line["truth_m"])];
-                (ours[0] - truth[0]).hypot(ours[1] - truth[1])
-            });
-            let mean = ends.sum::<f64>() / of_cell.len() as f64;
-            let figure = cell["errors"][method]["fde_m"].as_f64().unwrap();
-            assert!((figure - mean).abs() < 1e-6, "{method}: {figure} {mean}");
-        }
-    }
-    let straight =
-        |line: &&serde_json::Value| line["subsets"].as_array().unwrap().contains(&"straight".into());
-    assert_eq!(lines.iter().filter(straight).count(), lines.len());
 }
 
 #[test]

@@ -10,6 +10,8 @@ use data::sets::Part;
 use evaluator::{ForecastLines, InteractionPart, Options, Report, WeightsChoice, driving, tracking};
 use serde_json::Value;
 
+use crate::report;
+
 /// Options for the validation part of the sets in a folder, by the shipped weights of each recipe.
 fn options(data: &Path) -> Options {
     let weights = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/weights");
@@ -46,10 +48,15 @@ fn apart(a: &Value, b: &Value) -> f64 {
     (a[0] - b[0]).hypot(a[1] - b[1])
 }
 
-/// Mean and final distance of a path from the truth.
+/// Mean and final distance of a path from the truth. Both are written as f32.
 fn errors(path: &Value, truth: &Value) -> [f64; 2] {
     let steps = path.as_array().unwrap().iter().zip(truth.as_array().unwrap());
-    let apart: Vec<f64> = steps.map(|(at, truth)| apart(at, truth)).collect();
+    let apart = steps.map(|steps| {
+        let [at, truth] = [steps.0, steps.1].map(|of| numbers(of).into_iter().map(|x| f64::from(x as f32)));
+        let off: Vec<f64> = at.zip(truth).map(|(at, truth)| at - truth).collect();
+        off[0].hypot(off[1])
+    });
+    let apart: Vec<f64> = apart.collect();
     [apart.iter().sum::<f64>() / apart.len() as f64, apart[apart.len() - 1]]
 }
 
@@ -85,7 +92,7 @@ fn check(report: &Report, lines: &[Value], is_of: impl Fn(&str, &str) -> bool) -
             continue;
         }
         let mean = errors.iter().sum::<f64>() / errors.len() as f64;
-        assert!((mean - figure.value).abs() < 1e-6 * mean.max(1.0), "{mean}: {figure:?}");
+        assert!((mean - figure.value).abs() < 1e-9 * mean.max(1.0), "{mean}: {figure:?}");
         assert_eq!(errors.len() as u64, figure.agents, "{figure:?}");
         checked += 1;
     }
@@ -136,6 +143,18 @@ fn write_sites(root: &Path, seconds: usize) {
 }
 
 #[test]
+fn lines_of_recordings_give_their_figures() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = report::traffic(folder.path());
+    let [(one, lines), (_, same)] = [1, 3].map(|threads| {
+        with_lines(report::options(folder.path(), None, threads), |options| report::evaluate(options, &path))
+    });
+    assert!(lines == same, "any number of threads writes the same");
+    // ADE and FDE of 13 rows (anchors need a training part), for all agents and moving ones.
+    assert_eq!(check(&one.unwrap(), &lines, |line, part| line == part), 2 * 13 * 2, "{} lines", lines.len());
+}
+
+#[test]
 fn lines_of_eth_ucy_give_its_figures() {
     let root = tempfile::tempdir().unwrap();
     for fold in ["eth", "hotel", "univ", "zara1", "zara2"] {
@@ -180,6 +199,27 @@ fn lines_of_interaction_give_its_figures() {
     let checked = check(&report.unwrap(), &lines, is_of);
     // Two seen sites and two columns of the held-out one, all agents and moving ones, with two kinds of motion.
     assert!(checked >= 2 * 12 * 4 * 4, "{checked} figures");
+}
+
+#[test]
+fn lines_of_driving_give_its_errors() {
+    let folder = crate::driving::sources_of(&["one", "two"], 2, 6);
+    let (page, lines) =
+        with_lines(options(folder.path()), |options| driving::evaluate(options, |_| ()).unwrap().page());
+    for cell in page.json["cells"].as_array().unwrap() {
+        let is_of = |line: &&Value| line["part"] == cell["source"] && line["type"] == cell["type"];
+        let of_cell: Vec<&Value> = lines.iter().filter(is_of).collect();
+        assert_eq!(cell["forecasts"], of_cell.len());
+        for (method, name) in [("Best", "published"), ("ConstantVelocity", "constant velocity")] {
+            let ends =
+                of_cell.iter().map(|line| errors(&line["forecasts"][name]["single_m"], &line["truth_m"])[1]);
+            let mean = ends.sum::<f64>() / of_cell.len() as f64;
+            let figure = cell["errors"][method]["fde_m"].as_f64().unwrap();
+            assert!((figure - mean).abs() < 1e-6, "{method}: {figure} {mean}");
+        }
+    }
+    let straight = |line: &&Value| line["subsets"].as_array().unwrap().contains(&"straight".into());
+    assert_eq!(lines.iter().filter(straight).count(), lines.len());
 }
 
 #[test]

@@ -12,13 +12,15 @@ use crate::table::{Table, pair};
 /// Levels of the regions whose coverage is reported.
 pub(crate) const LEVELS: [f64; 2] = [0.5, 0.9];
 
-/// What is compared, as the keys of the JSON form and as the names of the CSV form: our single best forecast, the
-/// bag's path of the highest confidence, constant velocity of our track, the best of as many of our most probable
-/// modes as the bag has paths, the best of the bag's paths, and the best of all our modes.
+/// The compared forecasts: their keys in JSON, and their names in CSV.
 pub(crate) const METHODS: [[&str; 2]; 6] = [
+    // Our single best forecast.
     ["ours", "stgdat"],
+    // The bag's path of the highest confidence.
     ["bag", "bag"],
+    // Constant velocity of our track.
     ["constant_velocity", "constant velocity"],
+    // The best of our most probable modes. There are as many of them as the bag has paths.
     ["ours_of_as_many", "stgdat best of as many"],
     ["bag_of_paths", "bag best of paths"],
     ["ours_of_all", "stgdat best of 20"],

@@ -65,7 +65,7 @@ impl Cell<'_> {
         self.mean(|sample| sample.area_m2)
     }
 
-    /// The same of its constant-velocity reference, which holds as many truths.
+    /// Mean area of the constant-velocity reference, which holds the same number of truths, m².
     pub(crate) fn steady_area_m2(&self) -> f64 {
         region_of_steady::mean_area_m2(self.samples, LEVEL, band_of, BAND_NAMES.len())
     }

@@ -11,7 +11,7 @@ use wire::{AGENTS_MAX, Detection, Track, detection_flags};
 
 use super::source::{self, Source, sources};
 use crate::error::EvaluateError;
-use crate::footage::Options;
+use crate::footage::{Options, SEED};
 use crate::lines::{Motion, TrackLine};
 use crate::noise::Noise;
 use crate::page::Page;
@@ -30,7 +30,6 @@ const SIGMA_M: f32 = 0.1;
 const PRIORS: [&str; 2] = ["forecasts", "kinematic"];
 /// Cells with fewer positions are left out.
 const CELL_MIN: usize = 200;
-const SEED: u64 = 1;
 
 /// A position in a gap, with the squared errors of two tracks: prior from forecasts, and kinematic prior.
 #[derive(Clone, Copy, Debug)]

@@ -13,7 +13,7 @@ use super::cell::{BAND_NAMES, Cell, band_of};
 use super::conflicts::{FORETELLERS, Foretold, Pair, RECALL};
 use super::patterns::{Residuals, patterns};
 use super::play::Played;
-use super::sample::{LEVEL, METHODS, Method, STEPS, Sample};
+use super::sample::{LEVEL, Method, STEPS, Sample};
 use super::source::Source;
 use crate::footage::{MapChoice, Options};
 use crate::page::Page;
@@ -344,10 +344,10 @@ impl Report {
     fn csv(&self) -> String {
         let mut text = String::from("source,type,method,forecasts,ade_m,fde_m\n");
         for (source, agent_type, samples) in self.cells() {
-            for method in METHODS {
+            for method in Method::ALL {
                 let Errors { ade_m, fde_m } = Cell { samples: &samples }.errors(method);
                 let (name, of_type, len) = (&source.name, agent_type.name(), samples.len());
-                let _ = writeln!(text, "{name},{of_type},{method:?},{len},{ade_m},{fde_m}");
+                let _ = writeln!(text, "{name},{of_type},{},{len},{ade_m},{fde_m}", method.name());
             }
         }
         text
@@ -357,9 +357,9 @@ impl Report {
     fn json(&self) -> serde_json::Value {
         let cells = self.cells().map(|(source, agent_type, samples)| {
             let cell = Cell { samples: &samples };
-            let errors = METHODS.map(|method| {
+            let errors = Method::ALL.map(|method| {
                 let Errors { ade_m, fde_m } = cell.errors(method);
-                (format!("{method:?}"), json!({ "ade_m": ade_m, "fde_m": fde_m }))
+                (method.name().to_owned(), json!({ "ade_m": ade_m, "fde_m": fde_m }))
             });
             let held = [0.5, 0.9]
                 .map(|level| (0..STEPS.len()).map(|step| cell.held(level, step)).collect::<Vec<f64>>());

@@ -8,6 +8,7 @@ use scene::{AgentType, State};
 use wire::{Expert, Forecast, MODES_MAX, Quality};
 
 use super::gaussian::Gaussian;
+use crate::footage::SEED;
 use crate::lines::Candidate;
 use crate::playback::{Truth, type_of};
 
@@ -17,34 +18,25 @@ pub(crate) const STEPS: [usize; 4] = [0, 2, 5, 11];
 const MISS_M: f64 = 2.0;
 /// Level of the region whose area is reported.
 pub(crate) const LEVEL: f64 = 0.9;
-const SEED: u64 = 1;
 
-/// The methods that are compared.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Method {
-    /// The published single best forecast.
-    Best,
-    /// The published mode with the least error.
-    BestOf,
-    /// Constant velocity.
-    ConstantVelocity,
-    /// A turn whose rate decays.
-    DecayingTurn,
-    /// An acceleration that decays.
-    DecayingAcceleration,
-    /// The best of 20 anchors on constant velocity.
-    Anchors,
+wire::named! {
+    /// The methods that are compared.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+    pub enum Method {
+        /// The published single best forecast.
+        Best => "Best",
+        /// The published mode with the least error.
+        BestOf => "BestOf",
+        /// Constant velocity.
+        ConstantVelocity => "ConstantVelocity",
+        /// A turn whose rate decays.
+        DecayingTurn => "DecayingTurn",
+        /// An acceleration that decays.
+        DecayingAcceleration => "DecayingAcceleration",
+        /// The best of 20 anchors on constant velocity.
+        Anchors => "Anchors",
+    }
 }
-
-/// All methods.
-pub const METHODS: [Method; 6] = [
-    Method::Best,
-    Method::BestOf,
-    Method::ConstantVelocity,
-    Method::DecayingTurn,
-    Method::DecayingAcceleration,
-    Method::Anchors,
-];
 
 /// A matured forecast.
 #[derive(Clone, Debug, PartialEq)]
@@ -61,8 +53,8 @@ pub struct Sample {
     pub source_s: f64,
     /// Whether another agent is on its way, a short distance ahead.
     pub has_leader: bool,
-    /// Errors of each of [`METHODS`].
-    pub errors: [Errors; METHODS.len()],
+    /// Errors by [`Method`].
+    pub errors: [Errors; Method::ALL.len()],
     /// Level of the highest-density region whose border passes through the truth, at each of the `STEPS`.
     pub levels: [f64; STEPS.len()],
     /// Area of the 90 % highest-density region at the end, m².
@@ -169,7 +161,7 @@ impl Judge<'_> {
         let steady = path(&|path| now.steady(self.dt_s, path));
         let turning = path(&|path| now.turning(self.dt_s, path));
         let accelerating = path(&|path| now.accelerating(self.dt_s, path));
-        let errors = METHODS.map(|method| {
+        let errors = Method::ALL.map(|method| {
             Errors::of(match method {
                 Method::Best => displacement(&forecast.best, &truth),
                 Method::BestOf => min_displacement(modes, &truth),

@@ -5,16 +5,17 @@ use std::path::{Path, PathBuf};
 
 use data::Recording;
 use evidence::{Prior, Priors};
-use metrics::{Anchors, Window};
+use metrics::Anchors;
 use nn::ModelConfig;
 use onboard::Chain;
 use run::{Run, StageRun};
 use scene::AgentType;
 
 use crate::error::EvaluateError;
-use crate::footage::{MapChoice, Options};
+use crate::footage::{MapChoice, Options, SEED};
 use crate::playback::Playing;
 use crate::scenes::{Agent, Cut};
+use crate::windows;
 
 /// Sources with fast roads, which are also played at twice their scale.
 const FAST: [&str; 2] = ["ngsim_us101", "mona"];
@@ -22,7 +23,6 @@ const FAST: [&str; 2] = ["ngsim_us101", "mona"];
 const SPEED_CUTS_MPS: [f32; metrics::SPEED_BINS - 1] = [1.0, 3.5, 6.5, 10.0, 14.5, 20.0, 28.0];
 /// Maximum number of windows per source and type that anchors are fitted to.
 const WINDOWS_MAX: usize = 4_000;
-const SEED: u64 = 1;
 
 /// A folder of recordings, at original or changed scale.
 #[derive(Clone, Debug, PartialEq)]
@@ -156,23 +156,16 @@ impl Source {
     }
 }
 
-/// Fits 20 anchors on constant velocity per speed bin and type to windows of sources.
+/// Fits anchors to windows of sources. The speed bins of vehicles include motorway speeds.
 pub(crate) fn anchors<'a>(
     sources: impl Iterator<Item = &'a [Agent]>,
     model: &ModelConfig,
 ) -> BTreeMap<AgentType, Anchors> {
-    let agents: Vec<&Agent> = sources.flatten().collect();
-    let fit = |agent_type: AgentType| {
-        let of_type = agents.iter().filter(|agent| agent.agent_type == agent_type);
-        let windows: Vec<Window<'_>> =
-            of_type.map(|agent| Window { history: &agent.history, future: &agent.future }).collect();
-        let cuts_mps = match agent_type {
-            AgentType::Vehicle => SPEED_CUTS_MPS,
-            _ => metrics::speed_cuts_mps(agent_type),
-        };
-        Anchors::fit(&windows, model.dt_s as f32, model.horizon_len, cuts_mps, SEED)
+    let cuts_mps = |agent_type| match agent_type {
+        AgentType::Vehicle => SPEED_CUTS_MPS,
+        _ => metrics::speed_cuts_mps(agent_type),
     };
-    wire::AGENT_TYPES.into_iter().filter_map(|agent_type| Some((agent_type, fit(agent_type)?))).collect()
+    windows::anchors(sources.flatten(), model.dt_s as f32, model.horizon_len, cuts_mps, SEED)
 }
 
 /// The run of detections that are `interval_ns` apart, along the lanes of a map, if there is one.

@@ -13,7 +13,7 @@ use crate::scenes::{Agent, Cut, Scene};
 use crate::windows::Method;
 
 /// Maximum number of agents per type that anchors are fitted to, spread evenly over the training part.
-pub const ANCHOR_AGENTS: usize = 60_000;
+const ANCHOR_AGENTS: usize = 60_000;
 
 /// The baselines, with fitted anchors.
 #[derive(Clone, Debug)]
@@ -29,22 +29,9 @@ impl Baselines {
     #[must_use]
     pub fn fit<'a>(training: impl Iterator<Item = &'a Scene>, cut: &Cut, seed: u64) -> Self {
         let agents = training.flat_map(|scene| &scene.agents).filter(|agent| agent.is_complete());
-        let agents: Vec<&Agent> = agents.collect();
-        let mut anchors = BTreeMap::new();
-        for of_type in wire::AGENT_TYPES {
-            let agents: Vec<&Agent> =
-                agents.iter().copied().filter(|agent| agent.agent_type == of_type).collect();
-            let stride = agents.len().div_ceil(ANCHOR_AGENTS).max(1);
-            let windows: Vec<metrics::Window<'_>> = agents
-                .iter()
-                .step_by(stride)
-                .map(|agent| metrics::Window { history: &agent.history, future: &agent.future })
-                .collect();
-            let cuts_mps = metrics::speed_cuts_mps(of_type);
-            let fitted = Anchors::fit(&windows, cut.dt_s as f32, cut.horizon_len, cuts_mps, seed);
-            anchors.extend(fitted.map(|fitted| (of_type, fitted)));
-        }
-        Self { anchors, dt_s: cut.dt_s as f32, horizon_len: cut.horizon_len, seed }
+        let (dt_s, horizon_len) = (cut.dt_s as f32, cut.horizon_len);
+        let anchors = anchors(agents, dt_s, horizon_len, metrics::speed_cuts_mps, seed);
+        Self { anchors, dt_s, horizon_len, seed }
     }
 
     /// The forecasts of every method for an agent, in the order of [`Method::ALL`].
@@ -100,6 +87,26 @@ impl Baselines {
             }
         }
     }
+}
+
+/// Fits 20 anchors on constant velocity per speed bin and type to complete agents.
+pub(crate) fn anchors<'a>(
+    agents: impl Iterator<Item = &'a Agent>,
+    dt_s: f32,
+    horizon_len: usize,
+    cuts_mps: impl Fn(AgentType) -> [f32; metrics::SPEED_BINS - 1],
+    seed: u64,
+) -> BTreeMap<AgentType, Anchors> {
+    let agents: Vec<&Agent> = agents.collect();
+    let fit = |of_type: AgentType| {
+        let agents = || agents.iter().filter(|agent| agent.agent_type == of_type);
+        let stride = agents().count().div_ceil(ANCHOR_AGENTS).max(1);
+        let windows = agents().step_by(stride);
+        let windows: Vec<metrics::Window<'_>> =
+            windows.map(|agent| metrics::Window { history: &agent.history, future: &agent.future }).collect();
+        Anchors::fit(&windows, dt_s, horizon_len, cuts_mps(of_type), seed)
+    };
+    wire::AGENT_TYPES.into_iter().filter_map(|of_type| Some((of_type, fit(of_type)?))).collect()
 }
 
 fn of_forecast(forecast: Option<&Forecast>) -> Candidate {

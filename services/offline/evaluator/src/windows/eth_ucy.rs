@@ -4,8 +4,7 @@ use data::sets::{DataSet, Fold, Part};
 use data::{Format, OpenOptions};
 
 use crate::error::EvaluateError;
-use crate::footage::{MapChoice, Options, SEED};
-use crate::forecaster::MapInput;
+use crate::footage::{Options, SEED};
 use crate::scenes::Cut;
 use crate::table::Table;
 use crate::windows::{
@@ -43,10 +42,7 @@ pub fn eth_ucy(options: &Options, mut progress: impl FnMut(&str)) -> Result<Repo
         options.noise.label()
     ));
     let mut groups: [Vec<Group>; 2] = [Vec::new(), Vec::new()];
-    let (map, map_label) = match options.map {
-        MapChoice::None => (MapInput::None, "none"),
-        MapChoice::Online | MapChoice::Site => (MapInput::Online, "online"),
-    };
+    let (map, map_label) = options.map.without_sites();
     let mut models = Vec::new();
     for fold in Fold::ALL {
         let model = options.weights.open(fold.name(), SEED)?;

@@ -7,7 +7,7 @@ use data::{OpenOptions, Recording};
 use lanes::LaneMap;
 
 use crate::error::EvaluateError;
-use crate::footage::{Footage, MapChoice, Options, SEED};
+use crate::footage::{Footage, Options, SEED};
 use crate::forecaster::{EMBEDDED, MapInput, Model, Provenance};
 use crate::lines::ForecastLines;
 use crate::scenes::Cut;
@@ -50,10 +50,7 @@ impl Evaluation {
         let model = options.weights.open(EMBEDDED, SEED)?;
         let cut = Cut { from_positions, ..Cut::of(model.forecaster.config()) };
         let horizons = quarters(cut.horizon_len);
-        let (map, map_label) = match options.map {
-            MapChoice::None => (MapInput::None, "none"),
-            MapChoice::Online | MapChoice::Site => (MapInput::Online, "online"),
-        };
+        let (map, map_label) = options.map.without_sites();
         let Provenance { weights, sha256, recipe, seed, draws, map: map_label, precision, .. } =
             model.provenance("", map_label, &[]);
         let basis = Basis {
@@ -146,7 +143,7 @@ impl Evaluation {
             lanes: self.lanes.clone(),
             ..rules.judge_with(&self.model, &self.baselines, &recording.name)
         };
-        let blocks = judge.recording(recording, scenes, self.map);
+        let blocks = judge.recording(recording, scenes, self.map, None);
         State::of(self.basis.clone(), recording, self.model.has_seen(recording), &blocks)
     }
 }

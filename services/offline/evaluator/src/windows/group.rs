@@ -4,11 +4,8 @@ use metrics::{ExactSum, Interval, PairedErrors, paired_bootstrap, paired_bootstr
 use serde::{Deserialize, Serialize};
 
 use crate::forecaster::Crowding;
-use crate::table::RESAMPLES;
+use crate::table::{RESAMPLES, SEED};
 use crate::windows::{Measure, Method, Subset, Tally, judge::Block};
-
-/// Seed of the resamples.
-const SEED: u64 = 1;
 
 /// The baselines that our forecasts are compared with, and the measures.
 pub(crate) const COMPARED: [(Measure, Method); 6] = [

@@ -132,7 +132,7 @@ impl Protocol<'_> {
             let footage = self.observe(model, map, footage, &format!("seen {}", short(&site)), report)?;
             // Other recordings of the evaluated part must not enter the memory.
             let mut memory = visited.as_ref().map(|(_, memory)| memory.clone());
-            let blocks = judge.revisit(&footage.recording, &footage.scenes, map, memory.as_mut());
+            let blocks = judge.recording(&footage.recording, &footage.scenes, map, memory.as_mut());
             match sites.iter_mut().find(|(name, _)| *name == site) {
                 Some((_, all)) => all.extend(blocks),
                 None => sites.push((site, blocks)),
@@ -193,7 +193,7 @@ impl Protocol<'_> {
                 let map = options.map.input(drawn.as_ref());
                 let footage = self.observe(model, map, footage, &format!("held-out {site}"), report)?;
                 let Footage { recording, scenes } = &footage;
-                let blocks = judge.revisit(recording, scenes, map, Some(&mut memory));
+                let blocks = judge.recording(recording, scenes, map, Some(&mut memory));
                 memory.end_session();
                 if part == options.part {
                     tests.extend(blocks.iter().cloned());

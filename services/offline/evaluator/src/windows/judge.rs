@@ -88,16 +88,9 @@ pub struct Judge<'a> {
 }
 
 impl Judge<'_> {
-    /// Evaluates a recording's scenes block by block.
-    #[must_use]
-    pub fn recording(&self, recording: &Recording, scenes: &[Scene], map: MapInput<'_>) -> Vec<Block> {
-        self.revisit(recording, scenes, map, None)
-    }
-
-    /// As [`Judge::recording`], with another variant that is warm-started from a retrieval memory. The
-    /// recording extends this memory, whose previous session must have ended.
-    #[must_use]
-    pub fn revisit(
+    /// Evaluates a recording's scenes block by block. With `visited`, there is another variant that is warm-started
+    /// from this retrieval memory. The recording extends the memory, whose previous session must have ended.
+    pub(crate) fn recording(
         &self,
         recording: &Recording,
         scenes: &[Scene],

@@ -39,7 +39,7 @@ impl Rules<'_> {
         map: MapInput<'_>,
         part: &str,
     ) -> Vec<Block> {
-        self.judge_with(model, baselines, part).recording(&footage.recording, &footage.scenes, map)
+        self.judge_with(model, baselines, part).recording(&footage.recording, &footage.scenes, map, None)
     }
 
     /// The evaluation of a model with these rules. `part` names the agents in the lines of forecasts.

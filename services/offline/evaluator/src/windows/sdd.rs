@@ -3,8 +3,7 @@
 use data::sets::{DataSet, Part};
 
 use crate::error::EvaluateError;
-use crate::footage::{MapChoice, Options, SEED};
-use crate::forecaster::MapInput;
+use crate::footage::{Options, SEED};
 use crate::scenes::Cut;
 use crate::table::Table;
 use crate::windows::{
@@ -37,10 +36,7 @@ pub fn sdd(options: &Options, mut progress: impl FnMut(&str)) -> Result<Report, 
     let baselines = fit(&options.read_part(DataSet::SddTrajnet, Part::Train, &cut)?, &cut);
     progress(&format!("{} part", options.part.name()));
     let footage = options.read_part(DataSet::SddTrajnet, options.part, &cut)?;
-    let (map, map_label) = match options.map {
-        MapChoice::None => (MapInput::None, "none"),
-        MapChoice::Online | MapChoice::Site => (MapInput::Online, "online"),
-    };
+    let (map, map_label) = options.map.without_sites();
     let (mut metres, mut pixels) = (Vec::new(), Vec::new());
     for footage in &footage {
         let blocks = rules.judge(&model, &baselines, footage, map, options.part.name());

@@ -10,7 +10,8 @@ use std::f32::consts::{LN_2, LOG2_E, TAU};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use crate::Point;
+/// A position (x, y) in metres.
+type Point = [f32; 2];
 
 /// Number of draws from all components together. Every component of positive probability has at least one.
 const DRAWS: usize = 400;
