@@ -32,11 +32,17 @@ mod report;
 mod sample;
 mod source;
 
+use self::conflicts::{FORETELLERS, Foretold, Known, Pair, RECALL};
+use cell::{BAND_NAMES, Cell, band_of};
 pub use gaps::through_gaps;
+use gaussian::Gaussian;
 pub use noise::{COLUMNS as NOISE_COLUMNS, network_under_noise, synthetic, under_noise};
 pub(crate) use patterns::{Residual, Residuals, patterns};
+use play::Played;
 pub(crate) use play::{EVERY_NS, LEARNED_MIN};
 pub use report::Report;
+use report::subsets_of;
+use sample::{Judge, Judged, LEVEL, Method, STEPS, Sample};
 pub(crate) use sample::{at_step, nll_at, residuals_m};
 pub(crate) use source::run;
 pub use source::{Source, sources};

@@ -27,15 +27,21 @@ pub use kitti::{Contender, MakeTracks, Published, PublishedTrack};
 pub use protocol::{interaction, kitti};
 
 pub(crate) use course::{Course, Sensor};
+use course::{Instant, Seen};
 pub(crate) use follower::Follower;
 pub(crate) use hypotheses::Place;
+use hypotheses::{Estimate, Hypotheses, OnboardForecasts};
 pub(crate) use kitti::{
     ByClass, CLASSES, Counts, KittiMeasure, KittiPart, KittiReport, KittiRow, LEAST_SCORES, Sequence,
     class_name, nearest_neighbours,
 };
 pub(crate) use method::TrackingMethod;
+use method::{ACCELERATION_MPS2, Setting, Settings, StateKind, TURN_RATE_RADPS, UNKNOWN, control_gains};
 pub(crate) use outcome::Outcome;
+use outcome::{DEGREES, Error, SETTLED_S};
 pub(crate) use report::{MethodErrors, TrackingReport};
+use singer::SingerBicycle;
+use smoother::smooth;
 pub(crate) use tuning::{TRIALS, Trials, tune};
 
 /// The first line of the figures of [`interaction()`] and [`kitti()`] as CSV, which form one table.

@@ -2,8 +2,7 @@
 
 use metrics::{Errors, Interval};
 
-use super::region_of_steady;
-use super::sample::{LEVEL, Method, Sample};
+use super::{LEVEL, Method, Sample, region_of_steady};
 use crate::table::{pair, ratio_of_clusters};
 
 /// Bounds of the speed bands, m/s.

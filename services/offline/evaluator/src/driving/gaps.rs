@@ -9,7 +9,7 @@ use serde_json::json;
 use tracker::Tracker;
 use wire::{AGENTS_MAX, Detection, Track, detection_flags};
 
-use super::source::{self, Source, sources};
+use super::{Source, source, sources};
 use crate::error::EvaluateError;
 use crate::footage::{Options, SEED};
 use crate::lines::{Motion, TrackLine};

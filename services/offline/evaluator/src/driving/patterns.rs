@@ -4,7 +4,7 @@ use evidence::{BANDS, Context, FAN, KNOTS, OUTLIER, Pattern, Patterns, fill_unkn
 use scene::AgentType;
 use wire::{AGENT_TYPES, MODES_MAX};
 
-use super::sample::Sample;
+use super::Sample;
 
 /// Positions at the knots along and across the course.
 type Knots = [[f32; 2]; KNOTS];

@@ -10,10 +10,7 @@ use onboard::Chain;
 use scene::AgentType;
 use wire::{Forecast, MODES_MAX};
 
-use super::conflicts::{self, Known, Pair};
-use super::report::subsets_of;
-use super::sample::{Judge, Judged, Sample};
-use super::source::Source;
+use super::{Judge, Judged, Known, Pair, Sample, Source, conflicts, subsets_of};
 use crate::error::EvaluateError;
 use crate::footage::Options;
 use crate::lines::{Candidate, ForecastLine, ForecastLines};

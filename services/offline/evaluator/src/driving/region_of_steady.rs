@@ -1,10 +1,7 @@
 //! A reference for the size of the published regions: regions about constant velocity that hold the same
 //! number of truths.
 
-use crate::driving::{
-    gaussian::Gaussian,
-    sample::{STEPS, Sample},
-};
+use super::{Gaussian, STEPS, Sample};
 
 /// A speed band with fewer forecasts uses the Gaussian of all forecasts.
 const BAND_MIN: usize = 20;

@@ -9,12 +9,10 @@ use nn::{ModelConfig, Precision};
 use scene::AgentType;
 use serde_json::json;
 
-use super::cell::{BAND_NAMES, Cell, band_of};
-use super::conflicts::{FORETELLERS, Foretold, Pair, RECALL};
-use super::patterns::{Residuals, patterns};
-use super::play::Played;
-use super::sample::{LEVEL, Method, STEPS, Sample};
-use super::source::Source;
+use super::{
+    BAND_NAMES, Cell, FORETELLERS, Foretold, LEVEL, Method, Pair, Played, RECALL, Residuals, STEPS, Sample,
+    Source, band_of, patterns,
+};
 use crate::footage::{MapChoice, Options};
 use crate::page::Page;
 use crate::table::{RESAMPLES, Table, text_of_interval};

@@ -7,7 +7,7 @@ use metrics::{Anchors, Errors, HighestDensity, Point, displacement, min_displace
 use scene::{AgentType, State};
 use wire::{Expert, Forecast, MODES_MAX, Quality};
 
-use super::gaussian::Gaussian;
+use super::Gaussian;
 use crate::footage::SEED;
 use crate::lines::Candidate;
 use crate::playback::{Truth, type_of};

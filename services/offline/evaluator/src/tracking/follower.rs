@@ -10,14 +10,11 @@ use nalgebra::{Matrix2, Vector4};
 use scene::State;
 use wire::AgentType;
 
-use super::course::{Course, Instant, Seen};
-use super::hypotheses::{Estimate, Hypotheses, OnboardForecasts};
-use super::method::{
-    ACCELERATION_MPS2, Settings, StateKind, TURN_RATE_RADPS, TrackingMethod, UNKNOWN, control_gains,
+use super::{
+    ACCELERATION_MPS2, Course, DEGREES, Error, Estimate, Hypotheses, Instant, OnboardForecasts, Outcome,
+    SETTLED_S, Seen, Settings, SingerBicycle, StateKind, TURN_RATE_RADPS, TrackingMethod, UNKNOWN,
+    control_gains, smooth,
 };
-use super::outcome::{DEGREES, Error, Outcome, SETTLED_S};
-use super::singer::SingerBicycle;
-use super::smoother::smooth;
 use crate::forecaster::Forecaster;
 
 /// Maximum standard deviation of a known course. States with a heading also need [`COURSE_KNOWN_MPS`].

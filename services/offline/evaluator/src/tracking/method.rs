@@ -5,7 +5,7 @@ use filters::{
     Unknown, control_gain,
 };
 
-use super::singer::SingerBicycle;
+use super::SingerBicycle;
 
 /// Prior standard deviations of a vehicle's unmeasured components.
 pub(crate) const UNKNOWN: Unknown = Unknown { speed_mps: 10.0, slip_rad: 0.05 };

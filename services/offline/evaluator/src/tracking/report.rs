@@ -3,8 +3,7 @@
 use metrics::tracking::{Consistency, ConsistencySummary, ErrorNorms};
 use metrics::{PairedErrors, paired_bootstrap_ratio};
 
-use super::outcome::Error;
-use super::{Outcome, Sensor, TRIALS, TrackingMethod, Trials};
+use super::{Error, Outcome, Sensor, TRIALS, TrackingMethod, Trials};
 use crate::forecaster::Provenance;
 use crate::page::Page;
 use crate::table::{RESAMPLES, SEED, Table, digits, percent};

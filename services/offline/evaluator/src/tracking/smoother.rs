@@ -12,9 +12,7 @@ use metrics::tracking::{PlanarState, normalised_square};
 use nalgebra::{Matrix2, Matrix3, Matrix3x2, RowVector2, Vector2};
 use wire::AgentType;
 
-use super::course::{Course, Seen};
-use super::method::{ACCELERATION_MPS2, UNKNOWN};
-use super::outcome::{DEGREES, Error, Outcome, SETTLED_S};
+use super::{ACCELERATION_MPS2, Course, DEGREES, Error, Outcome, SETTLED_S, Seen, UNKNOWN};
 
 /// Position, velocity and acceleration of both axes, and the covariance that the axes share.
 #[derive(Clone, Copy)]

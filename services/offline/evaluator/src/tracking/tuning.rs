@@ -1,9 +1,7 @@
 //! Tunes each method's setting by the likelihood of measurements, with the same number of trials for all
 //! methods.
 
-use super::follower::Follower;
-use super::method::{Setting, Settings, TrackingMethod};
-use super::{Course, Outcome};
+use super::{Course, Follower, Outcome, Setting, Settings, TrackingMethod};
 use crate::forecaster::Forecaster;
 use crate::threads;
 

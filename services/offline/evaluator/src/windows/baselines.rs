@@ -7,10 +7,10 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use scene::AgentType;
 
+use super::Method;
 use crate::forecaster::{Forecast, Variants};
 use crate::lines::Candidate;
 use crate::scenes::{Agent, Cut, Scene};
-use crate::windows::Method;
 
 /// Maximum number of agents per type that anchors are fitted to, spread evenly over the training part.
 const ANCHOR_AGENTS: usize = 60_000;

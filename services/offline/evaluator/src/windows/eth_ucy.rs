@@ -3,19 +3,13 @@
 use data::sets::{DataSet, Fold, Part};
 use data::{Format, OpenOptions};
 
+use super::{
+    Column, GROWTH, Group, PaperRow, RATES, Report, Rules, Sensor, Subset, fit, need_agents, reference,
+};
 use crate::error::EvaluateError;
 use crate::footage::{Options, SEED};
 use crate::scenes::Cut;
 use crate::table::Table;
-use crate::windows::{
-    Subset,
-    group::Group,
-    observed::Sensor,
-    protocol::{GROWTH, RATES, Rules, fit, need_agents},
-    reference::{self, PaperRow},
-    report::Report,
-    tables::Column,
-};
 use metrics::Errors;
 
 /// Steps of the protocol: 8 + 12 annotated frames.

@@ -6,17 +6,13 @@ use std::sync::Arc;
 use data::{OpenOptions, Recording};
 use lanes::LaneMap;
 
+use super::{Baselines, Basis, Judge, Rules, State, Subset};
 use crate::error::EvaluateError;
 use crate::footage::{Footage, Options, SEED};
 use crate::forecaster::{EMBEDDED, MapInput, Model, Provenance};
 use crate::lines::ForecastLines;
 use crate::scenes::Cut;
 use crate::threads;
-use crate::windows::{
-    Baselines, Judge, Subset,
-    protocol::Rules,
-    state::{Basis, State},
-};
 
 /// The subsets of recordings. Only the first two have tables.
 pub(crate) const SUBSETS: [Subset; 2 + wire::AGENT_TYPES.len()] = [

@@ -3,9 +3,9 @@
 use metrics::{ExactSum, Interval, PairedErrors, paired_bootstrap, paired_bootstrap_ratio};
 use serde::{Deserialize, Serialize};
 
+use super::{Block, Measure, Method, Subset, Tally};
 use crate::forecaster::Crowding;
 use crate::table::{RESAMPLES, SEED};
-use crate::windows::{Measure, Method, Subset, Tally, judge::Block};
 
 /// The baselines that our forecasts are compared with, and the measures.
 pub(crate) const COMPARED: [(Measure, Method); 6] = [

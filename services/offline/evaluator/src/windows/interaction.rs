@@ -7,22 +7,16 @@ use data::sets::{DataSet, Part};
 use retrieval::RetrievalMemory;
 use scene::AgentType;
 
+use super::{
+    Baselines, Block, Column, GROWTH, Group, Judge, PaperRow, RATES, Report, Rules, Sensor, Subset, fit,
+    need_agents, reference,
+};
 use crate::error::EvaluateError;
 use crate::footage::{Footage, MapChoice, Options, SEED, map_of};
 use crate::forecaster::{MapInput, Model, Provenance};
 use crate::noise::Noise;
 use crate::scenes::{Cut, MOVING_MPS};
 use crate::table::Table;
-use crate::windows::{
-    Baselines, Judge, Subset,
-    group::Group,
-    judge::Block,
-    observed::Sensor,
-    protocol::{GROWTH, RATES, Rules, fit, need_agents},
-    reference::{self, PaperRow},
-    report::Report,
-    tables::Column,
-};
 use metrics::Errors;
 
 /// Steps of the protocol: 2 Hz.

@@ -9,11 +9,11 @@ use nn::ModelConfig;
 use retrieval::RetrievalMemory;
 use scene::AgentType;
 
+use super::{Baselines, Method, Tally};
 use crate::forecaster::{Decoded, Forecast, Forecaster, MapInput, Samplers, Session, TOGETHER, Variants};
 use crate::lines::{Candidate, ForecastLine, ForecastLines, text};
 use crate::scenes::{Agent, MOVING_MPS, Scene};
 use crate::threads;
-use crate::windows::{Baselines, Method, Tally};
 
 /// Which of a scene's complete agents count.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]

@@ -9,6 +9,7 @@ use metrics::Point;
 use scene::State;
 use wire::{AgentType, HistoryState, Track};
 
+use super::Report;
 use crate::error::EvaluateError;
 use crate::footage::Footage;
 use crate::forecaster::{Forecaster, MapInput};
@@ -17,7 +18,6 @@ use crate::noise::Noise;
 use crate::playback::Playing;
 use crate::scenes::{Agent, Scene};
 use crate::threads;
-use crate::windows::report::Report;
 
 /// Marks the identities of tracks that follow no agent of the scene.
 const NO_AGENT: u64 = 1 << 63;

@@ -1,11 +1,11 @@
 //! What the protocols of windows share: their rules, and captions of their tables.
 
+use super::{Baselines, Block, Judge, Subset};
 use crate::error::EvaluateError;
 use crate::footage::{Footage, Options, SEED};
 use crate::forecaster::{MapInput, Model};
 use crate::lines::ForecastLines;
 use crate::scenes::Cut;
-use crate::windows::{Baselines, Block, Judge, Subset};
 
 impl Options {
     /// The rules of a protocol.

@@ -5,15 +5,10 @@ use std::collections::{BTreeMap, BTreeSet};
 use metrics::Interval;
 use serde::Serialize;
 
+use super::{COMPARED, DoubtCount, Group, Measure, Method, tables};
 use crate::forecaster::{Crowding, Provenance};
 use crate::page::Page;
 use crate::table::Table;
-use crate::windows::{
-    Measure, Method,
-    group::{COMPARED, Group},
-    state::DoubtCount,
-    tables,
-};
 
 /// One number of a report.
 #[derive(Clone, Debug, PartialEq, Serialize)]

@@ -2,18 +2,11 @@
 
 use data::sets::{DataSet, Part};
 
+use super::{Column, GROWTH, Group, RATES, Report, Subset, fit, need_agents, reference};
 use crate::error::EvaluateError;
 use crate::footage::{Options, SEED};
 use crate::scenes::Cut;
 use crate::table::Table;
-use crate::windows::{
-    Subset,
-    group::Group,
-    protocol::{GROWTH, RATES, fit, need_agents},
-    reference,
-    report::Report,
-    tables::Column,
-};
 
 /// Steps of the protocol.
 const STEPS: (usize, usize, f64) = (8, 12, 0.4);

@@ -23,8 +23,8 @@ use data::Recording;
 use nn::Precision;
 use serde::{Deserialize, Serialize};
 
+use super::{Block, BlockErrors, Group, SUBSETS, Tally};
 use crate::error::EvaluateError;
-use crate::windows::{Group, Tally, files::SUBSETS, group::BlockErrors, judge::Block};
 use bins::Bins;
 
 pub use file::StateError;

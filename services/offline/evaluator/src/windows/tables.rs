@@ -2,12 +2,8 @@
 
 use metrics::Errors;
 
+use super::{COMPARED, Calibration, Group, Measure, Method, PaperRow, Tally};
 use crate::table::{RESAMPLES, Table, pair, percent};
-use crate::windows::{
-    Calibration, Measure, Method, Tally,
-    group::{COMPARED, Group},
-    reference::PaperRow,
-};
 
 /// The methods in a summary.
 const SUMMARISED: [&str; 9] = [

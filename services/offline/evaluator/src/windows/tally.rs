@@ -4,10 +4,10 @@
 use metrics::{Displacement, Errors, ExactMean, ExactSum, Mean, Share, displacement, joint_min_displacement};
 use serde::{Deserialize, Serialize};
 
+use super::Method;
 use crate::forecaster::Crowding;
 use crate::lines::Candidate;
 use crate::scenes::Agent;
-use crate::windows::Method;
 
 wire::named! {
     /// How the forecasts of a method are compared with the truth.

@@ -46,10 +46,15 @@ struct Job<'a> {
     fields: Fields,
     /// Whether the forecasts are the network's own, without evidence.
     is_network: bool,
+    /// Whether later runs are compared with this one.
+    is_reference: bool,
 }
 
 /// A forecast: place of the recording in its source, agent, time.
 type Key = (usize, u64, i64);
+
+/// The errors of a run.
+type AllEnds = BTreeMap<Key, Ends>;
 
 /// Errors of a forecast; at the horizon, unless the field is named after the mean.
 #[derive(Clone, Copy, Debug)]
@@ -76,19 +81,8 @@ pub fn under_noise(
     scenes: usize,
     progress: impl Fn(&str) + Sync,
 ) -> Result<Page, EvaluateError> {
-    let (model, sources) = (options.weights.load()?, spread_sources(options, scenes)?);
-    let jobs: Vec<Job<'_>> = sources.iter().flat_map(jobs_of).collect();
-    let played = play_all(&jobs, options, model.config(), progress)?;
-    let mut sheet = sheet(scenes, model.config());
-    // The first run of a source is the one without noise.
-    let mut clean = &BTreeMap::new();
-    for (job, played) in jobs.iter().zip(&played) {
-        if job.noise.is_none() {
-            clean = played;
-        }
-        sheet.rows.push(Row { names: job.names(), values: figures(played, clean) });
-    }
-    Ok(page("recorded", "evaluate noise", &[sheet]))
+    let study = Study { jobs: jobs_of, sheet, names: |job| job.names(), figures };
+    Ok(page("recorded", "evaluate noise", &[study.sheet(options, scenes, progress)?]))
 }
 
 /// As [`under_noise`], of detections with identities: the network's own forecasts beside the published ones.
@@ -100,18 +94,47 @@ pub fn network_under_noise(
     scenes: usize,
     progress: impl Fn(&str) + Sync,
 ) -> Result<Page, EvaluateError> {
-    let (model, sources) = (options.weights.load()?, spread_sources(options, scenes)?);
-    let jobs: Vec<Job<'_>> = sources.iter().flat_map(network_jobs_of).collect();
-    let played = play_all(&jobs, options, model.config(), progress)?;
-    let mut sheet = network_sheet(scenes, model.config());
-    let runs: Vec<_> = jobs.iter().zip(&played).collect();
-    // The first run of each series is the one without noise.
-    for series in runs.chunks(SIGMAS_M.len()) {
-        for (job, played) in series {
-            sheet.rows.push(Row { names: job.network_names(), values: network_figures(played, series[0].1) });
+    let study = Study {
+        jobs: network_jobs_of,
+        sheet: network_sheet,
+        names: |job| job.network_names(),
+        figures: network_figures,
+    };
+    Ok(page("network", "evaluate noise --parts network", &[study.sheet(options, scenes, progress)?]))
+}
+
+/// A table of runs, each beside the latest run before it that is a reference.
+struct Study {
+    jobs: fn(&Source) -> Vec<Job<'_>>,
+    sheet: fn(usize, &ModelConfig) -> Sheet,
+    names: fn(&Job<'_>) -> Vec<String>,
+    figures: fn(&AllEnds, &AllEnds) -> Vec<Option<f64>>,
+}
+
+impl Study {
+    fn sheet(
+        &self,
+        options: &Options,
+        scenes: usize,
+        progress: impl Fn(&str) + Sync,
+    ) -> Result<Sheet, EvaluateError> {
+        let (weights, sources) = (options.weights.load()?, spread_sources(options, scenes)?);
+        let model = weights.config();
+        let jobs: Vec<Job<'_>> = sources.iter().flat_map(|source| (self.jobs)(source)).collect();
+        let played = threads::each(&jobs, options.threads, |job, _: &mut ()| {
+            progress(&format!("{}, {}", job.source.name, job.names()[1..].join(", ")));
+            job.play(options, model)
+        });
+        let played = played.into_iter().collect::<Result<Vec<_>, _>>()?;
+        let (mut sheet, mut reference) = ((self.sheet)(scenes, model), &BTreeMap::new());
+        for (job, played) in jobs.iter().zip(&played) {
+            if job.is_reference {
+                reference = played;
+            }
+            sheet.rows.push(Row { names: (self.names)(job), values: (self.figures)(played, reference) });
         }
+        Ok(sheet)
     }
-    Ok(page("network", "evaluate noise --parts network", &[sheet]))
 }
 
 /// The sources, with at most `scenes` recordings each.
@@ -119,19 +142,6 @@ fn spread_sources(options: &Options, scenes: usize) -> Result<Vec<Source>, Evalu
     let mut sources = sources(&options.data.join("driving"), &options.sources)?;
     sources.iter_mut().for_each(|source| source.files = spread(&source.files, scenes));
     Ok(sources)
-}
-
-fn play_all(
-    jobs: &[Job<'_>],
-    options: &Options,
-    model: &ModelConfig,
-    progress: impl Fn(&str) + Sync,
-) -> Result<Vec<BTreeMap<Key, Ends>>, EvaluateError> {
-    let played = threads::each(jobs, options.threads, |job, _: &mut ()| {
-        progress(&format!("{}, {}", job.source.name, job.names()[1..].join(", ")));
-        job.play(options, model)
-    });
-    played.into_iter().collect()
 }
 
 /// At most `len` items at even distances.
@@ -159,7 +169,7 @@ fn jobs_of(source: &Source) -> Vec<Job<'_>> {
                     seed: 1,
                     ..Noise::default()
                 };
-                jobs.push(Job { source, noise, fields, is_network: false });
+                jobs.push(Job { source, noise, fields, is_network: false, is_reference: noise.is_none() });
             }
         }
     }
@@ -172,7 +182,9 @@ fn network_jobs_of(source: &Source) -> Vec<Job<'_>> {
         let jobs = jobs_of(source).into_iter();
         jobs.filter(move |job| !job.noise.without_ids && job.fields == fields)
     };
-    let series = |(fields, is_network)| with_ids(fields).map(move |job| Job { is_network, ..job });
+    let series = |(fields, is_network)| {
+        with_ids(fields).map(move |job| Job { is_network, is_reference: job.noise.sigma_m == 0.0, ..job })
+    };
     [(Fields::All, true), (Fields::All, false), (Fields::Positions, true), (Fields::Positions, false)]
         .into_iter()
         .flat_map(series)
@@ -221,7 +233,7 @@ fn network_sheet(scenes: usize, model: &ModelConfig) -> Sheet {
 }
 
 /// The numbers of a row of [`network_sheet`].
-fn network_figures(played: &BTreeMap<Key, Ends>, clean: &BTreeMap<Key, Ends>) -> Vec<Option<f64>> {
+fn network_figures(played: &AllEnds, clean: &AllEnds) -> Vec<Option<f64>> {
     let of: [fn(&Ends) -> f64; 4] =
         [|of| of.best_mean_m, |of| of.best_m, |of| of.best_of_m, |of| of.tracked_m];
     let counted = Some(played.len() as f64);
@@ -230,7 +242,7 @@ fn network_figures(played: &BTreeMap<Key, Ends>, clean: &BTreeMap<Key, Ends>) ->
     [counted].into_iter().chain(means).chain(ratios).collect()
 }
 
-fn mean(played: &BTreeMap<Key, Ends>, of: fn(&Ends) -> f64) -> Option<f64> {
+fn mean(played: &AllEnds, of: fn(&Ends) -> f64) -> Option<f64> {
     (!played.is_empty()).then(|| played.values().map(of).sum::<f64>() / played.len() as f64)
 }
 
@@ -239,14 +251,14 @@ fn ratio(a: f64, b: f64) -> Option<f64> {
 }
 
 /// The ratio of an error to the clean run's, on the forecasts that both runs have.
-fn to_clean(played: &BTreeMap<Key, Ends>, clean: &BTreeMap<Key, Ends>, of: fn(&Ends) -> f64) -> Option<f64> {
+fn to_clean(played: &AllEnds, clean: &AllEnds, of: fn(&Ends) -> f64) -> Option<f64> {
     let both = played.iter().filter_map(|(key, ends)| Some((ends, clean.get(key)?)));
     let (ours, theirs) = both.fold((0.0, 0.0), |(ours, theirs), (a, b)| (ours + of(a), theirs + of(b)));
     ratio(ours, theirs)
 }
 
 /// The numbers of a row.
-fn figures(played: &BTreeMap<Key, Ends>, clean: &BTreeMap<Key, Ends>) -> Vec<Option<f64>> {
+fn figures(played: &AllEnds, clean: &AllEnds) -> Vec<Option<f64>> {
     let sum = |of: fn(&Ends) -> f64| played.values().map(of).sum::<f64>();
     let [best, best_of]: [fn(&Ends) -> f64; 2] = [|of| of.best_m, |of| of.best_of_m];
     vec![
@@ -278,7 +290,7 @@ impl Job<'_> {
     }
 
     /// Plays the source as one run, as `evaluate driving` does.
-    fn play(&self, options: &Options, model: &ModelConfig) -> Result<BTreeMap<Key, Ends>, EvaluateError> {
+    fn play(&self, options: &Options, model: &ModelConfig) -> Result<AllEnds, EvaluateError> {
         let evidence = options.evidence && !self.is_network;
         let options = &Options { evidence, noise: self.noise, ..options.clone() };
         let mut ends = BTreeMap::new();
@@ -357,7 +369,7 @@ mod tests {
     fn the_first_run_of_a_source_is_clean_and_no_other_one_is() {
         let source = Source { name: String::new(), folder: "a".into(), files: Vec::new(), scale: 1.0 };
         let jobs = jobs_of(&source);
-        assert!(jobs[0].noise.is_none() && jobs[1..].iter().all(|job| !job.noise.is_none()));
+        assert!(jobs[0].is_reference && jobs[1..].iter().all(|job| !job.is_reference));
         let mut names: Vec<Vec<String>> = jobs.iter().map(Job::names).collect();
         names.sort();
         names.dedup();
@@ -370,6 +382,7 @@ mod tests {
         let jobs = network_jobs_of(&source);
         for series in jobs.chunks(SIGMAS_M.len()) {
             assert_eq!(series.iter().map(|job| job.noise.sigma_m).collect::<Vec<_>>(), SIGMAS_M);
+            assert!(series[0].is_reference && series[1..].iter().all(|job| !job.is_reference));
             let first = series[0].network_names();
             assert!(series.iter().all(|job| job.network_names()[..3] == first[..3]));
         }
