@@ -6,7 +6,7 @@ use evidence::{
 };
 use kinematics::MotionModel;
 use lanes::LaneLine;
-use metrics::HighestDensity;
+use regions::HighestDensity;
 use retrieval::{ControlChange, ControlChanges, ForecastControls};
 use scene::{AgentType, track_history};
 use wire::{Expert, Forecast, HORIZON_MAX, MODES_MAX, Quality, Track};

@@ -49,7 +49,6 @@ mod displacement;
 mod kmeans;
 mod limits;
 mod mean;
-mod region;
 mod steering;
 mod sum;
 pub mod tracking;
@@ -71,7 +70,7 @@ pub use displacement::{
 pub use kmeans::{Clusters, kmeans};
 pub use limits::{Limits, PointLimits};
 pub use mean::{Mean, Share};
-pub use region::{HighestDensity, highest_density_level};
+pub use regions::{HighestDensity, highest_density_level};
 pub use steering::BicycleLimits;
 pub use sum::{ExactMean, ExactSum};
 

@@ -1,5 +1,9 @@
+use std::path::PathBuf;
+
 use data::ReadError;
 use lanes::LaneMapError;
+use ports::StageError;
+use run::OptionError;
 use thiserror::Error;
 
 /// Why an evaluation fails.
@@ -65,6 +69,31 @@ pub enum EvaluateError {
         /// What is wrong.
         source: Box<dyn std::error::Error + Send + Sync>,
     },
+    /// A folder can't be listed.
+    #[error("{path}: {source}")]
+    Folder {
+        /// The folder.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// No source of driving recordings has this name.
+    #[error("{name}: no such source; there are {known}")]
+    UnknownSource {
+        /// The name that was given.
+        name: String,
+        /// Names of the known sources.
+        known: String,
+    },
+    /// A bag's forecasts can't be compared with ours.
+    #[error("{0}")]
+    Against(String),
+    /// The stages can't be set up.
+    #[error(transparent)]
+    Stages(#[from] StageError),
+    /// The stages' options can't be recorded.
+    #[error(transparent)]
+    Run(#[from] OptionError),
 }
 
 impl EvaluateError {

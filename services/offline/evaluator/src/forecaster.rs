@@ -23,10 +23,19 @@ use wire::{
     TracksTopic,
 };
 
-use crate::forecast::{Forecast, Variants};
-use crate::maps::MapInput;
-use crate::tracks::{Publisher, TracksPayload};
-use crate::{Crowding, Scene, threads};
+mod forecast;
+mod maps;
+mod tracks;
+mod weights;
+
+pub use forecast::{Crowding, Forecast, Variants};
+pub use maps::{MapInput, site_map};
+use tracks::Publisher;
+pub use tracks::TracksPayload;
+pub use weights::{EMBEDDED, Model, Provenance, WeightsChoice};
+
+use crate::scenes::Scene;
+use crate::threads;
 
 /// Windows that are decoded together before the samplers continue. Bounds the memory use.
 pub(crate) const TOGETHER: usize = 32;
@@ -74,13 +83,23 @@ enum Correction {
     RetrievalAndEvidence,
 }
 
-/// One sampler per variant.
+/// What a sampler of [`Samplers`] gets of a window.
+#[derive(Clone, Copy)]
+enum Input {
+    /// The counted agents with the network's controls.
+    Counted,
+    /// The counted agents with the base controls.
+    Base,
+    /// All agents, because a memory learns from all of them.
+    All,
+}
+
+/// The inputs of the samplers, in the order of the fields of [`Variants`].
+const INPUTS: [Input; 5] = [Input::Counted, Input::Base, Input::All, Input::All, Input::All];
+
+/// One sampler per variant, in the order of [`INPUTS`]. The warm-started one may be missing.
 pub(crate) struct Samplers {
-    network: Sampler,
-    base: Sampler,
-    retrieved: Sampler,
-    warm_started: Option<Sampler>,
-    with_evidence: Sampler,
+    samplers: [Option<Sampler>; INPUTS.len()],
     horizon_len: usize,
 }
 
@@ -329,77 +348,53 @@ impl Samplers {
             sampler.warm_start(memory);
             sampler
         });
-        Self {
-            network: sampler(Correction::None),
-            base: forecaster.sampler(Correction::None),
-            retrieved: sampler(Correction::Retrieval),
+        let samplers = [
+            Some(sampler(Correction::None)),
+            Some(forecaster.sampler(Correction::None)),
+            Some(sampler(Correction::Retrieval)),
             warm_started,
-            with_evidence: sampler(Correction::RetrievalAndEvidence),
-            horizon_len: forecaster.config().horizon_len,
-        }
+            Some(sampler(Correction::RetrievalAndEvidence)),
+        ];
+        Self { samplers, horizon_len: forecaster.config().horizon_len }
     }
 
     /// The current memory of the warm-started sampler.
     pub(crate) fn memory(&self) -> Option<&RetrievalMemory> {
-        self.warm_started.as_ref()?.memory()
+        self.samplers[3].as_ref()?.memory()
     }
 
     /// The forecasts of the counted agents, scene by scene, with their places in the scene. If a sampler
     /// refuses a payload, the scene's agents are missing.
     pub(crate) fn forecast(&mut self, decoded: &[Decoded], threads: usize) -> Vec<Vec<(usize, Variants)>> {
-        let Self { network, base, retrieved, warm_started, with_evidence, horizon_len } = self;
-        let alone = |decoded: &Decoded| decoded.counting_tracks();
-        let mut without_retrieval = || {
-            let forecast = |decoded: &Decoded| {
-                let (header, tracks) = (&decoded.payload.header, alone(decoded));
-                let network = sample(network, header, &tracks, &decoded.controls);
-                let base = if decoded.base.is_empty() {
-                    Vec::new()
-                } else {
-                    sample(base, header, &tracks, &decoded.base)
-                };
-                [network, base].map(|payloads| forecasts(&payloads, *horizon_len))
-            };
-            decoded.iter().map(forecast).collect::<Vec<_>>()
-        };
-        let with_retrieval = |sampler: Option<&mut Sampler>| {
+        let horizon_len = self.horizon_len;
+        let forecasts = |input: &Input, sampler: &mut Option<Sampler>| {
             let Some(sampler) = sampler else { return vec![Vec::new(); decoded.len()] };
-            let forecast = |decoded: &Decoded| {
-                let TracksPayload { header, tracks, .. } = &decoded.payload;
-                let payloads = sample(sampler, header, tracks, &decoded.controls);
-                let counting = decoded.counting.iter().filter_map(|&track| payloads.get(track));
-                counting.map(|payload| Forecast::of(payload, *horizon_len)).collect::<Vec<_>>()
-            };
-            decoded.iter().map(forecast).collect::<Vec<_>>()
+            decoded.iter().map(|of| of.forecasts(*input, sampler, horizon_len)).collect::<Vec<_>>()
         };
-        let samplers = [Some(retrieved), warm_started.as_mut(), Some(with_evidence)];
-        let (without, with) = if threads < 2 {
-            (without_retrieval(), samplers.map(with_retrieval))
+        let all = if threads < 2 {
+            INPUTS.iter().zip(&mut self.samplers).map(|(input, sampler)| forecasts(input, sampler)).collect()
         } else {
-            std::thread::scope(|scope| {
-                let with = samplers.map(|sampler| scope.spawn(|| with_retrieval(sampler)));
-                (without_retrieval(), with.map(threads::joined))
-            })
+            threads::each_with(&INPUTS, &mut self.samplers, forecasts)
         };
-        let [retrieved, warm_started, with_evidence] = with.map(Vec::into_iter);
-        let with = retrieved.zip(warm_started).zip(with_evidence);
-        let all = decoded.iter().zip(without).zip(with);
-        all.map(|((decoded, [network, base]), ((retrieved, warm_started), with_evidence))| {
-            let [mut base, mut retrieved, mut warm_started, mut with_evidence] =
-                [base, retrieved, warm_started, with_evidence].map(Vec::into_iter);
-            let variants = decoded.counting.iter().zip(network).map(|(&track, network)| {
+        let mut all: Vec<_> = all.into_iter().map(Vec::into_iter).collect();
+        let of_scene = |decoded: &Decoded| {
+            let mut of_scene: Vec<_> =
+                all.iter_mut().map(|of| of.next().unwrap_or_default().into_iter()).collect();
+            let mut of_agent = |&track: &usize| {
+                let mut next = of_scene.iter_mut().map(Iterator::next);
+                let mut next = || next.next().flatten();
                 let variants = Variants {
-                    network,
-                    base: base.next(),
-                    retrieved: retrieved.next(),
-                    warm_started: warm_started.next(),
-                    with_evidence: with_evidence.next(),
+                    network: next()?,
+                    base: next(),
+                    retrieved: next(),
+                    warm_started: next(),
+                    with_evidence: next(),
                 };
-                (decoded.payload.places[track], variants)
-            });
-            variants.collect()
-        })
-        .collect()
+                Some((decoded.payload.places[track], variants))
+            };
+            decoded.counting.iter().map_while(&mut of_agent).collect()
+        };
+        decoded.iter().map(of_scene).collect()
     }
 }
 
@@ -410,13 +405,21 @@ impl Decoded {
         Crowding { window_count: u64::from(agents_len + edges_len > 0), agents_len, edges_len }
     }
 
-    fn counting_tracks(&self) -> Vec<Track> {
-        self.counting.iter().map(|&track| self.payload.tracks[track]).collect()
+    /// The forecasts of the counted agents.
+    fn forecasts(&self, input: Input, sampler: &mut Sampler, horizon_len: usize) -> Vec<Forecast> {
+        let TracksPayload { header, tracks, .. } = &self.payload;
+        let counted = || self.counting.iter().map(|&track| tracks[track]).collect::<Vec<Track>>();
+        let payloads = match input {
+            Input::Counted => sample(sampler, header, &counted(), &self.controls),
+            Input::Base if self.base.is_empty() => Vec::new(),
+            Input::Base => sample(sampler, header, &counted(), &self.base),
+            Input::All => {
+                let all = sample(sampler, header, tracks, &self.controls);
+                self.counting.iter().filter_map(|&track| all.get(track).copied()).collect()
+            }
+        };
+        payloads.iter().map(|payload| Forecast::of(payload, horizon_len)).collect()
     }
-}
-
-fn forecasts(payloads: &[Payload], horizon_len: usize) -> Vec<Forecast> {
-    payloads.iter().map(|payload| Forecast::of(payload, horizon_len)).collect()
 }
 
 /// One forecast per track; empty if the sampler refuses the payload.

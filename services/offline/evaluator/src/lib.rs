@@ -1,57 +1,67 @@
-//! Evaluates forecasts against recorded futures, and baselines on exactly the same agents.
+//! Evaluates forecasts and tracks against recorded motion, and baselines on exactly the same agents.
 //!
-//! 1. A *protocol* ([`eth_ucy`], [`sdd`], [`interaction`] or [`Evaluation`]) reads recordings and cuts them into
-//!    [`Scene`]s.
-//! 2. The [`Forecaster`] runs the shipped stages on the `tracks` payloads of scenes.
-//! 3. The [`Judge`] compares the forecasts and the baselines for every counted agent. It sums all errors in
-//!    [`Tally`]s, one per subset and [`Block`] of a recording.
-//! 4. [`Group`]s of blocks (a fold, a site) make the tables of a [`Report`].
+//! | input | evaluation |
+//! |---|---|
+//! | windows with exact states, or with histories of a noisy sensor | [`eth_ucy`], [`sdd`], [`interaction`], and any recordings ([`Evaluation`]), whose [`State`]s merge |
+//! | recordings of roads, through the whole pipeline | [`driving`]: forecasts, tracks in gaps, forecasts under noise |
+//! | noisy positions with gaps, and a detector's output | [`tracking`]: filters and trackers, with forecasts as their prior and without |
+//! | the forecasts of another system, from its bag | [`bag`] |
+//! | one recording of a fleet | [`fleet`]: every forecast beside its outcome |
 //!
-//! [`Evaluation`] is for any recordings. Its [`State`] of a recording merges with the states of others.
+//! All of them read data sets and weights by [`Options`], see the same sensor ([`Noise`]), and write [`Table`]s.
+//! Threads share the work; results do not depend on their number.
 //!
-//! Other evaluations share parts of this crate. [`Options`] and [`Footage`] read data sets and weights, and
-//! [`Table`] writes Markdown. [`threads`] splits work; results do not depend on the number of threads.
+//! # Modules
+//!
+//! Each module imports only from the lines below its own.
+//!
+//! ```text
+//! bag  fleet            forecasts of another system; jobs over many recordings
+//! driving  tracking     roads through the pipeline; filters and trackers
+//! windows               data sets and recordings in windows, and states
+//! footage               data sets cut into scenes; the options
+//! forecaster            the stages on scenes
+//! playback              recordings through the pipeline, beside their motion
+//! scenes  matching      what a forecaster sees and the true future; which agent a track follows
+//! noise  lines  page    a noisy sensor; forecasts as JSON lines; reports in all their forms
+//! table  error  threads    tables as Markdown, and intervals; why an evaluation fails; shared work
+//! ```
 
-mod baselines;
+pub mod bag;
+pub mod driving;
 mod error;
-mod forecast;
+pub mod fleet;
+mod footage;
 mod forecaster;
-mod group;
-mod judge;
 mod lines;
-mod maps;
 mod matching;
-mod method;
 mod noise;
-mod observed;
-mod protocol;
-mod reference;
-mod report;
+mod page;
+mod playback;
 mod scenes;
-mod state;
-mod tally;
-pub mod threads;
-mod tracks;
-mod weights;
+mod table;
+mod threads;
+pub mod tracking;
+mod windows;
 
-pub use baselines::{ANCHOR_AGENTS, Baselines, Candidate};
 pub use error::EvaluateError;
-pub use forecast::{Forecast, Variants};
-pub use forecaster::Forecaster;
-pub use group::{Contrast, Group, RESAMPLES};
-pub use judge::{Block, Judge, MOVING_MPS, Subset};
-pub use lines::{ForecastLine, ForecastLines};
-pub use maps::{MapInput, site_map};
-pub use matching::{Placed, nearest};
-pub use method::Method;
+pub use footage::{MapChoice, Options, SEED};
+pub use forecaster::{Forecast, Forecaster, MapInput, TracksPayload, Variants, WeightsChoice};
+pub use lines::ForecastLines;
 pub use metrics::Errors;
 pub use noise::Noise;
-pub use protocol::{
-    Evaluation, Footage, InteractionPart, MapChoice, Options, SEED, eth_ucy, interaction, map_of, sdd,
+pub use page::Page;
+pub use scenes::{Agent, Cut, MOVING_MPS, Scene};
+pub use table::{Table, digits, pair};
+pub use windows::{
+    Evaluation, Figure, InteractionPart, Measure, Method, Report, State, StateError, eth_ucy, interaction,
+    sdd,
 };
-pub use report::{Figure, Report, Table, digits, percent};
-pub use scenes::{Agent, Cut, Scene};
-pub use state::{BLOCKS_MAX, DoubtCount, RECORDINGS_MAX, State, StateError};
-pub use tally::{Calibration, Crowding, Measure, Tally};
-pub use tracks::TracksPayload;
-pub use weights::{EMBEDDED, Model, Provenance, WeightsChoice};
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn no_module_imports_from_its_own_line_or_above() {
+        testing::assert_layers(env!("CARGO_MANIFEST_DIR"));
+    }
+}

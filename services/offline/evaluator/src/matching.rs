@@ -17,25 +17,35 @@ pub struct Placed {
 /// The nearest pair of track and agent is taken first. Neither a track nor an agent is taken twice.
 #[must_use]
 pub fn nearest(tracks: &[Placed], agents: &[Placed]) -> Vec<Option<usize>> {
-    let mut pairs: Vec<(f32, usize, usize)> = Vec::new();
-    for (track, of_track) in tracks.iter().enumerate() {
-        for (agent, of_agent) in agents.iter().enumerate() {
-            let [x, y] = [0, 1].map(|axis| of_track.position_m[axis] - of_agent.position_m[axis]);
-            let apart_m = x.hypot(y);
-            if of_track.agent_type == of_agent.agent_type && apart_m <= NEAR_M {
-                pairs.push((apart_m, track, agent));
-            }
-        }
-    }
-    pairs.sort_by(|a, b| a.0.total_cmp(&b.0).then((a.1, a.2).cmp(&(b.1, b.2))));
-    let (mut found, mut is_taken) = (vec![None; tracks.len()], vec![false; agents.len()]);
-    for (_, track, agent) in pairs {
-        if found[track].is_none() && !is_taken[agent] {
-            found[track] = Some(agent);
-            is_taken[agent] = true;
-        }
-    }
+    let apart_m = |track: usize, agent: usize| {
+        let (track, agent) = (tracks[track], agents[agent]);
+        let [x, y] = [0, 1].map(|axis| track.position_m[axis] - agent.position_m[axis]);
+        let apart_m = x.hypot(y);
+        (track.agent_type == agent.agent_type && apart_m <= NEAR_M).then_some(f64::from(apart_m))
+    };
+    let mut found = vec![None; tracks.len()];
+    nearest_pairs([tracks.len(), agents.len()], apart_m).into_iter().for_each(|(t, a)| found[t] = Some(a));
     found
+}
+
+/// Pairs of two lists, the nearest first. Nothing is taken twice. `apart` returns the distance of two entries, or
+/// `None` if they can't be a pair.
+pub(crate) fn nearest_pairs(
+    [first_len, second_len]: [usize; 2],
+    apart: impl Fn(usize, usize) -> Option<f64>,
+) -> Vec<(usize, usize)> {
+    let all = (0..first_len).flat_map(|a| (0..second_len).map(move |b| (a, b)));
+    let mut near: Vec<_> = all.filter_map(|(a, b)| Some((apart(a, b)?, a, b))).collect();
+    near.sort_by(|one, other| one.0.total_cmp(&other.0).then((one.1, one.2).cmp(&(other.1, other.2))));
+    let (mut first_taken, mut second_taken) = (vec![false; first_len], vec![false; second_len]);
+    near.retain(|&(_, a, b)| {
+        let is_free = !first_taken[a] && !second_taken[b];
+        if is_free {
+            (first_taken[a], second_taken[b]) = (true, true);
+        }
+        is_free
+    });
+    near.into_iter().map(|(_, a, b)| (a, b)).collect()
 }
 
 #[cfg(test)]

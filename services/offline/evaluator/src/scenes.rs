@@ -5,6 +5,9 @@ use metrics::Point;
 use nn::ModelConfig;
 use scene::{AgentType, State};
 
+/// Speed at the last observed step from which an agent counts as moving.
+pub const MOVING_MPS: f32 = 0.5;
+
 /// An agent of a scene.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Agent {

@@ -4,7 +4,10 @@ mod support {
     pub mod weights;
 }
 
+mod driving;
 mod forecaster;
+mod kitti;
+mod lines;
 mod report;
 mod shipped;
 mod states;

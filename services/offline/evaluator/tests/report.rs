@@ -5,23 +5,12 @@
 use crate::support::weights;
 use std::path::{Path, PathBuf};
 
-use data::sets::Part;
 use data::{GeneratedScene, OpenOptions, SceneOptions};
-use evaluator::{
-    Cut, EvaluateError, Evaluation, Figure, ForecastLines, MapChoice, Options, Report, WeightsChoice,
-};
+use evaluator::{Cut, EvaluateError, Evaluation, Figure, Options, Report, WeightsChoice};
 
 pub fn options(folder: &Path, weights: Option<PathBuf>, threads: usize) -> Options {
-    Options {
-        data: folder.to_owned(),
-        part: Part::Test,
-        weights: WeightsChoice { file: weights, folder: folder.to_owned(), precision: nn::Precision::F32 },
-        map: MapChoice::Online,
-        lanes: false,
-        noise: evaluator::Noise::default(),
-        threads,
-        lines: None,
-    }
+    let weights = WeightsChoice { file: weights, folder: folder.to_owned(), ..WeightsChoice::default() };
+    Options { data: folder.to_owned(), weights, threads, ..Options::default() }
 }
 
 /// Vehicles that drive straight at a constant speed, each on its own line, for `steps` tenths of a second.
@@ -80,7 +69,7 @@ pub fn traffic(folder: &Path) -> PathBuf {
     path
 }
 
-fn evaluate(options: &Options, path: &Path) -> Result<Report, EvaluateError> {
+pub fn evaluate(options: &Options, path: &Path) -> Result<Report, EvaluateError> {
     evaluate_all(options, &[path.to_owned()])
 }
 
@@ -97,76 +86,6 @@ fn figure(report: &Report, method: &str, measure: &str, quantity: &str) -> Figur
             && figure.horizon_s > 4.5
     };
     report.figures.iter().find(wanted).unwrap_or_else(|| panic!("no {quantity} of {method}")).clone()
-}
-
-/// Mean and final distance of a path from a truth without gaps.
-fn distances(path: &serde_json::Value, truth: &serde_json::Value) -> [f64; 2] {
-    let number = |of: &serde_json::Value, step: usize, axis: usize| of[step][axis].as_f64().unwrap();
-    let off = |step| [0, 1].map(|axis| number(path, step, axis) - number(truth, step, axis));
-    let all: Vec<f64> =
-        (0..truth.as_array().unwrap().len()).map(|step| off(step)[0].hypot(off(step)[1])).collect();
-    [all.iter().sum::<f64>() / all.len() as f64, all[all.len() - 1]]
-}
-
-#[test]
-fn the_written_forecasts_give_the_figures_again() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = traffic(folder.path());
-    let mut texts = Vec::new();
-    for threads in [1, 3] {
-        let file = folder.path().join("forecasts.jsonl");
-        let lines = ForecastLines::to(std::fs::File::create(&file).unwrap());
-        let lines = std::sync::Arc::new(lines);
-        let options = Options { lines: Some(lines.clone()), ..options(folder.path(), None, threads) };
-        let report = evaluate(&options, &path).unwrap();
-        lines.finish().unwrap();
-        texts.push((std::fs::read_to_string(&file).unwrap(), report));
-    }
-    let (text, report) = &texts[0];
-    assert!(*text == texts[1].0, "any number of threads writes the same");
-    let lines: Vec<serde_json::Value> =
-        text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
-    for subset in ["all", "moving"] {
-        let counted: Vec<_> = lines
-            .iter()
-            .filter(|line| line["subsets"].as_array().unwrap().contains(&subset.into()))
-            .collect();
-        assert!(counted.len() > 50, "{subset}");
-        for method in ["ours", "ours, online retrieval, evidence", "constant velocity", "CVM-S"] {
-            for (measure, of) in [("K = 1", "single_m"), ("minADE₂₀ / minFDE₂₀", "modes_m")] {
-                let errors = counted.iter().filter_map(|line| {
-                    let truth = &line["truth_m"];
-                    match &line["forecasts"][method][of] {
-                        serde_json::Value::Null => None,
-                        single if of == "single_m" => Some(distances(single, truth)),
-                        modes => modes
-                            .as_array()
-                            .unwrap()
-                            .iter()
-                            .map(|mode| distances(mode, truth))
-                            .reduce(|[a, b], [c, d]| [a.min(c), b.min(d)]),
-                    }
-                });
-                let errors: Vec<[f64; 2]> = errors.collect();
-                for (place, quantity) in ["ADE, m", "FDE, m"].into_iter().enumerate() {
-                    let figures = report.figures.iter().filter(|figure| {
-                        (figure.method, figure.measure, &*figure.quantity) == (method, measure, quantity)
-                            && figure.subset == subset
-                            && figure.horizon_s > 4.5
-                    });
-                    let figures: Vec<f64> = figures.map(|figure| figure.value).collect();
-                    let mean = errors.iter().map(|of| of[place]).sum::<f64>() / errors.len() as f64;
-                    match figures[..] {
-                        [] => assert!(errors.is_empty(), "{method} {measure}"),
-                        [figure] => {
-                            assert!((figure - mean).abs() < 1e-6, "{method} {measure}: {figure} {mean}");
-                        }
-                        _ => panic!("{figures:?}"),
-                    }
-                }
-            }
-        }
-    }
 }
 
 #[test]

@@ -3,11 +3,11 @@
 use std::path::PathBuf;
 
 use data::Recording;
+use evaluator::tracking::{Contender, Published, PublishedTrack};
 use nn::ModelConfig;
 use run::{Run, StageRun};
 use source::{Playback, PlaybackOptions};
 use tracker::Prior;
-use tracking_evaluator::{Contender, Published, PublishedTrack};
 use wire::{AgentType, Track};
 
 use console::failure::Failure;

@@ -7,9 +7,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use data::OpenOptions;
-use data::sets::Part;
 use evaluator::{Evaluation, ForecastLines, MapChoice, Options, State, StateError, WeightsChoice};
-use nn::Precision;
 use pyo3::prelude::*;
 use pyo3::pybacked::PyBackedBytes;
 
@@ -48,17 +46,12 @@ impl Evaluator {
                 .map(|path| Ok::<_, PyErr>(Arc::new(ForecastLines::to(BufWriter::new(File::create(path)?)))));
             let lines = lines.transpose()?;
             let cores = std::thread::available_parallelism().map_or(1, usize::from);
-            let weights =
-                WeightsChoice { file: run.weights, folder: PathBuf::new(), precision: Precision::default() };
             let options = Options {
-                data: PathBuf::new(),
-                part: Part::Test,
-                weights,
+                weights: WeightsChoice { file: run.weights, ..WeightsChoice::default() },
                 map: if has_map { MapChoice::Online } else { MapChoice::None },
-                lanes: false,
-                noise: evaluator::Noise::default(),
                 threads: threads.unwrap_or(cores).max(1),
                 lines: lines.clone(),
+                ..Options::default()
             };
             let mut evaluation = Evaluation::new(&options, positions).map_err(|why| error::of(&why))?;
             let lanes = arguments.model().open_lanes(open.origin).map_err(|why| error::of_failure(&why))?;

@@ -6,7 +6,7 @@ use std::io::BufWriter;
 use std::path::PathBuf;
 
 use console::failure::Failure;
-use driving_evaluator::{Learned, Outcome, OutcomeErrors, Outcomes, count_differences, differences as pairs};
+use evaluator::fleet::{Learned, Outcome, OutcomeErrors, Outcomes, count_differences, differences as pairs};
 use launch::arguments::Prepared;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -28,14 +28,14 @@ fn prepared(arguments: Vec<String>) -> PyResult<(Prepared, data::Recording)> {
     Ok((prepared, recording))
 }
 
-fn failed(why: driving_evaluator::DrivingError) -> PyErr {
+fn failed(why: evaluator::EvaluateError) -> PyErr {
     error::of_failure(&Failure::data(why))
 }
 
 /// The outcomes of a recording with these arguments.
 fn played(arguments: Vec<String>) -> PyResult<Outcomes> {
     let (Prepared { run, model, .. }, recording) = prepared(arguments)?;
-    driving_evaluator::outcomes(recording, &run, &model, None).map(|(outcomes, _)| outcomes).map_err(failed)
+    evaluator::fleet::outcomes(recording, &run, &model, None).map(|(outcomes, _)| outcomes).map_err(failed)
 }
 
 /// Checks arguments without a recording.
@@ -149,7 +149,7 @@ fn recorded(record: &recording::Recording, detections: &data::Recording) -> PyRe
 pub fn learn(py: Python<'_>, arguments: Vec<String>) -> PyResult<String> {
     py.detach(|| {
         let (Prepared { run, model, .. }, recording) = prepared(arguments)?;
-        let learned = driving_evaluator::learn(recording, &run, &model).map_err(failed)?;
+        let learned = evaluator::fleet::learn(recording, &run, &model).map_err(failed)?;
         serde_json::to_string(&learned).map_err(|why| error::of(&why))
     })
 }
@@ -163,7 +163,7 @@ pub fn priors(py: Python<'_>, learned: Vec<(String, String)>) -> PyResult<String
             let of_recording = serde_json::from_str(&text).map_err(|why| error::of(&why))?;
             sources.entry(source).or_default().push(of_recording);
         }
-        Ok(driving_evaluator::priors(&sources).to_json())
+        Ok(evaluator::fleet::priors(&sources).to_json())
     })
 }
 
@@ -173,7 +173,7 @@ pub fn worst(py: Python<'_>, arguments: Vec<String>, count: usize, apart_s: f64)
     py.detach(|| {
         let outcomes = played(arguments)?;
         let apart_ns = (apart_s * 1e9) as u64;
-        let ticks = driving_evaluator::worst(&outcomes.rows, count, apart_ns).into_iter().map(|tick| {
+        let ticks = evaluator::fleet::worst(&outcomes.rows, count, apart_ns).into_iter().map(|tick| {
             json!({
                 "criterion": tick.criterion.name(),
                 "value": tick.value,

@@ -1,5 +1,4 @@
 mod noise;
-mod written;
 
 use std::fs::File;
 use std::io::BufWriter;
@@ -12,16 +11,16 @@ use console::failure::Failure;
 use console::show::show;
 use console::tables;
 use data::sets::Part;
+use evaluator::bag::against_bag;
 use evaluator::{
-    Evaluation, ForecastLines, InteractionPart, MapChoice, Options, Report, State, StateError, WeightsChoice,
+    Evaluation, ForecastLines, InteractionPart, MapChoice, Options, Page, Report, State, StateError,
+    WeightsChoice, driving, tracking,
 };
-use nn::{Precision, Weights};
+use nn::Precision;
 use run::Exit;
-use tracking_evaluator::KittiReport;
 use wire::StageId;
 
 use self::noise::NoiseArguments;
-use self::written::{Written, json};
 use crate::contenders::contenders;
 use launch::arguments::ReadArguments;
 use launch::files::named_weights;
@@ -146,7 +145,7 @@ pub struct Arguments {
     /// the same figures
     #[arg(long, conflicts_with_all = MERGED_BEFORE)]
     merge: bool,
-    /// Write every forecast behind the tables with its truth, as JSON lines
+    /// Write every forecast or track behind the tables with its truth, as JSON lines
     #[arg(long, value_name = "FILE", conflicts_with = "against_bag")]
     forecasts: Option<PathBuf>,
     /// Write all figures as CSV, one per line
@@ -177,42 +176,61 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     };
     refuse_unused(name, arguments)?;
     let lines = arguments.forecasts.as_deref().map(forecast_lines).transpose()?;
-    let written = match name {
-        _ if arguments.against_bag.is_some() => vec![against(arguments)?],
-        "tracking" => track(arguments)?,
-        "driving" => vec![drive(arguments, lines.clone())?],
-        "noise" => under_noise(arguments)?,
+    let options = Options { lines: lines.clone(), ..options(name, arguments)? };
+    let lanes = if arguments.lanes { " --lanes" } else { "" };
+    let pages = match name {
+        _ if arguments.against_bag.is_some() => vec![against(arguments, &options)?],
+        "tracking" => track(arguments, &options)?,
+        "driving" => vec![drive(arguments, options)?],
+        "noise" => under_noise(arguments, options)?,
         "eth-ucy" | "sdd" | "interaction" => {
-            let mut report = evaluate(name, arguments, &arguments.weights_dir, lines.clone())?;
-            let beside = arguments.beside.iter().map(|folder| evaluate(name, arguments, folder, None));
+            let mut report = evaluate(name, arguments, &options)?;
+            let beside = arguments.beside.iter().map(|folder| {
+                let weights = WeightsChoice { folder: folder.clone(), ..options.weights.clone() };
+                evaluate(name, arguments, &Options { weights, lines: None, ..options.clone() })
+            });
             report.add_beside(&beside.collect::<Result<Vec<_>, _>>()?);
-            let lanes = if arguments.lanes { " --lanes" } else { "" };
-            let mark = format!("{name}{lanes}{}", sensor(arguments)?.arguments());
-            vec![Written::of_forecasts(&report, &mark)]
+            vec![logged(&report, &format!("{name}{lanes}{}", options.noise.arguments()))]
         }
-        _ => vec![Written::of_forecasts(&recordings(arguments, lines.clone())?.report(), name)],
+        _ => vec![logged(&recordings(arguments, &options)?.report(), name)],
     };
     if let (Some(path), Some(lines)) = (&arguments.forecasts, &lines) {
         lines.finish().map_err(|error| Failure::file(path, error))?;
     }
     if let Some(path) = &arguments.csv {
-        write(path, &written.iter().map(|part| part.csv.as_str()).collect::<String>())?;
+        write(path, &pages.iter().map(|page| page.csv.as_str()).collect::<String>())?;
     }
     if let Some(path) = &arguments.json {
-        write(path, &(serde_json::to_string_pretty(&json(&written)).map_err(Failure::data)? + "\n"))?;
+        write(path, &(serde_json::to_string_pretty(&json(&pages)).map_err(Failure::data)? + "\n"))?;
     }
-    let shown = |part: &Written| {
-        let text = part.text.as_ref().filter(|_| !arguments.all);
-        text.unwrap_or(&part.markdown).clone()
+    let shown = |page: &Page| {
+        let text = page.text.as_ref().filter(|_| !arguments.all);
+        text.unwrap_or(&page.markdown).clone()
     };
-    let markdown: Vec<String> = written.iter().map(shown).collect();
+    let markdown: Vec<String> = pages.iter().map(shown).collect();
     let exit = show(&markdown.join("\n"))?;
     if let Some(path) = &arguments.table {
-        for part in &written {
-            tables::replace(path, &part.mark, &part.summary)?;
+        for page in &pages {
+            tables::replace(path, &page.mark, &page.summary)?;
         }
     }
     Ok(exit)
+}
+
+/// The report of windows, after its doubts are logged.
+fn logged(report: &Report, set: &str) -> Page {
+    report.warnings.iter().for_each(|line| tracing::warn!("{line}"));
+    report.left_out.iter().for_each(|line| tracing::warn!("left out: {line}"));
+    report.failed.iter().for_each(|line| tracing::warn!("failed: {line}"));
+    report.page(set)
+}
+
+/// A single report unchanged, several reports by name.
+fn json(pages: &[Page]) -> serde_json::Value {
+    match pages {
+        [one] => one.json.clone(),
+        several => several.iter().map(|page| (page.name.to_owned(), page.json.clone())).collect(),
+    }
 }
 
 /// Refuses options that have no effect.
@@ -264,8 +282,8 @@ fn refuse_unused(name: &str, arguments: &Arguments) -> Result<(), Failure> {
         (
             "--forecasts",
             arguments.forecasts.is_some(),
-            !is_tracking && !is_noise,
-            "recordings, `driving`, `interaction`, `eth-ucy` and `sdd`",
+            !is_noise,
+            "recordings, `driving`, `interaction`, `eth-ucy`, `sdd` and `tracking`",
         ),
         ("--merge", arguments.merge, !is_set, "states of recordings"),
         ("--set", !arguments.set.is_empty(), !is_tracking, "forecasts, not `tracking`"),
@@ -280,12 +298,6 @@ fn unused(option: &str, users: &str) -> Failure {
     Failure::Usage(format!("{option} is for {users}, and would change nothing here"))
 }
 
-/// The sensor that the options choose.
-fn sensor(arguments: &Arguments) -> Result<evaluator::Noise, Failure> {
-    let name = arguments.targets.first().and_then(|target| target.to_str()).unwrap_or_default();
-    arguments.noise.sensor(arguments.positions && noise::SETS.contains(&name))
-}
-
 /// The precision of the decoder, the only option of a stage that evaluations accept.
 fn precision(arguments: &Arguments) -> Result<Precision, Failure> {
     let others = |set: &&Setting| !set.is_of(StageId::Decoder, "precision");
@@ -297,14 +309,14 @@ fn precision(arguments: &Arguments) -> Result<Precision, Failure> {
     Ok(options.read(&decoder::STAGE)?.precision)
 }
 
-fn options(arguments: &Arguments, weights_dir: &Path) -> Result<Options, Failure> {
+fn options(name: &str, arguments: &Arguments) -> Result<Options, Failure> {
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
     Ok(Options {
         data: arguments.data.clone(),
         part: if arguments.validation { Part::Validation } else { Part::Test },
         weights: WeightsChoice {
             file: arguments.weights.as_deref().map(named_weights),
-            folder: weights_dir.to_owned(),
+            folder: arguments.weights_dir.clone(),
             precision: precision(arguments)?,
         },
         map: match arguments.map {
@@ -313,27 +325,11 @@ fn options(arguments: &Arguments, weights_dir: &Path) -> Result<Options, Failure
             Map::Site => MapChoice::Site,
         },
         lanes: arguments.lanes,
-        noise: sensor(arguments)?,
+        noise: arguments.noise.sensor(arguments.positions && noise::SETS.contains(&name))?,
         threads: arguments.threads.map_or(threads, usize::from),
-        lines: None,
-    })
-}
-
-/// The options for driving recordings; all sources if none are named.
-fn driving(arguments: &Arguments, sources: &[String]) -> Result<driving_evaluator::Options, Failure> {
-    let Options { data, threads, weights, noise, .. } = options(arguments, &arguments.weights_dir)?;
-    Ok(driving_evaluator::Options {
-        folder: data.join("driving"),
-        sources: sources.to_vec(),
-        weights: weights.file,
-        precision: weights.precision,
-        map: !matches!(arguments.map, Map::None),
-        lanes: arguments.lanes.then(|| data.join("driving_maps")),
         evidence: !arguments.without_evidence,
         priors: arguments.prior.is_none(),
-        noise,
-        threads,
-        lines: None,
+        ..Options::default()
     })
 }
 
@@ -344,65 +340,54 @@ fn forecast_lines(path: &Path) -> Result<Arc<ForecastLines>, Failure> {
 }
 
 /// Forecasts as a car gets them, on many roads.
-fn drive(arguments: &Arguments, lines: Option<Arc<ForecastLines>>) -> Result<Written, Failure> {
-    let options = driving_evaluator::Options { lines, ..driving(arguments, &arguments.parts)? };
-    let report = driving_evaluator::evaluate(&options, progress).map_err(Failure::data)?;
+fn drive(arguments: &Arguments, options: Options) -> Result<Page, Failure> {
+    let options = Options { sources: arguments.parts.clone(), ..options };
+    let report = driving::evaluate(&options, progress).map_err(Failure::data)?;
     if let Some(path) = &arguments.prior {
         write(path, &(report.priors(options.threads).to_json() + "\n"))?;
     }
     if let Some(path) = &arguments.odds {
         write(path, &(serde_json::to_string_pretty(&report.odds()).map_err(Failure::data)? + "\n"))?;
     }
-    let texts = [report.markdown(), report.summary(), report.csv()];
-    let lanes = if arguments.lanes { " --lanes" } else { "" };
-    let mark = format!("evaluate driving{lanes}{}", options.noise.arguments());
-    Ok(Written::new("driving", mark, texts, report.json()))
+    Ok(report.page())
 }
 
 /// Forecasts under many kinds of noise, of generated agents and of recorded vehicles.
-fn under_noise(arguments: &Arguments) -> Result<Vec<Written>, Failure> {
+fn under_noise(arguments: &Arguments, options: Options) -> Result<Vec<Page>, Failure> {
     let (own, sources): (Vec<&str>, Vec<&str>) =
         parts(arguments, &NOISE_PARTS).partition(|part| [SYNTHETIC, NETWORK].contains(part));
     let has_recorded = !sources.is_empty();
     let sources = if has_recorded { sources } else { NOISE_SOURCES.to_vec() };
-    let sources: Vec<String> = sources.into_iter().map(str::to_owned).collect();
-    let options = driving(arguments, &sources)?;
+    let options = Options { sources: sources.into_iter().map(str::to_owned).collect(), ..options };
     let scenes = usize::from(arguments.scenes.unwrap_or(NOISE_SCENES));
-    let mut written = Vec::new();
+    let mut pages = Vec::new();
     if own.contains(&SYNTHETIC) {
         progress("generated agents");
-        let report = driving_evaluator::synthetic(&options).map_err(Failure::data)?;
-        written.push(Written::of_synthetic(&report));
+        pages.push(driving::synthetic(&options).map_err(Failure::data)?);
     }
     if own.contains(&NETWORK) {
-        let report = driving_evaluator::network_under_noise(&options, scenes, progress);
-        written.push(Written::of_network(&report.map_err(Failure::data)?));
+        pages.push(driving::network_under_noise(&options, scenes, progress).map_err(Failure::data)?);
     }
     if has_recorded {
-        let report = driving_evaluator::under_noise(&options, scenes, progress).map_err(Failure::data)?;
-        written.push(Written::of_noise(&report));
+        pages.push(driving::under_noise(&options, scenes, progress).map_err(Failure::data)?);
     }
-    if let Some(first) = written.first_mut() {
-        first.csv.insert_str(0, driving_evaluator::NOISE_COLUMNS);
+    if let Some(first) = pages.first_mut() {
+        first.csv.insert_str(0, driving::NOISE_COLUMNS);
     }
-    Ok(written)
+    Ok(pages)
 }
 
 /// Our forecasts of a recording beside the forecasts of a bag.
-fn against(arguments: &Arguments) -> Result<Written, Failure> {
+fn against(arguments: &Arguments, options: &Options) -> Result<Page, Failure> {
     let (Some(bag), [target]) = (&arguments.against_bag, &arguments.targets[..]) else {
         return Err(Failure::Usage("--against-bag is for one recording".to_owned()));
     };
     let frames = data::predicted_objects(bag, arguments.read.options().origin).map_err(Failure::data)?;
-    let recording = arguments.read.open(target)?;
-    let report = driving_evaluator::against_bag(recording, frames, &driving(arguments, &[])?);
-    let report = report.map_err(Failure::data)?;
-    let texts = [report.markdown(), report.markdown(), report.csv()];
-    Ok(Written::new("against bag", "evaluate --against-bag", texts, report.json()))
+    against_bag(arguments.read.open(target)?, frames, options).map_err(Failure::data)
 }
 
 /// The parts of `tracking`, whose figures share one table.
-fn track(arguments: &Arguments) -> Result<Vec<Written>, Failure> {
+fn track(arguments: &Arguments, options: &Options) -> Result<Vec<Page>, Failure> {
     if let Some(sigma_m) = arguments.sigmas.iter().find(|sigma_m| !(SIGMAS_M.contains(sigma_m))) {
         return Err(Failure::Usage(format!(
             "--sigmas {sigma_m}: expected deviations from {} to {} m",
@@ -416,73 +401,46 @@ fn track(arguments: &Arguments) -> Result<Vec<Written>, Failure> {
             "--parts {other}: `tracking` has interaction, kitti and driving"
         )));
     }
-    let options = options(arguments, &arguments.weights_dir)?;
-    let mut written = Vec::new();
-    for part in parts(arguments, &TRACKING_PARTS) {
-        written.push(match part {
-            "kitti" => Written::of_trackers(&evaluate_trackers(&options)?),
-            "driving" => {
-                let report = driving_evaluator::through_gaps(&driving(arguments, &[])?, progress);
-                Written::of_gaps(&report.map_err(Failure::data)?)
-            }
-            _ => {
-                let report = tracking_evaluator::interaction(
-                    &options,
-                    &arguments.sigmas,
-                    arguments.particles,
-                    progress,
-                );
-                Written::of_motion(&report.map_err(Failure::data)?)
-            }
-        });
-    }
-    if let Some(first) = written.iter_mut().find(|part| part.name != "driving") {
-        first.csv.insert_str(0, tracking_evaluator::COLUMNS);
-    }
-    Ok(written)
-}
-
-/// Compares our trackers with a plain one.
-fn evaluate_trackers(options: &Options) -> Result<KittiReport, Failure> {
-    let weights = options.weights.file.as_ref();
-    let model = match weights {
-        None => Weights::onboard(),
-        Some(path) => Weights::open(path).map_err(|error| Failure::weights(path, error))?,
+    let page = |part: &str| match part {
+        "kitti" => {
+            let weights = options.weights.load()?;
+            let contenders = contenders(options.weights.file.as_ref(), weights.config());
+            tracking::kitti(options, contenders, progress)
+        }
+        "driving" => driving::through_gaps(options, progress),
+        _ => tracking::interaction(options, &arguments.sigmas, arguments.particles, progress),
     };
-    let contenders = contenders(weights, model.config());
-    tracking_evaluator::kitti(options, contenders, progress).map_err(Failure::data)
+    let pages = parts(arguments, &TRACKING_PARTS).map(|part| page(part).map_err(Failure::data));
+    let mut pages = pages.collect::<Result<Vec<_>, _>>()?;
+    if let Some(first) = pages.iter_mut().find(|page| page.name != "driving") {
+        first.csv.insert_str(0, tracking::COLUMNS);
+    }
+    Ok(pages)
 }
 
 fn progress(step: &str) {
     tracing::info!("{step} …");
 }
 
-fn evaluate(
-    name: &str,
-    arguments: &Arguments,
-    weights_dir: &Path,
-    lines: Option<Arc<ForecastLines>>,
-) -> Result<Report, Failure> {
-    let options = Options { lines, ..options(arguments, weights_dir)? };
+fn evaluate(name: &str, arguments: &Arguments, options: &Options) -> Result<Report, Failure> {
     let report = match name {
-        "eth-ucy" => evaluator::eth_ucy(&options, progress),
-        "sdd" => evaluator::sdd(&options, progress),
+        "eth-ucy" => evaluator::eth_ucy(options, progress),
+        "sdd" => evaluator::sdd(options, progress),
         _ => {
             let parts = parts(arguments, &INTERACTION_PARTS).map(|part| interaction_part(part, arguments));
             let parts: Vec<_> = parts.collect::<Result<_, _>>()?;
-            evaluator::interaction(&options, &parts, progress)
+            evaluator::interaction(options, &parts, progress)
         }
     };
     report.map_err(Failure::data)
 }
 
 /// The state of recordings, or of the states that hold them.
-fn recordings(arguments: &Arguments, lines: Option<Arc<ForecastLines>>) -> Result<State, Failure> {
+fn recordings(arguments: &Arguments, options: &Options) -> Result<State, Failure> {
     let state = if arguments.merge {
         State::merged(arguments.targets.iter().map(|path| state(path))).map_err(Failure::data)?
     } else {
-        let options = Options { lines, ..options(arguments, &arguments.weights_dir)? };
-        let evaluation = Evaluation::new(&options, arguments.positions).map_err(Failure::data)?;
+        let evaluation = Evaluation::new(options, arguments.positions).map_err(Failure::data)?;
         let state = evaluation.recordings(&arguments.targets, &arguments.read.options(), progress);
         state.map_err(Failure::data)?
     };

@@ -4,10 +4,8 @@ use std::path::Path;
 
 use console::failure::Failure;
 use data::Recording;
-use data::sets::Part;
-use evaluator::{Errors, Evaluation, MapChoice, Measure, Method, Noise, Options, Report, State, Table};
-use evaluator::{WeightsChoice, digits};
-use nn::Precision;
+use evaluator::{Errors, Evaluation, Measure, Method, Options, Report, State, Table};
+use evaluator::{WeightsChoice, digits, pair};
 
 /// A smaller relative change of an error is none.
 const CHANGE_MIN: f64 = 0.02;
@@ -35,11 +33,7 @@ pub fn text(recordings: &[Recording], before: &Path, after: &Path) -> Result<Str
         ("published after", after.published),
         ("constant velocity", after.steady),
     ] {
-        let cell = |errors: Option<Errors>| {
-            errors.map_or("-".to_owned(), |errors| {
-                format!("{} / {}", digits(errors.ade_m), digits(errors.fde_m))
-            })
-        };
+        let cell = |errors: Option<Errors>| errors.map_or("-".to_owned(), pair);
         table.push_row([name.to_owned()].into_iter().chain(of.map(cell)).collect());
     }
     Ok(format!(
@@ -87,18 +81,9 @@ fn verdict(before: &Figures, after: &Figures) -> String {
 
 fn figures(recordings: &[Recording], weights: &Path) -> Result<Figures, Failure> {
     let options = Options {
-        data: Default::default(),
-        part: Part::Validation,
-        weights: WeightsChoice {
-            file: Some(weights.to_owned()),
-            folder: Default::default(),
-            precision: Precision::F32,
-        },
-        map: MapChoice::Online,
-        lanes: false,
-        noise: Noise::default(),
+        weights: WeightsChoice { file: Some(weights.to_owned()), ..WeightsChoice::default() },
         threads: std::thread::available_parallelism().map_or(1, usize::from),
-        lines: None,
+        ..Options::default()
     };
     let evaluation = Evaluation::new(&options, false).map_err(Failure::data)?;
     let states =

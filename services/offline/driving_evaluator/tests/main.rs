@@ -1,3 +1,0 @@
-//! Tests of the driving evaluation on recordings with known answers.
-
-mod driving;

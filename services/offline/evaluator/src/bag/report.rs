@@ -1,0 +1,242 @@
+//! The table of a comparison.
+
+use std::fmt::Write as _;
+
+use metrics::Errors;
+use serde_json::{Value, json};
+use wire::{AGENT_TYPES, AgentType};
+
+use crate::page::Page;
+use crate::table::{Table, pair};
+
+/// Levels of the regions whose coverage is reported.
+pub(crate) const LEVELS: [f64; 2] = [0.5, 0.9];
+
+/// The compared forecasts: their keys in JSON, and their names in CSV.
+pub(crate) const METHODS: [[&str; 2]; 6] = [
+    // Our single best forecast.
+    ["ours", "stgdat"],
+    // The bag's path of the highest confidence.
+    ["bag", "bag"],
+    // Constant velocity of our track.
+    ["constant_velocity", "constant velocity"],
+    // The best of our most probable modes. There are as many of them as the bag has paths.
+    ["ours_of_as_many", "stgdat best of as many"],
+    ["bag_of_paths", "bag best of paths"],
+    ["ours_of_all", "stgdat best of 20"],
+];
+
+/// What was compared and what was not.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+pub(crate) struct Counts {
+    /// Messages that were compared.
+    pub messages: u64,
+    /// Messages without a tick of ours at most one interval before.
+    pub messages_outside: u64,
+    /// Forecasts that were compared.
+    pub forecasts: u64,
+    /// Our forecasts without an object of the bag.
+    pub only_ours: u64,
+    /// Objects of the bag without a forecast of ours.
+    pub only_theirs: u64,
+    /// Objects of the bag whose paths are all shorter than the horizon.
+    pub short: u64,
+    /// Forecasts whose agent was not seen over the whole horizon.
+    pub without_truth: u64,
+    /// Objects of other classes.
+    pub other: u64,
+}
+
+/// Sums over forecasts.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Cell {
+    forecasts: u64,
+    sums: [Errors; METHODS.len()],
+    regions: u64,
+    held: [u64; LEVELS.len()],
+}
+
+/// Sums by type and horizon.
+pub(crate) struct Cells {
+    horizons: [usize; 4],
+    /// \[type, horizon\]; the last type is all of them.
+    cells: [[Cell; 4]; AGENT_TYPES.len() + 1],
+}
+
+/// The errors of one type over one horizon.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Row {
+    /// The type; `all` for all types.
+    pub(crate) agents: &'static str,
+    pub(crate) horizon_s: f64,
+    pub(crate) forecasts: u64,
+    /// By [`METHODS`].
+    pub(crate) errors: [Errors; METHODS.len()],
+    /// Share of truths within our regions of 50 % and 90 % at the end of the horizon; a bag has no regions.
+    pub(crate) within: Option<[f64; LEVELS.len()]>,
+}
+
+/// A bag's forecasts and ours.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct AgainstReport {
+    pub(crate) counts: Counts,
+    pub(crate) rows: Vec<Row>,
+    /// Largest number of paths of an object in the bag.
+    pub(crate) paths_max: usize,
+    /// Whether the truth is the recording's own.
+    pub(crate) is_truth_recorded: bool,
+}
+
+impl Cell {
+    pub(crate) fn of(errors: [Errors; METHODS.len()], level: Option<f64>) -> Self {
+        let held = LEVELS.map(|of| u64::from(level.is_some_and(|level| level <= of)));
+        Self { forecasts: 1, sums: errors, regions: u64::from(level.is_some()), held }
+    }
+
+    fn add(&mut self, other: &Self) {
+        self.forecasts += other.forecasts;
+        self.regions += other.regions;
+        for (sum, more) in self.sums.iter_mut().zip(&other.sums) {
+            *sum = Errors { ade_m: sum.ade_m + more.ade_m, fde_m: sum.fde_m + more.fde_m };
+        }
+        self.held.iter_mut().zip(other.held).for_each(|(sum, more)| *sum += more);
+    }
+}
+
+impl Cells {
+    /// For a comparison of this many steps.
+    pub fn new(steps_len: usize) -> Self {
+        let horizons = [1, 2, 3, 4].map(|quarter| (steps_len * quarter).div_ceil(4));
+        Self { horizons, cells: Default::default() }
+    }
+
+    /// Numbers of steps.
+    pub const fn horizons(&self) -> [usize; 4] {
+        self.horizons
+    }
+
+    pub fn add(&mut self, agent_type: AgentType, horizon: usize, cell: &Cell) {
+        self.cells[agent_type.index()][horizon].add(cell);
+        self.cells[AGENT_TYPES.len()][horizon].add(cell);
+    }
+
+    pub fn rows(&self, step_ns: i64) -> Vec<Row> {
+        let names = AGENT_TYPES.map(AgentType::name).into_iter().chain(["all"]);
+        let rows = names.zip(&self.cells).flat_map(|(agents, cells)| {
+            let mut horizons: Vec<(usize, &Cell)> = self.horizons.into_iter().zip(cells).collect();
+            // A short comparison has fewer than four horizons.
+            horizons.dedup_by_key(|(steps, _)| *steps);
+            horizons
+                .into_iter()
+                .filter_map(move |(steps, cell)| row(agents, (step_ns * steps as i64) as f64 / 1e9, cell))
+        });
+        rows.collect()
+    }
+}
+
+fn row(agents: &'static str, horizon_s: f64, cell: &Cell) -> Option<Row> {
+    let mean = |of: Errors| {
+        let [ade_m, fde_m] = [of.ade_m, of.fde_m].map(|sum_m| sum_m / cell.forecasts as f64);
+        Errors { ade_m, fde_m }
+    };
+    let share = |held: u64| held as f64 / cell.regions as f64;
+    (cell.forecasts > 0).then(|| Row {
+        agents,
+        horizon_s,
+        forecasts: cell.forecasts,
+        errors: cell.sums.map(mean),
+        within: (cell.regions > 0).then(|| cell.held.map(share)),
+    })
+}
+
+impl Counts {
+    /// The counts in words.
+    pub(crate) fn text(&self) -> String {
+        let Self {
+            messages,
+            messages_outside,
+            forecasts,
+            only_ours,
+            only_theirs,
+            short,
+            without_truth,
+            other,
+        } = self;
+        format!(
+            "{forecasts} forecasts in {messages} messages; not compared: {only_ours} forecasts of stgdat without an object of \
+             the bag, {only_theirs} objects without a forecast of stgdat, {short} with shorter paths, {without_truth} \
+             without truth over the whole horizon, {other} of other classes; {messages_outside} messages outside the \
+             recording"
+        )
+    }
+}
+
+impl Row {
+    fn cells(&self) -> Vec<String> {
+        let within = self.within.map(|[half, most]| format!("{:.0} / {:.0} %", 100.0 * half, 100.0 * most));
+        let names = [self.agents.to_owned(), format!("{:.1}", self.horizon_s), self.forecasts.to_string()];
+        let within = within.unwrap_or_else(|| "-".to_owned());
+        names.into_iter().chain(self.errors.map(pair)).chain([within]).collect()
+    }
+
+    fn json(&self) -> Value {
+        let mut row = json!({
+            "agents": self.agents,
+            "horizon_s": self.horizon_s,
+            "forecasts": self.forecasts,
+            "within": self.within,
+        });
+        METHODS.iter().zip(self.errors).for_each(|([key, _], errors)| row[*key] = json!(errors));
+        row
+    }
+}
+
+impl AgainstReport {
+    /// The table as Markdown that is also readable in a terminal: every type over the longest horizon, and
+    /// all agents over all horizons.
+    pub(crate) fn markdown(&self) -> String {
+        let truth =
+            if self.is_truth_recorded { "the recording's own tracks" } else { "the later tracks of stgdat" };
+        let note = format!("ADE / FDE, m. Best of: the path with the least error. Truth: {truth}.");
+        let columns = [
+            "s",
+            "forecasts",
+            "stgdat",
+            "bag",
+            "constant velocity",
+            "stgdat, best of as many",
+            &format!("bag, best of {}", self.paths_max),
+            "stgdat, best of 20",
+            "stgdat, truth within 50 / 90 %",
+        ];
+        let columns = columns.map(str::to_owned).into_iter();
+        let mut table = Table::new("Forecasts of stgdat and of the bag", &note, &["agents"], columns);
+        let end_s = self.rows.iter().map(|row| row.horizon_s).fold(0.0, f64::max);
+        for row in self.rows.iter().filter(|row| row.agents == "all" || row.horizon_s == end_s) {
+            table.push_row(row.cells());
+        }
+        format!("#{}\n{}.\n", table.markdown(""), self.counts.text())
+    }
+
+    /// One line per row and method, with all horizons.
+    pub(crate) fn csv(&self) -> String {
+        let mut text = "agents,horizon_s,forecasts,method,ade_m,fde_m\n".to_owned();
+        for Row { agents, horizon_s, forecasts, errors, .. } in &self.rows {
+            for ([_, method], Errors { ade_m, fde_m }) in METHODS.iter().zip(errors) {
+                let _ = writeln!(text, "{agents},{horizon_s},{forecasts},{method},{ade_m:.6},{fde_m:.6}");
+            }
+        }
+        text
+    }
+
+    /// The report in all its forms.
+    pub(crate) fn page(&self) -> Page {
+        let json = json!({
+            "counts": self.counts,
+            "rows": self.rows.iter().map(Row::json).collect::<Vec<_>>(),
+            "paths_max": self.paths_max,
+            "is_truth_recorded": self.is_truth_recorded,
+        });
+        Page::new("against bag", "evaluate --against-bag", self.markdown(), self.csv(), json)
+    }
+}

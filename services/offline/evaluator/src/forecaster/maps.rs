@@ -1,0 +1,41 @@
+//! Context maps for the model: which map a recording's forecasts use, and how a site's recordings make one.
+
+use localiser::MapSource;
+use scene::{ContextMap, State};
+
+use crate::scenes::Scene;
+
+/// The source of local map patches.
+#[derive(Clone, Copy, Debug)]
+pub enum MapInput<'a> {
+    /// No map: every patch is empty.
+    None,
+    /// The map of the recording up to the patch's own time.
+    Online,
+    /// The map of a site, made from other recordings.
+    Site(&'a ContextMap),
+}
+
+impl MapInput<'_> {
+    /// The localiser's map.
+    pub(crate) fn source(self) -> MapSource {
+        match self {
+            Self::None => MapSource::None,
+            Self::Online => MapSource::Online,
+            Self::Site(map) => MapSource::Fixed(map.clone()),
+        }
+    }
+}
+
+/// The map of all places where the scenes' agents were, with one visit per step. `None` if there are no
+/// agents or they span more than a map holds.
+#[must_use]
+pub fn site_map<'a>(scenes: impl IntoIterator<Item = &'a Scene>) -> Option<ContextMap> {
+    let states: Vec<State> = scenes.into_iter().flat_map(newest).map(|(_, state)| state).collect();
+    ContextMap::of_visits(&states)
+}
+
+/// Identity and newest state of every agent.
+fn newest(scene: &Scene) -> impl Iterator<Item = (u64, State)> + '_ {
+    scene.agents.iter().filter_map(|agent| Some((agent.id, agent.newest()?)))
+}

@@ -1,0 +1,383 @@
+//! The report on the filters' errors.
+
+use metrics::tracking::{Consistency, ConsistencySummary, ErrorNorms};
+use metrics::{PairedErrors, paired_bootstrap_ratio};
+
+use super::{Error, Outcome, Sensor, TRIALS, TrackingMethod, Trials};
+use crate::forecaster::Provenance;
+use crate::page::Page;
+use crate::table::{RESAMPLES, SEED, Table, digits, percent};
+
+/// Probability within the χ² bounds of the normalised squares.
+const BOUNDS: f64 = 0.95;
+/// The noise whose errors a summary contains, m. With it a constant-velocity filter has about the error of
+/// the paper.
+const SUMMARISED_M: f64 = 0.02;
+
+/// The errors of one method under one sensor.
+#[derive(Clone, Debug)]
+pub(crate) struct MethodErrors {
+    sensor: Sensor,
+    method: TrackingMethod,
+    /// The errors of each track.
+    tracks: Vec<Vec<Error>>,
+    /// Consistency of the positions that the column reports, and of the innovations; `None` if there are
+    /// none.
+    nees: Option<ConsistencySummary>,
+    nis: Option<ConsistencySummary>,
+    fault_count: u64,
+}
+
+/// The result of an evaluation of tracking.
+#[derive(Clone, Debug)]
+pub(crate) struct TrackingReport {
+    provenance: Provenance,
+    evaluated_s: f64,
+    tuned_s: f64,
+    evaluated: Vec<MethodErrors>,
+    trials: Vec<(f64, Trials)>,
+}
+
+/// An estimated quantity.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Quantity {
+    Position,
+    Velocity,
+}
+
+impl Quantity {
+    const ALL: [Self; 2] = [Self::Position, Self::Velocity];
+
+    const fn name(self) -> &'static str {
+        match self {
+            Self::Position => "position, m",
+            Self::Velocity => "velocity, m/s",
+        }
+    }
+
+    /// The heading of the quantity's table.
+    const fn title(self) -> &'static str {
+        match self {
+            Self::Position => "Position error, m",
+            Self::Velocity => "Velocity error, m/s",
+        }
+    }
+
+    const fn of(self, error: &Error) -> f64 {
+        match self {
+            Self::Position => error.position_m,
+            Self::Velocity => error.velocity_mps,
+        }
+    }
+}
+
+impl MethodErrors {
+    /// The outcomes of all recordings together. For the χ² bounds, vehicles at the same tick number are
+    /// parallel runs.
+    pub(crate) fn new<'a>(
+        sensor: Sensor,
+        method: TrackingMethod,
+        outcomes: impl Iterator<Item = &'a Outcome>,
+    ) -> Self {
+        let (mut tracks, mut fault_count) = (Vec::new(), 0);
+        let (mut nees, mut nis) = (Consistency::default(), Consistency::default());
+        for outcome in outcomes {
+            let mut errors = outcome.errors.clone();
+            // The sort is stable, so instants remain in order.
+            errors.sort_by_key(|error| error.id);
+            tracks.extend(errors.chunk_by(|a, b| a.id == b.id).map(<[Error]>::to_vec));
+            nees.merge(&outcome.nees[usize::from(sensor.gap_s > 0.0)]);
+            nis.merge(&outcome.nis);
+            fault_count += outcome.fault_count;
+        }
+        let [nees, nis] = [nees, nis].map(|squares| squares.summary(BOUNDS).ok().flatten());
+        Self { sensor, method, tracks, nees, nis, fault_count }
+    }
+
+    /// Whether a column counts an error: only occluded instants if there are gaps, otherwise all.
+    fn counts(&self, error: &Error) -> bool {
+        error.visible == (self.sensor.gap_s == 0.0)
+    }
+
+    fn norms(&self, quantity: Quantity) -> ErrorNorms {
+        let mut norms = ErrorNorms::default();
+        let errors = self.tracks.iter().flatten().filter(|error| self.counts(error));
+        errors.for_each(|error| norms.add(quantity.of(error)));
+        norms
+    }
+
+    /// Summed errors of each track, paired with another method's errors at the same instants.
+    fn paired(&self, other: &Self, quantity: Quantity) -> Vec<PairedErrors> {
+        let of_track = |(ours, theirs): (&Vec<Error>, &Vec<Error>)| {
+            let mut sum = PairedErrors::default();
+            for (ours, theirs) in ours.iter().zip(theirs).filter(|(error, _)| self.counts(error)) {
+                sum.add(quantity.of(ours), quantity.of(theirs));
+            }
+            sum
+        };
+        self.tracks.iter().zip(&other.tracks).map(of_track).collect()
+    }
+}
+
+impl TrackingReport {
+    pub(crate) const fn new(provenance: Provenance, evaluated_s: f64, tuned_s: f64) -> Self {
+        Self { provenance, evaluated_s, tuned_s, evaluated: Vec::new(), trials: Vec::new() }
+    }
+
+    pub(crate) fn add(&mut self, evaluated: Vec<MethodErrors>) {
+        self.evaluated.extend(evaluated);
+    }
+
+    pub(crate) fn add_trials(&mut self, sigma_m: f64, trials: Trials) {
+        self.trials.push((sigma_m, trials));
+    }
+
+    /// The sensors with this noise, one per column.
+    fn sensors(&self, sigma_m: f64) -> Vec<Sensor> {
+        let mut sensors: Vec<Sensor> =
+            self.evaluated.iter().map(|of| of.sensor).filter(|sensor| sensor.sigma_m == sigma_m).collect();
+        sensors.dedup();
+        sensors
+    }
+
+    fn of(&self, sensor: Sensor, method: TrackingMethod) -> Option<&MethodErrors> {
+        self.evaluated.iter().find(|evaluated| evaluated.sensor == sensor && evaluated.method == method)
+    }
+
+    /// The methods, in the order of the tables.
+    fn methods(&self) -> impl Iterator<Item = TrackingMethod> + '_ {
+        self.trials.first().into_iter().flat_map(|(_, trials)| &trials.figures).map(|&(method, _)| method)
+    }
+
+    /// The kinematic filter with the least mean error.
+    fn best_kinematic(&self, sensor: Sensor, quantity: Quantity) -> Option<&MethodErrors> {
+        let kinematic = TrackingMethod::ALL.into_iter().filter(|method| method.is_kinematic());
+        let evaluated = kinematic.filter_map(|method| self.of(sensor, method));
+        let mae = |evaluated: &&MethodErrors| evaluated.norms(quantity).mae().unwrap_or(f64::INFINITY);
+        evaluated.min_by(|a, b| mae(a).total_cmp(&mae(b)))
+    }
+
+    fn columns(&self) -> Vec<String> {
+        let Some(&(sigma_m, _)) = self.trials.first() else { return Vec::new() };
+        let name = |sensor: &Sensor| match sensor.gap_s {
+            0.0 => "no gaps".to_owned(),
+            gap_s => format!("in gaps of {gap_s} s"),
+        };
+        self.sensors(sigma_m).iter().map(name).collect()
+    }
+
+    /// The report in all its forms. The summary has the errors at one noise and the comparisons at all.
+    pub(crate) fn page(&self) -> Page {
+        let is_reported = |sigma_m: f64| sigma_m == SUMMARISED_M;
+        let [position, velocity] = Quantity::ALL.map(|quantity| self.errors(quantity, is_reported));
+        let mut tables: Vec<Table> = Quantity::ALL.map(|quantity| self.errors(quantity, |_| true)).into();
+        tables.extend([self.comparisons(), self.certainty(), self.settings()]);
+        let (markdown, json) = (self.written(&tables, "#"), self.json());
+        let mark = "evaluate tracking --parts interaction";
+        Page {
+            summary: self.written(&[position, velocity, self.comparisons()], "##"),
+            ..Page::new("interaction", mark, markdown, self.csv(), json)
+        }
+    }
+
+    fn written(&self, tables: &[Table], heading: &str) -> String {
+        let mut text = format!("{heading} Tracking: INTERACTION's vehicles from noisy positions\n\n");
+        for table in tables {
+            text += &format!("{heading}{}\n", table.markdown(""));
+        }
+        text + &format!("Forecasts of the learned prior: {}\n", self.provenance.line())
+    }
+
+    fn errors(&self, quantity: Quantity, is_reported: impl Fn(f64) -> bool) -> Table {
+        let note = format!(
+            "RMSE / MAE; columns with gaps count the occluded instants alone. Positions are measured at 10 Hz with \
+             Gaussian noise of the given standard deviation per axis. A vehicle's first gap begins 3 to 7 s after it \
+             appears, each later one 4 s after the end of the last. {} s from the middle of each recording; the reference \
+             velocity is the central difference of the recorded positions. Tracks count from an age of 1 s. Learned: \
+             every step of the model, forecasts from the filter's own estimates become its prior; their controls \
+             fade in, and gaps keep the last forecast. Warm-started retrieval: the forecasts also use the retrieval \
+             memory, which begins with the site's training recordings. Smoother bound (oracle): a smoother that uses \
+             all measurements of a vehicle, later ones too, which no filter has.",
+            self.evaluated_s
+        );
+        let mut table =
+            Table::new(quantity.title(), &note, &["deviation", "method"], self.columns().into_iter());
+        for &(sigma_m, _) in self.trials.iter().filter(|(sigma_m, _)| is_reported(*sigma_m)) {
+            for method in self.methods() {
+                let cell = |sensor: Sensor| {
+                    let norms = self.of(sensor, method)?.norms(quantity);
+                    Some(format!("{} / {}", fine(norms.rmse()?), fine(norms.mae()?)))
+                };
+                table.push_row(self.row(sigma_m, method.name(), cell));
+            }
+        }
+        table
+    }
+
+    /// A row with one cell per sensor with this noise.
+    fn row(&self, sigma_m: f64, name: &str, cell: impl Fn(Sensor) -> Option<String>) -> Vec<String> {
+        let cells =
+            self.sensors(sigma_m).into_iter().map(|sensor| cell(sensor).unwrap_or_else(|| "-".to_owned()));
+        [format!("{sigma_m} m"), name.to_owned()].into_iter().chain(cells).collect()
+    }
+
+    fn comparisons(&self) -> Table {
+        let note = format!(
+            "Mean error of the learned prior less that of the reference on the same instants, in % of the latter: negative \
+             where the learned prior is better. In brackets the 95 % interval of a paired bootstrap over tracks, \
+             {RESAMPLES} resamples. The best kinematic filter is chosen cell by cell from these very figures, which \
+             favours it."
+        );
+        let head = ["deviation", "method", "quantity, reference"];
+        let mut table =
+            Table::new("Learned prior against the other filters", &note, &head, self.columns().into_iter());
+        for &(sigma_m, _) in &self.trials {
+            for learned in self.methods().filter(|method| method.is_learned()) {
+                for quantity in Quantity::ALL {
+                    let against = |sensor: Sensor, other: Option<&MethodErrors>| {
+                        let paired = self.of(sensor, learned)?.paired(other?, quantity);
+                        Some(percent(&paired_bootstrap_ratio(&paired, RESAMPLES, SEED)?))
+                    };
+                    let best = |sensor| against(sensor, self.best_kinematic(sensor, quantity));
+                    let velocity =
+                        |sensor| against(sensor, self.of(sensor, TrackingMethod::ConstantVelocity));
+                    let name = quantity.name().split(',').next().unwrap_or_default();
+                    let mut push = |other: &str, cell: &dyn Fn(Sensor) -> Option<String>| {
+                        let mut row = self.row(sigma_m, learned.name(), cell);
+                        row.insert(2, format!("{name}, {other}"));
+                        table.push_row(row);
+                    };
+                    push("best kinematic filter", &best);
+                    push("constant velocity", &velocity);
+                }
+            }
+        }
+        table
+    }
+
+    fn certainty(&self) -> Table {
+        let note = "NEES of the position / NIS of the measurements: mean per degree of freedom, 1 where covariances are right \
+                    and more where they are too small; in brackets the share of instants at which the sum over all \
+                    vehicles lies within its 95 % χ² bounds. Faults are predictions and updates that failed.";
+        let columns = self.columns().into_iter().chain(["faults".to_owned()]);
+        let mut table = Table::new("Consistency", note, &["deviation", "method"], columns);
+        for &(sigma_m, _) in &self.trials {
+            for method in self.methods() {
+                let cell = |sensor: Sensor| {
+                    let evaluated = self.of(sensor, method)?;
+                    Some(format!("{} / {}", consistency(&evaluated.nees?), consistency(&evaluated.nis?)))
+                };
+                let mut row = self.row(sigma_m, method.name(), cell);
+                let evaluated =
+                    self.sensors(sigma_m).into_iter().filter_map(|sensor| self.of(sensor, method));
+                row.push(evaluated.map(|evaluated| evaluated.fault_count).sum::<u64>().to_string());
+                table.push_row(row);
+            }
+        }
+        table
+    }
+
+    fn settings(&self) -> Table {
+        let note = format!(
+            "Tuned for the least mean negative log-likelihood (NLL) of the measured positions on the validation part: {} s \
+             of one recording per site, {TRIALS} trials per method and deviation.",
+            self.tuned_s
+        );
+        let columns = ["setting", "NLL"].map(str::to_owned).into_iter();
+        let mut table = Table::new("Settings", &note, &["deviation", "method"], columns);
+        for (sigma_m, trials) in &self.trials {
+            for &(method, figure) in &trials.figures {
+                let numbers = method.setting_names().iter().zip(trials.settings.of(method));
+                let setting: Vec<String> =
+                    numbers.map(|(what, value)| format!("{what} {value:.3}")).collect();
+                let setting = match &setting[..] {
+                    [] => format!("those of {}", method.tuned_as().name()),
+                    numbers => numbers.join(", "),
+                };
+                table.push_row(vec![
+                    format!("{sigma_m} m"),
+                    method.name().to_owned(),
+                    setting,
+                    format!("{figure:.3}"),
+                ]);
+            }
+        }
+        table
+    }
+
+    /// One line per figure, in the columns of [`COLUMNS`](super::COLUMNS).
+    fn csv(&self) -> String {
+        let sha256 = &self.provenance.sha256;
+        let line = |figures: &Figures, (measure, value): (&str, f64)| {
+            let Figures { sigma_m, gap_s, method, quantity, len, .. } = figures;
+            format!(
+                "interaction,{sigma_m},{gap_s},,,vehicle,\"{method}\",\"{quantity}\",{measure},{value:.6},{len},{sha256}\n"
+            )
+        };
+        let lines = |figures: Figures| {
+            let Figures { rmse, mae, nees, nis, nees_inside, nis_inside, .. } = figures;
+            let squares =
+                [("nees", nees), ("nis", nis), ("nees_inside", nees_inside), ("nis_inside", nis_inside)];
+            let known = squares.into_iter().filter_map(|(measure, value)| Some((measure, value?)));
+            let all = [("rmse", rmse), ("mae", mae)].into_iter().chain(known);
+            all.map(|figure| line(&figures, figure)).collect::<String>()
+        };
+        self.figures().map(lines).collect()
+    }
+
+    /// The whole report as JSON.
+    fn json(&self) -> serde_json::Value {
+        serde_json::json!({ "provenance": self.provenance, "figures": self.figures().collect::<Vec<_>>() })
+    }
+
+    fn figures(&self) -> impl Iterator<Item = Figures> + '_ {
+        let of = |evaluated: &MethodErrors, quantity: Quantity| {
+            let norms = evaluated.norms(quantity);
+            Some(Figures {
+                sigma_m: evaluated.sensor.sigma_m,
+                gap_s: evaluated.sensor.gap_s,
+                method: evaluated.method.name(),
+                quantity: quantity.name(),
+                rmse: norms.rmse()?,
+                mae: norms.mae()?,
+                len: norms.len,
+                nees: evaluated.nees.map(|squares| squares.per_degree),
+                nis: evaluated.nis.map(|squares| squares.per_degree),
+                nees_inside: evaluated.nees.map(|squares| squares.inside),
+                nis_inside: evaluated.nis.map(|squares| squares.inside),
+            })
+        };
+        let pairs =
+            self.evaluated.iter().flat_map(|evaluated| Quantity::ALL.map(|quantity| (evaluated, quantity)));
+        pairs.filter_map(move |(evaluated, quantity)| of(evaluated, quantity))
+    }
+}
+
+/// The figures of one method, sensor and quantity.
+#[derive(Clone, Copy, Debug, serde::Serialize)]
+struct Figures {
+    sigma_m: f64,
+    gap_s: f64,
+    method: &'static str,
+    quantity: &'static str,
+    rmse: f64,
+    mae: f64,
+    /// Number of instants.
+    len: u64,
+    /// Normalised squares per degree of freedom.
+    nees: Option<f64>,
+    nis: Option<f64>,
+    /// Shares of the instants within the χ² bounds.
+    nees_inside: Option<f64>,
+    nis_inside: Option<f64>,
+}
+
+/// The square per degree of freedom, and the share within the bounds.
+fn consistency(squares: &ConsistencySummary) -> String {
+    format!("{} ({:.0} %)", digits(squares.per_degree), 100.0 * squares.inside)
+}
+
+/// Four decimals below 1, because some errors are millimetres.
+fn fine(value: f64) -> String {
+    if value < 1.0 { format!("{value:.4}") } else { digits(value) }
+}

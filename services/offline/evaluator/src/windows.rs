@@ -1,0 +1,37 @@
+//! Forecasts of windows with exact states: the data sets of the literature, and any recordings.
+
+mod baselines;
+mod eth_ucy;
+mod files;
+mod group;
+mod interaction;
+mod judge;
+mod method;
+mod observed;
+mod protocol;
+mod reference;
+mod report;
+mod sdd;
+mod state;
+mod tables;
+mod tally;
+
+pub use baselines::Baselines;
+pub(crate) use baselines::anchors;
+pub use eth_ucy::eth_ucy;
+pub use files::Evaluation;
+use files::SUBSETS;
+pub use group::Group;
+use group::{BlockErrors, COMPARED};
+pub use interaction::{InteractionPart, interaction};
+pub use judge::{Block, Judge, Subset};
+pub use method::Method;
+use observed::Sensor;
+use protocol::{GROWTH, RATES, Rules, fit, need_agents};
+use reference::PaperRow;
+pub use report::{Figure, Report};
+pub use sdd::sdd;
+use state::{Basis, DoubtCount};
+pub use state::{State, StateError};
+use tables::Column;
+pub use tally::{Calibration, Measure, Tally};

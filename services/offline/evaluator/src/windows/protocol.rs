@@ -1,0 +1,101 @@
+//! What the protocols of windows share: their rules, and captions of their tables.
+
+use super::{Baselines, Block, Judge, Subset};
+use crate::error::EvaluateError;
+use crate::footage::{Footage, Options, SEED};
+use crate::forecaster::{MapInput, Model};
+use crate::lines::ForecastLines;
+use crate::scenes::Cut;
+
+impl Options {
+    /// The rules of a protocol.
+    pub(crate) fn rules<'a>(
+        &'a self,
+        horizons: &'a [usize],
+        subsets: &'a [Subset],
+        of_type: Option<scene::AgentType>,
+    ) -> Rules<'a> {
+        Rules { horizons, subsets, of_type, threads: self.threads, lines: self.lines.as_deref() }
+    }
+}
+
+/// A protocol's counted agents and horizons.
+#[derive(Clone, Copy)]
+pub(crate) struct Rules<'a> {
+    pub(crate) horizons: &'a [usize],
+    pub(crate) subsets: &'a [Subset],
+    pub(crate) of_type: Option<scene::AgentType>,
+    pub(crate) threads: usize,
+    pub(crate) lines: Option<&'a ForecastLines>,
+}
+
+impl Rules<'_> {
+    /// Evaluates a recording; a recording without a counted agent is accepted.
+    pub(crate) fn judge(
+        &self,
+        model: &Model,
+        baselines: &Baselines,
+        footage: &Footage,
+        map: MapInput<'_>,
+        part: &str,
+    ) -> Vec<Block> {
+        self.judge_with(model, baselines, part).recording(&footage.recording, &footage.scenes, map, None)
+    }
+
+    /// The evaluation of a model with these rules. `part` names the agents in the lines of forecasts.
+    pub(crate) fn judge_with<'a>(
+        &'a self,
+        model: &'a Model,
+        baselines: &'a Baselines,
+        part: &str,
+    ) -> Judge<'a> {
+        Judge {
+            forecaster: &model.forecaster,
+            baselines,
+            horizons: self.horizons,
+            subsets: self.subsets,
+            of_type: self.of_type,
+            lanes: None,
+            threads: self.threads,
+            lines: self.lines.map(|lines| (lines, part.to_owned())),
+        }
+    }
+
+    /// The horizons in seconds.
+    pub(crate) fn horizons_s(&self, cut: &Cut) -> Vec<f64> {
+        self.horizons.iter().map(|&steps| (steps as i64 * cut.step_ns()) as f64 / 1e9).collect()
+    }
+
+    /// Index of the longest horizon.
+    pub(crate) const fn last(&self) -> usize {
+        self.horizons.len() - 1
+    }
+}
+
+pub(crate) fn fit(training: &[Footage], cut: &Cut) -> Baselines {
+    Baselines::fit(training.iter().flat_map(|footage| &footage.scenes), cut, SEED)
+}
+
+/// Fails if the recordings have no counted agent.
+pub(crate) fn need_agents(blocks: &[Block], name: &str, cut: &Cut) -> Result<(), EvaluateError> {
+    if blocks.iter().any(|block| block.tallies.iter().any(|tally| !tally.is_empty())) {
+        return Ok(());
+    }
+    let steps = cut.history_len + cut.horizon_len;
+    Err(EvaluateError::NoWindows { name: name.to_owned(), steps, dt_s: cut.dt_s })
+}
+
+/// Caption of the tables of calibration and plausibility.
+pub(crate) const RATES: &str = "KDE-NLL: negative log density of the truth under a kernel density of the 20 modes, weighted by their probabilities. Coverage: \
+                     share of truths inside the highest-density region of the mixture of Gaussians, over agents and steps. Collision: the \
+                     discs of two agents meet, 0.9 m around vehicles, 0.3 m around cyclists, 0.2 m around pedestrians. Limits are those of \
+                     `metrics::Limits`, checked on all modes and K = 1.";
+
+/// The rows of the tables of errors by horizon.
+pub(crate) const GROWTH: [(crate::windows::Measure, crate::windows::Method); 5] = [
+    (crate::windows::Measure::BestOf, crate::windows::Method::Network),
+    (crate::windows::Measure::BestOf, crate::windows::Method::Base),
+    (crate::windows::Measure::BestOf, crate::windows::Method::Anchors),
+    (crate::windows::Measure::Single, crate::windows::Method::Network),
+    (crate::windows::Measure::Single, crate::windows::Method::ConstantVelocity),
+];

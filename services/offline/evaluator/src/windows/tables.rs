@@ -1,0 +1,250 @@
+//! Tables: a row per method and measure, a column per part of the data.
+
+use metrics::Errors;
+
+use super::{COMPARED, Calibration, Group, Measure, Method, PaperRow, Tally};
+use crate::table::{RESAMPLES, Table, pair, percent};
+
+/// The methods in a summary.
+const SUMMARISED: [&str; 9] = [
+    Method::Network.name(),
+    Method::OnlineRetrieval.name(),
+    Method::WarmStartedRetrieval.name(),
+    Method::Evidence.name(),
+    Method::Base.name(),
+    Method::Anchors.name(),
+    Method::ConstantVelocity.name(),
+    "STG-DAT (paper)",
+    "STG-DAT T+C+K (paper)",
+];
+
+/// A column: the mean over its groups.
+#[derive(Clone, Debug)]
+pub(crate) struct Column<'a> {
+    pub(crate) name: String,
+    pub(crate) groups: Vec<&'a Group>,
+}
+
+impl<'a> Column<'a> {
+    /// A column of one group.
+    pub(crate) fn of(name: &str, group: &'a Group) -> Self {
+        Self { name: name.to_owned(), groups: vec![group] }
+    }
+
+    fn errors(&self, method: Method, measure: Measure, horizon: usize) -> Option<Errors> {
+        let errors = self.groups.iter().map(|group| group.total.errors(method, measure, horizon));
+        let errors: Vec<Errors> = errors.collect::<Option<_>>()?;
+        let mean = |of: fn(&Errors) -> f64| errors.iter().map(of).sum::<f64>() / errors.len() as f64;
+        (!errors.is_empty()).then(|| Errors { ade_m: mean(|e| e.ade_m), fde_m: mean(|e| e.fde_m) })
+    }
+}
+
+impl Table {
+    /// The table's rows for a summary; `None` unless the table is a main table.
+    pub(crate) fn summary(&self) -> Option<Self> {
+        let is_included =
+            |row: &&Vec<String>| self.is_brief || self.name_count < 2 || SUMMARISED.contains(&&row[1][..]);
+        let rows = self.rows.iter().filter(is_included).filter(|row| row[0] != Measure::JointRanked.name());
+        self.is_main.then(|| Self { rows: rows.cloned().collect(), ..self.clone() })
+    }
+
+    /// ADE / FDE of every method and measure at one horizon.
+    pub(crate) fn errors(title: &str, note: &str, columns: &[Column<'_>], horizon: usize) -> Self {
+        let mut table = Self::new(title, note, &["measure", "method"], names(columns));
+        for measure in Measure::ALL {
+            for method in Method::ALL {
+                let cells = columns.iter().map(|column| column.errors(method, measure, horizon));
+                table.push([measure.name(), method.name()], cells);
+            }
+        }
+        table
+    }
+
+    /// The published forecasts and constant velocity; one row per group with agents.
+    pub(crate) fn published(title: &str, note: &str, groups: &[&Group], horizon: usize) -> Self {
+        let head =
+            ["forecasts", "published", "constant velocity", "ratio of FDE", "published, minADE₂₀ / minFDE₂₀"];
+        let mut table = Self::new(title, note, &["agents"], head.into_iter().map(str::to_owned));
+        for group in groups {
+            let errors = |method, measure| group.total.errors(method, measure, horizon);
+            let single = errors(Method::Evidence, Measure::Single);
+            let [Some(ours), Some(plain)] = [single, errors(Method::ConstantVelocity, Measure::Single)]
+            else {
+                continue;
+            };
+            let cell = pair;
+            let ratio =
+                if plain.fde_m > 0.0 { format!("{:.2}", ours.fde_m / plain.fde_m) } else { "-".to_owned() };
+            let best = errors(Method::Evidence, Measure::BestOf).map_or_else(|| "-".to_owned(), cell);
+            let forecasts = group.total.len(Method::Evidence, Measure::Single).to_string();
+            table.push_row(vec![
+                group.subset.name().to_owned(),
+                forecasts,
+                cell(ours),
+                cell(plain),
+                ratio,
+                best,
+            ]);
+        }
+        table
+    }
+
+    /// The rows of our own forecasts in a main table, followed by the same rows by other weights. Each row
+    /// contains the name of its training.
+    pub(crate) fn beside(&self, name: &str, others: &[(&str, &Self)]) -> Option<Self> {
+        let rows = self.rows.iter().enumerate().flat_map(|(place, row)| {
+            let ours =
+                Method::OURS.iter().filter(|method| row.get(1).is_some_and(|name| name == method.name()));
+            ours.flat_map(move |method| {
+                let trainings = std::iter::once((name, self)).chain(others.iter().copied());
+                trainings.filter_map(move |(name, table)| {
+                    let mut row = table.rows.get(place)?.clone();
+                    row[1] = format!("{}, {name}", method.name());
+                    Some(row)
+                })
+            })
+        });
+        self.is_main.then(|| Self {
+            title: format!("{}, training by training", self.title),
+            rows: rows.collect(),
+            is_brief: true,
+            ..self.clone()
+        })
+    }
+
+    /// ADE / FDE of `rows` at all horizons, for one column after the other.
+    pub(crate) fn horizons(
+        title: &str,
+        note: &str,
+        columns: &[Column<'_>],
+        horizons_s: &[f64],
+        rows: &[(Measure, Method)],
+    ) -> Self {
+        let horizon = |column: &Column<'_>| {
+            let name = column.name.clone();
+            horizons_s.iter().map(move |s| format!("{name} {s:.1} s")).collect::<Vec<_>>()
+        };
+        let columns_of = columns.iter().flat_map(horizon);
+        let mut table = Self::new(title, note, &["measure", "method"], columns_of);
+        for &(measure, method) in rows {
+            let of = |column: &Column<'_>| {
+                (0..horizons_s.len())
+                    .map(|horizon| column.errors(method, measure, horizon))
+                    .collect::<Vec<_>>()
+            };
+            table.push([measure.name(), method.name()], columns.iter().flat_map(of));
+        }
+        table
+    }
+
+    /// Adds the rows of the paper's methods. `cell` returns the entry of a method and column.
+    pub(crate) fn add_paper<'a>(
+        &mut self,
+        paper: &'a [PaperRow],
+        column_count: usize,
+        cell: impl Fn(&'a [PaperRow], &str, usize) -> Option<Errors>,
+    ) {
+        for method in crate::windows::reference::methods(paper) {
+            let cells = (0..column_count).map(|column| cell(paper, method, column));
+            self.push([Measure::BestOf.name(), &format!("{method} (paper)")], cells);
+        }
+    }
+
+    /// Miss rates, densities, coverage, collisions and violated limits at one horizon.
+    pub(crate) fn rates(title: &str, note: &str, columns: &[Column<'_>], horizon: usize) -> Self {
+        let mut table = Self::new(title, note, &["share", "method"], names(columns));
+        let of_columns: Vec<Vec<Vec<Rate>>> = columns
+            .iter()
+            .map(|column| column.groups.iter().map(|group| rates(&group.total, horizon)).collect())
+            .collect();
+        let all = rates(&Tally::new(horizon + 1), horizon);
+        for (row, Rate { name, method, decimals, .. }) in all.iter().enumerate() {
+            let cell = |groups: &Vec<Vec<Rate>>| {
+                let values: Option<Vec<f64>> = groups.iter().map(|rates| rates[row].value).collect();
+                let values = values.filter(|values| !values.is_empty())?;
+                Some(format!("{:.decimals$}", values.iter().sum::<f64>() / values.len() as f64))
+            };
+            let cells: Vec<Option<String>> = of_columns.iter().map(cell).collect();
+            if cells.iter().any(Option::is_some) {
+                let cells = cells.into_iter().map(|cell| cell.unwrap_or_else(|| "-".to_owned()));
+                table.rows.push([*name, method.name()].map(str::to_owned).into_iter().chain(cells).collect());
+            }
+        }
+        table
+    }
+
+    /// Our errors at the longest horizon compared with the errors of baselines, with 95 % intervals.
+    pub(crate) fn comparisons(title: &str, columns: &[Column<'_>]) -> Self {
+        let note = format!(
+            "Difference of the errors (ADE / FDE) on the same agents, ours minus the baseline's, in % of the baseline's. Negative: \
+             ours is better; significant where the whole 95 % interval is below 0. Paired bootstrap, {RESAMPLES} resamples \
+             of blocks as long as one window."
+        );
+        let mut table = Self::new(title, &note, &["measure", "against"], names(columns));
+        for (place, (measure, method)) in COMPARED.into_iter().enumerate() {
+            let cell = |column: &Column<'_>| {
+                let [group] = column.groups[..] else { return None };
+                let pair = group.compare(place)?;
+                Some(pair.map(|contrast| percent(&contrast.ratio)).join(" / "))
+            };
+            let cells: Vec<Option<String>> = columns.iter().map(cell).collect();
+            if cells.iter().any(Option::is_some) {
+                let cells = cells.into_iter().map(|cell| cell.unwrap_or_else(|| "-".to_owned()));
+                table.rows.push(
+                    [measure.name(), method.name()].map(str::to_owned).into_iter().chain(cells).collect(),
+                );
+            }
+        }
+        table
+    }
+
+    /// Adds a row of errors unless all its cells are empty.
+    fn push(&mut self, names: [&str; 2], cells: impl Iterator<Item = Option<Errors>>) {
+        let cells: Vec<Option<Errors>> = cells.collect();
+        if cells.iter().all(Option::is_none) {
+            return;
+        }
+        let text = |errors: &Option<Errors>| errors.map_or_else(|| "-".to_owned(), pair);
+        self.rows.push(names.map(str::to_owned).into_iter().chain(cells.iter().map(text)).collect());
+    }
+}
+
+fn names(columns: &[Column<'_>]) -> impl Iterator<Item = String> {
+    columns.iter().map(|column| column.name.clone())
+}
+
+/// A figure of our forecasts that is not an error.
+pub(crate) struct Rate {
+    pub(crate) name: &'static str,
+    pub(crate) method: Method,
+    pub(crate) value: Option<f64>,
+    decimals: usize,
+}
+
+/// Our forecasts' figures that are not errors, and the numbers of scenes and agents.
+pub(crate) fn rates(tally: &Tally, horizon: usize) -> Vec<Rate> {
+    let rate = |name, method, value: Option<f64>, decimals: usize| Rate { name, method, value, decimals };
+    let count = |name, len: u64| rate(name, Method::Network, Some(len as f64), 0);
+    let percent = |name, method, share: &metrics::Share| {
+        rate(name, method, share.value().map(|share| 100.0 * share), 1)
+    };
+    let calibration =
+        Method::OURS.iter().enumerate().map(|(ours, &method)| (method, tally.calibration(ours, horizon)));
+    let mut rates = vec![count("scenes", tally.scene_count), count("agents", tally.agents_len)];
+    rates.extend(calibration.clone().map(|(method, of)| rate("KDE-NLL", method, of.kde_nll.value(), 3)));
+    let mut shares = |name, share: fn(&Calibration) -> &metrics::Share| {
+        rates.extend(calibration.clone().map(|(method, of)| percent(name, method, share(&of))));
+    };
+    shares("coverage of the 50 % region, %", |of| &of.covered_50);
+    shares("coverage of the 90 % region, %", |of| &of.covered_90);
+    shares("miss rate (2 m), minFDE₂₀, %", |of| &of.missed_best);
+    shares("miss rate (2 m), K = 1, %", |of| &of.missed_single);
+    rates.extend([
+        percent("collision rate, K = 1 forecasts, %", Method::Network, &tally.collided),
+        percent("collision rate, recorded futures, %", Method::Network, &tally.truly_collided),
+    ]);
+    let broken = Method::OURS.iter().zip(&tally.broken);
+    rates
+        .extend(broken.map(|(&method, broken)| percent("forecasts that violate a limit, %", method, broken)));
+    rates
+}

@@ -1,3 +1,0 @@
-//! Tests of trackers on synthetic recordings with a known result.
-
-mod kitti;
