@@ -44,8 +44,10 @@ if "$torch" -c 'import numpy, safetensors, torch' 2>/dev/null; then
     rm -rf "$dir/torch"
     "$dir/tools/bin/python" -m pip install --quiet --disable-pip-version-check --no-deps --no-index \
         --target "$dir/torch" "$(ls "$dir"/wheels/*.whl)"
-    alone PYTHONPATH="$dir/torch" STGDAT_GOLDEN="$root/tests/golden" \
-        "$("$torch" -c 'import sys; print(sys.executable)')" "$here/tests/test_torch.py"
+    for test in test_torch test_training; do
+        alone PYTHONPATH="$dir/torch" STGDAT_GOLDEN="$root/tests/golden" \
+            "$("$torch" -c 'import sys; print(sys.executable)')" "$here/tests/$test.py"
+    done
 else
     printf 'skipped: stgdat.torch: %s cannot import torch, safetensors and numpy; STGDAT_TORCH names a Python that can\n' \
         "$torch"

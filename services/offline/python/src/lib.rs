@@ -12,12 +12,14 @@ mod error;
 mod evaluate;
 mod fleet;
 mod frame;
+mod lanes;
 mod layout;
 mod live;
 mod record;
 mod recording;
 mod stages;
 mod weights;
+mod windows;
 
 #[pyo3::pymodule]
 mod _stgdat {
@@ -36,17 +38,21 @@ mod _stgdat {
     #[pymodule_export]
     use crate::frame::{Frame, detections, doubts_of, frame};
     #[pymodule_export]
+    use crate::lanes::lanes;
+    #[pymodule_export]
     use crate::layout::{constants, layout, numbers};
     #[pymodule_export]
     use crate::live::{Tap, living_run};
     #[pymodule_export]
     use crate::record::{Messages, Record};
     #[pymodule_export]
-    use crate::recording::{Playback, Recording, open};
+    use crate::recording::{Playback, Recording, open, split};
     #[pymodule_export]
     use crate::stages::{Predictor, Tracker};
     #[pymodule_export]
     use crate::weights::{read_weights, write_weights};
+    #[pymodule_export]
+    use crate::windows::Windows;
 
     #[pymodule_init]
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {

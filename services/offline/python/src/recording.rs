@@ -229,6 +229,17 @@ impl Recording {
     }
 }
 
+/// The recording before and after a share of its time.
+#[pyfunction]
+pub fn split(py: Python<'_>, recording: &Bound<'_, Recording>, share: f64) -> (Recording, Recording) {
+    let whole = recording.get();
+    py.detach(|| {
+        let [earlier, later] = trainer::split_in_time(whole.recording.clone(), share);
+        let part = |recording| Recording::new(recording, whole.path.clone(), whole.origin);
+        (part(earlier), part(later))
+    })
+}
+
 /// The ticks of a recording.
 #[pyclass(frozen, module = "stgdat._stgdat")]
 pub struct Playback {

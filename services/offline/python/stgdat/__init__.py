@@ -24,6 +24,7 @@ from .checks import MissingFileError
 from .evaluation import Evaluation, Evaluator, combine_states, evaluate, evaluate_state, merge_states
 from .frames import Agent, Detections, Forecasts, Frame, Tracks, detections, dtype
 from .judged import JudgedForecasts, MethodForecasts
+from .lanes import Lane
 from .numbers import AgentType, Cause, DetectionFlags, Expert, Quality, TrackStatus
 from .pictures import plot
 from .recording import Recording, generate, open
@@ -43,6 +44,7 @@ __all__ = [
     "Frame",
     "InputError",
     "JudgedForecasts",
+    "Lane",
     "MethodForecasts",
     "MissingFileError",
     "Predictor",

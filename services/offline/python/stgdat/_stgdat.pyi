@@ -15,6 +15,7 @@ __all__ = [
     "Recording",
     "Tap",
     "Tracker",
+    "Windows",
     "__version__",
     "check",
     "column_of",
@@ -27,6 +28,7 @@ __all__ = [
     "frame",
     "inspect",
     "layout",
+    "lanes",
     "learn",
     "living_run",
     "numbers",
@@ -36,6 +38,7 @@ __all__ = [
     "priors",
     "read_weights",
     "report",
+    "split",
     "worst",
     "write_columns",
     "write_weights",
@@ -122,6 +125,10 @@ class Playback:
     def __next__(self) -> Frame: ...
 
 def open(arguments: List[str], is_complete: bool) -> Recording: ...
+def lanes(
+    recording: Recording, arguments: List[str]
+) -> List[Tuple[int, List[int], Optional[float], List[bytes], List[int], List[Optional[int]]]]: ...
+def split(recording: Recording, share: float) -> Tuple[Recording, Recording]: ...
 def column_of(name: str) -> Tuple[Optional[str], Optional[str]]: ...
 def write_columns(columns: List[Tuple[str, str, bytes]], words: List[str]) -> bytes: ...
 def parse_columns(text: bytes, name: str, labels: Dict[str, str], origin: Tuple[float, float]) -> Recording: ...
@@ -198,3 +205,12 @@ def write_weights(
     tensors: List[Tuple[str, List[int], bytes]],
     half: bool,
 ) -> str: ...
+
+@final
+class Windows:
+    def __new__(cls, recordings: List[Recording], options: str) -> Windows: ...
+    def counts(self) -> Tuple[int, int]: ...
+    def batch(self, number: int) -> List[Tuple[str, List[int], bool, bytearray]]: ...
+    def gradients(
+        self, number: int, weights: Union[str, os.PathLike[str]], done: float
+    ) -> Tuple[List[float], int, List[Tuple[str, List[int], bool, bytearray]]]: ...

@@ -37,9 +37,11 @@ def _checked(name: str, value: Any) -> Any:
     return value
 
 
-def weights_file(weights: Path) -> str:
-    """The file of the weights, or of the shipped weights of this name."""
+def weights_file(weights: Path) -> Optional[str]:
+    """The file of the weights, or of the shipped weights of this name; `None` for the embedded ones."""
     name = os.fspath(weights)
+    if name == "onboard" and not os.path.exists(name):
+        return None
     shipped = os.path.join(os.path.dirname(__file__), "weights", name + ".safetensors")
     is_name = os.path.basename(name) == name and not os.path.exists(name)
     return shipped if is_name and os.path.exists(shipped) else checks.existing(name)

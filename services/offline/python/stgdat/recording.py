@@ -14,6 +14,7 @@ from . import _stgdat, checks, tables
 from . import columns as columns_of
 from .arguments import Origin, Path, written
 from .frames import Array, Detections, array_of, dtype
+from .lanes import Lane, read_lanes
 from .numbers import AgentType, DetectionFlags
 
 if TYPE_CHECKING:
@@ -125,6 +126,31 @@ class Recording:
         given = {key: frame.iloc[:, at[column]] for key, column in found.items()}
         labels = {key: f"{column} ({key})" for key, column in found.items() if key != column}
         return _of_columns(given, name, labels, origin)
+
+    def lanes(self, path: Path, *, lanes_origin: Optional[str] = None) -> List[Lane]:
+        """The lanes of a Lanelet2 map of the recording's site.
+
+        `lanes_origin` is the position of the world frame's origin in the map, `"LAT,LON"` or `"X,Ym"`. Without it the
+        map has the recording's own frame.
+
+        Raises `InputError` for a file that is no map, or whose coordinates need `lanes_origin`.
+        """
+        return read_lanes(self._recording, path, lanes_origin)
+
+    def split(self, share: float = 0.8) -> Tuple[Recording, Recording]:
+        """The recording before and after this share of its time, such as a part to train on and one to validate.
+
+        No frame is in both. With 0.8 the parts are those of `stgdat train FILE`.
+
+        >>> import stgdat
+        >>> earlier, later = stgdat.generate(agents=4, ticks=10).split(0.8)
+        >>> len(earlier), len(later)
+        (8, 2)
+        """
+        if not 0.0 <= share <= 1.0:
+            raise _stgdat.InputError(f"share = {share}: expected 0 to 1")
+        earlier, later = _stgdat.split(self._recording, share)
+        return Recording(earlier, (_part, (self, share, 0))), Recording(later, (_part, (self, share, 1)))
 
     def save(self, path: Path) -> None:
         """Writes the recording as CSV, with positions in the world frame. `open` reads it again."""
@@ -246,6 +272,10 @@ def _reopened(arguments: List[str], complete: bool, sha256: str) -> Recording:
     if recording.sha256 != sha256:
         raise _stgdat.InputError(f"{recording.path}: the file has changed since the recording was pickled")
     return recording
+
+
+def _part(recording: Recording, share: float, part: int) -> Recording:
+    return recording.split(share)[part]
 
 
 def _of_columns(columns: Mapping[str, Any], name: str, labels: Mapping[str, str], origin: Origin) -> Recording:

@@ -137,6 +137,46 @@ class Forecasts(InFolder):
         if not compared:
             self.skipTest("no case in STGDAT_CASES")
 
+    def test_lanes_are_arrays(self) -> None:
+        # A lane of two parts, 4 m wide, that turns left by 90 degrees at (20, 0).
+        nodes = {1: (0, 2), 2: (18, 2), 3: (18, 20), 4: (0, -2), 5: (22, -2), 6: (22, 20)}
+        lanelets = {11: ((1, 2), (4, 5)), 12: ((2, 3), (5, 6))}
+        text = "<osm>"
+        for number, (x, y) in nodes.items():
+            text += f'<node id="{number}" lat="0" lon="0"><tag k="local_x" v="{x}"/><tag k="local_y" v="{y}"/></node>'
+        for number, sides in lanelets.items():
+            for side, ends in enumerate(sides):
+                refs = "".join(f'<nd ref="{end}"/>' for end in ends)
+                text += f'<way id="{10 * number + side}">{refs}<tag k="type" v="line_thin"/></way>'
+        for number in lanelets:
+            members = f'<member type="way" ref="{10 * number}" role="left"/>'
+            members += f'<member type="way" ref="{10 * number + 1}" role="right"/>'
+            tags = "".join(
+                f'<tag k="{key}" v="{value}"/>'
+                for key, value in (("type", "lanelet"), ("subtype", "road"), ("location", "urban"), ("one_way", "yes"))
+            )
+            text += f'<relation id="{number}">{members}{tags}</relation>'
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "site.osm"
+            path.write_text(text + "</osm>")
+            recording = stgdat.Recording.from_arrays("vehicle", [0.0, 1.0], [0.0, 0.0], stamp_s=[0, 0.1], ids=[1, 1])
+            first, second = recording.lanes(path)
+            self.assertEqual((first.id, second.id), (11, 12))
+            self.assertEqual((first.successors, second.successors), ((1,), ()))
+            self.assertEqual((first.left, first.right), (None, None))
+            self.assertIn(stgdat.AgentType.VEHICLE, first.types)
+            np.testing.assert_allclose(first.centre_m[0], [0, 0], atol=1e-4)
+            np.testing.assert_allclose(first.centre_m[-1], second.centre_m[0], atol=1e-4)
+            np.testing.assert_allclose(second.centre_m[-1], [20, 20], atol=1e-4)
+            np.testing.assert_allclose(first.left_m, [[0, 2], [18, 2]], atol=1e-4)
+            np.testing.assert_allclose(first.half_width_m[0], 2.0, atol=1e-3)
+            self.assertLess(np.linalg.norm(np.diff(first.centre_m, axis=0), axis=1).max(), 1.01)
+            with self.assertRaises(stgdat.MissingFileError):
+                recording.lanes("none.osm")
+            path.write_text("no map")
+            with self.assertRaisesRegex(stgdat.InputError, "site.osm"):
+                recording.lanes(path)
+
     @unittest.skipUnless((Path(os.environ.get("STGDAT_CASES", ".")) / "maps/local.osm").exists(), "no case with lanes")
     def test_lanes_equal_predict(self) -> None:
         maps = Path(os.environ["STGDAT_CASES"]) / "maps"

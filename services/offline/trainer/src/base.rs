@@ -31,6 +31,9 @@ use tables::{EVERYWHERE, TypeBase, describe};
 /// Maximum number of agents per type in the fit, spread evenly.
 pub(crate) const FITTED_MAX: usize = 60_000;
 
+/// Fewest agents of a type to which its base control is fitted again.
+pub(crate) const REFITTED_MIN: usize = 100;
+
 /// The base control of all agent types.
 #[derive(Clone, Debug)]
 pub(crate) struct BaseControl {
@@ -56,11 +59,13 @@ impl BaseControl {
         Self { config: config.clone(), types: AGENT_TYPES.iter().map(zero).collect() }
     }
 
-    /// Fits ridge and anchors to the agents with a known future. Each history is also cut to every class.
+    /// Fits ridge and anchors to the agents with a known future. Each history is also cut to every class. A type
+    /// with fewer than [`REFITTED_MIN`] agents keeps the base that it has in `before`.
     ///
     /// `agents` reads the agents of a type; the fit uses at most [`FITTED_MAX`] of them.
     pub(crate) fn fit<A>(
         config: &ModelConfig,
+        before: Option<&Self>,
         agents: impl Fn(AgentType) -> A,
         augmentation: Augmentation,
         vehicle_speed_cuts_mps: Option<[f32; binning::SPEED_BINS - 1]>,
@@ -75,6 +80,11 @@ impl BaseControl {
                 && agent_type == AgentType::Vehicle
             {
                 zero.speed_cuts_mps = cuts_mps;
+            }
+            if let Some(before) = before
+                && agents(agent_type).take(REFITTED_MIN).count() < REFITTED_MIN
+            {
+                return Ok(before.types[agent_type as usize].clone());
             }
             let samples = samples(
                 config,

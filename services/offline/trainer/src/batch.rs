@@ -11,6 +11,7 @@
 //! of agents at one step, are therefore computed once. All rows and edges with the same patch or pair share
 //! the result.
 
+mod arrays;
 mod graph;
 #[cfg(test)]
 mod tests;
@@ -25,6 +26,7 @@ use crate::base::AgentBase;
 use crate::net::matrix::Matrix;
 use crate::net::motion::Start;
 
+pub use arrays::{Array, Values};
 pub(crate) use graph::scales;
 pub(crate) use graph::{BatchOptions, Graph};
 use graph::{Placed, Steps};

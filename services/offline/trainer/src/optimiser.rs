@@ -24,6 +24,16 @@ pub struct OptimiserOptions {
     /// Decoupled weight decay: share of a weight that an update at learning rate 1 subtracts. Biases do not
     /// decay.
     pub weight_decay: f64,
+    /// Tensors that keep their values, by the beginnings of their names: `fe.` and `gdat.` are the encoder. A
+    /// frozen context network normalises by its running values.
+    pub frozen: Vec<String>,
+}
+
+impl OptimiserOptions {
+    /// Whether the tensors of this name, or all whose names begin with it, keep their values.
+    pub(crate) fn is_frozen(&self, name: &str) -> bool {
+        self.frozen.iter().any(|frozen| name.starts_with(frozen.as_str()))
+    }
 }
 
 impl Default for OptimiserOptions {
@@ -34,6 +44,7 @@ impl Default for OptimiserOptions {
             clip_norm: 10.0,
             average_decay: 0.995,
             weight_decay: 0.0,
+            frozen: Vec::new(),
         }
     }
 }
@@ -88,7 +99,10 @@ impl Adam {
     /// clipping. A gradient that is not finite leaves the weights unchanged.
     pub(crate) fn step(&mut self, weights: &mut Tensors, gradients: &mut Gradients, rate: f64) -> f64 {
         let mut square = 0.0;
-        for ((_, gradient), moments) in gradients.0.values_mut().zip(self.moments.values()) {
+        for ((name, (_, gradient)), moments) in gradients.0.iter_mut().zip(self.moments.values()) {
+            if self.options.is_frozen(name) {
+                gradient.fill(0.0);
+            }
             in_units(gradient, &moments.units);
             square += gradient.iter().map(|&value| f64::from(value) * f64::from(value)).sum::<f64>();
         }
@@ -100,7 +114,9 @@ impl Adam {
         let exponent = i32::try_from(self.steps).unwrap_or(i32::MAX);
         let scale = if norm > self.options.clip_norm { self.options.clip_norm / norm } else { 1.0 };
         for ((name, (_, gradient)), moments) in gradients.0.iter().zip(self.moments.values_mut()) {
-            let Some(tensor) = weights.0.get_mut(name) else { continue };
+            let Some(tensor) = weights.0.get_mut(name).filter(|_| !self.options.is_frozen(name)) else {
+                continue;
+            };
             let decays = tensor.shape.len() > 1;
             let keep = if decays { (1.0 - rate * self.options.weight_decay) as f32 } else { 1.0 };
             let rate = (rate / (1.0 - BETA_1.powi(exponent))) as f32;
@@ -211,6 +227,22 @@ mod tests {
             assert!((value - expected).abs() < 1e-6, "{value} for {expected}");
         }
         assert_eq!([weights.get("bias"), weights.get("base")], [[1.0, -2.0]; 2]);
+    }
+
+    #[test]
+    fn frozen_tensors_keep_their_values() {
+        let mut weights = Tensors::default();
+        for name in ["fe.a", "gdat.a", "decoder.a"] {
+            weights.insert(name, &[1, 1], vec![1.0], TensorRole::Learned);
+        }
+        let frozen = ["fe.", "gdat."].map(str::to_owned).to_vec();
+        let options = OptimiserOptions { weight_decay: 0.5, frozen, ..OptimiserOptions::default() };
+        let mut adam = Adam::new(options, &onboard_config(), &weights);
+        let mut gradients = Gradients::zeros(&weights);
+        gradients.0.values_mut().for_each(|(_, gradient)| gradient.fill(2.0));
+        assert_eq!(adam.step(&mut weights, &mut gradients, 0.2), 2.0);
+        assert_eq!([weights.get("fe.a"), weights.get("gdat.a")], [[1.0]; 2]);
+        assert!(weights.get("decoder.a")[0] < 1.0);
     }
 
     #[test]

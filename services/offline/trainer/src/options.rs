@@ -47,6 +47,9 @@ pub struct TrainOptions {
     /// base control.
     #[serde(deserialize_with = "one_or_many")]
     pub begin_with: Vec<PathBuf>,
+    /// Whether to fit the base control to the training data even with `begin_with`. The network then learns what the
+    /// new base lacks. Agent types with fewer than 100 windows keep their base.
+    pub refit_base: bool,
     /// Seed of everything random.
     pub seed: u64,
     /// Updates to make. With `begin_with` there may be none: its weights, or their mean, are validated and written
@@ -133,6 +136,7 @@ impl Default for TrainOptions {
             checkpoints: PathBuf::from("checkpoints"),
             resume: false,
             begin_with: Vec::new(),
+            refit_base: false,
             seed: 1,
             steps: 8_000,
             batch_agents: 96,

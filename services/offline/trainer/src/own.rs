@@ -67,22 +67,24 @@ pub(crate) fn files_of(files: &[PathBuf], part: Part) -> &[PathBuf] {
 
 /// What a part has of a recording: all of it, or a part of the time if there is no other file.
 pub(crate) fn within(recording: Recording, files: &[PathBuf], part: Part) -> Recording {
-    if files.len() == 1 { cut_in_time(recording, part) } else { recording }
+    if files.len() != 1 {
+        return recording;
+    }
+    let [train, validation] = split_in_time(recording, 1.0 - 1.0 / PARTS as f64);
+    if part == Part::Train { train } else { validation }
 }
 
-/// The frames of the only recording that belong to a part.
-fn cut_in_time(mut recording: Recording, part: Part) -> Recording {
-    let cut_ns = cut_ns(&recording);
-    recording.frames.retain(|frame| (frame.stamp_ns < cut_ns) == (part == Part::Train));
-    recording
-}
-
-/// The time from which frames belong to the validation.
-fn cut_ns(recording: &Recording) -> i64 {
+/// Cuts a recording in time: the first part has this share of the time from the first frame to the last.
+#[must_use]
+pub fn split_in_time(mut recording: Recording, share: f64) -> [Recording; 2] {
     let stamp_ns = |frame: Option<&data::Frame>| frame.map_or(0, |frame| frame.stamp_ns);
     let (first, last) = (stamp_ns(recording.frames.first()), stamp_ns(recording.frames.last()));
-    let part = (last - first) / PARTS as i64;
-    last - part
+    let kept = ((1.0 - share.clamp(0.0, 1.0)) * (last - first) as f64).round() as i64;
+    let cut_ns = last - kept;
+    let end = recording.frames.partition_point(|frame| frame.stamp_ns < cut_ns);
+    let frames = recording.frames.split_off(end);
+    let later = Recording { frames, ..recording.clone() };
+    [recording, later]
 }
 
 /// The recordings that validate a training on these files.
@@ -124,8 +126,7 @@ mod tests {
         let frames =
             (0..100).map(|number| data::Frame { stamp_ns: 7 + number * 100, ..data::Frame::default() });
         let recording = Recording { frames: frames.collect(), ..Recording::default() };
-        let [train, validation] =
-            [Part::Train, Part::Validation].map(|part| cut_in_time(recording.clone(), part).frames);
+        let [train, validation] = split_in_time(recording, 0.8).map(|part| part.frames);
         assert_eq!((train.len(), validation.len()), (80, 20));
         assert!(train.iter().all(|frame| frame.stamp_ns < validation[0].stamp_ns));
     }

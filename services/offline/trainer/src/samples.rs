@@ -18,6 +18,7 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use data::Recording;
 use data::sets::{DataSet, Part};
 use nn::ModelConfig;
 use scene::{AgentType, ContextMap};
@@ -115,41 +116,37 @@ impl Samples {
     pub(crate) fn read(
         selection: Selection<'_>,
         config: &ModelConfig,
-        mut spooling: Spooling,
+        spooling: Spooling,
         mut progress: impl FnMut(&Path),
     ) -> Result<Self, TrainError> {
-        let (mut sets, mut sources) = (Vec::new(), Vec::new());
-        let (mut grounds, mut sites, mut folders) = (Vec::new(), Vec::new(), Vec::new());
+        let mut cutting = Cutting::new(selection, config, spooling);
         for &set in selection.sets {
-            let mut windows = Vec::new();
             for path in selection.files(set)? {
                 progress(&path);
                 let mut recording = set.open(&path)?;
                 if set == DataSet::Own {
                     recording = own::within(recording, selection.own, selection.part);
                 }
-                let number = sources.len() as u32;
-                let (scenes, ground) = cut(&recording, selection, config, &mut spooling)?;
-                for scene in scenes.filter(|scene| scene.agents.iter().any(|agent| agent.counts)) {
-                    windows.push(scene.append_to(&mut spooling, number)?);
-                }
-                grounds.push(ground);
-                sites.push(site(set, &path));
-                folders.push(folder(set, &path));
-                sources.push(Source {
-                    set: format!("{} {}", set.name(), selection.part.name()),
-                    name: recording.name,
-                    sha256: recording.sha256,
-                });
+                cutting.push(set, &path, &recording)?;
             }
-            let stride = windows.len().div_ceil(selection.windows_max).max(1);
-            let windows: Vec<Window> = windows.into_iter().step_by(stride).collect();
-            let of_window = |window: &Window| folders[window.recording as usize].as_deref();
-            let sites = runs(&windows, |a, b| of_window(a) == of_window(b));
-            sets.push(SetSamples { set, windows, sites });
+            cutting.end_set(set);
         }
-        let steps = [config.history_len, config.horizon_len];
-        Ok(Self { sets, sources, spool: spooling.finish()?, steps, grounds, sites })
+        cutting.finish()
+    }
+
+    /// The samples of a user's own recordings.
+    pub(crate) fn of(
+        recordings: &[&Recording],
+        selection: Selection<'_>,
+        config: &ModelConfig,
+        spooling: Spooling,
+    ) -> Result<Self, TrainError> {
+        let mut cutting = Cutting::new(selection, config, spooling);
+        for recording in recordings {
+            cutting.push(DataSet::Own, Path::new(""), recording)?;
+        }
+        cutting.end_set(DataSet::Own);
+        cutting.finish()
     }
 
     /// Gives every recording the site map of the *other* recordings of `training`.
@@ -206,6 +203,68 @@ impl Samples {
             let counted = agents.into_iter().filter(|agent| agent.agent_type == agent_type && agent.counts);
             counted.skip(first).step_by(stride).map(Ok).collect()
         })
+    }
+}
+
+/// Samples while recordings are cut.
+struct Cutting<'a> {
+    selection: Selection<'a>,
+    config: &'a ModelConfig,
+    spooling: Spooling,
+    sets: Vec<SetSamples>,
+    sources: Vec<Source>,
+    grounds: Vec<Ground>,
+    sites: Vec<Option<PathBuf>>,
+    folders: Vec<Option<PathBuf>>,
+    /// The windows of the present set.
+    windows: Vec<Window>,
+}
+
+impl<'a> Cutting<'a> {
+    fn new(selection: Selection<'a>, config: &'a ModelConfig, spooling: Spooling) -> Self {
+        Self {
+            selection,
+            config,
+            spooling,
+            sets: Vec::new(),
+            sources: Vec::new(),
+            grounds: Vec::new(),
+            sites: Vec::new(),
+            folders: Vec::new(),
+            windows: Vec::new(),
+        }
+    }
+
+    fn push(&mut self, set: DataSet, path: &Path, recording: &Recording) -> Result<(), TrainError> {
+        let number = self.sources.len() as u32;
+        let (scenes, ground) = cut(recording, self.selection, self.config, &mut self.spooling)?;
+        for scene in scenes.filter(|scene| scene.agents.iter().any(|agent| agent.counts)) {
+            self.windows.push(scene.append_to(&mut self.spooling, number)?);
+        }
+        self.grounds.push(ground);
+        self.sites.push(site(set, path));
+        self.folders.push(folder(set, path));
+        self.sources.push(Source {
+            set: format!("{} {}", set.name(), self.selection.part.name()),
+            name: recording.name.clone(),
+            sha256: recording.sha256.clone(),
+        });
+        Ok(())
+    }
+
+    fn end_set(&mut self, set: DataSet) {
+        let windows = std::mem::take(&mut self.windows);
+        let stride = windows.len().div_ceil(self.selection.windows_max).max(1);
+        let windows: Vec<Window> = windows.into_iter().step_by(stride).collect();
+        let of_window = |window: &Window| self.folders[window.recording as usize].as_deref();
+        let sites = runs(&windows, |a, b| of_window(a) == of_window(b));
+        self.sets.push(SetSamples { set, windows, sites });
+    }
+
+    fn finish(self) -> Result<Samples, TrainError> {
+        let Self { config, spooling, sets, sources, grounds, sites, .. } = self;
+        let steps = [config.history_len, config.horizon_len];
+        Ok(Samples { sets, sources, spool: spooling.finish()?, steps, grounds, sites })
     }
 }
 

@@ -4,18 +4,15 @@
 mod tests;
 
 use std::collections::BTreeMap;
-use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use data::sets::Part;
 use nn::{Latents, ModelConfig};
-use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use crate::agent_view::SceneView;
 use crate::base::{Augmentation, BaseControl, FITTED_MAX};
-use crate::batch::{Batch, BatchOptions};
 use crate::calibration::Calibration;
 use crate::card::{ModelCard, Seen};
 use crate::checkpoint::{RunState, write_whole};
@@ -23,14 +20,14 @@ use crate::log::{Line, Log};
 use crate::machine;
 use crate::net::layout::{initial, layout};
 use crate::net::tensors::Tensors;
-use crate::objective::{Differentiated, LossParts, Objective, differentiate};
+use crate::objective::{Differentiated, Learned, LossParts, differentiate};
 use crate::options::{TrainOptions, set_named};
 use crate::progress::Progress;
-use crate::samples::{MapKind, MapView, Samples, Scene, Selection, SetSamples, Source};
+use crate::samples::{MapKind, Samples, Selection, Source};
 use crate::score::{SetScore, choose_by};
 use crate::spool::Spooling;
 use crate::validate::{Baselines, Validation};
-use crate::view::Clip;
+use crate::windows::{Windows, counted_in, selection};
 use crate::{TrainError, own};
 
 /// Number of agents per set in the validation on the model card.
@@ -72,27 +69,18 @@ pub fn train(options: &TrainOptions) -> Result<Summary, TrainError> {
 }
 
 /// State that does not change during a run.
-struct Run<'a> {
+pub(crate) struct Run<'a> {
     options: &'a TrainOptions,
-    training: Samples,
+    pub(crate) training: Windows,
     validation: Samples,
     baselines: Baselines,
 }
 
 impl<'a> Run<'a> {
-    fn prepare(options: &'a TrainOptions, progress: &Progress) -> Result<Self, TrainError> {
+    pub(crate) fn prepare(options: &'a TrainOptions, progress: &Progress) -> Result<Self, TrainError> {
         let read = |names: &[String], part: Part, windows_max: usize| {
             let sets = names.iter().map(|name| set_named(name)).collect::<Result<Vec<_>, _>>()?;
-            let selection = Selection {
-                root: &options.data,
-                sets: &sets,
-                own: &options.files,
-                part,
-                leave_out: &options.leave_out,
-                windows_max,
-                from_positions: options.from_positions,
-                whole_history: options.whole_history,
-            };
+            let selection = Selection { sets: &sets, windows_max, ..selection(options, part) };
             let spooling = Spooling::create(&options.checkpoints)?;
             let samples = Samples::read(selection, &options.model, spooling, |path| progress.reading(path))?;
             if samples.sets.iter().all(|set| set.windows.is_empty()) {
@@ -127,6 +115,7 @@ impl<'a> Run<'a> {
             }
         }
         let baselines = Baselines::fit(&training, &options.model, options.seed)?;
+        let training = Windows { options: options.clone(), samples: training };
         Ok(Self { options, training, validation, baselines })
     }
 
@@ -153,17 +142,19 @@ impl<'a> Run<'a> {
         };
         let mut base =
             BaseControl::load(&weights, &options.model).unwrap_or_else(|| BaseControl::zero(&options.model));
-        let agents = |agent_type| self.training.spread(&self.training.sets, agent_type, FITTED_MAX);
+        let agents =
+            |agent_type| self.training.samples.spread(&self.training.samples.sets, agent_type, FITTED_MAX);
         let augmentation = Augmentation {
             noise: options.noisy_history > 0.0,
             differenced: options.differenced_history,
             scale_deviation: options.base_scale_deviation as f32,
             faster: options.faster,
         };
-        if options.model.base && options.begin_with.is_empty() {
+        if options.model.base && (options.begin_with.is_empty() || options.refit_base) {
             progress.note("fitting the base control");
             let cuts_mps = options.vehicle_speed_cuts_mps;
-            base = BaseControl::fit(&options.model, agents, augmentation, cuts_mps, options.seed)?;
+            let before = options.refit_base.then_some(&base);
+            base = BaseControl::fit(&options.model, before, agents, augmentation, cuts_mps, options.seed)?;
             base.store(&mut weights);
         } else if options.model.base_support && lacks_support(&weights) {
             progress.note("fitting the support of the base control");
@@ -177,7 +168,7 @@ impl<'a> Run<'a> {
 
     /// SHA-256 of the user's own recordings.
     fn recordings(&self) -> Vec<String> {
-        let own = self.training.sources.iter().filter(|_| !self.options.files.is_empty());
+        let own = self.training.sources().iter().filter(|_| !self.options.files.is_empty());
         own.map(|source| source.sha256.clone()).collect()
     }
 
@@ -214,11 +205,9 @@ impl<'a> Run<'a> {
     /// One update. The seed of the run and the number of the update determine its random numbers.
     fn update(&self, state: &mut RunState, base: &BaseControl) -> Result<(LossParts, bool), TrainError> {
         let options = self.options;
-        let mut random = ChaCha8Rng::seed_from_u64(options.seed);
-        random.set_stream(state.progress.step + 1);
-        let clips = self.draw(&mut random)?;
-        let counts = |scene: &SceneView<'_>| scene.agents.iter().filter(|view| view.counts).count();
-        let counted: usize = clips.iter().flatten().map(counts).sum();
+        let mut random = self.training.random(state.progress.step);
+        let clips = self.training.draw(&mut random)?;
+        let counted: usize = clips.iter().flatten().map(counted_in).sum();
         if counted == 0 {
             return Ok((LossParts::default(), true));
         }
@@ -254,19 +243,12 @@ impl<'a> Run<'a> {
     ) -> Result<Vec<Differentiated>, TrainError> {
         let options = self.options;
         let one = |number: usize, scenes: &[SceneView<'_>]| {
-            let batch_options = BatchOptions {
-                config: &options.model,
-                base,
-                neighbours_max: options.neighbours,
-                with_future: matches!(options.objective, Objective::Paper { .. }),
-            };
-            let batch = Batch::new(scenes, batch_options)?;
-            let mut random = random.clone();
-            random.set_word_pos(u128::from(u64::MAX) * (number as u128 + 1));
+            let batch = self.training.batch_of(scenes, base)?;
+            let draws = self.training.draws(&batch, random, number);
             let done = state.progress.step as f32 / options.steps as f32;
-            let share = (counted, done);
             let (objective, model) = (&options.objective, &options.model);
-            Ok(differentiate(objective, model, &state.weights, &batch, share, &mut random))
+            let learned = Learned::of(&options.optimiser);
+            Ok(differentiate(objective, model, &state.weights, &batch, (counted, done), &draws, learned))
         };
         let one = &one;
         std::thread::scope(|scope| {
@@ -278,49 +260,6 @@ impl<'a> Run<'a> {
             let others = others.into_iter().map(|thread| thread.join().expect("the part's thread panicked"));
             first.into_iter().chain(others).collect()
         })
-    }
-
-    /// Clips with at least [`TrainOptions::batch_agents`] counted agents. The probability of a set is
-    /// proportional to the root of its size.
-    fn draw(&self, random: &mut impl Rng) -> Result<Vec<Vec<SceneView<'_>>>, TrainError> {
-        let options = self.options;
-        let sets: Vec<&SetSamples> =
-            self.training.sets.iter().filter(|set| !set.windows.is_empty()).collect();
-        let factor = |set: &SetSamples| options.set_weights.get(set.set.name()).copied().unwrap_or(1.0);
-        let weights: Vec<f64> =
-            sets.iter().map(|set| factor(set) * (set.windows.len() as f64).sqrt()).collect();
-        let mut clips: Vec<Vec<SceneView<'_>>> = Vec::new();
-        let (mut agents_len, mut tries) = (0, 0);
-        while agents_len < options.batch_agents && tries < options.batch_agents {
-            tries += 1;
-            let set = sets[weighted(&weights, random)];
-            let first = draw_window(&set.sites, options.even_sites, random);
-            let recording = set.windows[first].recording;
-            let windows = &set.windows[first..(first + options.clip_windows).min(set.windows.len())];
-            let windows = windows.iter().take_while(|window| window.recording == recording);
-            let scenes: Vec<Scene> =
-                windows.map(|window| self.training.scene(window)).collect::<Result<_, _>>()?;
-            let map = self.draw_map(recording, random);
-            let clip = Clip::draw(&scenes, options, random);
-            let views: Vec<SceneView<'_>> =
-                scenes.iter().map(|scene| clip.show(scene, map, options, random)).collect();
-            agents_len += views.iter().flat_map(|view| &view.agents).filter(|agent| agent.counts).count();
-            clips.push(views);
-        }
-        Ok(clips)
-    }
-
-    fn draw_map(&self, recording: u32, random: &mut impl Rng) -> Option<MapView<'_>> {
-        let options = self.options;
-        let drawn: f64 = random.random();
-        let kind = if drawn < options.without_map {
-            return None;
-        } else if drawn < options.without_map + options.site_map {
-            MapKind::Site
-        } else {
-            MapKind::Online
-        };
-        self.training.map(recording, kind).or_else(|| self.training.map(recording, MapKind::Online))
     }
 
     fn validate(
@@ -381,11 +320,8 @@ impl<'a> Run<'a> {
         }
         let scores = |map| self.scores(&weights, base, map, agents_max);
         let scores = [scores(Some(MapKind::Online))?, scores(None)?];
-        let seen = Seen {
-            windows: self.training.sets.iter().map(|set| set.windows.len()).sum(),
-            agents: self.training.sets.iter().map(SetSamples::counted_count).sum(),
-        };
-        let sources = self.training.sources.clone();
+        let seen = Seen { windows: self.training.window_count(), agents: self.training.agent_count() };
+        let sources = self.training.sources().to_vec();
         let (weights, fitness) = (&weights, base.fitness());
         let card =
             ModelCard::new(self.options, &state.progress, (weights, factors), seen, sources, fitness, scores);
@@ -441,7 +377,7 @@ fn mean_of_files(paths: &[PathBuf], model: &ModelConfig) -> Result<Tensors, Trai
 
 /// The tensors of a weights file, whose model must be `model`. The support of its base control may be
 /// missing.
-fn read_weights(path: &Path, model: &ModelConfig) -> Result<Tensors, TrainError> {
+pub(crate) fn read_weights(path: &Path, model: &ModelConfig) -> Result<Tensors, TrainError> {
     let weights = open(path)?;
     let bytes = std::fs::read(path).map_err(|source| TrainError::Io { path: path.to_owned(), source })?;
     let without = ModelConfig { base_support: false, ..model.clone() };
@@ -466,23 +402,6 @@ fn split(clips: Vec<Vec<SceneView<'_>>>, parts: usize) -> Vec<Vec<SceneView<'_>>
     }
     dealt.retain(|part| part.iter().flat_map(|scene| &scene.agents).any(|view| view.counts));
     dealt
-}
-
-/// Draws a window from sites whose probabilities depend on [`TrainOptions::even_sites`].
-fn draw_window(sites: &[Range<usize>], even_sites: f64, random: &mut impl Rng) -> usize {
-    let weights: Vec<f64> = sites.iter().map(|site| (site.len() as f64).powf(1.0 - even_sites)).collect();
-    let site = sites[weighted(&weights, random)].clone();
-    random.random_range(site)
-}
-
-/// An index drawn in proportion to its weight.
-fn weighted(weights: &[f64], random: &mut impl Rng) -> usize {
-    let mut left = random.random::<f64>() * weights.iter().sum::<f64>();
-    let drawn = weights.iter().position(|weight| {
-        left -= weight;
-        left < 0.0
-    });
-    drawn.unwrap_or(weights.len() - 1)
 }
 
 /// The figures of a validation, one line per set.

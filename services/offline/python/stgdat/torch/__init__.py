@@ -14,7 +14,23 @@ except ModuleNotFoundError as error:
         raise
     raise ModuleNotFoundError("stgdat.torch needs torch: pip install 'stgdat[torch]'", name="torch") from error
 
-from .model import Forecast, Graph, History, Model, features
+from .graph import Graph, features
+from .losses import Loss, Paper, Plus
+from .model import Forecast, History, Model
 from .motion import Start
+from .batches import Batch, Windows, windows
 
-__all__ = ["Forecast", "Graph", "History", "Model", "Start", "features"]
+__all__ = [
+    "Batch",
+    "Forecast",
+    "Graph",
+    "History",
+    "Loss",
+    "Model",
+    "Paper",
+    "Plus",
+    "Start",
+    "Windows",
+    "features",
+    "windows",
+]

@@ -69,6 +69,9 @@ class Context(nn.Module):
             self.add_module(f"layer{stage + 1}", nn.Sequential(*blocks))
             inputs = outputs
         self.fc = nn.Linear(inputs, NODE // 2)
+        for module in self.modules():
+            if isinstance(module, nn.Conv2d):
+                nn.init.kaiming_normal_(module.weight, mode="fan_out")
 
     def forward(self, patches: Tensor) -> Tensor:
         x = F.relu(self.bn1(self.conv1(patches)))
@@ -181,6 +184,12 @@ class Decoder(nn.Module):
             states.append(state)
         return self.head(torch.stack(states, 2))
 
+    def start_at_base(self, log_scale: Tuple[float, float]) -> None:
+        """Makes the controls nearly those of the base, with these logarithms of their deviations."""
+        with torch.no_grad():
+            self.head.weight *= 0.02
+            self.head.bias.copy_(torch.tensor([0.0, 0.0, *log_scale, 0.0]))
+
     def logits(self, hidden: Tensor, summary: Tensor) -> Tensor:
         """Scores of the modes [agent, mode]."""
         return self.mode(torch.cat([summary, hidden], 1))
@@ -205,7 +214,8 @@ class Base(nn.Module):
         self.register_buffer("speed_cuts", torch.zeros(self.SPEED_BINS - 1))
         self.has_support = config["base_support"]
         if self.has_support:
-            self.register_buffer("support", torch.zeros(self.CLASSES, self.FEATURES, 2))
+            everywhere = torch.tensor([-65504.0, 65504.0])  # the largest number of a file in half precision
+            self.register_buffer("support", everywhere.repeat(self.CLASSES, self.FEATURES, 1))
 
     def _features(self, state: Tensor, present: Tensor) -> Tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
         """Features [agent, 26], class, speed, acceleration and yaw rate of histories."""

@@ -5,18 +5,17 @@ from __future__ import annotations
 import json
 import os
 from dataclasses import dataclass, field, fields
-from typing import Any, Dict, Iterable, List, Mapping, Optional, Tuple
+from typing import TYPE_CHECKING, Any, Dict, Iterable, List, Mapping, Optional, Tuple
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
 from .. import _stgdat
 from ..arguments import Path, weights_file
-from ..frames import Frame, dtype
 from ..recording import Recording
+from .graph import Graph
 from .layers import (
     EDGE,
     HIDDEN,
@@ -34,45 +33,11 @@ from .layers import (
 )
 from .motion import Start, covariances, displaced, driven
 
+if TYPE_CHECKING:
+    from .batches import Windows
 
-@dataclass
-class Graph:
-    """Agents at some steps. A node's row is agent · steps + step.
-
-    Either the features of nodes and edges are known (`patches`, `relation`), or already their attributes (`node`,
-    `edge`), as in the frames of the topic `features`.
-    """
-
-    types: Tensor
-    """Number of the agent type, [agent]: vehicle 0, cyclist 1, pedestrian 2."""
-    state: Tensor
-    """State features [agent, step, 6] in the model's scale; zeros where absent."""
-    present: Tensor
-    """Whether the agent has a state, [agent, step]."""
-    receiver: Tensor
-    """Row of the node that receives, [edge]."""
-    sender: Tensor
-    """Row of the node that sends, [edge]."""
-    length_m: Tensor
-    """Length, or 0 if it is unknown, [agent]."""
-    relation: Optional[Tensor] = None
-    """Distinct relation features [relation, 6]."""
-    relation_of_edge: Optional[Tensor] = None
-    """Relation of each edge; `None` if `relation` has a row for each edge."""
-    patches: Optional[Tensor] = None
-    """Distinct patches [patch, 3, row, column]; the first one, of zeros, stands for no map."""
-    patch_of_node: Optional[Tensor] = None
-    """Patch of each node, [agent, step]."""
-    node: Optional[Tensor] = None
-    """Node attributes [agent · step, 64]."""
-    edge: Optional[Tensor] = None
-    """Edge attributes [edge, 16]."""
-
-    def to(self, *to: Any, **how: Any) -> Any:
-        """The same agents on another device."""
-        values = {of.name: getattr(self, of.name) for of in fields(self)}
-        moved = {name: value.to(*to, **how) if isinstance(value, Tensor) else value for name, value in values.items()}
-        return type(self)(**moved)
+#: Fewest patches by which the batch norms of the context network normalise in training.
+_NORMALISED_PATCHES_MIN = 16
 
 
 @dataclass
@@ -109,7 +74,7 @@ class Model(nn.Module):
     """STG-DAT with the tensor names of a weights file.
 
     `config` holds the options of docs/model.md; `hidden` is the size of the decoder's state. `Model.load` reads them
-    with their weights.
+    with their weights. A model of a configuration has the trainer's initial values, and a base control of zeros.
     """
 
     def __init__(self, config: Mapping[str, Any], hidden: int = HIDDEN, has_posterior: bool = True) -> None:
@@ -119,6 +84,8 @@ class Model(nn.Module):
         """The model card of the loaded file."""
         self.sha256: Optional[str] = None
         """Fingerprint of the loaded file."""
+        self.fresh: List[str] = []
+        """Tensors that have initial values, because those of the loaded file have another shape."""
         self._loaded: Dict[str, Tensor] = {}
         self._name = "initial weights"
         networks = TYPES if config["node_types"] == "own" else TYPES[2:]
@@ -137,26 +104,46 @@ class Model(nn.Module):
         self.decoder = _of_types(networks, lambda: Decoder(config, hidden))
         if config["base"]:
             self.base = _of_types(TYPES, lambda: Base(config))
+            for name, decoder in self.decoder.items():
+                drives = name == TYPES[0] and config["vehicle_motion"] == "bicycle"
+                decoder.start_at_base((-0.7, -2.5) if drives else (-2.5, -2.5))
+            if config["context"]:
+                with torch.no_grad():
+                    self.fe.context.fc.weight *= 0.1
+                    self.fe.context.fc.bias *= 0.1
 
     @classmethod
-    def load(cls, weights: Path = "onboard") -> Model:
+    def load(
+        cls, weights: Path = "onboard", *, hidden: int = HIDDEN, changes: Optional[Mapping[str, Any]] = None
+    ) -> Model:
         """The model of a weights file, or of shipped weights: `"onboard"`, `"onboard-free"`.
+
+        `hidden` and `changes` of the configuration make another model that starts from these weights. Tensors of other
+        shapes have initial values; `fresh` lists them.
 
         >>> Model.load("onboard").config["modes"]
         20
+        >>> Model.load("onboard", hidden=96).fresh[:2]
+        ['decoder.vehicle.gru.weight_ih', 'decoder.vehicle.gru.weight_hh']
+
+        Raises `InputError` if the file lacks a tensor, or if the configuration has no such option.
         """
-        path = None if weights == "onboard" and not os.path.exists("onboard") else weights_file(weights)
-        config, card, sha256, tensors = _stgdat.read_weights(path)
+        config, card, sha256, tensors = _stgdat.read_weights(weights_file(weights))
         values = {
             name: torch.from_numpy(np.frombuffer(numbers, dtype=np.float32).reshape(shape).copy())
             for name, shape, numbers in tensors
         }
-        model = cls(json.loads(config), has_posterior="encoder.0.weight" in values)
+        options, changes = json.loads(config), changes or {}
+        for name in changes:
+            if name not in options:
+                raise _stgdat.InputError(f"changes[{name!r}]: expected one of {', '.join(options)}")
+        model = cls({**options, **changes}, hidden, has_posterior="encoder.0.weight" in values)
         known = model._tensors()
-        missing = [name for name in known if name not in values]
-        if missing:
-            raise _stgdat.InputError(f"{os.fspath(weights)}: tensor {missing[0]} is missing")
-        model.load_state_dict({name: values[name] for name in known}, strict=False)
+        taken = {name: values[name] for name, own in known.items() if name in values and values[name].shape == own.shape}
+        model.fresh = [name for name in known if name not in taken]
+        if model.fresh and hidden == HIDDEN and not changes:
+            raise _stgdat.InputError(f"{os.fspath(weights)}: tensor {model.fresh[0]} is missing")
+        model.load_state_dict(taken, strict=False)
         model.card, model.sha256 = None if card is None else json.loads(card), sha256
         model._loaded, model._name = values, os.fspath(weights)
         return model.eval()
@@ -171,6 +158,7 @@ class Model(nn.Module):
         path: Path,
         *,
         updates: int = 0,
+        windows: Optional[Windows] = None,
         recordings: Iterable[Recording] = (),
         card: Optional[Mapping[str, Any]] = None,
         half: bool = False,
@@ -179,8 +167,9 @@ class Model(nn.Module):
 
         A decoder with a smaller state, and narrower hidden layers of perceptrons, are filled up with zeros, which
         changes no forecast: the program has one size of each layer. The card is the loaded one if no value has
-        changed. Otherwise it has the `updates` made and the `recordings` seen, and no figures of the earlier weights;
-        `card` overrides its entries. `half` stores half precision, as in shipped weights, which rounds new values.
+        changed. Otherwise it has the `updates` made, the `windows` or `recordings` seen, and no figures of the earlier
+        weights; `card` overrides its entries. `half` stores half precision, as in shipped weights, which rounds new
+        values.
 
         Raises `InputError` if the program cannot run the model.
         """
@@ -189,7 +178,11 @@ class Model(nn.Module):
         if hidden > HIDDEN:
             raise _stgdat.InputError(f"hidden = {hidden}: the program's decoder has at most {HIDDEN}")
         tensors = {name: _filled(name, value, hidden) for name, value in tensors.items()}
-        text = self._card(tensors, updates, list(recordings), card)
+        seen = [*recordings, *(windows.recordings if windows is not None else ())]
+        counts = {"windows": 0, "agents": 0}
+        if windows is not None:
+            counts = {"windows": windows.window_count, "agents": windows.agent_count}
+        text = self._card(tensors, updates, seen, counts, card)
         parts = [(name, list(value.shape), value.contiguous().numpy().tobytes()) for name, value in tensors.items()]
         return _stgdat.write_weights(os.fspath(path), json.dumps(self.config), text, parts, half)
 
@@ -198,20 +191,31 @@ class Model(nn.Module):
         tensors: Mapping[str, Tensor],
         updates: int,
         recordings: List[Recording],
+        counts: Mapping[str, int],
         overrides: Optional[Mapping[str, Any]],
     ) -> Optional[str]:
-        if self.card is None:
-            return None if overrides is None else json.dumps(dict(overrides))
-        card: Dict[str, Any] = json.loads(json.dumps(self.card))
         is_same = tensors.keys() == self._loaded.keys() and all(
             torch.equal(value, self._loaded[name]) for name, value in tensors.items()
         )
+        if is_same and self.card is None and not recordings and overrides is None:
+            return None
+        history_s = self.config["history_len"] * self.config["dt_s"]
+        card: Dict[str, Any] = {
+            "about": f"STG-DAT: forecasts of vehicles, cyclists and pedestrians from their last {history_s:.1f} s",
+            "options": {"sets": ["own"], "validation_sets": ["own"]},
+            "wall_s": 0.0,
+            "training": {"windows": 0, "agents": 0},
+            "recordings": [],
+            "licences": {},
+        }
+        card.update(json.loads(json.dumps(self.card or {})))
         if not is_same or recordings:
             seen = [{"set": "own train", "name": of.name, "sha256": of.sha256} for of in recordings]
-            card["about"] += "; trained further in PyTorch"
+            card["about"] += "; trained further in PyTorch" if self._loaded else "; trained in PyTorch"
             card["step"] = updates
-            card["options"].update(recipe=None, begin_with=[self._name])
+            card["options"].update(recipe=None, begin_with=[self._name] if self._loaded else [])
             card["parameters"] = sum(value.numel() for value in tensors.values())
+            card["training"] = {name: card["training"][name] + count for name, count in counts.items()}
             card["recordings"] = card["recordings"] + [of for of in seen if of not in card["recordings"]]
             if recordings:
                 card["licences"] = {**card.get("licences", {}), "own": "as of the recordings"}
@@ -219,6 +223,26 @@ class Model(nn.Module):
         card["options"]["model"] = self.config
         card.update(overrides or {})
         return json.dumps(card)
+
+    def parameter_groups(self, learning_rate: float) -> List[Dict[str, Any]]:
+        """Groups for an optimiser such as `torch.optim.Adam`, in which the decoder's heads learn slowly.
+
+        Adam moves all parameters by steps of the learning rate. In a head such a step shifts every forecast: a slip
+        rate of 0.001 rad/s moves a vehicle at 10 m/s by a metre within 4.8 s. The trainer learns heads in units of
+        0.2 m/s², 0.01 rad/s and 0.1 m; here the rate of a whole head is that of its smallest unit.
+        """
+        heads = {id(p): name for name, decoder in self.decoder.items() for p in decoder.head.parameters()}
+        groups: Dict[float, List[nn.Parameter]] = {}
+        for parameter in self.parameters():
+            name = heads.get(id(parameter))
+            unit = 1.0 if name is None else 0.01 if self._is_driven(name) else 0.1
+            groups.setdefault(unit, []).append(parameter)
+        return [{"params": parameters, "lr": unit * learning_rate} for unit, parameters in groups.items()]
+
+    def _is_driven(self, network: str) -> bool:
+        """Whether the network of this name steers bicycles."""
+        is_shared = self.config["node_types"] == "same"
+        return self.config["vehicle_motion"] == "bicycle" and (is_shared or network == TYPES[0])
 
     def embed(self, graph: Graph) -> Tuple[Tensor, Tensor]:
         """Node attributes [agent · step, 64] and edge attributes [edge, 16]."""
@@ -231,11 +255,25 @@ class Model(nn.Module):
             node = node.index_put((index,), self.fe.state[name](graph.state[index]))
         if self.config["context"]:
             assert graph.patches is not None and graph.patch_of_node is not None
-            context = self.fe.context(graph.patches)[graph.patch_of_node.flatten()]
+            context = self._embed_patches(graph.patches)[graph.patch_of_node.flatten()]
             node = torch.cat([node, context.unflatten(0, (agents, steps))], 2)
         node = torch.where(graph.present[:, :, None], node, torch.zeros_like(node))
         edge = self.fe.relation(graph.relation)
         return node.flatten(0, 1), edge if graph.relation_of_edge is None else edge[graph.relation_of_edge]
+
+    def _embed_patches(self, patches: Tensor) -> Tensor:
+        """Embeddings of patches. Few patches are normalised by the running values, in training too."""
+        context = self.fe.context
+        if not context.training or len(patches) >= _NORMALISED_PATCHES_MIN:
+            return context(patches)
+        context.eval()
+        embedded = context(patches)
+        context.train()
+        # The backward pass reads the running values, which a later forward pass would change in place.
+        for norm in context.modules():
+            if isinstance(norm, nn.BatchNorm2d):
+                norm.running_mean, norm.running_var = norm.running_mean.clone(), norm.running_var.clone()
+        return embedded
 
     def attend(self, graph: Graph, node: Tensor, edge: Tensor) -> Tensor:
         """The temporal summary ṽ [agent, 64] of a graph with these attributes."""
@@ -390,28 +428,3 @@ def _filled(name: str, value: Tensor, hidden: int) -> Tensor:
         if name.endswith((".head.weight", ".mode.0.weight")):
             return F.pad(value, (0, rest))
     return value
-
-
-def features(frame: Frame) -> Tuple[Graph, npt.NDArray[Any]]:
-    """The agents, nodes and edges of a frame of the topic `features`, and the tracks of the agents."""
-    counts = frame.header["counts"]
-    agents_len, edges_len, history_len = (int(counts[of]) for of in ("agents_len", "edges_len", "history_len"))
-    data = np.ascontiguousarray(frame.records).view(np.uint8).reshape(-1)
-    layouts = dtype("AgentFeatures"), dtype("Edge")
-    agents_end = agents_len * layouts[0].itemsize
-    agents = data[:agents_end].view(layouts[0])
-    edges = data[agents_end : agents_end + edges_len * layouts[1].itemsize].view(layouts[1])
-    attributes = data[len(data) - edges_len * EDGE * 4 :].view(np.float32).reshape(edges_len, EDGE)
-    steps = np.arange(history_len)
-    row = {end: torch.from_numpy(edges[end].astype(np.int64) * history_len + edges["step"]) for end in ("receiver", "sender")}
-    graph = Graph(
-        types=torch.from_numpy(agents["agent_type"].astype(np.int64)),
-        state=torch.from_numpy(agents["state"][:, :history_len].copy()),
-        present=torch.from_numpy((agents["present"][:, None] >> steps.astype(np.uint32) & 1).astype(bool)),
-        receiver=row["receiver"],
-        sender=row["sender"],
-        length_m=torch.from_numpy(agents["length_m"].copy()),
-        node=torch.from_numpy(agents["node"][:, :history_len].copy()).flatten(0, 1),
-        edge=torch.from_numpy(attributes.copy()),
-    )
-    return graph, agents["id"]

@@ -29,7 +29,7 @@ static BASE: LazyLock<BaseControl> = LazyLock::new(|| {
         let agents = scenes.iter().flat_map(|scene| &scene.agents);
         agents.filter(move |agent| agent.counts && agent.agent_type == agent_type).cloned().map(Ok)
     };
-    BaseControl::fit(&config, counted, twins, None, 1).unwrap()
+    BaseControl::fit(&config, None, counted, twins, None, 1).unwrap()
 });
 
 fn read(scenery: &Scenery, format: Format) -> Recording {

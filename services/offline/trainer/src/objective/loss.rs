@@ -1,8 +1,5 @@
 //! The terms of the loss and their weights.
 
-use rand::Rng;
-use rand_distr::{Distribution, StandardNormal};
-
 use crate::net::matrix::Matrix;
 
 /// Weights of the terms of the loss.
@@ -82,9 +79,9 @@ impl Objective {
     }
 }
 
-/// The parts of a loss, for the progress line. The [`Objective`] determines which ones are used.
+/// The parts of a loss before they are weighted. The [`Objective`] determines which ones are used.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
-pub(crate) struct LossParts {
+pub struct LossParts {
     /// Error of the winner, or of the posterior draw.
     pub trajectory: f32,
     /// Error of the single best forecast.
@@ -126,12 +123,6 @@ impl LossParts {
     pub(crate) fn is_finite(self) -> bool {
         [self.trajectory, self.single, self.probability, self.spread].into_iter().all(f32::is_finite)
     }
-}
-
-/// Standard normal draws.
-pub(super) fn normal(rows: usize, cols: usize, random: &mut impl Rng) -> Matrix {
-    let draws = (0..rows * cols).map(|_| Distribution::<f32>::sample(&StandardNormal, random));
-    Matrix::new(rows, cols, draws.collect())
 }
 
 /// Adds the gradient by the means of the controls to the gradient by the head's output.

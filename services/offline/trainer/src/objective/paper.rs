@@ -2,9 +2,9 @@
 //! the draws' distribution. \[paper, Eq. loss\] \[model §5\]
 
 use nn::ModelConfig;
-use rand::Rng;
 
-use super::loss::{LossParts, Objective, add_mean_gradient, normal};
+use super::draws::Draws;
+use super::loss::{LossParts, Objective, add_mean_gradient};
 use crate::batch::Batch;
 use crate::net::context::Normalisation;
 use crate::net::dense::{perceptron, perceptron_backward};
@@ -25,6 +25,7 @@ pub(super) struct Paper<'a> {
     pub(super) weights: &'a Tensors,
     /// Number of counted agents in the whole batch.
     pub(super) counted: f32,
+    pub(super) normalisation: Normalisation,
 }
 
 impl Paper<'_> {
@@ -36,19 +37,19 @@ impl Paper<'_> {
         history: &Encoded,
         gradients: &mut Gradients,
         d_encoding: &mut Matrix,
-        random: &mut impl Rng,
+        draws: &Draws,
     ) -> LossParts {
         let Objective::Paper { gamma, alpha, beta, sigma } = *self.objective else {
             unreachable!("the paper's objective is computed for Objective::Paper alone")
         };
         let Some(future_graph) = &batch.future else { return LossParts::default() };
-        let future = encode(self.weights, self.config, future_graph, Normalisation::Batch, true);
+        let future = encode(self.weights, self.config, future_graph, self.normalisation, true);
         let rows: Vec<u32> =
             forecasts.iter().flat_map(|forecast| forecast.agents.clone()).map(|agent| agent as u32).collect();
         let both = beside(&history.encoding.gather(&rows), &future.encoding.gather(&rows));
         let (mean, trace) = perceptron(self.weights, "encoder", ENCODER_LAYERS, both);
 
-        let noise = normal(mean.rows, LATENT, random);
+        let [noise, prior] = &draws.noise;
         let mut latent = mean.clone();
         latent.values.iter_mut().zip(&noise.values).for_each(|(z, noise)| *z += sigma as f32 * noise);
         let mut d_latent = Matrix::zeros(latent.rows, latent.cols);
@@ -62,7 +63,7 @@ impl Paper<'_> {
         if latent.rows > 1 {
             // The weight of this part of the batch in the discrepancy of the whole batch.
             let share = latent.rows as f32 * per_agent;
-            let (discrepancy, gradient) = mmd(&latent, &normal(latent.rows, LATENT, random));
+            let (discrepancy, gradient) = mmd(&latent, prior);
             spread = discrepancy * share;
             let weight = beta as f32 * share;
             d_latent.values.iter_mut().zip(&gradient.values).for_each(|(sum, d)| *sum += weight * d);

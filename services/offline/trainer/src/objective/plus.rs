@@ -1,10 +1,10 @@
 //! The objective of preset `plus`: best of the learned points, by the unsquared distance. \[model §5\]
 
 use nn::ModelConfig;
-use rand::{Rng, RngExt};
 use wire::AgentType;
 
-use super::loss::{LossParts, Objective, add_mean_gradient, normal};
+use super::draws::{DRAWS, Draws};
+use super::loss::{LossParts, Objective, add_mean_gradient};
 use crate::net::dense::perceptron_backward;
 use crate::net::gru;
 use crate::net::matrix::Matrix;
@@ -14,10 +14,6 @@ use crate::net::score::{
 };
 use crate::net::tensors::Gradients;
 use crate::rollout::{Rollout, TypeForecast};
-
-/// Differentiated draws of every agent: the winner by the mean error, the winner by the error of the last
-/// step, a random mode and the single best forecast.
-const DRAWS: usize = 4;
 
 /// The plus objective of a batch.
 pub(super) struct Plus<'a> {
@@ -54,20 +50,19 @@ impl Plus<'_> {
         forecast: &TypeForecast<'_>,
         gradients: &mut Gradients,
         d_encoding: &mut Matrix,
-        random: &mut impl Rng,
+        draws: &Draws,
     ) -> LossParts {
         let scale = self.scale(forecast.agent_type);
         let winners = self.winners(forecast, scale.last_step);
         let modes: Vec<usize> = (0..forecast.agents.len())
             .flat_map(|agent| {
-                let any = random.random_range(0..self.config.modes);
-                [winners.mean[agent], winners.last[agent], any, self.config.modes]
+                [winners.mean[agent], winners.last[agent], draws.modes[agent], self.config.modes]
             })
             .collect();
         let rollout = forecast.by_points(&modes, true);
         let mut d_raw = Matrix::zeros(rollout.unroll.raw.rows, rollout.unroll.raw.cols);
         let [trajectory, single] = displacement(forecast, &rollout, &scale, &mut d_raw);
-        let spread = energy(forecast, &rollout, &scale, &mut d_raw, random);
+        let spread = energy(forecast, &rollout, &scale, &mut d_raw, draws);
         let d_latent = forecast.backward(gradients, &rollout, &d_raw, d_encoding);
         forecast.points_backward(gradients, &modes, &d_latent);
         let probability = self.probabilities(forecast, &winners.both, &scale, gradients);
@@ -188,10 +183,10 @@ fn energy(
     rollout: &Rollout,
     scale: &Scale,
     d_raw: &mut Matrix,
-    random: &mut impl Rng,
+    draws: &Draws,
 ) -> f32 {
     let raw = &rollout.unroll.raw;
-    let noise = [0, 1].map(|_| normal(rollout.mean.rows, rollout.mean.cols, random));
+    let noise = &draws.noise;
     let controls = noise.each_ref().map(|noise| noisy_controls(raw, &rollout.mean, noise));
     let [first, second] = controls.each_ref().map(|controls| forecast.positions(controls));
     let (positions, counts) = forecast.truth();

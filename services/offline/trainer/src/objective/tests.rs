@@ -73,8 +73,9 @@ fn check(objective: &Objective, config: &ModelConfig) {
     let mut weights = initial(config, 3);
     base.store(&mut weights);
     let differentiated = |weights: &Tensors| {
-        let mut random = ChaCha8Rng::seed_from_u64(5);
-        differentiate(objective, config, weights, &batch, (4, 0.5), &mut random)
+        let draws = Draws::new(objective, config, &batch, &mut ChaCha8Rng::seed_from_u64(5));
+        let learned = Learned { encoder: true, context: true };
+        differentiate(objective, config, weights, &batch, (4, 0.5), &draws, learned)
     };
     let gradients = differentiated(&weights).gradients;
     let total = gradients.0.values().flat_map(|(_, values)| values).map(|g| g * g).sum::<f32>().sqrt();

@@ -5,10 +5,12 @@ use nn::{BurnIn, Decoder, DecoderMemory, Draws, base};
 use scene::AgentType;
 
 use super::*;
+use crate::batch::{Batch, BatchOptions};
 use crate::net::context::Normalisation;
 use crate::net::graph::encode;
 use crate::net::layout::{TYPE_NAMES, layout};
 use crate::net::tensors::TensorRole;
+use crate::objective::Objective;
 use crate::rollout::TypeForecast;
 use crate::view;
 
@@ -95,21 +97,6 @@ fn a_resumed_run_repeats_to_the_bit() {
     assert!(std::error::Error::source(&refused).is_some());
 }
 
-#[test]
-fn sites_are_drawn_by_size_or_uniformly() {
-    let mut random = ChaCha8Rng::seed_from_u64(1);
-    let mut share_of_the_smaller = |even_sites| {
-        let drawn: Vec<usize> =
-            (0..10_000).map(|_| draw_window(&[0..900, 900..1000], even_sites, &mut random)).collect();
-        assert!(drawn.iter().all(|&window| window < 1000));
-        drawn.iter().filter(|&&window| window >= 900).count() as f64 / 10_000.0
-    };
-    for (even_sites, share) in [(0.0, 0.1), (0.5, 0.25), (1.0, 0.5)] {
-        let found = share_of_the_smaller(even_sites);
-        assert!((found - share).abs() < 0.02, "{even_sites}: {found}");
-    }
-}
-
 /// The options of a run that begins with the weights of a first one.
 fn second_after(first: &TrainOptions, folder: &Path) -> TrainOptions {
     TrainOptions {
@@ -140,6 +127,41 @@ fn a_run_begins_with_given_weights_of_the_same_model() {
     assert!(matches!(refused, TrainError::BeginWith { .. }), "{refused}");
     assert!(refused.to_string().starts_with(&format!("begin_with {}: ", first.out.display())), "{refused}");
     assert!(std::error::Error::source(&refused).is_some());
+}
+
+#[test]
+fn a_refitted_base_is_the_only_change_before_the_training() {
+    let folder = tempfile::tempdir().unwrap();
+    let first = options(folder.path(), 1);
+    train(&first).unwrap();
+    // Another seed gives other anchors.
+    let second = second_after(&first, folder.path());
+    let begun = |options: &TrainOptions| {
+        let progress = Progress::new(1, 0);
+        Run::prepare(options, &progress).unwrap().begin(&progress).unwrap().0.weights
+    };
+    let (kept, refitted) = (begun(&second), begun(&TrainOptions { refit_base: true, ..second.clone() }));
+    for (name, tensor) in &kept.0 {
+        // The data have no cyclists and vehicles, and pedestrians have no ridge. Files round speed cuts.
+        let is_refitted = ["anchors", "speed_cuts"].iter().any(|of| *name == format!("base.pedestrian.{of}"));
+        assert_eq!(tensor.values != refitted.get(name), is_refitted, "{name}");
+    }
+}
+
+#[test]
+fn a_frozen_encoder_keeps_its_values() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut options = TrainOptions { without_map: 0.0, ..options(folder.path(), 1) };
+    options.optimiser.frozen = ["fe.", "gdat."].map(str::to_owned).to_vec();
+    let progress = Progress::new(1, 0);
+    let run = Run::prepare(&options, &progress).unwrap();
+    let (mut state, base) = run.begin(&progress).unwrap();
+    let before = state.weights.clone();
+    assert!(run.update(&mut state, &base).unwrap().1);
+    for (name, tensor) in &before.0 {
+        let moved = tensor.values != state.weights.get(name);
+        assert_eq!(moved, name.starts_with("decoder.pedestrian."), "{name}");
+    }
 }
 
 /// The same file counts twice if it is given twice. The card lists the files and the data of all.
@@ -195,8 +217,8 @@ fn forecasts_by_points_agree_with_the_onboard_decoder() {
 
     let progress = Progress::new(1, 0);
     let run = Run::prepare(&options, &progress).unwrap();
-    let map = run.training.map(0, MapKind::Online);
-    let scene = run.training.scene(&run.training.sets[0].windows[3]).unwrap();
+    let map = run.training.samples.map(0, MapKind::Online);
+    let scene = run.training.samples.scene(&run.training.samples.sets[0].windows[3]).unwrap();
     let view = view::plain(&scene, map, 4);
     let batch_options = BatchOptions { config, base: &control, neighbours_max: 8, with_future: false };
     let batch = Batch::new(std::slice::from_ref(&view), batch_options).unwrap();
