@@ -210,11 +210,11 @@ impl fmt::Display for Finding {
             }
             Detail::TooFast { agent_type, speed_mps } => write!(
                 f,
-                "{} move at {speed_mps:.1} m/s and are not tracked: are positions in metres, times in seconds, and is \
+                "{0} move at {speed_mps:.1} m/s, faster than {0} can: are positions in metres, times in seconds, and is \
                  the type right?",
                 plural(agent_type)
             ),
-            Detail::Interval { interval_s } if self.doubt == Doubt::Sparse => {
+            Detail::Interval { interval_s } if [Doubt::Sparse, Doubt::SeenTwice].contains(&self.doubt) => {
                 write!(f, "{observation}, {interval_s:.1} s: {remedy}")
             }
             Detail::Interval { interval_s } => interval(f, self.doubt, interval_s),
