@@ -14,6 +14,8 @@ pub(crate) const GAP_MAX_NS: i64 = 3_000_000_000;
 const DIRECTED: [f64; 2] = [1.0, 0.8];
 /// Smallest cosine of the angle between two chords of a steady motion.
 const STEADY_COS: f64 = 0.7;
+/// Speeds up to this one count as 0. An upstream tracker may add noise to a speed that it does not know.
+pub const NEAR_ZERO_MPS: f64 = 0.1;
 /// Slower agents may be measured at the same place again.
 const MOVING_MPS: f64 = 1.0;
 /// Shorter steps may come from coarsely rounded numbers.
@@ -319,7 +321,11 @@ impl Agent {
         let mean_mps = self.last.speed_mps.zip(spot.speed_mps).map(|(from, to)| (from + to) / 2.0);
         let reported_m = mean_mps.map(|mean_mps| mean_mps * elapsed_s);
         self.reported_m = self.reported_m.zip(reported_m).map(|(way_m, step_m)| way_m + step_m);
-        let are_equal = [spot.speed_mps == self.first.speed_mps, spot.heading == self.first.heading];
+        let is_same_speed = match (spot.speed_mps, self.first.speed_mps) {
+            (Some(speed_mps), Some(first_mps)) => (speed_mps - first_mps).abs() <= NEAR_ZERO_MPS,
+            (speed_mps, first_mps) => speed_mps == first_mps,
+        };
+        let are_equal = [is_same_speed, spot.heading == self.first.heading];
         self.is_constant = [0, 1].map(|column| self.is_constant[column] && are_equal[column]);
         (self.last, self.velocity_mps) = (spot, Some([x_m / elapsed_s, y_m / elapsed_s]));
         self.rows += 1;

@@ -214,7 +214,14 @@ impl fmt::Display for Finding {
                  the type right?",
                 plural(agent_type)
             ),
-            Detail::Interval { interval_s } if [Doubt::Sparse, Doubt::SeenTwice].contains(&self.doubt) => {
+            Detail::Interval { interval_s } if self.doubt == Doubt::SeenTwice => {
+                write!(
+                    f,
+                    "agents take the same paths again {interval_s:.1} s later, as if two sensors with different clocks \
+                     saw them: {remedy}"
+                )
+            }
+            Detail::Interval { interval_s } if self.doubt == Doubt::Sparse => {
                 write!(f, "{observation}, {interval_s:.1} s: {remedy}")
             }
             Detail::Interval { interval_s } => interval(f, self.doubt, interval_s),

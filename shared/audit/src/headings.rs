@@ -156,7 +156,11 @@ impl Headings {
             let off = sin.atan2(cos) - direction_rad;
             off.sin().atan2(off.cos()).abs()
         };
-        let agrees = |unit: f64, convention: Convention| off_rad(unit, convention) <= TOLERANCE_RAD;
+        // Opposite headings have no mean. No convention explains them.
+        let turn_rad = headings[1] - headings[0];
+        let agrees = |unit: f64, convention: Convention| {
+            (turn_rad * unit).cos() > 0.0 && off_rad(unit, convention) <= TOLERANCE_RAD
+        };
         let is_beyond = headings.iter().any(|heading| heading.abs() > RADIANS_MAX);
         // A large number sometimes agrees by chance: 90 rad wraps to 2.04 rad, less than 30° from 90°.
         let is_nearer_in_degrees =

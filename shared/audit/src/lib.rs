@@ -43,6 +43,7 @@ mod tally;
 
 use wire::{AgentType, Detection, detection_flags};
 
+pub use agent::NEAR_ZERO_MPS;
 use agent::{Constant, Repeated, Spot, Step, limit_mps};
 use agents::Agents;
 pub use clock::{Clock, ClockSet, Stamped, StampedFrame};
@@ -275,8 +276,10 @@ impl Audit {
             self.echoes.add(of_type, way);
             let (rows, place, steady) = (way.rows, way.place, *steady);
             let [speeds, headings] = &mut self.columns;
-            speeds.chord(*speed, |speed| steady && speeds::differs(speed, way.speed_mps()), rows, place);
-            headings.chord(*heading, |h| steady && headings::differs(h, *direction_rad), rows, place);
+            let is_off = |speed| steady && speeds::differs(speed, way.speed_mps());
+            speeds.chord((*speed, NEAR_ZERO_MPS), is_off, rows, place);
+            let is_off = |heading| steady && headings::differs(heading, *direction_rad);
+            headings.chord((*heading, 0.0), is_off, rows, place);
         }
     }
 
