@@ -50,7 +50,9 @@ fn a_bus_seen_in_part_is_one_agent_at_its_speed() {
                     false => [-tracks[0].vy_mps, tracks[0].vx_mps],
                 };
                 let off_mps = (f64::from(forward_mps) - SPEED_MPS).hypot(f64::from(sideways_mps));
-                assert!(off_mps < 1.0, "{case}: frame {frame}: {forward_mps} {sideways_mps}");
+                // Positions alone show the course less well.
+                let most_mps = if has_heading { 1.0 } else { 1.5 };
+                assert!(off_mps < most_mps, "{case}: frame {frame}: {forward_mps} {sideways_mps}");
                 let centre_m = front_m - lengths_m[lengths_m.len() - 1] / 2.0;
                 let at_m = f64::from(if along_x { tracks[0].x_m } else { -tracks[0].y_m });
                 assert!((at_m - centre_m).abs() < 1.0, "{case}: frame {frame}: {at_m} for {centre_m}");

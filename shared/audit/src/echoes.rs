@@ -11,30 +11,36 @@ use crate::tally::Tally;
 const WAYS_MAX: usize = 2_048;
 const LAG_MAX_S: f64 = 60.0;
 const LAG_MIN_S: f64 = 0.3;
-/// Width of a bin of lags. Three neighbouring bins count as one lag.
+/// Width of a bin of lags. Five neighbouring bins count as one lag, because positions have noise.
 const BIN_S: f64 = 0.1;
 const BINS: usize = (LAG_MAX_S / BIN_S) as usize;
-const WINDOW: usize = 3;
+const WINDOW: usize = 5;
 /// Largest distance across an earlier chord, and largest difference of two velocities: a part and a share.
-const ACROSS_M: f64 = 0.5;
-const VELOCITY_MPS: f64 = 0.3;
+const ACROSS_M: f64 = 0.8;
+const VELOCITY_MPS: f64 = 0.6;
 const VELOCITY_SHARE: f64 = 0.05;
-/// Smallest number of agents with echoes of one lag. A convoy has fewer: its inner agents follow and lead.
-const FOLLOWERS_MIN: usize = 3;
-const FOLLOWERS: usize = 4;
-/// Smallest number of echoes with one lag, and their share of the chords. Half of all chords are the second ones.
+/// Number of agents with echoes of one lag that are kept.
+const PAIRS: usize = 8;
+/// Smallest number of agents that follow others and lead none, and the smallest share of their echoes among the
+/// chords. Half of all chords are the second ones. The inner agents of a convoy follow and lead.
+const FOLLOWERS_MIN: [(usize, f64); 2] = [(3, 0.25), (2, 0.4)];
+/// Smallest ratio between the speeds of these agents.
+const SPEEDS_RATIO: f32 = 1.15;
+/// Smallest number of echoes with one lag.
 const ECHOES_MIN: u64 = 12;
-const SHARE: f64 = 0.3;
 /// Smallest ratio to the echoes of a usual lag. In dense traffic every lag has some.
 const CONTRAST: f64 = 5.0;
+
+/// The agents of an echo: who leads and who follows.
+type Pair = [u32; 2];
 
 /// The echoes of one lag.
 #[derive(Clone, Copy, Debug, Default)]
 struct Bin {
     chords: u64,
     rows: Tally,
-    /// The first agents that have echoes, from 1 on.
-    followers: [u32; FOLLOWERS],
+    /// The first pairs of agents that have echoes, and the speed of their first one.
+    pairs: [Option<(Pair, f32)>; PAIRS],
 }
 
 /// The newest chords, and the echoes by lag.
@@ -74,13 +80,12 @@ impl Echoes {
         {
             let Some(lag_s) = way.lag_s(earlier) else { continue };
             let bin = &mut bins[((lag_s / BIN_S) as usize).min(BINS - 1)];
-            if bin.followers.contains(&earlier.agent) {
-                continue;
-            }
             bin.chords += 1;
             bin.rows.add(way.rows, way.place);
-            if let Some(free) = bin.followers.iter_mut().find(|agent| [0, way.agent].contains(*agent)) {
-                *free = way.agent;
+            let pair = [earlier.agent, way.agent];
+            let mut pairs = bin.pairs.iter_mut();
+            if let Some(free) = pairs.find(|known| known.is_none_or(|(known, _)| known == pair)) {
+                free.get_or_insert((pair, way.speed_mps() as f32));
             }
         }
         self.chords += 1;
@@ -100,24 +105,45 @@ impl Echoes {
         let span_s = newest_ns.saturating_sub(first_ns) as f64 * 1e-9;
         let chords = |at: usize| self.bins[at..at + WINDOW].iter().map(|bin| bin.chords).sum::<u64>();
         let best = (0..=BINS - WINDOW).max_by_key(|&at| chords(at))?;
-        let (echoes, lag_s) = (chords(best), (best as f64 + WINDOW as f64 / 2.0) * BIN_S);
-        let all: u64 = self.bins.iter().map(|bin| bin.chords).sum();
+        let window = &self.bins[best..best + WINDOW];
+        let echoes = chords(best);
+        let mean =
+            window.iter().zip(best..).map(|(bin, at)| bin.chords as f64 * (at as f64 + 0.5)).sum::<f64>();
+        let lag_s = mean / echoes.max(1) as f64 * BIN_S;
         // Chords of the first seconds have no earlier ones.
         let possible = self.chords as f64 * (1.0 - lag_s / span_s).max(0.0);
-        // The lags of a window, less the window itself.
+        // The other lags of a window.
+        let all: u64 = self.bins.iter().map(|bin| bin.chords).sum();
         let usual = (all - echoes) as f64 * WINDOW as f64 / (BINS - WINDOW) as f64;
-        let window = &self.bins[best..best + WINDOW];
-        let followers = window.iter().map(|bin| bin.followers.iter().filter(|agent| **agent > 0).count());
+        let followers = followers(window);
         let is_found = echoes >= ECHOES_MIN
-            && echoes as f64 >= SHARE * possible
             && echoes as f64 >= CONTRAST * usual
-            && followers.max().unwrap_or(0) >= FOLLOWERS_MIN;
+            && FOLLOWERS_MIN
+                .iter()
+                .any(|(least, share)| followers >= *least && echoes as f64 >= share * possible);
         let mut rows = Tally::default();
         for bin in window {
             bin.rows.first.into_iter().for_each(|place| rows.add(bin.rows.rows, place));
         }
         is_found.then_some((lag_s, rows))
     }
+}
+
+/// Number of agents that follow others and lead none, or lead others and follow none: the smaller one. Agents at
+/// one speed are not counted: their lag may be a distance, as that of a trailer.
+fn followers(window: &[Bin]) -> usize {
+    let pairs = || window.iter().flat_map(|bin| bin.pairs).flatten();
+    let count = |role: usize| {
+        let is_pure = |pair: &Pair| pairs().all(|(other, _)| other[1 - role] != pair[role]);
+        let mut range_mps = [f32::INFINITY, 0.0_f32];
+        let mut count = 0;
+        for (at, (pair, speed_mps)) in pairs().enumerate().filter(|(_, (pair, _))| is_pure(pair)) {
+            range_mps = [range_mps[0].min(speed_mps), range_mps[1].max(speed_mps)];
+            count += usize::from(pairs().take(at).all(|(earlier, _)| earlier[role] != pair[role]));
+        }
+        if range_mps[1] >= SPEEDS_RATIO * range_mps[0] { count } else { 0 }
+    };
+    count(0).min(count(1))
 }
 
 impl Way {
@@ -176,9 +202,10 @@ mod tests {
             assert!((found_s - lag_s).abs() < 0.2, "{lag_s}: {found_s}");
             assert!(rows.rows > 1_000, "{lag_s}: {rows:?}");
         }
+        assert!(echoes(true, 5.0, 2).doubt().is_some());
         assert_eq!(echoes(false, 5.0, 5).doubt(), None);
-        // Two pairs of agents that follow each other.
-        assert_eq!(echoes(true, 5.0, 2).doubt(), None);
+        // One agent that follows another.
+        assert_eq!(echoes(true, 5.0, 1).doubt(), None);
     }
 
     #[test]
@@ -186,11 +213,33 @@ mod tests {
         let mut echoes = Echoes::new();
         for second in 0..60 {
             for agent in 0..8 {
+                // The gaps differ by less than the width of a lag.
+                let gap_m = 20.0 + (agent % 3) as f32;
                 let way = Way {
                     agent: 1 + agent,
-                    from_m: [10.0 * second as f32 - 20.0 * agent as f32, 0.0],
+                    from_m: [10.0 * second as f32 - gap_m * agent as f32, 0.0],
                     from_ns: i64::from(second) * 1_000_000_000,
                     velocity_mps: [10.0, 0.0],
+                    elapsed_s: 1.0,
+                    rows: 10,
+                    place: Place::default(),
+                };
+                echoes.add(0, &way);
+            }
+        }
+        assert_eq!(echoes.doubt(), None);
+    }
+
+    #[test]
+    fn trailers_follow_at_one_distance() {
+        let mut echoes = Echoes::new();
+        for second in 0..60 {
+            for (agent, [behind_m, y_m]) in (1..).zip([[0.0, 0.0], [10.0, 0.0], [0.0, 8.0], [10.0, 8.0]]) {
+                let way = Way {
+                    agent,
+                    from_m: [8.0 * second as f32 - behind_m, y_m],
+                    from_ns: i64::from(second) * 1_000_000_000,
+                    velocity_mps: [8.0, 0.0],
                     elapsed_s: 1.0,
                     rows: 10,
                     place: Place::default(),

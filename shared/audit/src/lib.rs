@@ -67,6 +67,8 @@ const WHOLE_MIN: u64 = 100;
 const PLACEHOLDERS_MIN: u64 = 3;
 /// Smallest number of vehicles with a length.
 const SIZED_MIN: u64 = 20;
+/// Smallest share of the rows that a second sensor has: 1 / 5. Moving queues have fewer.
+const TWICE_OF: u64 = 5;
 /// Range of the median vehicle length if lengths are in feet.
 const LENGTHS_FT: std::ops::RangeInclusive<f64> = 12.0..=20.0;
 /// Width in metres of vehicles with such a length in metres, such as buses. Cars that are measured in feet are wider.
@@ -431,7 +433,9 @@ impl Audit {
         if moves && self.whole.rows >= WHOLE_MIN && self.whole.rows == self.rows {
             take(Finding::new(Doubt::Pixels, self.whole, self.rows, Detail::None));
         }
-        if let Some((lag_s, rows)) = self.echoes.doubt() {
+        if let Some((lag_s, rows)) = self.echoes.doubt()
+            && rows.rows * TWICE_OF >= self.rows
+        {
             take(Finding::new(Doubt::SeenTwice, rows, self.rows, Detail::Interval { interval_s: lag_s }));
         }
         if let Some(all) = self.extent.degrees(self.frames) {

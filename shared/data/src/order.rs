@@ -28,7 +28,7 @@ enum Whose {
 
 /// Refuses rows in file order whose time goes back within an identity although the file is in order
 /// otherwise. Without identities, rows of a sweep can be in any order. So time may go back by up to a second,
-/// or by a tenth of the recording if that is less. If it goes back once or twice only, 0.15 s are too much.
+/// or by a tenth of the recording if that is less. If it goes back once or twice only, more than 0.15 s are too much.
 pub(crate) fn check(rows: &[Row<'_>]) -> Result<(), ReadError> {
     let span_ns = |rows: &[Row<'_>]| {
         let stamps_ns = || rows.iter().map(|row| row.stamp_ns);
