@@ -125,6 +125,7 @@ class Doubts(enum.IntFlag):
     GEOGRAPHIC = 1048576  # Positions are degrees of longitude and latitude.
     STACKED = 2097152  # Boxes are on top of each other.
     SPARSE = 4194304  # Frames are too far apart for agents without identities.
+    SEEN_TWICE = 8388608  # Agents take the same paths twice, by two clocks.
 
 
 class StageId(enum.IntEnum):

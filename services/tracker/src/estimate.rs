@@ -8,10 +8,12 @@ mod resent;
 mod size;
 mod track;
 mod visibility;
+mod whole;
 mod written;
 
 pub use fit::Fit;
 pub use gate::Verdict;
+pub use whole::length_m;
 
 use std::f64::consts::FRAC_PI_2;
 
@@ -26,6 +28,7 @@ use crate::estimate::held::Held;
 use crate::estimate::published::Published;
 use crate::estimate::reports::Reports;
 use crate::estimate::size::Size;
+use crate::estimate::whole::Whole;
 use crate::forecasts::{Controls, Forecasts};
 use crate::front::{Front, folded, rate_limited_rad};
 use crate::noise::{Measurements, Noise};
@@ -101,6 +104,7 @@ pub struct Estimate {
     published: Published,
     held: Held,
     size: Size,
+    whole: Whole,
     /// The agent's trials of its forecasts.
     trials: Trials,
     /// The reports of its detections.
@@ -141,6 +145,7 @@ impl Estimate {
             ),
             held: Held::new(belief.motion(), own_ns),
             size: Size::of_detection(detection),
+            whole: Whole::new(length_m(detection)),
             trials: Trials::default(),
             reports: Reports::new(found),
             gate: Gate::new(own_ns),
@@ -287,6 +292,7 @@ impl Estimate {
             self.front.observe_heading(heading, self.published.heading_rad);
         }
         self.correct(possible, self.lag_s(own_ns), input)?;
+        self.count_length(length_m(detection));
         self.resolve_front();
         Ok(())
     }

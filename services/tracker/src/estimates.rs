@@ -4,7 +4,7 @@ use association::jpda::SIDE_MAX;
 use filters::{OBSERVATIONS_MAX, Observation};
 use wire::{DETECTIONS_MAX, Header, flags};
 
-use crate::estimate::{Birth, Estimate};
+use crate::estimate::{Birth, Estimate, length_m};
 use crate::forecasts::{Controls, Forecasts};
 use crate::noise::Noise;
 use crate::observation::{Found, observation};
@@ -42,6 +42,8 @@ pub struct Scratch {
     /// Observations that may belong to the current agent, each with the probability that it does.
     possible: Vec<(f64, Observation)>,
     controls: Controls,
+    /// The scan whose boxes are moved to the centres of whole vehicles.
+    completed: Scan,
     /// Detections that do not fit the estimate of their identity.
     strays: Vec<Stray>,
     /// Estimates that continue the identity of another estimate.
@@ -57,6 +59,11 @@ impl Scratch {
             occlusion: Occlusion::new(),
             possible: Vec::with_capacity(SIDE_MAX),
             controls: Controls::new(),
+            completed: Scan {
+                detections: Vec::with_capacity(DETECTIONS_MAX),
+                types: Vec::with_capacity(DETECTIONS_MAX),
+                ..Scan::new()
+            },
             strays: Vec::with_capacity(estimate_count),
             begun: Vec::with_capacity(estimate_count),
         }
@@ -126,6 +133,8 @@ impl Estimates {
         self.input = self.noise.input_model(&scan.header, options);
         self.adopt_forecasts(scan, publications, &mut scratch.controls, options, &mut tracked);
         self.begin_frame(&scan.header, options, &mut tracked);
+        let mut completed = std::mem::take(&mut scratch.completed);
+        let scan = if self.complete(scan, options, &mut completed) { &completed } else { scan };
         if options.trusts(&scan.header, &scan.detections) {
             self.follow_identities(scan, publications, scratch, options, &mut tracked);
         } else {
@@ -136,6 +145,7 @@ impl Estimates {
         if scan.has_own_times() {
             self.end_twins();
         }
+        scratch.completed = completed;
         self.end(options, &mut tracked);
         tracked
     }
@@ -174,6 +184,36 @@ impl Estimates {
         self.all.retain(|estimate| estimate.unseen_ns(now_ns) <= options.horizon_ns);
         tracked.ended_count += before - self.all.len();
         self.all.iter_mut().for_each(|estimate| estimate.begin_frame(now_ns));
+    }
+
+    /// Copies the scan if it has boxes that show a part of a vehicle, and moves these to the centres of the whole
+    /// vehicles. Returns whether there are any.
+    fn complete(&mut self, scan: &Scan, options: &TrackerOptions, completed: &mut Scan) -> bool {
+        let trusted = options.trusts(&scan.header, &scan.detections);
+        let mut is_moved = false;
+        for (d, detection) in scan.detections.iter().enumerate().filter(|(_, found)| length_m(found) > 0.0) {
+            let own_ns = scan.header.stamp_ns.saturating_add(detection.offset_ns);
+            let place_m = [detection.x_m, detection.y_m];
+            let mut nearest: Option<(f64, [f32; 2], &mut Estimate)> = None;
+            for estimate in &mut self.all {
+                if trusted && estimate.source_id() != detection.id {
+                    continue;
+                }
+                if let Some((centre_m, left_m)) = estimate.whole_centre(own_ns, detection)
+                    && nearest.as_ref().is_none_or(|(least_m, ..)| left_m < *least_m)
+                {
+                    nearest = Some((left_m, centre_m, estimate));
+                }
+            }
+            if let Some((_, centre_m, estimate)) = nearest.filter(|(_, centre_m, _)| *centre_m != place_m) {
+                if !std::mem::replace(&mut is_moved, true) {
+                    completed.fill(&scan.header, (&scan.detections, &scan.types), None);
+                }
+                estimate.move_box([centre_m[0] - place_m[0], centre_m[1] - place_m[1]]);
+                [completed.detections[d].x_m, completed.detections[d].y_m] = centre_m;
+            }
+        }
+        is_moved
     }
 
     fn predict(&mut self, header: &Header, tracked: &mut Tracked) {

@@ -26,7 +26,7 @@ use view::ByView;
 pub use view::ViewFactors;
 use wire::{AGENT_TYPES, Detection, Header, detection_flags};
 
-use crate::observation::Found;
+use crate::observation::{Found, is_known};
 use crate::options::{Association, InputModel, NOISY_M, SensorNoise, TrackerOptions};
 
 /// Time between the measurements of the contrasts that show correlated noise.
@@ -135,7 +135,7 @@ const fn single(time_ns: i64, value: f64) -> Measured<1> {
 
 /// Whether a detection reports the deviation of its position.
 fn is_reported(detection: &Detection) -> bool {
-    detection.sigma_m > 0.0
+    is_known(detection.sigma_m)
 }
 
 /// The learned noise of all types.

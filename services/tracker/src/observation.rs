@@ -5,6 +5,8 @@ use crate::options::{InputModel, SMOOTH_M, TrackerOptions};
 
 /// Bounds of a detection's own noise. Beyond them, variances overflow or vanish in a published covariance.
 const SIGMA_RANGE_M: (f64, f64) = (1e-6, 1e3);
+/// Reported deviations from here on stand for unknown ones. A detector of moving agents is better.
+const SIGMA_UNKNOWN_M: f32 = 20.0;
 
 /// A detection with its own time.
 #[derive(Clone, Copy, Debug)]
@@ -65,7 +67,7 @@ pub fn observation(detection: &Detection, agent_type: AgentType, input: &InputMo
 pub fn position_sigma_m(detection: &Detection, agent_type: AgentType, input: &InputModel) -> f64 {
     let by_view = input.by_view.factor(agent_type, [detection.x_m, detection.y_m].map(f64::from));
     match detection.sigma_m {
-        sigma_m if sigma_m > 0.0 => {
+        sigma_m if is_known(sigma_m) => {
             let factor = by_view * input.reported_factor[agent_type.index()];
             (factor * f64::from(sigma_m)).clamp(SIGMA_RANGE_M.0, SIGMA_RANGE_M.1)
         }
@@ -79,9 +81,15 @@ pub fn position_sigma_m(detection: &Detection, agent_type: AgentType, input: &In
 #[must_use]
 pub fn nominal_sigma_m(detection: &Detection, agent_type: AgentType, options: &TrackerOptions) -> f64 {
     match detection.sigma_m {
-        sigma_m if sigma_m > 0.0 => f64::from(sigma_m).clamp(SIGMA_RANGE_M.0, SIGMA_RANGE_M.1),
+        sigma_m if is_known(sigma_m) => f64::from(sigma_m).clamp(SIGMA_RANGE_M.0, SIGMA_RANGE_M.1),
         _ => options.detector.sensor[agent_type.index()].position_m,
     }
+}
+
+/// Whether a reported deviation is known.
+#[must_use]
+pub fn is_known(sigma_m: f32) -> bool {
+    sigma_m > 0.0 && sigma_m < SIGMA_UNKNOWN_M
 }
 
 /// The identity of a detection; 0 if it has none.

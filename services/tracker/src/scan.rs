@@ -16,6 +16,12 @@ pub struct Scan {
     pub forecasts: Vec<Forecast>,
 }
 
+impl Default for Scan {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
 impl Scan {
     /// An empty scan.
     #[must_use]

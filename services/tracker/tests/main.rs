@@ -21,3 +21,4 @@ mod recordings;
 mod repeated;
 mod scenes;
 mod stage;
+mod whole;

@@ -14,6 +14,8 @@ pub(crate) const GAP_MAX_NS: i64 = 3_000_000_000;
 const DIRECTED: [f64; 2] = [1.0, 0.8];
 /// Smallest cosine of the angle between two chords of a steady motion.
 const STEADY_COS: f64 = 0.7;
+/// Speeds up to this one count as 0. An upstream tracker may add noise to a speed that it does not know.
+pub const NEAR_ZERO_MPS: f64 = 0.1;
 /// Slower agents may be measured at the same place again.
 const MOVING_MPS: f64 = 1.0;
 /// Shorter steps may come from coarsely rounded numbers.
@@ -31,7 +33,7 @@ const FAST_SLACK_M: f64 = 0.1;
 const PLACEHOLDERS_M: [f32; 2] = [0.0, -1.0];
 
 /// Highest speed of a type, equal to the tracker's limits.
-const fn limit_mps(agent_type: AgentType) -> f64 {
+pub(crate) const fn limit_mps(agent_type: AgentType) -> f64 {
     match agent_type {
         AgentType::Vehicle => 70.0,
         AgentType::Cyclist => 25.0,
@@ -126,16 +128,37 @@ pub(crate) struct Step {
 pub(crate) struct Constant {
     pub speed: Option<f64>,
     pub heading: Option<f64>,
-    pub chord_mps: [f64; 2],
+    pub way: Way,
+    /// Direction of the agent's front.
+    pub direction_rad: f64,
     /// Whether the motion continues the one of the previous chord.
     pub steady: bool,
+}
+
+/// The motion of a chord.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Way {
+    /// Number of the agent, from 1 on.
+    pub agent: u32,
+    pub from_m: [f32; 2],
+    pub from_ns: i64,
+    pub velocity_mps: [f64; 2],
+    pub elapsed_s: f64,
     pub rows: u64,
     pub place: Place,
+}
+
+impl Way {
+    pub fn speed_mps(&self) -> f64 {
+        self.velocity_mps[0].hypot(self.velocity_mps[1])
+    }
 }
 
 /// An agent, followed by its identity or from place to place.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Agent {
+    /// Number of the agent, from 1 on.
+    number: u32,
     pub agent_type: AgentType,
     /// Time of its newest detection.
     pub seen_ns: i64,
@@ -163,8 +186,9 @@ pub(crate) struct Agent {
 }
 
 impl Agent {
-    pub const fn new(agent_type: AgentType, spot: Spot) -> Self {
+    pub const fn new(number: u32, agent_type: AgentType, spot: Spot) -> Self {
         Self {
+            number,
             agent_type,
             seen_ns: spot.stamp_ns,
             last: spot,
@@ -234,7 +258,7 @@ impl Agent {
             if identified && self.held.is_none() && !self.last.reaches(&spot, agent_type) {
                 step.jump = Some(spot.place);
             }
-            *self = Self::new(agent_type, spot);
+            *self = Self::new(self.number, agent_type, spot);
             return step;
         }
         if spot.position_m == self.last.position_m {
@@ -267,7 +291,7 @@ impl Agent {
                 } else {
                     step.jump = Some(pending.place);
                 }
-                *self = Self::new(agent_type, pending);
+                *self = Self::new(self.number, agent_type, pending);
                 self.seen_ns = spot.stamp_ns;
                 self.reach(spot, &mut Step::default());
             }
@@ -297,7 +321,11 @@ impl Agent {
         let mean_mps = self.last.speed_mps.zip(spot.speed_mps).map(|(from, to)| (from + to) / 2.0);
         let reported_m = mean_mps.map(|mean_mps| mean_mps * elapsed_s);
         self.reported_m = self.reported_m.zip(reported_m).map(|(way_m, step_m)| way_m + step_m);
-        let are_equal = [spot.speed_mps == self.first.speed_mps, spot.heading == self.first.heading];
+        let is_same_speed = match (spot.speed_mps, self.first.speed_mps) {
+            (Some(speed_mps), Some(first_mps)) => (speed_mps - first_mps).abs() <= NEAR_ZERO_MPS,
+            (speed_mps, first_mps) => speed_mps == first_mps,
+        };
+        let are_equal = [is_same_speed, spot.heading == self.first.heading];
         self.is_constant = [0, 1].map(|column| self.is_constant[column] && are_equal[column]);
         (self.last, self.velocity_mps) = (spot, Some([x_m / elapsed_s, y_m / elapsed_s]));
         self.rows += 1;
@@ -323,21 +351,30 @@ impl Agent {
         let steady = self.chord_mps.replace(chord_mps).is_some_and(|before| is_steady(before, chord_mps));
         step.chord =
             Some(Chord { way_m, elapsed_s, reported_m: reported_m.map(f64::abs), rows, place, steady });
+        // A number that stands for an unknown speed does not follow the motion.
+        let is_reverse = reported_m.is_some_and(|reported_m| (0.5..2.0).contains(&(-reported_m / way_m)));
+        let direction_rad = if is_reverse { (-y_m).atan2(-x_m) } else { y_m.atan2(x_m) };
         let [speed, heading] = [first.speed_mps, first.heading];
         step.constant = is_directed.then_some(Constant {
             speed: speed.filter(|_| self.is_constant[0]),
             heading: heading.filter(|_| self.is_constant[1]),
-            chord_mps,
+            way: Way {
+                agent: self.number,
+                from_m: first.position_m,
+                from_ns: first.stamp_ns,
+                velocity_mps: chord_mps,
+                elapsed_s,
+                rows,
+                place,
+            },
+            direction_rad,
             steady,
-            rows,
-            place,
         });
         if let (Some(from), Some(to)) = (first.heading, last.heading)
             && is_directed
         {
-            let is_reverse = reported_m.is_some_and(|way_m| way_m < 0.0);
-            let direction_rad = if is_reverse { (-y_m).atan2(-x_m) } else { y_m.atan2(x_m) };
-            step.directed = Some(Directed { direction_rad, headings: [from, to], rows, place });
+            let speed_mps = way_m / elapsed_s;
+            step.directed = Some(Directed { direction_rad, speed_mps, headings: [from, to], rows, place });
         }
         (self.first, self.reported_m, self.rows) = (last, Some(0.0), 1);
         self.is_constant = [true; 2];

@@ -16,13 +16,15 @@ pub(crate) struct Agents {
     identified: Vec<Option<(u64, Agent)>>,
     /// Agents without an identity, with the number of the last frame that detected them.
     loose: Vec<(Agent, u64)>,
+    /// Number of the newest agent.
+    newest: u32,
 }
 
 impl Agents {
     /// Room for this number of identities, rounded up to a power of two.
     pub fn with_capacity(len: usize) -> Self {
         let identified = vec![None; len.next_power_of_two().max(WAYS)];
-        Self { identified, loose: Vec::with_capacity(LOOSE_MAX) }
+        Self { identified, loose: Vec::with_capacity(LOOSE_MAX), newest: 0 }
     }
 
     /// Forgets all agents.
@@ -44,7 +46,8 @@ impl Agents {
         }
         let age = |place: &&mut Option<(u64, Agent)>| place.map_or(i64::MIN, |(_, agent)| agent.seen_ns);
         if let Some(oldest) = set.iter_mut().min_by_key(age) {
-            *oldest = Some((id, Agent::new(agent_type, spot)));
+            self.newest = self.newest.wrapping_add(1).max(1);
+            *oldest = Some((id, Agent::new(self.newest, agent_type, spot)));
         }
         None
     }
@@ -82,7 +85,8 @@ impl Agents {
             return Some(agent.step(spot, agent_type, false));
         }
         if self.loose.len() < LOOSE_MAX {
-            let mut agent = Agent::new(agent_type, spot);
+            self.newest = self.newest.wrapping_add(1).max(1);
+            let mut agent = Agent::new(self.newest, agent_type, spot);
             agent.fast = fast;
             self.loose.push((agent, frame));
         }

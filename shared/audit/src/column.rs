@@ -45,12 +45,19 @@ impl Column {
         self.varies |= first != value;
     }
 
-    /// Adds a chord with a direction, and the number if all its rows have the same one.
-    pub fn chord(&mut self, value: Option<f64>, is_off: impl Fn(f64) -> bool, rows: u64, place: Place) {
+    /// Adds a chord with a direction, and the number if all its rows have the same one. Numbers up to `zero` count
+    /// as 0.
+    pub fn chord(
+        &mut self,
+        (value, zero): (Option<f64>, f64),
+        is_off: impl Fn(f64) -> bool,
+        rows: u64,
+        place: Place,
+    ) {
         self.rows += rows;
         let Some(value) = value else { return };
         let is_off = is_off(value);
-        if value == 0.0 {
+        if value.abs() <= zero {
             self.zeros.add(is_off, rows, place);
         }
         if self.first == Some(value) {

@@ -49,6 +49,8 @@ wire::named! {
         Stacked = doubts::STACKED => "stacked",
         /// Frames are too far apart for agents without identities.
         Sparse = doubts::SPARSE => "sparse",
+        /// Agents take the same paths twice, by two clocks.
+        SeenTwice = doubts::SEEN_TWICE => "seen_twice",
     }
 }
 
@@ -88,6 +90,9 @@ impl Doubt {
             Self::Geographic => "positions look like degrees of longitude and latitude",
             Self::Stacked => "boxes are on top of each other, as if objects were detected twice",
             Self::Sparse => "frames are too far apart to follow agents without identities",
+            Self::SeenTwice => {
+                "agents take the same paths twice, as if two sensors with different clocks saw them"
+            }
         }
     }
 
@@ -115,6 +120,7 @@ impl Doubt {
             Self::Geographic => "project them to metres, such as UTM less the coordinates of a point nearby",
             Self::Stacked => "write each object once",
             Self::Sparse => "write identities, or more frames a second",
+            Self::SeenTwice => "set one clock, or leave one sensor out",
         }
     }
 }

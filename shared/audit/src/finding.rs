@@ -210,10 +210,17 @@ impl fmt::Display for Finding {
             }
             Detail::TooFast { agent_type, speed_mps } => write!(
                 f,
-                "{} move at {speed_mps:.1} m/s and are not tracked: are positions in metres, times in seconds, and is \
+                "{0} move at {speed_mps:.1} m/s, faster than {0} can: are positions in metres, times in seconds, and is \
                  the type right?",
                 plural(agent_type)
             ),
+            Detail::Interval { interval_s } if self.doubt == Doubt::SeenTwice => {
+                write!(
+                    f,
+                    "agents take the same paths again {interval_s:.1} s later, as if two sensors with different clocks \
+                     saw them: {remedy}"
+                )
+            }
             Detail::Interval { interval_s } if self.doubt == Doubt::Sparse => {
                 write!(f, "{observation}, {interval_s:.1} s: {remedy}")
             }

@@ -5,6 +5,8 @@
 
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
+use wire::AgentType;
+
 use crate::tally::{Place, Tally};
 
 /// Largest difference between a heading and the direction of motion.
@@ -24,6 +26,8 @@ const DISAGREEING: f64 = 0.15;
 const DISAGREEING_MOST: f64 = 0.5;
 /// The same share for headings that are half a turn off. A vehicle with right headings may reverse most of the time.
 const BACKWARDS_MOST: f64 = 0.9;
+/// Highest speed of a vehicle that reverses. Along an axis, it looks as if headings were mirrored.
+const REVERSE_MAX_MPS: f64 = 4.0;
 
 /// Whether a motion in this direction contradicts a number that all rows have as their heading.
 pub(crate) fn differs(number_rad: f64, direction_rad: f64) -> bool {
@@ -111,6 +115,8 @@ pub(crate) struct Headings {
     /// Rows of disagreeing chords.
     off: Tally,
     off_chords: u64,
+    /// Rows of disagreeing chords of slow vehicles that move backwards.
+    reversing: u64,
     /// Rows of disagreeing chords with a heading above [`RADIANS_MAX`].
     off_beyond: u64,
     /// Rows of disagreeing chords by the reading that explains them, in radians and in degrees.
@@ -121,6 +127,7 @@ pub(crate) struct Headings {
 #[derive(Debug)]
 pub(crate) struct Directed {
     pub direction_rad: f64,
+    pub speed_mps: f64,
     pub headings: [f64; 2],
     pub rows: u64,
     pub place: Place,
@@ -139,8 +146,8 @@ impl Headings {
     }
 
     /// Compares a chord with the headings at its ends.
-    pub fn chord(&mut self, chord: &Directed) {
-        let Directed { direction_rad, headings, rows, place } = *chord;
+    pub fn chord(&mut self, chord: &Directed, agent_type: AgentType) {
+        let Directed { direction_rad, speed_mps, headings, rows, place } = *chord;
         let off_rad = |unit: f64, convention: Convention| {
             let [sin, cos] = headings.iter().fold([0.0, 0.0], |[sin, cos], &heading| {
                 let (s, c) = convention.direction_rad(heading * unit).sin_cos();
@@ -149,7 +156,11 @@ impl Headings {
             let off = sin.atan2(cos) - direction_rad;
             off.sin().atan2(off.cos()).abs()
         };
-        let agrees = |unit: f64, convention: Convention| off_rad(unit, convention) <= TOLERANCE_RAD;
+        // Opposite headings have no mean. No convention explains them.
+        let turn_rad = headings[1] - headings[0];
+        let agrees = |unit: f64, convention: Convention| {
+            (turn_rad * unit).cos() > 0.0 && off_rad(unit, convention) <= TOLERANCE_RAD
+        };
         let is_beyond = headings.iter().any(|heading| heading.abs() > RADIANS_MAX);
         // A large number sometimes agrees by chance: 90 rad wraps to 2.04 rad, less than 30° from 90°.
         let is_nearer_in_degrees =
@@ -162,6 +173,8 @@ impl Headings {
         self.off.add(rows, place);
         self.off_chords += 1;
         self.off_beyond += if is_beyond { rows } else { 0 };
+        let may_reverse = agent_type == AgentType::Vehicle && speed_mps <= REVERSE_MAX_MPS;
+        self.reversing += if may_reverse && agrees(1.0, Convention::Backwards) { rows } else { 0 };
         for (unit, tallies) in [1.0, PI / 180.0].into_iter().zip(&mut self.explained) {
             if unit == 1.0 || is_beyond {
                 for (convention, tally) in Convention::ALL.into_iter().zip(tallies) {
@@ -206,7 +219,9 @@ impl Headings {
         }
         let (radians, tally) = best(false);
         let off = share(self.off.rows, of);
+        let reverses = share(self.reversing, self.off.rows) >= EXPLAINED;
         let most = match radians.map(|reading| reading.convention) {
+            _ if reverses => BACKWARDS_MOST,
             Some(Convention::Backwards) => BACKWARDS_MOST,
             Some(Convention::Quarter | Convention::QuarterBack) => DISAGREEING_MOST,
             _ => DISAGREEING,

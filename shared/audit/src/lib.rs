@@ -30,6 +30,7 @@ mod agents;
 mod clock;
 mod column;
 mod doubt;
+mod echoes;
 mod finding;
 mod headings;
 mod histogram;
@@ -42,11 +43,13 @@ mod tally;
 
 use wire::{AgentType, Detection, detection_flags};
 
-use agent::{Constant, Repeated, Spot, Step};
+pub use agent::NEAR_ZERO_MPS;
+use agent::{Constant, Repeated, Spot, Step, limit_mps};
 use agents::Agents;
 pub use clock::{Clock, ClockSet, Stamped, StampedFrame};
 use column::{Column, Unknown};
 pub use doubt::Doubt;
+use echoes::Echoes;
 use finding::Detail;
 pub use finding::{DOUBT_SHARE, Finding, Found};
 use headings::{Convention, Headings};
@@ -64,8 +67,12 @@ const WHOLE_MIN: u64 = 100;
 const PLACEHOLDERS_MIN: u64 = 3;
 /// Smallest number of vehicles with a length.
 const SIZED_MIN: u64 = 20;
+/// Smallest share of the rows that a second sensor has: 1 / 5. Moving queues have fewer.
+const TWICE_OF: u64 = 5;
 /// Range of the median vehicle length if lengths are in feet.
 const LENGTHS_FT: std::ops::RangeInclusive<f64> = 12.0..=20.0;
+/// Width in metres of vehicles with such a length in metres, such as buses. Cars that are measured in feet are wider.
+const WIDTHS_M: std::ops::Range<f64> = 1.0..3.5;
 const TYPES: [AgentType; 3] = [AgentType::Vehicle, AgentType::Cyclist, AgentType::Pedestrian];
 
 /// Figures of the detections of a type.
@@ -111,10 +118,13 @@ pub struct Audit {
     jumps: Tally,
     extent: Extent,
     stacks: Stacks,
-    /// Detections of loose agents that are too fast for their type, and their speed.
+    echoes: Echoes,
+    /// Detections of agents that are too fast for their type, and their speed.
     fast: [(Tally, f64); TYPES.len()],
     /// Detections without identities.
     loose: Tally,
+    /// Detections of long vehicles that are as narrow as a bus.
+    long: u64,
 }
 
 impl Audit {
@@ -143,8 +153,10 @@ impl Audit {
             jumps: Tally::default(),
             extent: Extent::default(),
             stacks: Stacks::new(),
+            echoes: Echoes::new(),
             fast: Default::default(),
             loose: Tally::default(),
+            long: 0,
         }
     }
 
@@ -159,13 +171,16 @@ impl Audit {
         (self.repeated, self.repeated_off_grid, self.on_grid_rows) = Default::default();
         (self.outliers, self.placeholders, self.jumps) = Default::default();
         self.loose_placeholders = Tally::default();
+        self.long = 0;
         (self.extent, self.fast, self.loose) = Default::default();
         self.stacks.clear();
+        self.echoes.clear();
     }
 
     /// Forgets the agents: their stamps have no meaning any more.
     pub fn end_session(&mut self) {
         self.agents.clear();
+        self.echoes.clear();
     }
 
     /// Starts a frame. The detections that follow were made at about the same time.
@@ -198,7 +213,11 @@ impl Audit {
             self.whole.add(1, place);
         }
         if agent_type == AgentType::Vehicle && detection.has(detection_flags::HAS_SIZE) {
-            self.speeds[of_type].length(f64::from(detection.length_m), place);
+            let [length, width] = [detection.length_m, detection.width_m].map(f64::from);
+            self.speeds[of_type].length(length, place);
+            if LENGTHS_FT.contains(&length) && WIDTHS_M.contains(&width) {
+                self.long += 1;
+            }
         }
         let step = if detection.has(detection_flags::HAS_ID) {
             self.agents.identified(detection.id, agent_type, spot)
@@ -246,16 +265,23 @@ impl Audit {
         if let Some(chord) = step.chord {
             self.extent.way(chord.way_m / chord.elapsed_s, chord.steady, chord.rows);
             self.speeds[of_type].chord(TYPES[of_type], chord);
+            let speed_mps = chord.way_m / chord.elapsed_s;
+            if chord.steady && speed_mps > limit_mps(TYPES[of_type]) {
+                self.fast[of_type].0.add(chord.rows, chord.place);
+                self.fast[of_type].1 = speed_mps;
+            }
         }
         if let Some(directed) = &step.directed {
-            self.headings.chord(directed);
+            self.headings.chord(directed, TYPES[of_type]);
         }
-        if let Some(Constant { speed, heading, chord_mps: [x_mps, y_mps], steady, rows, place }) =
-            step.constant
-        {
+        if let Some(Constant { speed, heading, way, direction_rad, steady }) = &step.constant {
+            self.echoes.add(of_type, way);
+            let (rows, place, steady) = (way.rows, way.place, *steady);
             let [speeds, headings] = &mut self.columns;
-            speeds.chord(speed, |speed| steady && speeds::differs(speed, x_mps.hypot(y_mps)), rows, place);
-            headings.chord(heading, |h| steady && headings::differs(h, y_mps.atan2(x_mps)), rows, place);
+            let is_off = |speed| steady && speeds::differs(speed, way.speed_mps());
+            speeds.chord((*speed, NEAR_ZERO_MPS), is_off, rows, place);
+            let is_off = |heading| steady && headings::differs(heading, *direction_rad);
+            headings.chord((*heading, 0.0), is_off, rows, place);
         }
     }
 
@@ -398,6 +424,7 @@ impl Audit {
         let vehicles = &self.speeds[AgentType::Vehicle as usize];
         if let Some(length_m) = vehicles.length_m().filter(|length_m| LENGTHS_FT.contains(length_m))
             && vehicles.sized().rows >= SIZED_MIN
+            && 2 * self.long < vehicles.sized().rows
         {
             let detail = Detail::Length { length_m };
             take(Finding::new(Doubt::Feet, vehicles.sized(), self.rows, detail));
@@ -405,6 +432,11 @@ impl Audit {
         let moves = self.speeds.iter().any(|speeds| speeds.moving_mps().is_some());
         if moves && self.whole.rows >= WHOLE_MIN && self.whole.rows == self.rows {
             take(Finding::new(Doubt::Pixels, self.whole, self.rows, Detail::None));
+        }
+        if let Some((lag_s, rows)) = self.echoes.doubt()
+            && rows.rows * TWICE_OF >= self.rows
+        {
+            take(Finding::new(Doubt::SeenTwice, rows, self.rows, Detail::Interval { interval_s: lag_s }));
         }
         if let Some(all) = self.extent.degrees(self.frames) {
             take(Finding::new(Doubt::Geographic, all, self.rows, Detail::None));

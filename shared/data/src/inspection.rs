@@ -9,6 +9,8 @@ use crate::{BagTopic, LeftOut, Recording};
 
 /// Maximum number of identities in the audit of a recording at the same time.
 const IDENTITIES: usize = 4_096;
+/// Speeds and headings up to these count as 0.
+const ZEROS: [f32; 2] = [audit::NEAR_ZERO_MPS as f32, 0.0];
 /// An interval between frames is a gap if it is longer than this number of half usual intervals.
 const GAP: u64 = 5;
 
@@ -145,7 +147,7 @@ pub(crate) fn drop_unknown(recording: &mut Recording) {
         let mut is_constant = first.is_some();
         values.any(|value| {
             is_constant &= Some(value) == first;
-            value == 0.0
+            value.abs() <= ZEROS[column]
         }) || is_constant
     });
     if may_be_unknown == [false; 2] {
@@ -160,7 +162,7 @@ pub(crate) fn drop_unknown(recording: &mut Recording) {
         for frame in &mut recording.frames {
             for place in 0..frame.detections.len() {
                 let written = frame.written(place).unwrap_or(frame.detections[place]);
-                if written.has(flags[column]) && value(&written, column) == unknown {
+                if written.has(flags[column]) && (value(&written, column) - unknown).abs() <= ZEROS[column] {
                     let detection = &mut frame.detections[place];
                     detection.flags &= !flags[column];
                     *(if column == 0 { &mut detection.speed_mps } else { &mut detection.heading_rad }) = 0.0;

@@ -55,7 +55,7 @@ pub(crate) struct Line<'a> {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Field<'a> {
     line: Line<'a>,
-    name: &'static str,
+    pub(crate) name: &'static str,
     /// Position in bytes, from 1.
     column: usize,
     pub text: &'a str,

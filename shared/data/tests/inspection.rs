@@ -47,12 +47,18 @@ fn found(rows: impl IntoIterator<Item = Row>) -> Vec<Found> {
     for Row { stamp_s, id, x_m, y_m, heading_rad, speed_mps, length_m } in rows {
         writeln!(
             text,
-            "{stamp_s:.6},{id},vehicle,{x_m:.3},{y_m:.3},{heading_rad:.4},{speed_mps:.3},{length_m:.2},1.8"
+            "{stamp_s:.6},{id},vehicle,{x_m:.3},{y_m:.3},{heading_rad:.4},{speed_mps:.3},{length_m:.2},{:.2}",
+            0.4 * length_m
         )
         .unwrap();
     }
     let input = Input::new(Role::Rows, "mine.csv", text);
     inspect(&parse(Format::Csv, &[input]).unwrap()).findings
+}
+
+/// The findings in a CSV.
+fn findings(text: &str) -> Vec<Found> {
+    inspect(&parse(Format::Csv, &[Input::new(Role::Rows, "mine.csv", text)]).unwrap()).findings
 }
 
 /// The only finding, which must be a doubt of this kind.
@@ -142,6 +148,11 @@ fn feet_and_pixels_are_named() {
     let sized = |row: Row| Row { length_m: row.length_m * 3.280_84, ..row };
     let doubt = only("feet", drive(10.0).into_iter().map(sized));
     assert_eq!(doubt.sentence, "vehicles are 14.8 long at the median, as in feet: multiply them by 0.3048");
+    // A bus has this length in metres.
+    let bus = |t: f64| format!("{t:.1},1,vehicle,{:.2},0,0,6,12,2.5\n", 6.0 * t);
+    let buses: String = (0..200).map(|step| bus(f64::from(step) * 0.1)).collect();
+    let header = "stamp_s,id,type,x_m,y_m,heading_rad,speed_mps,length_m,width_m\n";
+    assert_eq!(findings(&format!("{header}{buses}")), []);
     let pixels = |row: Row| Row { x_m: row.x_m.round(), y_m: row.y_m.round(), ..row };
     let found = found(drive(10.0).into_iter().map(pixels));
     assert!(found.iter().any(|found| found.kind == "pixels" && found.share == Some(1.0)), "{found:#?}");
@@ -238,6 +249,11 @@ fn nan_in_a_column_means_unknown_and_is_counted() {
     let recording = parse(Format::Csv, &[Input::new(Role::Rows, "mine.csv", text)]).unwrap();
     assert_eq!(recording.frames[0].detections[0].flags, 0);
     assert_eq!(recording.left_out[0].row_count, 3);
+    let text =
+        "stamp_s,type,x_m,y_m,length_m,width_m,sigma_m\n0,vehicle,1,2,-1,-1,-1\n1,vehicle,3,2,4,2,0.1\n";
+    let recording = parse(Format::Csv, &[Input::new(Role::Rows, "mine.csv", text)]).unwrap();
+    let first = recording.frames[0].detections[0];
+    assert_eq!((first.flags, first.sigma_m, recording.left_out[0].row_count), (0, 0.0, 3));
 }
 
 /// Two cars along +x and one along -y, for 10 s, with these headings and speeds as text.
@@ -284,8 +300,44 @@ fn a_car_that_reverses_most_of_the_time_has_right_headings() {
         let heading_rad = 1e-3 * f64::from(step % 3);
         writeln!(text, "{t:.1},1,vehicle,{x_m:.3},0,{heading_rad}").unwrap();
     }
-    let recording = parse(Format::Csv, &[Input::new(Role::Rows, "mine.csv", text)]).unwrap();
-    assert_eq!(data::findings(&recording), []);
+    assert_eq!(findings(&text), []);
+    // Along y, reversing looks like mirrored headings. With a negative speed, it is no contradiction.
+    let [mut along_y, mut signed] =
+        ["stamp_s,id,type,x_m,y_m,heading_rad,speed_mps\n".to_owned(), String::new()];
+    signed.clone_from(&along_y);
+    for step in 0..200 {
+        let t = f64::from(step) * 0.1;
+        let y_m = if t < 5.0 { 3.0 * t } else { 24.0 - 1.8 * t };
+        writeln!(along_y, "{t:.1},1,vehicle,0,{y_m:.3},1.5708,\n{t:.1},2,vehicle,{:.3},-20,0,", 8.0 * t)
+            .unwrap();
+        writeln!(signed, "{t:.1},1,vehicle,{:.3},0,0,-2", -2.0 * t).unwrap();
+    }
+    assert_eq!(findings(&along_y), []);
+    assert_eq!(findings(&signed), []);
+}
+
+/// Cars along x with the headings and speeds that `written` makes of the step.
+fn along_x(agent_type: &str, speed_mps: f64, written: impl Fn(u32) -> String) -> Vec<Found> {
+    let mut text = "stamp_s,id,type,x_m,y_m,heading_rad,speed_mps\n".to_owned();
+    for step in 0..200 {
+        let t = f64::from(step) * 0.1;
+        for id in 0..3 {
+            let x_m = (speed_mps + f64::from(id)) * t;
+            writeln!(text, "{t:.1},{id},{agent_type},{x_m:.3},{},{}", 7 * id, written(step)).unwrap();
+        }
+    }
+    findings(&text)
+}
+
+#[test]
+fn zeros_with_noise_flipped_headings_and_wrong_types_are_named() {
+    let near_zero = along_x("vehicle", 9.0, |step| format!("0,{:.3}", 0.04 * f64::from(step).sin()));
+    assert!(near_zero[0].sentence.starts_with("speeds are 0 while agents move"), "{near_zero:?}");
+    let flipped = along_x("vehicle", 9.0, |step| format!("{},", [0.0, 0.0, PI][step as usize * 7 % 3]));
+    assert!(flipped.iter().all(|found| found.kind == "headings_unrelated"), "{flipped:?}");
+    let wrong_type = along_x("pedestrian", 15.0, |_| ",".to_owned());
+    assert!(wrong_type[0].sentence.contains("faster than pedestrians can"), "{wrong_type:?}");
+    assert!(wrong_type[0].doubtful);
 }
 
 #[test]

@@ -251,6 +251,15 @@ fn a_clock_set_back_is_refused_with_the_line() {
         assert!(refusal.starts_with(&expected), "{refusal}");
         assert!(refusal.contains("Cut the file there") && refusal.contains("sort"), "{refusal}");
     }
+    for back_ms in [350, 950, 3_050] {
+        let mut rows = without_ids(sweeps(200, 100 * MS, [20_000 * MS; 5]));
+        rows.iter_mut().skip(500).for_each(|row| row.stamp_ns -= back_ms * MS);
+        assert!(refusal(&rows).starts_with("own.csv:502: time goes back: "), "{back_ms}");
+    }
+    // One row that was written late is sorted in.
+    let mut rows = without_ids(sweeps(200, 100 * MS, [20_000 * MS; 5]));
+    rows[40..60].rotate_left(1);
+    assert_eq!(read(&rows).frames.len(), 200);
 }
 
 #[test]

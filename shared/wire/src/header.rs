@@ -82,6 +82,8 @@ pub mod doubts {
         pub const STACKED: u32 = 1 << 21;
         /// Frames are too far apart for agents without identities.
         pub const SPARSE: u32 = 1 << 22;
+        /// Agents take the same paths twice, by two clocks.
+        pub const SEEN_TWICE: u32 = 1 << 23;
     }
 }
 

@@ -289,7 +289,7 @@ impl Estimate {
         moved.belief = crate::belief::Belief::new(filter);
         (moved.class, moved.front, moved.published.heading_rad) =
             (self.class, self.front, self.published.heading_rad);
-        moved.size = self.size;
+        (moved.size, moved.whole) = (self.size, self.whole);
         (moved.has_velocity, moved.gate.residual_m2) = (self.has_velocity, self.gate.residual_m2);
         moved.gate.measured = SETTLED;
         moved

@@ -6,6 +6,7 @@ use super::held::Held;
 use super::published::Published;
 use super::reports::Reports;
 use super::size::Size;
+use super::whole::Whole;
 use super::{Birth, Estimate};
 use crate::belief::Belief;
 use crate::class::Class;
@@ -54,6 +55,7 @@ impl Estimate {
             published: Published::new(belief.filter(), heading_rad, heading_rad),
             held: Held::new(belief.motion(), stamp_ns),
             size: Size::of_track(track),
+            whole: Whole::new(0.0),
             trials: Trials::default(),
             reports: Reports::new(&last),
             gate: Gate::new(seen_ns),

@@ -34,9 +34,8 @@
 //! them. The reader also accepts names in capitals, and a few other names of the same meaning and unit, such
 //! as `track_id` and `yaw_rad`. Decimals have a point.
 //!
-//! Columns and rows can be in any order. Columns that are not needed can be missing or empty; NaN counts as empty,
-//! too. Lines that
-//! begin with `#` are comments.
+//! Columns and rows can be in any order. Columns that are not needed can be missing or empty. NaN
+//! counts as empty, and so does a negative size or deviation. Lines that begin with `#` are comments.
 //!
 //! The rows of a frame need not have equal stamps. The reader joins the detections of each sweep to a frame,
 //! whose stamp is that of its newest detection. A pose of the sensor makes no frame. It is interpolated to
@@ -76,6 +75,8 @@ pub(crate) const NAMES: [&str; 20] = [
     "prior",
     "prior_age_s",
 ];
+/// Columns whose numbers cannot be negative.
+const NOT_NEGATIVE: [&str; 3] = ["length_m", "width_m", "sigma_m"];
 /// The values of the column `status`.
 pub(crate) const STATUS: [&str; 2] = ["confirmed", "coasting"];
 const STAMP: usize = 0;
@@ -215,7 +216,7 @@ pub(crate) fn parse(inputs: &[Input]) -> Result<Recording, ReadError> {
     for line in lines {
         let line = line?;
         let fields = header.fields(&line)?;
-        unknown += fields.iter().filter(|field| is_nan(field)).count();
+        unknown += fields.iter().filter(|field| is_unknown(field)).count();
         let stamp_ns = stamp_ns(fields[STAMP])?;
         match content(&fields)? {
             Content::Detection(detection, heading) => {
@@ -228,8 +229,10 @@ pub(crate) fn parse(inputs: &[Input]) -> Result<Recording, ReadError> {
     }
     let Sweeps { frames, interval_ns, poses_missing } = sweeps::measured(&rows.sorted(input)?, &egos);
     let has_id = |detection: &Detection| detection.has(detection_flags::HAS_ID);
-    let nan =
-        LeftOut { reason: "values that are NaN (they count as unknown)".to_owned(), row_count: unknown };
+    let nan = LeftOut {
+        reason: "values that are NaN or impossible (they count as unknown)".to_owned(),
+        row_count: unknown,
+    };
     Ok(Recording {
         interval_ns: interval_ns.unwrap_or(INTERVAL_NS),
         has_identities: frames.iter().flat_map(|frame| &frame.detections).all(has_id),
@@ -345,10 +348,11 @@ fn given<'a, T>(
     field: Field<'a>,
     read: impl Fn(&Field<'a>) -> Result<T, ReadError>,
 ) -> Result<Option<T>, ReadError> {
-    if field.text.is_empty() || is_nan(&field) { Ok(None) } else { read(&field).map(Some) }
+    if field.text.is_empty() || is_unknown(&field) { Ok(None) } else { read(&field).map(Some) }
 }
 
-/// Whether a value is written as NaN, which means that it is unknown.
-fn is_nan(field: &Field<'_>) -> bool {
-    field.text.trim_start_matches(['-', '+']).eq_ignore_ascii_case("nan")
+/// Whether a value stands for an unknown one: NaN, or the negative size or deviation that detectors write for it.
+fn is_unknown(field: &Field<'_>) -> bool {
+    let is_nan = field.text.trim_start_matches(['-', '+']).eq_ignore_ascii_case("nan");
+    is_nan || (NOT_NEGATIVE.contains(&field.name) && field.text.parse().is_ok_and(|value: f64| value < 0.0))
 }
