@@ -46,6 +46,8 @@ HISTORY_MAX = 8
 HORIZON_MAX = 12
 # Maximum number of latent draws (modes), K, of an agent.
 MODES_MAX = 20
+# Maximum number of conflicts in a forecast.
+CONFLICTS_MAX = 2
 # Maximum number of experts in a forecast's weights.
 EXPERTS_MAX = 8
 # Maximum number of pairs of sender and cause for which a heartbeat counts refused frames.
@@ -734,6 +736,27 @@ _check(AgentControls, 5312, {
 })
 
 
+class ForeseenConflict(c.Structure):
+    """A conflict that forecasts foretell: two agents whose outlines may come closer than 0.5 m within the horizon."""
+
+    _fields_ = [
+        ("other_id", c.c_uint64),  # The other track.
+        ("probability", c.c_float),  # Probability that the conflict happens: the share of such pairs on recordings.
+        ("if_nobody_reacts", c.c_float),  # Probability by the modes, as if neither agent reacted to the other.
+        ("in_s", c.c_float),  # Mean time until it happens, s.
+        ("reserved", c.c_uint32),  # Zero.
+    ]
+
+
+_check(ForeseenConflict, 24, {
+    "other_id": 0,
+    "probability": 8,
+    "if_nobody_reacts": 12,
+    "in_s": 16,
+    "reserved": 20,
+})
+
+
 class Forecast(c.Structure):
     """The forecast of an agent: element of the topic `forecasts`. Step k is (k + 1) Δt after the frame's stamp."""
 
@@ -765,7 +788,9 @@ class Forecast(c.Structure):
         ("noise_m", c.c_float),  # As in `Track.noise_m`.
         ("noise_heading_rad", c.c_float),  # As in `Track.noise_heading_rad`.
         ("noise_speed_mps", c.c_float),  # As in `Track.noise_speed_mps`.
-        ("reserved", c.c_uint8 * 60),  # Zero.
+        ("conflicts_len", c.c_uint32),  # Conflicts in `conflicts`.
+        ("conflicts", ForeseenConflict * 2),  # The agent's most probable conflicts, the most probable first; none if the sampler is not asked for them.
+        ("reserved", c.c_uint8 * 8),  # Zero.
         ("covariance", c.c_float * 3 * 12),  # Covariance of the mixture of all modes as (xx, xy, yy), m².
         ("best", c.c_float * 2 * 12),  # The single best forecast (K = 1).
         ("mean", c.c_float * 2 * 12),  # Mean of the mixture of all modes.
@@ -809,7 +834,9 @@ _check(Forecast, 10304, {
     "noise_m": 232,
     "noise_heading_rad": 236,
     "noise_speed_mps": 240,
-    "reserved": 244,
+    "conflicts_len": 244,
+    "conflicts": 248,
+    "reserved": 296,
     "covariance": 304,
     "best": 448,
     "mean": 544,
@@ -912,6 +939,7 @@ RECORDS = [
     AgentEncoding,
     ControlGaussian,
     AgentControls,
+    ForeseenConflict,
     Forecast,
     Refusals,
     Heartbeat,

@@ -24,6 +24,7 @@ pub struct Windows(trainer::Windows);
 impl Windows {
     /// `options` is a JSON object with options of `stgdat train FILE` that differ from its own.
     #[new]
+    #[expect(clippy::needless_pass_by_value, reason = "pyo3 extracts owned lists")]
     fn new(py: Python<'_>, recordings: Vec<Py<Recording>>, options: &str) -> PyResult<Self> {
         py.detach(|| {
             let options = options_of(options).map_err(|why| InputError::new_err(why.to_string()))?;
