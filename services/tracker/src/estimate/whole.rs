@@ -12,6 +12,8 @@ use crate::belief::Belief;
 use crate::noise::Measurements;
 use crate::steady::Steady;
 
+/// Smallest length of a long vehicle. The boxes of cars vary too, but their centres stay nearer.
+const LONG_M: f32 = 7.0;
 /// Smallest difference of lengths that the noise of a detector does not explain.
 const DIFFERENCE_M: f32 = 1.5;
 /// Distance from the prediction within which a centre needs no other explanation.
@@ -80,7 +82,7 @@ impl Estimate {
             return Some((place_m, distance_m));
         }
         let [whole_m, length_m] = [self.whole.length_m, length_m(detection)];
-        if whole_m == 0.0 || (whole_m - length_m).abs() <= DIFFERENCE_M {
+        if whole_m.max(length_m) < LONG_M || (whole_m - length_m).abs() <= DIFFERENCE_M {
             return None;
         }
         // Without a heading, the centre has jumped along the axis.

@@ -88,12 +88,12 @@ fn rounded(number: f64) -> f64 {
 mod tests {
     use super::*;
 
-    /// Pairs with one sign, 200 of each value, of which a share has a conflict.
+    /// Pairs with one sign, 4000 of each value, of which a share has a conflict.
     fn pairs(shares: [(f32, usize); 2]) -> Vec<Pair> {
         let of_value = |(value, conflicts): (f32, usize)| {
             let mut signs = [0.0; SIGNS];
             signs[3] = value;
-            (0..200).map(move |i| Pair {
+            (0..4000).map(move |i| Pair {
                 conflict_s: (i < conflicts).then_some(1.0),
                 scores: [0.0; 4],
                 signs: Some(signs),
@@ -104,7 +104,7 @@ mod tests {
 
     #[test]
     fn odds_are_the_share_of_conflicts() {
-        let pairs = pairs([(0.0, 20), (1.0, 100)]);
+        let pairs = pairs([(0.0, 400), (1.0, 2000)]);
         let odds = learn(&pairs.iter().collect::<Vec<_>>());
         let logit = |share: f64| (share / (1.0 - share)).ln();
         // The penalty draws them together.
@@ -115,7 +115,7 @@ mod tests {
 
     #[test]
     fn a_source_has_no_part_in_its_own_odds() {
-        let (often, never) = (pairs([(0.0, 100), (1.0, 180)]), pairs([(0.0, 1), (1.0, 2)]));
+        let (often, never) = (pairs([(0.0, 2000), (1.0, 3600)]), pairs([(0.0, 20), (1.0, 40)]));
         let sources = [("often".to_owned(), &often[..]), ("never".to_owned(), &never[..])];
         let odds = of_sources(&sources);
         assert_eq!(odds.without["often"], learn(&never.iter().collect::<Vec<_>>()));
