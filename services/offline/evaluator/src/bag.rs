@@ -3,7 +3,7 @@
 //! Both are compared on the same agents, at the same times, over the same horizon and with the same truth:
 //!
 //! 1. A message of the bag is compared with our newest tick at its stamp, as a planner would read both.
-//! 2. An object belongs to the nearest forecast of its type, at most [`RADIUS_M`] away. Each belongs to one
+//! 2. An object belongs to the nearest forecast of its type, at most 2 m away. Each belongs to one
 //!    at most, so no identity of the bag is needed.
 //! 3. The steps are ours, Δt apart from the message's stamp. Paths with other steps are interpolated.
 //! 4. The truth is the recording's own, if it has identities, or else the later positions of our tracks.
