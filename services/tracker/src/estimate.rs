@@ -13,7 +13,7 @@ mod written;
 
 pub use fit::Fit;
 pub use gate::Verdict;
-pub use whole::length_m;
+pub use whole::{LONG_M, length_m};
 
 use std::f64::consts::FRAC_PI_2;
 

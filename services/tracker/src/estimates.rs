@@ -4,7 +4,7 @@ use association::jpda::SIDE_MAX;
 use filters::{OBSERVATIONS_MAX, Observation};
 use wire::{DETECTIONS_MAX, Header, flags};
 
-use crate::estimate::{Birth, Estimate, length_m};
+use crate::estimate::{Birth, Estimate, LONG_M, length_m};
 use crate::forecasts::{Controls, Forecasts};
 use crate::noise::Noise;
 use crate::observation::{Found, observation};
@@ -190,8 +190,11 @@ impl Estimates {
     /// vehicles. Returns whether there are any.
     fn complete(&mut self, scan: &Scan, options: &TrackerOptions, completed: &mut Scan) -> bool {
         let trusted = options.trusts(&scan.header, &scan.detections);
+        // Without long vehicles, no box moves.
+        let least_m = if self.all.iter().any(Estimate::is_long) { f32::MIN_POSITIVE } else { LONG_M };
         let mut is_moved = false;
-        for (d, detection) in scan.detections.iter().enumerate().filter(|(_, found)| length_m(found) > 0.0) {
+        let sized = scan.detections.iter().enumerate().filter(|(_, found)| length_m(found) >= least_m);
+        for (d, detection) in sized {
             let own_ns = scan.header.stamp_ns.saturating_add(detection.offset_ns);
             let place_m = [detection.x_m, detection.y_m];
             let mut nearest: Option<(f64, [f32; 2], &mut Estimate)> = None;

@@ -23,7 +23,7 @@ mod signs;
 pub use finder::Finder;
 pub use odds::{Odds, OddsOfSources};
 pub use outline::{Body, Outline};
-pub use signs::{Moving, Room, SIGNS, Signs};
+pub use signs::{Moving, Room, SIGNS, Signs, are_judged};
 
 /// A smaller gap is a conflict.
 pub const CONFLICT_M: f32 = 0.5;

@@ -56,12 +56,6 @@ impl Body {
         })
     }
 
-    /// The outline where the agent is now.
-    #[must_use]
-    pub fn now(&self) -> Outline {
-        self.along([&[self.position_m][..]])
-    }
-
     /// The outline along paths of equal length. Paths beyond [`MODES_MAX`] and steps beyond [`HORIZON_MAX`] are
     /// left out.
     #[must_use]

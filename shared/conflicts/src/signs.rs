@@ -100,8 +100,9 @@ impl Moving {
     }
 }
 
-/// Whether a pair is looked at: one of them moves, and they are neither far apart nor close already.
-pub(crate) fn are_judged(a: &Moving, b: &Moving) -> bool {
+/// Whether a pair is judged: one of them moves, and they are neither far apart nor close already.
+#[must_use]
+pub fn are_judged(a: &Moving, b: &Moving) -> bool {
     let [x, y] = [0, 1].map(|axis| a.body.position_m[axis] - b.body.position_m[axis]);
     let is_in_reach = x * x + y * y <= APART_MAX_M * APART_MAX_M;
     is_in_reach && !(a.stands() && b.stands()) && a.now.gap(&b.now).0 >= APART_MIN_M
@@ -121,20 +122,19 @@ impl Signs {
         room.first.as_flattened_mut().as_flattened_mut().fill(u8::MAX);
         let radii_m = a.modes.radius_m + b.modes.radius_m;
         let bounds_m2 = [CONFLICT_M, NEAR_M].map(|gap_m| (gap_m + radii_m).powi(2));
-        let mut conflict = [0.0; PARTS.len()];
-        for step in 0..len {
-            if step >= first && is_near(step) {
-                a.modes.lower(&b.modes, step, &mut room.least_m2);
-                for (first, bound_m2) in room.first.iter_mut().zip(bounds_m2) {
-                    let first = first.as_flattened_mut().iter_mut();
-                    for (first, least_m2) in first.zip(room.least_m2.as_flattened()) {
-                        let now = if *least_m2 < bound_m2 { step as u8 } else { u8::MAX };
-                        *first = (*first).min(now);
-                    }
+        for step in (first..len).filter(|step| is_near(*step)) {
+            a.modes.lower(&b.modes, step, &mut room.least_m2);
+            for (first, bound_m2) in room.first.iter_mut().zip(bounds_m2) {
+                let first = first.as_flattened_mut().iter_mut();
+                for (first, least_m2) in first.zip(room.least_m2.as_flattened()) {
+                    let now = if *least_m2 < bound_m2 { step as u8 } else { u8::MAX };
+                    *first = (*first).min(now);
                 }
             }
         }
+        // Of both bounds, the probability that modes come closer, and the sum for the mean step.
         let mut sums = [[0.0, 0.0]; 2];
+        let mut conflict = [0.0; PARTS.len()];
         for (mode, p_a) in a.probability.iter().enumerate().filter(|(_, p)| **p > 0.0) {
             for (other, p_b) in b.probability.iter().enumerate() {
                 let p = p_a * p_b;

@@ -13,7 +13,7 @@ use crate::noise::Measurements;
 use crate::steady::Steady;
 
 /// Smallest length of a long vehicle. The boxes of cars vary too, but their centres stay nearer.
-const LONG_M: f32 = 7.0;
+pub const LONG_M: f32 = 7.0;
 /// Smallest difference of lengths that the noise of a detector does not explain.
 const DIFFERENCE_M: f32 = 1.5;
 /// Distance from the prediction within which a centre needs no other explanation.
@@ -64,6 +64,12 @@ pub fn length_m(detection: &Detection) -> f32 {
 }
 
 impl Estimate {
+    /// Whether the whole vehicle is a long one.
+    #[must_use]
+    pub fn is_long(&self) -> bool {
+        self.whole.length_m >= LONG_M
+    }
+
     /// Where the centre of the whole vehicle is if the detection shows the vehicle, and the distance from the
     /// prediction. The centre of a box that fits the prediction stays.
     #[must_use]

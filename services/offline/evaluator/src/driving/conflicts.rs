@@ -1,8 +1,6 @@
 //! Conflicts: how well forecasts foretell the pairs of agents that come too close within the horizon.
 
-use conflicts::{
-    APART_MAX_M, APART_MIN_M, Body, CONFLICT_M, Moving, Odds, Outline, Room, SIGNS, STANDS_MPS, Signs,
-};
+use conflicts::{Body, CONFLICT_M, Moving, Odds, Outline, Room, SIGNS, Signs, are_judged};
 use wire::Forecast;
 
 /// Width of the logistic function that softens the bound of a conflict for independent modes.
@@ -40,9 +38,7 @@ pub(crate) fn pairs(agents: &[Known<'_>], dt_s: f32, odds: &Odds, out: &mut Vec<
     let mut room = Box::<Room>::default();
     for (number, a) in drawn.iter().enumerate() {
         for b in &drawn[..number] {
-            let [x, y] = [0, 1].map(|axis| a.position_m[axis] - b.position_m[axis]);
-            let moves = a.speed_mps.max(b.speed_mps) > STANDS_MPS;
-            if !moves || x.hypot(y) > APART_MAX_M || a.now.gap(&b.now).0 < APART_MIN_M {
+            if !are_judged(&a.moving, &b.moving) {
                 continue;
             }
             let (truth_m, step) = a.truth.gap(&b.truth);
@@ -74,9 +70,6 @@ fn of_modes(a: &Drawn, b: &Drawn) -> f32 {
 
 /// The outlines of an agent.
 struct Drawn {
-    position_m: [f32; 2],
-    speed_mps: f32,
-    now: Outline,
     truth: Outline,
     steady: Outline,
     best: Outline,
@@ -95,9 +88,6 @@ impl Drawn {
             .collect();
         let modes = forecast.modes[..forecast.modes_len as usize].iter().zip(&forecast.probability);
         Some(Self {
-            position_m: body.position_m,
-            speed_mps: vx_mps.hypot(vy_mps),
-            now: body.now(),
             truth: body.along([&truth_m[..]]),
             steady: body.along([&steady[..]]),
             best: body.along([&forecast.best[..len]]),

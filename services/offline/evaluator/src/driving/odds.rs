@@ -15,8 +15,8 @@ const RIDGE: f64 = 10.0;
 const STEPS_MAX: usize = 50;
 /// Steps end when no number changes by more.
 const DONE: f64 = 1e-9;
-/// Significant digits of the numbers.
-const DIGITS: i32 = 5;
+/// Decimals of the numbers.
+const DECIMALS: i32 = 5;
 
 /// The odds of all sources, and without each of them: of the name and pairs of each.
 pub(crate) fn of_sources(sources: &[(String, &[Pair])]) -> OddsOfSources {
@@ -42,8 +42,8 @@ impl Report {
 }
 
 /// Logistic regression with a ridge penalty, by Newton's method: w ← w − H⁻¹ g of the function
-/// Σ ln(1 + e^z) − y z + ½ λ Σ (w s)², z = constant + w · signs. s is the deviation of a sign over the pairs, y is 1
-/// for a conflict.
+/// Σ ln(1 + e^z) − y z + ½ λ Σ (w s)², z = constant + w · signs. s is the deviation of a sign over the pairs.
+/// y is 1 for a conflict.
 fn learn(pairs: &[&Pair]) -> Odds {
     let rows: Vec<(SVector<f64, NUMBERS>, f64)> = pairs
         .iter()
@@ -80,7 +80,7 @@ fn learn(pairs: &[&Pair]) -> Odds {
 }
 
 fn rounded(number: f64) -> f64 {
-    let unit = 10_f64.powi(DIGITS);
+    let unit = 10_f64.powi(DECIMALS);
     (number * unit).round() / unit
 }
 
