@@ -316,6 +316,46 @@ mod tests {
         assert!(farthest_m > 0.05, "smoothing moves states by at most {farthest_m} m");
     }
 
+    /// `tests/reference/smoothing.py` smooths in float64, by the matrices of the equations.
+    #[test]
+    fn smoothed_states_equal_the_reference() {
+        let csv = include_str!("../tests/reference/smoothing.csv");
+        let rows: Vec<Vec<f64>> = csv
+            .lines()
+            .skip(1)
+            .map(|line| line.split(',').map(|cell| cell.parse().expect("a number")).collect())
+            .collect();
+        let read = |row: &[f64]| {
+            let [time_ms, turn_rate_radps, density, position_m2, both_m2ps, velocity_m2ps2, ref states @ ..] =
+                *row
+            else {
+                panic!("{row:?}")
+            };
+            let spread =
+                Spread { position_m2, both_m2ps, velocity_m2ps2, turn_rate_radps, density, share: 1.0 };
+            let state = HistoryState {
+                x_m: states[0] as f32,
+                y_m: states[1] as f32,
+                vx_mps: states[2] as f32,
+                vy_mps: states[3] as f32,
+                heading_rad: 0.0,
+                present: 1,
+            };
+            (time_ms, spread, state)
+        };
+        let mut correction = Correction::default();
+        for pair in rows.windows(2).rev() {
+            let ((from_ms, spread, state), (to_ms, after, successor)) = (read(&pair[0]), read(&pair[1]));
+            let link = spread.link(&state, (&successor, &after), (to_ms - from_ms) / 1e3);
+            correction = link.correction(correction);
+            let found = link.corrected(&state, correction);
+            let found = [found.x_m, found.y_m, found.vx_mps, found.vy_mps].map(f64::from);
+            for (found, expected) in found.iter().zip(&pair[0][10..]) {
+                assert!((found - expected).abs() < 2e-5, "{found}, {expected} at {from_ms} ms");
+            }
+        }
+    }
+
     /// A vehicle that turns by 0.5 rad/s: the smoothed states are nearer to the circle, and so are their
     /// headings.
     #[test]
