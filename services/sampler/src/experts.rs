@@ -15,6 +15,9 @@ use crate::spread::Spread;
 
 /// Number of history steps, if available, from which turn rate and acceleration are computed.
 const RATE_STEPS: usize = 2;
+/// The same if the positions have noise from [`NOISY_M`] on: rates over a longer time contain less of it.
+const RATE_STEPS_NOISY: usize = 4;
+const NOISY_M: f32 = 0.05;
 /// Mean distance between a lane and the decaying turn at which the lane's share falls to exp(−½).
 const OFF_LANE_M: f32 = 3.0;
 /// Seed of the levels; every forecast has the same draws.
@@ -193,7 +196,8 @@ fn along_lane(user: &RoadUser, traffic: &Traffic, lane: &LaneLine<'_>, dt_s: f32
 /// A track as others see it on the road. The newest steps of its history determine its rates.
 pub(crate) fn road_user(track: &Track, history_len: usize, dt_s: f32) -> RoadUser {
     let history = &track_history(track)[..history_len];
-    let before = (1..=RATE_STEPS).rev().find_map(|back| {
+    let steps = if track.noise_m >= NOISY_M { RATE_STEPS_NOISY } else { RATE_STEPS };
+    let before = (1..=steps).rev().find_map(|back| {
         let state = (*history.len().checked_sub(back + 1).and_then(|step| history.get(step))?)?;
         Some((state.velocity_mps, back as f32 * dt_s))
     });
