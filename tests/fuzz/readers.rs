@@ -211,7 +211,7 @@ fn check_lanes(map: &LaneMap) {
         assert!(lane.centre_m.as_flattened().iter().all(|x| x.is_finite()));
         assert!(lane.along_m.is_sorted() && lane.length_m().is_finite());
         assert!(lane.limit_mps.is_none_or(|limit| limit > 0.0));
-        let named = lane.successors.iter().copied().chain(lane.beside.into_iter().flatten());
+        let named = lane.successors.iter().copied().chain(lane.neighbours.into_iter().flatten());
         assert!(named.max().is_none_or(|place| (place as usize) < map.lanes().len()));
         routes.find(map, wire::AgentType::Vehicle, lane.centre_m[0], 0.0, 50.0);
         let points = routes.as_slice().iter().flat_map(|route| &route.points_m);

@@ -175,9 +175,9 @@ impl Observer {
 
     /// Measures the header of a frame that an added stage has sent outside a tick's path.
     pub fn side_output(&mut self, header: &Header) {
-        let passage = self.measured.beside(header);
+        let passage = self.measured.added_stage(header);
         if let (Some((stage, times)), Some((tracer, file))) = (passage, &mut self.tracer) {
-            tracer.beside(header, stage, times);
+            tracer.added_stage(header, stage, times);
             file.write(tracer.take());
         }
     }

@@ -154,9 +154,9 @@ impl Timeline {
         passage
     }
 
-    /// The phases of a stage outside the tick's path that has sent a frame; `None` if the stage has not stamped
+    /// The stage that sent a frame outside the tick's path, and its times; `None` if the stage has not stamped
     /// its passage.
-    pub fn beside(&mut self, header: &Header) -> Option<(StageId, Timestamps)> {
+    pub fn newest_times(&mut self, header: &Header) -> Option<(StageId, Timestamps)> {
         let stage = StageId::from_number(header.sender)?;
         let index = header.hops().iter().rposition(|hop| hop.stage == header.sender)?;
         let hop = &header.hops()[index];

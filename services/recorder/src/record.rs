@@ -1,6 +1,7 @@
 mod checkpoint;
 mod recent;
 mod shed;
+mod stages;
 mod verdict;
 mod window;
 
@@ -15,10 +16,10 @@ use crate::distribution::{Distribution, ms};
 use crate::input::{InputReport, InputTally};
 use crate::lanes::LaneCounts;
 use crate::losses::Losses;
-use crate::passage::{Phases, Timeline, Timestamps};
+use crate::passage::{Timeline, Timestamps};
 use crate::report::{
-    Accuracy, Agents, ForecastCounts, OutOfDistribution, Percentiles, PriorCounts, REPORT_VERSION, Report,
-    RunInfo, StageDrops, StageReport, Supervision, Verdict, WorstTick,
+    Accuracy, Agents, ForecastCounts, OutOfDistribution, PriorCounts, REPORT_VERSION, Report, RunInfo,
+    Supervision, Verdict, WorstTick,
 };
 use crate::sessions::Sessions;
 use crate::tick::{Tick, is_fault, limit_ns};
@@ -27,6 +28,7 @@ use crate::worst::{Usual, Worst};
 pub use checkpoint::Checkpoint;
 use recent::Recent;
 use shed::ShedCounts;
+use stages::StageTimes;
 use verdict::verdict;
 
 /// The recorder's information about the run in addition to its topics.
@@ -63,22 +65,6 @@ impl Default for RecorderOptions {
             silence_ns: SILENCE_NS,
             explain: None,
         }
-    }
-}
-
-/// Durations of one stage's phases.
-#[derive(Clone, Debug, Default, Serialize, Deserialize)]
-struct StageTimes {
-    /// In the order of [`Phases::NAMES`].
-    phases: [Distribution; 4],
-    late_ticks: u64,
-}
-
-impl StageTimes {
-    fn record(&mut self, phases: &Phases, budget_ms: Option<f64>) {
-        self.phases.iter_mut().zip(phases.each_ns()).for_each(|(times, time_ns)| times.record(time_ns));
-        let late = budget_ms.is_some_and(|budget_ms| phases.compute_ns as f64 > budget_ms * 1e6);
-        self.late_ticks += u64::from(late);
     }
 }
 
@@ -233,14 +219,14 @@ impl Recorder {
 
     /// Adds the header of a frame from an added stage outside the tick's path. Returns the stage and its times
     /// in the tick. An invalid header is ignored, because the frame's readers refuse it.
-    pub fn beside(&mut self, header: &Header) -> Option<(StageId, Timestamps)> {
+    pub fn added_stage(&mut self, header: &Header) -> Option<(StageId, Timestamps)> {
         if header.check().is_err() || !header.is_tick() {
             return None;
         }
-        let (stage, times) = self.timeline.beside(header).filter(|(stage, _)| stage.is_added())?;
+        let (stage, times) = self.timeline.newest_times(header).filter(|(stage, _)| stage.is_added())?;
         let budget_ms = self.options.budgets_ms.get(&stage).copied();
         self.sums.stages.entry(stage.number()).or_default().record(&times.into(), budget_ms);
-        self.recent.beside(stage, times);
+        self.recent.added_stage(stage, times);
         Some((stage, times))
     }
 
@@ -454,59 +440,11 @@ impl Recorder {
         let [learned, held, kinematic] = self.sums.states_by_prior;
         PriorCounts { learned, held, kinematic }
     }
-
-    fn stage_reports(&self) -> Vec<StageReport> {
-        let drops = self.sums.losses.by_stage(&self.options.stages);
-        self.options
-            .stages
-            .iter()
-            .map(|&stage| self.stage_report(stage, drops[stage.place()]))
-            .filter(|report| report.ticks > 0 || report.budget_ms.is_some() || report.drops.total() > 0)
-            .collect()
-    }
-
-    fn stage_report(&self, stage: StageId, drops: StageDrops) -> StageReport {
-        let times = self.sums.stages.get(&stage.number());
-        let [waiting_ms, wake_up_ms, compute_ms, publish_ms] = match times {
-            Some(times) => times.phases.each_ref().map(Distribution::percentiles_ms),
-            None => [Percentiles::default(); 4],
-        };
-        let budget_ms = self.options.budgets_ms.get(&stage).copied();
-        let share = |value_ms: Option<f64>| Some((value_ms? / budget_ms? * 1e4).round() / 1e4);
-        let [reads, writes] = self.options.topics.get(&stage).cloned().unwrap_or_default();
-        StageReport {
-            name: stage.name().to_owned(),
-            reads,
-            writes,
-            budget_ms,
-            budget_share_p50: share(compute_ms.p50),
-            budget_share_p99: share(compute_ms.p99),
-            waiting_ms,
-            wake_up_ms,
-            compute_ms,
-            publish_ms,
-            ticks: times.map_or(0, |times| times.phases[2].len()),
-            late_ticks: times.map_or(0, |times| times.late_ticks),
-            drops,
-            restarts: self.sums.losses.restarts(stage),
-            replacements: 0,
-        }
-    }
 }
 
 /// Adds counts.
 fn add<const N: usize>(sums: &mut [u64; N], counts: &[u64; N]) {
     sums.iter_mut().zip(counts).for_each(|(sum, count)| *sum += count);
-}
-
-impl OutOfDistribution {
-    /// Adds the figures of a tick.
-    pub(crate) fn merge(&mut self, other: &Self) {
-        let most = |a: Option<f64>, b: Option<f64>| a.map_or(b, |a| Some(b.map_or(a, |b| a.max(b))));
-        self.forecasts += other.forecasts;
-        self.measure_max = most(self.measure_max, other.measure_max);
-        self.speed_mps_max = most(self.speed_mps_max, other.speed_mps_max);
-    }
 }
 
 #[cfg(test)]

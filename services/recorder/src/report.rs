@@ -7,6 +7,8 @@
 //! never NaN.
 
 mod accuracy;
+mod forecasts;
+mod stages;
 mod supervision;
 mod verdict;
 
@@ -21,6 +23,10 @@ use crate::lanes::LaneCounts;
 use crate::sessions::Sessions;
 use crate::text::{count, percent};
 pub use accuracy::{Accuracy, AgentErrors, Errors, WorstForecast};
+pub use forecasts::{Agents, ForecastCounts, OutOfDistribution, PriorCounts, Shed};
+use stages::RESTARTS;
+pub(crate) use stages::restarts;
+pub use stages::{StageDrops, StageReport};
 pub use supervision::{
     Outage, Replacement, ReplacementOutcome, SpareReport, StageMemory, Supervision, program_name,
 };
@@ -202,95 +208,6 @@ pub struct SceneNoise {
     pub heading_deg: f64,
 }
 
-/// Number of agents forecast per tick.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Agents {
-    /// Mean over all ticks.
-    pub mean: Option<f64>,
-    /// Maximum over all ticks.
-    pub max: Option<u64>,
-}
-
-/// Numbers of single forecasts by quality.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct ForecastCounts {
-    /// Number of forecasts by the model at the same tick.
-    pub learned: u64,
-    /// Number of forecasts by the model at an earlier tick, shifted in time.
-    pub held: u64,
-    /// Number of forecasts with constant control.
-    pub kinematic: u64,
-    /// Numbers of held or kinematic forecasts by cause: `late`, `rejected`, `missing`, `shed`, or `young` and
-    /// `outdone`, which are not faults.
-    pub causes: BTreeMap<String, u64>,
-    /// Number of held or kinematic forecasts because of a fault: for a cause other than `young` and
-    /// `outdone`.
-    #[serde(default)]
-    pub not_learned: u64,
-    /// Share of the forecasts that are constant velocity because it proved better.
-    #[serde(default)]
-    pub constant_velocity_share: Option<f64>,
-    /// Number of ticks with a forecast that is not learned because of a fault.
-    pub degraded_ticks: u64,
-    /// Number of ticks with predicted tracks. Their detections are missing.
-    #[serde(default)]
-    pub predicted_ticks: u64,
-    /// Number of agents without any forecast according to the degradation policy, summed over ticks.
-    #[serde(default)]
-    pub silent: u64,
-    /// Maximum age of a held forecast.
-    pub age_ms_max: Option<f64>,
-    /// Forecasts that were shed because ticks had no time for all agents.
-    #[serde(default)]
-    pub shed: Shed,
-}
-
-/// Agents that were left out of ticks without enough time for all agents.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Shed {
-    /// Number of agents left out, summed over ticks.
-    pub forecasts: u64,
-    /// Number of ticks that left out any agent.
-    pub ticks: u64,
-    /// Share of all forecasts.
-    pub share: Option<f64>,
-    /// Largest number of agents that a tick left out.
-    pub agents_max: u64,
-    /// Maximum age of a forecast that replaces one that was left out.
-    pub age_ms_max: Option<f64>,
-}
-
-impl ForecastCounts {
-    /// The counts with the names of their qualities.
-    #[must_use]
-    pub const fn by_quality(&self) -> [(&'static str, u64); 3] {
-        [("learned", self.learned), ("held", self.held), ("kinematic", self.kinematic)]
-    }
-}
-
-/// Forecasts whose out-of-distribution measure is so large that the network adds less than half of its normal
-/// residual.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct OutOfDistribution {
-    /// Number of out-of-distribution forecasts.
-    pub forecasts: u64,
-    /// The highest measure.
-    pub measure_max: Option<f64>,
-    /// The highest speed among them.
-    pub speed_mps_max: Option<f64>,
-}
-
-/// Track states by the prior that predicted them.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct PriorCounts {
-    /// Number of states predicted by a forecast of an earlier tick, at most a step old.
-    pub learned: u64,
-    /// Number of states predicted by an older forecast.
-    pub held: u64,
-    /// Number of states predicted by the kinematic prior: the process model alone.
-    pub kinematic: u64,
-}
-
 /// Percentiles of a time. All are `null` if no time was measured.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Percentiles {
@@ -302,82 +219,6 @@ pub struct Percentiles {
     pub p999: Option<f64>,
     /// Maximum.
     pub max: Option<f64>,
-}
-
-/// Times and losses of one stage.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct StageReport {
-    /// The stage's name.
-    pub name: String,
-    /// Topics that it reads; empty if they are unknown.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub reads: Vec<String>,
-    /// Topics that it writes; empty if they are unknown.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub writes: Vec<String>,
-    /// Share of the tick limit of 80 ms.
-    pub budget_ms: Option<f64>,
-    /// Median of compute over budget.
-    pub budget_share_p50: Option<f64>,
-    /// 99th percentile of compute over budget.
-    pub budget_share_p99: Option<f64>,
-    /// Time in which the input was available, but the stage was busy or waited for other input.
-    pub waiting_ms: Percentiles,
-    /// Transport, scheduling and the check of the frame.
-    pub wake_up_ms: Percentiles,
-    /// Computation.
-    pub compute_ms: Percentiles,
-    /// Writing the header and sending the output.
-    pub publish_ms: Percentiles,
-    /// Number of ticks that passed the stage on their way to the forecast.
-    pub ticks: u64,
-    /// Number of ticks whose compute exceeded the budget.
-    pub late_ticks: u64,
-    /// Frames lost in this stage, by cause: `gap` (never arrived, because the queue was full or the sender
-    /// had ended) and `refused` (invalid content). A frame counts only in the stage that lost it first.
-    /// `unanswered` is included in these.
-    pub drops: StageDrops,
-    /// Number of restarts after a death.
-    pub restarts: u32,
-    /// Number of replacements during the run.
-    #[serde(default)]
-    pub replacements: u32,
-}
-
-/// Start of a verdict's reason that counts restarts.
-const RESTARTS: &str = "restarts: ";
-
-/// The restarts of all stages as a reason of the verdict; `None` if there were none.
-pub(crate) fn restarts(stages: &[StageReport]) -> Option<String> {
-    let all: u32 = stages.iter().map(|stage| stage.restarts).sum();
-    let named = stages.iter().filter(|stage| stage.restarts > 0);
-    let named: Vec<String> = named.map(|stage| format!("{} {}", stage.name, stage.restarts)).collect();
-    (all > 0).then(|| format!("{RESTARTS}{all} ({})", named.join(", ")))
-}
-
-/// Frames lost in one stage.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct StageDrops {
-    /// Number of frames that never arrived.
-    pub gap: u64,
-    /// Number of ticks for which the stage has sent nothing, because the frame that begins a step never
-    /// arrived or was refused as a whole. They are included in the other counts.
-    #[serde(default)]
-    pub unanswered: u64,
-    /// Number of frames that arrived and were refused.
-    pub refused: u64,
-    /// Number of ticks without forecasts because the stage had died. For the recorder: ticks that it did not
-    /// record.
-    #[serde(default)]
-    pub restart: u64,
-}
-
-impl StageDrops {
-    /// Sum over all causes.
-    #[must_use]
-    pub const fn total(&self) -> u64 {
-        self.gap + self.refused + self.restart
-    }
 }
 
 /// Why a report file could not be written or read.

@@ -51,7 +51,7 @@ pub fn run(run: &Run) -> Result<(), StageError> {
             count(&mut stage, frame.header(), TruthTopic::NAME, result);
         }
         for header in side_outputs.take()? {
-            recorder.beside(&header);
+            recorder.added_stage(&header);
         }
         peers.listen()?.iter().for_each(|heartbeat| recorder.heartbeat(heartbeat));
         if recorder.is_recorded(frame.header()) {

@@ -124,7 +124,7 @@ impl Tracer {
     }
 
     /// Adds the passage of a frame from an added stage outside the tick's path.
-    pub fn beside(&mut self, header: &Header, stage: StageId, times: Timestamps) {
+    pub fn added_stage(&mut self, header: &Header, stage: StageId, times: Timestamps) {
         if let Some(hop) = header.hop(stage) {
             let mut passage = Passage::default();
             passage.add(stage, times);

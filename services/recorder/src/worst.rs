@@ -169,12 +169,12 @@ impl Worst {
 
     /// The requested tick, if it has arrived.
     pub fn explained(&self, usual: &Usual) -> Option<WorstTick> {
-        self.explained.map(|bad| bad.told(usual))
+        self.explained.map(|bad| bad.explain(usual))
     }
 
     /// The list with the causes in words.
     pub fn list(&self, usual: &Usual) -> Vec<WorstTick> {
-        self.ticks.iter().map(|bad| bad.told(usual)).collect()
+        self.ticks.iter().map(|bad| bad.explain(usual)).collect()
     }
 }
 
@@ -193,7 +193,7 @@ impl Excess {
     }
 
     /// The action of the stage, to follow its name.
-    fn told(&self) -> String {
+    fn action(&self) -> String {
         let took = format!("{} ms", number(Some(ms(self.took_ns))));
         let usual = format!("(usually {})", number(Some(ms(self.usual_ns))));
         match (self.stage, self.phase) {
@@ -230,7 +230,7 @@ impl Bad {
         all
     }
 
-    fn told(&self, usual: &Usual) -> WorstTick {
+    fn explain(&self, usual: &Usual) -> WorstTick {
         let name = |stage: StageNumber| StageId::from_number(stage).map_or("unknown", StageId::name);
         let excesses = self.excesses(usual);
         let first = excesses.first().filter(|_| self.lost == 0);
@@ -308,21 +308,21 @@ impl Bad {
         let Some(first) = excesses.first() else { return "no phase took longer than usual".to_owned() };
         let total_ns: u64 = excesses.iter().map(Excess::ns).sum();
         let stage_count = StageId::known().filter(|&stage| excesses.iter().any(|e| e.stage == stage)).count();
-        let told = format!("the {} {}", first.stage.name(), first.told());
+        let cause = format!("the {} {}", first.stage.name(), first.action());
         // More agents make every stage slower, and so does a busy machine.
         let many = self.agents as f64 > 1.25 * usual.agents && self.agents > 8;
         if many && first.phase == 2 {
             let usual_agents = usual.agents.round() as u64;
-            return format!("{told}: {} agents (usually {})", self.agents, usual_agents);
+            return format!("{cause}: {} agents (usually {})", self.agents, usual_agents);
         }
         if stage_count >= 4 && first.ns() * 2 < total_ns {
-            return format!("{stage_count} stages were slower than usual, most of all {told}");
+            return format!("{stage_count} stages were slower than usual, most of all {cause}");
         }
         let second = excesses.get(1).filter(|second| second.ns() * 3 >= first.ns());
         match second {
-            Some(second) if second.stage == first.stage => format!("{told} and {}", second.told()),
-            Some(second) => format!("{told}, the {} {}", second.stage.name(), second.told()),
-            None => told,
+            Some(second) if second.stage == first.stage => format!("{cause} and {}", second.action()),
+            Some(second) => format!("{cause}, the {} {}", second.stage.name(), second.action()),
+            None => cause,
         }
     }
 }

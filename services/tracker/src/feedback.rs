@@ -6,7 +6,7 @@ use crate::forecasts::Forecasts;
 
 /// Writes feedback into a tick's header and tracks: the age and cost of the newest forecasts, and the age of
 /// the newest learned forecast of each track. Without forecasts it writes nothing.
-pub fn tell(header: &mut Header, tracks: &mut [Track], newest: Option<(&Header, &[Forecast])>) {
+pub fn write(header: &mut Header, tracks: &mut [Track], newest: Option<(&Header, &[Forecast])>) {
     let Some((of, forecasts)) = newest.filter(|(of, _)| of.stamp_ns < header.stamp_ns) else { return };
     let Ok(Some(mut found)) = Forecasts::new(of, forecasts) else { return };
     let feedback_age_ns = header.stamp_ns.saturating_sub(of.stamp_ns).unsigned_abs();
@@ -61,13 +61,13 @@ mod tests {
         of.push_hop(Hop { started_ns: 35 * MS, ..hop(StageId::Sampler, 38) });
         let mut header = Header::new(1, 8, 640 * MS as i64);
         let mut tracks = [1, 2, 3, 4, 5].map(|id| Track { id, ..Track::zeroed() });
-        tell(&mut header, &mut tracks, Some((&of, &forecasts)));
+        write(&mut header, &mut tracks, Some((&of, &forecasts)));
         assert_eq!(tracks.map(|track| track.learned_age_ns / MS), [80, 320, 80, 0, 0]);
         assert_eq!((header.feedback_age_ns, header.chain_ns, header.chain_len), (80 * MS, 24 * MS, 2));
         assert_eq!(u64::from(header.sampling_ns), 3 * MS);
         // The clock went back, so nothing is known.
         let mut header = Header::new(1, 9, 0);
-        tell(&mut header, &mut tracks, Some((&of, &forecasts)));
+        write(&mut header, &mut tracks, Some((&of, &forecasts)));
         assert_eq!(header, Header::new(1, 9, 0));
     }
 }

@@ -145,11 +145,11 @@ impl Pairing {
         for run in self.ordered.chunk_by(|&a, &b| detections[a as usize].id == detections[b as usize].id) {
             let own = from..from + run.len();
             from = own.end;
-            let wanted = detections[run[0] as usize].id;
+            let identity = detections[run[0] as usize].id;
             // If several estimates have the identity, the newest one holds it.
-            let end = self.identities.partition_point(|&(id, _)| id <= wanted);
+            let end = self.identities.partition_point(|&(id, _)| id <= identity);
             let holder = end.checked_sub(1).and_then(|i| self.identities.get(i));
-            if let Some(&(_, t)) = holder.filter(|(id, _)| *id == wanted) {
+            if let Some(&(_, t)) = holder.filter(|(id, _)| *id == identity) {
                 run.iter().for_each(|&d| self.taken[d as usize] = true);
                 self.own[t as usize] = own;
             }
@@ -188,19 +188,19 @@ impl Pairing {
         self.set_aside_resent(estimates, &frame);
         let are_mixed = detections.iter().any(|d| d.offset_ns != detections[0].offset_ns);
         for gate in [GATE, WIDE_GATE] {
-            self.find_candidates(estimates, gate, Wanted::new(are_mixed && gate == GATE), &frame);
+            self.find_candidates(estimates, gate, Members::new(are_mixed && gate == GATE), &frame);
             if jointly && gate == GATE {
                 self.possible.clone_from(&self.candidates);
             }
             self.pair(gate, detections.len(), options);
             if are_mixed {
-                self.pair_more(estimates, Wanted::Ready, &frame);
+                self.pair_more(estimates, Members::UnpairedReady, &frame);
             }
         }
         if are_mixed {
-            self.find_candidates(estimates, GATE, Wanted::Tentative, &frame);
+            self.find_candidates(estimates, GATE, Members::UnpairedTentative, &frame);
             self.pair(GATE, detections.len(), options);
-            self.pair_more(estimates, Wanted::Tentative, &frame);
+            self.pair_more(estimates, Members::UnpairedTentative, &frame);
         }
         if jointly {
             self.associate(estimates, detections.len(), options.miss_cost);
@@ -258,9 +258,9 @@ impl Pairing {
     }
 
     /// Gives paired estimates further detections, with own times that they do not have yet.
-    fn pair_more(&mut self, estimates: &[Estimate], wanted: Wanted, frame: &Frame<'_>) {
+    fn pair_more(&mut self, estimates: &[Estimate], members: Members, frame: &Frame<'_>) {
         for _ in 0..MORE_ROUNDS {
-            self.find_candidates(estimates, GATE, wanted.again(), frame);
+            self.find_candidates(estimates, GATE, members.paired(), frame);
             let (paired, more) = (&self.paired, &self.more);
             let own_ns = |d: u32| frame.detections[d as usize].offset_ns;
             self.candidates.retain(|candidate| {
@@ -288,16 +288,17 @@ impl Pairing {
     }
 
     /// Finds all pairs within the gate, of selected estimates and unpaired detections.
-    fn find_candidates(&mut self, estimates: &[Estimate], gate: f64, wanted: Wanted, frame: &Frame<'_>) {
+    fn find_candidates(&mut self, estimates: &[Estimate], gate: f64, members: Members, frame: &Frame<'_>) {
         let Self { grid, candidates, paired, taken, resent, .. } = self;
         let largest = grid.spots().iter().fold(0.0, |largest, spot| spot.variance.max(largest));
         let lag_max_ns = frame.detections.iter().fold(0, |most, d| d.offset_ns.unsigned_abs().max(most));
         candidates.clear();
         for ((estimate, t), paired) in estimates.iter().zip(0..).zip(&*paired) {
-            if paired.is_some() != wanted.is_again() || resent[t as usize] {
+            if paired.is_some() != members.are_paired() || resent[t as usize] {
                 continue;
             }
-            if (gate > GATE && (!estimate.is_ready() || estimate.is_occluded())) || !wanted.wants(estimate) {
+            if (gate > GATE && (!estimate.is_ready() || estimate.is_occluded())) || !members.contain(estimate)
+            {
                 continue;
             }
             let occlusion_cost = estimate.occlusion_cost(frame.options);
@@ -357,35 +358,35 @@ impl Frame<'_> {
 
 /// The estimates that take part in a round.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Wanted {
+enum Members {
     /// All that are unpaired.
-    All,
-    /// The unpaired estimates that are ready. `Tentative` selects the other unpaired ones.
-    Ready,
-    Tentative,
-    /// The paired estimates that are ready. `TentativeAgain` selects the other paired ones.
-    ReadyAgain,
-    TentativeAgain,
+    Unpaired,
+    /// The unpaired estimates that are ready. `UnpairedTentative` selects the other unpaired ones.
+    UnpairedReady,
+    UnpairedTentative,
+    /// The paired estimates that are ready. `PairedTentative` selects the other paired ones.
+    PairedReady,
+    PairedTentative,
 }
 
-impl Wanted {
+impl Members {
     const fn new(ready: bool) -> Self {
-        if ready { Self::Ready } else { Self::All }
+        if ready { Self::UnpairedReady } else { Self::Unpaired }
     }
 
-    const fn again(self) -> Self {
-        if matches!(self, Self::Tentative) { Self::TentativeAgain } else { Self::ReadyAgain }
+    const fn paired(self) -> Self {
+        if matches!(self, Self::UnpairedTentative) { Self::PairedTentative } else { Self::PairedReady }
     }
 
-    const fn is_again(self) -> bool {
-        matches!(self, Self::ReadyAgain | Self::TentativeAgain)
+    const fn are_paired(self) -> bool {
+        matches!(self, Self::PairedReady | Self::PairedTentative)
     }
 
-    const fn wants(self, estimate: &Estimate) -> bool {
+    const fn contain(self, estimate: &Estimate) -> bool {
         match self {
-            Self::All => true,
-            Self::Ready | Self::ReadyAgain => estimate.is_ready(),
-            Self::Tentative | Self::TentativeAgain => !estimate.is_ready(),
+            Self::Unpaired => true,
+            Self::UnpairedReady | Self::PairedReady => estimate.is_ready(),
+            Self::UnpairedTentative | Self::PairedTentative => !estimate.is_ready(),
         }
     }
 }

@@ -49,7 +49,7 @@ impl Step for Tracker {
             let tracks = &mut tracks[..tracked.track_count];
             if !tick.header.has(flags::LOCKSTEP) {
                 let prior = prior.filter(|(of, _)| of.seq >= self.session_seq());
-                feedback::tell(&mut out.header, tracks, prior);
+                feedback::write(&mut out.header, tracks, prior);
             }
             out.elements(tracks.len())?.copy_from_slice(tracks);
             Ok(())

@@ -39,8 +39,8 @@ impl Sampled {
         }
         if let ([only], Some(end)) = (&sampled.centre_m[..], left.points_m.last()) {
             // The bounds cross. Any second point gives the lane a direction.
-            let beside = [only[0], only[1] + 0.01_f32.max((end[1].abs() * 1e-6) as f32)];
-            sampled.centre_m.push(beside);
+            let nudged = [only[0], only[1] + 0.01_f32.max((end[1].abs() * 1e-6) as f32)];
+            sampled.centre_m.push(nudged);
             sampled.half_width_m.push(0.0);
         }
         sampled
@@ -67,7 +67,7 @@ impl Sampled {
             along_m,
             bounds_m: bounds.map(|line| line.points_m.iter().map(near).collect()),
             successors: Vec::new(),
-            beside: [None; 2],
+            neighbours: [None; 2],
         }
     }
 }

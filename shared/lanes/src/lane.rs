@@ -25,7 +25,7 @@ pub struct Lane {
     /// Places in [`LaneMap::lanes`](crate::LaneMap::lanes) of the lanes that begin where this one ends.
     pub successors: Vec<u32>,
     /// Places of the lanes to the left and right that an agent may change to.
-    pub beside: [Option<u32>; 2],
+    pub neighbours: [Option<u32>; 2],
 }
 
 impl Lane {

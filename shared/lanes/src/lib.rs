@@ -8,7 +8,7 @@
 //!   direction of the lanelet has the left bound on its left. A lanelet that is used both ways becomes two
 //!   [`Lane`]s.
 //! * A lane *follows* another lane if both its bounds begin at the nodes at which the other's bounds end.
-//! * Two lanes are *beside* each other if they share a bound. The kind of line and `lane_change` tags
+//! * Two lanes are *neighbours* if they share a bound. The kind of line and `lane_change` tags
 //!   determine whether an agent may change between them.
 //! * The only *regulatory elements* that count are speed limits.
 //!

@@ -315,7 +315,7 @@ fn joined(begun: Vec<Begun>) -> Vec<Lane> {
         let next = by_start.get(&begun.end).into_iter().flatten().copied();
         begun.lane.successors =
             next.filter(|&next| next != place as u32 && shares_users(next, own)).collect();
-        begun.lane.beside = [0, 1].map(|side| {
+        begun.lane.neighbours = [0, 1].map(|side| {
             // The left bound of this lane is the right bound of the lane to its left.
             let there = by_bound[1 - side].get(&begun.bounds[side]).copied();
             there.filter(|&there| begun.may_cross[side] && shares_users(there, own))

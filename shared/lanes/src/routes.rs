@@ -115,11 +115,11 @@ impl Routes {
         }
         let on_count = starts.len();
         for place in 0..on_count {
-            for beside in lanes[starts[place].lane as usize].beside.into_iter().flatten() {
-                if starts.iter().any(|start| start.lane == beside) || starts.len() == starts.capacity() {
+            for neighbour in lanes[starts[place].lane as usize].neighbours.into_iter().flatten() {
+                if starts.iter().any(|start| start.lane == neighbour) || starts.len() == starts.capacity() {
                     continue;
                 }
-                let there = Start::on_neighbour(lanes, beside, agent_type, position_m, heading_rad);
+                let there = Start::on_neighbour(lanes, neighbour, agent_type, position_m, heading_rad);
                 starts.extend(there);
             }
         }

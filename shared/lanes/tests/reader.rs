@@ -98,10 +98,10 @@ fn lanes_follow_and_lie_beside_one_another() {
     let lanes = map.lanes();
     assert_eq!(lanes[0].successors, [1]);
     assert!(lanes[1].successors.is_empty());
-    assert_eq!(lanes[0].beside, [Some(2), None]);
-    assert_eq!(lanes[2].beside, [None, Some(0)]);
+    assert_eq!(lanes[0].neighbours, [Some(2), None]);
+    assert_eq!(lanes[2].neighbours, [None, Some(0)]);
     let solid = site().replace("'dashed'", "'solid'");
-    assert_eq!(read(&solid).expect("the site").lanes()[0].beside, [None, None]);
+    assert_eq!(read(&solid).expect("the site").lanes()[0].neighbours, [None, None]);
 }
 
 #[test]

@@ -36,5 +36,5 @@ fn of_lane<'py>(py: Python<'py>, lane: &::lanes::Lane) -> Lane<'py> {
         bytes(left.as_flattened()),
         bytes(right.as_flattened()),
     ];
-    (lane.id, users.collect(), lane.limit_mps, lines, lane.successors.clone(), lane.beside)
+    (lane.id, users.collect(), lane.limit_mps, lines, lane.successors.clone(), lane.neighbours)
 }

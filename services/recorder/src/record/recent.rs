@@ -31,7 +31,7 @@ impl Recent {
         self.ticks.push_back(*tick);
     }
 
-    pub(super) fn beside(&mut self, stage: StageId, times: Timestamps) {
+    pub(super) fn added_stage(&mut self, stage: StageId, times: Timestamps) {
         if let Some(tick) = self.ticks.back_mut() {
             tick.passage.add(stage, times);
         }

@@ -4,6 +4,7 @@ use wire::{AgentType, Counts, Hop, InputCounts};
 
 use super::*;
 use crate::Status;
+use crate::report::Percentiles;
 use crate::report::Shed;
 
 const TICK_NS: u64 = 80_000_000;

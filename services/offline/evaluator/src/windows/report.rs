@@ -131,15 +131,15 @@ impl Report {
         }
         let name = self.training();
         let names: Vec<String> = others.iter().map(Self::training).collect();
-        let beside = self.tables.iter().enumerate().filter_map(|(place, table)| {
+        let compared = self.tables.iter().enumerate().filter_map(|(place, table)| {
             let others = others
                 .iter()
                 .zip(&names)
                 .filter_map(|(other, name)| Some((&name[..], other.tables.get(place)?)));
-            table.beside(&name, &others.collect::<Vec<_>>())
+            table.by_training(&name, &others.collect::<Vec<_>>())
         });
-        let beside: Vec<Table> = beside.collect();
-        self.tables.extend(beside);
+        let compared: Vec<Table> = compared.collect();
+        self.tables.extend(compared);
         self.provenance.extend(others.iter().flat_map(|other| other.provenance.iter().cloned()));
     }
 

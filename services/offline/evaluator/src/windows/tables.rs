@@ -91,7 +91,7 @@ impl Table {
 
     /// The rows of our own forecasts in a main table, followed by the same rows by other weights. Each row
     /// contains the name of its training.
-    pub(crate) fn beside(&self, name: &str, others: &[(&str, &Self)]) -> Option<Self> {
+    pub(crate) fn by_training(&self, name: &str, others: &[(&str, &Self)]) -> Option<Self> {
         let rows = self.rows.iter().enumerate().flat_map(|(place, row)| {
             let ours =
                 Method::OURS.iter().filter(|method| row.get(1).is_some_and(|name| name == method.name()));

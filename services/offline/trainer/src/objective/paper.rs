@@ -46,7 +46,7 @@ impl Paper<'_> {
         let future = encode(self.weights, self.config, future_graph, self.normalisation, true);
         let rows: Vec<u32> =
             forecasts.iter().flat_map(|forecast| forecast.agents.clone()).map(|agent| agent as u32).collect();
-        let both = beside(&history.encoding.gather(&rows), &future.encoding.gather(&rows));
+        let both = joined(&history.encoding.gather(&rows), &future.encoding.gather(&rows));
         let (mean, trace) = perceptron(self.weights, "encoder", ENCODER_LAYERS, both);
 
         let [noise, prior] = &draws.noise;
@@ -111,7 +111,7 @@ impl Paper<'_> {
 }
 
 /// Two matrices of the same shape side by side.
-fn beside(a: &Matrix, b: &Matrix) -> Matrix {
+fn joined(a: &Matrix, b: &Matrix) -> Matrix {
     let rows = (0..a.rows).flat_map(|row| [a.row(row), b.row(row)]).flatten().copied();
     Matrix::new(a.rows, a.cols + b.cols, rows.collect())
 }
