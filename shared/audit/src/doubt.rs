@@ -51,6 +51,8 @@ wire::named! {
         Sparse = doubts::SPARSE => "sparse",
         /// Agents take the same paths twice, by two clocks.
         SeenTwice = doubts::SEEN_TWICE => "seen_twice",
+        /// Identities change while their agents continue. They are not used then.
+        IdentitiesChange = doubts::IDENTITIES_CHANGE => "identities_change",
     }
 }
 
@@ -93,6 +95,7 @@ impl Doubt {
             Self::SeenTwice => {
                 "agents take the same paths twice, as if two sensors with different clocks saw them"
             }
+            Self::IdentitiesChange => "identities change while their agents continue",
         }
     }
 
@@ -121,6 +124,9 @@ impl Doubt {
             Self::Stacked => "write each object once",
             Self::Sparse => "write identities, or more frames a second",
             Self::SeenTwice => "set one clock, or leave one sensor out",
+            Self::IdentitiesChange => {
+                "they are ignored, and tracks follow the positions (as with --associate)"
+            }
         }
     }
 }
