@@ -29,6 +29,7 @@ mod agent;
 mod agents;
 mod clock;
 mod column;
+mod displacements;
 mod doubt;
 mod echoes;
 mod finding;
@@ -49,6 +50,7 @@ use agent::{Constant, Repeated, Spot, Step, limit_mps};
 use agents::Agents;
 pub use clock::{Clock, ClockSet, Stamped, StampedFrame};
 use column::{Column, Unknown};
+use displacements::Displacements;
 pub use doubt::Doubt;
 use echoes::Echoes;
 use finding::Detail;
@@ -121,6 +123,7 @@ pub struct Audit {
     extent: Extent,
     stacks: Stacks,
     echoes: Echoes,
+    displacements: Displacements,
     handovers: Handovers,
     /// Whether detections count as detections without identities.
     ignores_ids: bool,
@@ -159,6 +162,7 @@ impl Audit {
             extent: Extent::default(),
             stacks: Stacks::new(),
             echoes: Echoes::new(),
+            displacements: Displacements::new(),
             handovers: Handovers::default(),
             ignores_ids: false,
             fast: Default::default(),
@@ -182,6 +186,7 @@ impl Audit {
         (self.extent, self.fast, self.loose) = Default::default();
         self.stacks.clear();
         self.echoes.clear();
+        self.displacements.clear();
         self.handovers.clear();
     }
 
@@ -189,6 +194,7 @@ impl Audit {
     pub fn end_session(&mut self) {
         self.agents.clear();
         self.echoes.clear();
+        self.displacements.end_session();
         self.handovers.end_session();
     }
 
@@ -232,6 +238,7 @@ impl Audit {
         self.stamps.row(stamp_ns, self.frames);
         self.extent.row(&spot);
         self.stacks.row(self.frames, detection, place);
+        self.displacements.detection(self.frames, stamp_ns, detection, place);
         if let Some(heading) = spot.heading {
             self.headings.row(heading, place);
         }
@@ -417,6 +424,7 @@ impl Audit {
             (Doubt::Repeated, repeated),
             (Doubt::Outliers, self.outliers),
             (Doubt::IdentitiesJump, self.jumps),
+            (Doubt::AllDisplaced, self.displacements.displaced()),
         ] {
             if tally.rows > 0 {
                 take(Finding::new(doubt, tally, self.rows, Detail::None));

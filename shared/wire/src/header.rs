@@ -86,6 +86,8 @@ pub mod doubts {
         pub const SEEN_TWICE: u32 = 1 << 23;
         /// Identities change while their agents continue.
         pub const IDENTITIES_CHANGE: u32 = 1 << 24;
+        /// All agents are displaced at once.
+        pub const ALL_DISPLACED: u32 = 1 << 25;
     }
 }
 
