@@ -13,6 +13,7 @@
 
 use std::path::PathBuf;
 use std::process::ExitCode;
+use std::time::SystemTime;
 
 use bytemuck::Zeroable;
 use data::{Ego, Frame, OpenOptions, Recording};
@@ -43,13 +44,24 @@ struct Options {
     pause: Option<(u64, f64)>,
     /// `[frame, s]`: the sensor's clock is set forward by this time before this frame, or back if negative.
     set_clock: Option<(u64, f64)>,
+    /// Whether the stamps are the computer's time of day.
+    wall_clock: bool,
     /// How often the frames are played. The stamps begin again each time, as in a bag that is played in a loop.
     rounds: u64,
 }
 
 impl Default for Options {
     fn default() -> Self {
-        Self { ticks: 125, offsets_ms: [0.0; 2], play: None, pause: None, set_clock: None, rounds: 1 }
+        let offsets_ms = [0.0; 2];
+        Self {
+            ticks: 125,
+            offsets_ms,
+            play: None,
+            pause: None,
+            set_clock: None,
+            wall_clock: false,
+            rounds: 1,
+        }
     }
 }
 
@@ -144,7 +156,11 @@ fn run(run: &Run) -> Result<(), StageError> {
         if !stage.sleep_until(begin_ns + round_ns + frame.stamp_ns.abs_diff(first_ns))? {
             return Ok(());
         }
-        let stamp_ns = frame.stamp_ns + clock_ns;
+        let stamp_ns = if options.wall_clock {
+            SystemTime::UNIX_EPOCH.elapsed().map_or(0, |since| since.as_nanos() as i64)
+        } else {
+            frame.stamp_ns + clock_ns
+        };
         let seen_from_ego = if frame.ego.is_sensor { flags::SEEN_FROM_EGO } else { 0 };
         let mut passage = stage.release(Header {
             observed_types: frame.observed_types,

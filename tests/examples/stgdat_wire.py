@@ -128,6 +128,8 @@ class Doubts(enum.IntFlag):
     STACKED = 2097152  # Boxes are on top of each other.
     SPARSE = 4194304  # Frames are too far apart for agents without identities.
     SEEN_TWICE = 8388608  # Agents take the same paths twice, by two clocks.
+    IDENTITIES_CHANGE = 16777216  # Identities change while their agents continue.
+    ALL_DISPLACED = 33554432  # All agents are displaced at once.
 
 
 class StageId(enum.IntEnum):

@@ -157,3 +157,45 @@ fn noise_that_triples_is_doubted_by_inspect_predict_and_run() {
         );
     }
 }
+
+/// Four agents for 10 s, with an id for each agent and frame.
+fn agents(scratch: &Scratch, name: &str, id: impl Fn(u32, u32) -> u32) -> String {
+    let mut text = "stamp_s,id,type,x_m,y_m\n".to_owned();
+    for step in 0..100 {
+        for (agent, (kind, speed_mps)) in
+            (0..).zip([("vehicle", 9.0), ("vehicle", 7.0), ("cyclist", 4.0), ("pedestrian", 1.4)])
+        {
+            let (id, y_m) = (id(step, agent), 7 * agent);
+            let x_m = speed_mps * f64::from(step) / 10.0 - 40.0;
+            writeln!(text, "{:.1},{id},{kind},{x_m:.3},{y_m}", f64::from(step) / 10.0)
+                .expect("writing to a string does not fail");
+        }
+    }
+    scratch.file(name, text)
+}
+
+#[test]
+fn ids_that_are_no_identities_are_ignored() {
+    let scratch = Scratch::new("audit-identities");
+    let (new, renewed) = (|step, agent| 4 * step + agent, |step, agent| 4 * (step / 3) + agent);
+    let permuted = |step, agent| (3 * agent + 7 * step % 11) % 4;
+    for (name, file) in [
+        ("new", agents(&scratch, "new.csv", new)),
+        ("renewed", agents(&scratch, "renewed.csv", renewed)),
+        ("permuted", agents(&scratch, "permuted.csv", permuted)),
+    ] {
+        let path = scratch.path("report.json");
+        let played = run_well(&["predict", &file, "--out", &scratch.path("out"), "--report", &path]);
+        let words = "identities change while their agents continue";
+        assert!(stderr(&played).contains(words), "{name}: {}", stderr(&played));
+        let report = report(&scratch, "report.json");
+        assert_eq!(report["verdict"]["status"], "doubtful", "{name}");
+        assert_eq!(report["input"]["findings"].as_array().expect("an array").len(), 1, "{name}: {report}");
+        assert_eq!(report["agents_max"], 4, "{name}");
+        let inspected = stdout(&run_well(&["inspect", &file]));
+        assert!(inspected.contains(words), "{inspected}");
+        assert!(!inspected.contains("--associate\n"), "they are ignored without the option: {inspected}");
+    }
+    let good = stdout(&run_well(&["inspect", &agents(&scratch, "good.csv", |_, agent| agent)]));
+    assert!(good.contains("all with identities") && good.contains("nothing looks wrong"), "{good}");
+}

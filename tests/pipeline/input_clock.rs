@@ -4,7 +4,7 @@ use serde_json::Value;
 use testing::Scratch;
 
 use crate::programs::example;
-use crate::started::run_well;
+use crate::started::{Started, piped, run_well, stderr, stgdat};
 
 /// Five objects along +y, without identities, at 10 Hz for 20 s.
 fn rows() -> String {
@@ -40,7 +40,7 @@ fn reasons(report: &Value) -> String {
 
 #[test]
 fn a_clock_that_is_set_back_begins_a_session_without_doubles() {
-    for (name, back_s) in [("clock_half", 0.5), ("clock_ten", 10.0)] {
+    for (name, back_s) in [("clock_half", 0.5), ("clock_ten", 10.0), ("clock_forty", 40.0)] {
         let set = format!("source.set_clock=[60,-{back_s}]");
         let (report, agents) = run(name, &["source.ticks=120", &set]);
         let reasons = reasons(&report);
@@ -52,6 +52,81 @@ fn a_clock_that_is_set_back_begins_a_session_without_doubles() {
         assert!(agents[agents.len() / 2..].iter().filter(|agents| **agents == 5).count() > 30, "{agents:?}");
     }
 }
+
+#[test]
+fn a_clock_that_is_set_forward_by_a_minute_begins_a_session() {
+    let (report, agents) = run("clock_forward", &["source.ticks=120", "source.set_clock=[60,60]"]);
+    assert_eq!(report["sessions"]["count"], 2, "{report}");
+    assert!(agents.iter().all(|agents| *agents <= 5), "{agents:?}");
+    assert!(agents[agents.len() / 2..].iter().filter(|agents| **agents == 5).count() > 30, "{agents:?}");
+}
+
+#[test]
+fn a_step_of_the_computers_clock_begins_a_session() {
+    for step_s in [-40_i64, 3_600] {
+        let scratch = Scratch::new("clock_realtime");
+        // Moves CLOCK_REALTIME of every process that calls the C library, once the file `step` is there.
+        let library = scratch.path("step.so");
+        let source = scratch.file("step.rs", STEP.replace("STEP_S", &step_s.to_string()));
+        let compiler = std::env::var("RUSTC").unwrap_or_else(|_| "rustc".to_owned());
+        let arguments = ["--crate-type", "cdylib", "--edition", "2024", &source, "-o", &library];
+        let compiled = piped(compiler).args(arguments).output().expect("rustc");
+        assert!(compiled.status.success(), "{}", stderr(&compiled));
+        let play = format!("source.play={}", scratch.file("five.csv", rows()));
+        let pipeline = scratch.pipeline_with("source", &[&example("producer")]);
+        let (out, report) = (scratch.path("out.jsonl"), scratch.path("report.json"));
+        let mut command = stgdat();
+        command.args(["run", "--quiet", "--pipeline", &pipeline, "--forecasts", &out, "--report", &report]);
+        command.args(["--set", &play, "--set", "source.ticks=120", "--set", "source.wall_clock=true"]);
+        command.env("LD_PRELOAD", &library).env("STEP_FILE", scratch.path("step"));
+        let run = Started::spawn(&mut command);
+        run.wait_until_it_forecasts();
+        scratch.file("step", "");
+        let output = run.output();
+        assert!(output.status.success(), "{step_s}: {}", stderr(&output));
+        let log = stderr(&output);
+        assert_eq!(log.matches("a new session begins").count(), 1, "{step_s}: {log}");
+        let report: Value = serde_json::from_slice(&scratch.read("report.json")).expect("JSON");
+        assert_eq!(report["sessions"]["count"], 2, "{step_s}: {report}");
+        let lines = String::from_utf8(scratch.read("out.jsonl")).expect("text");
+        let ticks = lines.lines().map(|line| serde_json::from_str::<Value>(line).expect("JSON lines"));
+        let ticks: Vec<Value> = ticks.collect();
+        let stamp_s = |tick: &Value| tick["stamp_ns"].as_i64().expect("a stamp") / 1_000_000_000;
+        let first_s = stamp_s(&ticks[0]);
+        let is_after = |tick: &&Value| (stamp_s(tick) - first_s - step_s).abs() < 30;
+        let five = |tick: &&Value| tick["agents"].as_array().is_some_and(|agents| agents.len() == 5);
+        assert!(ticks.iter().filter(is_after).filter(five).count() > 20, "{step_s}: {} ticks", ticks.len());
+    }
+}
+
+const STEP: &str = r#"
+use std::ffi::{c_char, c_int, c_long};
+
+#[repr(C)]
+pub struct Time {
+    s: i64,
+    ns: i64,
+}
+
+unsafe extern "C" {
+    fn syscall(number: c_long, ...) -> c_long;
+    fn getenv(name: *const c_char) -> *const c_char;
+    fn access(path: *const c_char, mode: c_int) -> c_int;
+}
+
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn clock_gettime(clock: c_int, time: *mut Time) -> c_int {
+    let number = if cfg!(target_arch = "x86_64") { 228 } else { 113 };
+    unsafe {
+        let result = syscall(number, clock, time) as c_int;
+        let file = getenv(c"STEP_FILE".as_ptr());
+        if clock == 0 && result == 0 && !file.is_null() && access(file, 0) == 0 {
+            (*time).s += STEP_S;
+        }
+        result
+    }
+}
+"#;
 
 #[test]
 fn a_loop_has_forecasts_in_every_round() {

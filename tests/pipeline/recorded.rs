@@ -107,7 +107,7 @@ fn other_tools_read_the_published_numbers_in_a_recording() {
         assert_eq!(message.encoding, "cdr", "{}", message.topic);
         Ok::<(), String>(())
     });
-    assert_eq!(whole, Ok(None));
+    assert_eq!(whole, Ok(recording::Damage::default()));
 
     let objects = "/perception/object_recognition/objects 60";
     let of_ros = [objects, "/perception/object_recognition/tracking/objects 60", "/tf 60", "/diagnostics 60"];

@@ -3,13 +3,20 @@
 //! The test needs the program `stgdat` beside `stgdat-bridge`, and prints why it is skipped.
 #![expect(clippy::unwrap_used, reason = "a test ends at what it can't do")]
 
-use std::io::{BufRead as _, BufReader, Write as _};
+use std::io::{BufRead as _, BufReader, Read as _, Write as _};
 use std::net::TcpListener;
 use std::os::unix::fs::OpenOptionsExt as _;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
 
+use bridge::auth::Key;
+use bridge::frame::detections;
+use bridge::frame::{Kind, TickHead};
+use bridge::sender::Sender;
+use ports::monotonic_ns;
 use serde_json::Value;
+use wire::Detection;
 
 const PIPELINE: &str = include_str!("../../../launch/pipeline.toml");
 const READER: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/examples/bridge_reader.py");
@@ -64,12 +71,13 @@ impl Scene {
         }
     }
 
-    fn pipeline(&self) -> String {
+    /// `source` has further options of the source.
+    fn pipeline(&self, source: &str) -> String {
         let Self { key, detections, forecasts, .. } = self;
-        let bridge = self.bridge.display();
+        let (bridge, more) = (self.bridge.display(), source);
         let source = format!(
             "name = \"source\"\ncommand = [\"{bridge}\"]\n\
-             options = {{ connect = \"{detections}\", key = \"{key}\", max_age_ms = 60000, timeout_ms = 5000 }}\n"
+             options = {{ connect = \"{detections}\", key = \"{key}\", max_age_ms = 60000, timeout_ms = 5000{more} }}\n"
         );
         let output = format!(
             "\n[[stage]]\nname = \"to-planner\"\ncommand = [\"{bridge}\"]\nreads = [\"forecasts\"]\n\
@@ -130,7 +138,7 @@ fn detections_come_in_and_forecasts_go_out_and_a_lost_link_comes_back() {
     let detector = scene.detector();
     let folder = scene.folder.path();
     let mut command = Command::new(&stgdat);
-    let run = spawn(command.args(["run", "--pipeline", &scene.pipeline(), "--runtime-dir"]).arg(folder));
+    let run = spawn(command.args(["run", "--pipeline", &scene.pipeline(""), "--runtime-dir"]).arg(folder));
     let arguments =
         ["receive", &scene.forecasts, "--key", &scene.key, "--max-age", "60000", "--timeout", "5000"];
     let mut receiver = start(&scene.bridge, &arguments);
@@ -177,4 +185,49 @@ fn detections_come_in_and_forecasts_go_out_and_a_lost_link_comes_back() {
     let links = scene.links(&stgdat, &expected);
     assert_eq!(links["source"]["another key"], Value::Null, "{links}");
     drop((stranger, receiver, detector, run));
+}
+
+#[test]
+fn a_clock_of_the_other_box_that_is_set_begins_a_session() {
+    let scene = Scene::new();
+    let stgdat = scene.bridge.with_file_name("stgdat");
+    if !stgdat.is_file() {
+        println!("skipped: no {}: build it with the same profile", stgdat.display());
+        return;
+    }
+    let key = Key::read(Path::new(&scene.key)).unwrap();
+    let address = scene.detections.parse().unwrap();
+    let mut sender = Sender::listen(&address, Kind::Detections, key, Duration::from_secs(5)).unwrap();
+    let folder = scene.folder.path();
+    let report = folder.join("report.json");
+    let mut command = Command::new(&stgdat);
+    command.args(["run", "--quiet", "--pipeline", &scene.pipeline(", ticks = 160"), "--runtime-dir"]);
+    command.arg(folder).arg("--report").arg(&report).stderr(Stdio::piped());
+    let mut run = spawn(&mut command);
+    while sender.receivers() == 0 {
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    // Three cars at 10 Hz. The clock is set every 3 s.
+    let begun = Instant::now();
+    let mut frame = 0_u32;
+    while run.0.try_wait().unwrap().is_none() {
+        let set_s: f64 = [-0.5, -10.0, -40.0, 60.0].iter().take(frame as usize / 30).sum();
+        let stamp_ns = ((1_000.0 + set_s + f64::from(frame) * 0.1) * 1e9) as i64;
+        let head = TickHead { stamp_ns, interval_ns: 100_000_000, observed_types: 7, ..TickHead::default() };
+        let car = |lane: u8| Detection {
+            x_m: f32::from(6 + lane) * 0.1 * frame as f32,
+            y_m: 6.0 * f32::from(lane),
+            score: 1.0,
+            ..Detection::default()
+        };
+        sender.send(monotonic_ns(), |body| detections::write(body, &head, &[0, 1, 2].map(car)));
+        frame += 1;
+        std::thread::sleep((Duration::from_millis(100) * frame).saturating_sub(begun.elapsed()));
+    }
+    let mut log = String::new();
+    run.0.stderr.take().unwrap().read_to_string(&mut log).unwrap();
+    let report: Value = serde_json::from_slice(&std::fs::read(report).unwrap()).unwrap();
+    assert_eq!(report["sessions"]["count"], 5, "{report}\n{log}");
+    assert_eq!(log.matches("a new session begins").count(), 4, "{log}");
+    assert_eq!(report["agents"]["max"], 3, "{report}");
 }

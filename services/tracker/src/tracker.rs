@@ -162,19 +162,25 @@ impl Tracker {
             let Stamped::Set { by_ns } = self.clock.add(frame) else { return None };
             by_ns
         };
-        self.estimates.end_session();
-        self.replay.restart(&self.estimates);
-        self.publications.end_session();
+        self.end_tracks();
         (self.predecessor_ns, self.session_seq) = (None, header.seq);
         self.tally.session_count += 1;
         Some(set_by_ns)
+    }
+
+    /// Ends all tracks. What was learned about the detector remains.
+    fn end_tracks(&mut self) {
+        self.estimates.end_session();
+        self.replay.restart(&self.estimates);
+        self.publications.end_session();
     }
 
     /// Processes the detections of a frame and writes the tracks at its stamp to `out`, in the order of their
     /// ids.
     ///
     /// Tracks follow the identities of detections if [`flags::HAS_IDENTITIES`](wire::flags::HAS_IDENTITIES)
-    /// is set, every detection has an id, and the options do not disable this. The first detection then
+    /// is set, every detection has an id, and the options do not disable this. If the audit finds that ids change while
+    /// their agents continue, all tracks end, and later detections are associated. The first detection with an id
     /// confirms a track. A track is published once it is confirmed and its velocity was observed: from the
     /// second detection on, or from the first if that has heading and speed.
     ///
@@ -216,6 +222,10 @@ impl Tracker {
         self.check(header, detections)?;
         self.is_auditable = true;
         self.last.set_by_ns = self.begin_session(header, detections);
+        if self.audit.ignores_identities() && !self.options.associate {
+            self.options.associate = true;
+            self.end_tracks();
+        }
         let position = self.position(header)?;
         let is_prior = |of: &Header| self.options.prior == Prior::Learned && of.seq >= self.session_seq;
         let prior = prior.filter(|(of, _)| is_prior(of));

@@ -27,3 +27,20 @@ fn headings_in_degrees_of_a_producer_are_doubted() {
         assert_eq!(doubts(flags, f64::to_degrees), Doubt::HeadingsInDegrees.bit());
     }
 }
+
+#[test]
+fn ids_that_change_with_each_frame_are_ignored() {
+    let mut run = Harness::new(TrackerOptions::default(), flags::HAS_IDENTITIES);
+    let mut ids = Vec::new();
+    for step in 0..100_u32 {
+        let car = |nth: u32| {
+            let x_m = f64::from(8 + nth) * 0.08 * f64::from(step);
+            detected_at(AgentType::Vehicle, u64::from(3 * step + nth), x_m, 6.0 * f64::from(nth))
+        };
+        let tracks = run.step(&[0, 1, 2].map(car));
+        ids.push(tracks.iter().map(|track| track.id).collect::<Vec<u64>>());
+    }
+    assert_eq!(run.tracker.header(&run.header()).input.doubts, Doubt::IdentitiesChange.bit());
+    // Twenty changes are seen within eight frames, and a track needs some more.
+    assert!(ids[30].len() == 3 && ids[30..].iter().all(|of| *of == ids[30]), "{ids:?}");
+}

@@ -235,9 +235,24 @@ impl Agent {
         let distance_m = x_m.hypot(y_m);
         let most_m = match self.velocity_mps {
             Some(_) => SLACK_M + (0.5 * self.speed_mps()).max(3.0) * elapsed_s,
-            None => (SLACK_M + usual_mps(self.agent_type)[1] * elapsed_s).min(FIRST_STEP_M),
+            None => self.first_step_m(elapsed_s),
         };
         (distance_m <= most_m).then_some(distance_m)
+    }
+
+    /// The distance from the newest detection, if an agent whose velocity is unknown may have moved by it.
+    pub fn is_first_near(&self, spot: &Spot) -> Option<f64> {
+        let elapsed_s = (spot.stamp_ns - self.last.stamp_ns) as f64 * 1e-9;
+        Some(self.last.distance_m(spot)).filter(|distance_m| *distance_m <= self.first_step_m(elapsed_s))
+    }
+
+    fn first_step_m(&self, elapsed_s: f64) -> f64 {
+        (SLACK_M + usual_mps(self.agent_type)[1] * elapsed_s).min(FIRST_STEP_M)
+    }
+
+    /// Whether the velocity is known, from two detections.
+    pub const fn moves(&self) -> bool {
+        self.velocity_mps.is_some()
     }
 
     /// Speed of the step to the newest detection.

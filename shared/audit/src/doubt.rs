@@ -51,6 +51,10 @@ wire::named! {
         Sparse = doubts::SPARSE => "sparse",
         /// Agents take the same paths twice, by two clocks.
         SeenTwice = doubts::SEEN_TWICE => "seen_twice",
+        /// Identities change while their agents continue. They are not used then.
+        IdentitiesChange = doubts::IDENTITIES_CHANGE => "identities_change",
+        /// All agents are displaced at once.
+        AllDisplaced = doubts::ALL_DISPLACED => "all_displaced",
     }
 }
 
@@ -93,6 +97,8 @@ impl Doubt {
             Self::SeenTwice => {
                 "agents take the same paths twice, as if two sensors with different clocks saw them"
             }
+            Self::IdentitiesChange => "identities change while their agents continue",
+            Self::AllDisplaced => "all agents are displaced at once, as if the localisation jumped",
         }
     }
 
@@ -121,6 +127,12 @@ impl Doubt {
             Self::Stacked => "write each object once",
             Self::Sparse => "write identities, or more frames a second",
             Self::SeenTwice => "set one clock, or leave one sensor out",
+            Self::IdentitiesChange => {
+                "they are ignored, and tracks follow the positions (as with --associate)"
+            }
+            Self::AllDisplaced => {
+                "correct the localisation, or write positions in a frame that does not jump"
+            }
         }
     }
 }

@@ -221,6 +221,9 @@ impl fmt::Display for Finding {
                      saw them: {remedy}"
                 )
             }
+            Detail::Interval { interval_s } if self.doubt == Doubt::IdentitiesChange => {
+                write!(f, "{observation}, every {interval_s:.1} s on average: {remedy}")
+            }
             Detail::Interval { interval_s } if self.doubt == Doubt::Sparse => {
                 write!(f, "{observation}, {interval_s:.1} s: {remedy}")
             }

@@ -29,9 +29,11 @@ mod agent;
 mod agents;
 mod clock;
 mod column;
+mod displacements;
 mod doubt;
 mod echoes;
 mod finding;
+mod handovers;
 mod headings;
 mod histogram;
 mod live;
@@ -48,10 +50,12 @@ use agent::{Constant, Repeated, Spot, Step, limit_mps};
 use agents::Agents;
 pub use clock::{Clock, ClockSet, Stamped, StampedFrame};
 use column::{Column, Unknown};
+use displacements::Displacements;
 pub use doubt::Doubt;
 use echoes::Echoes;
 use finding::Detail;
 pub use finding::{DOUBT_SHARE, Finding, Found};
+pub use handovers::Handovers;
 use headings::{Convention, Headings};
 pub use live::LiveAudit;
 pub use noise::{Noise, TypeNoise, noise_words};
@@ -119,6 +123,10 @@ pub struct Audit {
     extent: Extent,
     stacks: Stacks,
     echoes: Echoes,
+    displacements: Displacements,
+    handovers: Handovers,
+    /// Whether detections count as detections without identities.
+    ignores_ids: bool,
     /// Detections of agents that are too fast for their type, and their speed.
     fast: [(Tally, f64); TYPES.len()],
     /// Detections without identities.
@@ -154,6 +162,9 @@ impl Audit {
             extent: Extent::default(),
             stacks: Stacks::new(),
             echoes: Echoes::new(),
+            displacements: Displacements::new(),
+            handovers: Handovers::default(),
+            ignores_ids: false,
             fast: Default::default(),
             loose: Tally::default(),
             long: 0,
@@ -175,12 +186,36 @@ impl Audit {
         (self.extent, self.fast, self.loose) = Default::default();
         self.stacks.clear();
         self.echoes.clear();
+        self.displacements.clear();
+        self.handovers.clear();
     }
 
     /// Forgets the agents: their stamps have no meaning any more.
     pub fn end_session(&mut self) {
         self.agents.clear();
         self.echoes.clear();
+        self.displacements.end_session();
+        self.handovers.end_session();
+    }
+
+    /// Discards the counts of changed identities: nobody uses the identities.
+    pub(crate) fn forget_handovers(&mut self) {
+        self.handovers.clear();
+    }
+
+    /// Whether the identities change while their agents continue: they are none.
+    #[must_use]
+    pub fn identities_change(&self) -> bool {
+        self.handovers.doubt().is_some()
+    }
+
+    /// Examines the detections from here on as if they had no identities. Of the findings so far only the one about
+    /// identities remains, because the others rest on them.
+    pub fn ignore_identities(&mut self) {
+        let handovers = std::mem::take(&mut self.handovers);
+        self.restart();
+        self.end_session();
+        (self.handovers, self.ignores_ids) = (handovers, true);
     }
 
     /// Starts a frame. The detections that follow were made at about the same time.
@@ -203,6 +238,7 @@ impl Audit {
         self.stamps.row(stamp_ns, self.frames);
         self.extent.row(&spot);
         self.stacks.row(self.frames, detection, place);
+        self.displacements.detection(self.frames, stamp_ns, detection, place);
         if let Some(heading) = spot.heading {
             self.headings.row(heading, place);
         }
@@ -219,7 +255,8 @@ impl Audit {
                 self.long += 1;
             }
         }
-        let step = if detection.has(detection_flags::HAS_ID) {
+        let step = if detection.has(detection_flags::HAS_ID) && !self.ignores_ids {
+            self.handovers.detection(self.frames, stamp_ns, detection, place);
             self.agents.identified(detection.id, agent_type, spot)
         } else {
             if spot.is_placeholder() {
@@ -379,6 +416,7 @@ impl Audit {
         if let Some(interval_s) = self.stamps.sparse_s() {
             take(Finding::new(Doubt::Sparse, self.loose, self.rows, Detail::Interval { interval_s }));
         }
+        self.handovers.doubt().into_iter().for_each(&mut take);
         let is_grid = self.on_grid_rows > self.repeated_off_grid.rows;
         let repeated = if is_grid { self.repeated_off_grid } else { self.repeated };
         for (doubt, tally) in [
@@ -386,6 +424,7 @@ impl Audit {
             (Doubt::Repeated, repeated),
             (Doubt::Outliers, self.outliers),
             (Doubt::IdentitiesJump, self.jumps),
+            (Doubt::AllDisplaced, self.displacements.displaced()),
         ] {
             if tally.rows > 0 {
                 take(Finding::new(doubt, tally, self.rows, Detail::None));

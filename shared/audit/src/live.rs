@@ -1,4 +1,4 @@
-use wire::{Detection, Header};
+use wire::{Detection, Header, flags};
 
 use crate::{Audit, ClockSet, Doubt, Finding, Place};
 
@@ -28,6 +28,7 @@ pub struct LiveAudit {
     found: u32,
     /// Doubts that were not logged yet.
     new: u32,
+    ignores_identities: bool,
 }
 
 impl Default for LiveAudit {
@@ -40,6 +41,7 @@ impl Default for LiveAudit {
             current: 0,
             found: 0,
             new: 0,
+            ignores_identities: false,
         }
     }
 }
@@ -66,6 +68,16 @@ impl LiveAudit {
             self.audit.detection(header.stamp_ns.saturating_add(detection.offset_ns), detection, place);
         }
         self.frames += 1;
+        if !header.has(flags::HAS_IDENTITIES) {
+            self.audit.forget_handovers();
+        } else if !self.ignores_identities && self.audit.identities_change() {
+            self.audit.ignore_identities();
+            self.ignores_identities = true;
+            let bit = Doubt::IdentitiesChange.bit();
+            (self.settled, self.current) = (self.settled | bit, 0);
+            self.new |= bit & !self.found;
+            self.found |= bit;
+        }
         if self.frames.is_multiple_of(LOOK_FRAMES) {
             self.look();
         }
@@ -79,6 +91,11 @@ impl LiveAudit {
             self.settled |= std::mem::take(&mut self.current);
             self.audit.restart();
         }
+    }
+
+    /// Whether the identities were found to be none.
+    pub const fn ignores_identities(&self) -> bool {
+        self.ignores_identities
     }
 
     /// Bits of the doubts so far.

@@ -1,11 +1,11 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use audit::{Audit, Doubt, Found, Place, TypeFigures, TypeNoise};
+use audit::{Audit, Doubt, Found, Handovers, Place, TypeFigures, TypeNoise};
 use serde::Serialize;
 use wire::{Detection, detection_flags};
 
-use crate::{BagTopic, LeftOut, Recording};
+use crate::{BagTopic, Frame, LeftOut, Recording};
 
 /// Maximum number of identities in the audit of a recording at the same time.
 const IDENTITIES: usize = 4_096;
@@ -172,33 +172,66 @@ pub(crate) fn drop_unknown(recording: &mut Recording) {
     }
 }
 
-fn examine(recording: &Recording) -> (Audit, Vec<Found>) {
-    let mut audit = Audit::new(IDENTITIES, recording.frame_rate.map(|rate| rate.hertz()));
-    let mut paths: Vec<&Arc<str>> = Vec::new();
-    for frame in &recording.frames {
-        audit.frame();
-        for (place, detection) in frame.detections.iter().enumerate() {
+/// Removes the identities of a recording if they change while their agents continue, and keeps the finding.
+pub(crate) fn drop_false_identities(recording: &mut Recording) {
+    if !recording.has_identities {
+        return;
+    }
+    let mut handovers = Handovers::default();
+    let mut files = Files::default();
+    for (number, frame) in (1..).zip(&recording.frames) {
+        for (nth, detection) in frame.detections.iter().enumerate() {
             let stamp_ns = frame.stamp_ns + detection.offset_ns;
-            let Some(line) = frame.lines.get(place) else {
-                audit.detection(stamp_ns, detection, Place::default());
-                continue;
-            };
-            let file = paths.iter().position(|path| Arc::ptr_eq(path, &line.path)).unwrap_or_else(|| {
-                paths.push(&line.path);
-                paths.len() - 1
-            });
-            let written = frame.written(place).unwrap_or(*detection);
-            audit.detection(stamp_ns, &written, Place { file: file as u32, line: line.line as u64 });
+            handovers.detection(number, stamp_ns, detection, files.place(frame, nth));
         }
     }
-    let place = |Place { file, line }: Place| match paths.get(file as usize) {
-        Some(path) => format!("{path}:{line}"),
-        None => format!("line {line}"),
-    };
+    let Some(doubt) = handovers.doubt() else { return };
+    let found = doubt.found(|place| files.name(place));
+    recording.findings.push(found);
+    recording.has_identities = false;
+    for detection in recording.frames.iter_mut().flat_map(|frame| &mut frame.detections) {
+        (detection.id, detection.flags) = (0, detection.flags & !detection_flags::HAS_ID);
+    }
+}
+
+fn examine(recording: &Recording) -> (Audit, Vec<Found>) {
+    let mut audit = Audit::new(IDENTITIES, recording.frame_rate.map(|rate| rate.hertz()));
+    let mut files = Files::default();
+    for frame in &recording.frames {
+        audit.frame();
+        for (nth, detection) in frame.detections.iter().enumerate() {
+            let stamp_ns = frame.stamp_ns + detection.offset_ns;
+            let written = frame.written(nth).unwrap_or(*detection);
+            audit.detection(stamp_ns, &written, files.place(frame, nth));
+        }
+    }
     let findings = audit.findings();
-    let findings = findings.iter().map(|finding| finding.found(place));
+    let findings = findings.iter().map(|finding| finding.found(|place| files.name(place)));
     let findings = recording.findings.iter().cloned().chain(findings).collect();
     (audit, findings)
+}
+
+/// The files of a recording, by the number in a [`Place`].
+#[derive(Default)]
+struct Files<'a>(Vec<&'a Arc<str>>);
+
+impl<'a> Files<'a> {
+    /// The place of a frame's detection.
+    fn place(&mut self, frame: &'a Frame, nth: usize) -> Place {
+        let Some(line) = frame.lines.get(nth) else { return Place::default() };
+        let file = self.0.iter().position(|path| Arc::ptr_eq(path, &line.path)).unwrap_or_else(|| {
+            self.0.push(&line.path);
+            self.0.len() - 1
+        });
+        Place { file: file as u32, line: line.line as u64 }
+    }
+
+    fn name(&self, place: Place) -> String {
+        match self.0.get(place.file as usize) {
+            Some(path) => format!("{path}:{}", place.line),
+            None => format!("line {}", place.line),
+        }
+    }
 }
 
 impl From<TypeFigures> for TypeInspection {

@@ -57,8 +57,12 @@ fn tracked(sec: i32, uuids: &[u8]) -> (&'static str, &'static str, Vec<u8>) {
 
 /// A bag of messages: topic, schema and bytes of each.
 pub fn bag(messages: &[(&str, &str, Vec<u8>)]) -> Vec<u8> {
+    bag_with(mcap::WriteOptions::new(), messages)
+}
+
+fn bag_with(options: mcap::WriteOptions, messages: &[(&str, &str, Vec<u8>)]) -> Vec<u8> {
     let mut bytes = Cursor::new(Vec::new());
-    let mut writer = mcap::WriteOptions::new().compression(None).create(&mut bytes).expect("a bag in memory");
+    let mut writer = options.compression(None).create(&mut bytes).expect("a bag in memory");
     for (place, (topic, schema, data)) in messages.iter().enumerate() {
         let schema = writer.add_schema(schema, "ros2msg", b"").expect("a bag in memory");
         let channel_id = writer.add_channel(schema, topic, "cdr", &BTreeMap::new()).expect("a bag in memory");
@@ -169,20 +173,7 @@ fn a_bag_that_ends_in_the_middle_is_doubtful() {
         |bytes: Vec<u8>| parse(Format::Rosbag, &[Input::new(Role::Rows, "drive.mcap", bytes)]).unwrap();
     assert_eq!(open(whole.clone()).findings, []);
     // The only chunk is cut, so its messages are written without a chunk.
-    let mut loose = Cursor::new(Vec::new());
-    let options = mcap::WriteOptions::new().compression(None).use_chunks(false);
-    let mut writer = options.create(&mut loose).unwrap();
-    for (place, (topic, schema, data)) in messages.iter().enumerate() {
-        let schema = writer.add_schema(schema, "ros2msg", b"").unwrap();
-        let channel_id = writer.add_channel(schema, topic, "cdr", &BTreeMap::new()).unwrap();
-        let log_time = place as u64;
-        let header =
-            mcap::records::MessageHeader { channel_id, sequence: 0, log_time, publish_time: log_time };
-        writer.write_to_known_channel(&header, data).unwrap();
-    }
-    writer.finish().unwrap();
-    drop(writer);
-    let loose = loose.into_inner();
+    let loose = bag_with(mcap::WriteOptions::new().use_chunks(false), &messages);
     assert_eq!(open(loose.clone()).findings, []);
     for zeros in [0, 65_536] {
         let cut = [&loose[..loose.len() / 2], &vec![0; zeros]].concat();
@@ -196,6 +187,27 @@ fn a_bag_that_ends_in_the_middle_is_doubtful() {
         );
         assert!(found.sentence.contains(&format!("stamp {last_s}.000")), "{found}");
         assert!(data::findings(&recording).contains(found));
+    }
+}
+
+#[test]
+fn zeros_in_the_middle_of_a_bag_without_check_values_are_found() {
+    let car = |sec| detected(sec, "map", 3.0 * f64::from(sec), label::CAR);
+    let options = mcap::WriteOptions::new().calculate_chunk_crcs(false).chunk_size(Some(20_000));
+    let whole = bag_with(options, &(1..400).map(car).collect::<Vec<_>>());
+    let open = |bytes| parse(Format::Rosbag, &[Input::new(Role::Rows, "drive.mcap", bytes)]).unwrap();
+    assert_eq!(open(whole.clone()).findings, []);
+    // The messages end before the index.
+    for at in (4_096..120_000).step_by(7_001) {
+        let mut torn = whole.clone();
+        torn[at..at + 4_096].fill(0);
+        let recording = open(torn);
+        // Zeros may cover the end of a chunk and the start of the next one.
+        let kinds: Vec<&str> = recording.findings.iter().map(|found| &found.kind[..]).collect();
+        assert!(
+            [&["damaged"][..], &["cut_off"], &["cut_off", "damaged"]].contains(&&kinds[..]),
+            "{at}: {kinds:?}"
+        );
     }
 }
 

@@ -66,14 +66,35 @@ pub fn unpacked_file(bytes: &[u8], most: u64) -> Result<Cow<'_, [u8]>, String> {
     }
 }
 
+/// The parts of a bag that can't be read.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Damage {
+    /// The byte at which the file is cut off.
+    pub cut: Option<usize>,
+    /// The chunks without a check value whose records do not follow each other, by their first byte. Their records up
+    /// to the damage are read.
+    pub chunks: Vec<usize>,
+}
+
 /// Calls `take` with each message, in the order of the file. A file that was cut off has the messages up to its
-/// last whole record. Returns the place of the cut, or `None` if the file is whole.
+/// last whole record. Returns what can't be read.
 ///
 /// # Errors
 /// The damaged part of the file, or the error of `take`.
 pub fn bag_messages<E: From<String>>(
     bytes: &[u8],
     mut take: impl FnMut(BagMessage<'_>) -> Result<(), E>,
+) -> Result<Damage, E> {
+    let mut chunks = Vec::new();
+    let cut = messages(bytes, &mut chunks, &mut take)?;
+    Ok(Damage { cut, chunks })
+}
+
+/// Reads the messages, and returns the place of the cut. `damaged` receives the damaged chunks.
+fn messages<E: From<String>>(
+    bytes: &[u8],
+    damaged: &mut Vec<usize>,
+    take: &mut impl FnMut(BagMessage<'_>) -> Result<(), E>,
 ) -> Result<Option<usize>, E> {
     let mut rest = bytes.strip_prefix(MAGIC).ok_or_else(|| "not an MCAP file".to_owned())?;
     let (mut known, mut allowance) = (Known::default(), Allowance::new(bytes.len() as u64));
@@ -86,6 +107,7 @@ pub fn bag_messages<E: From<String>>(
             0 => return Ok(Some(at)),
             op::CHUNK => {
                 allowance.take(unpacked_len(body))?;
+                let limits = Limits::of(body);
                 let chunk = match unpack(body) {
                     Err(_) if is_last => return Ok(Some(at)),
                     chunk => chunk?,
@@ -95,12 +117,20 @@ pub fn bag_messages<E: From<String>>(
                     return Ok(Some(at));
                 }
                 while let Some((op, body)) = record(&mut chunk) {
-                    known.take(op, body, &mut take)?;
+                    if limits.is_some_and(|limits| !known.fits(op, body, limits)) {
+                        damaged.push(at);
+                        chunk = &[];
+                        break;
+                    }
+                    known.take(op, body, take)?;
+                }
+                if limits.is_some() && !chunk.is_empty() {
+                    damaged.push(at);
                 }
             }
             op::MESSAGE if is_last && body.last() == Some(&0) => return Ok(Some(at)),
             op::DATA_END | op::FOOTER => return Ok(None),
-            op => known.take(op, body, &mut take)?,
+            op => known.take(op, body, take)?,
         }
     }
 }
@@ -117,7 +147,37 @@ fn is_whole(mut chunk: &[u8]) -> bool {
     is_whole && chunk.is_empty()
 }
 
+/// First and last time of the messages in a chunk without a check value, in ns.
+#[derive(Clone, Copy, Debug)]
+struct Limits([u64; 2]);
+
+impl Limits {
+    /// The limits of a chunk, from its record. `None` if the chunk has a check value.
+    fn of(body: &[u8]) -> Option<Self> {
+        let u64_at = |at: usize| Some(u64::from_le_bytes(*body.get(at..)?.first_chunk()?));
+        let has_check_value = body.get(24..28)? != [0; 4];
+        if has_check_value { None } else { Some(Self([u64_at(0)?, u64_at(8)?])) }
+    }
+}
+
 impl Known {
+    /// Whether a record can be one of this chunk: it can be parsed, and a message has a known channel and a time of the
+    /// chunk. Some writers leave out the times.
+    fn fits(&self, op: u8, body: &[u8], Limits([first_ns, last_ns]): Limits) -> bool {
+        match op {
+            0 => false,
+            op::SCHEMA | op::CHANNEL => mcap::parse_record(op, body).is_ok(),
+            op::MESSAGE => match mcap::parse_record(op, body) {
+                Ok(Record::Message { header, .. }) => {
+                    self.channels.contains_key(&header.channel_id)
+                        && (last_ns == 0 || (first_ns..=last_ns).contains(&header.log_time))
+                }
+                _ => false,
+            },
+            _ => true,
+        }
+    }
+
     fn take<E: From<String>>(
         &mut self,
         op: u8,

@@ -84,6 +84,10 @@ pub mod doubts {
         pub const SPARSE: u32 = 1 << 22;
         /// Agents take the same paths twice, by two clocks.
         pub const SEEN_TWICE: u32 = 1 << 23;
+        /// Identities change while their agents continue.
+        pub const IDENTITIES_CHANGE: u32 = 1 << 24;
+        /// All agents are displaced at once.
+        pub const ALL_DISPLACED: u32 = 1 << 25;
     }
 }
 

@@ -16,6 +16,7 @@
 //!
 //! The objects become rows of [`crate::formats::csv`], which checks their values.
 
+mod damage;
 mod objects;
 mod predicted;
 mod transforms;
@@ -29,9 +30,10 @@ use interop::autoware::EGO;
 use interop::cdr::{Cdr, from_bytes};
 use interop::messages::{DetectedObjects, Header, TfMessage, Time, TrackedObjects};
 use nalgebra::Isometry3;
-use recording::{BagMessage, bag_messages};
+use recording::{BagMessage, Damage, bag_messages};
 use wire::{POSITION_MAX_M, WorldOrigin};
 
+use self::damage::{cut_finding, damage_finding, doubt};
 use self::objects::heading_rad;
 pub use self::objects::{Object, Placed};
 pub use self::predicted::{PredictedAgent, PredictedFrame, PredictedPath, predicted_objects};
@@ -99,7 +101,7 @@ pub(crate) fn parse(inputs: &[Input]) -> Result<Recording, ReadError> {
     let input = need(inputs, Role::Rows)?;
     let parts: Vec<&Input> = inputs.iter().filter(|input| input.role == Role::Rows).collect();
     let failed = |problem: Problem| problem.of(&parts);
-    let Bag { mut messages, transforms, cuts, undecoded, ignored, topics } =
+    let Bag { mut messages, transforms, damage, undecoded, ignored, topics } =
         read(&parts, &input.topics).map_err(failed)?;
     let zero_stamps = replace_zero_stamps(&mut messages);
     let mut frames: Vec<&str> = messages.iter().map(|message| bare(&message.header.frame_id)).collect();
@@ -134,8 +136,9 @@ pub(crate) fn parse(inputs: &[Input]) -> Result<Recording, ReadError> {
     }
     recording.topics = topics;
     recording.findings.extend(zero_stamps);
-    for (part, at) in cuts {
-        recording.findings.push(cut_finding(parts[part], at, &recording));
+    for (part, Damage { cut, chunks }) in damage {
+        let cut = cut.map(|at| cut_finding(parts[part], at, &recording));
+        recording.findings.extend(cut.into_iter().chain(damage_finding(parts[part], &chunks)));
     }
     if let Some((of_message, Problem(place, problem))) = lost {
         let (rows, of) = (of_message, messages.len() as u64);
@@ -172,25 +175,6 @@ pub(crate) fn parse(inputs: &[Input]) -> Result<Recording, ReadError> {
     Ok(recording)
 }
 
-/// A doubt about the file as a whole.
-fn doubt(kind: &str, sentence: String) -> Found {
-    Found { kind: kind.to_owned(), sentence, doubtful: true, ..Found::default() }
-}
-
-/// The doubt about a file that ends in the middle.
-fn cut_finding(part: &Input, at: usize, recording: &Recording) -> Found {
-    let (path, len) = (&part.path, part.bytes.len());
-    let stamps_ns = || recording.frames.iter().map(|frame| frame.stamp_ns);
-    let last_ns = stamps_ns().next_back().unwrap_or(0);
-    let span_s = (last_ns - stamps_ns().next().unwrap_or(0)) as f64 * 1e-9;
-    let last_s = last_ns as f64 * 1e-9;
-    let sentence = format!(
-        "the file {path} is cut off at byte {at} of {len}: it is played up to {span_s:.3} s, stamp {last_s:.3}, and what \
-         followed is missing"
-    );
-    doubt("cut_off", sentence)
-}
-
 /// Replaces stamps of 0 by the times at which the messages were recorded, and returns the doubt about them.
 fn replace_zero_stamps(messages: &mut [Message]) -> Option<Found> {
     let is_zero = |message: &&mut Message| stamp_ns(&message.header.stamp) == 0 && message.log_ns > 0;
@@ -215,8 +199,8 @@ struct Bag {
     /// Messages of the topics that are played.
     messages: Vec<Message>,
     transforms: Transforms,
-    /// Parts that are cut off, and the byte of the cut.
-    cuts: Vec<(usize, usize)>,
+    /// The damage of each part.
+    damage: Vec<(usize, Damage)>,
     /// Messages that can't be decoded.
     undecoded: usize,
     /// The note about topics with objects that are not played, or that are merged.
@@ -230,9 +214,9 @@ fn read(parts: &[&Input], chosen: &[String]) -> Result<Bag, Problem> {
     let (mut messages, mut transforms) = (Vec::new(), Transforms::default());
     let mut all: BTreeMap<(String, String), usize> = BTreeMap::new();
     let mut topics: BTreeMap<(usize, Arc<str>), usize> = BTreeMap::new();
-    let (mut cuts, mut undecoded, mut damage) = (Vec::new(), 0, None);
+    let (mut damage, mut undecoded, mut first_problem) = (Vec::new(), 0, None);
     for (part, input) in parts.iter().enumerate() {
-        let cut = bag_messages(&input.bytes, |message: BagMessage<'_>| -> Result<(), Problem> {
+        let damaged = bag_messages(&input.bytes, |message: BagMessage<'_>| -> Result<(), Problem> {
             *all.entry((message.topic.to_owned(), message.schema.to_owned())).or_default() += 1;
             let decoded = if message.schema == TfMessage::DEFINITION.name {
                 add_transforms(part, &message, &mut transforms).map(|()| None)
@@ -247,15 +231,14 @@ fn read(parts: &[&Input], chosen: &[String]) -> Result<Bag, Problem> {
                 Ok(None) => {}
                 Err(problem) => {
                     undecoded += 1;
-                    damage.get_or_insert(problem);
+                    first_problem.get_or_insert(problem);
                 }
             }
             Ok(())
         });
-        cuts.extend(
-            cut.map_err(|Problem(_, problem)| Problem(Some(Place { part, number: 0 }), problem))?
-                .map(|at| (part, at)),
-        );
+        let damaged =
+            damaged.map_err(|Problem(_, problem)| Problem(Some(Place { part, number: 0 }), problem))?;
+        damage.push((part, damaged));
     }
     if let Some(missing) = chosen.iter().find(|name| !topics.keys().any(|(_, topic)| topic[..] == name[..])) {
         let mut known: Vec<&str> = topics.keys().map(|(_, topic)| &topic[..]).collect();
@@ -267,8 +250,8 @@ fn read(parts: &[&Input], chosen: &[String]) -> Result<Bag, Problem> {
         .into());
     }
     let Some(kind) = messages.iter().map(|(kind, _)| *kind).min() else {
-        if let Some(damage) = damage {
-            return Err(damage);
+        if let Some(problem) = first_problem {
+            return Err(problem);
         }
         let mut schemas: Vec<&str> = all.keys().map(|(_, schema)| schema.as_str()).collect();
         schemas.sort_unstable();
@@ -292,7 +275,7 @@ fn read(parts: &[&Input], chosen: &[String]) -> Result<Bag, Problem> {
     });
     let mut topics: Vec<BagTopic> = all.collect();
     topics.sort_by_key(|topic| !topic.is_read);
-    Ok(Bag { messages, transforms, cuts, undecoded, ignored, topics })
+    Ok(Bag { messages, transforms, damage, undecoded, ignored, topics })
 }
 
 /// The note about the topics with objects, if there are several.
