@@ -363,6 +363,11 @@ fn two_runs_have_a_verdict_and_the_largest_difference() {
         "one slider"
     );
     assert!(browser.text("#largest tr[data-place]").starts_with("vehicle 7"));
+    let row = browser.value("comparedRow('x', 1, 1.0001, 3) + comparedRow('y', 2, 1.5, 1)");
+    assert_eq!(
+        row,
+        "<tr><td>x</td><td>1.000</td><td>1.000</td><td>0.000</td></tr><tr><td>y</td><td>2.0</td><td>1.5</td><td>−0.5</td></tr>"
+    );
     browser.click("#largest tr[data-place]");
     browser.click("[data-truth]");
     browser.wait_for("scenes.at(-1).selected === '7' && scenes.at(-1).later.get('7').length > 20 && scenes.at(-1).past.length === 10");
