@@ -234,6 +234,14 @@ fn two_runs_are_side_by_side_and_a_report_alone_is_enough() {
         assert!(stderr(&refused).contains("--force") && !refused.status.success(), "{}", stderr(&refused));
     }
     run_well(&["report", &a, &b, "--out", &page, "--force"]);
+    // `diff` writes the same page of two files of a kind.
+    let [second, of_diff] = ["b.mcap", "diff.html"].map(|name| scratch.path(name));
+    run_well(&[&scene[..], &["--seed", "2", "--record", &second]].concat());
+    let differ = run(&["diff", &a, &second, "--html", &of_diff]);
+    assert!(stdout(&differ).contains("the runs differ in seed: 1 and 2"), "{}", stderr(&differ));
+    run_well(&["report", &a, &second, "--out", &scratch.path("of-report.html")]);
+    assert_eq!(scratch.read("diff.html"), scratch.read("of-report.html"));
+    assert!(stderr(&run(&["diff", &a, &second, "--html", &of_diff])).contains("--force"));
     let refused = run(&["report", &scratch.path("missing.mcap")]);
     assert!(!refused.status.success() && stderr(&refused).contains("missing.mcap"));
     let url = format!("file://{page}");

@@ -9,8 +9,10 @@ use recording::{About, Comparison};
 use run::Exit;
 
 use crate::differences::{table, title};
+use crate::files::check_new;
 use crate::recorded::{self, open_and_check};
 use crate::report_differences::ReportComparison;
+use crate::verbs::report::write_page;
 
 /// Arguments of `stgdat diff`.
 #[derive(Debug, Args)]
@@ -24,11 +26,23 @@ pub struct Arguments {
     /// Print the comparison as JSON
     #[arg(long)]
     json: bool,
+    /// Also write the comparison as an HTML page, as `stgdat report A B` does
+    #[arg(long, value_name = "FILE")]
+    html: Option<PathBuf>,
+    /// Replace the file of --html if it exists
+    #[arg(long, requires = "html")]
+    force: bool,
 }
 
 /// Compares two recordings tick by tick, or two reports figure by figure and agent by agent.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
-    match [is_report(&arguments.a)?, is_report(&arguments.b)?] {
+    let kinds = [is_report(&arguments.a)?, is_report(&arguments.b)?];
+    if let (Some(page), true) = (&arguments.html, kinds[0] == kinds[1]) {
+        check_new(page, arguments.force)?;
+        // The comparison below names damaged parts.
+        write_page(page, &[&arguments.a, &arguments.b])?;
+    }
+    match kinds {
         [false, false] => recordings(arguments),
         [true, true] => reports(arguments),
         [first, _] => {

@@ -31,18 +31,26 @@ pub struct Arguments {
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let path = arguments.out.clone().unwrap_or_else(|| arguments.run.with_extension("html"));
     check_new(&path, arguments.force)?;
-    let mut damages = Vec::new();
-    let mut runs = Vec::new();
-    for path in [Some(&arguments.run), arguments.other.as_ref()].into_iter().flatten() {
-        let (run, damaged) = load(path)?;
-        runs.push(run);
-        damages.extend(damaged);
-    }
-    write(&path, &runs)?;
+    let files: Vec<&Path> =
+        std::iter::once(&arguments.run).chain(&arguments.other).map(PathBuf::as_path).collect();
+    let damages = write_page(&path, &files)?;
     if !recorder::is_standard_output(&path) {
         say!("{}", path.display());
     }
     recorded::end_with(damages)
+}
+
+/// Writes the page of one or two runs. Returns the damaged parts of their recordings.
+pub fn write_page(path: &Path, files: &[&Path]) -> Result<Vec<ReadError>, Failure> {
+    let mut damages = Vec::new();
+    let mut runs = Vec::new();
+    for file in files {
+        let (run, damaged) = load(file)?;
+        runs.push(run);
+        damages.extend(damaged);
+    }
+    write(path, &runs)?;
+    Ok(damages)
 }
 
 /// Reads a report or a recording. A recording takes its report from the file of the same name that ends in

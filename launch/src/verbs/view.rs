@@ -18,7 +18,7 @@ use rustix::process::{Pid, Signal, kill_process};
 use supervisor::{die_with_this_process, end_within};
 use telemetry::observe::address;
 use telemetry::top::Client;
-use view::{Live, MODES_DRAWN, Pairing, Scene};
+use view::{Foresight, Live, MODES_DRAWN, Pairing, Scene};
 use wire::{ForecastsTopic, MODES_MAX, Topic as _, TracksTopic};
 
 use crate::arguments::{lanes_of, map_path};
@@ -118,12 +118,14 @@ fn follow(run: &LivingRun, status: &Client, live: &Live, stop: &Stop) -> Result<
         return Ok(());
     };
     let mut pairing = Pairing::default();
+    let mut foresight = Foresight::default();
     let mut asked: Option<Instant> = None;
     while live.browsers() > 0 && !stop.requested() && !tap.is_closed() {
         match tap.next(WAIT).map_err(Failure::unavailable)? {
             Some(Item::Frame(frame)) => {
                 if let Some(view) = pairing.take(frame) {
-                    live.tick(&Scene::new(&view, MODES_DRAWN).to_json());
+                    let scene = Scene::new(&view, MODES_DRAWN).foreseen(&view, &foresight.of(&view));
+                    live.tick(&scene.to_json());
                 }
             }
             Some(Item::Refused(why)) => return Err(Failure::unavailable_about(&run.name, why)),

@@ -126,8 +126,9 @@ function verdictOnTimes(a, b) {
 function comparedRow(name, a, b, digits) {
   if (!Number.isFinite(a) && !Number.isFinite(b)) return "";
   const text = (value) => (Number.isFinite(value) ? value.toFixed(digits) : "–");
-  const apart = b - a;
-  return `<tr><td>${name}</td><td>${text(a)}</td><td>${text(b)}</td><td>${Number.isFinite(apart) ? (apart > 0 ? "+" : apart < 0 ? "−" : "") + Math.abs(apart).toFixed(digits) : "–"}</td></tr>`;
+  const size = Math.abs(b - a).toFixed(digits);
+  const sign = +size === 0 ? "" : b > a ? "+" : "−";
+  return `<tr><td>${name}</td><td>${text(a)}</td><td>${text(b)}</td><td>${Number.isFinite(b - a) ? sign + size : "–"}</td></tr>`;
 }
 
 function comparison([a, b]) {
@@ -146,7 +147,7 @@ function comparison([a, b]) {
     comparedRow("end to end p99, ms", a.report.end_to_end_ms.p99 ?? NaN, b.report.end_to_end_ms.p99 ?? NaN, 2),
     comparedRow("late ticks", a.report.late_ticks, b.report.late_ticks, 0), comparedRow("lost frames", a.report.drops, b.report.drops, 0),
   ].join("");
-  const largest = agents.filter(({ most }) => most > 0.005).sort((x, y) => Math.abs(y.b - y.a) / y.count - Math.abs(x.b - x.a) / x.count).slice(0, COMPARED_MAX);
+  const largest = agents.filter(({ a, b, count }) => Math.abs(b - a) / count >= 0.005).sort((x, y) => Math.abs(y.b - y.a) / y.count - Math.abs(x.b - x.a) / x.count).slice(0, COMPARED_MAX);
   const list = largest.map(({ n, t, a, b, count, place, i }) => `<tr data-place="${place}" data-i="${i}"><td>${TYPES[t]} ${escaped(n)}</td>
     <td>${(a / count).toFixed(2)}</td><td>${(b / count).toFixed(2)}</td><td>${b > a ? "+" : "−"}${(Math.abs(b - a) / count).toFixed(2)}</td></tr>`).join("");
   const card = element(`<section id="compare">

@@ -9,8 +9,6 @@ const live = {
   at: null, // the ordinal of the shown tick; null for the newest
   playing: null, // since when time runs from an earlier tick
   reasons: null, // of the verdict, as last seen
-  conflictsNext: 0, // when conflicts are looked for again
-  conflictsLater: null, // the timer of that look
 };
 const ring = new Ring();
 const scene = new SceneCanvas($("scene"), {
@@ -140,11 +138,9 @@ function showDetails() {
   live.later = null;
   const shown = scene.scene;
   if (!shown || !ring.ticks.length) return;
-  const ego = egoNow(shown);
-  findConflicts(shown, ego);
   showQuality();
   showAgent();
-  showAgents(shown, ego);
+  showAgents(shown, egoPath(shown));
   showConflicts(shown);
   showLegend(shown);
   showMarks();
@@ -155,24 +151,21 @@ function showDetails() {
   live.shown = performance.now();
 }
 
-// Looks for conflicts, in at most a tenth of the page's time.
-function findConflicts(shown, ego) {
-  const now = performance.now();
-  clearTimeout(live.conflictsLater);
-  if (now < live.conflictsNext) {
-    // Without another tick, the shown one still gets its conflicts.
-    live.conflictsLater = setTimeout(showDetails, live.conflictsNext - now);
-    return;
-  }
-  scene.conflicts = conflictsOf(shown, ego);
-  scene.request();
-  live.conflictsNext = now + 10 * (performance.now() - now);
+// The ego vehicle's path as positions in cm, the present one first; null if it is unknown.
+function egoPath({ ego, g }) {
+  if (!ego || !g || !g.length) return null;
+  const [x, y] = [ego[0] * 100, ego[1] * 100];
+  return Array.from({ length: g.length / 2 + 1 }, (_, step) => (step ? [x + g[2 * step - 2], y + g[2 * step - 1]] : [x, y]));
 }
 
-// The ego vehicle as an agent, from its poses half a second apart.
-function egoNow(shown) {
-  const before = shown.ego && ring.nearest(shown.t - 0.5, 0.3);
-  return before && before.ego ? egoAgent(shown, before.ego, shown.t - before.t) : null;
+// The distance in m of an agent from the ego vehicle's path, now or on its single best forecast at the same time.
+function distanceFromPath(path, { p, f }) {
+  const apart = path.map(([x, y], step) => {
+    const now = Math.hypot(p[0] - x, p[1] - y);
+    const at = 2 * step - 2;
+    return step && f && at < f.b.length ? Math.min(now, Math.hypot(p[0] + f.b[at] - x, p[1] + f.b[at + 1] - y)) : now;
+  });
+  return Math.min(...apart) / 100;
 }
 
 function showLegend(tick) {
@@ -263,13 +256,13 @@ function whyOf({ t, f }) {
 // The list of agents: rows stay the same elements, so that a click between two ticks is not lost.
 const agentRows = new Map();
 
-function showAgents(shown, ego) {
+function showAgents(shown, path) {
   $("agents").tHead.innerHTML ||= "<tr><th>id</th><th class=left>type</th><th>m/s</th><th class=left>quality</th><th>error</th><th>path</th></tr>";
-  $("order").textContent = ego ? "m; nearest to the ego's path first" : "mean error, m; largest first";
+  $("order").textContent = path ? "m; nearest to the ego's path first" : "mean error, m; largest first";
   const wanted = $("search").value.trim().toLowerCase();
-  const rows = shown.agents.map((agent) => ({ agent, near: ego ? distanceFromPath(ego, agent) : null }))
+  const rows = shown.agents.map((agent) => ({ agent, near: path ? distanceFromPath(path, agent) : null }))
     .filter(({ agent }) => !wanted || `${agent.n} ${TYPES[agent.t]} ${agent.f ? `${QUALITIES[agent.f.q]} ${causeWords(agent.f.c)}` : ""}`.includes(wanted));
-  rows.sort((a, b) => (ego ? a.near - b.near : (b.agent.meanError ?? NONE) - (a.agent.meanError ?? NONE)));
+  rows.sort((a, b) => (path ? a.near - b.near : (b.agent.meanError ?? NONE) - (a.agent.meanError ?? NONE)));
   const present = new Set(rows.map(({ agent }) => agent.i));
   for (const [id, row] of agentRows) {
     if (!present.has(id)) {
@@ -303,15 +296,16 @@ function select(id) {
   refresh();
 }
 
-function showConflicts(shown) {
-  const name = (agent) => (agent.i === "ego" ? "<b>ego</b>" : escaped(`${TYPES[agent.t]} ${agent.n}`));
-  const html = scene.conflicts.map(({ a, b, p, m, t, x, y }) => `<tr data-a="${escaped(a.i)}" data-b="${escaped(b.i)}" data-x="${x}" data-y="${y}">` +
-    `<td>${name(a)} – ${name(b)}</td><td>in ${t.toFixed(1)} s</td><td class="${p > 0.2 ? "bad" : ""}">${Math.round(p * 100)} %</td>` +
-    `<td title="if nobody reacts">${Math.round(m * 100)} %</td></tr>`).join("") ||
-    '<tr><td class="soft">none within the horizon</td></tr>';
-  if (live.conflicts !== html) $("conflicts").innerHTML = live.conflicts = html;
-  $("conflict-note").textContent = "probability, and if nobody reacts";
-  $("conflict-note").title = shown.ego ? "the ego vehicle keeps its speed and its rate of turn" : "";
+function showConflicts({ agents, k = [], ego }) {
+  const name = (agent) => (agent ? escaped(`${TYPES[agent.t]} ${agent.n}`) : "<b>ego</b>");
+  const names = (a, b) => (a && b && a.t === b.t ? escaped(`${PLURALS[a.t]} ${a.n} – ${b.n}`) : `${name(a)} – ${name(b)}`);
+  const html = k.map(([a, b, p, m, t, x, y]) => `<tr data-id="${escaped((agents[a] || agents[b]).i)}" data-x="${x}" data-y="${y}">` +
+    `<td>${names(agents[a], agents[b])}</td><td>${(t / 1000).toFixed(1)} s</td><td class="${p > 200 ? "bad" : ""}">${Math.round(p / 10)} %</td>` +
+    `<td class=soft>${Math.round(m / 10)} %</td></tr>`).join("");
+  const head = '<tr><th>agents</th><th>in</th><th>probability</th><th>if nobody reacts</th></tr>';
+  const all = html ? head + html : '<tr><td class="soft">none within the horizon</td></tr>';
+  if (live.conflicts !== all) $("conflicts").innerHTML = live.conflicts = all;
+  $("conflict-note").textContent = ego ? "the ego keeps its speed and turn" : "";
 }
 
 // The marks of the time line: those that would cover each other are joined.
@@ -508,9 +502,9 @@ for (const event of ["click", "keydown"]) {
 }
 $("graph-box").addEventListener("toggle", () => live.status && showStatus(live.status));
 $("conflicts").addEventListener("click", ({ target }) => {
-  const row = target.closest("tr[data-a]");
+  const row = target.closest("tr[data-id]");
   if (!row) return;
-  scene.selected = row.dataset.a === "ego" ? row.dataset.b : row.dataset.a;
+  scene.selected = row.dataset.id;
   scene.lookAt([+row.dataset.x, +row.dataset.y]);
   refresh();
 });

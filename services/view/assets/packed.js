@@ -105,7 +105,7 @@ class Ring {
     // Stamps may jump. Time on the page's own axis does not.
     const s = last ? last.s + Math.min(Math.max(scene.t - last.t, 0), 2) : 0;
     const tick = { seq: scene.seq, t: scene.t, s, dt: scene.dt, ego: scene.ego, latency: scene.l, starts: scene.r || {},
-                   doubts: scene.d || 0, counts: LOOKS.map(() => 0), marks: [], ids: [], places: null, bytes: null };
+                   doubts: scene.d || 0, counts: LOOKS.map(() => 0), marks: [], ids: [], places: null, foreseen: 0, bytes: null };
     this.measure(scene);
     this.writer.at = 0;
     tick.places = Uint32Array.from(scene.agents, (agent) => {
@@ -117,6 +117,9 @@ class Ring {
       this.pack(agent);
       return place;
     });
+    tick.foreseen = this.writer.at;
+    this.writer.list(scene.g || []);
+    this.writer.list((scene.k || []).flat());
     tick.bytes = this.writer.bytes.slice(0, this.writer.at);
     this.ticks.push(tick);
     this.bytes += this.sizeOf(tick);
@@ -215,7 +218,10 @@ class Ring {
       const tick = this.tick(ordinal);
       const agents = tick.ids.map((_, place) => this.agent(tick, place, true));
       const { seq, t, dt, ego, latency: l } = tick;
-      this.unpacked = { ordinal, scene: { seq, t, dt, ego, l, agents } };
+      const from = new Varints(tick.bytes, tick.foreseen, tick.bytes.length);
+      const [g, numbers] = [from.list(), from.list()];
+      const k = Array.from({ length: numbers.length / 7 }, (_, place) => numbers.slice(7 * place, 7 * place + 7));
+      this.unpacked = { ordinal, scene: { seq, t, dt, ego, l, agents, g, k } };
     }
     return this.unpacked.scene;
   }

@@ -190,8 +190,6 @@ class Places {
   }
 }
 
-// Length and width of the ego vehicle: a typical car, since no frame contains its size.
-const EGO_CM = [460, 190];
 // The shapes of the vocabulary, about 8 pixels wide.
 const SHAPES = {
   disc: "M-3 0A3 3 0 1 0 3 0A3 3 0 1 0-3 0Z", square: "M-3-3H3V3H-3Z", ring: "M-3.2 0A3.2 3.2 0 1 0 3.2 0A3.2 3.2 0 1 0-3.2 0Z",
@@ -212,7 +210,6 @@ class SceneCanvas {
     this.layers = Object.fromEntries(LAYERS.map(([name, , isShown]) => [name, isShown]));
     this.later = null; // by track: where it was tracked later
     this.past = []; // earlier forecasts of the selected agent
-    this.conflicts = [];
     this.ruler = null; // while it is on: its two ends in cm
     this.center = null;
     this.scale = 6; // pixels per metre
@@ -617,10 +614,10 @@ class SceneCanvas {
 
   drawConflicts() {
     const { context, colors } = this;
-    for (const { x, y, p } of this.conflicts) {
+    for (const [, , p, , , x, y] of this.scene.k || []) {
       const [sx, sy] = this.toScreen(x, y);
       context.strokeStyle = colors.bad;
-      context.lineWidth = 1 + 2 * p;
+      context.lineWidth = 1 + p / 500;
       context.beginPath();
       context.arc(sx, sy, 9, 0, 7);
       context.moveTo(sx - 5, sy - 5);

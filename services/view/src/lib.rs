@@ -6,11 +6,13 @@
 
 use wire::vocabulary::{LOOKS, Look, Rgb, UNKNOWN};
 
+mod foresight;
 pub mod http;
 mod live;
 mod report;
 mod scene;
 
+pub use foresight::{Conflict, Foreseen, Foresight};
 pub use live::{Live, WRITE_LIMIT, is_direct};
 pub use report::{PAGE_BYTES, RunPage, html};
 pub use scene::{MODES_DRAWN, Pairing, Scene};
@@ -45,14 +47,14 @@ fn vocabulary() -> [String; 2] {
             "normal": look.is_normal, "dash": look.dash, "shape": look.shape,
         })
     });
-    [colors, format!("const LOOKS = {};\n", serde_json::Value::from(looks.to_vec()))]
+    let ego_cm = foresight::EGO_M.map(|size_m| size_m * 100.0);
+    let looks = serde_json::Value::from(looks.to_vec());
+    [colors, format!("const LOOKS = {looks};\nconst EGO_CM = {ego_cm:?};\n")]
 }
 
 /// The live page.
 fn live_page() -> String {
-    let odds = serde_json::json!(conflicts::OddsOfSources::shipped().all);
-    let conflicts = format!("const CONFLICT_ODDS = {odds};\n") + include_str!("../assets/conflicts.js");
-    page(include_str!("../assets/live.html"), &[&conflicts, include_str!("../assets/live.js")])
+    page(include_str!("../assets/live.html"), &[include_str!("../assets/live.js")])
 }
 
 /// The bounds of lanes as JSON, in whole centimetres: the first value of an element is the type.

@@ -10,6 +10,8 @@ use serde::Serialize;
 use wire::tick_view::{AgentView, ForecastView, Point, TickView};
 use wire::{ForecastsTopic, Topic as _, TracksTopic};
 
+use crate::foresight::{Conflict, Foreseen};
+
 /// Number of modes in a scene of the live page: all of them. The page draws the probable ones.
 pub const MODES_DRAWN: usize = wire::MODES_MAX;
 /// Number of frames of tracks that wait for their forecasts.
@@ -32,6 +34,13 @@ pub struct Scene {
     /// Doubts about the input so far: bits of [`wire::doubts`].
     d: u32,
     agents: Vec<Agent>,
+    /// The ego vehicle's path, relative to its position.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    g: Vec<i64>,
+    /// Conflicts: places of both agents in `agents`, -1 for the ego vehicle; probability and probability if nobody
+    /// reacts in thousandths; time, ms; position.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    k: Vec<[i64; 7]>,
 }
 
 /// A track.
@@ -109,7 +118,19 @@ impl Scene {
             r: view.starts.iter().filter(|(_, starts)| *starts > 0).map(|(id, n)| (id.name(), *n)).collect(),
             d: view.doubts,
             agents: view.agents.iter().map(|agent| Agent::new(agent, modes)).collect(),
+            g: Vec::new(),
+            k: Vec::new(),
         }
+    }
+
+    /// The scene with the next seconds of its tick.
+    #[must_use]
+    pub fn foreseen(mut self, view: &TickView, foreseen: &Foreseen) -> Self {
+        if let Some((ego_m, _)) = view.ego {
+            self.g = relative(&foreseen.ego_path_m, centimetres(ego_m));
+        }
+        self.k = foreseen.conflicts.iter().map(numbers).collect();
+        self
     }
 
     /// The JSON, on one line.
@@ -117,6 +138,13 @@ impl Scene {
     pub fn to_json(&self) -> String {
         serde_json::to_string(self).unwrap_or_default()
     }
+}
+
+fn numbers(Conflict { places, pair }: &Conflict) -> [i64; 7] {
+    let [a, b] = places.map(|place| place.map_or(-1, |place| place as i64));
+    let [p, m, t] = [pair.probability, pair.if_nobody_reacts, pair.in_s].map(|value| scaled(value, 1e3));
+    let [x, y] = centimetres(pair.at_m);
+    [a, b, p, m, t, x, y]
 }
 
 impl Agent {

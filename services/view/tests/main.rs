@@ -5,8 +5,11 @@ use std::time::Duration;
 
 use recorder::WorstTick;
 use recorder::status::{RunStatus, StatusEvent};
+use serde_json::json;
 use testing::Browser;
-use view::Live;
+use view::{Foresight, Live, Scene};
+use wire::tick_view::{AgentView, ForecastView, TickView};
+use wire::{AgentType, Quality};
 
 const FIXTURE: &str = include_str!("fixture.js");
 const DESKTOP: [u32; 2] = [1400, 900];
@@ -151,8 +154,10 @@ fn the_view_follows_the_ego_or_the_agents() {
 fn layers_can_be_switched() {
     let Some((_live, mut browser)) = open("layers", DESKTOP, 100) else { return };
     browser.value(
-        "sceneCanvas.layers.places = sceneCanvas.layers.regions = sceneCanvas.layers.conflicts = false",
+        "sceneCanvas.layers.places = sceneCanvas.layers.regions = sceneCanvas.layers.conflicts = false, showDetails()",
     );
+    // The legend is smaller now, so the scene grows.
+    browser.wait_for("sceneCanvas.height === sceneCanvas.canvas.clientHeight");
     let ground = "fixture.pixels('ffffff', 1)";
     let all = number(&mut browser, ground);
     browser.click("[data-layer=forecasts]");
@@ -191,7 +196,7 @@ fn an_agent_is_searched_selected_and_explained() {
         "Constant velocity was nearer for vehicles of this speed, so it has most of the weight (72 %): normal."
     );
     // Its forecasts of 1, 2 and 4 s ago: the fixture's agents keep their speed, so that no forecast is wrong.
-    assert_eq!(browser.value("sceneCanvas.past.map(({ age }) => age)"), serde_json::json!([1, 2, 4]));
+    assert_eq!(browser.value("sceneCanvas.past.map(({ age }) => age)"), json!([1, 2, 4]));
     assert_eq!(browser.value("sceneCanvas.past.map(({ p }) => Math.abs(p[1] - sceneCanvas.scene.agents[1].p[1]) > 700).includes(false)"), false);
     assert!(number(&mut browser, "fixture.pixels(themed('select'), 60)") > 50.0);
     assert!(number(&mut browser, "ring.series('12').at(-1)[1].error") < 3.0);
@@ -206,11 +211,14 @@ fn an_agent_is_searched_selected_and_explained() {
 #[test]
 fn a_finger_selects_a_person_on_a_phone() {
     let Some((_live, mut browser)) = open("phone", PHONE, 30) else { return };
-    assert_eq!(
-        browser.value("document.documentElement.scrollWidth <= innerWidth"),
-        true,
-        "nothing is cut off"
+    // A stage with all that its row can have.
+    browser.value(
+        "showStatus({ ...live.status, stages: [{ name: 'localiser', alive: false, budget_ms: 14.25, \
+         recent_compute_ms: { p50: 12.34, p99: 45.67 }, process: { state: 'restarting', restarts: 12 } }] })",
     );
+    assert_eq!(browser.value("document.documentElement.scrollWidth <= 390"), true, "nothing is cut off");
+    let wide = "document.querySelector('#conflict-card').offsetWidth";
+    assert!(number(&mut browser, wide) > 360.0, "the cards are as wide as the screen");
     let place = browser.value(
         "(() => { sceneCanvas.draw(); const [x, y] = sceneCanvas.toScreen(...sceneCanvas.scene.agents[2].p); \
          const b = document.querySelector('#scene').getBoundingClientRect(); return [b.x + x + 14, b.y + y + 14]; })()",
@@ -223,35 +231,83 @@ fn a_finger_selects_a_person_on_a_phone() {
     }
 }
 
+/// A car that keeps its velocity, with one mode.
+fn car(id: u64, position_m: [f32; 2], velocity_mps: [f32; 2]) -> AgentView {
+    let at = |step: usize| [0, 1].map(|axis| position_m[axis] + velocity_mps[axis] * 0.4 * step as f32);
+    let points: Vec<_> = (1..=12).map(at).collect();
+    AgentView {
+        id,
+        source_id: 0,
+        agent_type: AgentType::Vehicle,
+        position_m,
+        velocity_mps,
+        heading_rad: velocity_mps[1].atan2(velocity_mps[0]),
+        length_m: Some(4.5),
+        width_m: Some(1.9),
+        unseen_ns: 0,
+        history: Vec::new(),
+        forecast: Some(ForecastView {
+            quality: Quality::Learned,
+            cause: 0,
+            age_ns: 0,
+            experts: [0.0; wire::EXPERTS_MAX],
+            out_of_distribution: 0.0,
+            best: points.clone(),
+            covariance: vec![vec![[1.0, 0.0, 1.0]; 12]],
+            modes: vec![points],
+            probability: vec![1.0],
+        }),
+    }
+}
+
 #[test]
-fn pairs_that_meet_are_conflicts_with_the_ego_first() {
-    let Some((_live, mut browser)) = open("conflicts", DESKTOP, 0) else { return };
-    // Two cars reach the crossing 0.5 s apart, at 10 m/s from 25 m away; a third one drives away.
-    let scene = "fixture.feed(0, 8, (seq) => ({ ego: [-60 + seq * 0.8, 30, 0], scene: { agents: [ \
-                 fixture.agent(1, 0, [-2500, 0], [1000, 0], 0), fixture.agent(2, 0, [0, -2700], [0, 1000], 0), \
-                 fixture.agent(3, 0, [2000, 4000], [0, 1000], 0), fixture.agent(4, 0, [-3000, 3000], [-500, 0], 0)] } }))";
-    browser.value(scene);
-    let rows = browser.value(
-        "conflictsOf(ring.scene(ring.newest), egoNow(ring.scene(ring.newest))).map(({ a, b, p, m, t, x, y }) => [a.i, b.i, m, t, x, y, p])",
+fn conflicts_are_listed_with_the_ego_first() {
+    let Some((live, mut browser)) = open("conflicts", DESKTOP, 0) else { return };
+    // Two cars reach the crossing 0.2 s apart, at 10 m/s from 25 m away; a third one drives away. The ego drives at
+    // a car that comes towards it.
+    let mut foresight = Foresight::default();
+    for k in 0..8_u64 {
+        let tick = TickView {
+            seq: k,
+            stamp_ns: k as i64 * 80_000_000,
+            step_ns: 400_000_000,
+            ego: Some(([-60.0 + k as f32 * 0.8, 30.0], 0.0)),
+            agents: vec![
+                car(1, [-25.0, 0.0], [10.0, 0.0]),
+                car(2, [0.0, -27.0], [0.0, 10.0]),
+                car(3, [20.0, 40.0], [0.0, 10.0]),
+                car(4, [-30.0, 30.0], [-5.0, 0.0]),
+            ],
+            ..TickView::default()
+        };
+        live.tick(&Scene::new(&tick, 20).foreseen(&tick, &foresight.of(&tick)).to_json());
+        browser.wait_for(&format!("ring.ticks.length && ring.tick(ring.newest).seq === {k}"));
+    }
+    browser.wait_for("document.querySelectorAll('#conflicts tr[data-id]').length === 2");
+    let first = browser.text("#conflicts tr[data-id]");
+    assert!(first.starts_with("ego – vehicle 4") && first.ends_with("100 %"), "{first}");
+    let rows = browser.value("ring.scene(ring.newest).k");
+    assert_eq!(
+        (&rows[0][0], &rows[0][1], &rows[1][0], &rows[1][1]),
+        (&json!(-1), &json!(3), &json!(0), &json!(1))
     );
-    let rows = rows.as_array().unwrap();
-    assert_eq!(rows.len(), 2, "{rows:?}");
-    let pair = |row: usize| [0, 1].map(|side| rows[row][side].as_str().unwrap().to_owned());
-    assert_eq!((pair(0), pair(1)), (["ego".into(), "4".into()], ["1".into(), "2".into()]));
     let value = |row: usize, column: usize| rows[row][column].as_f64().unwrap();
-    assert!(value(0, 2) > 0.5 && value(1, 2) > 0.5, "{rows:?}");
     // Most drivers react.
-    assert!((0.01..0.3).contains(&value(0, 6)) && (0.01..0.3).contains(&value(1, 6)), "{rows:?}");
-    assert!((value(1, 3) - 2.4).abs() < 0.41 && value(1, 4).hypot(value(1, 5)) < 400.0, "{rows:?}");
-    browser.wait_for("document.querySelectorAll('#conflicts tr').length === 2");
-    assert!(browser.text("#conflicts tr").starts_with("ego – vehicle 4"));
-    // A row may be drawn anew between finding and clicking it, so the page does both.
-    browser.value("document.querySelector('#conflicts tr:nth-child(2)').click()");
+    assert!((10.0..300.0).contains(&value(0, 2)) && (10.0..300.0).contains(&value(1, 2)), "{rows}");
+    assert!((value(1, 4) - 2400.0).abs() < 410.0 && value(1, 5).hypot(value(1, 6)) < 400.0, "{rows}");
+    // The agent that is nearest to the ego's path comes first, and a kept tick has what was sent.
+    assert!(browser.text("#agents tr[data-id]").starts_with("4"));
+    assert_eq!(browser.value("(ring.unpacked = { ordinal: -1 }, ring.scene(ring.newest).k)"), rows);
+    assert!(browser.text("#conflicts tr:last-child").starts_with("vehicles 1 – 2"));
+    assert_eq!(
+        browser.value(
+            "document.querySelector('aside').scrollWidth <= document.querySelector('aside').clientWidth"
+        ),
+        true
+    );
+    // A row may be drawn again between finding and clicking it, so the page does both.
+    browser.value("document.querySelector('#conflicts tr[data-id=\"1\"]').click()");
     browser.wait_for("sceneCanvas.selected === '1' && document.querySelector('#ego').getAttribute('aria-pressed') === 'false'");
-    // Pairs that stand, or touch already, are left out.
-    let still = "conflictsOf({ dt: 0.4, agents: [fixture.agent(1, 0, [0, 0], [0, 0], 0), fixture.agent(2, 0, [300, 0], [0, 0], 0), \
-                 fixture.agent(3, 2, [900, 0], [0, 0], 0)] }, null).length";
-    assert_eq!(browser.value(still), 0);
     // The ruler measures in the world.
     browser.click("#ruler");
     browser.value("sceneCanvas.ruler = [[0, 0], [300, 400]]; sceneCanvas.draw()");
@@ -307,6 +363,11 @@ fn two_runs_have_a_verdict_and_the_largest_difference() {
         "one slider"
     );
     assert!(browser.text("#largest tr[data-place]").starts_with("vehicle 7"));
+    let row = browser.value("comparedRow('x', 1, 1.0001, 3) + comparedRow('y', 2, 1.5, 1)");
+    assert_eq!(
+        row,
+        "<tr><td>x</td><td>1.000</td><td>1.000</td><td>0.000</td></tr><tr><td>y</td><td>2.0</td><td>1.5</td><td>−0.5</td></tr>"
+    );
     browser.click("#largest tr[data-place]");
     browser.click("[data-truth]");
     browser.wait_for("scenes.at(-1).selected === '7' && scenes.at(-1).later.get('7').length > 20 && scenes.at(-1).past.length === 10");

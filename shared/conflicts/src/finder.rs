@@ -36,14 +36,68 @@ impl fmt::Debug for Finder {
     }
 }
 
+/// Two agents that may have a conflict.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pair {
+    /// Places of the agents among the forecasts, the smaller one first.
+    pub places: [usize; 2],
+    /// Probability of the conflict.
+    pub probability: f32,
+    /// Probability by the modes, as if neither agent reacted to the other.
+    pub if_nobody_reacts: f32,
+    /// Mean time until the conflict, s.
+    pub in_s: f32,
+    /// Where the most probable two modes that meet are closest to a conflict, m: the middle between both agents.
+    pub at_m: [f32; 2],
+}
+
 impl Finder {
     /// Writes into each forecast the conflicts of its agent, the most probable first. Of equal ones, that with
     /// the earlier forecast comes first.
     pub fn write(&mut self, forecasts: &mut [Forecast], horizon_len: usize, dt_s: f32) {
-        self.places.clear();
-        for (place, forecast) in forecasts.iter_mut().enumerate() {
+        for forecast in forecasts.iter_mut() {
             forecast.conflicts_len = 0;
             forecast.conflicts = Default::default();
+        }
+        self.follow(forecasts, horizon_len);
+        self.judge(dt_s, |[agent, other], signs, probability, _| {
+            if probability < PROBABILITY_MIN {
+                return;
+            }
+            let [.., if_nobody_reacts] = signs.conflict;
+            let foreseen =
+                ForeseenConflict { probability, if_nobody_reacts, in_s: signs.in_s, ..Default::default() };
+            for (of, with) in [(agent, other), (other, agent)] {
+                let other_id = forecasts[with].id;
+                insert(&mut forecasts[of], ForeseenConflict { other_id, ..foreseen });
+            }
+        });
+    }
+
+    /// The pairs whose modes meet with at least a probability, in no order of their probabilities.
+    pub fn pairs(
+        &mut self,
+        forecasts: &[Forecast],
+        horizon_len: usize,
+        dt_s: f32,
+        if_nobody_reacts_min: f32,
+    ) -> Vec<Pair> {
+        self.follow(forecasts, horizon_len);
+        let mut pairs = Vec::new();
+        self.judge(dt_s, |[place, earlier], signs, probability, at_m| {
+            let [.., if_nobody_reacts] = signs.conflict;
+            if if_nobody_reacts >= if_nobody_reacts_min {
+                let (places, in_s) = ([earlier, place], signs.in_s);
+                pairs.push(Pair { places, probability, if_nobody_reacts, in_s, at_m: at_m() });
+            }
+        });
+        pairs
+    }
+
+    /// Takes the agents of the forecasts.
+    fn follow(&mut self, forecasts: &[Forecast], horizon_len: usize) {
+        self.places.clear();
+        for (place, forecast) in forecasts.iter().enumerate() {
             let number = self.places.len();
             let follows = match self.agents.get_mut(number) {
                 Some(agent) => agent.follow(forecast, horizon_len),
@@ -53,25 +107,17 @@ impl Finder {
                 self.places.push(place);
             }
         }
+    }
+
+    /// Passes on each pair that comes near: its places, the later one first, its signs, its probability, and what
+    /// computes its place.
+    fn judge(&mut self, dt_s: f32, mut take: impl FnMut([usize; 2], &Signs, f32, &dyn Fn() -> [f32; 2])) {
         let agents = &self.agents[..self.places.len()];
         for (number, (agent, place)) in agents.iter().zip(&self.places).enumerate() {
             for (other, other_place) in agents[..number].iter().zip(&self.places) {
                 let Some(signs) = Signs::of(agent, other, dt_s, &mut self.room) else { continue };
                 let probability = self.odds.probability(&signs);
-                if probability < PROBABILITY_MIN {
-                    continue;
-                }
-                let [.., if_nobody_reacts] = signs.conflict;
-                let foreseen = ForeseenConflict {
-                    probability,
-                    if_nobody_reacts,
-                    in_s: signs.in_s,
-                    ..Default::default()
-                };
-                for (of, with) in [(*place, *other_place), (*other_place, *place)] {
-                    let other_id = forecasts[with].id;
-                    insert(&mut forecasts[of], ForeseenConflict { other_id, ..foreseen });
-                }
+                take([*place, *other_place], &signs, probability, &|| self.room.meeting_m(agent, other));
             }
         }
     }
@@ -129,6 +175,22 @@ mod tests {
         assert_eq!(conflict.if_nobody_reacts, 1.0);
         // 6 m apart, they close 2 m a second and touch at 0.6 m.
         assert!((conflict.in_s - 2.8).abs() < 1e-5, "{conflict:?}");
+    }
+
+    #[test]
+    fn a_pair_has_its_time_and_the_place_between_both() {
+        let forecasts = [
+            walking(7, [0.0, 30.0], [1.0, 0.0]),
+            walking(8, [0.0, 0.0], [1.0, 0.0]),
+            walking(9, [6.0, 0.2], [-1.0, 0.0]),
+        ];
+        let mut finder = Finder::default();
+        let pairs = finder.pairs(&forecasts, 12, 0.4, 0.1);
+        let [pair] = pairs[..] else { panic!("{pairs:?}") };
+        assert_eq!((pair.places, pair.if_nobody_reacts), ([1, 2], 1.0));
+        assert!((pair.in_s - 2.8).abs() < 1e-5, "{pair:?}");
+        assert!((pair.at_m[0] - 3.0).abs() < 1e-5 && (pair.at_m[1] - 0.1).abs() < 1e-5, "{pair:?}");
+        assert!(finder.pairs(&forecasts, 12, 0.4, 1.1).is_empty());
     }
 
     #[test]

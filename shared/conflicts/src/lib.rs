@@ -20,7 +20,7 @@ mod odds;
 mod outline;
 mod signs;
 
-pub use finder::Finder;
+pub use finder::{Finder, Pair};
 pub use odds::{Odds, OddsOfSources};
 pub use outline::{Body, Outline};
 pub use signs::{Moving, Room, SIGNS, Signs, are_judged};

@@ -127,6 +127,11 @@ impl Outline {
         (least.0.sqrt() - self.radius_m - other.radius_m, least.1)
     }
 
+    /// The agent's position at a step of a path.
+    pub(crate) const fn middle_m(&self, step: usize, path: usize) -> [f32; 2] {
+        [self.x_m[step][0][path], self.y_m[step][0][path]]
+    }
+
     /// Whether some paths may come nearer than a gap at a step: false if their boxes are farther apart.
     pub(crate) fn may_be_within(&self, other: &Self, step: usize, gap_m: f32) -> bool {
         let (a, b) = (&self.boxes[step], &other.boxes[step]);

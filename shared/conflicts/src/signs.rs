@@ -60,6 +60,25 @@ impl Default for Room {
     }
 }
 
+impl Room {
+    /// The middle, m, between the agents of the pair that was judged last, where their most probable two modes that
+    /// come closer than [`CONFLICT_M`] first do so; than [`NEAR_M`] if none comes closer.
+    pub(crate) fn meeting_m(&self, a: &Moving, b: &Moving) -> [f32; 2] {
+        let most_probable = |first: &[[u8; MODES_MAX]; MODES_MAX]| {
+            let modes = (0..MODES_MAX).flat_map(|mode| (0..MODES_MAX).map(move |other| (mode, other)));
+            let meeting = modes.filter(|(mode, other)| first[*mode][*other] != u8::MAX);
+            let p = |(mode, other): (usize, usize)| a.probability[mode] * b.probability[other];
+            let best = meeting.max_by(|one, another| p(*one).total_cmp(&p(*another)))?;
+            (p(best) > 0.0).then_some((best, usize::from(first[best.0][best.1])))
+        };
+        let Some(((mode, other), step)) = self.first.iter().find_map(most_probable) else {
+            return a.body.position_m;
+        };
+        let [one, another] = [a.modes.middle_m(step, mode), b.modes.middle_m(step, other)];
+        [0, 1].map(|axis| 0.5 * (one[axis] + another[axis]))
+    }
+}
+
 impl Moving {
     /// The agent of a forecast; `None` for an unknown type, and without modes.
     #[must_use]

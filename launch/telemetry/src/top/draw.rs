@@ -2,6 +2,7 @@ use console::screen::{BOLD, Color, DIM, Line, Span, TITLE, curve};
 use recorder::Status;
 use recorder::report::Percentiles;
 use recorder::text::{count, number, percent};
+use wire::vocabulary::{LOOKS, Look};
 
 use super::View;
 use super::columns::{Row, WORST, bar_width, cut, heading, line, section, share_spans, worst};
@@ -201,23 +202,32 @@ fn noise(view: &View, width: usize) -> Option<Line> {
     Some(Line(vec![Span::styled(" noise       ", BOLD), Span::raw(words)]))
 }
 
+/// The look of a cause by its name; `None` for a cause of a newer version.
+fn look(cause: &str) -> Option<&'static Look> {
+    LOOKS.iter().find(|look| look.cause.name() == cause)
+}
+
 /// Shares of forecast qualities with causes, and the coverage.
 fn quality(view: &View) -> Vec<Line> {
     let status = &view.status;
     let forecasts = &status.report.forecasts;
     let total: u64 = forecasts.by_quality().iter().map(|(_, n)| n).sum();
     let mut now = vec![Span::styled(" forecasts   ", BOLD)];
+    let causes = || status.newest.causes.iter().map(|(cause, count)| (look(cause), cause, *count));
+    let is_fault = |look: Option<&Look>| look.is_none_or(|look| !look.is_normal);
+    let has_faults = causes().any(|(look, ..)| is_fault(look));
     for (name, all) in forecasts.by_quality() {
         let newest = status.newest.qualities.get(name).copied().unwrap_or(0);
-        let colour = if name == "learned" { Color::Green } else { Color::Yellow };
+        let colour = if has_faults && name != "learned" { Color::Yellow } else { Color::Green };
         let style = if newest > 0 { colour.on_default() } else { DIM };
         now.push(Span::styled(format!("{newest} {name} "), style));
         let share = percent((total > 0).then(|| all as f64 / total as f64));
         now.push(Span::styled(format!("({share})  "), DIM));
     }
-    let causes: Vec<String> = status.newest.causes.iter().map(|(cause, n)| format!("{cause} {n}")).collect();
-    if !causes.is_empty() {
-        now.push(Span::colored(causes.join(", "), Color::Yellow));
+    for (place, (look, cause, count)) in causes().enumerate() {
+        let comma = if place > 0 { ", " } else { "" };
+        let text = format!("{comma}{} {count}", look.map_or(cause.as_str(), |look| look.words));
+        now.push(if is_fault(look) { Span::colored(text, Color::Yellow) } else { Span::raw(text) });
     }
     if forecasts.shed.forecasts > 0 {
         let share = percent(forecasts.shed.share);

@@ -1,3 +1,4 @@
+use console::screen::{Color, Line};
 use recorder::report::{
     ForecastCounts, RefusedFrames, Report, Shed, StageDrops, StageReport, Status, Verdict, WorstTick,
 };
@@ -168,6 +169,22 @@ fn what_is_shed_stands_with_its_share() {
     status.report.forecasts.shed = Shed { forecasts: 52, share: Some(0.004), ..Shed::default() };
     let text = text(&View::new(status, SortBy::Chain, None), 100);
     assert!(text.contains("late 2  shed 0.4 % so far"), "{text}");
+}
+
+#[test]
+fn constant_velocity_is_no_warning_and_late_is_one() {
+    let mut status = status();
+    let painted = |status: &RunStatus| {
+        let view = View::new(status.clone(), SortBy::Chain, None);
+        let lines: Vec<String> = view.table(100, 50).iter().map(|line| line.paint(100, true)).collect();
+        lines.into_iter().find(|line| line.contains("learned")).expect("the line of the forecasts")
+    };
+    let yellow = Color::Yellow.on_default();
+    let yellow = Line::styled("x", yellow).paint(1, true).split('x').next().unwrap_or_default().to_owned();
+    assert!(painted(&status).contains(&yellow), "{:?}", painted(&status));
+    status.newest.causes = [("outdone".to_owned(), 2)].into();
+    let line = painted(&status);
+    assert!(line.contains("constant velocity 2") && !line.contains(&yellow), "{line:?}");
 }
 
 #[test]
