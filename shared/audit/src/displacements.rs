@@ -13,8 +13,9 @@ const FRAMES_MAX_S: f64 = 1.0;
 const AGENTS_MIN: usize = 3;
 const KEPT_MAX: f64 = 0.2;
 const DISPLACED_MIN: f64 = 0.8;
-/// Number of agents from which displacements are tried.
-const TRIED_MAX: usize = 32;
+/// Largest number of detections of a frame that are examined, and number of agents whose displacements are tried.
+const EXAMINED_MAX: usize = 64;
+const TRIED_MAX: usize = 8;
 /// Shortest and longest displacement, and distance from it.
 const JUMP_M: std::ops::RangeInclusive<f64> = 1.0..=50.0;
 const OFF_M: f64 = 0.5;
@@ -43,6 +44,8 @@ pub(crate) struct Displacements {
     place: Place,
     earlier: Vec<Seen>,
     present: Vec<Seen>,
+    /// Number of the present frame's detections.
+    rows: u64,
     /// Where the frame of the positions is, from where it was at first.
     offset_m: [f64; 2],
     /// Detections in a displaced frame.
@@ -51,12 +54,13 @@ pub(crate) struct Displacements {
 
 impl Displacements {
     pub fn new() -> Self {
-        let [earlier, present] = [0, 1].map(|_| Vec::with_capacity(wire::DETECTIONS_MAX));
+        let [earlier, present] = [0, 1].map(|_| Vec::with_capacity(EXAMINED_MAX));
         Self {
             frame: 0,
             place: Place::default(),
             earlier,
             present,
+            rows: 0,
             offset_m: [0.0; 2],
             displaced: Tally::default(),
         }
@@ -71,16 +75,17 @@ impl Displacements {
     pub fn end_session(&mut self) {
         self.earlier.clear();
         self.present.clear();
-        self.offset_m = [0.0; 2];
+        (self.rows, self.offset_m) = (0, [0.0; 2]);
     }
 
-    /// Adds a detection of a frame. Detections beyond the limit of a frame are not examined.
+    /// Adds a detection of a frame. The first [`EXAMINED_MAX`] of a frame are examined.
     pub fn detection(&mut self, frame: u64, stamp_ns: i64, detection: &Detection, place: Place) {
         if frame != self.frame {
             self.end_frame();
             (self.frame, self.place) = (frame, place);
         }
-        if self.present.len() < wire::DETECTIONS_MAX {
+        self.rows += 1;
+        if self.present.len() < EXAMINED_MAX {
             self.present.push(Seen {
                 id: detection.has(detection_flags::HAS_ID).then_some(detection.id),
                 stamp_ns,
@@ -122,10 +127,11 @@ impl Displacements {
             self.offset_m = [0, 1].map(|axis| self.offset_m[axis] + way_m[axis]);
         }
         if length(self.offset_m) >= *JUMP_M.start() {
-            self.displaced.add(self.present.len() as u64, self.place);
+            self.displaced.add(self.rows, self.place);
         }
         std::mem::swap(&mut self.earlier, &mut self.present);
         self.present.clear();
+        self.rows = 0;
     }
 
     /// The displacement that brings nearly all of the `known` agents to detections.

@@ -29,7 +29,6 @@ const NEW_SHARE: f64 = 0.8;
 /// An identity with its agent, and the frame that continued the agent under any identity.
 #[derive(Clone, Copy, Debug)]
 struct Identity {
-    id: u64,
     agent: Agent,
     continued: u64,
 }
@@ -37,6 +36,8 @@ struct Identity {
 /// Counts how often agents change their identity.
 #[derive(Clone, Debug)]
 pub struct Handovers {
+    /// The identities, and their agents in the same order.
+    ids: Vec<u64>,
     identities: Vec<Identity>,
     frame: u64,
     /// Detections of the present frame.
@@ -53,6 +54,7 @@ pub struct Handovers {
 impl Default for Handovers {
     fn default() -> Self {
         Self {
+            ids: Vec::with_capacity(IDENTITIES_MAX),
             identities: Vec::with_capacity(IDENTITIES_MAX),
             frame: 0,
             rows: Vec::with_capacity(wire::DETECTIONS_MAX),
@@ -74,6 +76,7 @@ impl Handovers {
 
     /// Forgets the agents.
     pub(crate) fn end_session(&mut self) {
+        self.ids.clear();
         self.identities.clear();
         self.rows.clear();
     }
@@ -107,12 +110,13 @@ impl Handovers {
     }
 
     fn end_frame(&mut self) {
-        let Self { identities, rows, frame, .. } = self;
+        let Self { ids, identities, rows, frame, .. } = self;
         self.frames += u64::from(!rows.is_empty());
         self.seen += rows.len() as u64;
         // Agents under their own identities come first.
         rows.retain(|(id, agent_type, spot)| {
-            let Some(own) = identities.iter_mut().find(|own| own.id == *id) else { return true };
+            let Some(place) = ids.iter().position(|own| own == id) else { return true };
+            let own = &mut identities[place];
             let is_kept = own.age_ns(spot) <= GAP_MAX_NS && own.agent.is_near(spot).is_some();
             if is_kept {
                 self.followed_s += own.age_ns(spot) as f64 * 1e-9;
@@ -133,14 +137,16 @@ impl Handovers {
 
     /// Examines whether a detection continues the agent of another identity.
     fn hand_over(&mut self, id: u64, spot: &Spot) {
-        let own = self.identities.iter().find(|own| own.id == id && own.age_ns(spot) <= GAP_MAX_NS);
+        let own = self.place(id);
+        let is_recent = |own: &Identity| own.age_ns(spot) <= GAP_MAX_NS;
         // The second detection of a fast agent may be anywhere.
-        if own.is_some_and(|own| !own.agent.moves()) {
+        if own.map(|own| &self.identities[own]).is_some_and(|own| is_recent(own) && !own.agent.moves()) {
             return;
         }
         let frame = self.frame;
-        let others = self.identities.iter_mut().filter(|other| {
-            let is_free = other.id != id && ![frame, HANDED_OVER].contains(&other.continued);
+        let others = (0..).zip(&mut self.identities).filter(|(place, _)| Some(*place) != own);
+        let others = others.map(|(_, other)| other).filter(|other| {
+            let is_free = ![frame, HANDED_OVER].contains(&other.continued);
             is_free && (1..=HANDOVER_MAX_NS).contains(&other.age_ns(spot))
         });
         let distance_m = |agent: &Agent| agent.is_near(spot).or_else(|| agent.is_first_near(spot));
@@ -155,19 +161,27 @@ impl Handovers {
     /// Follows an identity from this detection on.
     fn begin(&mut self, (id, agent_type, spot): (u64, AgentType, Spot)) {
         let continued = self.frame;
-        if let Some(own) = self.identities.iter_mut().find(|own| own.id == id) {
+        if let Some(place) = self.place(id) {
+            let own = &mut self.identities[place];
             own.agent.step(spot, agent_type, false);
             own.continued = continued;
             return;
         }
-        let new = Identity { id, agent: Agent::new(0, agent_type, spot), continued };
+        let new = Identity { agent: Agent::new(0, agent_type, spot), continued };
         self.new.add(1, spot.place);
         let is_full = self.identities.len() == IDENTITIES_MAX;
-        let oldest = self.identities.iter_mut().filter(|_| is_full).min_by_key(|other| other.agent.seen_ns);
-        match oldest {
-            Some(oldest) => *oldest = new,
-            None => self.identities.push(new),
+        let oldest = (0..).zip(&self.identities).filter(|_| is_full);
+        match oldest.min_by_key(|(_, other)| other.agent.seen_ns) {
+            Some((oldest, _)) => (self.ids[oldest], self.identities[oldest]) = (id, new),
+            None => {
+                self.ids.push(id);
+                self.identities.push(new);
+            }
         }
+    }
+
+    fn place(&self, id: u64) -> Option<usize> {
+        self.ids.iter().position(|own| *own == id)
     }
 }
 
