@@ -55,7 +55,7 @@ pub use doubt::Doubt;
 use echoes::Echoes;
 use finding::Detail;
 pub use finding::{DOUBT_SHARE, Finding, Found};
-pub use handovers::Handovers;
+use handovers::Handovers;
 use headings::{Convention, Headings};
 pub use live::LiveAudit;
 pub use noise::{Noise, TypeNoise, noise_words};

@@ -1,7 +1,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use audit::{Audit, Doubt, Found, Handovers, Place, TypeFigures, TypeNoise};
+use audit::{Audit, Doubt, Found, Place, TypeFigures, TypeNoise};
 use serde::Serialize;
 use wire::{Detection, detection_flags};
 
@@ -169,28 +169,6 @@ pub(crate) fn drop_unknown(recording: &mut Recording) {
                 }
             }
         }
-    }
-}
-
-/// Removes the identities of a recording if they change while their agents continue, and keeps the finding.
-pub(crate) fn drop_false_identities(recording: &mut Recording) {
-    if !recording.has_identities {
-        return;
-    }
-    let mut handovers = Handovers::default();
-    let mut files = Files::default();
-    for (number, frame) in (1..).zip(&recording.frames) {
-        for (nth, detection) in frame.detections.iter().enumerate() {
-            let stamp_ns = frame.stamp_ns + detection.offset_ns;
-            handovers.detection(number, stamp_ns, detection, files.place(frame, nth));
-        }
-    }
-    let Some(doubt) = handovers.doubt() else { return };
-    let found = doubt.found(|place| files.name(place));
-    recording.findings.push(found);
-    recording.has_identities = false;
-    for detection in recording.frames.iter_mut().flat_map(|frame| &mut frame.detections) {
-        (detection.id, detection.flags) = (0, detection.flags & !detection_flags::HAS_ID);
     }
 }
 

@@ -164,7 +164,6 @@ pub fn parse_at(format: Format, inputs: &[Input], fps: Option<FrameRate>) -> Res
         Format::Rosbag => rosbag::parse(inputs),
         Format::Csv => csv::parse(inputs),
     }?;
-    inspection::drop_false_identities(&mut recording);
     inspection::drop_unknown(&mut recording);
     Ok(Recording {
         name: inputs.first().map_or_else(String::new, |input| name(&input.path)),
