@@ -28,7 +28,7 @@ impl Stage {
     /// Opens an input. The stage is linked only after a frame has arrived on it.
     ///
     /// # Errors
-    /// As [`Node::subscriber`].
+    /// As [`Node::subscriber`](crate::Node::subscriber).
     ///
     /// # Panics
     /// If the stage has not declared that it reads the topic.
@@ -39,7 +39,7 @@ impl Stage {
     /// Opens an input with a queue of `depth` frames.
     ///
     /// # Errors
-    /// As [`Node::subscriber`].
+    /// As [`Node::subscriber`](crate::Node::subscriber).
     ///
     /// # Panics
     /// If the stage has not declared that it reads the topic.
@@ -53,7 +53,7 @@ impl Stage {
     /// this input was lost, and counted, at an earlier stage.
     ///
     /// # Errors
-    /// As [`Node::subscriber`].
+    /// As [`Node::subscriber`](crate::Node::subscriber).
     ///
     /// # Panics
     /// If the stage has not declared that it reads the topic.
@@ -76,7 +76,7 @@ impl Stage {
     /// load anything that takes time, before this call.
     ///
     /// # Errors
-    /// As [`Node::publisher`] and [`await_turn`](crate::await_turn).
+    /// As [`Node::publisher`](crate::Node::publisher) and [`await_turn`](crate::await_turn).
     ///
     /// # Panics
     /// If the stage has not declared that it writes the topic.
