@@ -33,7 +33,7 @@ pub struct Conflict {
 pub struct Foreseen {
     /// The ego vehicle's positions by step, m; empty if its speed is unknown.
     pub ego_path_m: Vec<Point>,
-    /// At most eight conflicts: those of the ego vehicle first, then by probability.
+    /// At most eight conflicts. The ego vehicle's come first, then the most probable ones.
     pub conflicts: Vec<Conflict>,
 }
 

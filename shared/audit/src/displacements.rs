@@ -46,7 +46,7 @@ pub(crate) struct Displacements {
     present: Vec<Seen>,
     /// Number of the present frame's detections.
     rows: u64,
-    /// Where the frame of the positions is, from where it was at first.
+    /// Sum of the displacements so far.
     offset_m: [f64; 2],
     /// Detections in a displaced frame.
     displaced: Tally,

@@ -2,8 +2,8 @@
 //!
 //! An agent keeps its identity if the next detection with this identity is near its expected position. If no agent
 //! with this identity is near, the detection may continue another agent that this frame has not continued yet. This is
-//! a *handover*. Trackers make few of them. A detector that numbers its detections anew in each frame, or in a random
-//! order, makes little else.
+//! a *handover*. Trackers make few of them. A detector that numbers its detections in each frame from the start, or in a
+//! random order, makes little else.
 
 use wire::{AgentType, Detection, detection_flags};
 

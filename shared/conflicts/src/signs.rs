@@ -61,8 +61,9 @@ impl Default for Room {
 }
 
 impl Room {
-    /// The middle, m, between the agents of the pair that was judged last, where their most probable two modes that
-    /// come closer than [`CONFLICT_M`] first do so; than [`NEAR_M`] if none comes closer.
+    /// The place where the pair that was judged last meets: the middle between both agents, m. It belongs to the most
+    /// probable two modes with a gap below [`CONFLICT_M`], at the first such step. Without such modes the bound is
+    /// [`NEAR_M`].
     pub(crate) fn meeting_m(&self, a: &Moving, b: &Moving) -> [f32; 2] {
         let most_probable = |first: &[[u8; MODES_MAX]; MODES_MAX]| {
             let modes = (0..MODES_MAX).flat_map(|mode| (0..MODES_MAX).map(move |other| (mode, other)));
