@@ -3,6 +3,7 @@
 use wire::{AgentType, Detection, detection_flags};
 
 use crate::headings::Directed;
+use crate::motion::Motion;
 use crate::speeds::{Chord, usual_mps};
 use crate::tally::Place;
 
@@ -69,6 +70,10 @@ impl Spot {
     pub fn is_placeholder(&self) -> bool {
         let [x_m, y_m] = self.position_m;
         PLACEHOLDERS_M.into_iter().any(|placeholder| x_m == placeholder && y_m == placeholder)
+    }
+
+    fn position_m(&self) -> [f64; 2] {
+        self.position_m.map(f64::from)
     }
 
     pub fn way_m(&self, to: &Self) -> [f64; 2] {
@@ -166,6 +171,7 @@ pub(crate) struct Agent {
     pub last: Spot,
     /// Velocity of the step to `last`; `None` before the second detection.
     velocity_mps: Option<[f64; 2]>,
+    motion: Motion,
     /// A detection that is out of reach.
     pending: Option<Spot>,
     /// Place of the first detection that repeats the newest one, and the number of such detections.
@@ -186,13 +192,14 @@ pub(crate) struct Agent {
 }
 
 impl Agent {
-    pub const fn new(number: u32, agent_type: AgentType, spot: Spot) -> Self {
+    pub fn new(number: u32, agent_type: AgentType, spot: Spot) -> Self {
         Self {
             number,
             agent_type,
             seen_ns: spot.stamp_ns,
             last: spot,
             velocity_mps: None,
+            motion: Motion::new(spot.position_m()),
             pending: None,
             held: None,
             alone_ns: [None; 2],
@@ -228,13 +235,10 @@ impl Agent {
     /// The distance from the agent's expected position, if the spot is near.
     pub fn is_near(&self, spot: &Spot) -> Option<f64> {
         let elapsed_s = (spot.stamp_ns - self.last.stamp_ns) as f64 * 1e-9;
-        let way_m = self.last.way_m(spot);
-        let [x_m, y_m] = self
-            .velocity_mps
-            .map_or(way_m, |velocity_mps| [0, 1].map(|axis| way_m[axis] - velocity_mps[axis] * elapsed_s));
+        let [x_m, y_m] = self.motion.off_m(spot.position_m(), elapsed_s);
         let distance_m = x_m.hypot(y_m);
-        let most_m = match self.velocity_mps {
-            Some(_) => SLACK_M + (0.5 * self.speed_mps()).max(3.0) * elapsed_s,
+        let most_m = match self.motion.velocity_mps {
+            Some([x_mps, y_mps]) => SLACK_M + (0.5 * x_mps.hypot(y_mps)).max(3.0) * elapsed_s,
             None => self.first_step_m(elapsed_s),
         };
         (distance_m <= most_m).then_some(distance_m)
@@ -342,6 +346,7 @@ impl Agent {
         };
         let are_equal = [is_same_speed, spot.heading == self.first.heading];
         self.is_constant = [0, 1].map(|column| self.is_constant[column] && are_equal[column]);
+        self.motion.advance(spot.position_m(), elapsed_s);
         (self.last, self.velocity_mps) = (spot, Some([x_m / elapsed_s, y_m / elapsed_s]));
         self.rows += 1;
         let elapsed_ns = spot.stamp_ns - self.first.stamp_ns;

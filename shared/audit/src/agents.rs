@@ -60,11 +60,12 @@ impl Agents {
         let mut fast: Option<([f64; 2], u32)> = None;
         let mut place = 0;
         while let Some((agent, seen)) = self.loose.get(place) {
-            if spot.stamp_ns - agent.seen_ns > GAP_MAX_NS || spot.stamp_ns < agent.seen_ns {
+            // Detections of a frame are in any order.
+            if spot.stamp_ns.abs_diff(agent.seen_ns) > GAP_MAX_NS.unsigned_abs() {
                 self.loose.swap_remove(place);
                 continue;
             }
-            if *seen != frame && agent.agent_type == agent_type {
+            if *seen != frame && agent.agent_type == agent_type && agent.seen_ns <= spot.stamp_ns {
                 match agent.is_near(&spot) {
                     Some(distance_m) if nearest.is_none_or(|(least_m, _)| distance_m < least_m) => {
                         nearest = Some((distance_m, place));

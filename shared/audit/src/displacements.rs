@@ -5,6 +5,7 @@
 
 use wire::{Detection, detection_flags};
 
+use crate::motion::Motion;
 use crate::tally::{Place, Tally};
 
 /// Longest time between two frames.
@@ -16,15 +17,18 @@ const DISPLACED_MIN: f64 = 0.8;
 /// Largest number of detections of a frame that are examined, and number of agents whose displacements are tried.
 const EXAMINED_MAX: usize = 64;
 const TRIED_MAX: usize = 8;
-/// Shortest and longest displacement, and distance from it.
+/// Shortest and longest displacement. It is also twice as long as the largest distance below: the places that agents
+/// should have reached with and without it differ.
 const JUMP_M: std::ops::RangeInclusive<f64> = 1.0..=50.0;
+/// Distance from a place that an agent should have reached: a part and a change of the speed in a second.
 const OFF_M: f64 = 0.5;
-/// Largest distance of the first step, and from the expected position: a part and a change of the speed in a second.
+const OFF_MPS: f64 = 1.0;
+/// Largest distance of the first step, largest speed of the first step of an identity, and largest distance from the
+/// expected position: a part and a change of the speed in a second.
 const FIRST_STEP_M: f64 = 4.0;
+const FIRST_STEP_MPS: f64 = 50.0;
 const SLACK_M: f64 = 0.5;
 const CHANGE_MPS: f64 = 3.0;
-/// Agents at one velocity are displaced along it if a stamp is wrong.
-const SPREAD_MPS: f64 = 1.0;
 
 /// A detection of a frame.
 #[derive(Clone, Copy, Debug)]
@@ -32,9 +36,9 @@ struct Seen {
     id: Option<u64>,
     stamp_ns: i64,
     position_m: [f64; 2],
-    /// From the previous frame, if the agent was found in it.
-    velocity_mps: Option<[f64; 2]>,
-    is_taken: bool,
+    motion: Motion,
+    /// The distance from the expected position at which the next frame has found the agent, if it has.
+    found_off_m: Option<f64>,
 }
 
 /// Follows the agents of two frames.
@@ -86,12 +90,13 @@ impl Displacements {
         }
         self.rows += 1;
         if self.present.len() < EXAMINED_MAX {
+            let position_m = [detection.x_m, detection.y_m].map(f64::from);
             self.present.push(Seen {
                 id: detection.has(detection_flags::HAS_ID).then_some(detection.id),
                 stamp_ns,
-                position_m: [detection.x_m, detection.y_m].map(f64::from),
-                velocity_mps: None,
-                is_taken: false,
+                position_m,
+                motion: Motion::new(position_m),
+                found_off_m: None,
             });
         }
     }
@@ -103,21 +108,20 @@ impl Displacements {
 
     fn end_frame(&mut self) {
         let Self { earlier, present, .. } = self;
-        let known = earlier.iter().filter(|seen| seen.velocity_mps.is_some()).count();
+        let known = earlier.iter().filter(|seen| seen.motion.is_sure).count();
         let mut kept = 0;
         for seen in present.iter_mut() {
-            let near = earlier.iter_mut().filter(|other| !other.is_taken);
+            let near = earlier.iter_mut().filter(|other| other.found_off_m.is_none());
             let near = near.filter_map(|other| Some((other.near_m(seen)?, other)));
-            let Some((_, other)) = near.min_by(|(a_m, _), (b_m, _)| a_m.total_cmp(b_m)) else { continue };
-            other.is_taken = true;
-            kept += usize::from(other.velocity_mps.is_some());
+            let Some((off_m, other)) = near.min_by(|(a_m, _), (b_m, _)| a_m.total_cmp(b_m)) else { continue };
+            other.found_off_m = Some(off_m);
+            kept += usize::from(other.motion.is_sure && off_m <= other.most_off_m(seen));
+            seen.motion = other.motion;
             if other.position_m == seen.position_m {
                 // Possibly a repeated detection.
-                (seen.stamp_ns, seen.velocity_mps) = (other.stamp_ns, other.velocity_mps);
+                seen.stamp_ns = other.stamp_ns;
             } else {
-                let elapsed_s = other.since_s(seen);
-                seen.velocity_mps =
-                    Some(difference(seen.position_m, other.position_m).map(|m| m / elapsed_s));
+                seen.motion.advance(seen.position_m, other.since_s(seen));
             }
         }
         if known >= AGENTS_MIN
@@ -125,6 +129,7 @@ impl Displacements {
             && let Some(way_m) = self.displacement(known)
         {
             self.offset_m = [0, 1].map(|axis| self.offset_m[axis] + way_m[axis]);
+            self.present.iter_mut().for_each(|seen| seen.motion = Motion::new(seen.position_m));
         }
         if length(self.offset_m) >= *JUMP_M.start() {
             self.displaced.add(self.rows, self.place);
@@ -134,33 +139,39 @@ impl Displacements {
         self.rows = 0;
     }
 
-    /// The displacement that brings nearly all of the `known` agents to detections.
+    /// The displacement that brings nearly all of the `known` agents to detections, if they are not only late.
     fn displacement(&self, known: usize) -> Option<[f64; 2]> {
-        let moving = || self.earlier.iter().filter(|seen| seen.velocity_mps.is_some());
-        let brought = |way_m: [f64; 2]| {
+        let moving = || self.earlier.iter().filter(|seen| seen.motion.is_sure);
+        // Number of agents that these displacements bring to a detection.
+        let brought = |way_m: &dyn Fn(&Seen) -> [f64; 2]| {
             let is_there = |from: &&Seen| {
                 self.present.iter().any(|seen| {
-                    from.is_same(seen)
-                        && from.off_m(seen).is_some_and(|off_m| length(difference(off_m, way_m)) <= OFF_M)
+                    let off_m = from.off_m(seen).map(|off_m| length(difference(off_m, way_m(from))));
+                    off_m.is_some_and(|off_m| off_m <= from.most_off_m(seen))
                 })
             };
             moving().filter(is_there).count()
         };
         let ways = moving().take(TRIED_MAX).flat_map(|from| {
-            let seen = self.present.iter().filter(|seen| from.is_same(seen));
-            seen.filter_map(|seen| from.off_m(seen)).filter(|off_m| JUMP_M.contains(&length(*off_m)))
+            self.present.iter().filter_map(move |seen| {
+                let off_m = from.off_m(seen)?;
+                let is_jump = JUMP_M.contains(&length(off_m)) && length(off_m) >= 2.0 * from.most_off_m(seen);
+                is_jump.then_some((off_m, from))
+            })
         });
-        let (count, way_m) = ways.map(|way_m| (brought(way_m), way_m)).max_by_key(|(count, _)| *count)?;
-        let is_found = count >= AGENTS_MIN && count as f64 >= DISPLACED_MIN * known as f64;
-        (is_found && !self.is_late(way_m)).then_some(way_m)
-    }
-
-    /// Whether all agents have one velocity, and the displacement is along it.
-    fn is_late(&self, way_m: [f64; 2]) -> bool {
-        let mut velocities = self.earlier.iter().filter_map(|seen| seen.velocity_mps);
-        let Some(first @ [x_mps, y_mps]) = velocities.next() else { return false };
-        let across_m = (way_m[0] * y_mps - way_m[1] * x_mps).abs() / length(first).max(f64::MIN_POSITIVE);
-        across_m < *JUMP_M.start() && velocities.all(|other| length(difference(other, first)) < SPREAD_MPS)
+        let counted = ways.clone().map(|(way_m, _)| (brought(&|_| way_m), way_m));
+        let (count, way_m) = counted.max_by_key(|(count, _)| *count)?;
+        let are_most = |count: usize| count >= AGENTS_MIN && count as f64 >= DISPLACED_MIN * known as f64;
+        let is_kept = |seen: &&Seen| seen.found_off_m.is_some_and(|off_m| off_m <= 0.5 * length(way_m));
+        let are_kept = moving().filter(is_kept).count() as f64 > KEPT_MAX * known as f64;
+        // If the frame has a wrong stamp, each agent is displaced along its own velocity.
+        let are_late = |(way_m, from): ([f64; 2], &Seen)| {
+            let velocity_mps = from.motion.velocity_mps.unwrap_or_default();
+            let late_s = dot(way_m, velocity_mps) / dot(velocity_mps, velocity_mps).max(f64::MIN_POSITIVE);
+            let late_m = |seen: &Seen| seen.motion.velocity_mps.unwrap_or_default().map(|mps| mps * late_s);
+            are_most(brought(&late_m))
+        };
+        (are_most(count) && !are_kept && !ways.clone().any(are_late)).then_some(way_m)
     }
 }
 
@@ -169,30 +180,34 @@ impl Seen {
         later.stamp_ns.saturating_sub(self.stamp_ns) as f64 * 1e-9
     }
 
-    fn is_same(&self, later: &Self) -> bool {
-        self.id == later.id
-    }
-
-    /// The way from the expected position to a later detection.
+    /// The way from the expected position to a later detection, if it may be of the same agent.
     fn off_m(&self, later: &Self) -> Option<[f64; 2]> {
         let elapsed_s = self.since_s(later);
-        let [x_mps, y_mps] = self.velocity_mps.unwrap_or_default();
-        let [x_m, y_m] = difference(later.position_m, self.position_m);
-        let is_next = elapsed_s > 0.0 && elapsed_s <= FRAMES_MAX_S;
-        is_next.then_some([x_m - x_mps * elapsed_s, y_m - y_mps * elapsed_s])
+        let is_next = self.id == later.id && elapsed_s > 0.0 && elapsed_s <= FRAMES_MAX_S;
+        is_next.then(|| self.motion.off_m(later.position_m, elapsed_s))
+    }
+
+    /// The largest distance from a place that the agent should have reached by then.
+    fn most_off_m(&self, later: &Self) -> f64 {
+        OFF_M + OFF_MPS * self.since_s(later)
     }
 
     /// The distance from the expected position, if a later detection is of the same agent.
     fn near_m(&self, later: &Self) -> Option<f64> {
         let off_m = length(self.off_m(later)?);
-        let most_m = match self.velocity_mps {
+        let most_m = match self.motion.velocity_mps {
             Some(velocity_mps) => {
                 SLACK_M + (0.5 * length(velocity_mps)).max(CHANGE_MPS) * self.since_s(later)
             }
+            None if self.id.is_some() => FIRST_STEP_MPS * self.since_s(later),
             None => FIRST_STEP_M,
         };
-        (self.is_same(later) && off_m <= most_m).then_some(off_m)
+        (off_m <= most_m).then_some(off_m)
     }
+}
+
+fn dot(a: [f64; 2], b: [f64; 2]) -> f64 {
+    a[0] * b[0] + a[1] * b[1]
 }
 
 fn difference(to: [f64; 2], from: [f64; 2]) -> [f64; 2] {
@@ -207,46 +222,65 @@ fn length([x, y]: [f64; 2]) -> f64 {
 mod tests {
     use super::*;
 
-    /// Four agents for 20 s at 10 Hz with these velocities in m/s. `offset_m` returns the displacement in a frame.
-    fn displaced(identities: bool, mps: [f64; 4], offset_m: impl Fn(u64) -> [f64; 2]) -> u64 {
+    /// Agents on lines 6 m apart for 20 s with these velocities in m/s. `offset_m` returns the displacement in a frame.
+    fn displaced(rate_hz: u64, identities: bool, mps: &[f64], offset_m: impl Fn(u64) -> [f64; 2]) -> u64 {
         let mut displacements = Displacements::new();
-        for frame in 0..200 {
+        for frame in 0..20 * rate_hz {
             for (agent, speed_mps) in (0..).zip(mps) {
                 let [x_m, y_m] = offset_m(frame);
+                let noise_m = |axis: u64| 0.15 * normal(frame * 100 + agent * 2 + axis);
                 let detection = Detection {
                     id: agent,
-                    x_m: (x_m + speed_mps * frame as f64 / 10.0) as f32,
-                    y_m: (y_m + 6.0 * agent as f64) as f32,
+                    x_m: (x_m + speed_mps * frame as f64 / rate_hz as f64 + noise_m(0)) as f32,
+                    y_m: (y_m + 6.0 * agent as f64 + noise_m(1)) as f32,
                     flags: if identities { detection_flags::HAS_ID } else { 0 },
                     ..Detection::default()
                 };
-                displacements.detection(frame, frame as i64 * 100_000_000, &detection, Place::default());
+                let stamp_ns = (frame * 1_000_000_000 / rate_hz) as i64;
+                displacements.detection(frame, stamp_ns, &detection, Place::default());
             }
         }
         displacements.displaced().rows
     }
 
+    /// A number with mean 0 and variance 1: the sum of twelve numbers between -0.5 and 0.5.
+    fn normal(seed: u64) -> f64 {
+        let uniform = |nth: u64| {
+            let bits = (seed * 12 + nth + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+            let bits = (bits ^ (bits >> 31)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+            (bits >> 40) as f64 / (1_u64 << 24) as f64 - 0.5
+        };
+        (0..12).map(uniform).sum()
+    }
+
     #[test]
     fn a_jump_of_all_agents_is_found_until_it_goes_back() {
         let mps = [9.0, 7.0, 4.0, 1.4];
-        for identities in [false, true] {
-            for jump_m in [[5.0, 0.0], [0.0, -5.0], [2.0, 1.0], [-20.0, 30.0]] {
-                let once = |frame| if frame >= 100 { jump_m } else { [0.0; 2] };
-                let rows = displaced(identities, mps, once);
-                assert_eq!(rows, 4 * 99, "{identities} {jump_m:?}: the last frame has not ended");
-                let back = |frame| if (100..110).contains(&frame) { jump_m } else { [0.0; 2] };
-                assert_eq!(displaced(identities, mps, back), 40, "{identities} {jump_m:?}");
+        for (rate_hz, identities) in [(10, false), (10, true), (2, false), (2, true)] {
+            for jump_m in [[5.0, 0.0], [0.0, -5.0], [3.0, 2.0], [-20.0, 30.0]] {
+                let name = format!("{rate_hz} Hz, {identities}, {jump_m:?}");
+                let once = |frame| if frame >= 10 * rate_hz { jump_m } else { [0.0; 2] };
+                let rows = displaced(rate_hz, identities, &mps, once);
+                assert_eq!(rows, 4 * (10 * rate_hz - 1), "{name}: the last frame has not ended");
+                let there = 10 * rate_hz..14 * rate_hz;
+                let back = |frame| if there.contains(&frame) { jump_m } else { [0.0; 2] };
+                assert_eq!(displaced(rate_hz, identities, &mps, back), 16 * rate_hz, "{name}");
             }
         }
+        // At 2 Hz, only identities join places 10 m apart.
+        let fast = [20.0, 15.0, 12.0, -13.0];
+        assert_eq!(displaced(2, true, &fast, |frame| if frame >= 20 { [3.0, 4.0] } else { [0.0; 2] }), 76);
     }
 
     #[test]
     fn steady_agents_and_late_frames_are_no_jump() {
         for identities in [false, true] {
-            assert_eq!(displaced(identities, [9.0, 7.0, 4.0, 1.4], |_| [0.0; 2]), 0);
+            for rate_hz in [2, 10] {
+                assert_eq!(displaced(rate_hz, identities, &[9.0, 7.0, 4.0, 1.4], |_| [0.0; 2]), 0);
+            }
             // A convoy whose frames have wrong stamps.
             let late = |frame| if frame % 20 == 10 { [3.0, 0.0] } else { [0.0; 2] };
-            assert_eq!(displaced(identities, [15.0; 4], late), 0);
+            assert_eq!(displaced(10, identities, &[15.0; 4], late), 0);
         }
     }
 }

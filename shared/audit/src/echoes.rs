@@ -30,6 +30,8 @@ const SPEEDS_RATIO: f32 = 1.15;
 const ECHOES_MIN: u64 = 12;
 /// Smallest ratio to the echoes of a usual lag. In dense traffic every lag has some.
 const CONTRAST: f64 = 5.0;
+/// Smallest ratio to the echoes of the windows on both sides together. People in a crowd follow others after any time.
+const PEAK: f64 = 1.5;
 
 /// The agents of an echo: who leads and who follows.
 type Pair = [u32; 2];
@@ -115,9 +117,12 @@ impl Echoes {
         // The other lags of a window.
         let all: u64 = self.bins.iter().map(|bin| bin.chords).sum();
         let usual = (all - echoes) as f64 * WINDOW as f64 / (BINS - WINDOW) as f64;
+        let beside = [best.checked_sub(WINDOW), Some(best + WINDOW).filter(|at| at + WINDOW <= BINS)];
+        let beside: u64 = beside.into_iter().flatten().map(chords).sum();
         let followers = followers(window);
         let is_found = echoes >= ECHOES_MIN
             && echoes as f64 >= CONTRAST * usual
+            && echoes as f64 >= PEAK * beside as f64
             && FOLLOWERS_MIN
                 .iter()
                 .any(|(least, share)| followers >= *least && echoes as f64 >= share * possible);
@@ -220,6 +225,29 @@ mod tests {
                     from_m: [10.0 * second as f32 - gap_m * agent as f32, 0.0],
                     from_ns: i64::from(second) * 1_000_000_000,
                     velocity_mps: [10.0, 0.0],
+                    elapsed_s: 1.0,
+                    rows: 10,
+                    place: Place::default(),
+                };
+                echoes.add(0, &way);
+            }
+        }
+        assert_eq!(echoes.doubt(), None);
+    }
+
+    /// Like people of a campus who cross a street behind each other, at all distances.
+    #[test]
+    fn a_crowd_has_no_clock() {
+        let mut echoes = Echoes::new();
+        for second in 0..60 {
+            for agent in 0..40_u32 {
+                let speed_mps = 1.2 + 0.1 * f64::from(agent % 4);
+                let behind_m = f64::from(agent * agent * 29 % 101) / 8.0;
+                let way = Way {
+                    agent: 1 + agent,
+                    from_m: [(speed_mps * f64::from(second) - behind_m) as f32, 3.0 * (agent % 4) as f32],
+                    from_ns: i64::from(second) * 1_000_000_000,
+                    velocity_mps: [speed_mps, 0.0],
                     elapsed_s: 1.0,
                     rows: 10,
                     place: Place::default(),

@@ -37,6 +37,7 @@ mod handovers;
 mod headings;
 mod histogram;
 mod live;
+mod motion;
 mod noise;
 mod positions;
 mod speeds;

@@ -7,6 +7,10 @@ use std::fmt::Write as _;
 
 use audit::Found;
 use data::{Format, Input, Role, inspect, parse};
+use rand::SeedableRng as _;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution as _, Normal};
+use testing::public_recording;
 
 /// An agent at one time, before it is written in some unit.
 #[derive(Clone, Copy)]
@@ -359,4 +363,40 @@ fn a_trajectory_may_repeat_the_initial_state() {
     };
     assert_eq!(read(2.0).unwrap().frames.len(), 2);
     assert!(read(2.5).is_err());
+}
+
+/// Two sensors that see the same agents on a road, without identities and with 0.2 m of noise. One clock is 3 s ahead.
+#[test]
+fn two_noisy_sensors_with_different_clocks_are_named() {
+    const AGENTS: [(&str, f64); 5] =
+        [("vehicle", 9.0), ("vehicle", 7.0), ("cyclist", 5.0), ("pedestrian", 1.4), ("pedestrian", 1.2)];
+    let noise_m = Normal::new(0.0, 0.2).unwrap();
+    // The second sensor's stamps are between those of the first one, or equal to them.
+    for ahead_s in [3.03, 3.0] {
+        let mut random = ChaCha8Rng::seed_from_u64(1);
+        let mut rows = Vec::new();
+        for t in (0..400).map(|step| f64::from(step) * 0.1) {
+            for stamp_s in [t, t + ahead_s] {
+                for (y_m, (agent_type, speed_mps)) in (0..).step_by(7).zip(AGENTS) {
+                    let [x_m, y_m] = [speed_mps * t, f64::from(y_m)].map(|m| m + noise_m.sample(&mut random));
+                    rows.push((stamp_s, format!("{stamp_s:.2},,{agent_type},{x_m:.3},{y_m:.3}\n")));
+                }
+            }
+        }
+        rows.sort_by(|(a, _), (b, _)| a.total_cmp(b));
+        let rows: String = rows.into_iter().map(|(_, row)| row).collect();
+        let found = findings(&format!("stamp_s,id,type,x_m,y_m\n{rows}"));
+        assert!(found[0].sentence.contains("the same paths again 3.0 s later"), "{ahead_s}: {found:?}");
+        assert!(found[0].doubtful && found.len() == 1, "{ahead_s}: {found:?}");
+    }
+}
+
+/// People who cross a street in a crowd follow each other.
+#[test]
+fn no_crowd_is_seen_twice() {
+    let Some(folder) = public_recording("vci_dut") else { return };
+    for number in ["04", "06", "08"] {
+        let path = folder.join(format!("intersection_{number}_traj_ped_filtered.csv"));
+        assert_eq!(inspect(&data::open(&path, None).unwrap()).findings, [], "{number}");
+    }
 }
