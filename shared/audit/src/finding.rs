@@ -40,6 +40,8 @@ pub(crate) enum Detail {
         agent_type: AgentType,
         speed_mps: f64,
     },
+    /// All stamps are whole seconds.
+    WholeStamps,
     /// A number that stands for "unknown".
     Unknown {
         value: f64,
@@ -228,6 +230,13 @@ impl fmt::Display for Finding {
                 write!(f, "{observation}, {interval_s:.1} s: {remedy}")
             }
             Detail::Interval { interval_s } => interval(f, self.doubt, interval_s),
+            Detail::WholeStamps => write!(
+                f,
+                "{observation}, and all stamps are whole seconds: write the fractions of the seconds, and each object once"
+            ),
+            Detail::None if self.doubt == Doubt::Outliers && 2 * self.rows > self.of => {
+                write!(f, "most {observation}: are positions in metres, and stamps in seconds?")
+            }
             Detail::None | Detail::Heading(_) => write!(f, "{observation}: {remedy}"),
         }
     }

@@ -163,7 +163,7 @@ impl Handovers {
         let continued = self.frame;
         if let Some(place) = self.place(id) {
             let own = &mut self.identities[place];
-            own.agent.step(spot, agent_type, false);
+            own.agent.step(spot, agent_type, true);
             own.continued = continued;
             return;
         }
@@ -247,6 +247,24 @@ mod tests {
                 assert_ne!(found & Doubt::IdentitiesChange.bit(), 0, "{agent_type:?} {frames}");
             }
         }
+    }
+
+    /// Agents that are missing in every fifth frame, in turn.
+    #[test]
+    fn placeholders_hand_nothing_over() {
+        let mut audit = Audit::new(64, None);
+        for frame in 0..200_u64 {
+            audit.frame();
+            for agent in 0..4 {
+                let is_missing = (frame + agent).is_multiple_of(5);
+                let [x_m, y_m] = [0.9 * frame as f32, 4.0 * agent as f32];
+                let [x_m, y_m] = if is_missing { [-999.0; 2] } else { [x_m, y_m] };
+                let flags = detection_flags::HAS_ID;
+                let detection = Detection { id: agent, x_m, y_m, flags, ..Detection::default() };
+                audit.detection(frame as i64 * 100_000_000, &detection, Place::default());
+            }
+        }
+        assert_eq!(audit.doubts(), Doubt::Outliers.bit());
     }
 
     #[test]

@@ -481,7 +481,8 @@ impl Audit {
         if let Some(all) = self.extent.degrees(self.frames) {
             take(Finding::new(Doubt::Geographic, all, self.rows, Detail::None));
         } else if let Some(stacked) = self.stacks.doubt(self.rows) {
-            take(Finding::new(Doubt::Stacked, stacked, self.rows, Detail::None));
+            let detail = if self.stamps.are_whole() { Detail::WholeStamps } else { Detail::None };
+            take(Finding::new(Doubt::Stacked, stacked, self.rows, detail));
         }
         let mut placeholders = self.placeholders;
         if let Some(first) = self.loose_placeholders.first

@@ -77,6 +77,11 @@ impl Stamps {
         self.counts.add(interval_ns);
     }
 
+    /// Whether the stamps of all rows are whole seconds.
+    pub const fn are_whole(&self) -> bool {
+        self.whole == self.rows
+    }
+
     /// The usual interval between frames, if agents without identities can't be followed over it.
     pub fn sparse_s(&self) -> Option<f64> {
         let interval_s = self.frame_counts.median_s(self.frame_intervals)?;
@@ -93,8 +98,7 @@ impl Stamps {
         };
         let detail = Detail::Interval { interval_s };
         let all = Tally { rows, first: self.intervals.first };
-        let is_whole = self.whole == self.rows;
-        if is_whole && (0.5..=FRAMES_MAX - 1e-9).contains(&interval_s) && !is_known {
+        if self.are_whole() && (0.5..=FRAMES_MAX - 1e-9).contains(&interval_s) && !is_known {
             take(Finding::new(Doubt::StampsAreFrames, all, rows, detail));
         } else if !(INTERVAL_MIN_S..=INTERVAL_MAX_S).contains(&interval_s) {
             take(Finding::new(Doubt::StampsInOtherUnit, all, rows, detail));

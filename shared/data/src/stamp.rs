@@ -35,13 +35,22 @@ pub(crate) fn stamp_ns(field: Field<'_>) -> Result<i64, ReadError> {
     for place in 0..kept {
         nanoseconds = nanoseconds * 10 + digit(place);
         if nanoseconds > SECONDS_MAX * 1_000_000_000 {
-            return Err(field.error(format!("beyond ±{SECONDS_MAX} s")));
+            return Err(beyond(field, number));
         }
     }
     nanoseconds += i128::from(digit(kept) >= 5);
     if nanoseconds > SECONDS_MAX * 1_000_000_000 {
-        return Err(field.error(format!("beyond ±{SECONDS_MAX} s")));
+        return Err(beyond(field, number));
     }
     let stamp_ns = i64::try_from(nanoseconds).map_err(|_| wrong())?;
     Ok(if negative { -stamp_ns } else { stamp_ns })
+}
+
+/// The error of a stamp beyond [`SECONDS_MAX`]. It names the unit if the stamp is a time since 1970 in another one.
+fn beyond(field: Field<'_>, number: &str) -> ReadError {
+    let value: f64 = number.parse().unwrap_or(0.0);
+    let units = [("milliseconds", 1e3), ("microseconds", 1e6), ("nanoseconds", 1e9)];
+    let unit = units.into_iter().find(|(_, per_s)| (1e9..=SECONDS_MAX as f64).contains(&(value / per_s)));
+    let remedy = unit.map(|(name, per_s)| format!(": it looks like {name}, divide it by {per_s:.0}"));
+    field.error(format!("beyond ±{SECONDS_MAX} s{}", remedy.unwrap_or_default()))
 }

@@ -246,6 +246,15 @@ fn bad_values_below_a_header_are_named() {
         own("99999999999,7,vehicle,1,2,,,,,,"),
         "a.txt:2:1: stamp_s = \"99999999999\": beyond ±4000000000 s"
     );
+    for (zeros, unit) in [("000", "milliseconds"), ("000000", "microseconds"), ("000000000", "nanoseconds")] {
+        assert_eq!(
+            own(&format!("1700000000{zeros},7,vehicle,1,2,,,,,,")),
+            format!(
+                "a.txt:2:1: stamp_s = \"1700000000{zeros}\": beyond ±4000000000 s: it looks like {unit}, divide it by \
+                 1{zeros}"
+            )
+        );
+    }
     assert_eq!(
         own("0.1,7,vehicle,1,2,,,,,,\n0,,ego,0,0,,,,,,\n0,,above,1,1,,,,,,"),
         "a.txt:4:1: stamp_s = \"0\": has an ego or above row already, in line 3"

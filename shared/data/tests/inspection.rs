@@ -163,6 +163,20 @@ fn feet_and_pixels_are_named() {
 }
 
 #[test]
+fn positions_in_centimetres_and_rounded_stamps_are_named() {
+    let scaled = drive(10.0).into_iter().map(|row| Row { x_m: 100.0 * row.x_m, y_m: 100.0 * row.y_m, ..row });
+    let sentence =
+        "most positions are out of their agent's reach: are positions in metres, and stamps in seconds?";
+    assert!(found(scaled).iter().any(|found| found.sentence == sentence));
+    let mut rounded = "stamp_s,id,type,x_m,y_m\n".to_owned();
+    for Row { stamp_s, x_m, y_m, .. } in drive(10.0) {
+        writeln!(rounded, "{:.0},,vehicle,{x_m:.3},{y_m:.3}", stamp_s.floor()).unwrap();
+    }
+    let found = findings(&rounded);
+    assert!(found.iter().any(|found| found.sentence.contains("all stamps are whole seconds")), "{found:?}");
+}
+
+#[test]
 fn stamps_in_other_units_are_named() {
     for (words, per_s) in [("milliseconds", 1e3), ("microseconds", 1e6), ("nanoseconds", 1e9)] {
         for rate_hz in [2.0, 10.0, 25.0] {
