@@ -1,5 +1,6 @@
 //! Operation as a service: a detector that is not ready, a log that is JSON throughout, saved state, hostile names.
 
+use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use serde_json::Value;
@@ -32,6 +33,60 @@ fn a_run_waits_for_its_detector_and_every_line_is_json() {
     let report: Value = serde_json::from_slice(&scratch.read("report.json")).expect("a report");
     assert_eq!(report["supervision"]["early_starts"], 7);
     assert_eq!(report["supervision"]["outages"], Value::Array(Vec::new()), "no restart of the run");
+}
+
+/// A group of processes with a limit of memory for all of them together, removed at the end.
+struct MemoryGroup(PathBuf);
+
+impl MemoryGroup {
+    /// A group with this limit, of cgroup v2 or else v1; `None` if this process can't make one.
+    fn new(limit_mib: u64) -> Option<Self> {
+        let kinds = [("/sys/fs/cgroup", "memory.max"), ("/sys/fs/cgroup/memory", "memory.limit_in_bytes")];
+        kinds.into_iter().find_map(|(root, limit)| {
+            let folder = Path::new(root).join(format!("stgdat-test-{}", std::process::id()));
+            std::fs::create_dir(&folder).ok()?;
+            let group = Self(folder);
+            let limit = group.0.join(limit);
+            let is_limited = limit.exists() && std::fs::write(limit, (limit_mib << 20).to_string()).is_ok();
+            is_limited.then_some(group)
+        })
+    }
+}
+
+impl Drop for MemoryGroup {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_dir(&self.0);
+    }
+}
+
+#[test]
+fn of_a_group_without_memory_only_the_stage_that_leaks_is_restarted() {
+    let Some(group) = MemoryGroup::new(1024) else {
+        testing::skip("it needs root and a cgroup with the memory controller");
+        return;
+    };
+    let scratch = Scratch::new("leak");
+    let (leaked, program) = (scratch.path("leaked"), env!("CARGO_BIN_EXE_stgdat"));
+    // The first decoder takes all memory.
+    let words = format!(
+        "[ -e {leaked} ] || {{ >{leaked}; exec tail /dev/zero; }}; exec {program} stage decoder --run \"$STGDAT_RUN\""
+    );
+    let pipeline = scratch.pipeline_with("decoder", &["sh", "-c", &words]);
+    let report = scratch.path("report.json");
+    let inside = "echo $$ >\"$0\"/cgroup.procs && exec \"$@\"";
+    let output = Command::new("sh")
+        .args(["-c", inside])
+        .arg(&group.0)
+        .args([program, "run", "--pipeline", &pipeline, "--ticks", "100", "--report", &report])
+        .output()
+        .expect("sh starts");
+    assert!(output.status.success(), "{}", stderr(&output));
+    assert!(stderr(&output).contains("decoder was killed by signal 9"), "{}", stderr(&output));
+    let report: Value = serde_json::from_slice(&scratch.read("report.json")).expect("a report");
+    for stage in report["stages"].as_array().expect("stages") {
+        assert_eq!(stage["restarts"], u64::from(stage["name"] == "decoder"), "{stage:#}");
+    }
+    assert!(report["forecasts"]["learned"].as_u64() > Some(0), "{:#}", report["forecasts"]);
 }
 
 #[test]

@@ -674,6 +674,25 @@ class Package(InFolder):
         predictor.reset()
         self.assertEqual(predictor.doubts, [])
 
+    def test_a_clock_that_is_set_starts_a_new_session(self) -> None:
+        for step_s in (-0.5, -40.0, 60.0):
+            predictor = stgdat.Predictor()
+            counts = []
+            for tick in range(80):
+                stamp_ns = round((100.0 + 0.1 * tick + (step_s if tick >= 40 else 0.0)) * 1e9)
+                made = stgdat.detections(stamp_ns, [0, 0], [0.8 * tick, 40 - 0.6 * tick], [0.0, 8.0], ids=[1, 2])
+                if step_s < 0 and tick == 40:
+                    with self.assertRaisesRegex(stgdat.InputError, "is not after"):
+                        predictor.step(made)
+                else:
+                    forecasts = predictor.step(made)
+                    counts.append(len(forecasts))
+            # The first tick of a session publishes nothing.
+            self.assertEqual(counts[:40], [0] + [2] * 39, step_s)
+            self.assertEqual((counts[40], set(counts[41:])), (0, {2}), step_s)
+            np.testing.assert_allclose(forecasts.velocities_mps, [(8, 0), (-6, 0)], atol=0.1)
+            self.assertEqual(["go back" in doubt for doubt in predictor.doubts], [True] if step_s < 0 else [])
+
     def test_the_noise_of_a_recording_is_a_doubt_if_it_changes(self) -> None:
         random = np.random.default_rng(4)
         rows = []
