@@ -21,6 +21,10 @@ pub const NEAR_ZERO_MPS: f64 = 0.1;
 const MOVING_MPS: f64 = 1.0;
 /// Shorter steps may come from coarsely rounded numbers.
 const STEP_MIN_M: f64 = 0.08;
+/// Number of repeated detections that count before the agent moves again, and its least speed. A detector may hang to
+/// the end.
+const HELD: u64 = 4;
+const HELD_MPS: f64 = 3.0;
 /// Positions are on a coarse grid if x alone and y alone have each changed within this time.
 const GRID_NS: i64 = 2_000_000_000;
 /// Longest first step of an agent without an identity.
@@ -281,8 +285,8 @@ impl Agent {
             return step;
         }
         if spot.position_m == self.last.position_m {
-            self.held = self.held.map_or(Some((spot.place, 1)), |(place, rows)| Some((place, rows + 1)));
             self.pending = None;
+            self.hold(spot.place, &mut step);
             return step;
         }
         // After a step out of reach, both paths may have come into reach. The slower one is the agent's.
@@ -296,6 +300,18 @@ impl Agent {
         step.outlier = self.pending.take().map(|pending| pending.place);
         self.reach(spot, &mut step);
         step
+    }
+
+    /// Adds a detection at the same position. A fast agent can't stop between two detections.
+    fn hold(&mut self, place: Place, step: &mut Step) {
+        let (first, rows) = self.held.map_or((place, 1), |(first, rows)| (first, rows + 1));
+        self.held = Some((first, rows));
+        let on_grid = self.on_grid(self.last.stamp_ns);
+        if rows >= HELD && on_grid == Some(false) && self.speed_mps() >= HELD_MPS {
+            step.repeated = Some(Repeated { first, rows, on_grid });
+            self.held = Some((first, 0));
+            self.rows += rows;
+        }
     }
 
     fn out_of_reach(&mut self, spot: Spot, agent_type: AgentType, step: &mut Step) {

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 use wire::AgentType;
 
 use crate::doubt::Doubt;
-use crate::headings::Reading;
+use crate::headings::{Convention, Reading};
 use crate::speeds::{Unit, usual_mps};
 use crate::tally::{Place, Tally};
 
@@ -157,7 +157,9 @@ impl fmt::Display for Finding {
                     further => write!(f, ", then {further}"),
                 }
             }
-            Detail::Heading(Some(Reading { convention, .. })) if self.doubt == Doubt::HeadingsTurned => {
+            Detail::Heading(Some(Reading { convention, .. }))
+                if self.doubt == Doubt::HeadingsTurned || convention == Convention::FromWest =>
+            {
                 write!(f, "headings look{}: {}", convention.words(), convention.remedy())
             }
             Detail::Reported { agent_type, ratio, unit, frame_rate } => {
@@ -234,8 +236,8 @@ impl fmt::Display for Finding {
                 f,
                 "{observation}, and all stamps are whole seconds: write the fractions of the seconds, and each object once"
             ),
-            Detail::None if self.doubt == Doubt::Outliers && 2 * self.rows > self.of => {
-                write!(f, "most {observation}: are positions in metres, and stamps in seconds?")
+            Detail::None if self.doubt == Doubt::Outliers && 3 * self.rows > self.of => {
+                write!(f, "many {observation}: are positions in metres, and stamps in seconds?")
             }
             Detail::None | Detail::Heading(_) => write!(f, "{observation}: {remedy}"),
         }

@@ -50,11 +50,20 @@ pub(crate) enum Convention {
     Quarter,
     /// A quarter turn too large.
     QuarterBack,
+    /// Clockwise from -x.
+    FromWest,
 }
 
 impl Convention {
-    const ALL: [Self; 6] =
-        [Self::Plain, Self::FromNorth, Self::Mirrored, Self::Backwards, Self::Quarter, Self::QuarterBack];
+    const ALL: [Self; 7] = [
+        Self::Plain,
+        Self::FromNorth,
+        Self::Mirrored,
+        Self::Backwards,
+        Self::Quarter,
+        Self::QuarterBack,
+        Self::FromWest,
+    ];
 
     /// The direction that a heading denotes.
     fn direction_rad(self, heading_rad: f64) -> f64 {
@@ -65,6 +74,7 @@ impl Convention {
             Self::Backwards => heading_rad + PI,
             Self::Quarter => heading_rad + FRAC_PI_2,
             Self::QuarterBack => heading_rad - FRAC_PI_2,
+            Self::FromWest => PI - heading_rad,
         }
     }
 
@@ -77,6 +87,7 @@ impl Convention {
             Self::Backwards => " half a turn off",
             Self::Quarter => " a quarter turn too small",
             Self::QuarterBack => " a quarter turn too large",
+            Self::FromWest => " clockwise from -x, or x is flipped",
         }
     }
 
@@ -89,6 +100,7 @@ impl Convention {
             Self::Backwards => "add π",
             Self::Quarter => "add π/2",
             Self::QuarterBack => "subtract π/2",
+            Self::FromWest => "write π − heading, or negate x",
         }
     }
 }

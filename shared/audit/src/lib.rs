@@ -400,7 +400,7 @@ impl Audit {
                 Some(reading) if reading.degrees => Doubt::HeadingsInDegrees,
                 Some(reading) => match reading.convention {
                     Convention::FromNorth => Doubt::HeadingsFromNorth,
-                    Convention::Mirrored => Doubt::HeadingsMirrored,
+                    Convention::Mirrored | Convention::FromWest => Doubt::HeadingsMirrored,
                     _ => Doubt::HeadingsTurned,
                 },
             };

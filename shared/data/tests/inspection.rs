@@ -129,6 +129,10 @@ fn headings_of_other_conventions_are_named() {
     only("headings_from_north", swapped);
     let flipped = drive(10.0).into_iter().map(|row| Row { y_m: -row.y_m, ..row });
     only("headings_mirrored", flipped);
+    let flipped = drive(10.0).into_iter().map(|row| Row { x_m: 300.0 - row.x_m, ..row });
+    assert!(
+        only("headings_mirrored", flipped).sentence.ends_with("x is flipped: write π − heading, or negate x")
+    );
 }
 
 #[test]
@@ -166,7 +170,7 @@ fn feet_and_pixels_are_named() {
 fn positions_in_centimetres_and_rounded_stamps_are_named() {
     let scaled = drive(10.0).into_iter().map(|row| Row { x_m: 100.0 * row.x_m, y_m: 100.0 * row.y_m, ..row });
     let sentence =
-        "most positions are out of their agent's reach: are positions in metres, and stamps in seconds?";
+        "many positions are out of their agent's reach: are positions in metres, and stamps in seconds?";
     assert!(found(scaled).iter().any(|found| found.sentence == sentence));
     let mut rounded = "stamp_s,id,type,x_m,y_m\n".to_owned();
     for Row { stamp_s, x_m, y_m, .. } in drive(10.0) {
@@ -209,6 +213,30 @@ fn repeated_rows_count_as_repeated_while_the_agent_moves() {
     // Parked.
     let parked = clean.iter().map(|row| Row { stamp_s: row.stamp_s, ..clean[row.id] });
     assert_eq!(found(parked), []);
+}
+
+#[test]
+fn a_detector_that_hangs_to_the_end_repeats_its_last_frame() {
+    let clean = drive(10.0);
+    let hung = clean.iter().enumerate().map(|(nth, row)| match nth / 6 {
+        0..=100 => *row,
+        _ => Row { stamp_s: row.stamp_s, ..clean[600 + nth % 6] },
+    });
+    assert_eq!(only("repeated", hung).first.as_deref(), Some("mine.csv:608"));
+    // Cars that brake stand still too.
+    let braking = clean.iter().map(|row| {
+        let to_s = row.stamp_s.min(10.0);
+        let along_s = to_s - to_s * to_s / 20.0;
+        let angle = row.id as f64 * TAU / 6.0 + row.speed_mps / 60.0 * along_s;
+        Row {
+            x_m: 150.0 + 60.0 * angle.cos(),
+            y_m: 90.0 + 60.0 * angle.sin(),
+            heading_rad: (angle + PI / 2.0 + PI).rem_euclid(TAU) - PI,
+            speed_mps: row.speed_mps * (1.0 - to_s / 10.0),
+            ..*row
+        }
+    });
+    assert_eq!(found(braking), []);
 }
 
 #[test]
