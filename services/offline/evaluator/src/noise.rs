@@ -180,7 +180,7 @@ fn normal(rng: &mut ChaCha8Rng) -> f64 {
 }
 
 /// An angle within (−π, π].
-fn wrapped(angle_rad: f64) -> f64 {
+pub(crate) fn wrapped(angle_rad: f64) -> f64 {
     let turned = (angle_rad + std::f64::consts::PI).rem_euclid(std::f64::consts::TAU);
     turned - std::f64::consts::PI
 }

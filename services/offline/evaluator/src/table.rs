@@ -26,7 +26,13 @@ pub struct Table {
 
 impl Table {
     /// An empty table. `names` are the titles of its first columns.
-    pub fn new(title: &str, note: &str, names: &[&str], columns: impl Iterator<Item = String>) -> Self {
+    pub fn new(
+        title: &str,
+        note: &str,
+        names: &[&str],
+        columns: impl IntoIterator<Item = impl Into<String>>,
+    ) -> Self {
+        let columns = columns.into_iter().map(Into::into);
         let head = names.iter().map(|name| (*name).to_owned()).chain(columns).collect();
         Self {
             title: title.to_owned(),
@@ -44,9 +50,18 @@ impl Table {
         Self { is_main: true, ..self }
     }
 
-    /// Adds a row of text.
-    pub fn push_row(&mut self, row: Vec<String>) {
-        self.rows.push(row);
+    /// Adds a row: its names, and its figures, `-` for a figure that is unknown.
+    pub fn push(&mut self, names: &[&str], figures: impl IntoIterator<Item = Option<String>>) {
+        let figures = figures.into_iter().map(|figure| figure.unwrap_or_else(|| "-".to_owned()));
+        self.rows.push(names.iter().map(|name| (*name).to_owned()).chain(figures).collect());
+    }
+
+    /// As [`Table::push`], unless there is no figure at all.
+    pub(crate) fn push_known(&mut self, names: &[&str], figures: impl IntoIterator<Item = Option<String>>) {
+        let figures: Vec<Option<String>> = figures.into_iter().collect();
+        if figures.iter().any(Option::is_some) {
+            self.push(names, figures);
+        }
     }
 
     /// The table as Markdown under a first-level heading. `made` describes the origin of its figures.

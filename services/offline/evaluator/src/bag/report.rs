@@ -172,11 +172,10 @@ impl Counts {
 }
 
 impl Row {
-    fn cells(&self) -> Vec<String> {
+    fn figures(&self) -> impl Iterator<Item = Option<String>> {
         let within = self.within.map(|[half, most]| format!("{:.0} / {:.0} %", 100.0 * half, 100.0 * most));
-        let names = [self.agents.to_owned(), format!("{:.1}", self.horizon_s), self.forecasts.to_string()];
-        let within = within.unwrap_or_else(|| "-".to_owned());
-        names.into_iter().chain(self.errors.map(pair)).chain([within]).collect()
+        let counts = [format!("{:.1}", self.horizon_s), self.forecasts.to_string()];
+        counts.into_iter().chain(self.errors.map(pair)).map(Some).chain([within])
     }
 
     fn json(&self) -> Value {
@@ -209,11 +208,10 @@ impl AgainstReport {
             "stgdat, best of 20",
             "stgdat, truth within 50 / 90 %",
         ];
-        let columns = columns.map(str::to_owned).into_iter();
         let mut table = Table::new("Forecasts of stgdat and of the bag", &note, &["agents"], columns);
         let end_s = self.rows.iter().map(|row| row.horizon_s).fold(0.0, f64::max);
         for row in self.rows.iter().filter(|row| row.agents == "all" || row.horizon_s == end_s) {
-            table.push_row(row.cells());
+            table.push(&[row.agents], row.figures());
         }
         format!("#{}\n{}.\n", table.markdown(""), self.counts.text())
     }

@@ -161,19 +161,13 @@ impl Gaps {
 
     /// The errors as a Markdown table.
     fn markdown(&self) -> String {
-        let columns = ["positions", "forecasts m", "kinematic m", "ratio"].map(str::to_owned);
-        let mut table = Table::new("", "", &["source", "type", "gap s"], columns.into_iter());
+        let columns = ["positions", "forecasts m", "kinematic m", "ratio"];
+        let mut table = Table::new("", "", &["source", "type", "gap s"], columns);
         for (source, agent_type, gap, positions) in self.cells() {
-            let [ours, theirs] = rmse_m(&positions);
-            let mut row = vec![
-                source.name.clone(),
-                agent_type.name().to_owned(),
-                format!("{:.1}", GAPS_S[gap]),
-                positions.len().to_string(),
-            ];
-            row.extend([ours, theirs].map(|rmse_m| format!("{rmse_m:.3}")));
-            row.push(ratio(&positions));
-            table.push_row(row);
+            let [ours, theirs] = rmse_m(&positions).map(|rmse_m| format!("{rmse_m:.3}"));
+            let names = [&*source.name, agent_type.name(), &format!("{:.1}", GAPS_S[gap])];
+            let figures = [positions.len().to_string(), ours, theirs, ratio(&positions)];
+            table.push(&names, figures.map(Some));
         }
         format!(
             "## Tracking through gaps\n\nRoot mean square of the position's error while an agent is not detected, from positions \

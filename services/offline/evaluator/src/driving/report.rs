@@ -142,9 +142,9 @@ impl Report {
     }
 
     fn by_source(&self) -> String {
-        let rows = self.cells().map(|(source, agent_type, samples)| {
-            (vec![source.name.clone(), agent_type.name().to_owned()], samples)
-        });
+        let rows = self
+            .cells()
+            .map(|(source, agent_type, samples)| (vec![&*source.name, agent_type.name()], samples));
         let table = table(&["source", "type"], BY_SOURCE, rows);
         let means = wire::AGENT_TYPES.into_iter().filter_map(|agent_type| {
             let of_type = self.cells().filter(|(_, of, _)| *of == agent_type);
@@ -168,8 +168,7 @@ impl Report {
         let bands = self.cells().flat_map(|(source, agent_type, samples)| {
             BAND_NAMES.iter().enumerate().map(move |(band, name)| {
                 let of_band = samples.iter().copied().filter(|sample| band_of(sample) == band).collect();
-                let names = [&source.name, agent_type.name(), name].map(str::to_owned);
-                (names.to_vec(), of_band)
+                (vec![&*source.name, agent_type.name(), name], of_band)
             })
         });
         let rows = bands.filter(|(_, of_band): &(_, Vec<&Sample>)| of_band.len() >= CELL_MIN);
@@ -187,7 +186,7 @@ impl Report {
         let subsets = moving().flat_map(|(source, samples)| {
             SUBSETS.iter().map(move |(name, is_in)| {
                 let subset = samples.iter().copied().filter(|sample| is_in(sample)).collect();
-                (vec![source.name.clone(), (*name).to_owned()], subset)
+                (vec![&*source.name, *name], subset)
             })
         });
         let rows = subsets.filter(|(_, subset): &(_, Vec<&Sample>)| subset.len() >= CELL_MIN / 4);
@@ -204,7 +203,7 @@ impl Report {
     fn conflicts(&self) -> String {
         let measures = ["AP", "precision", "false alarms", "per agent and hour", "s ahead"];
         let columns = ["pairs", "conflicts"].into_iter().chain(measures);
-        let mut table = Table::new("", "", &["source", "forecast"], columns.map(str::to_owned));
+        let mut table = Table::new("", "", &["source", "forecast"], columns);
         let all: Vec<Pair> = self.sources.iter().flat_map(|(_, played)| &played.pairs).copied().collect();
         let all_s = self.sources.iter().map(|(_, played)| played.agent_s).sum();
         let of_sources =
@@ -213,9 +212,7 @@ impl Report {
             let conflict_count = pairs.iter().filter(|pair| pair.conflict_s.is_some()).count();
             for (number, foreteller) in FORETELLERS.iter().enumerate() {
                 let Some(foretold) = Foretold::of(pairs, number) else { continue };
-                table.push_row(vec![
-                    name.to_owned(),
-                    (*foreteller).to_owned(),
+                let figures = [
                     pairs.len().to_string(),
                     conflict_count.to_string(),
                     format!("{:.3}", foretold.average_precision),
@@ -223,7 +220,8 @@ impl Report {
                     foretold.false_alarms.to_string(),
                     format!("{:.2}", foretold.false_alarms as f64 / agent_s * 3600.0),
                     format!("{:.1}", foretold.ahead_s),
-                ]);
+                ];
+                table.push(&[name, foreteller], figures.map(Some));
             }
         }
         format!(
@@ -240,8 +238,7 @@ impl Report {
         for level in ["50", "90"] {
             columns.extend(STEPS.map(|step| format!("{level} %, {:.1} s", (step + 1) as f64 * 0.4)));
         }
-        let mut table =
-            Table::new("", "", &["source", "type", "source time", "forecasts"], columns.into_iter());
+        let mut table = Table::new("", "", &["source", "type", "source time", "forecasts"], columns);
         let mut of_parts: [Vec<Interval>; 2] = [Vec::new(), Vec::new()];
         for (source, agent_type, samples) in self.cells() {
             for (name, settled) in [("first minute", false), ("after it", true)] {
@@ -251,17 +248,11 @@ impl Report {
                     continue;
                 }
                 let cell = Cell { samples: &part };
-                let mut row = vec![
-                    source.name.clone(),
-                    agent_type.name().to_owned(),
-                    name.to_owned(),
-                    part.len().to_string(),
-                ];
-                row.extend((0..STEPS.len()).map(|step| format!("{:.2}", cell.held(0.5, step))));
+                let half = (0..STEPS.len()).map(|step| format!("{:.2}", cell.held(0.5, step)));
                 let held = (0..STEPS.len()).map(|step| cell.held_with_interval(LEVEL, step));
                 let held: Vec<Option<Interval>> = held.collect();
-                row.extend(held.iter().copied().map(interval));
-                table.push_row(row);
+                let figures = half.chain(held.iter().copied().map(interval)).map(Some);
+                table.push(&[&source.name, agent_type.name(), name, &part.len().to_string()], figures);
                 of_parts[usize::from(settled)].extend(held.into_iter().flatten());
             }
         }
@@ -277,7 +268,7 @@ impl Report {
 
     fn out_of_distribution(&self) -> String {
         let columns = ["sources", "lower half", "to nine tenths", "upper tenth", "upper / lower"];
-        let mut table = Table::new("", "", &["type"], columns.map(str::to_owned).into_iter());
+        let mut table = Table::new("", "", &["type"], columns);
         for agent_type in wire::AGENT_TYPES {
             let of_type = self.cells().filter(|(_, of, _)| *of == agent_type);
             let (mut samples, mut source_count) = (Vec::new(), 0);
@@ -296,13 +287,13 @@ impl Report {
             let (half, tenth) = (samples.len() / 2, samples.len() - samples.len() / 10);
             let parts = [&samples[..half], &samples[half..tenth], &samples[tenth..]];
             let [lower, _, upper] = parts.map(ratio);
-            let mut row = vec![agent_type.name().to_owned(), source_count.to_string()];
-            row.extend(parts.map(|part| {
+            let of_part = |part: &[&Sample]| {
                 let most = part.last().map_or(0.0, |sample| sample.out_of_distribution);
                 format!("{:.2} (to {most:.2})", ratio(part))
-            }));
-            row.push(format!("{:.2}", upper / lower));
-            table.push_row(row);
+            };
+            let [half, tenths, tenth] = parts.map(of_part);
+            let figures = [source_count.to_string(), half, tenths, tenth, format!("{:.2}", upper / lower)];
+            table.push(&[agent_type.name()], figures.map(Some));
         }
         format!(
             "## Out of distribution\n\nThe single best forecast's ADE over constant velocity's, of the forecasts of all sources in \
@@ -312,25 +303,21 @@ impl Report {
     }
 
     fn first_seconds(&self) -> String {
-        let columns = ["< 5 s", "5-10 s", "10-30 s", "later"].map(str::to_owned);
-        let mut table = Table::new("", "", &["source", "type"], columns.into_iter());
+        let columns = ["< 5 s", "5-10 s", "10-30 s", "later"];
+        let mut table = Table::new("", "", &["source", "type"], columns);
         for (source, agent_type, samples) in self.cells() {
-            let mut row = vec![source.name.clone(), agent_type.name().to_owned()];
             let mut from_s = 0.0;
-            for to_s in FIRST_S {
+            let figures = FIRST_S.map(|to_s| {
                 let part = samples.iter().copied().filter(|s| (from_s..to_s).contains(&s.recording_s));
                 let part: Vec<&Sample> = part.collect();
                 let cell = Cell { samples: &part };
                 let [ours, theirs] =
                     [Method::Best, Method::ConstantVelocity].map(|method| cell.errors(method));
-                row.push(if part.len() < CELL_MIN / 4 {
-                    "-".to_owned()
-                } else {
-                    format!("{:.2} / {:.2}", ours.ade_m / theirs.ade_m, ours.fde_m / theirs.fde_m)
-                });
                 from_s = to_s;
-            }
-            table.push_row(row);
+                (part.len() >= CELL_MIN / 4)
+                    .then(|| format!("{:.2} / {:.2}", ours.ade_m / theirs.ade_m, ours.fde_m / theirs.fde_m))
+            });
+            table.push(&[&source.name, agent_type.name()], figures);
         }
         format!(
             "## First seconds of a recording\n\nThe single best forecast's ADE / FDE over constant velocity's.\n\n{}",
@@ -408,14 +395,13 @@ impl Report {
 fn table<'a>(
     names: &[&str],
     columns: &str,
-    rows: impl Iterator<Item = (Vec<String>, Vec<&'a Sample>)>,
+    rows: impl Iterator<Item = (Vec<&'a str>, Vec<&'a Sample>)>,
 ) -> String {
     let named = |name: &str| FIGURES.into_iter().find(|(of, _)| *of == name);
     let figures: Vec<Figure> = columns.split('|').filter_map(named).collect();
-    let mut table = Table::new("", "", names, columns.split('|').map(str::to_owned));
-    for (mut row, samples) in rows {
-        row.extend(figures.iter().map(|(_, figure)| figure(&Cell { samples: &samples })));
-        table.push_row(row);
+    let mut table = Table::new("", "", names, columns.split('|'));
+    for (names, samples) in rows {
+        table.push(&names, figures.iter().map(|(_, figure)| Some(figure(&Cell { samples: &samples }))));
     }
     table.grid()
 }

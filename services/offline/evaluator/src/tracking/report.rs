@@ -38,23 +38,16 @@ pub(crate) struct TrackingReport {
     trials: Vec<(f64, Trials)>,
 }
 
-/// An estimated quantity.
-#[derive(Clone, Copy, Debug, PartialEq)]
-enum Quantity {
-    Position,
-    Velocity,
+wire::named! {
+    /// An estimated quantity.
+    #[derive(Clone, Copy, Debug, PartialEq)]
+    enum Quantity {
+        Position => "position, m",
+        Velocity => "velocity, m/s",
+    }
 }
 
 impl Quantity {
-    const ALL: [Self; 2] = [Self::Position, Self::Velocity];
-
-    const fn name(self) -> &'static str {
-        match self {
-            Self::Position => "position, m",
-            Self::Velocity => "velocity, m/s",
-        }
-    }
-
     /// The heading of the quantity's table.
     const fn title(self) -> &'static str {
         match self {
@@ -200,25 +193,26 @@ impl TrackingReport {
              all measurements of a vehicle, later ones too, which no filter has.",
             self.evaluated_s
         );
-        let mut table =
-            Table::new(quantity.title(), &note, &["deviation", "method"], self.columns().into_iter());
+        let mut table = Table::new(quantity.title(), &note, &["deviation", "method"], self.columns());
         for &(sigma_m, _) in self.trials.iter().filter(|(sigma_m, _)| is_reported(*sigma_m)) {
             for method in self.methods() {
                 let cell = |sensor: Sensor| {
                     let norms = self.of(sensor, method)?.norms(quantity);
                     Some(format!("{} / {}", fine(norms.rmse()?), fine(norms.mae()?)))
                 };
-                table.push_row(self.row(sigma_m, method.name(), cell));
+                table.push(&[&deviation(sigma_m), method.name()], self.cells(sigma_m, cell));
             }
         }
         table
     }
 
-    /// A row with one cell per sensor with this noise.
-    fn row(&self, sigma_m: f64, name: &str, cell: impl Fn(Sensor) -> Option<String>) -> Vec<String> {
-        let cells =
-            self.sensors(sigma_m).into_iter().map(|sensor| cell(sensor).unwrap_or_else(|| "-".to_owned()));
-        [format!("{sigma_m} m"), name.to_owned()].into_iter().chain(cells).collect()
+    /// One cell per sensor with this noise.
+    fn cells(
+        &self,
+        sigma_m: f64,
+        cell: impl Fn(Sensor) -> Option<String>,
+    ) -> impl Iterator<Item = Option<String>> {
+        self.sensors(sigma_m).into_iter().map(cell)
     }
 
     fn comparisons(&self) -> Table {
@@ -229,8 +223,7 @@ impl TrackingReport {
              favours it."
         );
         let head = ["deviation", "method", "quantity, reference"];
-        let mut table =
-            Table::new("Learned prior against the other filters", &note, &head, self.columns().into_iter());
+        let mut table = Table::new("Learned prior against the other filters", &note, &head, self.columns());
         for &(sigma_m, _) in &self.trials {
             for learned in self.methods().filter(|method| method.is_learned()) {
                 for quantity in Quantity::ALL {
@@ -243,9 +236,9 @@ impl TrackingReport {
                         |sensor| against(sensor, self.of(sensor, TrackingMethod::ConstantVelocity));
                     let name = quantity.name().split(',').next().unwrap_or_default();
                     let mut push = |other: &str, cell: &dyn Fn(Sensor) -> Option<String>| {
-                        let mut row = self.row(sigma_m, learned.name(), cell);
-                        row.insert(2, format!("{name}, {other}"));
-                        table.push_row(row);
+                        let compared = format!("{name}, {other}");
+                        let names = [&deviation(sigma_m), learned.name(), &compared];
+                        table.push(&names, self.cells(sigma_m, cell));
                     };
                     push("best kinematic filter", &best);
                     push("constant velocity", &velocity);
@@ -267,11 +260,11 @@ impl TrackingReport {
                     let evaluated = self.of(sensor, method)?;
                     Some(format!("{} / {}", consistency(&evaluated.nees?), consistency(&evaluated.nis?)))
                 };
-                let mut row = self.row(sigma_m, method.name(), cell);
                 let evaluated =
                     self.sensors(sigma_m).into_iter().filter_map(|sensor| self.of(sensor, method));
-                row.push(evaluated.map(|evaluated| evaluated.fault_count).sum::<u64>().to_string());
-                table.push_row(row);
+                let faults = evaluated.map(|evaluated| evaluated.fault_count).sum::<u64>().to_string();
+                let cells = self.cells(sigma_m, cell).chain([Some(faults)]);
+                table.push(&[&deviation(sigma_m), method.name()], cells);
             }
         }
         table
@@ -283,8 +276,7 @@ impl TrackingReport {
              of one recording per site, {TRIALS} trials per method and deviation.",
             self.tuned_s
         );
-        let columns = ["setting", "NLL"].map(str::to_owned).into_iter();
-        let mut table = Table::new("Settings", &note, &["deviation", "method"], columns);
+        let mut table = Table::new("Settings", &note, &["deviation", "method"], ["setting", "NLL"]);
         for (sigma_m, trials) in &self.trials {
             for &(method, figure) in &trials.figures {
                 let numbers = method.setting_names().iter().zip(trials.settings.of(method));
@@ -294,12 +286,8 @@ impl TrackingReport {
                     [] => format!("those of {}", method.tuned_as().name()),
                     numbers => numbers.join(", "),
                 };
-                table.push_row(vec![
-                    format!("{sigma_m} m"),
-                    method.name().to_owned(),
-                    setting,
-                    format!("{figure:.3}"),
-                ]);
+                let figures = [setting, format!("{figure:.3}")].map(Some);
+                table.push(&[&deviation(*sigma_m), method.name()], figures);
             }
         }
         table
@@ -370,6 +358,10 @@ struct Figures {
     /// Shares of the instants within the χ² bounds.
     nees_inside: Option<f64>,
     nis_inside: Option<f64>,
+}
+
+fn deviation(sigma_m: f64) -> String {
+    format!("{sigma_m} m")
 }
 
 /// The square per degree of freedom, and the share within the bounds.

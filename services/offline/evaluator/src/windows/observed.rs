@@ -6,8 +6,8 @@
 
 use data::Recording;
 use metrics::Point;
-use scene::State;
-use wire::{AgentType, HistoryState, Track};
+use scene::track_history;
+use wire::{AgentType, Track};
 
 use super::Report;
 use crate::error::EvaluateError;
@@ -108,12 +108,11 @@ fn scene_of(scene: &Scene, tracks: &[Track], has_identities: bool, history_len: 
         .zip(followed)
         .filter_map(|(track, place)| {
             let agent = place.map(|place| &scene.agents[place]);
-            let of_type = AgentType::try_from(track.agent_type).ok()?;
             Some(Agent {
                 id: agent.map_or(NO_AGENT | track.id, |agent| agent.id),
-                agent_type: of_type,
+                agent_type: track.agent_type().ok()?,
                 length_m: Some(track.length_m).filter(|length_m| *length_m > 0.0),
-                history: track.history[..history_len].iter().map(state).collect(),
+                history: track_history(track)[..history_len].to_vec(),
                 future: agent.map_or_else(
                     || vec![None; scene.agents.first().map_or(0, |first| first.future.len())],
                     |agent| agent.future.clone(),
@@ -125,17 +124,11 @@ fn scene_of(scene: &Scene, tracks: &[Track], has_identities: bool, history_len: 
     Scene { stamp_ns: scene.stamp_ns, agents }
 }
 
-fn state(published: &HistoryState) -> Option<State> {
-    (published.present != 0).then_some(State {
-        position_m: [published.x_m, published.y_m],
-        velocity_mps: [published.vx_mps, published.vy_mps],
-        heading_rad: published.heading_rad,
-    })
-}
-
 #[cfg(test)]
 mod tests {
     use bytemuck::Zeroable as _;
+    use scene::State;
+    use wire::HistoryState;
 
     use super::*;
 

@@ -53,8 +53,8 @@ impl Table {
         let mut table = Self::new(title, note, &["measure", "method"], names(columns));
         for measure in Measure::ALL {
             for method in Method::ALL {
-                let cells = columns.iter().map(|column| column.errors(method, measure, horizon));
-                table.push([measure.name(), method.name()], cells);
+                let cells = columns.iter().map(|column| column.errors(method, measure, horizon).map(pair));
+                table.push_known(&[measure.name(), method.name()], cells);
             }
         }
         table
@@ -64,7 +64,7 @@ impl Table {
     pub(crate) fn published(title: &str, note: &str, groups: &[&Group], horizon: usize) -> Self {
         let head =
             ["forecasts", "published", "constant velocity", "ratio of FDE", "published, minADE₂₀ / minFDE₂₀"];
-        let mut table = Self::new(title, note, &["agents"], head.into_iter().map(str::to_owned));
+        let mut table = Self::new(title, note, &["agents"], head);
         for group in groups {
             let errors = |method, measure| group.total.errors(method, measure, horizon);
             let single = errors(Method::Evidence, Measure::Single);
@@ -72,19 +72,11 @@ impl Table {
             else {
                 continue;
             };
-            let cell = pair;
-            let ratio =
-                if plain.fde_m > 0.0 { format!("{:.2}", ours.fde_m / plain.fde_m) } else { "-".to_owned() };
-            let best = errors(Method::Evidence, Measure::BestOf).map_or_else(|| "-".to_owned(), cell);
+            let ratio = (plain.fde_m > 0.0).then(|| format!("{:.2}", ours.fde_m / plain.fde_m));
+            let best = errors(Method::Evidence, Measure::BestOf).map(pair);
             let forecasts = group.total.len(Method::Evidence, Measure::Single).to_string();
-            table.push_row(vec![
-                group.subset.name().to_owned(),
-                forecasts,
-                cell(ours),
-                cell(plain),
-                ratio,
-                best,
-            ]);
+            let figures = [Some(forecasts), Some(pair(ours)), Some(pair(plain)), ratio, best];
+            table.push(&[group.subset.name()], figures);
         }
         table
     }
@@ -127,12 +119,10 @@ impl Table {
         let columns_of = columns.iter().flat_map(horizon);
         let mut table = Self::new(title, note, &["measure", "method"], columns_of);
         for &(measure, method) in rows {
-            let of = |column: &Column<'_>| {
-                (0..horizons_s.len())
-                    .map(|horizon| column.errors(method, measure, horizon))
-                    .collect::<Vec<_>>()
-            };
-            table.push([measure.name(), method.name()], columns.iter().flat_map(of));
+            let cells = columns.iter().flat_map(|column| {
+                (0..horizons_s.len()).map(|horizon| column.errors(method, measure, horizon).map(pair))
+            });
+            table.push_known(&[measure.name(), method.name()], cells);
         }
         table
     }
@@ -145,8 +135,8 @@ impl Table {
         cell: impl Fn(&'a [PaperRow], &str, usize) -> Option<Errors>,
     ) {
         for method in crate::windows::reference::methods(paper) {
-            let cells = (0..column_count).map(|column| cell(paper, method, column));
-            self.push([Measure::BestOf.name(), &format!("{method} (paper)")], cells);
+            let cells = (0..column_count).map(|column| cell(paper, method, column).map(pair));
+            self.push_known(&[Measure::BestOf.name(), &format!("{method} (paper)")], cells);
         }
     }
 
@@ -164,11 +154,7 @@ impl Table {
                 let values = values.filter(|values| !values.is_empty())?;
                 Some(format!("{:.decimals$}", values.iter().sum::<f64>() / values.len() as f64))
             };
-            let cells: Vec<Option<String>> = of_columns.iter().map(cell).collect();
-            if cells.iter().any(Option::is_some) {
-                let cells = cells.into_iter().map(|cell| cell.unwrap_or_else(|| "-".to_owned()));
-                table.rows.push([*name, method.name()].map(str::to_owned).into_iter().chain(cells).collect());
-            }
+            table.push_known(&[name, method.name()], of_columns.iter().map(cell));
         }
         table
     }
@@ -187,25 +173,9 @@ impl Table {
                 let pair = group.compare(place)?;
                 Some(pair.map(|contrast| percent(&contrast.ratio)).join(" / "))
             };
-            let cells: Vec<Option<String>> = columns.iter().map(cell).collect();
-            if cells.iter().any(Option::is_some) {
-                let cells = cells.into_iter().map(|cell| cell.unwrap_or_else(|| "-".to_owned()));
-                table.rows.push(
-                    [measure.name(), method.name()].map(str::to_owned).into_iter().chain(cells).collect(),
-                );
-            }
+            table.push_known(&[measure.name(), method.name()], columns.iter().map(cell));
         }
         table
-    }
-
-    /// Adds a row of errors unless all its cells are empty.
-    fn push(&mut self, names: [&str; 2], cells: impl Iterator<Item = Option<Errors>>) {
-        let cells: Vec<Option<Errors>> = cells.collect();
-        if cells.iter().all(Option::is_none) {
-            return;
-        }
-        let text = |errors: &Option<Errors>| errors.map_or_else(|| "-".to_owned(), pair);
-        self.rows.push(names.map(str::to_owned).into_iter().chain(cells.iter().map(text)).collect());
     }
 }
 

@@ -6,6 +6,8 @@ use data::{Frame, Recording};
 use scene::AgentType;
 use wire::{Detection, detection_flags};
 
+use crate::noise::wrapped;
+
 /// Number of agents in a scene. Each has its own direction.
 pub(crate) const AGENTS: u64 = 12;
 /// Distance between the starts of two agents. None comes near another one.
@@ -188,11 +190,6 @@ impl Scene {
 /// not whole frames.
 fn begins_s(agent: u64) -> f64 {
     BEGINS_S + 0.1 * agent as f64 / AGENTS as f64
-}
-
-/// An angle within [−π, π).
-fn wrapped(angle_rad: f64) -> f64 {
-    (angle_rad + TAU / 2.0).rem_euclid(TAU) - TAU / 2.0
 }
 
 #[cfg(test)]

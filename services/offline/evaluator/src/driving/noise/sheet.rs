@@ -32,16 +32,14 @@ pub(crate) struct Row {
 impl Sheet {
     /// The table under a heading of the second level.
     pub(crate) fn markdown(&self) -> String {
-        let mut table =
-            Table::new("", "", &self.names, self.columns.iter().map(|column| (*column).to_owned()));
+        let mut table = Table::new("", "", &self.names, self.columns.iter().copied());
         for row in &self.rows {
             let shown = |(column, value): (&&str, &Option<f64>)| match value {
-                Some(count) if *column == COUNTS => format!("{count:.0}"),
-                Some(value) => digits(*value),
-                None => "-".to_owned(),
+                Some(count) if *column == COUNTS => Some(format!("{count:.0}")),
+                value => value.map(digits),
             };
-            let values = self.columns.iter().zip(&row.values).map(shown);
-            table.push_row(row.names.iter().cloned().chain(values).collect());
+            let names: Vec<&str> = row.names.iter().map(String::as_str).collect();
+            table.push(&names, self.columns.iter().zip(&row.values).map(shown));
         }
         format!("## {}\n\n{}\n\n{}", self.title, self.note, table.grid())
     }

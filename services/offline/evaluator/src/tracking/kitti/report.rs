@@ -114,17 +114,14 @@ impl KittiReport {
                     of the detections is chosen per tracker and class, for the highest MOTA on the other sequences, among \
                     the same eight from -1 to 6. Our tracks count from an existence probability of 0.5.";
         let columns = KittiMeasure::ALL.map(KittiMeasure::name).into_iter().chain(["score threshold"]);
-        let mut table =
-            Table::new("Trackers", note, &["class", "sequences", "tracker"], columns.map(str::to_owned));
+        let mut table = Table::new("Trackers", note, &["class", "sequences", "tracker"], columns);
         for (class, agent_type) in CLASSES.into_iter().enumerate() {
             for (part, row) in self.rows() {
                 let total = row.total(class);
-                let names = [class_name(agent_type), &part.name, row.name].map(str::to_owned);
                 let figure = |measure: KittiMeasure| total.figure(measure).map(|figure| measure.text(figure));
-                let cells =
-                    KittiMeasure::ALL.map(|measure| figure(measure).unwrap_or_else(|| "-".to_owned()));
-                let chosen = [scores(row, class, ", ")];
-                table.push_row(names.into_iter().chain(cells).chain(chosen).collect());
+                let figures =
+                    KittiMeasure::ALL.map(figure).into_iter().chain([Some(scores(row, class, ", "))]);
+                table.push(&[class_name(agent_type), &part.name, row.name], figures);
             }
         }
         table
@@ -140,21 +137,14 @@ impl KittiReport {
              brackets the 95 % interval of a paired bootstrap over sequences, {RESAMPLES} resamples; none where fewer \
              than {SEQUENCES_MIN} sequences contain objects of the class."
         );
-        let columns = KittiMeasure::COMPARED.map(|measure| measure.name().to_owned()).into_iter();
-        let mut table = Table::new(
-            "Learned prior against the other trackers",
-            &note,
-            &["class", "sequences", "compared with"],
-            columns,
-        );
+        let names = ["class", "sequences", "compared with"];
+        let columns = KittiMeasure::COMPARED.map(KittiMeasure::name);
+        let mut table = Table::new("Learned prior against the other trackers", &note, &names, columns);
         for (class, agent_type) in CLASSES.into_iter().enumerate() {
             for part in &self.parts {
                 for other in part.rows.iter().take(part.rows.len().saturating_sub(1)) {
-                    let names = [class_name(agent_type), &part.name, other.name].map(str::to_owned);
-                    let cell = |measure| other.lead_of_last(class, measure);
-                    let cells =
-                        KittiMeasure::COMPARED.map(|measure| cell(measure).unwrap_or_else(|| "-".to_owned()));
-                    table.push_row(names.into_iter().chain(cells).collect());
+                    let leads = KittiMeasure::COMPARED.map(|measure| other.lead_of_last(class, measure));
+                    table.push(&[class_name(agent_type), &part.name, other.name], leads);
                 }
             }
         }

@@ -24,8 +24,8 @@ struct Figures {
 /// [`Failure`] if weights can't be read.
 pub fn text(recordings: &[Recording], before: &Path, after: &Path) -> Result<String, Failure> {
     let [before, after] = [figures(recordings, before)?, figures(recordings, after)?];
-    let columns = ["single best, ADE / FDE", "best of 20, ADE / FDE"].map(str::to_owned);
-    let mut table = Table::new("", "", &["validation, m"], columns.into_iter());
+    let columns = ["single best, ADE / FDE", "best of 20, ADE / FDE"];
+    let mut table = Table::new("", "", &["validation, m"], columns);
     for (name, of) in [
         ("network before", before.network),
         ("network after", after.network),
@@ -33,8 +33,7 @@ pub fn text(recordings: &[Recording], before: &Path, after: &Path) -> Result<Str
         ("published after", after.published),
         ("constant velocity", after.steady),
     ] {
-        let cell = |errors: Option<Errors>| errors.map_or("-".to_owned(), pair);
-        table.push_row([name.to_owned()].into_iter().chain(of.map(cell)).collect());
+        table.push(&[name], of.map(|errors| errors.map(pair)));
     }
     Ok(format!(
         "{}\n{} forecasts. *Published* forecasts have evidence and retrieval.\n\n{}",
