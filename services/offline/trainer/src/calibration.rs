@@ -99,13 +99,7 @@ impl Calibration<'_> {
         forecasts: &mut [Vec<Forecast>; 3],
     ) -> Result<(), TrainError> {
         let config = self.config;
-        let options = BatchOptions {
-            config,
-            base: self.base,
-            neighbours_max: scene::NEIGHBOURS_MAX,
-            with_future: false,
-        };
-        let batch = Batch::new(std::slice::from_ref(scene), options)?;
+        let batch = Batch::new(std::slice::from_ref(scene), BatchOptions::of_run(config, self.base))?;
         let encoded = encode(weights, config, &batch.graph, Normalisation::Running, false);
         for (of_type, forecasts) in forecasts.iter_mut().enumerate() {
             let Some(forecast) = TypeForecast::new(weights, config, &batch, &encoded, of_type) else {

@@ -44,6 +44,7 @@ mod score;
 mod spool;
 #[cfg(test)]
 mod tests;
+mod threads;
 mod train;
 mod validate;
 mod view;

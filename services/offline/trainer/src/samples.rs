@@ -96,6 +96,23 @@ pub(crate) struct Selection<'a> {
     pub(crate) whole_history: bool,
 }
 
+#[cfg(test)]
+impl<'a> Selection<'a> {
+    /// The training part of some sets in a folder, all of it.
+    pub(crate) const fn of_tests(root: &'a Path, sets: &'a [DataSet]) -> Self {
+        Self {
+            root,
+            sets,
+            own: &[],
+            part: Part::Train,
+            leave_out: &[],
+            windows_max: usize::MAX,
+            from_positions: false,
+            whole_history: false,
+        }
+    }
+}
+
 impl Selection<'_> {
     fn files(&self, set: DataSet) -> Result<Vec<PathBuf>, TrainError> {
         let mut files = match set {

@@ -26,6 +26,7 @@ use crate::progress::Progress;
 use crate::samples::{MapKind, Samples, Selection, Source};
 use crate::score::{SetScore, choose_by};
 use crate::spool::Spooling;
+use crate::threads;
 use crate::validate::{Baselines, Validation};
 use crate::windows::{Windows, counted_in, selection};
 use crate::{TrainError, own};
@@ -242,23 +243,13 @@ impl<'a> Run<'a> {
         random: &ChaCha8Rng,
     ) -> Result<Vec<Differentiated>, TrainError> {
         let options = self.options;
-        let one = |number: usize, scenes: &[SceneView<'_>]| {
+        threads::each(parts, |number, scenes| {
             let batch = self.training.batch_of(scenes, base)?;
             let draws = self.training.draws(&batch, random, number);
             let done = state.progress.step as f32 / options.steps as f32;
             let (objective, model) = (&options.objective, &options.model);
             let learned = Learned::of(&options.optimiser);
             Ok(differentiate(objective, model, &state.weights, &batch, (counted, done), &draws, learned))
-        };
-        let one = &one;
-        std::thread::scope(|scope| {
-            let mut numbered = parts.iter().enumerate();
-            let first = numbered.next();
-            let others: Vec<_> =
-                numbered.map(|(number, scenes)| scope.spawn(move || one(number, scenes))).collect();
-            let first = first.map(|(number, scenes)| one(number, scenes));
-            let others = others.into_iter().map(|thread| thread.join().expect("the part's thread panicked"));
-            first.into_iter().chain(others).collect()
         })
     }
 

@@ -27,6 +27,7 @@ use crate::net::tensors::Tensors;
 use crate::rollout::TypeForecast;
 use crate::samples::{Agent, MapKind, Samples, SetSamples, Window};
 use crate::score::{SetScore, rounded};
+use crate::threads;
 use crate::view;
 
 /// Maximum number of agents shown from a crowd.
@@ -110,18 +111,11 @@ impl Validation<'_> {
         let stride = set.counted_count().div_ceil(self.agents_max).max(1);
         let windows: Vec<Window> = set.windows.iter().copied().step_by(stride).collect();
         let parts: Vec<&[Window]> = windows.chunks(windows.len().div_ceil(self.workers).max(1)).collect();
-        let sums = std::thread::scope(|scope| {
-            let threads: Vec<_> = parts
-                .iter()
-                .map(|windows| scope.spawn(|| self.sums(weights, set.set, windows, samples)))
-                .collect();
-            let mut sums =
-                threads.into_iter().map(|thread| thread.join().expect("the part's thread panicked"));
-            sums.try_fold(Sums::default(), |mut sums, part| {
-                sums.iter_mut().zip(part?).for_each(|(sum, part)| sum.merge(&part));
-                Ok::<_, TrainError>(sums)
-            })
-        })?;
+        let of_parts = threads::each(&parts, |_, windows| self.sums(weights, set.set, windows, samples))?;
+        let mut sums = Sums::default();
+        for part in of_parts {
+            sums.iter_mut().zip(part).for_each(|(sum, part)| sum.merge(&part));
+        }
         let agents = usize::try_from(sums[1].ade_m.len()).unwrap_or(usize::MAX);
         let [best_of_modes, single, base_best_of_modes, base_single, constant_velocity, anchors_best_of_20] =
             sums.map(|mean| Errors {
@@ -170,13 +164,7 @@ impl Validation<'_> {
         sums: &mut Sums,
     ) -> Result<(), TrainError> {
         let config = self.config;
-        let options = BatchOptions {
-            config,
-            base: self.base,
-            neighbours_max: scene::NEIGHBOURS_MAX,
-            with_future: false,
-        };
-        let batch = Batch::new(scenes, options)?;
+        let batch = Batch::new(scenes, BatchOptions::of_run(config, self.base))?;
         let encoded = encode(weights, config, &batch.graph, Normalisation::Running, false);
         for of_type in 0..3 {
             let Some(forecast) = TypeForecast::new(weights, config, &batch, &encoded, of_type) else {

@@ -23,6 +23,13 @@ pub(crate) struct BatchOptions<'a> {
     pub(crate) with_future: bool,
 }
 
+impl<'a> BatchOptions<'a> {
+    /// Batches of all that a network reads in a run: as many neighbours, and no future.
+    pub(crate) const fn of_run(config: &'a ModelConfig, base: &'a BaseControl) -> Self {
+        Self { config, base, neighbours_max: scene::NEIGHBOURS_MAX, with_future: false }
+    }
+}
+
 pub(crate) fn scales(config: &ModelConfig) -> FeatureScales {
     FeatureScales { position: config.position_scale, velocity: config.velocity_scale }
 }

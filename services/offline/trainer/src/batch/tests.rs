@@ -3,7 +3,6 @@
 use std::path::Path;
 use std::sync::{Arc, LazyLock};
 
-use data::sets::Part;
 use data::{Format, Recording};
 use nn::ModelConfig;
 use proptest::prelude::*;
@@ -51,16 +50,7 @@ fn cut_all(
 }
 
 fn selection(from_positions: bool) -> Selection<'static> {
-    Selection {
-        root: Path::new(""),
-        sets: &[],
-        own: &[],
-        part: Part::Train,
-        leave_out: &[],
-        windows_max: usize::MAX,
-        from_positions,
-        whole_history: false,
-    }
+    Selection { from_positions, ..Selection::of_tests(Path::new(""), &[]) }
 }
 
 /// Inputs and targets in the windows of a recording up to a time.

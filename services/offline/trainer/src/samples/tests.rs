@@ -143,19 +143,11 @@ fn reading_beyond_a_short_file_is_an_error() {
     std::fs::create_dir_all(&train).unwrap();
     std::fs::write(train.join("walk.txt"), rows).unwrap();
     let set = data::sets::Fold::ALL.map(DataSet::EthUcyFold).into_iter().find(|set| set.name() == "zara1");
-    let selection = Selection {
-        root: folder.path(),
-        sets: &[set.unwrap()],
-        own: &[],
-        part: Part::Train,
-        leave_out: &[],
-        windows_max: usize::MAX,
-        from_positions: false,
-        whole_history: false,
-    };
     let config = onboard_config();
     let spooling = Spooling::create(&folder.path().join("checkpoints")).unwrap();
-    let samples = Samples::read(selection, &config, spooling, |_| ()).unwrap();
+    let sets = [set.unwrap()];
+    let samples =
+        Samples::read(Selection::of_tests(folder.path(), &sets), &config, spooling, |_| ()).unwrap();
     let last = samples.sets[0].windows.last().unwrap();
     let patch =
         PatchOptions { side: config.patch_size, cell_m: config.patch_cell_m, ahead_m: config.patch_ahead_m };

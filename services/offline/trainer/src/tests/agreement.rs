@@ -5,7 +5,6 @@ use std::path::Path;
 use std::sync::Arc;
 
 use data::Format;
-use data::sets::Part;
 use kinematics::MotionModel;
 use nn::base::BaseFeatures;
 use nn::{BurnIn, Draws, Latents, ModelConfig, Weights};
@@ -102,16 +101,7 @@ fn recorded(config: &ModelConfig) -> (Vec<Scene>, Ground, Spool) {
     let mut random = ChaCha8Rng::seed_from_u64(7);
     let path = Scenery::random(frame_rate(Format::Csv), &mut random).write(Format::Csv, folder.path());
     let recording = data::open(&path, Some(Format::Csv)).unwrap();
-    let selection = Selection {
-        root: folder.path(),
-        sets: &[],
-        own: &[],
-        part: Part::Train,
-        leave_out: &[],
-        windows_max: usize::MAX,
-        from_positions: false,
-        whole_history: false,
-    };
+    let selection = Selection::of_tests(folder.path(), &[]);
     let mut spooling = Spooling::create(folder.path()).unwrap();
     let (scenes, ground) = cut(&recording, selection, config, &mut spooling).unwrap();
     let mut scenes: Vec<Scene> = scenes.collect();
