@@ -1,7 +1,7 @@
-//! The map in docs/architecture.md against the manifests of the workspace.
+//! The map in docs/architecture.md against the manifests of the workspace, and the order of the crates' modules.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use serde_json::Value;
@@ -105,4 +105,53 @@ fn no_online_stage_depends_on_another() {
             dependencies[stage].iter().filter(|name| ONLINE.contains(&name.as_str())).collect();
         assert!(others.is_empty(), "{stage}: {others:?}");
     }
+}
+
+/// The crates whose modules import only from the lines below their own, in the table of `lib.rs`.
+const LAYERED: [&str; 6] = ["configuration", "console", "evaluator", "faults", "supervisor", "telemetry"];
+
+#[test]
+fn no_module_imports_from_its_own_line_or_above() {
+    let packages = packages();
+    for name in LAYERED {
+        let package = packages.iter().find(|package| short(package) == name).expect("a crate");
+        let manifest = Path::new(package["manifest_path"].as_str().expect("a path"));
+        assert_layers(&manifest.with_file_name("src"));
+    }
+}
+
+/// Asserts that each module of a crate imports only from the lines below its own, in the table of `lib.rs`.
+fn assert_layers(source: &Path) {
+    let landing_page = std::fs::read_to_string(source.join("lib.rs")).expect("a library");
+    let table = landing_page.split("```").nth(1).expect("lib.rs has a block of code");
+    let line_of = |module: &str| {
+        let names =
+            |line: &str| line.trim_start_matches("//! ").split("  ").any(|word| word.trim() == module);
+        let line = table.lines().skip(1).position(names);
+        line.unwrap_or_else(|| panic!("{module} is not in the table of {}", source.display()))
+    };
+    for path in files(source) {
+        let own = path.strip_prefix(source).expect("a file of the crate").with_extension("");
+        let own = own.iter().next().and_then(|name| name.to_str()).expect("a module");
+        if own == "lib" {
+            continue;
+        }
+        let text = std::fs::read_to_string(&path).expect("a source file");
+        let text = text.split("#[cfg(test)]").next().unwrap_or_default();
+        for used in text.split("use crate::").skip(1) {
+            let used = used.split(';').next().unwrap_or_default();
+            // Either one path, or several in braces.
+            let paths = used.strip_prefix('{').map_or(vec![used], |several| several.split(',').collect());
+            for path in paths {
+                let used = path.split([':', '}']).next().unwrap_or_default().trim();
+                assert!(own == used || line_of(used) > line_of(own), "{own} imports from {used}");
+            }
+        }
+    }
+}
+
+/// The sources in a folder.
+fn files(folder: &Path) -> Vec<PathBuf> {
+    let paths = std::fs::read_dir(folder).expect("a folder").map(|entry| entry.expect("an entry").path());
+    paths.flat_map(|path| if path.is_dir() { files(&path) } else { vec![path] }).collect()
 }

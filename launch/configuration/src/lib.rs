@@ -21,11 +21,3 @@ pub mod stages;
 
 pub use pipeline::{BUDGET_MAX_MS, Pipeline, Stage};
 pub use realtime::Realtime;
-
-#[cfg(test)]
-mod tests {
-    #[test]
-    fn no_module_imports_from_its_own_line_or_above() {
-        testing::assert_layers(env!("CARGO_MANIFEST_DIR"));
-    }
-}

@@ -29,11 +29,3 @@ pub mod siblings;
 pub mod streams;
 pub mod tables;
 pub mod terminal;
-
-#[cfg(test)]
-mod tests {
-    #[test]
-    fn no_module_imports_from_its_own_line_or_above() {
-        testing::assert_layers(env!("CARGO_MANIFEST_DIR"));
-    }
-}

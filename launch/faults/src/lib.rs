@@ -41,11 +41,3 @@ mod table;
 mod verdict;
 
 pub use command::Verb;
-
-#[cfg(test)]
-mod tests {
-    #[test]
-    fn no_module_imports_from_its_own_line_or_above() {
-        testing::assert_layers(env!("CARGO_MANIFEST_DIR"));
-    }
-}

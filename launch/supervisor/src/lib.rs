@@ -56,11 +56,3 @@ pub use scheduling::Scheduling;
 pub use spawn::spawn;
 pub use stage_output::Sink;
 pub use text::{message, parse, plain};
-
-#[cfg(test)]
-mod tests {
-    #[test]
-    fn no_module_imports_from_its_own_line_or_above() {
-        testing::assert_layers(env!("CARGO_MANIFEST_DIR"));
-    }
-}

@@ -27,11 +27,3 @@ pub mod tap;
 pub mod top;
 pub mod watch;
 pub mod waterfall;
-
-#[cfg(test)]
-mod tests {
-    #[test]
-    fn no_module_imports_from_its_own_line_or_above() {
-        testing::assert_layers(env!("CARGO_MANIFEST_DIR"));
-    }
-}

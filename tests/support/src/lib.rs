@@ -7,14 +7,12 @@
 //! * [`Model`] makes weights files from the embedded one.
 //! * [`Browser`] is a page in headless Chromium.
 //! * [`lane`] is a map of one lane.
-//! * [`assert_layers`] checks the order of a crate's modules.
 //! * [`Scratch`] is the folder of a test, with generated recordings and changed pipelines.
 #![expect(clippy::unwrap_used, reason = "a test ends at what it can't do")]
 
 mod allocation;
 mod browser;
 mod lane;
-mod layers;
 mod model;
 mod recordings;
 mod scratch;
@@ -23,7 +21,6 @@ mod skipped;
 pub use allocation::{AllocationCounts, CountingAllocator, THREADS_MAX, allocations};
 pub use browser::Browser;
 pub use lane::lane;
-pub use layers::assert_layers;
 pub use model::{Model, value};
 pub use recordings::{public_recording, recordings_folder};
 pub use scratch::{SHIPPED_PIPELINE, Scratch};

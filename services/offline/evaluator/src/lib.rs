@@ -57,11 +57,3 @@ pub use windows::{
     Evaluation, Figure, InteractionPart, Measure, Method, Report, State, StateError, eth_ucy, interaction,
     sdd,
 };
-
-#[cfg(test)]
-mod tests {
-    #[test]
-    fn no_module_imports_from_its_own_line_or_above() {
-        testing::assert_layers(env!("CARGO_MANIFEST_DIR"));
-    }
-}
