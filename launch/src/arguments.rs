@@ -100,7 +100,7 @@ pub struct ReadArguments {
 
 /// Options of the tracker.
 #[derive(Clone, Debug, Args)]
-pub struct TrackerArguments {
+struct TrackerArguments {
     /// Associate detections by position even if they carry identities
     #[arg(long)]
     associate: bool,
@@ -108,7 +108,7 @@ pub struct TrackerArguments {
 
 /// Options of the retrieval memory.
 #[derive(Clone, Debug, Args)]
-pub struct RetrievalArguments {
+struct RetrievalArguments {
     /// Forecast without the retrieval memory
     #[arg(long)]
     no_retrieval: bool,
@@ -145,6 +145,20 @@ pub struct ModelArguments {
     lanes_origin: Option<Coordinates>,
 }
 
+/// The model, its maps, and the options of all stages but the source.
+#[derive(Clone, Debug, Args)]
+pub struct PipelineArguments {
+    #[command(flatten)]
+    tracker: TrackerArguments,
+    /// The model and its maps.
+    #[command(flatten)]
+    pub model: ModelArguments,
+    #[command(flatten)]
+    retrieval: RetrievalArguments,
+    #[command(flatten)]
+    set: SetArguments,
+}
+
 /// A recording that is played in this process, with its options.
 #[derive(Debug, Args)]
 pub struct PlaybackArguments {
@@ -159,13 +173,7 @@ pub struct PlaybackArguments {
     #[arg(long, value_name = "N")]
     ticks: Option<u32>,
     #[command(flatten)]
-    tracker: TrackerArguments,
-    #[command(flatten)]
-    model: ModelArguments,
-    #[command(flatten)]
-    retrieval: RetrievalArguments,
-    #[command(flatten)]
-    set: SetArguments,
+    pipeline: PipelineArguments,
 }
 
 /// A recording at its start, and the run that plays it.
@@ -267,7 +275,7 @@ pub fn warn_of_doubts(recording: &Recording) {
 
 impl TrackerArguments {
     /// Settings of the tracker.
-    pub fn settings(&self) -> Vec<Setting> {
+    fn settings(&self) -> Vec<Setting> {
         let associate =
             self.associate.then(|| Setting::of_flag("--associate", StageId::Tracker, "associate", true));
         associate.into_iter().collect()
@@ -276,7 +284,7 @@ impl TrackerArguments {
 
 impl RetrievalArguments {
     /// Settings of the sampler.
-    pub fn settings(&self) -> Result<Vec<Setting>, Failure> {
+    fn settings(&self) -> Result<Vec<Setting>, Failure> {
         let retrieval = |flag, on: bool| Setting::of_flag(flag, StageId::Sampler, "retrieval", on);
         if self.no_retrieval {
             let flag = "--no-retrieval";
@@ -331,6 +339,14 @@ impl ModelArguments {
     }
 }
 
+impl PipelineArguments {
+    /// Settings of the stages. Those of --set come last, after `more`, because the last setting of an option wins.
+    pub fn settings(&self, more: Option<Setting>) -> Result<Vec<Setting>, Failure> {
+        let (model, retrieval) = (self.model.settings()?, self.retrieval.settings()?);
+        Ok([self.tracker.settings(), model, retrieval, Vec::from_iter(more), self.set.set.clone()].concat())
+    }
+}
+
 impl PlaybackArguments {
     /// How the recording is read.
     pub const fn read(&self) -> &ReadArguments {
@@ -339,7 +355,7 @@ impl PlaybackArguments {
 
     /// The model and the maps.
     pub const fn model(&self) -> &ModelArguments {
-        &self.model
+        &self.pipeline.model
     }
 
     /// Absolute path of the recording; `None` for the generated intersection.
@@ -362,7 +378,7 @@ impl PlaybackArguments {
 
     /// Checks the arguments and returns the lockstep run that they describe, before its recording is read.
     pub fn prepare(&self) -> Result<Prepared, Failure> {
-        let (weights_path, weights) = self.model.open_weights(None)?;
+        let (weights_path, weights) = self.pipeline.model.open_weights(None)?;
         let options = self.options()?;
         let sampler = options.read(&sampler::STAGE)?;
         check_memory(&sampler, &weights)?;
@@ -385,7 +401,7 @@ impl PlaybackArguments {
     }
 
     fn options(&self) -> Result<StageOptions, Failure> {
-        if let Some(set) = self.set.set.iter().find(|set| set.is_of(StageId::Source, "recording")) {
+        if let Some(set) = self.pipeline.set.set.iter().find(|set| set.is_of(StageId::Source, "recording")) {
             return Err(set.refused("the recording is already an argument"));
         }
         let scene = SceneArguments {
@@ -400,15 +416,8 @@ impl PlaybackArguments {
             seed: self.seed,
             ticks: self.ticks,
         };
-        let settings = [
-            scene.settings()?,
-            self.tracker.settings(),
-            self.model.settings()?,
-            self.retrieval.settings()?,
-            self.set.set.clone(),
-        ];
         let mut options = StageOptions::defaults(&IN_PROCESS);
-        options.apply(&settings.concat())?;
+        options.apply(&[scene.settings()?, self.pipeline.settings(None)?].concat())?;
         Ok(options)
     }
 }

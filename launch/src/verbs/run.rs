@@ -27,8 +27,8 @@ use wire::{StageId, WorldOrigin};
 
 use self::supervise::{Following, supervise};
 use crate::arguments::{
-    ModelArguments, RetrievalArguments, SceneArguments, SetArguments, Speed, TrackerArguments, canonical,
-    check_lanes, check_memory, check_prior, warn_of_doubts,
+    PipelineArguments, SceneArguments, Speed, canonical, check_lanes, check_memory, check_prior,
+    warn_of_doubts,
 };
 use crate::fail_if::{self, Condition};
 use crate::files::{check_place, version, within};
@@ -51,13 +51,7 @@ pub struct Arguments {
     #[command(flatten)]
     scene: SceneArguments,
     #[command(flatten)]
-    tracker: TrackerArguments,
-    #[command(flatten)]
-    model: ModelArguments,
-    #[command(flatten)]
-    retrieval: RetrievalArguments,
-    #[command(flatten)]
-    set: SetArguments,
+    stages: PipelineArguments,
     /// Speed of playing
     #[arg(long, value_enum, default_value = "real")]
     speed: Speed,
@@ -128,7 +122,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         check_place(report)?;
     }
     let pipeline = pipeline_file::load(arguments.pipeline.as_deref())?;
-    let (weights_path, weights) = arguments.model.open_weights(pipeline.weights.as_deref())?;
+    let (weights_path, weights) = arguments.stages.model.open_weights(pipeline.weights.as_deref())?;
     let mut options = StageOptions::of_pipeline(&pipeline);
     options.apply(&arguments.settings()?)?;
     let source = source_options(arguments, &options)?;
@@ -245,15 +239,7 @@ impl Arguments {
         let forecasts = self.forecasts.as_deref().map(text).transpose()?;
         let forecasts =
             forecasts.map(|path| Setting::of_flag("--forecasts", StageId::Recorder, "forecasts", path));
-        let settings = [
-            self.scene.settings()?,
-            self.tracker.settings(),
-            self.model.settings()?,
-            self.retrieval.settings()?,
-            forecasts.into_iter().collect(),
-            self.set.set.clone(),
-        ];
-        Ok(settings.concat())
+        Ok([self.scene.settings()?, self.stages.settings(forecasts)?].concat())
     }
 }
 
