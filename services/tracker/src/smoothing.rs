@@ -213,16 +213,6 @@ mod tests {
         },
     };
 
-    fn observation(position_m: [f64; 2], position_variance: f64) -> Observation {
-        Observation {
-            position_m,
-            position_variance,
-            elongation: [0.0; 2],
-            heading_rad: None,
-            speed_mps: None,
-        }
-    }
-
     fn published(filter: &Filter) -> HistoryState {
         let motion = filter.motion();
         HistoryState {
@@ -243,7 +233,9 @@ mod tests {
             if tick > 0 {
                 filter.predict(TICK_NS, &MODELS).expect("a prediction");
             }
-            filter.update_jointly(&[(1.0, observation(*position_m, variance))], &MODELS).expect("an update");
+            filter
+                .update_jointly(&[(1.0, Observation::of_position(*position_m, variance))], &MODELS)
+                .expect("an update");
             filtered.push(published(&filter));
             spreads.push(Spread::new(&filter, MODELS.bicycle.rear_axle_m, DENSITY, 1.0));
         }

@@ -17,13 +17,8 @@ const TICK_NS: u64 = 80_000_000;
 
 fn ticks(criterion: &mut Criterion) {
     let start = Gaussian::new([0.0, 0.0, 0.2, 8.0, 0.0], [0.01, 0.01, 0.001, 0.25, 1e-4]);
-    let observed = Observation {
-        position_m: [0.63, 0.12],
-        position_variance: 0.04,
-        elongation: [0.0; 2],
-        heading_rad: Some((0.2, 0.01)),
-        speed_mps: None,
-    };
+    let position = Observation::of_position([0.63, 0.12], 0.04);
+    let observed = Observation { heading_rad: Some((0.2, 0.01)), ..position };
     let controls: Vec<ControlStep> = (0..HYPOTHESES * STEPS)
         .map(|i| ControlStep { mean: [0.2 * ((i / STEPS) as f64 - 10.0), 0.0], cholesky: [0.3, 0.0, 0.03] })
         .collect();

@@ -54,13 +54,7 @@
 //!
 //! // For 2 s the vehicle goes straight on at 10 m/s, and both filters measure its position.
 //! for tick in 1..=25 {
-//!     let observation = Observation {
-//!         position_m: [0.8 * f64::from(tick), 0.0],
-//!         position_variance: 0.01,
-//!         elongation: [0.0; 2],
-//!         heading_rad: None,
-//!         speed_mps: None,
-//!     };
+//!     let observation = Observation::of_position([0.8 * f64::from(tick), 0.0], 0.01);
 //!     kalman.predict(TICK_NS, &kinematic)?;
 //!     kalman.update(&observation, &kinematic)?;
 //!     mixture.predict(TICK_NS)?;
@@ -87,13 +81,7 @@
 //! assert!(error_m(&mixture.moments()) < 0.5 * error_m(&kalman));
 //!
 //! // The first measurement after the gap confirms the hypothesis that holds.
-//! let observation = Observation {
-//!     position_m: [true_x_m, 0.0],
-//!     position_variance: 0.01,
-//!     elongation: [0.0; 2],
-//!     heading_rad: None,
-//!     speed_mps: None,
-//! };
+//! let observation = Observation::of_position([true_x_m, 0.0], 0.01);
 //! mixture.update(&observation)?;
 //! assert!(mixture.weight(0) > 0.95);
 //! # Ok(())

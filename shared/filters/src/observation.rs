@@ -22,6 +22,11 @@ pub struct Observation {
 }
 
 impl Observation {
+    /// A position alone, with equal errors in all directions.
+    pub const fn of_position(position_m: [f64; 2], position_variance: f64) -> Self {
+        Self { position_m, position_variance, elongation: [0.0; 2], heading_rad: None, speed_mps: None }
+    }
+
     /// The velocity in the world frame and its variance per axis, if both heading and speed were observed.
     pub fn velocity_mps(&self) -> Option<([f64; 2], f64)> {
         let ((heading, _), (speed, variance)) = self.heading_rad.zip(self.speed_mps)?;

@@ -6,13 +6,15 @@
 
 use filters::{
     Bicycle, ConstantAcceleration, ConstantTurnRate, ConstantVelocity, Control, ControlStep, Controlled,
-    Forecast, Gaussian, Integrator, Mixture, Observation, Particles, Priors, Process, difference,
+    Forecast, Gaussian, Mixture, Observation, Particles, Priors, Process, difference,
 };
 use metrics::tracking::{Consistency, ConsistencySummary, chi_square_bounds, normalised_square};
 use nalgebra::SVector;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
+
+use crate::support::bicycle;
 
 const SEEDS: u64 = 1_000;
 const TICK_NS: u64 = 80_000_000;
@@ -21,15 +23,7 @@ const TICK_S: f64 = 0.08;
 const VELOCITY: ConstantVelocity = ConstantVelocity { density: 0.5 };
 const ACCELERATION: ConstantAcceleration = ConstantAcceleration { density: 1.0 };
 const TURN_RATE: ConstantTurnRate = ConstantTurnRate { acceleration_density: 0.5, yaw_density: 0.02 };
-const BICYCLE: Bicycle = Bicycle {
-    rear_axle_m: 1.2,
-    integrator: Integrator::Midpoint,
-    acceleration_mps2: 2.0,
-    slip_rate_radps: 0.1,
-    slip_decay_per_s: 0.0,
-    floor: [1e-4, 1e-4, 1e-5, 0.0, 0.0],
-    slip_max_rad: 0.5,
-};
+const BICYCLE: Bicycle = Bicycle { slip_rate_radps: 0.1, ..bicycle::BICYCLE };
 /// A bicycle whose slip decays.
 const DECAYING: Bicycle = Bicycle { slip_decay_per_s: 0.8, ..BICYCLE };
 /// Like [`BICYCLE`] without process noise, for forecasts.

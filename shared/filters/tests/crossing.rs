@@ -39,13 +39,7 @@ fn frame(truths: &[Gaussian<4>; 2], rng: &mut ChaCha8Rng) -> Vec<Observation> {
         positions.push([0, 1].map(|_| rng.random_range(-0.5..0.5) * SIDE_M));
     }
     positions.sort_by(|a, b| a[0].total_cmp(&b[0]));
-    let observed = |position_m| Observation {
-        position_m,
-        position_variance: SIGMA_M.powi(2),
-        elongation: [0.0; 2],
-        heading_rad: None,
-        speed_mps: None,
-    };
+    let observed = |position_m| Observation::of_position(position_m, SIGMA_M.powi(2));
     positions.into_iter().map(observed).collect()
 }
 

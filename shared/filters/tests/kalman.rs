@@ -9,6 +9,7 @@ use filters::{
 use nalgebra::{SMatrix, SVector, Vector5};
 use proptest::prelude::*;
 
+use crate::support::bicycle::BICYCLE;
 use crate::support::state::is_sound;
 
 const STEP_NS: u64 = 80_000_000;
@@ -69,13 +70,9 @@ fn run<F>(
     assert!(measured.len() > 150 && measured.len() == reference.len());
     for (m, expected) in measured.iter().zip(&reference) {
         assert_eq!(m[..2], expected[..2]);
-        let observed = Observation {
-            position_m: [m[4], m[5]],
-            position_variance: 0.1_f64.powi(2),
-            elongation: [0.0; 2],
-            heading_rad: with_heading.then_some((m[6], sigma_psi.powi(2))),
-            speed_mps: None,
-        };
+        let heading_rad = with_heading.then_some((m[6], sigma_psi.powi(2)));
+        let position = Observation::of_position([m[4], m[5]], 0.1_f64.powi(2));
+        let observed = Observation { heading_rad, ..position };
         let found = if m[1] == 0.0 {
             first(filter.insert(start(&observed, m[6])))
         } else {
@@ -198,15 +195,9 @@ fn bicycle_jacobian_equals_the_reference() {
     let numbers = |value: &serde_json::Value| -> SVector<f64, 5> {
         SVector::from_iterator(value.as_array().unwrap().iter().map(|x| x.as_f64().unwrap()))
     };
-    let still = Bicycle {
-        rear_axle_m: all["LR"].as_f64().unwrap(),
-        integrator: Integrator::Euler,
-        acceleration_mps2: 0.0,
-        slip_rate_radps: 0.0,
-        slip_decay_per_s: 0.0,
-        floor: [0.0; 5],
-        slip_max_rad: 3.0,
-    };
+    let rear_axle_m = all["LR"].as_f64().unwrap();
+    let moving = Bicycle { rear_axle_m, slip_max_rad: 3.0, ..BICYCLE };
+    let still = Bicycle { integrator: Integrator::Euler, ..moving.noiseless() };
     let cases = all["cases"].as_array().unwrap();
     assert_eq!(cases.len(), 50);
     for case in cases {
@@ -257,13 +248,7 @@ fn arc_jacobian_equals_finite_differences() {
 fn evidence_equals_the_density_of_the_innovation() {
     let mut state = Gaussian::new([0.0, 0.0, 1.0, 0.0], [0.3, 0.5, 0.2, 0.2]);
     let process = ConstantVelocity { density: 1.0 };
-    let observed = Observation {
-        position_m: [0.6, -0.7],
-        position_variance: 0.2,
-        elongation: [0.0; 2],
-        heading_rad: None,
-        speed_mps: None,
-    };
+    let observed = Observation::of_position([0.6, -0.7], 0.2);
     let (xx, yy) = (0.3 + 0.2, 0.5 + 0.2_f64);
     let nis: f64 = 0.36 / xx + 0.49 / yy;
     let density = (-0.5 * nis).exp() / (std::f64::consts::TAU * f64::sqrt(xx * yy));
@@ -328,15 +313,8 @@ fn a_long_prediction_equals_several_short_ones() {
     assert!((long.covariance - short.covariance).amax() < 1e-12);
 }
 
-const MODEL: Bicycle = Bicycle {
-    rear_axle_m: 1.2,
-    integrator: Integrator::Euler,
-    acceleration_mps2: 3.0,
-    slip_rate_radps: 0.3,
-    slip_decay_per_s: 0.0,
-    floor: [1e-4, 1e-4, 1e-5, 0.0, 0.0],
-    slip_max_rad: 0.5,
-};
+const MODEL: Bicycle =
+    Bicycle { integrator: Integrator::Euler, acceleration_mps2: 3.0, slip_rate_radps: 0.3, ..BICYCLE };
 
 const MODELS: Models = Models { constant_velocity: ConstantVelocity { density: 4.0 }, bicycle: MODEL };
 
@@ -347,13 +325,8 @@ const UNKNOWN: Unknown = Unknown { speed_mps: 10.0, slip_rad: 0.1 };
 /// Variances of the measurements from 1e-12 to 1e6.
 #[test]
 fn covariances_stay_positive_for_a_million_steps() {
-    let start = Observation {
-        position_m: [30.0, 0.0],
-        position_variance: 1.0,
-        elongation: [0.0; 2],
-        heading_rad: Some((1.5, 0.01)),
-        speed_mps: None,
-    };
+    let position = Observation::of_position([30.0, 0.0], 1.0);
+    let start = Observation { heading_rad: Some((1.5, 0.01)), ..position };
     let mut all = KINDS.map(|kind| Filter::start(kind, &start, &UNKNOWN));
     let (acceleration, turn_rate) = (
         ConstantAcceleration { density: 4.0 },
@@ -393,13 +366,7 @@ fn covariances_stay_positive_for_a_million_steps() {
 fn a_failed_update_restores_the_state() {
     let mut bicycle = Gaussian::new([0.0, 0.0, 0.3, 5.0, 0.0], [1.0, 1.0, 0.01, 4.0, 0.01]);
     let before = bicycle;
-    let observed = |position_variance| Observation {
-        position_m: [0.1, 0.2],
-        position_variance,
-        elongation: [0.0; 2],
-        heading_rad: None,
-        speed_mps: None,
-    };
+    let observed = |position_variance| Observation::of_position([0.1, 0.2], position_variance);
     assert_eq!(bicycle.update(&observed(-5.0), &MODEL), Err(FilterFault::NotPositive));
     assert_eq!(bicycle, before);
     assert_eq!(bicycle.update(&observed(f64::NAN), &MODEL), Err(FilterFault::NotPositive));

@@ -4,11 +4,12 @@
 use std::path::PathBuf;
 
 use filters::{
-    Bicycle, Control, ControlStep, Controlled, FilterFault, Forecast, Gaussian, Innovation, Integrator,
-    Mixture, Observation, Particles, Priors, Process, interpolated, sample_moments, wrapped,
+    Bicycle, Control, ControlStep, Controlled, FilterFault, Forecast, Gaussian, Innovation, Mixture,
+    Observation, Particles, Priors, Process, interpolated, sample_moments, wrapped,
 };
 use nalgebra::{SVector, Vector2};
 
+use crate::support::bicycle::BICYCLE;
 use crate::support::state::{PEDESTRIAN, at};
 
 const TICK_NS: u64 = 80_000_000;
@@ -147,15 +148,7 @@ fn many_particles_have_the_kalman_filters_moments() {
 
 #[test]
 fn particles_and_mixture_agree_under_a_forecast() {
-    let bicycle = Bicycle {
-        rear_axle_m: 1.2,
-        integrator: Integrator::Midpoint,
-        acceleration_mps2: 1.0,
-        slip_rate_radps: 0.05,
-        slip_decay_per_s: 0.0,
-        floor: [1e-4, 1e-4, 1e-5, 0.0, 0.0],
-        slip_max_rad: 0.5,
-    };
+    let bicycle = Bicycle { acceleration_mps2: 1.0, slip_rate_radps: 0.05, ..BICYCLE };
     let start = Gaussian::new([0.0, 0.0, 3.1, 6.0, 0.0], [0.01, 0.01, 0.001, 0.25, 1e-4]);
     let priors = Priors::new(bicycle, bicycle);
     let controls: Vec<ControlStep> = [-3.0, 0.0, 3.0]

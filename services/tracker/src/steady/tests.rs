@@ -57,13 +57,7 @@ fn follow(
 fn the_motions_of_a_pedestrian_equal_the_reference() {
     fn line(cells: &[f64]) -> Line<'_> {
         let [time_ms, x, y, sigma, ..] = *cells else { panic!("{cells:?}") };
-        let observation = Observation {
-            position_m: [x, y],
-            position_variance: sigma * sigma,
-            elongation: [0.0; 2],
-            heading_rad: None,
-            speed_mps: None,
-        };
+        let observation = Observation::of_position([x, y], sigma * sigma);
         Line { time_ms: time_ms as u64, observation, expected: &cells[4..] }
     }
     let models = Models {

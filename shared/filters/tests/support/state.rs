@@ -8,13 +8,7 @@ pub const PEDESTRIAN: ConstantVelocity = ConstantVelocity { density: 0.5 };
 
 /// An observation of a position alone.
 pub fn at(x: f64, y: f64, sigma_m: f64) -> Observation {
-    Observation {
-        position_m: [x, y],
-        position_variance: sigma_m.powi(2),
-        elongation: [0.0; 2],
-        heading_rad: None,
-        speed_mps: None,
-    }
+    Observation::of_position([x, y], sigma_m.powi(2))
 }
 
 /// Whether a covariance is exactly symmetric, and positive definite once its components are normalised.

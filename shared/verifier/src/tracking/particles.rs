@@ -151,13 +151,7 @@ impl Reference {
             let mut normals = noise.as_flattened().iter().copied();
             let moved = particles.predict_with(STEP_MAX_NS, || normals.next().unwrap_or(f64::NAN));
             moved.map_err(|fault| (k, fault))?;
-            let seen = Observation {
-                position_m: self.z[k],
-                position_variance: POSITION_VARIANCE,
-                elongation: [0.0; 2],
-                heading_rad: None,
-                speed_mps: None,
-            };
+            let seen = Observation::of_position(self.z[k], POSITION_VARIANCE);
             let log = particles.weigh(&seen).map_err(|fault| (k, fault))?;
             found.logs.push(log + constant);
             found.means.extend(particles.moments().mean.iter());

@@ -162,13 +162,9 @@ impl Recording {
         state: &mut Gaussian<N>,
         tick: &Tick,
     ) -> f64 {
-        let seen = Observation {
-            position_m: tick.position_m,
-            position_variance: self.position_variance,
-            elongation: [0.0; 2],
-            heading_rad: run.heading_variance.map(|variance| (tick.heading_rad, variance)),
-            speed_mps: None,
-        };
+        let heading_rad = run.heading_variance.map(|variance| (tick.heading_rad, variance));
+        let position = Observation::of_position(tick.position_m, self.position_variance);
+        let seen = Observation { heading_rad, ..position };
         let moved = state.predict(self.dt_ns, &run.process);
         let updated =
             moved.and_then(|()| tick.visible.then(|| state.update(&seen, &run.process)).transpose());

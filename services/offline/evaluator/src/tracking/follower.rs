@@ -91,13 +91,8 @@ impl Follower<'_> {
     ) {
         tracks.retain(|id, _| instant.agents.binary_search_by_key(id, |seen| seen.id).is_ok());
         for seen in &instant.agents {
-            let observation = seen.measured_m.map(|position_m| Observation {
-                position_m,
-                position_variance: sigma_m * sigma_m,
-                elongation: [0.0; 2],
-                heading_rad: None,
-                speed_mps: None,
-            });
+            let observation =
+                seen.measured_m.map(|position_m| Observation::of_position(position_m, sigma_m * sigma_m));
             let Some(track) = tracks.get_mut(&seen.id) else {
                 let started = observation.map(|first| Track::start(seen, instant.stamp_ns, &first));
                 tracks.extend(started.map(|track| (seen.id, track)));

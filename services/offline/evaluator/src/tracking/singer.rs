@@ -270,13 +270,7 @@ mod tests {
     #[test]
     fn slip_sigma_of_a_vehicle_at_rest_stays_bounded() {
         let mut state = SINGER.of(&Gaussian::new([0.0; 5], [1e-4; 5]));
-        let seen = Observation {
-            position_m: [0.0; 2],
-            position_variance: 1e-4,
-            elongation: [0.0; 2],
-            heading_rad: None,
-            speed_mps: None,
-        };
+        let seen = Observation::of_position([0.0; 2], 1e-4);
         for _ in 0..5_000 {
             state.predict(100_000_000, &SINGER).unwrap();
             state.update(&seen, &SINGER).unwrap();
@@ -338,13 +332,7 @@ mod tests {
         for tick in 1..=30 {
             let t_s = 0.1 * f64::from(tick);
             state.predict(100_000_000, &SINGER).unwrap();
-            let seen = Observation {
-                position_m: [12.0 * t_s - t_s * t_s, 0.0],
-                position_variance: 1e-4,
-                elongation: [0.0; 2],
-                heading_rad: None,
-                speed_mps: None,
-            };
+            let seen = Observation::of_position([12.0 * t_s - t_s * t_s, 0.0], 1e-4);
             state.update(&seen, &SINGER).unwrap();
         }
         assert!((state.mean[ACCELERATION] + 2.0).abs() < 0.3, "{}", state.mean[ACCELERATION]);

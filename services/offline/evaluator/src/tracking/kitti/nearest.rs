@@ -65,13 +65,7 @@ pub(crate) fn nearest_neighbours(recording: &Recording) -> Published {
 }
 
 fn observation(detection: &Detection) -> Observation {
-    Observation {
-        position_m: [detection.x_m, detection.y_m].map(f64::from),
-        position_variance: SIGMA_M * SIGMA_M,
-        elongation: [0.0; 2],
-        heading_rad: None,
-        speed_mps: None,
-    }
+    Observation::of_position([detection.x_m, detection.y_m].map(f64::from), SIGMA_M * SIGMA_M)
 }
 
 impl Target {
