@@ -4,7 +4,7 @@ use safetensors::SafeTensors;
 use safetensors::tensor::TensorView;
 use testing::{SHIPPED_PIPELINE, Scratch};
 
-use crate::started::{LeftoverWatch, piped, run, run_well, stderr, stdout};
+use crate::started::{self, LeftoverWatch, piped, run, run_well, stderr, stdout};
 
 const WEIGHTS: &[u8] = include_bytes!("../../shared/weights/onboard.safetensors");
 
@@ -12,15 +12,7 @@ const WEIGHTS: &[u8] = include_bytes!("../../shared/weights/onboard.safetensors"
 /// and leaves no files.
 fn assert_refused(arguments: &[&str], code: i32, texts: &[&str]) {
     let watch = LeftoverWatch::begin();
-    let output = run(arguments);
-    assert_eq!(output.status.code(), Some(code), "{arguments:?}: {}", stderr(&output));
-    for text in texts {
-        assert!(
-            stderr(&output).contains(text),
-            "{arguments:?} does not contain {text:?}: {}",
-            stderr(&output)
-        );
-    }
+    let output = started::assert_refused(arguments, code, texts);
     assert_eq!(stdout(&output), "", "{arguments:?}: nothing to report");
     watch.assert_nothing_new();
 }

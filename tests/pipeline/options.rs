@@ -4,20 +4,7 @@ use nn::kernels::Isa;
 use run::Run;
 use testing::Scratch;
 
-use crate::started::{run, run_well, stderr, stdout, stgdat};
-
-/// Asserts that `stgdat` with these arguments ends with this code and a message that contains these texts.
-fn assert_refused(arguments: &[&str], code: i32, texts: &[&str]) {
-    let output = run(arguments);
-    assert_eq!(output.status.code(), Some(code), "{arguments:?}: {}", stderr(&output));
-    for text in texts {
-        assert!(
-            stderr(&output).contains(text),
-            "{arguments:?} does not contain {text:?}: {}",
-            stderr(&output)
-        );
-    }
-}
+use crate::started::{assert_refused, run, run_well, stderr, stdout, stgdat};
 
 #[test]
 fn invalid_settings_are_refused_before_the_run() {

@@ -46,6 +46,21 @@ pub fn stdout(output: &Output) -> String {
     String::from_utf8_lossy(&output.stdout).into_owned()
 }
 
+/// Asserts that `stgdat` with these arguments ends with this code and a message that contains these texts.
+/// Returns its output.
+pub fn assert_refused(arguments: &[&str], code: i32, texts: &[&str]) -> Output {
+    let output = run(arguments);
+    assert_eq!(output.status.code(), Some(code), "{arguments:?}: {}", stderr(&output));
+    for text in texts {
+        assert!(
+            stderr(&output).contains(text),
+            "{arguments:?} does not contain {text:?}: {}",
+            stderr(&output)
+        );
+    }
+    output
+}
+
 /// Waits for a value; panics with `what` after the limit.
 pub fn wait_for<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
     let start = Instant::now();

@@ -215,13 +215,14 @@ mod tests {
         (header, Forecast { quality: quality as u32, cause: cause as u32, ..Forecast::zeroed() })
     }
 
+    fn tick(outages: &mut Outages, seq: u64, decoder: Option<u32>) {
+        let (header, forecast) = frame(seq, decoder);
+        outages.tick(&header, &Tick::alone(&header, &[forecast]));
+    }
+
     #[test]
     fn a_replacement_costs_until_the_incarnation_that_stays_is_learned_from() {
         let mut outages = Outages::default();
-        let tick = |outages: &mut Outages, seq, decoder| {
-            let (header, forecast) = frame(seq, decoder);
-            outages.tick(&header, &Tick::alone(&header, &[forecast]));
-        };
         let mut replaced = Replaced {
             stage: StageId::Decoder,
             command: vec!["./mine".to_owned()],
@@ -260,10 +261,6 @@ mod tests {
     #[test]
     fn an_outage_lasts_until_the_new_incarnation_is_learned_from() {
         let mut outages = Outages::default();
-        let tick = |outages: &mut Outages, seq, decoder| {
-            let (header, forecast) = frame(seq, decoder);
-            outages.tick(&header, &Tick::alone(&header, &[forecast]));
-        };
         tick(&mut outages, 10, Some(0));
         outages.begin(StageId::Decoder, 1, "was killed");
         tick(&mut outages, 11, Some(0));

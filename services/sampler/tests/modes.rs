@@ -9,17 +9,9 @@ use wire::{
     AGENT_TYPES, AgentControls, AgentType, Cause, ControlGaussian, Expert, Forecast, Header, Quality, Track,
 };
 
-const STEP_NS: u64 = 400_000_000;
+use crate::sampler::{header, without_evidence};
+
 const MODES: usize = 3;
-
-/// The settings without evidence, because evidence would determine blend and widths.
-fn without_evidence() -> SamplerOptions {
-    SamplerOptions { evidence: false, ..SamplerOptions::default() }
-}
-
-fn header(stamp_ns: i64) -> Header {
-    Header { step_ns: STEP_NS, ..Header::new(1, (stamp_ns / 80_000_000) as u64, stamp_ns) }
-}
 
 fn track(agent_type: AgentType) -> Track {
     let mut track = Track {

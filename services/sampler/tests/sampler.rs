@@ -16,11 +16,11 @@ const DT_S: f32 = 0.4;
 const TYPES: [AgentType; 3] = [AgentType::Vehicle, AgentType::Cyclist, AgentType::Pedestrian];
 
 /// The settings without evidence, because evidence would determine blend and widths.
-fn without_evidence() -> SamplerOptions {
+pub fn without_evidence() -> SamplerOptions {
     SamplerOptions { evidence: false, ..SamplerOptions::default() }
 }
 
-fn header(stamp_ns: i64) -> Header {
+pub fn header(stamp_ns: i64) -> Header {
     Header { step_ns: STEP_NS, ..Header::new(1, (stamp_ns / 80_000_000) as u64, stamp_ns) }
 }
 

@@ -12,14 +12,11 @@ use faer::linalg::matmul::matmul;
 use faer::{Accum, Mat, Par};
 use nn::kernels::{self, peak};
 use nn::{BurnIn, ContextCnn, ContextMemory, Decoder, DecoderMemory, Draws, Precision, RAW_CONTROL, Weights};
+use testing::value;
 use wire::AgentType;
 
 /// Side length of the matrices in the comparison.
 const SIDE: usize = 512;
-
-fn value(i: usize) -> f32 {
-    ((i * 37) % 101) as f32 * 0.01 - 0.5
-}
 
 /// Peak, our product and faer's on the same instruction set, alternating, so that other load on the machine
 /// affects all of them. Prints the best of each.

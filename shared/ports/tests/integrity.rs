@@ -1,12 +1,14 @@
 //! Tests the frames that a reader refuses, their causes, and the ticks that are declared lost.
 
 use bytemuck::{bytes_of, cast_slice};
-use ports::{Awaited, Node, RawTopic, Relay, Space, Stage, Subscriber, monotonic_ns};
+use ports::{Awaited, Node, Relay, Space, Stage, Subscriber, monotonic_ns};
 use run::{Declaration, NoOptions, Run};
 use wire::{
     Detection, DetectionsTopic, Forecast, ForecastsTopic, Header, Hop, Primitive, Protection, RefusalCause,
     Rejected, StageId, TABLE, Topic, Track, TracksTopic, flags,
 };
+
+use crate::topic;
 
 /// A reader of tracks and forecasts, and a stage that passes tracks on.
 const READER: Declaration<NoOptions> =
@@ -15,16 +17,10 @@ const RECORDER: Declaration<NoOptions> = Declaration::new(StageId::Recorder, &[F
 /// Bits that are flipped in each mode, as in the documentation.
 const FLIPS: u64 = 10_000;
 
-/// A separate run for each test, so that tests can run in parallel.
 fn run(lockstep: bool, protected: &[&str]) -> (Space, Run) {
-    let space = Space::create(None, 1 << 20).expect("shared memory has room");
-    let (id, prefix, root) = (space.id(), space.prefix().into(), space.root().into());
+    let (space, run) = crate::run();
     let protected = protected.iter().map(|&name| name.to_owned()).collect();
-    (space, Run { id, prefix, root, lockstep, protected, interval_ns: 80_000_000, ..Run::default() })
-}
-
-fn topic<T: Topic>(run: &Run) -> RawTopic {
-    RawTopic::of(run, T::NAME).expect("the table has the topic")
+    (space, Run { lockstep, protected, interval_ns: 80_000_000, ..run })
 }
 
 /// The header of a tick as the sampler sends it.

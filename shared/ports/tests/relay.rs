@@ -1,24 +1,13 @@
 //! Late, repeated and unexpected frames, which a relay between writer and readers sends unchanged.
 
+#![expect(clippy::unwrap_used, reason = "a test that cannot open its ports has failed")]
+
 use bytemuck::cast_slice;
-use ports::{Awaited, RawTopic, Relay, Space, Stage, monotonic_ns};
-use run::{Declaration, NoOptions, Run};
-use wire::{Header, Hop, StageId, Topic, Track, TracksTopic};
+use ports::{Awaited, Relay, Stage, Subscriber, monotonic_ns};
+use run::Run;
+use wire::{Header, Hop, StageId, Track, TracksTopic};
 
-/// A stage that only reads tracks.
-const READER: Declaration<NoOptions> = Declaration::new(StageId::Localiser, &[TracksTopic::NAME], &[]);
-
-/// A separate run for each test, so that tests can run in parallel.
-fn run() -> (Space, Run) {
-    let space = Space::create(None, 1 << 20).expect("shared memory has room");
-    let run =
-        Run { id: space.id(), prefix: space.prefix().into(), root: space.root().into(), ..Run::default() };
-    (space, run)
-}
-
-fn topic<T: Topic>(run: &Run) -> RawTopic {
-    RawTopic::of(run, T::NAME).expect("the table has the topic")
-}
+use crate::{READER, run, topic};
 
 /// The header of a tick that a tracker of this incarnation has sent.
 fn header(run: &Run, seq: u64, incarnation: u32) -> Header {
@@ -46,12 +35,17 @@ fn a_relay_takes_and_sends_any_frame() {
     assert!(back.receive().unwrap().is_none(), "what it reads has another name");
 }
 
+/// A stage that reads tracks, the tracks that it reads, and the relay that sends them.
+fn relayed(run: &Run) -> (Stage, Subscriber<TracksTopic>, Relay) {
+    let mut stage = Stage::open(run, &READER).unwrap();
+    let tracks = stage.subscribe::<TracksTopic>().unwrap();
+    (stage, tracks, Relay::open(run, topic::<TracksTopic>(run), "raw").unwrap())
+}
+
 #[test]
 fn a_tick_that_others_have_overtaken_is_no_gap() {
     let (_space, run) = run();
-    let mut stage = Stage::open(&run, &READER).unwrap();
-    let tracks = stage.subscribe::<TracksTopic>().unwrap();
-    let relay = Relay::open(&run, topic::<TracksTopic>(&run), "raw").unwrap();
+    let (stage, tracks, relay) = relayed(&run);
     for (seq, dropped_len) in [(0, 0), (2, 1), (1, 0), (3, 0), (5, 1)] {
         relay.send(&header(&run, seq, 0), &[]).unwrap();
         assert_eq!(tracks.receive().unwrap().expect("it is taken").header().seq, seq);
@@ -62,9 +56,7 @@ fn a_tick_that_others_have_overtaken_is_no_gap() {
 #[test]
 fn a_restarted_stage_does_not_pass_on_a_tick_again() {
     let (_space, run) = run();
-    let mut stage = Stage::open(&run, &READER).unwrap();
-    let tracks = stage.subscribe::<TracksTopic>().unwrap();
-    let relay = Relay::open(&run, topic::<TracksTopic>(&run), "raw").unwrap();
+    let (stage, tracks, relay) = relayed(&run);
     for (seq, incarnation, is_taken) in [(5, 0, true), (5, 1, false), (6, 1, true), (7, 1, true)] {
         relay.send(&header(&run, seq, incarnation), &[]).unwrap();
         let taken = tracks.receive().unwrap();
@@ -77,9 +69,7 @@ fn a_restarted_stage_does_not_pass_on_a_tick_again() {
 #[test]
 fn a_tick_from_nowhere_is_not_waited_for() {
     let (_space, run) = run();
-    let mut stage = Stage::open(&run, &READER).unwrap();
-    let tracks = stage.subscribe::<TracksTopic>().unwrap();
-    let relay = Relay::open(&run, topic::<TracksTopic>(&run), "raw").unwrap();
+    let (mut stage, tracks, relay) = relayed(&run);
     for (sent, awaited) in [(0, Some(0)), (1 << 40, None), (2, Some(2)), (3, Some(3))] {
         relay.send(&header(&run, sent, 0), &[]).unwrap();
         let got = stage.wait_for(&tracks, awaited.unwrap_or(1), Some(monotonic_ns() + 1_000_000)).unwrap();

@@ -1,5 +1,7 @@
 //! Frames between the two ends of a topic, in one process and across two.
 
+#![expect(clippy::unwrap_used, reason = "a test that cannot open its ports has failed")]
+
 use std::io::{BufRead as _, BufReader, Write as _};
 use std::os::unix::net::UnixListener;
 use std::path::Path;
@@ -15,22 +17,14 @@ use wire::{
     Refusals, Rejected, StageId, Topic, Track, TracksTopic, flags,
 };
 
-/// A stage that only reads tracks.
-const READER: Declaration<NoOptions> = Declaration::new(StageId::Localiser, &[TracksTopic::NAME], &[]);
+use crate::{READER, run};
+
 /// A stage that answers tracks with forecasts.
 const ECHO: Declaration<NoOptions> =
     Declaration::new(StageId::Sampler, &[TracksTopic::NAME], &[ForecastsTopic::NAME]);
 /// The opposite end: sends tracks and reads forecasts.
 const CALLER: Declaration<NoOptions> =
     Declaration::new(StageId::Tracker, &[ForecastsTopic::NAME], &[TracksTopic::NAME]);
-
-/// A separate run for each test, so that tests can run in parallel.
-fn run() -> (Space, Run) {
-    let space = Space::create(None, 1 << 20).expect("shared memory has room");
-    let run =
-        Run { id: space.id(), prefix: space.prefix().into(), root: space.root().into(), ..Run::default() };
-    (space, run)
-}
 
 fn header(run: &Run, seq: u64, len: usize) -> Header {
     let mut header = Header::new(run.id, seq, seq as i64 * 80_000_000);
@@ -275,11 +269,7 @@ fn a_stage_in_another_process_links_answers_and_ends() {
     let (space, run) = run();
     let record = space.root().join("run");
     run.write(&record).unwrap();
-    let mut child = std::process::Command::new(std::env::current_exe().expect("a test has a file"))
-        .args(["--exact", "round_trip::echo_process", "--nocapture"])
-        .env("STGDAT_TEST_ECHO", &record)
-        .spawn()
-        .unwrap();
+    let child = start_echo(&record, None);
     let mut here = Stage::open(&run, &CALLER).unwrap();
     let tracks = here.publish::<TracksTopic>().unwrap();
     let forecasts = here.subscribe::<ForecastsTopic>().unwrap();
@@ -315,9 +305,7 @@ fn a_stage_in_another_process_links_answers_and_ends() {
             other => panic!("no answer to {id}: {other:?}"),
         }
     }
-    let pid = rustix::process::Pid::from_child(&child);
-    rustix::process::kill_process(pid, rustix::process::Signal::TERM).unwrap();
-    assert!(child.wait().unwrap().success(), "a stage that is asked to end returns from its loop");
+    end(child);
 }
 
 /// Starts the echo as a process; with a socket, as a replacement for another.
@@ -329,6 +317,13 @@ fn start_echo(record: &Path, standby: Option<&Path>) -> std::process::Child {
         .env(INCARNATION_VARIABLE, if standby.is_some() { "1" } else { "0" })
         .spawn()
         .expect("a test can start itself")
+}
+
+/// Asks the echo to end.
+fn end(mut echo: std::process::Child) {
+    let pid = rustix::process::Pid::from_child(&echo);
+    rustix::process::kill_process(pid, rustix::process::Signal::TERM).unwrap();
+    assert!(echo.wait().unwrap().success(), "a stage that is asked to end returns from its loop");
 }
 
 #[test]
@@ -355,7 +350,7 @@ fn a_process_takes_over_after_the_newest_tick_that_was_answered() {
         }
     };
 
-    let mut old = start_echo(&record, None);
+    let old = start_echo(&record, None);
     // The old process receives frames once it is running: the first tick that it answers.
     let first = (0..).find(|&seq| {
         assert!(monotonic_ns() < limit_ns, "no answer");
@@ -366,7 +361,7 @@ fn a_process_takes_over_after_the_newest_tick_that_was_answered() {
     let first = first.expect("it answers");
     let socket = space.root().join("control");
     let listener = UnixListener::bind(&socket).unwrap();
-    let mut new = start_echo(&record, Some(&socket));
+    let new = start_echo(&record, Some(&socket));
     let (mut turn, _) = listener.accept().unwrap();
     let mut ready = String::new();
     BufReader::new(&turn).read_line(&mut ready).unwrap();
@@ -375,9 +370,7 @@ fn a_process_takes_over_after_the_newest_tick_that_was_answered() {
         ask(&mut here, seq);
         while answer(&mut here) != (seq, 0) {}
     }
-    let pid = rustix::process::Pid::from_child(&old);
-    rustix::process::kill_process(pid, rustix::process::Signal::TERM).unwrap();
-    assert!(old.wait().unwrap().success());
+    end(old);
     // A tick that arrives while no stage is running is answered by the new one, and no tick is answered
     // twice.
     ask(&mut here, first + 4);
@@ -385,9 +378,7 @@ fn a_process_takes_over_after_the_newest_tick_that_was_answered() {
     assert_eq!(answer(&mut here), (first + 4, 1));
     ask(&mut here, first + 5);
     assert_eq!(answer(&mut here), (first + 5, 1));
-    let pid = rustix::process::Pid::from_child(&new);
-    rustix::process::kill_process(pid, rustix::process::Signal::TERM).unwrap();
-    assert!(new.wait().unwrap().success());
+    end(new);
 }
 
 #[test]

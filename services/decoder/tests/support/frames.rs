@@ -3,11 +3,8 @@
 use bytemuck::Zeroable;
 use decoder::Decoder;
 use ports::Allowance;
+use testing::value;
 use wire::{AgentControls, AgentEncoding, Header, Rejected};
-
-fn value(i: usize) -> f32 {
-    ((i * 37) % 101) as f32 * 0.01 - 0.5
-}
 
 /// Encodings of agents with full histories. Every fifth agent is not forecastable.
 pub fn encodings(agents_len: usize) -> Vec<AgentEncoding> {

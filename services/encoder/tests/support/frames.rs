@@ -1,6 +1,7 @@
 //! Features of agents with edges between all pairs.
 
 use bytemuck::Zeroable;
+use testing::value;
 use wire::{AgentEncoding, AgentFeatures, Edge, Features, Header};
 
 /// Steps of the history.
@@ -11,10 +12,6 @@ pub struct Frame {
     pub agents: Vec<AgentFeatures>,
     pub edges: Vec<Edge>,
     pub attributes: Vec<[f32; 16]>,
-}
-
-fn value(i: usize) -> f32 {
-    ((i * 37) % 101) as f32 * 0.01 - 0.5
 }
 
 impl Frame {

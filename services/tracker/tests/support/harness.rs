@@ -91,6 +91,49 @@ pub fn with_heading(detection: Detection, heading_rad: f64) -> Detection {
     Detection { heading_rad: filters::wrapped(heading_rad) as f32, flags, ..detection }
 }
 
+/// Two agents with crossing paths. Each starts with a velocity and swerves slightly.
+pub struct Meeting {
+    pub name: &'static str,
+    pub agent_type: AgentType,
+    /// Position of each agent at the crossing, and its velocity.
+    pub agents: [([f64; 2], [f64; 2]); 2],
+}
+
+/// Crossings at right angles and head on.
+pub const MEETINGS: [Meeting; 3] = [
+    Meeting {
+        name: "pedestrians at right angles",
+        agent_type: AgentType::Pedestrian,
+        agents: [([0.0, 0.0], [1.4, 0.0]), ([0.3, 0.0], [0.0, 1.4])],
+    },
+    Meeting {
+        name: "pedestrians head on, 0.6 m apart",
+        agent_type: AgentType::Pedestrian,
+        agents: [([0.0, 0.0], [1.4, 0.0]), ([0.0, 0.6], [-1.2, 0.0])],
+    },
+    Meeting {
+        name: "vehicles at right angles",
+        agent_type: AgentType::Vehicle,
+        agents: [([0.0, 0.0], [8.0, 0.0]), ([3.0, 0.0], [0.0, 9.0])],
+    },
+];
+
+impl Meeting {
+    /// Position and velocity of each agent this time before the crossing.
+    pub fn states(&self, before_s: f64) -> [[f64; 4]; 2] {
+        self.agents.map(|([x, y], [vx, vy])| [x - before_s * vx, y - before_s * vy, vx, vy])
+    }
+
+    /// Moves an agent on by a tick, and changes its velocity at random.
+    pub fn swerve(state: &mut [f64; 4], rng: &mut ChaCha8Rng) {
+        let tick_s = TICK_NS as f64 / 1e9;
+        for axis in 0..2 {
+            state[2 + axis] += noise(rng, 0.3) * tick_s.sqrt();
+            state[axis] += state[2 + axis] * tick_s;
+        }
+    }
+}
+
 /// Normal noise with this standard deviation.
 pub fn noise(rng: &mut ChaCha8Rng, sigma: f64) -> f64 {
     Normal::new(0.0, sigma).expect("a finite sigma").sample(rng)

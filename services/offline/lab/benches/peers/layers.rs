@@ -11,6 +11,7 @@ use nn::{
     BurnIn, ContextCnn, ContextMemory, Decoder, DecoderMemory, Draws, MlpMemory, RAW_CONTROL, RelationMlp,
     Weights,
 };
+use testing::value;
 use wire::{
     AgentType, CONTEXT_EMBEDDING, EDGE_ATTRIBUTES, LATENT, RELATION_FEATURES, STATE_FEATURES, TEMPORAL,
 };
@@ -48,10 +49,6 @@ pub(super) struct Layer {
 
 pub(super) fn all(weights: &Weights) -> Result<[Layer; 4], Failure> {
     Ok([product(), decoder(weights)?, relation(weights)?, context(weights)?])
-}
-
-fn value(i: usize) -> f32 {
-    ((i * 37) % 101) as f32 * 0.01 - 0.5
 }
 
 fn product() -> Layer {
