@@ -211,8 +211,8 @@ class Expert(enum.IntEnum):
     DECAYING_TURN = 3  # A decaying turn.
     PROCESS_MODEL = 4  # The tracker's process model: zero control.
     DECAYING_ACCELERATION = 5  # A decaying acceleration.
-    FOLLOWING = 6  # A decaying turn with a decaying acceleration, behind the vehicle ahead.
-    LANE = 7  # The lane nearest to the decaying turn, with a decaying acceleration, behind the vehicle ahead.
+    FOLLOWING = 6  # A decaying turn with a decaying acceleration, behind the vehicle ahead; of a pedestrian: no motion.
+    LANE = 7  # The lane nearest to the decaying turn, with a decaying acceleration, behind the vehicle ahead; of a pedestrian: the mean velocity of the last 1.6 s.
     FAN = 254  # A centre between constant velocity and the single best forecast, plus a typical residual of similar agents.
     RETRIEVAL = 255  # The network's best forecast with residuals of other agents at the same place, from the retrieval memory.
 
@@ -783,7 +783,7 @@ class Forecast(c.Structure):
         ("length_m", c.c_float),  # Extent along the heading; 0 if unknown.
         ("width_m", c.c_float),  # Extent across the heading; 0 if unknown.
         ("out_of_distribution", c.c_float),  # Distance of the agent's history from the model's training data, relative to their width; 0 inside, and if it is not reported.
-        ("expert_weights", c.c_float * 8),  # Weight of each `Expert` by its number: network, base, constant velocity, decaying turn, process model, decaying acceleration, following, lane; zeros if they are not reported.
+        ("expert_weights", c.c_float * 8),  # Weight of each `Expert` by its number: network, base, constant velocity, decaying turn, process model, decaying acceleration, following or standing, lane or mean velocity; zeros if they are not reported.
         ("probability", c.c_float * 20),  # Probability of each mode; they sum to 1.
         ("mode_expert", c.c_uint8 * 20),  # `Expert` of each mode as a number.
         ("lanes", c.c_uint32),  # 1 if the forecast follows lanes of the map, 2 if a moving vehicle is not on a lane; 0 without a map, for all other agents, and if it is not reported.

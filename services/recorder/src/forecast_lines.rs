@@ -46,8 +46,8 @@ use std::path::Path;
 
 use serde::{Serialize, Serializer};
 use wire::{
-    AgentType, CONFLICTS_MAX, Cause, EXPERTS_MAX, Expert, Forecast, ForeseenConflict, HORIZON_MAX, Header,
-    MODES_MAX, Quality, WorldOrigin,
+    AgentType, CONFLICTS_MAX, Cause, Expert, Forecast, ForeseenConflict, HORIZON_MAX, Header, MODES_MAX,
+    Quality, WorldOrigin,
 };
 
 use crate::whole_file::WholeFile;
@@ -180,7 +180,7 @@ impl<'a> Agent<'a> {
             r#type: AgentType::try_from(forecast.agent_type).map_or("unknown", AgentType::name),
             quality: quality_name(forecast.quality),
             cause: Cause::name_of(forecast.cause),
-            experts: Experts(&forecast.expert_weights),
+            experts: Experts(forecast),
             out_of_distribution: Rounded(forecast.out_of_distribution),
             age_s: forecast.age_ns as f64 / 1e9,
             prior: quality_name(forecast.prior),
@@ -230,14 +230,17 @@ impl Serialize for Conflicts<'_> {
     }
 }
 
-/// Weights of experts by name, without those that are 0.
-struct Experts<'a>(&'a [f32; EXPERTS_MAX]);
+/// Weights of a forecast's experts by name, without those that are 0.
+struct Experts<'a>(&'a Forecast);
 
 impl Serialize for Experts<'_> {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let Self(forecast) = self;
+        let agent_type = AgentType::try_from(forecast.agent_type).ok();
         let weighted = Expert::ALL.iter().filter_map(|expert| {
-            let weight = self.0.get(*expert as usize).copied().filter(|weight| *weight > 0.0)?;
-            Some((expert.name(), Rounded::<4>(weight)))
+            let weight = *forecast.expert_weights.get(*expert as usize).filter(|weight| **weight > 0.0)?;
+            let name = agent_type.map_or(expert.name(), |of| expert.name_for(of));
+            Some((name, Rounded::<4>(weight)))
         });
         serializer.collect_map(weighted)
     }

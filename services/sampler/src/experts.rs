@@ -18,6 +18,8 @@ const RATE_STEPS: usize = 2;
 /// The same if the positions have noise from [`NOISY_M`] on: rates over a longer time contain less of it.
 const RATE_STEPS_NOISY: usize = 4;
 const NOISY_M: f32 = 0.05;
+/// Number of history steps, if available, of the mean velocity.
+const MEAN_STEPS: usize = 4;
 /// Mean distance between a lane and the decaying turn at which the lane's share falls to exp(−½).
 const OFF_LANE_M: f32 = 3.0;
 /// Seed of the levels; every forecast has the same draws.
@@ -92,12 +94,17 @@ impl Experts {
         now.steady(dt_s, &mut paths.velocity[..len]);
         now.turning(dt_s, &mut by_turn[..len]);
         now.accelerating(dt_s, &mut by_acceleration[..len]);
-        let follows = agent_type != AgentType::Pedestrian;
-        let leader = follows.then(|| traffic.leader_on_turn(user, len as f32 * dt_s)).flatten();
-        now.following(dt_s, leader.as_ref(), &mut by_following[..len]);
-        *by_lane = *by_following;
-        if let Some(lane) = lane(&by_turn[..len]) {
-            along_lane(user, traffic, &lane, dt_s, &mut by_lane[..len]);
+        if agent_type == AgentType::Pedestrian {
+            // It follows neither vehicles nor lanes. It may stop or keep its way.
+            by_following[..len].fill(now.position_m);
+            now.by_mean_velocity(dt_s, &mut by_lane[..len]);
+        } else {
+            let leader = traffic.leader_on_turn(user, len as f32 * dt_s);
+            now.following(dt_s, leader.as_ref(), &mut by_following[..len]);
+            *by_lane = *by_following;
+            if let Some(lane) = lane(&by_turn[..len]) {
+                along_lane(user, traffic, &lane, dt_s, &mut by_lane[..len]);
+            }
         }
         model.positions(network, &mut by_network[..len]);
         model.positions(base, &mut by_base[..len]);
@@ -197,11 +204,18 @@ fn along_lane(user: &RoadUser, traffic: &Traffic, lane: &LaneLine<'_>, dt_s: f32
 pub(crate) fn road_user(track: &Track, history_len: usize, dt_s: f32) -> RoadUser {
     let history = &track_history(track)[..history_len];
     let steps = if track.noise_m >= NOISY_M { RATE_STEPS_NOISY } else { RATE_STEPS };
-    let before = (1..=steps).rev().find_map(|back| {
-        let state = (*history.len().checked_sub(back + 1).and_then(|step| history.get(step))?)?;
-        Some((state.velocity_mps, back as f32 * dt_s))
-    });
-    let motion = MotionNow::since([track.x_m, track.y_m], [track.vx_mps, track.vy_mps], before);
+    let oldest = |steps: usize| {
+        (1..=steps).rev().find_map(|back| {
+            let state = (*history.len().checked_sub(back + 1).and_then(|step| history.get(step))?)?;
+            Some((state, back as f32 * dt_s))
+        })
+    };
+    let before = oldest(steps).map(|(state, since_s)| (state.velocity_mps, since_s));
+    let mut motion = MotionNow::since([track.x_m, track.y_m], [track.vx_mps, track.vy_mps], before);
+    if let Some((state, since_s)) = oldest(MEAN_STEPS) {
+        let gone_m = [0, 1].map(|axis| motion.position_m[axis] - state.position_m[axis]);
+        motion.mean_velocity_mps = gone_m.map(|gone_m| gone_m / since_s);
+    }
     let usual_m = track.agent_type().map_or([0.5; 2], AgentType::usual_size_m);
     let own_m = [track.length_m, track.width_m];
     let size_m = [0, 1].map(|side| if own_m[side] > 0.0 { own_m[side] } else { usual_m[side] });

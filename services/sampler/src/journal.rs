@@ -24,7 +24,7 @@ use wire::crc64;
 use crate::SamplerOptions;
 
 /// The first bytes, which contain the version of the format.
-const MAGIC: [u8; 8] = *b"stgdatJ1";
+const MAGIC: [u8; 8] = *b"stgdatJ2";
 const RECORDS_AT: usize = 4096;
 /// Size of a record with the maximum number of changed entries.
 const RECORD_BYTES: usize =

@@ -237,13 +237,18 @@ function showAgent() {
     { values: kept.map(([, { steady }]) => metres(steady)), color: themed("faint") },
     { values: kept.map(([, { error }]) => metres(error)), color: themed("cause-none") },
   ], {});
-  const rows = (f && f.x ? f.x : []).map((weight, place) => [weight, EXPERTS[place] || `expert ${place}`]).filter(([weight]) => weight > 0);
+  const rows = (f && f.x ? f.x : []).map((weight, place) => [weight, expertOf(place, last.t)]).filter(([weight]) => weight > 0);
   rows.sort((a, b) => b[0] - a[0]);
   const bar = (share) => `<div class="bar"><b></b><b style="width:${share}%"></b></div>`;
   const outside = f ? `<tr><td>distance from the training data</td><td></td><td>${(f.o / 100).toFixed(2)}</td></tr>` : "";
   $("agent-evidence").innerHTML = rows.map(([weight, name]) =>
     `<tr><td>${name}</td><td style="width:38%">${bar(weight / 10)}</td><td>${(weight / 10).toFixed(0)} %</td></tr>`)
     .join("") + (rows.length ? "" : "<tr><td class=soft>not reported</td></tr>") + outside;
+}
+
+function expertOf(place, type) {
+  const onFoot = TYPES[type] === "pedestrian" && EXPERTS_ON_FOOT[place];
+  return onFoot || EXPERTS[place] || `expert ${place}`;
 }
 
 // Why an agent's forecast is as it is, in a sentence.

@@ -16,6 +16,8 @@ const LAYERS = [
 const IMPROBABLE = 20;
 const EXPERTS = ["network", "base", "constant velocity", "decaying turn", "process model",
                  "decaying acceleration", "following", "lane"];
+// A pedestrian's, in the last two slots.
+const EXPERTS_ON_FOOT = { 6: "standing", 7: "mean velocity" };
 
 const root = document.documentElement;
 const systemDark = matchMedia("(prefers-color-scheme: dark)");

@@ -94,7 +94,8 @@ pub use width::RADIUS_90;
 
 /// Number of experts besides constant velocity, in the order of [`SLOTS`].
 pub const EXPERTS: usize = 6;
-/// The slot of each expert in [`wire::Forecast::expert_weights`].
+/// The slot of each expert in [`wire::Forecast::expert_weights`]. [`wire::Expert::name_for`] has the experts of
+/// pedestrians in the last two slots.
 pub const SLOTS: [wire::Expert; EXPERTS] = [
     wire::Expert::Network,
     wire::Expert::Base,

@@ -37,6 +37,8 @@ pub struct MotionNow {
     pub turn_rate_radps: f32,
     /// Acceleration along the course.
     pub acceleration_mps2: f32,
+    /// Mean velocity of the last steps.
+    pub mean_velocity_mps: [f32; 2],
 }
 
 impl Paths {
@@ -67,7 +69,7 @@ impl MotionNow {
     /// seconds.
     #[must_use]
     pub fn since(position_m: [f32; 2], velocity_mps: [f32; 2], before: Option<([f32; 2], f32)>) -> Self {
-        let steady = Self { position_m, velocity_mps, ..Self::default() };
+        let steady = Self { position_m, velocity_mps, mean_velocity_mps: velocity_mps, ..Self::default() };
         let Some(([bx, by], since_s)) = before.filter(|(_, since_s)| *since_s > 0.0) else { return steady };
         let [vx, vy] = velocity_mps;
         let [speed, speed_before] = [vx.hypot(vy), bx.hypot(by)];
@@ -102,9 +104,18 @@ impl MotionNow {
 
     /// Constant velocity.
     pub fn steady(&self, dt_s: f32, out: &mut [[f32; 2]]) {
+        self.straight(self.velocity_mps, dt_s, out);
+    }
+
+    /// The mean velocity of the last steps. A pedestrian sways with each stride and turns back to its way.
+    pub fn by_mean_velocity(&self, dt_s: f32, out: &mut [[f32; 2]]) {
+        self.straight(self.mean_velocity_mps, dt_s, out);
+    }
+
+    fn straight(&self, velocity_mps: [f32; 2], dt_s: f32, out: &mut [[f32; 2]]) {
         for (step, out) in out.iter_mut().enumerate() {
             let time_s = (step + 1) as f32 * dt_s;
-            *out = [0, 1].map(|axis| self.position_m[axis] + time_s * self.velocity_mps[axis]);
+            *out = [0, 1].map(|axis| self.position_m[axis] + time_s * velocity_mps[axis]);
         }
     }
 
@@ -146,6 +157,18 @@ impl MotionNow {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_sway_does_not_change_the_mean_velocity() {
+        let mut motion = MotionNow::since([1.0, 2.0], [1.3, 0.4], None);
+        let (mut newest, mut mean) = ([[0.0; 2]; 12], [[0.0; 2]; 12]);
+        motion.steady(0.4, &mut newest);
+        motion.by_mean_velocity(0.4, &mut mean);
+        assert_eq!(mean, newest, "without history");
+        motion.mean_velocity_mps = [1.25, 0.0];
+        motion.by_mean_velocity(0.4, &mut mean);
+        assert_eq!([mean[0], mean[11]], [[1.5, 2.0], [7.0, 2.0]]);
+    }
 
     fn end(of: impl Fn(&mut [[f32; 2]])) -> [f32; 2] {
         let mut path = [[0.0; 2]; 12];

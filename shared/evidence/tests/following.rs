@@ -14,7 +14,7 @@ fn paths_behind_a_leader_equal_the_reference() {
         let [x, y, vx, vy, turn_rate_radps, acceleration_mps2, gap_m, speed_mps, leader_mps2] =
             row[..9].try_into().expect("nine columns");
         let now =
-            MotionNow { position_m: [x, y], velocity_mps: [vx, vy], turn_rate_radps, acceleration_mps2 };
+            MotionNow { turn_rate_radps, acceleration_mps2, ..MotionNow::since([x, y], [vx, vy], None) };
         let leader = (gap_m > 0.0).then_some(Leader { gap_m, speed_mps, acceleration_mps2: leader_mps2 });
         leaders += usize::from(leader.is_some());
         let mut path = [[0.0; 2]; STEPS];

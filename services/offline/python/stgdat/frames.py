@@ -352,7 +352,10 @@ class Forecasts(_Agents):
 
     @property
     def evidence(self) -> Array:
-        """Weight of each `Expert` below 8 from its earlier forecasts, [agent, expert]; zeros without a blend."""
+        """Weight of each `Expert` below 8 from its earlier forecasts, [agent, expert]; zeros without a blend.
+
+        A pedestrian has the experts *standing* and *mean velocity* in the slots 6 and 7.
+        """
         return self._field("expert_weights")
 
     @property

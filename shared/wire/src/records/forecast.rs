@@ -2,7 +2,7 @@ use std::borrow::Cow;
 
 use super::ControlGaussian;
 use crate::declare::{numbers, record};
-use crate::{CONFLICTS_MAX, EXPERTS_MAX, HORIZON_MAX, MODES_MAX, Rejected};
+use crate::{AgentType, CONFLICTS_MAX, EXPERTS_MAX, HORIZON_MAX, MODES_MAX, Rejected};
 
 numbers! {
     /// The origin of a forecast.
@@ -71,9 +71,10 @@ numbers! {
         ProcessModel = 4 => "process model",
         /// A decaying acceleration.
         DecayingAcceleration = 5 => "decaying acceleration",
-        /// A decaying turn with a decaying acceleration, behind the vehicle ahead.
+        /// A decaying turn with a decaying acceleration, behind the vehicle ahead; of a pedestrian: no motion.
         Following = 6 => "following",
-        /// The lane nearest to the decaying turn, with a decaying acceleration, behind the vehicle ahead.
+        /// The lane nearest to the decaying turn, with a decaying acceleration, behind the vehicle ahead; of a
+        /// pedestrian: the mean velocity of the last 1.6 s.
         Lane = 7 => "lane",
         /// A centre between constant velocity and the single best forecast, plus a typical residual of
         /// similar agents.
@@ -81,6 +82,19 @@ numbers! {
         /// The network's best forecast with residuals of other agents at the same place, from the retrieval
         /// memory.
         Retrieval = 255 => "retrieval",
+    }
+}
+
+impl Expert {
+    /// The name for agents of a type. Pedestrians follow neither vehicles nor lanes, so two slots have other
+    /// experts.
+    #[must_use]
+    pub const fn name_for(self, agent_type: AgentType) -> &'static str {
+        match (self, agent_type) {
+            (Self::Following, AgentType::Pedestrian) => "standing",
+            (Self::Lane, AgentType::Pedestrian) => "mean velocity",
+            _ => self.name(),
+        }
     }
 }
 
@@ -147,7 +161,8 @@ record! {
         /// and if it is not reported. At 0.25 the network's part is halved.
         92 => out_of_distribution: f32,
         /// Weight of each [`Expert`] by its number: network, base, constant velocity, decaying turn, process
-        /// model, decaying acceleration, following, lane; zeros if they are not reported.
+        /// model, decaying acceleration, following or standing, lane or mean velocity; zeros if they are not
+        /// reported.
         96 => expert_weights: [f32; EXPERTS_MAX],
         /// Probability of each mode; they sum to 1.
         128 => probability: [f32; MODES_MAX],
