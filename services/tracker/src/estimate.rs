@@ -1,4 +1,3 @@
-mod fit;
 mod gate;
 mod held;
 mod judgement;
@@ -11,7 +10,6 @@ mod visibility;
 mod whole;
 mod written;
 
-pub use fit::Fit;
 pub use gate::Verdict;
 pub use whole::{LONG_M, length_m};
 

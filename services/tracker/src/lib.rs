@@ -42,7 +42,7 @@
 //! estimate              one agent: belief, type, front, visibility, track management
 //! steady                steady motion and standing     noise     the noise of the detections
 //! belief  forecasts     motion and its prior           trials    trials of forecasts
-//! class  front  grid  history  observation  occlusion  placeholders  scan  tally  track_management
+//! class  fit  front  grid  history  observation  occlusion  placeholders  scan  tally  track_management
 //! smoothing             smoothing of published histories  tracked
 //! options
 //! ```
@@ -53,6 +53,7 @@ mod estimate;
 mod estimates;
 mod feedback;
 mod field_of_view;
+mod fit;
 mod forecasts;
 mod front;
 mod frozen;

@@ -21,7 +21,7 @@
 
 use filters::{Filter, FilterFault, Gaussian, Models, Observation, STEP_MAX_NS, moments_near, wrapped};
 
-use crate::estimate::Fit;
+use crate::fit::Fit;
 
 /// Probabilities that an agent begins a manoeuvre, ends one, stops and starts between two measurements 80 ms
 /// apart.

@@ -5,7 +5,8 @@ use kinematics::hypot;
 
 use super::gate::{Misfit, SETTLED, Verdict};
 use super::reports::Reported;
-use super::{Birth, Estimate, Fit};
+use super::{Birth, Estimate};
+use crate::fit::Fit;
 use crate::observation::{Found, observation, position_sigma_m};
 use crate::options::{InputModel, TrackerOptions};
 use crate::placeholders::is_marked;
