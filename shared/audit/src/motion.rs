@@ -1,6 +1,8 @@
 //! The expected position of an agent, by a filter that forgets.
 //!
-//!     r = z - (x + v Δt)      x' = z - θ² r      v' = v + (1 - θ)² r / Δt      θ = exp(-Δt / τ)
+//! ```text
+//! r = z - (x + v Δt)      x' = z - θ² r      v' = v + (1 - θ)² r / Δt      θ = exp(-Δt / τ)
+//! ```
 //!
 //! The velocity of a single step has the noise of two positions: at 10 Hz, 0.2 m are 2.8 m/s.
 

@@ -52,6 +52,12 @@ class Expert(IntEnum):
     FAN = 254
     RETRIEVAL = 255
 
+    def name_for(self, agent_type: AgentType) -> str:
+        """The name for agents of a type, as in JSON lines. Pedestrians have other experts in two slots."""
+        if agent_type == AgentType.PEDESTRIAN and self in (Expert.FOLLOWING, Expert.LANE):
+            return "standing" if self == Expert.FOLLOWING else "mean velocity"
+        return self.name.lower().replace("_", " ")
+
 
 class DetectionFlags(IntFlag):
     """The fields of a detection that are valid."""

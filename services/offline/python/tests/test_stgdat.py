@@ -94,7 +94,8 @@ class Forecasts(InFolder):
                 self.assertEqual(stgdat.Cause(of.cause[row]).name.lower(), agent["cause"])
                 self.assertEqual(stgdat.AgentType(of.types[row]).name.lower(), agent["type"])
                 weights = {expert: rounded(weight, 4) for expert, weight in enumerate(of.evidence[row]) if weight > 0}
-                names = {stgdat.Expert(of).name.lower().replace("_", " "): float(w) for of, w in weights.items()}
+                agent_type = stgdat.AgentType(of.types[row])
+                names = {stgdat.Expert(of).name_for(agent_type): float(w) for of, w in weights.items()}
                 self.assertEqual(names, agent["experts"])
 
     def test_generated_scene_equals_predict(self) -> None:
