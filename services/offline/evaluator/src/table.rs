@@ -56,7 +56,7 @@ impl Table {
         self.rows.push(names.iter().map(|name| (*name).to_owned()).chain(figures).collect());
     }
 
-    /// As [`Table::push`], unless there is no figure at all.
+    /// Adds a row as [`Table::push`] does, if at least one figure is known.
     pub(crate) fn push_known(&mut self, names: &[&str], figures: impl IntoIterator<Item = Option<String>>) {
         let figures: Vec<Option<String>> = figures.into_iter().collect();
         if figures.iter().any(Option::is_some) {

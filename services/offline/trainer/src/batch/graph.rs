@@ -24,7 +24,7 @@ pub(crate) struct BatchOptions<'a> {
 }
 
 impl<'a> BatchOptions<'a> {
-    /// Batches of all that a network reads in a run: as many neighbours, and no future.
+    /// Batches as in a run: the same limit of neighbours, and nothing from the future.
     pub(crate) const fn of_run(config: &'a ModelConfig, base: &'a BaseControl) -> Self {
         Self { config, base, neighbours_max: scene::NEIGHBOURS_MAX, with_future: false }
     }
