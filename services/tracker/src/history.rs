@@ -52,6 +52,21 @@ impl History {
         self.len += 1;
     }
 
+    /// Sets the state of `stamp_ns` as it is: appends it if it is later than all others, and replaces it if it
+    /// is held. Other states change nothing.
+    pub fn set(&mut self, stamp_ns: i64, state: HistoryState) {
+        let held = self.len.min(STATES_MAX);
+        match (0..held).find(|&back| self.stamp_ns(back) <= stamp_ns) {
+            Some(back) if self.stamp_ns(back) == stamp_ns => {
+                let slot = self.slot(back);
+                self.past[slot].state = state;
+            }
+            None if held > 0 => (),
+            Some(0) | None => self.push(stamp_ns, state, Spread::NONE),
+            Some(_) => (),
+        }
+    }
+
     /// Sets the velocity and heading of all states to those of `known`, as long as no state is published.
     ///
     /// If a track's first detection is only a position, its first state has no velocity.

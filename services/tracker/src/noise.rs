@@ -16,7 +16,8 @@
 //!
 //! N is the number of measurements in that time. m allows for changes of the acceleration, q for the
 //! deviation of an estimate, and κ is the value for which r² / N is the variance of a mean over several
-//! seconds of noise with a correlation time of 0.3 s.
+//! seconds of noise with a correlation time of 0.3 s. Until enough measurements are apart to show l², the noise of
+//! an upstream tracker may be correlated. r² is then between s² for smooth positions and the prior for noisy ones.
 
 mod view;
 
@@ -27,7 +28,7 @@ pub use view::ViewFactors;
 use wire::{AGENT_TYPES, Detection, Header, detection_flags};
 
 use crate::observation::{Found, is_known};
-use crate::options::{Association, InputModel, NOISY_M, SensorNoise, TrackerOptions};
+use crate::options::{Association, InputModel, NOISY_M, SensorNoise, TrackerOptions, noisiness};
 
 /// Time between the measurements of the contrasts that show correlated noise.
 const APART_NS: u64 = 400_000_000;
@@ -195,8 +196,13 @@ impl PositionNoise {
     }
 
     /// The factor of the module's equation on the variance of the nominal deviation.
-    fn factor(&self) -> f64 {
-        self.next.variance() + CORRELATED * self.measured_count * self.excess()
+    fn factor(&self, may_be_correlated: bool) -> f64 {
+        let variance = self.next.variance();
+        if may_be_correlated && self.apart.count() < APART_MIN_COUNT {
+            let is_noisy = noisiness(self.nominal_m * variance.sqrt(), NOISY_M);
+            return variance + is_noisy * (1.0 - variance).max(0.0);
+        }
+        variance + CORRELATED * self.measured_count * self.excess()
     }
 
     /// The standard deviation of the positions themselves.
@@ -266,27 +272,30 @@ impl Noise {
         let Some(factor_max) = factor_max(header, options) else {
             return InputModel { steadiness: [0.0; 3], ..model };
         };
+        // Identities come from an upstream tracker.
+        let may_be_correlated = options.has_own_identities(header);
         model.by_view = ViewFactors::new(header, self.of_type.each_ref().map(|noise| &noise.by_view));
         for agent_type in AGENT_TYPES {
             let i = agent_type.index();
             let (of_type, smooth) = (&self.of_type[i], &options.smooth.sensor[i]);
             let sigma = |scale: &Scale, least: f64, most: f64| scale.variance().sqrt().clamp(least, most);
             let [unreported, reported] = &of_type.positions;
-            let unreported_m =
-                unreported.factor().sqrt().min(factor_max) * options.detector.sensor[i].position_m;
+            let deviation =
+                |positions: &PositionNoise| positions.factor(may_be_correlated).sqrt().min(factor_max);
+            let unreported_m = deviation(unreported) * options.detector.sensor[i].position_m;
             model.sensor[i] = SensorNoise {
                 position_m: unreported_m.clamp(smooth.position_m, LARGEST.position_m),
                 heading_rad: sigma(&of_type.heading_rad, smooth.heading_rad, LARGEST.heading_rad),
                 speed_mps: sigma(&of_type.speed_mps, smooth.speed_mps, LARGEST.speed_mps),
             };
-            model.reported_factor[i] = reported.factor().sqrt().min(factor_max);
+            model.reported_factor[i] = deviation(reported);
             let used_m = if of_type.is_reported() {
                 model.reported_factor[i] * reported.nominal_m
             } else {
                 unreported_m
             };
             // Without identities, the constants of a detector associate best, also if its positions are exact.
-            let noise_m = if options.has_own_identities(header) { used_m } else { used_m.max(NOISY_M) };
+            let noise_m = if may_be_correlated { used_m } else { used_m.max(NOISY_M) };
             model.set_motion(agent_type, noise_m, &options.smooth, &options.detector);
         }
         model

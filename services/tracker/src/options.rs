@@ -342,6 +342,11 @@ pub const NOISY_M: f64 = 0.1;
 /// The noise of positions from which steady motion and smoothing count fully.
 const STEADY_FROM_M: f64 = 0.05;
 
+/// 0 for positions with the noise of a smooth recording, 1 from `most_m` on, logarithmic in between.
+pub fn noisiness(noise_m: f64, most_m: f64) -> f64 {
+    ((noise_m / SMOOTH_M).ln() / (most_m / SMOOTH_M).ln()).clamp(0.0, 1.0)
+}
+
 /// Distance from reference point to rear axle, as a share of the length.
 const REAR_AXLE_RATIO: f64 = 0.26;
 /// Lengths by agent type, for tracks of unknown length.
@@ -352,8 +357,7 @@ impl InputModel {
     /// up to their noise, and the constants of `noisy` inputs from [`NOISY_M`] on.
     pub(crate) fn set_motion(&mut self, agent_type: AgentType, noise_m: f64, smooth: &Self, noisy: &Self) {
         let i = agent_type.index();
-        let least_m = smooth.sensor[i].position_m;
-        let share_of = |most_m: f64| ((noise_m / least_m).ln() / (most_m / least_m).ln()).clamp(0.0, 1.0);
+        let share_of = |most_m: f64| noisiness(noise_m, most_m);
         let share = share_of(NOISY_M);
         self.motion[i] = MotionNoise::between(&smooth.motion[i], &noisy.motion[i], share);
         self.trust[i] = ForecastTrust::between(&smooth.trust[i], &noisy.trust[i], share);

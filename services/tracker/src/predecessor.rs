@@ -9,7 +9,6 @@
 use wire::{Header, HistoryState, Track, flags};
 
 use crate::history::History;
-use crate::smoothing::Spread;
 
 /// The tracks of the previous process, as they were published.
 #[derive(Debug, Default)]
@@ -39,9 +38,9 @@ impl Predecessor {
         self.before.extend(self.tracks.iter().map(|track| track.id).zip(self.histories.drain(..)));
         for track in tracks {
             let known = self.before.binary_search_by_key(&track.id, |(id, _)| *id);
-            let mut history = known.map_or_else(|_| of_window(header, track), |place| self.before[place].1);
-            if known.is_ok() {
-                history.push(header.stamp_ns, state_of(track), Spread::NONE);
+            let mut history = known.map_or_else(|_| History::new(), |place| self.before[place].1);
+            for (stamp_ns, state) in window(header, track) {
+                history.set(stamp_ns, state);
             }
             self.histories.push(history);
         }
@@ -73,19 +72,13 @@ impl Predecessor {
     }
 }
 
-/// The states of a track that was not followed before: the states of its window, Δt apart.
-fn of_window(header: &Header, track: &Track) -> History {
-    let mut history = History::new();
+/// The states of a track's window with their stamps, oldest first. The last one is its state at the stamp of the
+/// frame.
+fn window<'a>(header: &Header, track: &'a Track) -> impl Iterator<Item = (i64, HistoryState)> + 'a {
     let len = (header.counts.history_len as usize).min(track.history.len());
-    for (k, state) in track.history[..len].iter().enumerate().filter(|(_, state)| state.present == 1) {
-        let back_ns = header.step_ns.saturating_mul((len - 1 - k) as u64);
-        history.push(header.stamp_ns.saturating_sub_unsigned(back_ns), *state, Spread::NONE);
-    }
-    history
-}
-
-/// The state of a track at the stamp of its frame.
-fn state_of(track: &Track) -> HistoryState {
-    let &Track { x_m, y_m, vx_mps, vy_mps, heading_rad, .. } = track;
-    HistoryState { x_m, y_m, vx_mps, vy_mps, heading_rad, present: 1 }
+    let (stamp_ns, step_ns) = (header.stamp_ns, header.step_ns);
+    track.history[..len].iter().enumerate().filter(|(_, state)| state.present == 1).map(move |(k, state)| {
+        let back_ns = step_ns.saturating_mul((len - 1 - k) as u64);
+        (stamp_ns.saturating_sub_unsigned(back_ns), *state)
+    })
 }

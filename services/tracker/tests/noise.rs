@@ -60,6 +60,40 @@ fn a_straight_vehicle_is_steady_with_and_without_identities() {
     }
 }
 
+/// In the first second few measurements show the noise, and none show whether it is correlated.
+#[test]
+fn the_first_second_is_as_good_with_identities_as_without() {
+    for kept in [0.0_f64, (-TICK_S / 0.3).exp()] {
+        let [with, without] = [flags::HAS_IDENTITIES, 0].map(|flags| {
+            let mut sum = 0.0;
+            for seed in 0..8 {
+                let mut run = Harness::new(TrackerOptions::default(), flags);
+                let mut rng = ChaCha8Rng::seed_from_u64(seed);
+                let mut errors_m = [[0.0; 2]; AGENTS as usize];
+                let mut fresh = 1.0;
+                for frame in 0..13 {
+                    let detections = std::array::from_fn::<Detection, { AGENTS as usize }, _>(|i| {
+                        let [dx, dy] =
+                            errors_m[i].map(|error_m: f64| kept * error_m + fresh * noise(&mut rng, 0.12));
+                        errors_m[i] = [dx, dy];
+                        let id = i as u64 + 1;
+                        let x_m = 9.0 * frame as f64 * TICK_S;
+                        detected_at(AgentType::Vehicle, id, x_m + dx, 30.0 * id as f64 + dy)
+                    });
+                    fresh = (1.0 - kept * kept).sqrt();
+                    let tracks = run.step(&detections);
+                    for track in tracks.iter().filter(|_| frame >= 6) {
+                        sum += f64::from(track.vx_mps - 9.0).powi(2) + f64::from(track.vy_mps).powi(2);
+                    }
+                }
+            }
+            (sum / (8.0 * 7.0 * AGENTS as f64)).sqrt()
+        });
+        println!("{with:.3} m/s with identities, {without:.3} m/s without");
+        assert!(with < 1.25 * without, "{with} and {without} m/s, kept {kept}");
+    }
+}
+
 #[test]
 fn a_parked_vehicle_stands_under_noise() {
     for flags in [flags::HAS_IDENTITIES, 0] {

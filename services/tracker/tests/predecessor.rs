@@ -86,6 +86,38 @@ fn tracks_keep_ids_histories_and_motion() {
     }
 }
 
+/// A smoothed history continues as it was last published. Its covariances ended with the tracker before, so it is
+/// not smoothed again.
+#[test]
+fn smoothed_histories_continue() {
+    let mut rng = ChaCha8Rng::seed_from_u64(9);
+    let mut frame = |nth: usize| -> Vec<Detection> {
+        let place = |id: u64| [0.7 * nth as f64, 20.0 * id as f64].map(|at_m| at_m + noise(&mut rng, 0.2));
+        let places = [1, 2, 3].map(place);
+        (1..).zip(places).map(|(id, [x, y])| detected_at(AgentType::Vehicle, id, x, y)).collect()
+    };
+    let mut before = Harness::new(TrackerOptions::default(), flags::HAS_IDENTITIES);
+    let mut predecessor = Predecessor::default();
+    let mut last = Vec::new();
+    for nth in 0..=LAST {
+        let tracks = before.step(&frame(nth)).to_vec();
+        predecessor.follow(&header(&before), &tracks);
+        last = tracks;
+    }
+    let mut after = Harness::new(TrackerOptions::default(), flags::HAS_IDENTITIES);
+    after.tracker = Tracker::new(TrackerOptions::default()).with_ids_of(1);
+    after.tracker.begin_with(&predecessor);
+    after.stamp_ns = before.stamp_ns;
+    for nth in LAST + 1..=LAST + 5 {
+        after.step(&frame(nth));
+    }
+    // Five frames are a step of the history.
+    for (track, last) in after.published().iter().zip(&last) {
+        let newest = track.history.len() - 1;
+        assert_eq!(track.history[..newest], last.history[1..], "track {}", track.id);
+    }
+}
+
 #[test]
 fn a_new_agent_gets_an_id_of_the_new_incarnation() {
     let mut predecessor = Predecessor::default();
