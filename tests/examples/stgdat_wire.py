@@ -130,6 +130,7 @@ class Doubts(enum.IntFlag):
     SEEN_TWICE = 8388608  # Agents take the same paths twice, by two clocks.
     IDENTITIES_CHANGE = 16777216  # Identities change while their agents continue.
     ALL_DISPLACED = 33554432  # All agents are displaced at once.
+    SIZES_SWAPPED = 67108864  # Vehicles are wider than they are long.
 
 
 class StageId(enum.IntEnum):

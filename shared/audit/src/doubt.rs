@@ -55,6 +55,8 @@ wire::named! {
         IdentitiesChange = doubts::IDENTITIES_CHANGE => "identities_change",
         /// All agents are displaced at once.
         AllDisplaced = doubts::ALL_DISPLACED => "all_displaced",
+        /// Vehicles are wider than they are long.
+        SizesSwapped = doubts::SIZES_SWAPPED => "sizes_swapped",
     }
 }
 
@@ -99,6 +101,7 @@ impl Doubt {
             }
             Self::IdentitiesChange => "identities change while their agents continue",
             Self::AllDisplaced => "all agents are displaced at once, as if the localisation jumped",
+            Self::SizesSwapped => "vehicles are wider than they are long",
         }
     }
 
@@ -130,6 +133,7 @@ impl Doubt {
             Self::IdentitiesChange => {
                 "they are ignored, and tracks follow the positions (as with --associate)"
             }
+            Self::SizesSwapped => "swap length and width",
             Self::AllDisplaced => {
                 "correct the localisation, or write positions in a frame that does not jump"
             }

@@ -74,6 +74,8 @@ const PLACEHOLDERS_MIN: u64 = 3;
 const SIZED_MIN: u64 = 20;
 /// Smallest share of the rows that a second sensor has: 1 / 5. Moving queues have fewer.
 const TWICE_OF: u64 = 5;
+/// Ratio of width to length from which a vehicle is wider than it is long.
+const WIDE: f64 = 1.2;
 /// Range of the median vehicle length if lengths are in feet.
 const LENGTHS_FT: std::ops::RangeInclusive<f64> = 12.0..=20.0;
 /// Width in metres of vehicles with such a length in metres, such as buses. Cars that are measured in feet are wider.
@@ -134,6 +136,8 @@ pub struct Audit {
     loose: Tally,
     /// Detections of long vehicles that are as narrow as a bus.
     long: u64,
+    /// Detections of vehicles that are wider than they are long.
+    wide: Tally,
 }
 
 impl Audit {
@@ -169,6 +173,7 @@ impl Audit {
             fast: Default::default(),
             loose: Tally::default(),
             long: 0,
+            wide: Tally::default(),
         }
     }
 
@@ -184,6 +189,7 @@ impl Audit {
         (self.outliers, self.placeholders, self.jumps) = Default::default();
         self.loose_placeholders = Tally::default();
         self.long = 0;
+        self.wide = Tally::default();
         (self.extent, self.fast, self.loose) = Default::default();
         self.stacks.clear();
         self.echoes.clear();
@@ -254,6 +260,9 @@ impl Audit {
             self.speeds[of_type].length(length, place);
             if LENGTHS_FT.contains(&length) && WIDTHS_M.contains(&width) {
                 self.long += 1;
+            }
+            if length > 0.0 && width > WIDE * length {
+                self.wide.add(1, place);
             }
         }
         let step = if detection.has(detection_flags::HAS_ID) && !self.ignores_ids {
@@ -468,6 +477,9 @@ impl Audit {
         {
             let detail = Detail::Length { length_m };
             take(Finding::new(Doubt::Feet, vehicles.sized(), self.rows, detail));
+        }
+        if vehicles.sized().rows >= SIZED_MIN && 2 * self.wide.rows > vehicles.sized().rows {
+            take(Finding::new(Doubt::SizesSwapped, self.wide, self.rows, Detail::None));
         }
         let moves = self.speeds.iter().any(|speeds| speeds.moving_mps().is_some());
         if moves && self.whole.rows >= WHOLE_MIN && self.whole.rows == self.rows {

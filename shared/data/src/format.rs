@@ -110,6 +110,9 @@ impl Format {
         if input.bytes.starts_with(SQLITE) {
             return Err(ReadError::file(&input.path, SQLITE_REMEDY));
         }
+        if recording::is_end_of_bag(&input.bytes) {
+            return Err(ReadError::file(&input.path, HEADLESS));
+        }
         let mut lines =
             text::lines(input).filter(|line| !matches!(line, Ok(line) if line.text.starts_with('#')));
         let first = lines.next().ok_or_else(|| ReadError::Empty { path: input.path.clone() })??;
@@ -149,6 +152,10 @@ impl Format {
         }
     }
 }
+
+/// The problem of a bag whose first bytes are not those of a bag.
+const HEADLESS: &str =
+    "a bag (MCAP) whose beginning is missing or damaged: it ends as a bag, and does not begin as one";
 
 /// The error of a first row that does not belong to any format.
 fn no_header(columns: usize) -> String {

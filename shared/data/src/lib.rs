@@ -36,6 +36,7 @@
 //! # Ok::<(), data::ReadError>(())
 //! ```
 
+mod damage;
 mod egos;
 mod error;
 mod folder;

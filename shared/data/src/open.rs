@@ -10,6 +10,7 @@ use recording::unpacked_file;
 use sha2::{Digest, Sha256};
 use wire::WorldOrigin;
 
+use crate::damage::cut_finding;
 use crate::folder::bag_parts;
 use crate::formats::{
     commonroad, csv, highd, interaction, kitti, levelx, obsmat, positions, rosbag, sdd_raw, vci_dut,
@@ -80,7 +81,7 @@ pub fn open_with(path: &Path, options: OpenOptions) -> Result<Recording, ReadErr
     }
     inputs.iter_mut().for_each(|input| input.origin = options.origin);
     inputs[0].topics = options.topics;
-    let recording = parse_at(format, &inputs, options.fps)?;
+    let recording = parse_as_far_as_whole(format, &mut inputs, options.fps)?;
     // A folder such as `.` has no name in the path.
     let folder = path.canonicalize().ok().filter(|path| path.is_dir());
     Ok(Recording { name: name(&folder.as_deref().unwrap_or(path).to_string_lossy()), ..recording })
@@ -170,6 +171,38 @@ pub fn parse_at(format: Format, inputs: &[Input], fps: Option<FrameRate>) -> Res
         sha256: sha256(inputs),
         ..recording
     })
+}
+
+/// As [`parse_at`]. If only the last line of a file is wrong and nothing ends it, the file was cut off there. The line
+/// is left out then, with a doubt.
+fn parse_as_far_as_whole(
+    format: Format,
+    inputs: &mut [Input],
+    fps: Option<FrameRate>,
+) -> Result<Recording, ReadError> {
+    let error = match parse_at(format, inputs, fps) {
+        Err(error @ (ReadError::Columns { .. } | ReadError::Value { .. } | ReadError::Line { .. })) => error,
+        outcome => return outcome,
+    };
+    let place = error.place();
+    let (Some(cut), Some(line)) = (inputs.iter().position(|input| input.path == place.path), place.line)
+    else {
+        return Err(error);
+    };
+    let Some(at) = cut_at(&inputs[cut].bytes, line) else { return Err(error) };
+    let sha256 = sha256(&*inputs);
+    let last = inputs[cut].bytes.split_off(at);
+    let Ok(mut recording) = parse_at(format, inputs, fps) else { return Err(error) };
+    inputs[cut].bytes.extend(last);
+    recording.findings.push(cut_finding(&inputs[cut], at, &recording));
+    Ok(Recording { sha256, ..recording })
+}
+
+/// The byte at which the last line begins, if it is this line (from 1) and nothing ends it.
+fn cut_at(bytes: &[u8], line: usize) -> Option<usize> {
+    let at = bytes.iter().rposition(|&byte| byte == b'\n')? + 1;
+    let is_last = bytes[..at].iter().filter(|&&byte| byte == b'\n').count() + 1 == line;
+    (is_last && at < bytes.len()).then_some(at)
 }
 
 /// The last folder and the file's name without its ending: `GL/vehicle_tracks_000`.

@@ -485,3 +485,52 @@ fn missing_files_are_named() {
     let error = data::open(folder.path(), None).unwrap_err().to_string();
     assert!(error.ends_with("not a regular file"), "{error}");
 }
+
+/// A file that ends in the middle of a row is read up to this row, in every format of rows. A wrong row in the middle,
+/// or one that a line break ends, is an error.
+#[test]
+fn a_row_that_is_cut_off_is_left_out_with_a_doubt() {
+    let folder = tempfile::tempdir().unwrap();
+    let row = |k: usize| {
+        format!("{:.2},7,vehicle,{:.2},3.25,0.01,8.50,4.60,1.85\n", 0.1 * k as f64, 0.85 * k as f64)
+    };
+    let header = "stamp_s,id,type,x_m,y_m,heading_rad,speed_mps,length_m,width_m\n";
+    let whole: String = header.to_owned() + &(0..30).map(row).collect::<String>();
+    let open = |name: &str, text: &str| {
+        let path = folder.path().join(name);
+        std::fs::write(&path, text).unwrap();
+        data::open(&path, None)
+    };
+    let last = whole[..whole.len() - 1].rfind('\n').unwrap() + 1;
+    for len in last + 1..last + 30 {
+        let recording = open("cut.csv", &whole[..len]).unwrap();
+        let kinds: Vec<_> = recording.findings.iter().map(|found| found.kind.as_str()).collect();
+        assert_eq!((recording.frames.len(), &kinds[..]), (29, &["cut_off"][..]), "{len} bytes");
+        let doubt = &recording.findings[0];
+        assert!(doubt.doubtful && doubt.sentence.contains(&format!("byte {last} of {len}")), "{doubt:?}");
+        let other = open("other.csv", &whole[..last]).unwrap();
+        assert_eq!(other.frames, recording.frames, "{len} bytes");
+        assert!(other.findings.is_empty() && other.sha256 != recording.sha256);
+    }
+    let ended = format!("{}\n", &whole[..last + 9]);
+    let error = open("ended.csv", &ended).unwrap_err().to_string();
+    assert!(error.contains("ended.csv:31:1: 3 columns, expected 9"), "{error}");
+    let middle = whole.replacen("0.85,3.25", "0.85", 1);
+    let error = open("middle.csv", middle.trim_end()).unwrap_err().to_string();
+    assert!(error.contains("middle.csv:3:1: 8 columns"), "{error}");
+
+    let trajnet =
+        [("0", 1.0), ("12", 1.5), ("24", 2.0), ("36", 2.5)].map(|(frame, x)| format!("{frame} 1 {x} 4.25\n"));
+    let text = trajnet.concat();
+    let recording = open("rows.txt", &text[..text.len() - 6]).unwrap();
+    assert_eq!((recording.frames.len(), recording.findings.len()), (3, 1));
+}
+
+#[test]
+fn a_bag_without_its_beginning_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("headless.mcap");
+    std::fs::write(&path, b"\x00\x01\xffrest of a bag\x89MCAP0\r\n").unwrap();
+    let error = data::open(&path, None).unwrap_err().to_string();
+    assert!(error.contains("beginning is missing or damaged"), "{error}");
+}

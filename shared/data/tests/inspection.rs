@@ -149,6 +149,24 @@ fn speeds_in_other_units_are_named() {
 }
 
 #[test]
+fn lengths_and_widths_that_are_swapped_are_named() {
+    let text = |wide: bool| {
+        let size = if wide { "1.9,4.5" } else { "4.5,1.9" };
+        let row = |row: Row| {
+            let Row { stamp_s, id, x_m, y_m, heading_rad, speed_mps, .. } = row;
+            format!("{stamp_s:.1},{id},vehicle,{x_m:.3},{y_m:.3},{heading_rad:.4},{speed_mps:.3},{size}\n")
+        };
+        let rows: String = drive(10.0).into_iter().map(row).collect();
+        format!("stamp_s,id,type,x_m,y_m,heading_rad,speed_mps,length_m,width_m\n{rows}")
+    };
+    assert!(findings(&text(false)).is_empty());
+    let found = findings(&text(true));
+    let [doubt] = &found[..] else { panic!("{found:?}") };
+    assert_eq!((doubt.kind.as_str(), doubt.share), ("sizes_swapped", Some(1.0)));
+    assert_eq!(doubt.sentence, "vehicles are wider than they are long: swap length and width");
+}
+
+#[test]
 fn feet_and_pixels_are_named() {
     let feet = |row: Row| Row { x_m: row.x_m * 3.280_84, y_m: row.y_m * 3.280_84, ..row };
     let doubt = only("feet", drive(10.0).into_iter().map(feet));

@@ -42,6 +42,12 @@ pub fn is_bag(bytes: &[u8]) -> bool {
     bytes.starts_with(MAGIC)
 }
 
+/// Whether the bytes end as an MCAP file.
+#[must_use]
+pub fn is_end_of_bag(bytes: &[u8]) -> bool {
+    bytes.ends_with(MAGIC)
+}
+
 /// The content of a file that may be compressed as a whole with Zstandard or LZ4, as rosbag2 compresses files. A
 /// compressed file that was cut off has the content up to the cut.
 ///

@@ -60,7 +60,7 @@ mod view;
 mod writer;
 
 pub use about::{ABOUT, About};
-pub use bag::{BagMessage, Damage, bag_messages, is_bag, unpacked_file};
+pub use bag::{BagMessage, Damage, bag_messages, is_bag, is_end_of_bag, unpacked_file};
 pub use before::{Before, Forgotten};
 pub use compare::{Comparison, Difference, FrameDifference, TopicComparison, compare, computed};
 pub use error::{ReadError, WriteError};

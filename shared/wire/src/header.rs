@@ -88,6 +88,8 @@ pub mod doubts {
         pub const IDENTITIES_CHANGE: u32 = 1 << 24;
         /// All agents are displaced at once.
         pub const ALL_DISPLACED: u32 = 1 << 25;
+        /// Vehicles are wider than they are long.
+        pub const SIZES_SWAPPED: u32 = 1 << 26;
     }
 }
 

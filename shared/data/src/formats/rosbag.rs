@@ -16,7 +16,6 @@
 //!
 //! The objects become rows of [`crate::formats::csv`], which checks their values.
 
-mod damage;
 mod objects;
 mod predicted;
 mod transforms;
@@ -33,12 +32,12 @@ use nalgebra::Isometry3;
 use recording::{BagMessage, Damage, bag_messages};
 use wire::{POSITION_MAX_M, WorldOrigin};
 
-use self::damage::{cut_finding, damage_finding, doubt};
 use self::objects::heading_rad;
 pub use self::objects::{Object, Placed};
 pub use self::predicted::{PredictedAgent, PredictedFrame, PredictedPath, predicted_objects};
 pub use self::transforms::Transforms;
 use self::transforms::bare;
+use crate::damage::{cut_finding, damage_finding, doubt};
 use crate::formats::csv;
 use crate::input::need;
 use crate::recording::LeftOut;

@@ -1,16 +1,16 @@
-//! Doubts about the files of a bag.
+//! Doubts about files that end in the middle or are damaged.
 
 use audit::Found;
 
 use crate::{Input, Recording};
 
 /// A doubt about the file as a whole.
-pub(super) fn doubt(kind: &str, sentence: String) -> Found {
+pub(crate) fn doubt(kind: &str, sentence: String) -> Found {
     Found { kind: kind.to_owned(), sentence, doubtful: true, ..Found::default() }
 }
 
 /// The doubt about a file that ends in the middle.
-pub(super) fn cut_finding(part: &Input, at: usize, recording: &Recording) -> Found {
+pub(crate) fn cut_finding(part: &Input, at: usize, recording: &Recording) -> Found {
     let (path, len) = (&part.path, part.bytes.len());
     let stamps_ns = || recording.frames.iter().map(|frame| frame.stamp_ns);
     let last_ns = stamps_ns().next_back().unwrap_or(0);
@@ -24,7 +24,7 @@ pub(super) fn cut_finding(part: &Input, at: usize, recording: &Recording) -> Fou
 }
 
 /// The doubt about chunks that can't be read to their end, by their first bytes.
-pub(super) fn damage_finding(part: &Input, chunks: &[usize]) -> Option<Found> {
+pub(crate) fn damage_finding(part: &Input, chunks: &[usize]) -> Option<Found> {
     let (first, count) = (chunks.first()?, chunks.len());
     let (path, len) = (&part.path, part.bytes.len());
     let sentence = format!(
