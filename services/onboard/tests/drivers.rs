@@ -422,8 +422,17 @@ fn recordings_with_faults_have_the_same_bytes_everywhere() {
     for name in [
         "eth_ucy/raw/biwi_eth.txt",
         "interaction/recorded_trackfiles/DR_USA_Roundabout_SR/vehicle_tracks_000.csv",
-        "driving/apolloscape/result_9048_1.csv",
         "vci_dut/intersection_01_traj_ped_filtered.csv",
+        "kitti_tracking/label/0000.txt",
+        "sdd/trajnet/train/gates_1.txt",
+        "driving/apolloscape/result_9048_1.csv",
+        "driving/av2_sensor/3b3570b4-7b0b-3268-a571-b0889dbf40b6.csv",
+        "driving/mona/MONAEast_0000-2399.csv",
+        "driving/ngsim_lankershim/USA_Lanker-2_10_T-1.csv",
+        "driving/ngsim_peachtree/USA_Peach-2_1_T-1.csv",
+        "driving/ngsim_us101/USA_US101-10_1_T-1.csv",
+        "driving/nuscenes_mini/scene-0061.csv",
+        "driving/womd/tfrecord-00001-of-01000_307.csv",
     ] {
         let Some(path) = public_recording(name) else { continue };
         let recording = data::open(&path, None).unwrap();
