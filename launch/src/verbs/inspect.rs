@@ -89,8 +89,8 @@ fn text(inspection: &Inspection, out: Option<&Path>) -> String {
     }
     let with = if *identities { "all with identities" } else { "not all with identities" };
     line("detections", format!("{rows}, {with}"));
-    for (reason, row_count) in &inspection.left_out {
-        line("left out", format!("{row_count} rows: {reason}"));
+    for (kind, row_count) in &inspection.left_out {
+        line("", recorder::text::rows(kind, *row_count as u64));
     }
     inspection.types.iter().for_each(|of_type| line(&of_type.agent_type, type_words(of_type)));
     if let Some(share) = inspection.agreeing_headings {

@@ -121,9 +121,7 @@ impl InputReport {
         };
         let counted = self.counts().into_iter().filter(|(_, count)| *count > 0);
         let counts = counted.map(|(name, count)| format!("{} {}", crate::text::count(count), meaning(name)));
-        let rows = self.rows_left_out.iter();
-        let rows =
-            rows.map(|(reason, rows)| format!("{} rows left out ({reason})", crate::text::count(*rows)));
+        let rows = self.rows_left_out.iter().map(|(kind, rows)| crate::text::rows(kind, *rows));
         let poses = (self.poses_missing > 0).then(|| {
             format!("{} frames without a pose of the sensor", crate::text::count(self.poses_missing))
         });

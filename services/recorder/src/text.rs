@@ -18,6 +18,18 @@ pub fn bar(share: f64, width: usize) -> String {
     bar + &"·".repeat(rest)
 }
 
+/// The number of rows of this kind. A kind that begins with *with* names values that count as unknown; the rows
+/// themselves are used. Rows of other kinds are left out.
+#[must_use]
+pub fn rows(kind: &str, rows: u64) -> String {
+    let rows = count(rows);
+    if kind.starts_with("with ") {
+        format!("{rows} rows {kind}")
+    } else {
+        format!("{rows} rows left out ({kind})")
+    }
+}
+
 /// Three significant digits and at most three decimals; `–` if unknown.
 #[must_use]
 pub fn number(value: Option<f64>) -> String {

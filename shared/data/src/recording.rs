@@ -47,7 +47,7 @@ impl Frame {
 /// Rows of a file that are not detections by the rules of its format.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LeftOut {
-    /// The reason, in the format's words.
+    /// The reason, in the format's words. It begins with *with* if only values of these rows are left out.
     pub reason: String,
     /// Number of rows.
     pub row_count: usize,

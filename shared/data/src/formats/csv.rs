@@ -230,7 +230,7 @@ pub(crate) fn parse(inputs: &[Input]) -> Result<Recording, ReadError> {
     let Sweeps { frames, interval_ns, poses_missing } = sweeps::measured(&rows.sorted(input)?, &egos);
     let has_id = |detection: &Detection| detection.has(detection_flags::HAS_ID);
     let nan = LeftOut {
-        reason: "values that are NaN or impossible (they count as unknown)".to_owned(),
+        reason: "with values that are NaN or impossible and count as unknown".to_owned(),
         row_count: unknown,
     };
     Ok(Recording {

@@ -54,7 +54,7 @@ const OBJECTS: [&str; 2] = [DetectedObjects::DEFINITION.name, TrackedObjects::DE
 
 /// Reason of [`LeftOut`] for values that are unknown.
 const IMPOSSIBLE: &str =
-    "headings, speeds, sizes, scores or deviations that are NaN or impossible (they count as unknown)";
+    "with headings, speeds, sizes, scores or deviations that are NaN or impossible and count as unknown";
 
 /// Smallest number of objects' messages with a stamp of 0 that is a fault. A simulated clock begins at 0.
 const ZERO_STAMPS_MIN: usize = 2;
