@@ -75,9 +75,25 @@ pub fn position_sigma_m(detection: &Detection, agent_type: AgentType, input: &In
     }
 }
 
+/// Largest factor on the nominal deviation in association by position. A gate that grows with the learned noise
+/// lets in clutter, which increases the learned noise.
+const GATE_MAX: f64 = 2.0;
+
+/// Standard deviation of a detection's position in association: the learned one, but at least the nominal one,
+/// because a gate must also hold manoeuvres.
+#[must_use]
+pub fn gate_sigma_m(
+    detection: &Detection,
+    agent_type: AgentType,
+    input: &InputModel,
+    options: &TrackerOptions,
+) -> f64 {
+    let nominal_m = nominal_sigma_m(detection, agent_type, options);
+    position_sigma_m(detection, agent_type, input).clamp(nominal_m, GATE_MAX * nominal_m)
+}
+
 /// Standard deviation of a detection's position before anything is learned: the reported one, or else the prior
-/// of its type. The tracker learns a factor on it. Association by position uses it as it is: a gate that grows
-/// with the learned noise lets in clutter, which increases the learned noise.
+/// of its type. The tracker learns a factor on it.
 #[must_use]
 pub fn nominal_sigma_m(detection: &Detection, agent_type: AgentType, options: &TrackerOptions) -> f64 {
     match detection.sigma_m {

@@ -7,7 +7,7 @@ use wire::{AgentType, Detection};
 
 use crate::estimate::Estimate;
 use crate::grid::{Grid, Spot};
-use crate::observation::{Found, nominal_sigma_m};
+use crate::observation::{Found, gate_sigma_m};
 use crate::options::{Association, InputModel, TrackerOptions};
 
 /// 99 % quantile of a χ² variable with two degrees of freedom: the gate for positions.
@@ -179,7 +179,7 @@ impl Pairing {
         let detected = detections.iter().zip(types).zip(0..detections.len() as u32);
         self.grid.fill(detected.map(|((found, &agent_type), detection)| Spot {
             position_m: [f64::from(found.x_m), f64::from(found.y_m)],
-            variance: nominal_sigma_m(found, agent_type, options).powi(2),
+            variance: gate_sigma_m(found, agent_type, input, options).powi(2),
             detection,
             agent_type,
         }));

@@ -94,6 +94,30 @@ fn the_first_second_is_as_good_with_identities_as_without() {
     }
 }
 
+/// Positions outside of the gates would start further tracks beside the agents.
+#[test]
+fn noise_beyond_the_prior_starts_no_further_tracks() {
+    let mut run = Harness::new(TrackerOptions::default(), 0);
+    let mut rng = ChaCha8Rng::seed_from_u64(11);
+    let (mut further, mut all) = (0, 0);
+    for frame in 0..4 * FRAMES {
+        let detections: Vec<Detection> = (1..=AGENTS)
+            .map(|lane| {
+                let [dx, dy] = [(); 2].map(|()| noise(&mut rng, 0.4));
+                let x_m = 1.3 * frame as f64 * TICK_S;
+                detected_at(AgentType::Pedestrian, 0, x_m + dx, 30.0 * lane as f64 + dy)
+            })
+            .collect();
+        let tracks = run.step(&detections).len();
+        if frame >= FRAMES {
+            (further, all) = (further + tracks.saturating_sub(AGENTS as usize), all + tracks);
+        }
+    }
+    println!("{further} of {all} tracks");
+    assert!(all >= 3 * FRAMES * AGENTS as usize, "{all} tracks");
+    assert!(20 * further < all, "{further} of {all} tracks");
+}
+
 #[test]
 fn a_parked_vehicle_stands_under_noise() {
     for flags in [flags::HAS_IDENTITIES, 0] {
