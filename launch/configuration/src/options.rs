@@ -226,6 +226,7 @@ impl StageOptions {
             built_in: options.declared.is_some(),
             options: options.table.to_string(),
             name: if id.is_added() { id.name().to_owned() } else { String::new() },
+            program: String::new(),
             places: options.places.clone(),
             reads: Vec::new(),
             writes: Vec::new(),

@@ -4,10 +4,11 @@ use clap::{Args, ValueEnum};
 use configuration::{Pipeline, Stage, pipeline_file};
 use console::failure::Failure;
 use console::show::show;
-use recorder::Report;
 use recorder::report::{Percentiles, StageReport};
+use recorder::{PARTNERS, Report};
 use run::Exit;
 use telemetry::top::Client;
+use wire::{ForecastsTopic, StageId, Topic as _};
 
 use crate::runs;
 
@@ -76,7 +77,8 @@ fn of_pipeline(pipeline: &Pipeline) -> Graph {
     }
 }
 
-/// The graph of a run; `None` if the report does not have the topics of the stages.
+/// The graph of a run, with its partners outside and the time from the stamp to the publication; `None` if the report
+/// does not have the topics of the stages.
 fn of_report(report: &Report) -> Option<Graph> {
     let mut edges = Vec::new();
     for producer in &report.stages {
@@ -85,8 +87,30 @@ fn of_report(report: &Report) -> Option<Graph> {
             edges.extend(reads.map(|consumer| (producer.name.clone(), topic.clone(), consumer.name.clone())));
         }
     }
-    let stages = report.stages.iter().map(|stage| (stage.name.clone(), measured_lines(stage))).collect();
-    (!edges.is_empty()).then_some(Graph { stages, edges })
+    if edges.is_empty() {
+        return None;
+    }
+    let mut stages: Vec<_> =
+        report.stages.iter().map(|stage| (stage.name.clone(), measured_lines(stage))).collect();
+    for stage in &report.stages {
+        let Some((_, words)) = PARTNERS.iter().find(|(program, _)| *program == stage.program) else {
+            continue;
+        };
+        let (name, own) = (format!("{words} of {}", stage.name).replace(' ', "_"), stage.name.clone());
+        let counts = report.links.get(&stage.name).into_iter().flatten();
+        stages.push((name.clone(), counts.map(|(kind, count)| format!("{count} {kind}")).collect()));
+        edges.push(match stage.name == StageId::Source.name() {
+            true => (name, "in".to_owned(), own),
+            false => (own, "out".to_owned(), name),
+        });
+    }
+    if report.since_stamp_ms.p50.is_some() {
+        let line = format!("{} ms since the stamp", pair(&report.since_stamp_ms));
+        stages.push(("publication".to_owned(), vec![line]));
+        let (from, to) = (StageId::Sampler.name().to_owned(), "publication".to_owned());
+        edges.push((from, ForecastsTopic::NAME.to_owned(), to));
+    }
+    Some(Graph { stages, edges })
 }
 
 impl Graph {
@@ -129,10 +153,16 @@ fn lines_of(stage: &Stage) -> Vec<String> {
     lines.into_iter().flatten().collect()
 }
 
+fn pair(of: &Percentiles) -> String {
+    let number = |value_ms: Option<f64>| value_ms.map_or("-".to_owned(), |value_ms| format!("{value_ms:.2}"));
+    format!("{} / {}", number(of.p50), number(of.p99))
+}
+
 /// Median and 99th percentile of the compute against the budget, of the waiting and of the wake-up, and faults.
 fn measured_lines(stage: &StageReport) -> Vec<String> {
-    let number = |value_ms: Option<f64>| value_ms.map_or("-".to_owned(), |value_ms| format!("{value_ms:.2}"));
-    let pair = |of: &Percentiles| format!("{} / {}", number(of.p50), number(of.p99));
+    if !stage.is_measured() && !stage.program.is_empty() {
+        return vec![stage.program.clone()];
+    }
     let budget = stage.budget_ms.map_or(String::new(), |budget_ms| format!(" of {budget_ms}"));
     let count = |count: u64, what: &str| (count > 0).then(|| format!("{count} {what}"));
     let lines = [
@@ -184,5 +214,24 @@ mod tests {
         assert!(text.contains("    source -->|detections| tracker\n"), "{text}");
         let label = "tracker<br/>1.00 / 7.25 of 6 ms<br/>waiting - / -<br/>wake-up - / -<br/>2 restarts\"]";
         assert!(text.contains(label) && !text.contains("lost"), "{text}");
+        // Detections from another box, forecasts to ROS.
+        report.stages[0].program = "stgdat-bridge".into();
+        report.links = [("source".to_owned(), [("frames".to_owned(), 12)].into())].into();
+        report.stages.push(StageReport {
+            program: "stgdat-ros2".into(),
+            budget_ms: None,
+            ..stage("ros2", "tracks", "")
+        });
+        report.since_stamp_ms = Percentiles { p50: Some(20.0), p99: Some(31.5), ..Percentiles::default() };
+        let text = of_report(&report).unwrap().mermaid();
+        for part in [
+            "other_box_of_source[\"other_box_of_source<br/>12 frames\"]",
+            "other_box_of_source -->|in| source",
+            "ros2[\"ros2<br/>stgdat-ros2\"]",
+            "ros2 -->|out| ROS_2_of_ros2",
+            "publication[\"publication<br/>20.00 / 31.50 ms since the stamp\"]",
+        ] {
+            assert!(text.contains(part), "{part}: {text}");
+        }
     }
 }

@@ -135,13 +135,10 @@ impl Observer {
             Ok::<_, Failure>((tracer, TraceFile::begin(path)?))
         });
         let options = RecorderOptions {
-            stages: run.order(),
-            budgets_ms: run.budgets_ms(),
-            topics: run.topics_of_stages(),
             silence_ns: recorder::STAGE.options(run).unwrap_or_default().silence_ns(),
             scores: false,
             input,
-            ..RecorderOptions::default()
+            ..RecorderOptions::of(run)
         };
         Ok(Self {
             measured: Recorder::new(options),
@@ -165,6 +162,7 @@ impl Observer {
     /// Measures the forecasts of a tick. Returns its figures; `None` if the frame is not a newer tick.
     pub fn forecasts(&mut self, header: &Header, forecasts: &[Forecast]) -> Option<Tick> {
         // Refused frames are counted here. The launcher can't notify their stage.
+        self.measured.set_clock_offset(ports::clock_offset_ns());
         let tick = self.measured.forecasts(header, forecasts).ok().flatten()?;
         if let Some((tracer, file)) = &mut self.tracer {
             tracer.tick(header, &tick);

@@ -45,8 +45,9 @@ pub use lanes::LaneCounts;
 pub use options::{Options, STAGE};
 pub use record::{Checkpoint, Recorder, RecorderOptions};
 pub use report::{
-    Errors, Outage, REPORT_VERSION, RefusedFrames, Replacement, ReplacementOutcome, Report, ReportError,
-    RunInfo, SceneNoise, SpareReport, StageMemory, Status, Supervision, Verdict, WorstTick, program_name,
+    Errors, Outage, PARTNERS, REPORT_VERSION, RefusedFrames, Replacement, ReplacementOutcome, Report,
+    ReportError, RunInfo, SceneNoise, SpareReport, StageMemory, Status, Supervision, Verdict, WorstTick,
+    program_name,
 };
 pub use sessions::Sessions;
 pub use tick::Tick;

@@ -7,6 +7,7 @@ mod window;
 
 use std::collections::BTreeMap;
 
+use run::Run;
 use serde::{Deserialize, Serialize};
 use wire::{Cause, Forecast, Header, Heartbeat, Quality, Rejected, StageId, Truth, flags};
 
@@ -31,6 +32,9 @@ use shed::ShedCounts;
 use stages::StageTimes;
 use verdict::verdict;
 
+/// Greatest time from a stamp to the publication of its forecasts. A greater one means another clock.
+const SINCE_STAMP_MAX_NS: u64 = 10_000_000_000;
+
 /// The recorder's information about the run in addition to its topics.
 #[derive(Clone, Debug)]
 pub struct RecorderOptions {
@@ -42,6 +46,8 @@ pub struct RecorderOptions {
     pub budgets_ms: BTreeMap<StageId, f64>,
     /// The topics that each stage reads and writes.
     pub topics: BTreeMap<StageId, [Vec<String>; 2]>,
+    /// File names of external programs.
+    pub programs: BTreeMap<StageId, String>,
     /// Whether forecasts are kept and scored when truth arrives. Otherwise only times and counts are
     /// recorded, and the forecasts' numbers are not checked.
     pub scores: bool,
@@ -60,10 +66,28 @@ impl Default for RecorderOptions {
             stages: StageId::ALL.to_vec(),
             budgets_ms: BTreeMap::new(),
             topics: BTreeMap::new(),
+            programs: BTreeMap::new(),
             scores: true,
             input: InputReport::default(),
             silence_ns: SILENCE_NS,
             explain: None,
+        }
+    }
+}
+
+impl RecorderOptions {
+    /// The stages of a run.
+    #[must_use]
+    pub fn of(run: &Run) -> Self {
+        let programs = run.stages.iter().filter(|stage| !stage.program.is_empty());
+        Self {
+            stages: run.order(),
+            budgets_ms: run.budgets_ms(),
+            topics: run.topics_of_stages(),
+            programs: programs
+                .filter_map(|stage| Some((StageId::from_number(stage.stage)?, stage.program.clone())))
+                .collect(),
+            ..Self::default()
         }
     }
 }
@@ -80,6 +104,8 @@ struct Span {
 struct Sums {
     end_to_end: Distribution,
     overhead: Distribution,
+    #[serde(default)]
+    since_stamp: Distribution,
     /// By the stage's number.
     stages: BTreeMap<u32, StageTimes>,
     losses: Losses,
@@ -127,6 +153,8 @@ pub struct Recorder {
     ended_ns: Option<u64>,
     /// Whether the recorder continues from a previous recorder's checkpoint and has not received a tick yet.
     resumed: bool,
+    /// Unix time minus `CLOCK_MONOTONIC`, if it is known.
+    clock_offset_ns: Option<i64>,
 }
 
 impl Recorder {
@@ -142,7 +170,14 @@ impl Recorder {
             scorer: Scorer::default(),
             ended_ns: None,
             resumed: false,
+            clock_offset_ns: None,
         }
+    }
+
+    /// Sets Unix time minus `CLOCK_MONOTONIC`. Then the time from the stamp to the publication is measured, if
+    /// stamps are Unix time.
+    pub const fn set_clock_offset(&mut self, offset_ns: i64) {
+        self.clock_offset_ns = Some(offset_ns);
     }
 
     /// Counts a file about the run that could not be written.
@@ -201,6 +236,7 @@ impl Recorder {
         let tick = Tick::new(&mut self.timeline, header, forecasts);
         self.header(header, forecasts);
         self.times(&tick);
+        self.since_stamp(header);
         self.qualities(&tick);
         self.sums.lanes.add(forecasts);
         self.sums.worst.take(&tick, header.stamp_ns, restarted, gap, self.options.explain);
@@ -289,6 +325,20 @@ impl Recorder {
         }
     }
 
+    /// Measures the time from a sensor's stamp to the sending of the forecasts. A stamp of another clock is more
+    /// than [`SINCE_STAMP_MAX_NS`] away, or in the future.
+    fn since_stamp(&mut self, header: &Header) {
+        let Some((offset_ns, hop)) = self.clock_offset_ns.zip(header.hop(StageId::Sampler)) else { return };
+        if header.has(flags::PREDICTED) {
+            return;
+        }
+        let published_ns = offset_ns.saturating_add_unsigned(hop.sent_ns);
+        let since_ns = u64::try_from(published_ns.saturating_sub(header.stamp_ns)).unwrap_or(u64::MAX);
+        if since_ns <= SINCE_STAMP_MAX_NS {
+            self.sums.since_stamp.record(since_ns);
+        }
+    }
+
     fn qualities(&mut self, tick: &Tick) {
         let sums = &mut self.sums;
         sums.agents_max = sums.agents_max.max(tick.agents);
@@ -341,6 +391,7 @@ impl Recorder {
             priors: self.prior_counts(),
             end_to_end_ms: self.sums.end_to_end.percentiles_ms(),
             overhead_ms: self.sums.overhead.percentiles_ms(),
+            since_stamp_ms: self.sums.since_stamp.percentiles_ms(),
             stages,
             accuracy: self.scorer.accuracy(),
             worst_ticks: self.sums.worst.list(&self.usual()),

@@ -26,7 +26,7 @@ pub use accuracy::{Accuracy, AgentErrors, Errors, WorstForecast};
 pub use forecasts::{Agents, ForecastCounts, OutOfDistribution, PriorCounts, Shed};
 use stages::RESTARTS;
 pub(crate) use stages::restarts;
-pub use stages::{StageDrops, StageReport};
+pub use stages::{PARTNERS, StageDrops, StageReport};
 pub use supervision::{
     Outage, Replacement, ReplacementOutcome, SpareReport, StageMemory, Supervision, program_name,
 };
@@ -98,6 +98,10 @@ pub struct Report {
     pub end_to_end_ms: Percentiles,
     /// End-to-end latency minus the compute of all stages, over the ticks that passed all stages.
     pub overhead_ms: Percentiles,
+    /// Time from the sensor's stamp to the sending of the forecasts, if stamps are Unix time. It is as exact as the
+    /// clocks of sensor and computer agree.
+    #[serde(default)]
+    pub since_stamp_ms: Percentiles,
     /// The stages in the order in which a tick passes them.
     pub stages: Vec<StageReport>,
     /// Errors of the forecasts against the recording's later truth.

@@ -64,11 +64,5 @@ pub fn report_path(run: &Run, options: &Options) -> PathBuf {
 pub(crate) fn settings(run: &Run) -> RecorderOptions {
     // The stage has refused options that can't be read.
     let silence_ns = STAGE.options(run).unwrap_or_default().silence_ns();
-    RecorderOptions {
-        stages: run.order(),
-        budgets_ms: run.budgets_ms(),
-        topics: run.topics_of_stages(),
-        silence_ns,
-        ..RecorderOptions::default()
-    }
+    RecorderOptions { silence_ns, ..RecorderOptions::of(run) }
 }

@@ -3,7 +3,7 @@
 use std::io;
 use std::path::PathBuf;
 
-use ports::{Stage, StageError, Stop, await_turn, monotonic_ns};
+use ports::{Stage, StageError, Stop, await_turn, clock_offset_ns, monotonic_ns};
 use run::Run;
 use wire::{ForecastsTopic, Header, Rejected, StageId, Topic, TruthTopic, flags};
 
@@ -57,6 +57,7 @@ pub fn run(run: &Run) -> Result<(), StageError> {
         if recorder.is_recorded(frame.header()) {
             continue;
         }
+        recorder.set_clock_offset(clock_offset_ns());
         let result = recorder.forecasts(frame.header(), &frame).map(|_| ());
         if let (Ok(()), Some(writer)) = (&result, &mut writer) {
             writer.write(frame.header(), &frame).map_err(unwritable)?;

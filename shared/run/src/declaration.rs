@@ -315,6 +315,7 @@ impl StageRun {
             built_in: true,
             options,
             name: String::new(),
+            program: String::new(),
             places: BTreeMap::new(),
             reads: Vec::new(),
             writes: Vec::new(),

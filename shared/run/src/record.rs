@@ -41,6 +41,9 @@ pub struct StageRun {
     /// The name; empty for one of stgdat's own stages.
     #[serde(default)]
     pub name: String,
+    /// File name of an external program, such as `stgdat-bridge`; empty for one of stgdat's own.
+    #[serde(default)]
+    pub program: String,
     /// Where each option is set, for errors: file and line, or the argument.
     #[serde(default)]
     pub places: BTreeMap<String, String>,

@@ -31,7 +31,7 @@ impl Recorder {
             .stages
             .iter()
             .map(|&stage| self.stage_report(stage, drops[stage.place()]))
-            .filter(|report| report.ticks > 0 || report.budget_ms.is_some() || report.drops.total() > 0)
+            .filter(|report| report.is_measured() || !report.program.is_empty())
             .collect()
     }
 
@@ -46,6 +46,7 @@ impl Recorder {
         let [reads, writes] = self.options.topics.get(&stage).cloned().unwrap_or_default();
         StageReport {
             name: stage.name().to_owned(),
+            program: self.options.programs.get(&stage).cloned().unwrap_or_default(),
             reads,
             writes,
             budget_ms,

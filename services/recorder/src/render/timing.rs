@@ -31,6 +31,10 @@ impl Report {
         writeln!(text)?;
         row(text, "overhead", &self.overhead_ms)?;
         writeln!(text, "   end to end less compute")?;
+        if self.since_stamp_ms.p50.is_some() {
+            row(text, "since stamp", &self.since_stamp_ms)?;
+            writeln!(text, "   from the sensor's stamp to the forecasts, by its clock")?;
+        }
         let note = if self.run.lockstep == Some(true) { " (lockstep: no deadline)" } else { "" };
         writeln!(
             text,
@@ -55,7 +59,8 @@ impl Report {
             "p99 of budget",
             bars = cells + 7,
         )?;
-        self.stages.iter().try_for_each(|stage| stage_row(text, stage, all, cells))?;
+        let mut rows = self.stages.iter().filter(|stage| stage.is_measured() || stage.program.is_empty());
+        rows.try_for_each(|stage| stage_row(text, stage, all, cells))?;
         let publish = if all { ", publish" } else { "" };
         writeln!(
             text,

@@ -4,11 +4,17 @@ use serde::{Deserialize, Serialize};
 
 use super::Percentiles;
 
+/// Programs that connect a run to the outside, and what they connect it to.
+pub const PARTNERS: [(&str, &str); 2] = [("stgdat-bridge", "other box"), ("stgdat-ros2", "ROS 2")];
+
 /// Times and losses of one stage.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct StageReport {
     /// The stage's name.
     pub name: String,
+    /// File name of its program; empty for one of stgdat's own.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub program: String,
     /// Topics that it reads; empty if they are unknown.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub reads: Vec<String>,
@@ -42,6 +48,14 @@ pub struct StageReport {
     /// Number of replacements during the run.
     #[serde(default)]
     pub replacements: u32,
+}
+
+impl StageReport {
+    /// Whether the stage has times or counts. A program that only reads forecasts has none.
+    #[must_use]
+    pub const fn is_measured(&self) -> bool {
+        self.ticks > 0 || self.budget_ms.is_some() || self.drops.total() > 0
+    }
 }
 
 /// Start of a verdict's reason that counts restarts.

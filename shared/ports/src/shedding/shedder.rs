@@ -105,6 +105,7 @@ mod tests {
             built_in: true,
             options: String::new(),
             name: String::new(),
+            program: String::new(),
             places: [].into(),
             reads: Vec::new(),
             writes: Vec::new(),
