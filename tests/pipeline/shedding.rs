@@ -52,7 +52,7 @@ fn agents_without_time_are_shed_and_explained() {
     assert_eq!(causes(&report), of("held") + of("kinematic"), "each has a cause: {forecasts:#}");
     assert!(shed["agents_max"].as_u64() >= Some(8), "{shed:#}");
     assert!(text.contains(" shed ") && text.contains("no time: in "), "{text}");
-    assert!(text.contains("not learned: the tick had no time for all agents"), "{text}");
+    assert!(text.contains("not learned: left out to save time"), "{text}");
     let reasons = report["verdict"]["reasons"].to_string();
     assert!(reasons.contains("shed "), "{reasons}");
     // Each agent that was ever shed has a forecast, and held forecasts have their age.

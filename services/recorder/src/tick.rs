@@ -4,6 +4,7 @@
 //! Everything else is a view of them: the report, the live table, `top`, the metrics, traces, `tick`, the
 //! outages and the causes of a flight recorder.
 
+use wire::vocabulary::LOOKS;
 use wire::{Cause, Forecast, Header, Quality, flags};
 
 use crate::passage::{Passage, Timeline};
@@ -24,7 +25,7 @@ pub const fn limit_ns(interval_ns: u64) -> u64 {
 /// Whether a held or kinematic forecast with this cause is a fault. It is not a fault if the track is young
 /// or if constant velocity proved better.
 pub(crate) const fn is_fault(cause: Cause) -> bool {
-    !matches!(cause, Cause::Young | Cause::Outdone)
+    matches!(cause, Cause::None) || !LOOKS[cause as usize].is_normal
 }
 
 /// The figures of a tick.

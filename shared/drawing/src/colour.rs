@@ -23,7 +23,7 @@ pub const ORANGE: Colour = Colour([230, 159, 0]);
 pub const BLUE: Colour = Colour([0, 114, 178]);
 /// Vermilion: the single best forecast.
 pub const VERMILION: Colour = Colour([213, 94, 0]);
-/// Sky blue: agents with a held forecast.
+/// Sky blue.
 pub const SKY: Colour = Colour([86, 180, 233]);
 /// Reddish purple: the most probable mode.
 pub const PURPLE: Colour = Colour([160, 70, 130]);

@@ -118,14 +118,15 @@ fn what_is_drawn_is_what_is_seen() {
     assert!(history > 1 && truth > 1 && best > 1 && mask > 1, "each in the panel and in the legend");
     assert_eq!(ink(vec![bystander()])[1..], [0; 3]);
     let svg = |drawing| scenes("", &[drawing], &SceneOptions::default()).unwrap();
-    let words = ["best forecast", "best of 5 in hindsight", "held", "lanes"];
+    let words = ["best forecast", "best of 5 in hindsight", "too young", "lanes"];
     let said = |svg: &str| words.map(|words| svg.contains(&format!("aria-label=\"{words}\"")));
     assert_eq!(said(&svg(drawing(vec![turning_vehicle()]))), [true, true, false, false]);
-    let mut held = turning_vehicle();
-    held.truth.clear();
-    forecast(&mut held).quality = Quality::Held;
+    let mut young = turning_vehicle();
+    young.truth.clear();
+    forecast(&mut young).quality = Quality::Kinematic;
+    forecast(&mut young).cause = Cause::Young as u32;
     let lanes = vec![vec![[0.0, -2.0], [20.0, -2.0]]];
-    assert_eq!(said(&svg(SceneDrawing { lanes, ..drawing(vec![held]) })), [true, false, true, true]);
+    assert_eq!(said(&svg(SceneDrawing { lanes, ..drawing(vec![young]) })), [true, false, true, true]);
 }
 
 #[test]

@@ -10,7 +10,7 @@ use std::ops::Deref;
 
 use audit::Doubt;
 use wire::tick_view::{AgentView, ForecastView, Point, TickView};
-use wire::{AGENT_TYPES, AgentType, Cause, Expert, Hop, Quality, StageId, Track, WorldOrigin};
+use wire::{AGENT_TYPES, AgentType, Cause, Expert, Hop, Quality, StageId, Track, WorldOrigin, vocabulary};
 
 use crate::cdr::Byte;
 use crate::messages::{
@@ -370,12 +370,11 @@ fn agent_status(agent: &AgentView) -> DiagnosticStatus {
     let (mut level, mut message) = (WARN, "no forecast".to_owned());
     if let Some(forecast) = &agent.forecast {
         let (quality, cause) = (forecast.quality.name(), Cause::name_of(forecast.cause));
-        (level, message) = match (forecast.quality, Cause::from_number(forecast.cause)) {
-            (Quality::Learned, _) => (OK, quality.to_owned()),
-            // Not faults: as in the verdict of a report.
-            (_, Some(Cause::Young | Cause::Outdone)) => (OK, format!("{quality}: {cause}")),
-            _ => (WARN, format!("{quality}: {cause}")),
-        };
+        // Not a fault: as in the verdict of a report.
+        let is_normal = forecast.cause != Cause::None as u32
+            && vocabulary::look(forecast.cause).is_some_and(|look| look.is_normal);
+        level = if forecast.quality == Quality::Learned || is_normal { OK } else { WARN };
+        message = vocabulary::described(forecast.quality, forecast.cause).into_owned();
         values.push(value("quality", &quality));
         values.push(value("cause", &cause));
         values.push(value("age_ms", &ms(forecast.age_ns)));

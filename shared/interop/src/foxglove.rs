@@ -165,7 +165,7 @@ fn lines(entity: &mut Message<'_>, view: &Tick<'_>, agent: &AgentView, paths_max
 fn label(entity: &mut Message<'_>, view: &Tick<'_>, agent: &AgentView) {
     let mut text = format!("{} {}", agent.agent_type.name(), agent.known_as());
     if let Some(forecast) = agent.forecast.as_ref().filter(|forecast| forecast.quality != Quality::Learned) {
-        text += &format!("\n{}: {}", forecast.quality.name(), Cause::name_of(forecast.cause));
+        text += &format!("\n{}", vocabulary::described(forecast.quality, forecast.cause));
     }
     entity.message(13, |label| {
         pose(label, 1, view.origin.own_m(agent.position_m), f64::from(size_m(agent)[2]) + 0.5, 0.0);

@@ -124,7 +124,7 @@ fn objects_hold_the_published_numbers_in_the_recordings_own_frame() {
     assert_eq!(tf.transforms[0].transform.translation.x, 1e6 + 1.0);
     let diagnostics: DiagnosticArray = from_bytes(&found[3].1).unwrap();
     let agent = diagnostics.status.iter().find(|status| status.name == "stgdat: agent 41").unwrap();
-    assert_eq!((agent.level.0, agent.message.as_str()), (1, "held: none"));
+    assert_eq!((agent.level.0, agent.message.as_str()), (1, "held"));
     let tick = diagnostics.status.iter().find(|status| status.name == "stgdat: tick").unwrap();
     let noise = tick.values.iter().filter(|value| value.key.starts_with("noise"));
     let noise: Vec<_> = noise.map(|value| (value.key.as_str(), value.value.as_str())).collect();

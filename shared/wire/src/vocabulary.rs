@@ -3,7 +3,9 @@
 //! Each [`Cause`] has a colour in both themes, a dash and a shape, so that nobody needs the colour. A test keeps
 //! the colours apart for people with a red, green or blue deficiency.
 
-use crate::Cause;
+use std::borrow::Cow;
+
+use crate::{Cause, Quality};
 
 /// A colour: red, green and blue.
 pub type Rgb = [u8; 3];
@@ -15,7 +17,8 @@ pub struct Look {
     pub cause: Cause,
     /// A few words for legends.
     pub words: &'static str,
-    /// A sentence for a first reader. `{agents}` stands for the agents' type in the plural.
+    /// A sentence for a first reader. `{agents}` stands for the agents' type in the plural, and `{share}` for the
+    /// share of constant velocity in parentheses, or nothing.
     pub explanation: &'static str,
     /// Whether such forecasts are part of normal work.
     pub is_normal: bool,
@@ -87,7 +90,7 @@ pub const LOOKS: [Look; Cause::ALL.len()] = [
     Look {
         cause: Cause::Outdone,
         words: "constant velocity",
-        explanation: "Constant velocity was nearer for {agents} of this speed, so it has most of the weight: normal",
+        explanation: "Constant velocity was nearer for {agents} of this speed, so it has most of the weight{share}: normal",
         is_normal: true,
         light: [0x0d, 0x80, 0x6b],
         dark: [0x2f, 0xc4, 0xa4],
@@ -110,6 +113,22 @@ pub const LOOKS: [Look; Cause::ALL.len()] = [
 #[must_use]
 pub fn look(cause: u32) -> Option<&'static Look> {
     LOOKS.get(cause as usize)
+}
+
+/// A forecast in a few words, by its quality and the number of its cause: `kinematic: constant velocity`.
+#[must_use]
+pub fn described(quality: Quality, cause: u32) -> Cow<'static, str> {
+    if quality == Quality::Learned || cause == Cause::None as u32 {
+        return quality.name().into();
+    }
+    let words = look(cause).map_or_else(|| Cause::name_of(cause), |look| look.words.into());
+    format!("{}: {words}", quality.name()).into()
+}
+
+/// A cause in a few words, by its name.
+#[must_use]
+pub fn words_of(name: &str) -> &str {
+    LOOKS.iter().find(|look| look.cause.name() == name).map_or(name, |look| look.words)
 }
 
 #[cfg(test)]

@@ -3,6 +3,7 @@
 use std::fmt::{self, Write};
 
 use wire::Cause;
+use wire::vocabulary::words_of;
 
 use super::{ALL_PHASES_WIDTH, LABEL_WIDTH, fact, trimmed};
 use crate::report::{Errors, Report, Shed};
@@ -73,7 +74,7 @@ impl Report {
             // Only faults count as "not learned", here as in the verdict.
             let is_excused = Cause::ALL.into_iter().any(|known| known.name() == cause && !is_fault(known));
             let kind = if is_excused { "kinematic" } else { "not learned" };
-            writeln!(text, " {:LABEL_WIDTH$}{:>10}   {kind}: {}", "", count(n), meaning(cause))
+            writeln!(text, " {:LABEL_WIDTH$}{:>10}   {kind}: {}", "", count(n), words_of(cause))
         })
     }
 
@@ -130,18 +131,5 @@ impl Report {
         let unmatched = format!("{} without a match", count(accuracy.unmatched));
         fact(text, "horizon", &[Some(format!("{horizon_s:.1} s"))])?;
         fact(text, "not scored", &[Some(uncovered), Some(unmatched)])
-    }
-}
-
-/// A cause in words.
-fn meaning(cause: &str) -> &str {
-    match cause {
-        "late" => "the controls arrived too late",
-        "rejected" => "the controls were refused",
-        "missing" => "there are no controls for the track",
-        "young" => "the track's history is too short",
-        "outdone" => "constant velocity had the lower error",
-        "shed" => "the tick had no time for all agents",
-        other => other,
     }
 }

@@ -2,11 +2,12 @@
 
 use metrics::Point;
 use scene::AgentType;
-use wire::Quality;
+use wire::Cause;
 use wire::tick_view::{AgentView, ForecastView};
+use wire::vocabulary::{self, Look};
 
 use crate::canvas::{Canvas, Stroke};
-use crate::colour::{BLUE, Colour, GREEN, GREY, INK, ORANGE, PALE, PURPLE, SKY, VERMILION, WHITE};
+use crate::colour::{BLUE, Colour, GREEN, GREY, INK, ORANGE, PALE, PURPLE, VERMILION, WHITE};
 use crate::contour::{Place, simplified};
 use crate::mask::{Mask, Outline};
 use crate::path::Path;
@@ -135,7 +136,7 @@ impl<'a> Sketch<'a> {
     pub fn draw_body(&self, canvas: &mut Canvas, view: &View) {
         let AgentView { agent_type, heading_rad, length_m, width_m, position_m, .. } = *self.agent;
         let (fill, edge) = match &self.agent.forecast {
-            Some(forecast) => (quality_colour(forecast.quality), Stroke::solid(WHITE, 0.5)),
+            Some(forecast) => (cause_colour(forecast.cause), Stroke::solid(WHITE, 0.5)),
             None => (WHITE, Stroke::solid(GREY, 0.5)),
         };
         let spot = view.spot(place(position_m));
@@ -182,12 +183,12 @@ impl<'a> Sketch<'a> {
     }
 }
 
-/// The colour of an agent by the quality of its forecast.
-pub const fn quality_colour(quality: Quality) -> Colour {
-    match quality {
-        Quality::Learned => INK,
-        Quality::Held => SKY,
-        Quality::Kinematic => GREY,
+/// The colour of an agent by the cause of its forecast. Learned forecasts are the usual case, in ink.
+pub fn cause_colour(cause: u32) -> Colour {
+    match vocabulary::look(cause) {
+        Some(Look { cause: Cause::None, .. }) => INK,
+        Some(look) => Colour(look.light),
+        None => Colour(vocabulary::UNKNOWN[0]),
     }
 }
 

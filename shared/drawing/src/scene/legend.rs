@@ -1,8 +1,9 @@
 //! What the lines and areas of the panels mean.
 
-use wire::Quality;
+use wire::Cause;
+use wire::vocabulary::LOOKS;
 
-use super::agent::{BEST, HINDSIGHT, HISTORY, LIKELIEST, MODE, OTHER, REGION_OPACITY, TRUTH, quality_colour};
+use super::agent::{BEST, HINDSIGHT, HISTORY, LIKELIEST, MODE, OTHER, REGION_OPACITY, TRUTH, cause_colour};
 use super::content::{AgentDrawing, LABEL_SIZE, SceneDrawing, SceneOptions};
 use crate::canvas::{Align, Canvas, Frame, Stroke, Type};
 use crate::colour::{Colour, GREEN, GREY, INK, WHITE};
@@ -76,10 +77,11 @@ impl Legend {
                 add(&format!("{inner} region"), Sample::Area(1.0 - (1.0 - first) * (1.0 - second)));
             }
         }
-        for quality in Quality::ALL {
-            // Learned forecasts are the usual case.
-            if quality != Quality::Learned && forecasts().any(|forecast| forecast.quality == quality) {
-                add(quality.name(), Sample::Agent(quality_colour(quality)));
+        // Learned forecasts are the usual case.
+        for look in LOOKS.iter().filter(|look| look.cause != Cause::None) {
+            let number = look.cause as u32;
+            if forecasts().any(|forecast| forecast.cause == number) {
+                add(look.words, Sample::Agent(cause_colour(number)));
             }
         }
         if agents().any(|drawing| drawing.agent.forecast.is_none()) && modes_len.is_some() {
