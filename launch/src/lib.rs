@@ -11,6 +11,7 @@ mod awake;
 mod differences;
 mod fail_if;
 pub mod files;
+pub mod pages;
 mod play_report;
 mod prediction;
 mod recorded;

@@ -10,9 +10,9 @@ use run::Exit;
 
 use crate::differences::{table, title};
 use crate::files::check_new;
+use crate::pages::write_page;
 use crate::recorded::{self, open_and_check};
 use crate::report_differences::ReportComparison;
-use crate::verbs::report::write_page;
 
 /// Arguments of `stgdat diff`.
 #[derive(Debug, Args)]

@@ -6,16 +6,13 @@ use console::say;
 use console::show::is_read;
 use onboard::Chain;
 use recorder::{ForecastWriter, is_standard_output};
-use recording::{About, Frame, Writer};
 use run::Exit;
-use run::Run;
-use source::{Playback, Tick};
-use wire::{ForecastsTopic, Topic as _, TracksTopic, TruthTopic, WorldOrigin};
+use source::Playback;
+use wire::WorldOrigin;
 
 use crate::arguments::{PlaybackArguments, Played};
+use crate::pages::PlayedPage;
 use crate::play_report::{PlayReport, VerdictArguments};
-use crate::verbs::report::RunReport;
-use crate::verbs::wire::layout;
 
 /// Arguments of `stgdat predict`.
 #[derive(Debug, Args)]
@@ -90,41 +87,4 @@ fn play(
         }
     }
     Ok(is_read)
-}
-
-/// The page of a played recording, and the recording of the frames that it is made of.
-struct PlayedPage {
-    page: RunReport,
-    writer: Writer,
-}
-
-impl PlayedPage {
-    fn new(path: &Path, name: &str, run: &Run, force: bool) -> Result<Self, Failure> {
-        let page = RunReport::new(path, None, force)?;
-        let topics = [TracksTopic::NAME, ForecastsTopic::NAME, TruthTopic::NAME].map(str::to_owned).to_vec();
-        let about = About { scene: name.to_owned(), run: run.clone(), topics, ..About::default() };
-        let writer = Writer::create(page.recording(), &about, &layout()).map_err(Failure::data)?;
-        Ok(Self { page, writer })
-    }
-
-    /// Adds the frames of a tick that the chain has answered.
-    fn add(&mut self, tick: &Tick<'_>, chain: &Chain) {
-        let (tracks, forecasts) = chain.frames();
-        if tracks.header.has(wire::flags::VOID) {
-            return;
-        }
-        // A page of frames without a clock has no latencies, and only the order counts.
-        let at_ns = tick.due_ns;
-        if !tick.truth.is_empty() {
-            self.writer.frame(&Frame::of::<TruthTopic>(&tick.truth_header(), tick.truth, at_ns));
-        }
-        self.writer.frame(&Frame::of::<TracksTopic>(&tracks.header, &tracks.elements, at_ns));
-        self.writer.frame(&Frame::of::<ForecastsTopic>(&forecasts.header, &forecasts.elements, at_ns));
-    }
-
-    fn write(self) -> Result<(), Failure> {
-        let Self { page, writer } = self;
-        writer.finish("played").map_err(Failure::data)?;
-        page.write(None)
-    }
 }

@@ -32,10 +32,10 @@ use crate::arguments::{
 };
 use crate::fail_if::{self, Condition};
 use crate::files::{check_place, version, within};
+use crate::pages::RunReport;
 use crate::play_report::input_of;
 use crate::saved_state::{self, SavedState};
 use crate::verbs::record;
-use crate::verbs::report::RunReport;
 use crate::verbs::view::Page;
 use crate::version;
 use crate::view_arguments::ViewArguments;
@@ -294,11 +294,18 @@ fn stage_runs(pipeline: &Pipeline, options: &StageOptions) -> Vec<StageRun> {
     for run in &mut runs {
         if let Some(stage) = place(run).map(|place| &pipeline.stages[place]) {
             run.budget_ms = stage.budget_ms;
+            run.program = program(stage);
             run.reads = pipeline.read_by(stage).map(str::to_owned).collect();
             run.writes = pipeline.written_by(stage).map(str::to_owned).collect();
         }
     }
     runs
+}
+
+/// Returns the file name of a stage's external program; empty if the stage is built in.
+fn program(stage: &configuration::Stage) -> String {
+    let program = stage.command.as_ref().and_then(|command| Path::new(command.first()?).file_name());
+    program.map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
 }
 
 /// Returns the spares for the run record; empty in lockstep, in which stages are not restarted.

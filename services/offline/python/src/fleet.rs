@@ -127,6 +127,27 @@ pub fn differences(
     Ok((counts.to_string(), columns))
 }
 
+/// Writes `page.html` into a folder: the forecasts of a recording by `before` and `after`, as `stgdat report A B` draws
+/// them. A record of a run stands for `before`. The folder also receives the forecasts.
+#[pyfunction]
+pub fn compare(py: Python<'_>, before: Vec<String>, after: Vec<String>, folder: PathBuf) -> PyResult<()> {
+    py.detach(|| {
+        let [first, second, page] = ["before.mcap", "after.mcap", "page.html"].map(|name| folder.join(name));
+        let record = record_of(&prepare(before.clone())?)?;
+        let first = record.map_or_else(|| record_played(before, first), |of| Ok(of.path().to_owned()))?;
+        let files = [first, record_played(after, second)?];
+        let written = launch::pages::write_page(&page, &files.each_ref().map(PathBuf::as_path));
+        written.map(drop).map_err(|failure| error::of_failure(&failure))
+    })
+}
+
+/// Records the forecasts of a recording with these arguments, and returns the path.
+fn record_played(arguments: Vec<String>, path: PathBuf) -> PyResult<PathBuf> {
+    let (Prepared { run, model, .. }, recording) = prepared(arguments)?;
+    let recorded = launch::pages::record_played(recording, &run, &model, &path);
+    recorded.map(|()| path).map_err(|failure| error::of_failure(&failure))
+}
+
 /// The forecasts of a record beside its detections.
 fn recorded(record: &recording::Recording, detections: &data::Recording) -> PyResult<Outcomes> {
     let mut outcomes = Outcomes::of(detections);

@@ -34,7 +34,7 @@ mod _stgdat {
     #[pymodule_export]
     use crate::evaluate::{Evaluator, combine, report};
     #[pymodule_export]
-    use crate::fleet::{check, cut, differences, inspect, learn, outcomes, priors, worst};
+    use crate::fleet::{check, compare, cut, differences, inspect, learn, outcomes, priors, worst};
     #[pymodule_export]
     use crate::frame::{Frame, detections, doubts_of, frame};
     #[pymodule_export]

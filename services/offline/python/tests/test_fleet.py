@@ -379,6 +379,13 @@ class Recordings(InFolder):
         self.assertGreater(vehicles["different"], 100)
         changed = vehicles["better"] + vehicles["worse"]
         self.assertTrue(100 < changed <= vehicles["matured"], changed)
+        pages = sorted((self.folder / "other" / "pages").iterdir())
+        self.assertEqual({page.name[2:] for page in pages}, {"-a.html", "-b.html"})
+        page = pages[0].read_bytes()
+        # Both runs with their scenes, and the option that differs.
+        self.assertEqual(page.count(b'"scrub":'), 2)
+        self.assertIn(b'"sampler.evidence":"false"', page)
+        self.assertFalse((self.folder / "same" / "pages").exists())
         files = sorted((self.folder / "other" / "rows").rglob("*.parquet"))
         self.assertEqual(len(files), 2)
         rows = pyarrow.parquet.read_table(files[0]).to_pylist()

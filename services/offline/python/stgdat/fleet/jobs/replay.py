@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import json
+import os
+import tempfile
+from pathlib import PurePosixPath
 from typing import Any, Dict, Iterator, List, Optional, Tuple
 
 from ... import _stgdat
+from .. import inputs
 from ..inputs import Input
 from ..store import Result, Store
 from . import Job, Options, Report, content, failures, table, write_rows
@@ -13,6 +17,8 @@ from . import Job, Options, Report, content, failures, table, write_rows
 _COUNTS = ("forecasts", "different", "matured", "better", "worse")
 _SUMS = ("before_m", "after_m")
 _LISTED = 10
+#: Recordings that changed most have a page.
+_PAGES = 3
 
 
 class Replay(Job):
@@ -51,18 +57,27 @@ class Replay(Job):
         Options(self.before).check()
 
     def work(self, recording: Input, path: str, key: str, store: Store) -> Result:
-        of = self.options
-        earlier = Options(self.before, format=of.format, fps=of.fps, origin=of.origin)
-        text, columns = _stgdat.differences(earlier.arguments(path), of.arguments(path))
-        if of.rows:
+        text, columns = _stgdat.differences(self._earlier().arguments(path), self.options.arguments(path))
+        if self.options.rows:
             write_rows(recording, columns, key, store)
         state = json.loads(text)
         return {"row": _row(state), "state": state}
 
+    def _earlier(self) -> Options:
+        of = self.options
+        return Options(self.before, format=of.format, fps=of.fps, origin=of.origin)
+
+    def _page(self, recording: Input) -> bytes:
+        """The page that compares both forecasts of a recording."""
+        with inputs.local(recording) as path, tempfile.TemporaryDirectory() as folder:
+            _stgdat.compare(self._earlier().arguments(path), self.options.arguments(path), folder)
+            with open(os.path.join(folder, "page.html"), "rb") as file:
+                return file.read()
+
     def merge(self, results: Iterator[Result]) -> Report:
         types: Dict[str, Dict[str, Any]] = {}
         failed: List[Tuple[str, str]] = []
-        rows: List[Tuple[str, Dict[str, Any]]] = []
+        rows: List[Tuple[Input, Dict[str, Any]]] = []
         count = only_before = only_after = 0
         for result in results:
             if result["error"] is not None:
@@ -74,9 +89,9 @@ class Replay(Job):
             only_after += state["only_after"]
             for name, counts in state["types"].items():
                 types[name] = counts if name not in types else _sum(types[name], counts)
-            rows.append((result["name"], result["row"]))
+            rows.append((Input(result["name"], result["url"], result["bytes"]), result["row"]))
             # The recordings that changed most are enough.
-            rows.sort(key=lambda item: (-item[1]["farthest_m"], item[0]))
+            rows.sort(key=lambda item: (-item[1]["farthest_m"], item[0].name))
             del rows[_LISTED:]
         text = f"# Forecasts of {count} recordings, before and after\n\n"
         if only_before or only_after:
@@ -84,17 +99,22 @@ class Replay(Job):
         head = ["agents", "forecasts", "different", "farthest, m", "matured", "better", "worse", "ADE / FDE before, m"]
         body = [_line(name, counts) for name, counts in types.items() if counts["forecasts"]]
         text += table("By type", head + ["after, m"], body) + "\n"
-        listed = [
-            [name, str(row["different"]), f"{row['farthest_m']:.2f}", str(row["better"]), str(row["worse"])]
-            for name, row in rows
-            if row["different"]
-        ]
+        files: Dict[str, bytes] = {}
+        listed = []
+        for rank, (recording, row) in enumerate(rows, 1):
+            if not row["different"]:
+                continue
+            page = ""
+            if rank <= _PAGES:
+                page = f"pages/{rank:02}-{PurePosixPath(recording.name).stem}.html"
+                files[page] = self._page(recording)
+            counts = [str(row[name]) for name in ("different", "better", "worse")]
+            listed.append([recording.name, f"{row['farthest_m']:.2f}", *counts, page])
         if listed:
-            text += table(
-                "Recordings that changed most", ["recording", "different", "farthest, m", "better", "worse"], listed
-            )
+            head = ["recording", "farthest, m", "different", "better", "worse", "page"]
+            text += table("Recordings that changed most", head, listed)
         figures = {"recordings": count, "types": types, "only_before": only_before, "only_after": only_after}
-        return Report(text + failures(failed), figures)
+        return Report(text + failures(failed), figures, files)
 
 
 def _sum(a: Dict[str, Any], b: Dict[str, Any]) -> Dict[str, Any]:
