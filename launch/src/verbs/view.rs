@@ -123,8 +123,9 @@ fn follow(run: &LivingRun, status: &Client, live: &Live, stop: &Stop) -> Result<
     while live.browsers() > 0 && !stop.requested() && !tap.is_closed() {
         match tap.next(WAIT).map_err(Failure::unavailable)? {
             Some(Item::Frame(frame)) => {
-                if let Some(view) = pairing.take(frame) {
-                    let scene = Scene::new(&view, MODES_DRAWN).foreseen(&view, &foresight.of(&view));
+                if let Some((view, forecasts)) = pairing.take(frame) {
+                    let foreseen = foresight.of(&view, &forecasts);
+                    let scene = Scene::new(&view, MODES_DRAWN).foreseen(&view, &foreseen);
                     live.tick(&scene.to_json());
                 }
             }

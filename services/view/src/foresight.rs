@@ -6,8 +6,8 @@
 use std::collections::VecDeque;
 
 use conflicts::Finder;
-use wire::tick_view::{AgentView, Point, TickView};
-use wire::{AgentType, Forecast, HORIZON_MAX, MODES_MAX};
+use wire::tick_view::{Point, TickView};
+use wire::{AgentType, Forecast, HORIZON_MAX};
 
 /// Length and width of the ego vehicle, m: a typical car, since no frame contains its size.
 pub const EGO_M: Point = [4.6, 1.9];
@@ -51,38 +51,36 @@ pub struct Foresight {
     finder: Finder,
     /// The ego vehicle's poses of the last second.
     poses: VecDeque<Pose>,
-    /// Forecasts of the tick, and the places of their agents.
-    forecasts: Vec<Forecast>,
-    places: Vec<Option<usize>>,
 }
 
 impl Foresight {
-    /// The next seconds of a tick. It costs as much as [`Finder::write`].
-    pub fn of(&mut self, view: &TickView) -> Foreseen {
+    /// The next seconds of a tick with these forecasts. It costs as much as [`Finder::write`].
+    pub fn of(&mut self, view: &TickView, forecasts: &[Forecast]) -> Foreseen {
         let dt_s = view.step_ns as f32 / 1e9;
         let lengths = view.agents.iter().filter_map(|agent| Some(agent.forecast.as_ref()?.best.len()));
         let horizon_len = lengths.max().unwrap_or(HORIZON_MAX);
-        self.forecasts.clear();
-        self.places.clear();
         let ego = self.ego(view, horizon_len, dt_s);
-        let ego_path_m = ego.map(|ego| ego.modes[0][..horizon_len].to_vec()).unwrap_or_default();
-        if let Some(ego) = ego {
-            self.forecasts.push(ego);
-            self.places.push(None);
-        }
-        for (place, agent) in view.agents.iter().enumerate() {
-            if let Some(forecast) = forecast_of(agent) {
-                self.forecasts.push(forecast);
-                self.places.push(Some(place));
-            }
-        }
-        let mut pairs = self.finder.pairs(&self.forecasts, horizon_len, dt_s, IF_NOBODY_REACTS_MIN);
-        let is_of_ego = |pair: &conflicts::Pair| pair.places.iter().any(|at| self.places[*at].is_none());
+        let all = forecasts.iter().chain(&ego);
+        let mut pairs = self.finder.pairs(all, horizon_len, dt_s, IF_NOBODY_REACTS_MIN);
+        // The ego vehicle is behind the agents.
+        let is_of_ego = |pair: &conflicts::Pair| pair.places.contains(&forecasts.len());
         pairs.sort_by(|a, b| is_of_ego(b).cmp(&is_of_ego(a)).then(b.probability.total_cmp(&a.probability)));
         pairs.truncate(CONFLICTS_MAX);
-        let conflict =
-            |pair: conflicts::Pair| Conflict { places: pair.places.map(|at| self.places[at]), pair };
-        Foreseen { ego_path_m, conflicts: pairs.into_iter().map(conflict).collect() }
+        // A forecast without a track is not drawn.
+        let place = |at: usize| match forecasts.get(at) {
+            None => Some(None),
+            Some(of) => view.agents.iter().position(|agent| agent.id == of.id).map(Some),
+        };
+        let conflict = |pair: conflicts::Pair| {
+            let [a, b] = pair.places.map(place);
+            let mut places = [a?, b?];
+            places.sort_unstable();
+            Some(Conflict { places, pair })
+        };
+        Foreseen {
+            ego_path_m: ego.map(|ego| ego.modes[0][..horizon_len].to_vec()).unwrap_or_default(),
+            conflicts: pairs.into_iter().filter_map(conflict).collect(),
+        }
     }
 
     /// The ego vehicle's forecast; `None` if it is unknown, or seen for the first time.
@@ -133,71 +131,38 @@ fn steady(earlier: &Pose, now: &Pose, horizon_len: usize, dt_s: f32) -> Forecast
     forecast
 }
 
-/// What conflicts depend on; `None` without a forecast.
-fn forecast_of(agent: &AgentView) -> Option<Forecast> {
-    let of = agent.forecast.as_ref()?;
-    let mut forecast = Forecast {
-        id: agent.id,
-        agent_type: agent.agent_type as u32,
-        modes_len: of.modes.len().min(MODES_MAX) as u32,
-        x_m: agent.position_m[0],
-        y_m: agent.position_m[1],
-        vx_mps: agent.velocity_mps[0],
-        vy_mps: agent.velocity_mps[1],
-        heading_rad: agent.heading_rad,
-        length_m: agent.length_m.unwrap_or(0.0),
-        width_m: agent.width_m.unwrap_or(0.0),
-        ..Forecast::default()
-    };
-    for (mode, points) in of.modes.iter().take(MODES_MAX).enumerate() {
-        forecast.probability[mode] = of.probability[mode];
-        let len = points.len().min(HORIZON_MAX);
-        forecast.modes[mode][..len].copy_from_slice(&points[..len]);
-    }
-    Some(forecast)
-}
-
 #[cfg(test)]
 mod tests {
-    use wire::tick_view::ForecastView;
-    use wire::{EXPERTS_MAX, Quality};
+    use wire::{Header, Track};
 
     use super::*;
 
     const DT_S: f32 = 0.4;
 
     /// A car that keeps its velocity.
-    fn car(id: u64, position_m: Point, velocity_mps: Point) -> AgentView {
-        let points: Vec<Point> = (1..=HORIZON_MAX)
-            .map(|step| [0, 1].map(|axis| position_m[axis] + velocity_mps[axis] * DT_S * step as f32))
-            .collect();
-        AgentView {
-            id,
-            source_id: 0,
-            agent_type: AgentType::Vehicle,
-            position_m,
-            velocity_mps,
-            heading_rad: velocity_mps[1].atan2(velocity_mps[0]),
-            length_m: Some(4.5),
-            width_m: Some(1.9),
-            unseen_ns: 0,
-            history: Vec::new(),
-            forecast: Some(ForecastView {
-                quality: Quality::Learned,
-                cause: 0,
-                age_ns: 0,
-                experts: [0.0; EXPERTS_MAX],
-                out_of_distribution: 0.0,
-                best: points.clone(),
-                modes: vec![points],
-                probability: vec![1.0],
-                covariance: Vec::new(),
-            }),
+    fn car(id: u64, position_m: Point, velocity_mps: Point) -> Forecast {
+        let mut car = Forecast { id, modes_len: 1, length_m: 4.5, width_m: 1.9, ..Forecast::default() };
+        ([car.x_m, car.y_m], [car.vx_mps, car.vy_mps]) = (position_m, velocity_mps);
+        car.heading_rad = velocity_mps[1].atan2(velocity_mps[0]);
+        car.probability[0] = 1.0;
+        for step in 0..HORIZON_MAX {
+            let in_s = DT_S * (step + 1) as f32;
+            car.modes[0][step] = [0, 1].map(|axis| position_m[axis] + velocity_mps[axis] * in_s);
         }
+        car
     }
 
-    fn tick(stamp_ns: i64, ego: Option<(Point, f32)>, agents: Vec<AgentView>) -> TickView {
-        TickView { stamp_ns, step_ns: 400_000_000, ego, agents, ..TickView::default() }
+    fn foresee(
+        foresight: &mut Foresight,
+        stamp_ns: i64,
+        ego: Option<(Point, f32)>,
+        cars: &[Forecast],
+    ) -> Foreseen {
+        let mut header = Header { step_ns: 400_000_000, ..Header::new(1, 0, stamp_ns) };
+        (header.counts.history_len, header.counts.horizon_len) = (1, HORIZON_MAX as u32);
+        let tracks: Vec<Track> = cars.iter().map(|car| Track { id: car.id, ..Track::default() }).collect();
+        let view = TickView { ego, ..TickView::new((&header, &tracks), (&header, cars)) };
+        foresight.of(&view, cars)
     }
 
     #[test]
@@ -209,7 +174,7 @@ mod tests {
             Some(([50.0 * angle.sin(), 50.0 - 50.0 * angle.cos()], angle))
         };
         for k in 0..8_i64 {
-            let foreseen = foresight.of(&tick(k * 80_000_000, pose(k as f32 * 0.08), Vec::new()));
+            let foreseen = foresee(&mut foresight, k * 80_000_000, pose(k as f32 * 0.08), &[]);
             assert_eq!(foreseen.ego_path_m.is_empty(), k < 3, "tick {k}");
             let Some(end) = foreseen.ego_path_m.last() else { continue };
             let (expected, _) = pose(k as f32 * 0.08 + 4.8).unwrap();
@@ -217,7 +182,7 @@ mod tests {
             assert!(apart_m < 0.2, "tick {k}: {apart_m} m");
         }
         // A jump of the stamps.
-        assert!(foresight.of(&tick(0, pose(0.0), Vec::new())).ego_path_m.is_empty());
+        assert!(foresee(&mut foresight, 0, pose(0.0), &[]).ego_path_m.is_empty());
     }
 
     #[test]
@@ -226,9 +191,9 @@ mod tests {
         // Cars 7.5 m apart in a column of which each one is faster than the car ahead; the ego follows a slow car.
         let column =
             |x_m: f32| (0..12).map(move |k| car(k, [x_m, 10.0 * k as f32], [0.0, 24.0 - 2.0 * k as f32]));
-        let agents = || column(0.0).chain([car(90, [200.0, 3.0], [2.0, 0.0])]).collect::<Vec<_>>();
-        foresight.of(&tick(0, Some(([180.0, 3.0], 0.0)), agents()));
-        let foreseen = foresight.of(&tick(500_000_000, Some(([185.0, 3.0], 0.0)), agents()));
+        let cars: Vec<Forecast> = column(0.0).chain([car(90, [200.0, 3.0], [2.0, 0.0])]).collect();
+        foresee(&mut foresight, 0, Some(([180.0, 3.0], 0.0)), &cars);
+        let foreseen = foresee(&mut foresight, 500_000_000, Some(([185.0, 3.0], 0.0)), &cars);
         assert_eq!(foreseen.conflicts.len(), CONFLICTS_MAX);
         assert_eq!(foreseen.conflicts[0].places, [None, Some(12)]);
         assert!(foreseen.conflicts[0].pair.if_nobody_reacts > 0.99);

@@ -204,8 +204,8 @@ pub struct Pairing {
 }
 
 impl Pairing {
-    /// Takes a frame. Returns the view of a tick if the frame completes it.
-    pub fn take(&mut self, frame: Frame) -> Option<TickView> {
+    /// Takes a frame. Returns the view of a tick and its forecasts if the frame completes it.
+    pub fn take(&mut self, frame: Frame) -> Option<(TickView, Vec<wire::Forecast>)> {
         if !frame.header().is_tick() {
             return None;
         }
@@ -227,11 +227,11 @@ impl Pairing {
             let tracks = self.tracks.front().filter(|tracks| tracks.header().seq == seq)?;
             let elements = tracks.elements::<TracksTopic>().ok()?;
             let forecasts = frame.elements::<ForecastsTopic>().ok()?;
-            Some(TickView::new((tracks.header(), &elements), (frame.header(), &forecasts)))
+            Some((TickView::new((tracks.header(), &elements), (frame.header(), &forecasts)), forecasts))
         };
-        let view = paired();
-        self.unpaired += u64::from(view.is_none());
-        view
+        let tick = paired();
+        self.unpaired += u64::from(tick.is_none());
+        tick
     }
 
     /// Number of forecasts whose tracks were not received.
@@ -268,7 +268,7 @@ mod tests {
         let mut pairing = Pairing::default();
         let [tracks, forecasts] = frames(7);
         assert_eq!(pairing.take(tracks), None);
-        let view = pairing.take(forecasts).unwrap();
+        let (view, _) = pairing.take(forecasts).unwrap();
         let scene: serde_json::Value = serde_json::from_str(&Scene::new(&view, 1).to_json()).unwrap();
         assert_eq!((&scene["seq"], &scene["t"], &scene["dt"]), (&7.into(), &1.5.into(), &0.4.into()));
         let agent = &scene["agents"][0];

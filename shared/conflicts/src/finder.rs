@@ -59,7 +59,7 @@ impl Finder {
             forecast.conflicts_len = 0;
             forecast.conflicts = Default::default();
         }
-        self.follow(forecasts, horizon_len);
+        self.follow(&*forecasts, horizon_len);
         self.judge(dt_s, |[agent, other], signs, probability, _| {
             if probability < PROBABILITY_MIN {
                 return;
@@ -75,9 +75,9 @@ impl Finder {
     }
 
     /// The pairs whose modes meet with at least a probability, in no order of their probabilities.
-    pub fn pairs(
+    pub fn pairs<'a>(
         &mut self,
-        forecasts: &[Forecast],
+        forecasts: impl IntoIterator<Item = &'a Forecast>,
         horizon_len: usize,
         dt_s: f32,
         if_nobody_reacts_min: f32,
@@ -95,9 +95,9 @@ impl Finder {
     }
 
     /// Takes the agents of the forecasts.
-    fn follow(&mut self, forecasts: &[Forecast], horizon_len: usize) {
+    fn follow<'a>(&mut self, forecasts: impl IntoIterator<Item = &'a Forecast>, horizon_len: usize) {
         self.places.clear();
-        for (place, forecast) in forecasts.iter().enumerate() {
+        for (place, forecast) in forecasts.into_iter().enumerate() {
             let number = self.places.len();
             let follows = match self.agents.get_mut(number) {
                 Some(agent) => agent.follow(forecast, horizon_len),

@@ -89,7 +89,7 @@ impl Published {
                 let mut pairing = Pairing::default();
                 for message in recording.messages() {
                     if let Message::Frame(frame) = message.map_err(Failure::data)?
-                        && let Some(view) = pairing.take(frame)
+                        && let Some((view, _)) = pairing.take(frame)
                     {
                         take(view);
                     }
