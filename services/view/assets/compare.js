@@ -7,7 +7,7 @@ const INTERVAL = 0.95;
 // Fewer agents give no interval.
 const AGENTS_LEAST = 4;
 // Number of listed agents.
-const COMPARED_MAX = 8;
+const COMPARED_MAX = 50;
 
 // The facts of two runs that differ, as [name, of A, of B].
 function differingFacts(a, b) {
@@ -17,9 +17,9 @@ function differingFacts(a, b) {
     "retrieval": run.retrieval === null ? null : run.retrieval ? "on" : "off", "memory entries at the start": run.memory_entries,
     "limit in ticks": run.ticks_limit, "interval, ms": run.interval_ms, "lockstep": run.lockstep ? "yes" : "no",
   });
-  const [ofA, ofB] = [a, b].map((run) => ({ ...facts(run), ...(a.options && b.options ? run.options : {}) }));
-  const names = new Set([...Object.keys(ofA), ...Object.keys(ofB)]);
-  return [...names].map((name) => [name, ofA[name] ?? "–", ofB[name] ?? "–"]).filter(([, x, y]) => x !== y);
+  const differing = (ofA, ofB, unset) => [...new Set([...Object.keys(ofA), ...Object.keys(ofB)])]
+    .map((name) => [name, ofA[name] ?? unset, ofB[name] ?? unset]).filter(([, x, y]) => x !== y);
+  return [...differing(facts(a), facts(b), "unknown"), ...(a.options && b.options ? differing(a.options, b.options, "default") : [])];
 }
 
 // The tracks of a run by identity: times in s and positions in cm.
@@ -60,10 +60,11 @@ function errorOf(track, { t }, { p, f }, step) {
 // The errors of both runs by agent, over the ticks and agents that both have.
 function compareAgents(framesA, framesB, step) {
   const [tracksA, tracksB] = [tracksOf(framesA), tracksOf(framesB)];
-  const ofB = new Map(framesB.map((frame) => [frame.seq, frame]));
+  // Recordings of the same input may number ticks differently.
+  const ofB = new Map(framesB.map((frame) => [frame.t, frame]));
   const found = new Map();
   framesA.forEach((frame, place) => {
-    const other = ofB.get(frame.seq);
+    const other = ofB.get(frame.t);
     if (!other) return;
     const agents = new Map(other.agents.map((agent) => [agent.n, agent]));
     for (const agent of frame.agents) {
@@ -131,6 +132,14 @@ function comparedRow(name, a, b, digits) {
   return `<tr><td>${name}</td><td>${text(a)}</td><td>${text(b)}</td><td>${Number.isFinite(b - a) ? sign + size : "–"}</td></tr>`;
 }
 
+// Rows of the share of agents within the regions of 90 % at the end of the horizon, by type.
+function calibrationRows(a, b) {
+  const [ofA, ofB] = [a, b].map(({ unpacked: { details } }) => (details ? details.errors : []));
+  const last = (row) => 100 * (row.within_90[row.within_90.length - 1] ?? NaN);
+  return ofA.map((row) => [row, ofB.find(({ type }) => type === row.type)]).filter(([, other]) => other)
+    .map(([row, other]) => comparedRow(`${PLURALS[TYPES.indexOf(row.type)]} within the 90 % region, %`, last(row), last(other), 1));
+}
+
 function comparison([a, b]) {
   const step = ((a.unpacked.details || b.unpacked.details || { errors: [] }).errors[0] || { horizon_s: [0.4] }).horizon_s[0];
   const agents = compareAgents(a.unpacked.frames, b.unpacked.frames, step);
@@ -141,10 +150,13 @@ function comparison([a, b]) {
   const learned = ({ report: { forecasts: { learned, held, kinematic } } }) => 100 * learned / (learned + held + kinematic);
   const rows = [
     ...byType.map((list, type) => comparedRow(`mean error of ${PLURALS[type]}, m`, mean(list, "a"), mean(list, "b"), 3)),
+    ...calibrationRows(a, b),
     comparedRow("minADE against the truth, m", a.report.accuracy.ade_m ?? NaN, b.report.accuracy.ade_m ?? NaN, 3),
     comparedRow("learned forecasts, %", learned(a), learned(b), 1),
     comparedRow("end to end p50, ms", a.report.end_to_end_ms.p50 ?? NaN, b.report.end_to_end_ms.p50 ?? NaN, 2),
     comparedRow("end to end p99, ms", a.report.end_to_end_ms.p99 ?? NaN, b.report.end_to_end_ms.p99 ?? NaN, 2),
+    ...a.report.stages.map((stage) => [stage, b.report.stages.find(({ name }) => name === stage.name)]).filter(([, other]) => other)
+      .map(([stage, other]) => comparedRow(`${escaped(stage.name)} compute p99, ms`, stage.compute_ms.p99 ?? NaN, other.compute_ms.p99 ?? NaN, 2)),
     comparedRow("late ticks", a.report.late_ticks, b.report.late_ticks, 0), comparedRow("lost frames", a.report.drops, b.report.drops, 0),
   ].join("");
   const largest = agents.filter(({ a, b, count }) => Math.abs(b - a) / count >= 0.005).sort((x, y) => Math.abs(y.b - y.a) / y.count - Math.abs(x.b - x.a) / x.count).slice(0, COMPARED_MAX);
@@ -158,7 +170,7 @@ function comparison([a, b]) {
       <tr><th></th><th>A</th><th>B</th><th>difference</th></tr>${rows}</table></div>
       <p class="note">Errors are the mean over the horizon, against where the agents were tracked later. Intervals hold
       95 % of random samples of the agents.</p></section>
-    <section class="card"><h2>Largest differences<span class="soft">mean error, m; a click shows the agent</span></h2><div class="scroll"><table id="largest">
+    <section class="card"><h2>Largest differences<span class="soft">mean error, m; a click shows the agent</span></h2><div class="scroll tall"><table id="largest">
       <tr><th>agent</th><th>A</th><th>B</th><th>difference</th></tr>${list || "<tr><td class=soft>none</td></tr>"}</table></div></section></div>
     <div data-slot="scene"></div></section>`);
   return card;

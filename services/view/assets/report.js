@@ -99,7 +99,7 @@ function figuresOf({ report }) {
     [report.drops, "lost frames", zero(report.drops)],
     [restarts, "restarts", zero(restarts)],
     total > 0 && [percent(forecasts.learned / total), "of forecasts learned"],
-    accuracy.ade_m !== null && [shortNumber(accuracy.ade_m), `minADE, m · ${shortNumber(accuracy.cv_ade_m)} constant velocity`],
+    accuracy.ade_m !== null && [shortNumber(accuracy.ade_m), `minADE, m (constant velocity ${shortNumber(accuracy.cv_ade_m)})`],
     accuracy.held_90 !== null && accuracy.held_90 !== undefined && [percent(accuracy.held_90), "within the 90 % region"],
   ])}</section>`;
 }
@@ -124,9 +124,8 @@ function stageTable({ report }) {
 }
 
 function graphCard({ report }) {
-  const graph = graphOf(report.stages);
-  return graph && `<section class="card"><h2>Pipeline<span class="soft">p50 / p99, ms; dashed: for the next tick</span></h2>
-    <div class="scroll">${graph}</div></section>`;
+  return graphOf(report, 900) && `<section class="card"><h2>Pipeline<span class="soft">p50 / p99, ms; dashed: for the next tick</span></h2>
+    <div data-graph></div></section>`;
 }
 
 function accuracyTable({ report }) {
@@ -148,7 +147,7 @@ function accuracyTable({ report }) {
 
 function factsOf({ report }) {
   const { run, forecasts } = report;
-  const causes = Object.entries(forecasts.causes).filter(([, count]) => count).map(([cause, count]) => `${cause} ${count.toLocaleString("en")}`);
+  const causes = Object.entries(forecasts.causes).filter(([, count]) => count).map(([cause, count]) => `${wordsOf(cause)} ${count.toLocaleString("en")}`);
   const rows = [["recording", run.recording], ["SHA-256", run.recording_sha256], ["weights", run.weights],
     ["weights SHA-256", run.weights_sha256], ["seed", run.seed], ["speed", run.speed],
     ["interval", run.interval_ms && `${run.interval_ms} ms`], ["retrieval", run.retrieval === null ? null : run.retrieval ? "on" : "off"],
@@ -163,8 +162,8 @@ function worstOf({ report }, details) {
   const worst = report.worst_ticks.slice(0, 6).filter(isKnown);
   if (!worst.length) return "";
   const card = (tick) => {
-    const has = details && details.worst[tick.tick];
-    const time = tick.end_to_end_ms === null ? `${tick.ticks_lost} without forecasts` : `${shortNumber(tick.end_to_end_ms)} ms`;
+    const has = details && details.worst[tick.tick] && details.worst[tick.tick].agents.length;
+    const time = tick.end_to_end_ms === null ? `${tick.ticks_lost} ${tick.ticks_lost === 1 ? "tick" : "ticks"} without forecasts` : `${shortNumber(tick.end_to_end_ms)} ms`;
     return `<figure>${has ? `<canvas data-tick="${tick.tick}"></canvas>` : ""}<figcaption><b>tick ${tick.tick}</b>
       <span class="soft">· ${time} · ${tick.agents} agents</span><br>${escaped(tick.cause)}</figcaption></figure>`;
   };
@@ -263,12 +262,12 @@ function sceneOver(column, run, frames, title = "The scene over the whole run", 
     }
   }
   const begin = frames[0].t;
-  const ofB = framesB && new Map(framesB.map((frame) => [frame.seq, frame]));
+  const ofB = framesB && new Map(framesB.map((frame) => [frame.t, frame]));
   const show = () => {
     const frame = frames[+input.value];
     canvas.scene = frame;
     canvas.later = truth.getAttribute("aria-pressed") === "true" ? laterOf(frames, +input.value) : null;
-    const other = ofB && ofB.get(frame.seq);
+    const other = ofB && ofB.get(frame.t);
     canvas.past = (other ? other.agents : []).filter(({ f }) => f && f.b.length).map(({ p, f }) => ({ age: 2, p, f }));
     canvas.request();
     output.textContent = `tick ${frame.seq} · ${(frame.t - begin).toFixed(1)} s · ${frame.agents.length} agents`;
@@ -338,6 +337,8 @@ async function build() {
       ${graphCard(run)}${stageTable(run)}${worstOf(run, details)}${details ? '<div data-slot="quality"></div>' : ""}
       ${accuracyTable(run)}${details ? '<div data-slot="horizon"></div>' : ""}${factsOf(run)}</article>`);
     document.getElementById("runs").append(column);
+    const graph = column.querySelector("[data-graph]");
+    if (graph) later.push(() => { graph.innerHTML = graphOf(run.report, graph.clientWidth); });
     if (details) {
       timeCharts(column, run, details);
       horizonCharts(column, details);

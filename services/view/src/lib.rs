@@ -4,7 +4,10 @@
 //! ([`wire::tick_view::TickView`]). A page is one file: styles, scripts and data are inside, and it requests
 //! nothing from any other server.
 
+use std::collections::BTreeMap;
+
 use wire::vocabulary::{LOOKS, Look, Rgb, UNKNOWN};
+use wire::{AGENT_TYPES, AgentType, EXPERTS_MAX, Expert, Quality};
 
 mod foresight;
 pub mod http;
@@ -18,20 +21,26 @@ pub use report::{PAGE_BYTES, RunPage, html};
 pub use scene::{MODES_DRAWN, Pairing, Scene};
 
 const STYLE: &str = include_str!("../assets/page.css");
-const PACKED: &str = include_str!("../assets/packed.js");
-const SCENE: &str = include_str!("../assets/scene.js");
-const CHARTS: &str = include_str!("../assets/charts.js");
-const GRAPH: &str = include_str!("../assets/graph.js");
+/// The scripts of both pages, in the order in which they depend on each other.
+const SCRIPTS: [&str; 7] = [
+    include_str!("../assets/words.js"),
+    include_str!("../assets/packed.js"),
+    include_str!("../assets/regions.js"),
+    include_str!("../assets/view.js"),
+    include_str!("../assets/scene.js"),
+    include_str!("../assets/charts.js"),
+    include_str!("../assets/graph.js"),
+];
 
 /// Puts styles and scripts into a page.
 fn page(html: &str, scripts: &[&str]) -> String {
-    let [colors, looks] = vocabulary();
-    let scripts = [looks.as_str(), PACKED, SCENE, CHARTS, GRAPH].into_iter().chain(scripts.iter().copied());
+    let [colors, names] = vocabulary();
+    let scripts = std::iter::once(names.as_str()).chain(SCRIPTS).chain(scripts.iter().copied());
     let scripts: String = scripts.map(|script| format!("<script>\n{script}</script>\n")).collect();
     html.replacen("{{style}}", &(colors + STYLE), 1).replacen("{{scripts}}", &scripts, 1)
 }
 
-/// The vocabulary of causes as colours of both themes, and as a constant of the scripts.
+/// The names of numbers and the looks of causes, as colours of both themes and as constants of the scripts.
 fn vocabulary() -> [String; 2] {
     let hex = |[red, green, blue]: Rgb| format!("#{red:02x}{green:02x}{blue:02x}");
     let theme = |selector: &str, unknown: Rgb, color: fn(&Look) -> Rgb| {
@@ -47,14 +56,25 @@ fn vocabulary() -> [String; 2] {
             "normal": look.is_normal, "dash": look.dash, "shape": look.shape,
         })
     });
-    let ego_cm = foresight::EGO_M.map(|size_m| size_m * 100.0);
-    let looks = serde_json::Value::from(looks.to_vec());
-    [colors, format!("const LOOKS = {looks};\nconst EGO_CM = {ego_cm:?};\n")]
+    let slots = Expert::ALL.iter().take(EXPERTS_MAX);
+    let constants = serde_json::json!({
+        "LOOKS": looks,
+        "TYPES": AGENT_TYPES.map(AgentType::name),
+        "QUALITIES": Quality::ALL.map(Quality::name),
+        // By slot and type.
+        "EXPERTS": slots.map(|expert| AGENT_TYPES.map(|of| expert.name_for(of))).collect::<Vec<_>>(),
+        "PARTNERS": recorder::PARTNERS.into_iter().collect::<BTreeMap<_, _>>(),
+        "STEADY": Expert::ConstantVelocity as u32,
+        "EGO_CM": foresight::EGO_M.map(|size_m| size_m * 100.0),
+    });
+    let constants = constants.as_object().into_iter().flatten();
+    [colors, constants.map(|(name, value)| format!("const {name} = {value};\n")).collect()]
 }
 
 /// The live page.
 fn live_page() -> String {
-    page(include_str!("../assets/live.html"), &[include_str!("../assets/live.js")])
+    let scripts = [include_str!("../assets/panels.js"), include_str!("../assets/live.js")];
+    page(include_str!("../assets/live.html"), &scripts)
 }
 
 /// The bounds of lanes as JSON, in whole centimetres: the first value of an element is the type.

@@ -152,7 +152,7 @@ fn scenes(recording: &Recording, wanted: &BTreeSet<u64>) -> BTreeMap<u64, TickVi
     let mut missing = wanted.clone();
     for message in recording.messages().flatten() {
         if let Message::Frame(frame) = message
-            && let Some(view) = pairing.take(frame)
+            && let Some((view, _)) = pairing.take(frame)
         {
             // Ticks up to this one that are still missing have no forecasts of their own.
             let rest = missing.split_off(&(view.seq + 1));
@@ -177,14 +177,17 @@ struct Gathering {
 impl Gathering {
     fn new(recording: &Recording) -> Self {
         let run = &recording.about().run;
-        let options = RecorderOptions {
-            stages: if run.stages.is_empty() { wire::StageId::ALL.to_vec() } else { run.order() },
-            budgets_ms: run.budgets_ms(),
-            topics: run.topics_of_stages(),
-            scores: recording.has_topic(TruthTopic::NAME),
-            ..RecorderOptions::default()
-        };
-        Self { recorder: Recorder::new(options), pairing: Pairing::default(), details: Details::default() }
+        let mut options =
+            RecorderOptions { scores: recording.has_topic(TruthTopic::NAME), ..RecorderOptions::of(run) };
+        if run.stages.is_empty() {
+            options.stages = StageId::ALL.to_vec();
+        }
+        let mut recorder = Recorder::new(options);
+        // Frames of `predict` have no clock.
+        if recording.about().clock_offset_ns != 0 {
+            recorder.set_clock_offset(recording.about().clock_offset_ns);
+        }
+        Self { recorder, pairing: Pairing::default(), details: Details::default() }
     }
 
     fn take(&mut self, message: &Message) -> Result<(), FrameError> {
@@ -211,7 +214,7 @@ impl Gathering {
     }
 
     fn view(&mut self, frame: &Frame) {
-        if let Some(view) = self.pairing.take(frame.clone()) {
+        if let Some((view, _)) = self.pairing.take(frame.clone()) {
             self.details.scrub.add(&view);
             self.details.errors.add(view);
         }
@@ -282,7 +285,7 @@ mod tests {
     fn no_text_of_a_run_ends_the_script() {
         let name = "</script><script>alert(1)</script><!--".to_owned();
         let html = html(&[RunPage::of_report(name, Report::default())]);
-        assert_eq!(html.matches("</script").count(), 8);
+        assert_eq!(html.matches("</script").count(), 11);
         assert!(html.len() < 110_000 && !html.contains("alert(1)</script"));
     }
 }

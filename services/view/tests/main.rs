@@ -8,8 +8,8 @@ use recorder::status::{RunStatus, StatusEvent};
 use serde_json::json;
 use testing::Browser;
 use view::{Foresight, Live, Scene};
-use wire::tick_view::{AgentView, ForecastView, TickView};
-use wire::{AgentType, Quality};
+use wire::tick_view::TickView;
+use wire::{Forecast, HORIZON_MAX, Header, Track};
 
 const FIXTURE: &str = include_str!("fixture.js");
 const DESKTOP: [u32; 2] = [1400, 900];
@@ -232,32 +232,24 @@ fn a_finger_selects_a_person_on_a_phone() {
 }
 
 /// A car that keeps its velocity, with one mode.
-fn car(id: u64, position_m: [f32; 2], velocity_mps: [f32; 2]) -> AgentView {
-    let at = |step: usize| [0, 1].map(|axis| position_m[axis] + velocity_mps[axis] * 0.4 * step as f32);
-    let points: Vec<_> = (1..=12).map(at).collect();
-    AgentView {
-        id,
-        source_id: 0,
-        agent_type: AgentType::Vehicle,
-        position_m,
-        velocity_mps,
-        heading_rad: velocity_mps[1].atan2(velocity_mps[0]),
-        length_m: Some(4.5),
-        width_m: Some(1.9),
-        unseen_ns: 0,
-        history: Vec::new(),
-        forecast: Some(ForecastView {
-            quality: Quality::Learned,
-            cause: 0,
-            age_ns: 0,
-            experts: [0.0; wire::EXPERTS_MAX],
-            out_of_distribution: 0.0,
-            best: points.clone(),
-            covariance: vec![vec![[1.0, 0.0, 1.0]; 12]],
-            modes: vec![points],
-            probability: vec![1.0],
-        }),
+fn car(id: u64, position_m: [f32; 2], velocity_mps: [f32; 2]) -> Forecast {
+    let mut car = Forecast { id, modes_len: 1, length_m: 4.5, width_m: 1.9, ..Forecast::default() };
+    ([car.x_m, car.y_m], [car.vx_mps, car.vy_mps]) = (position_m, velocity_mps);
+    car.heading_rad = velocity_mps[1].atan2(velocity_mps[0]);
+    car.probability[0] = 1.0;
+    car.mode_covariance[0] = [[1.0, 0.0, 1.0]; HORIZON_MAX];
+    for step in 0..HORIZON_MAX {
+        let in_s = 0.4 * (step + 1) as f32;
+        car.modes[0][step] = [0, 1].map(|axis| position_m[axis] + velocity_mps[axis] * in_s);
     }
+    car.best = car.modes[0];
+    car
+}
+
+/// The track of a car.
+fn track(of: &Forecast) -> Track {
+    let Forecast { id, x_m, y_m, vx_mps, vy_mps, heading_rad, length_m, width_m, .. } = *of;
+    Track { id, x_m, y_m, vx_mps, vy_mps, heading_rad, length_m, width_m, ..Track::default() }
 }
 
 #[test]
@@ -267,20 +259,17 @@ fn conflicts_are_listed_with_the_ego_first() {
     // a car that comes towards it.
     let mut foresight = Foresight::default();
     for k in 0..8_u64 {
-        let tick = TickView {
-            seq: k,
-            stamp_ns: k as i64 * 80_000_000,
-            step_ns: 400_000_000,
-            ego: Some(([-60.0 + k as f32 * 0.8, 30.0], 0.0)),
-            agents: vec![
-                car(1, [-25.0, 0.0], [10.0, 0.0]),
-                car(2, [0.0, -27.0], [0.0, 10.0]),
-                car(3, [20.0, 40.0], [0.0, 10.0]),
-                car(4, [-30.0, 30.0], [-5.0, 0.0]),
-            ],
-            ..TickView::default()
-        };
-        live.tick(&Scene::new(&tick, 20).foreseen(&tick, &foresight.of(&tick)).to_json());
+        let cars = [
+            car(1, [-25.0, 0.0], [10.0, 0.0]),
+            car(2, [0.0, -27.0], [0.0, 10.0]),
+            car(3, [20.0, 40.0], [0.0, 10.0]),
+            car(4, [-30.0, 30.0], [-5.0, 0.0]),
+        ];
+        let mut header = Header { step_ns: 400_000_000, ..Header::new(1, k, k as i64 * 80_000_000) };
+        (header.counts.history_len, header.counts.horizon_len) = (1, HORIZON_MAX as u32);
+        (header.flags, header.ego_m) = (wire::flags::SEEN_FROM_EGO, [-60.0 + k as f32 * 0.8, 30.0]);
+        let tick = TickView::new((&header, &cars.each_ref().map(track)), (&header, &cars));
+        live.tick(&Scene::new(&tick, 20).foreseen(&tick, &foresight.of(&tick, &cars)).to_json());
         browser.wait_for(&format!("ring.ticks.length && ring.tick(ring.newest).seq === {k}"));
     }
     browser.wait_for("document.querySelectorAll('#conflicts tr[data-id]').length === 2");
@@ -333,7 +322,7 @@ fn two_runs_have_a_verdict_and_the_largest_difference() {
     let graph = "(() => { const times = (p50, p99) => ({ p50, p99 }); const stage = (name, reads, writes, p99) => ({ name, reads, writes, \
                  budget_ms: 6, compute_ms: times(1, p99), waiting_ms: times(0, 0), wake_up_ms: times(0, 0), restarts: 2, \
                  drops: { gap: 0, refused: 1, restart: 0 } }); const place = document.createElement('div'); \
-                 place.innerHTML = graphOf([stage('tracker', ['forecasts'], ['tracks'], 2), stage('sampler', ['tracks'], ['forecasts'], 9)]); \
+                 place.innerHTML = graphOf({ stages: [stage('tracker', ['forecasts'], ['tracks'], 2), stage('sampler', ['tracks'], ['forecasts'], 9)] }, 900); \
                  const texts = [...place.querySelectorAll('[data-stage=sampler] text')].map((text) => text.textContent); \
                  return [place.querySelectorAll('path[stroke]').length, place.querySelectorAll('[stroke-dasharray]').length, texts.join(' | ')]; })()";
     let drawn = browser.value(graph);
@@ -341,6 +330,22 @@ fn two_runs_have_a_verdict_and_the_largest_difference() {
     assert_eq!(drawn[1], 1, "{drawn}");
     assert!(
         drawn[2].as_str().unwrap().starts_with("sampler | 1 lost, 2 restarts | 1.00 / 9.00 of 6.00 ms"),
+        "{drawn}"
+    );
+    // Forecasts to another box, which loses links, and the time since the stamp. On a phone, the boxes are in a column.
+    let partners = "(() => { const stages = ['source', 'tracker', 'sampler', 'bridge'].map((name, at) => ({ name, reads: [[], ['detections'], ['tracks'], ['forecasts']][at], \
+                    writes: [['detections'], ['tracks'], ['forecasts'], []][at], program: at % 3 ? '' : 'stgdat-bridge', \
+                    budget_ms: null, compute_ms: { p50: at === 3 ? null : 1, p99: 2 }, waiting_ms: {}, wake_up_ms: {}, restarts: 0, drops: { gap: 0, refused: 0, restart: 0 } })); \
+                    const report = { stages, links: { source: { frames: 1200 }, bridge: { frames: 900, lost: 3 } }, since_stamp_ms: { p50: 21, p99: 40 } }; \
+                    const place = document.createElement('div'); return [900, 330].map((width) => { place.innerHTML = graphOf(report, width); \
+                    const svg = place.firstChild; const boxes = [...svg.querySelectorAll('[data-partner]')].map((box) => [...box.querySelectorAll('text')].map((text) => text.textContent).join(' | ')); \
+                    return [boxes.join('; '), svg.viewBox.baseVal.width <= width, new Set([...svg.querySelectorAll('g')].map((g) => g.getAttribute('transform').split(' ')[0])).size]; }); })()";
+    let words = "other box | 1,200 frames; other box | 900 frames | lost: 3; publication | since the stamp | 21.0 / 40.0 ms";
+    let drawn = browser.value(partners);
+    assert_eq!((&drawn[0][0], &drawn[0][1]), (&json!(words), &json!(true)), "{drawn}");
+    assert_eq!(
+        (&drawn[1][0], &drawn[1][1], &drawn[1][2]),
+        (&json!(words), &json!(true), &json!(1)),
         "{drawn}"
     );
     // The same runs with scenes. Cars drive at 10 m/s; forecasts are short by 1 m at each step, in B by 0.9 m.
