@@ -1,6 +1,9 @@
 "use strict";
 // Small charts on canvases: lines over time, and stacked shares.
 
+// The margins of a chart, in pixels.
+const [CHART_LEFT, CHART_RIGHT] = [36, 10];
+
 function canvasOf(canvas) {
   const ratio = Math.min(window.devicePixelRatio || 1, 2);
   const [width, height] = [canvas.clientWidth, canvas.clientHeight];
@@ -30,11 +33,12 @@ function shortNumber(value) {
   return size >= 100 ? value.toFixed(0) : size >= 10 ? value.toFixed(1) : value.toFixed(2);
 }
 
-// Lines over x. `series` is [{ values, color, label, fill }], null breaks a line; `limit` is a dashed line.
-function lineChart(canvas, x, series, { limit = null, high = null, unit = "", xUnit = "s", absolute = false } = {}) {
+// Lines over x. `series` is [{ values, color, label, fill }], null breaks a line; `limit` is a dashed line across, `mark`
+// a line at an x.
+function lineChart(canvas, x, series, { limit = null, high = null, unit = "", xUnit = "s", absolute = false, mark = null } = {}) {
   const [context, width, height] = canvasOf(canvas);
   if (!width || !x.length) return;
-  const [left, right, top, bottom] = [36, 10, 8, 20];
+  const [left, right, top, bottom] = [CHART_LEFT, CHART_RIGHT, 8, 20];
   const [inner, tall] = [width - left - right, height - top - bottom];
   const all = series.flatMap(({ values }) => values.filter((value) => value !== null && Number.isFinite(value)));
   const most = high || Math.max(limit ? limit * 1.15 : 0, ...chunked(all), 1e-3) * 1.02;
@@ -73,6 +77,10 @@ function lineChart(canvas, x, series, { limit = null, high = null, unit = "", xU
     context.stroke();
     context.setLineDash([]);
   }
+  if (mark !== null) {
+    context.fillStyle = themed("ink");
+    context.fillRect(px(Math.min(Math.max(mark, x0), x1)) - 0.5, top, 1, tall);
+  }
   if (limit) {
     context.strokeStyle = themed("bad");
     context.setLineDash([4, 3]);
@@ -102,7 +110,7 @@ function chunked(values) {
 function stackedChart(canvas, x, layers, { xUnit = "s" } = {}) {
   const [context, width, height] = canvasOf(canvas);
   if (!width || !x.length) return;
-  const [left, right, top, bottom] = [36, 10, 8, 20];
+  const [left, right, top, bottom] = [CHART_LEFT, CHART_RIGHT, 8, 20];
   const [inner, tall] = [width - left - right, height - top - bottom];
   const totals = x.map((_, place) => layers.reduce((sum, { values }) => sum + values[place], 0));
   const most = Math.max(1, ...chunked(totals));
@@ -137,7 +145,7 @@ function stackedChart(canvas, x, layers, { xUnit = "s" } = {}) {
 function histogram(canvas, bins, { limit = null, color, unit = "ms" } = {}) {
   const [context, width, height] = canvasOf(canvas);
   if (!width || !bins.length) return;
-  const [left, right, top, bottom] = [36, 10, 8, 20];
+  const [left, right, top, bottom] = [CHART_LEFT, CHART_RIGHT, 8, 20];
   const [inner, tall] = [width - left - right, height - top - bottom];
   const most = Math.max(1, ...bins.map(({ count }) => count));
   const high = bins[bins.length - 1].to;

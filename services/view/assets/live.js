@@ -288,6 +288,15 @@ for (const event of ["click", "keydown"]) {
   });
 }
 $("graph-box").addEventListener("toggle", () => live.status && showStatus(live.status));
+// A click on a chart of the agent goes to its tick.
+for (const name of ["agent-jump", "agent-error", "agent-quality"]) {
+  $(name).addEventListener("click", ({ offsetX, target }) => {
+    const [begin, end] = live.agentTimes;
+    const s = begin + (end - begin) * Math.min(Math.max((offsetX - CHART_LEFT) / (target.clientWidth - CHART_LEFT - CHART_RIGHT), 0), 1);
+    const place = ring.ticks.findIndex((tick) => tick.s >= s - 1e-6);
+    goTo(place < 0 ? null : ring.first + place);
+  });
+}
 $("conflicts").addEventListener("click", ({ target }) => {
   const row = target.closest("tr[data-id]");
   if (!row) return;

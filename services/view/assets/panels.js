@@ -56,12 +56,13 @@ const metres = (cm) => (cm === NONE || cm === undefined ? null : cm / 100);
 
 function showAgent() {
   const id = scene.selected;
-  const kept = id ? ring.series(id, ring.first, shownOrdinal()) : [];
+  const kept = id ? ring.series(id) : [];
   $("agent").hidden = !kept.length;
   scene.past = pastOf(id, shownTick());
   if (!kept.length) return;
   const now = scene.scene.agents.find((agent) => agent.i === id);
-  const last = now || kept[kept.length - 1][1];
+  const at = shownTick().s;
+  const last = now || (kept.findLast(([tick]) => tick.s <= at) || kept[0])[1];
   const speed = Math.hypot(...last.v) / 100;
   $("agent-name").textContent = `${TYPES[last.t]} ${last.n}${now ? "" : ", gone"}`;
   const { f } = last;
@@ -73,7 +74,7 @@ function showAgent() {
   const [context, width, height] = canvasOf($("agent-quality"));
   const times = kept.map(([tick]) => tick.s);
   const [begin, end] = [times[0], Math.max(times[times.length - 1], times[0] + 1)];
-  const px = (s) => (s - begin) / (end - begin) * (width - 46) + 36;
+  const px = (s) => (s - begin) / (end - begin) * (width - CHART_LEFT - CHART_RIGHT) + CHART_LEFT;
   let from = 0;
   kept.forEach(([tick, agent], place) => {
     const color = colorOf(scene.colors, agent.f);
@@ -83,17 +84,44 @@ function showAgent() {
     context.fillRect(px(times[from]), 2, Math.max(px(Math.min(tick.s + 0.08, end)) - px(times[from]), 1), height - 4);
     from = place + 1;
   });
+  context.fillStyle = themed("ink");
+  context.fillRect(px(Math.min(Math.max(at, begin), end)) - 1, 0, 2, height);
   lineChart($("agent-error"), times, [
     { values: kept.map(([, { steady }]) => metres(steady)), color: themed("faint") },
     { values: kept.map(([, { error }]) => metres(error)), color: themed("cause-none") },
-  ], {});
-  const rows = (f && f.x ? f.x : []).map((weight, place) => [weight, expertOf(place, last.t)]).filter(([weight]) => weight > 0);
+  ], { mark: at });
+  lineChart($("agent-jump"), times, [{ values: jumpsOf(kept), color: themed("select") }], { mark: at });
+  live.agentTimes = [begin, end];
+  const before = weightsOf(id, shownTick().t - 1);
+  const rows = (f && f.x ? f.x : []).map((weight, slot) => [weight, expertOf(slot, last.t), before[slot]]).filter(([now, , then]) => now > 0 || then > 0);
   rows.sort((a, b) => b[0] - a[0]);
-  const bar = (share) => `<div class="bar"><b></b><b style="width:${share}%"></b></div>`;
-  const outside = f ? `<tr><td>distance from the training data</td><td></td><td>${(f.o / 100).toFixed(2)}</td></tr>` : "";
-  $("agent-evidence").innerHTML = rows.map(([weight, name]) =>
-    `<tr><td>${name}</td><td style="width:38%">${bar(weight / 10)}</td><td>${(weight / 10).toFixed(0)} %</td></tr>`)
-    .join("") + (rows.length ? "" : "<tr><td class=soft>not reported</td></tr>") + outside;
+  const share = (weight) => (weight === undefined ? "–" : `${(weight / 10).toFixed(0)} %`);
+  const outside = f ? `<tr><td>distance from the training data</td><td></td><td>${(f.o / 100).toFixed(2)}</td><td></td></tr>` : "";
+  $("agent-evidence").innerHTML = rows.map(([weight, name, then]) =>
+    `<tr><td>${name}</td><td style="width:32%"><div class="bar"><b></b><b style="width:${weight / 10}%"></b></div></td>` +
+    `<td>${share(weight)}</td><td class="soft">${share(then)}</td></tr>`).join("") +
+    (rows.length ? "" : "<tr><td class=soft>not reported</td></tr>") + outside;
+}
+
+// How far the end of each forecast of a series moved against the agent since the tick before, in m.
+function jumpsOf(kept) {
+  return kept.map(([tick, { p, f }], at) => {
+    const [before, { p: q, f: g } = {}] = kept[at - 1] || [];
+    if (!before || tick.s - before.s > 0.5 || !f || !g || !f.b.length || f.b.length !== g.b.length) return null;
+    const end = f.b.length - 2;
+    const step = tick.s - before.s;
+    // The time of the end moves too: by the last step's motion.
+    const last = [0, 1].map((axis) => (f.b[end + axis] - (end >= 2 ? f.b[end - 2 + axis] : 0)) / tick.dt * step);
+    return Math.hypot(...[0, 1].map((axis) => p[axis] + f.b[end + axis] - q[axis] - g.b[end + axis] - last[axis])) / 100;
+  });
+}
+
+// The weights of the experts for an agent at a time; none without a forecast.
+function weightsOf(id, t) {
+  const tick = ring.nearest(t, 0.25);
+  const place = tick ? tick.ids.indexOf(id) : -1;
+  const { f } = place < 0 ? {} : ring.agent(tick, place, true);
+  return f ? f.x : [];
 }
 
 // The list of agents: rows stay the same elements, so that a click between two ticks is not lost.

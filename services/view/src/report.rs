@@ -120,7 +120,8 @@ impl RunPage {
     }
 }
 
-/// The options of the stages before the recorder. Paths in the run's own directory are left out.
+/// The options of the stages before the recorder. Paths in the run's own directory are left out; a played recording
+/// has none.
 fn options(recording: &Recording) -> BTreeMap<String, String> {
     let run = &recording.about().run;
     let root = run.root.to_string_lossy();
@@ -130,7 +131,7 @@ fn options(recording: &Recording) -> BTreeMap<String, String> {
             continue;
         };
         let pairs = stage.options.lines().filter_map(|line| line.split_once(" = "));
-        let pairs = pairs.filter(|(_, value)| !value.contains(&*root));
+        let pairs = pairs.filter(|(_, value)| root.is_empty() || !value.contains(&*root));
         options.extend(pairs.map(|(name, value)| (format!("{}.{name}", id.name()), value.to_owned())));
     }
     options

@@ -205,7 +205,21 @@ fn an_agent_is_searched_selected_and_explained() {
     browser.value(stop);
     let error = number(&mut browser, "ring.series('12').at(-16)[1].error");
     assert!((error - 1600.0).abs() < 80.0, "{error}");
-    assert!(browser.value("document.querySelector('#agent-error').height > 0") == true);
+    // Its forecast changes most at the tick at which it stops. A click on the peak goes there.
+    let peak =
+        "(() => { const jumps = jumpsOf(ring.series('12')); return jumps.indexOf(Math.max(...jumps)); })()";
+    assert_eq!(number(&mut browser, peak), 60.0);
+    browser.value(
+        "(() => { const chart = document.querySelector('#agent-jump'); const [begin, end] = live.agentTimes; \
+         const share = (ring.tick(60).s - begin) / (end - begin); const b = chart.getBoundingClientRect(); \
+         const x = CHART_LEFT + share * (chart.clientWidth - CHART_LEFT - CHART_RIGHT); \
+         chart.dispatchEvent(new MouseEvent('click', { clientX: b.x + x, clientY: b.y + 20, bubbles: true })); })()",
+    );
+    browser.wait_for("document.querySelector('#clock').innerText.startsWith('tick 60 ')");
+    // The weights of now and of a second before.
+    browser.wait_for(
+        "document.querySelector('#agent-evidence').textContent.includes('constant velocity72 %72 %')",
+    );
 }
 
 #[test]

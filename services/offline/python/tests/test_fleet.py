@@ -384,7 +384,7 @@ class Recordings(InFolder):
         page = pages[0].read_bytes()
         # Both runs with their scenes, and the option that differs.
         self.assertEqual(page.count(b'"scrub":'), 2)
-        self.assertIn(b'"sampler.evidence":"false"', page)
+        self.assertTrue(b'"sampler.evidence":"false"' in page)
         self.assertFalse((self.folder / "same" / "pages").exists())
         files = sorted((self.folder / "other" / "rows").rglob("*.parquet"))
         self.assertEqual(len(files), 2)
