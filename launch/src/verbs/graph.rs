@@ -160,7 +160,7 @@ fn pair(of: &Percentiles) -> String {
 
 /// Median and 99th percentile of the compute against the budget, of the waiting and of the wake-up, and faults.
 fn measured_lines(stage: &StageReport) -> Vec<String> {
-    if !stage.is_measured() && !stage.program.is_empty() {
+    if stage.ticks == 0 && !stage.program.is_empty() {
         return vec![stage.program.clone()];
     }
     let budget = stage.budget_ms.map_or(String::new(), |budget_ms| format!(" of {budget_ms}"));

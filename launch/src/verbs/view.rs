@@ -57,7 +57,8 @@ pub struct Arguments {
 /// The server of Foxglove's websocket, and the option that it is built with.
 const FOXGLOVE: [&str; 2] = ["stgdat-foxglove", " --features websocket"];
 
-/// Serves the live page of a run until the run ends.
+/// Serves the live page of a run until the run ends; afterwards until Ctrl-C if a browser has watched, so that the page
+/// can be loaded again.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let run = runs::find(arguments.run.as_deref())?;
     let _ = rustix::process::nice(NICE);
@@ -77,13 +78,21 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     let live = live.map_err(|error| Failure::unavailable_about(format!("the page on {wanted}"), error))?;
     log::print_line(&format!("{} shows {} in a browser; Ctrl-C ends it", live.url(), run.name));
     let client = Client::new(&run.root);
+    let mut was_watched = false;
     while !stop.requested() && client.is_there() {
         // Without a browser nothing is read.
         if live.wait_for_browser(WAIT) {
+            was_watched = true;
             follow(&run, &client, &live, &stop)?;
         }
     }
     live.end(END_LIMIT);
+    if was_watched && !stop.requested() {
+        log::print_line(&format!("{} has ended; the page stays until Ctrl-C", run.name));
+        while !stop.requested() {
+            std::thread::sleep(WAIT);
+        }
+    }
     Ok(Exit::Done)
 }
 

@@ -13,7 +13,7 @@ function boxesOf({ stages, links = {}, since_stamp_ms: since }) {
     if (!words) return [stage];
     const { frames, ...faults } = { ...links[stage.name] };
     const [lost, skipped] = [faults.lost, faults.skipped];
-    const lines = [frames && `${frames.toLocaleString("en")} frames`, lost && `lost: ${lost}`, skipped && `skipped: ${skipped}`].filter(Boolean);
+    const lines = [frames && `${frames.toLocaleString("en")} frames`, skipped && `${skipped} skipped`, lost && `${lost} ${lost === 1 ? "link" : "links"} lost`].filter(Boolean);
     const partner = { name: words, partner: true, lines, isFaulty: Boolean(lost) };
     const isInput = stage.name === "source";
     const link = { reads: isInput ? [] : ["forecasts out"], writes: isInput ? ["detections in"] : [] };
@@ -44,7 +44,7 @@ function boxOf(stage, [x, y]) {
   const outline = (tone, dash) => `<rect width="${BOX.width}" height="${BOX.height}" rx="8" fill="var(--panel)" stroke="var(--${tone})"${dash}/>`;
   const group = (content, of) => `<g transform="translate(${x} ${y})" ${of}="${escaped(stage.name)}">${content}</g>`;
   if (stage.partner) {
-    const lines = stage.lines.map((line, place) => text(36 + 15 * place, line, stage.isFaulty && place ? "bad" : "soft"));
+    const lines = stage.lines.map((line, place) => text(36 + 15 * place, line, stage.isFaulty && place === stage.lines.length - 1 ? "bad" : "soft"));
     return group(outline(stage.isFaulty ? "bad" : "faint", ' stroke-dasharray="4 3"') + name + lines.join(""), "data-partner");
   }
   const { budget_ms: budget, compute_ms: compute } = stage;

@@ -223,6 +223,9 @@ function listen() {
     setState("ended", "soft");
     live.ended = true;
     showEnd();
+    if (!live.status || !ring.ticks.length) return;
+    // Without storage, as in a private window, a reload has the newest tick alone.
+    keepOrRestore(live.status.run, ring).then(showEnd, () => {}).finally(() => { live.kept = true; });
   });
   source.addEventListener("error", () => setState("no connection", "bad"));
 }

@@ -218,7 +218,8 @@ function timeCharts(column, run, details) {
 function horizonCharts(column, details) {
   const slot = column.querySelector("[data-slot=horizon]");
   if (!details.errors.length) return slot.remove();
-  const colors = { vehicle: "cause-none", cyclist: "cause-missing", pedestrian: "cause-outdone" };
+  // Not the colours of causes.
+  const colors = { vehicle: "ink", cyclist: "warn", pedestrian: "select" };
   const keys = details.errors.map(({ type }) => `<span class="key"><i class="line" style="background:var(--${colors[type]})"></i>${type}</span>`).join("");
   slot.replaceWith(element(`<section class="card"><h2>Accuracy and calibration by horizon<span class="soft">against where agents were tracked later</span></h2>
     <div class="grid"><div><p class="note">Mean error of the best forecast, m; dashed: constant velocity</p><canvas class="chart" data-chart="errors"></canvas></div>

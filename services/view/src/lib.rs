@@ -73,7 +73,11 @@ fn vocabulary() -> [String; 2] {
 
 /// The live page.
 fn live_page() -> String {
-    let scripts = [include_str!("../assets/panels.js"), include_str!("../assets/live.js")];
+    let scripts = [
+        include_str!("../assets/kept.js"),
+        include_str!("../assets/panels.js"),
+        include_str!("../assets/live.js"),
+    ];
     page(include_str!("../assets/live.html"), &scripts)
 }
 

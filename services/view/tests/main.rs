@@ -95,6 +95,20 @@ fn a_person_goes_back_in_time_and_returns() {
     assert_eq!(browser.value("document.querySelector('#report').href.startsWith('blob:')"), true);
     browser.press("Home");
     browser.wait_for("document.querySelector('#clock').innerText.startsWith('tick 0 ')");
+    // A reload has the same ticks, marks and report.
+    browser.wait_for("live.kept");
+    browser.call("Page.reload", json!({}));
+    browser.wait_for("window.live && live.kept");
+    assert!(browser.text("#ended").contains("ticks 0 to 901"), "{}", browser.text("#ended"));
+    assert_eq!(browser.value("document.querySelector('#report').href.startsWith('blob:')"), true);
+    browser.click("#marks .late[data-ordinal='300']");
+    browser.wait_for("document.querySelector('#clock').innerText.startsWith('tick 300 ')");
+    browser.value(FIXTURE);
+    let drawn = format!(
+        "fixture.isNear(fixture.pixel(fixture.tick(300).scene.agents[0].p, [-8, 0]), {})",
+        color("none")
+    );
+    assert_eq!(browser.value(&drawn), true);
     assert!(browser.complaints().is_empty(), "{:?}", browser.complaints());
     let origin = live.url();
     for url in browser.requests() {
@@ -354,7 +368,7 @@ fn two_runs_have_a_verdict_and_the_largest_difference() {
                     const place = document.createElement('div'); return [900, 330].map((width) => { place.innerHTML = graphOf(report, width); \
                     const svg = place.firstChild; const boxes = [...svg.querySelectorAll('[data-partner]')].map((box) => [...box.querySelectorAll('text')].map((text) => text.textContent).join(' | ')); \
                     return [boxes.join('; '), svg.viewBox.baseVal.width <= width, new Set([...svg.querySelectorAll('g')].map((g) => g.getAttribute('transform').split(' ')[0])).size]; }); })()";
-    let words = "other box | 1,200 frames; other box | 900 frames | lost: 3; publication | since the stamp | 21.0 / 40.0 ms";
+    let words = "other box | 1,200 frames; other box | 900 frames | 3 links lost; publication | since the stamp | 21.0 / 40.0 ms";
     let drawn = browser.value(partners);
     assert_eq!((&drawn[0][0], &drawn[0][1]), (&json!(words), &json!(true)), "{drawn}");
     assert_eq!(
@@ -367,7 +381,7 @@ fn two_runs_have_a_verdict_and_the_largest_difference() {
                   agents: Array.from({ length: 10 }, (_, car) => ({ i: `${car}`, n: `${car}`, t: 0, s: [0, 0], u: 0, y: [], v: [0, 0], \
                   p: [k * 80, car * 400], h: 0, f: { q: 0, c: 0, a: 0, b: Array.from({ length: 12 }, (_, s) => [400 * (s + 1) - error * (car === 7 ? 3 : 1), 0]).flat(), \
                   m: [], e: [], x: [], o: 0 } })) })); \
-                  RUNS[0].unpacked.frames = frames(100); RUNS[1].unpacked.frames = frames(90); \
+                  RUNS[0].options = {}; RUNS[1].options = { 'sampler.evidence': 'false' }; RUNS[0].unpacked.frames = frames(100); RUNS[1].unpacked.frames = frames(90); \
                   document.querySelector('#compare').remove(); const card = comparison(RUNS); \
                   document.querySelector('#runs').before(card); comparedScene(card, RUNS); })()";
     browser.value(script);
@@ -376,6 +390,7 @@ fn two_runs_have_a_verdict_and_the_largest_difference() {
         verdict.starts_with("B is better by 10.0 % (10.0 to 10.0) for vehicles; p99 3.00 ms longer."),
         "{verdict}"
     );
+    assert!(verdict.contains("sampler.evidence: default in A, false in B"), "{verdict}");
     assert_eq!(
         number(&mut browser, "document.querySelectorAll('input[type=range]').length"),
         1.0,
