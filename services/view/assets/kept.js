@@ -28,6 +28,7 @@ async function keepOrRestore(run, ring) {
     return;
   }
   const { ticks, first, bytes, known } = ring;
+  if (!ticks.length) return;
   await withRuns("readwrite", (runs) => {
     runs.clear();
     return runs.put({ ticks, first, bytes, known }, run);

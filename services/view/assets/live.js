@@ -37,9 +37,8 @@ function takeTick({ missed, scene: tick }) {
 
 // Marks what happened at a tick.
 function mark(tick, before) {
-  const limit = live.status && live.status.report.late_limit_ms;
-  const isLockstep = live.status && live.status.report.run.lockstep;
-  if (limit && !isLockstep && tick.latency > limit) tick.marks.push(["late", `${shortNumber(tick.latency)} ms from end to end`]);
+  const limit = live.status && limitOf(live.status.report);
+  if (limit && tick.latency > limit) tick.marks.push(["late", `${shortNumber(tick.latency)} ms from end to end`]);
   if (!before) return;
   for (const [stage, starts] of Object.entries(tick.starts)) {
     if (starts > (before.starts[stage] || 0)) tick.marks.push(["restart", `${stage} was restarted`]);
@@ -176,7 +175,7 @@ function showMarks() {
 // Latencies along the time line; a bar that reaches the top is at the limit.
 function showStrip() {
   const [context, width, height] = canvasOf($("strip"));
-  const limit = (live.status && live.status.report.late_limit_ms) || Math.max(...ring.ticks.map(({ latency }) => latency || 0), 1);
+  const limit = (live.status && limitOf(live.status.report)) || Math.max(...ring.ticks.map(({ latency }) => latency || 0), 1);
   context.fillStyle = themed("grid");
   context.fillRect(0, 0, width, height);
   const columns = Math.max(Math.floor(width), 1);
@@ -223,7 +222,7 @@ function listen() {
     setState("ended", "soft");
     live.ended = true;
     showEnd();
-    if (!live.status || !ring.ticks.length) return;
+    if (!live.status) return;
     // Without storage, as in a private window, a reload has the newest tick alone.
     keepOrRestore(live.status.run, ring).then(showEnd, () => {}).finally(() => { live.kept = true; });
   });

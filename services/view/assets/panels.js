@@ -70,7 +70,7 @@ function showAgent() {
   $("agent-facts").textContent = `${speed.toFixed(1)} m/s · ${f ? QUALITIES[f.q] : "no forecast"}${age}`;
   $("why").innerHTML = f ? `${glyphOf(f.c)} ${escaped(explanationOf(f.c, last.t, f.x && f.x[STEADY]))}.` : "";
   const past = scene.past.map(({ age }) => age);
-  $("past").textContent = past.length ? `Purple in the scene: its forecasts of ${past.join(", ")} s ago${live.at === null ? "" : "; dark: where it went"}.` : "";
+  $("past").textContent = past.length ? `Dashed in the scene: its forecasts of ${past.join(", ")} s ago${live.at === null ? "" : "; solid: where it went"}.` : "";
   const [context, width, height] = canvasOf($("agent-quality"));
   const times = kept.map(([tick]) => tick.s);
   const [begin, end] = [times[0], Math.max(times[times.length - 1], times[0] + 1)];
@@ -180,6 +180,9 @@ function showConflicts({ agents, k = [], ego }) {
 }
 
 
+// The latency above which a tick is late, in ms; null if the source waits for the forecasts.
+const limitOf = ({ run, late_limit_ms: limit }) => (run.lockstep ? null : limit);
+
 function figure(value, name, tone = "") {
   return `<div class="figure"><b class="${tone}">${value}</b><span>${name}</span></div>`;
 }
@@ -187,7 +190,8 @@ function figure(value, name, tone = "") {
 function showStatus(status) {
   live.status = status;
   const { report, recent_end_to_end_ms: recent } = status;
-  const limit = report.late_limit_ms;
+  // In lockstep no tick is late.
+  const limit = limitOf(report);
   $("title").textContent = `${status.title || "detections of a producer"} · run ${status.run}`;
   $("limit").textContent = limit ? `limit ${shortNumber(limit)} ms` : "";
   const tone = (value) => (limit && value > limit ? "bad" : "");
@@ -214,7 +218,7 @@ function showStatus(status) {
   if ($("graph-box").open) $("graph").innerHTML = graphOf(report, $("graph").clientWidth);
   const restarts = status.stages.reduce((sum, stage) => sum + stage.process.restarts, 0);
   const bad = (count) => (count ? "bad" : "good");
-  $("health").innerHTML = figure(report.late_ticks, "late ticks", bad(report.late_ticks)) +
+  $("health").innerHTML = (limit ? figure(report.late_ticks, "late ticks", bad(report.late_ticks)) : figure(report.late_ticks, `ticks over ${shortNumber(report.late_limit_ms)} ms`)) +
     figure(report.drops, "lost frames", bad(report.drops)) + figure(restarts, "restarts", bad(restarts)) +
     figure(live.missed, "ticks skipped here", live.missed ? "warn" : "");
   const reasons = report.verdict.reasons;

@@ -276,6 +276,7 @@ function sceneOver(column, run, frames, title = "The scene over the whole run", 
   card.querySelector(".legend").innerHTML = legendOf([...causes].sort(), '<span class="key"><i class="dash"></i>held</span>' +
     '<span class="key"><i class="dots"></i>kinematic</span><span class="key"><i style="background:var(--faint)"></i>places seen</span>' +
     (canvas.lanes.length ? '<span class="key"><i class="line" style="background:var(--lane)"></i>lanes</span>' : "") +
+    '<span class="key"><i class="line" style="background:var(--ink)"></i>where they went</span>' +
     (framesB ? '<span class="key"><i class="line" style="background:var(--select)"></i>B, dashed</span>' : ""));
   input.addEventListener("input", show);
   canvas.go = (place) => {
