@@ -132,7 +132,9 @@ pub fn differences(
 #[pyfunction]
 pub fn compare(py: Python<'_>, before: Vec<String>, after: Vec<String>, folder: PathBuf) -> PyResult<()> {
     py.detach(|| {
-        let [first, second, page] = ["before.mcap", "after.mcap", "page.html"].map(|name| folder.join(name));
+        let (second, page) = (folder.join("after.mcap"), folder.join("page.html"));
+        let mut first = folder;
+        first.push("before.mcap");
         let record = record_of(&prepare(before.clone())?)?;
         let first = record.map_or_else(|| record_played(before, first), |of| Ok(of.path().to_owned()))?;
         let files = [first, record_played(after, second)?];
