@@ -16,7 +16,7 @@ function boxesOf({ stages, links = {}, since_stamp_ms: since }) {
     const lines = [frames && `${frames.toLocaleString("en")} frames`, skipped && `${skipped} skipped`, lost && `${lost} ${lost === 1 ? "link" : "links"} lost`].filter(Boolean);
     const partner = { name: words, partner: true, lines, isFaulty: Boolean(lost) };
     const isInput = stage.name === "source";
-    const link = { reads: isInput ? [] : ["forecasts out"], writes: isInput ? ["detections in"] : [] };
+    const link = { reads: isInput ? [] : ["out"], writes: isInput ? ["in"] : [], isOutput: !isInput };
     const [reads, writes] = [[...(stage.reads || []), ...link.writes], [...(stage.writes || []), ...link.reads]];
     const pair = [{ ...partner, ...link }, { ...stage, reads, writes }];
     return isInput ? pair : pair.reverse();
@@ -65,11 +65,12 @@ function boxOf(stage, [x, y]) {
     `<text x="${BOX.width - 8}" y="17" text-anchor="end" fill="var(--bad)">${faults.join(", ")}</text>${lines}`, "data-stage");
 }
 
-// The places of boxes in rows of at most `columns`: each stage after the ones that it reads from.
+// The places of boxes in rows of at most `columns`: each stage after the ones that it reads from, and a partner beside
+// its stage.
 function placesOf(boxes, arrows, columns) {
   const depth = boxes.map(() => 0);
   boxes.forEach((_, to) => arrows.filter((arrow) => arrow.to === to && !arrow.back)
-    .forEach(({ from }) => { depth[to] = Math.max(depth[to], depth[from] + 1); }));
+    .forEach(({ from }) => { depth[to] = Math.max(depth[to], depth[from] + (boxes[to].isOutput ? 0 : 1)); }));
   const order = boxes.map((_, place) => place).sort((a, b) => depth[a] - depth[b] || a - b);
   const places = [];
   order.forEach((box, at) => { places[box] = { at, column: at % columns, row: Math.floor(at / columns) }; });

@@ -171,6 +171,32 @@ fn what_was_shed_is_counted_with_its_share_and_greatest_age() {
 }
 
 #[test]
+fn the_time_since_the_stamp_needs_stamps_in_unix_time() {
+    let offset_ns = 1_700_000_000_000_000_000;
+    let since_ms = |stamped: fn(i64, u64) -> i64, offset_ns: Option<i64>| {
+        let mut recorder = recorder();
+        offset_ns.into_iter().for_each(|offset_ns| recorder.set_clock_offset(offset_ns));
+        for seq in 0..10 {
+            let of = header(seq, 1, &whole_chain(2));
+            let of = Header { stamp_ns: stamped(1_700_000_000_000_000_000, of.released_ns), ..of };
+            recorder.forecasts(&of, &[learned()]).unwrap();
+        }
+        recorder.report().since_stamp_ms.p50
+    };
+    // 10 ms before the release; the chain takes 14.4 ms.
+    let unix: fn(i64, u64) -> i64 = |offset_ns, released_ns| offset_ns + released_ns as i64 - 10_000_000;
+    let since = since_ms(unix, Some(offset_ns)).unwrap();
+    assert!((since - 24.4).abs() < 0.3, "{since} ms");
+    assert_eq!(since_ms(unix, None), None);
+    // The clock of a recording, and one that is ahead.
+    assert_eq!(since_ms(|_, released_ns| released_ns as i64, Some(offset_ns)), None);
+    assert_eq!(
+        since_ms(|offset_ns, released_ns| offset_ns + released_ns as i64 + 50_000_000, Some(offset_ns)),
+        None
+    );
+}
+
+#[test]
 fn constant_velocity_that_proved_better_is_no_fault() {
     let mut recorder = recorder();
     let outdone = forecast(Quality::Kinematic, Cause::Outdone);
