@@ -20,17 +20,18 @@ function withRuns(mode, act) {
   });
 }
 
-// Keeps the ticks of a run; or, if more of them were kept before a reload, puts those into the ring.
+// Keeps the ticks of a run; or, if more of them were kept before a reload, puts those into the ring. Returns whether it
+// did.
 async function keepOrRestore(run, ring) {
   const kept = await withRuns("readonly", (runs) => runs.get(run));
   if (kept && kept.ticks.length > ring.ticks.length) {
     Object.assign(ring, kept, { unpacked: { ordinal: -1, scene: null } });
-    return;
+    return true;
   }
   const { ticks, first, bytes, known } = ring;
-  if (!ticks.length) return;
-  await withRuns("readwrite", (runs) => {
+  if (ticks.length) await withRuns("readwrite", (runs) => {
     runs.clear();
     return runs.put({ ticks, first, bytes, known }, run);
   });
+  return false;
 }

@@ -224,7 +224,7 @@ function listen() {
     showEnd();
     if (!live.status) return;
     // Without storage, as in a private window, a reload has the newest tick alone.
-    keepOrRestore(live.status.run, ring).then(showEnd, () => {}).finally(() => { live.kept = true; });
+    keepOrRestore(live.status.run, ring).then((isRestored) => isRestored && showEnd(), () => {}).finally(() => { live.kept = true; });
   });
   source.addEventListener("error", () => setState("no connection", "bad"));
 }
