@@ -101,14 +101,14 @@ function changeOf(agents) {
   return { change: change(agents), low: changes[cut], high: changes[SAMPLES - 1 - cut] };
 }
 
-// The verdict on a type in words. A change below 0.05 % is none.
+// The verdict on a type in words. An interval within 0.1 % is no difference.
 function verdictOn(type, agents) {
   const { change, low, high } = changeOf(agents);
   if (change === null) return null;
   const size = (value) => Math.abs(value).toFixed(1);
-  const signed = (value) => (value < 0 ? "−" : "+") + size(value);
+  const signed = (value) => (+size(value) === 0 ? "" : value < 0 ? "−" : "+") + size(value);
   if (low === null) return `${PLURALS[type]}: ${agents.length} ${agents.length === 1 ? "agent is" : "agents are"} too few for a verdict`;
-  if (Math.max(Math.abs(low), Math.abs(high)) < 0.05) return `no difference for ${PLURALS[type]}`;
+  if (Math.max(Math.abs(low), Math.abs(high)) < 0.15) return `no difference for ${PLURALS[type]}`;
   if (high < 0) return `B is better by ${size(change)} % (${size(high)} to ${size(low)}) for ${PLURALS[type]}`;
   if (low > 0) return `B is worse by ${size(change)} % (${size(low)} to ${size(high)}) for ${PLURALS[type]}`;
   return `no clear difference for ${PLURALS[type]}: ${signed(change)} % (${signed(low)} to ${signed(high)})`;

@@ -397,6 +397,17 @@ fn two_runs_have_a_verdict_and_the_largest_difference() {
         "one slider"
     );
     assert!(browser.text("#largest tr[data-place]").starts_with("vehicle 7"));
+    let verdict = browser
+        .value("verdictOn(0, Array.from({ length: 9 }, (_, k) => ({ a: 1 + k, b: 1.001 + k, count: 1 })))");
+    assert_eq!(verdict, "no difference for vehicles");
+    let verdict = browser.value(
+        "verdictOn(1, Array.from({ length: 9 }, (_, k) => ({ a: 1, b: k % 2 ? 1.2 : 0.84, count: 1 })))",
+    );
+    let verdict = verdict.as_str().unwrap();
+    assert!(
+        verdict.starts_with("no clear difference for cyclists: 0.0 % (−") && verdict.contains(" to +"),
+        "{verdict}"
+    );
     let row = browser.value("comparedRow('x', 1, 1.0001, 3) + comparedRow('y', 2, 1.5, 1)");
     assert_eq!(
         row,
