@@ -31,7 +31,7 @@ function showLegend(tick) {
     isOn("truth", '<span class="key"><i class="line" style="background:var(--ink)"></i>where they went</span>') +
     isOn("conflicts", '<span class="key"><span class="bad">⊗</span>conflict</span>') +
     (tick.ego ? '<span class="key"><i style="background:var(--ego)"></i>ego</span>' : "") +
-    (scene.selected ? `<span class="key"><i class="line" style="background:var(--select)"></i>forecasts of ${PAST_S.join(", ")} s ago</span>` : ""));
+    (scene.selected ? `<span class="key"><i class="line dashes" style="color:var(--select)"></i>forecasts of ${PAST_S.join(", ")} s ago</span>` : ""));
   if (live.legend !== html) $("keys").innerHTML = live.legend = html;
 }
 
