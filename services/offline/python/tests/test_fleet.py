@@ -332,14 +332,16 @@ class Recordings(InFolder):
                 "a/good.csv": whole,
                 "a/degrees.csv": degrees,
                 "a/empty.csv": "",
+                "a/broken.csv": whole.replace("vehicle", "vehicle,", 3).replace("vehicle,", "vehicle", 2),
                 "a/cut.csv": whole[: len(whole) // 2 + 3],
             }
         )
         finished = stgdat.fleet.audit(self.folder / "drives", self.folder / "out", place=QUIET)
         figures = finished.report.figures
-        self.assertEqual((figures["recordings"], figures["doubtful"]), (2, 1))
-        self.assertEqual(figures["kinds"], {"headings_in_degrees": ["drives/a/degrees.csv"]})
-        self.assertEqual([of["name"] for of in figures["set_aside"]], ["drives/a/cut.csv", "drives/a/empty.csv"])
+        self.assertEqual((figures["recordings"], figures["doubtful"]), (3, 2))
+        kinds = {"cut_off": ["drives/a/cut.csv"], "headings_in_degrees": ["drives/a/degrees.csv"]}
+        self.assertEqual(figures["kinds"], kinds)
+        self.assertEqual([of["name"] for of in figures["set_aside"]], ["drives/a/broken.csv", "drives/a/empty.csv"])
         self.assertNotIn(str(self.folder), finished.report.text)
 
     def test_evaluate_gives_the_figures_of_a_single_evaluation(self) -> None:
