@@ -47,8 +47,7 @@ fn load(path: &Path) -> Result<(RunPage, Vec<ReadError>), Failure> {
     Ok(page_of(name, &recording, report))
 }
 
-/// The report beside a recording. A file that is no report, or the report of another run, is left out with a
-/// warning.
+/// The report beside a recording. Anything but the report of this run is left out with a warning.
 fn report_beside(path: &Path, about: &About) -> Option<Report> {
     let report = Report::read(path).map_err(|error| error.to_string());
     let report = report.and_then(|report| match is_of_run(&report, about) {

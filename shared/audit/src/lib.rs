@@ -40,6 +40,7 @@ mod live;
 mod motion;
 mod noise;
 mod positions;
+mod sizes;
 mod speeds;
 mod stamps;
 mod tally;
@@ -61,6 +62,7 @@ use headings::{Convention, Headings};
 pub use live::LiveAudit;
 pub use noise::{Noise, TypeNoise, noise_words};
 use positions::{Extent, Stacks};
+use sizes::Sizes;
 use speeds::{Speeds, Unit};
 use stamps::Stamps;
 pub use tally::Place;
@@ -70,16 +72,8 @@ use tally::Tally;
 const WHOLE_MIN: u64 = 100;
 /// Smallest number of detections without identities at a placeholder's position.
 const PLACEHOLDERS_MIN: u64 = 3;
-/// Smallest number of vehicles with a length.
-const SIZED_MIN: u64 = 20;
 /// Smallest share of the rows that a second sensor has: 1 / 5. Moving queues have fewer.
 const TWICE_OF: u64 = 5;
-/// Ratio of width to length from which a vehicle is wider than it is long.
-const WIDE: f64 = 1.2;
-/// Range of the median vehicle length if lengths are in feet.
-const LENGTHS_FT: std::ops::RangeInclusive<f64> = 12.0..=20.0;
-/// Width in metres of vehicles with such a length in metres, such as buses. Cars that are measured in feet are wider.
-const WIDTHS_M: std::ops::Range<f64> = 1.0..3.5;
 const TYPES: [AgentType; 3] = [AgentType::Vehicle, AgentType::Cyclist, AgentType::Pedestrian];
 
 /// Figures of the detections of a type.
@@ -134,10 +128,7 @@ pub struct Audit {
     fast: [(Tally, f64); TYPES.len()],
     /// Detections without identities.
     loose: Tally,
-    /// Detections of long vehicles that are as narrow as a bus.
-    long: u64,
-    /// Detections of vehicles that are wider than they are long.
-    wide: Tally,
+    sizes: Sizes,
 }
 
 impl Audit {
@@ -172,8 +163,7 @@ impl Audit {
             ignores_ids: false,
             fast: Default::default(),
             loose: Tally::default(),
-            long: 0,
-            wide: Tally::default(),
+            sizes: Sizes::new(),
         }
     }
 
@@ -188,8 +178,7 @@ impl Audit {
         (self.repeated, self.repeated_off_grid, self.on_grid_rows) = Default::default();
         (self.outliers, self.placeholders, self.jumps) = Default::default();
         self.loose_placeholders = Tally::default();
-        self.long = 0;
-        self.wide = Tally::default();
+        self.sizes.clear();
         (self.extent, self.fast, self.loose) = Default::default();
         self.stacks.clear();
         self.echoes.clear();
@@ -256,14 +245,7 @@ impl Audit {
             self.whole.add(1, place);
         }
         if agent_type == AgentType::Vehicle && detection.has(detection_flags::HAS_SIZE) {
-            let [length, width] = [detection.length_m, detection.width_m].map(f64::from);
-            self.speeds[of_type].length(length, place);
-            if LENGTHS_FT.contains(&length) && WIDTHS_M.contains(&width) {
-                self.long += 1;
-            }
-            if length > 0.0 && width > WIDE * length {
-                self.wide.add(1, place);
-            }
+            self.sizes.row([detection.length_m, detection.width_m].map(f64::from), place);
         }
         let step = if detection.has(detection_flags::HAS_ID) && !self.ignores_ids {
             self.handovers.detection(self.frames, stamp_ns, detection, place);
@@ -355,7 +337,7 @@ impl Audit {
                     agents,
                     moving_mps: speeds.moving_mps(),
                     reported_ratio: speeds.ratio(),
-                    length_m: speeds.length_m(),
+                    length_m: (agent_type == AgentType::Vehicle).then(|| self.sizes.length_m()).flatten(),
                 }
             })
             .filter(|figures| figures.rows > 0)
@@ -470,17 +452,7 @@ impl Audit {
     }
 
     fn visit_positions(&self, take: &mut impl FnMut(Finding)) {
-        let vehicles = &self.speeds[AgentType::Vehicle as usize];
-        if let Some(length_m) = vehicles.length_m().filter(|length_m| LENGTHS_FT.contains(length_m))
-            && vehicles.sized().rows >= SIZED_MIN
-            && 2 * self.long < vehicles.sized().rows
-        {
-            let detail = Detail::Length { length_m };
-            take(Finding::new(Doubt::Feet, vehicles.sized(), self.rows, detail));
-        }
-        if vehicles.sized().rows >= SIZED_MIN && 2 * self.wide.rows > vehicles.sized().rows {
-            take(Finding::new(Doubt::SizesSwapped, self.wide, self.rows, Detail::None));
-        }
+        self.sizes.visit(self.rows, take);
         let moves = self.speeds.iter().any(|speeds| speeds.moving_mps().is_some());
         if moves && self.whole.rows >= WHOLE_MIN && self.whole.rows == self.rows {
             take(Finding::new(Doubt::Pixels, self.whole, self.rows, Detail::None));

@@ -77,8 +77,6 @@ pub(crate) struct Speeds {
     off: Tally,
     /// Rows of these chords by the unit that explains them, and the number of chords.
     by_unit: [(Tally, u64); UNITS.len()],
-    lengths_m: Histogram,
-    sized: Tally,
     /// Whether some agents have no identity. Agents joined by place may jump, which would cause false alarms.
     loose: bool,
 }
@@ -103,8 +101,6 @@ impl Speeds {
             compared: Tally::default(),
             off: Tally::default(),
             by_unit: Default::default(),
-            lengths_m: Histogram::new(),
-            sized: Tally::default(),
             loose: false,
         }
     }
@@ -112,19 +108,13 @@ impl Speeds {
     pub fn clear(&mut self) {
         self.moving_mps.clear();
         self.ratios.clear();
-        self.lengths_m.clear();
         self.by_unit = Default::default();
         (self.moving, self.fast, self.compared) = Default::default();
-        (self.off, self.sized) = Default::default();
+        self.off = Default::default();
     }
 
     pub const fn is_loose(&mut self) {
         self.loose = true;
-    }
-
-    pub fn length(&mut self, length_m: f64, place: Place) {
-        self.lengths_m.add(length_m);
-        self.sized.add(1, place);
     }
 
     pub fn chord(&mut self, agent_type: AgentType, chord: Chord) {
@@ -157,11 +147,6 @@ impl Speeds {
         Some([self.moving_mps.percentile(50)?, self.moving_mps.percentile(95)?])
     }
 
-    /// Median of the lengths of agents.
-    pub fn length_m(&self) -> Option<f64> {
-        self.lengths_m.percentile(50)
-    }
-
     /// Median ratio between the speeds of the positions and the reported speeds.
     pub fn ratio(&self) -> Option<f64> {
         self.ratios.percentile(50)
@@ -170,11 +155,6 @@ impl Speeds {
     /// Whether positions and reported speeds agree; `None` if there are too few reported speeds.
     pub fn agree(&self) -> Option<bool> {
         (self.ratios.len() >= CHORDS_MIN).then(|| self.ratio().is_some_and(|ratio| RATIOS.contains(&ratio)))
-    }
-
-    /// Rows of vehicles that have a length.
-    pub const fn sized(&self) -> Tally {
-        self.sized
     }
 
     /// The speeds and their rows, if they are unusual for the type.

@@ -153,7 +153,7 @@ impl Format {
     }
 }
 
-/// The problem of a bag whose first bytes are not those of a bag.
+/// The problem of a file that ends as a bag and begins as something else.
 const HEADLESS: &str =
     "a bag (MCAP) whose beginning is missing or damaged: it ends as a bag, and does not begin as one";
 

@@ -4,6 +4,7 @@ use wire::{AgentType, Counts, Hop, InputCounts};
 
 use super::*;
 use crate::Status;
+use crate::input::InputReport;
 use crate::report::Percentiles;
 use crate::report::Shed;
 

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::Percentiles;
 
-/// Programs that connect a run to the outside, and what they connect it to.
+/// Programs that connect a run to another box or to ROS 2, and the name of the other side.
 pub const PARTNERS: [(&str, &str); 2] = [("stgdat-bridge", "other box"), ("stgdat-ros2", "ROS 2")];
 
 /// Times and losses of one stage.
