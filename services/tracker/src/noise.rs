@@ -6,18 +6,20 @@
 //! the [`InputModel`] of the next frame.
 //!
 //! **Correlated noise.** The error of an upstream tracker changes slowly. Contrasts of consecutive
-//! measurements then miss most of it. Further contrasts are taken of measurements [`APART_NS`] apart. If
-//! their variance l² exceeds the variance s² of the consecutive ones, the excess is correlated noise. A filter
-//! that takes its measurements as independent weighs them rightly with the variance
+//! measurements then miss most of it. Further contrasts are taken of measurements [`APART_NS`] apart. Their
+//! variance l² shows which part of the noise is a process with the correlation time τ = 0.3 s. A contrast of
+//! this process, between whose measurements it has the correlation ρ, has the variance a² g(ρ):
 //!
 //! ```text
-//! r² = s² + κ N max(0, l² − q s² − m²)
+//! g(ρ) = 1 − 1.5 ρ + 0.6 ρ² − 0.1 ρ³      ρ = exp(−Δ/τ)      ρ' = exp(−Δ'/τ)
+//! a² = max(0, l² − q s'² − m²) / (g(ρ') − g(ρ)) · min(1, s² / s'²)      q = 1 + 2 / √n
+//! r² = s² + a² ((1 + ρ) / (1 − ρ) − g(ρ))
 //! ```
 //!
-//! N is the number of measurements in that time. m allows for changes of the acceleration, q for the
-//! deviation of an estimate, and κ is the value for which r² / N is the variance of a mean over several
-//! seconds of noise with a correlation time of 0.3 s. Until enough measurements are apart to show l², the noise of
-//! an upstream tracker may be correlated. r² is then between s² for smooth positions and the prior for noisy ones.
+//! Δ and Δ' are the times between the measurements. s² is the variance of the newest consecutive contrasts, and
+//! s'² of those at the times of the n contrasts of l². m allows for changes of the acceleration. A filter takes measurements as independent. With the variance r², its mean over
+//! several seconds has the right variance. Until enough measurements are apart to show l², the noise of an
+//! upstream tracker may be correlated. Then the prior counts as [`APART_PRIOR_COUNT`] contrasts for noisy positions.
 
 mod view;
 
@@ -42,18 +44,20 @@ const PRIOR_COUNT: f64 = 0.1;
 /// A reported deviation is a better prior.
 const REPORTED_COUNT: f64 = 2.0;
 const COUNT_MAX: f64 = 400.0;
-/// Number of contrasts from which correlated noise is estimated.
-const APART_MIN_COUNT: f64 = 12.0;
+/// Number of contrasts as which the prior of correlated noise counts.
+const APART_PRIOR_COUNT: f64 = 12.0;
 /// Number of contrasts from which an estimate is published.
 const PUBLISHED_MIN_COUNT: f64 = 40.0;
 /// Smallest deviation that is published, because 0 means unknown.
 const PUBLISHED_LEAST: f64 = 1e-4;
 /// Number of contrasts from which the noise is also learned by the view.
 const BY_VIEW_MIN_COUNT: f64 = 40.0;
-/// κ, q and m of the module's equation.
-const CORRELATED: f64 = 4.2;
-const EXCESS_RATIO: f64 = 1.5;
-const CHANGE_M: f64 = 0.05;
+/// τ, (q − 1) √n and m of the module's equations.
+const CORRELATION_S: f64 = 0.3;
+const UNCERTAINTY: f64 = 2.0;
+const CHANGE_M: f64 = 0.04;
+/// Least g(ρ') − g(ρ) that tells correlated noise from independent noise.
+const CONTRAST_MIN: f64 = 0.15;
 /// Largest factor on a nominal deviation while detections are associated by position. Clutter that tracks follow
 /// looks like noise.
 const ASSOCIATED_MAX: f64 = 3.0;
@@ -75,10 +79,17 @@ pub struct Measurements {
 struct Contrasts {
     is_reported: bool,
     position: Option<[f64; 2]>,
-    /// Those of measurements [`APART_NS`] apart, and the number of measurements in this time.
-    apart: Option<([f64; 2], f64)>,
+    /// Those of measurements [`APART_NS`] apart.
+    apart: Option<([f64; 2], Spacing)>,
     heading_rad: Option<f64>,
     speed_mps: Option<f64>,
+}
+
+/// Times between the measurements of both kinds of contrasts, Δ and Δ'.
+#[derive(Clone, Copy, Debug, Default)]
+struct Spacing {
+    next_s: f64,
+    apart_s: f64,
 }
 
 impl Measurements {
@@ -90,24 +101,24 @@ impl Measurements {
         if self.fresh.is_reported != is_reported {
             *self = Self::default();
         }
-        let interval_ns = self.positions.newest_ns().map(|last_ns| own_ns.saturating_sub(last_ns).max(0));
+        let since_s = |last_ns: Option<i64>| {
+            last_ns.map_or(0.0, |last_ns| own_ns.saturating_sub(last_ns).max(0) as f64 / 1e9)
+        };
+        let spacing =
+            Spacing { next_s: since_s(self.positions.newest_ns()), apart_s: since_s(self.apart.newest_ns()) };
         let position = Measured { time_ns: own_ns, value: found.position_m(), sigma: nominal_m };
         let is_apart = self
             .apart
             .newest_ns()
             .is_none_or(|last_ns| own_ns.saturating_sub(last_ns) >= APART_NS.cast_signed());
-        let apart_ns = self.apart.newest_ns().map(|last_ns| own_ns.saturating_sub(last_ns).max(0));
         let apart = if is_apart { self.apart.add(position, GAP_MAX_NS, 0) } else { None };
-        let measured_count = apart_ns.zip(interval_ns).map_or(1.0, |(apart_ns, interval_ns)| {
-            (apart_ns as f64 / interval_ns.max(1) as f64).clamp(1.0, 20.0)
-        });
         let value = |flag, value: f32| detection.has(flag).then(|| f64::from(value));
         let heading_rad = value(detection_flags::HAS_HEADING, detection.heading_rad);
         let speed_mps = value(detection_flags::HAS_SPEED, detection.speed_mps);
         self.fresh = Contrasts {
             is_reported,
             position: self.positions.add(position, GAP_MAX_NS, SHORT_NS[agent_type.index()]),
-            apart: apart.map(|contrast| (contrast, measured_count)),
+            apart: apart.map(|contrast| (contrast, spacing)),
             heading_rad: heading_rad.and_then(|heading| self.add_heading(own_ns, heading)),
             speed_mps: speed_mps
                 .and_then(|speed| self.speeds.add(single(own_ns, speed), GAP_MAX_NS, 0))
@@ -158,11 +169,13 @@ struct TypeNoise {
 /// Noise of positions, relative to their nominal deviation.
 #[derive(Clone, Copy, Debug)]
 struct PositionNoise {
-    /// Of consecutive measurements, and of measurements [`APART_NS`] apart.
+    /// Of consecutive measurements, s².
     next: Scale,
+    /// Of measurements [`APART_NS`] apart, and of consecutive ones at the same times, l² and s'².
     apart: Scale,
-    /// Mean number of measurements in [`APART_NS`], and mean nominal deviation.
-    measured_count: f64,
+    next_paired: Scale,
+    /// Means of the times between measurements and of the nominal deviation.
+    spacing: Spacing,
     nominal_m: f64,
 }
 
@@ -171,44 +184,73 @@ impl PositionNoise {
         Self {
             next: Scale::new(1.0, prior_count, COUNT_MAX),
             apart: Scale::new(1.0, 0.0, COUNT_MAX),
-            measured_count: 1.0,
+            next_paired: Scale::new(1.0, 0.0, COUNT_MAX),
+            spacing: Spacing { next_s: 0.0, apart_s: 0.0 },
             nominal_m,
         }
     }
 
     fn add(&mut self, contrasts: &Contrasts) {
-        if let Some(next) = contrasts.position {
-            next.into_iter().for_each(|contrast| self.next.add(contrast));
-        }
-        if let Some((apart, measured_count)) = contrasts.apart {
+        let Some(next) = contrasts.position else { return };
+        next.into_iter().for_each(|contrast| self.next.add(contrast));
+        if let Some((apart, Spacing { next_s, apart_s })) = contrasts.apart {
             apart.into_iter().for_each(|contrast| self.apart.add(contrast));
-            self.measured_count += (measured_count - self.measured_count) / self.apart.count().max(1.0);
+            next.into_iter().for_each(|contrast| self.next_paired.add(contrast));
+            let gain = 1.0 / self.apart.count().max(1.0);
+            self.spacing.next_s += gain * (next_s - self.spacing.next_s);
+            self.spacing.apart_s += gain * (apart_s - self.spacing.apart_s);
         }
     }
 
-    /// The excess of the module's equation, max(0, l² − q s² − m²).
-    fn excess(&self) -> f64 {
-        if self.apart.count() < APART_MIN_COUNT {
-            return 0.0;
+    /// The learned noise, relative to the nominal variance.
+    fn learned(&self) -> Learned {
+        let [independent, apart, paired] = [&self.next, &self.apart, &self.next_paired].map(Scale::variance);
+        let [next, far] =
+            [self.spacing.next_s, self.spacing.apart_s].map(|time_s| (-time_s / CORRELATION_S).exp());
+        let contrast = contrast_variance(far) - contrast_variance(next);
+        if contrast < CONTRAST_MIN {
+            return Learned { own: independent, as_independent: independent };
         }
+        let ratio = 1.0 + UNCERTAINTY / self.apart.count().sqrt();
         let change = (CHANGE_M / self.nominal_m).powi(2);
-        (self.apart.variance() - EXCESS_RATIO * self.next.variance() - change).max(0.0)
+        let correlated =
+            (apart - ratio * paired - change).max(0.0) / contrast * (independent / paired).min(1.0);
+        let unseen = contrast_variance(next);
+        Learned {
+            own: independent + correlated * (1.0 - unseen),
+            as_independent: independent + correlated * ((1.0 + next) / (1.0 - next) - unseen),
+        }
     }
 
-    /// The factor of the module's equation on the variance of the nominal deviation.
+    /// The factor r² on the variance of the nominal deviation.
     fn factor(&self, may_be_correlated: bool) -> f64 {
-        let variance = self.next.variance();
-        if may_be_correlated && self.apart.count() < APART_MIN_COUNT {
-            let is_noisy = noisiness(self.nominal_m * variance.sqrt(), NOISY_M);
-            return variance + is_noisy * (1.0 - variance).max(0.0);
+        let learned = self.learned().as_independent;
+        if !may_be_correlated {
+            return learned;
         }
-        variance + CORRELATED * self.measured_count * self.excess()
+        let variance = self.next.variance();
+        let is_noisy = noisiness(self.nominal_m * variance.sqrt(), NOISY_M);
+        let prior = variance + is_noisy * (1.0 - variance).max(0.0);
+        learned + (prior - learned) * APART_PRIOR_COUNT / (APART_PRIOR_COUNT + self.apart.count())
     }
 
     /// The standard deviation of the positions themselves.
     fn deviation_m(&self, factor_max: f64) -> f64 {
-        self.nominal_m * (self.next.variance() + self.excess()).sqrt().min(factor_max)
+        self.nominal_m * self.learned().own.sqrt().min(factor_max)
     }
+}
+
+/// Variances of the noise, relative to the nominal one.
+struct Learned {
+    /// Of the noise itself.
+    own: f64,
+    /// Of independent noise that averages as slowly, r².
+    as_independent: f64,
+}
+
+/// g(ρ): the variance of a contrast of noise with unit variance, of which neighbours have this correlation.
+fn contrast_variance(correlation: f64) -> f64 {
+    1.0 - correlation * (1.5 - correlation * (0.6 - 0.1 * correlation))
 }
 
 impl TypeNoise {
@@ -320,3 +362,6 @@ impl Noise {
         })
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -268,10 +268,8 @@ fn the_learned_noise_is_published() {
 #[test]
 fn noise_that_triples_is_a_doubt() {
     for flags in [flags::HAS_IDENTITIES, 0] {
-        // A fall is found later: the contrasts 0.4 s apart are few, and show the old noise for half a minute.
         let doubts = |from_m: f64, to_m: f64| {
-            let at_s = if to_m > from_m { 41.0 } else { 18.0 };
-            let sigma_m = |time_s| if time_s < at_s { from_m } else { to_m };
+            let sigma_m = |time_s| if time_s < 41.0 { from_m } else { to_m };
             published(TrackerOptions::default(), flags, sigma_m).1
         };
         assert_eq!(doubts(0.1, 0.3), Doubt::NoiseChanged.bit(), "worse");
