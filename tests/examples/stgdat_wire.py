@@ -246,6 +246,9 @@ class LinkCount(enum.IntEnum):
     GARBAGE = 71  # Connections that sent something else, another version or damaged frames.
     NO_ROOM = 72  # Connections that found no room.
     OUTSIDE = 73  # Detections outside of the world.
+    SINCE_STAMP_P50 = 128  # Median of the time from the sensor's stamp to the publication, in microseconds.
+    SINCE_STAMP_P99 = 129  # The 99th percentile of the same.
+    SINCE_STAMP_MAX = 130  # The maximum of the same.
 
 
 def _check(record, size, offsets):

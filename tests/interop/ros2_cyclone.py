@@ -251,8 +251,11 @@ def ticks_of(report):
     """Ticks and late ticks of a report."""
     found = json.loads(Path(report).read_text())
     end_to_end_ms = found["end_to_end_ms"]
+    # As the bridge has measured it; none if it was not a stage.
+    since_stamp_ms = next((of["since_stamp_ms"] for of in found["stages"] if "since_stamp_ms" in of), {})
     return {"ticks": found["ticks"], "late": found["late_ticks"], "end_to_end_p50_ms": end_to_end_ms["p50"],
-            "end_to_end_p99_ms": end_to_end_ms["p99"]}
+            "end_to_end_p99_ms": end_to_end_ms["p99"], "published_p50_ms": since_stamp_ms.get("p50"),
+            "published_p99_ms": since_stamp_ms.get("p99"), "published_max_ms": since_stamp_ms.get("max")}
 
 
 def root_of(run):

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use wire::{Header, Heartbeat, StageId};
 
 use crate::refusals::RefusalCounts;
-use crate::report::{RefusedFrames, StageDrops};
+use crate::report::{Percentiles, RefusedFrames, StageDrops};
 
 /// Counters of one stage over all its incarnations.
 #[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
@@ -70,6 +70,11 @@ impl Losses {
     /// Counts of links to other boxes, by stage and kind.
     pub fn links(&self) -> BTreeMap<String, BTreeMap<String, u64>> {
         self.refusals.links()
+    }
+
+    /// Time from the sensor's stamp to a stage's publication in another system, if the stage measures it.
+    pub fn since_stamp_ms(&self, stage: StageId) -> Percentiles {
+        self.refusals.since_stamp_ms(stage)
     }
 
     /// The first stage on a tick's path that was restarted since the previous tick.

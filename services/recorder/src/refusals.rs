@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 use wire::{Heartbeat, LinkCount, RefusalCause, StageId};
 
-use crate::report::RefusedFrames;
+use crate::report::{Percentiles, RefusedFrames};
 
 /// Largest number of triples of reader, sender and cause. Senders may write any number.
 const ENTRIES_MAX: usize = 256;
@@ -37,12 +37,15 @@ impl RefusalCounts {
             let of_all =
                 |entry: &&mut Entry| (entry.reader, entry.sender, entry.cause) == (reader, sender, cause);
             let is_full = self.0.len() >= ENTRIES_MAX;
+            let is_time = refusal.link().is_some_and(LinkCount::is_time);
             match self.0.iter_mut().find(of_all) {
                 Some(entry) if incarnation > entry.incarnation => {
-                    let before = entry.before + entry.newest;
+                    let before = if is_time { 0 } else { entry.before + entry.newest };
                     *entry = Entry { incarnation, newest: frames, before, ..*entry };
                 }
-                Some(entry) if incarnation == entry.incarnation => entry.newest = entry.newest.max(frames),
+                Some(entry) if incarnation == entry.incarnation => {
+                    entry.newest = if is_time { frames } else { entry.newest.max(frames) };
+                }
                 None if !is_full => {
                     self.0.push(Entry { reader, sender, cause, incarnation, newest: frames, before: 0 });
                 }
@@ -82,12 +85,26 @@ impl RefusalCounts {
     pub fn links(&self) -> BTreeMap<String, BTreeMap<String, u64>> {
         let mut links = BTreeMap::<_, BTreeMap<_, _>>::new();
         for entry in &self.0 {
-            if let Some(kind) = LinkCount::from_number(entry.cause) {
+            if let Some(kind) = LinkCount::from_number(entry.cause).filter(|kind| !kind.is_time()) {
                 let counts = links.entry(name(entry.reader)).or_default();
                 counts.insert(kind.name().to_owned(), entry.before + entry.newest);
             }
         }
         links
+    }
+
+    /// Time from the sensor's stamp to a stage's publication in another system, if the stage measures it.
+    pub fn since_stamp_ms(&self, stage: StageId) -> Percentiles {
+        let time_ms = |kind: LinkCount| {
+            let is_this = |entry: &&Entry| (entry.reader, entry.cause) == (stage.number(), kind as u32);
+            self.0.iter().find(is_this).map(|entry| entry.newest as f64 / 1e3)
+        };
+        Percentiles {
+            p50: time_ms(LinkCount::SinceStampP50),
+            p99: time_ms(LinkCount::SinceStampP99),
+            p999: None,
+            max: time_ms(LinkCount::SinceStampMax),
+        }
     }
 }
 
@@ -134,6 +151,22 @@ mod tests {
         let expected = [("lost", 6), ("frames", 20)].map(|(kind, count)| (kind.to_owned(), count));
         assert_eq!(counts.links(), [("sampler".to_owned(), expected.into())].into());
         assert_eq!(counts.list().len(), 1);
+    }
+
+    #[test]
+    fn measured_times_are_the_newest_and_no_counts() {
+        let mut counts = RefusalCounts::default();
+        assert_eq!(counts.since_stamp_ms(StageId::Sampler), Percentiles::default());
+        for (incarnation, p50_us) in [(0, 30_000), (0, 21_500), (1, 12_000), (1, 11_250), (0, 99_000)] {
+            let mut beat = beat(incarnation, 1);
+            let times = [(LinkCount::SinceStampP50, p50_us), (LinkCount::SinceStampMax, 2 * p50_us)];
+            Refusals::put_link(&mut beat.refusals, times);
+            counts.heartbeat(&beat);
+        }
+        let expected = Percentiles { p50: Some(11.25), max: Some(22.5), ..Percentiles::default() };
+        assert_eq!(counts.since_stamp_ms(StageId::Sampler), expected);
+        assert_eq!(counts.since_stamp_ms(StageId::Decoder), Percentiles::default());
+        assert!(counts.links().is_empty() && counts.list().len() == 1);
     }
 
     #[test]

@@ -21,7 +21,7 @@ use crate::arrivals::Silences;
 use crate::input::{DOUBT, InputReport};
 use crate::lanes::LaneCounts;
 use crate::sessions::Sessions;
-use crate::text::{count, percent};
+use crate::text::{count, number, percent};
 pub use accuracy::{Accuracy, AgentErrors, Errors, WorstForecast};
 pub use forecasts::{Agents, ForecastCounts, OutOfDistribution, PriorCounts, Shed};
 use stages::RESTARTS;
@@ -225,6 +225,20 @@ pub struct Percentiles {
     pub max: Option<f64>,
 }
 
+impl Percentiles {
+    /// Whether nothing was measured.
+    #[must_use]
+    pub const fn is_empty(&self) -> bool {
+        self.p50.is_none()
+    }
+
+    /// `since the stamp 21.2 / 40.1 ms`: median and 99th percentile; `None` if nothing was measured.
+    fn since_the_stamp(&self) -> Option<String> {
+        self.p50?;
+        Some(format!("since the stamp {} / {} ms", number(self.p50).trim(), number(self.p99).trim()))
+    }
+}
+
 /// Why a report file could not be written or read.
 #[derive(Debug, thiserror::Error)]
 pub enum ReportError {
@@ -268,11 +282,14 @@ impl Report {
         json
     }
 
-    /// The counts of a stage's link to other boxes, if it has one.
+    /// The counts of a stage's link to other boxes or to ROS 2, if it has one.
     #[must_use]
     pub fn link_line(&self, stage: &str) -> Option<String> {
         let counts = self.links.get(stage)?.iter();
-        Some(counts.map(|(kind, value)| format!("{kind} {}", count(*value))).collect::<Vec<_>>().join(", "))
+        let counts = counts.map(|(kind, value)| format!("{kind} {}", count(*value)));
+        let times = self.stages.iter().filter(|of| of.name == stage);
+        let times = times.filter_map(|of| of.since_stamp_ms.since_the_stamp());
+        Some(counts.chain(times).collect::<Vec<_>>().join(", "))
     }
 
     /// The meaning of an OK, in lines.

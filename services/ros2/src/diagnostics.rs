@@ -33,6 +33,8 @@ pub struct Pulse {
     pub published_ns: u64,
     /// Time between the newest two ticks.
     pub interval_ns: u64,
+    /// Whether the tick has no input of its own: its tracks are predicted.
+    pub is_predicted: bool,
 }
 
 impl Pulse {
@@ -126,7 +128,7 @@ pub fn of_input(
 /// The diagnostics of the output, of which `left_out` objects are too old now.
 #[must_use]
 pub fn of_output(published: &Published, left_out: u64, link: &Link) -> DiagnosticStatus {
-    let Published { sent, dropped, too_old, unpaired } = *published;
+    let Published { sent, dropped, too_old, unpaired, since_stamp } = *published;
     let values = [
         ("published", sent),
         ("dropped", dropped),
@@ -139,7 +141,13 @@ pub fn of_output(published: &Published, left_out: u64, link: &Link) -> Diagnosti
         Some(near_miss) => (WARN, near_miss.clone()),
         None => (OK, "messages are published".to_owned()),
     };
-    status("stgdat: ros2", level, message, with_link(&values, link))
+    let mut values = with_link(&values, link);
+    let times = since_stamp.into_iter().flat_map(|times| ["p50", "p99", "max"].into_iter().zip(times.us()));
+    values.extend(times.map(|(name, time_us)| KeyValue {
+        key: format!("{name} since the stamp, ms"),
+        value: format!("{:.1}", time_us as f64 / 1e3),
+    }));
+    status("stgdat: ros2", level, message, values)
 }
 
 fn with_link(counts: &[(&str, u64)], link: &Link) -> Vec<KeyValue> {
@@ -164,7 +172,8 @@ fn header(stamp_ns: i64, frame: &str) -> Header {
     Header { stamp: Time { sec, nanosec }, frame_id: frame.to_owned() }
 }
 
-fn realtime_ns() -> i64 {
+/// Unix time.
+pub(crate) fn realtime_ns() -> i64 {
     let since = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH);
     since.map_or(0, |since| i64::try_from(since.as_nanos()).unwrap_or(i64::MAX))
 }
@@ -172,14 +181,20 @@ fn realtime_ns() -> i64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::since_stamp::Times;
 
     const S: u64 = 1_000_000_000;
 
     #[test]
     fn silence_is_an_explicit_empty_frame_and_a_sentence() {
         let of_bridge = || of_output(&Published::default(), 0, &Link::default());
-        let pulse =
-            Pulse { input_ns: 4 * S, stamp_ns: -500_000_000, published_ns: 5 * S, interval_ns: S / 10 };
+        let pulse = Pulse {
+            input_ns: 4 * S,
+            stamp_ns: -500_000_000,
+            published_ns: 5 * S,
+            interval_ns: S / 10,
+            is_predicted: true,
+        };
         let (predicted, diagnostics) = silent(Some(&pulse), None, "map", 7 * S, of_bridge());
         let predicted = predicted.expect("an empty frame");
         assert_eq!((predicted.header.stamp.sec, predicted.header.stamp.nanosec), (1, 500_000_000));
@@ -189,6 +204,21 @@ mod tests {
         let (predicted, diagnostics) = silent(None, Some(5), "map", 7 * S, of_bridge());
         assert_eq!((predicted, diagnostics.header.stamp.nanosec), (None, 5));
         assert!(diagnostics.status[0].message.starts_with("WAITING for input"), "{diagnostics:?}");
+    }
+
+    #[test]
+    fn the_time_since_the_stamp_has_its_values() {
+        let values = |since_stamp| {
+            let of = of_output(&Published { since_stamp, ..Published::default() }, 0, &Link::default());
+            of.values
+                .into_iter()
+                .filter(|value| value.key.contains("stamp"))
+                .map(|value| value.value)
+                .collect::<Vec<_>>()
+        };
+        assert!(values(None).is_empty());
+        let times = Times { p50_us: 21_250, p99_us: 40_000, max_us: 90_000 };
+        assert_eq!(values(Some(times)), ["21.2", "40.0", "90.0"]);
     }
 
     #[test]

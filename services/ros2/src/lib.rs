@@ -20,6 +20,7 @@ pub mod options;
 pub mod output;
 #[cfg(feature = "ros2")]
 pub mod publish;
+pub mod since_stamp;
 #[cfg(feature = "ros2")]
 pub mod source;
 pub mod ticks;

@@ -403,8 +403,9 @@ impl Node {
 }
 
 impl<M: Serialize> Writer<M> {
-    /// Publishes a message, or counts it as dropped if DDS has no room. Does not wait.
-    pub fn publish(&mut self, message: M) {
+    /// Publishes a message, or counts it as dropped if DDS has no room. Does not wait. Returns whether DDS has taken it.
+    pub fn publish(&mut self, message: M) -> bool {
+        let before = self.sent;
         match self.publisher.publish(message) {
             Ok(()) => self.sent += 1,
             Err(WriteError::WouldBlock { .. }) => self.dropped += 1,
@@ -413,6 +414,7 @@ impl<M: Serialize> Writer<M> {
                 tracing::warn!("a message can't be published: {error}");
             }
         }
+        self.sent > before
     }
 
     /// Messages that DDS has taken, and those that it had no room for.

@@ -8,10 +8,11 @@ use std::collections::{BTreeMap, VecDeque};
 use interop::autoware::{self, Tick};
 use interop::messages::{DiagnosticArray, PredictedObjects, TfMessage, TrackedObjects};
 use wire::tick_view::TickView;
-use wire::{Forecast, Header, StageId, Track, WorldOrigin, flags};
+use wire::{Forecast, Header, LinkCount, StageId, Track, WorldOrigin, flags};
 
 use crate::diagnostics::{self, Link, Pulse, SILENCE_NS};
 use crate::options::Options;
+use crate::since_stamp::Times;
 
 /// Tracks that wait for the forecasts of their tick.
 const WAITING_MAX: usize = 16;
@@ -39,6 +40,18 @@ pub struct Published {
     pub too_old: u64,
     /// Forecasts whose tracks did not arrive.
     pub unpaired: u64,
+    /// Time from the sensor's stamp until DDS has taken the forecasts.
+    pub since_stamp: Option<Times>,
+}
+
+impl Published {
+    /// The counts for the heartbeats of the stage.
+    pub fn link(&self) -> impl Iterator<Item = (LinkCount, u64)> {
+        let counts = [(LinkCount::Frames, self.sent), (LinkCount::Skipped, self.dropped)];
+        let kinds = [LinkCount::SinceStampP50, LinkCount::SinceStampP99, LinkCount::SinceStampMax];
+        let times = self.since_stamp.into_iter().flat_map(move |times| kinds.into_iter().zip(times.us()));
+        counts.into_iter().chain(times)
+    }
 }
 
 /// Fills the messages of a run.
@@ -133,7 +146,8 @@ impl Output {
                 apart_ns if apart_ns < INTERVAL_MAX_NS => apart_ns,
                 _ => pulse.interval_ns,
             });
-        self.pulse = Some(Pulse { input_ns, stamp_ns, published_ns: now_ns, interval_ns });
+        let is_predicted = header.has(flags::PREDICTED);
+        self.pulse = Some(Pulse { input_ns, stamp_ns, published_ns: now_ns, interval_ns, is_predicted });
         diagnostics.status.push(diagnostics::of_output(&self.published, left_out, &self.link));
         diagnostics.header.frame_id.clone_from(&self.frame);
         let mut predicted = autoware::predicted_objects(&tick, self.paths);

@@ -18,6 +18,8 @@ use crate::diagnostics::{self, Pulse};
 use crate::node::{Connections, FAREWELL, Node, NodeError, Writer, reliable};
 use crate::options::{Options, names};
 use crate::output::{Outgoing, Output, Published};
+use crate::since_stamp::SinceStamp;
+use crate::ticks::time_ns;
 
 /// The stage, which pipeline.toml adds. No tick waits for it.
 pub const STAGE: Declaration<Options> =
@@ -66,6 +68,7 @@ pub fn run(run: &Run) -> Result<(), StageError> {
             Awaited::Void(_) | Awaited::Late | Awaited::Lost(_) => {}
         }
         stage.done(header.seq);
+        stage.set_link(bridge.output.published.link());
     }
     bridge.close();
     Ok(())
@@ -153,6 +156,7 @@ impl Bridge {
         self.output.published.dropped = self.shared.dropped.load(Ordering::Relaxed);
         if self.looked.elapsed() >= DIAGNOSTICS {
             self.looked = Instant::now();
+            self.output.published.since_stamp = self.shared.since_stamp().times();
             self.output.link = self.connections.link();
         }
         if let Some(outgoing) = self.output.forecasts(header, forecasts, monotonic_ns()) {
@@ -200,6 +204,7 @@ struct Shared {
     changed: Condvar,
     sent: AtomicU64,
     dropped: AtomicU64,
+    since_stamp: Mutex<SinceStamp>,
 }
 
 #[derive(Debug, Default)]
@@ -215,6 +220,10 @@ impl Shared {
     fn slots(&self) -> MutexGuard<'_, Slots> {
         // Every change of the slots is a single assignment, so a panic leaves them whole.
         self.slots.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn since_stamp(&self) -> MutexGuard<'_, SinceStamp> {
+        self.since_stamp.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Replaces the message of the same kind that still waits.
@@ -290,11 +299,20 @@ impl Writers {
             }
             let before = self.counts();
             if let Some((tracked, tf)) = tracks {
-                tf.into_iter().for_each(|tf| self.tf.publish(tf));
+                tf.into_iter().for_each(|tf| {
+                    self.tf.publish(tf);
+                });
                 self.tracked.publish(tracked);
             }
             if let Some((predicted, diagnostics)) = forecasts {
-                self.predicted.publish(predicted);
+                let stamp_ns = time_ns(&predicted.header.stamp);
+                let is_taken = self.predicted.publish(predicted);
+                // The newest tick may already be the next one.
+                let is_measured = |(pulse, _): &(Pulse, _)| pulse.stamp_ns == stamp_ns && !pulse.is_predicted;
+                if is_taken && newest.as_ref().is_some_and(is_measured) {
+                    let now_ns = self.node.simulated_ns().unwrap_or_else(diagnostics::realtime_ns);
+                    shared.since_stamp().record(stamp_ns, now_ns);
+                }
                 self.diagnostics.publish(diagnostics);
                 diagnosed = Instant::now();
             }

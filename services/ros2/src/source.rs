@@ -8,7 +8,7 @@ use interop::messages::{DetectedObjects, DiagnosticArray, TfMessage, TrackedObje
 use ports::{StageError, monotonic_ns};
 use run::{Declaration, Run};
 use source::{Inbox, LiveSource};
-use wire::{DetectionsTopic, StageId, Topic as _, TruthTopic};
+use wire::{DetectionsTopic, LinkCount, StageId, Topic as _, TruthTopic};
 
 use crate::diagnostics;
 use crate::node::{Node, NodeError, Writer, latched, reliable};
@@ -89,6 +89,8 @@ pub fn run(run: &Run) -> Result<(), StageError> {
             let (counts, link) = (ticks.counts(), node.connections().link());
             let header = diagnostics::header_now(node.simulated_ns(), &options.frame);
             let unread = inbox.dropped();
+            let skipped = counts.dropped + unread;
+            source.set_link([(LinkCount::Frames, counts.messages), (LinkCount::Skipped, skipped)]);
             writer.publish(diagnostics::of_input(&counts, unread, age_ns, interval_ns, &link, header));
         }
         if reported.elapsed() >= REPORT

@@ -53,6 +53,10 @@ fn detections_of_cyclone_come_back_as_forecasts() {
         assert!(has_answers(&found), "{found}");
         assert_eq!(found["objects"], count, "{found}");
         assert!(found["paths"].as_u64().is_some_and(|paths| (1..=3).contains(&paths)), "{found}");
+        // The bridge publishes after the pipeline's forecasts, and before the slowest arrival at the reader.
+        let ms = |of: &str| found[of].as_f64().unwrap_or(f64::NAN);
+        assert!(ms("published_p50_ms") > ms("end_to_end_p50_ms"), "{found}");
+        assert!(ms("published_p50_ms") <= ms("max_ms"), "{found}");
     }
 }
 

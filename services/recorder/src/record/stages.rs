@@ -61,6 +61,7 @@ impl Recorder {
             drops,
             restarts: self.sums.losses.restarts(stage),
             replacements: 0,
+            since_stamp_ms: self.sums.losses.since_stamp_ms(stage),
         }
     }
 }

@@ -1,5 +1,5 @@
 use crate::record::tests::eventful;
-use crate::report::StageReport;
+use crate::report::{Percentiles, StageReport};
 use crate::{
     Outage, Recorder, RecorderOptions, Replacement, ReplacementOutcome, Report, SceneNoise, StageMemory,
     Status, Supervision, Verdict,
@@ -66,6 +66,10 @@ fn links_are_listed_by_stage() {
     let text = report.render(80);
     assert!(widest(&text) <= 80, "{text}");
     assert!(text.contains(" LINKS\n to-planner  another key 12,345, connections 12,345, "), "{text}");
+    let since_stamp_ms = Percentiles { p50: Some(21.25), p99: Some(40.0), ..Percentiles::default() };
+    let stage = StageReport { name: "to-planner".into(), since_stamp_ms, ..StageReport::default() };
+    let line = Report { stages: vec![stage], ..report }.link_line("to-planner").unwrap();
+    assert!(line.ends_with(", since the stamp 21.2 / 40.0 ms"), "{line}");
 }
 
 #[test]

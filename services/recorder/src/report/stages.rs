@@ -48,6 +48,9 @@ pub struct StageReport {
     /// Number of replacements during the run.
     #[serde(default)]
     pub replacements: u32,
+    /// Time from the sensor's stamp to the publication in ROS 2, as `stgdat-ros2` has measured it since its start.
+    #[serde(default, skip_serializing_if = "Percentiles::is_empty")]
+    pub since_stamp_ms: Percentiles,
 }
 
 impl StageReport {

@@ -52,6 +52,20 @@ numbers! {
         Full = 72 => "no room",
         /// Detections outside of the world.
         Outside = 73 => "outside",
+        /// Median of the time from the sensor's stamp to the publication, in microseconds.
+        SinceStampP50 = 128 => "since stamp p50",
+        /// The 99th percentile of the same.
+        SinceStampP99 = 129 => "since stamp p99",
+        /// The maximum of the same.
+        SinceStampMax = 130 => "since stamp max",
+    }
+}
+
+impl LinkCount {
+    /// Whether this is a measured time, which does not add up over restarts.
+    #[must_use]
+    pub const fn is_time(self) -> bool {
+        self as u32 >= Self::SinceStampP50 as u32
     }
 }
 
