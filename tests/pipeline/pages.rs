@@ -257,6 +257,11 @@ fn two_runs_are_side_by_side_and_a_report_alone_is_enough() {
     let dom = browser.dom();
     assert_eq!(dom.matches("<article class=\"run\"><header>").count(), 2);
     assert!(dom.contains("class=\"two\"") && dom.contains("seed 1") && dom.contains("seed 2"));
+    // The recording has no report, but its own facts.
+    assert!(
+        dom.contains("<td>seed</td><td>1</td><td>2</td>") && !dom.contains("<td>build</td>"),
+        "what differs"
+    );
     let print = scratch.path("two.pdf");
     let printing = Browser::open(&scratch, &url, 1600, &[&format!("--print-to-pdf={print}")]);
     printing.map(Browser::dom);

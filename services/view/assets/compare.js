@@ -163,13 +163,15 @@ function comparison([a, b]) {
   const list = largest.map(({ n, t, a, b, count, place, i }) => `<tr data-place="${place}" data-i="${i}"><td>${TYPES[t]} ${escaped(n)}</td>
     <td>${(a / count).toFixed(2)}</td><td>${(b / count).toFixed(2)}</td><td>${b > a ? "+" : "−"}${(Math.abs(b - a) / count).toFixed(2)}</td></tr>`).join("");
   const card = element(`<section id="compare">
-    <div class="verdict" id="compared"><b>${verdicts.length ? escaped(verdicts.join("; ").replace(/^./, (first) => first.toUpperCase())) : "The runs have no agents and ticks in common"}.</b>
-      <ul class="plain">${facts.map(([name, x, y]) => `<li>${name}: ${escaped(x)} in A, ${escaped(y)} in B</li>`).join("") ||
-        `<li>${a.options && b.options ? "Build, weights and options are the same" : "Build and weights are the same; only recordings contain the options"}</li>`}</ul></div>
+    <section class="card" id="differs"><h2>${facts.length ? "What differs" : a.options && b.options ? "Build, weights and options are the same" : "Build and weights are the same"}
+      <span class="soft">${a.options && b.options ? "" : "only recordings contain the options"}</span></h2>
+      ${facts.length ? `<div class="scroll"><table><tr><th></th><th>A, ${escaped(a.name)}</th><th>B, ${escaped(b.name)}</th></tr>${facts.map(([name, x, y]) =>
+        `<tr><td>${escaped(name)}</td><td>${escaped(x)}</td><td>${escaped(y)}</td></tr>`).join("")}</table></div>` : ""}</section>
+    <div class="verdict" id="compared"><b>${verdicts.length ? escaped(verdicts.join("; ").replace(/^./, (first) => first.toUpperCase())) : "The runs have no agents and ticks in common"}.</b></div>
     <div class="grid"><section class="card"><h2>A is ${escaped(a.name)}, B is ${escaped(b.name)}</h2><div class="scroll"><table>
       <tr><th></th><th>A</th><th>B</th><th>difference</th></tr>${rows}</table></div>
       <p class="note">Errors are the mean over the horizon, against where the agents were tracked later. Intervals hold
-      95 % of random samples of the agents.</p></section>
+      95&nbsp;% of random samples of the agents.</p></section>
     <section class="card"><h2>Largest differences<span class="soft">mean error, m; a click shows the agent</span></h2><div class="scroll tall"><table id="largest">
       <tr><th>agent</th><th>A</th><th>B</th><th>difference</th></tr>${list || "<tr><td class=soft>none</td></tr>"}</table></div></section></div>
     <div data-slot="scene"></div></section>`);

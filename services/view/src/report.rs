@@ -13,7 +13,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use lanes::LaneMap;
 use recorder::{Recorder, RecorderOptions, Report, WorstTick};
-use recording::{Frame, FrameError, Message, ReadError, Recording};
+use recording::{About, Frame, FrameError, Message, ReadError, Recording};
 use serde::Serialize;
 use wire::tick_view::TickView;
 use wire::{ForecastsTopic, HeartbeatsTopic, StageId, Topic as _, TruthTopic};
@@ -92,7 +92,7 @@ impl RunPage {
         let Gathering { recorder, mut details, .. } = gathering;
         let report = report.unwrap_or_else(|| {
             let mut report = recorder.report();
-            report.run.recording.get_or_insert_with(|| recording.about().scene.clone());
+            known(&mut report, recording.about());
             report
         });
         let wanted: BTreeSet<u64> = drawn(&report).map(|worst| worst.tick).collect();
@@ -120,12 +120,24 @@ impl RunPage {
     }
 }
 
-/// The options of the stages before the recorder. Paths in the run's own directory are left out; a played recording
-/// has none.
+/// Adds the facts of the run that its recording contains to a report that was measured from it.
+fn known(report: &mut Report, about: &About) {
+    let given = |text: &str| (!text.is_empty()).then(|| text.to_owned());
+    report.run.recording.get_or_insert_with(|| about.scene.clone());
+    report.run.seed.get_or_insert(about.run.seed);
+    report.run.weights_sha256 = report.run.weights_sha256.take().or_else(|| given(&about.weights_sha256));
+    // The build of the run, not the one that reads the recording.
+    if let Some(version) = given(about.program.trim_start_matches("stgdat ")) {
+        report.stgdat_version = version;
+    }
+}
+
+/// The instruction set of the kernels, and the options of the stages before the recorder. Paths in the run's own
+/// directory are left out; a played recording has no options.
 fn options(recording: &Recording) -> BTreeMap<String, String> {
     let run = &recording.about().run;
     let root = run.root.to_string_lossy();
-    let mut options = BTreeMap::new();
+    let mut options = BTreeMap::from([("kernels".to_owned(), recording.about().kernels.clone())]);
     for stage in &run.stages {
         let Some(id) = StageId::from_number(stage.stage).filter(|id| *id != StageId::Recorder) else {
             continue;

@@ -36,15 +36,21 @@ window.fixture = {
   },
   parts: (color) => color.match(/[0-9a-f]{2}/gi).map((value) => parseInt(value, 16)),
   isNear: (a, b) => fixture.parts(a).every((value, at) => Math.abs(value - fixture.parts(b)[at]) < 25),
-  // The number of pixels near a colour.
-  pixels(color, near = 30) {
+  // The number of pixels near a colour; within some pixels of a place of the scene if one is named.
+  pixels(color, near = 30, [x, y, within] = []) {
     sceneCanvas.draw();
     const wanted = fixture.parts(color);
-    const { data } = sceneCanvas.context.getImageData(0, 0, sceneCanvas.canvas.width, sceneCanvas.canvas.height);
+    const { ratio, canvas } = sceneCanvas;
+    const [sx, sy] = within ? sceneCanvas.toScreen(x, y).map((value) => Math.round((value - within) * ratio)) : [0, 0];
+    const size = within ? [2 * within * ratio, 2 * within * ratio] : [canvas.width, canvas.height];
+    const { data } = sceneCanvas.context.getImageData(sx, sy, ...size);
     let count = 0;
     for (let at = 0; at < data.length; at += 4) {
       if (Math.abs(data[at] - wanted[0]) + Math.abs(data[at + 1] - wanted[1]) + Math.abs(data[at + 2] - wanted[2]) < near) count++;
     }
     return count;
   },
+  // A colour over another one, as `#rrggbb`.
+  over: (color, ground, opacity) => "#" + fixture.parts(color)
+    .map((value, at) => Math.round(value * opacity + fixture.parts(ground)[at] * (1 - opacity)).toString(16).padStart(2, "0")).join(""),
 };

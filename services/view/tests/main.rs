@@ -251,9 +251,17 @@ fn a_finger_selects_a_person_on_a_phone() {
         "(() => { sceneCanvas.draw(); const [x, y] = sceneCanvas.toScreen(...sceneCanvas.scene.agents[2].p); \
          const b = document.querySelector('#scene').getBoundingClientRect(); return [b.x + x + 14, b.y + y + 14]; })()",
     );
+    // The ring of the selection appears around this person, and around nobody else.
+    let ring = |browser: &mut Browser, agent: usize| {
+        let around = format!("[...fixture.tick(29).scene.agents[{agent}].p, 16]");
+        number(browser, &format!("fixture.pixels(sceneCanvas.colors.select, 30, {around})"))
+    };
+    assert_eq!(ring(&mut browser, 2), 0.0);
     browser.tap_at([0, 1].map(|axis| place[axis].as_f64().unwrap()));
     browser.wait_for("sceneCanvas.selected === '13'");
     browser.wait_for("document.querySelector('#agent-name').innerText === 'pedestrian 13'");
+    assert!(ring(&mut browser, 2) > 30.0, "the person has a ring");
+    assert_eq!([0, 1].map(|agent| ring(&mut browser, agent)), [0.0; 2]);
     for button in ["#pause", "#back", "#forth", "#live"] {
         assert!(number(&mut browser, &format!("document.querySelector('{button}').offsetHeight")) >= 40.0);
     }
@@ -329,94 +337,6 @@ fn conflicts_are_listed_with_the_ego_first() {
     browser.click("#ruler");
     browser.value("sceneCanvas.ruler = [[0, 0], [300, 400]]; sceneCanvas.draw()");
     assert_eq!(browser.value("sceneCanvas.measured"), 5.0);
-}
-
-/// Runs whose forecasts of ten cars are 10 % nearer in B, on the page of two reports.
-#[test]
-fn two_runs_have_a_verdict_and_the_largest_difference() {
-    let mut reports = [recorder::Report::default(), recorder::Report::default()];
-    for (report, version) in reports.iter_mut().zip(["1.0", "1.1"]) {
-        report.stgdat_version = version.into();
-        report.end_to_end_ms.p99 = Some(if version == "1.0" { 10.0 } else { 13.0 });
-    }
-    let scratch = testing::Scratch::new("compare");
-    let runs = reports.map(|report| view::RunPage::of_report(report.stgdat_version.clone(), report));
-    let url = format!("file://{}", scratch.file("two.html", view::html(&runs)));
-    let Some(mut browser) = Browser::open("compare", &url, DESKTOP) else { return };
-    browser.wait_for("document.body.dataset.ready");
-    assert!(browser.text("#compared").starts_with("P99 3.00 ms longer."), "{}", browser.text("#compared"));
-    assert!(browser.text("#compared").contains("build: 1.0 in A, 1.1 in B"));
-    // The pipeline: two boxes, an arrow, and one back.
-    let graph = "(() => { const times = (p50, p99) => ({ p50, p99 }); const stage = (name, reads, writes, p99) => ({ name, reads, writes, \
-                 budget_ms: 6, compute_ms: times(1, p99), waiting_ms: times(0, 0), wake_up_ms: times(0, 0), restarts: 2, \
-                 drops: { gap: 0, refused: 1, restart: 0 } }); const place = document.createElement('div'); \
-                 place.innerHTML = graphOf({ stages: [stage('tracker', ['forecasts'], ['tracks'], 2), stage('sampler', ['tracks'], ['forecasts'], 9)] }, 900); \
-                 const texts = [...place.querySelectorAll('[data-stage=sampler] text')].map((text) => text.textContent); \
-                 return [place.querySelectorAll('path[stroke]').length, place.querySelectorAll('[stroke-dasharray]').length, texts.join(' | ')]; })()";
-    let drawn = browser.value(graph);
-    assert_eq!(drawn[0], 2, "{drawn}");
-    assert_eq!(drawn[1], 1, "{drawn}");
-    assert!(
-        drawn[2].as_str().unwrap().starts_with("sampler | 1 lost, 2 restarts | 1.00 / 9.00 of 6.00 ms"),
-        "{drawn}"
-    );
-    // Forecasts to another box, which loses links, and the time since the stamp. On a phone, the boxes are in a column.
-    let partners = "(() => { const stages = ['source', 'tracker', 'sampler', 'bridge'].map((name, at) => ({ name, reads: [[], ['detections'], ['tracks'], ['forecasts']][at], \
-                    writes: [['detections'], ['tracks'], ['forecasts'], []][at], program: at % 3 ? '' : 'stgdat-bridge', \
-                    budget_ms: null, compute_ms: { p50: at === 3 ? null : 1, p99: 2 }, waiting_ms: {}, wake_up_ms: {}, restarts: 0, drops: { gap: 0, refused: 0, restart: 0 } })); \
-                    const report = { stages, links: { source: { frames: 1200 }, bridge: { frames: 900, lost: 3 } }, since_stamp_ms: { p50: 21, p99: 40 } }; \
-                    const place = document.createElement('div'); return [900, 330].map((width) => { place.innerHTML = graphOf(report, width); \
-                    const svg = place.firstChild; const boxes = [...svg.querySelectorAll('[data-partner]')].map((box) => [...box.querySelectorAll('text')].map((text) => text.textContent).join(' | ')); \
-                    return [boxes.join('; '), svg.viewBox.baseVal.width <= width, new Set([...svg.querySelectorAll('g')].map((g) => g.getAttribute('transform').split(' ')[0])).size]; }); })()";
-    let words = "other box | 1,200 frames; other box | 900 frames | 3 links lost; publication | since the stamp | 21.0 / 40.0 ms";
-    let drawn = browser.value(partners);
-    assert_eq!((&drawn[0][0], &drawn[0][1]), (&json!(words), &json!(true)), "{drawn}");
-    assert_eq!(
-        (&drawn[1][0], &drawn[1][1], &drawn[1][2]),
-        (&json!(words), &json!(true), &json!(1)),
-        "{drawn}"
-    );
-    // The same runs with scenes. Cars drive at 10 m/s; forecasts are short by 1 m at each step, in B by 0.9 m.
-    let script = "(() => { const frames = (error) => Array.from({ length: 100 }, (_, k) => ({ seq: k, t: k * 0.08, ego: null, \
-                  agents: Array.from({ length: 10 }, (_, car) => ({ i: `${car}`, n: `${car}`, t: 0, s: [0, 0], u: 0, y: [], v: [0, 0], \
-                  p: [k * 80, car * 400], h: 0, f: { q: 0, c: 0, a: 0, b: Array.from({ length: 12 }, (_, s) => [400 * (s + 1) - error * (car === 7 ? 3 : 1), 0]).flat(), \
-                  m: [], e: [], x: [], o: 0 } })) })); \
-                  RUNS[0].options = {}; RUNS[1].options = { 'sampler.evidence': 'false' }; RUNS[0].unpacked.frames = frames(100); RUNS[1].unpacked.frames = frames(90); \
-                  document.querySelector('#compare').remove(); const card = comparison(RUNS); \
-                  document.querySelector('#runs').before(card); comparedScene(card, RUNS); })()";
-    browser.value(script);
-    let verdict = browser.text("#compared");
-    assert!(
-        verdict.starts_with("B is better by 10.0 % (10.0 to 10.0) for vehicles; p99 3.00 ms longer."),
-        "{verdict}"
-    );
-    assert!(verdict.contains("sampler.evidence: default in A, false in B"), "{verdict}");
-    assert_eq!(
-        number(&mut browser, "document.querySelectorAll('input[type=range]').length"),
-        1.0,
-        "one slider"
-    );
-    assert!(browser.text("#largest tr[data-place]").starts_with("vehicle 7"));
-    let verdict = browser
-        .value("verdictOn(0, Array.from({ length: 9 }, (_, k) => ({ a: 1 + k, b: 1.001 + k, count: 1 })))");
-    assert_eq!(verdict, "no difference for vehicles");
-    let verdict = browser.value(
-        "verdictOn(1, Array.from({ length: 9 }, (_, k) => ({ a: 1, b: k % 2 ? 1.2 : 0.84, count: 1 })))",
-    );
-    let verdict = verdict.as_str().unwrap();
-    assert!(
-        verdict.starts_with("no clear difference for cyclists: 0.0 % (−") && verdict.contains(" to +"),
-        "{verdict}"
-    );
-    let row = browser.value("comparedRow('x', 1, 1.0001, 3) + comparedRow('y', 2, 1.5, 1)");
-    assert_eq!(
-        row,
-        "<tr><td>x</td><td>1.000</td><td>1.000</td><td>0.000</td></tr><tr><td>y</td><td>2.0</td><td>1.5</td><td>−0.5</td></tr>"
-    );
-    browser.click("#largest tr[data-place]");
-    browser.click("[data-truth]");
-    browser.wait_for("scenes.at(-1).selected === '7' && scenes.at(-1).later.get('7').length > 20 && scenes.at(-1).past.length === 10");
-    assert!(browser.complaints().is_empty(), "{:?}", browser.complaints());
 }
 
 /// The colour of a cause in the light theme, as a JavaScript string.
