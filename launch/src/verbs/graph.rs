@@ -40,9 +40,28 @@ enum Format {
 struct Graph {
     /// Name and lines of each stage.
     stages: Vec<(String, Vec<String>)>,
-    /// Producer, topic and consumer.
-    edges: Vec<(String, String, String)>,
+    edges: Vec<Edge>,
 }
+
+/// An arrow from a producer to a consumer.
+struct Edge {
+    from: String,
+    to: String,
+    /// The topic, then times and losses.
+    lines: Vec<String>,
+    /// Whether frames were lost on it.
+    is_faulty: bool,
+}
+
+impl Edge {
+    fn new(from: &str, topic: &str, to: &str) -> Self {
+        let [from, to] = [from, to].map(str::to_owned);
+        Self { from, to, lines: vec![topic.to_owned()], is_faulty: false }
+    }
+}
+
+/// The colour of losses.
+const RED: &str = "#c2361f";
 
 /// Prints the graph of a pipeline.toml or of a run.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
@@ -69,11 +88,7 @@ fn of_pipeline(pipeline: &Pipeline) -> Graph {
     let edges = pipeline.edges().into_iter();
     Graph {
         stages: pipeline.stages.iter().map(|stage| (stage.id.name().to_owned(), lines_of(stage))).collect(),
-        edges: edges
-            .map(|(producer, topic, consumer)| {
-                (producer.name().to_owned(), topic.to_owned(), consumer.name().to_owned())
-            })
-            .collect(),
+        edges: edges.map(|(from, topic, to)| Edge::new(from.name(), topic, to.name())).collect(),
     }
 }
 
@@ -84,33 +99,48 @@ fn of_report(report: &Report) -> Option<Graph> {
     for producer in &report.stages {
         for topic in &producer.writes {
             let reads = report.stages.iter().filter(|stage| stage.reads.contains(topic));
-            edges.extend(reads.map(|consumer| (producer.name.clone(), topic.clone(), consumer.name.clone())));
+            edges.extend(reads.map(|consumer| Edge::new(&producer.name, topic, &consumer.name)));
         }
     }
     if edges.is_empty() {
         return None;
     }
-    let mut stages: Vec<_> =
-        report.stages.iter().map(|stage| (stage.name.clone(), measured_lines(stage))).collect();
+    let mut stages = Vec::new();
+    for (place, stage) in report.stages.iter().enumerate() {
+        // The last arrow on the way of a tick into a stage has the times and losses of the stage's input.
+        let is_before = |name: &str| report.stages[..place].iter().any(|earlier| earlier.name == name);
+        let entry = edges.iter_mut().rfind(|edge| edge.to == stage.name && is_before(&edge.from));
+        stages.push((stage.name.clone(), measured_lines(stage, entry.is_some())));
+        if let Some(edge) = entry {
+            edge.lines.extend(entry_lines(stage));
+            edge.is_faulty = lost_before(stage) > 0;
+        }
+    }
     for stage in &report.stages {
         let Some((_, words)) = PARTNERS.iter().find(|(program, _)| *program == stage.program) else {
             continue;
         };
-        let (name, own) = (format!("{words} of {}", stage.name).replace(' ', "_"), stage.name.clone());
+        let name = format!("{words} of {}", stage.name).replace(' ', "_");
         let counts = report.links.get(&stage.name).into_iter().flatten();
-        stages.push((name.clone(), counts.map(|(kind, count)| format!("{count} {kind}")).collect()));
-        edges.push(match stage.name == StageId::Source.name() {
-            true => (name, "in".to_owned(), own),
-            false => (own, "out".to_owned(), name),
-        });
+        let is_input = stage.name == StageId::Source.name();
+        let mut edge = match is_input {
+            true => Edge::new(&name, "in", &stage.name),
+            false => Edge::new(&stage.name, "out", &name),
+        };
+        edge.lines.extend(since_stamp(&stage.since_stamp_ms));
+        edges.push(edge);
+        stages.push((name, counts.map(|(kind, count)| format!("{count} {kind}")).collect()));
     }
-    if report.since_stamp_ms.p50.is_some() {
-        let line = format!("{} ms since the stamp", pair(&report.since_stamp_ms));
+    if let Some(line) = since_stamp(&report.since_stamp_ms) {
         stages.push(("publication".to_owned(), vec![line]));
-        let (from, to) = (StageId::Sampler.name().to_owned(), "publication".to_owned());
-        edges.push((from, ForecastsTopic::NAME.to_owned(), to));
+        edges.push(Edge::new(StageId::Sampler.name(), ForecastsTopic::NAME, "publication"));
     }
     Some(Graph { stages, edges })
+}
+
+/// The time since the sensor's stamp, if it was measured.
+fn since_stamp(of: &Percentiles) -> Option<String> {
+    of.p50.map(|_| format!("{} ms since the stamp", pair(of)))
 }
 
 impl Graph {
@@ -119,8 +149,14 @@ impl Graph {
         for (name, lines) in &self.stages {
             text += &format!("    {name}[\"{}\"]\n", label(name, lines, "<br/>"));
         }
-        for (producer, topic, consumer) in &self.edges {
-            text += &format!("    {producer} -->|{topic}| {consumer}\n");
+        for Edge { from, to, lines, .. } in &self.edges {
+            text += &match &lines[..] {
+                [topic] => format!("    {from} -->|{topic}| {to}\n"),
+                lines => format!("    {from} -->|\"{}\"| {to}\n", lines.join("<br/>")),
+            };
+        }
+        for (place, _) in self.edges.iter().enumerate().filter(|(_, edge)| edge.is_faulty) {
+            text += &format!("    linkStyle {place} stroke:{RED},color:{RED}\n");
         }
         text
     }
@@ -130,8 +166,13 @@ impl Graph {
         for (name, lines) in &self.stages {
             text += &format!("    {name} [label = \"{}\"];\n", label(name, lines, "\\n"));
         }
-        for (producer, topic, consumer) in &self.edges {
-            text += &format!("    {producer} -> {consumer} [label = \"{topic}\"];\n");
+        for Edge { from, to, lines, is_faulty } in &self.edges {
+            let color = if *is_faulty {
+                format!(", color = \"{RED}\", fontcolor = \"{RED}\"")
+            } else {
+                String::new()
+            };
+            text += &format!("    {from} -> {to} [label = \"{}\"{color}];\n", lines.join("\\n"));
         }
         text + "}\n"
     }
@@ -158,19 +199,33 @@ fn pair(of: &Percentiles) -> String {
     format!("{} / {}", number(of.p50), number(of.p99))
 }
 
-/// Median and 99th percentile of the compute against the budget, of the waiting and of the wake-up, and faults.
-fn measured_lines(stage: &StageReport) -> Vec<String> {
-    if stage.ticks == 0 && !stage.program.is_empty() {
-        return vec![stage.program.clone()];
-    }
+/// Frames that did not arrive at a stage, or that it refused.
+const fn lost_before(stage: &StageReport) -> u64 {
+    stage.drops.gap + stage.drops.refused
+}
+
+fn count(count: u64, what: &str) -> Option<String> {
+    (count > 0).then(|| format!("{count} {what}"))
+}
+
+/// Median and 99th percentile of a stage's waiting and of its wake-up, and the losses before it.
+fn entry_lines(stage: &StageReport) -> Vec<String> {
+    let is_measured = stage.compute_ms.p50.is_some();
+    let times = [("waiting", &stage.waiting_ms), ("wake-up", &stage.wake_up_ms)];
+    let times = times.map(|(name, of)| is_measured.then(|| format!("{name} {}", pair(of))));
+    times.into_iter().chain([count(lost_before(stage), "lost")]).flatten().collect()
+}
+
+/// Median and 99th percentile of the compute against the budget, and faults. Losses before a stage without an arrow
+/// are among them.
+fn measured_lines(stage: &StageReport, has_entry: bool) -> Vec<String> {
     let budget = stage.budget_ms.map_or(String::new(), |budget_ms| format!(" of {budget_ms}"));
-    let count = |count: u64, what: &str| (count > 0).then(|| format!("{count} {what}"));
+    let lost = stage.drops.restart + if has_entry { 0 } else { lost_before(stage) };
     let lines = [
-        Some(format!("{}{budget} ms", pair(&stage.compute_ms))),
-        Some(format!("waiting {}", pair(&stage.waiting_ms))),
-        Some(format!("wake-up {}", pair(&stage.wake_up_ms))),
-        count(stage.drops.total(), "lost"),
+        stage.compute_ms.p50.map(|_| format!("{}{budget} ms", pair(&stage.compute_ms))),
+        (stage.compute_ms.p50.is_none() && !stage.program.is_empty()).then(|| stage.program.clone()),
         count(stage.restarts.into(), "restarts"),
+        count(lost, "lost"),
     ];
     lines.into_iter().flatten().collect()
 }
@@ -208,27 +263,48 @@ mod tests {
         };
         let mut report = Report::default();
         assert!(of_report(&report).is_none());
-        report.stages = vec![stage("source", "", "detections"), stage("tracker", "detections", "tracks")];
+        report.stages = vec![
+            stage("source", "", "detections"),
+            stage("tracker", "detections", "tracks"),
+            stage("sampler", "tracks", "forecasts"),
+        ];
+        report.stages[1].reads.push("forecasts".into());
         report.stages[1].restarts = 2;
+        report.stages[1].drops.restart = 4;
         let text = of_report(&report).unwrap().mermaid();
-        assert!(text.contains("    source -->|detections| tracker\n"), "{text}");
-        let label = "tracker<br/>1.00 / 7.25 of 6 ms<br/>waiting - / -<br/>wake-up - / -<br/>2 restarts\"]";
-        assert!(text.contains(label) && !text.contains("lost"), "{text}");
+        let label = "tracker<br/>1.00 / 7.25 of 6 ms<br/>2 restarts<br/>4 lost\"]";
+        assert!(text.contains(label) && !text.contains("linkStyle"), "{text}");
+        // Waiting, wake-up and losses are at the last arrow of the tick's way, which is red.
+        report.stages[1].drops.gap = 3;
+        let arrow = "    source -->|\"detections<br/>waiting - / -<br/>wake-up - / -<br/>3 lost\"| tracker\n";
+        let graph = of_report(&report).unwrap();
+        let text = graph.mermaid();
+        for part in
+            [arrow, "    sampler -->|forecasts| tracker\n", "    linkStyle 0 stroke:#c2361f,color:#c2361f\n"]
+        {
+            assert!(text.contains(part), "{part}: {text}");
+        }
+        assert_eq!(text.matches("linkStyle").count(), 1, "{text}");
+        assert!(graph.dot().contains("\\n3 lost\", color = \"#c2361f\", fontcolor = \"#c2361f\"];\n"));
         // Detections from another box, forecasts to ROS.
         report.stages[0].program = "stgdat-bridge".into();
         report.links = [("source".to_owned(), [("frames".to_owned(), 12)].into())].into();
+        let times = |p50, p99| Percentiles { p50: Some(p50), p99: Some(p99), ..Percentiles::default() };
         report.stages.push(StageReport {
             program: "stgdat-ros2".into(),
             budget_ms: None,
+            compute_ms: Percentiles::default(),
+            since_stamp_ms: times(21.0, 33.0),
             ..stage("ros2", "tracks", "")
         });
-        report.since_stamp_ms = Percentiles { p50: Some(20.0), p99: Some(31.5), ..Percentiles::default() };
+        report.since_stamp_ms = times(20.0, 31.5);
         let text = of_report(&report).unwrap().mermaid();
         for part in [
             "other_box_of_source[\"other_box_of_source<br/>12 frames\"]",
             "other_box_of_source -->|in| source",
             "ros2[\"ros2<br/>stgdat-ros2\"]",
-            "ros2 -->|out| ROS_2_of_ros2",
+            "tracker -->|tracks| ros2",
+            "ros2 -->|\"out<br/>21.00 / 33.00 ms since the stamp\"| ROS_2_of_ros2",
             "publication[\"publication<br/>20.00 / 31.50 ms since the stamp\"]",
         ] {
             assert!(text.contains(part), "{part}: {text}");

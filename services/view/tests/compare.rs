@@ -1,7 +1,8 @@
-//! The page of two runs in headless Chromium.
+//! The page of two runs, and the graph of the pipeline, in headless Chromium.
 #![expect(clippy::unwrap_used, reason = "a test ends at what it can't do")]
 
 use recorder::Report;
+use serde_json::{Value, json};
 use testing::{Browser, Scratch};
 
 const FIXTURE: &str = include_str!("fixture.js");
@@ -124,4 +125,82 @@ fn both_runs_are_drawn_over_each_other() {
     browser.wait_for("sceneCanvas.selected === '7'");
     let ring = "fixture.pixels(sceneCanvas.colors.select, 60, [...sceneCanvas.scene.agents[7].p, 30])";
     assert!(number(&mut browser, ring) > 30.0, "the selected agent has a ring");
+}
+
+/// A graph of a report, drawn at each width: what `found` makes of its `svg`.
+fn drawn(browser: &mut Browser, report: &Value, widths: &[u32], found: &str) -> Value {
+    let script = format!(
+        "{widths:?}.map((width) => {{ const place = document.createElement('div'); place.innerHTML = graphOf({report}, width); \
+         const svg = place.firstChild; const words = (of, between) => [...svg.querySelectorAll(of)].map((text) => text.textContent).join(between); \
+         return {found}; }})"
+    );
+    browser.value(&script)
+}
+
+fn stage(name: &str, reads: &[&str], writes: &[&str], program: &str) -> Value {
+    let times = |p50, p99| json!({ "p50": p50, "p99": p99 });
+    json!({
+        "name": name, "reads": reads, "writes": writes, "program": program, "budget_ms": 6, "restarts": 0,
+        "compute_ms": times(Some(1.0), Some(9.0)), "waiting_ms": times(Some(0.1), Some(0.2)),
+        "wake_up_ms": times(Some(0.03), Some(0.4)), "drops": { "gap": 0, "refused": 0, "restart": 0 },
+    })
+}
+
+#[test]
+fn arrows_have_waiting_wake_up_and_losses() {
+    let Some(mut browser) = open("graph", reports()) else { return };
+    let mut stages = [
+        stage("source", &[], &["detections"], ""),
+        stage("tracker", &["detections", "forecasts"], &["tracks"], ""),
+        stage("sampler", &["tracks"], &["forecasts"], ""),
+    ];
+    stages[2]["drops"] = json!({ "gap": 3, "refused": 1, "restart": 7 });
+    stages[2]["restarts"] = 2.into();
+    let report = json!({ "stages": stages });
+    let found = "[words('text', ' | '), [...svg.querySelectorAll('path[data-topic]')].map((path) => \
+                 [path.dataset.topic, path.getAttribute('stroke'), path.getAttribute('stroke-dasharray')]), words('[data-stage=sampler] text', ' | ')]";
+    let drawn = drawn(&mut browser, &report, &[900, 330], found);
+    for of_width in drawn.as_array().unwrap() {
+        let arrows = of_width[1].as_array().unwrap();
+        let arrow = |topic: &str| arrows.iter().find(|arrow| arrow[0] == topic).unwrap();
+        // Losses are red. The next tick is dashed.
+        let soft = |topic: &str, dash: Value| json!([topic, "var(--soft)", dash]);
+        assert_eq!(arrows.len(), 3, "{of_width}");
+        assert_eq!(*arrow("tracks"), json!(["tracks", "var(--bad)", null]));
+        assert_eq!(*arrow("detections"), soft("detections", Value::Null));
+        assert_eq!(*arrow("forecasts"), soft("forecasts", "4 3".into()));
+        let words = of_width[0].as_str().unwrap();
+        assert!(words.contains("tracks | waiting | 0.10 / 0.20 | wake-up | 0.03 / 0.40 | 4 lost"), "{words}");
+        assert!(words.contains("detections | waiting | 0.10 / 0.20 | wake-up | 0.03 / 0.40"), "{words}");
+        assert_eq!(words.matches("waiting").count(), 2, "only where a tick arrives: {words}");
+        assert_eq!(of_width[2], "sampler | 1.00 / 9.00 of 6.00 ms | 2 restarts, 7 lost");
+    }
+}
+
+#[test]
+fn partners_are_outside_with_the_time_since_the_stamp() {
+    let Some(mut browser) = open("partners", reports()) else { return };
+    let mut stages = [
+        stage("source", &[], &["detections"], "stgdat-bridge"),
+        stage("tracker", &["detections"], &["tracks"], ""),
+        stage("sampler", &["tracks"], &["forecasts"], ""),
+        stage("ros2", &["forecasts"], &[], "stgdat-ros2"),
+        stage("bridge", &["forecasts"], &[], "stgdat-bridge"),
+    ];
+    for added in &mut stages[3..] {
+        added["compute_ms"] = json!({ "p50": null, "p99": null });
+    }
+    stages[3]["since_stamp_ms"] = json!({ "p50": 22, "p99": 41 });
+    let links = json!({ "source": { "frames": 1200 }, "ros2": { "frames": 910 }, "bridge": { "frames": 900, "lost": 3 } });
+    let report = json!({ "stages": stages, "links": links, "since_stamp_ms": { "p50": 21, "p99": 40 } });
+    let found = "[[...svg.querySelectorAll('[data-partner]')].map((box) => [...box.querySelectorAll('text')].map((text) => text.textContent).join(' | ')).sort().join('; '), \
+                 svg.viewBox.baseVal.width <= width, new Set([...svg.querySelectorAll('g')].map((g) => g.getAttribute('transform').split(' ')[0])).size, words('text', ' ')]";
+    let drawn = drawn(&mut browser, &report, &[900, 330], found);
+    let boxes = "ROS 2 | 910 frames; other box | 1,200 frames; other box | 900 frames | 3 links lost; publication | 21.0 / 40.0 ms | since the stamp";
+    for of_width in drawn.as_array().unwrap() {
+        assert_eq!((&of_width[0], &of_width[1]), (&json!(boxes), &json!(true)), "{of_width}");
+        let words = of_width[3].as_str().unwrap();
+        assert!(words.contains("since stamp 22.0 / 41.0"), "{words}");
+    }
+    assert_eq!(drawn[1][2], 1, "on a phone, the boxes are in a column");
 }
