@@ -3,6 +3,7 @@
 use std::io::{BufRead as _, BufReader, Write as _};
 use std::net::TcpStream;
 use std::path::Path;
+use std::process::Stdio;
 
 use rustix::process::Signal;
 use testing::Scratch;
@@ -132,6 +133,46 @@ fn browsers_that_come_and_go_leave_nothing() {
     let output = run.output();
     assert_eq!(output.status.code(), Some(130), "{}", stderr(&output));
     assert_nothing_left(&root);
+}
+
+/// Ctrl-C at the terminal of `script`, whose standard input is the terminal's keyboard.
+#[test]
+fn at_a_terminal_the_page_stays_until_ctrl_c() {
+    let program = env!("CARGO_BIN_EXE_stgdat");
+    // The condition holds, so the run's own code is 70.
+    let condition = "--fail-if 'end_to_end_p99 > 0 ms'";
+    let line = format!("exec {program} run --agents 8 --ticks 60 --quiet --view 0 {condition}");
+    let mut command = piped("script");
+    command.args(["--quiet", "--flush", "--return", "--command", &line, "/dev/null"]).env_remove("CI");
+    command.stdin(Stdio::piped());
+    if let Err(error) = piped("script").arg("--version").output() {
+        testing::skip(format_args!("script: {error}: install util-linux"));
+        return;
+    }
+    let mut terminal = Started::spawn(&mut command);
+    let mut line_with = |text: &str| loop {
+        let line = terminal.line();
+        assert!(!line.is_empty(), "the output ends before {text}");
+        if line.contains(text) {
+            break line;
+        }
+    };
+    let line = line_with("http://");
+    let url = line.split_whitespace().find(|word| word.starts_with("http://")).expect("a URL");
+    let address = url.trim_start_matches("http://").trim_end_matches('/').to_owned();
+    let receives = |event: &str| {
+        let mut stream = TcpStream::connect(&address).expect("the page is served");
+        write!(stream, "GET /events HTTP/1.1\r\nHost: {address}\r\n\r\n").expect("it reads");
+        BufReader::new(stream).lines().map_while(Result::ok).any(|line| line == event)
+    };
+    assert!(receives("event: end"), "a browser that has watched receives the end");
+    line_with("error: --fail-if");
+    line_with("The run has ended; the page stays until Ctrl-C");
+    // A reload gets the newest tick and the end.
+    assert!(receives("event: tick") && receives("event: end"));
+    terminal.press(b"\x03");
+    let output = terminal.output();
+    assert_eq!(output.status.code(), Some(70), "{}", stdout(&output));
 }
 
 #[test]

@@ -157,6 +157,12 @@ impl Started {
         String::from_utf8_lossy(&line).into_owned()
     }
 
+    /// Writes to the process's standard input, which is a pipe.
+    pub fn press(&mut self, keys: &[u8]) {
+        let input = self.0.stdin.as_mut().expect("the input is piped");
+        std::io::Write::write_all(input, keys).expect("the process reads");
+    }
+
     /// Whether the process has not ended yet.
     pub fn is_running(&mut self) -> bool {
         self.0.try_wait().expect("a child can be waited for").is_none()

@@ -36,7 +36,7 @@ use crate::pages::RunReport;
 use crate::play_report::input_of;
 use crate::saved_state::{self, SavedState};
 use crate::verbs::record;
-use crate::verbs::view::Page;
+use crate::verbs::view::{self, Page};
 use crate::version;
 use crate::view_arguments::ViewArguments;
 
@@ -104,11 +104,24 @@ pub struct Arguments {
     announce: Option<PathBuf>,
 }
 
-/// Runs a pipeline to the end of its scene and reports.
+/// Runs a pipeline to the end of its scene and reports. At a terminal the live page stays after the end until Ctrl-C if a
+/// browser has watched.
 pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     // Nothing that this process prints may delay the restart of a stage.
     streams::never_wait().map_err(Failure::unavailable)?;
     let stop = Stop::on_signals().map_err(Failure::unavailable)?;
+    let mut page = None;
+    let outcome = run_and_report(arguments, &stop, &mut page);
+    let Some(page) = page.filter(|_| !stop.requested() && view::is_attended()) else { return outcome };
+    let exit = outcome.unwrap_or_else(|failure| {
+        failure.print();
+        failure.exit()
+    });
+    page.stay(&stop);
+    Ok(exit)
+}
+
+fn run_and_report(arguments: &Arguments, stop: &Stop, page: &mut Option<Page>) -> Result<Exit, Failure> {
     if arguments.ring.limits().is_some() && arguments.record.is_none() {
         return Err(Failure::Usage("--last: --record FILE names the files that it is written to".to_owned()));
     }
@@ -186,11 +199,10 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         .transpose()?;
     let observer = Observer::open(&run, &arguments.observe, input.clone(), title, ticks_limit)?;
     let watch = Watch::open(&run, arguments.quiet, observer)?;
-    let page = arguments.view.map(|address| Page::start(&run.root, address)).transpose()?;
+    *page = arguments.view.map(|address| Page::start(&run.root, address)).transpose()?;
     let following = Following { tap, recording, watch, state };
     space.keep();
-    let ended = supervise(&pipeline, &run, &mut space, &record_file, &stop, following, keeps_memory)?;
-    drop(page);
+    let ended = supervise(&pipeline, &run, &mut space, &record_file, stop, following, keeps_memory)?;
     // The report covers the run up to its end, however it ended. After a signal or failure a report exists if
     // the recorder had begun. If the recorder died too, its last saved state is used.
     let report_after = version(&report_path);

@@ -1,4 +1,5 @@
 use std::ffi::OsString;
+use std::io::{IsTerminal as _, stdin, stdout};
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
@@ -32,6 +33,9 @@ const STATUS: Duration = Duration::from_millis(500);
 const WAIT: Duration = Duration::from_millis(200);
 /// Time limit for browsers to receive the end of the run.
 const END_LIMIT: Duration = Duration::from_secs(3);
+/// Time after the end of a run in which a view ends that nobody has watched, and the interval between two looks.
+const DECISION_LIMIT: Duration = Duration::from_millis(800);
+const LOOK: Duration = Duration::from_millis(50);
 /// Nice value of the server, so that the stages come first.
 const NICE: i32 = 10;
 
@@ -52,6 +56,9 @@ pub struct Arguments {
     /// Paths of each agent in Foxglove, the most probable first
     #[arg(long, value_name = "N", requires = "foxglove", default_value_t = 3, value_parser = clap::value_parser!(u16).range(1..=MODES_MAX as i64))]
     paths: u16,
+    /// Leave it to the launcher to state that the page stays
+    #[arg(long, hide = true)]
+    of_run: bool,
 }
 
 /// The server of Foxglove's websocket, and the option that it is built with.
@@ -88,7 +95,9 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
     }
     live.end(END_LIMIT);
     if was_watched && !stop.requested() {
-        log::print_line(&format!("{} has ended; the page stays until Ctrl-C", run.name));
+        if !arguments.of_run {
+            log::print_line(&format!("{} has ended; the page stays until Ctrl-C", run.name));
+        }
         while !stop.requested() {
             std::thread::sleep(WAIT);
         }
@@ -161,13 +170,33 @@ impl Page {
     /// Starts `stgdat view` for a run. It prints the page's URL.
     pub fn start(root: &Path, address: Option<SocketAddr>) -> Result<Self, Failure> {
         let mut command = Command::new(this_program());
-        command.arg("view").arg("--run").arg(root).stdin(Stdio::null());
+        command.arg("view").arg("--of-run").arg("--run").arg(root).stdin(Stdio::null());
         if let Some(address) = address {
             command.arg("--address").arg(address.to_string());
         }
         die_with_this_process(log::pass_on(&mut command));
         command.spawn().map(Self).map_err(Failure::unavailable)
     }
+
+    /// Keeps the page after the end of the run until `stop` is requested, if a browser has watched.
+    pub fn stay(mut self, stop: &Stop) {
+        let ended = Instant::now();
+        let mut is_stated = false;
+        while !stop.requested() && matches!(self.0.try_wait(), Ok(None)) {
+            // The view ends if nobody has watched.
+            if !is_stated && ended.elapsed() >= DECISION_LIMIT {
+                log::print_line("The run has ended; the page stays until Ctrl-C");
+                is_stated = true;
+            }
+            std::thread::sleep(LOOK);
+        }
+    }
+}
+
+/// Whether a person at a terminal sees the lines of this process: not a service, a pipe or CI.
+#[must_use]
+pub fn is_attended() -> bool {
+    stdin().is_terminal() && stdout().is_terminal() && std::env::var_os("CI").is_none()
 }
 
 impl Drop for Page {
