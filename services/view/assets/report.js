@@ -75,7 +75,7 @@ function headOf(run) {
     report.run.played_s && `${report.run.played_s.toFixed(1)} s`,
     report.agents.mean && `${report.agents.mean.toFixed(1)} agents per tick`,
     isLockstep ? "in lockstep" : "in real time"].filter(Boolean);
-  return `<header><h2>${escaped(report.run.recording || run.name)}</h2>
+  return `<header><h2>${escaped(report.run.recording || run.name).replace(/[/_]/g, "$&<wbr>")}</h2>
     <p class="soft">${escaped(run.name)} · ${facts.join(" · ")}</p></header>
     <div class="verdict ${tone}"><b>${word}</b><ul class="plain">${[...reasons, ...doubts].map((reason) =>
       `<li>${escaped(reason)}</li>`).join("")}</ul></div>`;

@@ -299,13 +299,17 @@ class SceneCanvas extends View {
     context.fillText(`${this.measured.toFixed(2)} m`, bx + 8, by - 8);
   }
 
-  drawBody(agent) {
-    const { context, colors, thin } = this;
-    const { p, f, t, h, s } = agent;
+  // Length and width with which an agent is drawn.
+  sizeOf({ s, t }) {
     const sizes = [[450, 190], [180, 60], [60, 60]][t] || [60, 60];
     const least = 7 * this.mark;
-    const length = Math.max(s[0] || sizes[0], least);
-    const width = Math.max(s[1] || sizes[1], t === 0 ? least / 2 : least * 0.6);
+    return [Math.max(s[0] || sizes[0], least), Math.max(s[1] || sizes[1], t === 0 ? least / 2 : least * 0.6)];
+  }
+
+  drawBody(agent) {
+    const { context, colors, thin } = this;
+    const { p, f, t, h } = agent;
+    const [length, width] = this.sizeOf(agent);
     context.save();
     context.translate(p[0], p[1]);
     context.rotate(h / 1000);
@@ -397,7 +401,9 @@ class SceneCanvas extends View {
       const isChosen = agent.i === this.selected;
       if (!detailed && !isChosen) continue;
       const [x, y] = this.toScreen(agent.p[0], agent.p[1]);
-      put(agent.n, x + 8, y - 8, isChosen ? colors.select : colors.ink, isChosen ? 13 : 11);
+      // Outside of the ring of the selection.
+      const away = isChosen ? 8 + 0.71 * Math.max(...this.sizeOf(agent)) / 2 / this.thin : 8;
+      put(agent.n, x + away, y - away, isChosen ? colors.select : colors.ink, isChosen ? 13 : 11);
       const modes = this.layers.modes && agent.f && agent.f.m && (isChosen || this.scale > 14) ? agent.f.m : [];
       for (const [probability, points] of modes) {
         if (probability < IMPROBABLE && !this.layers.improbable) continue;
