@@ -13,6 +13,7 @@ interface of the namespace. Exit code 77: a module, `unshare` or the right to a 
     python3 tests/interop/ros2_bridge.py PROGRAMS silence                   detections pause for 8 s: what others receive
     python3 tests/interop/ros2_bridge.py PROGRAMS clock 0.5                 /clock at this rate, then the bag begins again
     python3 tests/interop/ros2_bridge.py PROGRAMS near-misses               other QoS, types, names and domains
+    python3 tests/interop/ros2_bridge.py PROGRAMS markers                   markers for rviz
     python3 tests/interop/ros2_bridge.py PROGRAMS attached                  `stgdat ros2` publishes a running pipeline
     python3 tests/interop/ros2_bridge.py PROGRAMS table                     all of them, as the tables of docs/results
 
@@ -27,11 +28,11 @@ import subprocess
 import sys
 import tempfile
 import time
-from pathlib import Path
-
 from dataclasses import dataclass
+from pathlib import Path
+from types import SimpleNamespace
 
-from cdr_by_cyclonedds import blank
+from cdr_by_cyclonedds import Types, blank, definitions
 from ros2_cyclone import (CYCLONEDDS, DETECTIONS, INTERVAL_S, IdlStruct, LATCHED, NAMESPACE, PATHS, POSES, QOS, REST, DataReader,
                           DataWriter, DomainParticipant, Policy, Qos, Reader, ReaderProcess, Topic, Writer,
                           detected_objects, duration, end_run, figures, idl_types, pipeline, place, process_of, read_until_killed,
@@ -297,6 +298,32 @@ def near_misses(programs, types):
     return found
 
 
+def markers(programs, types, count=10):
+    """Markers for rviz, read with the definition of PyPI's `rosbags`."""
+    try:
+        from rosbags.typesys import Stores, get_typestore
+    except ImportError as error:
+        print(f"skipped: {error}: pip install rosbags")
+        sys.exit(77)
+    name = "visualization_msgs/msg/MarkerArray"
+    text = get_typestore(Stores.ROS2_JAZZY).generate_msgdef(name, ros_version=2)[0]
+    array = Types(definitions(SimpleNamespace(name=name, data=text.encode()))).of("visualization_msgs/MarkerArray")
+    with tempfile.TemporaryDirectory() as folder:
+        run = start_run(programs, pipeline(programs, folder, "markers = true"))
+        writer, participant = Writer(types), DomainParticipant(0)
+        reader = DataReader(participant, Topic(participant, "rt/stgdat/markers", array), qos=QOS)
+        wait_for_bridge(writer, run)
+        send(writer, count, 4)
+        newest = reader.take(100)[-1]
+        end_run(run)
+    of = {ns: [marker for marker in newest.markers if marker.ns == ns] for ns in ("agents", "paths", "labels")}
+    return {"frames": sorted({marker.header.frame_id for marker in newest.markers}), "first": newest.markers[0].action,
+            "counts": [len(found) for found in of.values()], "texts": sorted({marker.text.split()[0] for marker in of["labels"]}),
+            "types": sorted({marker.type for marker in of["agents"]}),
+            "pairs": all(len(marker.points) % 2 == 0 and marker.points for marker in of["paths"]),
+            "colors": sorted({"".join(f"{round(value * 255):02x}" for value in (c.r, c.g, c.b)) for m in newest.markers[1:] for c in [m.color]})}
+
+
 def attached(programs, types):
     """`stgdat ros2` attaches to a run of a generated scene, with a topic of another name, and ends with it."""
     with tempfile.TemporaryDirectory() as folder:
@@ -342,7 +369,7 @@ def main(programs, scenario, *arguments):
         print(json.dumps(clock(programs, types, float(arguments[0]))))
     elif scenario in (plain := {"stopped-reader": stopped_reader, "transforms": transforms, "tracked": tracked,
                                 "killed-bridge": killed_bridge, "silence": silence,
-                                "near-misses": near_misses, "attached": attached, "domains": domains}):
+                                "near-misses": near_misses, "markers": markers, "attached": attached, "domains": domains}):
         print(json.dumps(plain[scenario](programs, types)))
     elif scenario == "table":
         from ros2_table import table

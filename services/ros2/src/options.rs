@@ -31,6 +31,8 @@ pub mod names {
     pub const CLOCK: &str = "/clock";
     /// `DiagnosticArray`, written.
     pub const DIAGNOSTICS: &str = "/diagnostics";
+    /// `MarkerArray` for rviz, written if the option is set.
+    pub const MARKERS: &str = "/stgdat/markers";
 }
 
 /// What may be set of the bridge.
@@ -60,6 +62,9 @@ pub struct Options {
     /// generated scenes: a vehicle publishes its own pose
     #[arg(long, value_name = "true|false")]
     pub tf: Option<bool>,
+    /// Publish markers for rviz on /stgdat/markers: boxes, paths and labels, with colors and dashes by cause
+    #[arg(long)]
+    pub markers: bool,
     /// Topics with `DetectedObjects`.
     #[arg(skip)]
     pub detections: Option<Vec<String>>,
@@ -96,6 +101,7 @@ impl Default for Options {
             paths: PATHS,
             max_age_ms: None,
             tf: None,
+            markers: false,
             detections: None,
             tracks: Vec::new(),
             pose: None,

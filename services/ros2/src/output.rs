@@ -6,7 +6,7 @@
 use std::collections::{BTreeMap, VecDeque};
 
 use interop::autoware::{self, Tick};
-use interop::messages::{DiagnosticArray, PredictedObjects, TfMessage, TrackedObjects};
+use interop::messages::{DiagnosticArray, MarkerArray, PredictedObjects, TfMessage, TrackedObjects};
 use wire::tick_view::TickView;
 use wire::{Forecast, Header, LinkCount, StageId, Track, WorldOrigin, flags};
 
@@ -25,8 +25,8 @@ const INTERVAL_MAX_NS: u64 = 10_000_000_000;
 pub enum Outgoing {
     /// The tracks of a tick, and the ego vehicle's pose.
     Tracks(TrackedObjects, Option<TfMessage>),
-    /// The forecasts of a tick, and its diagnostics.
-    Forecasts(PredictedObjects, DiagnosticArray),
+    /// The forecasts of a tick, its diagnostics, and its markers if the option is set.
+    Forecasts(PredictedObjects, DiagnosticArray, Option<MarkerArray>),
 }
 
 /// What became of the ticks so far.
@@ -63,6 +63,7 @@ pub struct Output {
     paths: usize,
     max_age_ns: Option<u64>,
     has_tf: bool,
+    has_markers: bool,
     waiting: VecDeque<(Header, Vec<Track>)>,
     /// What became of the ticks so far.
     pub published: Published,
@@ -83,6 +84,7 @@ impl Output {
             paths: options.paths,
             max_age_ns: options.max_age_ms.map(|age_ms| (age_ms * 1e6) as u64),
             has_tf: options.tf.unwrap_or(!is_vehicle),
+            has_markers: options.markers,
             waiting: VecDeque::with_capacity(WAITING_MAX),
             published: Published::default(),
             link: Link::default(),
@@ -152,7 +154,11 @@ impl Output {
         diagnostics.header.frame_id.clone_from(&self.frame);
         let mut predicted = autoware::predicted_objects(&tick, self.paths);
         predicted.header.frame_id.clone_from(&self.frame);
-        Some(Outgoing::Forecasts(predicted, diagnostics))
+        let mut markers = self.has_markers.then(|| interop::markers::markers(&tick, self.paths));
+        for marker in markers.iter_mut().flat_map(|array| &mut array.markers) {
+            marker.header.frame_id.clone_from(&self.frame);
+        }
+        Some(Outgoing::Forecasts(predicted, diagnostics, markers))
     }
 
     /// The newest tick that was published.

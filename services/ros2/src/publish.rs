@@ -7,7 +7,7 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use interop::messages::{DiagnosticArray, PredictedObjects, TfMessage, TrackedObjects};
+use interop::messages::{DiagnosticArray, MarkerArray, PredictedObjects, TfMessage, TrackedObjects};
 use ports::{Awaited, Stage, StageError, Stop, monotonic_ns};
 use recording::About;
 use recording::tap::{Client, Item, Request};
@@ -210,7 +210,7 @@ struct Shared {
 #[derive(Debug, Default)]
 struct Slots {
     tracks: Option<(TrackedObjects, Option<TfMessage>)>,
-    forecasts: Option<(PredictedObjects, DiagnosticArray)>,
+    forecasts: Option<(PredictedObjects, DiagnosticArray, Option<MarkerArray>)>,
     /// The newest tick, and what had become of the ticks.
     newest: Option<(Pulse, Published)>,
     is_closed: bool,
@@ -231,8 +231,8 @@ impl Shared {
         let mut slots = self.slots();
         let is_replaced = match outgoing {
             Outgoing::Tracks(tracked, tf) => slots.tracks.replace((tracked, tf)).is_some(),
-            Outgoing::Forecasts(predicted, diagnostics) => {
-                slots.forecasts.replace((predicted, diagnostics)).is_some()
+            Outgoing::Forecasts(predicted, diagnostics, markers) => {
+                slots.forecasts.replace((predicted, diagnostics, markers)).is_some()
             }
         };
         drop(slots);
@@ -262,6 +262,7 @@ struct Writers {
     predicted: Writer<PredictedObjects>,
     tf: Writer<TfMessage>,
     diagnostics: Writer<DiagnosticArray>,
+    markers: Option<Writer<MarkerArray>>,
     frame: String,
     node: Node,
 }
@@ -283,6 +284,10 @@ impl Writers {
                 &DiagnosticArray::DEFINITION,
                 &reliable(DIAGNOSTICS_DEPTH),
             )?,
+            markers: options
+                .markers
+                .then(|| node.writer(options.topic(names::MARKERS), &MarkerArray::DEFINITION, &objects))
+                .transpose()?,
             frame: options.frame.clone(),
             node,
         })
@@ -304,7 +309,7 @@ impl Writers {
                 });
                 self.tracked.publish(tracked);
             }
-            if let Some((predicted, diagnostics)) = forecasts {
+            if let Some((predicted, diagnostics, markers)) = forecasts {
                 let stamp_ns = time_ns(&predicted.header.stamp);
                 let is_taken = self.predicted.publish(predicted);
                 // The newest tick may already be the next one.
@@ -315,6 +320,9 @@ impl Writers {
                 }
                 self.diagnostics.publish(diagnostics);
                 diagnosed = Instant::now();
+                markers.into_iter().zip(&mut self.markers).for_each(|(markers, writer)| {
+                    writer.publish(markers);
+                });
             }
             let now_ns = monotonic_ns();
             let pulse = newest.map(|(pulse, _)| pulse);

@@ -100,6 +100,25 @@ fn a_running_pipeline_is_published_until_it_ends() {
 }
 
 #[test]
+fn markers_reach_rviz_with_the_colours_of_the_causes() {
+    let Some(found) = tried(&["markers"]) else { return };
+    // Eight vehicles and two pedestrians: a box or a cylinder, a label, and up to three paths.
+    assert_eq!(found["frames"], serde_json::json!(["map"]), "{found}");
+    assert_eq!((&found["first"], &found["types"]), (&3.into(), &serde_json::json!([1, 3])), "{found}");
+    assert_eq!((&found["counts"][0], &found["counts"][2]), (&10.into(), &10.into()), "{found}");
+    assert!(
+        (10..=30).contains(&found["counts"][1].as_u64().unwrap_or(0)) && found["pairs"] == true,
+        "{found}"
+    );
+    assert_eq!(found["texts"], serde_json::json!(["pedestrian", "vehicle"]), "{found}");
+    let hex = |[red, green, blue]: wire::vocabulary::Rgb| format!("{red:02x}{green:02x}{blue:02x}");
+    let looks = wire::vocabulary::LOOKS.map(|look| hex(look.dark));
+    let colors = found["colors"].as_array().expect("colours");
+    assert!(!colors.is_empty(), "{found}");
+    assert!(colors.iter().all(|color| looks.iter().any(|look| color == look)), "{found}");
+}
+
+#[test]
 fn a_reader_in_another_domain_receives_nothing() {
     let Some(found) = tried(&["domains"]) else { return };
     assert!(has_answers(&found["same"]), "{found}");

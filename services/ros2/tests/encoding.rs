@@ -1,7 +1,9 @@
 //! The messages have the same bytes whether serde or this project's own CDR writes them.
 
 use interop::cdr::{Cdr, from_bytes};
-use interop::messages::{DetectedObjects, DiagnosticArray, PredictedObjects, TfMessage, TrackedObjects};
+use interop::messages::{
+    DetectedObjects, DiagnosticArray, MarkerArray, PredictedObjects, TfMessage, TrackedObjects,
+};
 use rustdds::no_key::{DeserializerAdapter as _, SerializerAdapter as _};
 use rustdds::serialization::{CDRDeserializerAdapter, CDRSerializerAdapter};
 use serde::Serialize;
@@ -22,5 +24,6 @@ fn dds_sends_and_reads_the_bytes_of_cyclone() {
     same::<TrackedObjects>(include_bytes!("../../../shared/interop/src/golden/TrackedObjects.cdr"));
     same::<PredictedObjects>(include_bytes!("../../../shared/interop/src/golden/PredictedObjects.cdr"));
     same::<TfMessage>(include_bytes!("../../../shared/interop/src/golden/TFMessage.cdr"));
+    same::<MarkerArray>(include_bytes!("../../../shared/interop/src/golden/MarkerArray.cdr"));
     same::<DiagnosticArray>(include_bytes!("../../../shared/interop/src/golden/DiagnosticArray.cdr"));
 }

@@ -110,7 +110,7 @@ fn split(ns: i64) -> (i32, u32) {
     (sec as i32, ns.rem_euclid(1_000_000_000) as u32)
 }
 
-fn header(view: &Tick<'_>) -> Header {
+pub(crate) fn header(view: &Tick<'_>) -> Header {
     let (sec, nanosec) = split(view.stamp_ns);
     Header { stamp: Time { sec, nanosec }, frame_id: MAP.to_owned() }
 }
@@ -130,7 +130,7 @@ fn yaw(heading_rad: f32) -> Quaternion {
     Quaternion { x: 0.0, y: 0.0, z: half.sin(), w: half.cos() }
 }
 
-fn pose([x, y]: [f64; 2], z: f64, heading_rad: f32) -> Pose {
+pub(crate) fn pose([x, y]: [f64; 2], z: f64, heading_rad: f32) -> Pose {
     Pose { position: RosPoint { x, y, z }, orientation: yaw(heading_rad) }
 }
 

@@ -5,9 +5,10 @@
 use perfetto::Message;
 use scene::ContextMap;
 use wire::tick_view::{AgentView, ForecastView, Point};
-use wire::{AgentType, Cause, Quality, WorldOrigin, vocabulary};
+use wire::{AgentType, Cause, WorldOrigin, vocabulary};
 
 use crate::autoware::{EGO, MAP, Tick, probable_paths, size_m};
+use crate::markers;
 
 /// Descriptors of Foxglove's messages.
 pub mod schemas {
@@ -163,17 +164,13 @@ fn lines(entity: &mut Message<'_>, view: &Tick<'_>, agent: &AgentView, paths_max
 }
 
 fn label(entity: &mut Message<'_>, view: &Tick<'_>, agent: &AgentView) {
-    let mut text = format!("{} {}", agent.agent_type.name(), agent.known_as());
-    if let Some(forecast) = agent.forecast.as_ref().filter(|forecast| forecast.quality != Quality::Learned) {
-        text += &format!("\n{}", vocabulary::described(forecast.quality, forecast.cause));
-    }
     entity.message(13, |label| {
         pose(label, 1, view.origin.own_m(agent.position_m), f64::from(size_m(agent)[2]) + 0.5, 0.0);
         label.number(2, 1);
         label.double(3, 12.0);
         label.number(4, 1);
         rgba(label, 5, [1.0; 4]);
-        label.text(6, &text);
+        label.text(6, &markers::label(agent));
     });
 }
 

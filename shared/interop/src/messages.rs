@@ -48,6 +48,16 @@ pub mod label {
     pub const PEDESTRIAN: u8 = 7;
 }
 
+/// Types and actions of [`Marker`].
+pub mod marker {
+    pub const CUBE: i32 = 1;
+    pub const CYLINDER: i32 = 3;
+    pub const LINE_LIST: i32 = 5;
+    pub const TEXT_VIEW_FACING: i32 = 9;
+    pub const ADD: i32 = 0;
+    pub const DELETEALL: i32 = 3;
+}
+
 /// A 6 × 6 covariance, row-major.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
@@ -208,6 +218,39 @@ messages! {
     }
     /// States of parts.
     DiagnosticArray = "diagnostic_msgs/msg/DiagnosticArray" { header: Header, status: Vec<DiagnosticStatus>, }
+    /// A color with its opacity.
+    ColorRgba = "std_msgs/msg/ColorRGBA" { r: f32, g: f32, b: f32, a: f32, }
+    /// An image in a file format.
+    CompressedImage = "sensor_msgs/msg/CompressedImage" { header: Header, format: String, data: Vec<u8>, }
+    /// A place in a texture.
+    UvCoordinate = "visualization_msgs/msg/UVCoordinate" { u: f32, v: f32, }
+    /// A mesh.
+    MeshFile = "visualization_msgs/msg/MeshFile" { filename: String, data: Vec<u8>, }
+    /// A shape, line or text for rviz.
+    Marker = "visualization_msgs/msg/Marker"
+    ["int32 CUBE=1", "int32 CYLINDER=3", "int32 LINE_LIST=5", "int32 TEXT_VIEW_FACING=9", "int32 ADD=0", "int32 DELETEALL=3"] {
+        header: Header,
+        ns: String,
+        id: i32,
+        r#type: i32,
+        action: i32,
+        pose: Pose,
+        scale: Vector3,
+        color: ColorRgba,
+        lifetime: Duration,
+        frame_locked: bool,
+        points: Vec<Point>,
+        colors: Vec<ColorRgba>,
+        texture_resource: String,
+        texture: CompressedImage,
+        uv_coordinates: Vec<UvCoordinate>,
+        text: String,
+        mesh_resource: String,
+        mesh_file: MeshFile,
+        mesh_use_embedded_materials: bool,
+    }
+    /// Markers.
+    MarkerArray = "visualization_msgs/msg/MarkerArray" { markers: Vec<Marker>, }
 }
 
 #[cfg(test)]
@@ -227,6 +270,8 @@ mod tests {
                 &DetectedObjects::DEFINITION,
                 "2facd6b15786cbd1f720cdd23d22e6d60d2e7e83b8dff8fd401330e24edb187b",
             ),
+            // By PyPI's `rosbags` 0.11, from the definition of Jazzy.
+            (&MarkerArray::DEFINITION, "86cb8800b6fb05b5eff1abd7a56f62a5641d3ae9a1c29e78e67e704f1d067dcf"),
         ];
         for (definition, hash) in hashes {
             assert_eq!(definition.hash(), format!("RIHS01_{hash}"), "{}", definition.name);

@@ -4,7 +4,9 @@ use scene::MapBuilder;
 use wire::{Forecast, ForecastsTopic, Header, HistoryState, Hop, Quality, Topic, Track, TracksTopic, flags};
 
 use crate::cdr::{Cdr, from_bytes, to_bytes};
-use crate::messages::{DetectedObjects, DiagnosticArray, PredictedObjects, TfMessage, TrackedObjects, label};
+use crate::messages::{
+    DetectedObjects, DiagnosticArray, MarkerArray, PredictedObjects, TfMessage, TrackedObjects, label,
+};
 use crate::{GRID_TOPIC, Target, ViewOptions, views};
 
 /// Reads Cyclone's bytes, writes them again, and returns the message.
@@ -32,6 +34,11 @@ fn messages_have_the_bytes_of_cyclone() {
     assert_eq!(tf.transforms.len(), 2);
     let diagnostics: DiagnosticArray = golden(include_bytes!("golden/DiagnosticArray.cdr"));
     assert_eq!(diagnostics.status[1].values.len(), 2);
+    // `tests/interop/markers_by_rosbags.py` wrote this one.
+    let markers: MarkerArray = golden(include_bytes!("golden/MarkerArray.cdr"));
+    let [first, second] = &markers.markers[..] else { panic!("{markers:?}") };
+    assert_eq!((first.header.stamp.sec, first.color.a, second.uv_coordinates.len()), (1, 21.0 / 8.0, 2));
+    assert!(second.mesh_use_embedded_materials != first.mesh_use_embedded_materials);
 }
 
 fn frame<T: Topic>(seq: u64, elements: &[T::Element]) -> Message {

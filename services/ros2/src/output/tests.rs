@@ -45,7 +45,7 @@ fn published(options: &Options, ages_ms: [u64; 2]) -> (PredictedObjects, Diagnos
     let (tracks, forecasts) = frames(ages_ms);
     output.tracks(&header(7), &tracks).unwrap();
     match output.forecasts(&header(7), &forecasts, 1_020_000_000) {
-        Some(Outgoing::Forecasts(predicted, diagnostics)) => (predicted, diagnostics),
+        Some(Outgoing::Forecasts(predicted, diagnostics, None)) => (predicted, diagnostics),
         other => panic!("{other:?}"),
     }
 }
@@ -87,7 +87,7 @@ fn predicted_ticks_state_that_there_is_no_input_and_doubts_are_sentences() {
         header.input.doubts = doubts;
         output.tracks(&header, &tracks).unwrap();
         match output.forecasts(&header, &forecasts, now_ms * 1_000_000) {
-            Some(Outgoing::Forecasts(_, diagnostics)) => {
+            Some(Outgoing::Forecasts(_, diagnostics, _)) => {
                 (diagnostics.status[0].level.0, diagnostics.status[0].message.clone())
             }
             other => panic!("{other:?}"),
@@ -128,4 +128,34 @@ fn forecasts_without_tracks_and_frames_that_are_no_ticks_have_no_message() {
     assert_eq!(output.forecasts(&header(3), &forecasts, 0), None);
     assert_eq!(output.published.unpaired, 1);
     assert!(output.forecasts(&header(39), &forecasts, 0).is_some() && output.waiting.is_empty());
+}
+
+#[test]
+fn markers_have_the_colour_the_dash_and_the_words_of_the_cause() {
+    use interop::messages::marker;
+    let options = Options { markers: true, frame: "site".to_owned(), paths: 2, ..Options::default() };
+    let mut output = output(&options, true);
+    let (tracks, mut forecasts) = frames([0, 0]);
+    // 12 m straight on: held because the controls were late, with a dash of 2.5 m and a gap of 1 m.
+    forecasts[0].modes[2][..2].copy_from_slice(&[[7.0, 0.0], [13.0, 0.0]]);
+    output.tracks(&header(7), &tracks).unwrap();
+    let Some(Outgoing::Forecasts(_, _, Some(array))) = output.forecasts(&header(7), &forecasts, 0) else {
+        panic!("no markers")
+    };
+    let [delete, body, path, other, label, ..] = &array.markers[..] else { panic!("{array:?}") };
+    assert!(array.markers.iter().all(|marker| marker.header.frame_id == "site"));
+    assert_eq!((delete.action, body.r#type, array.markers.len()), (marker::DELETEALL, marker::CUBE, 9));
+    let look = wire::vocabulary::look(Cause::Late as u32).unwrap();
+    for colored in [body, path, other, label] {
+        let bytes =
+            [colored.color.r, colored.color.g, colored.color.b].map(|value| (value * 255.0).round() as u8);
+        assert_eq!(bytes, look.dark);
+    }
+    assert_eq!((path.color.a, other.color.a), (1.0, 0.25 + 0.75 * 0.75));
+    let ends: Vec<f64> = path.points.iter().map(|point| point.x).collect();
+    assert_eq!(ends, [101.0, 103.5, 104.5, 107.0, 108.0, 110.5, 111.5, 113.0].map(|x: f64| x));
+    assert_eq!(label.text, format!("vehicle 1\nheld: {}", look.words));
+    let mut ids: Vec<i32> = array.markers.iter().map(|marker| marker.id).collect();
+    ids.dedup();
+    assert_eq!(ids.len(), array.markers.len(), "each marker has its own number");
 }
