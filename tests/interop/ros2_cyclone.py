@@ -268,8 +268,9 @@ def root_of(run):
 
 
 def process_of(run, stage):
-    """The process of a stage."""
-    for pid in Path(f"/proc/{run.pid}/task/{run.pid}/children").read_text().split():
+    """The process of a stage. Each thread of the launcher has its own children."""
+    lists = Path(f"/proc/{run.pid}/task").glob("*/children")
+    for pid in " ".join(of.read_text() for of in lists).split():
         if f"STGDAT_STAGE={stage}".encode() in Path(f"/proc/{pid}/environ").read_bytes().split(b"\0"):
             return int(pid)
     raise SystemExit(f"failed: there is no process of {stage}")

@@ -24,9 +24,9 @@ def table(programs, types, seconds="16"):
     text, lines, load = [], [], os.getloadavg()[1]
     for count in COUNTS:
         found = round_trip(programs, types, count, float(seconds))
-        lines.append(latencies(count, found)[:-1] + f"| {ms(found['end_to_end_p50_ms'])} | {found['bytes'] / 1e3:.1f} "
+        lines.append(latencies(count, found)[:-1] + f"| {ms(found['end_to_end_p50_ms'])} | {ms(found['published_p50_ms'])} | {found['bytes'] / 1e3:.1f} "
                      f"| {found['late']} of {found['ticks']} |")
-    head = "| objects | sent | lost | p50, ms | p99, ms | max, ms | pipeline p50, ms | answer, kB | late ticks |"
+    head = "| objects | sent | lost | p50, ms | p99, ms | max, ms | pipeline p50, ms | published p50, ms | answer, kB | late ticks |"
     text.append(rows(head, lines))
 
     found = stopped_reader(programs, types)
