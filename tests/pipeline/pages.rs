@@ -285,9 +285,12 @@ fn two_runs_are_side_by_side_and_a_report_alone_is_enough() {
     run_well(&["report", &a, &b, "--out", &page, "--force"]);
     // `diff` writes the same page of two files of a kind.
     let [second, of_diff] = ["b.mcap", "diff.html"].map(|name| scratch.path(name));
-    run_well(&[&scene[..], &["--seed", "2", "--record", &second]].concat());
+    let other = ["--seed", "2", "--set", "sampler.evidence=false", "--record", &second];
+    run_well(&[&scene[..], &other].concat());
     let differ = run(&["diff", &a, &second, "--html", &of_diff]);
-    assert!(stdout(&differ).contains("the runs differ in seed: 1 and 2"), "{}", stderr(&differ));
+    for what in ["seed: 1 and 2", "sampler.evidence: default and false"] {
+        assert!(stdout(&differ).contains(&format!("the runs differ in {what}\n")), "{}", stdout(&differ));
+    }
     run_well(&["report", &a, &second, "--out", &scratch.path("of-report.html")]);
     assert_eq!(scratch.read("diff.html"), scratch.read("of-report.html"));
     assert!(stderr(&run(&["diff", &a, &second, "--html", &of_diff])).contains("--force"));

@@ -1,3 +1,4 @@
+use std::collections::{BTreeMap, BTreeSet};
 use std::io::Read as _;
 use std::path::{Path, PathBuf};
 
@@ -111,13 +112,11 @@ fn differing(a: &About, b: &About) -> Vec<String> {
     ];
     let pairs = pairs.into_iter().filter(|(_, a, b)| a != b);
     let mut found: Vec<String> = pairs.map(|(name, a, b)| format!("{name}: {a} and {b}")).collect();
-    // The path of a run's report does not matter.
-    let options = |about: &About| {
-        let stages = about.run.stages.iter().filter(|stage| stage.stage != wire::StageId::Recorder.number());
-        stages.map(|stage| (stage.stage, stage.options.clone())).collect::<Vec<_>>()
-    };
-    if options(a) != options(b) {
-        found.push("options of the stages".to_owned());
-    }
+    let [of_a, of_b] = [a, b].map(view::options_of);
+    let names: BTreeSet<&String> = of_a.keys().chain(of_b.keys()).collect();
+    let value =
+        |of: &BTreeMap<String, String>, name| of.get(name).map_or("default", String::as_str).to_owned();
+    let options = names.into_iter().map(|name| (name, value(&of_a, name), value(&of_b, name)));
+    found.extend(options.filter(|(_, a, b)| a != b).map(|(name, a, b)| format!("{name}: {a} and {b}")));
     found
 }

@@ -17,7 +17,7 @@ mod scene;
 
 pub use foresight::{Conflict, Foreseen, Foresight};
 pub use live::{Live, WRITE_LIMIT, is_direct};
-pub use report::{PAGE_BYTES, RunPage, html};
+pub use report::{PAGE_BYTES, RunPage, html, options_of};
 pub use scene::{MODES_DRAWN, Pairing, Scene};
 
 const STYLE: &str = include_str!("../assets/page.css");

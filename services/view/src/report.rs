@@ -97,7 +97,9 @@ impl RunPage {
         });
         let wanted: BTreeSet<u64> = drawn(&report).map(|worst| worst.tick).collect();
         details.worst = scenes(recording, &wanted);
-        details.options = options(recording);
+        let about = recording.about();
+        details.options = options_of(about);
+        details.options.insert("kernels".to_owned(), about.kernels.clone());
         details.lanes =
             lanes.filter(|map| points_len(map) <= LANE_POINTS_MAX).map(crate::lanes_json).unwrap_or_default();
         (Self { name, report, details: Some(Box::new(details)) }, damages)
@@ -132,12 +134,13 @@ fn known(report: &mut Report, about: &About) {
     }
 }
 
-/// The instruction set of the kernels, and the options of the stages before the recorder. Paths in the run's own
-/// directory are left out; a played recording has no options.
-fn options(recording: &Recording) -> BTreeMap<String, String> {
-    let run = &recording.about().run;
+/// The options of the stages before the recorder, by stage and name. Paths in the run's own directory are left out; a
+/// played recording has none.
+#[must_use]
+pub fn options_of(about: &About) -> BTreeMap<String, String> {
+    let run = &about.run;
     let root = run.root.to_string_lossy();
-    let mut options = BTreeMap::from([("kernels".to_owned(), recording.about().kernels.clone())]);
+    let mut options = BTreeMap::new();
     for stage in &run.stages {
         let Some(id) = StageId::from_number(stage.stage).filter(|id| *id != StageId::Recorder) else {
             continue;
