@@ -37,7 +37,7 @@ use self::conflicts::{FORETELLERS, Foretold, Known, Pair, RECALL};
 use cell::{BAND_NAMES, Cell, band_of};
 pub use gaps::through_gaps;
 use gaussian::Gaussian;
-pub use noise::{COLUMNS as NOISE_COLUMNS, network_under_noise, synthetic, under_noise};
+pub use noise::{network_under_noise, synthetic, under_noise};
 pub(crate) use patterns::{Residual, Residuals, patterns};
 use play::Played;
 pub(crate) use play::{EVERY_NS, LEARNED_MIN};

@@ -52,7 +52,7 @@ pub use metrics::Errors;
 pub use noise::Noise;
 pub use page::Page;
 pub use scenes::{Agent, Cut, MOVING_MPS, Scene};
-pub use table::{Table, digits, pair};
+pub use table::{Entry, Table, digits, pair};
 pub use windows::{
     Evaluation, Figure, InteractionPart, Measure, Method, Report, State, StateError, eth_ucy, interaction,
     sdd,

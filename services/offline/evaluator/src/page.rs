@@ -1,5 +1,9 @@
 //! A report in all its forms.
 
+use serde_json::{Value, json};
+
+use crate::table::{COLUMNS, Table};
+
 /// A report as text for people and for machines.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Page {
@@ -13,22 +17,29 @@ pub struct Page {
     pub markdown: String,
     /// The main tables, with headings of the second level.
     pub summary: String,
-    /// One line per figure.
+    /// The titles of the columns, then one line per figure.
     pub csv: String,
     /// All figures.
-    pub json: serde_json::Value,
+    pub json: Value,
 }
 
 impl Page {
-    /// A report whose main tables are all of its tables.
-    #[must_use]
-    pub fn new(
-        name: &'static str,
-        mark: impl Into<String>,
-        markdown: String,
-        csv: String,
-        json: serde_json::Value,
-    ) -> Self {
+    /// A report whose figures are those of tables. The summary contains all of them.
+    pub(crate) fn of(name: &'static str, mark: impl Into<String>, tables: &[Table]) -> Self {
+        let markdown = sections(tables, "##", "");
+        let csv = COLUMNS.to_owned() + &tables.iter().map(Table::csv).collect::<String>();
+        let json = json!({ "tables": tables.iter().map(Table::json).collect::<Vec<_>>() });
         Self { name, mark: mark.into(), text: None, summary: markdown.clone(), markdown, csv, json }
     }
+
+    /// Adds a fact to the JSON.
+    pub(crate) fn with(mut self, key: &str, fact: impl serde::Serialize) -> Self {
+        self.json[key] = json!(fact);
+        self
+    }
+}
+
+/// Tables as Markdown, each under its heading. `made` describes the origin of all figures.
+pub(crate) fn sections<'a>(tables: impl IntoIterator<Item = &'a Table>, heading: &str, made: &str) -> String {
+    tables.into_iter().map(|table| table.section(heading, made)).collect::<Vec<_>>().join("\n")
 }

@@ -43,7 +43,3 @@ pub(crate) use report::{MethodErrors, TrackingReport};
 use singer::SingerBicycle;
 use smoother::smooth;
 pub(crate) use tuning::{TRIALS, Trials, tune};
-
-/// The first line of the figures of [`interaction()`] and [`kitti()`] as CSV, which form one table.
-pub const COLUMNS: &str =
-    "part,sigma_m,gap_s,sequences,least_score,class,method,quantity,measure,value,len,weights_sha256\n";

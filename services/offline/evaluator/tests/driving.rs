@@ -45,14 +45,14 @@ fn steady_vehicles_are_no_further_than_constant_velocity_has_them() {
     let folder = sources_of(&["one", "two"], 2, 6);
     let report = evaluate(&options(folder.path(), true), |_| ()).unwrap();
     let page = report.page();
-    let cells = &page.json["cells"];
+    let cells = &page.json["tables"][0]["rows"];
     for cell in cells.as_array().unwrap() {
-        let ade_m = |method: &str| cell["errors"][method]["ade_m"].as_f64().unwrap();
-        assert!(ade_m("ConstantVelocity") < 0.1, "{cell}");
-        assert!(ade_m("Best") < 0.3, "{cell}");
-        assert!(ade_m("BestOf") < 0.5, "{cell}");
+        let ade_m = |method: &str| cell[method]["ADE"].as_f64().unwrap();
+        assert!(ade_m("constant velocity") < 0.1, "{cell}");
+        assert!(ade_m("single best") < 0.3, "{cell}");
+        assert!(ade_m("best of 20") < 0.5, "{cell}");
         // 6 agents in 2 recordings, with about 25 s of forecasts, one every 0.4 s.
-        assert!((500..900).contains(&cell["forecasts"].as_u64().unwrap()), "{cell}");
+        assert!((500.0..900.0).contains(&cell["forecasts"].as_f64().unwrap()), "{cell}");
     }
     assert_eq!(cells.as_array().unwrap().len(), 2);
     assert!(page.markdown.contains("| one "), "{}", page.markdown);
@@ -91,14 +91,14 @@ fn a_sensor_without_errors_changes_no_figure_and_one_with_errors_does() {
     assert_eq!((&clean.csv, &clean.markdown), (&other_seed.csv, &other_seed.markdown));
     let noisy = Noise { sigma_m: 0.3, positions_only: true, ..Noise::default() };
     let forecasts = |page: &Page| {
-        let cell = &page.json["cells"][0];
-        (cell["forecasts"].as_u64().unwrap(), cell["errors"]["ConstantVelocity"]["fde_m"].as_f64().unwrap())
+        let cell = &page.json["tables"][0]["rows"][0];
+        (cell["forecasts"].as_f64().unwrap(), cell["constant velocity"]["FDE"].as_f64().unwrap())
     };
     let (count, clean_m) = forecasts(&clean);
     for without_ids in [false, true] {
         let report = report(Noise { without_ids, ..noisy });
         let (noisy_count, noisy_m) = forecasts(&report);
-        assert!(noisy_count.abs_diff(count) * 20 < count, "{noisy_count} forecasts, {count} without noise");
+        assert!((noisy_count - count).abs() * 20.0 < count, "{noisy_count} forecasts, {count} without noise");
         assert!(noisy_m > clean_m + 1.0, "{noisy_m} m, {clean_m} m without noise");
         let expected =
             if without_ids { "--noise 0.3 --no-ids --positions" } else { "--noise 0.3 --positions" };
@@ -111,7 +111,7 @@ fn the_truth_has_no_noise() {
     let folder = sources_of(&["one"], 1, 3);
     let options = Options { evidence: false, ..options(folder.path(), true) };
     let report = under_noise(&options, 1, |_| ()).unwrap();
-    let rows = report.json["rows"].as_array().unwrap();
+    let rows = report.json["tables"][0]["rows"].as_array().unwrap();
     let number = |row: &serde_json::Value, column: &str| row[column].as_f64().unwrap();
     assert!((number(&rows[0], "FDE / clean") - 1.0).abs() < 1e-9);
     for row in rows {

@@ -64,18 +64,16 @@ fn scores_are_chosen_on_one_part_for_the_other() {
     lines.finish().unwrap();
     let figure = |sequences: &str, tracker: &str, measure: &str| {
         let wanted = |of: &&serde_json::Value| {
-            of["sequences"] == sequences
-                && of["tracker"] == tracker
-                && of["measure"] == measure
-                && of["class"] == "car"
+            of["sequences"] == sequences && of["tracker"] == tracker && of["class"] == "car"
         };
-        let found = report["figures"].as_array().unwrap().iter().find(wanted).unwrap();
-        (found["value"].as_f64().unwrap(), found["least_scores"].as_str().unwrap().to_owned())
+        let found = report["tables"][0]["rows"].as_array().unwrap().iter().find(wanted).unwrap();
+        let figure = found[measure].get("misses").unwrap_or(&found[measure]);
+        (figure.as_f64().unwrap(), found["score threshold"].as_str().unwrap().to_owned())
     };
     // Thresholds from 1 on remove the ghost of 0016, thresholds from 3 on the ghost of 0000.
     assert_eq!(figure("0000 to 0000", "credulous", "false"), (1.0, "1".to_owned()));
     assert_eq!(figure("0016 to 0016", "credulous", "false"), (0.0, "3".to_owned()));
-    assert_eq!(figure("all", "credulous", "MOTA"), (0.5, "1;3".to_owned()));
+    assert_eq!(figure("all", "credulous", "MOTA"), (0.5, "1, 3".to_owned()));
     // A single frame does not confirm a track.
     assert_eq!(figure("all", "nearest neighbours", "misses").0, 2.0);
     // The lines give the same counts: the car is matched, and each further track is false.

@@ -206,15 +206,15 @@ fn lines_of_driving_give_its_errors() {
     let folder = crate::driving::sources_of(&["one", "two"], 2, 6);
     let (page, lines) =
         with_lines(options(folder.path()), |options| driving::evaluate(options, |_| ()).unwrap().page());
-    for cell in page.json["cells"].as_array().unwrap() {
+    for cell in page.json["tables"][0]["rows"].as_array().unwrap() {
         let is_of = |line: &&Value| line["part"] == cell["source"] && line["type"] == cell["type"];
         let of_cell: Vec<&Value> = lines.iter().filter(is_of).collect();
-        assert_eq!(cell["forecasts"], of_cell.len());
-        for (method, name) in [("Best", "published"), ("ConstantVelocity", "constant velocity")] {
+        assert_eq!(cell["forecasts"], of_cell.len() as f64);
+        for (method, name) in [("single best", "published"), ("constant velocity", "constant velocity")] {
             let ends =
                 of_cell.iter().map(|line| errors(&line["forecasts"][name]["single_m"], &line["truth_m"])[1]);
             let mean = ends.sum::<f64>() / of_cell.len() as f64;
-            let figure = cell["errors"][method]["fde_m"].as_f64().unwrap();
+            let figure = cell[method]["FDE"].as_f64().unwrap();
             assert!((figure - mean).abs() < 1e-6, "{method}: {figure} {mean}");
         }
     }
@@ -229,23 +229,26 @@ fn lines_of_tracked_vehicles_give_their_errors() {
     let (page, lines) = with_lines(options(root.path()), |options| {
         tracking::interaction(options, &[0.1], false, |_| ()).unwrap()
     });
-    let figures = page.json["figures"].as_array().unwrap();
-    assert!(figures.len() >= 2 * 8 * 2, "{} figures", figures.len());
-    for figure in figures {
-        let key = if figure["quantity"] == "position, m" { "position_m" } else { "velocity_mps" };
-        let counted = lines.iter().filter(|line| {
-            let is_counted = line["is_measured"] == (figure["gap_s"] == 0.0);
-            is_counted && line["gap_s"] == figure["gap_s"] && line["sigma_m"] == figure["sigma_m"]
-        });
-        let of = |line: &Value| {
-            let track = &line["tracks"][figure["method"].as_str().unwrap()];
-            apart(&track[key], &line["truth"][key])
-        };
-        let errors: Vec<f64> = counted.map(of).collect();
-        let mean = errors.iter().sum::<f64>() / errors.len() as f64;
-        assert_eq!(figure["len"], errors.len(), "{figure}");
-        assert!((figure["mae"].as_f64().unwrap() - mean).abs() < 1e-9, "{mean}: {figure}");
+    let mut checked = 0;
+    for (table, key) in [(0, "position_m"), (1, "velocity_mps")] {
+        for row in page.json["tables"][table]["rows"].as_array().unwrap() {
+            let gaps_s = [("no gaps", 0.0), ("in gaps of 0.8 s", 0.8), ("in gaps of 1.6 s", 1.6)];
+            for (column, gap_s) in gaps_s.into_iter().filter(|(column, _)| !row[column].is_null()) {
+                let is_counted =
+                    |line: &&Value| line["gap_s"] == gap_s && line["is_measured"] == (gap_s == 0.0);
+                let of = |line: &Value| {
+                    let track = &line["tracks"][row["method"].as_str().unwrap()];
+                    apart(&track[key], &line["truth"][key])
+                };
+                let errors: Vec<f64> = lines.iter().filter(is_counted).map(of).collect();
+                let mean = errors.iter().sum::<f64>() / errors.len() as f64;
+                assert_eq!(row[column]["instants"], errors.len() as f64, "{row}");
+                assert!((row[column]["MAE"].as_f64().unwrap() - mean).abs() < 1e-9, "{mean}: {row}");
+                checked += 1;
+            }
+        }
     }
+    assert!(checked >= 2 * 8 * 2, "{checked} figures");
 }
 
 #[test]
@@ -253,19 +256,19 @@ fn lines_of_tracks_in_gaps_give_their_errors() {
     let folder = crate::driving::sources_of(&["one"], 1, 12);
     let (page, lines) =
         with_lines(options(folder.path()), |options| driving::through_gaps(options, |_| ()).unwrap());
-    let cells = page.json["cells"].as_array().unwrap();
+    let cells = page.json["tables"][0]["rows"].as_array().unwrap();
     assert!(!cells.is_empty());
     for cell in cells {
+        let gap_s: f64 = cell["gap s"].as_str().unwrap().parse().unwrap();
         for prior in ["forecasts", "kinematic"] {
-            let counted =
-                lines.iter().filter(|line| line["gap_s"] == cell["gap_s"] && line["type"] == cell["type"]);
+            let counted = lines.iter().filter(|line| line["gap_s"] == gap_s && line["type"] == cell["type"]);
             let square = |line: &Value| {
                 apart(&line["tracks"][prior]["position_m"], &line["truth"]["position_m"]).powi(2)
             };
             let squares: Vec<f64> = counted.map(square).collect();
-            assert_eq!(cell["positions"], squares.len());
+            assert_eq!(cell["positions"], squares.len() as f64);
             let rmse_m = (squares.iter().sum::<f64>() / squares.len() as f64).sqrt();
-            let figure = cell["rmse_m"][prior].as_f64().unwrap();
+            let figure = cell[format!("{prior} m")].as_f64().unwrap();
             assert!((figure - rmse_m).abs() < 1e-6, "{rmse_m}: {cell}");
         }
     }

@@ -1,29 +1,26 @@
 //! The table of a comparison.
 
-use std::fmt::Write as _;
-
 use metrics::Errors;
-use serde_json::{Value, json};
 use wire::{AGENT_TYPES, AgentType};
 
 use crate::page::Page;
-use crate::table::{Table, pair};
+use crate::table::{Entry, Table, pair};
 
 /// Levels of the regions whose coverage is reported.
 pub(crate) const LEVELS: [f64; 2] = [0.5, 0.9];
 
-/// The compared forecasts: their keys in JSON, and their names in CSV.
-pub(crate) const METHODS: [[&str; 2]; 6] = [
+/// The compared forecasts.
+pub(crate) const METHODS: [&str; 6] = [
     // Our single best forecast.
-    ["ours", "stgdat"],
+    "stgdat",
     // The bag's path of the highest confidence.
-    ["bag", "bag"],
+    "bag",
     // Constant velocity of our track.
-    ["constant_velocity", "constant velocity"],
+    "constant velocity",
     // The best of our most probable modes. There are as many of them as the bag has paths.
-    ["ours_of_as_many", "stgdat best of as many"],
-    ["bag_of_paths", "bag best of paths"],
-    ["ours_of_all", "stgdat best of 20"],
+    "stgdat, best of as many",
+    "bag, best of its paths",
+    "stgdat, best of 20",
 ];
 
 /// What was compared and what was not.
@@ -171,70 +168,38 @@ impl Counts {
     }
 }
 
-impl Row {
-    fn figures(&self) -> impl Iterator<Item = Option<String>> {
-        let within = self.within.map(|[half, most]| format!("{:.0} / {:.0} %", 100.0 * half, 100.0 * most));
-        let counts = [format!("{:.1}", self.horizon_s), self.forecasts.to_string()];
-        counts.into_iter().chain(self.errors.map(pair)).map(Some).chain([within])
-    }
-
-    fn json(&self) -> Value {
-        let mut row = json!({
-            "agents": self.agents,
-            "horizon_s": self.horizon_s,
-            "forecasts": self.forecasts,
-            "within": self.within,
-        });
-        METHODS.iter().zip(self.errors).for_each(|([key, _], errors)| row[*key] = json!(errors));
-        row
-    }
-}
-
 impl AgainstReport {
-    /// The table as Markdown that is also readable in a terminal: every type over the longest horizon, and
-    /// all agents over all horizons.
-    pub(crate) fn markdown(&self) -> String {
+    /// A table of the rows that are `shown`.
+    fn table(&self, is_shown: impl Fn(&Row) -> bool) -> Table {
         let truth =
             if self.is_truth_recorded { "the recording's own tracks" } else { "the later tracks of stgdat" };
         let note = format!("ADE / FDE, m. Best of: the path with the least error. Truth: {truth}.");
-        let columns = [
-            "s",
-            "forecasts",
-            "stgdat",
-            "bag",
-            "constant velocity",
-            "stgdat, best of as many",
-            &format!("bag, best of {}", self.paths_max),
-            "stgdat, best of 20",
-            "stgdat, truth within 50 / 90 %",
-        ];
+        let mut methods = METHODS.map(str::to_owned);
+        methods[4] = format!("bag, best of {}", self.paths_max);
+        let columns = ["s", "forecasts"].map(str::to_owned).into_iter().chain(methods);
+        let columns = columns.chain(["stgdat, truth within 50 / 90 %".to_owned()]);
         let mut table = Table::new("Forecasts of stgdat and of the bag", &note, &["agents"], columns);
-        let end_s = self.rows.iter().map(|row| row.horizon_s).fold(0.0, f64::max);
-        for row in self.rows.iter().filter(|row| row.agents == "all" || row.horizon_s == end_s) {
-            table.push(&[row.agents], row.figures());
+        for row in self.rows.iter().filter(|row| is_shown(row)) {
+            let counts = [Entry::number(row.horizon_s, 1), Entry::count(row.forecasts as usize)];
+            let within = row.within.map(|[half, most]| {
+                let text = format!("{:.0} / {:.0} %", 100.0 * half, 100.0 * most);
+                Entry::new(text, [("50 %", half), ("90 %", most)])
+            });
+            let entries = counts.into_iter().chain(row.errors.map(pair)).map(Some).chain([within]);
+            table.push(&[row.agents], entries);
         }
-        format!("#{}\n{}.\n", table.markdown(""), self.counts.text())
+        table.closing = format!("{}.", self.counts.text());
+        table
     }
 
-    /// One line per row and method, with all horizons.
-    pub(crate) fn csv(&self) -> String {
-        let mut text = "agents,horizon_s,forecasts,method,ade_m,fde_m\n".to_owned();
-        for Row { agents, horizon_s, forecasts, errors, .. } in &self.rows {
-            for ([_, method], Errors { ade_m, fde_m }) in METHODS.iter().zip(errors) {
-                let _ = writeln!(text, "{agents},{horizon_s},{forecasts},{method},{ade_m:.6},{fde_m:.6}");
-            }
-        }
-        text
-    }
-
-    /// The report in all its forms.
+    /// The report in all its forms. The Markdown contains every type over the longest horizon, and all agents over
+    /// all horizons.
     pub(crate) fn page(&self) -> Page {
-        let json = json!({
-            "counts": self.counts,
-            "rows": self.rows.iter().map(Row::json).collect::<Vec<_>>(),
-            "paths_max": self.paths_max,
-            "is_truth_recorded": self.is_truth_recorded,
-        });
-        Page::new("against bag", "evaluate --against-bag", self.markdown(), self.csv(), json)
+        let end_s = self.rows.iter().map(|row| row.horizon_s).fold(0.0, f64::max);
+        let shown = self.table(|row| row.agents == "all" || row.horizon_s == end_s);
+        let page = Page::of("against bag", "evaluate --against-bag", &[self.table(|_| true)]);
+        let page = page.with("counts", self.counts).with("is_truth_recorded", self.is_truth_recorded);
+        let markdown = shown.section("##", "");
+        Page { summary: markdown.clone(), markdown, ..page }
     }
 }

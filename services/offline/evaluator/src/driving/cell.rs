@@ -3,7 +3,7 @@
 use metrics::{Errors, Interval};
 
 use super::{LEVEL, Method, Sample, region_of_steady};
-use crate::table::{pair, ratio_of_clusters};
+use crate::table::{Entry, pair, ratio_of_clusters};
 
 /// Bounds of the speed bands, m/s.
 const BANDS_MPS: [f32; 4] = [3.0, 8.0, 15.0, 25.0];
@@ -35,9 +35,8 @@ impl Cell<'_> {
         Errors { ade_m: self.mean(|sample| of(sample).ade_m), fde_m: self.mean(|sample| of(sample).fde_m) }
     }
 
-    pub(crate) fn text(&self, method: Method) -> String {
-        let errors = self.errors(method);
-        if errors.ade_m.is_nan() { "-".to_owned() } else { pair(errors) }
+    pub(crate) fn pair(&self, method: Method) -> Option<Entry> {
+        Some(self.errors(method)).filter(|errors| !errors.ade_m.is_nan()).map(pair)
     }
 
     pub(crate) fn held(&self, level: f64, step: usize) -> f64 {

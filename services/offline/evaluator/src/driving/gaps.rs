@@ -5,7 +5,6 @@ use kinematics::Normals;
 use metrics::Interval;
 use nn::ModelConfig;
 use scene::AgentType;
-use serde_json::json;
 use tracker::Tracker;
 use wire::{AGENTS_MAX, Detection, Track, detection_flags};
 
@@ -15,7 +14,7 @@ use crate::footage::{Options, SEED};
 use crate::lines::{Motion, TrackLine};
 use crate::noise::Noise;
 use crate::page::Page;
-use crate::table::{RESAMPLES, Table, ratio_of_clusters, text_of_interval};
+use crate::table::{Entry, RESAMPLES, Table, ratio_of_clusters};
 use crate::threads;
 
 /// Lengths of the gaps, s. An agent's gaps alternate between them.
@@ -59,7 +58,7 @@ pub fn through_gaps(options: &Options, progress: impl Fn(&str) + Sync) -> Result
     });
     let tracked = tracked.into_iter().collect::<Result<Vec<_>, _>>()?;
     let gaps = Gaps(sources.into_iter().zip(tracked).collect());
-    Ok(Page::new("driving", "evaluate tracking --parts driving", gaps.markdown(), gaps.csv(), gaps.json()))
+    Ok(Page::of("driving", "evaluate tracking --parts driving", &[gaps.table()]))
 }
 
 fn track(source: &Source, options: &Options, model: &ModelConfig) -> Result<Vec<Position>, EvaluateError> {
@@ -159,49 +158,20 @@ impl Gaps {
         })
     }
 
-    /// The errors as a Markdown table.
-    fn markdown(&self) -> String {
-        let columns = ["positions", "forecasts m", "kinematic m", "ratio"];
-        let mut table = Table::new("", "", &["source", "type", "gap s"], columns);
-        for (source, agent_type, gap, positions) in self.cells() {
-            let [ours, theirs] = rmse_m(&positions).map(|rmse_m| format!("{rmse_m:.3}"));
-            let names = [&*source.name, agent_type.name(), &format!("{:.1}", GAPS_S[gap])];
-            let figures = [positions.len().to_string(), ours, theirs, ratio(&positions)];
-            table.push(&names, figures.map(Some));
-        }
-        format!(
-            "## Tracking through gaps\n\nRoot mean square of the position's error while an agent is not detected, from positions \
+    fn table(&self) -> Table {
+        let note = format!(
+            "Root mean square of the position's error while an agent is not detected, from positions \
              alone with noise of {SIGMA_M} m: tracks with forecasts as their prior beside the kinematic prior, by the length of \
-             the gap. Ratios with 95 % intervals ({RESAMPLES} resamples of agents).\n\n{}",
-            table.grid()
-        )
-    }
-
-    /// One line per source, type, gap and prior.
-    fn csv(&self) -> String {
-        let mut text = String::from("source,type,gap_s,prior,positions,rmse_m\n");
+             the gap. Ratios with 95 % intervals ({RESAMPLES} resamples of agents)."
+        );
+        let columns = ["positions", "forecasts m", "kinematic m", "ratio"];
+        let mut table = Table::new("Tracking through gaps", &note, &["source", "type", "gap s"], columns);
         for (source, agent_type, gap, positions) in self.cells() {
-            for (prior, rmse_m) in PRIORS.into_iter().zip(rmse_m(&positions)) {
-                let (name, of_type, len) = (&source.name, agent_type.name(), positions.len());
-                text += &format!("{name},{of_type},{},{prior},{len},{rmse_m}\n", GAPS_S[gap]);
-            }
+            let [ours, theirs] = rmse_m(&positions).map(|rmse_m| Some(Entry::number(rmse_m, 3)));
+            let names = [&*source.name, agent_type.name(), &format!("{:.1}", GAPS_S[gap])];
+            table.push(&names, [Some(Entry::count(positions.len())), ours, theirs, ratio(&positions)]);
         }
-        text
-    }
-
-    /// Errors by source, type and gap.
-    fn json(&self) -> serde_json::Value {
-        let cells = self.cells().map(|(source, agent_type, gap, positions)| {
-            let [forecasts_m, kinematic_m] = rmse_m(&positions);
-            json!({
-                "source": source.name,
-                "type": agent_type.name(),
-                "gap_s": GAPS_S[gap],
-                "positions": positions.len(),
-                "rmse_m": { "forecasts": forecasts_m, "kinematic": kinematic_m },
-            })
-        });
-        json!({ "cells": cells.collect::<Vec<_>>() })
+        table
     }
 }
 
@@ -212,14 +182,14 @@ fn rmse_m(positions: &[&Position]) -> [f64; 2] {
     })
 }
 
-fn ratio(positions: &[&Position]) -> String {
+fn ratio(positions: &[&Position]) -> Option<Entry> {
     let squares = positions.iter().map(|of| (of.agent, of.squares_m2));
     let root = |ratio: Interval| Interval {
         mean: ratio.mean.sqrt(),
         low: ratio.low.sqrt(),
         high: ratio.high.sqrt(),
     };
-    text_of_interval(ratio_of_clusters(squares).map(root), 3)
+    Some(Entry::interval(root(ratio_of_clusters(squares)?), 3))
 }
 
 #[cfg(test)]

@@ -5,9 +5,7 @@
 
 mod motion;
 mod real;
-mod sheet;
 mod synthetic;
 
 pub use real::{network_under_noise, under_noise};
-pub use sheet::COLUMNS;
 pub use synthetic::synthetic;

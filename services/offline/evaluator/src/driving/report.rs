@@ -1,21 +1,19 @@
 //! Tables of matured forecasts.
 
 use std::collections::BTreeSet;
-use std::fmt::Write as _;
 
 use evidence::Priors;
 use metrics::{Errors, Interval};
 use nn::{ModelConfig, Precision};
 use scene::AgentType;
-use serde_json::json;
 
 use super::{
     BAND_NAMES, Cell, FORETELLERS, Foretold, LEVEL, Method, Pair, Played, RECALL, Residuals, STEPS, Sample,
     Source, band_of, patterns,
 };
 use crate::footage::{MapChoice, Options};
-use crate::page::Page;
-use crate::table::{RESAMPLES, Table, text_of_interval};
+use crate::page::{Page, sections};
+use crate::table::{Entry, RESAMPLES, Table};
 use crate::threads;
 
 /// Cells with fewer forecasts are left out.
@@ -36,34 +34,34 @@ const SUBSETS: [Subset; 5] = [
 const ADE: fn(&Errors) -> f64 = |errors| errors.ade_m;
 const FDE: fn(&Errors) -> f64 = |errors| errors.fde_m;
 /// The figures of a cell by the names of their columns.
-type Figure = (&'static str, fn(&Cell<'_>) -> String);
+type Figure = (&'static str, fn(&Cell<'_>) -> Option<Entry>);
 const FIGURES: [Figure; 19] = [
-    ("forecasts", |cell| cell.samples.len().to_string()),
-    ("single best", |cell| cell.text(Method::Best)),
-    ("constant velocity", |cell| cell.text(Method::ConstantVelocity)),
+    ("forecasts", |cell| Some(Entry::count(cell.samples.len()))),
+    ("single best", |cell| cell.pair(Method::Best)),
+    ("constant velocity", |cell| cell.pair(Method::ConstantVelocity)),
     ("/ CV, ADE", |cell| interval(cell.ratio(Method::Best, Method::ConstantVelocity, ADE))),
     ("/ CV, FDE", |cell| interval(cell.ratio(Method::Best, Method::ConstantVelocity, FDE))),
-    ("turn", |cell| cell.text(Method::DecayingTurn)),
-    ("acceleration", |cell| cell.text(Method::DecayingAcceleration)),
-    ("best of 20", |cell| cell.text(Method::BestOf)),
-    ("20 anchors", |cell| cell.text(Method::Anchors)),
+    ("turn", |cell| cell.pair(Method::DecayingTurn)),
+    ("acceleration", |cell| cell.pair(Method::DecayingAcceleration)),
+    ("best of 20", |cell| cell.pair(Method::BestOf)),
+    ("20 anchors", |cell| cell.pair(Method::Anchors)),
     ("/ anchors, ADE", |cell| interval(cell.ratio(Method::BestOf, Method::Anchors, ADE))),
     ("/ anchors, FDE", |cell| interval(cell.ratio(Method::BestOf, Method::Anchors, FDE))),
-    ("missed", |cell| format!("{:.2}", cell.share(|sample| sample.missed))),
+    ("missed", |cell| number(cell.share(|sample| sample.missed), 2)),
     ("held 90 %", |cell| interval(cell.held_with_interval(LEVEL, STEPS.len() - 1))),
-    ("area m²", |cell| format!("{:.0}", cell.area_m2())),
-    ("CV area m²", |cell| format!("{:.0}", cell.steady_area_m2())),
-    ("NLL", |cell| format!("{:.2}", cell.mean(|sample| sample.nll))),
-    ("regret", |cell| format!("{:.2}", cell.regret())),
-    ("network", |cell| format!("{:.2}", cell.mean(|sample| f64::from(sample.network)))),
-    ("learned", |cell| format!("{:.2}", cell.share(|sample| sample.learned))),
+    ("area m²", |cell| number(cell.area_m2(), 0)),
+    ("CV area m²", |cell| number(cell.steady_area_m2(), 0)),
+    ("NLL", |cell| number(cell.mean(|sample| sample.nll), 2)),
+    ("regret", |cell| number(cell.regret(), 2)),
+    ("network", |cell| number(cell.mean(|sample| f64::from(sample.network)), 2)),
+    ("learned", |cell| number(cell.share(|sample| sample.learned), 2)),
 ];
 /// The columns of the tables by source, by speed, and of moving vehicles.
 const BY_SOURCE: &str = "forecasts|single best|constant velocity|/ CV, ADE|/ CV, FDE|turn|acceleration|best of 20|\
      20 anchors|/ anchors, ADE|/ anchors, FDE|missed|area m²|CV area m²|NLL|regret|network|learned";
 const BY_SPEED: &str = "forecasts|single best|constant velocity|/ CV, ADE|/ CV, FDE|turn|best of 20|20 anchors|\
      / anchors, ADE|/ anchors, FDE|missed|held 90 %|area m²|CV area m²";
-const MOVING: &str = "subset|forecasts|single best|constant velocity|/ CV, ADE|/ CV, FDE|best of 20";
+const MOVING: &str = "forecasts|single best|constant velocity|/ CV, ADE|/ CV, FDE|best of 20";
 
 /// The subsets of the moving vehicles that contain a forecast.
 pub(crate) fn subsets_of(sample: &Sample) -> impl Iterator<Item = &'static str> {
@@ -128,43 +126,42 @@ impl Report {
     /// The report in all its forms.
     #[must_use]
     pub fn page(&self) -> Page {
-        let summary = [
+        let mut tables = vec![
             self.by_source(),
             self.moving(),
             self.conflicts(),
             self.coverage(),
             self.out_of_distribution(),
             self.first_seconds(),
-        ]
-        .join("\n\n");
-        let markdown = [&summary[..], &self.by_speed()].join("\n\n");
-        Page { summary, ..Page::new("driving", &self.mark, markdown, self.csv(), self.json()) }
+        ];
+        let summary = sections(&tables, "##", "");
+        tables.push(self.by_speed());
+        Page { summary, ..Page::of("driving", &self.mark, &tables) }
     }
 
-    fn by_source(&self) -> String {
+    fn by_source(&self) -> Table {
         let rows = self
             .cells()
             .map(|(source, agent_type, samples)| (vec![&*source.name, agent_type.name()], samples));
-        let table = table(&["source", "type"], BY_SOURCE, rows);
         let means = wire::AGENT_TYPES.into_iter().filter_map(|agent_type| {
             let of_type = self.cells().filter(|(_, of, _)| *of == agent_type);
             let [ade, fde] = mean_ratios(of_type.map(|(.., samples)| samples));
             (!ade.is_nan()).then(|| format!("{} {ade:.3} / {fde:.3}", agent_type.name()))
         });
         let means: Vec<String> = means.collect();
-        format!(
-            "## By source\n\nADE / FDE in m. {} Ratios to constant velocity with 95 % intervals ({RESAMPLES} resamples of agents); \
+        let note = format!(
+            "ADE / FDE in m. {} Ratios to constant velocity with 95 % intervals ({RESAMPLES} resamples of agents); \
              20 anchors on constant velocity are fitted to the other sources; regret is the single best forecast's error over that \
              of the best of constant velocity, turn and acceleration in hindsight; area is that of the highest-density region of 90 % at the end, \
              CV area that of a Gaussian about constant velocity, fitted in hindsight to the same forecasts of each speed, \
-             that holds as many of their truths.\n\n{table}\n\
-             Mean over the sources of the ratio of ADE / FDE: {}.",
-            self.made,
-            means.join(", ")
-        )
+             that holds as many of their truths.",
+            self.made
+        );
+        let closing = format!("Mean over the sources of the ratio of ADE / FDE: {}.", means.join(", "));
+        Table { closing, ..table("By source", &note, &["source", "type"], BY_SOURCE, rows) }
     }
 
-    fn by_speed(&self) -> String {
+    fn by_speed(&self) -> Table {
         let bands = self.cells().flat_map(|(source, agent_type, samples)| {
             BAND_NAMES.iter().enumerate().map(move |(band, name)| {
                 let of_band = samples.iter().copied().filter(|sample| band_of(sample) == band).collect();
@@ -172,11 +169,11 @@ impl Report {
             })
         });
         let rows = bands.filter(|(_, of_band): &(_, Vec<&Sample>)| of_band.len() >= CELL_MIN);
-        format!("## By speed\n\n{}", table(&["source", "type", "m/s"], BY_SPEED, rows))
+        table("By speed", "", &["source", "type", "m/s"], BY_SPEED, rows)
     }
 
     /// Moving vehicles, with subsets that need a road or a leader.
-    fn moving(&self) -> String {
+    fn moving(&self) -> Table {
         let moving = || {
             self.cells().filter_map(|(source, agent_type, mut samples)| {
                 samples.retain(|sample| sample.speed_mps >= MOVES_MPS);
@@ -190,20 +187,27 @@ impl Report {
             })
         });
         let rows = subsets.filter(|(_, subset): &(_, Vec<&Sample>)| subset.len() >= CELL_MIN / 4);
-        let table = table(&["source"], MOVING, rows);
         let [ade, fde] = mean_ratios(moving().map(|(_, samples)| samples));
-        format!(
-            "## Moving vehicles\n\nVehicles that drive at {MOVES_MPS} m/s or more. *Turning* vehicles end more than \
+        let note = format!(
+            "Vehicles that drive at {MOVES_MPS} m/s or more. *Turning* vehicles end more than \
              {TURNING_M} m beside the line of constant velocity. A vehicle has a *leader* if another agent is on its way \
-             within 2 s and 20 m.\n\n{table}\nMean over the sources of the ratio of ADE / FDE: {ade:.3} / {fde:.3}.",
-        )
+             within 2 s and 20 m."
+        );
+        let closing = format!("Mean over the sources of the ratio of ADE / FDE: {ade:.3} / {fde:.3}.");
+        Table { closing, ..table("Moving vehicles", &note, &["source", "subset"], MOVING, rows) }
     }
 
     /// How well forecasts foretell conflicts, by source and over all.
-    fn conflicts(&self) -> String {
+    fn conflicts(&self) -> Table {
+        let note = format!(
+            "Pairs of agents within 60 m, every 0.8 s. A pair has a conflict if its outlines come closer \
+             than 0.5 m at a common step of the horizon. *Independent modes* add the probabilities of the pairs of modes \
+             that do. The *published probability* contains how often such pairs had a conflict on the other sources. AP is the average precision of the pairs in the order of their scores. The other columns hold at a recall of \
+             {RECALL}, with the mean time from an alarm to its conflict."
+        );
         let measures = ["AP", "precision", "false alarms", "per agent and hour", "s ahead"];
         let columns = ["pairs", "conflicts"].into_iter().chain(measures);
-        let mut table = Table::new("", "", &["source", "forecast"], columns);
+        let mut table = Table::new("Conflicts", &note, &["source", "forecast"], columns);
         let all: Vec<Pair> = self.sources.iter().flat_map(|(_, played)| &played.pairs).copied().collect();
         let all_s = self.sources.iter().map(|(_, played)| played.agent_s).sum();
         let of_sources =
@@ -213,32 +217,31 @@ impl Report {
             for (number, foreteller) in FORETELLERS.iter().enumerate() {
                 let Some(foretold) = Foretold::of(pairs, number) else { continue };
                 let figures = [
-                    pairs.len().to_string(),
-                    conflict_count.to_string(),
-                    format!("{:.3}", foretold.average_precision),
-                    format!("{:.3}", foretold.precision),
-                    foretold.false_alarms.to_string(),
-                    format!("{:.2}", foretold.false_alarms as f64 / agent_s * 3600.0),
-                    format!("{:.1}", foretold.ahead_s),
+                    Entry::count(pairs.len()),
+                    Entry::count(conflict_count),
+                    Entry::number(foretold.average_precision, 3),
+                    Entry::number(foretold.precision, 3),
+                    Entry::count(foretold.false_alarms),
+                    Entry::number(foretold.false_alarms as f64 / agent_s * 3600.0, 2),
+                    Entry::number(foretold.ahead_s, 1),
                 ];
-                table.push(&[name, foreteller], figures.map(Some));
+                table.push(&[name, foreteller], figures);
             }
         }
-        format!(
-            "## Conflicts\n\nPairs of agents within 60 m, every 0.8 s. A pair has a conflict if its outlines come closer \
-             than 0.5 m at a common step of the horizon. *Independent modes* add the probabilities of the pairs of modes \
-             that do. The *published probability* contains how often such pairs had a conflict on the other sources. AP is the average precision of the pairs in the order of their scores. The other columns hold at a recall of \
-             {RECALL}, with the mean time from an alarm to its conflict.\n\n{}",
-            table.grid()
-        )
+        table
     }
 
-    fn coverage(&self) -> String {
+    fn coverage(&self) -> Table {
         let mut columns = Vec::new();
         for level in ["50", "90"] {
             columns.extend(STEPS.map(|step| format!("{level} %, {:.1} s", (step + 1) as f64 * 0.4)));
         }
-        let mut table = Table::new("", "", &["source", "type", "source time", "forecasts"], columns);
+        let note = format!(
+            "Share of the forecasts whose highest-density region of 50 and of 90 % held the truth, by horizon; that \
+             of 90 % with 95 % intervals ({RESAMPLES} resamples of agents)."
+        );
+        let mut table =
+            Table::new("Coverage", &note, &["source", "type", "source time", "forecasts"], columns);
         let mut of_parts: [Vec<Interval>; 2] = [Vec::new(), Vec::new()];
         for (source, agent_type, samples) in self.cells() {
             for (name, settled) in [("first minute", false), ("after it", true)] {
@@ -248,27 +251,27 @@ impl Report {
                     continue;
                 }
                 let cell = Cell { samples: &part };
-                let half = (0..STEPS.len()).map(|step| format!("{:.2}", cell.held(0.5, step)));
+                let half = (0..STEPS.len()).map(|step| number(cell.held(0.5, step), 2));
                 let held = (0..STEPS.len()).map(|step| cell.held_with_interval(LEVEL, step));
                 let held: Vec<Option<Interval>> = held.collect();
-                let figures = half.chain(held.iter().copied().map(interval)).map(Some);
+                let figures = half.chain(held.iter().copied().map(interval));
                 table.push(&[&source.name, agent_type.name(), name, &part.len().to_string()], figures);
                 of_parts[usize::from(settled)].extend(held.into_iter().flatten());
             }
         }
-        format!(
-            "## Coverage\n\nShare of the forecasts whose highest-density region of 50 and of 90 % held the truth, by horizon; that \
-             of 90 % with 95 % intervals ({RESAMPLES} resamples of agents).\n\n{}\n\
-             Cells of 90 %: in the first minute {}; after it {}.",
-            table.grid(),
+        table.closing = format!(
+            "Cells of 90 %: in the first minute {}; after it {}.",
             within(&of_parts[0], HELD_AT_FIRST),
             within(&of_parts[1], HELD_SETTLED)
-        )
+        );
+        table
     }
 
-    fn out_of_distribution(&self) -> String {
+    fn out_of_distribution(&self) -> Table {
+        let note = "The single best forecast's ADE over constant velocity's, of the forecasts of all sources in \
+                    the order of their published measure, which reaches the number in brackets.";
         let columns = ["sources", "lower half", "to nine tenths", "upper tenth", "upper / lower"];
-        let mut table = Table::new("", "", &["type"], columns);
+        let mut table = Table::new("Out of distribution", note, &["type"], columns);
         for agent_type in wire::AGENT_TYPES {
             let of_type = self.cells().filter(|(_, of, _)| *of == agent_type);
             let (mut samples, mut source_count) = (Vec::new(), 0);
@@ -289,22 +292,20 @@ impl Report {
             let [lower, _, upper] = parts.map(ratio);
             let of_part = |part: &[&Sample]| {
                 let most = part.last().map_or(0.0, |sample| sample.out_of_distribution);
-                format!("{:.2} (to {most:.2})", ratio(part))
+                let text = format!("{:.2} (to {most:.2})", ratio(part));
+                Entry::new(text, [("ratio", ratio(part)), ("to", most.into())])
             };
             let [half, tenths, tenth] = parts.map(of_part);
-            let figures = [source_count.to_string(), half, tenths, tenth, format!("{:.2}", upper / lower)];
-            table.push(&[agent_type.name()], figures.map(Some));
+            let figures = [Entry::count(source_count), half, tenths, tenth, Entry::number(upper / lower, 2)];
+            table.push(&[agent_type.name()], figures);
         }
-        format!(
-            "## Out of distribution\n\nThe single best forecast's ADE over constant velocity's, of the forecasts of all sources in \
-             the order of their published measure, which reaches the number in brackets.\n\n{}",
-            table.grid()
-        )
+        table
     }
 
-    fn first_seconds(&self) -> String {
+    fn first_seconds(&self) -> Table {
+        let note = "The single best forecast's ADE / FDE over constant velocity's.";
         let columns = ["< 5 s", "5-10 s", "10-30 s", "later"];
-        let mut table = Table::new("", "", &["source", "type"], columns);
+        let mut table = Table::new("First seconds of a recording", note, &["source", "type"], columns);
         for (source, agent_type, samples) in self.cells() {
             let mut from_s = 0.0;
             let figures = FIRST_S.map(|to_s| {
@@ -314,52 +315,13 @@ impl Report {
                 let [ours, theirs] =
                     [Method::Best, Method::ConstantVelocity].map(|method| cell.errors(method));
                 from_s = to_s;
-                (part.len() >= CELL_MIN / 4)
-                    .then(|| format!("{:.2} / {:.2}", ours.ade_m / theirs.ade_m, ours.fde_m / theirs.fde_m))
+                let [ade, fde] = [ours.ade_m / theirs.ade_m, ours.fde_m / theirs.fde_m];
+                let entry = Entry::new(format!("{ade:.2} / {fde:.2}"), [("ADE", ade), ("FDE", fde)]);
+                (part.len() >= CELL_MIN / 4).then_some(entry)
             });
             table.push(&[&source.name, agent_type.name()], figures);
         }
-        format!(
-            "## First seconds of a recording\n\nThe single best forecast's ADE / FDE over constant velocity's.\n\n{}",
-            table.grid()
-        )
-    }
-
-    /// One line per source, type and method.
-    fn csv(&self) -> String {
-        let mut text = String::from("source,type,method,forecasts,ade_m,fde_m\n");
-        for (source, agent_type, samples) in self.cells() {
-            for method in Method::ALL {
-                let Errors { ade_m, fde_m } = Cell { samples: &samples }.errors(method);
-                let (name, of_type, len) = (&source.name, agent_type.name(), samples.len());
-                let _ = writeln!(text, "{name},{of_type},{},{len},{ade_m},{fde_m}", method.name());
-            }
-        }
-        text
-    }
-
-    /// Errors by source, type and method.
-    fn json(&self) -> serde_json::Value {
-        let cells = self.cells().map(|(source, agent_type, samples)| {
-            let cell = Cell { samples: &samples };
-            let errors = Method::ALL.map(|method| {
-                let Errors { ade_m, fde_m } = cell.errors(method);
-                (method.name().to_owned(), json!({ "ade_m": ade_m, "fde_m": fde_m }))
-            });
-            let held = [0.5, 0.9]
-                .map(|level| (0..STEPS.len()).map(|step| cell.held(level, step)).collect::<Vec<f64>>());
-            json!({
-                "source": source.name,
-                "type": agent_type.name(),
-                "forecasts": samples.len(),
-                "errors": errors.into_iter().collect::<serde_json::Map<_, _>>(),
-                "held_50": held[0],
-                "held_90": held[1],
-                "area_90_m2": cell.area_m2(),
-                "constant_velocity_area_90_m2": cell.steady_area_m2(),
-            })
-        });
-        json!({ "made": self.made, "cells": cells.collect::<Vec<_>>() })
+        table
     }
 
     /// The evidence of each source, and the patterns of all sources and of all but each one. `threads` share
@@ -393,17 +355,19 @@ impl Report {
 
 /// A table with a row per cell. A row has its names, and a cell per column of [`FIGURES`].
 fn table<'a>(
+    title: &str,
+    note: &str,
     names: &[&str],
     columns: &str,
     rows: impl Iterator<Item = (Vec<&'a str>, Vec<&'a Sample>)>,
-) -> String {
+) -> Table {
     let named = |name: &str| FIGURES.into_iter().find(|(of, _)| *of == name);
     let figures: Vec<Figure> = columns.split('|').filter_map(named).collect();
-    let mut table = Table::new("", "", names, columns.split('|'));
+    let mut table = Table::new(title, note, names, columns.split('|'));
     for (names, samples) in rows {
-        table.push(&names, figures.iter().map(|(_, figure)| Some(figure(&Cell { samples: &samples }))));
+        table.push(&names, figures.iter().map(|(_, figure)| figure(&Cell { samples: &samples })));
     }
-    table.grid()
+    table
 }
 
 /// Mean of the cells' ratios of ADE and of FDE to constant velocity; NaN without a cell.
@@ -417,8 +381,12 @@ fn mean_ratios<'a>(cells: impl Iterator<Item = Vec<&'a Sample>>) -> [f64; 2] {
     [0, 1].map(|of| ratios.iter().map(|ratio| ratio[of]).sum::<f64>() / ratios.len() as f64)
 }
 
-fn interval(figure: Option<Interval>) -> String {
-    text_of_interval(figure, 2)
+fn interval(figure: Option<Interval>) -> Option<Entry> {
+    figure.map(|figure| Entry::interval(figure, 2))
+}
+
+fn number(value: f64, decimals: usize) -> Option<Entry> {
+    Some(Entry::number(value, decimals))
 }
 
 /// Reports the number of shares within the bounds, and the number of other shares whose interval reaches the

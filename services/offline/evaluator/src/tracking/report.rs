@@ -5,8 +5,8 @@ use metrics::{PairedErrors, paired_bootstrap_ratio};
 
 use super::{Error, Outcome, Sensor, TRIALS, TrackingMethod, Trials};
 use crate::forecaster::Provenance;
-use crate::page::Page;
-use crate::table::{RESAMPLES, SEED, Table, digits, percent};
+use crate::page::{Page, sections};
+use crate::table::{Entry, RESAMPLES, SEED, Table, digits};
 
 /// Probability within the χ² bounds of the normalised squares.
 const BOUNDS: f64 = 0.95;
@@ -165,20 +165,20 @@ impl TrackingReport {
         let [position, velocity] = Quantity::ALL.map(|quantity| self.errors(quantity, is_reported));
         let mut tables: Vec<Table> = Quantity::ALL.map(|quantity| self.errors(quantity, |_| true)).into();
         tables.extend([self.comparisons(), self.certainty(), self.settings()]);
-        let (markdown, json) = (self.written(&tables, "#"), self.json());
-        let mark = "evaluate tracking --parts interaction";
+        let page = Page::of("interaction", "evaluate tracking --parts interaction", &tables);
         Page {
+            markdown: self.written(&tables, "#"),
             summary: self.written(&[position, velocity, self.comparisons()], "##"),
-            ..Page::new("interaction", mark, markdown, self.csv(), json)
+            ..page.with("provenance", &self.provenance)
         }
     }
 
     fn written(&self, tables: &[Table], heading: &str) -> String {
-        let mut text = format!("{heading} Tracking: INTERACTION's vehicles from noisy positions\n\n");
-        for table in tables {
-            text += &format!("{heading}{}\n", table.markdown(""));
-        }
-        text + &format!("Forecasts of the learned prior: {}\n", self.provenance.line())
+        format!(
+            "{heading} Tracking: INTERACTION's vehicles from noisy positions\n\n{}\nForecasts of the learned prior: {}\n",
+            sections(tables, &format!("{heading}#"), ""),
+            self.provenance.line()
+        )
     }
 
     fn errors(&self, quantity: Quantity, is_reported: impl Fn(f64) -> bool) -> Table {
@@ -198,7 +198,9 @@ impl TrackingReport {
             for method in self.methods() {
                 let cell = |sensor: Sensor| {
                     let norms = self.of(sensor, method)?.norms(quantity);
-                    Some(format!("{} / {}", fine(norms.rmse()?), fine(norms.mae()?)))
+                    let (rmse, mae) = (norms.rmse()?, norms.mae()?);
+                    let numbers = [("RMSE", rmse), ("MAE", mae), ("instants", norms.len as f64)];
+                    Some(Entry::new(format!("{} / {}", fine(rmse), fine(mae)), numbers))
                 };
                 table.push(&[&deviation(sigma_m), method.name()], self.cells(sigma_m, cell));
             }
@@ -210,8 +212,8 @@ impl TrackingReport {
     fn cells(
         &self,
         sigma_m: f64,
-        cell: impl Fn(Sensor) -> Option<String>,
-    ) -> impl Iterator<Item = Option<String>> {
+        cell: impl Fn(Sensor) -> Option<Entry>,
+    ) -> impl Iterator<Item = Option<Entry>> {
         self.sensors(sigma_m).into_iter().map(cell)
     }
 
@@ -229,13 +231,13 @@ impl TrackingReport {
                 for quantity in Quantity::ALL {
                     let against = |sensor: Sensor, other: Option<&MethodErrors>| {
                         let paired = self.of(sensor, learned)?.paired(other?, quantity);
-                        Some(percent(&paired_bootstrap_ratio(&paired, RESAMPLES, SEED)?))
+                        Some(Entry::percent(paired_bootstrap_ratio(&paired, RESAMPLES, SEED)?))
                     };
                     let best = |sensor| against(sensor, self.best_kinematic(sensor, quantity));
                     let velocity =
                         |sensor| against(sensor, self.of(sensor, TrackingMethod::ConstantVelocity));
                     let name = quantity.name().split(',').next().unwrap_or_default();
-                    let mut push = |other: &str, cell: &dyn Fn(Sensor) -> Option<String>| {
+                    let mut push = |other: &str, cell: &dyn Fn(Sensor) -> Option<Entry>| {
                         let compared = format!("{name}, {other}");
                         let names = [&deviation(sigma_m), learned.name(), &compared];
                         table.push(&names, self.cells(sigma_m, cell));
@@ -258,12 +260,19 @@ impl TrackingReport {
             for method in self.methods() {
                 let cell = |sensor: Sensor| {
                     let evaluated = self.of(sensor, method)?;
-                    Some(format!("{} / {}", consistency(&evaluated.nees?), consistency(&evaluated.nis?)))
+                    let (nees, nis) = (evaluated.nees?, evaluated.nis?);
+                    let numbers = [
+                        ("NEES", nees.per_degree),
+                        ("NEES inside", nees.inside),
+                        ("NIS", nis.per_degree),
+                        ("NIS inside", nis.inside),
+                    ];
+                    Some(Entry::new(format!("{} / {}", consistency(&nees), consistency(&nis)), numbers))
                 };
                 let evaluated =
                     self.sensors(sigma_m).into_iter().filter_map(|sensor| self.of(sensor, method));
-                let faults = evaluated.map(|evaluated| evaluated.fault_count).sum::<u64>().to_string();
-                let cells = self.cells(sigma_m, cell).chain([Some(faults)]);
+                let faults = evaluated.map(|evaluated| evaluated.fault_count).sum::<u64>() as usize;
+                let cells = self.cells(sigma_m, cell).chain([Some(Entry::count(faults))]);
                 table.push(&[&deviation(sigma_m), method.name()], cells);
             }
         }
@@ -286,78 +295,12 @@ impl TrackingReport {
                     [] => format!("those of {}", method.tuned_as().name()),
                     numbers => numbers.join(", "),
                 };
-                let figures = [setting, format!("{figure:.3}")].map(Some);
+                let figures = [setting.into(), Entry::number(figure, 3)];
                 table.push(&[&deviation(*sigma_m), method.name()], figures);
             }
         }
         table
     }
-
-    /// One line per figure, in the columns of [`COLUMNS`](super::COLUMNS).
-    fn csv(&self) -> String {
-        let sha256 = &self.provenance.sha256;
-        let line = |figures: &Figures, (measure, value): (&str, f64)| {
-            let Figures { sigma_m, gap_s, method, quantity, len, .. } = figures;
-            format!(
-                "interaction,{sigma_m},{gap_s},,,vehicle,\"{method}\",\"{quantity}\",{measure},{value:.6},{len},{sha256}\n"
-            )
-        };
-        let lines = |figures: Figures| {
-            let Figures { rmse, mae, nees, nis, nees_inside, nis_inside, .. } = figures;
-            let squares =
-                [("nees", nees), ("nis", nis), ("nees_inside", nees_inside), ("nis_inside", nis_inside)];
-            let known = squares.into_iter().filter_map(|(measure, value)| Some((measure, value?)));
-            let all = [("rmse", rmse), ("mae", mae)].into_iter().chain(known);
-            all.map(|figure| line(&figures, figure)).collect::<String>()
-        };
-        self.figures().map(lines).collect()
-    }
-
-    /// The whole report as JSON.
-    fn json(&self) -> serde_json::Value {
-        serde_json::json!({ "provenance": self.provenance, "figures": self.figures().collect::<Vec<_>>() })
-    }
-
-    fn figures(&self) -> impl Iterator<Item = Figures> + '_ {
-        let of = |evaluated: &MethodErrors, quantity: Quantity| {
-            let norms = evaluated.norms(quantity);
-            Some(Figures {
-                sigma_m: evaluated.sensor.sigma_m,
-                gap_s: evaluated.sensor.gap_s,
-                method: evaluated.method.name(),
-                quantity: quantity.name(),
-                rmse: norms.rmse()?,
-                mae: norms.mae()?,
-                len: norms.len,
-                nees: evaluated.nees.map(|squares| squares.per_degree),
-                nis: evaluated.nis.map(|squares| squares.per_degree),
-                nees_inside: evaluated.nees.map(|squares| squares.inside),
-                nis_inside: evaluated.nis.map(|squares| squares.inside),
-            })
-        };
-        let pairs =
-            self.evaluated.iter().flat_map(|evaluated| Quantity::ALL.map(|quantity| (evaluated, quantity)));
-        pairs.filter_map(move |(evaluated, quantity)| of(evaluated, quantity))
-    }
-}
-
-/// The figures of one method, sensor and quantity.
-#[derive(Clone, Copy, Debug, serde::Serialize)]
-struct Figures {
-    sigma_m: f64,
-    gap_s: f64,
-    method: &'static str,
-    quantity: &'static str,
-    rmse: f64,
-    mae: f64,
-    /// Number of instants.
-    len: u64,
-    /// Normalised squares per degree of freedom.
-    nees: Option<f64>,
-    nis: Option<f64>,
-    /// Shares of the instants within the χ² bounds.
-    nees_inside: Option<f64>,
-    nis_inside: Option<f64>,
 }
 
 fn deviation(sigma_m: f64) -> String {

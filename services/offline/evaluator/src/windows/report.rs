@@ -7,7 +7,7 @@ use serde::Serialize;
 
 use super::{COMPARED, DoubtCount, Group, Measure, Method, tables};
 use crate::forecaster::{Crowding, Provenance};
-use crate::page::Page;
+use crate::page::{Page, sections};
 use crate::table::Table;
 
 /// One number of a report.
@@ -160,7 +160,7 @@ impl Report {
     /// for data sets.
     pub fn brief(&self) -> Option<String> {
         let table = self.published.as_ref()?;
-        let mut text = format!("#{}", table.markdown(""));
+        let mut text = table.section("##", "");
         for (what, lines) in self.lists() {
             lines.iter().for_each(|line| text += &format!("\n{what}: {line}\n"));
         }
@@ -190,10 +190,8 @@ impl Report {
     fn written(&self, tables: &[Table], heading: &str) -> String {
         let mut text = format!("{heading} {}\n\n", self.title);
         let made = self.made();
-        for table in tables {
-            text += &format!("{heading}{}", table.markdown(&made));
-            text += "\n";
-        }
+        text += &sections(tables, &format!("{heading}#"), &made);
+        text += "\n";
         for (what, lines) in self.lists().into_iter().filter(|(_, lines)| !lines.is_empty()) {
             text += &format!("{what}:\n\n");
             lines.iter().for_each(|line| text += &format!("* {line}\n"));
@@ -208,9 +206,15 @@ impl Report {
 
     /// The report in all its forms. `set` is its mark in a Markdown file.
     pub fn page(&self, set: &str) -> Page {
-        let page =
-            Page::new("forecasts", format!("evaluate {set}"), self.markdown(), self.csv(), self.json());
-        Page { text: Some(self.text()), summary: self.summary(), ..page }
+        Page {
+            name: "forecasts",
+            mark: format!("evaluate {set}"),
+            text: Some(self.text()),
+            markdown: self.markdown(),
+            summary: self.summary(),
+            csv: self.csv(),
+            json: self.json(),
+        }
     }
 
     /// Recordings that the tables leave out, and doubts about the others.

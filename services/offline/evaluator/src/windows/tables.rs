@@ -3,7 +3,7 @@
 use metrics::Errors;
 
 use super::{COMPARED, Calibration, Group, Measure, Method, PaperRow, Tally};
-use crate::table::{RESAMPLES, Table, pair, percent};
+use crate::table::{Entry, RESAMPLES, Row, Table, pair};
 
 /// The methods in a summary.
 const SUMMARISED: [&str; 9] = [
@@ -43,8 +43,9 @@ impl Table {
     /// The table's rows for a summary; `None` unless the table is a main table.
     pub(crate) fn summary(&self) -> Option<Self> {
         let is_included =
-            |row: &&Vec<String>| self.is_brief || self.name_count < 2 || SUMMARISED.contains(&&row[1][..]);
-        let rows = self.rows.iter().filter(is_included).filter(|row| row[0] != Measure::JointRanked.name());
+            |row: &&Row| self.is_brief || row.names.get(1).is_none_or(|name| SUMMARISED.contains(&&name[..]));
+        let rows = self.rows.iter().filter(is_included);
+        let rows = rows.filter(|row| row.names[0] != Measure::JointRanked.name());
         self.is_main.then(|| Self { rows: rows.cloned().collect(), ..self.clone() })
     }
 
@@ -72,9 +73,9 @@ impl Table {
             else {
                 continue;
             };
-            let ratio = (plain.fde_m > 0.0).then(|| format!("{:.2}", ours.fde_m / plain.fde_m));
+            let ratio = (plain.fde_m > 0.0).then(|| Entry::number(ours.fde_m / plain.fde_m, 2));
             let best = errors(Method::Evidence, Measure::BestOf).map(pair);
-            let forecasts = group.total.len(Method::Evidence, Measure::Single).to_string();
+            let forecasts = Entry::count(group.total.len(Method::Evidence, Measure::Single) as usize);
             let figures = [Some(forecasts), Some(pair(ours)), Some(pair(plain)), ratio, best];
             table.push(&[group.subset.name()], figures);
         }
@@ -85,13 +86,14 @@ impl Table {
     /// contains the name of its training.
     pub(crate) fn by_training(&self, name: &str, others: &[(&str, &Self)]) -> Option<Self> {
         let rows = self.rows.iter().enumerate().flat_map(|(place, row)| {
-            let ours =
-                Method::OURS.iter().filter(|method| row.get(1).is_some_and(|name| name == method.name()));
+            let ours = Method::OURS
+                .iter()
+                .filter(|method| row.names.get(1).is_some_and(|name| name == method.name()));
             ours.flat_map(move |method| {
                 let trainings = std::iter::once((name, self)).chain(others.iter().copied());
                 trainings.filter_map(move |(name, table)| {
                     let mut row = table.rows.get(place)?.clone();
-                    row[1] = format!("{}, {name}", method.name());
+                    row.names[1] = format!("{}, {name}", method.name());
                     Some(row)
                 })
             })
@@ -148,11 +150,11 @@ impl Table {
             .map(|column| column.groups.iter().map(|group| rates(&group.total, horizon)).collect())
             .collect();
         let all = rates(&Tally::new(horizon + 1), horizon);
-        for (row, Rate { name, method, decimals, .. }) in all.iter().enumerate() {
+        for (row, &Rate { name, method, decimals, .. }) in all.iter().enumerate() {
             let cell = |groups: &Vec<Vec<Rate>>| {
                 let values: Option<Vec<f64>> = groups.iter().map(|rates| rates[row].value).collect();
                 let values = values.filter(|values| !values.is_empty())?;
-                Some(format!("{:.decimals$}", values.iter().sum::<f64>() / values.len() as f64))
+                Some(Entry::number(values.iter().sum::<f64>() / values.len() as f64, decimals))
             };
             table.push_known(&[name, method.name()], of_columns.iter().map(cell));
         }
@@ -171,7 +173,7 @@ impl Table {
             let cell = |column: &Column<'_>| {
                 let [group] = column.groups[..] else { return None };
                 let pair = group.compare(place)?;
-                Some(pair.map(|contrast| percent(&contrast.ratio)).join(" / "))
+                Some(Entry::from(pair.map(|contrast| Entry::percent(contrast.ratio).text).join(" / ")))
             };
             table.push_known(&[measure.name(), method.name()], columns.iter().map(cell));
         }

@@ -198,7 +198,9 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         lines.finish().map_err(|error| Failure::file(path, error))?;
     }
     if let Some(path) = &arguments.csv {
-        write(path, &pages.iter().map(|page| page.csv.as_str()).collect::<String>())?;
+        let titles = pages.first().and_then(|page| page.csv.lines().next());
+        let figures = pages.iter().flat_map(|page| page.csv.lines().skip(1));
+        write(path, &titles.into_iter().chain(figures).flat_map(|line| [line, "\n"]).collect::<String>())?;
     }
     if let Some(path) = &arguments.json {
         write(path, &(serde_json::to_string_pretty(&json(&pages)).map_err(Failure::data)? + "\n"))?;
@@ -371,9 +373,6 @@ fn under_noise(arguments: &Arguments, options: Options) -> Result<Vec<Page>, Fai
     if has_recorded {
         pages.push(driving::under_noise(&options, scenes, progress).map_err(Failure::data)?);
     }
-    if let Some(first) = pages.first_mut() {
-        first.csv.insert_str(0, driving::NOISE_COLUMNS);
-    }
     Ok(pages)
 }
 
@@ -411,11 +410,7 @@ fn track(arguments: &Arguments, options: &Options) -> Result<Vec<Page>, Failure>
         _ => tracking::interaction(options, &arguments.sigmas, arguments.particles, progress),
     };
     let pages = parts(arguments, &TRACKING_PARTS).map(|part| page(part).map_err(Failure::data));
-    let mut pages = pages.collect::<Result<Vec<_>, _>>()?;
-    if let Some(first) = pages.iter_mut().find(|page| page.name != "driving") {
-        first.csv.insert_str(0, tracking::COLUMNS);
-    }
-    Ok(pages)
+    pages.collect()
 }
 
 fn progress(step: &str) {

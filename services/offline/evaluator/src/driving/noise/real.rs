@@ -13,7 +13,6 @@ use nn::ModelConfig;
 use scene::AgentType;
 use wire::Forecast;
 
-use super::sheet::{COUNTS, Row, Sheet, page};
 use crate::driving::{
     play::EVERY_NS,
     source::{Source, sources},
@@ -24,6 +23,7 @@ use crate::noise::Noise;
 use crate::page::Page;
 use crate::playback::Truth;
 use crate::scenes::MOVING_MPS;
+use crate::table::{Entry, Table};
 use crate::threads;
 
 /// Standard deviations of a position per axis.
@@ -81,8 +81,8 @@ pub fn under_noise(
     scenes: usize,
     progress: impl Fn(&str) + Sync,
 ) -> Result<Page, EvaluateError> {
-    let study = Study { jobs: jobs_of, sheet, names: |job| job.names(), figures };
-    Ok(page("recorded", "evaluate noise", &[study.sheet(options, scenes, progress)?]))
+    let study = Study { jobs: jobs_of, table, names: |job| job.names(), figures };
+    Ok(Page::of("recorded", "evaluate noise", &[study.table(options, scenes, progress)?]))
 }
 
 /// As [`under_noise`], of detections with identities: the network's own forecasts beside the published ones.
@@ -96,28 +96,28 @@ pub fn network_under_noise(
 ) -> Result<Page, EvaluateError> {
     let study = Study {
         jobs: network_jobs_of,
-        sheet: network_sheet,
+        table: network_table,
         names: |job| job.network_names(),
         figures: network_figures,
     };
-    Ok(page("network", "evaluate noise --parts network", &[study.sheet(options, scenes, progress)?]))
+    Ok(Page::of("network", "evaluate noise --parts network", &[study.table(options, scenes, progress)?]))
 }
 
 /// A table of runs, each beside the latest run before it that is a reference.
 struct Study {
     jobs: fn(&Source) -> Vec<Job<'_>>,
-    sheet: fn(usize, &ModelConfig) -> Sheet,
+    table: fn(usize, &ModelConfig) -> Table,
     names: fn(&Job<'_>) -> Vec<String>,
     figures: fn(&AllEnds, &AllEnds) -> Vec<Option<f64>>,
 }
 
 impl Study {
-    fn sheet(
+    fn table(
         &self,
         options: &Options,
         scenes: usize,
         progress: impl Fn(&str) + Sync,
-    ) -> Result<Sheet, EvaluateError> {
+    ) -> Result<Table, EvaluateError> {
         let (weights, sources) = (options.weights.load()?, spread_sources(options, scenes)?);
         let model = weights.config();
         let jobs: Vec<Job<'_>> = sources.iter().flat_map(|source| (self.jobs)(source)).collect();
@@ -126,14 +126,16 @@ impl Study {
             job.play(options, model)
         });
         let played = played.into_iter().collect::<Result<Vec<_>, _>>()?;
-        let (mut sheet, mut reference) = ((self.sheet)(scenes, model), &BTreeMap::new());
+        let (mut table, mut reference) = ((self.table)(scenes, model), &BTreeMap::new());
         for (job, played) in jobs.iter().zip(&played) {
             if job.is_reference {
                 reference = played;
             }
-            sheet.rows.push(Row { names: (self.names)(job), values: (self.figures)(played, reference) });
+            let figures = (self.figures)(played, reference).into_iter().map(|value| value.map(Entry::digits));
+            let count = Some(Entry::count(played.len()));
+            table.push(&(self.names)(job), std::iter::once(count).chain(figures));
         }
-        Ok(sheet)
+        Ok(table)
     }
 }
 
@@ -191,55 +193,45 @@ fn network_jobs_of(source: &Source) -> Vec<Job<'_>> {
         .collect()
 }
 
-fn sheet(scenes: usize, model: &ModelConfig) -> Sheet {
+fn table(scenes: usize, model: &ModelConfig) -> Table {
     let horizon_s = model.horizon_len as f64 * model.dt_s;
-    Sheet {
-        title: "Recorded vehicles",
-        note: format!(
-            "FDE in m after {horizon_s:.1} s of moving vehicles ({MOVING_MPS} m/s or more), a forecast every 0.4 s. At most \
-             {scenes} recordings of each source, spread evenly. *All fields* keeps the recorded headings and speeds, with \
-             noise of 2 degrees and of σ / 1 s if the positions have noise. *Clean* is the run without any change (first row \
-             of each source), on the forecasts that both runs have. *True CV* is constant velocity from the true state."
-        ),
-        names: vec!["source", "detections", "fields", "noise"],
-        columns: vec![COUNTS, "FDE", "minFDE₂₀", "FDE / clean", "minFDE₂₀ / clean", "FDE / true CV"],
-        rows: Vec::new(),
-    }
+    let note = format!(
+        "FDE in m after {horizon_s:.1} s of moving vehicles ({MOVING_MPS} m/s or more), a forecast every 0.4 s. At most \
+         {scenes} recordings of each source, spread evenly. *All fields* keeps the recorded headings and speeds, with \
+         noise of 2 degrees and of σ / 1 s if the positions have noise. *Clean* is the run without any change (first row \
+         of each source), on the forecasts that both runs have. *True CV* is constant velocity from the true state."
+    );
+    let columns = ["forecasts", "FDE", "minFDE₂₀", "FDE / clean", "minFDE₂₀ / clean", "FDE / true CV"];
+    Table::new("Recorded vehicles", &note, &["source", "detections", "fields", "noise"], columns)
 }
 
-fn network_sheet(scenes: usize, model: &ModelConfig) -> Sheet {
+fn network_table(scenes: usize, model: &ModelConfig) -> Table {
     let horizon_s = model.horizon_len as f64 * model.dt_s;
-    Sheet {
-        title: "The network under noise",
-        note: format!(
-            "ADE and FDE in m over {horizon_s:.1} s of moving vehicles ({MOVING_MPS} m/s or more) with ids, a forecast every 0.4 s. \
-             At most {scenes} recordings of each source, spread evenly. *Network*: the network's forecasts without evidence. \
-             *Published*: with evidence. *All fields* as in the table of recorded vehicles. Ratios to 0 m compare the \
-             forecasts that both runs have. *Tracked CV* is constant velocity from the published state."
-        ),
-        names: vec!["source", "fields", "forecasts of", "noise"],
-        columns: vec![
-            COUNTS,
-            "ADE",
-            "FDE",
-            "minFDE₂₀",
-            "ADE / 0 m",
-            "FDE / 0 m",
-            "minFDE₂₀ / 0 m",
-            "tracked CV, FDE / 0 m",
-        ],
-        rows: Vec::new(),
-    }
+    let note = format!(
+        "ADE and FDE in m over {horizon_s:.1} s of moving vehicles ({MOVING_MPS} m/s or more) with ids, a forecast every 0.4 s. \
+         At most {scenes} recordings of each source, spread evenly. *Network*: the network's forecasts without evidence. \
+         *Published*: with evidence. *All fields* as in the table of recorded vehicles. Ratios to 0 m compare the \
+         forecasts that both runs have. *Tracked CV* is constant velocity from the published state."
+    );
+    let columns = [
+        "forecasts",
+        "ADE",
+        "FDE",
+        "minFDE₂₀",
+        "ADE / 0 m",
+        "FDE / 0 m",
+        "minFDE₂₀ / 0 m",
+        "tracked CV, FDE / 0 m",
+    ];
+    Table::new("The network under noise", &note, &["source", "fields", "forecasts of", "noise"], columns)
 }
 
-/// The numbers of a row of [`network_sheet`].
+/// The numbers of a row of [`network_table`] after the count.
 fn network_figures(played: &AllEnds, clean: &AllEnds) -> Vec<Option<f64>> {
     let of: [fn(&Ends) -> f64; 4] =
         [|of| of.best_mean_m, |of| of.best_m, |of| of.best_of_m, |of| of.tracked_m];
-    let counted = Some(played.len() as f64);
     let means = of[..3].iter().map(|of| mean(played, *of));
-    let ratios = of.iter().map(|of| to_clean(played, clean, *of));
-    [counted].into_iter().chain(means).chain(ratios).collect()
+    means.chain(of.iter().map(|of| to_clean(played, clean, *of))).collect()
 }
 
 fn mean(played: &AllEnds, of: fn(&Ends) -> f64) -> Option<f64> {
@@ -257,12 +249,11 @@ fn to_clean(played: &AllEnds, clean: &AllEnds, of: fn(&Ends) -> f64) -> Option<f
     ratio(ours, theirs)
 }
 
-/// The numbers of a row.
+/// The numbers of a row after the count.
 fn figures(played: &AllEnds, clean: &AllEnds) -> Vec<Option<f64>> {
     let sum = |of: fn(&Ends) -> f64| played.values().map(of).sum::<f64>();
     let [best, best_of]: [fn(&Ends) -> f64; 2] = [|of| of.best_m, |of| of.best_of_m];
     vec![
-        Some(played.len() as f64),
         mean(played, best),
         mean(played, best_of),
         to_clean(played, clean, best),
@@ -350,10 +341,10 @@ mod tests {
     fn ratios_to_the_clean_run_use_the_forecasts_of_both() {
         let clean = [((0, 1, 0), ends(1.0)), ((0, 2, 0), ends(2.0)), ((0, 3, 0), ends(50.0))].into();
         let noisy = [((0, 1, 0), ends(2.0)), ((0, 2, 0), ends(4.0)), ((1, 2, 0), ends(9.0))].into();
-        let expected = [3.0, 5.0, 2.5, 2.0, 2.0, 1.25].map(Some);
+        let expected = [5.0, 2.5, 2.0, 2.0, 1.25].map(Some);
         assert_eq!(figures(&noisy, &clean), expected);
-        assert_eq!(figures(&BTreeMap::new(), &clean), [Some(0.0), None, None, None, None, None]);
-        let of_network = [3.0, 1.25, 5.0, 2.5, 2.0, 2.0, 2.0, 1.0].map(Some);
+        assert_eq!(figures(&BTreeMap::new(), &clean), [None; 5]);
+        let of_network = [1.25, 5.0, 2.5, 2.0, 2.0, 2.0, 1.0].map(Some);
         assert_eq!(network_figures(&noisy, &clean), of_network);
     }
 

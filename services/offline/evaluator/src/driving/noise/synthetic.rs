@@ -10,13 +10,13 @@ use onboard::Chain;
 use scene::AgentType;
 
 use super::motion::{AGENTS, Motion, Scene};
-use super::sheet::{Row, Sheet, page};
 use crate::driving::source::run;
 use crate::error::EvaluateError;
 use crate::footage::Options;
 use crate::noise::Noise;
 use crate::page::Page;
 use crate::playback::Playing;
+use crate::table::{Entry, Table};
 use crate::threads;
 
 /// Played time of a scene.
@@ -100,24 +100,25 @@ pub fn synthetic(options: &Options) -> Result<Page, EvaluateError> {
     let played = threads::each(&jobs, options.threads, |job, _: &mut ()| job.play(options, model));
     let played = played.into_iter().collect::<Result<Vec<_>, _>>()?;
 
-    let mut sheets = [straight_sheet(horizon_s), parked_sheet(), manoeuvre_sheet()];
+    let mut tables = [straight_table(horizon_s), parked_table(), manoeuvre_table()];
     for (&(scene, sigma_m, lag_s), played) in rows.iter().zip(played.chunks(REPORTS.len())) {
         let noise = if lag_s > 0.0 { format!("{sigma_m} m, lag {lag_s} s") } else { format!("{sigma_m} m") };
         let manoeuvre = MANOEUVRES.iter().find(|(motion, ..)| *motion == scene.motion);
-        let (sheet, row) = if let Some((_, name, _)) = manoeuvre {
-            let delays = played.iter().map(|played| Some(mean_delay_s(&scene, played)));
-            (2, Row { names: vec![(*name).to_owned(), noise], values: delays.collect() })
-        } else if scene.speed_mps == 0.0 {
-            (1, Row { names: vec![noise], values: played.iter().map(share_moving).collect() })
-        } else {
-            let errors = played.iter().map(|played| mean(&played.fde_m));
-            let line = mean(&line_errors_m(&scene, sigma_m, lag_s, horizon_s));
-            let names = vec![scene.agent_type.name().to_owned(), format!("{} Hz", scene.rate_hz), noise];
-            (0, Row { names, values: errors.chain([line]).collect() })
-        };
-        sheets[sheet].rows.push(row);
+        let (table, names, values): (usize, Vec<String>, Vec<Option<f64>>) =
+            if let Some((_, name, _)) = manoeuvre {
+                let delays = played.iter().map(|played| Some(mean_delay_s(&scene, played)));
+                (2, vec![(*name).to_owned(), noise], delays.collect())
+            } else if scene.speed_mps == 0.0 {
+                (1, vec![noise], played.iter().map(share_moving).collect())
+            } else {
+                let errors = played.iter().map(|played| mean(&played.fde_m));
+                let line = mean(&line_errors_m(&scene, sigma_m, lag_s, horizon_s));
+                let names = vec![scene.agent_type.name().to_owned(), format!("{} Hz", scene.rate_hz), noise];
+                (0, names, errors.chain([line]).collect())
+            };
+        tables[table].push(&names, values.into_iter().map(|value| value.map(Entry::digits)));
     }
-    Ok(page("synthetic", "evaluate noise --parts synthetic", &sheets))
+    Ok(Page::of("synthetic", "evaluate noise --parts synthetic", &tables))
 }
 
 /// The same scene with each kind of report.
@@ -127,47 +128,37 @@ fn reports(scene: Scene, sigma_m: f64, lag_s: f64) -> [Job; REPORTS.len()] {
         .map(|noise| Job { scene, noise })
 }
 
-fn straight_sheet(horizon_s: f64) -> Sheet {
-    Sheet {
-        title: "Generated agents, straight on",
-        note: format!(
-            "FDE in m after {horizon_s:.1} s of the published single best forecast. {AGENTS} agents per row drive straight on \
-             for {PLAYED_S} s (vehicles 9 m/s, cyclists 4.5 m/s, pedestrians 1.3 m/s). Forecasts count from {FROM_S} s on. \
-             Detections contain positions and sizes. *Line* is a least-squares line through the last {LINE_S} s of the \
-             noisy positions. At 20 Hz a frame of 10 Hz contains two measurements of each agent."
-        ),
-        names: vec!["type", "rate", "noise"],
-        columns: REPORTS.into_iter().chain(["line"]).collect(),
-        rows: Vec::new(),
-    }
+fn straight_table(horizon_s: f64) -> Table {
+    let note = format!(
+        "FDE in m after {horizon_s:.1} s of the published single best forecast. {AGENTS} agents per row drive straight on \
+         for {PLAYED_S} s (vehicles 9 m/s, cyclists 4.5 m/s, pedestrians 1.3 m/s). Forecasts count from {FROM_S} s on. \
+         Detections contain positions and sizes. *Line* is a least-squares line through the last {LINE_S} s of the \
+         noisy positions. At 20 Hz a frame of 10 Hz contains two measurements of each agent."
+    );
+    Table::new(
+        "Generated agents, straight on",
+        &note,
+        &["type", "rate", "noise"],
+        REPORTS.into_iter().chain(["line"]),
+    )
 }
 
-fn parked_sheet() -> Sheet {
-    Sheet {
-        title: "Parked vehicles",
-        note: format!(
-            "Share of ticks, from {FROM_S} s on, in which the published speed of a parked vehicle is above {PARKED_MPS} m/s. \
-             Detections contain positions and sizes at 10 Hz."
-        ),
-        names: vec!["noise"],
-        columns: REPORTS.to_vec(),
-        rows: Vec::new(),
-    }
+fn parked_table() -> Table {
+    let note = format!(
+        "Share of ticks, from {FROM_S} s on, in which the published speed of a parked vehicle is above {PARKED_MPS} m/s. \
+         Detections contain positions and sizes at 10 Hz."
+    );
+    Table::new("Parked vehicles", &note, &["noise"], REPORTS)
 }
 
-fn manoeuvre_sheet() -> Sheet {
-    Sheet {
-        title: "Delay of manoeuvres",
-        note: format!(
-            "Time in s from the middle of a manoeuvre until the published velocity is past this middle for {STAYS_S} s, mean \
-             of {AGENTS} vehicles at 8 m/s (before the start: 0) and 10 Hz. The turn takes 3 s for 90 degrees. The braking \
-             takes 1 s for 3 m/s, the start 1.5 s for 3 m/s. A manoeuvre that is not published counts as {DELAY_MAX_S} s. A negative delay means that noise crossed the \
-             middle before the vehicle did."
-        ),
-        names: vec!["manoeuvre", "noise"],
-        columns: REPORTS.to_vec(),
-        rows: Vec::new(),
-    }
+fn manoeuvre_table() -> Table {
+    let note = format!(
+        "Time in s from the middle of a manoeuvre until the published velocity is past this middle for {STAYS_S} s, mean \
+         of {AGENTS} vehicles at 8 m/s (before the start: 0) and 10 Hz. The turn takes 3 s for 90 degrees. The braking \
+         takes 1 s for 3 m/s, the start 1.5 s for 3 m/s. A manoeuvre that is not published counts as {DELAY_MAX_S} s. A negative delay means that noise crossed the \
+         middle before the vehicle did."
+    );
+    Table::new("Delay of manoeuvres", &note, &["manoeuvre", "noise"], REPORTS)
 }
 
 impl Job {

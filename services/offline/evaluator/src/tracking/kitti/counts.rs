@@ -4,6 +4,8 @@ use metrics::tracking::{
     linear_similarity,
 };
 
+use crate::table::Entry;
+
 /// Maximum distance of a track from its truth. At this distance the similarity of HOTA is 0, and GOSPA and
 /// OSPA are cut off.
 pub(crate) const GATE_M: f64 = 2.0;
@@ -96,11 +98,11 @@ impl KittiMeasure {
     /// The measures in the comparison of trackers.
     pub(crate) const COMPARED: [Self; 5] = [Self::Mota, Self::Idf1, Self::Hota, Self::Gospa, Self::Ospa];
 
-    /// Formats a figure.
-    pub(crate) fn text(self, figure: f64) -> String {
-        match self {
-            Self::Mota | Self::Idf1 | Self::Hota | Self::Gospa | Self::Ospa => format!("{figure:.3}"),
-            Self::Missed | Self::False | Self::Switches => format!("{figure:.0}"),
-        }
+    /// The figure as an entry of a table; `None` if there is nothing to count.
+    pub(crate) fn entry(self, counts: &Counts) -> Option<Entry> {
+        let figure = counts.figure(self)?;
+        let truths = (self == Self::Missed).then(|| ("truths", counts.truths_len() as f64));
+        let text = Entry::number(figure, if Self::COMPARED.contains(&self) { 3 } else { 0 }).text;
+        Some(Entry::new(text, std::iter::once((self.name(), figure)).chain(truths)))
     }
 }

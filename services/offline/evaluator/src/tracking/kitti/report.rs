@@ -1,11 +1,11 @@
 //! The report on trackers.
 
-use metrics::{Interval, cluster_bootstrap};
+use metrics::cluster_bootstrap;
 
 use super::{ByClass, CLASSES, Counts, KittiMeasure, class_name};
 use crate::forecaster::Provenance;
-use crate::page::Page;
-use crate::table::{RESAMPLES, SEED, Table};
+use crate::page::{Page, sections};
+use crate::table::{Entry, RESAMPLES, SEED, Table};
 
 /// Minimum number of sequences for an interval.
 const SEQUENCES_MIN: usize = 3;
@@ -66,7 +66,7 @@ impl KittiRow {
 
     /// The last contender's figure minus this one's. It has an interval if enough sequences contain the
     /// class.
-    fn lead_of_last(&self, class: usize, measure: KittiMeasure) -> Option<String> {
+    fn lead_of_last(&self, class: usize, measure: KittiMeasure) -> Option<Entry> {
         let lead = |sequences: &[usize]| {
             let of = |counts| drawn(counts, class, sequences).figure(measure);
             Some(of(&self.last_on_same)? - of(&self.counts)?)
@@ -74,10 +74,10 @@ impl KittiRow {
         let len = self.counts.len();
         let with_class_count = self.counts.iter().filter(|counts| counts[class].truths_len() > 0).count();
         if with_class_count < SEQUENCES_MIN {
-            return lead(&(0..len).collect::<Vec<_>>()).map(|figure| format!("{figure:+.3}"));
+            return lead(&(0..len).collect::<Vec<_>>())
+                .map(|lead| Entry::new(format!("{lead:+.3}"), [("", lead)]));
         }
-        let Interval { low, mean, high } = cluster_bootstrap(len, RESAMPLES, SEED, lead)?;
-        Some(format!("{mean:+.3} [{low:+.3}, {high:+.3}]"))
+        Some(Entry::difference(cluster_bootstrap(len, RESAMPLES, SEED, lead)?, 3))
     }
 }
 
@@ -91,18 +91,19 @@ impl KittiReport {
 
     /// The report in all its forms.
     pub(crate) fn page(&self) -> Page {
-        let mark = "evaluate tracking --parts kitti";
-        let page = Page::new("kitti", mark, self.written("#"), self.csv(), self.json());
-        Page { summary: self.written("##"), ..page }
+        let tables = [self.figures(), self.comparisons()];
+        let page = Page::of("kitti", "evaluate tracking --parts kitti", &tables);
+        let [markdown, summary] = ["#", "##"].map(|heading| self.written(&tables, heading));
+        Page { markdown, summary, ..page.with("provenance", &self.provenance) }
     }
 
-    fn written(&self, heading: &str) -> String {
-        let mut text = format!("{heading} Tracking: KITTI's sequences from a detector's output\n\n");
-        for table in [self.figures(), self.comparisons()] {
-            text += &format!("{heading}{}\n", table.markdown(""));
-        }
-        text += "Forecasts of the learned prior:\n\n";
-        self.provenance.iter().fold(text, |text, provenance| text + &format!("* {}\n", provenance.line()))
+    fn written(&self, tables: &[Table], heading: &str) -> String {
+        let sections = sections(tables, &format!("{heading}#"), "");
+        let lines: String = self.provenance.iter().map(|of| format!("* {}\n", of.line())).collect();
+        format!(
+            "{heading} Tracking: KITTI's sequences from a detector's output\n\n{sections}\nForecasts of the learned prior:\n\n\
+             {lines}"
+        )
     }
 
     fn figures(&self) -> Table {
@@ -118,9 +119,10 @@ impl KittiReport {
         for (class, agent_type) in CLASSES.into_iter().enumerate() {
             for (part, row) in self.rows() {
                 let total = row.total(class);
-                let figure = |measure: KittiMeasure| total.figure(measure).map(|figure| measure.text(figure));
-                let figures =
-                    KittiMeasure::ALL.map(figure).into_iter().chain([Some(scores(row, class, ", "))]);
+                let scores: Vec<String> =
+                    row.least_scores[class].iter().map(|score| format!("{score:.0}")).collect();
+                let figures = KittiMeasure::ALL.map(|measure| measure.entry(&total));
+                let figures = figures.into_iter().chain([Some(scores.join(", ").into())]);
                 table.push(&[class_name(agent_type), &part.name, row.name], figures);
             }
         }
@@ -150,59 +152,4 @@ impl KittiReport {
         }
         table
     }
-
-    /// One line per figure, in the columns of [`COLUMNS`](super::COLUMNS).
-    fn csv(&self) -> String {
-        let sha256 = self.provenance.first().map_or("", |provenance| &provenance.sha256);
-        let line = |value: KittiValue<'_>| {
-            let KittiValue { sequences, class, tracker, least_scores, truths_len, measure, value } = value;
-            format!(
-                "kitti,,,{sequences},{least_scores},{class},\"{tracker}\",tracks,\"{measure}\",{value:.6},{truths_len},{sha256}\n"
-            )
-        };
-        self.values().map(line).collect()
-    }
-
-    /// All figures, with sequences, class, contender and measure.
-    fn values(&self) -> impl Iterator<Item = KittiValue<'_>> {
-        self.rows().flat_map(|(part, row)| {
-            CLASSES.into_iter().enumerate().flat_map(move |(class, agent_type)| {
-                let total = row.total(class);
-                KittiMeasure::ALL.into_iter().filter_map(move |measure| {
-                    Some(KittiValue {
-                        sequences: &part.name,
-                        class: class_name(agent_type),
-                        tracker: row.name,
-                        least_scores: scores(row, class, ";"),
-                        truths_len: total.truths_len(),
-                        measure: measure.name(),
-                        value: total.figure(measure)?,
-                    })
-                })
-            })
-        })
-    }
-
-    /// The whole report as JSON.
-    fn json(&self) -> serde_json::Value {
-        serde_json::json!({ "provenance": self.provenance, "figures": self.values().collect::<Vec<_>>() })
-    }
-}
-
-/// A figure and what it belongs to.
-#[derive(Clone, Debug, serde::Serialize)]
-struct KittiValue<'a> {
-    sequences: &'a str,
-    class: &'static str,
-    tracker: &'static str,
-    least_scores: String,
-    truths_len: u64,
-    measure: &'static str,
-    value: f64,
-}
-
-/// The score thresholds of a class, part by part.
-fn scores(row: &KittiRow, class: usize, separator: &str) -> String {
-    let scores: Vec<String> = row.least_scores[class].iter().map(|score| format!("{score:.0}")).collect();
-    scores.join(separator)
 }
