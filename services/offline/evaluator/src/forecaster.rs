@@ -17,23 +17,24 @@ use onboard::{Chain, ChainError, Graph, Node, OwnFrame, node};
 use retrieval::RetrievalMemory;
 use run::{Run, StageRun};
 use sampler::Sampler;
+use serde::{Deserialize, Serialize};
 use tracker::Tracker;
 use wire::{
     AgentControls, ControlsTopic, EncodingsTopic, FeaturesTopic, Forecast as Payload, Header, Track,
     TracksTopic,
 };
 
-mod forecast;
 mod maps;
 mod tracks;
 mod weights;
 
-pub use forecast::{Crowding, Forecast, Variants};
 pub use maps::{MapInput, site_map};
 use tracks::Publisher;
 pub use tracks::TracksPayload;
 pub use weights::{EMBEDDED, Model, Provenance, WeightsChoice};
 
+use crate::lines::Candidate;
+use crate::method::Method;
 use crate::scenes::Scene;
 use crate::threads;
 
@@ -83,6 +84,25 @@ enum Correction {
     RetrievalAndEvidence,
 }
 
+/// Windows that do not fit a payload, and what the stages did not see of them.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Crowding {
+    pub(crate) window_count: u64,
+    /// Agents for which the `tracks` payload has no room. They are not seen as neighbours.
+    pub(crate) agents_len: u64,
+    /// Edges for which the `features` payload has no room. They belong to the farthest neighbours.
+    pub(crate) edges_len: u64,
+}
+
+impl Crowding {
+    /// Adds the counts of `other`.
+    pub(crate) fn merge(&mut self, other: &Self) {
+        self.window_count += other.window_count;
+        self.agents_len += other.agents_len;
+        self.edges_len += other.edges_len;
+    }
+}
+
 /// What a sampler of [`Samplers`] gets of a window.
 #[derive(Clone, Copy)]
 enum Input {
@@ -94,12 +114,15 @@ enum Input {
     All,
 }
 
-/// The inputs of the samplers, in the order of the fields of [`Variants`].
-const INPUTS: [Input; 5] = [Input::Counted, Input::Base, Input::All, Input::All, Input::All];
+/// The forecasts of an agent from the same controls, by [`Method`]. A variant that the model lacks is empty.
+pub type Variants = [Candidate; Method::STAGES];
 
-/// One sampler per variant, in the order of [`INPUTS`]. The warm-started one may be missing.
+/// The inputs of the samplers, by [`Method`].
+const INPUTS: [Input; Method::STAGES] = [Input::Counted, Input::All, Input::All, Input::All, Input::Base];
+
+/// One sampler per variant, by [`Method`]. The warm-started one may be missing.
 pub(crate) struct Samplers {
-    samplers: [Option<Sampler>; INPUTS.len()],
+    samplers: [Option<Sampler>; Method::STAGES],
     horizon_len: usize,
 }
 
@@ -350,17 +373,17 @@ impl Samplers {
         });
         let samplers = [
             Some(sampler(Correction::None)),
-            Some(forecaster.sampler(Correction::None)),
             Some(sampler(Correction::Retrieval)),
             warm_started,
             Some(sampler(Correction::RetrievalAndEvidence)),
+            Some(forecaster.sampler(Correction::None)),
         ];
         Self { samplers, horizon_len: forecaster.config().horizon_len }
     }
 
     /// The current memory of the warm-started sampler.
     pub(crate) fn memory(&self) -> Option<&RetrievalMemory> {
-        self.samplers[3].as_ref()?.memory()
+        self.samplers[Method::WarmStartedRetrieval.index()].as_ref()?.memory()
     }
 
     /// The forecasts of the counted agents, scene by scene, with their places in the scene. If a sampler
@@ -381,16 +404,8 @@ impl Samplers {
             let mut of_scene: Vec<_> =
                 all.iter_mut().map(|of| of.next().unwrap_or_default().into_iter()).collect();
             let mut of_agent = |&track: &usize| {
-                let mut next = of_scene.iter_mut().map(Iterator::next);
-                let mut next = || next.next().flatten();
-                let variants = Variants {
-                    network: next()?,
-                    base: next(),
-                    retrieved: next(),
-                    warm_started: next(),
-                    with_evidence: next(),
-                };
-                Some((decoded.payload.places[track], variants))
+                let variants: Variants = std::array::from_fn(|of| of_scene[of].next().unwrap_or_default());
+                (!variants[0].is_empty()).then(|| (decoded.payload.places[track], variants))
             };
             decoded.counting.iter().map_while(&mut of_agent).collect()
         };
@@ -406,7 +421,7 @@ impl Decoded {
     }
 
     /// The forecasts of the counted agents.
-    fn forecasts(&self, input: Input, sampler: &mut Sampler, horizon_len: usize) -> Vec<Forecast> {
+    fn forecasts(&self, input: Input, sampler: &mut Sampler, horizon_len: usize) -> Vec<Candidate> {
         let TracksPayload { header, tracks, .. } = &self.payload;
         let counted = || self.counting.iter().map(|&track| tracks[track]).collect::<Vec<Track>>();
         let payloads = match input {
@@ -418,7 +433,10 @@ impl Decoded {
                 self.counting.iter().filter_map(|&track| all.get(track).copied()).collect()
             }
         };
-        payloads.iter().map(|payload| Forecast::of(payload, horizon_len)).collect()
+        let published = payloads.iter().map(|payload| Candidate::published(payload, horizon_len));
+        // The probabilities are those of the network.
+        let is_base = matches!(input, Input::Base);
+        published.map(|of| Candidate { probability: of.probability.filter(|_| !is_base), ..of }).collect()
     }
 }
 

@@ -23,8 +23,8 @@
 //! forecaster            the stages on scenes
 //! playback              recordings through the pipeline, beside their motion
 //! scenes  matching      what a forecaster sees and the true future; which agent a track follows
-//! noise  lines  page    a noisy sensor; forecasts as JSON lines; reports in all their forms
-//! table  error  threads    tables as Markdown, and intervals; why an evaluation fails; shared work
+//! noise  lines  page    a noisy sensor; the forecasts of a method, as JSON lines; reports in all their forms
+//! table  error  threads  method    tables and intervals; why an evaluation fails; shared work; the compared methods
 //! ```
 
 pub mod bag;
@@ -35,6 +35,7 @@ mod footage;
 mod forecaster;
 mod lines;
 mod matching;
+mod method;
 mod noise;
 mod page;
 mod playback;
@@ -46,14 +47,14 @@ mod windows;
 
 pub use error::EvaluateError;
 pub use footage::{MapChoice, Options, SEED};
-pub use forecaster::{Forecast, Forecaster, MapInput, TracksPayload, Variants, WeightsChoice};
-pub use lines::ForecastLines;
+pub use forecaster::{Forecaster, MapInput, TracksPayload, Variants, WeightsChoice};
+pub use lines::{Candidate, ForecastLines};
+pub use method::Method;
 pub use metrics::Errors;
 pub use noise::Noise;
 pub use page::Page;
 pub use scenes::{Agent, Cut, MOVING_MPS, Scene};
 pub use table::{Entry, Table, digits, pair};
 pub use windows::{
-    Evaluation, Figure, InteractionPart, Measure, Method, Report, State, StateError, eth_ucy, interaction,
-    sdd,
+    Evaluation, Figure, InteractionPart, Measure, Report, State, StateError, eth_ucy, interaction, sdd,
 };

@@ -48,6 +48,9 @@ pub struct Candidate {
     /// Probabilities of the modes; `None` if the method has none.
     #[serde(rename = "probabilities", skip_serializing_if = "Option::is_none")]
     pub probability: Option<Vec<f32>>,
+    /// Covariances (xx, xy, yy) of each mode's positions, m²; empty if the method has none.
+    #[serde(skip)]
+    pub covariance: Vec<Vec<[f32; 3]>>,
     /// The single forecast; `None` if the method has none.
     #[serde(rename = "single_m", skip_serializing_if = "Option::is_none")]
     pub single: Option<Vec<Point>>,
@@ -99,9 +102,11 @@ impl Candidate {
     #[must_use]
     pub fn published(forecast: &Forecast, len: usize) -> Self {
         let modes_len = forecast.modes_len as usize;
+        let covariance = &forecast.mode_covariance[..modes_len];
         Self {
             modes: forecast.modes[..modes_len].iter().map(|mode| mode[..len].to_vec()).collect(),
             probability: Some(forecast.probability[..modes_len].to_vec()),
+            covariance: covariance.iter().map(|mode| mode[..len].to_vec()).collect(),
             single: Some(forecast.best[..len].to_vec()),
         }
     }

@@ -4,7 +4,7 @@
 
 use crate::support::weights;
 use data::{GeneratedScene, Recording, SceneOptions};
-use evaluator::{Agent, Cut, Forecast, Forecaster, MapInput, Scene, Variants};
+use evaluator::{Agent, Candidate, Cut, Forecaster, MapInput, Method, Scene};
 use nn::{Latents, VehicleMotion, Weights};
 use scene::AgentType;
 
@@ -25,14 +25,14 @@ fn scenes(forecaster: &Forecaster) -> Vec<Scene> {
 }
 
 /// Forecasts of all complete agents, without a map.
-fn forecast(forecaster: &Forecaster, scene: &Scene) -> Vec<Forecast> {
+fn forecast(forecaster: &Forecaster, scene: &Scene) -> Vec<Candidate> {
     together(forecaster, std::slice::from_ref(scene), 1).remove(0)
 }
 
 /// The same for several scenes of a recording.
-fn together(forecaster: &Forecaster, scenes: &[Scene], threads: usize) -> Vec<Vec<Forecast>> {
+fn together(forecaster: &Forecaster, scenes: &[Scene], threads: usize) -> Vec<Vec<Candidate>> {
     let variants = forecaster.variants(&Recording::default(), scenes, MapInput::None, threads, None);
-    variants.into_iter().map(|scene| scene.into_iter().map(|(_, of)| of.network).collect()).collect()
+    variants.into_iter().map(|scene| scene.into_iter().map(|(_, [network, ..])| network).collect()).collect()
 }
 
 fn onboard() -> Forecaster {
@@ -98,9 +98,9 @@ fn a_network_with_zero_output_leaves_the_base_control() {
     let scenes = &scenes(&forecaster)[..1];
     let variants = forecaster.variants(&Recording::default(), scenes, MapInput::None, 1, None).concat();
     assert!(!variants.is_empty());
-    for (_, Variants { network, base, .. }) in variants {
-        let base = base.unwrap();
-        assert_eq!((network.modes, network.best), (base.modes, base.best));
+    for (_, variants) in variants {
+        let [network, base] = [Method::Network, Method::Base].map(|method| &variants[method.index()]);
+        assert_eq!((&network.modes, &network.single), (&base.modes, &base.single));
     }
 }
 
@@ -121,7 +121,7 @@ fn displacement_vehicles_keep_velocity_at_zero_output() {
         scenes.iter().find(|scene| scene.agents.iter().any(|a| a.agent_type == AgentType::Vehicle)).unwrap();
     for (agent, forecast) in scene.complete().into_iter().zip(forecast(&forecaster, scene)) {
         let now = scene.agents[agent].newest().unwrap();
-        for (step, position) in forecast.best.iter().enumerate() {
+        for (step, position) in forecast.single.unwrap().iter().enumerate() {
             let passed_s = (step + 1) as f32 * forecaster.config().dt_s as f32;
             for axis in 0..2 {
                 let expected = now.position_m[axis] + now.velocity_mps[axis] * passed_s;
@@ -135,7 +135,7 @@ fn displacement_vehicles_keep_velocity_at_zero_output() {
 fn covariances_grow_and_probabilities_sum_to_one() {
     let forecaster = onboard();
     for forecast in forecast(&forecaster, &scenes(&forecaster)[2]) {
-        assert!((forecast.probability.iter().sum::<f32>() - 1.0).abs() < 1e-4);
+        assert!((forecast.probability.unwrap().iter().sum::<f32>() - 1.0).abs() < 1e-4);
         for covariance in &forecast.covariance {
             assert!(covariance.iter().all(|[xx, xy, yy]| *xx > 0.0 && xx * yy - xy * xy > 0.0));
             let spread = |[xx, _, yy]: [f32; 3]| xx + yy;
@@ -160,8 +160,9 @@ fn normal_latents_are_drawn_by_seed_and_agent() {
     assert_eq!(forecasts, forecast(&with_seed(1), scene));
     assert_ne!(forecasts, forecast(&with_seed(2), scene));
     for forecast in forecasts {
-        assert_eq!(forecast.modes.len(), forecast.probability.len());
-        assert!(forecast.probability.iter().all(|p| (p - 0.05).abs() < 1e-6));
+        let probability = forecast.probability.unwrap();
+        assert_eq!(forecast.modes.len(), probability.len());
+        assert!(probability.iter().all(|p| (p - 0.05).abs() < 1e-6));
         assert_ne!(forecast.modes[0], forecast.modes[1]);
     }
 }

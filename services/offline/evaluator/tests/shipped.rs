@@ -4,7 +4,7 @@
 
 use data::sets::{DataSet, Fold, Part};
 use data::{GeneratedScene, Recording, SceneOptions};
-use evaluator::{Cut, Forecast, Forecaster, MapInput, Scene, TracksPayload, Variants};
+use evaluator::{Candidate, Cut, Forecaster, MapInput, Method, Scene, TracksPayload};
 use nn::Weights;
 use onboard::{Graph, open_all};
 use run::{Run, StageRun};
@@ -27,7 +27,7 @@ fn run(sampler: &sampler::Options) -> Run {
 }
 
 /// The shipped chain's forecasts of the complete agents, scene by scene.
-fn shipped(run: &Run, scenes: &[Scene], payloads: &[TracksPayload]) -> Vec<Vec<(usize, Forecast)>> {
+fn shipped(run: &Run, scenes: &[Scene], payloads: &[TracksPayload]) -> Vec<Vec<(usize, Candidate)>> {
     let weights = Weights::onboard();
     let mut nodes = open_all(run, &weights).unwrap();
     nodes.retain(|node| node.id() != StageId::Tracker);
@@ -41,7 +41,7 @@ fn shipped(run: &Run, scenes: &[Scene], payloads: &[TracksPayload]) -> Vec<Vec<(
             .frame::<ForecastsTopic>()
             .elements
             .iter()
-            .map(|payload| Forecast::of(payload, weights.config().horizon_len));
+            .map(|payload| Candidate::published(payload, weights.config().horizon_len));
         let complete = scene.complete();
         places.iter().copied().zip(forecasts).filter(|(place, _)| complete.contains(place)).collect()
     };
@@ -61,11 +61,12 @@ fn same(recording: &Recording, of_type: AgentType) -> usize {
     memory.save(&path, forecaster.weights().sha256()).unwrap();
 
     let variants = forecaster.variants(recording, scenes, MapInput::Online, 2, Some(memory));
-    let check = |sampler: &sampler::Options, of: fn(&Variants) -> &Forecast| {
+    let check = |sampler: &sampler::Options, of: Method| {
         let shipped = shipped(&run(sampler), scenes, &payloads);
         assert_eq!(shipped.len(), variants.len());
         for (shipped, variants) in shipped.iter().zip(&variants) {
-            let evaluated: Vec<_> = variants.iter().map(|(place, variants)| (*place, of(variants))).collect();
+            let evaluated: Vec<_> =
+                variants.iter().map(|(place, variants)| (*place, &variants[of.index()])).collect();
             let shipped: Vec<_> = shipped.iter().map(|(place, forecast)| (*place, forecast)).collect();
             assert_eq!(evaluated, shipped);
         }
@@ -73,15 +74,16 @@ fn same(recording: &Recording, of_type: AgentType) -> usize {
     // The default options of a run, and options with less.
     let as_it_is = sampler::Options::default();
     let with_retrieval = sampler::Options { evidence: false, ..as_it_is.clone() };
-    check(&sampler::Options { retrieval: false, ..with_retrieval.clone() }, |variants| &variants.network);
-    check(&with_retrieval, |variants| variants.retrieved.as_ref().unwrap());
+    check(&sampler::Options { retrieval: false, ..with_retrieval.clone() }, Method::Network);
+    check(&with_retrieval, Method::OnlineRetrieval);
     let warm_started = sampler::Options { memory: Some(path), ..with_retrieval };
-    check(&warm_started, |variants| variants.warm_started.as_ref().unwrap());
-    check(&as_it_is, |variants| variants.with_evidence.as_ref().unwrap());
+    check(&warm_started, Method::WarmStartedRetrieval);
+    check(&as_it_is, Method::Evidence);
 
     let all = || scenes.iter().zip(&variants).flat_map(|(scene, of)| of.iter().map(move |of| (scene, of)));
-    assert!(all().any(|(_, (_, of))| of.retrieved.as_ref() != Some(&of.network)), "nothing was retrieved");
-    assert!(all().any(|(_, (_, of))| of.with_evidence != of.retrieved), "evidence changed nothing");
+    let differ = |a: Method, b: Method| all().any(|(_, (_, of))| of[a.index()] != of[b.index()]);
+    assert!(differ(Method::OnlineRetrieval, Method::Network), "nothing was retrieved");
+    assert!(differ(Method::Evidence, Method::OnlineRetrieval), "evidence changed nothing");
     all().filter(|(scene, (place, _))| scene.agents[*place].agent_type == of_type).count()
 }
 

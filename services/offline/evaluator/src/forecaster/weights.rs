@@ -7,6 +7,7 @@ use nn::{Latents, ModelConfig, Precision, Weights};
 
 use crate::error::EvaluateError;
 use crate::forecaster::Forecaster;
+use crate::scenes::Cut;
 
 /// The recipe of the weights that are embedded in the executable.
 pub const EMBEDDED: &str = "onboard";
@@ -135,29 +136,17 @@ impl Model {
     }
 
     /// Fails unless the model has the steps of the data set.
-    pub(crate) fn check_steps(
-        &self,
-        set: &'static str,
-        history_len: usize,
-        horizon_len: usize,
-        dt_s: f64,
-    ) -> Result<(), EvaluateError> {
-        let config = self.forecaster.config();
-        let own = (config.history_len, config.horizon_len, config.step_ns());
-        if own == (history_len, horizon_len, (dt_s * 1e9).round() as u64) {
+    pub(crate) fn check_steps(&self, set: &'static str, wanted: &Cut) -> Result<(), EvaluateError> {
+        let own = Cut::of(self.forecaster.config());
+        let steps = |of: &Cut| (of.history_len, of.horizon_len, of.step_ns());
+        if steps(&own) == steps(wanted) {
             return Ok(());
         }
-        Err(EvaluateError::Steps {
-            path: self.path.clone(),
-            own: steps(config.history_len, config.horizon_len, config.dt_s),
-            set,
-            wanted: steps(history_len, horizon_len, dt_s),
-        })
+        let [own, wanted] = [&own, wanted].map(|Cut { history_len, horizon_len, dt_s, .. }| {
+            format!("{history_len} + {horizon_len} steps of {dt_s} s")
+        });
+        Err(EvaluateError::Steps { path: self.path.clone(), own, set, wanted })
     }
-}
-
-fn steps(history_len: usize, horizon_len: usize, dt_s: f64) -> String {
-    format!("{history_len} + {horizon_len} steps of {dt_s} s")
 }
 
 /// How a model's forecasts of an agent are made, and how many are kept.

@@ -8,7 +8,7 @@ use rand_chacha::ChaCha8Rng;
 use scene::AgentType;
 
 use super::Method;
-use crate::forecaster::{Forecast, Variants};
+use crate::forecaster::Variants;
 use crate::lines::Candidate;
 use crate::scenes::{Agent, Cut, Scene};
 
@@ -41,28 +41,22 @@ impl Baselines {
         agent: &Agent,
         forecast: &Variants,
     ) -> [Candidate; Method::ALL.len()] {
-        Method::ALL.map(|method| self.candidate(method, scene, agent, forecast))
+        Method::ALL.map(|method| match forecast.get(method.index()) {
+            Some(variant) => variant.clone(),
+            None => self.candidate(method, scene, agent),
+        })
     }
 
-    fn candidate(&self, method: Method, scene: &Scene, agent: &Agent, forecast: &Variants) -> Candidate {
+    fn candidate(&self, method: Method, scene: &Scene, agent: &Agent) -> Candidate {
         let (history, dt_s, horizon_len) = (&agent.history[..], self.dt_s, self.horizon_len);
         let single = |single| Candidate { single, ..Candidate::default() };
         match method {
-            Method::Network => of_forecast(Some(&forecast.network)),
-            Method::OnlineRetrieval => of_forecast(forecast.retrieved.as_ref()),
-            Method::WarmStartedRetrieval => of_forecast(forecast.warm_started.as_ref()),
-            Method::Evidence => of_forecast(forecast.with_evidence.as_ref()),
-            Method::Base => forecast.base.as_ref().map_or_else(Candidate::default, |base| Candidate {
-                modes: base.modes.clone(),
-                probability: None,
-                single: Some(base.best.clone()),
-            }),
             Method::Anchors => {
                 let anchors = self.anchors.get(&agent.agent_type);
                 Candidate {
                     modes: anchors.and_then(|anchors| anchors.predict(history)).unwrap_or_default(),
                     probability: anchors.and_then(|anchors| Some(anchors.probability(history)?.to_vec())),
-                    single: None,
+                    ..Candidate::default()
                 }
             }
             Method::SampledVelocity => {
@@ -85,6 +79,8 @@ impl Baselines {
             Method::TurnRateAcceleration => {
                 single(metrics::constant_turn_rate_acceleration(history, dt_s, horizon_len))
             }
+            // The forecasts of the stages are variants.
+            _ => Candidate::default(),
         }
     }
 }
@@ -107,12 +103,4 @@ pub(crate) fn anchors<'a>(
         Anchors::fit(&windows, dt_s, horizon_len, cuts_mps(of_type), seed)
     };
     wire::AGENT_TYPES.into_iter().filter_map(|of_type| Some((of_type, fit(of_type)?))).collect()
-}
-
-fn of_forecast(forecast: Option<&Forecast>) -> Candidate {
-    forecast.map_or_else(Candidate::default, |forecast| Candidate {
-        modes: forecast.modes.clone(),
-        probability: Some(forecast.probability.clone()),
-        single: Some(forecast.best.clone()),
-    })
 }

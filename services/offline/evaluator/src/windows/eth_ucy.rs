@@ -13,7 +13,7 @@ use crate::table::Table;
 use metrics::Errors;
 
 /// Steps of the protocol: 8 + 12 annotated frames.
-const STEPS: (usize, usize, f64) = (8, 12, 0.4);
+const CUT: Cut = Cut { history_len: 8, horizon_len: 12, dt_s: 0.4, from_positions: false };
 /// The ETH scene with the true 0.4 s between frames.
 const TRUE_TIME: &str = "eth_ucy/obsmat/eth_0.4s.txt";
 
@@ -26,10 +26,8 @@ const TRUE_TIME: &str = "eth_ucy/obsmat/eth_0.4s.txt";
 /// # Errors
 /// If weights or recordings are missing or of another kind.
 pub fn eth_ucy(options: &Options, mut progress: impl FnMut(&str)) -> Result<Report, EvaluateError> {
-    let (history_len, horizon_len, dt_s) = STEPS;
     let subsets = [Subset::Company, Subset::All];
     let rules = options.rules(&[3, 6, 9, 12], &subsets, None);
-    let cut = Cut { history_len, horizon_len, dt_s, from_positions: false };
     let mut report = Report::new(&format!(
         "ETH/UCY, leave one out, {} part{}",
         options.part.name(),
@@ -40,17 +38,17 @@ pub fn eth_ucy(options: &Options, mut progress: impl FnMut(&str)) -> Result<Repo
     let mut models = Vec::new();
     for fold in Fold::ALL {
         let model = options.weights.open(fold.name(), SEED)?;
-        model.check_steps("ETH/UCY", history_len, horizon_len, dt_s)?;
+        model.check_steps("ETH/UCY", &CUT)?;
         models.push((fold, model));
     }
     for (fold, model) in models {
         progress(fold.name());
         let set = DataSet::EthUcyFold(fold);
-        let baselines = fit(&options.read_part(set, Part::Train, &cut)?, &cut);
-        let mut tests = vec![(fold.name().to_owned(), options.read_part(set, options.part, &cut)?)];
+        let baselines = fit(&options.read_part(set, Part::Train, &CUT)?, &CUT);
+        let mut tests = vec![(fold.name().to_owned(), options.read_part(set, options.part, &CUT)?)];
         if fold == Fold::Eth && options.part == Part::Test {
             let path = options.data.join(TRUE_TIME);
-            let footage = options.read(&[path], &OpenOptions::of(Format::Obsmat), &cut)?;
+            let footage = options.read(&[path], &OpenOptions::of(Format::Obsmat), &CUT)?;
             tests.push(("eth, true time".to_owned(), footage));
         }
         for (name, footage) in tests {
@@ -60,7 +58,7 @@ pub fn eth_ucy(options: &Options, mut progress: impl FnMut(&str)) -> Result<Repo
                 .iter()
                 .flat_map(|footage| rules.judge(&model, &baselines, footage, map, &name))
                 .collect();
-            need_agents(&blocks, &name, &cut)?;
+            need_agents(&blocks, &name, &CUT)?;
             let recordings: Vec<_> = footage.iter().map(|footage| &footage.recording).collect();
             report.provenance.push(model.provenance(&name, map_label, &recordings));
             for (place, (subset, groups)) in subsets.into_iter().zip(&mut groups).enumerate() {
@@ -69,7 +67,7 @@ pub fn eth_ucy(options: &Options, mut progress: impl FnMut(&str)) -> Result<Repo
         }
     }
     for groups in &groups {
-        tables(&mut report, groups, &rules, &rules.horizons_s(&cut));
+        tables(&mut report, groups, &rules, &rules.horizons_s(&CUT));
     }
     Ok(report)
 }

@@ -135,10 +135,8 @@ impl Evaluation {
             threads: self.threads,
             lines: self.lines.as_deref(),
         };
-        let judge = Judge {
-            lanes: self.lanes.clone(),
-            ..rules.judge_with(&self.model, &self.baselines, &recording.name)
-        };
+        let judge = rules.judge_with(&self.model, &self.baselines, &recording.name);
+        let judge = Judge { lanes: self.lanes.clone(), ..judge };
         let blocks = judge.recording(recording, scenes, self.map, None);
         State::of(self.basis.clone(), recording, self.model.has_seen(recording), &blocks)
     }

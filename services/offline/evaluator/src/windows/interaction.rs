@@ -20,7 +20,7 @@ use crate::table::Table;
 use metrics::Errors;
 
 /// Steps of the protocol: 2 Hz.
-const STEPS: (usize, usize, f64) = (4, 10, 0.5);
+const CUT: Cut = Cut { history_len: 4, horizon_len: 10, dt_s: 0.5, from_positions: false };
 const SET: DataSet = DataSet::Interaction;
 const SUBSETS: [Subset; 2] = [Subset::All, Subset::Moving];
 
@@ -52,19 +52,18 @@ pub fn interaction(
     parts: &[InteractionPart],
     mut progress: impl FnMut(&str),
 ) -> Result<Report, EvaluateError> {
-    let (history_len, horizon_len, dt_s) = STEPS;
     let rules = options.rules(&[2, 4, 6, 8, 10], &SUBSETS, Some(AgentType::Vehicle));
     let mut models = Vec::new();
     for part in parts {
         let model = options.weights.open(&part.recipe(), SEED)?;
-        model.check_steps("INTERACTION", history_len, horizon_len, dt_s)?;
+        model.check_steps("INTERACTION", &CUT)?;
         models.push((part, model));
     }
     let part = options.part.name();
     let noise = options.noise.label();
     let mut report = Report::new(&format!("INTERACTION, split by recording, {part} part{noise}"));
     for (motion, from_positions) in [("recorded speed", false), ("positions only", true)] {
-        let cut = Cut { history_len, horizon_len, dt_s, from_positions };
+        let cut = Cut { from_positions, ..CUT };
         progress(&format!("{motion}: training part"));
         let training = options.read_part(SET, Part::Train, &cut)?;
         let mut judged = Vec::new();

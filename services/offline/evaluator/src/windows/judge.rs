@@ -9,9 +9,9 @@ use nn::ModelConfig;
 use retrieval::RetrievalMemory;
 use scene::AgentType;
 
-use super::{Baselines, Method, Tally};
-use crate::forecaster::{Decoded, Forecast, Forecaster, MapInput, Samplers, Session, TOGETHER, Variants};
-use crate::lines::{Candidate, ForecastLine, ForecastLines, text};
+use super::{Baselines, Method, Rules, Tally};
+use crate::forecaster::{Decoded, Forecaster, MapInput, Samplers, Session, TOGETHER, Variants};
+use crate::lines::{Candidate, ForecastLine, text};
 use crate::scenes::{Agent, MOVING_MPS, Scene};
 use crate::threads;
 
@@ -68,23 +68,14 @@ pub struct Block {
 }
 
 /// An evaluation: the model, the baselines and the rules that select agents.
-pub struct Judge<'a> {
-    /// The model.
-    pub forecaster: &'a Forecaster,
-    /// The baselines.
-    pub baselines: &'a Baselines,
-    /// Numbers of steps up to which errors are summed, in ascending order.
-    pub horizons: &'a [usize],
-    /// The subsets that are tallied.
-    pub subsets: &'a [Subset],
-    /// The type of the counted agents; `None` counts all types.
-    pub of_type: Option<AgentType>,
+pub(crate) struct Judge<'a> {
+    pub(crate) forecaster: &'a Forecaster,
+    pub(crate) baselines: &'a Baselines,
+    pub(crate) rules: Rules<'a>,
     /// The lanes of the site, which our forecasts follow.
-    pub lanes: Option<Arc<LaneMap>>,
-    /// Threads that share the scenes; results do not depend on their number.
-    pub threads: usize,
-    /// Where all forecasts are written, and the name of their part.
-    pub lines: Option<(&'a ForecastLines, String)>,
+    pub(crate) lanes: Option<Arc<LaneMap>>,
+    /// Name of the part in the lines of forecasts.
+    pub(crate) part: String,
 }
 
 impl Judge<'_> {
@@ -98,7 +89,7 @@ impl Judge<'_> {
         visited: Option<&mut RetrievalMemory>,
     ) -> Vec<Block> {
         let config = self.forecaster.config();
-        let mut session = Session::new(self.forecaster, recording, map, self.threads);
+        let mut session = Session::new(self.forecaster, recording, map, self.rules.threads);
         let mut samplers = Samplers::new(self.forecaster, visited.as_deref().cloned(), self.lanes.as_ref());
         let parts = scenes
             .chunks(TOGETHER)
@@ -129,7 +120,7 @@ impl Judge<'_> {
         samplers: &mut Samplers,
     ) -> Vec<(i64, Vec<Tally>)> {
         let decoded = session.decode(scenes, |scene| self.complete(scene));
-        let forecasts = samplers.forecast(&decoded, self.threads);
+        let forecasts = samplers.forecast(&decoded, self.rules.threads);
         let all = scenes.iter().zip(&decoded).zip(&forecasts);
         let cases: Vec<_> = all.filter(|(_, forecasts)| !forecasts.is_empty()).collect();
         let tally = |((scene, decoded), forecasts): &((&Scene, &Decoded), &Vec<(usize, Variants)>),
@@ -139,9 +130,9 @@ impl Judge<'_> {
             counting.for_each(|tally| tally.crowding = decoded.crowding());
             (tallies, lines)
         };
-        let made = threads::each(&cases, self.threads, tally).into_iter();
+        let made = threads::each(&cases, self.rules.threads, tally).into_iter();
         let tallies = made.map(|(tallies, lines)| {
-            self.lines.iter().for_each(|(file, _)| file.write(&lines));
+            self.rules.lines.iter().for_each(|file| file.write(&lines));
             tallies
         });
         cases.iter().map(|((scene, _), _)| scene.stamp_ns).zip(tallies).collect()
@@ -149,8 +140,9 @@ impl Judge<'_> {
 
     /// Places of the complete agents of the evaluated type.
     fn complete(&self, scene: &Scene) -> Vec<usize> {
-        let is_of_type =
-            |&place: &usize| self.of_type.is_none_or(|of_type| scene.agents[place].agent_type == of_type);
+        let is_of_type = |&place: &usize| {
+            self.rules.of_type.is_none_or(|of_type| scene.agents[place].agent_type == of_type)
+        };
         scene.complete().into_iter().filter(is_of_type).collect()
     }
 
@@ -167,7 +159,7 @@ impl Judge<'_> {
             |(place, variants): &(usize, Variants)| self.agent(scene, &scene.agents[*place], variants);
         let judged: Vec<Judged<'_>> = forecasts.iter().map(judged).collect();
         let members: Vec<Vec<usize>> =
-            self.subsets.iter().map(|subset| subset.of(scene, &complete)).collect();
+            self.rules.subsets.iter().map(|subset| subset.of(scene, &complete)).collect();
         let tally = |members: &Vec<usize>| {
             let members: Vec<&Judged<'_>> = complete
                 .iter()
@@ -178,14 +170,13 @@ impl Judge<'_> {
             self.together(scene, &members)
         };
         let tallies = members.iter().map(tally).collect();
-        let line = |(place, judged): (&usize, &Judged<'_>), part: &str| {
-            let counts = self.subsets.iter().zip(&members).filter(|(_, members)| members.contains(place));
-            let subsets = counts.map(|(subset, _)| subset.name()).collect();
-            self.line(recording, scene, judged, part, subsets)
+        let line = |(place, judged): (&usize, &Judged<'_>)| {
+            let counts =
+                self.rules.subsets.iter().zip(&members).filter(|(_, members)| members.contains(place));
+            self.line(recording, scene, judged, counts.map(|(subset, _)| subset.name()).collect())
         };
-        let lines = self.lines.iter().flat_map(|(_, part)| {
-            complete.iter().zip(&judged).map(|agent| line(agent, part)).collect::<Vec<_>>()
-        });
+        let lines =
+            self.rules.lines.iter().flat_map(|_| complete.iter().zip(&judged).map(line).collect::<Vec<_>>());
         (tallies, lines.collect())
     }
 
@@ -194,13 +185,12 @@ impl Judge<'_> {
         recording: &Recording,
         scene: &Scene,
         judged: &Judged<'_>,
-        part: &str,
         subsets: Vec<&'static str>,
     ) -> String {
         let Judged { agent, candidates, .. } = judged;
         let forecasts = Method::ALL.iter().map(|method| method.name()).zip(candidates);
         let line = ForecastLine {
-            part,
+            part: &self.part,
             recording: &recording.name,
             stamp_ns: scene.stamp_ns,
             agent: agent.id,
@@ -217,14 +207,14 @@ impl Judge<'_> {
     /// The sums of these agents of a scene. Joint futures depend on all agents that are present, complete or
     /// not.
     fn together(&self, scene: &Scene, members: &[&Judged<'_>]) -> Tally {
-        let mut tally = Tally::new(self.horizons.len());
+        let mut tally = Tally::new(self.rules.horizons.len());
         if members.is_empty() {
             return tally;
         }
         members.iter().for_each(|judged| tally.merge(&judged.tally));
         let candidates: Vec<_> = members.iter().map(|judged| (judged.agent, &judged.candidates)).collect();
         let present = scene.agents.iter().filter(|agent| agent.newest().is_some()).count();
-        tally.add_scene(&candidates, present, self.horizons);
+        tally.add_scene(&candidates, present, self.rules.horizons);
         let discs = |of: &dyn Fn(&Judged<'_>) -> Vec<Point>| {
             let trajectories: Vec<Vec<Point>> = members.iter().map(|judged| of(judged)).collect();
             let discs: Vec<Disc<'_>> = members
@@ -244,18 +234,17 @@ impl Judge<'_> {
 
     fn agent<'b>(&self, scene: &Scene, agent: &'b Agent, forecast: &Variants) -> Judged<'b> {
         let candidates = self.baselines.candidates(scene, agent, forecast);
-        let mut tally = Tally::new(self.horizons.len());
-        tally.add_agent(agent, &candidates, self.horizons);
-        let others =
-            [&forecast.retrieved, &forecast.warm_started, &forecast.with_evidence].map(Option::as_ref);
-        let variants = std::iter::once(Some(&forecast.network)).chain(others);
-        for (ours, of_method) in variants.enumerate() {
-            let Some(of_method) = of_method else { continue };
-            self.add_calibration(scene, agent, of_method, ours, &mut tally);
+        let mut tally = Tally::new(self.rules.horizons.len());
+        tally.add_agent(agent, &candidates, self.rules.horizons);
+        for (ours, of_method) in candidates.iter().take(Method::OURS.len()).enumerate() {
+            let (Some(probability), Some(best)) = (&of_method.probability, &of_method.single) else {
+                continue;
+            };
+            self.add_calibration(scene, agent, (of_method, probability, best), ours, &mut tally);
             let Some(now) = agent.newest() else { continue };
             let config = self.forecaster.config();
             let (limits, dt_s) = (limits(agent, config), config.dt_s as f32);
-            for trajectory in of_method.modes.iter().map(Vec::as_slice).chain([&of_method.best[..]]) {
+            for trajectory in of_method.modes.iter().map(Vec::as_slice).chain([&best[..]]) {
                 tally.broken[ours].add(limits.violated_by(&now, trajectory, dt_s));
             }
         }
@@ -267,24 +256,24 @@ impl Judge<'_> {
         &self,
         scene: &Scene,
         agent: &Agent,
-        forecast: &Forecast,
+        (forecast, probability, best): (&Candidate, &[f32], &[Point]),
         ours: usize,
         tally: &mut Tally,
     ) {
         let seed = agent.id.rotate_left(32) ^ scene.stamp_ns as u64;
         let mut first = 0;
-        for (horizon, &steps) in self.horizons.iter().enumerate() {
+        for (horizon, &steps) in self.rules.horizons.iter().enumerate() {
             let calibration = tally.calibration_mut(ours, horizon);
             for step in first..steps {
                 let Some(truth) = agent.future[step] else { continue };
                 let means: Vec<Point> = forecast.modes.iter().map(|mode| mode[step]).collect();
                 let covariances: Vec<[f32; 3]> =
                     forecast.covariance.iter().map(|covariance| covariance[step]).collect();
-                calibration.kde_nll.add(-kde_log_density(&means, &forecast.probability, truth));
+                calibration.kde_nll.add(-kde_log_density(&means, probability, truth));
                 let level = highest_density_level(
                     &means,
                     &covariances,
-                    &forecast.probability,
+                    probability,
                     truth,
                     seed ^ (step as u64) << 48,
                 );
@@ -294,7 +283,7 @@ impl Judge<'_> {
             let truth = &agent.future[..steps];
             let misses = |errors: metrics::Displacement| errors.is_miss().unwrap_or_default();
             calibration.missed_best.add(misses(metrics::min_displacement(&forecast.modes, truth)));
-            calibration.missed_single.add(misses(metrics::displacement(&forecast.best, truth)));
+            calibration.missed_single.add(misses(metrics::displacement(best, truth)));
             first = steps;
         }
     }

@@ -29,12 +29,12 @@ pub(crate) struct Rules<'a> {
     pub(crate) lines: Option<&'a ForecastLines>,
 }
 
-impl Rules<'_> {
+impl<'a> Rules<'a> {
     /// Evaluates a recording; a recording without a counted agent is accepted.
     pub(crate) fn judge(
         &self,
-        model: &Model,
-        baselines: &Baselines,
+        model: &'a Model,
+        baselines: &'a Baselines,
         footage: &Footage,
         map: MapInput<'_>,
         part: &str,
@@ -43,22 +43,8 @@ impl Rules<'_> {
     }
 
     /// The evaluation of a model with these rules. `part` names the agents in the lines of forecasts.
-    pub(crate) fn judge_with<'a>(
-        &'a self,
-        model: &'a Model,
-        baselines: &'a Baselines,
-        part: &str,
-    ) -> Judge<'a> {
-        Judge {
-            forecaster: &model.forecaster,
-            baselines,
-            horizons: self.horizons,
-            subsets: self.subsets,
-            of_type: self.of_type,
-            lanes: None,
-            threads: self.threads,
-            lines: self.lines.map(|lines| (lines, part.to_owned())),
-        }
+    pub(crate) fn judge_with(&self, model: &'a Model, baselines: &'a Baselines, part: &str) -> Judge<'a> {
+        Judge { forecaster: &model.forecaster, baselines, rules: *self, lanes: None, part: part.to_owned() }
     }
 
     /// The horizons in seconds.

@@ -9,7 +9,7 @@ use crate::scenes::Cut;
 use crate::table::Table;
 
 /// Steps of the protocol.
-const STEPS: (usize, usize, f64) = (8, 12, 0.4);
+const CUT: Cut = Cut { history_len: 8, horizon_len: 12, dt_s: 0.4, from_positions: false };
 
 /// Evaluates the weights `sdd` in pixels and in metres.
 ///
@@ -19,22 +19,20 @@ const STEPS: (usize, usize, f64) = (8, 12, 0.4);
 /// # Errors
 /// If weights or recordings are missing or of another kind, or if a video has no scale.
 pub fn sdd(options: &Options, mut progress: impl FnMut(&str)) -> Result<Report, EvaluateError> {
-    let (history_len, horizon_len, dt_s) = STEPS;
     let subsets = [Subset::All];
     let rules = options.rules(&[3, 6, 9, 12], &subsets, None);
-    let cut = Cut { history_len, horizon_len, dt_s, from_positions: false };
     let model = options.weights.open("sdd", SEED)?;
-    model.check_steps("SDD", history_len, horizon_len, dt_s)?;
+    model.check_steps("SDD", &CUT)?;
     progress("training part");
-    let baselines = fit(&options.read_part(DataSet::SddTrajnet, Part::Train, &cut)?, &cut);
+    let baselines = fit(&options.read_part(DataSet::SddTrajnet, Part::Train, &CUT)?, &CUT);
     progress(&format!("{} part", options.part.name()));
-    let footage = options.read_part(DataSet::SddTrajnet, options.part, &cut)?;
+    let footage = options.read_part(DataSet::SddTrajnet, options.part, &CUT)?;
     let (map, map_label) = options.map.without_sites();
     let (mut metres, mut pixels) = (Vec::new(), Vec::new());
     for footage in &footage {
         let blocks = rules.judge(&model, &baselines, footage, map, options.part.name());
         let name = &footage.recording.name;
-        need_agents(&blocks, name, &cut)?;
+        need_agents(&blocks, name, &CUT)?;
         let pixel_m =
             footage.recording.pixel_m.ok_or_else(|| EvaluateError::NoScale { name: name.clone() })?;
         let group = Group::new(name, Subset::All, 0, &blocks);
@@ -48,7 +46,7 @@ pub fn sdd(options: &Options, mut progress: impl FnMut(&str)) -> Result<Report, 
     let recordings: Vec<_> = footage.iter().map(|footage| &footage.recording).collect();
     report.provenance.push(model.provenance(options.part.name(), map_label, &recordings));
     let columns = [Column::of("px", &pixels), Column::of("m", &metres)];
-    let (last, horizons_s) = (rules.last(), rules.horizons_s(&cut));
+    let (last, horizons_s) = (rules.last(), rules.horizons_s(&CUT));
     let note = format!("ADE / FDE after 4.8 s, {} tracks.", metres.total.agents_len);
     let mut errors = Table::errors("Errors", &note, &columns, last);
     let paper = reference::sdd();

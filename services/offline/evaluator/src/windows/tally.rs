@@ -189,7 +189,7 @@ impl Tally {
     pub(crate) fn add_agent(&mut self, agent: &Agent, candidates: &[Candidate; METHODS], horizons: &[usize]) {
         self.agents_len += 1;
         for (method, candidate) in candidates.iter().enumerate() {
-            let Candidate { modes, probability, single } = candidate;
+            let Candidate { modes, probability, single, .. } = candidate;
             let likely = probability.as_deref().and_then(metrics::most_likely);
             for (horizon, &steps) in horizons.iter().enumerate() {
                 let truth = &agent.future[..steps];
@@ -303,8 +303,12 @@ mod tests {
         let (near, far) = (vec![[1.0, 1.0], [2.0, 1.0]], vec![[1.0, 3.0], [2.0, 3.0]]);
         let modes = if near_first { vec![near, far] } else { vec![far, near] };
         let probability = if near_first { vec![0.2, 0.8] } else { vec![0.8, 0.2] };
-        candidates[Method::Network.index()] =
-            Candidate { single: Some(modes[0].clone()), modes, probability: Some(probability) };
+        candidates[Method::Network.index()] = Candidate {
+            single: Some(modes[0].clone()),
+            modes,
+            probability: Some(probability),
+            ..Candidate::default()
+        };
         candidates
     }
 

@@ -33,12 +33,11 @@ fn retrieval_does_not_depend_on_the_future() {
             assert_eq!(same.map(|(_, variants)| variants), Some(variants));
         }
     }
-    let changed = |of: fn(&Variants) -> &Option<Forecast>| {
+    let changed = |of: Method| {
         let all = short.iter().flatten();
-        all.filter(|(_, variants)| of(variants).as_ref().is_some_and(|of| *of != variants.network)).count()
+        all.filter(|(_, variants)| variants[of.index()] != variants[Method::Network.index()]).count()
     };
-    let online = changed(|variants| &variants.retrieved);
-    let warm_started = changed(|variants| &variants.warm_started);
+    let [online, warm_started] = [Method::OnlineRetrieval, Method::WarmStartedRetrieval].map(changed);
     assert!(online > 100, "{online} forecasts changed by retrieval");
     assert!(warm_started > online + 100, "{warm_started} with a warm start, {online} without");
 }

@@ -31,6 +31,8 @@ wire::named! {
 }
 
 impl Method {
+    /// The methods that the stages forecast, which are the first ones.
+    pub(crate) const STAGES: usize = Self::Base.index() + 1;
     /// The variants of the model, whose forecasts have covariances and can be calibrated.
     pub const OURS: [Self; 4] =
         [Self::Network, Self::OnlineRetrieval, Self::WarmStartedRetrieval, Self::Evidence];
