@@ -18,7 +18,7 @@ use onboard::Chain;
 use source::Playback;
 use wire::{AgentType, Forecast, HORIZON_MAX, MODES_MAX};
 
-use report::{AgainstReport, Cell, Cells, Counts};
+use report::{AgainstReport, Cells, Counts};
 
 use crate::driving::{at_step, run};
 use crate::error::EvaluateError;
@@ -218,7 +218,7 @@ impl Comparison {
             // A region belongs to a step of our own tick.
             let end = self.truth.state(pair.agent, pair.our_ns + step_ns * horizon as i64);
             let level = end.map(|end| pair.level(horizon - 1, end.position_m, &mut self.levels));
-            self.cells.add(pair.agent_type, place, &Cell::of(errors, level));
+            self.cells.add(pair.agent_type, place, &errors, level);
         }
     }
 

@@ -18,6 +18,7 @@
 use std::collections::BTreeMap;
 
 use data::{Lines, Recording};
+use filters::wrapped;
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 use wire::{Detection, detection_flags};
@@ -177,12 +178,6 @@ impl Noise {
 fn normal(rng: &mut ChaCha8Rng) -> f64 {
     let radius = (-2.0 * (1.0 - rng.random::<f64>()).ln()).sqrt();
     radius * (std::f64::consts::TAU * rng.random::<f64>()).cos()
-}
-
-/// An angle within (−π, π].
-pub(crate) fn wrapped(angle_rad: f64) -> f64 {
-    let turned = (angle_rad + std::f64::consts::PI).rem_euclid(std::f64::consts::TAU);
-    turned - std::f64::consts::PI
 }
 
 /// FNV-1a of a name.

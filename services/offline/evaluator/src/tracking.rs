@@ -38,7 +38,7 @@ pub(crate) use kitti::{
 pub(crate) use method::TrackingMethod;
 use method::{ACCELERATION_MPS2, Setting, Settings, StateKind, TURN_RATE_RADPS, UNKNOWN, control_gains};
 pub(crate) use outcome::Outcome;
-use outcome::{DEGREES, Error, SETTLED_S};
+use outcome::{Error, SETTLED_S};
 pub(crate) use report::{MethodErrors, TrackingReport};
 use singer::SingerBicycle;
 use smoother::smooth;

@@ -1,6 +1,6 @@
 //! The table of a comparison.
 
-use metrics::Errors;
+use metrics::{Errors, Mean, Share};
 use wire::{AGENT_TYPES, AgentType};
 
 use crate::page::Page;
@@ -44,13 +44,12 @@ pub(crate) struct Counts {
     pub other: u64,
 }
 
-/// Sums over forecasts.
+/// Means over forecasts.
 #[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct Cell {
-    forecasts: u64,
-    sums: [Errors; METHODS.len()],
-    regions: u64,
-    held: [u64; LEVELS.len()],
+struct Cell {
+    /// ADE and FDE by [`METHODS`].
+    errors: [[Mean; 2]; METHODS.len()],
+    held: [Share; LEVELS.len()],
 }
 
 /// Sums by type and horizon.
@@ -84,22 +83,6 @@ pub(crate) struct AgainstReport {
     pub(crate) is_truth_recorded: bool,
 }
 
-impl Cell {
-    pub(crate) fn of(errors: [Errors; METHODS.len()], level: Option<f64>) -> Self {
-        let held = LEVELS.map(|of| u64::from(level.is_some_and(|level| level <= of)));
-        Self { forecasts: 1, sums: errors, regions: u64::from(level.is_some()), held }
-    }
-
-    fn add(&mut self, other: &Self) {
-        self.forecasts += other.forecasts;
-        self.regions += other.regions;
-        for (sum, more) in self.sums.iter_mut().zip(&other.sums) {
-            *sum = Errors { ade_m: sum.ade_m + more.ade_m, fde_m: sum.fde_m + more.fde_m };
-        }
-        self.held.iter_mut().zip(other.held).for_each(|(sum, more)| *sum += more);
-    }
-}
-
 impl Cells {
     /// For a comparison of this many steps.
     pub fn new(steps_len: usize) -> Self {
@@ -112,9 +95,24 @@ impl Cells {
         self.horizons
     }
 
-    pub fn add(&mut self, agent_type: AgentType, horizon: usize, cell: &Cell) {
-        self.cells[agent_type.index()][horizon].add(cell);
-        self.cells[AGENT_TYPES.len()][horizon].add(cell);
+    /// Adds a forecast: its errors, and the level of our region whose border passes through the truth.
+    pub fn add(
+        &mut self,
+        agent_type: AgentType,
+        horizon: usize,
+        errors: &[Errors; METHODS.len()],
+        level: Option<f64>,
+    ) {
+        for of_type in [agent_type.index(), AGENT_TYPES.len()] {
+            let cell = &mut self.cells[of_type][horizon];
+            for ([ade_m, fde_m], errors) in cell.errors.iter_mut().zip(errors) {
+                ade_m.add(errors.ade_m);
+                fde_m.add(errors.fde_m);
+            }
+            for (held, of) in cell.held.iter_mut().zip(LEVELS) {
+                level.into_iter().for_each(|level| held.add(level <= of));
+            }
+        }
     }
 
     pub fn rows(&self, step_ns: i64) -> Vec<Row> {
@@ -132,17 +130,14 @@ impl Cells {
 }
 
 fn row(agents: &'static str, horizon_s: f64, cell: &Cell) -> Option<Row> {
-    let mean = |of: Errors| {
-        let [ade_m, fde_m] = [of.ade_m, of.fde_m].map(|sum_m| sum_m / cell.forecasts as f64);
-        Errors { ade_m, fde_m }
-    };
-    let share = |held: u64| held as f64 / cell.regions as f64;
-    (cell.forecasts > 0).then(|| Row {
+    let mean = |[ade_m, fde_m]: [Mean; 2]| Some(Errors { ade_m: ade_m.value()?, fde_m: fde_m.value()? });
+    let [half, most] = cell.held.map(|share| share.value());
+    Some(Row {
         agents,
         horizon_s,
-        forecasts: cell.forecasts,
-        errors: cell.sums.map(mean),
-        within: (cell.regions > 0).then(|| cell.held.map(share)),
+        forecasts: cell.errors[0][0].len(),
+        errors: cell.errors.map(mean).into_iter().collect::<Option<Vec<_>>>()?.try_into().ok()?,
+        within: half.zip(most).map(<[f64; LEVELS.len()]>::from),
     })
 }
 

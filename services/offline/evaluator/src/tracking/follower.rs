@@ -11,9 +11,9 @@ use scene::State;
 use wire::AgentType;
 
 use super::{
-    ACCELERATION_MPS2, Course, DEGREES, Error, Estimate, Hypotheses, Instant, OnboardForecasts, Outcome,
-    SETTLED_S, Seen, Settings, SingerBicycle, StateKind, TURN_RATE_RADPS, TrackingMethod, UNKNOWN,
-    control_gains, smooth,
+    ACCELERATION_MPS2, Course, Error, Estimate, Hypotheses, Instant, OnboardForecasts, Outcome, SETTLED_S,
+    Seen, Settings, SingerBicycle, StateKind, TURN_RATE_RADPS, TrackingMethod, UNKNOWN, control_gains,
+    smooth,
 };
 use crate::forecaster::Forecaster;
 
@@ -104,9 +104,7 @@ impl Follower<'_> {
                 track.is_fresh = true;
                 match track.update(&observation, &self.settings) {
                     Some((nis, log_likelihood)) if counts => {
-                        fault_count += u64::from(outcome.nis.add(tick, nis, DEGREES).is_err());
-                        outcome.log_likelihood_sum += log_likelihood;
-                        outcome.measured_count += 1;
+                        outcome.add_innovation(tick, nis, log_likelihood)
                     }
                     Some(_) => {}
                     None => fault_count += 1,
@@ -117,11 +115,7 @@ impl Follower<'_> {
             let age_s = (instant.stamp_ns - track.born_ns) as f64 / 1e9;
             if let Some(truth) = seen.truth.filter(|_| counts && age_s >= SETTLED_S) {
                 let (error, nees) = track.error(seen, instant.stamp_ns, truth);
-                outcome.errors.push(error);
-                if let Some(nees) = nees {
-                    let added = outcome.nees[usize::from(!error.visible)].add(tick, nees, DEGREES);
-                    outcome.fault_count += u64::from(added.is_err());
-                }
+                outcome.add_estimate(tick, error, nees);
             }
         }
     }
@@ -288,16 +282,8 @@ impl Track {
             &state.covariance.fixed_view::<2, 2>(0, 0).into_owned(),
         );
         let [x, y, vx, vy] = state.mean.into();
-        let error = Error {
-            id: seen.id,
-            stamp_ns,
-            visible: seen.measured_m.is_some(),
-            truth,
-            estimate: PlanarState { position_m: [x, y], velocity_mps: [vx, vy] },
-            position_m: error[0].hypot(error[1]),
-            velocity_mps: error[2].hypot(error[3]),
-        };
-        (error, nees)
+        let estimate = PlanarState { position_m: [x, y], velocity_mps: [vx, vy] };
+        (Error::of(seen, stamp_ns, truth, estimate), nees)
     }
 }
 

@@ -2,8 +2,10 @@
 
 use metrics::tracking::{Consistency, PlanarState};
 
+use super::Seen;
+
 /// Degrees of freedom of a position.
-pub(crate) const DEGREES: u32 = 2;
+const DEGREES: u32 = 2;
 /// Age from which a track's errors count.
 pub(crate) const SETTLED_S: f64 = 1.0;
 
@@ -18,6 +20,22 @@ pub(crate) struct Error {
     /// Norms of the differences.
     pub(crate) position_m: f64,
     pub(crate) velocity_mps: f64,
+}
+
+impl Error {
+    /// The error of the estimate of an agent with this truth.
+    pub(crate) fn of(seen: &Seen, stamp_ns: i64, truth: PlanarState, estimate: PlanarState) -> Self {
+        let norm = |a: [f64; 2], b: [f64; 2]| (a[0] - b[0]).hypot(a[1] - b[1]);
+        Self {
+            id: seen.id,
+            stamp_ns,
+            visible: seen.measured_m.is_some(),
+            truth,
+            estimate,
+            position_m: norm(estimate.position_m, truth.position_m),
+            velocity_mps: norm(estimate.velocity_mps, truth.velocity_mps),
+        }
+    }
 }
 
 /// The result of a run over a course.
@@ -36,6 +54,20 @@ pub(crate) struct Outcome {
 }
 
 impl Outcome {
+    /// Adds the normalised squared innovation of a measurement and its log-likelihood.
+    pub(crate) fn add_innovation(&mut self, tick: u64, nis: f64, log_likelihood: f64) {
+        self.fault_count += u64::from(self.nis.add(tick, nis, DEGREES).is_err());
+        self.log_likelihood_sum += log_likelihood;
+        self.measured_count += 1;
+    }
+
+    /// Adds an estimate and the normalised squared error of its position, if there is one.
+    pub(crate) fn add_estimate(&mut self, tick: u64, error: Error, nees: Option<f64>) {
+        self.errors.push(error);
+        let added = nees.map(|nees| self.nees[usize::from(!error.visible)].add(tick, nees, DEGREES));
+        self.fault_count += u64::from(added.is_some_and(|added| added.is_err()));
+    }
+
     /// Mean negative log-likelihood of a measurement.
     pub(crate) fn nll(outcomes: &[Self]) -> f64 {
         let measured_count: u64 = outcomes.iter().map(|outcome| outcome.measured_count).sum();

@@ -12,7 +12,7 @@ use metrics::tracking::{PlanarState, normalised_square};
 use nalgebra::{Matrix2, Matrix3, Matrix3x2, RowVector2, Vector2};
 use wire::AgentType;
 
-use super::{ACCELERATION_MPS2, Course, DEGREES, Error, Outcome, SETTLED_S, Seen, UNKNOWN};
+use super::{ACCELERATION_MPS2, Course, Error, Outcome, SETTLED_S, Seen, UNKNOWN};
 
 /// Position, velocity and acceleration of both axes, and the covariance that the axes share.
 #[derive(Clone, Copy)]
@@ -63,9 +63,7 @@ pub(crate) fn smooth(course: &Course<'_>, jerk_density: f64) -> Outcome {
             let mut filtered = predicted;
             if let Some(position_m) = seen.measured_m {
                 let (nis, log_likelihood) = filtered.update(position_m, variance);
-                outcome.fault_count += u64::from(outcome.nis.add(tick, nis, DEGREES).is_err());
-                outcome.log_likelihood_sum += log_likelihood;
-                outcome.measured_count += 1;
+                outcome.add_innovation(tick, nis, log_likelihood);
             }
             track.push(step(predicted, filtered, transition));
         }
@@ -97,23 +95,13 @@ fn finish(track: &[SmootherStep<'_>], outcome: &mut Outcome) {
     for (step, estimate) in track.iter().zip(estimates.iter().rev()) {
         let age_s = (step.stamp_ns - first.stamp_ns) as f64 / 1e9;
         let Some(truth) = step.seen.truth.filter(|_| age_s >= SETTLED_S) else { continue };
-        let off = |row: usize, truth: [f64; 2]| estimate.mean.row(row) - RowVector2::from(truth);
-        let [position, velocity] = [off(0, truth.position_m), off(1, truth.velocity_mps)];
         let row = |row: usize| [0, 1].map(|axis| estimate.mean[(row, axis)]);
-        let error = Error {
-            id: step.seen.id,
-            stamp_ns: step.stamp_ns,
-            visible: step.seen.measured_m.is_some(),
-            truth,
-            estimate: PlanarState { position_m: row(0), velocity_mps: row(1) },
-            position_m: position.norm(),
-            velocity_mps: velocity.norm(),
-        };
-        outcome.errors.push(error);
-        let spread = Matrix2::from_diagonal_element(estimate.covariance[(0, 0)]);
-        let nees = normalised_square(&Vector2::from(position.transpose()), &spread);
-        let added = nees.map(|nees| outcome.nees[usize::from(!error.visible)].add(step.tick, nees, DEGREES));
-        outcome.fault_count += u64::from(added.is_none_or(|added| added.is_err()));
+        let smoothed = PlanarState { position_m: row(0), velocity_mps: row(1) };
+        let error = Error::of(step.seen, step.stamp_ns, truth, smoothed);
+        let off: Vector2<f64> = [0, 1].map(|axis| row(0)[axis] - truth.position_m[axis]).into();
+        let nees = normalised_square(&off, &Matrix2::from_diagonal_element(estimate.covariance[(0, 0)]));
+        outcome.fault_count += u64::from(nees.is_none());
+        outcome.add_estimate(step.tick, error, nees);
     }
 }
 

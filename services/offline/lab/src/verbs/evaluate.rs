@@ -25,6 +25,10 @@ use crate::contenders::contenders;
 use launch::arguments::ReadArguments;
 use launch::files::named_weights;
 
+/// The names of data sets and protocols.
+const SETS: [&str; 6] = ["eth-ucy", "sdd", "interaction", "driving", "tracking", "noise"];
+/// All other targets.
+const RECORDINGS: &str = "recordings";
 /// Sensible standard deviations of measured positions, m.
 const SIGMAS_M: std::ops::RangeInclusive<f64> = 0.001..=10.0;
 /// Parts of `interaction` that run by default.
@@ -237,67 +241,45 @@ fn json(pages: &[Page]) -> serde_json::Value {
 
 /// Refuses options that have no effect.
 fn refuse_unused(name: &str, arguments: &Arguments) -> Result<(), Failure> {
-    let (is_tracking, is_driving, is_noise) = (name == "tracking", name == "driving", name == "noise");
-    let has_parts = is_tracking || is_driving || is_noise || name == "interaction";
-    let has_sensor = noise::SETS.contains(&name);
-    if let Some(option) = arguments.noise.given().next().filter(|_| !has_sensor) {
-        return Err(unused(option, "`driving`, `interaction` and `eth-ucy`"));
-    }
-    let is_set = has_parts || ["eth-ucy", "sdd"].contains(&name);
-    let options = [
-        (
-            "--beside",
-            !arguments.beside.is_empty(),
-            is_set && !is_tracking && !is_driving && !is_noise,
-            "`eth-ucy`, `sdd` and `interaction`",
-        ),
-        (
-            "--parts",
-            !arguments.parts.is_empty(),
-            has_parts,
-            "`interaction`, `driving`, `tracking` and `noise`",
-        ),
-        ("--scenes", arguments.scenes.is_some(), is_noise, "`noise`"),
-        ("--lanes", arguments.lanes, name == "interaction" || is_driving, "`interaction` and `driving`"),
-        ("--without-evidence", arguments.without_evidence, is_driving || is_noise, "`driving` and `noise`"),
-        ("--prior", arguments.prior.is_some(), is_driving, "`driving`"),
-        ("--odds", arguments.odds.is_some(), is_driving, "`driving`"),
-        ("--sigmas", !arguments.sigmas.is_empty(), is_tracking, "`tracking`"),
-        ("--particles", arguments.particles, is_tracking, "`tracking`"),
-        (
-            "--against-bag",
-            arguments.against_bag.is_some(),
-            !is_set && arguments.targets.len() == 1,
-            "one recording",
-        ),
-        ("--format", arguments.read.format.is_some(), !is_set, "recordings"),
-        ("--fps", arguments.read.fps.is_some(), !is_set, "recordings"),
-        ("--all", arguments.all, !is_set, "recordings"),
-        ("--origin", arguments.read.origin.is_some(), !is_set, "recordings"),
-        (
-            "--positions",
-            arguments.positions,
-            !is_set || has_sensor,
-            "recordings, `driving`, `interaction` and `eth-ucy`",
-        ),
-        ("--state", arguments.state.is_some(), !is_set, "recordings"),
+    let target = if SETS.contains(&name) { name } else { RECORDINGS };
+    let sensor = arguments.noise.given().map(|option| (option, true, &noise::SETS[..]));
+    let read = &arguments.read;
+    let options: [(&str, bool, &[&str]); 19] = [
+        ("--beside", !arguments.beside.is_empty(), &["eth-ucy", "sdd", "interaction"]),
+        ("--parts", !arguments.parts.is_empty(), &["interaction", "driving", "tracking", "noise"]),
+        ("--scenes", arguments.scenes.is_some(), &["noise"]),
+        ("--lanes", arguments.lanes, &["interaction", "driving"]),
+        ("--without-evidence", arguments.without_evidence, &["driving", "noise"]),
+        ("--prior", arguments.prior.is_some(), &["driving"]),
+        ("--odds", arguments.odds.is_some(), &["driving"]),
+        ("--sigmas", !arguments.sigmas.is_empty(), &["tracking"]),
+        ("--particles", arguments.particles, &["tracking"]),
+        ("--against-bag", arguments.against_bag.is_some(), &[RECORDINGS]),
+        ("--format", read.format.is_some(), &[RECORDINGS]),
+        ("--fps", read.fps.is_some(), &[RECORDINGS]),
+        ("--all", arguments.all, &[RECORDINGS]),
+        ("--origin", read.origin.is_some(), &[RECORDINGS]),
+        ("--positions", arguments.positions, &[RECORDINGS, "driving", "interaction", "eth-ucy"]),
+        ("--state", arguments.state.is_some(), &[RECORDINGS]),
+        ("--merge", arguments.merge, &[RECORDINGS]),
         (
             "--forecasts",
             arguments.forecasts.is_some(),
-            !is_noise,
-            "recordings, `driving`, `interaction`, `eth-ucy`, `sdd` and `tracking`",
+            &[RECORDINGS, "driving", "interaction", "eth-ucy", "sdd", "tracking"],
         ),
-        ("--merge", arguments.merge, !is_set, "states of recordings"),
-        ("--set", !arguments.set.is_empty(), !is_tracking, "forecasts, not `tracking`"),
+        (
+            "--set",
+            !arguments.set.is_empty(),
+            &[RECORDINGS, "driving", "interaction", "eth-ucy", "sdd", "noise"],
+        ),
     ];
-    match options.into_iter().find(|(_, is_given, is_used, _)| *is_given && !is_used) {
-        Some((option, _, _, users)) => Err(unused(option, users)),
+    match sensor.chain(options).find(|(_, is_given, users)| *is_given && !users.contains(&target)) {
+        Some((option, _, users)) => Err(Failure::Usage(format!(
+            "{option} is for {}, and would change nothing here",
+            users.join(", ")
+        ))),
         None => Ok(()),
     }
-}
-
-fn unused(option: &str, users: &str) -> Failure {
-    Failure::Usage(format!("{option} is for {users}, and would change nothing here"))
 }
 
 /// The precision of the decoder, the only option of a stage that evaluations accept.

@@ -3,10 +3,9 @@
 use std::f64::consts::{FRAC_PI_2, TAU};
 
 use data::{Frame, Recording};
+use filters::wrapped;
 use scene::AgentType;
 use wire::{Detection, detection_flags};
-
-use crate::noise::wrapped;
 
 /// Number of agents in a scene. Each has its own direction.
 pub(crate) const AGENTS: u64 = 12;
