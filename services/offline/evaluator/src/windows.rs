@@ -27,7 +27,7 @@ pub use interaction::{InteractionPart, interaction};
 pub(crate) use judge::Judge;
 pub use judge::{Block, Subset};
 use observed::Sensor;
-use protocol::{GROWTH, RATES, Rules, fit, need_agents};
+use protocol::{Rules, fit, need_agents};
 use reference::PaperRow;
 pub use report::{Figure, Report};
 pub use sdd::sdd;

@@ -3,9 +3,7 @@
 use data::sets::{DataSet, Fold, Part};
 use data::{Format, OpenOptions};
 
-use super::{
-    Column, GROWTH, Group, PaperRow, RATES, Report, Rules, Sensor, Subset, fit, need_agents, reference,
-};
+use super::{Column, Group, PaperRow, Report, Rules, Sensor, Subset, fit, need_agents, reference};
 use crate::error::EvaluateError;
 use crate::footage::{Options, SEED};
 use crate::scenes::Cut;
@@ -85,24 +83,19 @@ fn tables(report: &mut Report, groups: &[Group], rules: &Rules<'_>, horizons_s: 
     columns.extend(groups.iter().filter(|group| group.part == "eth, true time").map(of_group));
     let each: Vec<Column<'_>> = folds.iter().copied().chain([&pooled]).map(of_group).collect();
     let last = rules.last();
-    let title = |what: &str| format!("{what}: {rule}");
+    let of = format!(": {rule}");
 
     let note = "ADE / FDE, m, after 4.8 s. The average is that of the five folds.";
-    let mut errors = Table::errors(&title("Errors"), note, &columns, last);
+    let mut errors = Table::errors(&format!("Errors{of}"), note, &columns, last);
     let paper = reference::eth_ucy();
     errors
         .add_paper(&paper, columns.len(), |paper, method, column| of_paper(paper, method, &columns[column]));
     report.add_table(if groups[0].subset == Subset::Company { errors.main() } else { errors });
-    report.add_table(Table::comparisons(&title("Comparison with baselines"), &each));
+    report.add_table(Table::comparisons(&of, &each));
     let pooled_too = [&columns[..], &[of_group(&pooled)]].concat();
-    report.add_table(Table::rates(&title("Calibration and plausibility"), RATES, &pooled_too, last));
-    report.add_table(Table::horizons(
-        &title("Errors by horizon, average of the folds, m"),
-        "",
-        &[average],
-        horizons_s,
-        &GROWTH,
-    ));
+    report.add_table(Table::rates(&of, &pooled_too, last));
+    let title = format!("Errors by horizon, average of the folds, m{of}");
+    report.add_table(Table::horizons(&title, &[average], horizons_s));
     groups.iter().for_each(|group| report.add_figures(group, horizons_s));
     report.add_figures(&pooled, horizons_s);
 }

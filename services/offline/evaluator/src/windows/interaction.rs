@@ -8,8 +8,8 @@ use retrieval::RetrievalMemory;
 use scene::AgentType;
 
 use super::{
-    Baselines, Block, Column, GROWTH, Group, Judge, PaperRow, RATES, Report, Rules, Sensor, Subset, fit,
-    need_agents, reference,
+    Baselines, Block, Column, Group, Judge, PaperRow, Report, Rules, Sensor, Subset, fit, need_agents,
+    reference,
 };
 use crate::error::EvaluateError;
 use crate::footage::{Footage, MapChoice, Options, SEED, map_of};
@@ -268,7 +268,8 @@ fn tables(
     }
 
     let last = rules.last();
-    let title = |what: &str| format!("{what}: {} vehicles, {motion}", SUBSETS[place].name());
+    let of = format!(": {} vehicles, {motion}", SUBSETS[place].name());
+    let title = |what: &str| format!("{what}{of}");
     let note = format!(
         "ADE / FDE, m, after 5 s. Moving: at least {MOVING_MPS} m/s at the last observed step. Held-out sites: all \
          their recordings, and those of one part alone."
@@ -282,14 +283,14 @@ fn tables(
     }
     report.add_table(errors);
     let single: Vec<Column<'_>> = columns.iter().filter(|column| column.groups.len() == 1).cloned().collect();
-    report.add_table(Table::comparisons(&title("Comparison with baselines"), &single));
+    report.add_table(Table::comparisons(&of, &single));
     let by_site: Vec<Column<'_>> =
         sites.iter().map(|judged| Column::of(&judged.part, &judged.groups[place])).collect();
     if !by_site.is_empty() {
         report.add_table(Table::errors(&title("Errors by site"), "ADE / FDE, m, after 5 s.", &by_site, last));
         report.add_table(growth(&title("Errors by horizon, m"), &columns[..2.min(kinds.len())], horizons_s));
     }
-    report.add_table(Table::rates(&title("Calibration and plausibility"), RATES, &columns, last));
+    report.add_table(Table::rates(&of, &columns, last));
     for group in kinds.iter().chain(judged.iter().map(|judged| &judged.groups[place])) {
         let mut group = group.clone();
         group.part += &format!(", {motion}");
@@ -299,7 +300,7 @@ fn tables(
 
 /// Errors by horizon. The rows of the paper are for all vehicles.
 fn growth(title: &str, columns: &[Column<'_>], horizons_s: &[f64]) -> Table {
-    let mut table = Table::horizons(title, "", columns, horizons_s, &GROWTH);
+    let mut table = Table::horizons(title, columns, horizons_s);
     let paper = reference::interaction();
     table.add_paper(&paper, columns.len() * horizons_s.len(), |paper, method, cell| {
         let (column, horizon_s) = (&columns[cell / horizons_s.len()], horizons_s[cell % horizons_s.len()]);

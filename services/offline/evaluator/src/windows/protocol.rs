@@ -1,4 +1,4 @@
-//! What the protocols of windows share: their rules, and captions of their tables.
+//! What the protocols of windows share: their rules.
 
 use super::{Baselines, Block, Judge, Subset};
 use crate::error::EvaluateError;
@@ -70,18 +70,3 @@ pub(crate) fn need_agents(blocks: &[Block], name: &str, cut: &Cut) -> Result<(),
     let steps = cut.history_len + cut.horizon_len;
     Err(EvaluateError::NoWindows { name: name.to_owned(), steps, dt_s: cut.dt_s })
 }
-
-/// Caption of the tables of calibration and plausibility.
-pub(crate) const RATES: &str = "KDE-NLL: negative log density of the truth under a kernel density of the 20 modes, weighted by their probabilities. Coverage: \
-                     share of truths inside the highest-density region of the mixture of Gaussians, over agents and steps. Collision: the \
-                     discs of two agents meet, 0.9 m around vehicles, 0.3 m around cyclists, 0.2 m around pedestrians. Limits are those of \
-                     `metrics::Limits`, checked on all modes and K = 1.";
-
-/// The rows of the tables of errors by horizon.
-pub(crate) const GROWTH: [(crate::windows::Measure, crate::windows::Method); 5] = [
-    (crate::windows::Measure::BestOf, crate::windows::Method::Network),
-    (crate::windows::Measure::BestOf, crate::windows::Method::Base),
-    (crate::windows::Measure::BestOf, crate::windows::Method::Anchors),
-    (crate::windows::Measure::Single, crate::windows::Method::Network),
-    (crate::windows::Measure::Single, crate::windows::Method::ConstantVelocity),
-];

@@ -2,7 +2,7 @@
 
 use data::sets::{DataSet, Part};
 
-use super::{Column, GROWTH, Group, RATES, Report, Subset, fit, need_agents, reference};
+use super::{Column, Group, Report, Subset, fit, need_agents, reference};
 use crate::error::EvaluateError;
 use crate::footage::{Options, SEED};
 use crate::scenes::Cut;
@@ -55,9 +55,9 @@ pub fn sdd(options: &Options, mut progress: impl FnMut(&str)) -> Result<Report, 
         row.map(|row| row.errors)
     });
     report.add_table(errors.main());
-    report.add_table(Table::comparisons("Comparison with baselines", &columns));
-    report.add_table(Table::rates("Calibration and plausibility", RATES, &columns[1..], last));
-    report.add_table(Table::horizons("Errors by horizon, px", "", &columns[..1], &horizons_s, &GROWTH));
+    report.add_table(Table::comparisons("", &columns));
+    report.add_table(Table::rates("", &columns[1..], last));
+    report.add_table(Table::horizons("Errors by horizon, px", &columns[..1], &horizons_s));
     [&pixels, &metres].into_iter().for_each(|group| report.add_figures(group, &horizons_s));
     Ok(report)
 }

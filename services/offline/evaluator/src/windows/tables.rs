@@ -18,6 +18,21 @@ const SUMMARISED: [&str; 9] = [
     "STG-DAT T+C+K (paper)",
 ];
 
+/// Caption of the tables of calibration and plausibility.
+const RATES: &str = "KDE-NLL: negative log density of the truth under a kernel density of the 20 modes, weighted by their probabilities. Coverage: \
+                     share of truths inside the highest-density region of the mixture of Gaussians, over agents and steps. Collision: the \
+                     discs of two agents meet, 0.9 m around vehicles, 0.3 m around cyclists, 0.2 m around pedestrians. Limits are those of \
+                     `metrics::Limits`, checked on all modes and K = 1.";
+
+/// The rows of the tables of errors by horizon.
+const GROWTH: [(Measure, Method); 5] = [
+    (Measure::BestOf, Method::Network),
+    (Measure::BestOf, Method::Base),
+    (Measure::BestOf, Method::Anchors),
+    (Measure::Single, Method::Network),
+    (Measure::Single, Method::ConstantVelocity),
+];
+
 /// A column: the mean over its groups.
 #[derive(Clone, Debug)]
 pub(crate) struct Column<'a> {
@@ -106,21 +121,15 @@ impl Table {
         })
     }
 
-    /// ADE / FDE of `rows` at all horizons, for one column after the other.
-    pub(crate) fn horizons(
-        title: &str,
-        note: &str,
-        columns: &[Column<'_>],
-        horizons_s: &[f64],
-        rows: &[(Measure, Method)],
-    ) -> Self {
+    /// ADE / FDE of some methods at all horizons, for one column after the other.
+    pub(crate) fn horizons(title: &str, columns: &[Column<'_>], horizons_s: &[f64]) -> Self {
         let horizon = |column: &Column<'_>| {
             let name = column.name.clone();
             horizons_s.iter().map(move |s| format!("{name} {s:.1} s")).collect::<Vec<_>>()
         };
         let columns_of = columns.iter().flat_map(horizon);
-        let mut table = Self::new(title, note, &["measure", "method"], columns_of);
-        for &(measure, method) in rows {
+        let mut table = Self::new(title, "", &["measure", "method"], columns_of);
+        for (measure, method) in GROWTH {
             let cells = columns.iter().flat_map(|column| {
                 (0..horizons_s.len()).map(|horizon| column.errors(method, measure, horizon).map(pair))
             });
@@ -143,8 +152,10 @@ impl Table {
     }
 
     /// Miss rates, densities, coverage, collisions and violated limits at one horizon.
-    pub(crate) fn rates(title: &str, note: &str, columns: &[Column<'_>], horizon: usize) -> Self {
-        let mut table = Self::new(title, note, &["share", "method"], names(columns));
+    /// `of` names the agents after a colon, if there are tables of others.
+    pub(crate) fn rates(of: &str, columns: &[Column<'_>], horizon: usize) -> Self {
+        let title = format!("Calibration and plausibility{of}");
+        let mut table = Self::new(&title, RATES, &["share", "method"], names(columns));
         let of_columns: Vec<Vec<Vec<Rate>>> = columns
             .iter()
             .map(|column| column.groups.iter().map(|group| rates(&group.total, horizon)).collect())
@@ -162,13 +173,15 @@ impl Table {
     }
 
     /// Our errors at the longest horizon compared with the errors of baselines, with 95 % intervals.
-    pub(crate) fn comparisons(title: &str, columns: &[Column<'_>]) -> Self {
+    /// `of` is as in [`Table::rates`].
+    pub(crate) fn comparisons(of: &str, columns: &[Column<'_>]) -> Self {
         let note = format!(
             "Difference of the errors (ADE / FDE) on the same agents, ours minus the baseline's, in % of the baseline's. Negative: \
              ours is better; significant where the whole 95 % interval is below 0. Paired bootstrap, {RESAMPLES} resamples \
              of blocks as long as one window."
         );
-        let mut table = Self::new(title, &note, &["measure", "against"], names(columns));
+        let title = format!("Comparison with baselines{of}");
+        let mut table = Self::new(&title, &note, &["measure", "against"], names(columns));
         for (place, (measure, method)) in COMPARED.into_iter().enumerate() {
             let cell = |column: &Column<'_>| {
                 let [group] = column.groups[..] else { return None };

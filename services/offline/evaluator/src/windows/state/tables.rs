@@ -4,12 +4,7 @@ use super::{Basis, Bins, COMPARED_SUBSETS, Part, Parts, State, Total};
 use crate::forecaster::Provenance;
 use crate::table::Table;
 use crate::windows::{
-    Group, Subset, Tally,
-    files::SUBSETS,
-    group::BlockErrors,
-    protocol::{GROWTH, RATES},
-    report::Report,
-    tables::Column,
+    Group, Subset, Tally, files::SUBSETS, group::BlockErrors, report::Report, tables::Column,
 };
 
 /// Name of all recordings together.
@@ -40,13 +35,13 @@ impl State {
             }
             let columns: Vec<Column<'_>> =
                 groups.iter().map(|group| Column::of(&group.part, group)).collect();
-            let title = |what: &str| format!("{what}: {} agents", subset.name());
+            let of = format!(": {} agents", subset.name());
             let note = format!("ADE / FDE, m, after {:.1} s.", horizons_s[last]);
-            report.add_table(Table::errors(&title("Errors"), &note, &columns, last).main());
-            report.add_table(Table::comparisons(&title("Comparison with baselines"), &columns));
-            report.add_table(Table::rates(&title("Calibration and plausibility"), RATES, &columns, last));
+            report.add_table(Table::errors(&format!("Errors{of}"), &note, &columns, last).main());
+            report.add_table(Table::comparisons(&of, &columns));
+            report.add_table(Table::rates(&of, &columns, last));
             let all = &columns[columns.len() - 1..];
-            report.add_table(Table::horizons(&title("Errors by horizon, m"), "", all, horizons_s, &GROWTH));
+            report.add_table(Table::horizons(&format!("Errors by horizon, m{of}"), all, horizons_s));
             groups.iter().for_each(|group| report.add_figures(group, horizons_s));
         }
         report
