@@ -1,5 +1,3 @@
-use std::path::PathBuf;
-
 use data::ReadError;
 use lanes::LaneMapError;
 use ports::StageError;
@@ -15,10 +13,11 @@ pub enum EvaluateError {
     /// A map of lanes can't be read.
     #[error(transparent)]
     Lanes(#[from] LaneMapError),
-    /// A weights file can't be used or run, or no context map can be made from the lanes of a site.
+    /// A weights file can't be used or run, no context map can be made from the lanes of a site, a folder can't be
+    /// listed, or a tracker failed on a recording.
     #[error("{of}: {source}")]
     Unusable {
-        /// The file or the site.
+        /// The file, the site, the folder, or the recording and the tracker.
         of: String,
         /// What is wrong with it.
         source: Box<dyn std::error::Error + Send + Sync>,
@@ -58,24 +57,6 @@ pub enum EvaluateError {
         steps: usize,
         /// Length of a step, s.
         dt_s: f64,
-    },
-    /// A tracker failed on a recording.
-    #[error("{recording}: the tracker \"{name}\": {source}")]
-    Contender {
-        /// The tracker.
-        name: &'static str,
-        /// The recording that it failed on.
-        recording: String,
-        /// What is wrong.
-        source: Box<dyn std::error::Error + Send + Sync>,
-    },
-    /// A folder can't be listed.
-    #[error("{path}: {source}")]
-    Folder {
-        /// The folder.
-        path: PathBuf,
-        /// Why.
-        source: std::io::Error,
     },
     /// No source of driving recordings has this name.
     #[error("{name}: no such source; there are {known}")]

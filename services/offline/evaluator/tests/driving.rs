@@ -133,7 +133,7 @@ fn a_missing_folder_and_an_unknown_source_are_named() {
     let folder = sources_of(&["one"], 0, 0);
     let missing = evaluate(&options(&folder.path().join("none"), true), |_| ()).err().unwrap();
     assert!(
-        matches!(&missing, EvaluateError::Folder { path, .. } if path.ends_with("none/driving")),
+        matches!(&missing, EvaluateError::Unusable { of, .. } if of.ends_with("none/driving")),
         "{missing}"
     );
     let unknown = sources(&folder.path().join("driving"), &["three".to_owned()]).unwrap_err().to_string();

@@ -73,7 +73,7 @@ pub fn sources(folder: &Path, named: &[String]) -> Result<Vec<Source>, EvaluateE
 }
 
 fn list(folder: &Path) -> Result<Vec<PathBuf>, EvaluateError> {
-    let failed = |source| EvaluateError::Folder { path: folder.to_owned(), source };
+    let failed = |source: std::io::Error| EvaluateError::unusable(folder.display().to_string(), source);
     let entries = std::fs::read_dir(folder).map_err(failed)?;
     let mut paths = entries.map(|entry| Ok(entry?.path())).collect::<Result<Vec<_>, _>>().map_err(failed)?;
     paths.sort();

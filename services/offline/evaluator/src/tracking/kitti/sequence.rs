@@ -73,11 +73,8 @@ impl Sequence {
         contender: &Contender<'_>,
         least_scores: ByClass<f32>,
     ) -> Result<ByClass<(Counts, Vec<Frame>)>, EvaluateError> {
-        let failed = |source| EvaluateError::Contender {
-            name: contender.name,
-            recording: self.recording.name.clone(),
-            source,
-        };
+        let of = format!("{}: the tracker \"{}\"", self.recording.name, contender.name);
+        let failed = |source| EvaluateError::Unusable { of: of.clone(), source };
         let published = (contender.track)(&self.with_scores(least_scores)).map_err(failed)?;
         let mut evaluated: ByClass<(Counts, Vec<Frame>)> = Default::default();
         for (of_class, agent_type) in evaluated.iter_mut().zip(CLASSES) {
