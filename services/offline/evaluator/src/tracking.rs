@@ -36,7 +36,7 @@ pub(crate) use kitti::{
     class_name, nearest_neighbours,
 };
 pub(crate) use method::TrackingMethod;
-use method::{ACCELERATION_MPS2, Setting, Settings, StateKind, TURN_RATE_RADPS, UNKNOWN, control_gains};
+use method::{ACCELERATION_MPS2, Setting, Settings, TURN_RATE_RADPS, UNKNOWN, control_gains};
 pub(crate) use outcome::Outcome;
 use outcome::{Error, SETTLED_S};
 pub(crate) use report::{MethodErrors, TrackingReport};

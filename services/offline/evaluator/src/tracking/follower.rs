@@ -12,8 +12,7 @@ use wire::AgentType;
 
 use super::{
     ACCELERATION_MPS2, Course, Error, Estimate, Hypotheses, Instant, OnboardForecasts, Outcome, SETTLED_S,
-    Seen, Settings, SingerBicycle, StateKind, TURN_RATE_RADPS, TrackingMethod, UNKNOWN, control_gains,
-    smooth,
+    Seen, Settings, SingerBicycle, TURN_RATE_RADPS, TrackingMethod, UNKNOWN, control_gains, smooth,
 };
 use crate::forecaster::Forecaster;
 
@@ -202,13 +201,10 @@ impl Track {
     /// Switches to the method's state once the motion determines a heading.
     fn initialise(&mut self, method: TrackingMethod, settings: &Settings, id: u64) {
         let Estimator::Filter(filter) = &self.estimator else { return };
-        let kind = method.kind();
-        let is_ready = match kind {
-            StateKind::ConstantVelocity => false,
-            StateKind::ConstantAcceleration => true,
-            StateKind::ConstantTurnRate | StateKind::Bicycle => {
-                filter.motion().speed_mps > COURSE_KNOWN_MPS && filter.course_sigma_rad() < COURSE_KNOWN_RAD
-            }
+        let is_ready = match method {
+            TrackingMethod::ConstantVelocity => false,
+            TrackingMethod::ConstantAcceleration | TrackingMethod::Smoother => true,
+            _ => filter.motion().speed_mps > COURSE_KNOWN_MPS && filter.course_sigma_rad() < COURSE_KNOWN_RAD,
         };
         if self.agent_type != AgentType::Vehicle || filter.kind() == Kind::Bicycle || !is_ready {
             return;
@@ -220,19 +216,20 @@ impl Track {
             Filter::ConstantVelocity(_) => unreachable!("the filter was converted to a bicycle"),
         };
         let priors = settings.priors(method, self.length_m, [1.0; 2]);
-        self.estimator = match (kind, method) {
-            (StateKind::ConstantVelocity | StateKind::ConstantAcceleration, _) => Estimator::Acceleration(
-                Box::new(ConstantAcceleration::of(&filter.cartesian(), ACCELERATION_MPS2)),
-            ),
-            (StateKind::ConstantTurnRate, _) => Estimator::TurnRate(Box::new(polar(TURN_RATE_RADPS))),
-            (_, TrackingMethod::Bicycle) => {
-                Estimator::Filter(Box::new(Filter::Bicycle(polar(UNKNOWN.slip_rad))))
-            }
-            (_, TrackingMethod::LearnedParticles) => {
+        self.estimator = match method {
+            TrackingMethod::ConstantVelocity
+            | TrackingMethod::ConstantAcceleration
+            | TrackingMethod::Smoother => Estimator::Acceleration(Box::new(ConstantAcceleration::of(
+                &filter.cartesian(),
+                ACCELERATION_MPS2,
+            ))),
+            TrackingMethod::ConstantTurnRate => Estimator::TurnRate(Box::new(polar(TURN_RATE_RADPS))),
+            TrackingMethod::Bicycle => Estimator::Filter(Box::new(Filter::Bicycle(polar(UNKNOWN.slip_rad)))),
+            TrackingMethod::LearnedParticles => {
                 let start = priors.kinematic.of(&polar(UNKNOWN.slip_rad));
                 Estimator::Particles(Box::new(Particles::new(&start, priors, PARTICLES, id)))
             }
-            _ => {
+            TrackingMethod::SingerBicycle | TrackingMethod::Learned | TrackingMethod::WarmStarted => {
                 let start = priors.kinematic.of(&polar(UNKNOWN.slip_rad));
                 Estimator::Mixture(Box::new(Mixture::new(start, priors, id)))
             }

@@ -40,15 +40,6 @@ wire::named! {
     }
 }
 
-/// The state of a method's filter.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum StateKind {
-    ConstantVelocity,
-    ConstantAcceleration,
-    ConstantTurnRate,
-    Bicycle,
-}
-
 /// The tuned numbers of a method. Each method defines their meaning and how many it uses.
 pub(crate) type Setting = [f64; 3];
 
@@ -96,47 +87,32 @@ impl TrackingMethod {
         matches!(self, Self::WarmStarted)
     }
 
-    /// The names of the tuned numbers.
-    pub(crate) const fn setting_names(self) -> &'static [&'static str] {
+    /// The tuned numbers by name, each with the value with which tuning begins.
+    pub(crate) const fn tuned(self) -> &'static [(&'static str, f64)] {
         match self {
-            Self::ConstantVelocity => &["acceleration density, m²/s³"],
-            Self::ConstantAcceleration => &["jerk density, m²/s⁵"],
+            Self::ConstantVelocity => &[("acceleration density, m²/s³", 1.0)],
+            Self::ConstantAcceleration => &[("jerk density, m²/s⁵", 1.0)],
             Self::ConstantTurnRate => {
-                &["root of the acceleration density", "of the yaw acceleration density"]
+                &[("root of the acceleration density", 2.0), ("of the yaw acceleration density", 0.5)]
             }
-            Self::Bicycle => &["acceleration, m/s²", "slip rate, rad/s"],
-            Self::SingerBicycle => &["acceleration, m/s²", "slip rate, rad/s", "decay, s"],
-            Self::Learned | Self::WarmStarted => {
-                &["share of the Singer bicycle's driving noise", "decay at first, s", "decay once steered, s"]
+            Self::Bicycle => &[("acceleration, m/s²", 2.0), ("slip rate, rad/s", 0.2)],
+            Self::SingerBicycle => {
+                &[("acceleration, m/s²", 1.0), ("slip rate, rad/s", 0.05), ("decay, s", 2.0)]
             }
+            Self::Learned | Self::WarmStarted => &[
+                ("share of the Singer bicycle's driving noise", 1.0),
+                ("decay at first, s", 1.5),
+                ("decay once steered, s", 0.8),
+            ],
             Self::LearnedParticles | Self::Smoother => &[],
         }
     }
 
     /// The setting with which tuning begins.
-    pub(crate) const fn first_setting(self) -> Setting {
-        match self {
-            Self::ConstantVelocity | Self::ConstantAcceleration => [1.0; 3],
-            Self::ConstantTurnRate => [2.0, 0.5, 1.0],
-            Self::Bicycle => [2.0, 0.2, 1.0],
-            Self::SingerBicycle => [1.0, 0.05, 2.0],
-            Self::Learned | Self::WarmStarted => [1.0, 1.5, 0.8],
-            Self::LearnedParticles | Self::Smoother => [1.0; 3],
-        }
-    }
-
-    /// The kind of the method's filter once its state is initialised.
-    pub(crate) const fn kind(self) -> StateKind {
-        match self {
-            Self::ConstantVelocity => StateKind::ConstantVelocity,
-            Self::ConstantAcceleration | Self::Smoother => StateKind::ConstantAcceleration,
-            Self::ConstantTurnRate => StateKind::ConstantTurnRate,
-            Self::Bicycle
-            | Self::SingerBicycle
-            | Self::Learned
-            | Self::WarmStarted
-            | Self::LearnedParticles => StateKind::Bicycle,
-        }
+    pub(crate) fn first_setting(self) -> Setting {
+        let mut setting = [1.0; 3];
+        setting.iter_mut().zip(self.tuned()).for_each(|(value, (_, first))| *value = *first);
+        setting
     }
 }
 

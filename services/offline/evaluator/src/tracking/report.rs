@@ -288,9 +288,9 @@ impl TrackingReport {
         let mut table = Table::new("Settings", &note, &["deviation", "method"], ["setting", "NLL"]);
         for (sigma_m, trials) in &self.trials {
             for &(method, figure) in &trials.figures {
-                let numbers = method.setting_names().iter().zip(trials.settings.of(method));
+                let numbers = method.tuned().iter().zip(trials.settings.of(method));
                 let setting: Vec<String> =
-                    numbers.map(|(what, value)| format!("{what} {value:.3}")).collect();
+                    numbers.map(|((what, _), value)| format!("{what} {value:.3}")).collect();
                 let setting = match &setting[..] {
                     [] => format!("those of {}", method.tuned_as().name()),
                     numbers => numbers.join(", "),

@@ -38,7 +38,7 @@ pub(crate) fn tune(
             let outcomes = threads::each(courses, threads, follow);
             Outcome::nll(&outcomes)
         };
-        let (setting, figure) = search(method.first_setting(), method.setting_names().len(), nll);
+        let (setting, figure) = search(method.first_setting(), method.tuned().len(), nll);
         settings = settings.with(method, setting);
         figures.push((method, figure));
     }
