@@ -81,7 +81,21 @@ pub fn under_noise(
     scenes: usize,
     progress: impl Fn(&str) + Sync,
 ) -> Result<Page, EvaluateError> {
-    let study = Study { jobs: jobs_of, table, names: |job| job.names(), figures };
+    let study = Study {
+        jobs: jobs_of,
+        title: "Recorded vehicles",
+        note: |scenes, horizon_s| {
+            format!(
+                "FDE in m after {horizon_s:.1} s of moving vehicles ({MOVING_MPS} m/s or more), a forecast every 0.4 s. At most \
+                 {scenes} recordings of each source, spread evenly. *All fields* keeps the recorded headings and speeds, with \
+                 noise of 2 degrees and of σ / 1 s if the positions have noise. *Clean* is the run without any change (first row \
+                 of each source), on the forecasts that both runs have. *True CV* is constant velocity from the true state."
+            )
+        },
+        head: ["source", "detections", "fields", "noise"],
+        names: |job| job.names(),
+        figures: &RECORDED,
+    };
     Ok(Page::of("recorded", "evaluate noise", &[study.table(options, scenes, progress)?]))
 }
 
@@ -96,19 +110,54 @@ pub fn network_under_noise(
 ) -> Result<Page, EvaluateError> {
     let study = Study {
         jobs: network_jobs_of,
-        table: network_table,
+        title: "The network under noise",
+        note: |scenes, horizon_s| {
+            format!(
+                "ADE and FDE in m over {horizon_s:.1} s of moving vehicles ({MOVING_MPS} m/s or more) with ids, a forecast every 0.4 s. \
+                 At most {scenes} recordings of each source, spread evenly. *Network*: the network's forecasts without evidence. \
+                 *Published*: with evidence. *All fields* as in the table of recorded vehicles. Ratios to 0 m compare the \
+                 forecasts that both runs have. *Tracked CV* is constant velocity from the published state."
+            )
+        },
+        head: ["source", "fields", "forecasts of", "noise"],
         names: |job| job.network_names(),
-        figures: network_figures,
+        figures: &NETWORK,
     };
     Ok(Page::of("network", "evaluate noise --parts network", &[study.table(options, scenes, progress)?]))
 }
 
+/// A column of numbers: its title, and the number of a run beside its reference.
+type Figure = (&'static str, fn(&AllEnds, &AllEnds) -> Option<f64>);
+const RECORDED: [Figure; 5] = [
+    ("FDE", |run, _| mean(run, |of| of.best_m)),
+    ("minFDE₂₀", |run, _| mean(run, |of| of.best_of_m)),
+    ("FDE / clean", |run, clean| to_clean(run, clean, |of| of.best_m)),
+    ("minFDE₂₀ / clean", |run, clean| to_clean(run, clean, |of| of.best_of_m)),
+    ("FDE / true CV", |run, _| {
+        let sum = |of: fn(&Ends) -> f64| run.values().map(of).sum::<f64>();
+        ratio(sum(|of| of.best_m), sum(|of| of.steady_m))
+    }),
+];
+const NETWORK: [Figure; 7] = [
+    ("ADE", |run, _| mean(run, |of| of.best_mean_m)),
+    ("FDE", |run, _| mean(run, |of| of.best_m)),
+    ("minFDE₂₀", |run, _| mean(run, |of| of.best_of_m)),
+    ("ADE / 0 m", |run, clean| to_clean(run, clean, |of| of.best_mean_m)),
+    ("FDE / 0 m", |run, clean| to_clean(run, clean, |of| of.best_m)),
+    ("minFDE₂₀ / 0 m", |run, clean| to_clean(run, clean, |of| of.best_of_m)),
+    ("tracked CV, FDE / 0 m", |run, clean| to_clean(run, clean, |of| of.tracked_m)),
+];
+
 /// A table of runs, each beside the latest run before it that is a reference.
 struct Study {
     jobs: fn(&Source) -> Vec<Job<'_>>,
-    table: fn(usize, &ModelConfig) -> Table,
+    title: &'static str,
+    /// The note for a number of recordings and a horizon in s.
+    note: fn(usize, f64) -> String,
+    /// Titles of the columns of names.
+    head: [&'static str; 4],
     names: fn(&Job<'_>) -> Vec<String>,
-    figures: fn(&AllEnds, &AllEnds) -> Vec<Option<f64>>,
+    figures: &'static [Figure],
 }
 
 impl Study {
@@ -126,12 +175,15 @@ impl Study {
             job.play(options, model)
         });
         let played = played.into_iter().collect::<Result<Vec<_>, _>>()?;
-        let (mut table, mut reference) = ((self.table)(scenes, model), &BTreeMap::new());
+        let note = (self.note)(scenes, model.horizon_len as f64 * model.dt_s);
+        let columns = std::iter::once("forecasts").chain(self.figures.iter().map(|(title, _)| *title));
+        let mut table = Table::new(self.title, &note, &self.head, columns);
+        let mut reference = &BTreeMap::new();
         for (job, played) in jobs.iter().zip(&played) {
             if job.is_reference {
                 reference = played;
             }
-            let figures = (self.figures)(played, reference).into_iter().map(|value| value.map(Entry::digits));
+            let figures = self.figures.iter().map(|(_, figure)| figure(played, reference).map(Entry::digits));
             let count = Some(Entry::count(played.len()));
             table.push(&(self.names)(job), std::iter::once(count).chain(figures));
         }
@@ -193,47 +245,6 @@ fn network_jobs_of(source: &Source) -> Vec<Job<'_>> {
         .collect()
 }
 
-fn table(scenes: usize, model: &ModelConfig) -> Table {
-    let horizon_s = model.horizon_len as f64 * model.dt_s;
-    let note = format!(
-        "FDE in m after {horizon_s:.1} s of moving vehicles ({MOVING_MPS} m/s or more), a forecast every 0.4 s. At most \
-         {scenes} recordings of each source, spread evenly. *All fields* keeps the recorded headings and speeds, with \
-         noise of 2 degrees and of σ / 1 s if the positions have noise. *Clean* is the run without any change (first row \
-         of each source), on the forecasts that both runs have. *True CV* is constant velocity from the true state."
-    );
-    let columns = ["forecasts", "FDE", "minFDE₂₀", "FDE / clean", "minFDE₂₀ / clean", "FDE / true CV"];
-    Table::new("Recorded vehicles", &note, &["source", "detections", "fields", "noise"], columns)
-}
-
-fn network_table(scenes: usize, model: &ModelConfig) -> Table {
-    let horizon_s = model.horizon_len as f64 * model.dt_s;
-    let note = format!(
-        "ADE and FDE in m over {horizon_s:.1} s of moving vehicles ({MOVING_MPS} m/s or more) with ids, a forecast every 0.4 s. \
-         At most {scenes} recordings of each source, spread evenly. *Network*: the network's forecasts without evidence. \
-         *Published*: with evidence. *All fields* as in the table of recorded vehicles. Ratios to 0 m compare the \
-         forecasts that both runs have. *Tracked CV* is constant velocity from the published state."
-    );
-    let columns = [
-        "forecasts",
-        "ADE",
-        "FDE",
-        "minFDE₂₀",
-        "ADE / 0 m",
-        "FDE / 0 m",
-        "minFDE₂₀ / 0 m",
-        "tracked CV, FDE / 0 m",
-    ];
-    Table::new("The network under noise", &note, &["source", "fields", "forecasts of", "noise"], columns)
-}
-
-/// The numbers of a row of [`network_table`] after the count.
-fn network_figures(played: &AllEnds, clean: &AllEnds) -> Vec<Option<f64>> {
-    let of: [fn(&Ends) -> f64; 4] =
-        [|of| of.best_mean_m, |of| of.best_m, |of| of.best_of_m, |of| of.tracked_m];
-    let means = of[..3].iter().map(|of| mean(played, *of));
-    means.chain(of.iter().map(|of| to_clean(played, clean, *of))).collect()
-}
-
 fn mean(played: &AllEnds, of: fn(&Ends) -> f64) -> Option<f64> {
     (!played.is_empty()).then(|| played.values().map(of).sum::<f64>() / played.len() as f64)
 }
@@ -247,19 +258,6 @@ fn to_clean(played: &AllEnds, clean: &AllEnds, of: fn(&Ends) -> f64) -> Option<f
     let both = played.iter().filter_map(|(key, ends)| Some((ends, clean.get(key)?)));
     let (ours, theirs) = both.fold((0.0, 0.0), |(ours, theirs), (a, b)| (ours + of(a), theirs + of(b)));
     ratio(ours, theirs)
-}
-
-/// The numbers of a row after the count.
-fn figures(played: &AllEnds, clean: &AllEnds) -> Vec<Option<f64>> {
-    let sum = |of: fn(&Ends) -> f64| played.values().map(of).sum::<f64>();
-    let [best, best_of]: [fn(&Ends) -> f64; 2] = [|of| of.best_m, |of| of.best_of_m];
-    vec![
-        mean(played, best),
-        mean(played, best_of),
-        to_clean(played, clean, best),
-        to_clean(played, clean, best_of),
-        ratio(sum(best), sum(|of| of.steady_m)),
-    ]
 }
 
 impl Job<'_> {
@@ -341,11 +339,10 @@ mod tests {
     fn ratios_to_the_clean_run_use_the_forecasts_of_both() {
         let clean = [((0, 1, 0), ends(1.0)), ((0, 2, 0), ends(2.0)), ((0, 3, 0), ends(50.0))].into();
         let noisy = [((0, 1, 0), ends(2.0)), ((0, 2, 0), ends(4.0)), ((1, 2, 0), ends(9.0))].into();
-        let expected = [5.0, 2.5, 2.0, 2.0, 1.25].map(Some);
-        assert_eq!(figures(&noisy, &clean), expected);
-        assert_eq!(figures(&BTreeMap::new(), &clean), [None; 5]);
+        assert_eq!(RECORDED.map(|(_, of)| of(&noisy, &clean)), [5.0, 2.5, 2.0, 2.0, 1.25].map(Some));
+        assert_eq!(RECORDED.map(|(_, of)| of(&BTreeMap::new(), &clean)), [None; 5]);
         let of_network = [1.25, 5.0, 2.5, 2.0, 2.0, 2.0, 1.0].map(Some);
-        assert_eq!(network_figures(&noisy, &clean), of_network);
+        assert_eq!(NETWORK.map(|(_, of)| of(&noisy, &clean)), of_network);
     }
 
     #[test]
