@@ -15,6 +15,7 @@ use std::collections::VecDeque;
 use data::{PredictedAgent, PredictedFrame, Recording};
 use metrics::{Errors, HighestDensity, Point, displacement, min_displacement};
 use onboard::Chain;
+use scene::State;
 use source::Playback;
 use wire::{AgentType, Forecast, HORIZON_MAX, MODES_MAX};
 
@@ -94,7 +95,14 @@ fn compare(
         let forecasts = chain.tick(&tick.header, tick.detections, |_| ()).1.to_vec();
         if !is_truth_recorded {
             let observed = chain.tracks().iter().filter(|track| track.unseen_ns == 0);
-            observed.for_each(|track| comparison.truth.add(stamp_ns, track));
+            observed.for_each(|track| {
+                let state = State {
+                    position_m: [track.x_m, track.y_m],
+                    velocity_mps: [track.vx_mps, track.vy_mps],
+                    heading_rad: track.heading_rad,
+                };
+                comparison.truth.add(track.id, stamp_ns, state);
+            });
         }
         comparison.mature(stamp_ns);
         last = Some((stamp_ns, forecasts));

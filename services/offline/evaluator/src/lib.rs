@@ -53,6 +53,7 @@ pub use method::Method;
 pub use metrics::Errors;
 pub use noise::Noise;
 pub use page::Page;
+pub use playback::Truth;
 pub use scenes::{Agent, Cut, MOVING_MPS, Scene};
 pub use table::{Entry, Table, digits, pair};
 pub use windows::{

@@ -7,7 +7,7 @@ use metrics::Point;
 use onboard::Chain;
 use scene::State;
 use source::{Playback, PlaybackOptions};
-use wire::{AgentType, Forecast, Header, Track};
+use wire::{AgentType, Forecast, Header};
 
 use crate::matching::{Placed, nearest};
 use crate::noise::Noise;
@@ -15,9 +15,9 @@ use crate::noise::Noise;
 /// Longest gap between two frames over which the truth is interpolated, ns.
 pub(crate) const GAP_NS: i64 = 1_000_000_000;
 
-/// The recorded motion of agents by identity.
+/// The motion of agents by identity.
 #[derive(Debug, Default)]
-pub(crate) struct Truth(BTreeMap<u64, RecordedTrack>);
+pub struct Truth(BTreeMap<u64, RecordedTrack>);
 
 /// A recording on its way through the pipeline.
 pub(crate) struct Playing {
@@ -41,36 +41,45 @@ pub(crate) fn playback(recording: Recording) -> Playback {
 }
 
 impl Truth {
-    pub(crate) fn of(recording: &Recording) -> Self {
+    /// The tracks of a recording.
+    #[must_use]
+    pub fn of(recording: &Recording) -> Self {
         Self(data::tracks(recording).into_iter().map(|track| (track.id, track)).collect())
+    }
+
+    /// The agents' tracks, in the order of their identities.
+    pub fn tracks(&self) -> impl Iterator<Item = &RecordedTrack> {
+        self.0.values()
     }
 
     pub(crate) fn track(&self, agent: u64) -> Option<&RecordedTrack> {
         self.0.get(&agent)
     }
 
-    /// Adds the state of a track as the motion of an agent with its identity.
-    pub(crate) fn add(&mut self, stamp_ns: i64, track: &Track) {
-        let state = State {
-            position_m: [track.x_m, track.y_m],
-            velocity_mps: [track.vx_mps, track.vy_mps],
-            heading_rad: track.heading_rad,
-        };
-        let empty = || RecordedTrack {
-            id: track.id,
-            states: Vec::new(),
-            starts_unmoved: false,
-            reported: Vec::new(),
-        };
-        self.0.entry(track.id).or_insert_with(empty).states.push((stamp_ns, state));
+    /// Adds a later state of an agent.
+    pub fn add(&mut self, agent: u64, stamp_ns: i64, state: State) {
+        let empty =
+            || RecordedTrack { id: agent, states: Vec::new(), starts_unmoved: false, reported: Vec::new() };
+        self.0.entry(agent).or_insert_with(empty).states.push((stamp_ns, state));
     }
 
-    /// The state of an agent; `None` if the recording has none near this time.
-    pub(crate) fn state(&self, agent: u64, at_ns: i64) -> Option<State> {
+    /// The state of an agent; `None` if there is none near this time.
+    #[must_use]
+    pub fn state(&self, agent: u64, at_ns: i64) -> Option<State> {
         self.track(agent)?.state_at(at_ns, i64::MAX, GAP_NS)
     }
 
-    /// The position of an agent at each of `len` steps; `None` unless the recording has all of them.
+    /// The known positions of an agent at `len` steps.
+    #[must_use]
+    pub fn positions(&self, agent: u64, stamp_ns: i64, step_ns: f64, len: usize) -> Vec<Option<Point>> {
+        let at = |step: usize| {
+            let at_ns = stamp_ns.checked_add((step as f64 * step_ns).round() as i64)?;
+            Some(self.state(agent, at_ns)?.position_m)
+        };
+        (1..=len).map(at).collect()
+    }
+
+    /// The same; `None` unless all of them are known.
     pub(crate) fn ahead(
         &self,
         agent: u64,
@@ -78,11 +87,8 @@ impl Truth {
         step_ns: f64,
         len: usize,
     ) -> Option<Vec<Option<Point>>> {
-        let at = |step: usize| {
-            let at_ns = stamp_ns.checked_add((step as f64 * step_ns).round() as i64)?;
-            Some(Some(self.state(agent, at_ns)?.position_m))
-        };
-        (1..=len).map(at).collect()
+        let positions = self.positions(agent, stamp_ns, step_ns, len);
+        positions.iter().all(Option::is_some).then_some(positions)
     }
 
     /// The agent of each forecast. `None` if no agent is near the track.
@@ -94,7 +100,7 @@ impl Truth {
             return forecasts.iter().map(named).collect();
         }
         let (mut ids, mut here) = (Vec::new(), Vec::new());
-        for track in self.0.values() {
+        for track in self.tracks() {
             let Some(state) = track.state_at(stamp_ns, i64::MAX, GAP_NS) else { continue };
             ids.push(track.id);
             let agent_type = track.reported_at(stamp_ns).agent_type as u32;

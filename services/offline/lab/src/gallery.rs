@@ -1,12 +1,12 @@
 //! Plays a recording through the stages and keeps the ticks to be drawn, with their published forecasts.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::rc::Rc;
 
 use console::failure::Failure;
-use data::{RecordedTrack, Recording, Reported};
+use data::Recording;
 use drawing::AgentDrawing;
-use evaluator::MOVING_MPS;
+use evaluator::{MOVING_MPS, Truth};
 use metrics::{Displacement, Point};
 use nn::ModelConfig;
 use onboard::Chain;
@@ -21,8 +21,6 @@ use crate::published::Published;
 
 /// Maximum number of ticks whose agents are ranked, evenly spread.
 const RANKED_MAX: u64 = 240;
-/// Longest gap of a recorded track over which a position of the truth is interpolated.
-const GAP_MAX_NS: i64 = 1_000_000_000;
 /// Largest distance between a track without an identity and its truth.
 const MATCH_MAX_M: f32 = 2.0;
 
@@ -102,7 +100,7 @@ pub enum GalleryError {
 /// The original recording, for the truth and the map.
 #[derive(Default)]
 struct Past {
-    tracks: BTreeMap<u64, RecordedTrack>,
+    truth: Truth,
     first_ns: i64,
 }
 
@@ -249,27 +247,19 @@ impl<'a> Search<'a> {
 
 impl Past {
     fn of_recording(recording: &Recording) -> Self {
-        let tracks = match recording.frames.iter().any(|frame| !frame.truth.is_empty()) {
-            true => data::tracks(&of_truth(recording)),
-            false => data::tracks(recording),
+        let truth = match recording.frames.iter().any(|frame| !frame.truth.is_empty()) {
+            true => Truth::of(&of_truth(recording)),
+            false => Truth::of(recording),
         };
-        let tracks = tracks.into_iter().map(|track| (track.id, track)).collect();
-        let first_ns = recording.frames.first().map_or(0, |frame| frame.stamp_ns);
-        Self { tracks, first_ns }
+        Self { truth, first_ns: recording.frames.first().map_or(0, |frame| frame.stamp_ns) }
     }
 
     /// Adds the tracks of a tick that a run has published.
     fn add(&mut self, view: &TickView) {
         for agent in view.agents.iter().filter(|agent| agent.unseen_ns == 0) {
-            let track = self.tracks.entry(agent.known_as()).or_insert_with(|| {
-                let [length_m, width_m] = [agent.length_m, agent.width_m].map(Option::unwrap_or_default);
-                let (agent_type, has_speed, has_heading) = (agent.agent_type, true, true);
-                let reported = Reported { agent_type, length_m, width_m, has_speed, has_heading };
-                let (id, states, starts_unmoved) = (agent.known_as(), Vec::new(), false);
-                RecordedTrack { id, states, starts_unmoved, reported: vec![(view.stamp_ns, reported)] }
-            });
             let AgentView { position_m, velocity_mps, heading_rad, .. } = *agent;
-            track.states.push((view.stamp_ns, State { position_m, velocity_mps, heading_rad }));
+            let state = State { position_m, velocity_mps, heading_rad };
+            self.truth.add(agent.known_as(), view.stamp_ns, state);
         }
     }
 
@@ -279,23 +269,19 @@ impl Past {
 
     /// The recorded positions of an agent at the steps of its forecast.
     fn truth(&self, view: &TickView, agent: &AgentView, forecast: &ForecastView) -> Vec<Option<Point>> {
-        let position_m = |track: &RecordedTrack, stamp_ns: i64| {
-            track.state_at(stamp_ns, i64::MAX, GAP_MAX_NS).map(|state| state.position_m)
+        let apart_m = |id: u64| {
+            let [x_m, y_m] = self.truth.state(id, view.stamp_ns)?.position_m;
+            let apart_m = (x_m - agent.position_m[0]).hypot(y_m - agent.position_m[1]);
+            (apart_m <= MATCH_MAX_M).then_some(apart_m)
         };
+        let ids = || self.truth.tracks().map(|track| track.id);
         let nearest = || {
-            let apart_m = |track: &RecordedTrack| {
-                let [x_m, y_m] = position_m(track, view.stamp_ns)?;
-                let apart_m = (x_m - agent.position_m[0]).hypot(y_m - agent.position_m[1]);
-                (apart_m <= MATCH_MAX_M).then_some(apart_m)
-            };
-            let found = self.tracks.values().filter_map(|track| Some((apart_m(track)?, track)));
-            found.min_by(|(a, _), (b, _)| a.total_cmp(b)).map(|(_, track)| track)
+            let near = ids().filter_map(|id| Some((apart_m(id)?, id)));
+            near.min_by(|(a, _), (b, _)| a.total_cmp(b)).map(|(_, id)| id)
         };
-        let known = self.tracks.get(&agent.source_id).filter(|_| agent.source_id != 0);
-        let Some(track) = known.or_else(nearest) else { return Vec::new() };
-        let step_ns = i64::try_from(view.step_ns).unwrap_or(i64::MAX);
-        let stamp_ns = |step: usize| view.stamp_ns.saturating_add(step_ns.saturating_mul(step as i64));
-        (1..=forecast.best.len()).map(|step| position_m(track, stamp_ns(step))).collect()
+        let known = ids().find(|id| *id == agent.source_id && *id != 0);
+        let Some(id) = known.or_else(nearest) else { return Vec::new() };
+        self.truth.positions(id, view.stamp_ns, view.step_ns as f64, forecast.best.len())
     }
 
     fn shot(&self, view: &TickView, wanted: &[u64]) -> Result<Shot, GalleryError> {
@@ -363,8 +349,8 @@ impl Past {
     /// The map of all places where agents were detected up to this time.
     fn visits(&self, stamp_ns: i64) -> Option<ContextMap> {
         let states: Vec<State> = self
-            .tracks
-            .values()
+            .truth
+            .tracks()
             .flat_map(|track| track.states.iter().take_while(|(seen_ns, _)| *seen_ns <= stamp_ns))
             .map(|(_, state)| *state)
             .collect();

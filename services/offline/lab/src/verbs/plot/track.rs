@@ -3,9 +3,9 @@ use std::path::PathBuf;
 use clap::Args;
 use console::failure::Failure;
 use console::say;
-use data::{RecordedTrack, Recording};
+use data::Recording;
 use drawing::{NoisyTrack, noisy_track};
-use evaluator::{Noise, SEED};
+use evaluator::{Noise, SEED, Truth};
 use launch::arguments::ReadArguments;
 use metrics::Point;
 use nn::{ModelConfig, Weights};
@@ -16,8 +16,6 @@ use wire::Forecast;
 
 use crate::picture::save;
 
-/// Longest gap of the true motion that is interpolated.
-const GAP_MAX_NS: i64 = 1_000_000_000;
 /// Time between two drawn true positions.
 const TRUTH_NS: i64 = 100_000_000;
 
@@ -60,10 +58,11 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
         return Err(Failure::Usage(format!("--noise {}: expected a number from 0 to 10", arguments.noise)));
     }
     let recording = arguments.read.open(&arguments.recording)?;
-    let truth = data::tracks(&recording).into_iter().find(|track| track.id == arguments.agent);
-    let truth = truth
-        .filter(|_| recording.has_identities)
-        .ok_or_else(|| Failure::file(&arguments.recording, format!("no identity {}", arguments.agent)))?;
+    let truth = Truth::of(&recording);
+    if !recording.has_identities || truth.tracks().all(|track| track.id != arguments.agent) {
+        let why = format!("no identity {}", arguments.agent);
+        return Err(Failure::file(&arguments.recording, why));
+    }
     let noise = Noise {
         sigma_m: arguments.noise,
         positions_only: arguments.positions,
@@ -82,12 +81,7 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
 
 impl Arguments {
     /// Plays the noisy recording up to the forecast.
-    fn play(
-        &self,
-        noisy: Recording,
-        truth: &RecordedTrack,
-        model: &ModelConfig,
-    ) -> Result<NoisyTrack, Failure> {
+    fn play(&self, noisy: Recording, truth: &Truth, model: &ModelConfig) -> Result<NoisyTrack, Failure> {
         let mut playback =
             Playback::new(noisy, PlaybackOptions { lockstep: true, ..PlaybackOptions::default() });
         let run = Run { lockstep: true, interval_ns: playback.interval_ns(), ..Run::default() };
@@ -122,8 +116,7 @@ impl Arguments {
         let end_ns = now_ns + len as i64 * model.step_ns().cast_signed();
         let from_ns = now_ns - (self.past * 1e9) as i64;
         let times = (0..).map(|step| from_ns + step * TRUTH_NS).take_while(|at_ns| *at_ns <= end_ns);
-        let state = |at_ns| truth.state_at(at_ns, i64::MAX, GAP_MAX_NS);
-        drawing.truth = times.filter_map(|at_ns| Some(state(at_ns)?.position_m)).collect();
+        drawing.truth = times.filter_map(|at_ns| Some(truth.state(self.agent, at_ns)?.position_m)).collect();
         Ok(drawing)
     }
 }
