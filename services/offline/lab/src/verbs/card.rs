@@ -3,6 +3,7 @@ mod table;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
+use evaluator::{Entry, Table};
 use metrics::Errors;
 use nn::Weights;
 use run::Exit;
@@ -118,26 +119,21 @@ fn validation(card: &ModelCard) -> String {
     let model = &card.options.model;
     let horizon_s = model.dt_s * model.horizon_len as f64;
     let map = if model.context { ", online map" } else { "" };
-    let mut text = format!("Validation, ADE / FDE in m over {horizon_s:.1} s{map}:\n\n");
-    text += &format!(
-        "| {:<12} | agents | {:>15} | {:>15} | {:>15} | {:>15} | {:>15} | {:>15} |\n",
-        "data set", "min of 20", "20 anchors", "gain", "K = 1", "const. velocity", "gain"
-    );
-    text += &format!("|:{:-<12}-|-------:|{}\n", "", format!("{:->16}:|", "").repeat(6));
+    let columns = ["agents", "min of 20", "20 anchors", "gain", "K = 1", "const. velocity", "gain"];
+    let mut table = Table::new("", "", &["data set"], columns);
     for (score, gain) in card.validation.iter().zip(&card.gains) {
-        text += &format!(
-            "| {:<12} | {:>6} | {:>15} | {:>15} | {:>15} | {:>15} | {:>15} | {:>15} |\n",
-            score.set,
-            score.agents,
+        let figures = [
+            score.agents.to_string(),
             pair(&score.best_of_modes),
             pair(&score.anchors_best_of_20),
             share(gain.best_of_modes_over_anchors),
             pair(&score.single),
             pair(&score.constant_velocity),
             share(gain.single_over_constant_velocity),
-        );
+        ];
+        table.push(&[&score.set], figures.map(Entry::from));
     }
-    text
+    format!("Validation, ADE / FDE in m over {horizon_s:.1} s{map}:\n\n{}", table.grid())
 }
 
 /// The update that made the weights, or the files that were averaged.
