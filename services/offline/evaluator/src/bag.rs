@@ -13,7 +13,7 @@ mod report;
 use std::collections::VecDeque;
 
 use data::{PredictedAgent, PredictedFrame, Recording};
-use metrics::{Errors, HighestDensity, Point, displacement, min_displacement};
+use metrics::{HighestDensity, Point, displacement, min_displacement};
 use onboard::Chain;
 use scene::State;
 use source::Playback;
@@ -219,8 +219,8 @@ impl Comparison {
         let (ours, steady) = (pair.ours_at(&pair.ours.best, self.steps), pair.steady_at(self.steps));
         for (place, horizon) in self.cells.horizons().into_iter().enumerate() {
             let truth = &truth[..horizon];
-            let one = |path: &[Point]| Errors::of(displacement(path, truth));
-            let best = |paths: &[Vec<Point>]| Errors::of(min_displacement(paths, truth));
+            let one = |path: &[Point]| displacement(path, truth);
+            let best = |paths: &[Vec<Point>]| min_displacement(paths, truth);
             let errors =
                 [one(&ours), one(&paths[0]), one(&steady), best(as_many), best(&paths), best(&modes)];
             // A region belongs to a step of our own tick.

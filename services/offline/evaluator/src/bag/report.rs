@@ -1,6 +1,6 @@
 //! The table of a comparison.
 
-use metrics::{Errors, Mean, Share};
+use metrics::{Displacement, DisplacementMean, Errors, Share};
 use wire::{AGENT_TYPES, AgentType};
 
 use crate::page::Page;
@@ -47,8 +47,8 @@ pub(crate) struct Counts {
 /// Means over forecasts.
 #[derive(Clone, Copy, Debug, Default)]
 struct Cell {
-    /// ADE and FDE by [`METHODS`].
-    errors: [[Mean; 2]; METHODS.len()],
+    /// By [`METHODS`].
+    errors: [DisplacementMean; METHODS.len()],
     held: [Share; LEVELS.len()],
 }
 
@@ -100,15 +100,12 @@ impl Cells {
         &mut self,
         agent_type: AgentType,
         horizon: usize,
-        errors: &[Errors; METHODS.len()],
+        errors: &[Displacement; METHODS.len()],
         level: Option<f64>,
     ) {
         for of_type in [agent_type.index(), AGENT_TYPES.len()] {
             let cell = &mut self.cells[of_type][horizon];
-            for ([ade_m, fde_m], errors) in cell.errors.iter_mut().zip(errors) {
-                ade_m.add(errors.ade_m);
-                fde_m.add(errors.fde_m);
-            }
+            cell.errors.iter_mut().zip(errors).for_each(|(mean, errors)| mean.add(*errors));
             for (held, of) in cell.held.iter_mut().zip(LEVELS) {
                 level.into_iter().for_each(|level| held.add(level <= of));
             }
@@ -130,12 +127,12 @@ impl Cells {
 }
 
 fn row(agents: &'static str, horizon_s: f64, cell: &Cell) -> Option<Row> {
-    let mean = |[ade_m, fde_m]: [Mean; 2]| Some(Errors { ade_m: ade_m.value()?, fde_m: fde_m.value()? });
+    let mean = |of: DisplacementMean| Some(Errors { ade_m: of.ade_m.value()?, fde_m: of.fde_m.value()? });
     let [half, most] = cell.held.map(|share| share.value());
     Some(Row {
         agents,
         horizon_s,
-        forecasts: cell.errors[0][0].len(),
+        forecasts: cell.errors[0].ade_m.len(),
         errors: cell.errors.map(mean).into_iter().collect::<Option<Vec<_>>>()?.try_into().ok()?,
         within: half.zip(most).map(<[f64; LEVELS.len()]>::from),
     })

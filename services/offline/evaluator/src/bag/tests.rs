@@ -1,6 +1,7 @@
 use std::fmt::Write as _;
 
 use data::{Format, Input, PredictedPath, Role};
+use metrics::Errors;
 
 use super::report::{METHODS, Row};
 use super::*;

@@ -27,18 +27,14 @@ pub struct WeightsChoice {
 pub struct Model {
     /// Forecaster with these weights.
     pub forecaster: Forecaster,
-    pub(crate) path: String,
-    /// Precision of the decoder; `None` if it is f32.
-    precision: Option<Precision>,
-    sha256: String,
-    recipe: Option<String>,
-    seed: Option<u64>,
+    /// Of no part and no recordings.
+    provenance: Provenance,
     /// Fingerprints of the recordings that training saw.
     trained_on: Vec<String>,
 }
 
 /// Provenance of the weights behind a part of a report's figures.
-#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Provenance {
     /// Name of the part.
     pub part: String,
@@ -54,9 +50,8 @@ pub struct Provenance {
     pub draws: String,
     /// The map that the network read.
     pub map: String,
-    /// Precision of the decoder; `None` if it is f32.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub precision: Option<Precision>,
+    /// Precision of the decoder.
+    pub precision: Precision,
     /// Number of recordings behind the figures.
     pub recordings: usize,
     /// Number of these recordings that the card lists as training data.
@@ -99,15 +94,20 @@ impl WeightsChoice {
             |name: &str| card.and_then(|card| card.get(name).or_else(|| card.get("options")?.get(name)));
         let recordings = card.and_then(|card| card.get("recordings")?.as_array());
         let fingerprint = |recording: &serde_json::Value| Some(recording.get("sha256")?.as_str()?.to_owned());
-        Ok(Model {
+        let provenance = Provenance {
+            part: String::new(),
+            weights: shown,
             sha256: weights.sha256().to_owned(),
             recipe: entry("recipe").and_then(|recipe| Some(recipe.as_str()?.to_owned())),
             seed: entry("seed").and_then(serde_json::Value::as_u64),
-            trained_on: recordings.into_iter().flatten().filter_map(fingerprint).collect(),
-            path: shown,
-            precision: Some(self.precision).filter(|precision| *precision != Precision::F32),
-            forecaster,
-        })
+            draws: draws(forecaster.config()),
+            map: String::new(),
+            precision: self.precision,
+            recordings: 0,
+            seen_in_training: 0,
+        };
+        let trained_on = recordings.into_iter().flatten().filter_map(fingerprint).collect();
+        Ok(Model { provenance, trained_on, forecaster })
     }
 }
 
@@ -123,15 +123,10 @@ impl Model {
         let seen = recordings.iter().filter(|recording| self.has_seen(recording));
         Provenance {
             part: part.to_owned(),
-            weights: self.path.clone(),
-            sha256: self.sha256.clone(),
-            recipe: self.recipe.clone(),
-            seed: self.seed,
-            draws: draws(self.forecaster.config()),
             map: if self.forecaster.config().context { map } else { "not read" }.to_owned(),
-            precision: self.precision,
             recordings: recordings.len(),
             seen_in_training: seen.count(),
+            ..self.provenance.clone()
         }
     }
 
@@ -145,7 +140,7 @@ impl Model {
         let [own, wanted] = [&own, wanted].map(|Cut { history_len, horizon_len, dt_s, .. }| {
             format!("{history_len} + {horizon_len} steps of {dt_s} s")
         });
-        Err(EvaluateError::Steps { path: self.path.clone(), own, set, wanted })
+        Err(EvaluateError::Steps { path: self.provenance.weights.clone(), own, set, wanted })
     }
 }
 
@@ -167,8 +162,10 @@ impl Provenance {
             0 => String::new(),
             seen => format!(", {seen} SEEN IN TRAINING"),
         };
-        let precision =
-            self.precision.map(|precision| format!(", decoder in {precision}")).unwrap_or_default();
+        let precision = match self.precision {
+            Precision::F32 => String::new(),
+            other => format!(", decoder in {other}"),
+        };
         format!(
             "{}: {} ({}, recipe {recipe}, seed {seed}), {} recordings{seen}, map {}, {}{precision}",
             self.part,

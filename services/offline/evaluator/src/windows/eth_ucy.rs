@@ -87,7 +87,7 @@ fn tables(report: &mut Report, groups: &[Group], rules: &Rules<'_>, horizons_s: 
 
     let note = "ADE / FDE, m, after 4.8 s. The average is that of the five folds.";
     let mut errors = Table::errors(&format!("Errors{of}"), note, &columns, last);
-    let paper = reference::eth_ucy();
+    let paper = reference::rows(reference::ETH_UCY);
     errors
         .add_paper(&paper, columns.len(), |paper, method, column| of_paper(paper, method, &columns[column]));
     report.add_table(if groups[0].subset == Subset::Company { errors.main() } else { errors });

@@ -9,7 +9,7 @@ use lanes::LaneMap;
 use super::{Baselines, Basis, Judge, Rules, State, Subset};
 use crate::error::EvaluateError;
 use crate::footage::{Footage, Options, SEED};
-use crate::forecaster::{EMBEDDED, MapInput, Model, Provenance};
+use crate::forecaster::{EMBEDDED, MapInput, Model};
 use crate::lines::ForecastLines;
 use crate::scenes::Cut;
 use crate::threads;
@@ -47,16 +47,8 @@ impl Evaluation {
         let cut = Cut { from_positions, ..Cut::of(model.forecaster.config()) };
         let horizons = quarters(cut.horizon_len);
         let (map, map_label) = options.map.without_sites();
-        let Provenance { weights, sha256, recipe, seed, draws, map: map_label, precision, .. } =
-            model.provenance("", map_label, &[]);
         let basis = Basis {
-            weights,
-            sha256,
-            recipe,
-            seed,
-            draws,
-            precision: precision.unwrap_or_default(),
-            map: map_label,
+            provenance: model.provenance("", map_label, &[]),
             from_positions,
             lanes: false,
             steps: cut.history_len + cut.horizon_len,

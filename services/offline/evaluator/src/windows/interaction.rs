@@ -276,7 +276,7 @@ fn tables(
     );
     let mut errors = Table::errors(&title("Errors"), &note, &columns, last).main();
     if SUBSETS[place] == Subset::All {
-        let paper = reference::interaction();
+        let paper = reference::rows(reference::INTERACTION);
         errors.add_paper(&paper, columns.len(), |paper, method, column| {
             of_paper(paper, method, columns[column].name.trim_start_matches("seen "), horizons_s[last])
         });
@@ -301,7 +301,7 @@ fn tables(
 /// Errors by horizon. The rows of the paper are for all vehicles.
 fn growth(title: &str, columns: &[Column<'_>], horizons_s: &[f64]) -> Table {
     let mut table = Table::horizons(title, columns, horizons_s);
-    let paper = reference::interaction();
+    let paper = reference::rows(reference::INTERACTION);
     table.add_paper(&paper, columns.len() * horizons_s.len(), |paper, method, cell| {
         let (column, horizon_s) = (&columns[cell / horizons_s.len()], horizons_s[cell % horizons_s.len()]);
         of_paper(paper, method, column.name.trim_start_matches("seen "), horizon_s)

@@ -2,9 +2,12 @@
 
 use metrics::Errors;
 
-const ETH_UCY: &str = include_str!("reference/paper_eth_ucy.csv");
-const SDD: &str = include_str!("reference/paper_sdd.csv");
-const INTERACTION: &str = include_str!("reference/paper_interaction.csv");
+/// In m.
+pub(crate) const ETH_UCY: &str = include_str!("reference/paper_eth_ucy.csv");
+/// In pixels.
+pub(crate) const SDD: &str = include_str!("reference/paper_sdd.csv");
+/// In m.
+pub(crate) const INTERACTION: &str = include_str!("reference/paper_interaction.csv");
 
 /// A row of the paper's tables.
 #[derive(Clone, Debug, PartialEq)]
@@ -19,21 +22,6 @@ pub(crate) struct PaperRow {
     pub(crate) errors: Errors,
 }
 
-/// ETH/UCY, m.
-pub(crate) fn eth_ucy() -> Vec<PaperRow> {
-    rows(ETH_UCY)
-}
-
-/// SDD, pixels.
-pub(crate) fn sdd() -> Vec<PaperRow> {
-    rows(SDD)
-}
-
-/// INTERACTION, m.
-pub(crate) fn interaction() -> Vec<PaperRow> {
-    rows(INTERACTION)
-}
-
 /// The methods of a table, in the table's order.
 pub(crate) fn methods(rows: &[PaperRow]) -> Vec<&'static str> {
     let mut methods = Vec::new();
@@ -46,7 +34,7 @@ pub(crate) fn methods(rows: &[PaperRow]) -> Vec<&'static str> {
 }
 
 /// Parses a table. Its header names the columns; ADE and FDE are last.
-fn rows(table: &'static str) -> Vec<PaperRow> {
+pub(crate) fn rows(table: &'static str) -> Vec<PaperRow> {
     let mut lines = table.lines();
     let head: Vec<&str> = lines.next().unwrap_or_default().split(',').collect();
     let row = |line: &'static str| {
@@ -69,12 +57,13 @@ mod tests {
 
     #[test]
     fn every_line_of_every_table_is_read() {
-        for (table, rows) in [(ETH_UCY, eth_ucy()), (SDD, sdd()), (INTERACTION, interaction())] {
-            assert_eq!(rows.len() + 1, table.lines().filter(|line| !line.is_empty()).count());
+        for table in [ETH_UCY, SDD, INTERACTION] {
+            assert_eq!(rows(table).len() + 1, table.lines().filter(|line| !line.is_empty()).count());
         }
-        let ours = eth_ucy().into_iter().find(|row| (row.scene, row.method) == ("AVG", "STG-DAT")).unwrap();
+        let ours =
+            rows(ETH_UCY).into_iter().find(|row| (row.scene, row.method) == ("AVG", "STG-DAT")).unwrap();
         assert_eq!(ours.errors, Errors { ade_m: 0.30, fde_m: 0.59 });
-        assert!(interaction().iter().all(|row| row.horizon_s.is_some_and(|s| (1.0..=5.0).contains(&s))));
-        assert_eq!(methods(&sdd()).len(), 7);
+        assert!(rows(INTERACTION).iter().all(|row| row.horizon_s.is_some_and(|s| (1.0..=5.0).contains(&s))));
+        assert_eq!(methods(&rows(SDD)).len(), 7);
     }
 }

@@ -49,7 +49,7 @@ pub fn sdd(options: &Options, mut progress: impl FnMut(&str)) -> Result<Report, 
     let (last, horizons_s) = (rules.last(), rules.horizons_s(&CUT));
     let note = format!("ADE / FDE after 4.8 s, {} tracks.", metres.total.agents_len);
     let mut errors = Table::errors("Errors", &note, &columns, last);
-    let paper = reference::sdd();
+    let paper = reference::rows(reference::SDD);
     errors.add_paper(&paper, columns.len(), |paper, method, column| {
         let row = paper.iter().find(|row| row.method == method && column == 0);
         row.map(|row| row.errors)

@@ -20,11 +20,11 @@ mod tables;
 use std::collections::BTreeMap;
 
 use data::Recording;
-use nn::Precision;
 use serde::{Deserialize, Serialize};
 
 use super::{Block, BlockErrors, Group, SUBSETS, Tally};
 use crate::error::EvaluateError;
+use crate::forecaster::Provenance;
 use bins::Bins;
 
 pub use file::StateError;
@@ -52,15 +52,8 @@ pub struct State {
 /// What the figures depend on besides the recordings.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Basis {
-    /// Path of the weights. It may differ between states.
-    pub(crate) weights: String,
-    /// Their fingerprint.
-    pub(crate) sha256: String,
-    pub(crate) recipe: Option<String>,
-    pub(crate) seed: Option<u64>,
-    pub(crate) draws: String,
-    pub(crate) precision: Precision,
-    pub(crate) map: String,
+    /// The weights and the map, of no recording. The path of the weights may differ between states.
+    pub(crate) provenance: Provenance,
     /// Whether velocities and headings are derived from positions.
     pub(crate) from_positions: bool,
     /// Whether vehicles are forecast along lanes.
@@ -221,8 +214,8 @@ impl State {
 
     /// Adds a state with the same basis; the lists are not sorted.
     pub(crate) fn add(&mut self, other: Self) {
-        let weights = &mut self.basis.weights;
-        *weights = std::mem::take(weights).min(other.basis.weights);
+        let weights = &mut self.basis.provenance.weights;
+        *weights = std::mem::take(weights).min(other.basis.provenance.weights);
         self.left_out.extend(other.left_out);
         self.failed.extend(other.failed);
         self.warnings.extend(other.warnings);
@@ -316,9 +309,9 @@ impl Basis {
     /// Everything that decides about the figures, in words.
     fn options(&self) -> [(&'static str, String); 5] {
         [
-            ("weights", self.sha256.clone()),
-            ("decoder.precision", self.precision.to_string()),
-            ("map", self.map.clone()),
+            ("weights", self.provenance.sha256.clone()),
+            ("decoder.precision", self.provenance.precision.to_string()),
+            ("map", self.provenance.map.clone()),
             ("motion", if self.from_positions { "from positions" } else { "as recorded" }.to_owned()),
             ("lanes", if self.lanes { "used" } else { "not used" }.to_owned()),
         ]

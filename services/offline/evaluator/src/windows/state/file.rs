@@ -10,7 +10,7 @@ use super::State;
 /// First word of a file.
 const MAGIC: &str = "stgdat-evaluation ";
 /// Version of the layout.
-const SCHEMA: u32 = 1;
+const SCHEMA: u32 = 2;
 /// Version of the program: another one may forecast differently.
 const VERSION: &str = env!("CARGO_PKG_VERSION");
 

@@ -103,17 +103,7 @@ fn group(part: &str, place: usize, total: Tally, blocks: Vec<BlockErrors>) -> Gr
 
 impl Basis {
     fn provenance(&self, part: &str, recordings: usize, seen_in_training: usize) -> Provenance {
-        Provenance {
-            part: part.to_owned(),
-            weights: self.weights.clone(),
-            sha256: self.sha256.clone(),
-            recipe: self.recipe.clone(),
-            seed: self.seed,
-            draws: self.draws.clone(),
-            map: self.map.clone(),
-            precision: Some(self.precision).filter(|precision| *precision != nn::Precision::F32),
-            recordings,
-            seen_in_training,
-        }
+        let part = part.to_owned();
+        Provenance { part, recordings, seen_in_training, ..self.provenance.clone() }
     }
 }

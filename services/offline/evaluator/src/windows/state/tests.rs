@@ -1,6 +1,7 @@
 use std::sync::LazyLock;
 
 use data::{GeneratedScene, SceneOptions};
+use nn::Precision;
 use proptest::prelude::*;
 
 use super::*;
@@ -30,7 +31,7 @@ fn copy(number: usize) -> State {
     state.doubts = [("feet".to_owned(), count)].into();
     state.warnings = vec![format!("road/{number:04}: feet")];
     state.left_out = vec![format!("short/{number:04}")];
-    state.basis.weights = format!("node{}/weights", number % 3);
+    state.basis.provenance.weights = format!("node{}/weights", number % 3);
     state
 }
 
@@ -147,16 +148,22 @@ fn states_of_other_weights_options_and_versions_name_the_file() {
         State::merged(states).unwrap_err().to_string()
     };
     assert!(
-        refused(&|basis| basis.sha256 = "abc".to_owned())
+        refused(&|basis| basis.provenance.sha256 = "abc".to_owned())
             .starts_with("b.state: weights abc, but a.state has ")
     );
-    assert_eq!(refused(&|basis| basis.map = "none".to_owned()), "b.state: map none, but a.state has online");
+    assert_eq!(
+        refused(&|basis| basis.provenance.map = "none".to_owned()),
+        "b.state: map none, but a.state has online"
+    );
     assert_eq!(
         refused(&|basis| basis.from_positions = true),
         "b.state: motion from positions, but a.state has as recorded"
     );
     assert_eq!(refused(&|basis| basis.lanes = true), "b.state: lanes used, but a.state has not used");
-    assert!(refused(&|basis| basis.precision = Precision::Bf16).contains("b.state: decoder.precision bf16"));
+    assert!(
+        refused(&|basis| basis.provenance.precision = Precision::Bf16)
+            .contains("b.state: decoder.precision bf16")
+    );
 
     let bytes = copy(0).to_bytes();
     let read = |bytes: &[u8]| State::from_bytes("a.state", bytes).unwrap_err();
