@@ -1,9 +1,9 @@
 //! Context maps for the model: which map a recording's forecasts use, and how a site's recordings make one.
 
 use localiser::MapSource;
-use scene::{ContextMap, State};
+use scene::ContextMap;
 
-use crate::scenes::Scene;
+use crate::scenes::{Agent, Scene};
 
 /// The source of local map patches.
 #[derive(Clone, Copy, Debug)]
@@ -31,11 +31,6 @@ impl MapInput<'_> {
 /// agents or they span more than a map holds.
 #[must_use]
 pub fn site_map<'a>(scenes: impl IntoIterator<Item = &'a Scene>) -> Option<ContextMap> {
-    let states: Vec<State> = scenes.into_iter().flat_map(newest).map(|(_, state)| state).collect();
-    ContextMap::of_visits(&states)
-}
-
-/// Identity and newest state of every agent.
-fn newest(scene: &Scene) -> impl Iterator<Item = (u64, State)> + '_ {
-    scene.agents.iter().filter_map(|agent| Some((agent.id, agent.newest()?)))
+    let agents = scenes.into_iter().flat_map(|scene| &scene.agents);
+    ContextMap::of_visits(&agents.filter_map(Agent::newest).collect::<Vec<_>>())
 }

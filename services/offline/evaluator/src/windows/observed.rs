@@ -30,15 +30,6 @@ pub(crate) struct Sensor<'a> {
     pub(crate) map: MapInput<'a>,
 }
 
-/// A recording with observed histories.
-struct Observed {
-    footage: Footage,
-    /// Agents that would count with exact histories.
-    complete: usize,
-    /// Agents that count with the published histories.
-    published: usize,
-}
-
 impl Sensor<'_> {
     /// The recordings as the sensor sees them; unchanged without noise. Adds a line to the report about agents
     /// that no longer count, because the tracker has not published them for a whole history.
@@ -54,18 +45,20 @@ impl Sensor<'_> {
         }
         let observed = threads::each(&footage, threads, |footage, _: &mut ()| self.observe(footage));
         let observed = observed.into_iter().collect::<Result<Vec<_>, _>>()?;
-        let sum = |of: fn(&Observed) -> usize| observed.iter().map(of).sum::<usize>();
-        let (complete, published) = (sum(|of| of.complete), sum(|of| of.published));
+        let count = |all: &[Footage]| {
+            all.iter().flat_map(|footage| &footage.scenes).map(|scene| scene.complete().len()).sum::<usize>()
+        };
+        let (complete, published) = (count(&footage), count(&observed));
         if published < complete {
             let lost = complete - published;
             report.left_out.push(format!(
                 "{part}: {lost} of {complete} agents of windows, which the tracker has not published for a whole history"
             ));
         }
-        Ok(observed.into_iter().map(|of| of.footage).collect())
+        Ok(observed)
     }
 
-    fn observe(&self, footage: &Footage) -> Result<Observed, EvaluateError> {
+    fn observe(&self, footage: &Footage) -> Result<Footage, EvaluateError> {
         let Footage { recording, scenes } = footage;
         let chain = |interval_ns| self.forecaster.chain(self.map, interval_ns);
         let playing = Playing::new(recording, &self.noise, chain);
@@ -79,10 +72,7 @@ impl Sensor<'_> {
                 observed.push(scene_of(scene, playing.chain.tracks(), playing.has_identities, history_len));
             }
         }
-        let count = |scenes: &[Scene]| scenes.iter().map(|scene| scene.complete().len()).sum();
-        let (complete, published) = (count(scenes), count(&observed));
-        let footage = Footage { recording: Recording::clone(recording), scenes: observed };
-        Ok(Observed { footage, complete, published })
+        Ok(Footage { recording: Recording::clone(recording), scenes: observed })
     }
 }
 
