@@ -32,6 +32,14 @@ impl Page {
         Self { name, mark: mark.into(), text: None, summary: markdown.clone(), markdown, csv, json }
     }
 
+    /// The tables under a title, with text after them. The summary has the `main` tables.
+    pub(crate) fn titled(self, title: &str, tables: &[Table], main: &[Table], closing: &str) -> Self {
+        let [markdown, summary] = [("#", tables), ("##", main)].map(|(heading, tables)| {
+            format!("{heading} {title}\n\n{}\n{closing}\n", sections(tables, &format!("{heading}#"), ""))
+        });
+        Self { markdown, summary, ..self }
+    }
+
     /// Adds a fact to the JSON.
     pub(crate) fn with(mut self, key: &str, fact: impl serde::Serialize) -> Self {
         self.json[key] = json!(fact);

@@ -32,8 +32,8 @@ pub(crate) use follower::Follower;
 pub(crate) use hypotheses::Place;
 use hypotheses::{Estimate, Hypotheses, OnboardForecasts};
 pub(crate) use kitti::{
-    ByClass, CLASSES, Counts, KittiMeasure, KittiPart, KittiReport, KittiRow, LEAST_SCORES, Sequence,
-    class_name, nearest_neighbours,
+    ByClass, CLASSES, Counts, KittiMeasure, KittiPart, KittiRow, LEAST_SCORES, Sequence, class_name,
+    nearest_neighbours, page as kitti_page,
 };
 pub(crate) use method::TrackingMethod;
 use method::{ACCELERATION_MPS2, Setting, Settings, TURN_RATE_RADPS, UNKNOWN, control_gains};

@@ -40,9 +40,6 @@ struct Position {
     squares_m2: [f64; 2],
 }
 
-/// Errors in gaps, by source, type and length of the gap.
-struct Gaps(Vec<(Source, Vec<Position>)>);
-
 /// Tracks all sources from noisy positions with gaps. Calls `progress` with each source's name before it
 /// starts.
 ///
@@ -57,8 +54,8 @@ pub fn through_gaps(options: &Options, progress: impl Fn(&str) + Sync) -> Result
         track(source, options, weights.config())
     });
     let tracked = tracked.into_iter().collect::<Result<Vec<_>, _>>()?;
-    let gaps = Gaps(sources.into_iter().zip(tracked).collect());
-    Ok(Page::of("driving", "evaluate tracking --parts driving", &[gaps.table()]))
+    let table = table(sources.iter().zip(&tracked));
+    Ok(Page::of("driving", "evaluate tracking --parts driving", &[table]))
 }
 
 fn track(source: &Source, options: &Options, model: &ModelConfig) -> Result<Vec<Position>, EvaluateError> {
@@ -144,35 +141,30 @@ fn measured(detection: &Detection, seq: u64) -> Detection {
     }
 }
 
-impl Gaps {
-    /// The cells with enough positions: source, type, gap, and the positions.
-    fn cells(&self) -> impl Iterator<Item = (&Source, AgentType, usize, Vec<&Position>)> {
-        self.0.iter().flat_map(|(source, positions)| {
-            wire::AGENT_TYPES.into_iter().flat_map(move |agent_type| {
-                (0..GAPS_S.len()).filter_map(move |gap| {
-                    let of_cell = positions.iter().filter(|p| p.agent_type == agent_type && p.gap == gap);
-                    let of_cell: Vec<&Position> = of_cell.collect();
-                    (of_cell.len() >= CELL_MIN).then_some((source, agent_type, gap, of_cell))
-                })
-            })
-        })
-    }
-
-    fn table(&self) -> Table {
-        let note = format!(
-            "Root mean square of the position's error while an agent is not detected, from positions \
-             alone with noise of {SIGMA_M} m: tracks with forecasts as their prior beside the kinematic prior, by the length of \
-             the gap. Ratios with 95 % intervals ({RESAMPLES} resamples of agents)."
-        );
-        let columns = ["positions", "forecasts m", "kinematic m", "ratio"];
-        let mut table = Table::new("Tracking through gaps", &note, &["source", "type", "gap s"], columns);
-        for (source, agent_type, gap, positions) in self.cells() {
-            let [ours, theirs] = rmse_m(&positions).map(|rmse_m| Some(Entry::number(rmse_m, 3)));
+/// Errors in gaps, by source, type and length of the gap.
+fn table<'a>(sources: impl Iterator<Item = (&'a Source, &'a Vec<Position>)>) -> Table {
+    let note = format!(
+        "Root mean square of the position's error while an agent is not detected, from positions \
+         alone with noise of {SIGMA_M} m: tracks with forecasts as their prior beside the kinematic prior, by the length of \
+         the gap. Ratios with 95 % intervals ({RESAMPLES} resamples of agents)."
+    );
+    let columns = ["positions", "forecasts m", "kinematic m", "ratio"];
+    let mut table = Table::new("Tracking through gaps", &note, &["source", "type", "gap s"], columns);
+    for (source, positions) in sources {
+        for (agent_type, gap) in
+            wire::AGENT_TYPES.into_iter().flat_map(|of| (0..GAPS_S.len()).map(move |gap| (of, gap)))
+        {
+            let of_cell = positions.iter().filter(|of| of.agent_type == agent_type && of.gap == gap);
+            let of_cell: Vec<&Position> = of_cell.collect();
+            if of_cell.len() < CELL_MIN {
+                continue;
+            }
+            let [ours, theirs] = rmse_m(&of_cell).map(|rmse_m| Some(Entry::number(rmse_m, 3)));
             let names = [&*source.name, agent_type.name(), &format!("{:.1}", GAPS_S[gap])];
-            table.push(&names, [Some(Entry::count(positions.len())), ours, theirs, ratio(&positions)]);
+            table.push(&names, [Some(Entry::count(of_cell.len())), ours, theirs, ratio(&of_cell)]);
         }
-        table
     }
+    table
 }
 
 fn rmse_m(positions: &[&Position]) -> [f64; 2] {

@@ -15,5 +15,5 @@ pub use sequence::{Contender, MakeTracks, Published, PublishedTrack};
 
 pub(crate) use counts::{Counts, GATE_M, KittiMeasure};
 pub(crate) use nearest::nearest_neighbours;
-pub(crate) use report::{KittiPart, KittiReport, KittiRow};
+pub(crate) use report::{KittiPart, KittiRow, page};
 pub(crate) use sequence::{ByClass, CLASSES, LEAST_SCORES, Sequence, class_name};

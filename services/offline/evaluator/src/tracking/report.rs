@@ -5,7 +5,7 @@ use metrics::{PairedErrors, paired_bootstrap_ratio};
 
 use super::{Error, Outcome, Sensor, TRIALS, TrackingMethod, Trials};
 use crate::forecaster::Provenance;
-use crate::page::{Page, sections};
+use crate::page::Page;
 use crate::table::{Entry, RESAMPLES, SEED, Table, digits};
 
 /// Probability within the χ² bounds of the normalised squares.
@@ -165,20 +165,11 @@ impl TrackingReport {
         let [position, velocity] = Quantity::ALL.map(|quantity| self.errors(quantity, is_reported));
         let mut tables: Vec<Table> = Quantity::ALL.map(|quantity| self.errors(quantity, |_| true)).into();
         tables.extend([self.comparisons(), self.certainty(), self.settings()]);
-        let page = Page::of("interaction", "evaluate tracking --parts interaction", &tables);
-        Page {
-            markdown: self.written(&tables, "#"),
-            summary: self.written(&[position, velocity, self.comparisons()], "##"),
-            ..page.with("provenance", &self.provenance)
-        }
-    }
-
-    fn written(&self, tables: &[Table], heading: &str) -> String {
-        format!(
-            "{heading} Tracking: INTERACTION's vehicles from noisy positions\n\n{}\nForecasts of the learned prior: {}\n",
-            sections(tables, &format!("{heading}#"), ""),
-            self.provenance.line()
-        )
+        let main = [position, velocity, self.comparisons()];
+        let closing = format!("Forecasts of the learned prior: {}", self.provenance.line());
+        Page::of("interaction", "evaluate tracking --parts interaction", &tables)
+            .titled("Tracking: INTERACTION's vehicles from noisy positions", &tables, &main, &closing)
+            .with("provenance", &self.provenance)
     }
 
     fn errors(&self, quantity: Quantity, is_reported: impl Fn(f64) -> bool) -> Table {

@@ -4,19 +4,11 @@ use metrics::cluster_bootstrap;
 
 use super::{ByClass, CLASSES, Counts, KittiMeasure, class_name};
 use crate::forecaster::Provenance;
-use crate::page::{Page, sections};
+use crate::page::Page;
 use crate::table::{Entry, RESAMPLES, SEED, Table};
 
 /// Minimum number of sequences for an interval.
 const SEQUENCES_MIN: usize = 3;
-
-/// The result of an evaluation of trackers.
-#[derive(Clone, Debug)]
-pub(crate) struct KittiReport {
-    /// Provenance of the weights behind the forecasts, for each part.
-    provenance: Vec<Provenance>,
-    parts: Vec<KittiPart>,
-}
 
 /// Sequences whose figures are reported together.
 #[derive(Clone, Debug)]
@@ -81,75 +73,58 @@ impl KittiRow {
     }
 }
 
-impl KittiReport {
-    /// Reports each part and all parts together.
-    pub(crate) fn new(mut parts: Vec<KittiPart>, provenance: Vec<Provenance>) -> Self {
-        let all = parts.iter().cloned().reduce(KittiPart::joined);
-        parts.extend(all.map(|all| KittiPart { name: "all".to_owned(), ..all }));
-        Self { provenance, parts }
-    }
+/// Reports each part and all parts together, and the weights behind the forecasts of each part.
+pub(crate) fn page(mut parts: Vec<KittiPart>, provenance: &[Provenance]) -> Page {
+    let all = parts.iter().cloned().reduce(KittiPart::joined);
+    parts.extend(all.map(|all| KittiPart { name: "all".to_owned(), ..all }));
+    let tables = [figures(&parts), comparisons(&parts)];
+    let weights: Vec<String> = provenance.iter().map(|of| format!("* {}", of.line())).collect();
+    let closing = format!("Forecasts of the learned prior:\n\n{}", weights.join("\n"));
+    Page::of("kitti", "evaluate tracking --parts kitti", &tables)
+        .titled("Tracking: KITTI's sequences from a detector's output", &tables, &tables, &closing)
+        .with("provenance", provenance)
+}
 
-    /// The report in all its forms.
-    pub(crate) fn page(&self) -> Page {
-        let tables = [self.figures(), self.comparisons()];
-        let page = Page::of("kitti", "evaluate tracking --parts kitti", &tables);
-        let [markdown, summary] = ["#", "##"].map(|heading| self.written(&tables, heading));
-        Page { markdown, summary, ..page.with("provenance", &self.provenance) }
+fn figures(parts: &[KittiPart]) -> Table {
+    let note = "PointRCNN's detections, KITTI's labels as the reference, both in the world frame, matched within 2 m on the \
+                ground: there HOTA's similarity reaches 0, and GOSPA and OSPA (p = 2, mean of the frames) are cut off. \
+                Objects that are truncated, occluded to an unknown degree or of a neighbouring class (vans, trucks, \
+                sitting people) count neither as misses nor as hits. A track without an object is false unless it \
+                lies outside the image, is less than 25 px high or lies in an unlabelled region. The score threshold \
+                of the detections is chosen per tracker and class, for the highest MOTA on the other sequences, among \
+                the same eight from -1 to 6. Our tracks count from an existence probability of 0.5.";
+    let columns = KittiMeasure::ALL.map(KittiMeasure::name).into_iter().chain(["score threshold"]);
+    let mut table = Table::new("Trackers", note, &["class", "sequences", "tracker"], columns);
+    for (class, agent_type) in CLASSES.into_iter().enumerate() {
+        let rows = parts.iter().flat_map(|part| part.rows.iter().map(move |row| (part, row)));
+        for (part, row) in rows {
+            let total = row.total(class);
+            let scores: Vec<String> =
+                row.least_scores[class].iter().map(|score| format!("{score:.0}")).collect();
+            let figures = KittiMeasure::ALL.map(|measure| measure.entry(&total));
+            let figures = figures.into_iter().chain([Some(scores.join(", ").into())]);
+            table.push(&[class_name(agent_type), &part.name, row.name], figures);
+        }
     }
+    table
+}
 
-    fn written(&self, tables: &[Table], heading: &str) -> String {
-        let sections = sections(tables, &format!("{heading}#"), "");
-        let lines: String = self.provenance.iter().map(|of| format!("* {}\n", of.line())).collect();
-        format!(
-            "{heading} Tracking: KITTI's sequences from a detector's output\n\n{sections}\nForecasts of the learned prior:\n\n\
-             {lines}"
-        )
-    }
-
-    fn figures(&self) -> Table {
-        let note = "PointRCNN's detections, KITTI's labels as the reference, both in the world frame, matched within 2 m on the \
-                    ground: there HOTA's similarity reaches 0, and GOSPA and OSPA (p = 2, mean of the frames) are cut off. \
-                    Objects that are truncated, occluded to an unknown degree or of a neighbouring class (vans, trucks, \
-                    sitting people) count neither as misses nor as hits. A track without an object is false unless it \
-                    lies outside the image, is less than 25 px high or lies in an unlabelled region. The score threshold \
-                    of the detections is chosen per tracker and class, for the highest MOTA on the other sequences, among \
-                    the same eight from -1 to 6. Our tracks count from an existence probability of 0.5.";
-        let columns = KittiMeasure::ALL.map(KittiMeasure::name).into_iter().chain(["score threshold"]);
-        let mut table = Table::new("Trackers", note, &["class", "sequences", "tracker"], columns);
-        for (class, agent_type) in CLASSES.into_iter().enumerate() {
-            for (part, row) in self.rows() {
-                let total = row.total(class);
-                let scores: Vec<String> =
-                    row.least_scores[class].iter().map(|score| format!("{score:.0}")).collect();
-                let figures = KittiMeasure::ALL.map(|measure| measure.entry(&total));
-                let figures = figures.into_iter().chain([Some(scores.join(", ").into())]);
-                table.push(&[class_name(agent_type), &part.name, row.name], figures);
+fn comparisons(parts: &[KittiPart]) -> Table {
+    let note = format!(
+        "Learned prior less the tracker of the row on the same detections, those above that tracker's threshold. In \
+         brackets the 95 % interval of a paired bootstrap over sequences, {RESAMPLES} resamples; none where fewer \
+         than {SEQUENCES_MIN} sequences contain objects of the class."
+    );
+    let names = ["class", "sequences", "compared with"];
+    let columns = KittiMeasure::COMPARED.map(KittiMeasure::name);
+    let mut table = Table::new("Learned prior against the other trackers", &note, &names, columns);
+    for (class, agent_type) in CLASSES.into_iter().enumerate() {
+        for part in parts {
+            for other in part.rows.iter().take(part.rows.len().saturating_sub(1)) {
+                let leads = KittiMeasure::COMPARED.map(|measure| other.lead_of_last(class, measure));
+                table.push(&[class_name(agent_type), &part.name, other.name], leads);
             }
         }
-        table
     }
-
-    fn rows(&self) -> impl Iterator<Item = (&KittiPart, &KittiRow)> {
-        self.parts.iter().flat_map(|part| part.rows.iter().map(move |row| (part, row)))
-    }
-
-    fn comparisons(&self) -> Table {
-        let note = format!(
-            "Learned prior less the tracker of the row on the same detections, those above that tracker's threshold. In \
-             brackets the 95 % interval of a paired bootstrap over sequences, {RESAMPLES} resamples; none where fewer \
-             than {SEQUENCES_MIN} sequences contain objects of the class."
-        );
-        let names = ["class", "sequences", "compared with"];
-        let columns = KittiMeasure::COMPARED.map(KittiMeasure::name);
-        let mut table = Table::new("Learned prior against the other trackers", &note, &names, columns);
-        for (class, agent_type) in CLASSES.into_iter().enumerate() {
-            for part in &self.parts {
-                for other in part.rows.iter().take(part.rows.len().saturating_sub(1)) {
-                    let leads = KittiMeasure::COMPARED.map(|measure| other.lead_of_last(class, measure));
-                    table.push(&[class_name(agent_type), &part.name, other.name], leads);
-                }
-            }
-        }
-        table
-    }
+    table
 }

@@ -13,8 +13,8 @@ use crate::lines::{ForecastLines, FrameLine};
 use crate::page::Page;
 use crate::threads;
 use crate::tracking::{
-    ByClass, CLASSES, Contender, Counts, KittiMeasure, KittiPart, KittiReport, KittiRow, LEAST_SCORES,
-    Sequence, class_name, nearest_neighbours,
+    ByClass, CLASSES, Contender, Counts, KittiMeasure, KittiPart, KittiRow, LEAST_SCORES, Sequence,
+    class_name, kitti_page, nearest_neighbours,
 };
 
 const SET: DataSet = DataSet::KittiDetections;
@@ -65,7 +65,7 @@ pub fn kitti(
         provenance.push(part.provenance(&model)?);
     }
     let parts = parts.into_iter().map(|part| KittiPart { name: part.name, rows: part.rows });
-    Ok(KittiReport::new(parts.collect(), provenance).page())
+    Ok(kitti_page(parts.collect(), &provenance))
 }
 
 /// A part of the set and its results so far.
