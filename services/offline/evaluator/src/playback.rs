@@ -136,14 +136,9 @@ impl Playing {
 }
 
 impl Tick<'_> {
-    /// The agent of each forecast; `None` if no agent is near the track.
-    pub(crate) fn agents(&self) -> Vec<Option<u64>> {
-        self.truth.followed(self.forecasts, self.header.stamp_ns, self.has_identities)
-    }
-
     /// Each forecast of an agent of the recording, with the agent's track.
     pub(crate) fn followed(&self) -> impl Iterator<Item = (&Forecast, &RecordedTrack)> {
-        let agents = self.agents().into_iter();
+        let agents = self.truth.followed(self.forecasts, self.header.stamp_ns, self.has_identities);
         self.forecasts
             .iter()
             .zip(agents)

@@ -2,7 +2,7 @@
 
 use metrics::{Errors, Interval};
 
-use super::{LEVEL, Method, Sample, region_of_steady};
+use super::{Method, Sample};
 use crate::table::{Entry, pair, ratio_of_clusters};
 
 /// Bounds of the speed bands, m/s.
@@ -58,16 +58,6 @@ impl Cell<'_> {
         ratio_of_clusters(self.samples.iter().map(|sample| (sample.agent, of(sample))))
     }
 
-    /// Mean area of the published 90 % region at the end of the horizon, m².
-    pub(crate) fn area_m2(&self) -> f64 {
-        self.mean(|sample| sample.area_m2)
-    }
-
-    /// Mean area of the constant-velocity reference, which holds the same number of truths, m².
-    pub(crate) fn steady_area_m2(&self) -> f64 {
-        region_of_steady::mean_area_m2(self.samples, LEVEL, band_of, BAND_NAMES.len())
-    }
-
     /// Ratio of the published forecast's ADE to the ADE of the best kinematic expert.
     pub(crate) fn regret(&self) -> f64 {
         let experts = [Method::ConstantVelocity, Method::DecayingTurn, Method::DecayingAcceleration];
@@ -80,7 +70,7 @@ impl Cell<'_> {
 mod tests {
     use scene::AgentType;
 
-    use crate::driving::sample::STEPS;
+    use crate::driving::sample::{LEVEL, STEPS};
 
     use super::*;
 

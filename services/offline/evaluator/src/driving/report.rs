@@ -7,6 +7,7 @@ use metrics::{Errors, Interval};
 use nn::{ModelConfig, Precision};
 use scene::AgentType;
 
+use super::region_of_steady::mean_area_m2;
 use super::{
     BAND_NAMES, Cell, FORETELLERS, Foretold, LEVEL, Method, Pair, Played, RECALL, Residuals, STEPS, Sample,
     Source, band_of, patterns,
@@ -49,8 +50,8 @@ const FIGURES: [Figure; 19] = [
     ("/ anchors, FDE", |cell| interval(cell.ratio(Method::BestOf, Method::Anchors, FDE))),
     ("missed", |cell| number(cell.share(|sample| sample.missed), 2)),
     ("held 90 %", |cell| interval(cell.held_with_interval(LEVEL, STEPS.len() - 1))),
-    ("area m²", |cell| number(cell.area_m2(), 0)),
-    ("CV area m²", |cell| number(cell.steady_area_m2(), 0)),
+    ("area m²", |cell| number(cell.mean(|sample| sample.area_m2), 0)),
+    ("CV area m²", |cell| number(mean_area_m2(cell.samples, LEVEL, band_of, BAND_NAMES.len()), 0)),
     ("NLL", |cell| number(cell.mean(|sample| sample.nll), 2)),
     ("regret", |cell| number(cell.regret(), 2)),
     ("network", |cell| number(cell.mean(|sample| f64::from(sample.network)), 2)),
