@@ -14,32 +14,24 @@
 mod course;
 mod follower;
 mod hypotheses;
+mod interaction;
 mod kitti;
 mod method;
 mod outcome;
-mod protocol;
 mod report;
 mod singer;
 mod smoother;
 mod tuning;
 
-pub use kitti::{Contender, MakeTracks, Published, PublishedTrack};
-pub use protocol::{interaction, kitti};
+pub use interaction::interaction;
+pub use kitti::{Contender, MakeTracks, Published, PublishedTrack, kitti};
 
-pub(crate) use course::{Course, Sensor};
-use course::{Instant, Seen};
-pub(crate) use follower::Follower;
-pub(crate) use hypotheses::Place;
-use hypotheses::{Estimate, Hypotheses, OnboardForecasts};
-pub(crate) use kitti::{
-    ByClass, CLASSES, Counts, KittiMeasure, KittiPart, KittiRow, LEAST_SCORES, Sequence, class_name,
-    nearest_neighbours, page as kitti_page,
-};
-pub(crate) use method::TrackingMethod;
-use method::{ACCELERATION_MPS2, Setting, Settings, TURN_RATE_RADPS, UNKNOWN, control_gains};
-pub(crate) use outcome::Outcome;
-use outcome::{Error, SETTLED_S};
-pub(crate) use report::{MethodErrors, TrackingReport};
+use course::{Course, Instant, Seen, Sensor};
+use follower::Follower;
+use hypotheses::{Estimate, Hypotheses, OnboardForecasts, Place};
+use method::{ACCELERATION_MPS2, Setting, Settings, TURN_RATE_RADPS, TrackingMethod, UNKNOWN, control_gains};
+use outcome::{Error, Outcome, SETTLED_S};
+use report::{MethodErrors, TrackingReport};
 use singer::SingerBicycle;
 use smoother::smooth;
-pub(crate) use tuning::{TRIALS, Trials, tune};
+use tuning::{TRIALS, Trials, tune};

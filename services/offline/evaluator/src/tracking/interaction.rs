@@ -6,6 +6,9 @@ use data::sets::{DataSet, Part};
 use metrics::tracking::PlanarState;
 use scene::{AgentType, ContextMap};
 
+use super::{
+    Course, Follower, MethodErrors, Outcome, Place, Sensor, TrackingMethod, TrackingReport, Trials, tune,
+};
 use crate::error::EvaluateError;
 use crate::footage::{Footage, Options, SEED, map_of};
 use crate::forecaster::Model;
@@ -13,9 +16,6 @@ use crate::lines::{ForecastLines, Motion, TrackLine};
 use crate::page::Page;
 use crate::scenes::Cut;
 use crate::threads;
-use crate::tracking::{
-    Course, Follower, MethodErrors, Outcome, Place, Sensor, TrackingMethod, TrackingReport, Trials, tune,
-};
 
 const SET: DataSet = DataSet::Interaction;
 /// The recipe of the weights whose forecasts are the prior. It trains on the training part of the same data
