@@ -103,7 +103,7 @@ impl Follower<'_> {
                 track.is_fresh = true;
                 match track.update(&observation, &self.settings) {
                     Some((nis, log_likelihood)) if counts => {
-                        outcome.add_innovation(tick, nis, log_likelihood)
+                        outcome.add_innovation(tick, nis, log_likelihood);
                     }
                     Some(_) => {}
                     None => fault_count += 1,
