@@ -128,6 +128,7 @@ fn steady(earlier: &Pose, now: &Pose, horizon_len: usize, dt_s: f32) -> Forecast
         y_m += speed_mps * dt_s * heading_rad.sin();
         *point = [x_m, y_m];
     }
+    forecast.best = forecast.modes[0];
     forecast
 }
 
@@ -149,6 +150,7 @@ mod tests {
             let in_s = DT_S * (step + 1) as f32;
             car.modes[0][step] = [0, 1].map(|axis| position_m[axis] + velocity_mps[axis] * in_s);
         }
+        car.best = car.modes[0];
         car
     }
 

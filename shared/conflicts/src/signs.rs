@@ -3,13 +3,17 @@ use wire::{AgentType, Forecast, HORIZON_MAX, MODES_MAX};
 use crate::{APART_MAX_M, APART_MIN_M, Body, CONFLICT_M, NEAR_M, Outline, STANDS_MPS};
 
 /// Numbers of [`Signs::numbers`].
-pub const SIGNS: usize = 9;
+pub const SIGNS: usize = 12;
 /// Parts of the horizon until which conflicts are counted: a quarter, half, and all of it.
 const PARTS: [usize; 3] = [4, 2, 1];
 /// A smaller probability has its logarithm.
 const LEAST: f32 = 1e-4;
 /// Cosine of the angle up to which two agents have the same or opposite directions.
 const ALIKE: f32 = 0.7;
+/// Bounds of the gap of the single best forecasts, m.
+const GAP_M: [f32; 2] = [-1.0, 4.0];
+/// Bounds of the speed at which two agents approach each other, m/s.
+const CLOSING_MPS: [f32; 2] = [-5.0, 15.0];
 
 /// What the forecasts of two agents say about their gap.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -25,6 +29,11 @@ pub struct Signs {
     stands: bool,
     pedestrians: usize,
     direction: Direction,
+    /// Gap of the single best forecasts, m.
+    best_gap_m: f32,
+    /// Distance now, m, and the speed at which it falls, m/s.
+    apart_m: f32,
+    closing_mps: f32,
 }
 
 /// How the directions of two agents differ.
@@ -40,8 +49,9 @@ enum Direction {
 pub struct Moving {
     body: Body,
     ahead: [f32; 2],
-    speed_mps: f32,
+    velocity_mps: [f32; 2],
     now: Outline,
+    best: Outline,
     modes: Outline,
     probability: [f32; MODES_MAX],
 }
@@ -92,8 +102,9 @@ impl Moving {
                 heading_rad: 0.0,
             },
             ahead: [1.0, 0.0],
-            speed_mps: 0.0,
+            velocity_mps: [0.0; 2],
             now: Outline::default(),
+            best: Outline::default(),
             modes: Outline::default(),
             probability: [0.0; MODES_MAX],
         };
@@ -106,17 +117,27 @@ impl Moving {
         let Some(body) = Body::of(forecast).filter(|_| modes_len > 0) else { return false };
         self.body = body;
         self.ahead = [body.heading_rad.cos(), body.heading_rad.sin()];
-        self.speed_mps = forecast.vx_mps.hypot(forecast.vy_mps);
+        self.velocity_mps = [forecast.vx_mps, forecast.vy_mps];
         self.now.draw(&body, [&[body.position_m][..]]);
         let len = horizon_len.min(HORIZON_MAX);
+        self.best.draw(&body, [&forecast.best[..len]]);
         self.modes.draw(&body, forecast.modes[..modes_len].iter().map(|mode| &mode[..len]));
         self.probability = [0.0; MODES_MAX];
         self.probability[..modes_len].copy_from_slice(&forecast.probability[..modes_len]);
         true
     }
 
-    const fn stands(&self) -> bool {
-        self.speed_mps <= STANDS_MPS
+    fn stands(&self) -> bool {
+        let [vx, vy] = self.velocity_mps;
+        vx.hypot(vy) <= STANDS_MPS
+    }
+
+    /// Distance to another agent, m, and the speed at which it falls, m/s.
+    fn approach(&self, other: &Self) -> (f32, f32) {
+        let [x, y] = [0, 1].map(|axis| other.body.position_m[axis] - self.body.position_m[axis]);
+        let [vx, vy] = [0, 1].map(|axis| other.velocity_mps[axis] - self.velocity_mps[axis]);
+        let apart_m = x.hypot(y);
+        (apart_m, -(x * vx + y * vy) / apart_m.max(f32::MIN_POSITIVE))
     }
 }
 
@@ -174,6 +195,7 @@ impl Signs {
         let [in_conflict, near] = sums;
         let timed = if in_conflict[0] >= LEAST { in_conflict } else { near };
         let cosine = a.ahead[0] * b.ahead[0] + a.ahead[1] * b.ahead[1];
+        let (apart_m, closing_mps) = a.approach(b);
         (near[0] >= LEAST).then(|| Self {
             conflict,
             near: near[0],
@@ -185,12 +207,16 @@ impl Signs {
                 _ if cosine < -ALIKE => Direction::Opposite,
                 _ => Direction::Crossing,
             },
+            best_gap_m: a.best.gap(&b.best).0,
+            apart_m,
+            closing_mps,
         })
     }
 
     /// The signs as numbers: logarithms of the probabilities of a conflict within a quarter, half and all of the
     /// horizon and of nearness, then 1 for each that applies of: one stands, one is a pedestrian, both are, same
-    /// directions, opposite directions.
+    /// directions, opposite directions. Then the gap of the single best forecasts, the logarithm of the distance, and
+    /// the speed at which the agents approach each other.
     #[must_use]
     pub fn numbers(&self) -> [f32; SIGNS] {
         let ln = |p: f32| p.max(LEAST).ln();
@@ -206,6 +232,9 @@ impl Signs {
             is(self.pedestrians == 2),
             is(self.direction == Direction::Same),
             is(self.direction == Direction::Opposite),
+            self.best_gap_m.clamp(GAP_M[0], GAP_M[1]),
+            self.apart_m.max(1.0).ln(),
+            self.closing_mps.clamp(CLOSING_MPS[0], CLOSING_MPS[1]),
         ]
     }
 }
@@ -236,6 +265,7 @@ mod tests {
                 forecast.modes[mode][step] = [0, 1].map(|axis| at_m[axis] + in_s * v_mps[axis]);
             }
         }
+        forecast.best = forecast.modes[0];
         forecast
     }
 
@@ -255,7 +285,8 @@ mod tests {
         // Below 0.5 m after 2.75 s, which the step at 2.8 s shows.
         assert!((signs.in_s - 2.8).abs() < 1e-5, "{signs:?}");
         assert_eq!((signs.stands, signs.pedestrians, signs.direction), (false, 0, Direction::Same));
-        assert_eq!(signs.numbers()[4..], [0.0, 0.0, 0.0, 1.0, 0.0]);
+        // The first modes meet after 2.75 s and overlap at the end. The agents are 10 m apart.
+        assert_eq!(signs.numbers()[4..], [0.0, 0.0, 0.0, 1.0, 0.0, -1.0, 10.0_f32.ln(), 2.0]);
     }
 
     #[test]

@@ -30,6 +30,7 @@ struct Agent {
     heading_rad: f32,
     velocity_mps: [f32; 2],
     probability: Vec<f32>,
+    best_m: Vec<[f32; 2]>,
     modes_m: Vec<Vec<[f32; 2]>>,
 }
 
@@ -64,6 +65,7 @@ impl Agent {
             forecast.probability[mode] = self.probability[mode];
             forecast.modes[mode][..path_m.len()].copy_from_slice(path_m);
         }
+        forecast.best[..self.best_m.len()].copy_from_slice(&self.best_m);
         Moving::of(&forecast, self.modes_m[0].len()).unwrap()
     }
 }

@@ -12,7 +12,7 @@ import random
 CONFLICT_M, NEAR_M, APART_MIN_M, APART_MAX_M, STANDS_MPS = 0.5, 2.0, 1.0, 60.0, 0.5
 LEAST, ALIKE = 1e-4, 0.7
 STEPS, MODES, DT_S, PAIRS = 12, 3, 0.4, 40
-ODDS = [2.0, 0.3, 0.25, 0.2, 0.4, -0.6, 0.5, -0.8, 0.7, -0.4]
+ODDS = [2.0, 0.3, 0.25, 0.2, 0.4, -0.6, 0.5, -0.8, 0.7, -0.4, -0.3, -0.5, 0.05]
 #: A gap as near to a bound as this depends on rounding.
 UNCLEAR_M = 1e-3
 
@@ -70,6 +70,10 @@ def judged(a, b):
     pedestrians = [a["type"], b["type"]].count("pedestrian")
     numbers = [math.log(max(q, LEAST)) for q in (*quarters, near)]
     numbers += [any(stands), pedestrians == 1, pedestrians == 2, cosine > ALIKE, cosine < -ALIKE]
+    best = [gap(*steps) for steps in zip(outline(a, a["best_m"]), outline(b, b["best_m"]))]
+    way, velocity = ([q - p for p, q in zip(a[key], b[key])] for key in ("position_m", "velocity_mps"))
+    closing = -sum(p * v for p, v in zip(way, velocity)) / apart
+    numbers += [min(max(min(best), -1.0), 4.0), math.log(max(apart, 1.0)), min(max(closing, -5.0), 15.0)]
     logit = ODDS[0] + sum(weight * float(sign) for weight, sign in zip(ODDS[1:], numbers))
     return {
         "conflict": quarters,
@@ -100,7 +104,7 @@ def drawn(draw):
     cos, sin = math.cos(heading), math.sin(heading)
     start = [-past * cos - aside * sin, -past * sin + aside * cos]
     modes = []
-    for _ in range(MODES):
+    for _ in range(MODES + 1):
         faster, turn = draw.uniform(0.6, 1.3), draw.uniform(-0.15, 0.15)
         at, path = list(start), []
         for step in range(STEPS):
@@ -117,6 +121,7 @@ def drawn(draw):
         "heading_rad": round(heading, 4),
         "velocity_mps": [round(speed * cos, 4), round(speed * sin, 4)],
         "probability": [round(weight / sum(weights), 6) for weight in weights],
+        "best_m": modes.pop(),
         "modes_m": modes,
     }
 
