@@ -12,7 +12,7 @@
 //!
 //! ```text
 //! g(ρ) = 1 − 1.5 ρ + 0.6 ρ² − 0.1 ρ³      ρ = exp(−Δ/τ)      ρ' = exp(−Δ'/τ)
-//! a² = max(0, l² − q s'² − m²) / (g(ρ') − g(ρ)) · min(1, s² / s'²)      q = 1 + 2 / √n
+//! a² = max(0, l² − q s'² − m²) / (g(ρ') − g(ρ)) · min(1, s² / s'²)      q = 1 + 7 / √n
 //! r² = s² + a² ((1 + ρ) / (1 − ρ) − g(ρ))
 //! ```
 //!
@@ -54,7 +54,7 @@ const PUBLISHED_LEAST: f64 = 1e-4;
 const BY_VIEW_MIN_COUNT: f64 = 40.0;
 /// τ, (q − 1) √n and m of the module's equations.
 const CORRELATION_S: f64 = 0.3;
-const UNCERTAINTY: f64 = 2.0;
+const UNCERTAINTY: f64 = 7.0;
 const CHANGE_M: f64 = 0.04;
 /// Least g(ρ') − g(ρ) that tells correlated noise from independent noise.
 const CONTRAST_MIN: f64 = 0.15;
