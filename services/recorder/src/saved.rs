@@ -3,9 +3,11 @@
 use std::io;
 use std::path::PathBuf;
 
+use ports::StageError;
 use run::Run;
+use wire::{Forecast, Header};
 
-use crate::{Checkpoint, Options, Recorder, RecorderOptions, Report, STAGE};
+use crate::{Checkpoint, ForecastWriter, Options, Recorder, RecorderOptions, Report, STAGE};
 
 /// Name of the checkpoint in the run's directory.
 const CHECKPOINT: &str = "recorder-checkpoint.json";
@@ -13,6 +15,47 @@ const CHECKPOINT: &str = "recorder-checkpoint.json";
 const ACCURACY: &str = "accuracy.json";
 /// Name of the report in the run's directory.
 const REPORT: &str = "report.json";
+
+/// The file of forecasts that the options name, if they name one.
+pub(crate) struct ForecastFile(Option<(PathBuf, ForecastWriter)>);
+
+impl ForecastFile {
+    fn with(&mut self, act: impl FnOnce(&mut ForecastWriter) -> io::Result<()>) -> Result<(), StageError> {
+        let Some((path, writer)) = &mut self.0 else { return Ok(()) };
+        act(writer).map_err(|source| StageError::File { path: path.clone(), source })
+    }
+
+    /// Appends the forecasts of a tick.
+    pub(crate) fn write(&mut self, header: &Header, forecasts: &[Forecast]) -> Result<(), StageError> {
+        self.with(|writer| writer.write(header, forecasts))
+    }
+
+    /// Passes what is written to the system.
+    pub(crate) fn flush(&mut self) -> Result<(), StageError> {
+        self.with(ForecastWriter::flush)
+    }
+
+    /// Completes the file.
+    pub(crate) fn finish(self) -> Result<(), StageError> {
+        let Some((path, writer)) = self.0 else { return Ok(()) };
+        writer.finish().map_err(|source| StageError::File { path, source })
+    }
+}
+
+/// The recorder and its file of forecasts. A restarted process continues from the last checkpoint.
+pub(crate) fn resume(run: &Run, options: &Options) -> Result<(Recorder, ForecastFile), StageError> {
+    let kept = (ports::incarnation() > 0).then(|| Checkpoint::read(&checkpoint_path(run)).ok()).flatten();
+    let open = if kept.is_some() { ForecastWriter::resume } else { ForecastWriter::create };
+    let file = options.forecasts.clone().map(|path| match open(&path, run.origin()) {
+        Ok(writer) => Ok((path, writer)),
+        Err(source) => Err(StageError::File { path, source }),
+    });
+    let recorder = match kept {
+        Some(kept) => Recorder::resume(settings(run), kept),
+        None => Recorder::new(settings(run)),
+    };
+    Ok((recorder, ForecastFile(file.transpose()?)))
+}
 
 /// Saves the recorder's state, and the errors of the forecasts for the launcher. A failure is counted: only a
 /// death of the recorder would lose anything by it.

@@ -1,14 +1,11 @@
 //! The recorder as a process: reads `forecasts` and `truth`, writes a report and a file of forecasts.
 
-use std::io;
-use std::path::PathBuf;
-
 use ports::{Stage, StageError, Stop, await_turn, clock_offset_ns, monotonic_ns};
 use run::Run;
 use wire::{ForecastsTopic, Header, Rejected, StageId, Topic, TruthTopic, flags};
 
-use crate::saved::{checkpoint_path, report_path, save, settings};
-use crate::{Checkpoint, ForecastWriter, Recorder, STAGE};
+use crate::STAGE;
+use crate::saved::{report_path, resume, save};
 
 /// Time between checkpoints: the most that a death of the recorder loses.
 const KEEP_NS: u64 = 1_000_000_000;
@@ -22,21 +19,7 @@ pub fn run(run: &Run) -> Result<(), StageError> {
     let stop = Stop::on_signals().map_err(|source| StageError::File { path: run.root.clone(), source })?;
     // It continues from the final checkpoint of the previous process.
     await_turn(StageId::Recorder, &stop)?;
-    let checkpoint = checkpoint_path(run);
-    let kept = (ports::incarnation() > 0).then(|| Checkpoint::read(&checkpoint).ok()).flatten();
-    let is_resumed = kept.is_some();
-    let open_file = |path| match is_resumed {
-        true => ForecastWriter::resume(path, run.origin()),
-        false => ForecastWriter::create(path, run.origin()),
-    };
-    let mut recorder =
-        kept.map_or_else(|| Recorder::new(settings(run)), |kept| Recorder::resume(settings(run), kept));
-    let unwritable = |source: io::Error| {
-        let path = options.forecasts.clone().unwrap_or_else(|| PathBuf::from("forecasts"));
-        StageError::File { path, source }
-    };
-    let mut writer = options.forecasts.as_deref().map(open_file).transpose().map_err(unwritable)?;
-
+    let (mut recorder, mut file) = resume(run, &options)?;
     let mut stage = Stage::open(run, &STAGE)?;
     let forecasts = stage.subscribe_deep::<ForecastsTopic>(ForecastsTopic::DEPTH_MAX)?;
     let truth = stage.subscribe_deep::<TruthTopic>(TruthTopic::DEPTH_MAX)?;
@@ -59,8 +42,8 @@ pub fn run(run: &Run) -> Result<(), StageError> {
         }
         recorder.set_clock_offset(clock_offset_ns());
         let result = recorder.forecasts(frame.header(), &frame).map(|_| ());
-        if let (Ok(()), Some(writer)) = (&result, &mut writer) {
-            writer.write(frame.header(), &frame).map_err(unwritable)?;
+        if result.is_ok() {
+            file.write(frame.header(), &frame)?;
         }
         count(&mut stage, frame.header(), ForecastsTopic::NAME, result);
         if frame.header().has(flags::END) {
@@ -68,9 +51,7 @@ pub fn run(run: &Run) -> Result<(), StageError> {
         }
         if monotonic_ns().saturating_sub(kept_ns) >= KEEP_NS {
             kept_ns = monotonic_ns();
-            if let Some(writer) = &mut writer {
-                writer.flush().map_err(unwritable)?;
-            }
+            file.flush()?;
             save(run, &mut recorder);
         }
         // In lockstep the source waits for this heartbeat before it releases the next tick.
@@ -83,9 +64,7 @@ pub fn run(run: &Run) -> Result<(), StageError> {
         // If this process is asked to end, another process may continue.
         save(run, &mut recorder);
     }
-    if let Some(writer) = writer {
-        writer.finish().map_err(unwritable)?;
-    }
+    file.finish()?;
     // The refusals since its own last heartbeat.
     recorder.heartbeat(&stage.heartbeat());
     recorder.report().write(&report_path(run, &options)).map_err(StageError::data)

@@ -33,7 +33,7 @@ pub struct Pulse {
     pub published_ns: u64,
     /// Time between the newest two ticks.
     pub interval_ns: u64,
-    /// Whether the tick has no input of its own: its tracks are predicted.
+    /// Whether the tracks of the tick are predicted, because no detections came for it.
     pub is_predicted: bool,
 }
 

@@ -405,16 +405,18 @@ impl Node {
 impl<M: Serialize> Writer<M> {
     /// Publishes a message, or counts it as dropped if DDS has no room. Does not wait. Returns whether DDS has taken it.
     pub fn publish(&mut self, message: M) -> bool {
-        let before = self.sent;
         match self.publisher.publish(message) {
-            Ok(()) => self.sent += 1,
+            Ok(()) => {
+                self.sent += 1;
+                return true;
+            }
             Err(WriteError::WouldBlock { .. }) => self.dropped += 1,
             Err(error) => {
                 self.dropped += 1;
                 tracing::warn!("a message can't be published: {error}");
             }
         }
-        self.sent > before
+        false
     }
 
     /// Messages that DDS has taken, and those that it had no room for.

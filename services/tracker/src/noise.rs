@@ -7,8 +7,8 @@
 //!
 //! **Correlated noise.** The error of an upstream tracker changes slowly. Contrasts of consecutive
 //! measurements then miss most of it. Further contrasts are taken of measurements [`APART_NS`] apart. Their
-//! variance l² shows which part of the noise is a process with the correlation time τ = 0.3 s. A contrast of
-//! this process, between whose measurements it has the correlation ρ, has the variance a² g(ρ):
+//! variance l² shows which part of the noise is a process with the correlation time τ = 0.3 s. This process has
+//! the variance a². If ρ is its correlation between neighbouring measurements, a contrast has the variance a² g(ρ):
 //!
 //! ```text
 //! g(ρ) = 1 − 1.5 ρ + 0.6 ρ² − 0.1 ρ³      ρ = exp(−Δ/τ)      ρ' = exp(−Δ'/τ)
@@ -17,9 +17,10 @@
 //! ```
 //!
 //! Δ and Δ' are the times between the measurements. s² is the variance of the newest consecutive contrasts, and
-//! s'² of those at the times of the n contrasts of l². m allows for changes of the acceleration. A filter takes measurements as independent. With the variance r², its mean over
-//! several seconds has the right variance. Until enough measurements are apart to show l², the noise of an
-//! upstream tracker may be correlated. Then the prior counts as [`APART_PRIOR_COUNT`] contrasts for noisy positions.
+//! s'² the variance of the consecutive contrasts at the times of the n contrasts of l². m allows for changes of
+//! the acceleration. A filter assumes independent measurements. With the variance r², its mean over several
+//! seconds has the right variance. Until enough measurements are apart to show l², the noise of an upstream
+//! tracker may be correlated. So the prior of noisy positions counts as [`APART_PRIOR_COUNT`] contrasts.
 
 mod view;
 
@@ -56,7 +57,7 @@ const BY_VIEW_MIN_COUNT: f64 = 40.0;
 const CORRELATION_S: f64 = 0.3;
 const UNCERTAINTY: f64 = 7.0;
 const CHANGE_M: f64 = 0.04;
-/// Least g(ρ') − g(ρ) that tells correlated noise from independent noise.
+/// Least g(ρ') − g(ρ). Below it, correlated noise looks like independent noise.
 const CONTRAST_MIN: f64 = 0.15;
 /// Largest factor on a nominal deviation while detections are associated by position. Clutter that tracks follow
 /// looks like noise.
@@ -207,7 +208,8 @@ impl PositionNoise {
         let [independent, apart, paired] = [&self.next, &self.apart, &self.next_paired].map(Scale::variance);
         let [next, far] =
             [self.spacing.next_s, self.spacing.apart_s].map(|time_s| (-time_s / CORRELATION_S).exp());
-        let contrast = contrast_variance(far) - contrast_variance(next);
+        let seen = contrast_variance(next);
+        let contrast = contrast_variance(far) - seen;
         if contrast < CONTRAST_MIN {
             return Learned { own: independent, as_independent: independent };
         }
@@ -215,10 +217,9 @@ impl PositionNoise {
         let change = (CHANGE_M / self.nominal_m).powi(2);
         let correlated =
             (apart - ratio * paired - change).max(0.0) / contrast * (independent / paired).min(1.0);
-        let unseen = contrast_variance(next);
         Learned {
-            own: independent + correlated * (1.0 - unseen),
-            as_independent: independent + correlated * ((1.0 + next) / (1.0 - next) - unseen),
+            own: independent + correlated * (1.0 - seen),
+            as_independent: independent + correlated * ((1.0 + next) / (1.0 - next) - seen),
         }
     }
 

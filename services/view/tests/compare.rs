@@ -114,7 +114,7 @@ fn both_runs_are_drawn_over_each_other() {
     // Where the agents went, on demand.
     browser.value("sceneCanvas.go(20)");
     let went = "fixture.over(sceneCanvas.colors.ink, sceneCanvas.colors.ground, 0.75)";
-    // Car 7 went on for 3 m from the end of its forecast.
+    // Car 7 continued for 3 m from the end of its forecast.
     let along = format!("fixture.pixels({went}, 60, [20 * 80 + 4800 - 60, 7 * 400, 4])");
     assert_eq!(number(&mut browser, &along), 0.0);
     browser.click("[data-truth]");

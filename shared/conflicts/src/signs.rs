@@ -132,9 +132,14 @@ impl Moving {
         vx.hypot(vy) <= STANDS_MPS
     }
 
+    /// The way to another agent, m.
+    fn way_m(&self, other: &Self) -> [f32; 2] {
+        [0, 1].map(|axis| other.body.position_m[axis] - self.body.position_m[axis])
+    }
+
     /// Distance to another agent, m, and the speed at which it falls, m/s.
     fn approach(&self, other: &Self) -> (f32, f32) {
-        let [x, y] = [0, 1].map(|axis| other.body.position_m[axis] - self.body.position_m[axis]);
+        let [x, y] = self.way_m(other);
         let [vx, vy] = [0, 1].map(|axis| other.velocity_mps[axis] - self.velocity_mps[axis]);
         let apart_m = x.hypot(y);
         (apart_m, -(x * vx + y * vy) / apart_m.max(f32::MIN_POSITIVE))
@@ -144,7 +149,7 @@ impl Moving {
 /// Whether a pair is judged: one of them moves, and they are neither far apart nor close already.
 #[must_use]
 pub fn are_judged(a: &Moving, b: &Moving) -> bool {
-    let [x, y] = [0, 1].map(|axis| a.body.position_m[axis] - b.body.position_m[axis]);
+    let [x, y] = a.way_m(b);
     let is_in_reach = x * x + y * y <= APART_MAX_M * APART_MAX_M;
     is_in_reach && !(a.stands() && b.stands()) && a.now.gap(&b.now).0 >= APART_MIN_M
 }

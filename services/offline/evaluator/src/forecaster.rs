@@ -84,7 +84,7 @@ enum Correction {
     RetrievalAndEvidence,
 }
 
-/// Windows that do not fit a payload, and what the stages did not see of them.
+/// Windows that do not fit a payload, and the agents and edges without room.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Crowding {
     pub(crate) window_count: u64,
@@ -434,7 +434,7 @@ impl Decoded {
             }
         };
         let published = payloads.iter().map(|payload| Candidate::published(payload, horizon_len));
-        // The probabilities are those of the network.
+        // The network gives the probabilities.
         let is_base = matches!(input, Input::Base);
         published.map(|of| Candidate { probability: of.probability.filter(|_| !is_base), ..of }).collect()
     }

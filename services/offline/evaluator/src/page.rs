@@ -24,7 +24,7 @@ pub struct Page {
 }
 
 impl Page {
-    /// A report whose figures are those of tables. The summary contains all of them.
+    /// A report with the figures of these tables. The summary contains all tables.
     pub(crate) fn of(name: &'static str, mark: impl Into<String>, tables: &[Table]) -> Self {
         let markdown = sections(tables, "##", "");
         let csv = COLUMNS.to_owned() + &tables.iter().map(Table::csv).collect::<String>();
