@@ -194,8 +194,8 @@ impl Table {
                 for (name, value) in numbers.iter().filter(|(_, value)| value.is_finite()) {
                     let is_single = name.is_empty() || name == column;
                     let column = if is_single { column.clone() } else { format!("{column}, {name}") };
-                    let row = names.join(", ");
-                    text += &format!("\"{}\",\"{row}\",\"{column}\",{value:.6},{ends}\n", self.title);
+                    let [title, row, column] = [&self.title, &names.join(", "), &column].map(quoted);
+                    text += &format!("{title},{row},{column},{value:.6},{ends}\n");
                 }
             }
         }
@@ -231,9 +231,21 @@ pub(crate) fn ratio_of_clusters(items: impl Iterator<Item = (u64, [f64; 2])>) ->
     paired_bootstrap_ratio(&clusters.into_values().collect::<Vec<_>>(), RESAMPLES, SEED)
 }
 
+/// A text cell of CSV. Names of files may contain quotes [RFC 4180].
+fn quoted(text: impl AsRef<str>) -> String {
+    format!("\"{}\"", text.as_ref().replace('"', "\"\""))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn quotes_in_a_name_stay_in_its_cell() {
+        let mut table = Table::new("Errors", "", &["source"], ["a"]);
+        table.push(&["the \"old\" road"], [Entry::count(1)]);
+        assert_eq!(table.csv(), "\"Errors\",\"the \"\"old\"\" road\",\"a\",1.000000,,\n");
+    }
 
     #[test]
     fn a_number_is_the_same_in_all_forms() {
