@@ -1,3 +1,4 @@
+mod chord;
 mod gate;
 mod held;
 mod judgement;
@@ -21,6 +22,7 @@ use wire::{AgentType, Forecast, Steering};
 
 use crate::belief::Belief;
 use crate::class::Class;
+use crate::estimate::chord::Chord;
 use crate::estimate::gate::Gate;
 use crate::estimate::held::Held;
 use crate::estimate::published::Published;
@@ -107,6 +109,8 @@ pub struct Estimate {
     trials: Trials,
     /// The reports of its detections.
     reports: Reports,
+    /// Whether its positions confirm the reports.
+    chord: Chord,
     gate: Gate,
     /// Whether another estimate continues its identity.
     is_replaced: bool,
@@ -121,6 +125,7 @@ impl Estimate {
         let seen = observation(detection, agent_type, input);
         let belief = Belief::new(Filter::start(kind(agent_type), &seen, &UNKNOWN[agent_type.index()]));
         Self {
+            chord: Chord::new(own_ns, &seen),
             class: Class::new(agent_type),
             birth,
             source_id: source_id(detection),
@@ -286,10 +291,13 @@ impl Estimate {
         self.seen_ns = self.frame_ns;
         self.held.end();
         self.has_velocity = true;
-        if let (Filter::Bicycle(_), Some((heading, _))) = (self.belief.filter(), seen.heading_rad) {
+        let believed = self.chord.ignored.without(seen);
+        if let (Filter::Bicycle(_), Some((heading, _))) = (self.belief.filter(), believed.heading_rad) {
             self.front.observe_heading(heading, self.published.heading_rad);
         }
-        self.correct(possible, self.lag_s(own_ns), input)?;
+        if !self.confirm(own_ns, &seen, input) {
+            self.correct(possible, self.lag_s(own_ns), input)?;
+        }
         self.count_length(length_m(detection));
         self.resolve_front();
         Ok(())
@@ -317,8 +325,11 @@ impl Estimate {
         lag_s: f64,
         input: &InputModel,
     ) -> Result<(), FilterFault> {
-        if let Filter::Bicycle(_) = self.belief.filter() {
-            for (heading, _) in possible.iter_mut().filter_map(|(_, seen)| seen.heading_rad.as_mut()) {
+        let ignored = self.chord.ignored;
+        let is_bicycle = matches!(self.belief.filter(), Filter::Bicycle(_));
+        for (_, seen) in possible.iter_mut() {
+            *seen = ignored.without(*seen);
+            if let Some((heading, _)) = seen.heading_rad.as_mut().filter(|_| is_bicycle) {
                 *heading = folded(*heading, self.published.heading_rad);
             }
         }

@@ -248,6 +248,9 @@ impl Estimates {
                 estimate.hold_turn();
                 continue;
             }
+            if pairing.is_contradicted(e) {
+                tracked.fault_count += usize::from(estimate.ignore_reports(input).is_err());
+            }
             possible.clear();
             // A single detection updates the estimate at the detection's own time, several update it at the
             // frame's time.
@@ -317,10 +320,6 @@ impl Estimates {
         let trusted = options.trusts(header, detections);
         for d in pairing.unpaired() {
             let found = Found::new(header.stamp_ns, &detections[d], types[d]);
-            if Estimate::is_too_fast(&found, options) {
-                tracked.misfit_count += 1;
-                continue;
-            }
             if self.placeholders.holds(found.place()) {
                 tracked.placeholder_count += 1;
                 continue;

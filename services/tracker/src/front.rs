@@ -13,6 +13,9 @@ use filters::wrapped;
 const HEADING_WEIGHT: f64 = 0.85;
 /// Log-odds of a frame of forward or backward motion. It is less than a heading's, because agents do reverse.
 const MOTION_WEIGHT: f64 = 0.2;
+/// The same at a speed at which nobody reverses. It outweighs headings that are half a turn off.
+const FAST_MOTION_WEIGHT: f64 = 1.2;
+const FAST_MPS: f64 = 4.0;
 /// The same before the track is published. Few agents come into view in reverse.
 const FIRST_MOTION_WEIGHT: f64 = 1.0;
 /// Slower motion is not evidence, and neither is motion of fewer standard deviations.
@@ -47,7 +50,11 @@ impl Front {
     /// Adds a frame of motion along the estimated heading, with this speed and its standard deviation.
     pub fn observe_motion(&mut self, speed_mps: f64, sigma_mps: f64, published: bool) {
         if speed_mps.abs() > MOTION_MIN_MPS.max(MOTION_MIN_SIGMAS * sigma_mps) {
-            let weight = if published { MOTION_WEIGHT } else { FIRST_MOTION_WEIGHT };
+            let weight = match published {
+                _ if is_fast(speed_mps, MOTION_MIN_SIGMAS * sigma_mps) => FAST_MOTION_WEIGHT,
+                true => MOTION_WEIGHT,
+                false => FIRST_MOTION_WEIGHT,
+            };
             self.add(weight.copysign(speed_mps));
         }
     }
@@ -66,6 +73,12 @@ impl Front {
     fn add(&mut self, weight: f64) {
         self.log_odds = (self.log_odds + weight).clamp(-LOG_ODDS_MAX, LOG_ODDS_MAX);
     }
+}
+
+/// Whether nobody reverses at this speed, even if it is wrong by `margin_mps`.
+#[must_use]
+pub fn is_fast(speed_mps: f64, margin_mps: f64) -> bool {
+    speed_mps.abs() > FAST_MPS + margin_mps
 }
 
 /// The published heading, rate-limited on its way from the last one to `heading_rad`. Returns `None` if the

@@ -311,7 +311,7 @@ impl Noise {
     /// What the tracker assumes of the next frame.
     #[must_use]
     pub fn input_model(&self, header: &Header, options: &TrackerOptions) -> InputModel {
-        let mut model = InputModel { coast_ns: options.coast_ns(header), ..options.detector };
+        let mut model = InputModel::of_options(header, options);
         let Some(factor_max) = factor_max(header, options) else {
             return InputModel { steadiness: [0.0; 3], ..model };
         };

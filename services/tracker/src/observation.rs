@@ -46,7 +46,8 @@ impl<'a> Found<'a> {
     }
 }
 
-/// The observation of a detection. A detection without its own noise gets the noise of its type.
+/// The observation of a detection. A detection without its own noise gets the noise of its type. A speed that its
+/// type cannot have is unknown.
 #[must_use]
 pub fn observation(detection: &Detection, agent_type: AgentType, input: &InputModel) -> Observation {
     let noise = &input.sensor[agent_type.index()];
@@ -58,7 +59,8 @@ pub fn observation(detection: &Detection, agent_type: AgentType, input: &InputMo
         position_variance,
         elongation: input.by_view.elongation(agent_type, position_m, position_variance),
         heading_rad: value(detection_flags::HAS_HEADING, detection.heading_rad, noise.heading_rad),
-        speed_mps: value(detection_flags::HAS_SPEED, detection.speed_mps, noise.speed_mps),
+        speed_mps: value(detection_flags::HAS_SPEED, detection.speed_mps, noise.speed_mps)
+            .filter(|(speed_mps, _)| speed_mps.abs() <= input.speed_limits.of(agent_type)),
     }
 }
 

@@ -192,6 +192,8 @@ pub struct InputModel {
     pub steadiness: [f64; 3],
     /// Coast time. A track ends after this time without a detection, in frames that observed its type.
     pub coast_ns: u64,
+    /// Highest speed of each type. A higher reported speed counts as unknown.
+    pub speed_limits: SpeedLimits,
 }
 
 /// Settings of a tracker.
@@ -266,6 +268,7 @@ const DETECTOR: InputModel = InputModel {
     trust: [ForecastTrust { noise_share: 0.3, ..TRUST }; 3],
     steadiness: [1.0; 3],
     coast_ns: 2_000_000_000,
+    speed_limits: SpeedLimits::USUAL,
 };
 
 /// Standard deviation of the positions of smooth recordings, and the least that is assumed of positions without
@@ -293,6 +296,7 @@ const SMOOTH: InputModel = InputModel {
     trust: [ForecastTrust { control_fade_in_s: 0.2, ..TRUST }; 3],
     steadiness: [0.0; 3],
     coast_ns: 1_000_000_000,
+    speed_limits: SpeedLimits::USUAL,
 };
 
 impl Default for TrackerOptions {
@@ -353,6 +357,12 @@ const REAR_AXLE_RATIO: f64 = 0.26;
 const LENGTH_M: [f64; 3] = [4.5, 1.8, 1.8];
 
 impl InputModel {
+    /// The model of the options before anything is learned.
+    pub(crate) fn of_options(header: &Header, options: &TrackerOptions) -> Self {
+        let (coast_ns, speed_limits) = (options.coast_ns(header), options.speed_limits);
+        Self { coast_ns, speed_limits, ..options.detector }
+    }
+
     /// Sets the motion and the trust of a type for positions with this noise: the constants of `smooth` inputs
     /// up to their noise, and the constants of `noisy` inputs from [`NOISY_M`] on.
     pub(crate) fn set_motion(&mut self, agent_type: AgentType, noise_m: f64, smooth: &Self, noisy: &Self) {

@@ -49,6 +49,8 @@ pub struct Pairing {
     round: Vec<Option<u32>>,
     /// Whether each detection is paired or discarded as a duplicate.
     taken: Vec<bool>,
+    /// Whether the pair of each estimate contradicts the reported velocity.
+    contradicted: Vec<bool>,
 }
 
 impl Pairing {
@@ -72,6 +74,7 @@ impl Pairing {
             joint: Vec::with_capacity(estimate_count),
             round: Vec::with_capacity(estimate_count),
             taken: Vec::with_capacity(detection_count),
+            contradicted: Vec::with_capacity(estimate_count),
         }
     }
 
@@ -112,6 +115,12 @@ impl Pairing {
     #[must_use]
     pub fn is_resent(&self, estimate: usize) -> bool {
         self.resent[estimate]
+    }
+
+    /// Whether the pair of an estimate contradicts the reported velocity.
+    #[must_use]
+    pub fn is_contradicted(&self, estimate: usize) -> bool {
+        self.contradicted[estimate]
     }
 
     /// Whether several detections of the frame may have exactly the same position.
@@ -205,11 +214,38 @@ impl Pairing {
         if jointly {
             self.associate(estimates, detections.len(), options.miss_cost);
         }
+        self.pair_contradicted(estimates, &frame);
         self.unpaired.retain(|&d| !self.taken[d as usize]);
         self.unpaired.sort_unstable_by(|&a, &b| {
             let (a, b) = (&detections[a as usize], &detections[b as usize]);
             a.x_m.total_cmp(&b.x_m).then(a.y_m.total_cmp(&b.y_m)).then(a.agent_type.cmp(&b.agent_type))
         });
+    }
+
+    /// Pairs tentative tracks with unpaired detections that have the reports of their last one, wherever they are:
+    /// the reported velocity may be wrong.
+    fn pair_contradicted(&mut self, estimates: &[Estimate], frame: &Frame<'_>) {
+        let Self { grid, candidates, paired, taken, .. } = self;
+        candidates.clear();
+        for ((estimate, track), paired) in estimates.iter().zip(0..).zip(&*paired) {
+            if paired.is_some() || !estimate.follows_reports() {
+                continue;
+            }
+            for spot in grid.spots().iter().filter(|spot| !taken[spot.detection as usize]) {
+                let found = frame.found(spot.detection as usize, estimate.stamp_ns());
+                if let Some(share) = estimate.resembles(&found, frame.options) {
+                    let cost = frame.options.miss_cost - 1.0 + share;
+                    candidates.push(Candidate { track, detection: spot.detection, cost });
+                }
+            }
+        }
+        if self.candidates.is_empty() {
+            return;
+        }
+        self.pair(GATE, frame.detections.len(), frame.options);
+        for (contradicted, found) in self.contradicted.iter_mut().zip(&self.round) {
+            *contradicted = found.is_some();
+        }
     }
 
     /// Computes the probability of each pair within the first gate, for the estimates that are ready.
@@ -338,6 +374,8 @@ impl Pairing {
         self.more.clear();
         self.resent.clear();
         self.resent.resize(estimates.len(), false);
+        self.contradicted.clear();
+        self.contradicted.resize(estimates.len(), false);
     }
 }
 

@@ -128,7 +128,7 @@ impl Tracker {
             return;
         }
         let header = *predecessor.header();
-        let input = InputModel { coast_ns: self.options.coast_ns(&header), ..self.options.detector };
+        let input = InputModel::of_options(&header, &self.options);
         let trusts = header.has(flags::HAS_IDENTITIES) && !self.options.associate;
         let known = predecessor.tracks().filter_map(|(track, history)| {
             let agent_type = track.agent_type().ok()?;

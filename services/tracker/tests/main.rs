@@ -7,6 +7,7 @@ mod support {
 }
 
 mod audit;
+mod contradicted;
 mod frozen;
 mod impossible;
 mod jpda;

@@ -15,11 +15,14 @@ pub struct SpeedLimits {
 
 impl Default for SpeedLimits {
     fn default() -> Self {
-        Self { vehicle_mps: 70.0, cyclist_mps: 25.0, pedestrian_mps: 12.0 }
+        Self::USUAL
     }
 }
 
 impl SpeedLimits {
+    /// The limits without options.
+    pub const USUAL: Self = Self { vehicle_mps: 70.0, cyclist_mps: 25.0, pedestrian_mps: 12.0 };
+
     /// The limits of a run's tracker, for the stages after it. These are the defaults if the tracker is
     /// another program.
     #[must_use]

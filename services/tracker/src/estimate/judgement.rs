@@ -28,18 +28,9 @@ const EXCHANGED: f64 = 9.21;
 const STAY_MIN_NS: u64 = 500_000_000;
 
 impl Estimate {
-    /// Whether a detection reports a speed that its type cannot have.
-    #[must_use]
-    pub fn is_too_fast(found: &Found<'_>, options: &TrackerOptions) -> bool {
-        found.speed_mps().is_some_and(|speed_mps| speed_mps > options.speed_limits.of(found.agent_type))
-    }
-
     /// Compares a detection that has the agent's identity with the prediction.
     #[must_use]
     pub fn judge(&self, found: &Found<'_>, input: &InputModel, options: &TrackerOptions) -> Verdict {
-        if Self::is_too_fast(found, options) {
-            return Verdict::Misfit;
-        }
         let variance = position_sigma_m(found.detection, found.agent_type, input).powi(2);
         let (agent_type, since_s) = (self.class.current(), self.gate.since_measured_s(found.own_ns));
         let from_m = self.reports.last.position_m();
@@ -210,9 +201,6 @@ impl Estimate {
         options: &TrackerOptions,
     ) -> Option<Self> {
         let [first, second] = self.gate.misfits;
-        if Self::is_too_fast(found, options) {
-            return None;
-        }
         let new = Misfit::new(found);
         let is_same = |old: &Misfit| Reported::new(&old.detection) == Reported::new(&new.detection);
         let begun = match second {

@@ -1,6 +1,7 @@
 use filters::{Filter, Gaussian};
 use wire::{AgentType, Detection, Track};
 
+use super::chord::Chord;
 use super::gate::Gate;
 use super::held::Held;
 use super::published::Published;
@@ -58,6 +59,7 @@ impl Estimate {
             whole: Whole::new(0.0),
             trials: Trials::default(),
             reports: Reports::new(&last),
+            chord: Chord::default(),
             gate: Gate::new(seen_ns),
             is_replaced: false,
             steady: Steady::new(belief.filter()),
