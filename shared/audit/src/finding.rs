@@ -249,8 +249,8 @@ fn interval(f: &mut fmt::Formatter<'_>, doubt: Doubt, interval_s: f64) -> fmt::R
     if doubt == Doubt::StampsAreFrames {
         return write!(
             f,
-            "stamps are whole numbers {interval_s:.0} apart, as frame numbers are: divide them by the frames a \
-             second"
+            "stamps are whole numbers {interval_s:.0} apart, as frame numbers and seconds without fractions are: \
+             divide them by the frames a second, or write the fractions"
         );
     }
     if interval_s < 1.0 {

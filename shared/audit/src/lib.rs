@@ -457,15 +457,19 @@ impl Audit {
         if moves && self.whole.rows >= WHOLE_MIN && self.whole.rows == self.rows {
             take(Finding::new(Doubt::Pixels, self.whole, self.rows, Detail::None));
         }
+        let stacked = self.stacks.doubt(self.rows);
+        // Stamps without fractions put several places of an agent into one frame.
+        let are_whole = stacked.is_some() && self.stamps.are_whole();
         if let Some((lag_s, rows)) = self.echoes.doubt()
             && rows.rows * TWICE_OF >= self.rows
+            && !are_whole
         {
             take(Finding::new(Doubt::SeenTwice, rows, self.rows, Detail::Interval { interval_s: lag_s }));
         }
         if let Some(all) = self.extent.degrees(self.frames) {
             take(Finding::new(Doubt::Geographic, all, self.rows, Detail::None));
-        } else if let Some(stacked) = self.stacks.doubt(self.rows) {
-            let detail = if self.stamps.are_whole() { Detail::WholeStamps } else { Detail::None };
+        } else if let Some(stacked) = stacked {
+            let detail = if are_whole { Detail::WholeStamps } else { Detail::None };
             take(Finding::new(Doubt::Stacked, stacked, self.rows, detail));
         }
         let mut placeholders = self.placeholders;

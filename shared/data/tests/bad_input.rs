@@ -1,6 +1,8 @@
 //! Broken files of every format. Each gives an error with file, line, column and value. Readers never panic
 //! and never skip a row.
 
+use std::collections::BTreeSet;
+
 use data::{Format, Input, ReadError, Recording, Role, parse};
 
 const INTERACTION: &str = "track_id,frame_id,timestamp_ms,agent_type,x,y,vx,vy,psi_rad,length,width\n\
@@ -296,7 +298,8 @@ fn truncated_rows_are_errors() {
             }
         }
         if format == Format::CommonRoad {
-            let error = message(format, &text[..text.len() / 2]);
+            let first = str::from_utf8(&text).unwrap().find("Obstacle>").unwrap();
+            let error = message(format, &text[..first]);
             assert!(error.starts_with("a.txt:") && error.contains("not XML: "), "{error}");
             continue;
         }
@@ -484,6 +487,29 @@ fn missing_files_are_named() {
     assert_eq!(error, format!("{}: needs scales, and there is none at {}", path.display(), scales.display()));
     let error = data::open(folder.path(), None).unwrap_err().to_string();
     assert!(error.ends_with("not a regular file"), "{error}");
+}
+
+/// A scenario that is cut off is read up to its last whole obstacle.
+#[test]
+fn a_scenario_that_is_cut_off_keeps_its_whole_agents() {
+    let whole = with_rows(Format::CommonRoad, COMMONROAD).unwrap();
+    let agents = |recording: &Recording| -> BTreeSet<u64> {
+        let detections = recording.frames.iter().flat_map(|frame| &frame.detections);
+        detections.map(|detection| detection.id).collect()
+    };
+    let ends: Vec<usize> = COMMONROAD.match_indices("Obstacle>").map(|(at, end)| at + end.len()).collect();
+    let mut read_count = 0;
+    for cut in 0..COMMONROAD.find("</commonRoad>").unwrap() + 5 {
+        let Ok(read) = with_rows(Format::CommonRoad, &COMMONROAD.as_bytes()[..cut]) else { continue };
+        read_count += 1;
+        assert!(agents(&read).is_subset(&agents(&whole)), "cut at {cut}");
+        let last = ends.iter().rev().find(|end| **end <= cut).unwrap();
+        let [found] = &read.findings[..] else { panic!("{:?}", read.findings) };
+        assert!(found.kind == "cut_off" && found.doubtful, "{found:?}");
+        assert!(found.sentence.contains(&format!("at byte {last} of {cut}")), "{found:?}");
+    }
+    assert!(read_count > 100, "{read_count}");
+    assert!(whole.findings.is_empty());
 }
 
 /// A file that ends in the middle of a row is read up to this row, in every format of rows. A wrong row in the middle,

@@ -8,7 +8,7 @@
 //!
 //! Cars, trucks, buses, taxis, motorcycles, priority and parked vehicles are vehicles. Bicycles are cyclists.
 //! The states of trains, buildings, road boundaries and other obstacles are left out and counted, and so are
-//! occupancies without states. The vehicle that a planner should drive (`planningProblem`) is not an agent.
+//! occupancies without states. A file that is cut off is read up to its last whole obstacle. The vehicle that a planner should drive (`planningProblem`) is not an agent.
 
 use std::collections::BTreeSet;
 
@@ -18,7 +18,7 @@ use wire::{AgentType, Detection, WorldOrigin, detection_flags};
 use crate::input::need;
 use crate::rows::{self, ALL_TYPES, Rows};
 use crate::text::{self, Field, Line};
-use crate::{Input, LeftOut, ReadError, Recording, Role, sweeps};
+use crate::{Input, LeftOut, ReadError, Recording, Role, damage, sweeps};
 
 /// Size of the largest file that is read. In memory it takes several times its size.
 const XML_BYTES_MAX: u64 = 256 << 20;
@@ -26,6 +26,8 @@ const XML_BYTES_MAX: u64 = 256 << 20;
 const XML_NODES_MAX: u32 = 16_000_000;
 /// Shortest and longest step, s.
 const STEP_S: std::ops::RangeInclusive<f64> = 0.001..=10.0;
+/// The end of the root.
+const END: &str = "</commonRoad>";
 /// Maximum number of lines that are searched for the root.
 const LINES_MAX: usize = 1_000;
 
@@ -55,6 +57,9 @@ pub(crate) fn parse(inputs: &[Input]) -> Result<Recording, ReadError> {
     let last = last.ok_or_else(|| ReadError::Empty { path: input.path.clone() })?;
     let content = str::from_utf8(&input.bytes).unwrap_or_default();
     let options = ParsingOptions { nodes_limit: XML_NODES_MAX, ..ParsingOptions::default() };
+    let cut = cut_at(content);
+    let closed = cut.map(|at| [&content[..at], END].concat());
+    let content = closed.as_deref().unwrap_or(content);
     let document = Document::parse_with_options(content, options).map_err(|error| {
         let [line, column] = match error {
             roxmltree::Error::UnclosedRootNode | roxmltree::Error::UnexpectedEndOfStream => [last, 1],
@@ -75,7 +80,24 @@ pub(crate) fn parse(inputs: &[Input]) -> Result<Recording, ReadError> {
     for obstacle in root.children().filter(Node::is_element) {
         reading.obstacle(obstacle)?;
     }
-    reading.recording(input)
+    let mut recording = reading.recording(input)?;
+    if let Some(at) = cut {
+        let (path, len) = (&input.path, input.bytes.len());
+        let sentence =
+            format!("the file {path} is cut off at byte {at} of {len}: the agents that followed are missing");
+        recording.findings.push(damage::doubt("cut_off", sentence));
+    }
+    Ok(recording)
+}
+
+/// The byte behind the last whole obstacle, if the file ends before its root does.
+fn cut_at(content: &str) -> Option<usize> {
+    let tail = &content.as_bytes()[content.len().saturating_sub(2 * END.len())..];
+    if content.contains(END) || tail.windows(END.len()).any(|end| end.eq_ignore_ascii_case(END.as_bytes())) {
+        return None;
+    }
+    let after = |end: &str| content.rfind(end).map(|at| at + end.len());
+    ["</dynamicObstacle>", "</staticObstacle>", "</obstacle>"].into_iter().filter_map(after).max()
 }
 
 /// The content that was read so far.
