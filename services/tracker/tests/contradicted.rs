@@ -108,3 +108,16 @@ fn positions_decide_if_reports_contradict_them() {
         }
     }
 }
+
+#[test]
+fn a_walker_with_speeds_of_0_walks() {
+    for identities in [flags::HAS_IDENTITIES, 0] {
+        for sigma_m in [0.02, 0.15] {
+            let frames =
+                play((AgentType::Pedestrian, 1.3), (identities, sigma_m), |id, _, _| (course_rad(id), 0.0));
+            let case = format!("identities {identities}, {sigma_m} m");
+            // A chord of three seconds is longer than the noise.
+            assert_velocities(&frames, 1.3, 60, 0.7, &case);
+        }
+    }
+}

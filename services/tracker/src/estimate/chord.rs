@@ -18,8 +18,9 @@ use crate::observation::Found;
 use crate::options::{InputModel, TrackerOptions};
 use crate::steady::Steady;
 
-/// Shortest time of a chord.
+/// Shortest time of a chord, and the longest one of a chord that is too short to contradict anything.
 const CHORD_NS: i64 = 600_000_000;
+const CHORD_MAX_NS: i64 = 3_000_000_000;
 /// A longer time between two reports ends a chord.
 const GAP_MAX_NS: i64 = 2_100_000_000;
 /// Differences of two ways that delays and changes of the speed explain: a part of the longer way, and a constant.
@@ -155,16 +156,16 @@ impl Chord {
         }
         begun.continue_to(own_ns, report);
         let elapsed_ns = own_ns.saturating_sub(begun.at_ns);
-        if elapsed_ns < CHORD_NS {
-            return None;
-        }
-        let begun = *begun;
-        self.begun = Some(first);
         let moved = Moved {
             way_m: [0, 1].map(|axis| seen.position_m[axis] - begun.from_m[axis]),
             elapsed_s: elapsed_ns as f64 / 1e9,
             sigma_m: SQRT_2 * seen.position_variance.sqrt(),
         };
+        if elapsed_ns < CHORD_NS || (elapsed_ns < CHORD_MAX_NS && !moved.can_contradict(begun.way)) {
+            return None;
+        }
+        let begun = *begun;
+        self.begun = Some(first);
         self.judge(&begun, &moved).then_some(moved)
     }
 
@@ -226,6 +227,12 @@ impl Begun {
 impl Moved {
     fn length_m(&self) -> f64 {
         hypot(self.way_m[0], self.way_m[1])
+    }
+
+    /// Whether noise does not explain the longer one of both ways.
+    fn can_contradict(&self, reported: Option<([f64; 2], f64)>) -> bool {
+        let longer_m = self.length_m().max(reported.map_or(0.0, |(_, length_m)| length_m));
+        (1.0 - WAY_SHARE) * longer_m > WAY_M + SIGMAS * self.sigma_m
     }
 
     fn velocity_mps(&self) -> [f64; 2] {
