@@ -15,7 +15,8 @@ const HEADING_WEIGHT: f64 = 0.85;
 const MOTION_WEIGHT: f64 = 0.2;
 /// The same at a speed at which nobody reverses. It outweighs headings that are half a turn off.
 const FAST_MOTION_WEIGHT: f64 = 1.2;
-const FAST_MPS: f64 = 4.0;
+/// Speeds up to which agents often reverse, and from which nobody does.
+const REVERSE_MPS: [f64; 2] = [3.0, 5.0];
 /// The same before the track is published. Few agents come into view in reverse.
 const FIRST_MOTION_WEIGHT: f64 = 1.0;
 /// Slower motion is not evidence, and neither is motion of fewer standard deviations.
@@ -50,11 +51,10 @@ impl Front {
     /// Adds a frame of motion along the estimated heading, with this speed and its standard deviation.
     pub fn observe_motion(&mut self, speed_mps: f64, sigma_mps: f64, published: bool) {
         if speed_mps.abs() > MOTION_MIN_MPS.max(MOTION_MIN_SIGMAS * sigma_mps) {
-            let weight = match published {
-                _ if is_fast(speed_mps, MOTION_MIN_SIGMAS * sigma_mps) => FAST_MOTION_WEIGHT,
-                true => MOTION_WEIGHT,
-                false => FIRST_MOTION_WEIGHT,
-            };
+            let [often_mps, never_mps] = REVERSE_MPS;
+            let fast = ((speed_mps.abs() - often_mps) / (never_mps - often_mps)).clamp(0.0, 1.0);
+            let slow = if published { MOTION_WEIGHT } else { FIRST_MOTION_WEIGHT };
+            let weight = slow + fast * (FAST_MOTION_WEIGHT - slow);
             self.add(weight.copysign(speed_mps));
         }
     }
@@ -75,10 +75,10 @@ impl Front {
     }
 }
 
-/// Whether nobody reverses at this speed, even if it is wrong by `margin_mps`.
+/// Whether the speed along a heading shows that the heading is half a turn off.
 #[must_use]
-pub fn is_fast(speed_mps: f64, margin_mps: f64) -> bool {
-    speed_mps.abs() > FAST_MPS + margin_mps
+pub fn is_reversed(speed_mps: f64) -> bool {
+    speed_mps < -REVERSE_MPS[1]
 }
 
 /// The published heading, rate-limited on its way from the last one to `heading_rad`. Returns `None` if the

@@ -13,7 +13,7 @@ use wire::{Detection, detection_flags};
 
 use super::{Estimate, UNKNOWN, kind};
 use crate::belief::Belief;
-use crate::front::{Front, folded, is_fast};
+use crate::front::{Front, folded, is_reversed};
 use crate::observation::Found;
 use crate::options::{InputModel, TrackerOptions};
 use crate::steady::Steady;
@@ -327,7 +327,7 @@ impl Estimate {
         let (mut axis_rad, variance) = heading_rad.unwrap_or(course);
         let (sin, cos) = axis_rad.sin_cos();
         let mut speed_mps = vx * cos + vy * sin;
-        if speed_mps < 0.0 && is_fast(speed_mps, sigma_mps) {
+        if is_reversed(speed_mps) {
             (axis_rad, speed_mps) = (wrapped(axis_rad + PI), -speed_mps);
         }
         let begun = Observation {
