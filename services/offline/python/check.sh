@@ -39,6 +39,7 @@ install tools "$(ls "$dir"/wheels/*.whl)"
 (cd "$dir" && "$dir/tools/bin/python" -m mypy.stubtest --ignore-disjoint-bases stgdat._stgdat)
 alone python "$here/tests/test_stgdat.py"
 alone python "$here/tests/test_fleet.py"
+alone STGDAT_FIXTURES="$root/shared/data/tests/fixtures" python "$here/tests/test_datasets.py"
 torch=${STGDAT_TORCH:-$python}
 if "$torch" -c 'import numpy, safetensors, torch' 2>/dev/null; then
     rm -rf "$dir/torch"

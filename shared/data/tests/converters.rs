@@ -1,4 +1,4 @@
-//! The converters of `docs/converters`, if Python is available: the program reads their output.
+//! The converters of `stgdat.datasets`, if Python is available: the program reads their output.
 //!
 //! `$STGDAT_PYTHON` replaces `python3`. Argoverse 2 needs a Python with pyarrow.
 
@@ -39,8 +39,8 @@ fn script(text: &str, arguments: &[&Path]) {
 }
 
 fn convert(converter: &str, arguments: &[&str], out: &Path) -> Output {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/converters");
-    python().arg(folder.join(converter)).args(arguments).arg("--out").arg(out).output().unwrap()
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../services/offline/python/stgdat/datasets");
+    python().arg(folder).arg(converter).args(arguments).arg("--out").arg(out).output().unwrap()
 }
 
 /// The recording that a converter writes, and the converter's output.
@@ -88,7 +88,7 @@ fn nuscenes_scenes_are_converted() {
     let out = tempfile::tempdir().unwrap();
     let tables = fixture("nuscenes").to_str().unwrap().to_owned();
     let arguments = [tables.as_str(), "--scene", "scene-0001"];
-    let (recording, printed) = converted("nuscenes.py", &arguments, out.path(), "scene-0001.csv");
+    let (recording, printed) = converted("nuscenes", &arguments, out.path(), "scene-0001.csv");
     assert_eq!(frames(&recording), [(0, 2), (500, 2), (1000, 2)]);
     assert_eq!(recording.frames[2].stamp_ns, 1_000_153_000);
     assert!(printed.contains("3 frames, 3 agents; left out 1 movable_object.trafficcone, 1 vehicle.bicycle"));
@@ -102,7 +102,7 @@ fn nuscenes_scenes_are_converted() {
     assert!(!out.path().join("scene-0002.csv").exists(), "only the scene that was named");
 
     let other = tempfile::tempdir().unwrap();
-    let error = refused("nuscenes.py", &[&tables, "--scene", "scene-9"], other.path());
+    let error = refused("nuscenes", &[&tables, "--scene", "scene-9"], other.path());
     assert!(error.contains("scene.json: no scene scene-9"), "{error}");
     let broken = tempfile::tempdir().unwrap();
     for entry in std::fs::read_dir(&tables).unwrap() {
@@ -130,7 +130,7 @@ fn nuscenes_scenes_are_converted() {
     for (text, expected) in cases {
         std::fs::write(&annotations, &text).unwrap();
         let goes_on = tempfile::tempdir().unwrap();
-        let output = convert("nuscenes.py", &[broken.path().to_str().unwrap()], goes_on.path());
+        let output = convert("nuscenes", &[broken.path().to_str().unwrap()], goes_on.path());
         let error = String::from_utf8(output.stderr).unwrap();
         assert!(output.status.code() == Some(65) && error.starts_with("error: "), "{error}");
         assert!(error.contains(expected), "{error}");
@@ -171,7 +171,7 @@ fn nuplan_logs_are_converted() {
     }
     let [work, out, other] = [(); 3].map(|()| tempfile::tempdir().unwrap());
     let log = nuplan_log(&work, "category", "category");
-    let (recording, printed) = converted("nuplan.py", &[&log, "--every", "2"], out.path(), "log.csv");
+    let (recording, printed) = converted("nuplan", &[&log, "--every", "2"], out.path(), "log.csv");
     assert_eq!(frames(&recording), [(0, 3), (100, 3)]);
     assert!(printed.contains("2 frames, 3 agents; left out 2 traffic_cone"), "{printed}");
     let text = std::fs::read_to_string(out.path().join("log.csv")).unwrap();
@@ -186,23 +186,23 @@ fn nuplan_logs_are_converted() {
     assert_near(&[walker.heading_rad, walker.speed_mps], &[FRAC_PI_2, 1.2]);
     assert_near(&[detection(&recording, 0, AgentType::Cyclist).heading_rad], &[1.5]);
 
-    let error = refused("nuplan.py", &[&log, "--origin", "none"], other.path());
+    let error = refused("nuplan", &[&log, "--origin", "none"], other.path());
     assert!(error.contains("beyond ±32768 m, --origin first"), "{error}");
     let goes_on = tempfile::tempdir().unwrap();
-    let output = convert("nuplan.py", &[&path(&work, "log.sql"), "none.db", &log], goes_on.path());
+    let output = convert("nuplan", &[&path(&work, "log.sql"), "none.db", &log], goes_on.path());
     let error = String::from_utf8(output.stderr).unwrap();
     assert!(output.status.code() == Some(65) && error.ends_with("left out: 2, named above\n"), "{error}");
     assert!(error.contains("log.sql: not a log") && error.contains("none.db: no such file"), "{error}");
     assert_eq!(written(&goes_on), ["log.csv"]);
     let strange = nuplan_log(&work, "'bicycle'", "'tram'");
-    let error = refused("nuplan.py", &[&strange], other.path());
+    let error = refused("nuplan", &[&strange], other.path());
     assert!(error.contains("log.db: category.name = 'tram': no category of nuPlan"), "{error}");
-    let error = refused("nuplan.py", &[&path(&work, "log.sql")], other.path());
+    let error = refused("nuplan", &[&path(&work, "log.sql")], other.path());
     assert!(error.contains("log.sql: not a log of nuPlan: file is not a database"), "{error}");
-    let few = convert("nuplan.py", &[&log, "--every", "0"], other.path());
+    let few = convert("nuplan", &[&log, "--every", "0"], other.path());
     let error = String::from_utf8(few.stderr).unwrap();
     assert!(few.status.code() == Some(2) && error.contains("--every: 0: expected 1 to 100"), "{error}");
-    let error = refused("nuplan.py", &[&path(&work, "none.db")], other.path());
+    let error = refused("nuplan", &[&path(&work, "none.db")], other.path());
     assert!(error.contains("none.db: no such file"), "{error}");
 }
 
@@ -218,7 +218,7 @@ fn argoverse_2_logs_are_converted() {
     script(make, &[&fixture("argoverse2/log.json"), work.path()]);
     let log = work.path().to_str().unwrap();
     let name = format!("{}.csv", work.path().file_name().unwrap().to_str().unwrap());
-    let (recording, printed) = converted("argoverse2.py", &[log], out.path(), &name);
+    let (recording, printed) = converted("argoverse2_sensor", &[log], out.path(), &name);
     assert_eq!(frames(&recording), [(0, 2), (100, 2), (200, 2)]);
     assert!(printed.contains("3 frames, 2 agents; left out 1 BOLLARD"), "{printed}");
     // The ego looks along +y: ahead of it is north, and to its right is east.
@@ -228,12 +228,12 @@ fn argoverse_2_logs_are_converted() {
     assert_near(&[walker.x_m, walker.y_m, walker.heading_rad], &[4_996.0, 2_006.6, -FRAC_PI_2]);
 
     let goes_on = tempfile::tempdir().unwrap();
-    let output = convert("argoverse2.py", &["no/such/log", log], goes_on.path());
+    let output = convert("argoverse2_sensor", &["no/such/log", log], goes_on.path());
     let error = String::from_utf8(output.stderr).unwrap();
     assert!(output.status.code() == Some(65) && error.contains("no/such/log"), "{error}");
     assert_eq!(written(&goes_on), [name]);
     std::fs::write(work.path().join("city_SE3_egovehicle.feather"), "no feather").unwrap();
-    let error = refused("argoverse2.py", &[log], other.path());
+    let error = refused("argoverse2_sensor", &[log], other.path());
     assert!(error.contains("city_SE3_egovehicle.feather: not a feather file"), "{error}");
 }
 
@@ -338,7 +338,7 @@ fn waymo_scenarios_are_converted() {
     std::fs::write(&file, &records).unwrap();
     for (name, scenario) in [("19a486cd29a0d7a7.csv", "19a486cd29a0d7a7"), ("b2.csv", "b2")] {
         let arguments = [file.as_str(), "--scenario", scenario];
-        let (recording, printed) = converted("waymo.py", &arguments, out.path(), name);
+        let (recording, printed) = converted("waymo", &arguments, out.path(), name);
         assert_eq!(frames(&recording), [(0, 1), (100, 2), (200, 2)]);
         assert_eq!(recording.frames[2].stamp_ns, 200_010_000);
         assert!(printed.contains("3 frames, 2 agents; left out 3 other"), "{printed}");
@@ -359,14 +359,14 @@ fn waymo_scenarios_are_converted() {
     ];
     for (bytes, expected) in cases {
         std::fs::write(&file, bytes).unwrap();
-        let output = convert("waymo.py", &[&file], other.path());
+        let output = convert("waymo", &[&file], other.path());
         let error = String::from_utf8(output.stderr).unwrap();
         assert_eq!(output.status.code(), Some(65), "{error}");
         assert!(error.contains("training.tfrecord") && error.contains(expected), "{error}");
     }
     std::fs::write(&file, &first).unwrap();
     let none = tempfile::tempdir().unwrap();
-    let error = refused("waymo.py", &[&file, "--scenario", "z"], none.path());
+    let error = refused("waymo", &[&file, "--scenario", "z"], none.path());
     assert!(error.contains("no scenario z in "), "{error}");
 }
 
@@ -405,7 +405,7 @@ fn waymo_goes_on_after_a_scenario_that_can_not_be_converted() {
     ];
     for (broken, names, expected) in cases {
         let out = tempfile::tempdir().unwrap();
-        let output = convert("waymo.py", &[&files[broken], whole], out.path());
+        let output = convert("waymo", &[&files[broken], whole], out.path());
         let error = String::from_utf8(output.stderr).unwrap();
         assert_eq!(output.status.code(), Some(65), "{error}");
         assert!(error.contains(&expected) && error.ends_with("left out: 1, named above\n"), "{error}");
@@ -414,7 +414,7 @@ fn waymo_goes_on_after_a_scenario_that_can_not_be_converted() {
         assert_eq!(frames(&recording), [(0, 1), (100, 2), (200, 2)]);
     }
     let out = tempfile::tempdir().unwrap();
-    let output = convert("waymo.py", &["no/such/file", whole], out.path());
+    let output = convert("waymo", &["no/such/file", whole], out.path());
     assert!(output.status.code() == Some(65) && written(&out) == ["d.csv"]);
 }
 
@@ -424,7 +424,7 @@ fn converters_explain_their_arguments() {
         return;
     }
     let out = tempfile::tempdir().unwrap();
-    for converter in ["argoverse2.py", "nuplan.py", "nuscenes.py", "waymo.py"] {
+    for converter in ["argoverse2_sensor", "nuplan", "nuscenes", "waymo"] {
         let help = convert(converter, &["--help"], out.path());
         let text = String::from_utf8(help.stdout).unwrap();
         assert!(

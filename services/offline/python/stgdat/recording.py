@@ -279,9 +279,9 @@ def _part(recording: Recording, share: float, part: int) -> Recording:
 
 
 def _of_columns(columns: Mapping[str, Any], name: str, labels: Mapping[str, str], origin: Origin) -> Recording:
-    return _parsed(columns_of.written(name, columns, labels), name, dict(labels), origin)
+    return parsed(columns_of.written(name, columns, labels), name, dict(labels), origin)
 
 
-def _parsed(text: bytes, name: str, labels: Dict[str, str], origin: Origin) -> Recording:
+def parsed(text: bytes, name: str, labels: Dict[str, str], origin: Origin) -> Recording:
     shift = (float(origin[0]), float(origin[1]))
-    return Recording(_stgdat.parse_columns(text, name, labels, shift), (_parsed, (text, name, labels, shift)))
+    return Recording(_stgdat.parse_columns(text, name, labels, shift), (parsed, (text, name, labels, shift)))

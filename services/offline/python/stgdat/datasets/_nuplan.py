@@ -1,6 +1,6 @@
 """Converts logs of nuPlan to stgdat's own CSV, a file per log: tracked boxes at 20 Hz.
 
-    python3 nuplan.py /data/nuplan/mini/2021.05.12.22.28.35_veh-35_00620_01164.db --out csv [--every 2]
+    python -m stgdat.datasets nuplan /data/nuplan/mini/2021.05.12.22.28.35_veh-35_00620_01164.db --out csv [--every 2]
 
 Reads a log's SQLite data base: lidar_pc, ego_pose, lidar_box, track, category. Needs nothing but Python.
 Positions are UTM, from which the first pose of the ego is subtracted unless --origin says otherwise; the file's
@@ -8,12 +8,15 @@ second line has it. Cones, barriers, signs and generic objects are left out and 
 converted is named, and the others are converted; the exit code is 65 then.
 """
 
+from __future__ import annotations
+
 import argparse
 import os
 import sqlite3
+from typing import Any, List
 from urllib.request import pathname2url
 
-from stgdat_csv import Failed, Recording, motion, parser, run, yaw_rad
+from ._rows import Failed, Origin, Parts, Rows, motion, parser, run, yaw_rad
 
 KINDS = {"vehicle": "vehicle", "bicycle": "cyclist", "pedestrian": "pedestrian"}
 OTHERS = ("traffic_cone", "barrier", "czone_sign", "generic_object", "ego")
@@ -28,15 +31,16 @@ BOXES = """SELECT lidar_box.track_token, category.name, lidar_box.x, lidar_box.y
     WHERE lidar_box.lidar_pc_token = ? ORDER BY lidar_box.token"""
 
 
-def convert_log(path, arguments):
+def log(path: str, origin: Origin, every: int) -> Rows:
+    """The rows of a log, of every `every`-th sweep."""
     if not os.path.isfile(path):
         raise Failed(f"{path}: no such file")
-    recording = Recording(path, arguments.origin)
+    recording = Rows(path, os.path.splitext(os.path.basename(path))[0], origin)
     try:
         connection = sqlite3.connect(f"file:{pathname2url(os.path.abspath(path))}?mode=ro", uri=True)
         with connection:
             sweeps = connection.execute(SWEEPS).fetchall()
-            for token, stamp_us, x_m, y_m, *rotation in sweeps[:: arguments.every]:
+            for token, stamp_us, x_m, y_m, *rotation in sweeps[::every]:
                 check(path, "ego_pose", [stamp_us, x_m, y_m, *rotation])
                 stamp_ns = round(stamp_us) * 1000
                 recording.ego(stamp_ns, x_m, y_m, yaw_rad(*rotation))
@@ -53,11 +57,10 @@ def convert_log(path, arguments):
         connection.close()
     except sqlite3.Error as error:
         raise Failed(f"{path}: not a log of nuPlan: {error}") from error
-    name = os.path.splitext(os.path.basename(path))[0]
-    recording.write(os.path.join(arguments.out, f"{name}.csv"))
+    return recording
 
 
-def check(path, table, values):
+def check(path: str, table: str, values: List[Any]) -> List[Any]:
     """The values, which must be numbers."""
     wrong = [value for value in values if not isinstance(value, (int, float))]
     if wrong:
@@ -65,20 +68,22 @@ def check(path, table, values):
     return values
 
 
-def every(text):
+def every_of(text: str) -> int:
     """The value of --every."""
     if not text.isdigit() or not 1 <= int(text) <= 100:
         raise argparse.ArgumentTypeError(f"{text}: expected 1 to 100")
     return int(text)
 
 
-def convert(arguments, parts):
+def convert(arguments: argparse.Namespace, parts: Parts) -> None:
+    """Writes the logs that the arguments name."""
     for path in arguments.logs:
-        parts.convert(convert_log, path, arguments)
+        parts.convert(lambda: log(path, arguments.origin, arguments.every).write(arguments.out))
 
 
-if __name__ == "__main__":
+def main() -> None:
+    """Runs the command."""
     options = parser(__doc__, "first")
     options.add_argument("logs", nargs="+", metavar="LOG", help="data base of a log, .db")
-    options.add_argument("--every", type=every, default=1, metavar="N", help="keep every Nth sweep")
+    options.add_argument("--every", type=every_of, default=1, metavar="N", help="keep every Nth sweep")
     run(convert, options)

@@ -1,6 +1,6 @@
 """Converts scenarios of Waymo Open Motion to stgdat's own CSV, a file per scenario: 9 s to 20 s at 10 Hz.
 
-    python3 waymo.py /data/womd/training_20s.tfrecord-00000-of-01000 --out csv [--scenario ID ...]
+    python -m stgdat.datasets waymo /data/womd/training_20s.tfrecord-00000-of-01000 --out csv [--scenario ID ...]
 
 Reads files of `Scenario` protocol buffers (not of tf.Example) by itself and needs nothing but Python. The
 autonomous vehicle is the sensor and no agent. Its first pose is subtracted from all positions unless --origin
@@ -9,10 +9,16 @@ are left out. A scenario or file that can't be converted is named, and the other
 code is 65 then.
 """
 
-import os
-import struct
+from __future__ import annotations
 
-from stgdat_csv import Failed, Recording, motion, parser, run
+import argparse
+import struct
+from typing import Any, BinaryIO, Collection, Dict, Iterator, List, Optional, Sequence, Set, Tuple, Union
+
+from ._rows import Failed, Origin, Parts, Rows, Strict, motion, parser, run
+
+State = Dict[int, float]
+Track = Tuple[int, int, List[Optional[State]]]
 
 KINDS = {1: "vehicle", 2: "pedestrian", 3: "cyclist"}
 RECORD_MAX = 1 << 30
@@ -21,7 +27,7 @@ STAMP_MAX_S = 4e9
 """Latest time that stgdat reads."""
 
 # Castagnoli's polynomial, reflected: a table for each byte of a word, the last byte's first.
-CRC_TABLES = [[]]
+CRC_TABLES: List[List[int]] = [[]]
 for _byte in range(256):
     for _ in range(8):
         _byte = (_byte >> 1) ^ (0x82F63B78 if _byte & 1 else 0)
@@ -30,7 +36,7 @@ for _ in range(3):
     CRC_TABLES.append([crc >> 8 ^ CRC_TABLES[0][crc & 0xFF] for crc in CRC_TABLES[-1]])
 
 
-def masked_crc(data):
+def masked_crc(data: bytes) -> int:
     """The checksum of a TFRecord's length or data."""
     last, third, second, first = CRC_TABLES
     crc, words = 0xFFFFFFFF, len(data) // 4
@@ -43,7 +49,7 @@ def masked_crc(data):
     return ((crc >> 15 | crc << 17) + 0xA282EAD8) & 0xFFFFFFFF
 
 
-def records(path, file):
+def records(path: str, file: BinaryIO) -> Iterator[Tuple[int, Optional[bytes]]]:
     """The records of a TFRecord file with their places; the data of a damaged one is None."""
     while True:
         at = file.tell()
@@ -66,7 +72,8 @@ class Truncated(Exception):
     """A message that ends too early, or is none."""
 
 
-def varint(data, at):
+def varint(data: bytes, at: int) -> Tuple[int, int]:
+    """A number and the place after it."""
     value = shift = 0
     while True:
         if at >= len(data) or shift > 63:
@@ -79,9 +86,10 @@ def varint(data, at):
         shift += 7
 
 
-def fields(data):
+def fields(data: bytes) -> Iterator[Tuple[int, Union[int, bytes]]]:
     """The (number, value) pairs of a message: integers, or bytes of floats, doubles and messages."""
     at = 0
+    value: Any
     while at < len(data):
         key, at = varint(data, at)
         wire = key & 7
@@ -100,28 +108,28 @@ def fields(data):
         yield key >> 3, value
 
 
-def number(value, code):
+def number(value: Any, code: str) -> float:
     """A float or double."""
     if not isinstance(value, bytes) or len(value) != struct.calcsize(code):
         raise Truncated
-    return struct.unpack(code, value)[0]
+    return float(struct.unpack(code, value)[0])
 
 
-def integer(value):
+def integer(value: Any) -> int:
     """An integer."""
     if not isinstance(value, int):
         raise Truncated
     return value
 
 
-def stamps_of(value):
+def stamps_of(value: Any) -> Tuple[float, ...]:
     """Doubles of a repeated field, packed or one by one."""
     if not isinstance(value, bytes) or len(value) % 8:
         raise Truncated
     return struct.unpack(f"<{len(value) // 8}d", value)
 
 
-def state_of(data):
+def state_of(data: Any) -> Optional[State]:
     """A valid state as a dictionary by field number, None for one that is not valid."""
     state = {2: 0.0, 3: 0.0, 5: 0.0, 6: 0.0, 8: 0.0, 9: 0.0, 10: 0.0}
     valid = 0
@@ -135,9 +143,10 @@ def state_of(data):
     return state if valid else None
 
 
-def track_of(data):
+def track_of(data: Any) -> Track:
     """Identity, type and states of a track."""
-    identity, kind, states = 0, 0, []
+    identity, kind = 0, 0
+    states: List[Optional[State]] = []
     for key, value in fields(data):
         if key == 1:
             identity = integer(value)
@@ -148,9 +157,12 @@ def track_of(data):
     return identity, kind, states
 
 
-def scenario_of(data):
+def scenario_of(data: bytes) -> Tuple[Optional[str], List[float], List[Any], Optional[int]]:
     """Name, stamps, tracks and the index of the autonomous vehicle's track."""
-    name, stamps_s, tracks, own = None, [], [], None
+    name, own = None, None
+    stamps_s: List[float] = []
+    tracks: List[Any] = []
+    value: Any
     for key, value in fields(data):
         if key == 5:
             name = value.decode("utf-8", "replace")
@@ -163,24 +175,26 @@ def scenario_of(data):
     return name, stamps_s, tracks, own
 
 
-def convert_scenario(where, data, arguments, found):
-    """Writes a scenario that is wanted, and adds its name to `found`."""
+def scenario(
+    where: str, data: Optional[bytes], wanted: Collection[str], origin: Origin, found: Set[str]
+) -> Optional[Rows]:
+    """The rows of a scenario that is wanted. Adds its name to `found`."""
     if data is None:
         raise Failed(f"{where}: damaged: its checksum differs")
     try:
-        name, stamps_s, tracks, own = scenario_of(data)
+        name, stamps_s, messages, own = scenario_of(data)
         if not name or not name.replace("_", "").replace("-", "").isalnum() or not stamps_s:
             raise Failed(f"{where}: not a Scenario: no scenario_id or no timestamps_seconds")
-        if arguments.scenario and name not in arguments.scenario:
-            return
+        if wanted and name not in wanted:
+            return None
         found.add(name)
         where = f"{where}: scenario {name}"
-        tracks = [track_of(track) for track in tracks]
+        tracks = [track_of(track) for track in messages]
     except (Truncated, AttributeError, TypeError):
         raise Failed(f"{where}: not a Scenario message") from None
     if own is None or own >= len(tracks):
         raise Failed(f"{where}: sdc_track_index = {own}: expected one of {len(tracks)} tracks")
-    recording = Recording(where, arguments.origin)
+    recording = Rows(where, name, origin)
     if not all(abs(stamp_s) < STAMP_MAX_S for stamp_s in stamps_s):
         raise Failed(f"{where}: timestamps_seconds = {stamps_s[:3]}…: beyond {STAMP_MAX_S:.0f} s")
     stamps_ns = [round(stamp_s * 1e9) for stamp_s in stamps_s]
@@ -202,30 +216,51 @@ def convert_scenario(where, data, arguments, found):
                 moves = motion(KINDS[kind], state[8], state[9], state[10])
                 size = (state[5], state[6])
                 recording.agent(stamp_ns, identity, KINDS[kind], state[2], state[3], *moves, size=size)
-    recording.write(os.path.join(arguments.out, f"{name}.csv"))
+    return recording
 
 
-def convert_file(path, arguments, parts, found):
-    """Writes the scenarios of a file that are wanted."""
+def scenarios(path: str, wanted: Collection[str], origin: Origin, parts: Parts, found: Set[str]) -> Iterator[Rows]:
+    """The rows of the scenarios of a file that are wanted. Adds their names to `found`."""
     try:
         file = open(path, "rb")
     except OSError as error:
         raise Failed(f"{path}: {error.strerror}") from error
     with file:
         for at, data in records(path, file):
-            parts.convert(convert_scenario, f"{path}: record at byte {at}", data, arguments, found)
+            rows = parts.convert(scenario, f"{path}: record at byte {at}", data, wanted, origin, found)
+            if rows is not None:
+                yield rows
 
 
-def convert(arguments, parts):
-    found = set()
-    for path in arguments.files:
-        parts.convert(convert_file, path, arguments, parts, found)
-    missing = [name for name in arguments.scenario if name not in found]
+def wanted(path: str, names: Collection[str]) -> Iterator[Rows]:
+    """The rows of these scenarios of a file, or of all. A missing one is an error."""
+    found: Set[str] = set()
+    yield from scenarios(path, names, "first", Strict(), found)
+    check_found(names, found, [path])
+
+
+def check_found(names: Collection[str], found: Collection[str], files: Sequence[str]) -> None:
+    """Refuses a name that no file contains."""
+    missing = [name for name in names if name not in found]
     if missing:
-        raise Failed(f"no scenario {missing[0]} in {', '.join(arguments.files)}")
+        raise Failed(f"no scenario {missing[0]} in {', '.join(files)}")
 
 
-if __name__ == "__main__":
+def convert(arguments: argparse.Namespace, parts: Parts) -> None:
+    """Writes the scenarios that the arguments name."""
+    found: Set[str] = set()
+
+    def file(path: str) -> None:
+        for rows in scenarios(path, arguments.scenario, arguments.origin, parts, found):
+            parts.convert(rows.write, arguments.out)
+
+    for path in arguments.files:
+        parts.convert(file, path)
+    check_found(arguments.scenario, found, arguments.files)
+
+
+def main() -> None:
+    """Runs the command."""
     options = parser(__doc__, "first")
     options.add_argument("files", nargs="+", metavar="FILE", help="TFRecord of scenarios")
     only = "only this one; repeatable"

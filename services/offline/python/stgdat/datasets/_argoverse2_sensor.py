@@ -1,6 +1,6 @@
 """Converts logs of the Argoverse 2 sensor data set to stgdat's own CSV, a file per log at 10 Hz.
 
-    python3 argoverse2.py /data/av2/sensor/val/adcf7d18-0510-35b0-a2fa-b4cea13a6d76 --out csv
+    python -m stgdat.datasets argoverse2_sensor /data/av2/sensor/val/adcf7d18-0510-35b0-a2fa-b4cea13a6d76 --out csv
 
 Reads annotations.feather and city_SE3_egovehicle.feather of a log's folder, for which it needs pyarrow
 (`pip install pyarrow`). Boxes are in the ego's frame of their sweep and come out in the city's. Speeds are not
@@ -8,10 +8,14 @@ annotated and stay empty. Cycles beside their riders, strollers, animals and sta
 counted. A log that can't be converted is named, and the others are converted; the exit code is 65 then.
 """
 
+from __future__ import annotations
+
+import argparse
 import math
 import os
+from typing import Any, List, Tuple
 
-from stgdat_csv import Failed, Recording, parser, run, yaw_rad
+from ._rows import Failed, Origin, Parts, Rows, parser, run, yaw_rad
 
 KINDS = {
     "ARTICULATED_BUS": "vehicle",
@@ -51,7 +55,7 @@ POSE = ("timestamp_ns", "qw", "qx", "qy", "qz", "tx_m", "ty_m")
 BOX = POSE + ("track_uuid", "category", "length_m", "width_m")
 
 
-def read(path, columns):
+def read(path: str, columns: Tuple[str, ...]) -> List[Tuple[Any, ...]]:
     """The rows of a feather file as tuples of these columns."""
     try:
         from pyarrow import ArrowException, feather
@@ -73,14 +77,16 @@ def read(path, columns):
     return rows
 
 
-def convert_log(folder, arguments):
+def log(folder: str, origin: Origin) -> Rows:
+    """The rows of a log."""
     poses_path = os.path.join(folder, "city_SE3_egovehicle.feather")
     annotations_path = os.path.join(folder, "annotations.feather")
     poses = {}
     for stamp_ns, qw, qx, qy, qz, x_m, y_m in read(poses_path, POSE):
         poses[stamp_ns] = (x_m, y_m, yaw_rad(qw, qx, qy, qz))
     rows = sorted(read(annotations_path, BOX), key=lambda row: row[0])
-    recording = Recording(annotations_path, arguments.origin)
+    name = os.path.basename(os.path.normpath(folder))
+    recording = Rows(annotations_path, name, origin)
     last_ns = None
     for stamp_ns, qw, qx, qy, qz, x_m, y_m, track, category, length_m, width_m in rows:
         if stamp_ns not in poses:
@@ -104,16 +110,17 @@ def convert_log(folder, arguments):
             math.remainder(ego_rad + yaw_rad(qw, qx, qy, qz), math.tau),
             size=(length_m, width_m),
         )
-    name = os.path.basename(os.path.normpath(folder))
-    recording.write(os.path.join(arguments.out, f"{name}.csv"))
+    return recording
 
 
-def convert(arguments, parts):
+def convert(arguments: argparse.Namespace, parts: Parts) -> None:
+    """Writes the logs that the arguments name."""
     for folder in arguments.logs:
-        parts.convert(convert_log, folder, arguments)
+        parts.convert(lambda: log(folder, arguments.origin).write(arguments.out))
 
 
-if __name__ == "__main__":
+def main() -> None:
+    """Runs the command."""
     options = parser(__doc__, "none")
     options.add_argument("logs", nargs="+", metavar="LOG", help="folder of a log")
     run(convert, options)
