@@ -212,7 +212,9 @@ fn verify_skips_folders_without_vectors() {
     let output = run_well(&["verify", &readme, &vectors, &reference]);
     assert!(stderr(&output).contains("README.md: skipped"), "{}", stderr(&output));
     assert!(stderr(&output).contains("reference: skipped"), "{}", stderr(&output));
-    assert_eq!(run(&["verify", &readme]).status.code(), Some(65));
+    let output = run(&["verify", &readme]);
+    assert_eq!(output.status.code(), Some(65));
+    assert!(stderr(&output).contains("README.md: not a folder with golden vectors"), "{}", stderr(&output));
     assert_eq!(run(&["verify", &readme, &reference]).status.code(), Some(65));
     assert_eq!(run(&["verify", &vectors, &golden("nowhere")]).status.code(), Some(65));
 }

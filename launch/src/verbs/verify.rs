@@ -26,6 +26,12 @@ pub fn execute(arguments: &Arguments) -> Result<Exit, Failure> {
                 tracing::info!("{}: skipped, no golden vectors", folder.display());
                 continue;
             }
+            Err(_) if folder.is_file() => {
+                let of = folder.display();
+                return Err(Failure::data(format!(
+                    "{of}: not a folder with golden vectors; for weights, `stgdat card {of}` prints the fingerprint"
+                )));
+            }
             rows => rows.map_err(Failure::data)?,
         };
         verified_count += 1;

@@ -12,6 +12,7 @@
 * `Predictor` and `Tracker` run the stages in this process.
 * `evaluate` compares forecasts with the recorded motion. `Evaluator.state` makes a state of each recording, and
   `merge_states` the same figures from states.
+* `stgdat.datasets` reads Argoverse 2, nuScenes, nuPlan and Waymo Open Motion.
 * `stgdat.torch` is the model as modules of PyTorch. It needs torch.
 * `Run.attach` reads the topics of a live run, `read_record` those of a recorded one.
 
