@@ -28,6 +28,8 @@ const WAY_SHARE: f64 = 0.4;
 const WAY_M: f64 = 0.3;
 /// Differences up to this number of standard deviations are noise.
 const SIGMAS: f64 = 4.0;
+/// Deviation of the velocity at the end of a chord from the mean velocity along it.
+const CHANGE_MPS: f64 = 0.3;
 /// Largest angle between the axis of a vehicle's headings and its chord.
 const AXIS_RAD: f64 = 0.35;
 /// Shorter ways confirm nothing.
@@ -171,14 +173,12 @@ impl Chord {
 
     /// Compares the reports with the motion along a chord. Returns whether it ignores a further report.
     fn judge(&mut self, begun: &Begun, moved: &Moved) -> bool {
-        let noise_m = SIGMAS * moved.sigma_m;
         let length_m = moved.length_m();
-        let most_m = |other_m: f64| WAY_M + noise_m + WAY_SHARE * length_m.max(other_m);
         let turned_rad = begun.axis.map(|[cos, sin]| {
             let [x, y] = moved.way_m;
             0.5 * wrapped(sin.atan2(cos) - 2.0 * y.atan2(x)).abs()
         });
-        let is_long = length_m > CONFIRMS_M + 2.0 * noise_m;
+        let is_long = length_m > CONFIRMS_M + 2.0 * SIGMAS * moved.sigma_m;
         let heading = turned_rad.filter(|_| is_long).map(|turned_rad| turned_rad <= AXIS_RAD);
         let speed = begun.way.and_then(|([x, y], reported_m)| {
             // Without the axis of the heading, only the lengths can be compared.
@@ -187,7 +187,7 @@ impl Chord {
             } else {
                 hypot(moved.way_m[0] - x, moved.way_m[1] - y)
             };
-            match off_m <= most_m(reported_m) {
+            match off_m <= moved.tolerance_m(reported_m) {
                 false => Some(false),
                 true => is_long.then_some(true),
             }
@@ -229,10 +229,15 @@ impl Moved {
         hypot(self.way_m[0], self.way_m[1])
     }
 
+    /// Largest difference to another way of this length that contradicts nothing.
+    fn tolerance_m(&self, other_m: f64) -> f64 {
+        WAY_M + SIGMAS * self.sigma_m + WAY_SHARE * self.length_m().max(other_m)
+    }
+
     /// Whether noise does not explain the longer one of both ways.
     fn can_contradict(&self, reported: Option<([f64; 2], f64)>) -> bool {
         let longer_m = self.length_m().max(reported.map_or(0.0, |(_, length_m)| length_m));
-        (1.0 - WAY_SHARE) * longer_m > WAY_M + SIGMAS * self.sigma_m
+        longer_m > self.tolerance_m(longer_m)
     }
 
     fn velocity_mps(&self) -> [f64; 2] {
@@ -241,9 +246,9 @@ impl Moved {
 
     /// Whether an estimate with this velocity already follows the positions.
     fn fits(&self, [vx, vy]: [f64; 2]) -> bool {
-        let ([x, y], reported_m) = (self.way_m, hypot(vx, vy) * self.elapsed_s);
-        let most_m = WAY_M + SIGMAS * self.sigma_m + WAY_SHARE * self.length_m().max(reported_m);
-        hypot(x - vx * self.elapsed_s, y - vy * self.elapsed_s) <= most_m
+        let [x, y] = self.way_m;
+        let off_m = hypot(x - vx * self.elapsed_s, y - vy * self.elapsed_s);
+        off_m <= self.tolerance_m(hypot(vx, vy) * self.elapsed_s)
     }
 }
 
@@ -321,7 +326,7 @@ impl Estimate {
     fn begin_motion(&mut self, own_ns: i64, seen: &Observation, moved: &Moved, input: &InputModel) {
         let agent_type = self.class.current();
         let [vx, vy] = moved.velocity_mps();
-        let sigma_mps = moved.sigma_m / moved.elapsed_s + WAY_M;
+        let sigma_mps = moved.sigma_m / moved.elapsed_s + CHANGE_MPS;
         let heading_rad = seen.heading_rad.filter(|_| !self.chord.ignored.heading);
         let course = (vy.atan2(vx), (sigma_mps / hypot(vx, vy).max(sigma_mps)).min(FRAC_PI_2).powi(2));
         let (mut axis_rad, variance) = heading_rad.unwrap_or(course);
