@@ -26,6 +26,8 @@ SHED_WORDS = 4
 DETECTIONS_MAX = 512
 # Maximum time between a measurement and its frame's stamp, in either direction.
 OFFSET_MAX_NS = 1000000000
+# Largest number of a sensor in a detection.
+SENSORS_MAX = 8
 # Largest number of a tick.
 SEQ_MAX = 4611686018427387904
 # Shortest interval between the frames of ticks.
@@ -442,7 +444,8 @@ class Detection(c.Structure):
         ("agent_type", c.c_uint32),  # `AgentType` as a number.
         ("flags", c.c_uint32),  # Bits of `detection_flags`.
         ("offset_ns", c.c_int64),  # Time of the measurement minus the frame's stamp, at most `OFFSET_MAX_NS` in magnitude; 0 if it was made at the stamp.
-        ("reserved", c.c_uint8 * 8),  # Zero.
+        ("sensor", c.c_uint8),  # The sensor that made the measurement, from 1 to `SENSORS_MAX`; 0 if it is not reported.
+        ("reserved", c.c_uint8 * 7),  # Zero.
     ]
 
     @staticmethod
@@ -464,7 +467,8 @@ _check(Detection, 64, {
     "agent_type": 40,
     "flags": 44,
     "offset_ns": 48,
-    "reserved": 56,
+    "sensor": 56,
+    "reserved": 57,
 })
 
 

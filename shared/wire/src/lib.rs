@@ -55,9 +55,9 @@
 //!
 //! * *Reserved bytes* get a name and a meaning in which 0 stands for "not reported" or for the previous
 //!   behaviour. Writers fill unknown bytes with zeros; in headers they copy the bytes of the received tick.
-//!   Readers ignore unknown bytes. [`Header::protection`], [`Header::shed`], [`Heartbeat::refusals`],
-//!   [`Track::learned_age_ns`], [`Forecast::expert_weights`] and [`Forecast::out_of_distribution`] were added
-//!   in this way; older writers leave them 0.
+//!   Readers ignore unknown bytes. [`Detection::sensor`], [`Header::protection`], [`Header::shed`],
+//!   [`Heartbeat::refusals`], [`Track::learned_age_ns`], [`Forecast::expert_weights`] and
+//!   [`Forecast::out_of_distribution`] were added in this way; older writers leave them 0.
 //! * *New numbers* of [`StageId`], [`StampSource`], [`TrackStatus`], [`Cause`] and [`Expert`]. Readers treat
 //!   a number that they do not know as unknown, and do not refuse frames for it.
 //! * *New flags*, if a reader may ignore them: their absence means the previous behaviour.
@@ -108,8 +108,8 @@ pub use limits::{
     ADDED_STAGES_MAX, ADDED_TOPICS_MAX, AGENTS_MAX, CONFLICTS_MAX, CONTEXT_EMBEDDING, DETECTIONS_MAX,
     EDGE_ATTRIBUTES, EDGES_MAX, ELEMENT_SIZE_MAX, EXPERTS_MAX, HISTORY_MAX, HOPS_MAX, HORIZON_MAX,
     INTERVAL_MAX_NS, INTERVAL_MIN_NS, LATENT, MODES_MAX, NODE_ATTRIBUTES, OFFSET_MAX_NS, PATCH_CHANNELS,
-    PATCH_SIDE_MAX, POSITION_MAX_M, REFUSALS_MAX, RELATION_FEATURES, SCHEMA, SEQ_MAX, SHED_WORDS,
-    SPEED_MAX_MPS, STATE_EMBEDDING, STATE_FEATURES, TEMPORAL,
+    PATCH_SIDE_MAX, POSITION_MAX_M, REFUSALS_MAX, RELATION_FEATURES, SCHEMA, SENSORS_MAX, SEQ_MAX,
+    SHED_WORDS, SPEED_MAX_MPS, STATE_EMBEDDING, STATE_FEATURES, TEMPORAL,
 };
 pub use origin::{UnknownWorldOrigin, WorldOrigin};
 pub use protection::{crc64, data_id};

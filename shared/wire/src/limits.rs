@@ -21,6 +21,8 @@ constants! {
     pub const DETECTIONS_MAX: usize = 512;
     /// Maximum time between a measurement and its frame's stamp, in either direction.
     pub const OFFSET_MAX_NS: u64 = 1_000_000_000;
+    /// Largest number of a sensor in a detection.
+    pub const SENSORS_MAX: usize = 8;
     /// Largest number of a tick. A sum of it and a few ticks does not overflow.
     pub const SEQ_MAX: u64 = 1 << 62;
     /// Shortest interval between the frames of ticks. A shorter one is a time in another unit.

@@ -2,7 +2,7 @@
 
 use super::{AgentControls, AgentEncoding, AgentFeatures, Detection, Forecast, Track};
 use crate::{
-    AgentType, CONFLICTS_MAX, MODES_MAX, OFFSET_MAX_NS, POSITION_MAX_M, Rejected, SPEED_MAX_MPS,
+    AgentType, CONFLICTS_MAX, MODES_MAX, OFFSET_MAX_NS, POSITION_MAX_M, Rejected, SENSORS_MAX, SPEED_MAX_MPS,
     UnknownAgentType, at_most, finite,
 };
 
@@ -61,6 +61,9 @@ impl Detection {
         if self.offset_ns.unsigned_abs() > OFFSET_MAX_NS {
             let value = self.offset_ns as f64;
             return Err(Rejected::Impossible { field: "detection offset_ns", value });
+        }
+        if usize::from(self.sensor) > SENSORS_MAX {
+            return Err(Rejected::Impossible { field: "detection sensor", value: f64::from(self.sensor) });
         }
         finite("detection", &[self.heading_rad, self.length_m, self.width_m, self.score, self.sigma_m])?;
         let negative = [("length_m", self.length_m), ("width_m", self.width_m), ("sigma_m", self.sigma_m)];

@@ -44,8 +44,11 @@ record! {
         /// Time of the measurement minus the frame's stamp, at most [`OFFSET_MAX_NS`](crate::OFFSET_MAX_NS)
         /// in magnitude; 0 if it was made at the stamp.
         48 => offset_ns: i64,
+        /// The sensor that made the measurement, from 1 to [`SENSORS_MAX`](crate::SENSORS_MAX); 0 if it is not
+        /// reported.
+        56 => sensor: u8,
         /// Zero.
-        56 => reserved: [u8; 8],
+        57 => reserved: [u8; 7],
     }
 }
 
