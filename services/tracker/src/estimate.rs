@@ -31,7 +31,7 @@ use crate::estimate::size::Size;
 use crate::estimate::whole::Whole;
 use crate::forecasts::{Controls, Forecasts};
 use crate::front::{Front, folded, rate_limited_rad};
-use crate::noise::{Measurements, Noise};
+use crate::noise::{Measurements, Noise, SensorWindows};
 use crate::observation::{Found, nominal_sigma_m, observation, source_id};
 use crate::options::{ForecastTrust, InputModel, TrackerOptions};
 use crate::smoothing::Spread;
@@ -286,7 +286,8 @@ impl Estimate {
         self.source_id = source_id(detection);
         self.reports.add(found);
         self.nominal_m = nominal_sigma_m(detection, agent_type, options);
-        self.measurements.add(found, self.nominal_m);
+        let weight = input.by_sensor.weight(agent_type, detection.sensor);
+        self.measurements.add(found, self.nominal_m, weight);
         self.size.add(detection);
         self.seen_ns = self.frame_ns;
         self.held.end();
@@ -343,12 +344,29 @@ impl Estimate {
     /// Passes what the newest measurement shows of the noise to the noise of the type. Tracks that clutter
     /// started would show noise; few of them become old.
     pub fn teach(&mut self, noise: &mut Noise, input: &InputModel) {
-        let age_ns = self.stamp_ns.saturating_sub(self.birth.stamp_ns);
-        if self.is_ready() && (self.management.is_trusted() || age_ns >= TEACHES_FROM_NS) {
+        if self.may_teach() {
             let line_of_sight_m = input.by_view.line_of_sight_m(self.published.motion.position_m);
             let of_type = self.class.current().index();
             noise.learn(of_type, &mut self.measurements, self.nominal_m, line_of_sight_m);
         }
+    }
+
+    /// Passes a measurement to the noise of its sensor, after the measurement has updated the estimate.
+    pub fn teach_sensor(
+        &self,
+        found: &Found<'_>,
+        (noise, windows): (&mut Noise, &mut SensorWindows),
+        options: &TrackerOptions,
+    ) {
+        if self.may_teach() {
+            let nominal_m = nominal_sigma_m(found.detection, found.agent_type, options);
+            noise.learn_sensor((self.class.current().index(), self.seed), windows, found, nominal_m);
+        }
+    }
+
+    fn may_teach(&self) -> bool {
+        let age_ns = self.stamp_ns.saturating_sub(self.birth.stamp_ns);
+        self.is_ready() && (self.management.is_trusted() || age_ns >= TEACHES_FROM_NS)
     }
 
     /// Ends a frame. Computes the motion and heading to publish, within the limits of the type.

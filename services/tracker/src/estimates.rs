@@ -2,11 +2,11 @@ mod identities;
 
 use association::jpda::SIDE_MAX;
 use filters::{OBSERVATIONS_MAX, Observation};
-use wire::{DETECTIONS_MAX, Header, flags};
+use wire::{DETECTIONS_MAX, Header, SENSORS_MAX, flags};
 
 use crate::estimate::{Birth, Estimate, LONG_M, length_m};
 use crate::forecasts::{Controls, Forecasts};
-use crate::noise::Noise;
+use crate::noise::{Noise, SensorWindows};
 use crate::observation::{Found, observation};
 use crate::occlusion::Occlusion;
 use crate::options::{InputModel, Prior, TrackerOptions};
@@ -30,6 +30,8 @@ pub struct Estimates {
     shown: [Shown; 3],
     placeholders: Placeholders,
     noise: Noise,
+    /// From which the noise of each sensor is learned.
+    of_sensors: SensorWindows,
     /// What the noise shows of the current frame.
     input: InputModel,
 }
@@ -80,6 +82,7 @@ impl Estimates {
             shown: [Shown::default(); 3],
             placeholders: Placeholders::default(),
             noise: Noise::new(options),
+            of_sensors: SensorWindows::new(),
             input: options.detector,
         }
     }
@@ -88,6 +91,12 @@ impl Estimates {
     #[must_use]
     pub fn published_noise(&self, header: &Header, options: &TrackerOptions) -> [[f32; 3]; 3] {
         self.noise.published(header, options)
+    }
+
+    /// The learned noise of each type and sensor: [`Noise::of_sensors_m`].
+    #[must_use]
+    pub fn noise_of_sensors_m(&self) -> [[f64; SENSORS_MAX + 1]; 3] {
+        self.noise.of_sensors_m()
     }
 
     /// All estimates.
@@ -99,6 +108,7 @@ impl Estimates {
     /// Ends all estimates. What was learned about the detector and about forecasts remains.
     pub fn end_session(&mut self) {
         self.all.clear();
+        self.of_sensors.clear();
     }
 
     /// Adds the estimate of a track that another tracker has published. Calls must follow the order of
@@ -115,6 +125,7 @@ impl Estimates {
         self.shown = source.shown;
         self.placeholders = source.placeholders;
         self.noise = source.noise;
+        self.of_sensors.copy(&source.of_sensors);
         self.input = source.input;
     }
 
@@ -271,12 +282,14 @@ impl Estimates {
                 estimate.mature(&first).for_each(|shown| of_type.add_of_type(&shown));
                 let at_stamp = Found { own_ns: header.stamp_ns, ..first };
                 outcome = estimate.update(if single { &first } else { &at_stamp }, possible, input, options);
+                estimate.teach_sensor(&first, (&mut self.noise, &mut self.of_sensors), options);
                 if has_births {
                     publications.transfer(Birth { stamp_ns: header.stamp_ns, detection }, estimate.birth());
                 }
                 for found in pairing.more(e).map(found) {
                     let mut seen = [(1.0, observation(found.detection, found.agent_type, input))];
                     outcome = outcome.and(estimate.update(&found, &mut seen, input, options));
+                    estimate.teach_sensor(&found, (&mut self.noise, &mut self.of_sensors), options);
                 }
             } else if header.observed_types & estimate.class.current().bit() != 0 {
                 outcome = estimate.miss(possible, input, options);

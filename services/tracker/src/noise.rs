@@ -22,10 +22,13 @@
 //! seconds has the right variance. Until enough measurements are apart to show l², the noise of an upstream
 //! tracker may be correlated. So the prior of noisy positions counts as [`APART_PRIOR_COUNT`] contrasts.
 
+mod sensor;
 mod view;
 
 use filters::noise::{Measured, Scale, Window};
 use filters::wrapped;
+use sensor::{BySensor, NUMBERS, VARIANCE_MIN};
+pub use sensor::{SensorFactors, SensorWindows};
 use view::ByView;
 pub use view::ViewFactors;
 use wire::{AGENT_TYPES, Detection, Header, detection_flags};
@@ -95,11 +98,12 @@ struct Spacing {
 
 impl Measurements {
     /// Adds a measurement. `nominal_m` is the deviation of its position for which the variance is learned as
-    /// a factor.
-    pub fn add(&mut self, found: &Found<'_>, nominal_m: f64) {
+    /// a factor. `weight` is the factor of its sensor if there are several.
+    pub fn add(&mut self, found: &Found<'_>, nominal_m: f64, weight: Option<f64>) {
         let Found { detection, agent_type, own_ns } = *found;
         let is_reported = is_reported(detection);
-        if self.fresh.is_reported != is_reported {
+        // The factors of several sensors also hold their reports together.
+        if self.fresh.is_reported != is_reported && weight.is_none() {
             *self = Self::default();
         }
         let since_s = |last_ns: Option<i64>| {
@@ -107,7 +111,8 @@ impl Measurements {
         };
         let spacing =
             Spacing { next_s: since_s(self.positions.newest_ns()), apart_s: since_s(self.apart.newest_ns()) };
-        let position = Measured { time_ns: own_ns, value: found.position_m(), sigma: nominal_m };
+        let sigma = weight.map_or(nominal_m, |weight| weight * nominal_m);
+        let position = Measured { time_ns: own_ns, value: found.position_m(), sigma };
         let is_apart = self
             .apart
             .newest_ns()
@@ -163,6 +168,7 @@ struct TypeNoise {
     /// Of the positions: without and with a reported deviation.
     positions: [PositionNoise; 2],
     by_view: ByView,
+    by_sensor: BySensor,
     heading_rad: Scale,
     speed_mps: Scale,
 }
@@ -279,6 +285,7 @@ impl Noise {
         let of_type = options.detector.sensor.map(|prior| TypeNoise {
             positions: [PRIOR_COUNT, REPORTED_COUNT].map(|count| PositionNoise::new(count, prior.position_m)),
             by_view: ByView::new(),
+            by_sensor: BySensor::new(),
             heading_rad: Scale::new(prior.heading_rad, PRIOR_COUNT, COUNT_MAX),
             speed_mps: Scale::new(prior.speed_mps, PRIOR_COUNT, COUNT_MAX),
         });
@@ -294,7 +301,7 @@ impl Noise {
         line_of_sight_m: Option<[f64; 2]>,
     ) {
         let contrasts = measurements.take();
-        let TypeNoise { positions, by_view, heading_rad, speed_mps } = &mut self.of_type[of_type];
+        let TypeNoise { positions, by_view, heading_rad, speed_mps, .. } = &mut self.of_type[of_type];
         let positions = &mut positions[usize::from(contrasts.is_reported)];
         positions.add(&contrasts);
         if let Some(position) = contrasts.position {
@@ -306,6 +313,24 @@ impl Noise {
         }
         contrasts.heading_rad.into_iter().for_each(|contrast| heading_rad.add(contrast));
         contrasts.speed_mps.into_iter().for_each(|contrast| speed_mps.add(contrast));
+    }
+
+    /// Learns the noise of a sensor from a measurement of an agent of this type. `windows` hold the measurements
+    /// of agents; they are used once there are several sensors.
+    pub fn learn_sensor(
+        &mut self,
+        (of_type, agent): (usize, u64),
+        windows: &mut SensorWindows,
+        found: &Found<'_>,
+        nominal_m: f64,
+    ) {
+        let TypeNoise { positions, by_sensor, .. } = &mut self.of_type[of_type];
+        let (sensor, time_ns) = (found.detection.sensor, found.own_ns);
+        if by_sensor.see(sensor, is_reported(found.detection), positions.each_ref().map(|of| &of.next)) {
+            let measured = Measured { time_ns, value: found.position_m(), sigma: nominal_m };
+            let contrasts = windows.add((agent, sensor), measured, GAP_MAX_NS, SHORT_NS[of_type]);
+            contrasts.into_iter().for_each(|contrasts| by_sensor.add(sensor, contrasts, nominal_m));
+        }
     }
 
     /// What the tracker assumes of the next frame.
@@ -332,6 +357,16 @@ impl Noise {
                 speed_mps: sigma(&of_type.speed_mps, smooth.speed_mps, LARGEST.speed_mps),
             };
             model.reported_factor[i] = deviation(reported);
+            model.by_sensor.set(agent_type, &of_type.by_sensor.variances(), |variances| {
+                let [unreported, reported] = of_type.positions.each_ref().map(|positions| {
+                    let own = positions.next.variance().max(VARIANCE_MIN);
+                    let inflation = positions.factor(may_be_correlated) / own;
+                    variances.map(|variance| (inflation * variance).sqrt().min(factor_max))
+                });
+                let nominal_m = options.detector.sensor[i].position_m;
+                let in_m = |factor: f64| (factor * nominal_m).clamp(smooth.position_m, LARGEST.position_m);
+                [unreported.map(in_m), reported]
+            });
             let used_m = if of_type.is_reported() {
                 model.reported_factor[i] * reported.nominal_m
             } else {
@@ -360,6 +395,16 @@ impl Noise {
                 own(&of_type.heading_rad),
                 own(&of_type.speed_mps),
             ]
+        })
+    }
+
+    /// The learned deviations of the positions in m, by type and number of the sensor. 0 without enough evidence,
+    /// or if there is one sensor.
+    #[must_use]
+    pub fn of_sensors_m(&self) -> [[f64; NUMBERS]; 3] {
+        self.of_type.each_ref().map(|of_type| {
+            let used = &of_type.positions[usize::from(of_type.is_reported())];
+            of_type.by_sensor.deviations_m(used.learned().own / used.next.variance().max(VARIANCE_MIN))
         })
     }
 }

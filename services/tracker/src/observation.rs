@@ -68,12 +68,16 @@ pub fn observation(detection: &Detection, agent_type: AgentType, input: &InputMo
 #[must_use]
 pub fn position_sigma_m(detection: &Detection, agent_type: AgentType, input: &InputModel) -> f64 {
     let by_view = input.by_view.factor(agent_type, [detection.x_m, detection.y_m].map(f64::from));
+    let by_sensor = |is_reported| input.by_sensor.deviation(agent_type, detection.sensor, is_reported);
     match detection.sigma_m {
         sigma_m if is_known(sigma_m) => {
-            let factor = by_view * input.reported_factor[agent_type.index()];
+            let reported_factor = input.reported_factor[agent_type.index()];
+            let factor = by_view * by_sensor(true).unwrap_or(reported_factor);
             (factor * f64::from(sigma_m)).clamp(SIGMA_RANGE_M.0, SIGMA_RANGE_M.1)
         }
-        _ => (by_view * input.sensor[agent_type.index()].position_m).max(SMOOTH_M),
+        _ => {
+            (by_view * by_sensor(false).unwrap_or(input.sensor[agent_type.index()].position_m)).max(SMOOTH_M)
+        }
     }
 }
 

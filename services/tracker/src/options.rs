@@ -4,7 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use wire::{AgentType, Detection, HISTORY_MAX, Header, SPEED_MAX_MPS, StageId, detection_flags, flags};
 
-use crate::noise::ViewFactors;
+use crate::noise::{SensorFactors, ViewFactors};
 use crate::{FieldOfView, Tracker};
 
 /// The tracker.
@@ -184,6 +184,8 @@ pub struct InputModel {
     pub reported_factor: [f64; 3],
     /// Factors on the deviations of positions by the view from the sensor.
     pub by_view: ViewFactors,
+    /// Factors on the nominal deviations of positions by the sensor, if there are several.
+    pub by_sensor: SensorFactors,
     /// Process noise.
     pub motion: [MotionNoise; 3],
     /// How far forecasts are trusted when they are the prior.
@@ -265,6 +267,7 @@ const DETECTOR: InputModel = InputModel {
     ],
     reported_factor: [1.0; 3],
     by_view: ViewFactors::NONE,
+    by_sensor: SensorFactors::NONE,
     trust: [ForecastTrust { noise_share: 0.3, ..TRUST }; 3],
     steadiness: [1.0; 3],
     coast_ns: 2_000_000_000,
@@ -293,6 +296,7 @@ const SMOOTH: InputModel = InputModel {
     // 0.1 m.
     reported_factor: [1.0; 3],
     by_view: ViewFactors::NONE,
+    by_sensor: SensorFactors::NONE,
     trust: [ForecastTrust { control_fade_in_s: 0.2, ..TRUST }; 3],
     steadiness: [0.0; 3],
     coast_ns: 1_000_000_000,

@@ -1,8 +1,8 @@
 use audit::{Clock, ClockSet, Finding, Found, LiveAudit, Noise, Stamped, StampedFrame};
 use bytemuck::Zeroable;
 use wire::{
-    AGENTS_MAX, AgentType, Counts, DETECTIONS_MAX, Detection, Forecast, HISTORY_MAX, Header, InputCounts,
-    Rejected, Track, flags,
+    AGENT_TYPES, AGENTS_MAX, AgentType, Counts, DETECTIONS_MAX, Detection, Forecast, HISTORY_MAX, Header,
+    InputCounts, Rejected, Track, flags,
 };
 
 use crate::estimate::{Birth, Estimate};
@@ -318,6 +318,16 @@ impl Tracker {
     #[must_use]
     pub const fn noise(&self) -> &Noise {
         &self.noise
+    }
+
+    /// The learned noise of positions by the sensor: type, number of the sensor, standard deviation in m. Empty
+    /// while there is one sensor.
+    pub fn noise_of_sensors(&self) -> impl Iterator<Item = (AgentType, u8, f64)> {
+        let of_types = AGENT_TYPES.into_iter().zip(self.estimates.noise_of_sensors_m());
+        of_types.flat_map(|(agent_type, of_sensors_m)| {
+            let known = (0..).zip(of_sensors_m).filter(|(_, deviation_m)| *deviation_m > 0.0);
+            known.map(move |(sensor, deviation_m)| (agent_type, sensor, deviation_m))
+        })
     }
 
     /// Changes of the detector's noise since the last call.

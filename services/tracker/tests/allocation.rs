@@ -16,7 +16,7 @@ use crate::support::torture::torture;
 #[global_allocator]
 static ALLOCATOR: CountingAllocator = CountingAllocator;
 
-/// A hundred agents of all types, 4 m apart, each on a separate small circle.
+/// A hundred agents of all types, 4 m apart, each on a separate small circle. Three sensors take turns.
 fn detections(k: u32, missed: Option<u32>, out: &mut Vec<Detection>) {
     out.clear();
     for i in (0..100_u32).filter(|&i| missed != Some(i)) {
@@ -28,6 +28,7 @@ fn detections(k: u32, missed: Option<u32>, out: &mut Vec<Detection>) {
             heading_rad: ((turn + std::f64::consts::FRAC_PI_2).rem_euclid(std::f64::consts::TAU)) as f32,
             agent_type: i % 3,
             flags: detection_flags::HAS_ID | detection_flags::HAS_HEADING,
+            sensor: ((i + k) % 3) as u8,
             ..Detection::zeroed()
         });
     }

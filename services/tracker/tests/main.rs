@@ -21,5 +21,6 @@ mod predecessor;
 mod recordings;
 mod repeated;
 mod scenes;
+mod sensors;
 mod stage;
 mod whole;

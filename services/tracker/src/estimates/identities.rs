@@ -120,6 +120,7 @@ impl Estimates {
         estimate.mature(found).for_each(|shown| of_type.add_of_type(&shown));
         let mut seen = [(1.0, observation(found.detection, found.agent_type, input))];
         tracked.fault_count += usize::from(estimate.update(found, &mut seen, input, options).is_err());
+        estimate.teach_sensor(found, (&mut self.noise, &mut self.of_sensors), options);
     }
 
     /// Updates an estimate by a detection of its identity, if it is a measurement. `fits` is set if this is

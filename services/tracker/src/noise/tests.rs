@@ -28,7 +28,7 @@ fn learned(rate_hz: f64, correlation_s: f64, sigma_m: impl Fn(f64) -> f64) -> Po
             let x_m = (9.0 * time_s + x_m) as f32;
             let detection = Detection { x_m, y_m: y_m as f32, ..Detection::zeroed() };
             let stamp_ns = (time_s * 1e9) as i64;
-            measurements.add(&Found::new(stamp_ns, &detection, AgentType::Vehicle), NOMINAL_M);
+            measurements.add(&Found::new(stamp_ns, &detection, AgentType::Vehicle), NOMINAL_M, None);
             noise.add(&measurements.take());
         }
     }

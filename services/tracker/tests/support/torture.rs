@@ -7,7 +7,7 @@ use rand::seq::IndexedRandom;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use tracker::{Association, Prior, Tracker, TrackerOptions};
-use wire::{AGENTS_MAX, DETECTIONS_MAX, Detection, Forecast, Header, Quality, Track, flags};
+use wire::{AGENTS_MAX, DETECTIONS_MAX, Detection, Forecast, Header, Quality, SENSORS_MAX, Track, flags};
 
 const AGENTS: usize = 30;
 const TICK_NS: i64 = 80_000_000;
@@ -199,8 +199,10 @@ impl Torture {
 /// Any possible detection, usually near the origin.
 fn any(rng: &mut ChaCha8Rng) -> Detection {
     let side = if rng.random_ratio(1, 20) { 32_000.0 } else { 40.0 };
+    let id = rng.random_range(0..100);
     Detection {
-        id: rng.random_range(0..100),
+        id,
+        sensor: (id % (SENSORS_MAX as u64 + 1)) as u8,
         x_m: rng.random_range(-side..side),
         y_m: rng.random_range(-side..side),
         heading_rad: rng.random_range(-4.0..4.0),
