@@ -1,6 +1,7 @@
 //! Computes tracks from detections in this process. The tracker runs alone or in the chain whose forecasts
 //! are its prior.
 
+use audit::SensorNoise;
 use data::{Inspection, Recording};
 use model::ModelConfig;
 use onboard::Chain;
@@ -62,5 +63,10 @@ pub fn add_noise(inspection: &mut Inspection, recording: Recording) {
         let _ = tracker.step(&tick.header, tick.detections, None, &mut tracks);
     }
     inspection.noise = tracker.noise().types().collect();
+    for (agent_type, sensor, position_m) in tracker.noise_of_sensors() {
+        let of_type = inspection.noise.iter_mut().find(|of_type| of_type.agent_type == agent_type.name());
+        let position_m = (position_m * 1e3).round() / 1e3;
+        of_type.into_iter().for_each(|of_type| of_type.sensors.push(SensorNoise { sensor, position_m }));
+    }
     inspection.findings.extend(tracker.noise().changes());
 }

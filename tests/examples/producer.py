@@ -51,7 +51,7 @@ def detection(row):
     return Detection(agent_type=AgentType[row["type"].upper()], id=int(row["id"]) if has("id") else 0, flags=flags,
                      x_m=x_m, y_m=y_m, heading_rad=number("heading_rad"),
                      speed_mps=number("speed_mps"), length_m=number("length_m"), width_m=number("width_m"),
-                     score=number("score", 1), sigma_m=number("sigma_m"))
+                     score=number("score", 1), sigma_m=number("sigma_m"), sensor=int(number("sensor")))
 
 
 def interpolated(poses, stamp_ns):

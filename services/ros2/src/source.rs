@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use data::formats::rosbag::Object;
+use data::formats::rosbag::{Object, sensor_of};
 use interop::messages::{DetectedObjects, DiagnosticArray, TfMessage, TrackedObjects};
 use ports::{StageError, monotonic_ns};
 use run::{Declaration, Run};
@@ -117,19 +117,21 @@ fn subscribe(
     let qos = reliable(OBJECTS_DEPTH);
     let qos = if options.best_effort { qos.reliability_best_effort() } else { qos };
     let detections = options.detections();
-    for name in &detections {
-        let inbox = Arc::clone(inbox);
+    let has_several = detections.len() + options.tracks.len() > 1;
+    let sensor = |place: usize| sensor_of(has_several.then_some(place));
+    for (place, name) in detections.iter().enumerate() {
+        let (inbox, sensor) = (Arc::clone(inbox), sensor(place));
         let take = move |DetectedObjects { header, objects }: DetectedObjects| {
             let objects = objects.into_iter().map(Object::from).collect();
-            inbox.push(Arrival::Objects(Message { header, objects, arrived_ns: monotonic_ns() }))
+            inbox.push(Arrival::Objects(Message { header, objects, sensor, arrived_ns: monotonic_ns() }))
         };
         node.read(options.topic(name), &DetectedObjects::DEFINITION, &qos, take)?;
     }
-    for name in &options.tracks {
-        let inbox = Arc::clone(inbox);
+    for (place, name) in options.tracks.iter().enumerate() {
+        let (inbox, sensor) = (Arc::clone(inbox), sensor(detections.len() + place));
         let take = move |TrackedObjects { header, objects }: TrackedObjects| {
             let objects = objects.into_iter().map(Object::from).collect();
-            inbox.push(Arrival::Objects(Message { header, objects, arrived_ns: monotonic_ns() }))
+            inbox.push(Arrival::Objects(Message { header, objects, sensor, arrived_ns: monotonic_ns() }))
         };
         node.read(options.topic(name), &TrackedObjects::DEFINITION, &qos, take)?;
     }

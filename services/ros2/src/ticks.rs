@@ -41,6 +41,8 @@ pub struct Message {
     pub header: Header,
     /// The objects.
     pub objects: Vec<Object>,
+    /// Number of the sensor; 0 if there is only one.
+    pub sensor: u8,
     /// Time of arrival on `CLOCK_MONOTONIC`.
     pub arrived_ns: u64,
 }
@@ -187,7 +189,7 @@ impl Ticks {
             };
             self.counts.unknown += object.impossible_values() as u64;
             match placed.detection(object.id.map(identity), self.world.origin) {
-                Ok(detection) => detections.push(detection),
+                Ok(detection) => detections.push(Detection { sensor: message.sensor, ..detection }),
                 Err(problem) => {
                     let is_finite = placed.position_m.iter().all(|value| value.is_finite());
                     *(if is_finite { &mut self.counts.refused } else { &mut self.counts.not_finite }) += 1;

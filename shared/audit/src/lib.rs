@@ -60,7 +60,7 @@ pub use finding::{DOUBT_SHARE, Finding, Found};
 use handovers::Handovers;
 use headings::{Convention, Headings};
 pub use live::LiveAudit;
-pub use noise::{Noise, TypeNoise, noise_words};
+pub use noise::{Noise, SensorNoise, TypeNoise, noise_words};
 use positions::{Extent, Stacks};
 use sizes::Sizes;
 use speeds::{Speeds, Unit};

@@ -40,6 +40,20 @@ pub struct TypeNoise {
     pub heading_deg: Option<f64>,
     /// Of speeds; `None` if it is unknown.
     pub speed_mps: Option<f64>,
+    /// Of the positions of each sensor, if there are several. Only a tracker knows them, so they are in the
+    /// inspection of a recording alone.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub sensors: Vec<SensorNoise>,
+}
+
+/// The noise of one sensor.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct SensorNoise {
+    /// Number of the sensor; 0 for detections without one.
+    pub sensor: u8,
+    /// Standard deviation of positions, per axis.
+    pub position_m: f64,
 }
 
 /// A change of the noise of positions.
@@ -124,6 +138,7 @@ impl Watched {
             position_m: known(position_m, 1.0)?,
             heading_deg: known(heading_rad, 1.0_f64.to_degrees()),
             speed_mps: known(speed_mps, 1.0),
+            sensors: Vec::new(),
         })
     }
 }
@@ -184,6 +199,18 @@ pub fn noise_words(noise: &[TypeNoise]) -> Option<String> {
     let words = |of_type: &TypeNoise| {
         let agents = of_type.agent_type.parse().map_or("agents", plural);
         let mut words = format!("{agents} {}", metres(of_type.position_m));
+        let of_sensors = of_type.sensors.iter().map(|SensorNoise { sensor, position_m }| {
+            let position = metres(*position_m);
+            if *sensor > 0 {
+                format!("sensor {sensor} {position}")
+            } else {
+                format!("without a sensor {position}")
+            }
+        });
+        let of_sensors = of_sensors.collect::<Vec<_>>().join(", ");
+        if !of_sensors.is_empty() {
+            words += &format!(" ({of_sensors})");
+        }
         if let Some(heading_deg) = of_type.heading_deg {
             words += &format!(", headings {}", at_least(heading_deg, 1, "°"));
         }
@@ -275,12 +302,19 @@ mod tests {
         assert_eq!(noise_words(&noise.types().collect::<Vec<_>>()), None);
         noise.tick(1, [(0, [0.112, 0.035, 0.3]), (2, [0.004, 0.0, 0.0]), (9, [1.0; 3])].into_iter());
         noise.tick(2, [(1, [0.0; 3])].into_iter());
-        let types: Vec<TypeNoise> = noise.types().collect();
+        let mut types: Vec<TypeNoise> = noise.types().collect();
         assert_eq!(types.len(), 2);
         let words = noise_words(&types);
         assert_eq!(
             words.as_deref(),
             Some("vehicles 0.11 m, headings 2.0°, speeds 0.3 m/s; pedestrians < 0.01 m")
+        );
+        types.truncate(1);
+        let of = |(sensor, position_m)| SensorNoise { sensor, position_m };
+        types[0].sensors = [(0, 0.31), (2, 0.053)].map(of).to_vec();
+        assert_eq!(
+            noise_words(&types).as_deref(),
+            Some("vehicles 0.11 m (without a sensor 0.31 m, sensor 2 0.05 m), headings 2.0°, speeds 0.3 m/s")
         );
     }
 }

@@ -8,22 +8,26 @@ use crate::Frame;
 use crate::formats::csv;
 use crate::track_file::Seconds;
 
-/// Columns of [`csv::NAMES`] that a detection has.
+/// Columns of [`csv::NAMES`] that a detection has, without its sensor.
 const COLUMNS: usize = 11;
 
 /// Writes frames as CSV. The file holds the positions of the world frame. True positions and observed types
-/// have no columns.
+/// have no columns. The column of the sensors is written if any is known.
 ///
 /// # Errors
 /// Those of the output; [`io::ErrorKind::InvalidInput`] for an unknown agent type.
 pub fn write_frames(output: &mut impl Write, frames: &[Frame]) -> io::Result<()> {
-    writeln!(output, "{}", csv::NAMES[..COLUMNS].join(","))?;
+    let has_sensors = frames.iter().flat_map(|frame| &frame.detections).any(|detection| detection.sensor > 0);
+    writeln!(output, "{}", csv::NAMES[..COLUMNS + usize::from(has_sensors)].join(","))?;
+    let end = if has_sensors { "," } else { "" };
     for frame in frames {
         let (kind, [x, y]) = (if frame.ego.is_sensor { csv::EGO } else { csv::ABOVE }, frame.ego.position_m);
         let heading = frame.ego.heading_rad;
-        writeln!(output, "{},,{kind},{x},{y},{heading},,,,,", Seconds(frame.stamp_ns))?;
+        writeln!(output, "{},,{kind},{x},{y},{heading},,,,,{end}", Seconds(frame.stamp_ns))?;
         for place in 0..frame.detections.len() {
-            frame.written(place).map_or(Ok(()), |detection| write_row(output, frame.stamp_ns, &detection))?;
+            let Some(detection) = frame.written(place) else { continue };
+            write_row(output, frame.stamp_ns, &detection)?;
+            if has_sensors { writeln!(output, ",{}", detection.sensor) } else { writeln!(output) }?;
         }
     }
     output.flush()
@@ -34,7 +38,7 @@ fn write_row(output: &mut impl Write, stamp_ns: i64, detection: &Detection) -> i
     let given =
         |flag: u32, value: &dyn ToString| if detection.has(flag) { value.to_string() } else { String::new() };
     let Detection { x_m, y_m, length_m, width_m, score, sigma_m, .. } = detection;
-    writeln!(
+    write!(
         output,
         "{},{},{kind},{x_m},{y_m},{},{},{},{},{score},{sigma_m}",
         Seconds(stamp_ns + detection.offset_ns),
@@ -54,7 +58,8 @@ mod tests {
     #[test]
     fn written_frames_are_read_back_as_they_were() {
         let scene = GeneratedScene::new(SceneOptions { agents: 12, ..SceneOptions::default() }).unwrap();
-        let generated = scene.recording(40);
+        let mut generated = scene.recording(40);
+        generated.frames[3].detections[0].sensor = 2;
         let read = |frames: &[Frame]| {
             let mut bytes = Vec::new();
             write_frames(&mut bytes, frames).unwrap();
@@ -68,7 +73,10 @@ mod tests {
         assert_eq!((again.interval_ns, again.has_identities), (first.interval_ns, first.has_identities));
         let detections = |frames: &[Frame]| {
             let all = frames.iter().flat_map(|frame| {
-                frame.detections.iter().map(|of| (frame.stamp_ns + of.offset_ns, of.id, of.x_m, of.y_m))
+                frame
+                    .detections
+                    .iter()
+                    .map(|of| (frame.stamp_ns + of.offset_ns, of.id, of.x_m, of.y_m, of.sensor))
             });
             all.collect::<Vec<_>>()
         };

@@ -130,8 +130,9 @@ fn invalid(error: impl Into<Box<dyn std::error::Error + Send + Sync>>) -> io::Er
 }
 
 /// The columns of [`csv::NAMES`] that a track has.
-const CSV_COLUMNS: [&str; csv::NAMES.len() - 1] = {
-    let [stamp, id, kind, x, y, heading, speed, length, width, score, _sigma, rest @ ..] = csv::NAMES;
+const CSV_COLUMNS: [&str; csv::NAMES.len() - 2] = {
+    let [stamp, id, kind, x, y, heading, speed, length, width, score, _sigma, _sensor, rest @ ..] =
+        csv::NAMES;
     let [vx, vy, status, unseen, xx, xy, yy, prior, age] = rest;
     [
         stamp, id, kind, x, y, heading, speed, length, width, score, vx, vy, status, unseen, xx, xy, yy,

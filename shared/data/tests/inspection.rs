@@ -320,6 +320,24 @@ fn nan_in_a_column_means_unknown_and_is_counted() {
     assert_eq!((first.flags, first.sigma_m, recording.left_out[0].row_count), (0, 0.0, 3));
 }
 
+#[test]
+fn sensors_are_read_and_written() {
+    let text = "stamp_s,type,x_m,y_m,sensor\n0,vehicle,1,2,8\n0,vehicle,9,2,\n0,vehicle,20,2,1.0\n";
+    let read = |text: &[u8]| parse(Format::Csv, &[Input::new(Role::Rows, "mine.csv", text)]);
+    let recording = read(text.as_bytes()).unwrap();
+    let sensors = |recording: &data::Recording| {
+        recording.frames[0].detections.iter().map(|detection| detection.sensor).collect::<Vec<_>>()
+    };
+    assert_eq!(sensors(&recording), [8, 0, 1]);
+    let mut written = Vec::new();
+    data::write_frames(&mut written, &recording.frames).unwrap();
+    assert_eq!(sensors(&read(&written).unwrap()), [8, 0, 1]);
+    for wrong in ["9", "-1", "lidar"] {
+        let error = read(text.replace(",8", &format!(",{wrong}")).as_bytes()).unwrap_err().to_string();
+        assert!(error.starts_with(&format!("mine.csv:2:15: sensor = {wrong:?}: ")), "{error}");
+    }
+}
+
 /// Two cars along +x and one along -y, for 10 s, with these headings and speeds as text.
 fn crossing(has_id: bool, heading_rad: &str, speed_mps: &str) -> data::Recording {
     let mut text = "stamp_s,id,type,x_m,y_m,heading_rad,speed_mps\n".to_owned();

@@ -347,6 +347,10 @@ fn several_topics_of_detections_are_merged_unless_one_is_usual() {
     let merged =
         read(&[on("/front", 1, 0.0), on("/rear", 1, 50.0), on("/front", 2, 1.0), tracked(2, &[7])]).unwrap();
     assert_eq!((merged.frames.len(), merged.frames[0].detections.len()), (2, 2));
+    let sensors = |recording: &Recording| -> Vec<(f32, u8)> {
+        recording.frames[0].detections.iter().map(|detection| (detection.x_m, detection.sensor)).collect()
+    };
+    assert_eq!(sensors(&merged), [(0.0, 1), (50.0, 2)], "each topic is a sensor");
     let [(note, false)] = &sentences(&merged)[..] else { panic!("{:?}", merged.findings) };
     let expected =
         "the objects are those of /front (2 messages), /rear (1 messages); /tracks (1 messages) ignored";
@@ -364,8 +368,14 @@ fn several_topics_of_detections_are_merged_unless_one_is_usual() {
         let input = Input { topics, ..Input::new(Role::Rows, "drive.mcap", bytes) };
         parse(Format::Rosbag, &[input]).map_err(|error| error.to_string())
     };
-    assert_eq!(only(&choose(&["/front"]).unwrap(), 0).x_m, 0.0);
-    assert_eq!(choose(&["/front", usual]).unwrap().frames[0].detections.len(), 2);
+    let front = only(&choose(&["/front"]).unwrap(), 0);
+    assert_eq!((front.x_m, front.sensor), (0.0, 0));
+    assert_eq!(sensors(&choose(&["/front", usual]).unwrap()), [(0.0, 1), (50.0, 2)]);
+    assert_eq!(
+        sensors(&choose(&[usual, "/front"]).unwrap()),
+        [(0.0, 2), (50.0, 1)],
+        "in the order of --topic"
+    );
     assert_eq!(choose(&["/tracks"]).unwrap().frames[0].stamp_ns, 2_000_000_000);
     let error = choose(&["/rear"]).unwrap_err();
     assert!(error.contains("no objects on the topic /rear") && error.contains("/front"), "{error}");

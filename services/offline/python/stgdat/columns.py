@@ -158,4 +158,5 @@ def _types(label: str, values: Any) -> Any:
 _READ = ("stamp_s", "stamp_ns", "id", "type", "x_m", "y_m", "heading_rad", "speed_mps", "length_m", "width_m") + (
     "score",
     "sigma_m",
+    "sensor",
 )

@@ -443,6 +443,7 @@ def detections(
     sizes_m: Optional[npt.ArrayLike] = None,
     scores: npt.ArrayLike = 1.0,
     sigmas_m: npt.ArrayLike = 0.0,
+    sensors: npt.ArrayLike = 0,
     offsets_ns: npt.ArrayLike = 0,
     ego: Tuple[float, float, float] = (0.0, 0.0, 0.0),
     seen_from_ego: bool = False,
@@ -452,11 +453,12 @@ def detections(
 ) -> Detections:
     """Makes detections from arrays, a value per detection.
 
-    `types` are numbers of `AgentType`. `ids` are identities that the tracker may trust; without them it associates
-    by position. `sizes_m` has two columns, length and width. NaN is an unknown heading, speed or size. `ego` is the
-    sensor's x, y and heading; if the sensor sees from there, set `seen_from_ego`. Stamps must increase. Without `seq`,
-    `Predictor.step` numbers the tick. `origin` is subtracted from all positions, which then may be those of a map in
-    UTM; forecasts have it as `origin_m`.
+    `types` are numbers of `AgentType`. `ids` are identities that the tracker may trust; without them it associates by
+    position. `sizes_m` has two columns, length and width. NaN is an unknown heading, speed or size. `sensors` are
+    numbers from 1 to 8; the tracker learns the noise of each. `ego` is the sensor's x, y and heading; if the sensor
+    sees from there, set `seen_from_ego`. Stamps must increase. Without `seq`, `Predictor.step` numbers the tick.
+    `origin` is subtracted from all positions, which then may be those of a map in UTM; forecasts have it as
+    `origin_m`.
 
     Raises `InputError` for values that cannot be: masked ones, identities that are not whole or appear twice, sizes of
     0, positive offsets, an interval of 0. Raises `TypeError` for values that are no numbers.
@@ -474,6 +476,7 @@ def detections(
     columns = {"x_m": x, "y_m": y, "score": scores, "sigma_m": sigmas_m}
     for name, column in columns.items():
         records[name] = checks.unmasked(name, column)
+    records["sensor"] = checks.whole("sensors", sensors, 0, _stgdat.constants()["SENSORS_MAX"])
     records["agent_type"] = checks.whole("types", types, 0, (1 << 32) - 1)
     records["offset_ns"] = checks.times(stamp_ns, interval_ns, offsets_ns)
     if ids is not None:

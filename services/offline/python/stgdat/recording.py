@@ -75,14 +75,16 @@ class Recording:
         sizes_m: Optional[npt.ArrayLike] = None,
         scores: Optional[npt.ArrayLike] = None,
         sigmas_m: Optional[npt.ArrayLike] = None,
+        sensors: Optional[npt.ArrayLike] = None,
         name: str = "arrays",
         origin: Origin = (0.0, 0.0),
     ) -> Recording:
         """Makes a recording of arrays, with a value per detection.
 
-        `types` are `AgentType`, their numbers or names, or one of them for all rows. The names `ego` and `above` mark
-        poses of the sensor. Give `stamp_s` or `stamp_ns`, and the latter for clocks since 1970. `sizes_m` has two
-        columns, length and width. NaN is an unknown value. The rows are read as those of a CSV file, with all its checks.
+        `types` are `AgentType`, their numbers or names, or one of them for all rows. The names `ego` and `above` mark poses
+        of the sensor. Give `stamp_s` or `stamp_ns`, and the latter for clocks since 1970. `sizes_m` has two columns,
+        length and width. `sensors` are numbers from 1 to 8. NaN is an unknown value. The rows are read as those of a
+        CSV file, with all its checks.
 
         Raises `InputError` with row, column and value, and `TypeError` for values that are no numbers.
 
@@ -92,13 +94,14 @@ class Recording:
         """
         given = {"stamp_s": stamp_s, "stamp_ns": stamp_ns, "id": ids, "type": types, "x_m": x_m, "y_m": y_m}
         given.update(heading_rad=headings_rad, speed_mps=speeds_mps, score=scores, sigma_m=sigmas_m)
+        given.update(sensor=sensors)
         if sizes_m is not None:
             sizes = np.asarray(sizes_m)
             if sizes.ndim != 2 or sizes.shape[1] != 2:
                 raise _stgdat.InputError(f"sizes_m has the shape {sizes.shape}: expected two columns, length and width")
             given.update(length_m=sizes[:, 0], width_m=sizes[:, 1])
         labels = {"id": "ids", "type": "types", "heading_rad": "headings_rad", "speed_mps": "speeds_mps"}
-        labels.update(score="scores", sigma_m="sigmas_m", length_m="sizes_m[:, 0]", width_m="sizes_m[:, 1]")
+        labels.update(score="scores", sigma_m="sigmas_m", sensor="sensors", length_m="sizes_m[:, 0]", width_m="sizes_m[:, 1]")
         return _of_columns({key: values for key, values in given.items() if values is not None}, name, labels, origin)
 
     @classmethod
@@ -112,11 +115,11 @@ class Recording:
     ) -> Recording:
         """Makes a recording of a data frame, with a row per detection.
 
-        The columns have the names of the CSV format: `stamp_s` or `stamp_ns`, `type`, `x_m`, `y_m`, and, if they are
-        known, `id`, `heading_rad`, `speed_mps`, `length_m`, `width_m`, `score`, `sigma_m`. `columns` names those that the
-        frame calls otherwise: `{"x_m": "east", "speed_mps": None}` reads x from `east`, and no speed. The unit must be
-        that of the key. Times of pandas can be `stamp_ns`. Columns with other names are left out, but a name such as
-        `yaw`, which may have another unit, must be in `columns`.
+        The columns have the names of the CSV format: `stamp_s` or `stamp_ns`, `type`, `x_m`, `y_m`, and, if they are known,
+        `id`, `heading_rad`, `speed_mps`, `length_m`, `width_m`, `score`, `sigma_m`, `sensor`. `columns` names those
+        that the frame calls otherwise: `{"x_m": "east", "speed_mps": None}` reads x from `east`, and no speed. The
+        unit must be that of the key. Times of pandas can be `stamp_ns`. Columns with other names are left out, but a
+        name such as `yaw`, which may have another unit, must be in `columns`.
 
         Raises `InputError` with row, column and value, and `TypeError` for values that are no numbers. Rows count from
         0, whatever the index.

@@ -216,6 +216,19 @@ class Forecasts(InFolder):
             self.assertEqual(rows["flags"].tolist(), made.records["flags"].tolist())
             self.assertEqual(predictor.step(made).to_json(), line)
 
+    def test_detections_name_their_sensor(self) -> None:
+        tick = stgdat.detections(0, [0, 0], [1.0, 9.0], [2.0, 2.0], sensors=[1, 8])
+        self.assertEqual(tick.records["sensor"].tolist(), [1, 8])
+        with self.assertRaisesRegex(stgdat.InputError, "sensors has 9"):
+            stgdat.detections(0, [0], [1.0], [2.0], sensors=[9])
+        recording = stgdat.Recording.from_arrays("vehicle", [0.0, 9.0], [0.0, 0.0], stamp_s=[0.0, 0.0], sensors=[2, 0])
+        self.assertEqual(recording.detections["sensor"].tolist(), [2, 0])
+        path = self.folder / "sensors.csv"
+        recording.save(path)
+        self.assertEqual(stgdat.open(path).detections["sensor"].tolist(), [2, 0])
+        with self.assertRaisesRegex(stgdat.InputError, "sensors = 9"):
+            stgdat.Recording.from_arrays("vehicle", [0.0], [0.0], stamp_s=[0.0], sensors=[9])
+
     def test_agents_of_a_complete_scene_have_no_gap(self) -> None:
         for agents in (3, 40):
             recording = stgdat.generate(agents=agents, ticks=50, seed=2, complete=True)

@@ -40,7 +40,7 @@ fn object(x_m: f64, class: u8) -> DetectedObject {
 /// Cars at these positions, which arrive at the time of their stamp.
 fn message(stamp_ms: i64, frame: &str, x_m: &[f64]) -> Message {
     let objects = x_m.iter().map(|&x_m| object(x_m, label::CAR).into()).collect();
-    Message { header: header(stamp_ms, frame), objects, arrived_ns: (stamp_ms * MS) as u64 }
+    Message { header: header(stamp_ms, frame), objects, sensor: 0, arrived_ns: (stamp_ms * MS) as u64 }
 }
 
 fn transform(stamp_ms: i64, parent: &str, child: &str, x_m: f64, angle_rad: f64) -> TfMessage {
@@ -233,7 +233,7 @@ fn other_classes_and_impossible_values_are_counted() {
     let objects =
         [object(1_000.0, label::UNKNOWN), fast, object(99e3, label::BUS), object(f64::NAN, label::BUS)];
     let objects = objects.into_iter().chain([object(1_001.0, label::BICYCLE)]).map(Object::from).collect();
-    ticks.message(Message { header: header(0, "map"), objects, arrived_ns: 0 });
+    ticks.message(Message { header: header(0, "map"), objects, sensor: 0, arrived_ns: 0 });
     let Tick { frame, .. } = ticks.next(0).unwrap();
     // An impossible speed is unknown; an impossible position loses the object.
     assert_eq!(
@@ -259,7 +259,7 @@ fn a_tracked_object_has_the_same_number_in_every_process() {
     };
     let mut ticks = Ticks::new(world(None));
     let objects = [tracked([7; 16]), tracked(*b"0123456789abcdef")].map(Object::from).to_vec();
-    ticks.message(Message { header: header(0, "map"), objects, arrived_ns: 0 });
+    ticks.message(Message { header: header(0, "map"), objects, sensor: 0, arrived_ns: 0 });
     let ids: Vec<u64> =
         ticks.next(0).map(|tick| tick.frame.detections.iter().map(|d| d.id).collect()).unwrap();
     assert_eq!(ids, [1, 0x0808_5351_5751_5351], "0 stands for no identity");
@@ -273,8 +273,21 @@ fn a_full_frame_keeps_the_best_scores() {
         object.existence_probability = if k < 5 { 0.1 } else { 0.9 };
         Object::from(object)
     });
-    ticks.message(Message { header: header(0, "map"), objects: objects.collect(), arrived_ns: 0 });
+    ticks.message(Message { header: header(0, "map"), objects: objects.collect(), sensor: 0, arrived_ns: 0 });
     let Tick { frame, left_out, .. } = ticks.next(0).unwrap();
     assert_eq!((frame.detections.len(), left_out), (DETECTIONS_MAX, 10));
     assert!(frame.detections.iter().all(|detection| detection.score > 0.5));
+}
+
+#[test]
+fn messages_of_several_topics_name_their_sensor() {
+    let mut ticks = Ticks::new(world(None));
+    for sensor in [1, 2] {
+        let objects = vec![Object::from(object(1_000.0, label::CAR))];
+        let header = header(80 * i64::from(sensor), "map");
+        ticks.message(Message { header, objects, sensor, arrived_ns: 80_000_000 * u64::from(sensor) });
+    }
+    let first = ticks.next(80_000_000).unwrap();
+    let sensors: Vec<u8> = first.frame.detections.iter().map(|detection| detection.sensor).collect();
+    assert_eq!(sensors, [1]);
 }

@@ -19,6 +19,7 @@
 //! | `length_m`, `width_m` | | extent along and across the heading; both or neither |
 //! | `score` | | the detector's confidence, larger is more confident |
 //! | `sigma_m` | | standard deviation of the position per axis |
+//! | `sensor` | | number of the sensor, from 1 to 8; 0 if it is unknown |
 //! | `vx_mps`, `vy_mps` | | velocity in the world frame |
 //! | `status`, `unseen_s` | | `confirmed` or `coasting`; seconds since the agent was last detected |
 //! | `xx_m2`, `xy_m2`, `yy_m2` | | covariance of the position |
@@ -42,7 +43,7 @@
 //! the frames' stamps. Before the first pose, the sensor's position is the mean position of the first frame's
 //! detections.
 
-use wire::{AgentType, Detection, Quality, detection_flags};
+use wire::{AgentType, Detection, Quality, SENSORS_MAX, detection_flags};
 
 use crate::egos::Egos;
 use crate::input::need;
@@ -53,7 +54,7 @@ use crate::sweeps::{self, Sweeps};
 use crate::text::{self, Field, Line, Separator};
 use crate::{Ego, Input, ReadError, Recording, Role};
 
-pub(crate) const NAMES: [&str; 20] = [
+pub(crate) const NAMES: [&str; 21] = [
     "stamp_s",
     "id",
     "type",
@@ -65,6 +66,7 @@ pub(crate) const NAMES: [&str; 20] = [
     "width_m",
     "score",
     "sigma_m",
+    "sensor",
     "vx_mps",
     "vy_mps",
     "status",
@@ -289,7 +291,7 @@ impl Header {
 }
 
 fn content(fields: &[Field<'_>; NAMES.len()]) -> Result<Content, ReadError> {
-    let &[_, id, kind, x, y, heading, speed, length, width, score, sigma, ref unused @ ..] = fields;
+    let &[_, id, kind, x, y, heading, speed, length, width, score, sigma, sensor, ref unused @ ..] = fields;
     check_unused(unused)?;
     let position_m = text::position_m([x, y])?;
     let heading_rad = given(heading, Field::angle_rad)?;
@@ -324,10 +326,19 @@ fn content(fields: &[Field<'_>; NAMES.len()]) -> Result<Content, ReadError> {
         width_m,
         score: given(score, |score| score.number_in(-1e6..=1e6))?.map_or(1.0, |score| score as f32),
         sigma_m: given(sigma, Field::extent_m)?.unwrap_or(0.0),
+        sensor: given(sensor, sensor_number)?.unwrap_or(0),
         flags: flags.into_iter().filter(|(is_given, _)| *is_given).fold(0, |bits, (_, bit)| bits | bit),
         ..rows::detection(agent_type, position_m)
     };
     Ok(Content::Detection(detection, heading_written))
+}
+
+/// The number of a sensor; 0 if it is unknown.
+fn sensor_number(field: &Field<'_>) -> Result<u8, ReadError> {
+    let number = u8::try_from(field.integer()?).ok().filter(|number| usize::from(*number) <= SENSORS_MAX);
+    number.ok_or_else(|| {
+        field.error(format!("expected a sensor from 1 to {SENSORS_MAX}, or 0 if it is unknown"))
+    })
 }
 
 /// Refuses values of the track columns that no [`TrackWriter`](crate::TrackWriter) writes.

@@ -30,7 +30,7 @@ use interop::cdr::{Cdr, from_bytes};
 use interop::messages::{DetectedObjects, Header, TfMessage, Time, TrackedObjects};
 use nalgebra::Isometry3;
 use recording::{BagMessage, Damage, bag_messages};
-use wire::{POSITION_MAX_M, WorldOrigin};
+use wire::{POSITION_MAX_M, SENSORS_MAX, WorldOrigin};
 
 use self::objects::heading_rad;
 pub use self::objects::{Object, Placed};
@@ -100,14 +100,14 @@ pub(crate) fn parse(inputs: &[Input]) -> Result<Recording, ReadError> {
     let input = need(inputs, Role::Rows)?;
     let parts: Vec<&Input> = inputs.iter().filter(|input| input.role == Role::Rows).collect();
     let failed = |problem: Problem| problem.of(&parts);
-    let Bag { mut messages, transforms, damage, undecoded, ignored, topics } =
+    let Bag { mut messages, transforms, damage, undecoded, ignored, topics, sensors } =
         read(&parts, &input.topics).map_err(failed)?;
     let zero_stamps = replace_zero_stamps(&mut messages);
     let mut frames: Vec<&str> = messages.iter().map(|message| bare(&message.header.frame_id)).collect();
     let first = messages.first().map(|message| message.place);
     let world =
         transforms.world(frames.iter().copied()).map_err(|problem| failed(Problem(first, problem)))?;
-    let mut table = Table::new(input.origin);
+    let mut table = Table::new(input.origin, sensors);
     for message in &messages {
         table.add(message, &transforms, world);
     }
@@ -206,6 +206,8 @@ struct Bag {
     ignored: Option<Found>,
     /// All topics.
     topics: Vec<BagTopic>,
+    /// The topics that are played, in the order of their sensors' numbers; none if there is only one.
+    sensors: Vec<Arc<str>>,
 }
 
 /// Reads the parts of a bag, and the objects of the `chosen` topics.
@@ -265,6 +267,7 @@ fn read(parts: &[&Input], chosen: &[String]) -> Result<Bag, Problem> {
         chosen => chosen.iter().any(|chosen| chosen == topic),
     };
     let ignored = ignored(&topics, is_played);
+    let sensors = sensors(&topics, chosen, is_played);
     messages.retain(|(of, message)| is_played(*of, &message.topic));
     let messages = messages.into_iter().map(|(_, message)| message).collect();
     let of_schema = |schema: &str| OBJECTS.iter().position(|of| *of == schema);
@@ -274,7 +277,20 @@ fn read(parts: &[&Input], chosen: &[String]) -> Result<Bag, Problem> {
     });
     let mut topics: Vec<BagTopic> = all.collect();
     topics.sort_by_key(|topic| !topic.is_read);
-    Ok(Bag { messages, transforms, damage, undecoded, ignored, topics })
+    Ok(Bag { messages, transforms, damage, undecoded, ignored, topics, sensors })
+}
+
+/// The topics that are played, as they were chosen or else sorted; none if there is only one.
+fn sensors(
+    topics: &BTreeMap<(usize, Arc<str>), usize>,
+    chosen: &[String],
+    is_played: impl Fn(usize, &str) -> bool,
+) -> Vec<Arc<str>> {
+    let played = topics.keys().filter(|(kind, topic)| is_played(*kind, topic)).map(|(_, topic)| topic);
+    let mut played: Vec<Arc<str>> = played.cloned().collect();
+    played.sort_by_key(|topic| (chosen.iter().position(|chosen| **chosen == **topic), Arc::clone(topic)));
+    played.dedup();
+    if played.len() > 1 { played } else { Vec::new() }
 }
 
 /// The note about the topics with objects, if there are several.
@@ -343,6 +359,8 @@ fn decode<M: Cdr>(part: usize, message: &BagMessage<'_>) -> Result<M, Problem> {
 /// The objects as rows of the project's own CSV.
 struct Table {
     text: String,
+    /// The topics of several sensors, in the order of their numbers.
+    sensors: Vec<Arc<str>>,
     /// The message of each line.
     places: Vec<Place>,
     ids: HashMap<[u8; 16], usize>,
@@ -366,11 +384,12 @@ struct Table {
 }
 
 impl Table {
-    fn new(origin: WorldOrigin) -> Self {
-        let text =
-            "stamp_s,id,type,x_m,y_m,heading_rad,speed_mps,length_m,width_m,score,sigma_m\n".to_owned();
+    fn new(origin: WorldOrigin, sensors: Vec<Arc<str>>) -> Self {
+        let text = "stamp_s,id,type,x_m,y_m,heading_rad,speed_mps,length_m,width_m,score,sigma_m,sensor\n"
+            .to_owned();
         Self {
             text,
+            sensors,
             places: vec![Place::default()],
             ids: HashMap::new(),
             known: HashSet::new(),
@@ -401,7 +420,7 @@ impl Table {
             && self.egos.insert(stamp_ns)
         {
             let (position, heading_rad) = (ego.translation.vector, heading_rad(&ego));
-            self.row(message, &format!("{stamp_s},,ego,{},{},{heading_rad},,,,,", position.x, position.y));
+            self.row(message, &format!("{stamp_s},,ego,{},{},{heading_rad},,,,,,", position.x, position.y));
         }
         for object in &message.objects {
             self.object(message, object, &stamp_s, &world_from_frame);
@@ -440,7 +459,7 @@ impl Table {
         let [x_m, y_m] = placed.position_m;
         let [length_m, width_m] = [0, 1].map(|axis| placed.size_m.map(|size_m| size_m[axis]));
         let row = format!(
-            "{stamp_s},{},{},{x_m},{y_m},{},{},{},{},{},{}",
+            "{stamp_s},{},{},{x_m},{y_m},{},{},{},{},{},{},{}",
             id.map_or_else(String::new, |id| id.to_string()),
             placed.agent_type.name(),
             given(placed.heading_rad),
@@ -449,6 +468,7 @@ impl Table {
             given(width_m),
             placed.score,
             given(placed.sigma_m),
+            sensor_of(self.sensors.iter().position(|topic| *topic == message.topic)),
         );
         self.row(message, &row);
     }
@@ -457,6 +477,13 @@ impl Table {
         let _ = writeln!(self.text, "{row}");
         self.places.push(message.place);
     }
+}
+
+/// The number of the sensor whose topic is at this place among several; 0 if there is no such number.
+#[must_use]
+pub fn sensor_of(place: Option<usize>) -> u8 {
+    let number = place.map_or(0, |place| place + 1);
+    if number <= SENSORS_MAX { number as u8 } else { 0 }
 }
 
 /// The message of a line, from 1.
