@@ -12,15 +12,18 @@
 //!
 //! ```text
 //! g(ρ) = 1 − 1.5 ρ + 0.6 ρ² − 0.1 ρ³      ρ = exp(−Δ/τ)      ρ' = exp(−Δ'/τ)
-//! a² = max(0, l² − q s'² − m²) / (g(ρ') − g(ρ)) · min(1, s² / s'²)      q = 1 + 7 / √n
+//! x = l² − s'² − m²      k = 7 s'² / √n
+//! a² = (x − k² / x) / (g(ρ') − g(ρ)) · min(1, s² / s'²),  0 if x ≤ k
 //! r² = s² + a² ((1 + ρ) / (1 − ρ) − g(ρ))
 //! ```
 //!
-//! Δ and Δ' are the times between the measurements. s² is the variance of the newest consecutive contrasts, and
-//! s'² the variance of the consecutive contrasts at the times of the n contrasts of l². m allows for changes of
-//! the acceleration. A filter assumes independent measurements. With the variance r², its mean over several
-//! seconds has the right variance. Until enough measurements are apart to show l², the noise of an upstream
-//! tracker may be correlated. So the prior of noisy positions counts as [`APART_PRIOR_COUNT`] contrasts.
+//! Δ and Δ' are the times between the measurements. s² is the variance of the newest consecutive contrasts,
+//! and s'² the variance of the consecutive contrasts at the times of the n contrasts of l². m allows for
+//! changes of the acceleration. k is the uncertainty of x. The non-negative garrote subtracts k² / x, so that
+//! a clear excess counts almost fully [Breiman: *Better subset regression using the nonnegative garrote*,
+//! 1995]. A filter assumes independent measurements. With the variance r², its mean over several seconds has
+//! the right variance. Until enough measurements are apart to show l², the noise of an upstream tracker may
+//! be correlated. So the prior of noisy positions counts as [`APART_PRIOR_COUNT`] contrasts.
 
 mod sensor;
 mod view;
@@ -56,7 +59,7 @@ const PUBLISHED_MIN_COUNT: f64 = 40.0;
 const PUBLISHED_LEAST: f64 = 1e-4;
 /// Number of contrasts from which the noise is also learned by the view.
 const BY_VIEW_MIN_COUNT: f64 = 40.0;
-/// τ, (q − 1) √n and m of the module's equations.
+/// τ, k √n / s'² and m of the module's equations.
 const CORRELATION_S: f64 = 0.3;
 const UNCERTAINTY: f64 = 7.0;
 const CHANGE_M: f64 = 0.04;
@@ -219,10 +222,10 @@ impl PositionNoise {
         if contrast < CONTRAST_MIN {
             return Learned { own: independent, as_independent: independent };
         }
-        let ratio = 1.0 + UNCERTAINTY / self.apart.count().sqrt();
         let change = (CHANGE_M / self.nominal_m).powi(2);
-        let correlated =
-            (apart - ratio * paired - change).max(0.0) / contrast * (independent / paired).min(1.0);
+        let (excess, chance) = (apart - paired - change, UNCERTAINTY / self.apart.count().sqrt() * paired);
+        let certain = if excess > chance { excess - chance * chance / excess } else { 0.0 };
+        let correlated = certain / contrast * (independent / paired).min(1.0);
         Learned {
             own: independent + correlated * (1.0 - seen),
             as_independent: independent + correlated * ((1.0 + next) / (1.0 - next) - seen),
