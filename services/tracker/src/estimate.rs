@@ -2,6 +2,7 @@ mod chord;
 mod gate;
 mod held;
 mod judgement;
+mod kind;
 mod published;
 mod reports;
 mod resent;
@@ -16,7 +17,7 @@ pub use whole::{LONG_M, length_m};
 
 use std::f64::consts::FRAC_PI_2;
 
-use filters::{Filter, FilterFault, Kind, Models, Motion, Observation, Unknown, wrapped};
+use filters::{Filter, FilterFault, Kind, Models, Motion, Observation, wrapped};
 use run::SpeedLimits;
 use wire::{AgentType, Forecast, Steering};
 
@@ -25,6 +26,7 @@ use crate::class::Class;
 use crate::estimate::chord::Chord;
 use crate::estimate::gate::Gate;
 use crate::estimate::held::Held;
+use crate::estimate::kind::{UNKNOWN, kind};
 use crate::estimate::published::Published;
 use crate::estimate::reports::Reports;
 use crate::estimate::size::Size;
@@ -39,15 +41,6 @@ use crate::steady::Steady;
 use crate::track_management::TrackManagement;
 use crate::trials::{PART_NS, Shown, Trials};
 
-/// Standard deviations of the quantities that the first detection does not measure, by type.
-const UNKNOWN: [Unknown; 3] = [
-    Unknown { speed_mps: 10.0, slip_rad: 0.05 },
-    Unknown { speed_mps: 5.0, slip_rad: 0.05 },
-    Unknown { speed_mps: 2.0, slip_rad: 0.05 },
-];
-/// The course sets an unknown heading once its standard deviation is this small, from the speed below on.
-const COURSE_SIGMA_MAX_RAD: f64 = 0.3;
-const COURSE_SPEED_MIN_MPS: f64 = 0.5;
 /// Age from which a track without a trusted identity shows the noise of its detections.
 const TEACHES_FROM_NS: i64 = 2_000_000_000;
 
@@ -462,27 +455,6 @@ impl Estimate {
         self.management.is_confirmed() && self.has_velocity
     }
 
-    /// Decides on the heading and the front, after an update.
-    fn resolve_front(&mut self) {
-        let agent_type = self.class.current();
-        if kind(agent_type) == Kind::Bicycle
-            && matches!(self.belief.filter(), Filter::ConstantVelocity(_))
-            && self.belief.motion().speed_mps > COURSE_SPEED_MIN_MPS
-            && self.belief.filter().course_sigma_rad() < COURSE_SIGMA_MAX_RAD
-        {
-            self.belief.convert_to(Kind::Bicycle, &UNKNOWN[agent_type.index()]);
-        }
-        if let Filter::Bicycle(state) = self.belief.filter() {
-            let sigma_mps = state.covariance[(3, 3)].max(0.0).sqrt();
-            self.front.observe_motion(state.mean[3], sigma_mps, self.was_ready);
-            if self.front.take_flip(self.was_ready) {
-                self.belief.reverse();
-                self.steady = Steady::new(self.belief.filter());
-                self.front_ns = self.stamp_ns;
-            }
-        }
-    }
-
     fn models(&self, input: &InputModel) -> Models {
         input.models(self.class.current(), f64::from(self.size.length_m))
     }
@@ -505,12 +477,4 @@ impl Clone for Estimate {
 fn limited(state: Filter, most_mps: f64) -> Filter {
     let speed_mps = state.motion().speed_mps.abs();
     if speed_mps > most_mps { state.slowed(most_mps / speed_mps * (1.0 - 1e-6)) } else { state }
-}
-
-/// The filter of a type.
-const fn kind(agent_type: AgentType) -> Kind {
-    match agent_type {
-        AgentType::Pedestrian => Kind::ConstantVelocity,
-        AgentType::Vehicle | AgentType::Cyclist => Kind::Bicycle,
-    }
 }

@@ -11,7 +11,8 @@ use filters::{Filter, FilterFault, Observation, wrapped};
 use kinematics::hypot;
 use wire::{Detection, detection_flags};
 
-use super::{Estimate, UNKNOWN, kind};
+use super::Estimate;
+use super::kind::{UNKNOWN, kind};
 use crate::belief::Belief;
 use crate::front::{Front, folded, is_reversed};
 use crate::observation::Found;
