@@ -78,3 +78,36 @@ fn noise_that_falls_is_not_taken_as_correlated() {
     assert!(noise.apart.variance() > 2.0 * noise.next.variance());
     assert!(noise.learned().as_independent < 1.05 * noise.next.variance());
 }
+
+#[test]
+fn the_learned_noise_equals_the_reference() {
+    let mut agents = [Measurements::default(); 3];
+    let mut positions = PositionNoise::new(PRIOR_COUNT, NOMINAL_M);
+    let mut heading = Scale::new(0.12, PRIOR_COUNT, COUNT_MAX);
+    let mut correlated_count = 0;
+    for (number, line) in include_str!("../../tests/reference/noise.csv").lines().skip(1).enumerate() {
+        let cells: Vec<f64> = line.split(',').map(|cell| cell.parse().expect("a number")).collect();
+        let [agent, time_ms, x, y, heading_rad, ref expected @ ..] = cells[..] else { panic!("{line}") };
+        let detection = Detection {
+            x_m: x as f32,
+            y_m: y as f32,
+            heading_rad: heading_rad as f32,
+            flags: detection_flags::HAS_HEADING,
+            ..Detection::zeroed()
+        };
+        let found = Found::new(1_000_000 * time_ms as i64, &detection, AgentType::Vehicle);
+        let measurements = &mut agents[agent as usize];
+        measurements.add(&found, NOMINAL_M, None);
+        let contrasts = measurements.take();
+        positions.add(&contrasts);
+        contrasts.heading_rad.into_iter().for_each(|contrast| heading.add(contrast));
+        let Learned { own, as_independent } = positions.learned();
+        let scales = [positions.next, positions.apart, positions.next_paired, heading].map(|s| s.variance());
+        for (found, expected) in scales.into_iter().chain([own, as_independent]).zip(expected) {
+            let off = (found / expected - 1.0).abs();
+            assert!(off < 1e-6, "measurement {number}: {found}, expected {expected}");
+        }
+        correlated_count += usize::from(as_independent > 2.0 * positions.next.variance());
+    }
+    assert!(correlated_count > 50, "{correlated_count} with correlated noise");
+}
