@@ -12,7 +12,7 @@ use crate::support::harness::{Harness, detected_at, noise, with_heading};
 const AGENTS: u64 = 6;
 const FRAMES: usize = 120;
 /// Frames until every agent is published with its velocity.
-const SETTLED: usize = 20;
+const SETTLED: usize = 30;
 const TICK_S: f64 = 0.1;
 
 /// The true motion of an agent: its course and a speed.

@@ -1,9 +1,9 @@
 //! Whether an agent's positions confirm the speeds and headings of its detections.
 //!
 //! A *chord* leads from one position to another at least [`CHORD_NS`] later. The reports along it describe a way
-//! too: ∫ v (cos ψ, sin ψ) dt. If the two ways differ by more than noise and delays explain, the positions
-//! decide. The tracker then ignores the speeds, or the headings if their axis is wrong, until later chords
-//! confirm them. Detectors send 0 for what they do not know, other units, or headings of the rear.
+//! too: ∫ v (cos ψ, sin ψ) dt. If the two ways have other lengths or opposite directions, and noise and delays do not
+//! explain it, the positions decide. The tracker then ignores the speeds, or the headings if their axis is wrong, until
+//! later chords confirm them. Detectors send 0 for what they do not know, other units, or headings of the rear.
 
 use std::f64::consts::{FRAC_PI_2, PI, SQRT_2};
 
@@ -31,8 +31,10 @@ const WAY_M: f64 = 0.3;
 const SIGMAS: f64 = 4.0;
 /// Deviation of the velocity at the end of a chord from the mean velocity along it.
 const CHANGE_MPS: f64 = 0.3;
-/// Largest angle between the axis of a vehicle's headings and its chord.
+/// Largest angle between the axis of a vehicle's headings and its chord, and between two chords of a vehicle that drives
+/// straight. In a tight turn, the centre of a box moves in another direction than its heading.
 const AXIS_RAD: f64 = 0.35;
+const STRAIGHT_RAD: f64 = 0.1;
 /// Shorter ways confirm nothing.
 const CONFIRMS_M: f64 = 1.0;
 /// Number of consecutive chords that confirm a report again.
@@ -70,6 +72,8 @@ pub(super) struct Chord {
     pub ignored: Ignored,
     /// Number of consecutive chords that confirm an ignored speed, and an ignored heading.
     confirmed: [u8; 2],
+    /// Direction of the chord before.
+    course_rad: Option<f64>,
 }
 
 /// A chord that has begun.
@@ -123,6 +127,8 @@ pub(super) struct Moved {
     elapsed_s: f64,
     /// Standard deviation of the way per axis.
     sigma_m: f64,
+    /// Whether the axis of the headings was wrong.
+    is_turned: bool,
 }
 
 impl Chord {
@@ -159,44 +165,43 @@ impl Chord {
         }
         begun.continue_to(own_ns, report);
         let elapsed_ns = own_ns.saturating_sub(begun.at_ns);
-        let moved = Moved {
+        let mut moved = Moved {
             way_m: [0, 1].map(|axis| seen.position_m[axis] - begun.from_m[axis]),
             elapsed_s: elapsed_ns as f64 / 1e9,
             sigma_m: SQRT_2 * seen.position_variance.sqrt(),
+            is_turned: false,
         };
         if elapsed_ns < CHORD_NS || (elapsed_ns < CHORD_MAX_NS && !moved.can_contradict(begun.way)) {
             return None;
         }
         let begun = *begun;
         self.begun = Some(first);
-        self.judge(&begun, &moved).then_some(moved)
+        self.judge(&begun, &mut moved).then_some(moved)
     }
 
     /// Compares the reports with the motion along a chord. Returns whether it ignores a further report.
-    fn judge(&mut self, begun: &Begun, moved: &Moved) -> bool {
-        let length_m = moved.length_m();
-        let turned_rad = begun.axis.map(|[cos, sin]| {
-            let [x, y] = moved.way_m;
-            0.5 * wrapped(sin.atan2(cos) - 2.0 * y.atan2(x)).abs()
-        });
+    fn judge(&mut self, begun: &Begun, moved: &mut Moved) -> bool {
+        let (length_m, [x, y]) = (moved.length_m(), moved.way_m);
+        let course_rad = y.atan2(x);
+        let before_rad = self.course_rad.replace(course_rad);
         let is_long = length_m > CONFIRMS_M + 2.0 * SIGMAS * moved.sigma_m;
-        let heading = turned_rad.filter(|_| is_long).map(|turned_rad| turned_rad <= AXIS_RAD);
-        let speed = begun.way.and_then(|([x, y], reported_m)| {
-            // Without the axis of the heading, only the lengths can be compared.
-            let off_m = if heading == Some(false) {
-                (length_m - reported_m).abs()
-            } else {
-                hypot(moved.way_m[0] - x, moved.way_m[1] - y)
-            };
-            match off_m <= moved.tolerance_m(reported_m) {
+        let straight_rad = STRAIGHT_RAD + moved.sigma_m / length_m;
+        let is_straight = before_rad.is_some_and(|before| wrapped(course_rad - before).abs() <= straight_rad);
+        let off_rad = begun.axis.map(|[cos, sin]| 0.5 * wrapped(sin.atan2(cos) - 2.0 * course_rad).abs());
+        let heading = off_rad.filter(|_| is_long && is_straight).map(|off_rad| off_rad <= AXIS_RAD);
+        let speed = begun.way.and_then(|(way_m, reported_m)| {
+            let is_against = x * way_m[0] + y * way_m[1] < 0.0;
+            // Without the axis of the heading, the direction shows nothing.
+            let along_m = if is_against && heading != Some(false) { -reported_m } else { reported_m };
+            match (length_m - along_m).abs() <= moved.tolerance_m(reported_m) {
                 false => Some(false),
                 true => is_long.then_some(true),
             }
         });
         let Self { ignored, confirmed: [of_speed, of_heading], .. } = self;
         let speeds = decide(&mut ignored.speed, of_speed, speed);
-        let headings = decide(&mut ignored.heading, of_heading, heading);
-        speeds || headings
+        moved.is_turned = decide(&mut ignored.heading, of_heading, heading);
+        speeds || moved.is_turned
     }
 
     /// Whether all reports along the chord have a velocity.
@@ -316,7 +321,7 @@ impl Estimate {
             *heading_rad = folded(*heading_rad, self.published.heading_rad);
         }
         let Some(moved) = self.chord.add(own_ns, &seen) else { return false };
-        if moved.fits(self.belief.motion().velocity_mps) {
+        if !moved.is_turned && moved.fits(self.belief.motion().velocity_mps) {
             return false;
         }
         self.begin_motion(own_ns, &seen, &moved, input);
