@@ -32,9 +32,10 @@ const SIGMAS: f64 = 4.0;
 /// Deviation of the velocity at the end of a chord from the mean velocity along it.
 const CHANGE_MPS: f64 = 0.3;
 /// Largest angle between the axis of a vehicle's headings and its chord, and between two chords of a vehicle that drives
-/// straight. In a tight turn, the centre of a box moves in another direction than its heading.
+/// straight. In a slow or tight turn, the centre of a box moves in another direction than its heading.
 const AXIS_RAD: f64 = 0.35;
 const STRAIGHT_RAD: f64 = 0.1;
+const STRAIGHT_MPS: f64 = 5.0;
 /// Shorter ways confirm nothing.
 const CONFIRMS_M: f64 = 1.0;
 /// Number of consecutive chords that confirm a report again.
@@ -186,7 +187,8 @@ impl Chord {
         let before_rad = self.course_rad.replace(course_rad);
         let is_long = length_m > CONFIRMS_M + 2.0 * SIGMAS * moved.sigma_m;
         let straight_rad = STRAIGHT_RAD + moved.sigma_m / length_m;
-        let is_straight = before_rad.is_some_and(|before| wrapped(course_rad - before).abs() <= straight_rad);
+        let is_straight = length_m > STRAIGHT_MPS * moved.elapsed_s
+            && before_rad.is_some_and(|before| wrapped(course_rad - before).abs() <= straight_rad);
         let off_rad = begun.axis.map(|[cos, sin]| 0.5 * wrapped(sin.atan2(cos) - 2.0 * course_rad).abs());
         let heading = off_rad.filter(|_| is_long && is_straight).map(|off_rad| off_rad <= AXIS_RAD);
         let speed = begun.way.and_then(|(way_m, reported_m)| {
