@@ -20,6 +20,10 @@ const TRIED_MAX: usize = 8;
 /// Shortest and longest displacement. It is also twice as long as the largest distance below: the places that agents
 /// should have reached with and without it differ.
 const JUMP_M: std::ops::RangeInclusive<f64> = 1.0..=50.0;
+/// A displacement is at least this multiple of the usual distance from the expected position, its root mean square. The
+/// newest distance has this weight in the mean.
+const OFF_RATIO: f64 = 4.0;
+const OFF_WEIGHT: f64 = 0.02;
 /// Distance from a place that an agent should have reached: a part and a change of the speed in a second.
 const OFF_M: f64 = 0.5;
 const OFF_MPS: f64 = 1.0;
@@ -50,6 +54,8 @@ pub(crate) struct Displacements {
     present: Vec<Seen>,
     /// Number of the present frame's detections.
     rows: u64,
+    /// Mean square of the distances from the expected positions.
+    off_m2: f64,
     /// Sum of the displacements so far.
     offset_m: [f64; 2],
     /// Detections in a displaced frame.
@@ -65,6 +71,7 @@ impl Displacements {
             earlier,
             present,
             rows: 0,
+            off_m2: 0.0,
             offset_m: [0.0; 2],
             displaced: Tally::default(),
         }
@@ -107,7 +114,7 @@ impl Displacements {
     }
 
     fn end_frame(&mut self) {
-        let Self { earlier, present, .. } = self;
+        let Self { earlier, present, off_m2, .. } = self;
         let known = earlier.iter().filter(|seen| seen.motion.is_sure).count();
         let mut kept = 0;
         for seen in present.iter_mut() {
@@ -116,6 +123,9 @@ impl Displacements {
             let Some((off_m, other)) = near.min_by(|(a_m, _), (b_m, _)| a_m.total_cmp(b_m)) else { continue };
             other.found_off_m = Some(off_m);
             kept += usize::from(other.motion.is_sure && off_m <= other.most_off_m(seen));
+            if other.motion.is_sure {
+                *off_m2 += OFF_WEIGHT * (off_m * off_m - *off_m2);
+            }
             seen.motion = other.motion;
             if other.position_m == seen.position_m {
                 // Possibly a repeated detection.
@@ -155,7 +165,8 @@ impl Displacements {
         let ways = moving().take(TRIED_MAX).flat_map(|from| {
             self.present.iter().filter_map(move |seen| {
                 let off_m = from.off_m(seen)?;
-                let is_jump = JUMP_M.contains(&length(off_m)) && length(off_m) >= 2.0 * from.most_off_m(seen);
+                let least_m = (2.0 * from.most_off_m(seen)).max(OFF_RATIO * self.off_m2.sqrt());
+                let is_jump = JUMP_M.contains(&length(off_m)) && length(off_m) >= least_m;
                 is_jump.then_some((off_m, from))
             })
         });
@@ -224,11 +235,21 @@ mod tests {
 
     /// Agents on lines 6 m apart for 20 s with these velocities in m/s. `offset_m` returns the displacement in a frame.
     fn displaced(rate_hz: u64, identities: bool, mps: &[f64], offset_m: impl Fn(u64) -> [f64; 2]) -> u64 {
+        displaced_of((rate_hz, identities, 20), mps, |_| 0.15, offset_m)
+    }
+
+    /// The same for a number of seconds, with the noise of each frame.
+    fn displaced_of(
+        (rate_hz, identities, seconds): (u64, bool, u64),
+        mps: &[f64],
+        sigma_m: impl Fn(u64) -> f64,
+        offset_m: impl Fn(u64) -> [f64; 2],
+    ) -> u64 {
         let mut displacements = Displacements::new();
-        for frame in 0..20 * rate_hz {
+        for frame in 0..seconds * rate_hz {
             for (agent, speed_mps) in (0..).zip(mps) {
                 let [x_m, y_m] = offset_m(frame);
-                let noise_m = |axis: u64| 0.15 * normal(frame * 100 + agent * 2 + axis);
+                let noise_m = |axis: u64| sigma_m(frame) * normal(frame * 100 + agent * 2 + axis);
                 let detection = Detection {
                     id: agent,
                     x_m: (x_m + speed_mps * frame as f64 / rate_hz as f64 + noise_m(0)) as f32,
@@ -281,6 +302,18 @@ mod tests {
             // A convoy whose frames have wrong stamps.
             let late = |frame| if frame % 20 == 10 { [3.0, 0.0] } else { [0.0; 2] };
             assert_eq!(displaced(10, identities, &[15.0; 4], late), 0);
+        }
+    }
+    #[test]
+    fn noise_is_no_jump() {
+        for (name, sigma_m) in [
+            ("one sensor", (|_| 0.5) as fn(u64) -> f64),
+            ("a good and a bad sensor in turn", |frame| if frame % 2 == 0 { 0.05 } else { 0.5 }),
+        ] {
+            for mps in [&[9.0, 7.0, 4.0][..], &[8.0; 5]] {
+                let rows = displaced_of((10, true, 300), mps, sigma_m, |_| [0.0; 2]);
+                assert_eq!(rows, 0, "{name}, {mps:?}");
+            }
         }
     }
 }
