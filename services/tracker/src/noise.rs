@@ -30,7 +30,7 @@ mod view;
 
 use filters::noise::{Measured, Scale, Window};
 use filters::wrapped;
-use sensor::{BySensor, NUMBERS, VARIANCE_MIN};
+use sensor::{BySensor, COUNT_MAX, NUMBERS, PUBLISHED_MIN_COUNT, VARIANCE_MIN};
 pub use sensor::{SensorFactors, SensorWindows};
 use view::ByView;
 pub use view::ViewFactors;
@@ -46,15 +46,12 @@ const GAP_MAX_NS: u64 = 1_100_000_000;
 /// Time within which three positions give a contrast, by type. An acceleration of 3 m/s² adds 0.03 m to a
 /// vehicle's, and one of 0.2 m/s² adds 0.03 m to a pedestrian's.
 const SHORT_NS: [u64; 3] = [300_000_000, 300_000_000, 1_200_000_000];
-/// Number of contrasts as which the prior counts, and the largest number that counts.
+/// Number of contrasts as which the prior counts.
 const PRIOR_COUNT: f64 = 0.1;
 /// A reported deviation is a better prior.
 const REPORTED_COUNT: f64 = 2.0;
-const COUNT_MAX: f64 = 400.0;
 /// Number of contrasts as which the prior of correlated noise counts.
 const APART_PRIOR_COUNT: f64 = 12.0;
-/// Number of contrasts from which an estimate is published.
-const PUBLISHED_MIN_COUNT: f64 = 40.0;
 /// Smallest deviation that is published, because 0 means unknown.
 const PUBLISHED_LEAST: f64 = 1e-4;
 /// Number of contrasts from which the noise is also learned by the view.

@@ -3,6 +3,7 @@ use std::ops::Range;
 use association::Candidate;
 use association::assignment::Assigner;
 use association::jpda::{Associator, Share};
+use kinematics::hypot;
 use wire::{AgentType, Detection};
 
 use crate::estimate::Estimate;
@@ -226,16 +227,22 @@ impl Pairing {
     /// the reported velocity may be wrong.
     fn pair_contradicted(&mut self, estimates: &[Estimate], frame: &Frame<'_>) {
         let Self { grid, candidates, paired, taken, .. } = self;
+        let latest_ns = frame.detections.iter().map(|found| found.offset_ns).max().unwrap_or(0);
         candidates.clear();
         for ((estimate, track), paired) in estimates.iter().zip(0..).zip(&*paired) {
             if paired.is_some() || !estimate.follows_reports() {
                 continue;
             }
-            for spot in grid.spots().iter().filter(|spot| !taken[spot.detection as usize]) {
-                let found = frame.found(spot.detection as usize, estimate.stamp_ns());
-                if let Some(share) = estimate.resembles(&found, frame.options) {
-                    let cost = frame.options.miss_cost - 1.0 + share;
-                    candidates.push(Candidate { track, detection: spot.detection, cost });
+            let (from_m, reach_m) =
+                estimate.reach(estimate.stamp_ns().saturating_add(latest_ns), frame.options);
+            let near = grid.near(from_m, [reach_m; 2]).filter(|spot| !taken[spot.detection as usize]);
+            for &Spot { detection, position_m: [x, y], .. } in near {
+                let found = frame.found(detection as usize, estimate.stamp_ns());
+                if estimate.resembles(&found, frame.options) {
+                    let way_m = hypot(x - from_m[0], y - from_m[1]);
+                    // Below the cost of a miss, and higher for longer ways.
+                    let cost = frame.options.miss_cost - 1.0 / (1.0 + way_m);
+                    candidates.push(Candidate { track, detection, cost });
                 }
             }
         }

@@ -47,6 +47,15 @@ fn play(flags: u32, sigmas_m: [f64; 2], (turns, seed): (Turns, u64), numbers: [u
     (0..FRAMES).map(frame).collect()
 }
 
+/// Square of the error of a published velocity.
+fn off_mps2(track: &Track) -> f64 {
+    (f64::from(track.vx_mps) - SPEED_MPS).powi(2) + f64::from(track.vy_mps).powi(2)
+}
+
+fn root_mean(squares: &[f64]) -> f64 {
+    (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()
+}
+
 /// Root mean square errors of the published positions and velocities from 4 s on, over several seeds. `numbers`
 /// are the numbers of the sensors.
 fn errors(flags: u32, sigmas_m: [f64; 2], turns: Turns, numbers: [u8; 2]) -> [f64; 2] {
@@ -104,7 +113,7 @@ fn sensors_of_the_same_noise_cost_nothing() {
 #[test]
 fn sensors_with_and_without_reports_are_separated() {
     let play = |numbers: [u8; 2]| {
-        let (mut sum, mut count) = (0.0, 0);
+        let mut squares_mps2 = Vec::new();
         let mut run = Harness::new(TrackerOptions::default(), flags::HAS_IDENTITIES);
         let mut rng = ChaCha8Rng::seed_from_u64(2);
         for frame in 0..FRAMES {
@@ -118,12 +127,10 @@ fn sensors_with_and_without_reports_are_separated() {
                     Detection { sensor: numbers[sensor], sigma_m, ..detection }
                 })
                 .collect();
-            for track in run.step(&detections).iter().filter(|_| frame >= 50) {
-                sum += (f64::from(track.vx_mps) - SPEED_MPS).powi(2) + f64::from(track.vy_mps).powi(2);
-                count += 1;
-            }
+            let tracks = run.step(&detections);
+            squares_mps2.extend(tracks.iter().filter(|_| frame >= 50).map(off_mps2));
         }
-        (sum / f64::from(count)).sqrt()
+        root_mean(&squares_mps2)
     };
     let [together, apart] = [[0, 0], [1, 2]].map(play);
     println!("{together:.3} m/s; by sensor {apart:.3} m/s");
@@ -134,7 +141,7 @@ fn sensors_with_and_without_reports_are_separated() {
 #[test]
 fn sensors_with_own_times_in_one_frame_are_separated() {
     let play = |numbers: [u8; 2]| {
-        let (mut sum, mut count) = (0.0, 0);
+        let mut squares_mps2 = Vec::new();
         let mut run = Harness::new(TrackerOptions::default(), 0);
         let mut rng = ChaCha8Rng::seed_from_u64(2);
         for frame in 0..FRAMES {
@@ -148,12 +155,10 @@ fn sensors_with_own_times_in_one_frame_are_separated() {
                     Detection { sensor, offset_ns, ..detection }
                 }));
             }
-            for track in run.step(&detections).iter().filter(|_| frame >= 50) {
-                sum += (f64::from(track.vx_mps) - SPEED_MPS).powi(2) + f64::from(track.vy_mps).powi(2);
-                count += 1;
-            }
+            let tracks = run.step(&detections);
+            squares_mps2.extend(tracks.iter().filter(|_| frame >= 50).map(off_mps2));
         }
-        (sum / f64::from(count)).sqrt()
+        root_mean(&squares_mps2)
     };
     let [together, apart] = [[0, 0], [1, 2]].map(play);
     println!("{together:.3} m/s; by sensor {apart:.3} m/s");

@@ -128,8 +128,6 @@ pub(super) struct Moved {
     elapsed_s: f64,
     /// Standard deviation of the way per axis.
     sigma_m: f64,
-    /// Whether the axis of the headings was wrong.
-    is_turned: bool,
 }
 
 impl Chord {
@@ -140,8 +138,8 @@ impl Chord {
         chord
     }
 
-    /// Adds a measurement with this time. Returns the motion if a report is ignored from now on.
-    fn add(&mut self, own_ns: i64, seen: &Observation) -> Option<Moved> {
+    /// Adds a measurement with this time. If reports are ignored from now on, returns the motion and these reports.
+    fn add(&mut self, own_ns: i64, seen: &Observation) -> Option<(Moved, Ignored)> {
         let value = |measured: Option<(f64, f64)>| measured.map(|(value, _)| value);
         let report = Report { heading_rad: value(seen.heading_rad), speed_mps: value(seen.speed_mps) };
         let first = Begun {
@@ -166,22 +164,22 @@ impl Chord {
         }
         begun.continue_to(own_ns, report);
         let elapsed_ns = own_ns.saturating_sub(begun.at_ns);
-        let mut moved = Moved {
+        let moved = Moved {
             way_m: [0, 1].map(|axis| seen.position_m[axis] - begun.from_m[axis]),
             elapsed_s: elapsed_ns as f64 / 1e9,
             sigma_m: SQRT_2 * seen.position_variance.sqrt(),
-            is_turned: false,
         };
         if elapsed_ns < CHORD_NS || (elapsed_ns < CHORD_MAX_NS && !moved.can_contradict(begun.way)) {
             return None;
         }
         let begun = *begun;
         self.begun = Some(first);
-        self.judge(&begun, &mut moved).then_some(moved)
+        let new = self.judge(&begun, &moved);
+        (new != Ignored::default()).then_some((moved, new))
     }
 
-    /// Compares the reports with the motion along a chord. Returns whether it ignores a further report.
-    fn judge(&mut self, begun: &Begun, moved: &mut Moved) -> bool {
+    /// Compares the reports with the motion along a chord. Returns those that are ignored from now on.
+    fn judge(&mut self, begun: &Begun, moved: &Moved) -> Ignored {
         let (length_m, [x, y]) = (moved.length_m(), moved.way_m);
         let course_rad = y.atan2(x);
         let before_rad = self.course_rad.replace(course_rad);
@@ -201,9 +199,10 @@ impl Chord {
             }
         });
         let Self { ignored, confirmed: [of_speed, of_heading], .. } = self;
-        let speeds = decide(&mut ignored.speed, of_speed, speed);
-        moved.is_turned = decide(&mut ignored.heading, of_heading, heading);
-        speeds || moved.is_turned
+        Ignored {
+            speed: decide(&mut ignored.speed, of_speed, speed),
+            heading: decide(&mut ignored.heading, of_heading, heading),
+        }
     }
 
     /// Whether all reports along the chord have a velocity.
@@ -285,17 +284,12 @@ impl Estimate {
 
     /// Whether a detection may be the next one of a tentative track although the reported velocity does not lead
     /// there: it has the reports of the last detection, and an agent of this type can have moved from one to the
-    /// other. Returns the part of the largest way that it has moved.
+    /// other.
     #[must_use]
-    pub fn resembles(&self, found: &Found<'_>, options: &TrackerOptions) -> Option<f64> {
-        let agent_type = self.class.current();
-        let [x, y] = self.reports.last.position_m();
-        let way_m = hypot(found.position_m()[0] - x, found.position_m()[1] - y);
-        let most_m = options.speed_limits.of(agent_type) * self.gate.since_measured_s(found.own_ns);
-        let fits = found.agent_type == agent_type
-            && way_m < most_m
-            && self.chord.begun.is_some_and(|begun| begun.last.resembles(found.detection));
-        fits.then(|| way_m / most_m)
+    pub fn resembles(&self, found: &Found<'_>, options: &TrackerOptions) -> bool {
+        found.agent_type == self.class.current()
+            && self.reaches(found, options)
+            && self.chord.begun.is_some_and(|begun| begun.last.resembles(found.detection))
     }
 
     /// Begins the motion anew at the position of the last detection, because the next one contradicts the reported
@@ -322,8 +316,8 @@ impl Estimate {
         if let (Filter::Bicycle(_), Some((heading_rad, _))) = (self.belief.filter(), &mut seen.heading_rad) {
             *heading_rad = folded(*heading_rad, self.published.heading_rad);
         }
-        let Some(moved) = self.chord.add(own_ns, &seen) else { return false };
-        if !moved.is_turned && moved.fits(self.belief.motion().velocity_mps) {
+        let Some((moved, new)) = self.chord.add(own_ns, &seen) else { return false };
+        if !new.heading && moved.fits(self.belief.motion().velocity_mps) {
             return false;
         }
         self.begin_motion(own_ns, &seen, &moved, input);
@@ -354,5 +348,73 @@ impl Estimate {
         self.steady = Steady::new(self.belief.filter());
         (self.front, self.front_ns) = (Front::new(), self.stamp_ns);
         self.has_velocity = true;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const TICK_NS: i64 = 100_000_000;
+
+    /// What is ignored after each of `count` measurements, at 10 Hz, of an agent whose place and true heading and
+    /// speed are given at each time. `report` changes heading and speed.
+    fn ignored(
+        count: i64,
+        motion: impl Fn(f64) -> ([f64; 2], f64, f64),
+        report: impl Fn(f64, f64, f64) -> (f64, f64),
+    ) -> Vec<Ignored> {
+        let mut chord = Chord::default();
+        let add = |tick: i64| {
+            let time_s = (tick * TICK_NS) as f64 / 1e9;
+            let (position_m, heading_rad, speed_mps) = motion(time_s);
+            let (heading_rad, speed_mps) = report(time_s, heading_rad, speed_mps);
+            let seen = Observation {
+                heading_rad: Some((heading_rad, 0.01)),
+                speed_mps: Some((speed_mps, 0.01)),
+                ..Observation::of_position(position_m, 0.0025)
+            };
+            chord.add(tick * TICK_NS, &seen);
+            chord.ignored
+        };
+        (0..count).map(add).collect()
+    }
+
+    fn straight(time_s: f64) -> ([f64; 2], f64, f64) {
+        ([9.0 * time_s, 0.0], 0.0, 9.0)
+    }
+
+    #[test]
+    fn right_reports_are_never_ignored() {
+        let turn = |time_s: f64| {
+            let (sin, cos) = (0.6 * time_s).sin_cos();
+            // The heading leads the course of the box's centre.
+            ([6.0 * sin, -6.0 * cos], 0.6 * time_s + 0.5, 3.6)
+        };
+        let braking = |time_s: f64| {
+            let braked_s = time_s.min(3.0);
+            ([12.0 * braked_s - 2.0 * braked_s * braked_s, 0.0], 0.0, 12.0 - 4.0 * braked_s)
+        };
+        for ignored in [
+            ignored(200, straight, |_, heading, speed| (heading, speed)),
+            ignored(200, turn, |_, heading, speed| (heading, speed)),
+            ignored(200, braking, |_, heading, speed| (heading, speed)),
+        ] {
+            assert!(ignored.iter().all(|ignored| *ignored == Ignored::default()));
+        }
+    }
+
+    #[test]
+    fn reports_are_used_again_when_two_chords_confirm_them() {
+        let speed = |time_s: f64, heading: f64, speed: f64| (heading, if time_s < 4.0 { 0.0 } else { speed });
+        let found = ignored(80, straight, speed);
+        assert!(!found[5].speed && found[6..41].iter().all(|ignored| ignored.speed), "{found:?}");
+        assert!(!found[56].speed, "two chords of 0.6 s after the one in which the speeds change");
+        assert!(found.iter().all(|ignored| !ignored.heading));
+        let heading =
+            |time_s: f64, heading: f64, speed: f64| (heading + if time_s < 4.0 { 1.0 } else { 0.0 }, speed);
+        let found = ignored(80, straight, heading);
+        assert!(!found[11].heading && found[12..41].iter().all(|ignored| ignored.heading), "{found:?}");
+        assert!(!found[56].heading && found.iter().all(|ignored| !ignored.speed), "{found:?}");
     }
 }

@@ -92,11 +92,16 @@ impl Estimate {
     /// Whether the agent can have moved from its last detection to this one.
     #[must_use]
     pub fn reaches(&self, found: &Found<'_>, options: &TrackerOptions) -> bool {
-        let from_m = self.reports.last.position_m();
-        let moved_m = hypot(found.position_m()[0] - from_m[0], found.position_m()[1] - from_m[1]);
-        let most_mps = options.speed_limits.of(self.class.current());
-        moved_m
-            <= MARGIN_M[self.class.current().index()] + most_mps * self.gate.since_measured_s(found.own_ns)
+        let (from_m, reach_m) = self.reach(found.own_ns, options);
+        hypot(found.position_m()[0] - from_m[0], found.position_m()[1] - from_m[1]) <= reach_m
+    }
+
+    /// The position of the last detection, and the way from there that the agent can have moved by then.
+    #[must_use]
+    pub fn reach(&self, own_ns: i64, options: &TrackerOptions) -> ([f64; 2], f64) {
+        let agent_type = self.class.current();
+        let way_m = options.speed_limits.of(agent_type) * self.gate.since_measured_s(own_ns);
+        (self.reports.last.position_m(), MARGIN_M[agent_type.index()] + way_m)
     }
 
     /// How much better another identity's detection fits than the agent's own, as a difference of squared

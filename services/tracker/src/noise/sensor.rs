@@ -29,12 +29,12 @@ const PRIOR_COUNT: f64 = 10.0;
 /// Number of contrasts as which the type's variance counts when a sensor's variance is first learned, and the
 /// largest number that counts.
 const START_COUNT: f64 = 2.0;
-const COUNT_MAX: f64 = 400.0;
+pub const COUNT_MAX: f64 = 400.0;
 /// Differences of the logarithms of v' and v up to this value occur by chance. They would cost more than they
 /// gain.
 const DIFFERENCE_MIN: f64 = 0.3;
-/// Number of contrasts from which the noise of a sensor is reported.
-const PUBLISHED_MIN_COUNT: f64 = 40.0;
+/// Number of contrasts from which noise is published.
+pub const PUBLISHED_MIN_COUNT: f64 = 40.0;
 /// Least variance that is learned. Exact positions have none.
 pub const VARIANCE_MIN: f64 = 1e-6;
 /// Number of agents whose measurements are kept, and of sensors of each. The variances of a type need no more.

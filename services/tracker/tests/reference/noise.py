@@ -9,6 +9,8 @@ import math
 import pathlib
 import struct
 
+from draws import Draws
+
 NU, SHARE = 4.0, 0.6905668066708779
 NOMINAL_M, TAU_S, CHANGE_M, APART_MS, GAP_MS, SHORT_MS = 0.25, 0.3, 0.04, 400, 1100, 300
 
@@ -92,15 +94,7 @@ def single(value):
 
 
 def main():
-    seed = 7
-
-    def uniform():
-        nonlocal seed
-        seed = (1103515245 * seed + 12345) % 2**31
-        return seed / 2**31
-
-    def normal():
-        return 1.7 * (sum(uniform() for _ in range(4)) - 2.0)
+    draws = Draws(7)
 
     positions, heading = Positions(), Scale(0.12, 0.1)
     agents = [
@@ -109,15 +103,15 @@ def main():
     ]
     rows, ms = [], 0
     for frame in range(120):
-        step_ms = 70 + int(60 * uniform()) + (1500 if frame == 60 else 0)
+        step_ms = 70 + int(60 * draws.uniform()) + (1500 if frame == 60 else 0)
         ms += step_ms
         rho = math.exp(-step_ms / 1e3 / TAU_S)
         for id, agent in enumerate(agents):
             spread = math.sqrt(1 - rho * rho)
-            agent["off"] = [rho * off + spread * 0.2 * normal() for off in agent["off"]]
+            agent["off"] = [rho * off + spread * 0.2 * draws.normal() for off in agent["off"]]
             way = [(6 + 3 * id) * ms / 1e3, 0.2 * id * (ms / 1e3) ** 2]
             place = [single(w + off) for w, off in zip(way, agent["off"])]
-            angle = 0.3 * id + 0.05 * normal() + (math.pi if uniform() < 0.3 else 0)
+            angle = 0.3 * id + 0.05 * draws.normal() + (math.pi if draws.uniform() < 0.3 else 0)
             angle = single(math.remainder(angle, 2 * math.pi))
             near, far = agent["next"].held, agent["apart"].held
             next_s = (ms - near[-1][0]) / 1e3 if near else 0.0

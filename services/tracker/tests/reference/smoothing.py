@@ -8,6 +8,8 @@ import csv
 import math
 import pathlib
 
+from draws import Draws
+
 SIGMA_M, NOISE = 0.2, 0.5
 
 
@@ -47,29 +49,21 @@ def moved(state, rate, dt):
 
 def filtered():
     """Filtered states: time, rate, density of the step before, covariance per axis, position, velocity."""
-    seed = 99
-
-    def uniform():
-        nonlocal seed
-        seed = (1103515245 * seed + 12345) % 2**31
-        return seed / 2**31
-
-    def normal():
-        return 1.7 * (sum(uniform() for _ in range(4)) - 2.0)
+    draws = Draws(99)
 
     place, velocity, time_ms, steps = [40.0, -7.0], [6.0, 2.0], 0, []
     state, covariance = (place[:], [5.0, 3.0]), [[SIGMA_M**2, 0.0], [0.0, 4.0]]
     for k in range(40):
         rate = 0.4 if 12 <= k < 28 else 0.0
-        density = NOISE * (0.02 + uniform())
+        density = NOISE * (0.02 + draws.uniform())
         if k > 0:
-            dt_ms = 60 + 10 * int(8 * uniform())
+            dt_ms = 60 + 10 * int(8 * draws.uniform())
             time_ms += dt_ms
             dt = dt_ms / 1e3
             place, velocity = moved((place, velocity), steps[-1][1], dt)
             state, covariance = moved(state, steps[-1][1], dt), predicted_covariance(covariance, dt, density)
         gain = [row[0] / (covariance[0][0] + SIGMA_M**2) for row in covariance]
-        off = [p + SIGMA_M * normal() - s for p, s in zip(place, state[0])]
+        off = [p + SIGMA_M * draws.normal() - s for p, s in zip(place, state[0])]
         state = tuple([s + g * o for s, o in zip(part, off)] for part, g in zip(state, gain))
         covariance = [[c - g * covariance[0][j] for j, c in enumerate(row)] for row, g in zip(covariance, gain)]
         steps.append((time_ms, rate, density, [row[:] for row in covariance], *state))

@@ -8,6 +8,8 @@ import csv
 import math
 import pathlib
 
+from draws import Draws
+
 FREE_DENSITY, STEADY_DENSITY = 0.5, 0.01
 BEGINS, ENDS, STOPS, STARTS = 0.003, 0.03, 0.03, 0.003
 STOPPING_MPS, CREEP_M2, STANDING_VARIANCE, LEAST = 0.3, 1e-3, 1e-4, 1e-6
@@ -262,14 +264,6 @@ class Driving(Motions):
         return moments_about([parts[1], parts[0], parts[2]])
 
 
-def uniforms():
-    """Numbers from 0 to 1, by a linear congruential generator."""
-    state = 4711
-    while True:
-        state = (1103515245 * state + 12345) % 2**31
-        yield state / 2**31
-
-
 def write(name, columns, rows):
     with open(pathlib.Path(__file__).with_name(name), "w", newline="") as file:
         out = csv.writer(file, lineterminator="\n")
@@ -278,11 +272,11 @@ def write(name, columns, rows):
 
 
 def drives():
-    random, rows, time_ms = uniforms(), [], 0
-    normal_sample = lambda: 1.7 * (sum(next(random) for _ in range(4)) - 2.0)
+    random, rows, time_ms = Draws(4711), [], 0
+    normal_sample = lambda: 1.7 * (sum(random.uniform() for _ in range(4)) - 2.0)
     motions, x, y, course = None, -800.0, 20_000.0, 2.6
     for k in range(240):
-        dt_ms = 60 + 10 * int(8 * next(random)) + (700 if k == 150 else 0)
+        dt_ms = 60 + 10 * int(8 * random.uniform()) + (700 if k == 150 else 0)
         time_ms += dt_ms
         # Drives, turns across the direction of π, stands, and drives again.
         s = time_ms / 1e3
@@ -305,10 +299,10 @@ def drives():
 
 
 def walks():
-    random, rows, time_ms = uniforms(), [], 0
+    random, rows, time_ms = Draws(4711), [], 0
     motions, x, y = None, 30_000.0, -2.0
     for k in range(240):
-        dt_ms = 60 + 10 * int(8 * next(random)) + (1300 if k == 150 else 0)
+        dt_ms = 60 + 10 * int(8 * random.uniform()) + (1300 if k == 150 else 0)
         time_ms += dt_ms
         # Walks, turns, stands, and walks again.
         s = time_ms / 1e3
@@ -316,7 +310,7 @@ def walks():
         course = 0.3 if s < 5 else 1.6
         x, y = x + speed * math.cos(course) * dt_ms / 1e3, y + speed * math.sin(course) * dt_ms / 1e3
         sigma = 0.15 if k % 5 else 0.1
-        z = [p + sigma * 1.7 * (sum(next(random) for _ in range(4)) - 2.0) for p in (x, y)]
+        z = [p + sigma * 1.7 * (sum(random.uniform() for _ in range(4)) - 2.0) for p in (x, y)]
         r = sigma * sigma
         if motions is None:
             first = [*z, 0.0, 0.0], [[(r if i < 2 else 4.0) * (i == j) for j in range(4)] for i in range(4)]

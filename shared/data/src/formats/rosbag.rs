@@ -18,6 +18,7 @@
 
 mod objects;
 mod predicted;
+mod sensors;
 mod transforms;
 
 use std::collections::{BTreeMap, HashMap, HashSet};
@@ -30,11 +31,12 @@ use interop::cdr::{Cdr, from_bytes};
 use interop::messages::{DetectedObjects, Header, TfMessage, Time, TrackedObjects};
 use nalgebra::Isometry3;
 use recording::{BagMessage, Damage, bag_messages};
-use wire::{POSITION_MAX_M, SENSORS_MAX, WorldOrigin};
+use wire::{POSITION_MAX_M, WorldOrigin};
 
 use self::objects::heading_rad;
 pub use self::objects::{Object, Placed};
 pub use self::predicted::{PredictedAgent, PredictedFrame, PredictedPath, predicted_objects};
+pub use self::sensors::sensor_of;
 pub use self::transforms::Transforms;
 use self::transforms::bare;
 use crate::damage::{cut_finding, damage_finding, doubt};
@@ -267,7 +269,7 @@ fn read(parts: &[&Input], chosen: &[String]) -> Result<Bag, Problem> {
         chosen => chosen.iter().any(|chosen| chosen == topic),
     };
     let ignored = ignored(&topics, is_played);
-    let sensors = sensors(&topics, chosen, is_played);
+    let sensors = sensors::sensors(&topics, chosen, is_played);
     messages.retain(|(of, message)| is_played(*of, &message.topic));
     let messages = messages.into_iter().map(|(_, message)| message).collect();
     let of_schema = |schema: &str| OBJECTS.iter().position(|of| *of == schema);
@@ -278,19 +280,6 @@ fn read(parts: &[&Input], chosen: &[String]) -> Result<Bag, Problem> {
     let mut topics: Vec<BagTopic> = all.collect();
     topics.sort_by_key(|topic| !topic.is_read);
     Ok(Bag { messages, transforms, damage, undecoded, ignored, topics, sensors })
-}
-
-/// The topics that are played, as they were chosen or else sorted; none if there is only one.
-fn sensors(
-    topics: &BTreeMap<(usize, Arc<str>), usize>,
-    chosen: &[String],
-    is_played: impl Fn(usize, &str) -> bool,
-) -> Vec<Arc<str>> {
-    let played = topics.keys().filter(|(kind, topic)| is_played(*kind, topic)).map(|(_, topic)| topic);
-    let mut played: Vec<Arc<str>> = played.cloned().collect();
-    played.sort_by_key(|topic| (chosen.iter().position(|chosen| **chosen == **topic), Arc::clone(topic)));
-    played.dedup();
-    if played.len() > 1 { played } else { Vec::new() }
 }
 
 /// The note about the topics with objects, if there are several.
@@ -477,13 +466,6 @@ impl Table {
         let _ = writeln!(self.text, "{row}");
         self.places.push(message.place);
     }
-}
-
-/// The number of the sensor whose topic is at this place among several; 0 if there is no such number.
-#[must_use]
-pub fn sensor_of(place: Option<usize>) -> u8 {
-    let number = place.map_or(0, |place| place + 1);
-    if number <= SENSORS_MAX { number as u8 } else { 0 }
 }
 
 /// The message of a line, from 1.
