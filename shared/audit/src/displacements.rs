@@ -20,8 +20,8 @@ const TRIED_MAX: usize = 8;
 /// Shortest and longest displacement. It is also twice as long as the largest distance below: the places that agents
 /// should have reached with and without it differ.
 const JUMP_M: std::ops::RangeInclusive<f64> = 1.0..=50.0;
-/// A displacement is at least this multiple of the usual distance from the expected position: the root of a running mean of
-/// squares, in which the newest one has the weight below.
+/// A displacement is at least this multiple of the usual distance from the expected position. That is the root of a
+/// running mean of squares, in which the newest one has the weight below.
 const OFF_RATIO: f64 = 4.0;
 const OFF_WEIGHT: f64 = 0.02;
 /// Distance from a place that an agent should have reached: a part and a change of the speed in a second.

@@ -273,7 +273,6 @@ def write(name, columns, rows):
 
 def drives():
     random, rows, time_ms = Draws(4711), [], 0
-    normal_sample = lambda: 1.7 * (sum(random.uniform() for _ in range(4)) - 2.0)
     motions, x, y, course = None, -800.0, 20_000.0, 2.6
     for k in range(240):
         dt_ms = 60 + 10 * int(8 * random.uniform()) + (700 if k == 150 else 0)
@@ -283,8 +282,8 @@ def drives():
         speed = 6.0 if s < 9 or s > 16 else 0.0
         course += (0.5 if 4 < s < 7 else 0.0) * dt_ms / 1e3
         x, y = x + speed * math.cos(course) * dt_ms / 1e3, y + speed * math.sin(course) * dt_ms / 1e3
-        z = [x + 0.3 * normal_sample(), y + 0.15 * normal_sample()]
-        z += [wrapped(course + 0.05 * normal_sample()), speed + 0.4 * normal_sample()]
+        z = [x + 0.3 * random.normal(), y + 0.15 * random.normal()]
+        z += [wrapped(course + 0.05 * random.normal()), speed + 0.4 * random.normal()]
         r = [[0.09, 0.02, 0, 0], [0.02, 0.0225, 0, 0], [0, 0, 0.0025, 0], [0, 0, 0, 0.16]]
         if motions is None:
             mean_variance = 0.5 * (r[0][0] + r[1][1])
@@ -310,7 +309,7 @@ def walks():
         course = 0.3 if s < 5 else 1.6
         x, y = x + speed * math.cos(course) * dt_ms / 1e3, y + speed * math.sin(course) * dt_ms / 1e3
         sigma = 0.15 if k % 5 else 0.1
-        z = [p + sigma * 1.7 * (sum(random.uniform() for _ in range(4)) - 2.0) for p in (x, y)]
+        z = [p + sigma * random.normal() for p in (x, y)]
         r = sigma * sigma
         if motions is None:
             first = [*z, 0.0, 0.0], [[(r if i < 2 else 4.0) * (i == j) for j in range(4)] for i in range(4)]
